@@ -1,0 +1,77 @@
+# `make` alone lists the targets. Each one makes the virtual environment that it needs, once, and makes it anew
+# when pyproject.toml, constraints.txt or the Python version changes.
+
+PYTHON ?= python3
+
+LEADERBOARD_VENV := .venv
+TEST_VENV := .venv-test
+
+# Part of the stamps' names, so that another Python starts another environment.
+PYTHON_VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
+LEADERBOARD_READY := $(LEADERBOARD_VENV)/ready-$(PYTHON_VERSION)
+TEST_READY := $(TEST_VENV)/ready-$(PYTHON_VERSION)
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+# The steps of `test` come in their order, under -j too.
+.NOTPARALLEL:
+
+.PHONY: help
+help: ## Show this list
+	@echo 'wtg_gym: grid-forming wind turbine generators as a Gymnasium benchmark'
+	@echo
+	@echo 'usage: make TARGET [PYTHON=python3.12]'
+	@echo
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-12s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
+	@echo
+	@echo 'PYTHON is the interpreter that makes the environments: 3.11, 3.12 or 3.13 (now: $(PYTHON), $(or $(PYTHON_VERSION),not found)).'
+
+.PHONY: leaderboard
+leaderboard: $(LEADERBOARD_READY) ## Score every entry on the standard suite and write the ranking to the README
+	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard --results results --readme README.md
+
+.PHONY: test
+test: lint types contracts pytest ## Check everything, stopping at the first failure: the four targets below, in order
+
+.PHONY: lint
+lint: $(TEST_READY) ## Look for mistakes and for files that `make format` would change
+	$(TEST_VENV)/bin/ruff check .
+	$(TEST_VENV)/bin/ruff format --check .
+
+.PHONY: types
+types: $(TEST_READY) ## Check the types of wtg_gym and baselines
+	$(TEST_VENV)/bin/mypy
+
+.PHONY: contracts
+contracts: $(TEST_READY) ## Check that imports run one way
+	$(TEST_VENV)/bin/lint-imports --no-logo
+
+# A fixed hash seed would hide a result that depends on the order of a set.
+.PHONY: pytest
+pytest: $(TEST_READY) ## Run the tests, on two processes
+	env -u PYTHONHASHSEED $(TEST_VENV)/bin/pytest -n 2
+
+.PHONY: format
+format: $(TEST_READY) ## Format the code and mend what can be mended by itself
+	$(TEST_VENV)/bin/ruff check --fix .
+	$(TEST_VENV)/bin/ruff format .
+
+.PHONY: clean
+clean: ## Remove the environments, caches and built files; results stay
+	rm -rf $(LEADERBOARD_VENV) $(TEST_VENV) .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache build dist
+	find wtg_gym baselines agents tests -type d -name __pycache__ -prune -exec rm -rf {} +
+
+$(LEADERBOARD_READY): EXTRA := leaderboard
+$(TEST_READY): EXTRA := dev
+
+# An environment whose stamp is merely out of date is brought up to date; any other is started over. The two
+# variables hold the build of the package itself to the constraints too, by either pip's way of saying so.
+$(LEADERBOARD_READY) $(TEST_READY): pyproject.toml constraints.txt
+	@case '$(PYTHON_VERSION)' in 3.11|3.12|3.13) ;; *) \
+	    echo 'wtg_gym needs Python 3.11, 3.12 or 3.13, but $(PYTHON) is $(or $(PYTHON_VERSION),not found).' >&2; \
+	    echo 'Name another one: make $(MAKECMDGOALS) PYTHON=python3.12' >&2; exit 1;; esac
+	@echo 'Preparing $(@D) for Python $(PYTHON_VERSION) with the "$(EXTRA)" extra; the first time takes a few minutes.'
+	$(PYTHON) -m venv $(@D)$(if $(wildcard $@),, --clear)
+	PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt PIP_DISABLE_PIP_VERSION_CHECK=1 \
+	    $(@D)/bin/python -m pip install --quiet --editable '.[$(EXTRA)]'
+	@touch $@

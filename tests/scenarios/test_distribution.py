@@ -1,0 +1,230 @@
+"""Facts about drawn scenarios."""
+
+import json
+import math
+import time
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from wtg_gym.physics.scenario import LineTrip, LoadRamp, LoadStep, LoadTrip, Scenario
+from wtg_gym.scenarios import DRAWN_WIND_RANGE, SUITES, TRIPPABLE_LINES, ScenarioDistribution
+
+DISTRIBUTIONS = [suite.distribution for suite in SUITES.values() if suite.distribution is not None]
+STANDARD = SUITES["standard"].distribution
+assert STANDARD is not None
+#: Loads of the IEEE 14-bus system at load level 1 [MW].
+BUS_LOAD_MW = {
+    2: 21.7, 3: 94.2, 4: 47.8, 5: 7.6, 6: 11.2, 9: 29.5, 10: 9.0, 11: 3.5, 12: 6.1, 13: 13.5, 14: 14.9,
+}  # fmt: skip
+
+
+def check(scenario: Scenario, source: ScenarioDistribution, duration_s: float) -> None:
+    """Every promise of a distribution about each of its scenarios."""
+    n_samples = math.ceil(duration_s / 0.1 - 1e-6) + 1
+    assert scenario.wind_speed.shape == (scenario.n_wtg, n_samples)
+    assert scenario.load_noise_mw.shape == (n_samples,)
+    assert scenario.load_noise_mw[0] == 0.0
+    low, high = DRAWN_WIND_RANGE
+    assert low <= scenario.wind_speed.min() and scenario.wind_speed.max() <= high
+    for key in ("governor_droop", "inertia_scale", "load_level"):
+        first, last = getattr(source, key)
+        assert first <= getattr(scenario, key) <= last
+    load_events = [event for event in scenario.events if not isinstance(event, LineTrip)]
+    assert source.n_load_events[0] <= len(load_events) <= source.n_load_events[1]
+    assert len(scenario.events) - len(load_events) <= 1
+    assert sum(isinstance(event, LoadTrip) for event in load_events) <= 1
+    for event in scenario.events:
+        assert min(3.0, 0.5 * duration_s) - 0.05 <= event.time_s <= max(duration_s - 10.0, 0.5 * duration_s) + 0.05
+        assert event.time_s == round(event.time_s, 1)
+        if isinstance(event, LineTrip):
+            assert (event.from_bus, event.to_bus) in source.line_trips
+        elif isinstance(event, LoadTrip):
+            assert event.bus in source.load_trip_buses
+        else:
+            assert source.load_event_mw[0] <= abs(event.power_mw) <= source.load_event_mw[1]
+            assert event.bus in {bus for bus, _, _ in source.load_buses}
+
+
+@pytest.mark.parametrize("source", DISTRIBUTIONS, ids=lambda source: source.name)
+def test_first_two_hundred_test_scenarios_keep_every_promise(source: ScenarioDistribution):
+    for seed in range(20_000, 20_200):
+        check(source.draw(seed), source, 60.0)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.sampled_from(DISTRIBUTIONS),
+    st.integers(0, 2**63),
+    st.lists(st.floats(0.2, 40.0), min_size=1, max_size=5),
+    st.floats(1.0, 300.0),
+)
+def test_any_seed_group_count_and_duration_gives_a_valid_scenario(
+    source: ScenarioDistribution, seed: int, n_turbines: list[float], duration_s: float
+):
+    scenario = source.draw(seed, len(n_turbines), n_turbines, duration_s)
+    check(scenario, source, duration_s)
+    assert scenario.name == f"{source.name}/{seed}"
+    assert Scenario.from_json(scenario.to_json()).to_json() == scenario.to_json()
+
+
+@pytest.mark.parametrize("source", DISTRIBUTIONS, ids=lambda source: source.name)
+def test_no_bus_load_becomes_negative(source: ScenarioDistribution):
+    for seed in range(20_000, 20_500):
+        scenario = source.draw(seed)
+        load = {bus: scenario.load_level * power for bus, power in BUS_LOAD_MW.items()}
+        for event in scenario.events:
+            if isinstance(event, LoadTrip):
+                load[event.bus] -= scenario.load_level * BUS_LOAD_MW[event.bus]
+            elif isinstance(event, LoadStep) and event.power_mw < 0.0:
+                load[event.bus] += event.power_mw
+        assert min(load.values()) > -1e-9
+
+
+@pytest.mark.parametrize("source", DISTRIBUTIONS, ids=lambda source: source.name)
+def test_steps_and_ramps_never_add_up_beyond_the_net_limit(source: ScenarioDistribution):
+    for seed in range(500):
+        changes = [event.power_mw for event in source.draw(seed).events if isinstance(event, LoadStep)]
+        # One disconnection of at most 40 MW counts too, so a limit met with it may be missed without it.
+        assert abs(sum(changes)) <= source.net_load_change_mw + 40.0
+
+
+def test_event_shares_are_those_of_the_settings():
+    scenarios = [STANDARD.draw(seed) for seed in range(3000)]
+    events = [event for scenario in scenarios for event in scenario.events]
+    steps = [event for event in events if isinstance(event, LoadStep)]
+    n_events = len(steps) + sum(isinstance(event, LoadTrip) for event in events)
+    assert n_events / 3000 == pytest.approx(2.0, abs=0.06)
+    assert sum(isinstance(event, LoadTrip) for event in events) / 3000 == pytest.approx(0.15, abs=0.025)
+    assert sum(isinstance(event, LineTrip) for event in events) / 3000 == pytest.approx(0.15, abs=0.025)
+    assert sum(isinstance(event, LoadRamp) for event in steps) / len(steps) == pytest.approx(0.25, abs=0.025)
+    assert sum(event.power_mw > 0.0 for event in steps) / len(steps) == pytest.approx(0.5, abs=0.03)
+    assert np.mean([abs(event.power_mw) for event in steps]) == pytest.approx(45.0, abs=2.5)
+
+
+def test_same_arguments_give_the_same_scenario_whatever_was_drawn_before():
+    first = STANDARD.draw(7).to_json()
+    STANDARD.draw(8, 3, [1.0, 2.0, 3.0], 20.0)
+    assert STANDARD.draw(7).to_json() == first
+    assert STANDARD.draw(np.int64(7)).to_json() == first
+    assert STANDARD.draw(9).to_json() != first
+
+
+def test_groups_have_independent_means_unless_a_spread_is_given():
+    spread = ScenarioDistribution(name="site", mean_wind_spread_m_s=0.5, gust_probability=0.0)
+    apart = [np.ptp(STANDARD.draw(seed).wind_speed.mean(axis=1)) for seed in range(200)]
+    near = [np.ptp(spread.draw(seed).wind_speed.mean(axis=1)) for seed in range(200)]
+    assert max(apart) > 3.0
+    assert np.mean(near) < 0.5 * np.mean(apart)
+
+
+def test_more_turbines_make_a_calmer_group():
+    calm, rough = [], []
+    for seed in range(100):
+        wind = STANDARD.draw(seed, 2, [10.0, 1.0]).wind_speed
+        calm.append(wind[0].std())
+        rough.append(wind[1].std())
+    assert np.mean(calm) < 0.8 * np.mean(rough)
+
+
+def test_gust_suite_always_has_a_gust_on_one_group_or_a_ramp_on_all():
+    calm = {"turbulence_intensity": (0.0, 0.0), "gust_m_s": (3.0, 6.0), "wind_ramp_m_s": (2.0, 4.0)}
+    source = ScenarioDistribution(
+        name="gust", mean_wind_m_s=(9.0, 9.0), gust_probability=0.6, wind_ramp_probability=0.4, **calm
+    )
+    moved = [np.ptp(source.draw(seed).wind_speed, axis=1) > 1.0 for seed in range(300)]
+    assert all(groups.any() for groups in moved)
+    assert np.mean([groups.all() for groups in moved]) == pytest.approx(0.4, abs=0.1)
+
+
+def test_load_noise_has_the_standard_deviation_and_memory_of_an_ornstein_uhlenbeck_process():
+    series = np.array([STANDARD.draw(seed).load_noise_mw for seed in range(400)])
+    assert (series[:, 0] == 0.0).all()
+    settled = series[:, 150:]
+    assert settled.std() == pytest.approx(STANDARD.load_noise_mw, rel=0.05)
+    lag = 20
+    correlation = np.mean(settled[:, lag:] * settled[:, :-lag]) / settled.var()
+    assert correlation == pytest.approx(math.exp(-lag * 0.1 / STANDARD.load_noise_correlation_s), abs=0.04)
+    # From zero the variance grows as 1 - exp(-2 t/T).
+    assert series[:, 5].var() == pytest.approx(1.0 - math.exp(-0.5), rel=0.25)
+
+
+def test_no_noise_gives_an_empty_series():
+    assert ScenarioDistribution(name="quiet", load_noise_mw=0.0).draw(1).load_noise_mw.size == 0
+
+
+def test_drawing_takes_well_under_a_millisecond():
+    for seed in range(300):
+        STANDARD.draw(seed)
+    best = math.inf
+    for _ in range(5):
+        start = time.perf_counter()
+        for seed in range(100):
+            STANDARD.draw(seed)
+        best = min(best, (time.perf_counter() - start) / 100)
+    print(f"{best * 1e6:.0f} µs per scenario")
+    assert best < 1e-3
+
+
+def test_settings_survive_json_and_build_the_same_distribution():
+    data = json.loads(json.dumps(STANDARD.to_dict()))
+    assert ScenarioDistribution(**data) == STANDARD
+
+
+def test_every_setting_has_a_unit_and_a_meaning():
+    for item in fields(ScenarioDistribution):
+        assert "unit" in item.metadata and item.metadata["meaning"], item.name
+
+
+def test_opening_any_trippable_line_keeps_the_network_connected():
+    transformers = [(4, 7), (4, 9), (5, 6), (7, 8), (7, 9)]
+    for out in TRIPPABLE_LINES:
+        reached, branches = {1}, [b for b in (*TRIPPABLE_LINES, *transformers) if b != out]
+        for _ in range(14):
+            reached |= {bus for branch in branches if reached & set(branch) for bus in branch}
+        assert len(reached) == 14, out
+
+
+BAD_SETTINGS = {
+    "wind below cut-in": ({"mean_wind_m_s": (2.0, 9.0)}, "mean_wind_m_s = 2 m/s.*4 … 20 m/s"),
+    "reversed range": ({"load_event_mw": (75.0, 15.0)}, r"load_event_mw.*low <= high.*\(75, 15\) MW"),
+    "not a pair": ({"load_level": 1.0}, "load_level must be a pair"),
+    "nan": ({"governor_droop": (0.02, math.nan)}, "governor_droop = nan p.u."),
+    "probability": ({"line_trip_probability": 1.5}, "line_trip_probability = 1.5.*0 … 1"),
+    "gust and ramp": ({"gust_probability": 0.7, "wind_ramp_probability": 0.7}, "1.4.*at most 1"),
+    "half an event": ({"n_load_events": (0.5, 2)}, "n_load_events must be two whole numbers"),
+    "no turbines": ({"n_turbines": 0}, "n_turbines = 0"),
+    "radial line": ({"line_trips": ((7, 8),)}, r"line_trips must be.*\(7, 8\)"),
+    "bus without load": ({"load_trip_buses": (7,)}, r"load_trip_buses must be.*\(7,\)"),
+    "no bus": ({"load_buses": ()}, "load_buses needs at least one bus"),
+    "bus twice": ({"load_buses": ((4, 75.0, 40.0), (4, 75.0, 40.0))}, "each bus once"),
+    "negative limit": ({"load_buses": ((4, -5.0, 40.0),), "load_trip_buses": (4,)}, "at bus 4 = -5 MW"),
+    "text": ({"load_noise_mw": "loud"}, "load_noise_mw must be a number.*'loud'"),
+    "no name": ({"name": ""}, "needs a name"),
+}
+
+
+@pytest.mark.parametrize(("changes", "text"), BAD_SETTINGS.values(), ids=BAD_SETTINGS.keys())
+def test_bad_setting_is_refused_with_value_and_range(changes: dict, text: str):
+    with pytest.raises(ValueError, match=text):
+        ScenarioDistribution(**{"name": "mine", **changes})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"seed": -1}, "non-negative integer, got -1"),
+        ({"seed": 1.5}, "non-negative integer, got 1.5"),
+        ({"seed": True}, "non-negative integer, got True"),
+        ({"seed": 1, "n_wtg": 0}, "n_wtg must be a positive integer, got 0"),
+        ({"seed": 1, "n_turbines": [1.0]}, r"one value per WTG group \(2\), got 1"),
+        ({"seed": 1, "n_turbines": [1.0, math.nan]}, "n_turbines = nan"),
+        ({"seed": 1, "duration_s": 0.0}, "duration_s = 0 s"),
+    ],
+)
+def test_bad_draw_argument_is_refused(arguments: dict, text: str):
+    with pytest.raises(ValueError, match=text):
+        STANDARD.draw(**arguments)

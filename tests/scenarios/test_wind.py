@@ -1,0 +1,150 @@
+"""Facts about the wind a WTG group feels."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wtg_gym.physics.scenario import SERIES_DT
+from wtg_gym.scenarios import wind
+
+N_SAMPLES = 601
+N_PERIOD = wind.period_length(N_SAMPLES)
+FREQUENCY = wind.resolved_frequencies(N_PERIOD)
+
+
+def resolved_variance(spectrum: np.ndarray) -> float:
+    """Variance that the harmonics between mean and Nyquist frequency carry."""
+    return float(np.sum(spectrum[1:-1]) / (N_PERIOD * SERIES_DT))
+
+
+@pytest.mark.parametrize(("turbulence_class", "sigma"), [("A", 2.696), ("B", 2.359), ("C", 2.022)])
+def test_standard_deviation_at_15_m_s_is_that_of_the_normal_turbulence_model(turbulence_class: str, sigma: float):
+    assert wind.ntm_sigma(15.0, wind.TURBULENCE_CLASSES[turbulence_class]) == pytest.approx(sigma)
+
+
+@pytest.mark.parametrize("mean", [4.0, 9.0, 20.0])
+def test_kaimal_spectrum_integrates_to_the_variance(mean: float):
+    frequency = np.concatenate([[0.0], np.geomspace(1e-7, 1e5, 20_001)])
+    spectrum = wind.kaimal_spectrum(frequency, mean, 1.7)
+    area = np.sum(0.5 * (spectrum[1:] + spectrum[:-1]) * np.diff(frequency))
+    assert area == pytest.approx(1.7**2, rel=1e-3)
+
+
+def test_disk_distance_density_has_unit_area_and_the_known_mean():
+    distance = np.linspace(0.0, 2.0, 20_001)
+    density = wind.disk_distance_density(distance)
+    step = distance[1]
+    assert np.sum(density) * step == pytest.approx(1.0, abs=1e-6)
+    assert np.sum(density * distance) * step == pytest.approx(128.0 / (45.0 * math.pi), abs=1e-6)
+
+
+def test_disk_average_starts_at_one_falls_and_ends_as_the_inverse_square():
+    decay = np.geomspace(1e-4, 1e4, 333)
+    mean = wind.disk_mean_coherence(decay)
+    assert mean[0] == pytest.approx(1.0, abs=1e-4)
+    assert (np.diff(mean) < 0.0).all()
+    # Far out only neighbours count: p(s) ~ 2 s, and the integral of 2 s exp(-x s) is 2/x².
+    assert mean[-1] == pytest.approx(2.0 / decay[-1] ** 2, rel=1e-3)
+
+
+def test_disk_average_agrees_with_random_pairs_of_points():
+    rng = np.random.default_rng(1)
+    radius, angle = np.sqrt(rng.random((2, 400_000))), 2.0 * math.pi * rng.random((2, 400_000))
+    points = radius * np.exp(1j * angle)
+    distance = np.abs(points[0] - points[1])
+    for decay in (0.3, 1.0, 5.0):
+        expected = np.exp(-decay * distance).mean()
+        assert wind.disk_mean_coherence(np.array([decay]))[0] == pytest.approx(expected, rel=5e-3)
+
+
+@given(st.floats(4.0, 20.0), st.floats(1.0, 50.0))
+def test_rotor_and_group_averaging_only_take_away(mean: float, n_turbines: float):
+    rotor = wind.rotor_filter(FREQUENCY, mean)
+    group = wind.group_filter(FREQUENCY, mean, n_turbines)
+    assert ((rotor > 0.0) & (rotor < 1.0)).all()
+    assert ((group >= 1.0 / n_turbines - 1e-12) & (group <= 1.0 + 1e-12)).all()
+
+
+@pytest.mark.parametrize("n_turbines", [0.4, 1.0])
+def test_group_of_one_turbine_or_less_averages_nothing(n_turbines: float):
+    assert wind.group_filter(FREQUENCY, 9.0, n_turbines) == pytest.approx(1.0)
+
+
+def test_group_filter_is_the_double_sum_over_equally_coherent_turbines():
+    n = 10
+    coherence = np.exp(-wind.TURBINE_SPACING_M * wind.coherence_decay(FREQUENCY, 9.0))
+    double_sum = (n + n * (n - 1) * coherence) / n**2
+    assert wind.group_filter(FREQUENCY, 9.0, n) == pytest.approx(double_sum)
+
+
+def test_variance_of_synthesised_point_wind_is_the_kaimal_variance_of_the_resolved_band():
+    spectrum = wind.kaimal_spectrum(FREQUENCY, 9.0, 1.7)
+    amplitude = wind.spectrum_amplitude(spectrum, N_PERIOD)
+    amplitude[[0, -1]] = 0.0
+    series = wind.random_series(np.random.default_rng(2), [amplitude] * 1000, N_PERIOD, N_PERIOD)
+    assert abs(series.mean()) < 1e-12
+    assert series.var() == pytest.approx(resolved_variance(spectrum), rel=0.03)
+
+
+@pytest.mark.parametrize("n_turbines", [1.0, 10.0])
+def test_variance_of_group_wind_follows_the_formula(n_turbines: float):
+    sigma = wind.ntm_sigma(9.0, 0.14)
+    point = wind.kaimal_spectrum(FREQUENCY, 9.0, sigma)
+    spectrum = point * wind.rotor_filter(FREQUENCY, 9.0) * wind.group_filter(FREQUENCY, 9.0, n_turbines)
+    amplitude = wind.turbulence_amplitude(9.0, sigma, n_turbines, N_PERIOD)
+    series = wind.random_series(np.random.default_rng(3), [amplitude] * 1000, N_PERIOD, N_PERIOD)
+    assert series.var() == pytest.approx(resolved_variance(spectrum), rel=0.05)
+    assert resolved_variance(spectrum) < 0.5 * resolved_variance(point)
+
+
+def test_ten_turbines_feel_less_than_half_the_variance_of_one():
+    one, ten = (wind.turbulence_amplitude(9.0, 1.7, n, N_PERIOD) for n in (1.0, 10.0))
+    assert np.sum(ten**2) < 0.5 * np.sum(one**2)
+
+
+def test_series_of_different_groups_are_uncorrelated():
+    amplitude = wind.turbulence_amplitude(9.0, 1.7, 1.0, N_PERIOD)
+    series = wind.random_series(np.random.default_rng(4), [amplitude] * 400, N_PERIOD, N_PERIOD)
+    first, second = series[::2], series[1::2]
+    assert abs((first * second).mean()) < 0.1 * series.var()
+
+
+def test_window_does_not_end_where_it_began():
+    amplitude = wind.turbulence_amplitude(9.0, 1.7, 1.0, N_PERIOD)
+    series = wind.random_series(np.random.default_rng(5), [amplitude] * 400, N_PERIOD, N_SAMPLES)
+    assert (series[:, -1] - series[:, 0]).std() > series.std()
+
+
+@pytest.mark.parametrize("n_samples", [1, 2, 7, 601, 1201, 36_001])
+def test_period_is_even_long_enough_and_quick_to_transform(n_samples: int):
+    period = wind.period_length(n_samples)
+    assert 2 * n_samples <= period <= 2.4 * n_samples + 2
+    rest = period
+    for factor in (2, 3, 5):
+        while rest % factor == 0:
+            rest //= factor
+    assert rest == 1 and period % 2 == 0
+
+
+def test_gust_dips_peaks_and_leaves_no_trace():
+    time_s = np.arange(0.0, 60.0, 0.01)
+    change = wind.extreme_operating_gust(time_s, 20.0, 5.0)
+    outside = (time_s <= 20.0) | (time_s >= 20.0 + wind.GUST_DURATION_S)
+    assert change[outside] == pytest.approx(0.0, abs=1e-12)
+    assert time_s[change.argmax()] == pytest.approx(20.0 + 0.5 * wind.GUST_DURATION_S, abs=0.02)
+    assert change.max() == pytest.approx(0.74 * 5.0, rel=1e-4)
+    assert change.max() - change.min() == pytest.approx(5.0, rel=0.02)
+
+
+def test_ramp_is_linear_and_stays():
+    change = wind.coherent_ramp(np.array([0.0, 10.0, 15.0, 20.0, 60.0]), 10.0, -3.0, 10.0)
+    assert change == pytest.approx([0.0, 0.0, -1.5, -3.0, -3.0])
+
+
+@pytest.mark.parametrize(("mean", "n_turbines", "text"), [(2.0, 1.0, "2 m/s"), (9.0, 0.0, "n_turbines = 0")])
+def test_impossible_turbulence_is_refused_with_value_and_range(mean: float, n_turbines: float, text: str):
+    with pytest.raises(ValueError, match=text):
+        wind.turbulence_amplitude(mean, 1.0, n_turbines, N_PERIOD)

@@ -1,0 +1,1 @@
+"""The simulator: aerodynamics, tracking law, machines, network, and their integration."""

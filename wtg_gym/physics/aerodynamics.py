@@ -1,0 +1,124 @@
+"""Power coefficient, captured power and the operating points derived from them."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import brentq, minimize_scalar
+
+from wtg_gym.physics.compiled import compiled
+from wtg_gym.physics.elementary import exponential
+from wtg_gym.physics.parameters import PowerCoefficientParameters, TurbineParameters
+
+@compiled
+def power_coefficient_of_inverse(
+    inverse_tip_speed_ratio: float,
+    pitch_deg: float,
+    c1: float,
+    c2: float,
+    c3: float,
+    c5: float,
+    c6: float,
+    c7: float,
+    c8: float,
+) -> float:
+    """Return C_p, given 1/λ [-] and the pitch angle β [deg].
+
+    1/(λ + c7 β) is written as (1/λ)/(1 + c7 β/λ), so that λ itself is never formed. Source: paper, equation `cp`.
+    """
+    inverse = min(inverse_tip_speed_ratio, 1.0 / 0.2)
+    inverse_i = inverse / (1.0 + c7 * pitch_deg * inverse) - c8 / (pitch_deg * pitch_deg * pitch_deg + 1.0)
+    return c1 * (c2 * inverse_i - c3 * pitch_deg - c5) * exponential(-c6 * inverse_i)
+
+
+def power_coefficient(
+    tip_speed_ratio: float | npt.NDArray[np.float64],
+    pitch_deg: float = 0.0,
+    parameters: PowerCoefficientParameters | None = None,
+) -> npt.NDArray[np.float64]:
+    """Return C_p(λ, β) of the paper's curve.
+
+    Args:
+        tip_speed_ratio: λ > 0, any shape [-].
+        pitch_deg: pitch angle β ≥ 0 [deg].
+        parameters: constants of the curve; the paper's by default.
+
+    Raises:
+        ValueError: λ is not positive or β is negative.
+    """
+    p = parameters or PowerCoefficientParameters()
+    ratio = np.asarray(tip_speed_ratio, dtype=np.float64)
+    if not (ratio > 0.0).all():
+        raise ValueError(f"tip-speed ratio must be positive, got {ratio.min():g}")
+    if not pitch_deg >= 0.0:
+        raise ValueError(f"pitch angle must be 0 deg or more, got {pitch_deg:g} deg")
+    flat = [
+        power_coefficient_of_inverse(1.0 / x, float(pitch_deg), p.c1, p.c2, p.c3, p.c5, p.c6, p.c7, p.c8)
+        for x in ratio.ravel()
+    ]
+    return np.array(flat).reshape(ratio.shape)
+
+
+@dataclass(frozen=True)
+class TrackingPoint:
+    """An operating point on the over-speed side of the C_p curve at β = 0.
+
+    `tip_speed_ratio` λ_d [-], `power_coefficient` C_pd [-] and the `coefficient` K_d [p.u.] whose curve K_d ω_m³ meets
+    the captured power there at every wind speed.
+    """
+
+    tip_speed_ratio: float
+    power_coefficient: float
+    coefficient: float
+
+
+def tracking_point(deloading: float = 0.0, turbine: TurbineParameters | None = None) -> TrackingPoint:
+    """Return the point at which a share `deloading` of the available power is given up by over-speeding.
+
+    K_d = ρ π R⁵ C_pd ω_tn³ / (2 λ_d³ S_n), which is K_opt (λ_opt/λ_d)³ (1 - d). Source: paper, equations for K_opt,
+    K_d, K_n and K_pr.
+
+    Args:
+        deloading: d, 0 … 0.9 [-]; 0 is maximum power point tracking.
+        turbine: the turbine; the paper's by default.
+
+    Raises:
+        ValueError: the deloading is outside 0 … 0.9.
+    """
+    if not 0.0 <= deloading <= 0.9:
+        raise ValueError(f"deloading = {deloading:g} is outside the allowed range 0 … 0.9")
+    return _tracking_point(float(deloading), turbine or TurbineParameters())
+
+
+@functools.lru_cache(maxsize=256)
+def _tracking_point(deloading: float, turbine: TurbineParameters) -> TrackingPoint:
+    def cp(ratio: float) -> float:
+        return float(power_coefficient(ratio, 0.0, turbine.power_coefficient))
+
+    found = minimize_scalar(lambda x: -cp(x), bounds=(4.0, 12.0), method="bounded", options={"xatol": 1e-6})
+
+    def slope(ratio: float) -> float:
+        return cp(ratio + 1e-4) - cp(ratio - 1e-4)
+
+    # The maximum is flat: its place is the root of the slope, not the smallest value found.
+    optimum = float(brentq(slope, found.x - 0.5, found.x + 0.5, xtol=1e-12))
+    ratio = optimum
+    if deloading > 0.0:
+        target = (1.0 - deloading) * cp(optimum)
+        ratio = float(brentq(lambda x: cp(x) - target, optimum, 20.0, xtol=1e-13))
+    value = cp(ratio)
+    speed = turbine.tip_speed_ratio_per_speed_m_s / ratio
+    return TrackingPoint(ratio, value, turbine.wind_power_pu_per_cubic_wind * value * speed**3)
+
+
+def available_power_pu(
+    wind_m_s: float | npt.NDArray[np.float64], turbine: TurbineParameters | None = None
+) -> npt.NDArray[np.float64]:
+    """Return the largest power a rotor can capture at β = 0 [p.u. of its rating], for a wind speed [m/s]."""
+    turbine = turbine or TurbineParameters()
+    wind = np.asarray(wind_m_s, dtype=np.float64)
+    peak = tracking_point(0.0, turbine).power_coefficient
+    return np.asarray(turbine.wind_power_pu_per_cubic_wind * peak * wind**3)

@@ -1,0 +1,75 @@
+"""The one decorator for compiled functions, with a disk cache that cannot go stale.
+
+Numba's own cache looks at the file of the decorated function alone: editing a callee in another file leaves a
+stale caller. Here the cache folder is named after a hash of every file that holds compiled code, so an edit
+anywhere starts a new folder and an unchanged package starts quickly.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+_PACKAGE = Path(__file__).resolve().parent.parent
+
+
+@functools.cache
+def source_hash() -> str:
+    """Return the sha256 hex digest of every source file that compiled code lives in."""
+    digest = hashlib.sha256()
+    for folder in ("physics", "envs"):
+        for path in sorted((_PACKAGE / folder).glob("*.py")):
+            digest.update(path.name.encode())
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def _base_folder() -> Path:
+    if numba.config.CACHE_DIR:
+        return Path(numba.config.CACHE_DIR)
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", str(Path.home())))
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+
+
+@functools.cache
+def cache_folder() -> Path | None:
+    """Return the folder of this source version's machine code, or None where nothing can be written."""
+    for base in (_base_folder, lambda: Path(tempfile.gettempdir())):
+        try:
+            folder = base() / "wtg_gym" / source_hash()[:16]
+            folder.mkdir(parents=True, exist_ok=True)
+            if os.access(folder, os.W_OK):
+                return folder
+        except (OSError, RuntimeError):
+            continue
+    return None
+
+
+def compiled(function: F) -> F:
+    """Compile a function with numba, releasing the GIL, cached on disk per source version.
+
+    No fast-math: reassociation or contraction would let a batched lane differ from the single environment.
+    """
+    folder = cache_folder()
+    if folder is None:
+        result: F = numba.njit(nogil=True, error_model="numpy")(function)
+        return result
+    before = numba.config.CACHE_DIR
+    try:
+        # Read by numba while it decorates; put back so that other packages' caches stay where they are.
+        numba.config.CACHE_DIR = str(folder)
+        cached: F = numba.njit(nogil=True, error_model="numpy", cache=True)(function)
+        return cached
+    finally:
+        numba.config.CACHE_DIR = before

@@ -1,0 +1,229 @@
+"""What happens in one run, as plain data: wind, events, load noise and grid strength.
+
+The simulator consumes a :class:`Scenario`; nothing in it is random any more. Scenarios are drawn, read
+from CSV and collected in suites by :mod:`wtg_gym.scenarios`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+#: Wind speeds the turbine model covers: cut-in and cut-out of the NREL 5 MW machine [m/s].
+WIND_SPEED_RANGE = (3.0, 25.0)
+#: Step of every random wind and load-noise series [s].
+SERIES_DT = 0.1
+
+
+def require_range(name: str, value: float, low: float, high: float, unit: str) -> float:
+    """Return `value` as a float, or raise a ValueError that names value, unit and allowed range."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+        raise ValueError(f"{name} must be a number in {low:g} … {high:g} {unit}, got {value!r}".rstrip())
+    number = float(value)
+    if not math.isfinite(number) or not low <= number <= high:
+        raise ValueError(
+            f"{name} = {number:g} {unit}".rstrip() + f" is outside the allowed range {low:g} … {high:g} {unit}".rstrip()
+        )
+    return number
+
+
+def _require_bus(name: str, bus: int) -> None:
+    if isinstance(bus, bool) or not isinstance(bus, (int, np.integer)) or bus < 1:
+        raise ValueError(f"{name} must be a bus number of the network (a positive integer), got {bus!r}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoadStep:
+    """A constant-impedance load switched on at a bus (negative power: switched off).
+
+    The admittance is (P - jQ)/V0² with V0 the bus voltage of the initial power flow.
+
+    Args:
+        time_s: instant of the event [s].
+        bus: bus number of the network.
+        power_mw: active power at V0 [MW].
+        reactive_mvar: reactive power at V0 [Mvar].
+    """
+
+    time_s: float
+    bus: int
+    power_mw: float
+    reactive_mvar: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_range("event time", self.time_s, 0.0, math.inf, "s")
+        _require_bus("bus", self.bus)
+        require_range("load step", self.power_mw, -1e4, 1e4, "MW")
+        require_range("load step", self.reactive_mvar, -1e4, 1e4, "Mvar")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoadRamp(LoadStep):
+    """A :class:`LoadStep` that grows linearly over `duration_s` [s] from `time_s` on."""
+
+    duration_s: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_range("ramp duration", self.duration_s, 0.1, 3600.0, "s")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoadTrip:
+    """The whole initial load of a bus is disconnected at `time_s` [s]."""
+
+    time_s: float
+    bus: int
+
+    def __post_init__(self) -> None:
+        require_range("event time", self.time_s, 0.0, math.inf, "s")
+        _require_bus("bus", self.bus)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LineTrip:
+    """The branch between two buses opens at both ends at `time_s` [s]."""
+
+    time_s: float
+    from_bus: int
+    to_bus: int
+
+    def __post_init__(self) -> None:
+        require_range("event time", self.time_s, 0.0, math.inf, "s")
+        _require_bus("from_bus", self.from_bus)
+        _require_bus("to_bus", self.to_bus)
+
+
+Event = LoadStep | LoadRamp | LoadTrip | LineTrip
+EVENT_KINDS: dict[str, type[Any]] = {
+    "load_step": LoadStep,
+    "load_ramp": LoadRamp,
+    "load_trip": LoadTrip,
+    "line_trip": LineTrip,
+}
+_KIND_OF = {cls: kind for kind, cls in EVENT_KINDS.items()}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scenario:
+    """One run as data.
+
+    Args:
+        name: free text, used in tables and plots.
+        wind_speed: rotor-effective wind per WTG group and sample, shape (n_wtg, n_samples) [m/s];
+            linear between samples, the last one holds.
+        wind_dt_s: sampling step of `wind_speed` [s].
+        duration_s: length of the run [s].
+        events: load and line events, in any order.
+        load_noise_mw: extra resistive load at `load_noise_bus`, one value per `SERIES_DT` [MW]; empty for none.
+            The first value must be zero, so that the run starts in equilibrium.
+        load_noise_bus: bus of the load noise.
+        load_level: factor on every load of the case in the initial power flow.
+        governor_droop: droop R of every governor on its machine's base [p.u.]; None keeps the case's.
+        inertia_scale: factor on the inertia of every synchronous machine.
+        seed: the seed it was drawn from, if any.
+
+    Raises:
+        ValueError: a value is missing, not finite or outside its range; the message names all three.
+    """
+
+    name: str
+    wind_speed: npt.NDArray[np.float64]
+    wind_dt_s: float = SERIES_DT
+    duration_s: float = 60.0
+    events: tuple[Event, ...] = ()
+    load_noise_mw: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    load_noise_bus: int = 3
+    load_level: float = 1.0
+    governor_droop: float | None = None
+    inertia_scale: float = 1.0
+    seed: int | None = None
+
+    def __post_init__(self) -> None:
+        wind = np.array(self.wind_speed, dtype=np.float64)
+        if wind.ndim != 2 or wind.shape[0] < 1 or wind.shape[1] < 1:
+            raise ValueError(f"wind_speed must have shape (n_wtg, n_samples), got shape {wind.shape}")
+        low, high = WIND_SPEED_RANGE
+        bad = ~((wind >= low) & (wind <= high))
+        if bad.any():
+            group, sample = np.argwhere(bad)[0]
+            raise ValueError(
+                f"wind_speed of group {group} at t = {sample * self.wind_dt_s:g} s is {wind[group, sample]:g} m/s, "
+                f"outside the allowed range {low:g} … {high:g} m/s"
+            )
+        noise = np.array(self.load_noise_mw, dtype=np.float64)
+        if noise.ndim != 1 or not np.isfinite(noise).all():
+            raise ValueError(f"load_noise_mw must be a finite series [MW], got shape {noise.shape}")
+        if noise.size and noise[0] != 0.0:
+            raise ValueError(f"load_noise_mw must start at 0 MW, got {noise[0]:g} MW")
+        for event in self.events:
+            if type(event) not in _KIND_OF:
+                raise ValueError(f"unknown event {event!r}; known kinds: {', '.join(EVENT_KINDS)}")
+        require_range("wind_dt_s", self.wind_dt_s, 1e-3, 3600.0, "s")
+        require_range("duration_s", self.duration_s, 0.1, 86400.0, "s")
+        _require_bus("load_noise_bus", self.load_noise_bus)
+        require_range("load_level", self.load_level, 0.3, 1.5, "")
+        if self.governor_droop is not None:
+            require_range("governor_droop", self.governor_droop, 0.005, 1.0, "p.u.")
+        require_range("inertia_scale", self.inertia_scale, 0.05, 5.0, "")
+        for series in (wind, noise):
+            series.setflags(write=False)
+        object.__setattr__(self, "wind_speed", wind)
+        object.__setattr__(self, "load_noise_mw", noise)
+        object.__setattr__(self, "events", tuple(self.events))
+
+    @property
+    def n_wtg(self) -> int:
+        """Number of WTG groups the wind is given for."""
+        return int(self.wind_speed.shape[0])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the scenario as JSON-ready data; :meth:`from_dict` turns it back exactly."""
+        data = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        data["wind_speed"] = self.wind_speed.tolist()
+        data["load_noise_mw"] = self.load_noise_mw.tolist()
+        data["events"] = [{"kind": _KIND_OF[type(e)], **dataclasses.asdict(e)} for e in self.events]
+        return data
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> Scenario:
+        """Build a scenario from :meth:`to_dict`'s form.
+
+        Raises:
+            ValueError: unknown keys, event kinds or values, each named.
+        """
+        if not isinstance(data, dict):
+            raise ValueError(f"a scenario must be an object with named values, got {type(data).__name__}")
+        known = {f.name for f in dataclasses.fields(cls)}
+        unknown = sorted(set(data) - known)
+        if unknown:
+            raise ValueError(f"unknown scenario keys {unknown}; known keys: {sorted(known)}")
+        fields = dict(data)
+        try:
+            fields["events"] = tuple(_event_from_dict(e) for e in data.get("events", ()))
+            return cls(**fields)
+        except TypeError as error:
+            raise ValueError(f"not a scenario: {error}") from error
+
+    def to_json(self) -> str:
+        """Return :meth:`to_dict` as one line of JSON."""
+        return json.dumps(self.to_dict(), allow_nan=False)
+
+    @classmethod
+    def from_json(cls, text: str) -> Scenario:
+        """Read :meth:`to_json`'s form; a ValueError says what is wrong with the text."""
+        return cls.from_dict(json.loads(text))
+
+
+def _event_from_dict(data: Any) -> Event:
+    if not isinstance(data, dict) or data.get("kind") not in EVENT_KINDS:
+        raise ValueError(f"an event needs a kind out of {', '.join(EVENT_KINDS)}, got {data!r}")
+    fields = {key: value for key, value in data.items() if key != "kind"}
+    event: Event = EVENT_KINDS[data["kind"]](**fields)
+    return event

@@ -1,0 +1,279 @@
+"""Many runs of one plant side by side: start, advance, look, copy."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from wtg_gym.physics.dynamics import advance_blocks, evaluate_rates
+from wtg_gym.physics.equilibrium import StartFailure, start_lane
+from wtg_gym.physics.layout import EventColumn, LaneData, LaneRow, Layout, SyncRow, WtgRow
+from wtg_gym.physics.plant import PlantSettings, build_plant, whole_steps
+from wtg_gym.physics.scenario import SERIES_DT, Event, LineTrip, LoadRamp, LoadTrip, Scenario
+from wtg_gym.physics.synchronous_machine import MachineConstant
+from wtg_gym.physics.tracking_law import TrackingLaw
+
+Floats = npt.NDArray[np.float64]
+#: Lanes per block of a batched simulator; a single run uses a block of one.
+BLOCK_WIDTH = 8
+#: A thread is worth its start only for this many blocks.
+_BLOCKS_PER_THREAD = 4
+
+_FAILURE_TEXT = {
+    StartFailure.NO_TURBINE_EQUILIBRIUM: "a WTG group has no equilibrium at its wind speed and tracking coefficient",
+    StartFailure.POWER_FLOW_DIVERGED: "the power flow has no solution at this load level and wind",
+    StartFailure.GOVERNOR_LIMIT: "the balancing machine would start beyond its gate limits; change wind or load level",
+    StartFailure.EXCITER_LIMIT: "a machine would start beyond its field voltage limits",
+}
+
+
+class Simulator:
+    """Runs of one plant, in lanes.
+
+    Args:
+        settings: the plant and its time steps.
+        n_lanes: number of runs side by side.
+        duration_s: longest run it must hold [s].
+        n_extra: rows of the caller's own per lane, copied with everything else.
+        n_threads: threads that advance blocks; None for one per processor. Results do not depend on it.
+
+    Raises:
+        ValueError: a setting is outside its range; the message names value, unit and range.
+    """
+
+    def __init__(
+        self,
+        settings: PlantSettings,
+        *,
+        n_lanes: int = 1,
+        duration_s: float = 60.0,
+        n_extra: int = 0,
+        n_threads: int | None = None,
+    ) -> None:
+        if isinstance(n_lanes, bool) or not isinstance(n_lanes, (int, np.integer)) or not 1 <= n_lanes <= 1_000_000:
+            raise ValueError(f"the number of lanes must be 1 … 1000000, got {n_lanes!r}")
+        if n_threads is not None and (not isinstance(n_threads, int) or n_threads < 1):
+            raise ValueError(f"the number of threads must be 1 or more, got {n_threads!r}")
+        self.settings = settings
+        self.plant = build_plant(settings)
+        self.n_lanes = int(n_lanes)
+        self.n_intervals = whole_steps("duration_s", duration_s, settings.control_dt, "control step")
+        self.layout = Layout(self.plant.machines.shape[0], self.plant.share.shape[0], n_extra)
+        self.width = 1 if n_lanes == 1 else BLOCK_WIDTH
+        self.lanes = (0,) * self.width
+        n_blocks = -(-self.n_lanes // self.width)
+        self.blocks = np.zeros((n_blocks, self.layout.n_rows * self.width))
+        # A padded or not yet started lane must hold finite values: it is computed along with its neighbours.
+        self._view = self.blocks.reshape(n_blocks, self.layout.n_rows, self.width)
+        self.data = self._allocate_data(n_blocks * self.width, 4)
+        self.n_threads = n_threads
+        self._pool: ThreadPoolExecutor | None = None
+        self._single = np.zeros(self.layout.n_rows)
+        self._pad()
+
+    def _allocate_data(self, n: int, n_events: int) -> LaneData:
+        n_bus, n_wtg = self.plant.shunt_y.shape[0], self.layout.n_wtg
+        events = np.full((n, n_events, len(EventColumn)), -1.0)
+        events[:, :, EventColumn.START] = events[:, :, EventColumn.END] = math.inf
+        return LaneData(
+            wind=np.full((n, n_wtg, self.n_intervals + 1), 8.0),
+            noise=np.zeros((n, self.n_intervals)),
+            noise_bus=np.zeros(n, dtype=np.int64),
+            load_y=np.zeros((n, n_bus), dtype=np.complex128),
+            events=events,
+        )
+
+    def _pad(self) -> None:
+        for lane in range(self.n_lanes, self._view.shape[0] * self.width):
+            rows = self._lane_view(lane)
+            rows[:] = 0.0
+            self._write_constants(rows, Scenario(name="padding", wind_speed=np.full((self.layout.n_wtg, 1), 8.0)))
+            for j in range(self.layout.n_wtg):
+                rows[self.wtg_row(j, WtgRow.WIND)] = rows[self.wtg_row(j, WtgRow.WIND_START)] = 8.0
+            rows[self.layout.lane + LaneRow.NEXT_CHANGE] = math.inf
+
+    def _lane_view(self, lane: int) -> Floats:
+        view: Floats = self._view[lane // self.width, :, lane % self.width]
+        return view
+
+    def wtg_row(self, group: int, row: int) -> int:
+        """Return the buffer row of a :class:`WtgRow` or :class:`WtgState` of a group."""
+        return self.layout.wtg + group * WtgRow.N_ROWS + int(row)
+
+    def values(self, row: int) -> Floats:
+        """Return one row for every lane, shape (n_lanes,): a copy."""
+        return np.ascontiguousarray(self._view[:, row, :]).ravel()[: self.n_lanes]
+
+    def wtg_values(self, row: int) -> Floats:
+        """Return a :class:`WtgRow` or :class:`WtgState` of every lane and group, shape (n_lanes, n_wtg)."""
+        return np.stack([self.values(self.wtg_row(j, row)) for j in range(self.layout.n_wtg)], axis=1)
+
+    def lane_values(self, row: LaneRow) -> Floats:
+        """Return a :class:`LaneRow` of every lane, shape (n_lanes,)."""
+        return self.values(self.layout.lane + row)
+
+    def start(self, lane: int, scenario: Scenario, laws: Sequence[TrackingLaw]) -> None:
+        """Put a lane into the exact equilibrium its scenario starts from.
+
+        Args:
+            lane: which lane.
+            scenario: what will happen; its wind has one series per WTG group.
+            laws: one law per WTG group.
+
+        Raises:
+            ValueError: the scenario does not fit the plant, or has no equilibrium.
+        """
+        if scenario.n_wtg != self.layout.n_wtg or len(laws) != self.layout.n_wtg:
+            raise ValueError(
+                f"scenario {scenario.name!r} has wind for {scenario.n_wtg} WTG groups and {len(laws)} laws were given; "
+                f"the plant has {self.layout.n_wtg} groups"
+            )
+        self._write_series(lane, scenario)
+        self._write_events(lane, scenario)
+        single = self._single
+        single[:] = 0.0
+        self._write_constants(single, scenario)
+        for j, law in enumerate(laws):
+            o = self.wtg_row(j, 0)
+            single[o + WtgRow.K_MIN], single[o + WtgRow.K_NOMINAL] = law.k_min, law.k_nominal
+            single[o + WtgRow.K_MAX], single[o + WtgRow.INV_TAU] = law.k_max, law.inverse_time_constant
+            single[o + WtgRow.DROOP_CANCELLED] = law.droop_cancelled
+        failure = start_lane(single, lane, self.plant, self.data, scenario.load_level)
+        if failure:
+            raise ValueError(f"scenario {scenario.name!r} cannot start: {_FAILURE_TEXT[StartFailure(failure)]}")
+        self._lane_view(lane)[:] = single
+
+    def _write_series(self, lane: int, scenario: Scenario) -> None:
+        dt, n = self.settings.control_dt, self.n_intervals
+        if scenario.duration_s > n * dt * (1.0 + 1e-9):
+            raise ValueError(
+                f"scenario {scenario.name!r} lasts {scenario.duration_s:g} s, longer than the {n * dt:g} s held here"
+            )
+        self.data.noise_bus[lane] = self.settings.case.bus_index(scenario.load_noise_bus)
+        wind, target = scenario.wind_speed, self.data.wind[lane]
+        if abs(scenario.wind_dt_s - dt) < 1e-12:
+            m = min(wind.shape[1], n + 1)
+            target[:, :m] = wind[:, :m]
+            target[:, m:] = wind[:, m - 1 : m]
+        else:
+            given, wanted = np.arange(wind.shape[1]) * scenario.wind_dt_s, np.arange(n + 1) * dt
+            for j in range(wind.shape[0]):
+                target[j] = np.interp(wanted, given, wind[j])
+        noise, row = scenario.load_noise_mw, self.data.noise[lane]
+        row[:] = 0.0
+        if noise.size:
+            if abs(SERIES_DT - dt) < 1e-12:
+                m = min(noise.size, n)
+                row[:m] = noise[:m]
+            else:
+                index = np.minimum((np.arange(n) * dt / SERIES_DT + 1e-9).astype(np.int64), noise.size - 1)
+                row[:] = noise[index]
+
+    def _write_events(self, lane: int, scenario: Scenario) -> None:
+        if len(scenario.events) > self.data.events.shape[1]:
+            more = self._allocate_data(self.data.wind.shape[0], 2 * len(scenario.events)).events
+            more[:, : self.data.events.shape[1]] = self.data.events
+            self.data = self.data._replace(events=more)
+        table = self.data.events[lane]
+        table[:] = -1.0
+        table[:, EventColumn.START] = table[:, EventColumn.END] = math.inf
+        tripped = []
+        for row, event in zip(table, scenario.events, strict=False):
+            self._write_event(row, event, scenario.load_level)
+            if isinstance(event, LineTrip):
+                tripped.append(int(row[EventColumn.BRANCH]))
+        if tripped and not self.settings.case.connected_without(tuple(tripped)):
+            raise ValueError(f"scenario {scenario.name!r}: its line trips would split the network")
+
+    def _write_event(self, row: Floats, event: Event, load_level: float) -> None:
+        case, dt = self.settings.case, self.settings.simulation_dt
+        start = whole_steps("event time", event.time_s, dt, "simulation step")
+        row[EventColumn.START] = row[EventColumn.END] = start
+        if isinstance(event, LineTrip):
+            row[EventColumn.BRANCH] = case.branch_index(event.from_bus, event.to_bus)
+            return
+        bus = case.bus_index(event.bus)
+        if isinstance(event, LoadTrip):
+            power = -load_level * self.plant.load[bus]
+        else:
+            power = complex(event.power_mw, event.reactive_mvar) / case.base_mva
+        if isinstance(event, LoadRamp):
+            row[EventColumn.END] = start + whole_steps("ramp duration", event.duration_s, dt, "simulation step")
+        row[EventColumn.BUS] = bus
+        row[EventColumn.CONDUCTANCE], row[EventColumn.SUSCEPTANCE] = power.real, power.imag
+
+    def _write_constants(self, rows: Floats, scenario: Scenario) -> None:
+        for i, machine in enumerate(self.plant.machines):
+            o = i * SyncRow.N_ROWS
+            rows[o + SyncRow.INV_TWO_H] = 1.0 / (machine[MachineConstant.TWO_H] * scenario.inertia_scale)
+            droop = machine[MachineConstant.INV_DROOP]
+            if droop > 0.0 and scenario.governor_droop is not None:
+                droop = 1.0 / scenario.governor_droop
+            rows[o + SyncRow.INV_DROOP] = droop
+
+    def advance(self) -> None:
+        """Advance every running lane by one control interval."""
+        self.for_blocks(lambda a, b: advance_blocks(self.blocks, a, b, self.plant, self.data, self.lanes))
+
+    def for_blocks(self, work: Callable[[int, int], Any]) -> None:
+        """Call `work(first, last)` for ranges that cover all blocks, on several threads where that pays."""
+        n_blocks = self.blocks.shape[0]
+        n_threads = min(self.n_threads or os.cpu_count() or 1, n_blocks // _BLOCKS_PER_THREAD)
+        if n_threads < 2:
+            work(0, n_blocks)
+            return
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(n_threads, thread_name_prefix="wtg_gym")
+        edges = [n_blocks * i // n_threads for i in range(n_threads + 1)]
+        for done in [self._pool.submit(work, edges[i], edges[i + 1]) for i in range(n_threads)]:
+            done.result()
+
+    def evaluate(self) -> None:
+        """Evaluate rates, powers and coefficients of all lanes where they stand, in place."""
+        evaluate_rates(self.blocks, self.plant, self.lanes)
+
+    def state(self, lane: int = 0) -> Floats:
+        """Return a copy of a lane's state vector; `layout.state_names` names its entries."""
+        return self._lane_view(lane)[self.layout.state_rows]
+
+    def set_state(self, state: Floats, lane: int = 0) -> None:
+        """Overwrite a lane's state vector."""
+        self._lane_view(lane)[self.layout.state_rows] = state
+
+    def rates(self, lane: int = 0) -> Floats:
+        """Return a copy of a lane's time derivatives, as last evaluated."""
+        return self._lane_view(lane)[self.layout.rate_rows]
+
+    def snapshot(self) -> tuple[Floats, LaneData]:
+        """Return a copy of everything that changes; :meth:`restore` goes back to it."""
+        return self.blocks.copy(), LaneData(*(array.copy() for array in self.data))
+
+    def restore(self, snapshot: tuple[Floats, LaneData]) -> None:
+        """Go back to a :meth:`snapshot`; it can be used again."""
+        blocks, data = snapshot
+        self.blocks[:] = blocks
+        self.data = LaneData(*(array.copy() for array in data))
+
+    def close(self) -> None:
+        """Stop the worker threads."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        # A thread pool cannot be copied, and a view would come back as an array of its own.
+        return {key: value for key, value in self.__dict__.items() if key not in ("_pool", "_view")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._pool = None
+        self._view = self.blocks.reshape(self.blocks.shape[0], self.layout.n_rows, self.width)
+
+
+__all__ = ["BLOCK_WIDTH", "PlantSettings", "Simulator"]

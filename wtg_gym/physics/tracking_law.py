@@ -1,0 +1,221 @@
+"""The one control law of every strategy, and the strategies as its numbers.
+
+    P_st = k ω_m³ + D_p x,    τ ẋ = (ω - ω_st) - x,    2H ω̇ = P_st - p - D_p (ω - ω_st),    k = g(ω)
+
+g is piecewise linear through (ω_min, k_min), (ω_st, k_nominal), (ω_max, k_max) and saturated outside. τ = ∞ leaves the
+plain droop (x ≡ 0); τ = 0 cancels it (x = ω - ω_st).
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from wtg_gym.physics.aerodynamics import tracking_point
+from wtg_gym.physics.compiled import compiled
+from wtg_gym.physics.parameters import GridFormingParameters
+from wtg_gym.physics.scenario import require_range
+
+#: Largest tracking coefficient a law may ask for [p.u.]: three times K_opt.
+LARGEST_COEFFICIENT = 3.0
+
+
+@compiled
+def tracking_coefficient(
+    speed: float,
+    k_min: float,
+    k_nominal: float,
+    k_max: float,
+    speed_min: float,
+    speed_setpoint: float,
+    speed_max: float,
+) -> float:
+    """Return g(ω) [p.u.]: coefficients at the three corner frequencies, frequencies in p.u.
+
+    Source: paper, equation `gomega_augement`; the linear g of equation `gomega` has its middle corner on the line.
+    """
+    below = min(max(speed_setpoint - speed, 0.0), speed_setpoint - speed_min) / (speed_setpoint - speed_min)
+    above = min(max(speed - speed_setpoint, 0.0), speed_max - speed_setpoint) / (speed_max - speed_setpoint)
+    return k_nominal + below * (k_min - k_nominal) + above * (k_max - k_nominal)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackingLaw:
+    """A strategy as data.
+
+    Args:
+        name: short name, used in tables.
+        k_min: tracking coefficient at ω_min and below [p.u.].
+        k_nominal: at ω_st [p.u.].
+        k_max: at ω_max and above [p.u.].
+        damping_time_constant_s: τ [s]; 0 cancels the droop, infinity keeps it.
+
+    Raises:
+        ValueError: a coefficient is outside 0 … 3 p.u., or τ is negative.
+    """
+
+    name: str
+    k_min: float
+    k_nominal: float
+    k_max: float
+    damping_time_constant_s: float = math.inf
+
+    def __post_init__(self) -> None:
+        for key in ("k_min", "k_nominal", "k_max"):
+            require_range(f"{key} of law {self.name!r}", getattr(self, key), 1e-3, LARGEST_COEFFICIENT, "p.u.")
+        tau = self.damping_time_constant_s
+        if isinstance(tau, bool) or not isinstance(tau, (int, float)) or math.isnan(tau) or tau < 0.0:
+            raise ValueError(f"damping_time_constant_s of law {self.name!r} must be 0 … ∞ s, got {tau!r} s")
+        if 0.0 < tau < 0.05:
+            raise ValueError(
+                f"damping_time_constant_s of law {self.name!r} = {tau:g} s is outside the allowed range 0.05 … ∞ s; "
+                "use 0 s to cancel the droop altogether"
+            )
+
+    @property
+    def inverse_time_constant(self) -> float:
+        """Return 1/τ [1/s], 0 where the filter does nothing (τ = 0 or ∞)."""
+        tau = self.damping_time_constant_s
+        return 0.0 if tau == 0.0 or math.isinf(tau) else 1.0 / tau
+
+    @property
+    def droop_cancelled(self) -> float:
+        """Return 1.0 where τ = 0, so that x = ω - ω_st, else 0.0."""
+        return 1.0 if self.damping_time_constant_s == 0.0 else 0.0
+
+
+def mppt() -> TrackingLaw:
+    """Return maximum power point tracking: K_opt at every frequency, plain droop (paper, equation `fomegam_mppt`)."""
+    k = tracking_point(0.0).coefficient
+    return TrackingLaw(name="mppt", k_min=k, k_nominal=k, k_max=k)
+
+
+def deloaded(deloading: float) -> TrackingLaw:
+    """Return the fixed deloaded law K_d with plain droop (paper, equation `fomegam_deload`); `deloading` is d [-]."""
+    k = tracking_point(deloading).coefficient
+    return TrackingLaw(name=f"deloaded-{100.0 * deloading:g}", k_min=k, k_nominal=k, k_max=k)
+
+
+def coordinated_piecewise(
+    name: str = "coordinated-piecewise", parameters: GridFormingParameters | None = None
+) -> TrackingLaw:
+    """Return the reference: K_opt / K_n / K_pr with transient damping (paper, equation `gomega_augement`)."""
+    p = parameters or GridFormingParameters()
+    return TrackingLaw(
+        name=name,
+        k_min=tracking_point(0.0).coefficient,
+        k_nominal=tracking_point(p.deloading_nominal).coefficient,
+        k_max=tracking_point(p.deloading_limit).coefficient,
+        damping_time_constant_s=p.damping_time_constant_s,
+    )
+
+
+def coordinated_linear(name: str = "coordinated-linear") -> TrackingLaw:
+    """Return the straight g(ω) from K_opt to K_pr with transient damping (paper, equation `gomega`)."""
+    p = GridFormingParameters()
+    k_min, k_max = tracking_point(0.0).coefficient, tracking_point(p.deloading_limit).coefficient
+    share = (p.frequency_setpoint_pu - p.frequency_min_pu) / (p.frequency_max_pu - p.frequency_min_pu)
+    return TrackingLaw(
+        name=name,
+        k_min=k_min,
+        k_nominal=k_min + share * (k_max - k_min),
+        k_max=k_max,
+        damping_time_constant_s=p.damping_time_constant_s,
+    )
+
+
+def coordinated_undamped() -> TrackingLaw:
+    """Return the piecewise law without transient damping: the droop is cancelled (paper, equation `Gproposed`)."""
+    law = coordinated_piecewise("coordinated-undamped")
+    return TrackingLaw(
+        name=law.name, k_min=law.k_min, k_nominal=law.k_nominal, k_max=law.k_max, damping_time_constant_s=0.0
+    )
+
+
+#: The reference policy's strategy: zero action is exactly this.
+REFERENCE_STRATEGY = "coordinated-piecewise"
+
+STRATEGIES: dict[str, TrackingLaw] = {
+    law.name: law
+    for law in (
+        mppt(),
+        deloaded(0.05),
+        deloaded(0.10),
+        coordinated_linear(),
+        coordinated_piecewise(),
+        coordinated_undamped(),
+    )
+}
+
+
+def get_law(strategy: str | Path | TrackingLaw) -> TrackingLaw:
+    """Return a law by strategy name, from a TOML file, or as given.
+
+    Raises:
+        ValueError: no strategy of that name; the message lists the known ones.
+    """
+    if isinstance(strategy, TrackingLaw):
+        return strategy
+    if str(strategy).endswith(".toml"):
+        return read_law(Path(strategy))
+    if strategy not in STRATEGIES:
+        raise ValueError(
+            f"unknown strategy {str(strategy)!r}; known strategies: {', '.join(STRATEGIES)}, or a .toml file with a law"
+        )
+    return STRATEGIES[str(strategy)]
+
+
+def read_law(path: Path) -> TrackingLaw:
+    """Read a law from TOML: `name`, then either k_min, k_nominal, k_max [p.u.] or deloading_min, … [%], and tau_s [s].
+
+    Raises:
+        ValueError: the file is missing, not TOML, or a key or value is not allowed; the message names it.
+    """
+    try:
+        data: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ValueError(f"cannot read the law file {path}: {error.strerror}") from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ValueError(f"the law file {path} is not TOML: {error}") from error
+    corners = ("min", "nominal", "max")
+    allowed = {"name", "tau_s", *(f"k_{c}" for c in corners), *(f"deloading_{c}" for c in corners)}
+    unknown = sorted(set(data) - allowed)
+    if unknown:
+        raise ValueError(f"the law file {path} has unknown keys {unknown}; allowed: {sorted(allowed)}")
+    coefficients = {}
+    for corner in corners:
+        given = [key for key in (f"k_{corner}", f"deloading_{corner}") if key in data]
+        if len(given) != 1:
+            raise ValueError(
+                f"the law file {path} must give exactly one of k_{corner} [p.u.] and deloading_{corner} [%], got {given}"
+            )
+        value = data[given[0]]
+        if given[0].startswith("deloading"):
+            percent = require_range(f"{given[0]} in {path}", value, 0.0, 90.0, "%")
+            coefficients[f"k_{corner}"] = tracking_point(percent / 100.0).coefficient
+        else:
+            coefficients[f"k_{corner}"] = require_range(f"{given[0]} in {path}", value, 1e-3, LARGEST_COEFFICIENT, "p.u.")
+    name = data.get("name", path.stem)
+    if not isinstance(name, str):
+        raise ValueError(f"name in {path} must be text, got {name!r}")
+    if name in STRATEGIES:
+        raise ValueError(f"name {name!r} in {path} is that of a built-in strategy; choose another")
+    return TrackingLaw(name=name, damping_time_constant_s=data.get("tau_s", math.inf), **coefficients)
+
+
+__all__ = [
+    "REFERENCE_STRATEGY",
+    "STRATEGIES",
+    "TrackingLaw",
+    "coordinated_linear",
+    "coordinated_piecewise",
+    "coordinated_undamped",
+    "deloaded",
+    "get_law",
+    "mppt",
+    "read_law",
+    "tracking_coefficient",
+]

@@ -1,0 +1,357 @@
+"""The distribution scenarios are drawn from: every range is data, every draw a function of its seed."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any, TypeVar
+
+import numpy as np
+
+from wtg_gym.physics.scenario import (
+    SERIES_DT,
+    Event,
+    LineTrip,
+    LoadRamp,
+    LoadStep,
+    LoadTrip,
+    Scenario,
+    require_range,
+)
+from wtg_gym.scenarios.wind import (
+    DRAWN_WIND_RANGE,
+    FloatArray,
+    coherent_ramp,
+    extreme_operating_gust,
+    ntm_sigma,
+    period_length,
+    random_series,
+    resolved_frequencies,
+    spectrum_amplitude,
+    turbulence_amplitude,
+)
+
+T = TypeVar("T")
+Span = tuple[float, float]
+
+#: Branches of the IEEE 14-bus system whose opening leaves the network in one piece.
+TRIPPABLE_LINES = (
+    (1, 2), (1, 5), (2, 3), (2, 4), (2, 5), (3, 4), (4, 5), (6, 11), (6, 12), (6, 13),
+    (9, 10), (9, 14), (10, 11), (12, 13), (13, 14),
+)  # fmt: skip
+#: The same without 1-2, which carries most of the output of bus 1: with a load event on top, no wind
+#: controller could save the run.
+_SURVIVABLE_LINES = TRIPPABLE_LINES[1:]
+#: Bus, largest load increase and largest decrease there [MW]: less at the buses behind weak lines; the
+#: decrease is the load the bus has at 85 % load level, so that no bus turns into a generator.
+_LOAD_BUSES = (
+    (2, 75.0, 18.0), (3, 75.0, 80.0), (4, 75.0, 40.0), (5, 75.0, 6.0),
+    (6, 50.0, 9.0), (9, 50.0, 25.0), (13, 30.0, 11.0), (14, 30.0, 12.0),
+)  # fmt: skip
+
+
+def _number(default: float | None, allowed: Span, unit: str, meaning: str) -> Any:
+    return field(default=default, metadata={"allowed": allowed, "unit": unit, "meaning": meaning})
+
+
+def _span(default: Span, allowed: Span, unit: str, meaning: str) -> Any:
+    return field(default=default, metadata={"allowed": allowed, "unit": unit, "meaning": meaning, "span": True})
+
+
+def _table(default: tuple[Any, ...], meaning: str) -> Any:
+    return field(default=default, metadata={"unit": "", "meaning": meaning})
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScenarioDistribution:
+    """What scenarios are drawn from; a pair is a range that is drawn from uniformly.
+
+    The unit, the allowed range and the meaning of every value are its field's metadata.
+
+    Raises:
+        ValueError: a value is outside its allowed range; the message names value, unit and range.
+    """
+
+    name: str = field(metadata={"unit": "", "meaning": "prefix of scenario names; picks the random stream"})
+    mean_wind_m_s: tuple[float, float] = _span((6.5, 11.0), (4.0, 20.0), "m/s", "mean wind")
+    mean_wind_spread_m_s: float | None = _number(
+        None, (0.0, 5.0), "m/s", "groups share one mean wind and differ from it by up to this; None: independent means"
+    )
+    turbulence_intensity: tuple[float, float] = _span(
+        (0.12, 0.16), (0.0, 0.3), "", "I_ref; classes C … A of IEC 61400-1"
+    )
+    n_turbines: float = _number(10.0, (1e-3, 1e4), "", "turbines per group that the wind is averaged over")
+    gust_probability: float = _number(0.1, (0.0, 1.0), "", "chance of an extreme operating gust on one group")
+    gust_m_s: tuple[float, float] = _span((2.0, 5.0), (0.0, 15.0), "m/s", "size of a gust")
+    wind_ramp_probability: float = _number(0.1, (0.0, 1.0), "", "chance of a wind ramp on all groups, if no gust")
+    wind_ramp_m_s: tuple[float, float] = _span((1.0, 3.0), (0.0, 10.0), "m/s", "size of a wind ramp; both signs")
+    wind_ramp_s: tuple[float, float] = _span((5.0, 20.0), (0.1, 3600.0), "s", "length of a wind ramp")
+    n_load_events: tuple[int, int] = _span((1, 3), (0, 20), "", "number of load events")
+    load_event_mw: tuple[float, float] = _span((15.0, 75.0), (0.0, 500.0), "MW", "size of a load event")
+    load_increase_probability: float = _number(0.5, (0.0, 1.0), "", "chance that a load event is an increase")
+    net_load_change_mw: float = _number(
+        150.0,
+        (0.0, 1000.0),
+        "MW",
+        "a load step or ramp that would take their sum beyond this (the paper's) changes its sign",
+    )
+    load_buses: tuple[tuple[int, float, float], ...] = _table(
+        _LOAD_BUSES, "bus, largest increase and largest decrease there [MW] over all load events of a run"
+    )
+    load_ramp_probability: float = _number(0.25, (0.0, 1.0), "", "chance that a load event is a ramp")
+    load_ramp_s: tuple[float, float] = _span((2.0, 10.0), (0.1, 3600.0), "s", "length of a load ramp")
+    load_trip_probability: float = _number(0.15, (0.0, 1.0), "", "chance that one load event is a disconnection")
+    load_trip_buses: tuple[int, ...] = _table((4, 9, 14), "buses whose load may be disconnected; out of load_buses")
+    line_trip_probability: float = _number(0.15, (0.0, 1.0), "", "chance that one line trips")
+    line_trips: tuple[tuple[int, int], ...] = _table(_SURVIVABLE_LINES, "lines that may trip; out of TRIPPABLE_LINES")
+    first_event_s: float = _number(3.0, (0.0, 3600.0), "s", "earliest event")
+    quiet_end_s: float = _number(10.0, (0.0, 3600.0), "s", "time without a new event at the end")
+    load_noise_mw: float = _number(1.0, (0.0, 50.0), "MW", "standard deviation of the load noise")
+    load_noise_correlation_s: float = _number(2.0, (0.1, 60.0), "s", "correlation time of the load noise")
+    load_noise_bus: int = field(default=3, metadata={"unit": "", "meaning": "bus of the load noise"})
+    governor_droop: tuple[float, float] = _span((0.02, 0.05), (0.005, 1.0), "p.u.", "droop of the governors")
+    inertia_scale: tuple[float, float] = _span(
+        (0.5, 1.0), (0.05, 5.0), "", "factor on the inertia of the synchronous machines"
+    )
+    load_level: tuple[float, float] = _span((0.85, 1.1), (0.3, 1.5), "", "factor on the loads of the case")
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not self.name:
+            raise ValueError(f"a distribution needs a name, got {self.name!r}")
+        for item in dataclasses.fields(self):
+            if "allowed" not in item.metadata:
+                continue
+            value, (low, high), unit = getattr(self, item.name), item.metadata["allowed"], item.metadata["unit"]
+            if item.metadata.get("span"):
+                pair = _require_span(item.name, value, low, high, unit)
+                object.__setattr__(self, item.name, pair)
+            elif value is not None or item.default is not None:
+                object.__setattr__(self, item.name, require_range(item.name, value, low, high, unit))
+        if any(n != int(n) for n in self.n_load_events):
+            raise ValueError(f"n_load_events must be two whole numbers, got {self.n_load_events}")
+        object.__setattr__(self, "n_load_events", tuple(int(n) for n in self.n_load_events))
+        if self.gust_probability + self.wind_ramp_probability > 1.0:
+            raise ValueError(
+                f"gust_probability + wind_ramp_probability = "
+                f"{self.gust_probability + self.wind_ramp_probability:g}, at most 1 is allowed"
+            )
+        self._check_places()
+
+    def _check_places(self) -> None:
+        object.__setattr__(self, "load_buses", tuple((int(b), float(u), float(d)) for b, u, d in self.load_buses))
+        object.__setattr__(self, "load_trip_buses", tuple(int(bus) for bus in self.load_trip_buses))
+        object.__setattr__(self, "line_trips", tuple((int(a), int(b)) for a, b in self.line_trips))
+        buses = [bus for bus, _, _ in self.load_buses]
+        if not buses or len(set(buses)) < len(buses):
+            raise ValueError(f"load_buses needs at least one bus, and each bus once, got {buses}")
+        for bus, increase, decrease in self.load_buses:
+            require_range(f"largest load increase at bus {bus}", increase, 0.0, 1e4, "MW")
+            require_range(f"largest load decrease at bus {bus}", decrease, 0.0, 1e4, "MW")
+        if (self.load_trip_probability and not self.load_trip_buses) or not set(self.load_trip_buses) <= set(buses):
+            raise ValueError(f"load_trip_buses must be one or more of the load buses {buses}: {self.load_trip_buses}")
+        unknown = set(self.line_trips) - set(TRIPPABLE_LINES)
+        if (self.line_trip_probability and not self.line_trips) or unknown:
+            raise ValueError(f"line_trips must be one or more of {TRIPPABLE_LINES}, got {self.line_trips}")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return every setting as JSON-ready data; the keyword arguments to build the distribution again."""
+        return dataclasses.asdict(self)
+
+    def draw(
+        self,
+        seed: int,
+        n_wtg: int = 2,
+        n_turbines: Sequence[float] | None = None,
+        duration_s: float = 60.0,
+    ) -> Scenario:
+        """Draw the scenario of a seed: the same arguments always give the same scenario.
+
+        Args:
+            seed: a non-negative integer.
+            n_wtg: number of WTG groups.
+            n_turbines: turbines per group for the averaging of wind, shape (n_wtg,); None: `self.n_turbines` each.
+            duration_s: length of the run [s]; in a run too short for `first_event_s` and `quiet_end_s`, events
+                come no later than half-way.
+
+        Raises:
+            ValueError: an argument is out of range; the message names it.
+        """
+        if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
+            raise ValueError(f"a seed must be a non-negative integer, got {seed!r}")
+        if isinstance(n_wtg, bool) or not isinstance(n_wtg, (int, np.integer)) or n_wtg < 1:
+            raise ValueError(f"n_wtg must be a positive integer, got {n_wtg!r}")
+        turbines = [self.n_turbines] * int(n_wtg) if n_turbines is None else [float(n) for n in n_turbines]
+        if len(turbines) != n_wtg:
+            raise ValueError(f"n_turbines must have one value per WTG group ({n_wtg}), got {len(turbines)}")
+        require_range("duration_s", duration_s, SERIES_DT, 86400.0, "s")
+        latest = max(duration_s - self.quiet_end_s, 0.5 * duration_s)
+        window = (min(self.first_event_s, latest), latest)
+        # The name is part of the seed, so that two suites share no scenario.
+        rng = np.random.default_rng([int(seed), zlib.crc32(self.name.encode())])
+        pick = _Picker(rng)
+        grid = {key: pick.between(getattr(self, key)) for key in ("governor_droop", "inertia_scale", "load_level")}
+        events = self._load_events(pick, window) + self._line_events(pick, window)
+        wind, noise = self._series(pick, rng, turbines, duration_s, window)
+        return Scenario(
+            name=f"{self.name}/{seed}",
+            wind_speed=wind,
+            duration_s=duration_s,
+            events=tuple(events),
+            load_noise_mw=noise,
+            load_noise_bus=self.load_noise_bus,
+            seed=int(seed),
+            **grid,
+        )
+
+    def _load_events(self, pick: _Picker, window: Span) -> list[Event]:
+        n_events = pick.whole(*self.n_load_events)
+        times = sorted(pick.instant(window) for _ in range(n_events))
+        trip_index = pick.whole(0, n_events - 1) if n_events and pick.chance(self.load_trip_probability) else -1
+        increase = {bus: limit for bus, limit, _ in self.load_buses}
+        decrease = {bus: limit for bus, _, limit in self.load_buses}
+        trip_bus = 0
+        trip_mw = 0.0
+        if trip_index >= 0:
+            trip_bus = pick.choice(self.load_trip_buses)
+            trip_mw, decrease[trip_bus] = decrease[trip_bus], 0.0
+        events: list[Event] = []
+        net_mw = 0.0
+        for index, time_s in enumerate(times):
+            if index == trip_index:
+                events.append(LoadTrip(time_s=time_s, bus=trip_bus))
+                net_mw -= trip_mw
+                continue
+            size = round(pick.between(self.load_event_mw), 2)
+            sign = 1 if pick.chance(self.load_increase_probability) else -1
+            if abs(net_mw + sign * size) > self.net_load_change_mw:
+                sign = -sign
+            room = increase if sign > 0 else decrease
+            able = [bus for bus, limit in room.items() if limit >= size]
+            bus = pick.choice(able) if able else max(room, key=room.__getitem__)
+            size = min(size, room[bus])
+            room[bus] = round(room[bus] - size, 2)
+            net_mw += sign * size
+            if pick.chance(self.load_ramp_probability):
+                ramp_s = round(pick.between(self.load_ramp_s), 1)
+                events.append(LoadRamp(time_s=time_s, bus=bus, power_mw=sign * size, duration_s=ramp_s))
+            else:
+                events.append(LoadStep(time_s=time_s, bus=bus, power_mw=sign * size))
+        return events
+
+    def _line_events(self, pick: _Picker, window: Span) -> list[Event]:
+        if not pick.chance(self.line_trip_probability):
+            return []
+        from_bus, to_bus = pick.choice(self.line_trips)
+        return [LineTrip(time_s=pick.instant(window), from_bus=from_bus, to_bus=to_bus)]
+
+    def _series(
+        self, pick: _Picker, rng: np.random.Generator, turbines: list[float], duration_s: float, window: Span
+    ) -> tuple[FloatArray, FloatArray]:
+        """Wind per group, shape (n_wtg, n_samples) [m/s], and load noise, shape (n_samples,) [MW]."""
+        n_samples = math.ceil(round(duration_s / SERIES_DT, 6)) + 1
+        n_period = period_length(n_samples)
+        intensity = pick.between(self.turbulence_intensity)
+        means = self._mean_winds(pick, len(turbines))
+        wind_event = self._wind_event(pick, len(turbines), n_samples, window)
+        amplitudes = [
+            turbulence_amplitude(mean, ntm_sigma(mean, intensity), n, n_period)
+            for mean, n in zip(means, turbines, strict=True)
+        ]
+        amplitudes.append(self.load_noise_mw * _noise_amplitude(self.load_noise_correlation_s, n_period))
+        series = random_series(rng, amplitudes, n_period, n_samples)
+        wind = series[:-1] + np.array(means)[:, None]
+        if wind_event is not None:
+            group, change = wind_event
+            wind[group] += change
+        np.clip(wind, *DRAWN_WIND_RANGE, out=wind)
+        if not self.load_noise_mw:
+            return wind, np.zeros(0)
+        return wind, series[-1] - series[-1, 0] * _noise_decay(self.load_noise_correlation_s, n_samples)
+
+    def _mean_winds(self, pick: _Picker, n_wtg: int) -> list[float]:
+        spread = self.mean_wind_spread_m_s
+        if spread is None:
+            return [pick.between(self.mean_wind_m_s) for _ in range(n_wtg)]
+        low, high = DRAWN_WIND_RANGE
+        shared = pick.between(self.mean_wind_m_s)
+        return [min(max(shared + pick.between((-spread, spread)), low), high) for _ in range(n_wtg)]
+
+    def _wind_event(
+        self, pick: _Picker, n_wtg: int, n_samples: int, window: Span
+    ) -> tuple[int | slice, FloatArray] | None:
+        """The groups that a gust or ramp reaches, and its change of wind [m/s]; None for neither."""
+        kind = pick.uniform()
+        if kind >= self.gust_probability + self.wind_ramp_probability:
+            return None
+        start_s = pick.instant(window)
+        time_s = SERIES_DT * np.arange(n_samples, dtype=np.float64)
+        if kind < self.gust_probability:
+            # A gust is no wider than a few hundred metres; a front passes the whole plant.
+            group = pick.whole(0, n_wtg - 1)
+            return group, extreme_operating_gust(time_s, start_s, pick.between(self.gust_m_s))
+        change = pick.between(self.wind_ramp_m_s) * (1.0 if pick.chance(0.5) else -1.0)
+        return slice(None), coherent_ramp(time_s, start_s, change, pick.between(self.wind_ramp_s))
+
+
+class _Picker:
+    """Uniform draws of plain Python values, taken from the generator by the block because that is faster."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._pool: list[float] = []
+
+    def uniform(self) -> float:
+        if not self._pool:
+            self._pool = self._rng.random(64).tolist()
+        return self._pool.pop()
+
+    def between(self, span: Span) -> float:
+        return span[0] + (span[1] - span[0]) * self.uniform()
+
+    def chance(self, probability: float) -> bool:
+        return self.uniform() < probability
+
+    def whole(self, low: int, high: int) -> int:
+        return low + int((high - low + 1) * self.uniform())
+
+    def choice(self, options: Sequence[T]) -> T:
+        return options[self.whole(0, len(options) - 1)]
+
+    def instant(self, window: Span) -> float:
+        return round(self.between(window), 1)
+
+
+@lru_cache(maxsize=64)
+def _noise_amplitude(correlation_s: float, n_period: int) -> FloatArray:
+    """Coefficient scale of a stationary Ornstein-Uhlenbeck series of variance 1.
+
+    Its samples are a first-order autoregression with phi = exp(-dt/T), whose spectrum is
+    2 dt (1 - phi²)/(1 - 2 phi cos(2π f dt) + phi²).
+    """
+    phi = math.exp(-SERIES_DT / correlation_s)
+    angle = 2.0 * math.pi * SERIES_DT * resolved_frequencies(n_period)
+    spectrum = 2.0 * SERIES_DT * (1.0 - phi**2) / (1.0 - 2.0 * phi * np.cos(angle) + phi**2)
+    amplitude = spectrum_amplitude(spectrum, n_period)
+    amplitude.setflags(write=False)
+    return amplitude
+
+
+@lru_cache(maxsize=64)
+def _noise_decay(correlation_s: float, n_samples: int) -> FloatArray:
+    """Decay of the start value; a stationary series less its decaying start value is one that starts at zero."""
+    decay: FloatArray = np.exp(-SERIES_DT / correlation_s * np.arange(n_samples))
+    decay.setflags(write=False)
+    return decay
+
+
+def _require_span(name: str, value: Any, low: float, high: float, unit: str) -> Span:
+    if not isinstance(value, (tuple, list)) or len(value) != 2:
+        raise ValueError(f"{name} must be a pair (low, high) in {low:g} … {high:g} {unit}, got {value!r}".rstrip())
+    first, last = (require_range(name, number, low, high, unit) for number in value)
+    if first > last:
+        raise ValueError(f"{name} must be a pair (low, high), low <= high, got ({first:g}, {last:g}) {unit}".rstrip())
+    return first, last

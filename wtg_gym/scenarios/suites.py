@@ -1,0 +1,260 @@
+"""Frozen suites of scenarios: what is trained on, selected on and ranked on, each with a hash.
+
+A change of anything here, or of what is drawn, changes the hash. It is then a new version of the benchmark.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from itertools import pairwise
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from wtg_gym.physics.scenario import Event, LoadStep, LoadTrip, Scenario
+from wtg_gym.scenarios.distribution import ScenarioDistribution
+
+#: Names of the splits, in the order of the seeds' use.
+SPLITS = ("train", "validation", "test")
+_TRAIN_SEEDS = range(1_000_000, 2**31)
+_VALIDATION_SEEDS = range(10_000, 10_100)
+_TEST_SEEDS = range(20_000, 20_200)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FixedCase:
+    """A case with constant wind and given events.
+
+    Args:
+        name: name of the case.
+        wind_speed_m_s: wind of the groups, repeated if there are more groups [m/s].
+        events: load and line events.
+    """
+
+    name: str
+    wind_speed_m_s: tuple[float, ...]
+    events: tuple[Event, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Suite:
+    """A frozen list of scenarios: a distribution with seed ranges, or fixed cases with seeds 0, 1, …
+
+    Args:
+        name: name of the suite.
+        description: one line on what it is about.
+        duration_s: length of its runs [s].
+        distribution: what its scenarios are drawn from; None for fixed cases.
+        cases: the fixed cases, case i having the seed i in every split; empty with a distribution.
+        train: seeds to train on.
+        validation: seeds to select on.
+        test: seeds to rank on.
+
+    Raises:
+        ValueError: neither or both of distribution and cases, or splits of a distribution overlap.
+    """
+
+    name: str
+    description: str
+    duration_s: float
+    distribution: ScenarioDistribution | None = None
+    cases: tuple[FixedCase, ...] = ()
+    train: range = _TRAIN_SEEDS
+    validation: range = _VALIDATION_SEEDS
+    test: range = _TEST_SEEDS
+
+    def __post_init__(self) -> None:
+        if (self.distribution is None) == (not self.cases):
+            raise ValueError(f"suite {self.name!r} needs either a distribution or cases")
+        if self.cases:
+            for split in SPLITS:
+                object.__setattr__(self, split, range(len(self.cases)))
+            return
+        ordered = sorted((self.train, self.validation, self.test), key=lambda seeds: seeds.start)
+        if any(low.stop > high.start for low, high in pairwise(ordered)):
+            raise ValueError(f"the splits of suite {self.name!r} overlap: {self._split_text()}")
+
+    def _split_text(self) -> str:
+        texts = ((split, self.seeds(split)) for split in SPLITS)
+        return ", ".join(f"{split} {seeds.start} … {seeds.stop - 1}" for split, seeds in texts)
+
+    def seeds(self, split: str) -> range:
+        """Return the seeds of a split.
+
+        Args:
+            split: "train", "validation" or "test".
+
+        Raises:
+            ValueError: there is no such split; the message lists them.
+        """
+        if split not in SPLITS:
+            raise ValueError(f"unknown split {split!r}; known splits: {', '.join(SPLITS)}")
+        seeds: range = getattr(self, split)
+        return seeds
+
+    def scenario(
+        self,
+        seed: int,
+        *,
+        n_wtg: int = 2,
+        n_turbines: Sequence[float] | None = None,
+        duration_s: float | None = None,
+    ) -> Scenario:
+        """Return the scenario of a seed.
+
+        Args:
+            seed: a seed of one of the splits.
+            n_wtg: number of WTG groups.
+            n_turbines: turbines per group, shape (n_wtg,), see :meth:`ScenarioDistribution.draw`; fixed cases have
+                no turbulence to average.
+            duration_s: length of the run [s]; None: the suite's own.
+
+        Raises:
+            ValueError: the seed is in no split, or an argument is out of range; the message says what is allowed.
+        """
+        is_whole = isinstance(seed, (int, np.integer)) and not isinstance(seed, bool)
+        if not is_whole or not any(int(seed) in self.seeds(split) for split in SPLITS):
+            raise ValueError(f"seed {seed!r} is in no split of suite {self.name!r}: {self._split_text()}")
+        duration = self.duration_s if duration_s is None else duration_s
+        if self.distribution is not None:
+            return self.distribution.draw(int(seed), n_wtg, n_turbines, duration)
+        case = self.cases[seed]
+        if isinstance(n_wtg, bool) or not isinstance(n_wtg, (int, np.integer)) or n_wtg < 1:
+            raise ValueError(f"n_wtg must be a positive integer, got {n_wtg!r}")
+        if n_turbines is not None and len(n_turbines) != n_wtg:
+            raise ValueError(f"n_turbines must have one value per WTG group ({n_wtg}), got {len(n_turbines)}")
+        return Scenario(
+            name=f"{self.name}/{case.name}",
+            wind_speed=np.resize(case.wind_speed_m_s, (n_wtg, 1)),
+            duration_s=duration,
+            events=case.events,
+            seed=int(seed),
+        )
+
+    @cached_property
+    def hash(self) -> str:
+        """SHA-256 of the settings, the seed ranges and the drawn test and validation scenarios, as hex digits.
+
+        Numbers of drawn scenarios enter with six decimals: platforms differ in the last bits of exp and FFT.
+        """
+        seeds = {split: self.seeds(split) for split in SPLITS}
+        drawn = [_fingerprint(self.scenario(seed)) for split in SPLITS[1:] for seed in seeds[split]]
+        data = {
+            "name": self.name,
+            "duration_s": self.duration_s,
+            "distribution": None if self.distribution is None else self.distribution.to_dict(),
+            "cases": [asdict(case) for case in self.cases],
+            "splits": {split: [s.start, s.stop, s.step] for split, s in seeds.items()},
+            "drawn": drawn,
+        }
+        text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _decimal(value: float) -> str:
+    # The zero takes the sign off a negative number that rounds to nought.
+    return f"{round(float(value), 6) + 0.0:.6f}"
+
+
+def _fingerprint(scenario: Scenario) -> dict[str, Any]:
+    """A scenario in short, the same on every platform: statistics of its series, and all its plain values."""
+    data = scenario.to_dict()
+    wind = scenario.wind_speed
+    data["wind_speed"] = [[_decimal(w.mean()), _decimal(w.std()), _decimal(w[0]), _decimal(w[-1])] for w in wind]
+    noise = scenario.load_noise_mw
+    data["load_noise_mw"] = [_decimal(noise.std()), _decimal(noise[-1])] if noise.size else []
+    data["n_samples"] = [wind.shape[1], noise.size]
+    for values in (data, *data["events"]):
+        values.update({key: _decimal(value) for key, value in values.items() if isinstance(value, float)})
+    return data
+
+
+_PAPER_WIND = (11.4, 8.0)
+_PAPER = Suite(
+    name="paper",
+    description="The two cases of the paper: 75 MW more at bus 2 and at bus 3; the loads of buses 4 and 9 lost.",
+    duration_s=120.0,
+    cases=(
+        FixedCase(
+            name="load-increase",
+            wind_speed_m_s=_PAPER_WIND,
+            events=(LoadStep(time_s=5.0, bus=2, power_mw=75.0), LoadStep(time_s=30.0, bus=3, power_mw=75.0)),
+        ),
+        FixedCase(
+            name="load-decrease",
+            wind_speed_m_s=_PAPER_WIND,
+            events=(LoadTrip(time_s=5.0, bus=4), LoadTrip(time_s=30.0, bus=9)),
+        ),
+    ),
+)
+
+
+def _drawn(name: str, description: str, **settings: Any) -> Suite:
+    distribution = ScenarioDistribution(name=name, **settings)
+    return Suite(name=name, description=description, duration_s=60.0, distribution=distribution)
+
+
+#: Every suite by its name.
+SUITES: Mapping[str, Suite] = MappingProxyType(
+    {
+        suite.name: suite
+        for suite in (
+            _PAPER,
+            _drawn("standard", "Medium wind, one to three load events, grids from weak to strong."),
+            _drawn(
+                "low-wind",
+                "Wind far below rated, where there is little reserve and a rotor stalls soonest.",
+                mean_wind_m_s=(6.0, 8.0),
+                gust_m_s=(1.5, 3.5),
+                wind_ramp_m_s=(0.5, 1.5),
+            ),
+            _drawn(
+                "gust",
+                "A gust on one group or a wind ramp on all in every run, in turbulence of class A.",
+                mean_wind_m_s=(7.0, 11.0),
+                turbulence_intensity=(0.16, 0.16),
+                gust_probability=0.6,
+                gust_m_s=(3.0, 6.0),
+                wind_ramp_probability=0.4,
+                wind_ramp_m_s=(2.0, 4.0),
+                n_load_events=(1, 2),
+            ),
+            _drawn(
+                "weak-grid",
+                "Little inertia and flat governors: the wind turbines decide the frequency.",
+                governor_droop=(0.04, 0.05),
+                inertia_scale=(0.5, 0.6),
+                load_level=(0.9, 1.1),
+                load_noise_mw=1.5,
+                line_trip_probability=0.3,
+            ),
+        )
+    }
+)
+
+#: What the hashes of the suites must be.
+FROZEN_HASHES: Mapping[str, str] = MappingProxyType(
+    {
+        "paper": "7aaa8a1c75a47f259104b4d8d5b94a7e1b9e51f918aa5e1a5e5dff708b7ed360",
+        "standard": "8a48f97a6416ac5c76984f6e6b6bb0b5ac475bc8be5a575dc507dad31bbb489d",
+        "low-wind": "c43dd227d394bfe5d45217ea45514605fe77411930eb1b1de20089f814191a14",
+        "gust": "f5d50f77803175c273f21d1280832fc95b4aa8aefc215fb4534c688610a51bb9",
+        "weak-grid": "27f052296599cc7340522eee0ec1d73d54f208ea5a94731b780ed0b592d644aa",
+    }
+)
+
+
+def get_suite(name: str) -> Suite:
+    """Return a suite by its name.
+
+    Raises:
+        ValueError: there is no such suite; the message lists the known ones.
+    """
+    if name not in SUITES:
+        raise ValueError(f"unknown suite {name!r}; known suites: {', '.join(SUITES)}")
+    return SUITES[name]

@@ -1,0 +1,244 @@
+"""Wind as a WTG group feels it: turbulence averaged over rotor and group, gusts and ramps.
+
+A rotor averages the wind over its disk and a group averages it over its turbines, so the wind that drives a
+group is far smoother than the wind at a point. Both averages follow here from one coherence function, that of
+IEC 61400-1 ed. 3, annex B, and both are filters |H(f)|² on the Kaimal spectrum.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from wtg_gym.physics.scenario import SERIES_DT, WIND_SPEED_RANGE, require_range
+
+FloatArray = npt.NDArray[np.float64]
+
+#: Longitudinal turbulence scale Λ1 for hub heights of 60 m and more [m] (IEC 61400-1 ed. 3, eq. 5).
+TURBULENCE_SCALE_M = 42.0
+#: Integral length scale of the Kaimal spectrum, and coherence scale L_c, both 8.1 Λ1 [m] (annex B).
+LENGTH_SCALE_M = 8.1 * TURBULENCE_SCALE_M
+#: Reference turbulence intensity at 15 m/s per turbulence class (IEC 61400-1 ed. 3, table 1).
+TURBULENCE_CLASSES = {"A": 0.16, "B": 0.14, "C": 0.12}
+#: Rotor radius of the NREL 5 MW machine [m].
+ROTOR_RADIUS_M = 63.0
+#: Distance between the turbines of a group: seven rotor diameters [m].
+TURBINE_SPACING_M = 14.0 * ROTOR_RADIUS_M
+#: Length of the extreme operating gust [s] (IEC 61400-1 ed. 3, section 6.3.2.2).
+GUST_DURATION_S = 10.5
+#: Drawn wind is clipped into this range, inside cut-in and cut-out [m/s].
+DRAWN_WIND_RANGE = (4.0, 20.0)
+
+_COHERENCE_DECAY = 12.0
+_COHERENCE_OFFSET = 0.12
+
+
+def ntm_sigma(mean_wind_m_s: float, turbulence_intensity: float) -> float:
+    """Return the standard deviation of the normal turbulence model at hub height [m/s].
+
+    Args:
+        mean_wind_m_s: mean wind speed U [m/s].
+        turbulence_intensity: reference intensity I_ref at 15 m/s, see `TURBULENCE_CLASSES` [-].
+
+    Source: IEC 61400-1 ed. 3, eq. 11, sigma = I_ref (0.75 U + 5.6 m/s).
+    """
+    return turbulence_intensity * (0.75 * mean_wind_m_s + 5.6)
+
+
+def kaimal_spectrum(frequency_hz: FloatArray, mean_wind_m_s: float, sigma_m_s: float) -> FloatArray:
+    """Return the one-sided Kaimal spectrum of the longitudinal wind at a point [(m/s)²/Hz].
+
+    Args:
+        frequency_hz: frequencies, any shape [Hz].
+        mean_wind_m_s: mean wind speed U [m/s].
+        sigma_m_s: standard deviation; the spectrum integrates to its square [m/s].
+
+    Source: IEC 61400-1 ed. 3, annex B, eq. B.14.
+    """
+    time_scale_s = LENGTH_SCALE_M / mean_wind_m_s
+    return sigma_m_s**2 * 4.0 * time_scale_s / (1.0 + 6.0 * frequency_hz * time_scale_s) ** (5.0 / 3.0)
+
+
+def coherence_decay(frequency_hz: FloatArray, mean_wind_m_s: float) -> FloatArray:
+    """Return the decay a of the coherence exp(-a r) with the distance r [1/m].
+
+    Args:
+        frequency_hz: frequencies, any shape [Hz].
+        mean_wind_m_s: mean wind speed U [m/s].
+
+    Source: IEC 61400-1 ed. 3, annex B, eq. B.16, a = 12 sqrt((f/U)² + (0.12/L_c)²).
+    """
+    return _COHERENCE_DECAY * np.hypot(frequency_hz / mean_wind_m_s, _COHERENCE_OFFSET / LENGTH_SCALE_M)
+
+
+def disk_distance_density(distance: FloatArray) -> FloatArray:
+    """Return the density of the distance between two random points of a disk of radius 1.
+
+    Args:
+        distance: distances in 0 … 2, any shape [radii].
+
+    Source: disk line picking, p(s) = (4s/π) arccos(s/2) - (2s²/π) sqrt(1 - s²/4).
+    """
+    half = distance / 2.0
+    return (4.0 * distance * np.arccos(half) - 2.0 * distance**2 * np.sqrt(1.0 - half**2)) / math.pi
+
+
+@lru_cache(maxsize=1)
+def _disk_table() -> tuple[FloatArray, FloatArray]:
+    """Logarithms of a R and of the mean of exp(-a r) over the pairs of points of a disk."""
+    node, weight = np.polynomial.legendre.leggauss(200)
+    root = 0.5 * (node + 1.0)
+    # s = 2 u² crowds the nodes at short distances, where all the weight is when a R is large.
+    distance = 2.0 * root**2
+    weight = weight * 2.0 * root * disk_distance_density(distance)
+    decay = np.geomspace(1e-4, 1e4, 1601)
+    return np.log(decay), np.log(np.exp(-decay[:, None] * distance) @ weight)
+
+
+def disk_mean_coherence(decay_radii: FloatArray) -> FloatArray:
+    """Return the mean of exp(-a r) over all pairs of points of a disk, as a function of a R [-].
+
+    Args:
+        decay_radii: decay times disk radius a R, in 1e-4 … 1e4 (held constant beyond), any shape [-].
+    """
+    log_decay, log_mean = _disk_table()
+    return np.exp(np.interp(np.log(decay_radii), log_decay, log_mean))
+
+
+def rotor_filter(frequency_hz: FloatArray, mean_wind_m_s: float) -> FloatArray:
+    """Return |H(f)|², the share of the point spectrum that is left in the mean over the rotor disk [-].
+
+    Args:
+        frequency_hz: frequencies, any shape [Hz].
+        mean_wind_m_s: mean wind speed U [m/s].
+    """
+    return disk_mean_coherence(ROTOR_RADIUS_M * coherence_decay(frequency_hz, mean_wind_m_s))
+
+
+def group_filter(frequency_hz: FloatArray, mean_wind_m_s: float, n_turbines: float) -> FloatArray:
+    """Return |G(f)|² = 1/n + (1 - 1/n) coh(f, d), what averaging over the turbines of a group leaves [-].
+
+    Args:
+        frequency_hz: frequencies, any shape [Hz].
+        mean_wind_m_s: mean wind speed U [m/s].
+        n_turbines: number n of turbines, not necessarily whole; below 1 it counts as 1 [-].
+    """
+    alone = min(1.0, 1.0 / n_turbines)
+    return alone + (1.0 - alone) * np.exp(-TURBINE_SPACING_M * coherence_decay(frequency_hz, mean_wind_m_s))
+
+
+@lru_cache(maxsize=64)
+def period_length(n_samples: int) -> int:
+    """Return the number of samples of the period that a synthesised series is cut from.
+
+    At least twice the series, because a series as long as its period would end where it began; and a product of
+    twos, threes and fives, which are quick to transform.
+    """
+    half = n_samples
+    while not _is_smooth(half):
+        half += 1
+    return 2 * half
+
+
+def _is_smooth(number: int) -> bool:
+    for factor in (2, 3, 5):
+        while number % factor == 0:
+            number //= factor
+    return number == 1
+
+
+def resolved_frequencies(n_period: int, dt_s: float = SERIES_DT) -> FloatArray:
+    """Return the frequencies of the harmonics of a period of `n_period` samples, zero included [Hz]."""
+    return np.arange(n_period // 2 + 1) / (n_period * dt_s)
+
+
+def spectrum_amplitude(spectrum: FloatArray, n_period: int, dt_s: float = SERIES_DT) -> FloatArray:
+    """Return the scale of the Fourier coefficients that give a series this one-sided spectrum.
+
+    Args:
+        spectrum: values at :func:`resolved_frequencies`, shape (n_frequencies,) [unit²/Hz].
+        n_period: samples of the period, even.
+        dt_s: sampling step [s].
+    """
+    amplitude = 0.5 * n_period * np.sqrt(spectrum / (n_period * dt_s))
+    # Mean and Nyquist harmonic have a real coefficient only.
+    amplitude[[0, -1]] *= math.sqrt(2.0)
+    return amplitude
+
+
+@lru_cache(maxsize=4096)
+def _unit_amplitude(mean_tenth_m_s: int, n_turbines: float, n_period: int) -> FloatArray:
+    mean = 0.1 * mean_tenth_m_s
+    frequency = resolved_frequencies(n_period)
+    spectrum = kaimal_spectrum(frequency, mean, 1.0)
+    spectrum = spectrum * rotor_filter(frequency, mean) * group_filter(frequency, mean, n_turbines)
+    amplitude = spectrum_amplitude(spectrum, n_period)
+    amplitude[[0, -1]] = 0.0
+    amplitude.setflags(write=False)
+    return amplitude
+
+
+def turbulence_amplitude(mean_wind_m_s: float, sigma_m_s: float, n_turbines: float, n_period: int) -> FloatArray:
+    """Return the coefficient scale of rotor-effective, group-averaged turbulence of zero mean.
+
+    The shape of the spectrum is that of the mean wind rounded to 0.1 m/s, so that it is worked out only once.
+
+    Args:
+        mean_wind_m_s: mean wind speed U [m/s].
+        sigma_m_s: standard deviation of the wind at a point [m/s].
+        n_turbines: turbines the group averages over [-].
+        n_period: samples of the period, even, `SERIES_DT` apart.
+
+    Raises:
+        ValueError: the mean wind is outside the turbine model's range, or there is no turbine.
+    """
+    require_range("mean wind", mean_wind_m_s, *WIND_SPEED_RANGE, "m/s")
+    require_range("n_turbines", n_turbines, 1e-3, 1e4, "")
+    return sigma_m_s * _unit_amplitude(round(10.0 * mean_wind_m_s), float(n_turbines), n_period)
+
+
+def random_series(
+    rng: np.random.Generator, amplitudes: Sequence[FloatArray], n_period: int, n_samples: int
+) -> FloatArray:
+    """Return independent Gaussian series with given spectra, shape (n_series, n_samples).
+
+    Args:
+        rng: source of the Fourier coefficients.
+        amplitudes: one coefficient scale per series, see :func:`spectrum_amplitude`.
+        n_period: samples of the period, even.
+        n_samples: samples to return, at most `n_period`.
+    """
+    scale = np.array(amplitudes)
+    normal: npt.NDArray[np.complex128] = rng.standard_normal((*scale.shape, 2)).view(np.complex128)[..., 0]
+    series: FloatArray = np.fft.irfft(normal * scale, n_period, axis=1)[:, :n_samples]
+    return series
+
+
+def extreme_operating_gust(time_s: FloatArray, start_s: float, size_m_s: float) -> FloatArray:
+    """Return the change of wind in an extreme operating gust: a dip, a peak and a dip in 10.5 s [m/s].
+
+    Args:
+        time_s: instants, any shape [s].
+        start_s: beginning of the gust [s].
+        size_m_s: gust size V_gust, about the rise from the dip to the peak [m/s].
+
+    Source: IEC 61400-1 ed. 3, eq. 18.
+    """
+    phase = np.clip((time_s - start_s) / GUST_DURATION_S, 0.0, 1.0) * math.pi
+    return -0.37 * size_m_s * np.sin(3.0 * phase) * (1.0 - np.cos(2.0 * phase))
+
+
+def coherent_ramp(time_s: FloatArray, start_s: float, change_m_s: float, ramp_s: float) -> FloatArray:
+    """Return a change of wind that grows linearly and then stays [m/s].
+
+    Args:
+        time_s: instants, any shape [s].
+        start_s: beginning of the ramp [s].
+        change_m_s: change at its end [m/s].
+        ramp_s: length of the ramp [s].
+    """
+    return change_m_s * np.clip((time_s - start_s) / ramp_s, 0.0, 1.0)
