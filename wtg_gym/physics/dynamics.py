@@ -63,12 +63,12 @@ def derivatives(block: Floats, plant: Plant, fraction: float, lanes: Lanes) -> N
 
 @compiled
 def network_row(plant: Plant) -> int:
-    return plant.machines.shape[0] * SyncRow.N_ROWS + plant.share.shape[0] * WtgRow.N_ROWS
+    return len(plant.syncs) * SyncRow.N_ROWS + len(plant.wtgs) * WtgRow.N_ROWS
 
 
 @compiled
 def lane_row(plant: Plant) -> int:
-    n = plant.unit_bus.shape[0]
+    n = (len(plant.syncs) + len(plant.wtgs))
     return network_row(plant) + 6 * n + 4 * n * n
 
 
@@ -76,7 +76,7 @@ def lane_row(plant: Plant) -> int:
 def _internal_voltages(block: Floats, plant: Plant, lanes: Lanes) -> None:
     """Voltages behind the internal impedances, in the network frame."""
     width = len(lanes)
-    n_sync, n_wtg = plant.machines.shape[0], plant.share.shape[0]
+    n_sync, n_wtg = len(plant.syncs), len(plant.wtgs)
     n = n_sync + n_wtg
     e_re = network_row(plant) * width
     e_im = e_re + n * width
@@ -114,7 +114,7 @@ def _internal_voltages(block: Floats, plant: Plant, lanes: Lanes) -> None:
 def _unit_currents(block: Floats, plant: Plant, lanes: Lanes) -> None:
     """I = Y E with the reduced admittance of the lane's topology."""
     width = len(lanes)
-    n = plant.unit_bus.shape[0]
+    n = (len(plant.syncs) + len(plant.wtgs))
     e_re = network_row(plant) * width
     e_im = e_re + n * width
     i_re = e_im + n * width
@@ -138,10 +138,10 @@ def _unit_currents(block: Floats, plant: Plant, lanes: Lanes) -> None:
 def _machine_rates(block: Floats, plant: Plant, lanes: Lanes) -> None:
     """Swing, fluxes, exciter and governor of the synchronous machines."""
     width = len(lanes)
-    n = plant.unit_bus.shape[0]
+    n = (len(plant.syncs) + len(plant.wtgs))
     i_re = (network_row(plant) + 2 * n) * width
     i_im = i_re + n * width
-    for i in range(plant.machines.shape[0]):
+    for i in range(len(plant.syncs)):
         m = plant.machines[i]
         o = i * SyncRow.N_ROWS * width
         rate = o + SyncRow.RATE * width
@@ -236,7 +236,7 @@ def _machine_rates(block: Floats, plant: Plant, lanes: Lanes) -> None:
 def _wtg_rates(block: Floats, plant: Plant, fraction: float, lanes: Lanes) -> None:
     """Rotor, pitch, tracking law and grid-forming swing of the WTG groups."""
     width = len(lanes)
-    n_sync, n = plant.machines.shape[0], plant.unit_bus.shape[0]
+    n_sync, n = len(plant.syncs), (len(plant.syncs) + len(plant.wtgs))
     e_re = network_row(plant) * width
     e_im = e_re + n * width
     i_re = e_im + n * width
@@ -258,7 +258,7 @@ def _wtg_rates(block: Floats, plant: Plant, fraction: float, lanes: Lanes) -> No
     pitch_ki, inv_schedule = t[TurbineConstant.PITCH_KI], t[TurbineConstant.INV_SCHEDULE]
     inv_actuator, pitch_rate_limit = t[TurbineConstant.INV_ACTUATOR], t[TurbineConstant.PITCH_RATE]
     pitch_max = t[TurbineConstant.PITCH_MAX]
-    for j in range(plant.share.shape[0]):
+    for j in range(len(plant.wtgs)):
         o = (n_sync * SyncRow.N_ROWS + j * WtgRow.N_ROWS) * width
         rate = o + WtgRow.RATE * width
         at = (n_sync + j) * width
@@ -324,7 +324,7 @@ def _wtg_rates(block: Floats, plant: Plant, fraction: float, lanes: Lanes) -> No
 def _stage(block: Floats, plant: Plant, weight: float, ahead: float, first: bool, lanes: Lanes) -> None:
     """Add a Runge-Kutta stage's rates to the sum and move the states `ahead` [s] from the base along them."""
     width = len(lanes)
-    n_sync, n_wtg = plant.machines.shape[0], plant.share.shape[0]
+    n_sync, n_wtg = len(plant.syncs), len(plant.wtgs)
     for i in range(n_sync):
         o = i * SyncRow.N_ROWS * width
         _stage_rows(block, o, N_SYNC_STATES * width, weight, ahead, first)
@@ -369,7 +369,7 @@ def runge_kutta_step(block: Floats, plant: Plant, step: int, lanes: Lanes) -> No
         step: number of the step within the control interval, for the wind's interpolation.
     """
     width = len(lanes)
-    n_sync, n_wtg = plant.machines.shape[0], plant.share.shape[0]
+    n_sync, n_wtg = len(plant.syncs), len(plant.wtgs)
     h = plant.simulation_dt
     part = 1.0 / plant.n_substeps
     for stage in range(4):
@@ -407,7 +407,7 @@ def _clip_row(block: Floats, o: int, low: float, high: float, width: int) -> Non
 def track_extremes(block: Floats, plant: Plant, lanes: Lanes) -> None:
     """Update the frequency of the centre of inertia and the extremes of running lanes after a simulation step."""
     width = len(lanes)
-    n_sync = plant.machines.shape[0]
+    n_sync = len(plant.syncs)
     lane = lane_row(plant) * width
     tip_speed = plant.turbine[TurbineConstant.TIP_SPEED]
     overload = plant.turbine[TurbineConstant.OVERLOAD]
@@ -419,7 +419,7 @@ def track_extremes(block: Floats, plant: Plant, lanes: Lanes) -> None:
             two_h = 1.0 / block[o + SyncRow.INV_TWO_H * width + x]
             momentum += two_h * (block[o + SyncState.SPEED * width + x] - 1.0)
             inertia += two_h
-        for j in range(plant.share.shape[0]):
+        for j in range(len(plant.wtgs)):
             o = (n_sync * SyncRow.N_ROWS + j * WtgRow.N_ROWS) * width
             two_h = two_h_wtg * plant.share[j] * block[o + WtgRow.CONNECTED * width + x]
             momentum += two_h * (block[o + WtgState.SPEED * width + x] - 1.0)
@@ -431,7 +431,7 @@ def track_extremes(block: Floats, plant: Plant, lanes: Lanes) -> None:
         block[lane + LaneRow.COI_MIN * width + x] = min(lowest, coi)
         block[lane + LaneRow.COI_MAX * width + x] = max(highest, coi)
         block[lane + LaneRow.STEP * width + x] += 1.0 if running else 0.0
-        for j in range(plant.share.shape[0]):
+        for j in range(len(plant.wtgs)):
             o = (n_sync * SyncRow.N_ROWS + j * WtgRow.N_ROWS) * width
             # The row holds the power of the step's last stage, which lies at the step's end.
             power = block[o + WtgRow.POWER * width + x]
@@ -452,7 +452,7 @@ def refresh_network(block: Floats, x: int, lane: int, plant: Plant, data: LaneDa
 
     Load ramps are staircases: constant over a control interval at the value of its middle.
     """
-    n_sync, n = plant.machines.shape[0], plant.unit_bus.shape[0]
+    n_sync, n = len(plant.syncs), (len(plant.syncs) + len(plant.wtgs))
     own = lane_row(plant) * width
     step = block[own + LaneRow.STEP * width + x]
     n_bus = plant.shunt_y.shape[0]
@@ -482,7 +482,7 @@ def refresh_network(block: Floats, x: int, lane: int, plant: Plant, data: LaneDa
                     events[e, EventColumn.CONDUCTANCE], events[e, EventColumn.SUSCEPTANCE]
                 )
     unit_y = plant.unit_y.copy()
-    for j in range(plant.share.shape[0]):
+    for j in range(len(plant.wtgs)):
         connected = block[(n_sync * SyncRow.N_ROWS + j * WtgRow.N_ROWS + WtgRow.CONNECTED) * width + x]
         unit_y[n_sync + j] *= connected
     for i in range(n):
@@ -504,7 +504,7 @@ def _store_reduction(
     width: int,
 ) -> None:
     """Write Y_red = diag(y) - diag(y) Z diag(y), the noise bus's transfer u = diag(y) Z e and its impedance."""
-    n = plant.unit_bus.shape[0]
+    n = (len(plant.syncs) + len(plant.wtgs))
     u_re = (network_row(plant) + 4 * n) * width
     u_im = u_re + n * width
     g0 = u_im + n * width + 2 * n * n * width
@@ -532,7 +532,7 @@ def combine_load_noise(block: Floats, plant: Plant, noise_y: Floats, lanes: Lane
     `noise_y` (width) is Δy, a conductance [p.u.].
     """
     width = len(lanes)
-    n = plant.unit_bus.shape[0]
+    n = (len(plant.syncs) + len(plant.wtgs))
     own = lane_row(plant) * width
     u_re = (network_row(plant) + 4 * n) * width
     u_im = u_re + n * width
@@ -565,12 +565,12 @@ def advance_interval(block: Floats, first_lane: int, plant: Plant, data: LaneDat
     powers, coefficients and rates at the interval's end; `noise_y` (width) is scratch.
     """
     width = len(lanes)
-    n_sync = plant.machines.shape[0]
+    n_sync = len(plant.syncs)
     own = lane_row(plant) * width
     last = data.wind.shape[2] - 1
     for x in range(width):
         index = int(block[own + LaneRow.STEP * width + x]) // plant.n_substeps
-        for j in range(plant.share.shape[0]):
+        for j in range(len(plant.wtgs)):
             o = (n_sync * SyncRow.N_ROWS + j * WtgRow.N_ROWS) * width
             block[o + WtgRow.WIND_START * width + x] = data.wind[first_lane + x, j, min(index, last)]
             block[o + WtgRow.WIND_END * width + x] = data.wind[first_lane + x, j, min(index + 1, last)]
@@ -595,7 +595,7 @@ def advance_interval(block: Floats, first_lane: int, plant: Plant, data: LaneDat
 @compiled
 def update_status(block: Floats, plant: Plant, width: int) -> None:
     """End lanes that stalled, over-sped, left the frequency limits or are no longer finite; or trip their groups."""
-    n_sync = plant.machines.shape[0]
+    n_sync = len(plant.syncs)
     own = lane_row(plant) * width
     t = plant.turbine
     for x in range(width):
@@ -606,7 +606,7 @@ def update_status(block: Floats, plant: Plant, width: int) -> None:
         if coi < t[TurbineConstant.COI_MIN] or coi > t[TurbineConstant.COI_MAX]:
             status = Status.FREQUENCY_LIMIT
         total = coi
-        for j in range(plant.share.shape[0]):
+        for j in range(len(plant.wtgs)):
             o = (n_sync * SyncRow.N_ROWS + j * WtgRow.N_ROWS) * width + x
             rotor = block[o + WtgState.ROTOR_SPEED * width]
             ratio = t[TurbineConstant.TIP_SPEED] * rotor / block[o + WtgRow.WIND * width]

@@ -109,7 +109,7 @@ def start_lane(block: Floats, lane: int, plant: Plant, data: LaneData, load_leve
     Returns:
         a :class:`StartFailure`.
     """
-    n_sync, n_wtg = plant.machines.shape[0], plant.share.shape[0]
+    n_sync, n_wtg = len(plant.syncs), len(plant.wtgs)
     n_bus = plant.shunt_y.shape[0]
     power = np.zeros(n_bus, dtype=np.complex128)
     for k in range(n_bus):
@@ -169,7 +169,7 @@ def _start_units(
     voltage: npt.NDArray[np.complex128],
 ) -> int:
     """Share each bus's power among its units and set their internal states; angles count from the first unit."""
-    n_sync, n_wtg = plant.machines.shape[0], plant.share.shape[0]
+    n_sync, n_wtg = len(plant.syncs), len(plant.wtgs)
     n_bus = voltage.shape[0]
     reference = 0.0
     for i in range(n_sync + n_wtg):
@@ -222,7 +222,7 @@ def _start_units(
 @compiled
 def _limit_failure(block: Floats, plant: Plant) -> int:
     """Return the :class:`StartFailure` of a machine that would start beyond its gate or field limits."""
-    for i in range(plant.machines.shape[0]):
+    for i in range(len(plant.syncs)):
         gate = block[i * SyncRow.N_ROWS + SyncState.GATE]
         field = block[i * SyncRow.N_ROWS + SyncState.FIELD_VOLTAGE]
         m = plant.machines[i]
@@ -279,7 +279,7 @@ def _start_machine(block: Floats, i: int, plant: Plant, power: complex, voltage:
 @compiled
 def _start_rows(block: Floats, lane: int, plant: Plant, data: LaneData, magnitude: Floats) -> None:
     """Set clock, network and statistics of a lane, and evaluate its first rates and powers."""
-    n_sync = plant.machines.shape[0]
+    n_sync = len(plant.syncs)
     own = lane_row(plant)
     block[own + LaneRow.ACTIVE] = 1.0
     block[own + LaneRow.STATUS] = 0.0
@@ -294,12 +294,12 @@ def _start_rows(block: Floats, lane: int, plant: Plant, data: LaneData, magnitud
     derivatives(block, plant, 0.0, one_lane)
     block[own + LaneRow.COI_MIN] = math.inf
     block[own + LaneRow.COI_MAX] = -math.inf
-    for j in range(plant.share.shape[0]):
+    for j in range(len(plant.wtgs)):
         o = n_sync * SyncRow.N_ROWS + j * WtgRow.N_ROWS
         block[o + WtgRow.PEAK_POWER] = -math.inf
         block[o + WtgRow.LEAST_TSR] = math.inf
         block[o + WtgRow.LARGEST_TSR] = -math.inf
     track_extremes(block, plant, one_lane)
     block[own + LaneRow.STEP] = 0.0
-    for j in range(plant.share.shape[0]):
+    for j in range(len(plant.wtgs)):
         block[n_sync * SyncRow.N_ROWS + j * WtgRow.N_ROWS + WtgRow.OVERLOAD_TIME] = 0.0

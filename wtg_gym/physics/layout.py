@@ -114,6 +114,8 @@ class EventColumn(IntEnum):
 class Plant(NamedTuple):
     """What all lanes share: constants of machines, turbine and network (see :mod:`wtg_gym.physics.simulator`)."""
 
+    syncs: tuple[int, ...]  # as long as there are synchronous machines: a length the compiler knows
+    wtgs: tuple[int, ...]  # as long as there are WTG groups
     machines: npt.NDArray[np.float64]  # (n_sync, n_constants)
     turbine: npt.NDArray[np.float64]  # (n_constants,)
     share: npt.NDArray[np.float64]  # rating of each WTG group on the system base (n_wtg,)

@@ -59,7 +59,7 @@ class PlantSettings:
     control: GridFormingParameters = dataclasses.field(default_factory=GridFormingParameters)
     protection: ProtectionParameters = dataclasses.field(default_factory=ProtectionParameters)
     control_dt: float = 0.1
-    simulation_dt: float = 0.01
+    simulation_dt: float = 0.02
     trips_groups: bool = False
 
     def __post_init__(self) -> None:
@@ -87,6 +87,8 @@ def build_plant(settings: PlantSettings) -> Plant:
     has_unit[unit_bus] = True
     held = np.array([bus.voltage_pu is not None for bus in case.buses])
     return Plant(
+        syncs=(0,) * len(machines),
+        wtgs=(0,) * len(share),
         machines=np.array(machines).reshape(len(machines), len(MachineConstant)),
         turbine=turbine,
         share=share,

@@ -21,7 +21,7 @@ from wtg_gym.physics.tracking_law import TrackingLaw
 
 Floats = npt.NDArray[np.float64]
 #: Lanes per block of a batched simulator; a single run uses a block of one.
-BLOCK_WIDTH = 8
+BLOCK_WIDTH = 16
 #: A thread is worth its start only for this many blocks.
 _BLOCKS_PER_THREAD = 4
 

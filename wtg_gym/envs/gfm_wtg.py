@@ -1,0 +1,335 @@
+"""The environments: one episode at a time, and many at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+
+from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.envs.task import OBSERVATION_BOUND, TaskRow
+from wtg_gym.physics.scenario import Scenario
+
+Observation = npt.NDArray[np.float32]
+Action = npt.NDArray[np.float32]
+
+
+def _spaces(lanes: TaskLanes) -> tuple[gym.spaces.Box, gym.spaces.Box]:
+    bound = np.full(lanes.n_observation, OBSERVATION_BOUND, dtype=np.float32)
+    one = np.ones(lanes.n_action, dtype=np.float32)
+    return gym.spaces.Box(-bound, bound, dtype=np.float32), gym.spaces.Box(-one, one, dtype=np.float32)
+
+
+def _as_scenario(value: Any) -> Scenario:
+    if isinstance(value, Scenario):
+        return value
+    if isinstance(value, dict):
+        return Scenario.from_dict(value)
+    raise ValueError(f'options["scenario"] must be a Scenario or its to_dict() form, got {type(value).__name__}')
+
+
+def _check_options(options: dict[str, Any] | None, allowed: Sequence[str]) -> dict[str, Any]:
+    unknown = sorted(set(options or {}) - set(allowed))
+    if unknown:
+        raise ValueError(f"unknown reset options {unknown}; known options: {', '.join(allowed)}")
+    return options or {}
+
+
+class GFMWTGEnv(gym.Env[Observation, Action]):
+    """Grid-forming wind turbine generators hold up the frequency of the modified IEEE 14-bus system.
+
+    ## Description
+    Groups of grid-forming wind turbines feed a transmission grid with one synchronous generator and three condensers.
+    Loads switch on and off, lines trip, the wind blows as it likes. Each group runs the power-tracking-coefficient
+    droop of Chen et al. (2026): P_st = k ω_m³ + D_p x with k = g(ω) and transient damping τ. The agent modulates k, τ
+    or both on top of it, so that the frequency is held without spending the rotors' kinetic energy to a stall.
+
+    ## Action Space
+    `Box(-1, 1, (n_wtg · n_modes,), float32)`, per group: the offset on k (full action: half the regulation range
+    K_opt - K_pr, beyond K_opt too), then the scale of τ (full action: four times, or a quarter). Zero action is
+    exactly the reference controller. Values outside are clipped; values that are not finite raise a ValueError.
+
+    ## Observation Space
+    `Box(-5, 5, (n,), float32)`, per group what its own controller measures: frequency deviation, RoCoF, tip-speed
+    ratio between λ_opt and λ_pr, rotor speed, power, rotor-effective wind, k, filter state, last action. With
+    `observation_mode="privileged"` the grid's machines follow. `observation_names` lists every entry with its unit.
+
+    ## Rewards
+    Minus the cost of the step: frequency deviation, RoCoF, regulation duty, rotor range, converter overload, actuator
+    effort, and a failure that costs more than any way of living on; :class:`CostWeights` gives each weight's reason.
+    The terms are `info["cost_…"]`; `info["cost"]` is 1 where a constraint was violated, for safe learning.
+
+    ## Starting State
+    The exact equilibrium of the drawn scenario's wind, load and grid at nominal frequency.
+
+    ## Episode End
+    Terminated at a stall, an over-speed, or a frequency outside 47.5 … 51.5 Hz (`info["termination_reason"]`);
+    truncated when the time is over.
+
+    ## Arguments
+    See :class:`wtg_gym.envs.settings.EnvSettings`. `reset(options={"scenario": …})` plays a scenario of your own.
+
+    ## Vectorized environment
+    `gym.make_vec("GFMWTG-14bus-v0", num_envs=…)` gives :class:`GFMWTGVectorEnv`; its lane i seeded with s equals this
+    environment seeded with s + i, bit for bit.
+
+    ## Version History
+    * v0: first version.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "render_fps": 10}  # type: ignore[misc]
+
+    def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
+        if render_mode is not None:
+            raise ValueError(f"unknown render_mode {render_mode!r}; this version renders nothing: use None")
+        self.render_mode = render_mode
+        self.settings = EnvSettings(**arguments)
+        self._lanes = TaskLanes(self.settings, 1)
+        self.observation_space, self.action_space = _spaces(self._lanes)
+        self._actions = np.zeros((1, self._lanes.n_action))
+        self._running = False
+
+    @property
+    def lanes(self) -> TaskLanes:
+        """The episode's simulator, observations and costs."""
+        return self._lanes
+
+    @property
+    def observation_names(self) -> list[str]:
+        """Names and units of the observation's entries."""
+        return self._lanes.observation_names
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start an episode.
+
+        Args:
+            seed: seeds the generator that scenarios are drawn with; None goes on with it.
+            options: {"scenario": Scenario or its to_dict()} plays that scenario.
+
+        Raises:
+            ValueError: unknown options, or a scenario that does not fit.
+        """
+        super().reset(seed=seed)
+        given = _check_options(options, ("scenario",))
+        scenario = _as_scenario(given["scenario"]) if "scenario" in given else self._lanes.draw(self.np_random)
+        self._lanes.start(0, scenario)
+        self._running = True
+        return self._lanes.observations[0].copy(), self._info()
+
+    def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Hold the action for one control interval.
+
+        Args:
+            action: (n_action,), clipped to [-1, 1].
+
+        Raises:
+            ValueError: wrong shape, or a value that is not finite.
+            RuntimeError: the episode is over; call reset().
+        """
+        if not self._running:
+            raise RuntimeError("the episode is over or was never started; call reset() before step()")
+        given = np.asarray(action, dtype=np.float64)
+        if given.shape != (self._lanes.n_action,):
+            raise ValueError(f"the action must have shape {(self._lanes.n_action,)}, got {given.shape}")
+        self._actions[0] = given
+        self._lanes.step(self._actions)
+        terminated, truncated = (bool(flag[0]) for flag in self._lanes.ended())
+        self._running = not (terminated or truncated)
+        reward = float(self._lanes.rewards[0])
+        return self._lanes.observations[0].copy(), reward, terminated, truncated, self._info()
+
+    def _info(self) -> dict[str, Any]:
+        return {
+            key: value if isinstance(value, str) else value.item()
+            for key, value in ((key, array[0]) for key, array in self._lanes.info_arrays().items())
+        }
+
+    def snapshot(self) -> Any:
+        """Return a copy of the episode's complete state, for :meth:`restore`; the generator is not part of it."""
+        return self._lanes.snapshot(), self._running
+
+    def restore(self, snapshot: Any) -> None:
+        """Go back to a :meth:`snapshot`: what follows is then the same, bit for bit."""
+        lanes, self._running = snapshot
+        self._lanes.restore(lanes)
+
+    def close(self) -> None:
+        """Release the worker threads."""
+        self._lanes.simulator.close()
+
+
+class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]]):
+    """Many :class:`GFMWTGEnv` episodes in one compiled call.
+
+    Args:
+        num_envs: number of episodes side by side.
+        autoreset_mode: NEXT_STEP (Gymnasium's default), SAME_STEP or DISABLED.
+        max_episode_steps: time limit in steps, instead of `duration_s`.
+        n_threads: threads to step with; None for one per processor. Results do not depend on it.
+        arguments: as for :class:`GFMWTGEnv`.
+
+    Raises:
+        ValueError: an argument is unknown or out of range.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
+        "render_modes": [],
+        "render_fps": 10,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
+        n_threads: int | None = None,
+        render_mode: str | None = None,
+        **arguments: Any,
+    ) -> None:
+        if render_mode is not None:
+            raise ValueError(f"unknown render_mode {render_mode!r}; this version renders nothing: use None")
+        self.render_mode = render_mode
+        if max_episode_steps is not None:
+            arguments["duration_s"] = max_episode_steps * arguments.get("control_dt", EnvSettings().control_dt)
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
+        self.settings = EnvSettings(**arguments)
+        self.num_envs = num_envs
+        self._lanes = TaskLanes(self.settings, num_envs, n_threads)
+        self.single_observation_space, self.single_action_space = _spaces(self._lanes)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._generators = [seeding.np_random()[0] for _ in range(num_envs)]
+        self._needs_reset = np.ones(num_envs, dtype=np.bool_)
+
+    @property
+    def lanes(self) -> TaskLanes:
+        """The episodes' simulator, observations and costs."""
+        return self._lanes
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start an episode in every lane, or in those of a mask.
+
+        Args:
+            seed: s seeds lane i with s + i; or one seed per lane.
+            options: {"scenarios": one per lane} plays those; {"reset_mask": (num_envs,) bool} restarts only these.
+
+        Raises:
+            ValueError: unknown options, wrong lengths, or scenarios that do not fit.
+        """
+        given = _check_options(options, ("reset_mask", "scenarios"))
+        mask = self._reset_mask(given.get("reset_mask"))
+        for lane, lane_seed in enumerate(self._lane_seeds(seed)):
+            if lane_seed is not None and mask[lane]:
+                self._generators[lane] = seeding.np_random(lane_seed)[0]
+        scenarios = given.get("scenarios")
+        if scenarios is not None and len(scenarios) != self.num_envs:
+            raise ValueError(f'options["scenarios"] must give {self.num_envs} scenarios, got {len(scenarios)}')
+        for lane in np.flatnonzero(mask):
+            self._start(int(lane), None if scenarios is None else _as_scenario(scenarios[lane]))
+        return self._lanes.observations.copy(), self._infos(mask)
+
+    def _reset_mask(self, given: Any) -> npt.NDArray[np.bool_]:
+        if given is None:
+            return np.ones(self.num_envs, dtype=np.bool_)
+        mask = np.asarray(given)
+        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
+            raise ValueError(
+                f'options["reset_mask"] must be a boolean array of shape {(self.num_envs,)} with at least one True, '
+                f"got shape {mask.shape}, dtype {mask.dtype}"
+            )
+        return mask
+
+    def _lane_seeds(self, seed: int | Sequence[int | None] | None) -> Sequence[int | None]:
+        if seed is None:
+            return [None] * self.num_envs
+        if isinstance(seed, (int, np.integer)):
+            return [int(seed) + lane for lane in range(self.num_envs)]
+        if len(seed) != self.num_envs:
+            raise ValueError(f"one seed per lane is needed ({self.num_envs}), got {len(seed)}")
+        return seed
+
+    def _start(self, lane: int, scenario: Scenario | None = None) -> None:
+        self._lanes.start(lane, scenario or self._lanes.draw(self._generators[lane]))
+        self._needs_reset[lane] = False
+
+    def step(
+        self, actions: Action
+    ) -> tuple[Observation, npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], dict[str, Any]]:
+        """Hold the actions for one control interval in every lane.
+
+        Args:
+            actions: (num_envs, n_action), clipped to [-1, 1].
+
+        Raises:
+            ValueError: wrong shape, or a value that is not finite; nothing has been stepped then.
+            RuntimeError: a lane was never started, or is over and resets are disabled.
+        """
+        waiting = self._needs_reset.copy()
+        if waiting.any() and (self.autoreset_mode != AutoresetMode.NEXT_STEP or not self._started()):
+            raise RuntimeError(f"lanes {np.flatnonzero(waiting).tolist()} are over; call reset() before step()")
+        self._lanes.step(np.ascontiguousarray(actions, dtype=np.float64))
+        terminated, truncated = self._lanes.ended()
+        # A lane that waited for its reset has not been stepped: this step starts its next episode.
+        terminated &= ~waiting
+        truncated &= ~waiting
+        rewards = self._lanes.rewards.copy()
+        done = terminated | truncated
+        infos: dict[str, Any] = {}
+        if self.autoreset_mode == AutoresetMode.SAME_STEP and done.any():
+            infos = self._final_infos(done)
+            for lane in np.flatnonzero(done):
+                self._start(int(lane))
+        else:
+            for lane in np.flatnonzero(waiting):
+                self._start(int(lane))
+            self._needs_reset |= done
+        infos.update(self._infos(np.ones(self.num_envs, dtype=np.bool_)))
+        return self._lanes.observations.copy(), rewards, terminated, truncated, infos
+
+    def _started(self) -> bool:
+        return bool((self._lanes.task_values(TaskRow.END_STEP) > 0.0).all())
+
+    def _infos(self, mask: npt.NDArray[np.bool_]) -> dict[str, Any]:
+        infos: dict[str, Any] = {}
+        for key, array in self._lanes.info_arrays().items():
+            infos[key], infos[f"_{key}"] = array, mask.copy()
+        return infos
+
+    def _final_infos(self, done: npt.NDArray[np.bool_]) -> dict[str, Any]:
+        final = np.full(self.num_envs, None, dtype=object)
+        for lane in np.flatnonzero(done):
+            final[lane] = self._lanes.observations[lane].copy()
+        return {
+            "final_obs": final,
+            "_final_obs": done.copy(),
+            "final_info": self._infos(done),
+            "_final_info": done.copy(),
+        }
+
+    def snapshot(self) -> Any:
+        """Return a copy of every episode's complete state, for :meth:`restore`; the generators are not part of it."""
+        return self._lanes.snapshot(), self._needs_reset.copy()
+
+    def restore(self, snapshot: Any) -> None:
+        """Go back to a :meth:`snapshot`."""
+        lanes, needs_reset = snapshot
+        self._lanes.restore(lanes)
+        self._needs_reset[:] = needs_reset
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Release the worker threads."""
+        self._lanes.simulator.close()

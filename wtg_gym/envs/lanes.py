@@ -1,0 +1,193 @@
+"""Episodes in lanes: what the single and the batched environment, and the evaluator, share."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.envs.task import (
+    ACTION_MODES,
+    COST_TERMS,
+    TaskRow,
+    build_task,
+    first_invalid_action,
+    n_extra_rows,
+    observation_names,
+    start_task,
+    step_blocks,
+)
+from wtg_gym.physics.layout import LaneData, LaneRow, Status
+from wtg_gym.physics.plant import whole_steps
+from wtg_gym.physics.scenario import Scenario
+from wtg_gym.physics.simulator import Simulator
+from wtg_gym.scenarios import get_suite
+
+Floats = npt.NDArray[np.float64]
+
+#: Text of `info["termination_reason"]`: empty while an episode runs or when its time is over.
+TERMINATION_REASONS = {
+    Status.RUNNING: "",
+    Status.STALL: "stall",
+    Status.OVER_SPEED: "over-speed",
+    Status.FREQUENCY_LIMIT: "frequency limit",
+    Status.NUMERICAL_FAILURE: "numerical failure",
+}
+#: Keys of `info`, with their units, besides `termination_reason`.
+INFO_UNITS = {
+    "time_s": "s",
+    "frequency_hz": "Hz",
+    "rocof_hz_s": "Hz/s",
+    "cost": "-",
+    **{f"cost_{name}": "-" for name in COST_TERMS},
+    "scenario_seed": "-",
+}
+
+
+class TaskLanes:
+    """Episodes side by side: scenarios, simulator, observations and costs.
+
+    Args:
+        settings: what the environment was asked for.
+        n_lanes: number of episodes side by side.
+        n_threads: threads to step with; None for one per processor.
+
+    Raises:
+        ValueError: a setting is unknown or out of range.
+    """
+
+    def __init__(self, settings: EnvSettings, n_lanes: int = 1, n_threads: int | None = None) -> None:
+        self.settings = settings
+        self.suite = get_suite(settings.suite)
+        self.laws = settings.laws()
+        plant = settings.plant()
+        self.n_wtg = len(plant.groups)
+        self.n_turbines = [group.n_turbines for group in plant.groups]
+        self.duration_s = settings.episode_duration_s()
+        self.simulator = Simulator(
+            plant,
+            n_lanes=n_lanes,
+            duration_s=self.duration_s,
+            n_extra=n_extra_rows(self.n_wtg, settings.control_dt),
+            n_threads=n_threads,
+        )
+        self.task = build_task(settings, plant.case.frequency_hz, self.simulator.layout.extra)
+        self.observation_names = observation_names(
+            self.n_wtg, self.simulator.layout.n_sync, settings.action_mode, privileged=self.task.privileged
+        )
+        self.n_observation = len(self.observation_names)
+        self.n_action = self.n_wtg * sum(ACTION_MODES[settings.action_mode])
+        self.observations = np.zeros((n_lanes, self.n_observation), dtype=np.float32)
+        self.rewards = np.zeros(n_lanes)
+        self.scenario_seeds = np.full(n_lanes, -1, dtype=np.int64)
+        self._fixed = settings.fixed_scenario()
+        self._seeds = self.suite.seeds(settings.split)
+
+    @property
+    def n_lanes(self) -> int:
+        """Number of episodes side by side."""
+        return self.simulator.n_lanes
+
+    def draw(self, rng: np.random.Generator) -> Scenario:
+        """Return the next episode's scenario."""
+        if self._fixed is not None:
+            return self._fixed
+        return self.scenario(int(rng.integers(self._seeds.start, self._seeds.stop)))
+
+    def scenario(self, seed: int) -> Scenario:
+        """Return the suite's scenario of a seed, for this plant and episode length."""
+        return self.suite.scenario(seed, n_wtg=self.n_wtg, n_turbines=self.n_turbines, duration_s=self.duration_s)
+
+    def start(self, lane: int, scenario: Scenario) -> None:
+        """Start an episode in a lane, from the equilibrium of its scenario.
+
+        Raises:
+            ValueError: the scenario does not fit the plant or the episode length, or has no equilibrium.
+        """
+        simulator = self.simulator
+        simulator.start(lane, scenario, self.laws)
+        duration = min(scenario.duration_s, self.duration_s)
+        intervals = whole_steps("scenario duration_s", duration, self.settings.control_dt, "control step")
+        end_step = float(intervals * simulator.plant.n_substeps)
+        start_task(
+            simulator.blocks, lane, simulator.plant, self.task, end_step, self.observations[lane], simulator.lanes
+        )
+        self.scenario_seeds[lane] = -1 if scenario.seed is None else scenario.seed
+        self.rewards[lane] = 0.0
+
+    def step(self, actions: Floats) -> None:
+        """Step every running lane; results are in `observations`, `rewards` and :meth:`ended`.
+
+        Args:
+            actions: (n_lanes, n_action), clipped to [-1, 1].
+
+        Raises:
+            ValueError: wrong shape, or an action that is not finite; nothing has been stepped then.
+        """
+        if actions.shape != (self.n_lanes, self.n_action):
+            raise ValueError(
+                f"actions must have shape {(self.n_lanes, self.n_action)} (lanes, values), got {actions.shape}"
+            )
+        invalid = first_invalid_action(actions)
+        if invalid >= 0:
+            raise ValueError(f"action {actions[invalid].tolist()} of lane {invalid} is not finite; allowed: -1 … 1")
+        simulator = self.simulator
+        simulator.for_blocks(
+            lambda first, last: step_blocks(
+                simulator.blocks,
+                first,
+                last,
+                simulator.plant,
+                simulator.data,
+                self.task,
+                actions,
+                self.observations,
+                self.rewards,
+                simulator.lanes,
+            )
+        )
+
+    def statuses(self) -> npt.NDArray[np.int64]:
+        """Return why each lane ended (:class:`Status`), RUNNING (0) where it did not or its time was over."""
+        return self.simulator.lane_values(LaneRow.STATUS).astype(np.int64)
+
+    def ended(self) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+        """Return (terminated, truncated) per lane."""
+        terminated = self.simulator.lane_values(LaneRow.STATUS) != 0.0
+        active = self.simulator.lane_values(LaneRow.ACTIVE) > 0.5
+        return terminated, ~active & ~terminated
+
+    def task_values(self, row: int) -> Floats:
+        """Return a :class:`TaskRow` of every lane (n_lanes,)."""
+        return self.simulator.values(self.simulator.layout.extra + row)
+
+    def info_arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """Return every key of `info` as an array over lanes."""
+        simulator = self.simulator
+        nominal = self.task.nominal_hz
+        arrays: dict[str, npt.NDArray[Any]] = {
+            "time_s": simulator.lane_values(LaneRow.STEP) * simulator.plant.simulation_dt,
+            "frequency_hz": nominal * simulator.lane_values(LaneRow.COI),
+            "rocof_hz_s": self.task_values(TaskRow.ROCOF),
+            "cost": self.task_values(TaskRow.CONSTRAINT),
+        }
+        for term, name in enumerate(COST_TERMS):
+            arrays[f"cost_{name}"] = self.task_values(TaskRow.TERM + term)
+        arrays["scenario_seed"] = self.scenario_seeds.copy()
+        reasons = [TERMINATION_REASONS[Status(status)] for status in self.statuses()]
+        arrays["termination_reason"] = np.array(reasons, dtype=object)
+        return arrays
+
+    def snapshot(self) -> tuple[tuple[Floats, LaneData], npt.NDArray[np.float32], Floats, npt.NDArray[np.int64]]:
+        """Return a copy of everything that changes."""
+        return self.simulator.snapshot(), self.observations.copy(), self.rewards.copy(), self.scenario_seeds.copy()
+
+    def restore(
+        self, snapshot: tuple[tuple[Floats, LaneData], npt.NDArray[np.float32], Floats, npt.NDArray[np.int64]]
+    ) -> None:
+        """Go back to a :meth:`snapshot`."""
+        physics, observations, rewards, seeds = snapshot
+        self.simulator.restore(physics)
+        self.observations[:], self.rewards[:], self.scenario_seeds[:] = observations, rewards, seeds

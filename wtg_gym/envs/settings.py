@@ -1,0 +1,192 @@
+"""What an environment can be asked for, checked once for the single and the batched one."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.parameters import WtgGroup, default_groups, parameter
+from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.scenario import Scenario, require_range
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, get_law
+from wtg_gym.scenarios import SPLITS, get_suite
+
+#: Action modes and which of (k, τ) each of them modulates.
+ACTION_MODES: dict[str, tuple[bool, bool]] = {"k": (True, False), "tau": (False, True), "k+tau": (True, True)}
+OBSERVATION_MODES = ("local", "privileged")
+MACHINE_MODELS = ("genrou", "classical")
+FAILURE_MODES = ("terminate", "trip")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CostWeights:
+    """Weights of the cost's terms. Each is a rate [1/s] at the deviation that `doc` names as one unit.
+
+    The reward is minus the cost. The terms' own shapes are written in :mod:`wtg_gym.envs.task`.
+    """
+
+    frequency: float = parameter(
+        1.0,
+        unit="1/s",
+        source="design",
+        doc="one at ±0.2 Hz, where European primary reserve is fully active; quadratic inside, four times as steep "
+        "as at that edge outside",
+    )
+    rocof: float = parameter(
+        4.0,
+        unit="1/s",
+        source="design",
+        doc="one unit at 0.2 Hz/s over 500 ms, squared; loss-of-mains relays act from 0.5 … 1 Hz/s on",
+    )
+    duty: float = parameter(
+        1.0,
+        unit="1/s",
+        source="design",
+        doc="one unit at a captured power 5 % of the available away from what the prescribed characteristic asks: the "
+        "reserve a unit is paid to hold; running at maximum power to sell it does not pay",
+    )
+    rotor: float = parameter(
+        5.0,
+        unit="1/s",
+        source="design",
+        doc="one unit at a tip-speed ratio 10 % of λ_opt beyond 0.9 λ_opt … 1.1 λ_pr, squared: low speed leads to "
+        "stall, high speed loads the structure",
+    )
+    overload: float = parameter(
+        1.0, unit="1/s", source="design", doc="one unit at 0.1 p.u. of power above 1.2 p.u., squared: converter heating"
+    )
+    effort: float = parameter(
+        0.05,
+        unit="1/s",
+        source="design",
+        doc="one unit at full action, four at a change by half the range within a step: a tie-breaker that keeps idle "
+        "actions at the reference and drives from chattering",
+    )
+    cap: float = parameter(
+        50.0,
+        unit="1/s",
+        source="design",
+        doc="largest cost rate of living on; a failure costs this for the rest of the episode and one second more, so "
+        "that no way of living on is dearer",
+    )
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            low = 1e-3 if field.name == "cap" else 0.0
+            require_range(f"weight {field.name!r}", getattr(self, field.name), low, 1e6, "1/s")
+
+
+@dataclass(frozen=True, kw_only=True)
+class EnvSettings:
+    """Arguments of the environment; all of them survive JSON.
+
+    Args:
+        strategy: law that the actions modulate, by name or .toml file; one for all groups, or one per group.
+        action_mode: "k", "tau" or "k+tau".
+        observation_mode: "local" (what each group measures itself) or "privileged" (plus the grid's state).
+        suite, split: where scenarios are drawn from.
+        scenario: a fixed scenario (as `Scenario.to_dict` gives it) played in every episode instead.
+        groups: number of groups at bus 2, or a list of {"bus": …, "n_turbines": …}.
+        duration_s: length of an episode [s]; None: the suite's own.
+        control_dt: control interval, one step [s].
+        simulation_dt: step of the integration [s].
+        weights: replaces single weights of :class:`CostWeights`.
+        machine_model: "genrou" (with exciters) or "classical".
+        on_failure: "terminate" the episode at a stall or over-speed, or "trip" the group and go on.
+
+    Raises:
+        ValueError: a value is unknown or out of range; the message lists what is allowed.
+    """
+
+    strategy: str | Sequence[str] = REFERENCE_STRATEGY
+    action_mode: str = "k+tau"
+    observation_mode: str = "local"
+    suite: str = "standard"
+    split: str = "train"
+    scenario: Mapping[str, Any] | None = None
+    groups: int | Sequence[Mapping[str, Any]] = 2
+    duration_s: float | None = None
+    control_dt: float = 0.1
+    simulation_dt: float = 0.02
+    weights: Mapping[str, float] | None = None
+    machine_model: str = "genrou"
+    on_failure: str = "terminate"
+
+    def __post_init__(self) -> None:
+        _require_choice("action_mode", self.action_mode, tuple(ACTION_MODES))
+        _require_choice("observation_mode", self.observation_mode, OBSERVATION_MODES)
+        _require_choice("machine_model", self.machine_model, MACHINE_MODELS)
+        _require_choice("on_failure", self.on_failure, FAILURE_MODES)
+        _require_choice("split", self.split, SPLITS)
+        get_suite(self.suite)
+        if self.duration_s is not None:
+            require_range("duration_s", self.duration_s, 1.0, 3600.0, "s")
+
+    def cost_weights(self) -> CostWeights:
+        """Return the weights in force; a ValueError names unknown ones."""
+        given = dict(self.weights or {})
+        known = [field.name for field in dataclasses.fields(CostWeights)]
+        unknown = sorted(set(given) - set(known))
+        if unknown:
+            raise ValueError(f"unknown weights {unknown}; known weights: {', '.join(known)}")
+        return CostWeights(**given)
+
+    def wtg_groups(self) -> tuple[WtgGroup, ...]:
+        """Return the WTG groups; a ValueError says what is wrong with a description."""
+        if isinstance(self.groups, int):
+            return default_groups(self.groups)
+        if isinstance(self.groups, (str, Mapping)) or not isinstance(self.groups, Sequence) or not self.groups:
+            raise ValueError(
+                f'groups must be a number of groups or a list of {{"bus": …, "n_turbines": …}}, got {self.groups!r}'
+            )
+        groups = []
+        for entry in self.groups:
+            if not isinstance(entry, Mapping) or not set(entry) <= {"bus", "n_turbines"}:
+                raise ValueError(f'a WTG group must be {{"bus": …, "n_turbines": …}}, got {entry!r}')
+            groups.append(WtgGroup(**entry))
+        return tuple(groups)
+
+    def laws(self) -> tuple[TrackingLaw, ...]:
+        """Return one law per WTG group; a ValueError lists the known strategies."""
+        n = len(self.wtg_groups())
+        if isinstance(self.strategy, (str, TrackingLaw)):
+            return (get_law(self.strategy),) * n
+        if not isinstance(self.strategy, Sequence):
+            raise ValueError(f"strategy must be a name or a list of names, got {self.strategy!r}")
+        if len(self.strategy) != n:
+            raise ValueError(f"strategy must name one law, or one for each of the {n} groups, got {len(self.strategy)}")
+        return tuple(get_law(name) for name in self.strategy)
+
+    def plant(self) -> PlantSettings:
+        """Return the plant and its time steps."""
+        return PlantSettings(
+            case=modified_ieee14(classical=self.machine_model == "classical"),
+            groups=self.wtg_groups(),
+            control_dt=self.control_dt,
+            simulation_dt=self.simulation_dt,
+            trips_groups=self.on_failure == "trip",
+        )
+
+    def fixed_scenario(self) -> Scenario | None:
+        """Return the scenario played in every episode, if one was given."""
+        if self.scenario is None:
+            return None
+        return self.scenario if isinstance(self.scenario, Scenario) else Scenario.from_dict(dict(self.scenario))
+
+    def episode_duration_s(self) -> float:
+        """Return the length of an episode [s]."""
+        if self.duration_s is not None:
+            return float(self.duration_s)
+        fixed = self.fixed_scenario()
+        return float(fixed.duration_s if fixed is not None else get_suite(self.suite).duration_s)
+
+
+def _require_choice(name: str, value: Any, choices: Sequence[str]) -> None:
+    if value not in choices:
+        raise ValueError(f"unknown {name} {value!r}; choose one of {', '.join(choices)}")
+
+
+__all__ = ["ACTION_MODES", "CostWeights", "EnvSettings"]

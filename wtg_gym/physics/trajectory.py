@@ -1,0 +1,127 @@
+"""One run, recorded: what `wtg-gym simulate` plots and the paper's claims are read from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from wtg_gym.physics.layout import LaneRow, Status, WtgRow
+from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.scenario import Scenario
+from wtg_gym.physics.simulator import Simulator
+from wtg_gym.physics.tracking_law import TrackingLaw
+from wtg_gym.physics.wind_turbine import WtgState
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trajectory:
+    """A recorded run, one sample per control interval and one at the start.
+
+    Args:
+        time_s: (n,) [s].
+        frequency_hz: centre of inertia (n,) [Hz].
+        wtg_frequency_hz: of each group's own control (n, n_wtg) [Hz].
+        rotor_speed_pu: (n, n_wtg) [p.u.].
+        tip_speed_ratio: (n, n_wtg) [-].
+        power_pu: delivered, on each group's base (n, n_wtg) [p.u.].
+        captured_power_pu: (n, n_wtg) [p.u.].
+        coefficient_pu: tracking coefficient k (n, n_wtg) [p.u.].
+        filter_pu: state x of the transient damping (n, n_wtg) [p.u.].
+        pitch_deg: (n, n_wtg) [deg].
+        wind_m_s: (n, n_wtg) [m/s].
+        status: why the run ended before its time, or RUNNING.
+        nominal_frequency_hz: [Hz].
+    """
+
+    time_s: Floats
+    frequency_hz: Floats
+    wtg_frequency_hz: Floats
+    rotor_speed_pu: Floats
+    tip_speed_ratio: Floats
+    power_pu: Floats
+    captured_power_pu: Floats
+    coefficient_pu: Floats
+    filter_pu: Floats
+    pitch_deg: Floats
+    wind_m_s: Floats
+    status: Status
+    nominal_frequency_hz: float
+
+    def rocof_hz_s(self, window_s: float = 0.5) -> Floats:
+        """Return the rate of change of frequency over a sliding window [Hz/s], shape (n,); zero before the first."""
+        steps = max(1, round(window_s / (self.time_s[1] - self.time_s[0]))) if self.time_s.size > 1 else 1
+        change = np.zeros_like(self.frequency_hz)
+        if self.time_s.size > steps:
+            change[steps:] = self.frequency_hz[steps:] - self.frequency_hz[:-steps]
+            change[steps:] /= self.time_s[steps:] - self.time_s[:-steps]
+        return change
+
+
+def simulate(
+    scenario: Scenario,
+    laws: TrackingLaw | Sequence[TrackingLaw],
+    settings: PlantSettings | None = None,
+    *,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> Trajectory:
+    """Run a scenario under fixed laws and record it.
+
+    Args:
+        scenario: what happens.
+        laws: one law for all WTG groups, or one per group.
+        settings: plant and time steps; the paper's by default.
+        on_progress: called with (intervals done, intervals in all).
+
+    Returns:
+        the recorded run; it ends early where the run ended (stall, over-speed, frequency limit).
+
+    Raises:
+        ValueError: scenario, laws and plant do not fit, or there is no equilibrium to start from.
+    """
+    settings = settings or PlantSettings()
+    simulator = Simulator(settings, duration_s=scenario.duration_s)
+    if isinstance(laws, TrackingLaw):
+        laws = (laws,) * len(settings.groups)
+    simulator.start(0, scenario, laws)
+    nominal = settings.case.frequency_hz
+    rows = (
+        WtgState.SPEED,
+        WtgState.ROTOR_SPEED,
+        WtgRow.POWER,
+        WtgRow.CAPTURED,
+        WtgRow.COEFFICIENT,
+        WtgState.FILTER,
+        WtgState.PITCH,
+        WtgRow.WIND,
+    )
+    frequency, samples = [], []
+    for step in range(simulator.n_intervals + 1):
+        frequency.append(nominal * simulator.lane_values(LaneRow.COI)[0])
+        samples.append([simulator.wtg_values(row)[0] for row in rows])
+        if step == simulator.n_intervals or simulator.lane_values(LaneRow.ACTIVE)[0] < 0.5:
+            break
+        simulator.advance()
+        if on_progress is not None:
+            on_progress(step + 1, simulator.n_intervals)
+    table = np.array(samples)
+    tip_speed = settings.turbine.tip_speed_ratio_per_speed_m_s
+    return Trajectory(
+        time_s=np.arange(len(frequency)) * settings.control_dt,
+        frequency_hz=np.array(frequency),
+        wtg_frequency_hz=nominal * table[:, 0],
+        rotor_speed_pu=table[:, 1],
+        tip_speed_ratio=tip_speed * table[:, 1] / table[:, 7],
+        power_pu=table[:, 2],
+        captured_power_pu=table[:, 3],
+        coefficient_pu=table[:, 4],
+        filter_pu=table[:, 5],
+        pitch_deg=table[:, 6],
+        wind_m_s=table[:, 7],
+        status=Status(int(simulator.lane_values(LaneRow.STATUS)[0])),
+        nominal_frequency_hz=nominal,
+    )
