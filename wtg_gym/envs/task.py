@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
 from wtg_gym.physics.compiled import compiled
-from wtg_gym.physics.dynamics import Floats, Lanes, advance_interval, lane_row
-from wtg_gym.physics.layout import LaneData, LaneRow, Plant, SyncRow, WtgRow
+from wtg_gym.physics.integration import advance_interval
+from wtg_gym.physics.layout import Floats, LaneData, LaneRow, Lanes, Plant, SyncRow, WtgRow, lane_row
 from wtg_gym.physics.synchronous_machine import MachineConstant, SyncState
 from wtg_gym.physics.tracking_law import STRATEGIES, tracking_coefficient
 from wtg_gym.physics.wind_turbine import TurbineConstant, WtgState
@@ -138,7 +138,13 @@ def first_invalid_action(actions: Floats) -> int:
 
 @compiled
 def start_task(
-    blocks: Floats, lane: int, plant: Plant, task: Task, end_step: float, observation: npt.NDArray, lanes: Lanes  # type: ignore[type-arg]
+    blocks: Floats,
+    lane: int,
+    plant: Plant,
+    task: Task,
+    end_step: float,
+    observation: npt.NDArray,
+    lanes: Lanes,  # type: ignore[type-arg]
 ) -> None:
     """Reset the task's rows of a freshly started lane and write its first observation (n_observation,)."""
     width = len(lanes)
@@ -268,9 +274,7 @@ def charge(block: Floats, x: int, plant: Plant, task: Task, action: Floats, widt
 
 
 @compiled
-def _effort(
-    block: Floats, g: int, at: int, task: Task, action: Floats, terms: Floats, n_wtg: int, width: int
-) -> int:
+def _effort(block: Floats, g: int, at: int, task: Task, action: Floats, terms: Floats, n_wtg: int, width: int) -> int:
     """Charge one group's actions, remember them, and return the index of the next group's."""
     n_action = int(task.modulates_k) + int(task.modulates_tau)
     for a in range(n_action):

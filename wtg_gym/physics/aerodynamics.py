@@ -13,6 +13,7 @@ from wtg_gym.physics.compiled import compiled
 from wtg_gym.physics.elementary import exponential
 from wtg_gym.physics.parameters import PowerCoefficientParameters, TurbineParameters
 
+
 @compiled
 def power_coefficient_of_inverse(
     inverse_tip_speed_ratio: float,

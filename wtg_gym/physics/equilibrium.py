@@ -9,16 +9,21 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.compiled import compiled
-from wtg_gym.physics.dynamics import (
+from wtg_gym.physics.dynamics import derivatives
+from wtg_gym.physics.integration import track_extremes
+from wtg_gym.physics.layout import (
+    N_SYNC_STATES,
+    EventColumn,
     Floats,
-    combine_load_noise,
-    derivatives,
+    LaneData,
+    LaneRow,
+    Plant,
+    SyncRow,
+    WtgRow,
     lane_row,
-    refresh_network,
-    track_extremes,
 )
-from wtg_gym.physics.layout import N_SYNC_STATES, EventColumn, LaneData, LaneRow, Plant, SyncRow, WtgRow
 from wtg_gym.physics.network import assemble_admittance, solve_power_flow
+from wtg_gym.physics.reduction import combine_load_noise, refresh_network
 from wtg_gym.physics.synchronous_machine import MachineConstant, SyncState
 from wtg_gym.physics.wind_turbine import TurbineConstant, WtgState, captured_power
 
@@ -117,7 +122,7 @@ def start_lane(block: Floats, lane: int, plant: Plant, data: LaneData, load_leve
     for i in range(n_sync):
         power[plant.unit_bus[i]] += plant.dispatch[i]
     for j in range(n_wtg):
-        o = (n_sync * SyncRow.N_ROWS + j * WtgRow.N_ROWS)
+        o = n_sync * SyncRow.N_ROWS + j * WtgRow.N_ROWS
         k_start = max(block[o + WtgRow.K_NOMINAL] + block[o + WtgRow.K_OFFSET], 0.0)
         rotor, pitch, found = turbine_equilibrium(data.wind[lane, j, 0], k_start, plant.turbine)
         if not found:
@@ -187,7 +192,7 @@ def _start_units(
                     fixed += plant.dispatch[u]
                 else:
                     size = plant.share[u - n_sync]
-                    o = (n_sync * SyncRow.N_ROWS + (u - n_sync) * WtgRow.N_ROWS)
+                    o = n_sync * SyncRow.N_ROWS + (u - n_sync) * WtgRow.N_ROWS
                     k_start = max(block[o + WtgRow.K_NOMINAL] + block[o + WtgRow.K_OFFSET], 0.0)
                     fixed += size * k_start * block[o + WtgState.ROTOR_SPEED] ** 3
                 rating_all += size
@@ -201,7 +206,7 @@ def _start_units(
                 active += (total.real - fixed) * rating / machines_all
             delta = _start_machine(block, i, plant, complex(active, reactive), voltage[bus])
         else:
-            o = (n_sync * SyncRow.N_ROWS + (i - n_sync) * WtgRow.N_ROWS)
+            o = n_sync * SyncRow.N_ROWS + (i - n_sync) * WtgRow.N_ROWS
             k_start = max(block[o + WtgRow.K_NOMINAL] + block[o + WtgRow.K_OFFSET], 0.0)
             active = plant.share[i - n_sync] * k_start * block[o + WtgState.ROTOR_SPEED] ** 3
             current = (complex(active, reactive) / voltage[bus]).conjugate()

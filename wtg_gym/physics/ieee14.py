@@ -115,9 +115,7 @@ def modified_ieee14(*, classical: bool = False) -> NetworkCase:
         base_mva=100.0,
         frequency_hz=50.0,
         slack_bus=1,
-        buses=tuple(
-            Bus(number=n, load_mw=p, load_mvar=q, shunt_mvar=b, voltage_pu=v) for n, p, q, b, v in _BUSES
-        ),
+        buses=tuple(Bus(number=n, load_mw=p, load_mvar=q, shunt_mvar=b, voltage_pu=v) for n, p, q, b, v in _BUSES),
         branches=tuple(
             Branch(from_bus=f, to_bus=t, resistance=r, reactance=x, charging=b, tap=tap)
             for f, t, r, x, b, tap in _BRANCHES

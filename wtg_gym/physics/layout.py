@@ -16,8 +16,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.physics.compiled import compiled
 from wtg_gym.physics.synchronous_machine import SyncState
 from wtg_gym.physics.wind_turbine import WtgState
+
+Floats = npt.NDArray[np.float64]
+#: A tuple of zeros as long as a block is wide; its length is known to the compiler.
+Lanes = tuple[int, ...]
 
 N_SYNC_STATES = len(SyncState)
 N_WTG_STATES = len(WtgState)
@@ -207,6 +212,19 @@ class Layout:
         return (*names, "reference_angle")
 
 
+@compiled
 def network_rows(n_unit: int) -> int:
     """Number of network rows: voltages, currents, noise transfer (6 n) and four matrices (4 n²)."""
     return 6 * n_unit + 4 * n_unit * n_unit
+
+
+@compiled
+def network_row(plant: Plant) -> int:
+    """Return the row at which the network starts."""
+    return len(plant.syncs) * SyncRow.N_ROWS + len(plant.wtgs) * WtgRow.N_ROWS
+
+
+@compiled
+def lane_row(plant: Plant) -> int:
+    """Return the row at which the lane's own rows start."""
+    return network_row(plant) + network_rows(len(plant.syncs) + len(plant.wtgs))

@@ -83,7 +83,9 @@ class NetworkCase:
         for machine in self.machines:
             self.bus_index(machine.bus)
         if not any(machine.bus == self.slack_bus for machine in self.machines):
-            raise ValueError(f"{self.name}: no synchronous machine at the slack bus {self.slack_bus} balances the power")
+            raise ValueError(
+                f"{self.name}: no synchronous machine at the slack bus {self.slack_bus} balances the power"
+            )
         if not self.connected_without(()):
             raise ValueError(f"{self.name}: the network is not connected")
 
@@ -246,7 +248,9 @@ def solve_power_flow(
         for i in range(n):
             own = magnitude[i] ** 2 * y[i, i].conjugate()
             p, q = flow[i].real, flow[i].imag
-            _add_jacobian(jacobian, unknown, i, i, -q + own.imag, p - own.real, p + own.real, q + own.imag, magnitude[i])
+            _add_jacobian(
+                jacobian, unknown, i, i, -q + own.imag, p - own.real, p + own.real, q + own.imag, magnitude[i]
+            )
             if unknown[0, i] >= 0:
                 mismatch[unknown[0, i], 0] = power[i].real - p
                 worst = max(worst, abs(power[i].real - p))

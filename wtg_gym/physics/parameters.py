@@ -26,12 +26,19 @@ SOURCES = {
 }
 
 
-def parameter(default: Any = dataclasses.MISSING, *, unit: str, source: str, doc: str) -> Any:
-    """Return a dataclass field that carries its unit, its source and what it is."""
-    metadata = {"unit": unit, "source": source, "doc": doc}
-    if default is dataclasses.MISSING:
-        return dataclasses.field(metadata=metadata)
-    return dataclasses.field(default=default, metadata=metadata)
+def describe(unit: str, source: str, doc: str) -> dict[str, str]:
+    """Return a field's metadata: its unit, the key of its source in SOURCES, and what it is."""
+    return {"unit": unit, "source": source, "doc": doc}
+
+
+def parameter(default: Any, unit: str, source: str, doc: str) -> Any:
+    """Return a dataclass field with a default value and :func:`describe`'s metadata."""
+    return dataclasses.field(default=default, metadata=describe(unit, source, doc))
+
+
+def required(unit: str, source: str, doc: str) -> Any:
+    """Return a dataclass field without a default and with :func:`describe`'s metadata."""
+    return dataclasses.field(metadata=describe(unit, source, doc))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,27 +48,27 @@ class PowerCoefficientParameters:
     Source: paper, equation `cp`. c4 = 0, so the exponent x has no effect and is left out.
     """
 
-    c1: float = parameter(0.5, unit="-", source="inferred", doc="scale of C_p")
-    c2: float = parameter(100.0, unit="-", source="inferred", doc="weight of 1/λi")
-    c3: float = parameter(0.4, unit="1/deg", source="Heier", doc="linear effect of the pitch angle")
-    c5: float = parameter(5.0, unit="-", source="inferred", doc="constant term")
-    c6: float = parameter(17.3, unit="-", source="inferred", doc="decay of the exponential")
-    c7: float = parameter(0.08, unit="1/deg", source="paper", doc="pitch term in the denominator of 1/λi")
-    c8: float = parameter(0.035, unit="-", source="paper", doc="offset of 1/λi")
+    c1: float = parameter(0.5, "-", "inferred", "scale of C_p")
+    c2: float = parameter(100.0, "-", "inferred", "weight of 1/λi")
+    c3: float = parameter(0.4, "1/deg", "Heier", "linear effect of the pitch angle")
+    c5: float = parameter(5.0, "-", "inferred", "constant term")
+    c6: float = parameter(17.3, "-", "inferred", "decay of the exponential")
+    c7: float = parameter(0.08, "1/deg", "paper", "pitch term in the denominator of 1/λi")
+    c8: float = parameter(0.035, "-", "paper", "offset of 1/λi")
 
 
 @dataclass(frozen=True, kw_only=True)
 class TurbineParameters:
     """One wind turbine: rotor, aerodynamics and mechanical inertia."""
 
-    rated_power_mw: float = parameter(5.0, unit="MW", source="paper", doc="nominal power S_n")
-    blade_radius_m: float = parameter(63.0, unit="m", source="paper", doc="blade radius R")
-    air_density_kg_m3: float = parameter(1.23, unit="kg/m³", source="paper", doc="air density ρ")
-    nominal_rotor_speed_rad_s: float = parameter(1.27, unit="rad/s", source="paper", doc="nominal rotor speed ω_tn")
-    inertia_constant_s: float = parameter(6.5, unit="s", source="paper", doc="mechanical inertia constant H_m")
+    rated_power_mw: float = parameter(5.0, "MW", "paper", "nominal power S_n")
+    blade_radius_m: float = parameter(63.0, "m", "paper", "blade radius R")
+    air_density_kg_m3: float = parameter(1.23, "kg/m³", "paper", "air density ρ")
+    nominal_rotor_speed_rad_s: float = parameter(1.27, "rad/s", "paper", "nominal rotor speed ω_tn")
+    inertia_constant_s: float = parameter(6.5, "s", "paper", "mechanical inertia constant H_m")
     power_coefficient: PowerCoefficientParameters = dataclasses.field(
         default_factory=PowerCoefficientParameters,
-        metadata={"unit": "-", "source": "paper", "doc": "constants of the C_p curve"},
+        metadata=describe("-", "paper", "constants of the C_p curve"),
     )
 
     @property
@@ -85,56 +92,63 @@ class PitchParameters:
     11.4 m/s, rotor at most 1.23 p.u.), so that the blades stay at rest there.
     """
 
-    captured_power_limit_pu: float = parameter(1.05, unit="p.u.", source="design", doc="captured power held above rated")
-    rotor_speed_limit_pu: float = parameter(1.27, unit="p.u.", source="design", doc="rotor speed the pitch defends")
-    speed_weight: float = parameter(4.0, unit="p.u./p.u.", source="design", doc="power excess one p.u. of speed counts as")
-    proportional_gain_deg: float = parameter(6.0, unit="deg/p.u.", source="design", doc="gain on the excess")
-    integral_gain_deg_s: float = parameter(10.0, unit="deg/(p.u. s)", source="design", doc="integral gain on the excess")
-    gain_schedule_deg: float = parameter(6.302336, unit="deg", source="NREL 5 MW", doc="pitch at which the gains halve")
-    actuator_time_s: float = parameter(0.1, unit="s", source="design", doc="lag of the pitch drive")
-    rate_limit_deg_s: float = parameter(8.0, unit="deg/s", source="NREL 5 MW", doc="largest pitch rate")
-    largest_angle_deg: float = parameter(30.0, unit="deg", source="design", doc="largest pitch angle")
+    captured_power_limit_pu: float = parameter(1.05, "p.u.", "design", "captured power held above rated")
+    rotor_speed_limit_pu: float = parameter(1.27, "p.u.", "design", "rotor speed the pitch defends")
+    speed_weight: float = parameter(4.0, "p.u./p.u.", "design", "power excess one p.u. of speed counts as")
+    proportional_gain_deg: float = parameter(6.0, "deg/p.u.", "design", "gain on the excess")
+    integral_gain_deg_s: float = parameter(10.0, "deg/(p.u. s)", "design", "integral gain on the excess")
+    gain_schedule_deg: float = parameter(6.302336, "deg", "NREL 5 MW", "pitch at which the gains halve")
+    actuator_time_s: float = parameter(0.1, "s", "design", "lag of the pitch drive")
+    rate_limit_deg_s: float = parameter(8.0, "deg/s", "NREL 5 MW", "largest pitch rate")
+    largest_angle_deg: float = parameter(30.0, "deg", "design", "largest pitch angle")
 
 
 @dataclass(frozen=True, kw_only=True)
 class GridFormingParameters:
     """Grid-forming control of one WTG on its own base, and the paper's regulation range."""
 
-    inertia_constant_s: float = parameter(5.0, unit="s", source="paper", doc="virtual inertia constant H")
-    droop_gain_pu: float = parameter(62.5, unit="p.u./p.u.", source="paper", doc="active power-frequency droop gain D_p")
-    frequency_setpoint_pu: float = parameter(1.0, unit="p.u.", source="paper", doc="frequency set-point ω_st")
-    frequency_min_pu: float = parameter(0.992, unit="p.u.", source="paper", doc="lower end of the regulation range ω_min")
-    frequency_max_pu: float = parameter(1.008, unit="p.u.", source="paper", doc="upper end of the regulation range ω_max")
+    inertia_constant_s: float = parameter(5.0, "s", "paper", "virtual inertia constant H")
+    droop_gain_pu: float = parameter(62.5, "p.u./p.u.", "paper", "active power-frequency droop gain D_p")
+    frequency_setpoint_pu: float = parameter(1.0, "p.u.", "paper", "frequency set-point ω_st")
+    frequency_min_pu: float = parameter(0.992, "p.u.", "paper", "lower end of the regulation range ω_min")
+    frequency_max_pu: float = parameter(1.008, "p.u.", "paper", "upper end of the regulation range ω_max")
     reactance_pu: float = parameter(
-        0.55, unit="p.u.", source="design", doc="X_g behind the voltage; with the network K_p ≈ 1.5 as the paper's margins need"
+        0.55,
+        "p.u.",
+        "design",
+        "X_g behind the voltage; with the network K_p ≈ 1.5 as the paper's margins need",
     )
-    damping_time_constant_s: float = parameter(0.8, unit="s", source="paper", doc="transient damping time constant τ")
-    deloading_nominal: float = parameter(0.05, unit="-", source="paper", doc="deloading d_n at ω_st")
-    deloading_limit: float = parameter(0.10, unit="-", source="paper", doc="deloading limit d_pr at ω_max")
-    overload_limit_pu: float = parameter(1.2, unit="p.u.", source="design", doc="power above which the converter counts as overloaded")
+    damping_time_constant_s: float = parameter(0.8, "s", "paper", "transient damping time constant τ")
+    deloading_nominal: float = parameter(0.05, "-", "paper", "deloading d_n at ω_st")
+    deloading_limit: float = parameter(0.10, "-", "paper", "deloading limit d_pr at ω_max")
+    overload_limit_pu: float = parameter(1.2, "p.u.", "design", "power above which the converter counts as overloaded")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProtectionParameters:
     """What ends a run, or trips a group."""
 
-    stall_tip_speed_ratio: float = parameter(3.5, unit="-", source="design", doc="below it, at fine pitch, a rotor has stalled")
-    stall_pitch_deg: float = parameter(0.5, unit="deg", source="design", doc="above it a low tip-speed ratio is the pitch's doing")
-    over_speed_pu: float = parameter(1.4, unit="p.u.", source="design", doc="rotor over-speed trip")
-    frequency_min_hz: float = parameter(47.5, unit="Hz", source="ENTSO-E", doc="lower end of the range units must ride through")
-    frequency_max_hz: float = parameter(51.5, unit="Hz", source="ENTSO-E", doc="upper end of the range units must ride through")
+    stall_tip_speed_ratio: float = parameter(3.5, "-", "design", "below it, at fine pitch, a rotor has stalled")
+    stall_pitch_deg: float = parameter(0.5, "deg", "design", "above it a low tip-speed ratio is the pitch's doing")
+    over_speed_pu: float = parameter(1.4, "p.u.", "design", "rotor over-speed trip")
+    frequency_min_pu: float = parameter(
+        0.95, "p.u.", "ENTSO-E", "lower end of the range units must ride through, 47.5 Hz"
+    )
+    frequency_max_pu: float = parameter(
+        1.03, "p.u.", "ENTSO-E", "upper end of the range units must ride through, 51.5 Hz"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExciterParameters:
     """SEXS: lead-lag, first-order exciter with a non-windup limit, on the terminal voltage."""
 
-    gain: float = parameter(100.0, unit="p.u./p.u.", source="design", doc="gain K")
-    lead_lag_ratio: float = parameter(0.1, unit="-", source="design", doc="T_A / T_B")
-    lag_time_s: float = parameter(10.0, unit="s", source="design", doc="T_B")
-    exciter_time_s: float = parameter(0.05, unit="s", source="design", doc="T_E")
-    field_min_pu: float = parameter(-5.0, unit="p.u.", source="design", doc="lower field voltage limit")
-    field_max_pu: float = parameter(8.0, unit="p.u.", source="design", doc="upper field voltage limit")
+    gain: float = parameter(100.0, "p.u./p.u.", "design", "gain K")
+    lead_lag_ratio: float = parameter(0.1, "-", "design", "T_A / T_B")
+    lag_time_s: float = parameter(10.0, "s", "design", "T_B")
+    exciter_time_s: float = parameter(0.05, "s", "design", "T_E")
+    field_min_pu: float = parameter(-5.0, "p.u.", "design", "lower field voltage limit")
+    field_max_pu: float = parameter(8.0, "p.u.", "design", "upper field voltage limit")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,46 +156,56 @@ class GovernorParameters:
     """TGOV1: droop, gate with non-windup limits, reheat lead-lag."""
 
     droop_pu: float = parameter(
-        0.018, unit="p.u.", source="calibrated", doc="droop R on the machine base (Milano: 0.02); settles the paper's 0.996"
+        0.018,
+        "p.u.",
+        "calibrated",
+        "droop R on the machine base (Milano: 0.02); settles the paper's 0.996",
     )
-    gate_time_s: float = parameter(0.1, unit="s", source="Milano", doc="T_1")
-    lead_time_s: float = parameter(2.1, unit="s", source="design", doc="T_2")
-    reheat_time_s: float = parameter(7.0, unit="s", source="design", doc="T_3")
-    gate_min_pu: float = parameter(0.0, unit="p.u.", source="design", doc="lower gate limit")
-    gate_max_pu: float = parameter(1.2, unit="p.u.", source="Milano", doc="upper gate limit")
-    turbine_damping_pu: float = parameter(0.0, unit="p.u./p.u.", source="design", doc="D_t")
+    gate_time_s: float = parameter(0.1, "s", "Milano", "T_1")
+    lead_time_s: float = parameter(2.1, "s", "design", "T_2")
+    reheat_time_s: float = parameter(7.0, "s", "design", "T_3")
+    gate_min_pu: float = parameter(0.0, "p.u.", "design", "lower gate limit")
+    gate_max_pu: float = parameter(1.2, "p.u.", "Milano", "upper gate limit")
+    turbine_damping_pu: float = parameter(0.0, "p.u./p.u.", "design", "D_t")
 
 
 @dataclass(frozen=True, kw_only=True)
 class SynchronousMachineParameters:
     """A round-rotor machine (GENROU without saturation, x''_q = x''_d) on its own base, or a classical one."""
 
-    bus: int = parameter(unit="-", source="Milano", doc="bus number")
-    rating_mva: float = parameter(unit="MVA", source="Milano", doc="rating S_n")
-    two_h_s: float = parameter(unit="s", source="Milano", doc="starting time 2H")
-    x_d: float = parameter(unit="p.u.", source="Milano", doc="synchronous reactance, d axis")
-    x_d_transient: float = parameter(unit="p.u.", source="Milano", doc="transient reactance, d axis")
-    x_subtransient: float = parameter(unit="p.u.", source="Milano", doc="subtransient reactance of both axes")
-    x_q: float = parameter(unit="p.u.", source="Milano", doc="synchronous reactance, q axis")
-    x_q_transient: float = parameter(unit="p.u.", source="Milano", doc="transient reactance, q axis")
-    t_d0_transient_s: float = parameter(unit="s", source="Milano", doc="open-circuit transient time constant, d axis")
-    t_d0_subtransient_s: float = parameter(unit="s", source="Milano", doc="open-circuit subtransient time constant, d axis")
+    bus: int = required("-", "Milano", "bus number")
+    rating_mva: float = required("MVA", "Milano", "rating S_n")
+    two_h_s: float = required("s", "Milano", "starting time 2H")
+    x_d: float = required("p.u.", "Milano", "synchronous reactance, d axis")
+    x_d_transient: float = required("p.u.", "Milano", "transient reactance, d axis")
+    x_subtransient: float = required("p.u.", "Milano", "subtransient reactance of both axes")
+    x_q: float = required("p.u.", "Milano", "synchronous reactance, q axis")
+    x_q_transient: float = required("p.u.", "Milano", "transient reactance, q axis")
+    t_d0_transient_s: float = required("s", "Milano", "open-circuit transient time constant, d axis")
+    t_d0_subtransient_s: float = required("s", "Milano", "open-circuit subtransient time constant, d axis")
     t_q0_transient_s: float = parameter(
-        1.0, unit="s", source="Milano", doc="open-circuit transient time constant, q axis; without effect where x'_q = x_q"
+        1.0,
+        "s",
+        "Milano",
+        "open-circuit transient time constant, q axis; without effect where x'_q = x_q",
     )
-    t_q0_subtransient_s: float = parameter(unit="s", source="Milano", doc="open-circuit subtransient time constant, q axis")
-    x_leakage: float = parameter(0.1, unit="p.u.", source="design", doc="leakage reactance; Milano's at bus 1 exceeds x''_d")
-    resistance: float = parameter(0.0, unit="p.u.", source="design", doc="armature resistance")
-    damping_pu: float = parameter(2.0, unit="p.u./p.u.", source="Milano", doc="damping D")
-    dispatch_mw: float = parameter(0.0, unit="MW", source="design", doc="power in the initial power flow; slack machines balance")
+    t_q0_subtransient_s: float = required("s", "Milano", "open-circuit subtransient time constant, q axis")
+    x_leakage: float = parameter(0.1, "p.u.", "design", "leakage reactance; Milano's at bus 1 exceeds x''_d")
+    resistance: float = parameter(0.0, "p.u.", "design", "armature resistance")
+    damping_pu: float = parameter(2.0, "p.u./p.u.", "Milano", "damping D")
+    dispatch_mw: float = parameter(0.0, "MW", "design", "power in the initial power flow; slack machines balance")
     exciter: ExciterParameters | None = dataclasses.field(
-        default_factory=ExciterParameters, metadata={"unit": "-", "source": "design", "doc": "exciter, None for constant field"}
+        default_factory=ExciterParameters,
+        metadata=describe("-", "design", "exciter, None for constant field"),
     )
     governor: GovernorParameters | None = dataclasses.field(
-        default=None, metadata={"unit": "-", "source": "Milano", "doc": "governor, None for constant torque"}
+        default=None, metadata=describe("-", "Milano", "governor, None for constant torque")
     )
     classical: bool = parameter(
-        False, unit="-", source="design", doc="constant voltage behind x'_d instead of GENROU and exciter (ANDES' GENCLS)"
+        False,
+        "-",
+        "design",
+        "constant voltage behind x'_d instead of GENROU and exciter (ANDES' GENCLS)",
     )
 
 
@@ -194,8 +218,8 @@ class WtgGroup:
         n_turbines: how many turbines of `turbine.rated_power_mw` it stands for.
     """
 
-    bus: int = parameter(2, unit="-", source="paper", doc="bus number")
-    n_turbines: float = parameter(10.0, unit="-", source="paper", doc="number of turbines in the group")
+    bus: int = parameter(2, "-", "paper", "bus number")
+    n_turbines: float = parameter(10.0, "-", "paper", "number of turbines in the group")
 
 
 def default_groups(n_groups: int = 2, bus: int = 2) -> tuple[WtgGroup, ...]:

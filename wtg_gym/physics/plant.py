@@ -75,9 +75,7 @@ def build_plant(settings: PlantSettings) -> Plant:
     """Return the tables of a plant for the kernels."""
     case = settings.case
     machines = [machine_constants(m, case.base_mva) for m in case.machines]
-    turbine = turbine_constants(
-        settings.turbine, settings.pitch, settings.control, settings.protection, case.frequency_hz
-    )
+    turbine = turbine_constants(settings.turbine, settings.pitch, settings.control, settings.protection)
     share = np.array([g.n_turbines * settings.turbine.rated_power_mw / case.base_mva for g in settings.groups])
     buses = [m.bus for m in case.machines] + [g.bus for g in settings.groups]
     unit_bus = np.array([case.bus_index(b) for b in buses], dtype=np.int64)

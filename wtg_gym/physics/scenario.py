@@ -116,8 +116,8 @@ class Scenario:
 
     Args:
         name: free text, used in tables and plots.
-        wind_speed: rotor-effective wind per WTG group and sample, shape (n_wtg, n_samples) [m/s];
-            linear between samples, the last one holds.
+        wind_speed: rotor-effective wind per WTG group and sample, shape (n_wtg, n_samples) [m/s], n_wtg = 0 for a
+            grid without any; linear between samples, the last one holds.
         wind_dt_s: sampling step of `wind_speed` [s].
         duration_s: length of the run [s].
         events: load and line events, in any order.
@@ -147,7 +147,7 @@ class Scenario:
 
     def __post_init__(self) -> None:
         wind = np.array(self.wind_speed, dtype=np.float64)
-        if wind.ndim != 2 or wind.shape[0] < 1 or wind.shape[1] < 1:
+        if wind.ndim != 2 or wind.shape[1] < 1:
             raise ValueError(f"wind_speed must have shape (n_wtg, n_samples), got shape {wind.shape}")
         low, high = WIND_SPEED_RANGE
         bad = ~((wind >= low) & (wind <= high))

@@ -9,17 +9,16 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from wtg_gym.physics.dynamics import advance_blocks, evaluate_rates
+from wtg_gym.physics.dynamics import evaluate_rates
 from wtg_gym.physics.equilibrium import StartFailure, start_lane
-from wtg_gym.physics.layout import EventColumn, LaneData, LaneRow, Layout, SyncRow, WtgRow
+from wtg_gym.physics.integration import advance_blocks
+from wtg_gym.physics.layout import EventColumn, Floats, LaneData, LaneRow, Layout, SyncRow, WtgRow
 from wtg_gym.physics.plant import PlantSettings, build_plant, whole_steps
 from wtg_gym.physics.scenario import SERIES_DT, Event, LineTrip, LoadRamp, LoadTrip, Scenario
 from wtg_gym.physics.synchronous_machine import MachineConstant
 from wtg_gym.physics.tracking_law import TrackingLaw
 
-Floats = npt.NDArray[np.float64]
 #: Lanes per block of a batched simulator; a single run uses a block of one.
 BLOCK_WIDTH = 16
 #: A thread is worth its start only for this many blocks.

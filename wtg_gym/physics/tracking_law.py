@@ -190,14 +190,17 @@ def read_law(path: Path) -> TrackingLaw:
         given = [key for key in (f"k_{corner}", f"deloading_{corner}") if key in data]
         if len(given) != 1:
             raise ValueError(
-                f"the law file {path} must give exactly one of k_{corner} [p.u.] and deloading_{corner} [%], got {given}"
+                f"the law file {path} must give exactly one of k_{corner} [p.u.] and deloading_{corner} [%], "
+                f"got {given or 'neither'}"
             )
         value = data[given[0]]
         if given[0].startswith("deloading"):
             percent = require_range(f"{given[0]} in {path}", value, 0.0, 90.0, "%")
             coefficients[f"k_{corner}"] = tracking_point(percent / 100.0).coefficient
         else:
-            coefficients[f"k_{corner}"] = require_range(f"{given[0]} in {path}", value, 1e-3, LARGEST_COEFFICIENT, "p.u.")
+            coefficients[f"k_{corner}"] = require_range(
+                f"{given[0]} in {path}", value, 1e-3, LARGEST_COEFFICIENT, "p.u."
+            )
     name = data.get("name", path.stem)
     if not isinstance(name, str):
         raise ValueError(f"name in {path} must be text, got {name!r}")

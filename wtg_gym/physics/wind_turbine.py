@@ -88,7 +88,9 @@ def captured_power(
 ) -> float:
     """Return p_w [p.u.] at rotor speed ω_m [p.u.], wind [m/s] and pitch [deg]. Source: paper, equation `pw`."""
     inverse = wind / (tip_speed * max(rotor_speed, 1e-3))
-    return wind_power * wind * wind * wind * power_coefficient_of_inverse(inverse, pitch_deg, c1, c2, c3, c5, c6, c7, c8)
+    return (
+        wind_power * wind * wind * wind * power_coefficient_of_inverse(inverse, pitch_deg, c1, c2, c3, c5, c6, c7, c8)
+    )
 
 
 @compiled
@@ -120,9 +122,8 @@ def turbine_constants(
     pitch: PitchParameters,
     control: GridFormingParameters,
     protection: ProtectionParameters,
-    frequency_hz: float,
 ) -> npt.NDArray[np.float64]:
-    """Return the table of :class:`TurbineConstant` values; `frequency_hz` is the nominal frequency [Hz]."""
+    """Return the table of :class:`TurbineConstant` values."""
     c, cp = TurbineConstant, turbine.power_coefficient
     best = tracking_point(0.0, turbine)
     values = {
@@ -160,7 +161,7 @@ def turbine_constants(
         c.STALL_TIP_SPEED_RATIO: protection.stall_tip_speed_ratio,
         c.STALL_PITCH: protection.stall_pitch_deg,
         c.OVER_SPEED: protection.over_speed_pu,
-        c.COI_MIN: protection.frequency_min_hz / frequency_hz,
-        c.COI_MAX: protection.frequency_max_hz / frequency_hz,
+        c.COI_MIN: protection.frequency_min_pu,
+        c.COI_MAX: protection.frequency_max_pu,
     }
     return np.array([values[key] for key in TurbineConstant])

@@ -1,0 +1,134 @@
+"""The network as the units see it: Kron reduction per topology, and load noise on top of it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from wtg_gym.physics.compiled import compiled
+from wtg_gym.physics.layout import (
+    EventColumn,
+    Floats,
+    LaneData,
+    LaneRow,
+    Lanes,
+    Plant,
+    SyncRow,
+    WtgRow,
+    lane_row,
+    network_row,
+)
+from wtg_gym.physics.network import assemble_admittance, transfer_impedances
+
+
+@compiled
+def refresh_network(block: Floats, x: int, lane: int, plant: Plant, data: LaneData, width: int) -> None:
+    """Kron-reduce the network of one lane as it is from its present step on, and note when it changes next.
+
+    Load ramps are staircases: constant over a control interval at the value of its middle.
+    """
+    n_sync, n = len(plant.syncs), len(plant.syncs) + len(plant.wtgs)
+    own = lane_row(plant) * width
+    step = block[own + LaneRow.STEP * width + x]
+    n_bus = plant.shunt_y.shape[0]
+    events = data.events[lane]
+    following = math.inf
+    for e in range(events.shape[0]):
+        start, end = events[e, EventColumn.START], events[e, EventColumn.END]
+        if step < start:
+            following = min(following, start)
+        elif step < end:
+            boundary = (math.floor(step / plant.n_substeps) + 1.0) * plant.n_substeps
+            following = min(following, min(boundary, end))
+    block[own + LaneRow.NEXT_CHANGE * width + x] = following
+    bus_y = np.empty(n_bus, dtype=np.complex128)
+    for k in range(n_bus):
+        bus_y[k] = plant.shunt_y[k] + data.load_y[lane, k]
+    open_branch = np.zeros(plant.branch_from.shape[0], dtype=np.bool_)
+    for e in range(events.shape[0]):
+        start, end = events[e, EventColumn.START], events[e, EventColumn.END]
+        if step >= start:
+            level = 1.0 if step >= end else (0.5 * (step + following) - start) / (end - start)
+            branch = int(events[e, EventColumn.BRANCH])
+            if branch >= 0:
+                open_branch[branch] = True
+            else:
+                bus_y[int(events[e, EventColumn.BUS])] += level * complex(
+                    events[e, EventColumn.CONDUCTANCE], events[e, EventColumn.SUSCEPTANCE]
+                )
+    unit_y = plant.unit_y.copy()
+    for j in range(len(plant.wtgs)):
+        connected = block[(n_sync * SyncRow.N_ROWS + j * WtgRow.N_ROWS + WtgRow.CONNECTED) * width + x]
+        unit_y[n_sync + j] *= connected
+    for i in range(n):
+        bus_y[plant.unit_bus[i]] += unit_y[i]
+    y = assemble_admittance(plant.branch_from, plant.branch_to, plant.branch_y, open_branch, bus_y)
+    noise_bus = data.noise_bus[lane]
+    z = transfer_impedances(y, plant.unit_bus, noise_bus)
+    _store_reduction(block, x, plant, unit_y, z, noise_bus, width)
+
+
+@compiled
+def _store_reduction(
+    block: Floats,
+    x: int,
+    plant: Plant,
+    unit_y: npt.NDArray[np.complex128],
+    z: npt.NDArray[np.complex128],
+    noise_bus: int,
+    width: int,
+) -> None:
+    """Write Y_red = diag(y) - diag(y) Z diag(y), the noise bus's transfer u = diag(y) Z e and its impedance."""
+    n = len(plant.syncs) + len(plant.wtgs)
+    u_re = (network_row(plant) + 4 * n) * width
+    u_im = u_re + n * width
+    g0 = u_im + n * width + 2 * n * n * width
+    b0 = g0 + n * n * width
+    for i in range(n):
+        for j in range(n):
+            value = -unit_y[i] * z[plant.unit_bus[i], j] * unit_y[j]
+            if i == j:
+                value += unit_y[i]
+            block[g0 + (i * n + j) * width + x] = value.real
+            block[b0 + (i * n + j) * width + x] = value.imag
+        transfer = unit_y[i] * z[plant.unit_bus[i], n]
+        block[u_re + i * width + x] = transfer.real
+        block[u_im + i * width + x] = transfer.imag
+    own = lane_row(plant) * width
+    block[own + LaneRow.NOISE_Z_RE * width + x] = z[noise_bus, n].real
+    block[own + LaneRow.NOISE_Z_IM * width + x] = z[noise_bus, n].imag
+
+
+@compiled
+def combine_load_noise(block: Floats, plant: Plant, noise_y: Floats, lanes: Lanes) -> None:
+    """Put the load noise into the reduced admittance of every lane of a block by a rank-one update.
+
+    Y = Y0 + Δy/(1 + Δy z) u uᵀ (Sherman-Morrison); exact for one bus, and cheap enough for every control interval.
+    `noise_y` (width) is Δy, a conductance [p.u.].
+    """
+    width = len(lanes)
+    n = len(plant.syncs) + len(plant.wtgs)
+    own = lane_row(plant) * width
+    u_re = (network_row(plant) + 4 * n) * width
+    u_im = u_re + n * width
+    g = u_im + n * width
+    b = g + n * n * width
+    g0 = b + n * n * width
+    b0 = g0 + n * n * width
+    for i in range(n):
+        for j in range(n):
+            at = (i * n + j) * width
+            for x in range(width):
+                dy = noise_y[x]
+                d_re = 1.0 + dy * block[own + LaneRow.NOISE_Z_RE * width + x]
+                d_im = dy * block[own + LaneRow.NOISE_Z_IM * width + x]
+                size = dy / (d_re * d_re + d_im * d_im)
+                f_re, f_im = size * d_re, -size * d_im
+                u_i_re, u_i_im = block[u_re + i * width + x], block[u_im + i * width + x]
+                u_j_re, u_j_im = block[u_re + j * width + x], block[u_im + j * width + x]
+                v_re = u_i_re * u_j_re - u_i_im * u_j_im
+                v_im = u_i_re * u_j_im + u_i_im * u_j_re
+                block[g + at + x] = block[g0 + at + x] + f_re * v_re - f_im * v_im
+                block[b + at + x] = block[b0 + at + x] + f_re * v_im + f_im * v_re
