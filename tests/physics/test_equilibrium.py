@@ -1,0 +1,94 @@
+"""Every run starts in an exact equilibrium."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tests.physics.cases import classical_machine
+from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.layout import WtgRow
+from wtg_gym.physics.parameters import WtgGroup, default_groups
+from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.scenario import Scenario
+from wtg_gym.physics.simulator import Simulator
+from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw
+from wtg_gym.physics.wind_turbine import WtgState
+from wtg_gym.scenarios import SUITES
+
+LIMIT = 1e-8
+
+
+def rates_without_energies(simulator: Simulator) -> float:
+    """Largest |dx/dt|; the two energies, which grow in every equilibrium, do not count."""
+    keep = [i for i, name in enumerate(simulator.layout.state_names) if "energy" not in name]
+    return float(np.abs(simulator.rates()[keep]).max())
+
+
+@pytest.mark.parametrize("law", STRATEGIES.values(), ids=lambda law: law.name)
+def test_no_state_moves_at_the_start_at_any_wind(simulator: Simulator, law: TrackingLaw) -> None:
+    for wind in np.linspace(6.0, 13.0, 20):
+        simulator.start(0, Scenario(name="x", wind_speed=np.array([[wind], [19.0 - wind]])), (law, law))
+        assert rates_without_energies(simulator) <= LIMIT, f"{wind:g} m/s"
+
+
+@pytest.mark.parametrize("suite", SUITES.values(), ids=lambda suite: suite.name)
+@pytest.mark.parametrize("split", ["validation", "test"])
+def test_no_state_moves_at_the_start_of_the_suites(simulator: Simulator, suite: object, split: str) -> None:
+    law = STRATEGIES["coordinated-piecewise"]
+    for seed in list(suite.seeds(split))[:50]:  # type: ignore[attr-defined]
+        simulator.start(0, suite.scenario(seed), (law, law))  # type: ignore[attr-defined]
+        assert rates_without_energies(simulator) <= LIMIT, f"seed {seed}"
+
+
+@pytest.mark.parametrize("wind", [12.0, 15.0, 20.0, 24.0])
+def test_above_rated_the_pitch_holds_the_captured_power_at_its_limit(simulator: Simulator, wind: float) -> None:
+    law = STRATEGIES["coordinated-piecewise"]
+    simulator.start(0, Scenario(name="x", wind_speed=np.full((2, 1), wind)), (law, law))
+    assert rates_without_energies(simulator) <= LIMIT
+    assert simulator.wtg_values(WtgRow.CAPTURED)[0] == pytest.approx([1.05, 1.05], abs=1e-9)
+    assert (simulator.wtg_values(WtgState.PITCH)[0] > 0.0).all()
+
+
+@pytest.mark.parametrize("wind", [3.0, 8.0, 11.4])
+def test_below_rated_the_pitch_is_exactly_at_rest(simulator: Simulator, wind: float) -> None:
+    law = STRATEGIES["coordinated-piecewise"]
+    simulator.start(0, Scenario(name="x", wind_speed=np.full((2, 1), wind)), (law, law))
+    assert (simulator.wtg_values(WtgState.PITCH)[0] == 0.0).all()
+
+
+@pytest.mark.parametrize("model", ["genrou", "classical"])
+@pytest.mark.parametrize("groups", [default_groups(1), (WtgGroup(bus=3), WtgGroup(bus=14, n_turbines=2.0))])
+def test_other_groups_and_machine_models_start_at_rest(model: str, groups: tuple[WtgGroup, ...]) -> None:
+    case = modified_ieee14(classical=model == "classical")
+    simulator = Simulator(PlantSettings(case=case, groups=groups))
+    wind = np.full((len(groups), 1), 9.0)
+    simulator.start(0, Scenario(name="x", wind_speed=wind), (STRATEGIES["mppt"],) * len(groups))
+    assert rates_without_energies(simulator) <= LIMIT
+
+
+def test_resistance_and_shared_buses_start_at_rest() -> None:
+    case = modified_ieee14()
+    machines = [dataclasses.replace(machine, resistance=0.003) for machine in case.machines]
+    case = dataclasses.replace(case, machines=(*machines, classical_machine(3, dispatch_mw=20.0)))
+    simulator = Simulator(PlantSettings(case=case))
+    law = STRATEGIES["coordinated-linear"]
+    simulator.start(0, Scenario(name="x", wind_speed=np.full((2, 1), 9.0)), (law, law))
+    assert rates_without_energies(simulator) <= LIMIT
+
+
+def test_a_start_without_equilibrium_is_refused(simulator: Simulator) -> None:
+    greedy = TrackingLaw(name="greedy", k_min=3.0, k_nominal=3.0, k_max=3.0)
+    scenario = Scenario(name="impossible", wind_speed=np.full((2, 1), 8.0))
+    with pytest.raises(ValueError, match=r"'impossible' cannot start: a WTG group has no equilibrium"):
+        simulator.start(0, scenario, (greedy, greedy))
+
+
+def test_too_much_wind_for_the_balancing_machine_is_refused() -> None:
+    groups = tuple(WtgGroup(bus=2, n_turbines=40.0) for _ in range(2))
+    simulator = Simulator(PlantSettings(groups=groups))
+    law = STRATEGIES["mppt"]
+    with pytest.raises(ValueError, match=r"gate limits"):
+        simulator.start(0, Scenario(name="x", wind_speed=np.full((2, 1), 11.0)), (law, law))

@@ -1,0 +1,121 @@
+"""Power flow and linear algebra against published and independent results."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.physics.cases import classical_machine
+from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.network import (
+    Branch,
+    Bus,
+    NetworkCase,
+    assemble_admittance,
+    branch_admittances,
+    solve_in_place,
+    solve_power_flow,
+)
+from wtg_gym.physics.plant import PlantSettings, build_plant
+
+# Solution of the IEEE 14-bus test case: voltage [p.u.] and angle [deg] of buses 1 … 14, as printed in the archive.
+PUBLISHED = (
+    (1.060, 0.0),
+    (1.045, -4.98),
+    (1.010, -12.72),
+    (1.019, -10.33),
+    (1.020, -8.78),
+    (1.070, -14.22),
+    (1.062, -13.37),
+    (1.090, -13.36),
+    (1.056, -14.94),
+    (1.051, -15.10),
+    (1.057, -14.79),
+    (1.055, -15.07),
+    (1.050, -15.16),
+    (1.036, -16.04),
+)
+
+
+def solve(case: NetworkCase, power: np.ndarray[Any, np.dtype[np.complex128]]) -> tuple[Any, Any, int]:
+    plant = build_plant(PlantSettings(case=case, groups=()))
+    y = assemble_admittance(
+        plant.branch_from, plant.branch_to, plant.branch_y, np.zeros(len(case.branches), bool), plant.shunt_y
+    )
+    magnitude, angle = plant.voltage.copy(), np.zeros(len(case.buses))
+    iterations = solve_power_flow(y, plant.slack, plant.holds_voltage, power - plant.load, magnitude, angle)
+    return magnitude, angle, iterations
+
+
+def test_power_flow_meets_the_published_solution_of_the_ieee_14_bus_system() -> None:
+    case = modified_ieee14()
+    original = dataclasses.replace(case, machines=(*case.machines, classical_machine(2, dispatch_mw=40.0)))
+    power = np.zeros(14, dtype=np.complex128)
+    power[1] = 0.4
+    magnitude, angle, iterations = solve(original, power)
+    assert 0 < iterations <= 6
+    for k, (v, a) in enumerate(PUBLISHED):
+        assert magnitude[k] == pytest.approx(v, abs=1.5e-3), f"voltage of bus {k + 1}"
+        assert np.degrees(angle[k]) == pytest.approx(a, abs=0.03), f"angle of bus {k + 1}"
+
+
+def test_impossible_power_flow_is_reported() -> None:
+    power = np.zeros(14, dtype=np.complex128)
+    power[13] = -30.0
+    assert solve(modified_ieee14(), power)[2] == -1
+
+
+@pytest.mark.parametrize("n", [1, 2, 7, 22])
+@pytest.mark.parametrize("dtype", [np.float64, np.complex128])
+def test_linear_solver_agrees_with_lapack(n: int, dtype: type) -> None:
+    rng = np.random.default_rng(n)
+    a, b = rng.normal(size=(n, n)).astype(dtype), rng.normal(size=(n, 3)).astype(dtype)
+    if dtype is np.complex128:
+        a, b = a + 1j * rng.normal(size=(n, n)), b - 1j * rng.normal(size=(n, 3))
+    x = b.copy()
+    assert solve_in_place(a.copy(), x)
+    assert np.allclose(x, np.linalg.solve(a, b), rtol=1e-10, atol=1e-12)
+
+
+def test_linear_solver_reports_a_singular_matrix() -> None:
+    assert not solve_in_place(np.ones((3, 3)), np.ones((3, 1)))
+
+
+def test_off_nominal_tap_and_phase_follow_the_pi_model() -> None:
+    tap, phase, y = 0.9, 0.2, 1.0 / complex(0.01, 0.1)
+    branch = Branch(from_bus=1, to_bus=2, resistance=0.01, reactance=0.1, charging=0.04, tap=tap, phase_rad=phase)
+    ratio = tap * np.exp(1j * phase)
+    expected = [(y + 0.02j) / tap**2, -y / np.conj(ratio), -y / ratio, y + 0.02j]
+    assert branch_admittances((branch,))[0] == pytest.approx(np.array(expected))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"buses": (Bus(number=1), Bus(number=1))}, r"unique"),
+        ({"buses": (Bus(number=1), Bus(number=2), Bus(number=3))}, r"not connected"),
+        ({"slack_bus": 2}, r"no synchronous machine at the slack bus 2"),
+        ({"branches": (Branch(from_bus=1, to_bus=9, resistance=0.0, reactance=0.1),)}, r"unknown bus 9; .* \[1, 2\]"),
+        ({"branches": (Branch(from_bus=1, to_bus=2, resistance=0.0, reactance=0.0),)}, r"1-2 has no impedance"),
+    ],
+)
+def test_impossible_networks_are_named(changes: dict[str, Any], message: str) -> None:
+    settings: dict[str, Any] = {
+        "name": "two buses",
+        "base_mva": 100.0,
+        "frequency_hz": 50.0,
+        "slack_bus": 1,
+        "buses": (Bus(number=1, voltage_pu=1.0), Bus(number=2, load_mw=10.0)),
+        "branches": (Branch(from_bus=1, to_bus=2, resistance=0.01, reactance=0.1),),
+        "machines": (classical_machine(1),),
+    }
+    with pytest.raises(ValueError, match=message):
+        NetworkCase(**{**settings, **changes})
+
+
+def test_unknown_branch_lists_the_branches() -> None:
+    with pytest.raises(ValueError, match=r"no branch 1-14 in .*; branches: 1-2, 1-5"):
+        modified_ieee14().branch_index(1, 14)

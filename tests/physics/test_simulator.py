@@ -1,0 +1,98 @@
+"""What a simulator refuses, and that it can be copied."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+
+from wtg_gym.physics.parameters import WtgGroup
+from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.scenario import LineTrip, LoadStep, LoadTrip, Scenario
+from wtg_gym.physics.simulator import Simulator
+from wtg_gym.physics.tracking_law import STRATEGIES
+
+LAW = STRATEGIES["coordinated-piecewise"]
+WIND = np.array([[11.4], [8.0]])
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"simulation_dt": 0.03}, r"control_dt = 0.1 s is not a whole number of simulation steps of 0.03 s"),
+        ({"simulation_dt": 0.0}, r"simulation_dt = 0 s is outside the allowed range"),
+        ({"simulation_dt": -0.01}, r"simulation_dt = -0.01 s is outside"),
+        ({"simulation_dt": float("nan")}, r"simulation_dt = nan s is outside"),
+        ({"control_dt": 0.001}, r"control_dt = 0.001 s is outside the allowed range 0.02 … 10 s"),
+        ({"groups": (WtgGroup(bus=99),)}, r"unknown bus 99; .* has buses \[1, 2"),
+        ({"groups": (WtgGroup(bus=2, n_turbines=0.0),)}, r"n_turbines .* = 0 turbines is outside"),
+    ],
+)
+def test_impossible_plants_are_named(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        PlantSettings(**settings)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "message"),
+    [
+        (
+            {"events": (LoadStep(time_s=1.003, bus=2, power_mw=1.0),)},
+            r"event time = 1.003 s is not a whole number of simulation steps of 0.02 s",
+        ),
+        ({"events": (LoadTrip(time_s=1.0, bus=15),)}, r"unknown bus 15"),
+        ({"events": (LineTrip(time_s=1.0, from_bus=1, to_bus=9),)}, r"no branch 1-9"),
+        ({"events": (LineTrip(time_s=1.0, from_bus=7, to_bus=8),)}, r"would split the network"),
+        ({"load_noise_bus": 77}, r"unknown bus 77"),
+        ({"duration_s": 300.0}, r"lasts 300 s, longer than the 120 s held here"),
+        ({"wind_speed": np.full((3, 1), 9.0)}, r"has wind for 3 WTG groups .* the plant has 2 groups"),
+    ],
+)
+def test_scenarios_that_do_not_fit_are_named(simulator: Simulator, scenario: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        simulator.start(0, Scenario(**{"name": "x", "wind_speed": WIND, **scenario}), (LAW, LAW))
+
+
+@pytest.mark.parametrize("n_lanes", [0, -3, 1.5, True])
+def test_impossible_numbers_of_lanes_are_refused(n_lanes: Any) -> None:
+    with pytest.raises(ValueError, match="number of lanes must be 1"):
+        Simulator(PlantSettings(), n_lanes=n_lanes)
+
+
+def test_copies_and_snapshots_go_on_bit_for_bit() -> None:
+    events = tuple(LoadStep(time_s=float(t), bus=2, power_mw=10.0) for t in range(1, 8))
+    simulator = Simulator(PlantSettings(), n_lanes=3)
+    for lane in range(3):
+        simulator.start(lane, Scenario(name="x", wind_speed=WIND + 0.1 * lane, events=events), (LAW, LAW))
+    for _ in range(25):
+        simulator.advance()
+    others = [pickle.loads(pickle.dumps(simulator)), copy.deepcopy(simulator)]
+    snapshot = simulator.snapshot()
+    ends = []
+    for run in (simulator, *others):
+        for _ in range(40):
+            run.advance()
+        ends.append(run.blocks.copy())
+    simulator.start(1, Scenario(name="other", wind_speed=WIND), (LAW, LAW))
+    simulator.restore(snapshot)
+    for _ in range(40):
+        simulator.advance()
+    ends.append(simulator.blocks.copy())
+    for end in ends[1:]:
+        assert (end == ends[0]).all()
+
+
+def test_a_finer_control_interval_does_not_change_a_run_without_noise() -> None:
+    scenario = Scenario(name="x", wind_speed=WIND, events=(LoadStep(time_s=0.4, bus=2, power_mw=50.0),))
+    ends = []
+    for control_dt in (0.02, 0.1, 0.2):
+        simulator = Simulator(PlantSettings(control_dt=control_dt))
+        simulator.start(0, scenario, (LAW, LAW))
+        for _ in range(round(4.0 / control_dt)):
+            simulator.advance()
+        ends.append(simulator.state())
+    assert (ends[0] == ends[1]).all()
+    assert (ends[0] == ends[2]).all()
