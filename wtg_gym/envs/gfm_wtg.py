@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -21,7 +21,7 @@ Observation = npt.NDArray[np.float32]
 Action = npt.NDArray[np.float32]
 
 
-def _spaces(lanes: TaskLanes) -> tuple[gym.spaces.Box, gym.spaces.Box]:
+def _spaces(lanes: TaskLanes) -> tuple[gym.spaces.Box[np.float32], gym.spaces.Box[np.float32]]:
     bound = np.full(lanes.n_observation, OBSERVATION_BOUND, dtype=np.float32)
     one = np.ones(lanes.n_action, dtype=np.float32)
     return gym.spaces.Box(-bound, bound, dtype=np.float32), gym.spaces.Box(-one, one, dtype=np.float32)
@@ -84,7 +84,7 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
     * v0: first version.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "render_fps": 10}  # type: ignore[misc]
+    metadata: dict[str, Any] = {"render_modes": [], "render_fps": 10}  # noqa: RUF012 (Gymnasium sets it so)
 
     def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
         if render_mode is not None:
@@ -181,7 +181,7 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         ValueError: an argument is unknown or out of range.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
+    metadata: dict[str, Any] = {  # noqa: RUF012
         "render_modes": [],
         "render_fps": 10,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
@@ -238,8 +238,9 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         scenarios = given.get("scenarios")
         if scenarios is not None and len(scenarios) != self.num_envs:
             raise ValueError(f'options["scenarios"] must give {self.num_envs} scenarios, got {len(scenarios)}')
-        for lane in np.flatnonzero(mask):
-            self._start(int(lane), None if scenarios is None else _as_scenario(scenarios[lane]))
+        for index in np.flatnonzero(mask):
+            lane = int(index)
+            self._start(lane, None if scenarios is None else _as_scenario(scenarios[lane]))
         return self._lanes.observations.copy(), self._infos(mask)
 
     def _reset_mask(self, given: Any) -> npt.NDArray[np.bool_]:

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
 from wtg_gym.envs.task import (
-    ACTION_MODES,
     COST_TERMS,
     TaskRow,
     build_task,

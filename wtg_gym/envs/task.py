@@ -20,6 +20,8 @@ from wtg_gym.physics.synchronous_machine import MachineConstant, SyncState
 from wtg_gym.physics.tracking_law import STRATEGIES, tracking_coefficient
 from wtg_gym.physics.wind_turbine import TurbineConstant, WtgState
 
+Observations = npt.NDArray[np.float32]
+
 #: Every entry of the observation is clipped to ± this.
 OBSERVATION_BOUND = 5.0
 #: Authority over k at full action, as a share of K_opt - K_pr: half the regulation range, beyond K_opt as well.
@@ -143,8 +145,8 @@ def start_task(
     plant: Plant,
     task: Task,
     end_step: float,
-    observation: npt.NDArray,
-    lanes: Lanes,  # type: ignore[type-arg]
+    observation: Observations,
+    lanes: Lanes,
 ) -> None:
     """Reset the task's rows of a freshly started lane and write its first observation (n_observation,)."""
     width = len(lanes)
@@ -171,7 +173,7 @@ def step_blocks(
     data: LaneData,
     task: Task,
     actions: Floats,
-    observations: npt.NDArray,  # type: ignore[type-arg]
+    observations: Observations,
     rewards: Floats,
     lanes: Lanes,
 ) -> None:
@@ -299,7 +301,7 @@ def _update_rocof(block: Floats, x: int, plant: Plant, task: Task, width: int) -
     block[extra + TaskRow.ROCOF * width] = rocof
     largest = block[extra + TaskRow.LARGEST_ROCOF * width]
     block[extra + TaskRow.LARGEST_ROCOF * width] = max(largest, abs(rocof))
-    return rocof
+    return float(rocof)
 
 
 @compiled
@@ -335,7 +337,7 @@ def _group_costs(block: Floats, o: int, t: Floats, task: Task, width: int) -> tu
 
 
 @compiled
-def observe(block: Floats, x: int, plant: Plant, task: Task, observation: npt.NDArray, width: int) -> None:  # type: ignore[type-arg]
+def observe(block: Floats, x: int, plant: Plant, task: Task, observation: Observations, width: int) -> None:
     """Write a lane's observation; see :func:`observation_names` for its entries and their units."""
     at = 0
     t = plant.turbine

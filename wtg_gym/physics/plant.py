@@ -91,7 +91,7 @@ def build_plant(settings: PlantSettings) -> Plant:
         turbine=turbine,
         share=share,
         unit_bus=unit_bus,
-        unit_y=1.0 / np.array(internal),
+        unit_y=1.0 / np.array(internal, dtype=np.complex128),
         branch_from=np.array([case.bus_index(b.from_bus) for b in case.branches], dtype=np.int64),
         branch_to=np.array([case.bus_index(b.to_bus) for b in case.branches], dtype=np.int64),
         branch_y=branch_admittances(case.branches),

@@ -32,6 +32,10 @@ _FAILURE_TEXT = {
 }
 
 
+def _copy(data: LaneData) -> LaneData:
+    return LaneData._make(array.copy() for array in data)
+
+
 class Simulator:
     """Runs of one plant, in lanes.
 
@@ -251,13 +255,13 @@ class Simulator:
 
     def snapshot(self) -> tuple[Floats, LaneData]:
         """Return a copy of everything that changes; :meth:`restore` goes back to it."""
-        return self.blocks.copy(), LaneData(*(array.copy() for array in self.data))
+        return self.blocks.copy(), _copy(self.data)
 
     def restore(self, snapshot: tuple[Floats, LaneData]) -> None:
         """Go back to a :meth:`snapshot`; it can be used again."""
         blocks, data = snapshot
         self.blocks[:] = blocks
-        self.data = LaneData(*(array.copy() for array in data))
+        self.data = _copy(data)
 
     def close(self) -> None:
         """Stop the worker threads."""

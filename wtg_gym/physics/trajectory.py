@@ -111,7 +111,7 @@ def simulate(
     table = np.array(samples)
     tip_speed = settings.turbine.tip_speed_ratio_per_speed_m_s
     return Trajectory(
-        time_s=np.arange(len(frequency)) * settings.control_dt,
+        time_s=np.arange(len(frequency), dtype=np.float64) * settings.control_dt,
         frequency_hz=np.array(frequency),
         wtg_frequency_hz=nominal * table[:, 0],
         rotor_speed_pu=table[:, 1],

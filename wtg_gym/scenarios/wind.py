@@ -14,6 +14,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.physics.parameters import TurbineParameters
 from wtg_gym.physics.scenario import SERIES_DT, WIND_SPEED_RANGE, require_range
 
 FloatArray = npt.NDArray[np.float64]
@@ -24,8 +25,8 @@ TURBULENCE_SCALE_M = 42.0
 LENGTH_SCALE_M = 8.1 * TURBULENCE_SCALE_M
 #: Reference turbulence intensity at 15 m/s per turbulence class (IEC 61400-1 ed. 3, table 1).
 TURBULENCE_CLASSES = {"A": 0.16, "B": 0.14, "C": 0.12}
-#: Rotor radius of the NREL 5 MW machine [m].
-ROTOR_RADIUS_M = 63.0
+#: Rotor radius [m].
+ROTOR_RADIUS_M = TurbineParameters().blade_radius_m
 #: Distance between the turbines of a group: seven rotor diameters [m].
 TURBINE_SPACING_M = 14.0 * ROTOR_RADIUS_M
 #: Length of the extreme operating gust [s] (IEC 61400-1 ed. 3, section 6.3.2.2).

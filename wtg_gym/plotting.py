@@ -1,0 +1,260 @@
+"""Recorded runs side by side, as a figure for the screen or for print.
+
+Needs matplotlib, which the `leaderboard` extra brings. Figures are built without pyplot, so that nothing global
+changes and no window opens.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from wtg_gym.physics.layout import Status
+from wtg_gym.physics.parameters import GridFormingParameters
+from wtg_gym.physics.scenario import Event, LineTrip, LoadRamp, LoadStep, LoadTrip, Scenario
+from wtg_gym.physics.tracking_law import coordinated_piecewise
+from wtg_gym.physics.trajectory import Trajectory
+
+#: The palette of Okabe and Ito, which colour-blind readers can tell apart; yellow, weak on white, comes last.
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
+#: One dash pattern per WTG group; a plant with more groups gets thin plain lines.
+GROUP_STYLES = ("-", "--", ":", "-.")
+_GREY = "0.45"
+_FONT = {"title": 12.0, "label": 10.0, "small": 8.5}
+#: A reference line this far outside the data, in shares of their span, is still brought into view.
+_REACH = 0.35
+
+
+@dataclass(frozen=True)
+class _Panel:
+    """One quantity: axis label, and one (n,) or (n, n_wtg) series per run."""
+
+    label: str
+    series: Mapping[str, npt.NDArray[np.float64]]
+    #: Horizontal reference lines by their name.
+    references: Mapping[str, float]
+    #: A lightly shaded range of values.
+    band: tuple[float, float] | None = None
+    #: Bring every reference line into view, however far away.
+    shows_all_references: bool = False
+
+
+def plot_trajectories(trajectories: Mapping[str, Trajectory], scenario: Scenario, title: str | None = None) -> Figure:
+    """Draw frequency, RoCoF, wind, rotor speeds, powers and tracking coefficients on a shared time axis.
+
+    One colour per run, one dash pattern per WTG group; events are numbered and explained above the panels; a cross
+    marks where a run ended before its time.
+
+    Args:
+        trajectories: recorded runs of the scenario by label, all with the same number of WTG groups.
+        scenario: what happened in them.
+        title: headline; None takes the scenario's name.
+
+    Returns:
+        The figure, with an Agg canvas: `figure.savefig("run.pdf")` writes it in any format of matplotlib.
+
+    Raises:
+        ValueError: there is no run, or the runs differ in their number of WTG groups.
+    """
+    if not trajectories:
+        raise ValueError("there is no run to plot")
+    counts = {run.power_pu.shape[1] for run in trajectories.values()}
+    if len(counts) > 1:
+        raise ValueError(f"the runs to plot have different numbers of WTG groups: {sorted(counts)}")
+    colours = {label: PALETTE[i % len(PALETTE)] for i, label in enumerate(trajectories)}
+    figure = Figure(figsize=(11.5, 8.6), facecolor="white")
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(3, 2, sharex=True)
+    panels = _panels(trajectories)
+    for column in range(2):
+        for row in range(3):
+            _draw_panel(grid[row, column], panels[3 * column + row], trajectories, colours)
+            _mark_events(grid[row, column], scenario, numbered=row == 0)
+        grid[2, column].set_xlabel("time [s]", fontsize=_FONT["label"])
+    _draw_wind(grid[2, 0], trajectories)
+    grid[0, 0].set_xlim(0.0, scenario.duration_s)
+    events = _event_lines(scenario)
+    n_legend_rows = _draw_legend(figure, trajectories, colours, counts.pop())
+    top = 0.925 - 0.021 * len(events)
+    figure.subplots_adjust(
+        left=0.075, right=0.945, top=top, bottom=0.085 + 0.026 * n_legend_rows, wspace=0.32, hspace=0.1
+    )
+    figure.text(0.075, 0.975, title or scenario.name, fontsize=_FONT["title"], fontweight="bold", va="top")
+    if events:
+        figure.text(0.075, 0.945, "\n".join(events), fontsize=_FONT["small"], va="top", linespacing=1.35)
+    figure.align_ylabels()
+    return figure
+
+
+def describe_event(event: Event) -> str:
+    """Return an event in words, with its units, without its instant."""
+    if isinstance(event, LineTrip):
+        return f"line {event.from_bus}–{event.to_bus} opens"
+    if isinstance(event, LoadTrip):
+        return f"load of bus {event.bus} lost"
+    text = f"{event.power_mw:+g} MW"
+    if event.reactive_mvar:
+        text += f", {event.reactive_mvar:+g} Mvar"
+    text = text.replace("-", "−")
+    text += f" at bus {event.bus}"
+    if isinstance(event, LoadRamp):
+        text += f" over {event.duration_s:g} s"
+    return text
+
+
+def _panels(trajectories: Mapping[str, Trajectory]) -> tuple[_Panel, ...]:
+    """The six panels, down the left column and then down the right one."""
+    control, law = GridFormingParameters(), coordinated_piecewise()
+    nominal = next(iter(trajectories.values())).nominal_frequency_hz
+    return (
+        _Panel(
+            "frequency [Hz]",
+            {label: run.frequency_hz for label, run in trajectories.items()},
+            {
+                r"$\omega_{min}$": nominal * control.frequency_min_pu,
+                r"$\omega_{max}$": nominal * control.frequency_max_pu,
+            },
+            band=(nominal - 0.2, nominal + 0.2),
+        ),
+        _Panel("RoCoF, 500 ms [Hz/s]", {label: run.rocof_hz_s() for label, run in trajectories.items()}, {"": 0.0}),
+        _Panel("wind speed [m/s]", {}, {}),
+        _Panel("rotor speed [p.u.]", {label: run.rotor_speed_pu for label, run in trajectories.items()}, {}),
+        _Panel(
+            "power [p.u.]",
+            {label: run.power_pu for label, run in trajectories.items()},
+            {"overload": control.overload_limit_pu},
+        ),
+        _Panel(
+            "tracking coefficient k [p.u.]",
+            {label: run.coefficient_pu for label, run in trajectories.items()},
+            {"$K_{opt}$": law.k_min, "$K_n$": law.k_nominal, "$K_{pr}$": law.k_max},
+            shows_all_references=True,
+        ),
+    )
+
+
+def _draw_panel(axes: Axes, panel: _Panel, trajectories: Mapping[str, Trajectory], colours: Mapping[str, str]) -> None:
+    for label, values in panel.series.items():
+        run, colour = trajectories[label], colours[label]
+        columns = values[:, None] if values.ndim == 1 else values
+        for group, column in enumerate(columns.T):
+            style, width = _line(group, columns.shape[1])
+            axes.plot(run.time_s, column, style, color=colour, linewidth=width)
+            if run.status != Status.RUNNING:
+                axes.plot(run.time_s[-1], column[-1], "x", color=colour, markersize=7, markeredgewidth=1.8, zorder=5)
+    low, high = axes.get_ylim()
+    reach = (high - low) * (np.inf if panel.shows_all_references else _REACH)
+    shown = {name: y for name, y in panel.references.items() if low - reach <= y <= high + reach}
+    for name, y in shown.items():
+        axes.axhline(y, color=_GREY, linewidth=0.9, linestyle=(0, (5, 3)) if name else "-", zorder=1)
+        low, high = min(low, y - 0.03 * (high - low)), max(high, y + 0.03 * (high - low))
+    axes.set_ylim(low, high)
+    for name, y in shown.items():
+        _name_right(axes, name, y)
+    if panel.band is not None:
+        axes.axhspan(*panel.band, color="#009E73", alpha=0.08, linewidth=0, zorder=0)
+        for edge in panel.band:
+            if low < edge < high:
+                middle = 0.5 * (panel.band[0] + panel.band[1])
+                _name_right(axes, f"{edge - middle:+.1f} Hz".replace("-", "−"), edge)
+    axes.set_ylabel(panel.label, fontsize=_FONT["label"])
+    axes.tick_params(labelsize=_FONT["small"] + 0.5)
+    axes.ticklabel_format(axis="y", useOffset=False)
+    axes.grid(True, color="0.9", linewidth=0.7)
+    axes.set_axisbelow(True)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+
+
+def _draw_wind(axes: Axes, trajectories: Mapping[str, Trajectory]) -> None:
+    # Every run has the same wind: the longest one shows all of it.
+    run = max(trajectories.values(), key=lambda run: run.time_s.size)
+    n_groups = run.wind_m_s.shape[1]
+    for group in range(n_groups):
+        style, width = _line(group, n_groups)
+        axes.plot(run.time_s, run.wind_m_s[:, group], style, color="0.25", linewidth=width)
+    axes.autoscale(axis="y")
+    axes.margins(y=0.15)
+
+
+def _line(group: int, n_groups: int) -> tuple[str, float]:
+    return (GROUP_STYLES[group], 1.5) if n_groups <= len(GROUP_STYLES) else ("-", 0.7)
+
+
+def _name_right(axes: Axes, name: str, y: float) -> None:
+    at_axes_right = axes.get_yaxis_transform()
+    axes.text(1.01, y, name, transform=at_axes_right, fontsize=_FONT["small"], color="0.3", va="center", clip_on=False)
+
+
+def _numbered_events(scenario: Scenario) -> list[tuple[str, list[Event]]]:
+    """Events by instant, each instant with its number."""
+    instants = sorted({event.time_s for event in scenario.events if event.time_s <= scenario.duration_s})
+    return [
+        (str(number), [event for event in scenario.events if event.time_s == instant])
+        for number, instant in enumerate(instants, start=1)
+    ]
+
+
+def _event_lines(scenario: Scenario) -> list[str]:
+    """The numbered events in words, a few per line."""
+    texts = [
+        f"({number}) {events[0].time_s:g} s: " + " and ".join(describe_event(event) for event in events)
+        for number, events in _numbered_events(scenario)
+    ]
+    lines: list[str] = []
+    for text in texts:
+        if lines and len(lines[-1]) + len(text) < 130:
+            lines[-1] += "    " + text
+        else:
+            lines.append(text)
+    return lines
+
+
+def _mark_events(axes: Axes, scenario: Scenario, *, numbered: bool) -> None:
+    for number, events in _numbered_events(scenario):
+        start = events[0].time_s
+        axes.axvline(start, color=_GREY, linewidth=0.8, linestyle=":", zorder=1)
+        for event in events:
+            if isinstance(event, LoadRamp):
+                axes.axvspan(start, start + event.duration_s, color="0.5", alpha=0.08, linewidth=0, zorder=0)
+        if numbered:
+            where = axes.get_xaxis_transform()
+            axes.text(start, 1.02, f"({number})", transform=where, fontsize=_FONT["small"], ha="center", va="bottom")
+
+
+def _draw_legend(
+    figure: Figure, trajectories: Mapping[str, Trajectory], colours: Mapping[str, str], n_groups: int
+) -> int:
+    """Draw the legend below the panels; return its number of rows."""
+    handles = [Line2D([], [], color=colours[label], linewidth=2.2, label=label) for label in trajectories]
+    if n_groups <= len(GROUP_STYLES):
+        styles = [(GROUP_STYLES[group], f"WTG group {group + 1}") for group in range(n_groups)]
+    else:
+        styles = [("-", f"one line per WTG group ({n_groups})")]
+    handles += [Line2D([], [], color="0.25", linestyle=style, label=label) for style, label in styles]
+    reasons = {run.status for run in trajectories.values()} - {Status.RUNNING}
+    if reasons:
+        words = " or ".join(reason.name.lower().replace("_", " ") for reason in sorted(reasons))
+        cross = {"marker": "x", "linestyle": "none", "markersize": 7.0, "markeredgewidth": 1.8}
+        handles.append(Line2D([], [], color="0.25", label=f"run ended: {words}", **cross))
+    n_columns = min(5, len(handles))
+    figure.legend(
+        handles=handles,
+        loc="lower center",
+        ncols=n_columns,
+        frameon=False,
+        fontsize=_FONT["label"] - 0.5,
+        bbox_to_anchor=(0.5, 0.005),
+        handlelength=2.6,
+    )
+    return -(-len(handles) // n_columns)
+
+
+__all__ = ["GROUP_STYLES", "PALETTE", "describe_event", "plot_trajectories"]
