@@ -1,35 +1,36 @@
 """Recorded runs side by side, as a figure for the screen or for print.
 
-Needs matplotlib, which the `leaderboard` extra brings. Figures are built without pyplot, so that nothing global
-changes and no window opens.
+Needs matplotlib, which the `leaderboard` extra brings, from the moment something is drawn. Figures are built without
+pyplot, so that nothing global changes and no window opens.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-
 from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import GridFormingParameters
-from wtg_gym.physics.scenario import Event, LineTrip, LoadRamp, LoadStep, LoadTrip, Scenario
+from wtg_gym.physics.scenario import Event, LineTrip, LoadRamp, LoadTrip, Scenario
 from wtg_gym.physics.tracking_law import coordinated_piecewise
 from wtg_gym.physics.trajectory import Trajectory
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+LineStyle = Literal["-", "--", ":", "-."]
 #: The palette of Okabe and Ito, which colour-blind readers can tell apart; yellow, weak on white, comes last.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
 #: One dash pattern per WTG group; a plant with more groups gets thin plain lines.
-GROUP_STYLES = ("-", "--", ":", "-.")
+GROUP_STYLES: tuple[LineStyle, ...] = ("-", "--", ":", "-.")
 _GREY = "0.45"
 _FONT = {"title": 12.0, "label": 10.0, "small": 8.5}
 #: A reference line this far outside the data, in shares of their span, is still brought into view.
-_REACH = 0.35
+_REACH = 0.25
 
 
 @dataclass(frozen=True)
@@ -62,16 +63,20 @@ def plot_trajectories(trajectories: Mapping[str, Trajectory], scenario: Scenario
 
     Raises:
         ValueError: there is no run, or the runs differ in their number of WTG groups.
+        ImportError: matplotlib is not installed.
     """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     if not trajectories:
         raise ValueError("there is no run to plot")
     counts = {run.power_pu.shape[1] for run in trajectories.values()}
     if len(counts) > 1:
         raise ValueError(f"the runs to plot have different numbers of WTG groups: {sorted(counts)}")
     colours = {label: PALETTE[i % len(PALETTE)] for i, label in enumerate(trajectories)}
-    figure = Figure(figsize=(11.5, 8.6), facecolor="white")
+    figure = Figure(figsize=(11.5, 9.0), facecolor="white")
     FigureCanvasAgg(figure)
-    grid = figure.subplots(3, 2, sharex=True)
+    grid = figure.subplots(3, 2, sharex=True, height_ratios=(1.15, 1.2, 0.9))
     panels = _panels(trajectories)
     for column in range(2):
         for row in range(3):
@@ -132,7 +137,7 @@ def _panels(trajectories: Mapping[str, Trajectory]) -> tuple[_Panel, ...]:
             {"overload": control.overload_limit_pu},
         ),
         _Panel(
-            "tracking coefficient k [p.u.]",
+            "coefficient k [p.u.]",
             {label: run.coefficient_pu for label, run in trajectories.items()},
             {"$K_{opt}$": law.k_min, "$K_n$": law.k_nominal, "$K_{pr}$": law.k_max},
             shows_all_references=True,
@@ -184,7 +189,7 @@ def _draw_wind(axes: Axes, trajectories: Mapping[str, Trajectory]) -> None:
     axes.margins(y=0.15)
 
 
-def _line(group: int, n_groups: int) -> tuple[str, float]:
+def _line(group: int, n_groups: int) -> tuple[LineStyle, float]:
     return (GROUP_STYLES[group], 1.5) if n_groups <= len(GROUP_STYLES) else ("-", 0.7)
 
 
@@ -233,17 +238,22 @@ def _draw_legend(
     figure: Figure, trajectories: Mapping[str, Trajectory], colours: Mapping[str, str], n_groups: int
 ) -> int:
     """Draw the legend below the panels; return its number of rows."""
+    from matplotlib.lines import Line2D
+
     handles = [Line2D([], [], color=colours[label], linewidth=2.2, label=label) for label in trajectories]
     if n_groups <= len(GROUP_STYLES):
-        styles = [(GROUP_STYLES[group], f"WTG group {group + 1}") for group in range(n_groups)]
+        styles: list[tuple[LineStyle, str]] = [
+            (GROUP_STYLES[group], f"WTG group {group + 1}") for group in range(n_groups)
+        ]
     else:
         styles = [("-", f"one line per WTG group ({n_groups})")]
     handles += [Line2D([], [], color="0.25", linestyle=style, label=label) for style, label in styles]
     reasons = {run.status for run in trajectories.values()} - {Status.RUNNING}
     if reasons:
         words = " or ".join(reason.name.lower().replace("_", " ") for reason in sorted(reasons))
-        cross = {"marker": "x", "linestyle": "none", "markersize": 7.0, "markeredgewidth": 1.8}
-        handles.append(Line2D([], [], color="0.25", label=f"run ended: {words}", **cross))
+        cross = Line2D([], [], color="0.25", marker="x", linestyle="none", markersize=7.0, markeredgewidth=1.8)
+        cross.set_label(f"run ended: {words}")
+        handles.append(cross)
     n_columns = min(5, len(handles))
     figure.legend(
         handles=handles,

@@ -183,6 +183,9 @@ class Simulator:
             more = self._allocate_data(self.data.wind.shape[0], 2 * len(scenario.events)).events
             more[:, : self.data.events.shape[1]] = self.data.events
             self.data = self.data._replace(events=more)
+        lost = [event.bus for event in scenario.events if isinstance(event, LoadTrip)]
+        if len(set(lost)) < len(lost):
+            raise ValueError(f"scenario {scenario.name!r} disconnects a load twice; load trips at buses {lost}")
         table = self.data.events[lane]
         table[:] = -1.0
         table[:, EventColumn.START] = table[:, EventColumn.END] = math.inf
