@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import numpy.typing as npt
+
 from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.scenario import Event, LineTrip, LoadRamp, LoadTrip, Scenario
@@ -89,7 +90,7 @@ def plot_trajectories(trajectories: Mapping[str, Trajectory], scenario: Scenario
     n_legend_rows = _draw_legend(figure, trajectories, colours, counts.pop())
     top = 0.925 - 0.021 * len(events)
     figure.subplots_adjust(
-        left=0.075, right=0.945, top=top, bottom=0.085 + 0.026 * n_legend_rows, wspace=0.32, hspace=0.1
+        left=0.075, right=0.938, top=top, bottom=0.085 + 0.026 * n_legend_rows, wspace=0.32, hspace=0.1
     )
     figure.text(0.075, 0.975, title or scenario.name, fontsize=_FONT["title"], fontweight="bold", va="top")
     if events:

@@ -1,0 +1,23 @@
+"""The conventional strategies, one small module each, in the order in which the paper leads from one to the next.
+
+Every module holds an `ENTRY`; `wtg_gym.evaluation.load_entries("baselines")` finds them. A strategy is a tracking law
+P_st = k ω_m³ + D_p x with k = g(ω), see :mod:`wtg_gym.physics.tracking_law`; zero action leaves it as it is.
+A law of one's own needs no module: `example_law.toml` shows the file that does.
+"""
+
+#: Modules with an entry, in the order of tables.
+ORDER = (
+    "mppt",
+    "deloaded_5",
+    "deloaded_10",
+    "coordinated_linear",
+    "coordinated_piecewise",
+    "coordinated_undamped",
+)
+#: The source of the coordinated laws.
+COORDINATED_SOURCE = (
+    "M. Chen, Y. Xi, L. Cheng, F. Dörfler, I. Lestas, "
+    '"Coordinated Primary Frequency Regulation and Grid-Forming Control for Wind Turbine Generators"'
+)
+#: The source of deloaded operation with grid-forming control.
+DELOADED_SOURCE = "X. Lyu, D. Groß, IEEE Trans. Sustain. Energy 15(1), 2024"

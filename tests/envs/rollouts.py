@@ -1,0 +1,171 @@
+"""Rollouts in a common form, so that a lane of a batch and a single environment can be compared bit for bit."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+
+from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
+from wtg_gym.physics.scenario import LineTrip, LoadRamp, LoadStep, LoadTrip, Scenario
+
+#: One step as plain data: observation bytes, reward, terminated, truncated, info, then the same of an episode's end.
+Step = tuple[Any, ...]
+
+MODES = (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP, AutoresetMode.DISABLED)
+ACTION_MODES = ("k", "tau", "k+tau")
+OBSERVATION_MODES = ("local", "privileged")
+
+
+def actions_of(seed: int, n_steps: int, n_lanes: int = 1, n_action: int = 4, scale: float = 1.2) -> np.ndarray:
+    """Return random actions, some of them out of range, shape (n_steps, n_lanes, n_action)."""
+    return np.random.default_rng(seed).uniform(-scale, scale, (n_steps, n_lanes, n_action))
+
+
+def eventful(wind: float = 9.0, duration_s: float = 4.0, **changes: Any) -> Scenario:
+    """Return a short scenario with every kind of event in it, off the control grid as well."""
+    events = (
+        LoadStep(time_s=0.52, bus=2, power_mw=40.0, reactive_mvar=5.0),
+        LoadRamp(time_s=0.9, bus=14, power_mw=-10.0, duration_s=1.1),
+        LineTrip(time_s=1.3, from_bus=5, to_bus=4),
+        LoadTrip(time_s=1.98, bus=9),
+        LoadStep(time_s=2.5, bus=5, power_mw=15.0),
+    )
+    noise = np.r_[0.0, np.random.default_rng(5).normal(0.0, 1.0, round(10 * duration_s))]
+    values = {"events": events, "load_noise_mw": noise, "duration_s": duration_s, **changes}
+    return Scenario(name="eventful", wind_speed=np.array([[wind], [wind + 0.5]]), **values)
+
+
+def sagging(wind: float = 8.0, duration_s: float = 60.0) -> Scenario:
+    """Return a low wind with the paper's load increase, early: maximum power point tracking stalls in it."""
+    events = (LoadStep(time_s=2.0, bus=2, power_mw=75.0), LoadStep(time_s=10.0, bus=3, power_mw=75.0))
+    return Scenario(name="sagging", wind_speed=np.full((2, 1), wind), duration_s=duration_s, events=events)
+
+
+def rising(duration_s: float = 20.0) -> Scenario:
+    """Return a wind that rises faster than the pitch can follow."""
+    wind = np.interp(np.arange(round(10 * duration_s) + 1) * 0.1, [3.0, 5.0], [8.0, 25.0])
+    return Scenario(name="rising", wind_speed=np.array([wind, wind]), duration_s=duration_s)
+
+
+def calm(wind: float = 9.0, duration_s: float = 4.0, **changes: Any) -> Scenario:
+    """Return a scenario in which nothing happens."""
+    return Scenario(name="calm", wind_speed=np.full((2, 1), wind), duration_s=duration_s, **changes)
+
+
+def as_step(
+    observation: np.ndarray, reward: float, terminated: bool, truncated: bool, info: dict[str, Any], final: Any = None
+) -> Step:
+    """Return a step as values that compare equal only where every bit is."""
+    plain = {key: value if isinstance(value, str) else float(value).hex() for key, value in info.items()}
+    return observation.tobytes(), float(reward).hex(), bool(terminated), bool(truncated), plain, final
+
+
+def single_steps(
+    env: GFMWTGEnv,
+    actions: np.ndarray,
+    mode: AutoresetMode,
+    seed: int | None = None,
+    start: dict[str, Any] | None = None,
+) -> list[Step]:
+    """Step a single environment over `actions` (n_steps, n_action), with the resets of an autoreset mode."""
+    steps = []
+    if seed is not None:
+        observation, info = env.reset(seed=seed, options=start)
+        steps.append(as_step(observation, 0.0, False, False, info))
+    over = False
+    for action in actions:
+        final = None
+        if over:
+            observation, info = env.reset()
+            reward, terminated, truncated, over = 0.0, False, False, False
+        else:
+            observation, reward, terminated, truncated, info = env.step(action)
+            over = terminated or truncated
+        if over and mode == AutoresetMode.SAME_STEP:
+            final, over = as_step(observation, 0.0, False, False, info), False
+            observation, info = env.reset()
+        steps.append(as_step(observation, reward, terminated, truncated, info, final))
+        if over and mode == AutoresetMode.DISABLED:
+            observation, info = env.reset()
+            over = False
+            steps.append(as_step(observation, 0.0, False, False, info))
+    return steps
+
+
+def vector_steps(
+    env: GFMWTGVectorEnv, actions: np.ndarray, seed: int | None = None, start: dict[str, Any] | None = None
+) -> list[list[Step]]:
+    """Step a batch over `actions` (n_steps, n_lanes, n_action), and return each lane's own steps."""
+    lanes: list[list[Step]] = [[] for _ in range(env.num_envs)]
+    zeros, never = np.zeros(env.num_envs), np.zeros(env.num_envs, dtype=bool)
+    if seed is not None:
+        observations, infos = env.reset(seed=seed, options=start)
+        for lane, steps in enumerate(lanes):
+            steps.append(_lane_step(lane, observations, zeros, never, never, infos))
+    for action in actions:
+        result = env.step(action)
+        for lane, steps in enumerate(lanes):
+            steps.append(_lane_step(lane, *result))
+        over = result[2] | result[3]
+        if env.autoreset_mode == AutoresetMode.DISABLED and over.any():
+            observations, infos = env.reset(options={"reset_mask": over})
+            for lane in np.flatnonzero(over):
+                lanes[lane].append(_lane_step(lane, observations, zeros, never, never, infos))
+    return lanes
+
+
+def _lane_step(
+    lane: int, observations: np.ndarray, rewards: np.ndarray, terminated: Any, truncated: Any, infos: dict[str, Any]
+) -> Step:
+    final = None
+    if "final_obs" in infos and infos["_final_obs"][lane]:
+        assert infos["_final_info"][lane]
+        final = as_step(infos["final_obs"][lane], 0.0, False, False, lane_info(infos["final_info"], lane))
+    info = lane_info(infos, lane)
+    return as_step(observations[lane], rewards[lane], terminated[lane], truncated[lane], info, final)
+
+
+def lane_info(infos: dict[str, Any], lane: int) -> dict[str, Any]:
+    """Return one lane's info out of a batch's."""
+    keys = [key for key in infos if not key.startswith(("_", "final_"))]
+    return {key: infos[key][lane] for key in keys if infos[f"_{key}"][lane]}
+
+
+def n_resets(steps: list[Step]) -> int:
+    """Return how many episodes ended in a lane's steps."""
+    return sum(step[2] or step[3] for step in steps)
+
+
+def info_of(step: Step) -> dict[str, Any]:
+    """Return the info of a step, its final one where the episode was restarted within the step."""
+    info: dict[str, Any] = step[4] if step[5] is None else step[5][4]
+    return info
+
+
+def reasons(steps: list[Step]) -> set[str]:
+    """Return why episodes ended in a lane's steps."""
+    return {info_of(step)["termination_reason"] for step in steps if step[2] or step[3]}
+
+
+def episode(env: GFMWTGEnv, action: Any = 0.0, **reset: Any) -> Iterator[tuple[float, bool, bool, dict[str, Any]]]:
+    """Play an episode with a constant action; yield (reward, terminated, truncated, info) per step."""
+    env.reset(**reset)
+    constant = np.broadcast_to(np.asarray(action, dtype=float), env.action_space.shape)
+    over = False
+    while not over:
+        observation, reward, terminated, truncated, info = env.step(constant)
+        assert env.observation_space.contains(observation)
+        over = terminated or truncated
+        yield reward, terminated, truncated, info
+
+
+def digest(n_lanes: int = 17, n_steps: int = 45, n_threads: int | None = None, **settings: Any) -> str:
+    """Return the sha256 of a seeded rollout of a batch."""
+    env = GFMWTGVectorEnv(n_lanes, n_threads=n_threads, **{"duration_s": 2.0, **settings})
+    lanes = vector_steps(env, actions_of(1, n_steps, n_lanes), seed=11)
+    env.close()
+    return hashlib.sha256(repr(lanes).encode()).hexdigest()

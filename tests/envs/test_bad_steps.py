@@ -1,0 +1,218 @@
+"""Facts about wrong actions and steps at the wrong time: refused, and nothing has moved."""
+
+from __future__ import annotations
+
+import copy
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+from tests.envs.rollouts import actions_of, calm, eventful, single_steps, vector_steps
+from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
+
+ACTIONS = actions_of(40, 60, 3)
+
+WRONG = {
+    "nan": [0.0, math.nan, 0.0, 0.0],
+    "infinite": [0.0, 0.0, math.inf, 0.0],
+    "minus-infinite": [0.0, 0.0, 0.0, -math.inf],
+    "all-nan": [math.nan] * 4,
+    "too-large-for-single": np.array([0.0, 0.0, 0.0, np.inf], dtype=np.float32),
+    "short": [0.0] * 3,
+    "long": [0.0] * 5,
+    "nested": [[0.0] * 4],
+    "column": np.zeros((4, 1)),
+    "scalar": 0.0,
+    "empty": [],
+    "none": None,
+    "nones": [None] * 4,
+    "text": "abc",
+    "texts": ["a"] * 4,
+    "numbers-as-text": ["0.1"] * 4,
+    "object": {},
+    "objects": [{}] * 4,
+    "ragged": [[0.0], [0.0, 0.0], 0.0, 0.0],
+    "complex": [1j] * 4,
+    "complex-array": np.zeros(4, dtype=np.complex128),
+    "dates": np.zeros(4, dtype="datetime64[s]"),
+    "huge-integer": [10**400] * 4,
+}
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_action_is_refused_and_nothing_has_moved(name: str):
+    env = GFMWTGEnv(scenario=eventful().to_dict())
+    single_steps(env, ACTIONS[:7, 0], AutoresetMode.DISABLED, seed=0)
+    twin = copy.deepcopy(env)
+    with pytest.raises(ValueError, match="action"):
+        env.step(WRONG[name])  # type: ignore[arg-type]
+    after = single_steps(env, ACTIONS[7:40, 0], AutoresetMode.DISABLED)
+    assert after == single_steps(twin, ACTIONS[7:40, 0], AutoresetMode.DISABLED)
+
+
+def in_one_lane(value: Any) -> Any:
+    """Return a batch's actions of which one lane's are wrong, or the wrong thing itself where it has no lanes."""
+    try:
+        actions = np.zeros((3, 4))
+        actions[1] = value
+        return actions
+    except (TypeError, ValueError, OverflowError):
+        return [[0.0] * 4, value, [0.0] * 4] if isinstance(value, list) and len(value) == 4 else value
+
+
+@pytest.mark.parametrize("name", [n for n in WRONG if n not in ("scalar", "nested", "numbers-as-text", "dates")])
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+@pytest.mark.filterwarnings("error")
+def test_wrong_action_of_a_batch_is_refused_and_no_lane_has_moved(name: str, mode: AutoresetMode):
+    env = GFMWTGVectorEnv(3, duration_s=2.0, autoreset_mode=mode)
+    wrong = WRONG[name]
+    if name == "complex-array":
+        wrong = np.zeros((3, 4), dtype=np.complex128)
+    elif name != "column":
+        wrong = in_one_lane(wrong)
+    # Up to the end of an episode, where lanes wait for their reset.
+    vector_steps(env, ACTIONS[:20], seed=0)
+    twin = copy.deepcopy(env)
+    with pytest.raises(ValueError, match="action"):
+        env.step(wrong)
+    assert vector_steps(env, ACTIONS[20:]) == vector_steps(twin, ACTIONS[20:])
+
+
+@pytest.mark.parametrize("shape", [(4,), (2, 4), (4, 4), (3, 3), (3, 4, 1), (12,), (1, 3, 4), ()])
+def test_wrong_shape_of_a_batchs_actions_is_named_with_the_right_one(shape: tuple[int, ...]):
+    env = GFMWTGVectorEnv(3, duration_s=2.0)
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"\(3, 4\)"):
+        env.step(np.zeros(shape))
+
+
+def test_message_names_the_value_the_lane_and_what_is_allowed():
+    env = GFMWTGVectorEnv(3, duration_s=2.0)
+    env.reset(seed=0)
+    actions = np.zeros((3, 4))
+    actions[2, 1] = math.nan
+    with pytest.raises(ValueError, match=r"nan.*lane 2.*-1 … 1"):
+        env.step(actions)
+    single = GFMWTGEnv(duration_s=2.0)
+    single.reset(seed=0)
+    with pytest.raises(ValueError, match=r"\(4,\).*\(3,\)"):
+        single.step(np.zeros(3))
+
+
+@pytest.mark.parametrize("kind", [list, tuple, np.float32, np.float64, np.int8, bool, object])
+def test_anything_that_is_numbers_is_an_action(kind: Any):
+    env, twin = (GFMWTGEnv(duration_s=2.0) for _ in range(2))
+    env.reset(seed=0), twin.reset(seed=0)
+    values = [1, 0, 1, 0]
+    given = kind(values) if kind in (list, tuple) else np.array(values, dtype=kind)
+    assert env.step(given)[0].tobytes() == twin.step(np.array(values, dtype=np.float32))[0].tobytes()
+
+
+@pytest.mark.parametrize("value", [1.0 + 1e-9, 2.0, 1e30, 1e308, np.float64(np.finfo(np.float32).max)])
+def test_action_out_of_range_is_clipped(value: float):
+    for sign in (1.0, -1.0):
+        env, twin = (GFMWTGEnv(scenario=eventful().to_dict()) for _ in range(2))
+        far = np.full((40, 4), sign * value)
+        one = single_steps(env, far, AutoresetMode.DISABLED, seed=0)
+        assert one == single_steps(twin, np.clip(far, -1.0, 1.0), AutoresetMode.DISABLED, seed=0)
+
+
+def test_given_action_is_neither_changed_nor_kept():
+    env, twin = (GFMWTGEnv(scenario=eventful().to_dict()) for _ in range(2))
+    env.reset(seed=0), twin.reset(seed=0)
+    action = np.full(4, 3.0)
+    env.step(action), twin.step(np.full(4, 3.0))
+    assert action.tolist() == [3.0] * 4
+    action[:] = -1.0
+    assert env.step(np.zeros(4))[0].tobytes() == twin.step(np.zeros(4))[0].tobytes()
+
+
+def test_step_before_the_first_reset_is_a_runtime_error():
+    with pytest.raises(RuntimeError, match=r"reset\(\)"):
+        GFMWTGEnv(duration_s=2.0).step(np.zeros(4))
+    for mode in AutoresetMode:
+        with pytest.raises(RuntimeError, match=r"reset\(\)"):
+            GFMWTGVectorEnv(2, duration_s=2.0, autoreset_mode=mode).step(np.zeros((2, 4)))
+
+
+def test_step_of_a_batch_of_which_a_lane_was_never_started_is_a_runtime_error():
+    for mode in AutoresetMode:
+        env = GFMWTGVectorEnv(2, duration_s=2.0, autoreset_mode=mode)
+        env.reset(seed=0, options={"reset_mask": np.array([True, False])})
+        with pytest.raises(RuntimeError, match=r"\[1\].*reset\(\)"):
+            env.step(np.zeros((2, 4)))
+
+
+def test_step_after_the_end_is_a_runtime_error_until_the_next_reset():
+    env = GFMWTGEnv(duration_s=1.0)
+    single_steps(env, ACTIONS[:9, 0], AutoresetMode.DISABLED, seed=0)
+    *_, truncated, _ = env.step(np.zeros(4))
+    assert truncated
+    for _ in range(2):
+        with pytest.raises(RuntimeError, match=r"reset\(\)"):
+            env.step(np.zeros(4))
+    env.reset()
+    env.step(np.zeros(4))
+
+
+def test_step_of_a_batch_with_an_ended_lane_and_resets_disabled_is_a_runtime_error():
+    env = GFMWTGVectorEnv(3, duration_s=2.0, autoreset_mode="Disabled")
+    env.reset(seed=0, options={"scenarios": [calm(duration_s=2.0), calm(duration_s=1.0), calm(duration_s=2.0)]})
+    for _ in range(10):
+        *_, truncated, _ = env.step(np.zeros((3, 4)))
+    assert truncated.tolist() == [False, True, False]
+    with pytest.raises(RuntimeError, match=r"\[1\].*reset\(\)"):
+        env.step(np.zeros((3, 4)))
+    _, infos = env.reset(options={"reset_mask": truncated})
+    assert infos["time_s"].tolist() == [1.0, 0.0, 1.0]
+    env.step(np.zeros((3, 4)))
+
+
+REFUSED = {
+    "event off the grid": calm(25.0).to_dict()
+    | {"events": [{"kind": "load_step", "time_s": 1.005, "bus": 2, "power_mw": 5.0}]},
+    "unknown bus": calm(25.0).to_dict()
+    | {"events": [{"kind": "load_step", "time_s": 1.0, "bus": 99, "power_mw": 5.0}]},
+    "unknown noise bus": calm(25.0).to_dict() | {"load_noise_bus": 99},
+    "split network": calm(25.0).to_dict()
+    | {"events": [{"kind": "line_trip", "time_s": 1.0, "from_bus": 7, "to_bus": 8}]},
+    "length off the grid": calm(25.0).to_dict() | {"duration_s": 2.05},
+    "seed": calm(25.0).to_dict() | {"seed": 2**70},
+    "no equilibrium": calm(25.0, load_level=0.3).to_dict(),
+}
+
+
+def goes_on_or_asks_for_a_reset(env: GFMWTGEnv | GFMWTGVectorEnv, twin: Any, actions: np.ndarray) -> None:
+    """Check that a refused reset has not bent the episode that was running."""
+    for action in actions:
+        try:
+            observation, reward, *_ = env.step(action)
+        except RuntimeError as error:
+            assert "reset()" in str(error)
+            return
+        expected, other, *_ = twin.step(action)
+        assert observation.tobytes() == expected.tobytes() and np.all(reward == other)
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_refused_reset_does_not_bend_the_running_episode(name: str):
+    env = GFMWTGEnv(duration_s=4.0)
+    single_steps(env, ACTIONS[:7, 0], AutoresetMode.DISABLED, seed=0)
+    twin = copy.deepcopy(env)
+    with pytest.raises(ValueError):
+        env.reset(options={"scenario": REFUSED[name]})
+    goes_on_or_asks_for_a_reset(env, twin, ACTIONS[7:20, 0])
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_refused_reset_does_not_bend_the_running_lanes(name: str):
+    env = GFMWTGVectorEnv(3, duration_s=4.0)
+    vector_steps(env, ACTIONS[:7], seed=0)
+    twin = copy.deepcopy(env)
+    with pytest.raises(ValueError):
+        env.reset(options={"scenarios": [calm(), REFUSED[name], calm()]})
+    goes_on_or_asks_for_a_reset(env, twin, ACTIONS[7:20])

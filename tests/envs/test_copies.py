@@ -1,0 +1,209 @@
+"""Facts about copies: pickles, deep copies and snapshots go on bit for bit."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+from tests.envs.rollouts import MODES, actions_of, calm, eventful, n_resets, sagging, single_steps, vector_steps
+from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
+from wtg_gym.physics.scenario import LoadStep
+
+BEFORE = actions_of(20, 13, 33)
+AFTER = actions_of(21, 60, 33)
+OTHER = actions_of(22, 25, 33)
+
+COPIES = pytest.mark.parametrize(
+    "copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["deepcopy", "pickle"]
+)
+Copy = Callable[[Any], Any]
+
+
+@COPIES
+@pytest.mark.parametrize("settings", [{}, {"observation_mode": "privileged"}, {"suite": "gust"}])
+def test_copy_of_a_running_environment_goes_on_alike_through_later_resets(copied: Copy, settings: dict):
+    env = GFMWTGEnv(duration_s=2.0, **settings)
+    single_steps(env, BEFORE[:, 0], AutoresetMode.NEXT_STEP, seed=3)
+    twin = copied(env)
+    one = single_steps(env, AFTER[:, 0], AutoresetMode.NEXT_STEP)
+    assert one == single_steps(twin, AFTER[:, 0], AutoresetMode.NEXT_STEP)
+    assert n_resets(one) == 3
+
+
+@COPIES
+def test_copy_before_the_first_reset_and_after_the_end_behaves_as_its_original(copied: Copy):
+    env = GFMWTGEnv(duration_s=1.0)
+    with pytest.raises(RuntimeError):
+        copied(env).step(np.zeros(4))
+    single_steps(env, BEFORE[:10, 0], AutoresetMode.DISABLED, seed=1)
+    twin = copied(env)
+    assert single_steps(env, AFTER[:, 0], AutoresetMode.DISABLED) == single_steps(
+        twin, AFTER[:, 0], AutoresetMode.DISABLED
+    )
+
+
+@COPIES
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("n_lanes", [1, 5, 17])
+def test_copy_of_a_running_batch_goes_on_alike_through_later_resets(n_lanes: int, mode: AutoresetMode, copied: Copy):
+    env = GFMWTGVectorEnv(n_lanes, duration_s=2.0, autoreset_mode=mode)
+    vector_steps(env, BEFORE[:, :n_lanes], seed=3)
+    twin = copied(env)
+    one = vector_steps(env, AFTER[:, :n_lanes])
+    assert one == vector_steps(twin, AFTER[:, :n_lanes])
+    assert all(n_resets(steps) >= 2 for steps in one)
+
+
+@COPIES
+def test_copy_of_a_batch_on_several_threads_goes_on_alike(copied: Copy):
+    actions = actions_of(23, 15, 160)
+    env = GFMWTGVectorEnv(160, duration_s=1.0, n_threads=2)
+    vector_steps(env, actions, seed=3)
+    twin = copied(env)
+    assert vector_steps(env, actions) == vector_steps(twin, actions)
+    env.close(), twin.close()
+
+
+@COPIES
+def test_copy_shares_no_memory_with_its_original(copied: Copy):
+    env = GFMWTGEnv(duration_s=2.0)
+    single_steps(env, BEFORE[:, 0], AutoresetMode.NEXT_STEP, seed=3)
+    twin, untouched = copied(env), copied(env)
+    single_steps(twin, OTHER[:, 0], AutoresetMode.NEXT_STEP)
+    expected = single_steps(untouched, AFTER[:, 0], AutoresetMode.NEXT_STEP)
+    assert single_steps(env, AFTER[:, 0], AutoresetMode.NEXT_STEP) == expected
+
+
+@COPIES
+def test_wrapped_environment_can_be_copied(copied: Copy):
+    env = gym.make("GFMWTG-14bus-v0", duration_s=2.0)
+    env.reset(seed=1)
+    env.step(np.zeros(4, dtype=np.float32))
+    twin = copied(env)
+    action = np.full(4, 0.5, dtype=np.float32)
+    for _ in range(19):
+        (a, x, *ends, _), (b, y, *other, _) = env.step(action), twin.step(action)
+        assert a.tobytes() == b.tobytes() and x == y and ends == other
+    assert env.reset()[0].tobytes() == twin.reset()[0].tobytes()
+
+
+def test_snapshot_branches_as_often_as_asked():
+    env = GFMWTGEnv(scenario=eventful().to_dict())
+    single_steps(env, BEFORE[:, 0], AutoresetMode.NEXT_STEP, seed=3)
+    start = env.snapshot()
+    branches = []
+    for actions in (AFTER[:27, 0], OTHER[:, 0], AFTER[:27, 0], OTHER[:, 0]):
+        env.restore(start)
+        branches.append(single_steps(env, actions, AutoresetMode.NEXT_STEP))
+    assert branches[0] == branches[2] and branches[1] == branches[3] and branches[0][:25] != branches[1]
+
+
+def test_snapshot_equals_going_on_without_it():
+    env, twin = (GFMWTGEnv(scenario=eventful().to_dict()) for _ in range(2))
+    for each in (env, twin):
+        single_steps(each, BEFORE[:, 0], AutoresetMode.NEXT_STEP, seed=3)
+    start = env.snapshot()
+    single_steps(env, OTHER[:, 0], AutoresetMode.NEXT_STEP)
+    env.restore(start)
+    expected = single_steps(twin, AFTER[:27, 0], AutoresetMode.NEXT_STEP)
+    assert single_steps(env, AFTER[:27, 0], AutoresetMode.NEXT_STEP) == expected
+
+
+def many_events() -> dict:
+    events = tuple(LoadStep(time_s=0.1 * n, bus=3, power_mw=2.0) for n in range(1, 31))
+    return calm(events=events).to_dict()
+
+
+@pytest.mark.parametrize("between", [{"seed": 8}, {"options": {"scenario": many_events()}}], ids=["drawn", "events"])
+def test_snapshot_survives_a_reset_in_between(between: dict):
+    env = GFMWTGEnv(duration_s=4.0)
+    single_steps(env, BEFORE[:, 0], AutoresetMode.NEXT_STEP, seed=3)
+    start = env.snapshot()
+    expected = single_steps(env, AFTER[:27, 0], AutoresetMode.NEXT_STEP)
+    assert expected[-1][3], "the branch goes to the end of the episode"
+    env.reset(**between)
+    single_steps(env, OTHER[:, 0], AutoresetMode.NEXT_STEP)
+    env.restore(start)
+    assert single_steps(env, AFTER[:27, 0], AutoresetMode.NEXT_STEP) == expected
+    with pytest.raises(RuntimeError):
+        env.step(np.zeros(4))
+    env.restore(start)
+    assert single_steps(env, AFTER[:27, 0], AutoresetMode.NEXT_STEP) == expected
+
+
+def test_snapshot_taken_with_many_events_survives_an_episode_with_few():
+    env = GFMWTGEnv(duration_s=4.0)
+    env.reset(options={"scenario": many_events()})
+    start = env.snapshot()
+    expected = single_steps(env, AFTER[:40, 0], AutoresetMode.NEXT_STEP)
+    env.reset(seed=1)
+    env.restore(start)
+    assert single_steps(env, AFTER[:40, 0], AutoresetMode.NEXT_STEP) == expected
+
+
+def test_snapshot_can_be_restored_into_another_environment_and_after_pickling():
+    env, other = (GFMWTGEnv(duration_s=4.0) for _ in range(2))
+    single_steps(env, BEFORE[:, 0], AutoresetMode.NEXT_STEP, seed=3)
+    start = pickle.loads(pickle.dumps(env.snapshot()))
+    other.restore(start)
+    expected = single_steps(env, AFTER[:27, 0], AutoresetMode.NEXT_STEP)
+    assert single_steps(other, AFTER[:27, 0], AutoresetMode.NEXT_STEP) == expected
+
+
+def test_snapshot_leaves_the_stream_of_scenarios_alone():
+    env, twin = (GFMWTGEnv(duration_s=2.0) for _ in range(2))
+    env.reset(seed=3), twin.reset(seed=3)
+    env.restore(env.snapshot())
+    assert env.reset()[1]["scenario_seed"] == twin.reset()[1]["scenario_seed"]
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("n_lanes", [5, 17])
+def test_batch_snapshot_branches_bit_for_bit(n_lanes: int, mode: AutoresetMode):
+    env = GFMWTGVectorEnv(n_lanes, scenario=eventful().to_dict(), autoreset_mode=mode)
+    vector_steps(env, BEFORE[:, :n_lanes], seed=3)
+    start = env.snapshot()
+    # With a fixed scenario the branch may cross its end: nothing is drawn.
+    expected = vector_steps(env, AFTER[:, :n_lanes])
+    env.restore(start)
+    vector_steps(env, OTHER[:, :n_lanes])
+    env.reset(options={"scenarios": [many_events()] * n_lanes})
+    env.restore(start)
+    assert vector_steps(env, AFTER[:, :n_lanes]) == expected
+
+
+def test_batch_snapshot_keeps_lanes_that_wait_for_their_reset():
+    env = GFMWTGVectorEnv(3, strategy="mppt", duration_s=60.0)
+    short = eventful(duration_s=1.0)
+    vector_steps(env, BEFORE[:10, :3], seed=3, start={"scenarios": [short, sagging(), sagging()]})
+    start = env.snapshot()
+    _, rewards, *_, infos = env.step(np.ones((3, 4)))
+    assert rewards[0] == 0.0 and infos["time_s"][0] == 0.0
+    env.restore(start)
+    _, rewards, *_, infos = env.step(np.ones((3, 4)))
+    assert rewards[0] == 0.0 and infos["time_s"][0] == 0.0 and infos["time_s"][1] == pytest.approx(1.1)
+
+
+def test_snapshot_is_not_touched_by_what_follows():
+    env = GFMWTGEnv(duration_s=4.0)
+    env.reset(seed=3)
+    start = env.snapshot()
+    before = pickle.dumps(start)
+    single_steps(env, AFTER[:20, 0], AutoresetMode.NEXT_STEP)
+    assert pickle.dumps(start) == before
+
+
+def test_snapshot_of_another_size_is_refused_and_changes_nothing():
+    five, three = GFMWTGVectorEnv(5, duration_s=4.0), GFMWTGVectorEnv(3, duration_s=4.0)
+    vector_steps(five, BEFORE[:, :5], seed=9), vector_steps(three, BEFORE[:, :3], seed=3)
+    twin = copy.deepcopy(three)
+    with pytest.raises(ValueError):
+        three.restore(five.snapshot())
+    assert vector_steps(three, AFTER[:20, :3]) == vector_steps(twin, AFTER[:20, :3])

@@ -1,0 +1,193 @@
+"""Facts about what a step tells: observation, reward and info."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from tests.envs.rollouts import (
+    ACTION_MODES,
+    OBSERVATION_MODES,
+    actions_of,
+    calm,
+    episode,
+    eventful,
+    lane_info,
+    rising,
+    sagging,
+)
+from wtg_gym.envs import CostWeights, GFMWTGEnv, GFMWTGVectorEnv
+from wtg_gym.scenarios import SUITES
+
+KEYS = {
+    "time_s",
+    "frequency_hz",
+    "rocof_hz_s",
+    "cost",
+    "cost_frequency",
+    "cost_rocof",
+    "cost_duty",
+    "cost_rotor",
+    "cost_overload",
+    "cost_effort",
+    "cost_failure",
+    "scenario_seed",
+    "termination_reason",
+}
+TERMS = sorted(key for key in KEYS if key.startswith("cost_"))
+SCENARIOS = {"drawn": None, "stall": sagging(), "over-speed": rising(), "eventful": eventful()}
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("on_failure", ["terminate", "trip"])
+def test_info_has_the_same_keys_and_types_in_reset_and_step(name: str, on_failure: str):
+    scenario = SCENARIOS[name]
+    fixed = None if scenario is None else scenario.to_dict()
+    env = GFMWTGEnv(strategy="mppt", scenario=fixed, on_failure=on_failure)
+    _, first = env.reset(seed=0)
+    for *_, info in episode(env, -1.0):
+        assert set(info) == set(first) == KEYS
+        assert {key: type(value) for key, value in info.items()} == {key: type(v) for key, v in first.items()}
+
+
+def test_batch_info_has_one_value_and_one_flag_per_lane_for_every_key():
+    env = GFMWTGVectorEnv(5, duration_s=2.0)
+    infos = [env.reset(seed=0)[1], *(env.step(action)[-1] for action in actions_of(1, 45, 5))]
+    for info in infos:
+        assert set(info) == KEYS | {f"_{key}" for key in KEYS}
+        assert all(info[key].shape == (5,) and info[f"_{key}"].all() for key in KEYS)
+        assert set(lane_info(info, 2)) == KEYS
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("on_failure", ["terminate", "trip"])
+def test_reward_is_minus_the_sum_of_cost_terms_which_are_never_negative(name: str, on_failure: str):
+    scenario = SCENARIOS[name]
+    fixed = None if scenario is None else scenario.to_dict()
+    env = GFMWTGEnv(strategy="mppt", scenario=fixed, on_failure=on_failure)
+    for reward, *_, info in episode(env, [1.0, -1.0, -0.5, 1.0], seed=0):
+        terms = [info[key] for key in TERMS]
+        assert min(terms) >= 0.0 and all(math.isfinite(term) for term in terms)
+        assert -reward == pytest.approx(sum(terms), rel=1e-12, abs=1e-15)
+        assert info["cost"] in (0.0, 1.0)
+
+
+def test_nothing_has_been_paid_at_the_reset():
+    env = GFMWTGEnv(scenario=sagging().to_dict(), strategy="mppt")
+    for _ in range(2):
+        _, info = env.reset(seed=0)
+        assert [info[key] for key in (*TERMS, "cost", "time_s", "rocof_hz_s")] == [0.0] * 10
+        assert info["frequency_hz"] == pytest.approx(50.0, abs=1e-9) and info["termination_reason"] == ""
+        list(episode(env))
+
+
+@pytest.mark.parametrize("term", [f"cost_{name}" for name in ("frequency", "rocof", "duty", "rotor", "effort")])
+def test_every_weight_scales_its_own_term_alone(term: str):
+    name = term.removeprefix("cost_")
+    scenario = eventful(7.0).to_dict()
+    default = getattr(CostWeights(), name)
+    light, heavy = (GFMWTGEnv(scenario=scenario, weights={name: w, "cap": 1e6}) for w in (default, 3.0 * default))
+    total = 0.0
+    for (*_, info), (*_, other) in zip(episode(light, -1.0), episode(heavy, -1.0), strict=True):
+        total += info[term]
+        assert other[term] == pytest.approx(3.0 * info[term], rel=1e-12)
+        assert all(other[key] == info[key] for key in KEYS - {term})
+    assert total > 0.0 or name == "rotor"
+
+
+def test_idle_actions_cost_no_effort_and_full_ones_do():
+    idle, full = (list(episode(GFMWTGEnv(scenario=calm().to_dict()), action)) for action in (0.0, 1.0))
+    assert sum(info["cost_effort"] for *_, info in idle) == 0.0
+    weight = CostWeights().effort
+    assert [info["cost_effort"] for *_, info in full] == pytest.approx([0.5 * weight] + [0.1 * weight] * 39)
+
+
+def test_rate_of_change_is_that_of_the_reported_frequency_over_half_a_second():
+    env = GFMWTGEnv(scenario=eventful().to_dict())
+    _, first = env.reset(seed=0)
+    infos = [first, *(info for *_, info in episode(env))]
+    frequency = np.array([50.0] * 5 + [info["frequency_hz"] for info in infos])
+    expected = (frequency[5:] - frequency[:-5]) / 0.5
+    assert [info["rocof_hz_s"] for info in infos] == pytest.approx(expected.tolist(), abs=1e-9)
+
+
+@pytest.mark.parametrize("observation_mode", OBSERVATION_MODES)
+@pytest.mark.parametrize("action_mode", ACTION_MODES)
+def test_observations_stay_in_their_space_and_no_entry_is_constant(action_mode: str, observation_mode: str):
+    env = GFMWTGVectorEnv(5, action_mode=action_mode, observation_mode=observation_mode, duration_s=15.0)
+    n_action = env.single_action_space.shape[0]
+    seen = [env.reset(seed=0)[0]]
+    for action in actions_of(2, 320, 5, n_action):
+        seen.append(env.step(action)[0])
+        assert env.observation_space.contains(seen[-1])
+    values = np.stack(seen)
+    assert values.dtype == np.float32 and np.isfinite(values).all()
+    names = env.lanes.observation_names
+    assert len(names) == len(set(names)) == values.shape[-1]
+    assert all("[" in name or "last_action" in name for name in names)
+    spread = np.ptp(values.reshape(-1, values.shape[-1]), axis=0)
+    assert [name for name, width in zip(names, spread, strict=True) if width < 1e-4] == []
+
+
+@pytest.mark.parametrize("suite", SUITES)
+def test_reference_stays_away_from_the_bounds_of_the_observation(suite: str):
+    env = GFMWTGVectorEnv(8, suite=suite, observation_mode="privileged")
+    largest = np.abs(env.reset(seed=0)[0]).max(axis=0)
+    for _ in range(600):
+        largest = np.maximum(largest, np.abs(env.step(np.zeros((8, 4)))[0]).max(axis=0))
+    clipped = [name for name, value in zip(env.lanes.observation_names, largest, strict=True) if value >= 5.0]
+    assert clipped == []
+
+
+@pytest.mark.parametrize("observation_mode", OBSERVATION_MODES)
+def test_spaces_are_single_precision_boxes_with_finite_bounds(observation_mode: str):
+    env = GFMWTGEnv(observation_mode=observation_mode)
+    for space in (env.observation_space, env.action_space):
+        assert space.dtype == np.float32 and space.is_bounded()
+    assert env.action_space.low.tolist() == [-1.0] * 4 and env.action_space.high.tolist() == [1.0] * 4
+    assert len(env.observation_names) == env.observation_space.shape[0]
+
+
+def test_privileged_observation_begins_with_the_local_one():
+    local, full = (GFMWTGEnv(scenario=eventful().to_dict(), observation_mode=mode) for mode in OBSERVATION_MODES)
+    assert full.observation_names[:20] == local.observation_names
+    (a, _), (b, _) = local.reset(seed=0), full.reset(seed=0)
+    assert a.tobytes() == b[:20].tobytes() and b.size > 20
+    for action in actions_of(3, 20):
+        a, b = local.step(action[0])[0], full.step(action[0])[0]
+        assert a.tobytes() == b[:20].tobytes()
+
+
+def test_last_action_is_observed_as_it_was_clipped():
+    env = GFMWTGEnv(duration_s=2.0)
+    names = env.observation_names
+    at = [names.index(f"wtg{j}.last_action_{kind}") for j in range(2) for kind in ("k", "tau")]
+    assert env.reset(seed=0)[0][at].tolist() == [0.0] * 4
+    assert env.step(np.array([7.0, -0.25, -1e30, 0.5]))[0][at].tolist() == [1.0, -0.25, -1.0, 0.5]
+    assert env.reset()[0][at].tolist() == [0.0] * 4
+
+
+def test_observation_tells_what_its_names_say():
+    scenario = eventful(events=(), load_noise_mw=np.zeros(0))
+    env = GFMWTGEnv(scenario=scenario.to_dict(), observation_mode="privileged")
+    observation, _ = env.reset(seed=0)
+    entry = dict(zip(env.observation_names, observation.tolist(), strict=True))
+    assert entry["wtg0.wind [5 m/s from 10 m/s]"] == pytest.approx(-0.2)
+    assert entry["wtg1.wind [5 m/s from 10 m/s]"] == pytest.approx(-0.1)
+    still = ("frequency_deviation", "rocof", "filter_state", "speed [0.5 Hz]")
+    for name, value in entry.items():
+        if any(word in name for word in still):
+            assert abs(value) < 1e-6, name
+
+
+def test_frequency_observation_turns_negative_when_load_is_added():
+    env = GFMWTGEnv(scenario=sagging().to_dict(), observation_mode="privileged")
+    env.reset(seed=0)
+    for _ in range(40):
+        observation, *_, info = env.step(np.zeros(4))
+    names = env.observation_names
+    deviation = observation[names.index("grid.frequency_deviation [0.5 Hz]")]
+    assert deviation == pytest.approx((info["frequency_hz"] - 50.0) / 0.5, abs=1e-6) and deviation < -0.05
+    assert observation[names.index("wtg0.frequency_deviation [0.5 Hz]")] == pytest.approx(deviation, abs=0.05)

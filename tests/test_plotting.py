@@ -1,0 +1,140 @@
+"""The figure of recorded runs."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import sys
+
+import numpy as np
+import pytest
+
+from wtg_gym.physics.layout import Status
+from wtg_gym.physics.scenario import LineTrip, LoadRamp, LoadStep, LoadTrip, Scenario
+from wtg_gym.physics.tracking_law import STRATEGIES
+from wtg_gym.physics.trajectory import Trajectory, simulate
+from wtg_gym.plotting import GROUP_STYLES, PALETTE, describe_event, plot_trajectories
+from wtg_gym.scenarios import get_suite
+
+pytest.importorskip("matplotlib")
+
+_RUNS = {
+    "mppt": STRATEGIES["mppt"],
+    "coordinated-piecewise": STRATEGIES["coordinated-piecewise"],
+}
+
+
+@pytest.fixture(scope="module")
+def load_increase() -> tuple[Scenario, dict[str, Trajectory]]:
+    scenario = get_suite("paper").scenario(0)
+    return scenario, {name: simulate(scenario, law) for name, law in _RUNS.items()}
+
+
+def test_every_axis_has_a_unit(load_increase: tuple[Scenario, dict[str, Trajectory]]) -> None:
+    figure = plot_trajectories(load_increase[1], load_increase[0])
+    labels = [axes.get_ylabel() for axes in figure.axes]
+    assert len(labels) == 6
+    for unit in ("[Hz]", "[Hz/s]", "[p.u.]", "[m/s]"):
+        assert any(unit in label for label in labels)
+    assert all("[" in label for label in labels)
+    assert {axes.get_xlabel() for axes in figure.axes} == {"", "time [s]"}
+
+
+def test_a_strategy_keeps_its_colour_and_a_group_its_dashes(
+    load_increase: tuple[Scenario, dict[str, Trajectory]],
+) -> None:
+    figure = plot_trajectories(load_increase[1], load_increase[0])
+    rotor = next(axes for axes in figure.axes if axes.get_ylabel() == "rotor speed [p.u.]")
+    traces = [line for line in rotor.get_lines() if len(line.get_xdata()) > 2]
+    assert [(line.get_color(), line.get_linestyle()) for line in traces] == [
+        (PALETTE[run], GROUP_STYLES[group]) for run in range(2) for group in range(2)
+    ]
+
+
+def test_a_run_that_ended_early_is_marked_with_a_cross_where_it_ended(
+    load_increase: tuple[Scenario, dict[str, Trajectory]],
+) -> None:
+    scenario, runs = load_increase
+    assert runs["mppt"].status == Status.STALL
+    figure = plot_trajectories(runs, scenario)
+    crosses = [line for axes in figure.axes for line in axes.get_lines() if line.get_marker() == "x"]
+    assert crosses
+    assert {float(line.get_xdata()[0]) for line in crosses} == {float(runs["mppt"].time_s[-1])}
+    legend = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert legend == ["mppt", "coordinated-piecewise", "WTG group 1", "WTG group 2", "run ended: stall"]
+
+
+def test_events_are_numbered_and_explained(load_increase: tuple[Scenario, dict[str, Trajectory]]) -> None:
+    figure = plot_trajectories(load_increase[1], load_increase[0], title="my title")
+    texts = "\n".join(text.get_text() for text in figure.texts)
+    assert "my title" in texts
+    assert "(1) 5 s: +75 MW at bus 2" in texts
+    assert "(2) 30 s: +75 MW at bus 3" in texts
+
+
+def test_wind_and_all_tracking_coefficients_lie_inside_their_axes(
+    load_increase: tuple[Scenario, dict[str, Trajectory]],
+) -> None:
+    figure = plot_trajectories({"mppt": load_increase[1]["mppt"]}, load_increase[0])
+    panels = {axes.get_ylabel(): axes for axes in figure.axes}
+    low, high = panels["wind speed [m/s]"].get_ylim()
+    assert low < 8.0 < 11.4 < high
+    low, high = panels["coefficient k [p.u.]"].get_ylim()
+    law = STRATEGIES["coordinated-piecewise"]
+    assert low < law.k_max < law.k_nominal < law.k_min < high
+
+
+@pytest.mark.parametrize("kind", ["png", "svg", "pdf"])
+def test_figure_is_written_in_the_formats_of_the_command_line(kind: str) -> None:
+    ramp = LoadRamp(time_s=1.0, bus=3, power_mw=-20.0, duration_s=0.5)
+    scenario = Scenario(name="short", wind_speed=np.full((2, 1), 9.0), duration_s=2.0, events=(ramp,))
+    run = simulate(scenario, STRATEGIES["mppt"])
+    picture = io.BytesIO()
+    plot_trajectories({"mppt": run}, scenario).savefig(picture, format=kind)
+    assert picture.getvalue()[:5] in (b"\x89PNG\r", b"<?xml", b"%PDF-")
+
+
+def _with_groups(run: Trajectory, n_groups: int) -> Trajectory:
+    """The run with its two groups repeated or cut to `n_groups`, without simulating another plant."""
+    tables = {key: value for key, value in vars(run).items() if getattr(value, "ndim", 0) == 2}
+    columns = np.arange(n_groups) % 2
+    return dataclasses.replace(run, **{key: value[:, columns] for key, value in tables.items()})
+
+
+def test_many_groups_are_drawn_as_thin_plain_lines(
+    load_increase: tuple[Scenario, dict[str, Trajectory]],
+) -> None:
+    scenario, runs = load_increase
+    figure = plot_trajectories({"mppt": _with_groups(runs["mppt"], 6)}, scenario)
+    assert "one line per WTG group (6)" in [text.get_text() for text in figure.legends[0].get_texts()]
+    rotor = next(axes for axes in figure.axes if axes.get_ylabel() == "rotor speed [p.u.]")
+    traces = [line for line in rotor.get_lines() if len(line.get_xdata()) > 2]
+    assert [line.get_linestyle() for line in traces] == ["-"] * 6
+
+
+def test_pyplot_is_never_imported() -> None:
+    # A windowing backend must not be chosen behind the user's back.
+    before = "matplotlib.pyplot" in sys.modules
+    scenario = Scenario(name="calm", wind_speed=np.full((2, 1), 9.0), duration_s=1.0)
+    plot_trajectories({"mppt": simulate(scenario, STRATEGIES["mppt"])}, scenario)
+    assert ("matplotlib.pyplot" in sys.modules) == before
+
+
+def test_no_run_or_runs_of_different_plants_are_refused(
+    load_increase: tuple[Scenario, dict[str, Trajectory]],
+) -> None:
+    scenario, runs = load_increase
+    with pytest.raises(ValueError, match="no run"):
+        plot_trajectories({}, scenario)
+    with pytest.raises(ValueError, match=r"different numbers of WTG groups: \[1, 2\]"):
+        plot_trajectories({"a": _with_groups(runs["mppt"], 1), "b": runs["mppt"]}, scenario)
+
+
+def test_events_are_described_with_units() -> None:
+    assert describe_event(LoadStep(time_s=1.0, bus=2, power_mw=75.0)) == "+75 MW at bus 2"
+    step = LoadStep(time_s=1.0, bus=2, power_mw=-20.0, reactive_mvar=5.0)
+    assert describe_event(step) == "−20 MW, +5 Mvar at bus 2"
+    ramp = LoadRamp(time_s=1.0, bus=3, power_mw=20.0, duration_s=4.0)
+    assert describe_event(ramp) == "+20 MW at bus 3 over 4 s"
+    assert describe_event(LoadTrip(time_s=1.0, bus=4)) == "load of bus 4 lost"
+    assert describe_event(LineTrip(time_s=1.0, from_bus=2, to_bus=4)) == "line 2–4 opens"

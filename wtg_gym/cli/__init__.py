@@ -1,0 +1,78 @@
+"""The command `wtg-gym`: simulate, evaluate, leaderboard, suites.
+
+Exit codes: 0 fine, 1 a check failed, 2 bad input, 130 interrupted. Results go to stdout; progress, notes and errors
+go to stderr.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+
+from wtg_gym import __version__
+from wtg_gym.cli import scores, simulate, suites
+from wtg_gym.cli.parser import Parser
+
+_DESCRIPTION = """\
+Primary frequency regulation with grid-forming wind turbine generators on the modified IEEE 14-bus system: simulate
+single scenarios, score controllers on frozen suites of scenarios, and rank them."""
+
+_EPILOG = """\
+first steps:
+  wtg-gym simulate                                   the paper's load increase under the reference strategy
+  wtg-gym simulate --strategy all --plot run.png     under every strategy, with a figure
+  wtg-gym suites                                     which suites of scenarios there are
+  wtg-gym leaderboard --suite paper                  rank every entry of a checkout
+
+'wtg-gym COMMAND --help' explains a command and gives examples.
+exit codes: 0 fine, 1 a check failed, 2 bad input, 130 interrupted
+"""
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser of the whole command line."""
+    parser = Parser(prog="wtg-gym", description=_DESCRIPTION, epilog=_EPILOG)
+    parser.add_argument("--version", action="version", version=f"wtg-gym {__version__}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    for module in (simulate, scores, suites):
+        module.add_commands(commands)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        argv: arguments without the program's name; None takes those of the process.
+
+    Returns:
+        The exit code: 0 fine, 1 a check failed, 2 bad input, 130 interrupted.
+    """
+    arguments = argparse.Namespace(after_interrupt="nothing was written")
+    try:
+        build_parser().parse_args(argv, arguments)
+        code: int = arguments.run(arguments)
+        sys.stdout.flush()
+        return code
+    except KeyboardInterrupt:
+        print(f"\nwtg-gym: interrupted; {arguments.after_interrupt}", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # The reader of a pipe has seen enough; the interpreter must not complain when it flushes at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    except (ValueError, OSError) as error:
+        print(f"wtg-gym: error: {_one_line(error)}", file=sys.stderr)
+        return 2
+
+
+def _one_line(error: ValueError | OSError) -> str:
+    if isinstance(error, OSError) and error.strerror:
+        where = f"{error.filename}: " if error.filename else ""
+        return f"{where}{error.strerror}"
+    return " ".join(str(error).split())
+
+
+__all__ = ["build_parser", "main"]

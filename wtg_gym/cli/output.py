@@ -1,0 +1,164 @@
+"""Tables, progress and files: everything the commands let out."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+#: Lines of progress come this far apart, the first one after as long [s].
+_PROGRESS_INTERVAL_S = 5.0
+
+
+def note(text: str) -> None:
+    """Write a line to stderr, so that stdout carries results only."""
+    print(text, file=sys.stderr)
+
+
+def require_extra(package: str, purpose: str) -> None:
+    """Raise a ValueError that says what to install if a package of the leaderboard extra is missing."""
+    if importlib.util.find_spec(package) is None:
+        raise ValueError(f"{purpose} needs the leaderboard extra: pip install 'wtg-gym[leaderboard]'")
+
+
+def check_output_file(option: str, text: str | None, suffixes: Sequence[str]) -> Path | None:
+    """Return the path of a file to be written, or raise a ValueError now rather than after the work.
+
+    Args:
+        option: what the user called it.
+        text: the path; None for no file.
+        suffixes: those it may end with.
+    """
+    if text is None:
+        return None
+    path = Path(text)
+    if path.suffix.lower() not in suffixes:
+        raise ValueError(f"{option} {text}: unknown kind of file {path.suffix!r}; it must end in {', '.join(suffixes)}")
+    if path.exists() and not path.is_file():
+        raise ValueError(f"{option} {text}: it exists and is not a file")
+    if not path.parent.is_dir():
+        raise ValueError(f"{option} {text}: there is no folder {path.parent}; create it first")
+    if not os.access(path.parent, os.W_OK):
+        raise ValueError(f"{option} {text}: the folder {path.parent} is not writable")
+    return path
+
+
+def check_output_folder(option: str, text: str) -> Path:
+    """Return the path of a folder to write into, which may not exist yet; a ValueError if it cannot be one."""
+    path = Path(text)
+    there = next(folder for folder in (path, *path.absolute().parents) if folder.exists())
+    if not there.is_dir():
+        raise ValueError(f"{option} {text}: {there} is not a folder")
+    if not os.access(there, os.W_OK):
+        raise ValueError(f"{option} {text}: the folder {there} is not writable")
+    return path
+
+
+def write_atomically(path: Path, content: str | bytes) -> None:
+    """Write a file completely or not at all, through a neighbour that then takes its name."""
+    target = path.resolve()
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    try:
+        temporary.write_bytes(content.encode() if isinstance(content, str) else content)
+        os.replace(temporary, target)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def print_json(data: Any) -> None:
+    """Print data as JSON, the only thing on stdout."""
+    print(json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False))
+
+
+def print_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, left: Sequence[int] = (0,)) -> None:
+    """Print a table: with rules and colour in a terminal that rich can draw on, as plain text elsewhere.
+
+    Args:
+        header: column heads, with units.
+        rows: cells.
+        left: columns of text; the others are aligned right.
+    """
+    cells = [list(row) for row in rows]
+    if sys.stdout.isatty() and importlib.util.find_spec("rich") is not None:
+        from rich import box
+        from rich.console import Console
+        from rich.markup import escape
+        from rich.table import Table
+
+        table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+        for index, head in enumerate(header):
+            table.add_column(escape(head), justify="left" if index in left else "right")
+        for row in cells:
+            table.add_row(*map(escape, row))
+        Console().print(table)
+        return
+    print(text_table(header, cells, left=left))
+
+
+def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], *, left: Sequence[int] = (0,)) -> str:
+    """Return a table as lines of text with aligned columns."""
+    widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]
+    lines = [header, ["-" * width for width in widths], *rows]
+
+    def line(row: Sequence[str]) -> str:
+        aligned = (
+            cell.ljust(width) if index in left else cell.rjust(width)
+            for index, (cell, width) in enumerate(zip(row, widths, strict=True))
+        )
+        return "  ".join(aligned).rstrip()
+
+    return "\n".join(line(row) for row in lines)
+
+
+class Progress:
+    """Progress on stderr: a bar with the remaining time in a terminal, a line now and then elsewhere.
+
+    Args:
+        unit: what is counted, in the plural.
+    """
+
+    def __init__(self, unit: str) -> None:
+        self._unit = unit
+        self._bar: Any = None
+        self._task: Any = None
+        self._began = self._last_line = time.monotonic()
+
+    def __enter__(self) -> Progress:
+        if sys.stderr.isatty() and importlib.util.find_spec("rich") is not None:
+            from rich.console import Console
+            from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+            from rich.progress import Progress as Bar
+
+            count = TextColumn(f"{{task.completed:.0f}}/{{task.total:.0f}} {self._unit}")
+            columns = (TextColumn("{task.description}"), BarColumn(), count, TimeRemainingColumn())
+            self._bar = Bar(*columns, console=Console(stderr=True), transient=True)
+            self._task = self._bar.add_task("", total=None)
+            self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def update(self, name: str, done: float, total: int) -> None:
+        """Say that `done` of `total` are done, and the name of what is under way."""
+        if self._bar is not None:
+            self._bar.update(self._task, description=name, completed=done, total=total)
+            return
+        now = time.monotonic()
+        if now - self._last_line >= _PROGRESS_INTERVAL_S:
+            self._last_line = now
+            left = f", about {(now - self._began) / done * (total - done):.0f} s left" if done else ""
+            note(f"{name}: {round(done, 1):g} of {total} {self._unit}{left}")
+
+    def update_part(self, name: str, done: int, total: int, steps_done: int, n_steps: int) -> None:
+        """Say the same where `done` are complete and the next one has done some of its steps."""
+        self.update(name, done + steps_done / n_steps, total)

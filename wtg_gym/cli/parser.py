@@ -1,0 +1,84 @@
+"""What the commands' parsers have in common."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from typing import Any, NoReturn
+
+#: What `add_subparsers` returns and the commands are added to.
+Commands = Any
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose help keeps its line breaks, and whose errors are a ValueError of one line."""
+
+    def __init__(self, **arguments: Any) -> None:
+        arguments.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
+        super().__init__(allow_abbrev=False, **arguments)
+
+    def error(self, message: str) -> NoReturn:
+        """Raise a ValueError instead of printing the usage."""
+        raise ValueError(f"{message} (see: {self.prog} --help)")
+
+
+def add_command(
+    commands: Commands,
+    name: str,
+    run: Callable[[argparse.Namespace], int],
+    *,
+    summary: str,
+    description: str,
+    examples: str,
+    after_interrupt: str = "nothing was written",
+) -> argparse.ArgumentParser:
+    """Add a command.
+
+    Args:
+        commands: what `add_subparsers` returned.
+        name: of the command.
+        run: carries it out and returns the exit code.
+        summary: one line for the list of commands.
+        description: a paragraph for its own help.
+        examples: command lines for its own help.
+        after_interrupt: what to say after Ctrl-C: what is left and how to go on.
+
+    Returns:
+        The command's parser, for its options.
+    """
+    parser: argparse.ArgumentParser = commands.add_parser(
+        name, help=summary, description=description, epilog=f"examples:\n{examples}"
+    )
+    parser.set_defaults(run=run, after_interrupt=after_interrupt)
+    return parser
+
+
+def add_plant_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the plant and of the time steps, the same for every command that simulates."""
+    plant = parser.add_argument_group("plant and time steps")
+    plant.add_argument(
+        "--groups",
+        type=int,
+        metavar="N",
+        help="number of WTG groups at bus 2 that share 20 turbines of 5 MW (default: 2, or one per given wind)",
+    )
+    plant.add_argument("--control-dt", type=float, default=0.1, metavar="S", help="control interval [s] (default: 0.1)")
+    plant.add_argument(
+        "--simulation-dt",
+        type=float,
+        default=0.02,
+        metavar="S",
+        help="integration step, at most 0.04 s (default: 0.02)",
+    )
+    plant.add_argument(
+        "--machine-model",
+        choices=("genrou", "classical"),
+        default="genrou",
+        help="synchronous machines: genrou with exciters, or classical (default: genrou)",
+    )
+    plant.add_argument(
+        "--on-failure",
+        choices=("terminate", "trip"),
+        default="terminate",
+        help="a stalled or over-speeding group ends the run, or is disconnected (default: terminate)",
+    )

@@ -1,0 +1,120 @@
+"""Recorded runs as key figures, a table and CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from wtg_gym.cli.output import print_table
+from wtg_gym.physics.layout import Status
+from wtg_gym.physics.trajectory import Trajectory
+
+_ROCOF_WINDOW_S = 0.5
+
+
+def key_figures(name: str, run: Trajectory) -> dict[str, Any]:
+    """Return what a run is judged by at a glance, as JSON-ready data with units in the keys; groups count from 1."""
+    step = float(run.time_s[1] - run.time_s[0]) if run.time_s.size > 1 else _ROCOF_WINDOW_S
+    rocof = run.rocof_hz_s(_ROCOF_WINDOW_S)
+    failed = None
+    if run.status == Status.STALL:
+        failed = 1 + int(np.argmin(run.tip_speed_ratio[-1]))
+    elif run.status == Status.OVER_SPEED:
+        failed = 1 + int(np.argmax(run.rotor_speed_pu[-1]))
+    # A disconnected group delivers exactly nothing.
+    off = run.power_pu == 0.0
+    tripped = [
+        {"group": 1 + int(group), "time_s": _plain(run.time_s[np.argmax(off[:, group])])}
+        for group in np.flatnonzero(off.any(axis=0))
+    ]
+    return {
+        "strategy": name,
+        "status": "completed" if run.status == Status.RUNNING else run.status.name.lower().replace("_", "-"),
+        "failed_group": failed,
+        "tripped_groups": tripped,
+        "end_time_s": _plain(run.time_s[-1]),
+        "nadir_hz": _plain(run.frequency_hz.min()),
+        "zenith_hz": _plain(run.frequency_hz.max()),
+        "largest_rocof_hz_s": _plain(rocof[np.argmax(np.abs(rocof))]),
+        "rocof_window_s": _plain(max(1, round(_ROCOF_WINDOW_S / step)) * step),
+        "final_frequency_hz": _plain(run.frequency_hz[-1]),
+        "final_rotor_speed_pu": [_plain(value) for value in run.rotor_speed_pu[-1]],
+        "final_power_pu": [_plain(value) for value in run.power_pu[-1]],
+    }
+
+
+def _plain(value: float) -> float | None:
+    """A float without the noise of its last digits; None where JSON has no number for it."""
+    return round(float(value), 9) if np.isfinite(value) else None
+
+
+def print_key_figures(figures: list[dict[str, Any]]) -> None:
+    """Print the key figures of several runs as a table with units."""
+    window_ms = round(1000 * figures[0]["rocof_window_s"])
+    header = (
+        "strategy",
+        "nadir [Hz]",
+        "zenith [Hz]",
+        f"RoCoF, {window_ms} ms [Hz/s]",
+        "final [Hz]",
+        "final rotor speed [p.u.]",
+        "final power [p.u.]",
+        "end",
+    )
+    rows = [
+        (
+            row["strategy"],
+            _digits(row["nadir_hz"], 3),
+            _digits(row["zenith_hz"], 3),
+            _digits(row["largest_rocof_hz_s"], 3),
+            _digits(row["final_frequency_hz"], 3),
+            _per_group(row["final_rotor_speed_pu"]),
+            _per_group(row["final_power_pu"]),
+            _end(row),
+        )
+        for row in figures
+    ]
+    print_table(header, rows)
+
+
+def _end(row: Mapping[str, Any]) -> str:
+    time_s = _digits(row["end_time_s"], 1)
+    if row["status"] == "completed":
+        trips: dict[str, list[str]] = {}
+        for trip in row["tripped_groups"]:
+            trips.setdefault(f"{trip['time_s']:.1f} s", []).append(str(trip["group"]))
+        parts = [f"group {', '.join(groups)} tripped at {when}" for when, groups in trips.items()]
+        return "; ".join([*parts, f"completed {time_s} s"])
+    group = f" of group {row['failed_group']}" if row["failed_group"] else ""
+    return f"{row['status'].replace('-', ' ')}{group} at {time_s} s"
+
+
+def _digits(value: float | None, digits: int) -> str:
+    return "–" if value is None else f"{value:.{digits}f}"
+
+
+def _per_group(values: list[float | None]) -> str:
+    if len(values) <= 4:
+        return " / ".join(_digits(value, 3) for value in values)
+    known = [value for value in values if value is not None]
+    return f"{min(known):.3f} … {max(known):.3f}" if known else "–"
+
+
+def traces_csv(runs: Mapping[str, Trajectory]) -> str:
+    """Return every sample of every run as CSV: one row per run and instant, units in the header, groups from 1."""
+    per_group = [name for name, values in vars(next(iter(runs.values()))).items() if getattr(values, "ndim", 0) == 2]
+    n_groups = next(iter(runs.values())).power_pu.shape[1]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    names = [f"group_{group}_{name}" for group in range(1, n_groups + 1) for name in per_group]
+    writer.writerow(["strategy", "time_s", "frequency_hz", "rocof_hz_s", *names])
+    for label, run in runs.items():
+        series = [run.time_s, run.frequency_hz, run.rocof_hz_s()]
+        series += [getattr(run, name)[:, group] for group in range(n_groups) for name in per_group]
+        for row in zip(*series, strict=True):
+            writer.writerow([label, *(f"{value:.9g}" for value in row)])
+    return text.getvalue()

@@ -1,0 +1,286 @@
+"""`wtg-gym evaluate` and `wtg-gym leaderboard`: entries scored on a suite, and ranked."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import dataclasses
+import importlib.util
+import os
+import re
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from wtg_gym.cli.output import Progress, check_output_folder, note, print_json, print_table
+from wtg_gym.cli.parser import Commands, add_command, add_plant_options
+from wtg_gym.evaluation import (
+    ANCHORS,
+    Entry,
+    Results,
+    evaluate,
+    leaderboard_rows,
+    load_entries,
+    markdown_table,
+    table_cells,
+    update_between_markers,
+)
+from wtg_gym.evaluation.leaderboard import COLUMNS
+from wtg_gym.scenarios import SPLITS, SUITES, get_suite
+
+#: The package with the entries of a checkout.
+_DEFAULT_ENTRIES = "baselines"
+_PARTIAL_FOLDER = "partial"
+_LARGEST_SEED_RANGE = 100_000
+_ENTRIES_HELP = (
+    "what to score, several allowed: a strategy by name, a .toml file with a law, a package with entries, or "
+    f"module:ATTRIBUTE, whose code is run (default: {_DEFAULT_ENTRIES}, the package in a checkout)"
+)
+
+_EVALUATE = """\
+Plays entries through the scenarios of a suite, many at a time, and scores them: 0 is maximum power point tracking, 100
+the reference strategy. Both are always played too, because they fix the scale. With --results, every episode is
+written to <suite>-<split>.csv and the description and summary to <suite>-<split>.json; an interrupted evaluation goes
+on from its finished parts. Use another folder than the leaderboard's for choices of your own."""
+
+_EVALUATE_EXAMPLES = """\
+  wtg-gym evaluate --entries deloaded-5 coordinated-linear --suite low-wind
+  wtg-gym evaluate --entries my_law.toml --suite standard --seeds 20000:20010 --results my_results
+  wtg-gym evaluate --entries my_package.controller:make_policy --split validation --json"""
+
+_LEADERBOARD = """\
+Ranks entries on all test scenarios of a suite. Stored results are used again where they are of the same suite, source
+code and versions, and where replaying both anchors gives the same numbers; everything else is evaluated. The table is
+printed, the results are written as JSON and CSV, and with --readme the table between the markers
+<!-- leaderboard:SUITE:start --> and <!-- leaderboard:SUITE:end --> of that file is replaced."""
+
+_LEADERBOARD_EXAMPLES = """\
+  wtg-gym leaderboard --suite standard --results results --readme README.md
+  wtg-gym leaderboard --suite weak-grid --entries baselines my_law.toml
+  wtg-gym leaderboard --suite paper --entries mppt deloaded-10 coordinated-piecewise --json"""
+
+
+def add_commands(commands: Commands) -> None:
+    """Add `wtg-gym evaluate` and `wtg-gym leaderboard`."""
+    parser = add_command(
+        commands,
+        "evaluate",
+        _run_evaluate,
+        summary="score entries on scenarios of a suite",
+        description=_EVALUATE,
+        examples=_EVALUATE_EXAMPLES,
+        after_interrupt="nothing was written; with --results DIR the finished parts are kept",
+    )
+    _add_shared_options(parser)
+    parser.add_argument("--split", choices=SPLITS, default="test", help="which seeds of the suite (default: test)")
+    parser.add_argument(
+        "--seeds", nargs="+", metavar="A:B", help="seeds of the split, N or A:B with B left out (default: all)"
+    )
+    parser.add_argument("--duration", type=float, metavar="S", help="length of an episode [s] (default: the suite's)")
+    parser.add_argument("--results", metavar="DIR", help="folder to write results to; made if missing (default: none)")
+    parser.add_argument(
+        "--resume",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="go on from the finished parts of an interrupted run in DIR, and keep them (default: --resume)",
+    )
+    add_plant_options(parser)
+    parser = add_command(
+        commands,
+        "leaderboard",
+        _run_leaderboard,
+        summary="rank entries on a suite and write the table to a README",
+        description=_LEADERBOARD,
+        examples=_LEADERBOARD_EXAMPLES,
+    )
+    _add_shared_options(parser)
+    parser.add_argument(
+        "--results", metavar="DIR", default="results", help="folder of the results; made if missing (default: results)"
+    )
+    parser.add_argument("--readme", metavar="FILE", help="file with the markers to put the table between")
+    parser.add_argument("--fresh", action="store_true", help="evaluate everything, whatever is stored")
+
+
+def _add_shared_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--entries", nargs="+", default=[_DEFAULT_ENTRIES], metavar="SPEC", help=_ENTRIES_HELP)
+    parser.add_argument(
+        "--suite", default="standard", metavar="NAME", help=f"suite: {', '.join(SUITES)} (default: standard)"
+    )
+    parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
+    parser.add_argument("--json", action="store_true", help="print JSON, and nothing else, on stdout")
+
+
+# --- evaluate --------------------------------------------------------------------------------------------------------
+
+
+def _run_evaluate(arguments: argparse.Namespace) -> int:
+    folder = None if arguments.results is None else check_output_folder("--results", arguments.results)
+    partial = folder / _PARTIAL_FOLDER if folder is not None and arguments.resume else None
+    if partial is not None:
+        arguments.after_interrupt = _resumable(partial)
+    entries = _entries(arguments.entries)
+    results = _evaluate(
+        entries,
+        arguments,
+        split=arguments.split,
+        partial=partial,
+        seeds=None if arguments.seeds is None else _seeds(arguments.seeds),
+        duration_s=arguments.duration,
+        groups=2 if arguments.groups is None else arguments.groups,
+        control_dt=arguments.control_dt,
+        simulation_dt=arguments.simulation_dt,
+        machine_model=arguments.machine_model,
+        on_failure=arguments.on_failure,
+    )
+    _finish(results, folder, as_json=arguments.json)
+    return 0
+
+
+def _resumable(partial: Path) -> str:
+    return f"finished parts are kept in {partial}: run the same command again to go on"
+
+
+def _evaluate(
+    entries: Sequence[Entry], arguments: argparse.Namespace, *, partial: Path | None, **settings: Any
+) -> Results:
+    with Progress("episodes") as progress:
+        results = evaluate(
+            entries,
+            arguments.suite,
+            n_threads=arguments.threads,
+            on_progress=progress.update,
+            partial=partial,
+            **settings,
+        )
+    if partial is not None:
+        # Parts of other runs may still be in it.
+        with contextlib.suppress(OSError):
+            partial.rmdir()
+    return results
+
+
+def _entries(specs: Sequence[str]) -> list[Entry]:
+    # A console script, unlike `python -m`, does not look into the working folder: a checkout's packages are there.
+    if os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())
+    if _DEFAULT_ENTRIES in specs and importlib.util.find_spec(_DEFAULT_ENTRIES) is None:
+        raise ValueError(
+            f"there is no package {_DEFAULT_ENTRIES!r} here: run the command in the root of a checkout, "
+            "or say what to score with --entries"
+        )
+    entries = [entry for spec in specs for entry in load_entries(spec)]
+    names = [(entry.name, entry.training_seed) for entry in entries]
+    doubled = sorted({name for name, seed in names if names.count((name, seed)) > 1})
+    if doubled:
+        raise ValueError(f"--entries gives {', '.join(doubled)} more than once; names must be unique")
+    return entries
+
+
+def _seeds(texts: Sequence[str]) -> list[int]:
+    seeds: list[int] = []
+    for text in texts:
+        if re.fullmatch(r"\d{1,12}(:\d{1,12})?", text) is None:
+            raise ValueError(f"--seeds {text}: expected a seed such as 20003, or a range such as 20000:20010")
+        first, _, stop = text.partition(":")
+        part = range(int(first), int(stop) if stop else int(first) + 1)
+        if not 0 < len(part) <= _LARGEST_SEED_RANGE:
+            raise ValueError(f"--seeds {text}: {len(part)} seeds, a range must hold 1 … {_LARGEST_SEED_RANGE}")
+        seeds += part
+    return seeds
+
+
+def _finish(results: Results, folder: Path | None, *, as_json: bool) -> None:
+    """Write the results, then print the ranking or all of the description as JSON."""
+    rows = leaderboard_rows(results)
+    if folder is not None:
+        for path in results.write(folder):
+            note(f"wrote {path}")
+    if as_json:
+        print_json(results.to_dict())
+        return
+    print(f"suite {results.suite} ({results.suite_hash[:12]}), {results.split}: {len(results.seeds)} scenarios\n")
+    left = [index for index, is_number in enumerate(COLUMNS.values()) if not is_number]
+    print_table(tuple(COLUMNS), table_cells(rows), left=left)
+
+
+# --- leaderboard -----------------------------------------------------------------------------------------------------
+
+
+def _run_leaderboard(arguments: argparse.Namespace) -> int:
+    get_suite(arguments.suite)
+    folder = check_output_folder("--results", arguments.results)
+    readme = None if arguments.readme is None else _check_readme(Path(arguments.readme), arguments.suite)
+    partial = folder / _PARTIAL_FOLDER
+    arguments.after_interrupt = _resumable(partial)
+    entries = _entries(arguments.entries)
+    anchors = _evaluate([], arguments, partial=None)
+    stored = None if arguments.fresh else _stored(folder / f"{anchors.name}.json", anchors)
+    missing = [entry for entry in entries if stored is None or not _is_in(entry, stored)]
+    if stored is not None:
+        note(f"{len(entries) - len(missing)} of {len(entries)} entries are stored in {folder}")
+    fresh = _evaluate(missing, arguments, partial=partial) if missing else anchors
+    results = _merged(entries, fresh, stored)
+    _finish(results, folder, as_json=arguments.json)
+    if readme is not None:
+        changed = update_between_markers(readme, markdown_table(leaderboard_rows(results)), results.suite)
+        note(f"{readme}: {'table updated' if changed else 'the table is up to date'}")
+    return 0
+
+
+def _check_readme(path: Path, suite: str) -> Path:
+    """Raise a ValueError now if the table could not be written in the end."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"--readme {path} is not UTF-8 text: {error}") from error
+    except OSError as error:
+        raise ValueError(f"--readme {path}: {error.strerror}") from error
+    start, end = (f"<!-- leaderboard:{suite}:{edge} -->" for edge in ("start", "end"))
+    if text.count(start) != 1 or text.count(end) != 1 or text.index(start) > text.index(end):
+        raise ValueError(f"--readme {path} must have the markers {start} and {end} once each, in this order")
+    if not os.access(path, os.W_OK) or not os.access(path.resolve().parent, os.W_OK):
+        raise ValueError(f"--readme {path} is not writable")
+    return path
+
+
+def _stored(path: Path, anchors: Results) -> Results | None:
+    """Return stored results if they would come out the same today, else None with a note why not."""
+    if not path.exists():
+        return None
+    try:
+        stored = Results.read(path)
+    except ValueError as error:
+        note(f"not used: {error}")
+        return None
+    for key in ("suite_hash", "source_hash", "split", "seeds", "settings", "versions"):
+        if getattr(stored, key) != getattr(anchors, key):
+            note(f"not used: {path} is of another {key.replace('_', ' ')}; evaluating everything")
+            return None
+    if any(stored.episodes_of(name) != anchors.episodes_of(name) for name in ANCHORS):
+        note(f"not used: {path} is not reproduced by a replay of {' and '.join(ANCHORS)}; evaluating everything")
+        return None
+    return stored
+
+
+def _is_in(entry: Entry, stored: Results) -> bool:
+    # Without an identity nobody can say whether it is still the same policy.
+    return entry.identity is not None and entry.to_dict() in stored.entries
+
+
+def _merged(entries: Sequence[Entry], fresh: Results, stored: Results | None) -> Results:
+    """The entries' results, and the anchors', out of fresh and stored ones."""
+    sources = [fresh] if stored is None else [stored, fresh]
+    described = {(data["name"], data["training_seed"]): data for source in sources for data in source.entries}
+    wanted = {(entry.name, entry.training_seed): entry.to_dict() for entry in entries}
+    for name in ANCHORS:
+        wanted.setdefault((name, None), dict(described[name, None]))
+    episodes = {}
+    for source in sources:
+        for key in wanted:
+            own = [episode for episode in source.episodes if episode.run == key]
+            if own:
+                episodes[key] = own
+    return dataclasses.replace(
+        fresh, entries=tuple(wanted.values()), episodes=tuple(episode for key in wanted for episode in episodes[key])
+    )

@@ -1,0 +1,213 @@
+"""`wtg-gym simulate`: one scenario under one or several strategies."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import io
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wtg_gym.cli.output import (
+    Progress,
+    check_output_file,
+    note,
+    print_json,
+    require_extra,
+    write_atomically,
+)
+from wtg_gym.cli.parser import Commands, add_command, add_plant_options
+from wtg_gym.cli.runs import key_figures, print_key_figures, traces_csv
+from wtg_gym.cli.scenario import describe_scenario, read_scenario, scenario_summary
+from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.layout import Status
+from wtg_gym.physics.parameters import WtgGroup, default_groups
+from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.scenario import Scenario
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, TrackingLaw, get_law
+from wtg_gym.physics.trajectory import Trajectory, simulate
+from wtg_gym.scenarios import SUITES, get_suite, read_wind_csv
+
+_PLOT_SUFFIXES = (".png", ".svg", ".pdf")
+
+_DESCRIPTION = f"""\
+Simulates one scenario under each of the given strategies and prints the key figures: frequency nadir and zenith, the
+largest rate of change of frequency over 500 ms, and where frequency, rotor speeds and powers end. The scenario is one
+of the paper's cases, a seed of a suite, or a file; its wind can be replaced. A run ends early at a stall, an
+over-speed, or a frequency outside 47.5 … 51.5 Hz.
+
+strategies: {", ".join(STRATEGIES)}"""
+
+_EXAMPLES = """\
+  wtg-gym simulate --case load-increase --strategy mppt deloaded-5 coordinated-piecewise --plot run.png
+  wtg-gym simulate --suite standard --seed 20003 --strategy all --csv traces.csv
+  wtg-gym simulate --case load-decrease --wind 9 7.5 --duration 60
+  wtg-gym simulate --wind-csv measured.csv --strategy my_law.toml
+  wtg-gym suites weak-grid --seed 20010 --json > mine.json     write a scenario, edit it, then
+  wtg-gym simulate --scenario mine.json --json                 simulate it"""
+
+
+def add_commands(commands: Commands) -> None:
+    """Add `wtg-gym simulate`."""
+    parser = add_command(
+        commands,
+        "simulate",
+        run,
+        summary="one scenario under one or several strategies: key figures, figure, traces",
+        description=_DESCRIPTION,
+        examples=_EXAMPLES,
+    )
+    cases = ", ".join(case.name for case in get_suite("paper").cases)
+    what = parser.add_argument_group("scenario").add_mutually_exclusive_group()
+    what.add_argument("--case", metavar="NAME", help=f"case of the paper: {cases} (default: load-increase)")
+    what.add_argument("--suite", metavar="NAME", help=f"suite to draw from: {', '.join(SUITES)}")
+    what.add_argument(
+        "--scenario", metavar="FILE", help="scenario file in JSON, as `wtg-gym suites NAME --json` prints"
+    )
+    change = parser.add_argument_group("changes to it")
+    change.add_argument("--seed", type=int, metavar="N", help="seed of the suite (default: its first test seed)")
+    change.add_argument(
+        "--duration", type=float, metavar="S", help="length of the run [s], a drawn scenario is drawn anew for it"
+    )
+    wind = change.add_mutually_exclusive_group()
+    wind.add_argument(
+        "--wind",
+        type=float,
+        nargs="+",
+        metavar="V",
+        help="constant wind, 3 … 25 m/s: one for all WTG groups or one each",
+    )
+    wind.add_argument(
+        "--wind-csv", metavar="FILE", help="wind series: time_s, then one column per WTG group [m/s], uniform steps"
+    )
+    add_plant_options(parser)
+    parser.add_argument(
+        "--strategy",
+        nargs="+",
+        action="extend",
+        metavar="NAME",
+        help=f"strategies by name, 'all', or a .toml file with a law; may be repeated (default: {REFERENCE_STRATEGY})",
+    )
+    out = parser.add_argument_group("output")
+    out.add_argument("--plot", metavar="FILE", help=f"write a figure of the runs: {', '.join(_PLOT_SUFFIXES)}")
+    out.add_argument("--csv", metavar="FILE", help="write every sample of every run, units in the header: .csv")
+    out.add_argument("--json", action="store_true", help="print the key figures as JSON, and nothing else, on stdout")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Carry out `wtg-gym simulate`; return 1 if a run failed numerically."""
+    plot = check_output_file("--plot", arguments.plot, _PLOT_SUFFIXES)
+    table = check_output_file("--csv", arguments.csv, (".csv",))
+    if plot is not None:
+        require_extra("matplotlib", "--plot")
+    laws = _laws(arguments.strategy or [REFERENCE_STRATEGY])
+    scenario, groups = _scenario_and_groups(arguments)
+    settings = PlantSettings(
+        case=modified_ieee14(classical=arguments.machine_model == "classical"),
+        groups=groups,
+        control_dt=arguments.control_dt,
+        simulation_dt=arguments.simulation_dt,
+        trips_groups=arguments.on_failure == "trip",
+    )
+    with Progress("runs") as progress:
+        runs = {}
+        for done, (name, law) in enumerate(laws.items()):
+            runs[name] = simulate(
+                scenario, law, settings, on_progress=partial(progress.update_part, name, done, len(laws))
+            )
+    if plot is not None:
+        _write_plot(plot, runs, scenario)
+    if table is not None:
+        write_atomically(table, traces_csv(runs))
+        note(f"wrote {table}")
+    figures = [key_figures(name, trajectory) for name, trajectory in runs.items()]
+    if arguments.json:
+        print_json(
+            {"scenario": scenario_summary(scenario), "plant": _plant_summary(arguments, groups), "runs": figures}
+        )
+    else:
+        print("\n".join(describe_scenario(scenario)), end="\n\n")
+        print_key_figures(figures)
+    return int(any(trajectory.status == Status.NUMERICAL_FAILURE for trajectory in runs.values()))
+
+
+def _laws(names: list[str]) -> dict[str, TrackingLaw]:
+    laws: dict[str, TrackingLaw] = {}
+    given = [expanded for name in names for expanded in (STRATEGIES if name == "all" else (name,))]
+    for name in dict.fromkeys(given):
+        law = get_law(name)
+        if law.name in laws:
+            raise ValueError(f"two strategies are called {law.name!r}; give the law in {name} another name")
+        laws[law.name] = law
+    return laws
+
+
+def _scenario_and_groups(arguments: argparse.Namespace) -> tuple[Scenario, tuple[WtgGroup, ...]]:
+    """The scenario that was asked for, with its wind replaced, and as many WTG groups as it has wind for."""
+    if arguments.seed is not None and arguments.suite is None:
+        raise ValueError(f"--seed {arguments.seed} needs a suite: --suite {' | '.join(SUITES)}")
+    from_file = None if arguments.scenario is None else read_scenario(Path(arguments.scenario))
+    if from_file is not None and arguments.duration is not None:
+        from_file = dataclasses.replace(from_file, duration_s=arguments.duration)
+    n_given = 1 if arguments.wind is None else len(arguments.wind)
+    if arguments.wind_csv is not None:
+        n_given = read_wind_csv(arguments.wind_csv)[0].shape[0]
+    n_default = from_file.n_wtg if from_file is not None else 2
+    n_groups = arguments.groups
+    if n_groups is None:
+        n_groups = n_given if n_given > 1 or arguments.wind_csv is not None else n_default
+    groups = default_groups(n_groups)
+    if arguments.wind_csv is not None and n_given != n_groups:
+        raise ValueError(f"{arguments.wind_csv} has wind for {n_given} WTG groups, --groups asks for {n_groups}")
+    if n_given not in (1, n_groups):
+        raise ValueError(f"--wind gives {n_given} values [m/s], --groups asks for {n_groups}: give one or {n_groups}")
+    scenario = from_file if from_file is not None else _named_scenario(arguments, groups)
+    if arguments.wind is not None:
+        wind = np.resize(np.array(arguments.wind), (n_groups, 1))
+        scenario = dataclasses.replace(scenario, wind_speed=wind)
+    elif arguments.wind_csv is not None:
+        wind, wind_dt_s = read_wind_csv(arguments.wind_csv, duration_s=scenario.duration_s)
+        scenario = dataclasses.replace(scenario, wind_speed=wind, wind_dt_s=wind_dt_s)
+    if scenario.n_wtg != n_groups:
+        raise ValueError(
+            f"{arguments.scenario} has wind for {scenario.n_wtg} WTG groups, --groups asks for {n_groups}; "
+            "give the wind too, with --wind or --wind-csv"
+        )
+    return scenario, groups
+
+
+def _named_scenario(arguments: argparse.Namespace, groups: tuple[WtgGroup, ...]) -> Scenario:
+    suite = get_suite(arguments.suite or "paper")
+    if arguments.suite is not None:
+        seed = suite.test[0] if arguments.seed is None else arguments.seed
+    else:
+        cases = [case.name for case in suite.cases]
+        name = arguments.case or cases[0]
+        if name not in cases:
+            raise ValueError(f"unknown case {name!r}; known cases: {', '.join(cases)}")
+        seed = cases.index(name)
+    turbines = [group.n_turbines for group in groups]
+    return suite.scenario(seed, n_wtg=len(groups), n_turbines=turbines, duration_s=arguments.duration)
+
+
+def _plant_summary(arguments: argparse.Namespace, groups: tuple[WtgGroup, ...]) -> dict[str, Any]:
+    return {
+        "groups": [dataclasses.asdict(group) for group in groups],
+        "control_dt_s": arguments.control_dt,
+        "simulation_dt_s": arguments.simulation_dt,
+        "machine_model": arguments.machine_model,
+        "on_failure": arguments.on_failure,
+    }
+
+
+def _write_plot(path: Path, runs: Mapping[str, Trajectory], scenario: Scenario) -> None:
+    from wtg_gym.plotting import plot_trajectories
+
+    picture = io.BytesIO()
+    plot_trajectories(runs, scenario).savefig(picture, format=path.suffix[1:].lower(), dpi=150)
+    write_atomically(path, picture.getvalue())
+    note(f"wrote {path}")

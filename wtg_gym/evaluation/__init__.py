@@ -1,0 +1,26 @@
+"""Entries, their evaluation on the suites, metrics, scores and the leaderboard."""
+
+from wtg_gym.evaluation.entries import ANCHORS, Entry, Policy, load_entries
+from wtg_gym.evaluation.evaluator import evaluate
+from wtg_gym.evaluation.leaderboard import leaderboard_rows, markdown_table, table_cells, update_between_markers
+from wtg_gym.evaluation.metrics import METRICS, Metric
+from wtg_gym.evaluation.results import Results
+from wtg_gym.evaluation.statistics import Interval
+from wtg_gym.evaluation.summary import EntrySummary
+
+__all__ = [
+    "ANCHORS",
+    "METRICS",
+    "Entry",
+    "EntrySummary",
+    "Interval",
+    "Metric",
+    "Policy",
+    "Results",
+    "evaluate",
+    "leaderboard_rows",
+    "load_entries",
+    "markdown_table",
+    "table_cells",
+    "update_between_markers",
+]

@@ -1,0 +1,208 @@
+"""What is evaluated: a strategy, and the policy that modulates it."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import json
+import pkgutil
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Protocol, runtime_checkable
+
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.evaluation.files import sha256
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, TrackingLaw, get_law
+
+#: Names of the two entries that fix the score's 0 and 100.
+ANCHORS = ("mppt", REFERENCE_STRATEGY)
+_NOT_IN_NAMES = "|<>`*\\"
+
+
+@runtime_checkable
+class Policy(Protocol):
+    """Whatever has Stable-Baselines3's `predict`."""
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> tuple[Any, Any]:
+        """Return (actions (n_lanes, n_action) in [-1, 1], next recurrent state) for observations (n_lanes, n)."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """One competitor.
+
+    Args:
+        name: name in tables, 1 … 60 printable characters; with `training_seed` it is unique among the entries.
+        strategy: the law that actions modulate: a built-in name, a .toml file, or a law.
+        policy: gives the actions; None is the zero action, which is the strategy itself.
+        action_mode: "k", "tau" or "k+tau".
+        observation_mode: "local" or "privileged".
+        description: one sentence on what it is.
+        equation: the control law in short.
+        source: citation.
+        fingerprint: text that identifies the policy's content, such as its file's sha256; None: unknown, so that an
+            interrupted evaluation starts this entry again. A law needs none: its numbers identify it.
+        training_seed: seed the policy was trained with; entries of one name and several seeds share a table row.
+
+    Raises:
+        ValueError: a value is unknown or of the wrong type; the message says what is allowed.
+    """
+
+    name: str
+    strategy: str | Path | TrackingLaw = REFERENCE_STRATEGY
+    policy: Policy | None = None
+    action_mode: str = "k+tau"
+    observation_mode: str = "local"
+    description: str = ""
+    equation: str = ""
+    source: str = ""
+    fingerprint: str | None = None
+    training_seed: int | None = None
+    law: TrackingLaw = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        name = self.name
+        printable = isinstance(name, str) and name.isprintable() and not set(name) & set(_NOT_IN_NAMES)
+        if not printable or not 1 <= len(name) <= 60 or name != name.strip():
+            raise ValueError(
+                f"an entry's name must be 1 … 60 printable characters without {' '.join(_NOT_IN_NAMES)}, got {name!r}"
+            )
+        object.__setattr__(self, "law", get_law(self.strategy))
+        # The settings' own check of the two modes.
+        EnvSettings(action_mode=self.action_mode, observation_mode=self.observation_mode)
+        if self.policy is not None and not _is_policy(self.policy):
+            raise ValueError(
+                f"the policy of entry {name!r} must have predict(observation, state, episode_start, deterministic), "
+                f"got {type(self.policy).__name__}"
+            )
+        for key in ("description", "equation", "source", "fingerprint"):
+            value = getattr(self, key)
+            if not isinstance(value, str) and not (key == "fingerprint" and value is None):
+                raise ValueError(f"{key} of entry {name!r} must be text, got {value!r}")
+        seed = self.training_seed
+        if seed is not None and (isinstance(seed, bool) or not isinstance(seed, int) or seed < 0):
+            raise ValueError(f"training_seed of entry {name!r} must be a whole number from 0 on, got {seed!r}")
+
+    @property
+    def kind(self) -> str:
+        """Return "law" for a strategy as it is, "learned" where a policy modulates it."""
+        return "law" if self.policy is None else "learned"
+
+    @property
+    def label(self) -> str:
+        """Return the name with the training seed, for messages."""
+        return self.name if self.training_seed is None else f"{self.name} (training seed {self.training_seed})"
+
+    @property
+    def identity(self) -> str | None:
+        """Return a sha256 over what decides its actions; None for a policy without fingerprint."""
+        if self.policy is not None and self.fingerprint is None:
+            return None
+        policy = None if self.policy is None else self.fingerprint
+        data = [_law_numbers(self.law), policy, self.action_mode, self.observation_mode]
+        return sha256(json.dumps(data, sort_keys=True).encode())
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry as JSON-ready data; an infinite time constant is the text "inf"."""
+        texts = ("name", "action_mode", "observation_mode", "description", "equation", "source", "training_seed")
+        return {
+            **{key: getattr(self, key) for key in texts},
+            "kind": self.kind,
+            "strategy": _law_numbers(self.law),
+            "sha256": self.identity,
+        }
+
+
+def _is_policy(value: Any) -> bool:
+    # A class has the method too, but nothing to call it on.
+    return isinstance(value, Policy) and not isinstance(value, type) and callable(value.predict)
+
+
+def _law_numbers(law: TrackingLaw) -> dict[str, Any]:
+    numbers = dataclasses.asdict(law)
+    if numbers["damping_time_constant_s"] == float("inf"):
+        numbers["damping_time_constant_s"] = "inf"
+    return numbers
+
+
+def load_entries(spec: str | Path) -> list[Entry]:
+    """Return the entries that a text names.
+
+    Args:
+        spec: the name of a built-in strategy; a .toml file with a law; a package such as "baselines", of which every
+            module with an `ENTRY` counts, in the order of the package's `ORDER` and then by name; or
+            "module:ATTRIBUTE", an entry, a policy, or a callable that returns one. Importing runs the module's code.
+
+    Raises:
+        ValueError: nothing of that name, or it holds no entry; the message says what is allowed.
+    """
+    text = str(spec)
+    if text in STRATEGIES:
+        return [Entry(name=text, strategy=text, description="A built-in strategy.")]
+    if text.endswith(".toml"):
+        law = get_law(text)
+        return [Entry(name=law.name, strategy=law, description="A law read from a file.")]
+    module_name, colon, attribute = text.partition(":")
+    module = _import(module_name, text)
+    return [_entry_of(module, attribute, text)] if colon else _entries_of(module, text)
+
+
+def _import(name: str, spec: str) -> ModuleType:
+    allowed = (
+        f"allowed are a built-in strategy ({', '.join(STRATEGIES)}), a .toml file with a law, "
+        'an importable package or module with entries, or "module:ATTRIBUTE"'
+    )
+    if not name or not all(part.isidentifier() for part in name.split(".")):
+        raise ValueError(f"unknown entry {spec!r}; {allowed}")
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name is not None and (name == error.name or name.startswith(error.name + ".")):
+            raise ValueError(f"unknown entry {spec!r}: there is no module {error.name!r}; {allowed}") from error
+        raise ValueError(f"entry {spec!r} cannot be imported: {error}") from error
+    except ImportError as error:
+        raise ValueError(f"entry {spec!r} cannot be imported: {error}") from error
+
+
+def _entry_of(module: ModuleType, attribute: str, spec: str) -> Entry:
+    names = ", ".join(sorted(name for name in vars(module) if not name.startswith("_")))
+    if not hasattr(module, attribute):
+        raise ValueError(f"entry {spec!r}: module {module.__name__!r} has no {attribute!r}; it has {names}")
+    found = getattr(module, attribute)
+    if callable(found) and not _is_policy(found):
+        found = found()
+    if isinstance(found, Entry):
+        return found
+    if _is_policy(found):
+        return Entry(name=attribute, policy=found)
+    raise ValueError(
+        f"entry {spec!r} must be an Entry, an object with predict(), or a callable that returns one, "
+        f"got {type(found).__name__}"
+    )
+
+
+def _entries_of(module: ModuleType, spec: str) -> list[Entry]:
+    path = getattr(module, "__path__", None)
+    if path is None:
+        modules = [module]
+    else:
+        names = sorted(info.name for info in pkgutil.iter_modules(path))
+        order: Sequence[str] = getattr(module, "ORDER", ())
+        missing = [name for name in order if name not in names]
+        if missing:
+            raise ValueError(f"ORDER of package {spec!r} names modules {missing} that it has not; it has {names}")
+        names = [*order, *(name for name in names if name not in order)]
+        modules = [_import(f"{module.__name__}.{name}", spec) for name in names]
+    entries = [vars(m)["ENTRY"] for m in modules if "ENTRY" in vars(m)]
+    wrong = [type(entry).__name__ for entry in entries if not isinstance(entry, Entry)]
+    if wrong or not entries:
+        raise ValueError(f"no module of {spec!r} may hold an ENTRY but an Entry, and one must; found {wrong or 'none'}")
+    return entries
+
+
+__all__ = ["ANCHORS", "Entry", "Policy", "load_entries"]

@@ -1,0 +1,131 @@
+"""One row per entry and scenario, and the table of them as CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from wtg_gym.envs.lanes import TERMINATION_REASONS
+from wtg_gym.evaluation.metrics import METRICS
+
+#: Columns before the metrics: which entry, which scenario, how long it should last [s], why it failed ("": it did not).
+_LEADING = ("entry", "training_seed", "seed", "scenario", "duration_s", "failure")
+COLUMNS = (*_LEADING, *METRICS)
+FAILURES = tuple(TERMINATION_REASONS.values())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Episode:
+    """What an entry did in a scenario.
+
+    Args:
+        entry: name of the entry.
+        training_seed: its training seed, if it has one.
+        seed: seed of the scenario in its suite.
+        scenario: name of the scenario.
+        duration_s: how long it should last [s].
+        failure: why it ended before its time; empty where it did not.
+        metrics: every metric by its name in :data:`METRICS`; None where it has none.
+    """
+
+    entry: str
+    training_seed: int | None
+    seed: int
+    scenario: str
+    duration_s: float
+    failure: str
+    metrics: Mapping[str, float | None]
+
+    @property
+    def failed(self) -> bool:
+        """Return whether it ended before its time."""
+        return self.failure != ""
+
+    @property
+    def run(self) -> tuple[str, int | None]:
+        """Return which entry and training seed it belongs to."""
+        return self.entry, self.training_seed
+
+    def cells(self) -> list[str]:
+        """Return the row of the table, in the order of :data:`COLUMNS`; numbers in full precision."""
+        training = "" if self.training_seed is None else str(self.training_seed)
+        leading = [self.entry, training, str(self.seed), self.scenario, repr(float(self.duration_s)), self.failure]
+        return leading + ["" if (value := self.metrics[name]) is None else repr(float(value)) for name in METRICS]
+
+
+def to_csv(episodes: Sequence[Episode]) -> str:
+    """Return the episodes as CSV with a header and line feeds."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    writer.writerows(episode.cells() for episode in episodes)
+    return buffer.getvalue()
+
+
+def from_csv(text: str, path: Path) -> list[Episode]:
+    """Return the episodes of a table that :func:`to_csv` wrote.
+
+    Args:
+        text: the table.
+        path: where it was read, for messages.
+
+    Raises:
+        ValueError: a column, row or value is not what it should be; the message names file, line and column.
+    """
+    try:
+        rows = list(csv.reader(io.StringIO(text), strict=True))
+    except csv.Error as error:
+        raise ValueError(f"the episodes in {path} are not CSV: {error}") from error
+    header = rows[0] if rows else []
+    if tuple(header) != COLUMNS:
+        unknown, missing = [c for c in header if c not in COLUMNS], [c for c in COLUMNS if c not in header]
+        raise ValueError(
+            f"the header of {path} is not that of this version: unknown columns {unknown}, missing columns {missing}; "
+            f"expected, in this order, {', '.join(COLUMNS)}"
+        )
+    return [episode_from_cells(cells, f"{path}, line {line}") for line, cells in enumerate(rows[1:], start=2)]
+
+
+def episode_from_cells(cells: Sequence[str], where: str) -> Episode:
+    """Return the episode of a row, see :meth:`Episode.cells`; a ValueError names `where` and the column."""
+    if len(cells) != len(COLUMNS):
+        raise ValueError(f"{where}: expected {len(COLUMNS)} values, got {len(cells)}")
+    row = dict(zip(COLUMNS, cells, strict=True))
+    if row["failure"] not in FAILURES:
+        raise ValueError(f"{where}: failure must be empty or one of {', '.join(FAILURES[1:])}, got {row['failure']!r}")
+    return Episode(
+        entry=row["entry"],
+        training_seed=None if row["training_seed"] == "" else _whole(row, "training_seed", where),
+        seed=_whole(row, "seed", where),
+        scenario=row["scenario"],
+        duration_s=_number(row, "duration_s", where),
+        failure=row["failure"],
+        metrics={
+            name: None if metric.optional and row[name] == "" else _number(row, name, where)
+            for name, metric in METRICS.items()
+        },
+    )
+
+
+def _whole(row: Mapping[str, str], column: str, where: str) -> int:
+    if not (row[column].isascii() and row[column].isdigit()):
+        raise ValueError(f"{where}: {column} must be a whole number from 0 on, got {row[column]!r}")
+    return int(row[column])
+
+
+def _number(row: Mapping[str, str], column: str, where: str) -> float:
+    unit = METRICS[column].unit if column in METRICS else "s"
+    try:
+        value = float(row[column])
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError(f"{where}: {column} must be a finite number [{unit}], got {row[column]!r}")
+    return value
+
+
+__all__ = ["COLUMNS", "FAILURES", "Episode", "episode_from_cells", "from_csv", "to_csv"]

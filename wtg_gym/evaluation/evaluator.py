@@ -1,0 +1,271 @@
+"""Playing entries through the scenarios of a suite, many at a time."""
+
+from __future__ import annotations
+
+import dataclasses
+import platform
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from wtg_gym import __version__
+from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.envs.task import TaskRow
+from wtg_gym.evaluation.entries import ANCHORS, Entry
+from wtg_gym.evaluation.episodes import Episode
+from wtg_gym.evaluation.metrics import Recorder, measure
+from wtg_gym.evaluation.partial import PartialStore
+from wtg_gym.evaluation.results import Results
+from wtg_gym.physics.compiled import source_hash
+from wtg_gym.physics.scenario import Scenario
+from wtg_gym.physics.tracking_law import STRATEGIES
+from wtg_gym.scenarios import get_suite
+
+Progress = Callable[[str, int, int], None]
+#: Settings that an entry or an argument of its own decides.
+_TAKEN = ("strategy", "action_mode", "observation_mode", "suite", "split", "scenario", "duration_s")
+#: More scenarios than this must be asked for by their seeds.
+_LARGEST_SPLIT = 100_000
+
+
+def evaluate(
+    entries: Sequence[Entry],
+    suite: str,
+    split: str = "test",
+    *,
+    seeds: Sequence[int] | None = None,
+    duration_s: float | None = None,
+    batch: int = 256,
+    n_threads: int | None = None,
+    on_progress: Progress | None = None,
+    partial: str | Path | None = None,
+    **env_arguments: Any,
+) -> Results:
+    """Play every entry, and the two anchors of the score, through the scenarios of a suite.
+
+    The numbers of a law depend neither on `batch` nor on `n_threads`, to the last bit. A policy is called once per
+    control step for a whole batch; its own rounding may depend on the batch's size.
+
+    Args:
+        entries: competitors; names (with training seeds) must be unique.
+        suite: name of the suite.
+        split: "train", "validation" or "test".
+        seeds: some of the split's seeds; None for all.
+        duration_s: length of the episodes [s]; None for the suite's own.
+        batch: scenarios that run side by side.
+        n_threads: threads to step with; None for one per processor.
+        on_progress: called with (name of the entry, episodes done, episodes in all) after every batch.
+        partial: folder for finished batches: a run that was killed goes on from them; in the end they are removed, the
+            folder stays.
+        env_arguments: further settings of the environment, see :class:`wtg_gym.envs.settings.EnvSettings`.
+
+    Raises:
+        ValueError: an argument is unknown or out of range, or a policy returns what is no action; the message names
+            the value, or the entry, its step and the shape it returned.
+    """
+    competitors = _with_anchors(entries)
+    _check_arguments(batch, partial, env_arguments)
+    settings = EnvSettings(suite=suite, split=split, duration_s=duration_s, **env_arguments)
+    chosen = _seeds(suite, split, seeds)
+    shared, suite_hash = _shared_settings(settings), get_suite(suite).hash
+    store = PartialStore(None if partial is None else Path(partial), [suite, suite_hash, split, shared])
+    episodes: list[Episode] = []
+    for entry in competitors:
+        for first in range(0, len(chosen), batch):
+            part = chosen[first : first + batch]
+            path = store.path(entry.to_dict(), part)
+            rows = store.load(path, len(part))
+            if rows is None:
+                rows = _play(entry, settings, part, n_threads)
+                store.save(path, rows)
+            episodes += rows
+            if on_progress is not None:
+                on_progress(entry.name, len(episodes), len(competitors) * len(chosen))
+    results = Results(
+        suite=suite,
+        split=split,
+        suite_hash=suite_hash,
+        source_hash=source_hash(),
+        seeds=tuple(chosen),
+        settings=shared,
+        versions=_versions(),
+        entries=tuple(entry.to_dict() for entry in competitors),
+        episodes=tuple(episodes),
+    )
+    store.clear()
+    return results
+
+
+def _check_arguments(batch: int, partial: str | Path | None, env_arguments: dict[str, Any]) -> None:
+    known = [field.name for field in dataclasses.fields(EnvSettings) if field.name not in _TAKEN]
+    unknown = sorted(set(env_arguments) - set(known))
+    if unknown:
+        raise ValueError(
+            f"unknown environment settings {unknown}; allowed here: {', '.join(known)} "
+            f"({', '.join(_TAKEN)} are set by the entry or by an argument of its own, a scenario by its seed)"
+        )
+    if isinstance(batch, bool) or not isinstance(batch, int) or not 1 <= batch <= 100_000:
+        raise ValueError(f"batch must be 1 … 100000 scenarios, got {batch!r}")
+    if partial is not None and Path(partial).exists() and not Path(partial).is_dir():
+        raise ValueError(f"partial must be a folder for finished batches, got the file {partial}")
+
+
+def _with_anchors(entries: Sequence[Entry]) -> list[Entry]:
+    """The entries with the anchors that are not among them, anchors of one's own making refused."""
+    if isinstance(entries, (str, Entry)) or not all(isinstance(entry, Entry) for entry in entries):
+        raise ValueError(f"entries must be a list of Entry, see load_entries(), got {entries!r}")
+    names = [(entry.name, entry.training_seed) for entry in entries]
+    doubled = sorted({name for name, seed in names if names.count((name, seed)) > 1})
+    if doubled:
+        raise ValueError(f"entries must have different names or training seeds; given more than once: {doubled}")
+    for name in {name for name, _ in names}:
+        seeds = [seed for other, seed in names if other == name]
+        if len(seeds) > 1 and None in seeds:
+            raise ValueError(f"entries named {name!r} must all have a training seed, got {seeds}")
+    for entry in entries:
+        if entry.name in ANCHORS and (entry.policy is not None or entry.law != STRATEGIES[entry.name]):
+            raise ValueError(f"the name {entry.name!r} is reserved for the strategy itself, which fixes the score")
+    missing = [name for name in ANCHORS if name not in {entry.name for entry in entries}]
+    return [*entries, *(Entry(name=name, strategy=name, description="Anchor of the score.") for name in missing)]
+
+
+def _seeds(suite: str, split: str, seeds: Sequence[int] | None) -> list[int]:
+    allowed = get_suite(suite).seeds(split)
+    text = f"the {split} seeds of suite {suite!r} are {allowed.start} … {allowed.stop - 1}"
+    if seeds is None:
+        if len(allowed) > _LARGEST_SPLIT:
+            raise ValueError(f"{text}: too many to play them all; choose some with seeds=")
+        return list(allowed)
+    wrong = [s for s in seeds if isinstance(s, bool) or not isinstance(s, (int, np.integer)) or s not in allowed]
+    if wrong or len(seeds) == 0 or len(set(seeds)) < len(seeds):
+        raise ValueError(f"seeds must be at least one, all different, of the split: {text}; got {wrong or list(seeds)}")
+    return [int(seed) for seed in seeds]
+
+
+def _shared_settings(settings: EnvSettings) -> dict[str, Any]:
+    """What is the same for all entries, defaults filled in, as JSON-ready data."""
+    return {
+        "duration_s": settings.episode_duration_s(),
+        "control_dt": float(settings.control_dt),
+        "simulation_dt": float(settings.simulation_dt),
+        "weights": {key: float(value) for key, value in dataclasses.asdict(settings.cost_weights()).items()},
+        "groups": [{"bus": int(group.bus), "n_turbines": float(group.n_turbines)} for group in settings.wtg_groups()],
+        "machine_model": settings.machine_model,
+        "on_failure": settings.on_failure,
+    }
+
+
+def _versions() -> dict[str, str]:
+    return {
+        "wtg_gym": __version__,
+        "numpy": np.__version__,
+        "numba": numba.__version__,
+        "python": platform.python_version(),
+    }
+
+
+def _play(entry: Entry, settings: EnvSettings, seeds: Sequence[int], n_threads: int | None) -> list[Episode]:
+    """Play one batch from start to end."""
+    # A law is no JSON, which is why the settings' own type is narrower than what they take.
+    law: Any = entry.law
+    own = dataclasses.replace(
+        settings, strategy=law, action_mode=entry.action_mode, observation_mode=entry.observation_mode
+    )
+    lanes = TaskLanes(own, len(seeds), n_threads)
+    try:
+        scenarios = [lanes.scenario(seed) for seed in seeds]
+        for lane, scenario in enumerate(scenarios):
+            _start(lanes, lane, scenario, entry)
+        recorder = Recorder(lanes, _n_steps(lanes))
+        policy = _Actions(entry, lanes)
+        running = np.ones(lanes.n_lanes, dtype=np.bool_)
+        while running.any():
+            lanes.step(policy.next(running))
+            recorder.record(running)
+            terminated, truncated = lanes.ended()
+            running = ~(terminated | truncated)
+        return [_episode(entry, lanes, recorder, lane, scenario) for lane, scenario in enumerate(scenarios)]
+    finally:
+        lanes.simulator.close()
+
+
+def _start(lanes: TaskLanes, lane: int, scenario: Scenario, entry: Entry) -> None:
+    try:
+        lanes.start(lane, scenario)
+    except ValueError as error:
+        raise ValueError(f"entry {entry.label!r}: {error}") from error
+
+
+def _n_steps(lanes: TaskLanes) -> int:
+    return int(lanes.task_values(TaskRow.END_STEP).max()) // lanes.simulator.plant.n_substeps
+
+
+def _episode(entry: Entry, lanes: TaskLanes, recorder: Recorder, lane: int, scenario: Scenario) -> Episode:
+    metrics, failure = measure(lanes, recorder, lane, scenario)
+    return Episode(
+        entry=entry.name,
+        training_seed=entry.training_seed,
+        seed=int(lanes.scenario_seeds[lane]),
+        scenario=scenario.name,
+        duration_s=min(scenario.duration_s, lanes.duration_s),
+        failure=failure,
+        metrics=metrics,
+    )
+
+
+class _Actions:
+    """Asks a policy for the actions of a batch, step by step, with its recurrent state."""
+
+    def __init__(self, entry: Entry, lanes: TaskLanes) -> None:
+        self._entry = entry
+        self._lanes = lanes
+        self._state: Any = None
+        self._step = 0
+        self._shape = (lanes.n_lanes, lanes.n_action)
+
+    def next(self, running: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
+        """Return the actions (n_lanes, n_action) of the next step; zero for lanes that are over, (n_lanes,) bool."""
+        policy = self._entry.policy
+        if policy is None:
+            return np.zeros(self._shape)
+        start = np.full(self._shape[0], self._step == 0)
+        try:
+            answer = policy.predict(
+                self._lanes.observations.copy(), state=self._state, episode_start=start, deterministic=True
+            )
+        except Exception as error:
+            error.add_note(f"raised by predict() of entry {self._entry.label!r} at step {self._step}")
+            raise
+        if not isinstance(answer, tuple) or len(answer) != 2:
+            raise self._complaint("predict() must return (actions, state)", type(answer).__name__)
+        actions = self._checked(answer[0], running)
+        self._state = answer[1]
+        self._step += 1
+        return actions
+
+    def _checked(self, given: Any, running: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
+        try:
+            actions = np.array(given, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise self._complaint("actions must be numbers", repr(given)[:80]) from error
+        if actions.shape != self._shape:
+            raise self._complaint(f"actions must have shape {self._shape} (lanes, values)", f"shape {actions.shape}")
+        # What a policy answers to an episode that is over has no effect.
+        actions[~running] = 0.0
+        if not np.isfinite(actions).all():
+            lane = int(np.flatnonzero(~np.isfinite(actions).all(axis=1))[0])
+            seed = self._lanes.scenario_seeds[lane]
+            wanted = f"actions of shape {actions.shape} must be finite, -1 … 1"
+            raise self._complaint(wanted, f"{actions[lane].tolist()} in the scenario of seed {seed}")
+        return actions
+
+    def _complaint(self, wanted: str, got: str) -> ValueError:
+        return ValueError(f"entry {self._entry.label!r}, step {self._step}: {wanted}, got {got}")
+
+
+__all__ = ["evaluate"]

@@ -1,0 +1,80 @@
+"""Writing files so that nobody ever sees half of one, and JSON that is the same bytes every time."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+
+def sha256(data: bytes) -> str:
+    """Return the sha256 of `data` as hex digits."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def to_json(data: Any) -> str:
+    """Return `data` as JSON with sorted keys and a line feed at the end.
+
+    Raises:
+        ValueError: a number is not finite.
+    """
+    return json.dumps(data, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def write_atomically(path: Path, text: str) -> None:
+    """Replace the file `path` by `text` (UTF-8, line feeds as given) in one go, keeping its permissions.
+
+    Raises:
+        OSError: the folder cannot be written to.
+    """
+    # A link stays a link: what it points to is replaced.
+    path = path.resolve()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        temporary.write_bytes(text.encode("utf-8"))
+        if path.exists():
+            shutil.copymode(path, temporary)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def read_text(path: Path, what: str) -> str:
+    """Return a file's text.
+
+    Args:
+        path: the file.
+        what: what it is, for the message.
+
+    Raises:
+        ValueError: the file cannot be read or is not UTF-8; the message names it.
+    """
+    try:
+        return path.read_bytes().decode("utf-8")
+    except OSError as error:
+        raise ValueError(f"cannot read the {what} {path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise ValueError(f"the {what} {path} is not UTF-8 text: {error}") from error
+
+
+def parse_json(text: str, path: Path, what: str) -> Any:
+    """Return the data of a JSON text.
+
+    Raises:
+        ValueError: it is not JSON, is cut short, or holds NaN or Infinity; the message names the file.
+    """
+
+    def refuse(name: str) -> Any:
+        raise ValueError(f"{name} is not a finite number")
+
+    try:
+        return json.loads(text, parse_constant=refuse)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"the {what} {path} is not JSON, or was cut short: {error}") from error
+
+
+__all__ = ["parse_json", "read_text", "sha256", "to_json", "write_atomically"]

@@ -1,0 +1,103 @@
+"""The ranking as rows, and as a Markdown table between two markers of a file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from wtg_gym.evaluation.files import read_text, write_atomically
+from wtg_gym.evaluation.results import Results
+from wtg_gym.evaluation.statistics import Interval
+from wtg_gym.evaluation.summary import EntrySummary
+
+#: Headings of the table, and whether the column holds numbers.
+COLUMNS: dict[str, bool] = {
+    "rank": True,
+    "entry": False,
+    "kind": False,
+    "score": True,
+    "IQM": True,
+    "P(improvement)": True,
+    "failures [%]": True,
+    "mean cost": True,
+    "median nadir [Hz]": True,
+    "p95 RoCoF [Hz/s]": True,
+    "duty error [%]": True,
+    "energy share [%]": True,
+}
+
+
+def leaderboard_rows(results: Results) -> list[EntrySummary]:
+    """Return the entries' summaries, the best score first, equal ones by name.
+
+    Raises:
+        ValueError: there is no score, see :attr:`Results.summaries`.
+    """
+    return sorted(results.summaries, key=lambda row: (-row.score.value, row.name))
+
+
+def table_cells(rows: Sequence[EntrySummary]) -> list[list[str]]:
+    """Return the texts of the table, one list per row, in the order of :data:`COLUMNS`."""
+    return [[str(rank), *_cells(row)] for rank, row in enumerate(rows, start=1)]
+
+
+def _cells(row: EntrySummary) -> list[str]:
+    name = row.name if row.n_runs == 1 else f"{row.name} ({row.n_runs} seeds)"
+    return [
+        name,
+        row.kind,
+        _interval(row.score),
+        f"{_plain(row.interquartile_mean.value, 1)}",
+        f"{row.probability_of_improvement.value:.2f}",
+        f"{row.failures_percent:.1f}",
+        f"{row.mean_cost:.1f}",
+        f"{row.median_nadir_hz:.3f}",
+        f"{row.p95_rocof_hz_s:.3f}",
+        f"{row.mean_duty_error_percent:.2f}",
+        f"{row.mean_energy_share_percent:.1f}",
+    ]
+
+
+def _plain(value: float, digits: int) -> str:
+    # The zero takes the sign off a negative number that rounds to nought.
+    return f"{round(value, digits) + 0.0:.{digits}f}"
+
+
+def _interval(interval: Interval) -> str:
+    return f"{_plain(interval.value, 1)} ({_plain(interval.low, 1)} … {_plain(interval.high, 1)})"
+
+
+def markdown_table(rows: Sequence[EntrySummary]) -> str:
+    """Return the ranking as a Markdown table without a line feed at the end."""
+    lines = [list(COLUMNS), ["---:" if numbers else "---" for numbers in COLUMNS.values()], *table_cells(rows)]
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
+
+
+def update_between_markers(path: str | Path, table: str, suite: str = "standard") -> bool:
+    """Put a table between `<!-- leaderboard:<suite>:start -->` and `<!-- leaderboard:<suite>:end -->` of a file.
+
+    Args:
+        path: the file; all else in it stays as it is.
+        table: what to put there.
+        suite: name in the markers.
+
+    Returns:
+        whether the file has changed.
+
+    Raises:
+        ValueError: the file cannot be read, or does not have each marker once, the start before the end.
+    """
+    path = Path(path)
+    text = read_text(path, "file with the leaderboard")
+    start, end = (f"<!-- leaderboard:{suite}:{edge} -->" for edge in ("start", "end"))
+    if text.count(start) != 1 or text.count(end) != 1 or text.index(start) > text.index(end):
+        raise ValueError(f"{path} must have the markers {start} and {end} once each, in this order")
+    newline = "\r\n" if "\r\n" in text else "\n"
+    before, after = text[: text.index(start) + len(start)], text[text.index(end) :]
+    changed = before + newline + table.strip().replace("\n", newline) + newline + after
+    if changed != text:
+        write_atomically(path, changed)
+    return changed != text
+
+
+__all__ = ["COLUMNS", "leaderboard_rows", "markdown_table", "table_cells", "update_between_markers"]

@@ -1,0 +1,174 @@
+"""What is measured in an episode, each quantity with its unit and definition, and its measurement.
+
+Everything is taken per lane from that lane's values alone, so that no number depends on the batch it was run in.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+import numpy.typing as npt
+
+from wtg_gym.envs.lanes import TERMINATION_REASONS, TaskLanes
+from wtg_gym.envs.task import COST_TERMS, TaskRow
+from wtg_gym.physics.layout import LaneRow, Status, WtgRow
+from wtg_gym.physics.scenario import LoadRamp, Scenario
+from wtg_gym.physics.wind_turbine import WtgState
+
+Floats = npt.NDArray[np.float64]
+
+#: Window at the end of an episode over which the quasi-steady frequency is averaged [s].
+STEADY_WINDOW_S = 5.0
+#: Half-width of the band a settled frequency stays in [Hz].
+SETTLING_BAND_HZ = 0.05
+
+
+@dataclass(frozen=True)
+class Metric:
+    """What a metric is: unit, definition, and whether it may be missing (None, an empty cell)."""
+
+    unit: str
+    doc: str
+    optional: bool = False
+
+
+#: Every metric of an episode. Extremes are taken at every simulation step, rotor speeds at every control step.
+METRICS: Mapping[str, Metric] = MappingProxyType(
+    {
+        "cost": Metric("-", "total cost, minus the return"),
+        **{f"cost_{term}": Metric("-", f"{term} term of the total cost") for term in COST_TERMS},
+        "nadir_hz": Metric("Hz", "lowest frequency of the centre of inertia"),
+        "zenith_hz": Metric("Hz", "highest frequency of the centre of inertia"),
+        "largest_rocof_hz_s": Metric(
+            "Hz/s", "largest absolute rate of change of the centre of inertia's frequency over 500 ms"
+        ),
+        "quasi_steady_deviation_hz": Metric(
+            "Hz", "mean frequency of the last 5 s minus the nominal one; none after a failure", optional=True
+        ),
+        "settling_time_s": Metric(
+            "s",
+            "from the end of the last load or line event until the frequency stays within 0.05 Hz of its mean over "
+            "the last 5 s; none without event, after a failure, or where it leaves that band in the last 5 s",
+            optional=True,
+        ),
+        "energy_mwh": Metric("MWh", "energy all groups captured until the end or the failure"),
+        "energy_share_percent": Metric("%", "captured of the available energy, at the best power coefficient"),
+        "duty_error_percent": Metric(
+            "%", "mean distance of the captured from the asked power, of the available, over time and groups"
+        ),
+        "least_tip_speed_ratio": Metric("-", "smallest tip-speed ratio of any group"),
+        "largest_tip_speed_ratio": Metric("-", "largest tip-speed ratio of any group"),
+        "least_rotor_speed_pu": Metric("p.u.", "lowest rotor speed of any group"),
+        "largest_rotor_speed_pu": Metric("p.u.", "highest rotor speed of any group"),
+        "overload_time_s": Metric("s", "time above the converter's overload limit, of the group with most of it"),
+        "peak_power_pu": Metric("p.u.", "largest delivered power of any group, on its own base"),
+        "constraint_time_s": Metric("s", "control steps with a constraint violated"),
+        "tripped_groups": Metric("-", "groups disconnected by their protection, where a failure trips instead of ends"),
+        "survived_s": Metric("s", "simulated time until the end or the failure"),
+    }
+)
+
+
+class Recorder:
+    """Records what the simulator's buffer does not keep.
+
+    Args:
+        lanes: the started episodes.
+        n_steps: number of control steps of the longest of them.
+    """
+
+    def __init__(self, lanes: TaskLanes, n_steps: int) -> None:
+        self._lanes = lanes
+        #: Frequency of the centre of inertia [Hz], shape (n_lanes, n_steps + 1).
+        self.frequency_hz = np.zeros((lanes.n_lanes, n_steps + 1))
+        #: Control steps each lane has made, shape (n_lanes,).
+        self.n_steps = np.zeros(lanes.n_lanes, dtype=np.int64)
+        self.frequency_hz[:, 0] = lanes.task.nominal_hz * lanes.simulator.lane_values(LaneRow.COI)
+        self.least_rotor = self.largest_rotor = lanes.simulator.wtg_values(WtgState.ROTOR_SPEED)
+
+    def record(self, stepped: npt.NDArray[np.bool_]) -> None:
+        """Take a sample of the lanes that made the last step, shape (n_lanes,)."""
+        self.n_steps[stepped] += 1
+        frequency = self._lanes.task.nominal_hz * self._lanes.simulator.lane_values(LaneRow.COI)
+        self.frequency_hz[stepped, self.n_steps[stepped]] = frequency[stepped]
+        # The rotors of a lane that is over stand still and add nothing.
+        rotor = self._lanes.simulator.wtg_values(WtgState.ROTOR_SPEED)
+        self.least_rotor = np.minimum(self.least_rotor, rotor)
+        self.largest_rotor = np.maximum(self.largest_rotor, rotor)
+
+
+def last_event_s(scenario: Scenario, duration_s: float) -> float | None:
+    """Return when the last event that begins within `duration_s` [s] is complete [s]; None without one."""
+    begun = [event for event in scenario.events if event.time_s < duration_s]
+    return max((e.time_s + (e.duration_s if isinstance(e, LoadRamp) else 0.0) for e in begun), default=None)
+
+
+def steady_metrics(
+    frequency_hz: Floats, control_dt: float, nominal_hz: float, event_s: float | None
+) -> tuple[float, float | None]:
+    """Return the quasi-steady deviation [Hz] and the settling time [s] of an episode that reached its end.
+
+    Args:
+        frequency_hz: one value per control step, the start first, shape (n_steps + 1,) [Hz].
+        control_dt: control interval [s].
+        nominal_hz: nominal frequency [Hz].
+        event_s: when the last event was complete [s]; None without one, which gives no settling time.
+    """
+    n_window = max(1, min(round(STEADY_WINDOW_S / control_dt), frequency_hz.size - 1))
+    final = math.fsum(frequency_hz[-n_window:].tolist()) / n_window
+    if event_s is None:
+        return final - nominal_hz, None
+    outside = np.flatnonzero(np.abs(frequency_hz - final) > SETTLING_BAND_HZ)
+    settled_at = 0 if outside.size == 0 else int(outside[-1]) + 1
+    if settled_at > frequency_hz.size - n_window:
+        return final - nominal_hz, None
+    return final - nominal_hz, max(0.0, settled_at * control_dt - event_s)
+
+
+def measure(lanes: TaskLanes, recorder: Recorder, lane: int, scenario: Scenario) -> tuple[dict[str, float | None], str]:
+    """Return the metrics of a lane that is over, by the names in :data:`METRICS`, and its failure ("": none)."""
+    simulator = lanes.simulator
+    status = Status(int(lanes.statuses()[lane]))
+    terms = {f"cost_{t}": float(lanes.task_values(TaskRow.SUM + i)[lane]) for i, t in enumerate(COST_TERMS)}
+    n_steps, dt = int(recorder.n_steps[lane]), lanes.settings.control_dt
+    steady: tuple[float | None, float | None] = (None, None)
+    if status == Status.RUNNING:
+        event = last_event_s(scenario, n_steps * dt)
+        steady = steady_metrics(recorder.frequency_hz[lane, : n_steps + 1], dt, lanes.task.nominal_hz, event)
+
+    def groups(row: int) -> list[float]:
+        values: list[float] = simulator.wtg_values(row)[lane].tolist()
+        return values
+
+    captured = math.fsum(
+        share * energy for share, energy in zip(simulator.plant.share, groups(WtgState.ENERGY_CAPTURED), strict=True)
+    )
+    metrics: dict[str, float | None] = {
+        "cost": math.fsum(terms.values()),
+        **terms,
+        "nadir_hz": lanes.task.nominal_hz * float(simulator.lane_values(LaneRow.COI_MIN)[lane]),
+        "zenith_hz": lanes.task.nominal_hz * float(simulator.lane_values(LaneRow.COI_MAX)[lane]),
+        "largest_rocof_hz_s": float(lanes.task_values(TaskRow.LARGEST_ROCOF)[lane]),
+        "quasi_steady_deviation_hz": steady[0],
+        "settling_time_s": steady[1],
+        "energy_mwh": captured * simulator.plant.base_mva / 3600.0,
+        "energy_share_percent": 100.0 * captured / float(lanes.task_values(TaskRow.AVAILABLE_ENERGY)[lane]),
+        "duty_error_percent": 100.0 * float(lanes.task_values(TaskRow.DUTY_ERROR)[lane]) / (n_steps * dt),
+        "least_tip_speed_ratio": min(groups(WtgRow.LEAST_TSR)),
+        "largest_tip_speed_ratio": max(groups(WtgRow.LARGEST_TSR)),
+        "least_rotor_speed_pu": float(recorder.least_rotor[lane].min()),
+        "largest_rotor_speed_pu": float(recorder.largest_rotor[lane].max()),
+        "overload_time_s": max(groups(WtgRow.OVERLOAD_TIME)),
+        "peak_power_pu": max(groups(WtgRow.PEAK_POWER)),
+        "constraint_time_s": float(lanes.task_values(TaskRow.CONSTRAINT_SUM)[lane]) * dt,
+        "tripped_groups": float(sum(connected < 0.5 for connected in groups(WtgRow.CONNECTED))),
+        "survived_s": float(simulator.lane_values(LaneRow.STEP)[lane]) * simulator.plant.simulation_dt,
+    }
+    return metrics, TERMINATION_REASONS[status]
+
+
+__all__ = ["METRICS", "Metric", "Recorder", "last_event_s", "measure", "steady_metrics"]

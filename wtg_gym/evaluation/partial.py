@@ -1,0 +1,73 @@
+"""Finished batches on disk, so that a run that was killed goes on where it was."""
+
+from __future__ import annotations
+
+import functools
+import json
+from pathlib import Path
+from typing import Any
+
+from wtg_gym import __version__
+from wtg_gym.evaluation.episodes import Episode, episode_from_cells
+from wtg_gym.evaluation.files import parse_json, read_text, sha256, to_json, write_atomically
+from wtg_gym.physics.compiled import source_hash
+
+
+@functools.cache
+def _measurement_hash() -> str:
+    """A change of what is measured makes old batches stale, as a change of the physics does."""
+    return sha256(b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py"))))
+
+
+class PartialStore:
+    """A folder of finished batches.
+
+    Args:
+        folder: where they lie; None stores nothing.
+        context: what is the same for all batches, as JSON-ready data; a batch of another context is not found.
+    """
+
+    def __init__(self, folder: Path | None, context: Any) -> None:
+        self._folder = folder
+        self._context = [context, __version__, source_hash(), _measurement_hash()]
+        self._used: list[Path] = []
+
+    def path(self, entry: dict[str, Any], seeds: list[int]) -> Path | None:
+        """Return the file of a batch; None where it cannot be stored: no folder, or an entry without identity.
+
+        Args:
+            entry: the entry's data, with its identity as "sha256".
+            seeds: seeds of the batch's scenarios.
+        """
+        if self._folder is None or entry["sha256"] is None:
+            return None
+        key = json.dumps([self._context, entry, seeds], sort_keys=True, allow_nan=False)
+        return self._folder / f"{sha256(key.encode())}.json"
+
+    def load(self, path: Path | None, n_episodes: int) -> list[Episode] | None:
+        """Return a stored batch; None where there is none, or it is damaged."""
+        if path is None:
+            return None
+        self._used.append(path)
+        try:
+            data = parse_json(read_text(path, "partial result"), path, "partial result")
+            if sha256(to_json(data["rows"]).encode()) != data["sha256"] or len(data["rows"]) != n_episodes:
+                return None
+            return [episode_from_cells(cells, str(path)) for cells in data["rows"]]
+        except (ValueError, KeyError, TypeError, AttributeError):
+            # A damaged file costs the time to compute its batch again, nothing more.
+            return None
+
+    def save(self, path: Path | None, episodes: list[Episode]) -> None:
+        """Store a batch."""
+        if path is not None:
+            rows = [episode.cells() for episode in episodes]
+            write_atomically(path, to_json({"rows": rows, "sha256": sha256(to_json(rows).encode())}))
+
+    def clear(self) -> None:
+        """Remove the batches this run has used."""
+        for path in self._used:
+            path.unlink(missing_ok=True)
+
+
+__all__ = ["PartialStore"]

@@ -1,0 +1,170 @@
+"""The outcome of an evaluation, and its two files: a JSON that describes and sums up, a CSV of the episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from wtg_gym.evaluation.checks import check_description
+from wtg_gym.evaluation.entries import ANCHORS
+from wtg_gym.evaluation.episodes import Episode, from_csv, to_csv
+from wtg_gym.evaluation.files import parse_json, read_text, sha256, to_json, write_atomically
+from wtg_gym.evaluation.metrics import METRICS
+from wtg_gym.evaluation.summary import EntrySummary, summarise
+
+#: Version of the files; another number is another form.
+FORMAT = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Results:
+    """Every episode of an evaluation, with what is needed to repeat it.
+
+    Args:
+        suite: name of the suite.
+        split: which of its splits.
+        suite_hash: the suite's own hash.
+        source_hash: hash of the physics and environment that were run.
+        seeds: seeds of the scenarios.
+        settings: settings of the environment that all entries share.
+        versions: of wtg_gym, numpy, numba and python.
+        entries: data of every entry, the score's anchors among them.
+        episodes: one row per entry and scenario, in the order of `entries` and `seeds`.
+    """
+
+    suite: str
+    split: str
+    suite_hash: str
+    source_hash: str
+    seeds: tuple[int, ...]
+    settings: Mapping[str, Any]
+    versions: Mapping[str, str]
+    entries: tuple[Mapping[str, Any], ...]
+    episodes: tuple[Episode, ...]
+
+    @cached_property
+    def summaries(self) -> list[EntrySummary]:
+        """Summary of every entry, in the order of the entries.
+
+        Raises:
+            ValueError: on these scenarios MPPT is not worse than the reference, so that there is no score.
+        """
+        return summarise(self.entries, self.episodes, float(self.settings["weights"]["cap"]))
+
+    @property
+    def name(self) -> str:
+        """Return the files' name without ending."""
+        return f"{self.suite}-{self.split}"
+
+    def episodes_of(self, name: str) -> list[Episode]:
+        """Return the episodes of an entry.
+
+        Raises:
+            ValueError: there is no such entry; the message lists those there are.
+        """
+        found = [episode for episode in self.episodes if episode.entry == name]
+        if not found:
+            names = dict.fromkeys(episode.entry for episode in self.episodes)
+            raise ValueError(f"no entry {name!r} in these results; entries: {', '.join(names)}")
+        return found
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything but the episodes as JSON-ready data."""
+        return {
+            "format": FORMAT,
+            "suite": self.suite,
+            "split": self.split,
+            "suite_hash": self.suite_hash,
+            "source_hash": self.source_hash,
+            "seeds": list(self.seeds),
+            "settings": dict(self.settings),
+            "versions": dict(self.versions),
+            "entries": [dict(entry) for entry in self.entries],
+            "metrics": {name: asdict(metric) for name, metric in METRICS.items()},
+            "summary": {summary.name: summary.to_dict() for summary in self.summaries},
+        }
+
+    def write(self, folder: str | Path) -> tuple[Path, Path]:
+        """Write `<suite>-<split>.json` and `.csv`, each in one go; the same results give the same bytes.
+
+        Args:
+            folder: where to; made if it is not there.
+
+        Returns:
+            the paths of the JSON and the CSV.
+
+        Raises:
+            ValueError: there is no score, see :attr:`summaries`.
+            OSError: the folder cannot be written to.
+        """
+        json_path, csv_path = (Path(folder) / f"{self.name}.{ending}" for ending in ("json", "csv"))
+        table = to_csv(self.episodes)
+        data = {**self.to_dict(), "csv_sha256": sha256(table.encode())}
+        data["sha256"] = sha256(to_json(data).encode())
+        write_atomically(csv_path, table)
+        # Last, so that a JSON never describes a table that is not there yet.
+        write_atomically(json_path, to_json(data))
+        return json_path, csv_path
+
+    @classmethod
+    def read(cls, path: str | Path) -> Results:
+        """Read what :meth:`write` wrote; the CSV lies beside the JSON.
+
+        Args:
+            path: the JSON file.
+
+        Raises:
+            ValueError: a file is missing, cut short, of another version, or was edited; the message names file, key
+                and what is expected.
+        """
+        json_path = Path(path)
+        csv_path = json_path.with_suffix(".csv")
+        text = read_text(json_path, "results file")
+        data = parse_json(text, json_path, "results file")
+        check_description(data, json_path, FORMAT)
+        _require_intact(text, data, json_path)
+        table = read_text(csv_path, "table of episodes")
+        episodes = from_csv(table, csv_path)
+        if sha256(table.encode()) != data["csv_sha256"]:
+            raise ValueError(
+                f"{csv_path} is not the table that {json_path} describes (csv_sha256): it was edited or belongs to "
+                "another run; evaluate again"
+            )
+        _require_complete(data, episodes, csv_path)
+        return cls(
+            suite=data["suite"],
+            split=data["split"],
+            suite_hash=data["suite_hash"],
+            source_hash=data["source_hash"],
+            seeds=tuple(data["seeds"]),
+            settings=data["settings"],
+            versions=data["versions"],
+            entries=tuple(data["entries"]),
+            episodes=tuple(episodes),
+        )
+
+
+def _require_intact(text: str, data: dict[str, Any], path: Path) -> None:
+    """The checksum holds for the data, and the text is the one way of writing them."""
+    content = {key: value for key, value in data.items() if key != "sha256"}
+    if sha256(to_json(content).encode()) != data["sha256"] or to_json(data) != text:
+        raise ValueError(f"{path} was edited or damaged: its sha256 does not fit its content; evaluate again")
+
+
+def _require_complete(data: dict[str, Any], episodes: list[Episode], path: Path) -> None:
+    names = [entry["name"] for entry in data["entries"]]
+    missing = [name for name in ANCHORS if name not in names]
+    if missing:
+        raise ValueError(f"{path}: the score's anchors {missing} are missing from the entries {names}")
+    expected = [(entry["name"], entry["training_seed"], seed) for entry in data["entries"] for seed in data["seeds"]]
+    if [(*episode.run, episode.seed) for episode in episodes] != expected:
+        raise ValueError(
+            f"{path}: expected one row per entry and seed, in the order of the JSON's entries and seeds "
+            f"({len(expected)} rows), got {len(episodes)} rows that differ"
+        )
+
+
+__all__ = ["FORMAT", "Results"]

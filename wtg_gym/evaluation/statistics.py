@@ -1,0 +1,164 @@
+"""From costs to scores and their uncertainty.
+
+Pinned cost of scenario i: J_i is the episode's total cost; that of a failed episode is cap · (duration + 1 s), as if it
+had failed at once, which is the worst any episode can cost.
+
+Score of scenario i: s_i = 100 · (1 + ln((J_ref,i + J0) / (J_i + J0)) / Λ), where Λ is the mean over the scenarios of
+ln((J_mppt,i + J0) / (J_ref,i + J0)). On the same scenarios MPPT has the mean score 0 and the reference 100 in each. J0
+bounds what a scenario that happens to be nearly free of cost can bring.
+
+Arrays of one entry have the shape (n_runs, n_scenarios): one run per training seed, a single one for a law.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+
+#: J0 of the score, in units of the cost.
+COST_OFFSET = 5.0
+#: Resamples of the bootstrap, and the seed of its generator: the same results give the same intervals.
+N_RESAMPLES = 2000
+BOOTSTRAP_SEED = 20260101
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A value and its 95 % bootstrap interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+def pinned_cost(cost: float, *, failed: bool, duration_s: float, cap: float) -> float:
+    """Return the pinned cost of an episode.
+
+    Args:
+        cost: its total cost.
+        failed: whether it ended in a failure.
+        duration_s: how long it should have lasted [s].
+        cap: largest cost rate [1/s].
+    """
+    return cap * (duration_s + 1.0) if failed else cost
+
+
+def log_gains(costs: Floats, reference: Floats) -> Floats:
+    """Return ln((J_ref + J0) / (J + J0)), shape (n_runs, n_scenarios).
+
+    Args:
+        costs: pinned costs (n_runs, n_scenarios).
+        reference: pinned costs of the reference (n_scenarios,).
+
+    Raises:
+        ValueError: a cost is negative or not finite.
+    """
+    for values in (costs, reference):
+        if not np.isfinite(values).all() or (values < 0.0).any():
+            raise ValueError(f"costs must be finite and not negative, got {values.min():g} … {values.max():g}")
+    # math.log, because numpy's own logarithm differs between processors in the last bit.
+    base = [math.log(cost + COST_OFFSET) for cost in reference.tolist()]
+    return np.array([[b - math.log(c + COST_OFFSET) for b, c in zip(base, run, strict=True)] for run in costs.tolist()])
+
+
+def mean(values: Floats) -> float:
+    """Return the exactly rounded mean of all values."""
+    return math.fsum(values.ravel().tolist()) / values.size
+
+
+def score_scale(mppt: Floats, reference: Floats) -> float:
+    """Return Λ from the pinned costs of the two anchors, each of shape (n_scenarios,).
+
+    Raises:
+        ValueError: Λ is not positive, so that there is no scale to score on.
+    """
+    scale = -mean(log_gains(mppt[np.newaxis], reference))
+    if not scale > 0.0:
+        raise ValueError(
+            f"on these {reference.size} scenarios MPPT (mean cost {mean(mppt):.4g}) is not worse than the reference "
+            f"(mean cost {mean(reference):.4g}): Λ = {scale:.3g} must be positive to score with; "
+            "take more scenarios or longer ones"
+        )
+    return scale
+
+
+def scenario_scores(gains: Floats, scale: float) -> Floats:
+    """Return s_i of every run and scenario from the :func:`log_gains` and Λ."""
+    scores: Floats = 100.0 * (1.0 + gains / scale)
+    return scores
+
+
+def mean_score(gains: Floats, scale: float) -> float:
+    """Return the mean of s_i; exactly 0 for MPPT and 100 for the reference."""
+    return 100.0 * (1.0 + mean(gains) / scale)
+
+
+def interquartile_mean(values: Floats) -> Floats:
+    """Return the mean along the last axis without the lowest and the highest quarter (numbers rounded down).
+
+    Source: R. Agarwal et al., "Deep reinforcement learning at the edge of the statistical precipice", NeurIPS 2021.
+    """
+    n = values.shape[-1]
+    cut = n // 4
+    means: Floats = np.sort(values, axis=-1)[..., cut : n - cut].mean(axis=-1)
+    return means
+
+
+def improvement(costs: Floats, reference: Floats) -> Floats:
+    """Return 1 where a cost is below the reference's on the same scenario, ½ where equal, else 0; the mean is P."""
+    better: Floats = (costs < reference) + 0.5 * (costs == reference)
+    return better
+
+
+def bootstrap(values: Floats, statistic: Callable[[Floats], Floats]) -> tuple[float, float]:
+    """Return the bounds of the percentile bootstrap interval.
+
+    Scenarios are drawn with replacement, separately within each run (stratified by training seed), and pooled.
+
+    Args:
+        values: (n_runs, n_scenarios).
+        statistic: takes (n_resamples, n_runs · n_scenarios) to (n_resamples,).
+    """
+    n_runs, n = values.shape
+    index = np.random.default_rng(BOOTSTRAP_SEED).integers(0, n, size=(N_RESAMPLES, n_runs, n))
+    resampled = np.take_along_axis(values[np.newaxis], index, axis=2).reshape(N_RESAMPLES, n_runs * n)
+    tail = 50.0 * (1.0 - CONFIDENCE)
+    low, high = np.percentile(statistic(resampled), [tail, 100.0 - tail])
+    return float(low), float(high)
+
+
+def mean_interval(values: Floats) -> Interval:
+    """Return the mean of (n_runs, n_scenarios) with its bootstrap interval."""
+    return Interval(mean(values), *bootstrap(values, lambda samples: samples.mean(axis=-1)))
+
+
+def interquartile_interval(values: Floats) -> Interval:
+    """Return the interquartile mean of (n_runs, n_scenarios) with its bootstrap interval."""
+    return Interval(float(interquartile_mean(values.ravel())), *bootstrap(values, interquartile_mean))
+
+
+__all__ = [
+    "BOOTSTRAP_SEED",
+    "CONFIDENCE",
+    "COST_OFFSET",
+    "N_RESAMPLES",
+    "Interval",
+    "bootstrap",
+    "improvement",
+    "interquartile_interval",
+    "interquartile_mean",
+    "log_gains",
+    "mean",
+    "mean_interval",
+    "mean_score",
+    "pinned_cost",
+    "scenario_scores",
+    "score_scale",
+]
