@@ -77,7 +77,7 @@ def test_import_alone_needs_neither_learner_nor_plotting():
         {"strategy": ["mppt", "coordinated-linear"], "action_mode": "tau", "observation_mode": "privileged"},
         {"scenario": eventful().to_dict(), "weights": {"duty": 2.0, "cap": 20.0}, "on_failure": "trip"},
         {"groups": [{"bus": 2, "n_turbines": 7.5}, {"bus": 3}], "machine_model": "classical"},
-        {"control_dt": 0.2, "simulation_dt": 0.04, "duration_s": 4},
+        {"control_dt": 0.2, "simulation_dt": 0.025, "duration_s": 4},
     ],
 )
 def test_spec_survives_json_with_its_arguments(arguments: dict[str, Any]):

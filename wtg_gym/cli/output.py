@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Literal
 
 #: Lines of progress come this far apart, the first one after as long [s].
 _PROGRESS_INTERVAL_S = 5.0
@@ -85,19 +85,24 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, left: S
         left: columns of text; the others are aligned right.
     """
     cells = [list(row) for row in rows]
+    widths = [max(map(len, column)) for column in zip(header, *cells, strict=True)]
     if sys.stdout.isatty() and importlib.util.find_spec("rich") is not None:
         from rich import box
         from rich.console import Console
         from rich.markup import escape
         from rich.table import Table
 
-        table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-        for index, head in enumerate(header):
-            table.add_column(escape(head), justify="left" if index in left else "right")
-        for row in cells:
-            table.add_row(*map(escape, row))
-        Console().print(table)
-        return
+        console = Console()
+        # In a narrower terminal rich would leave out columns; the lines of plain text only wrap.
+        if sum(widths) + 3 * len(header) <= console.width:
+            table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+            for index, head in enumerate(header):
+                side: Literal["left", "right"] = "left" if index in left else "right"
+                table.add_column(escape(head), justify=side, no_wrap=True)
+            for row in cells:
+                table.add_row(*map(escape, row))
+            console.print(table)
+            return
     print(text_table(header, cells, left=left))
 
 
@@ -135,10 +140,10 @@ class Progress:
             from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
             from rich.progress import Progress as Bar
 
-            count = TextColumn(f"{{task.completed:.0f}}/{{task.total:.0f}} {self._unit}")
+            count = TextColumn("{task.fields[count]}")
             columns = (TextColumn("{task.description}"), BarColumn(), count, TimeRemainingColumn())
             self._bar = Bar(*columns, console=Console(stderr=True), transient=True)
-            self._task = self._bar.add_task("", total=None)
+            self._task = self._bar.add_task("", total=None, count="")
             self._bar.start()
         return self
 
@@ -150,14 +155,15 @@ class Progress:
 
     def update(self, name: str, done: float, total: int) -> None:
         """Say that `done` of `total` are done, and the name of what is under way."""
+        count = f"{round(done, 1):g} of {total} {self._unit}"
         if self._bar is not None:
-            self._bar.update(self._task, description=name, completed=done, total=total)
+            self._bar.update(self._task, description=name, completed=done, total=total, count=count)
             return
         now = time.monotonic()
         if now - self._last_line >= _PROGRESS_INTERVAL_S:
             self._last_line = now
             left = f", about {(now - self._began) / done * (total - done):.0f} s left" if done else ""
-            note(f"{name}: {round(done, 1):g} of {total} {self._unit}{left}")
+            note(f"{name}: {count}{left}")
 
     def update_part(self, name: str, done: int, total: int, steps_done: int, n_steps: int) -> None:
         """Say the same where `done` are complete and the next one has done some of its steps."""

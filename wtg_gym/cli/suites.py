@@ -105,7 +105,7 @@ def _seeds(suite: Suite, split: str) -> str:
 
 
 def _print_suites(suites: list[Suite]) -> None:
-    header = ("suite", "hash", "length [s]", *(f"{split} seeds" for split in SPLITS), "test runs", "about")
+    header = ("suite", "hash", "length [s]", *(f"{split} seeds" for split in SPLITS), "test runs")
     rows = [
         (
             suite.name,
@@ -113,11 +113,13 @@ def _print_suites(suites: list[Suite]) -> None:
             f"{suite.duration_s:g}",
             *(_seeds(suite, split) for split in SPLITS),
             str(len(suite.test)),
-            suite.description,
         )
         for suite in suites
     ]
-    print_table(header, rows, left=(0, 1, len(header) - 1))
+    print_table(header, rows, left=(0, 1))
+    print()
+    for suite in suites:
+        print(f"{suite.name:<10} {suite.description}")
 
 
 def _print_suite(suite: Suite) -> None:

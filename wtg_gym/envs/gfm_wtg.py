@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -12,7 +13,7 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.lanes import PreparedEpisode, TaskLanes, as_actions
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task import OBSERVATION_BOUND, TaskRow
 from wtg_gym.physics.scenario import Scenario
@@ -27,6 +28,14 @@ def _spaces(lanes: TaskLanes) -> tuple[gym.spaces.Box[np.float32], gym.spaces.Bo
     return gym.spaces.Box(-bound, bound, dtype=np.float32), gym.spaces.Box(-one, one, dtype=np.float32)
 
 
+def _settings(arguments: dict[str, Any]) -> EnvSettings:
+    known = [field.name for field in dataclasses.fields(EnvSettings)]
+    unknown = sorted(set(arguments) - set(known))
+    if unknown:
+        raise TypeError(f"unknown arguments {unknown}; known arguments: {', '.join(known)}")
+    return EnvSettings(**arguments)
+
+
 def _as_scenario(value: Any) -> Scenario:
     if isinstance(value, Scenario):
         return value
@@ -36,10 +45,20 @@ def _as_scenario(value: Any) -> Scenario:
 
 
 def _check_options(options: dict[str, Any] | None, allowed: Sequence[str]) -> dict[str, Any]:
+    if options is not None and not isinstance(options, Mapping):
+        raise ValueError(f"reset options must be a dictionary with keys out of {', '.join(allowed)}, got {options!r}")
     unknown = sorted(set(options or {}) - set(allowed))
     if unknown:
         raise ValueError(f"unknown reset options {unknown}; known options: {', '.join(allowed)}")
     return options or {}
+
+
+def _lane_seed(given: Any) -> int | None:
+    if given is None:
+        return None
+    if isinstance(given, bool) or not isinstance(given, (int, np.integer)) or given < 0:
+        raise ValueError(f"a seed must be a whole number of 0 or more, got {given!r}")
+    return int(given)
 
 
 class GFMWTGEnv(gym.Env[Observation, Action]):
@@ -90,10 +109,9 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
         if render_mode is not None:
             raise ValueError(f"unknown render_mode {render_mode!r}; this version renders nothing: use None")
         self.render_mode = render_mode
-        self.settings = EnvSettings(**arguments)
+        self.settings = _settings(arguments)
         self._lanes = TaskLanes(self.settings, 1)
         self.observation_space, self.action_space = _spaces(self._lanes)
-        self._actions = np.zeros((1, self._lanes.n_action))
         self._running = False
 
     @property
@@ -137,11 +155,7 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
         """
         if not self._running:
             raise RuntimeError("the episode is over or was never started; call reset() before step()")
-        given = np.asarray(action, dtype=np.float64)
-        if given.shape != (self._lanes.n_action,):
-            raise ValueError(f"the action must have shape {(self._lanes.n_action,)}, got {given.shape}")
-        self._actions[0] = given
-        self._lanes.step(self._actions)
+        self._lanes.step(as_actions(action, (self._lanes.n_action,))[None, :])
         terminated, truncated = (bool(flag[0]) for flag in self._lanes.ended())
         self._running = not (terminated or truncated)
         reward = float(self._lanes.rewards[0])
@@ -173,7 +187,7 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
     Args:
         num_envs: number of episodes side by side.
         autoreset_mode: NEXT_STEP (Gymnasium's default), SAME_STEP or DISABLED.
-        max_episode_steps: time limit in steps, instead of `duration_s`.
+        max_episode_steps: cuts episodes off after this many steps; scenarios stay those of `duration_s`.
         n_threads: threads to step with; None for one per processor. Results do not depend on it.
         arguments: as for :class:`GFMWTGEnv`.
 
@@ -200,11 +214,19 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         if render_mode is not None:
             raise ValueError(f"unknown render_mode {render_mode!r}; this version renders nothing: use None")
         self.render_mode = render_mode
-        if max_episode_steps is not None:
-            arguments["duration_s"] = max_episode_steps * arguments.get("control_dt", EnvSettings().control_dt)
+        if max_episode_steps is not None and (
+            isinstance(max_episode_steps, bool)
+            or not isinstance(max_episode_steps, (int, np.integer))
+            or max_episode_steps < 1
+        ):
+            raise ValueError(f"max_episode_steps must be a whole number of 1 or more, got {max_episode_steps!r}")
+        self._max_episode_steps = max_episode_steps
+        modes = [mode.value for mode in AutoresetMode]
+        if autoreset_mode not in modes and autoreset_mode not in list(AutoresetMode):
+            raise ValueError(f"unknown autoreset_mode {autoreset_mode!r}; choose one of {', '.join(modes)}")
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
-        self.settings = EnvSettings(**arguments)
+        self.settings = _settings(arguments)
         self.num_envs = num_envs
         self._lanes = TaskLanes(self.settings, num_envs, n_threads)
         self.single_observation_space, self.single_action_space = _spaces(self._lanes)
@@ -212,6 +234,7 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._generators = [seeding.np_random()[0] for _ in range(num_envs)]
         self._needs_reset = np.ones(num_envs, dtype=np.bool_)
+        self._n_steps = np.zeros(num_envs, dtype=np.int64)
 
     @property
     def lanes(self) -> TaskLanes:
@@ -232,15 +255,15 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         """
         given = _check_options(options, ("reset_mask", "scenarios"))
         mask = self._reset_mask(given.get("reset_mask"))
-        for lane, lane_seed in enumerate(self._lane_seeds(seed)):
-            if lane_seed is not None and mask[lane]:
-                self._generators[lane] = seeding.np_random(lane_seed)[0]
-        scenarios = given.get("scenarios")
-        if scenarios is not None and len(scenarios) != self.num_envs:
-            raise ValueError(f'options["scenarios"] must give {self.num_envs} scenarios, got {len(scenarios)}')
+        seeds = self._lane_seeds(seed)
+        scenarios = self._scenarios(given.get("scenarios"))
+        # Everything that can be refused comes before the first change.
+        generators = [None if s is None else seeding.np_random(s)[0] for s in seeds]
+        episodes = None if scenarios is None else [self._lanes.prepare(scenario) for scenario in scenarios]
         for index in np.flatnonzero(mask):
             lane = int(index)
-            self._start(lane, None if scenarios is None else _as_scenario(scenarios[lane]))
+            self._generators[lane] = generators[lane] or self._generators[lane]
+            self._start(lane, None if episodes is None else episodes[lane])
         return self._lanes.observations.copy(), self._infos(mask)
 
     def _reset_mask(self, given: Any) -> npt.NDArray[np.bool_]:
@@ -254,18 +277,28 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
             )
         return mask
 
-    def _lane_seeds(self, seed: int | Sequence[int | None] | None) -> Sequence[int | None]:
+    def _scenarios(self, given: Any) -> list[Scenario] | None:
+        if given is None:
+            return None
+        if not isinstance(given, Sequence) or len(given) != self.num_envs:
+            raise ValueError(f'options["scenarios"] must be a list of {self.num_envs} scenarios, got {given!r:.80}')
+        return [_as_scenario(scenario) for scenario in given]
+
+    def _lane_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         if seed is None:
             return [None] * self.num_envs
         if isinstance(seed, (int, np.integer)):
-            return [int(seed) + lane for lane in range(self.num_envs)]
+            return [_lane_seed(int(seed) + lane) for lane in range(self.num_envs)]
+        if not isinstance(seed, (Sequence, np.ndarray)) or isinstance(seed, str):
+            raise ValueError(f"seed must be a whole number, or one per lane, got {seed!r}")
         if len(seed) != self.num_envs:
             raise ValueError(f"one seed per lane is needed ({self.num_envs}), got {len(seed)}")
-        return seed
+        return [_lane_seed(given) for given in seed]
 
-    def _start(self, lane: int, scenario: Scenario | None = None) -> None:
-        self._lanes.start(lane, scenario or self._lanes.draw(self._generators[lane]))
+    def _start(self, lane: int, episode: PreparedEpisode | None = None) -> None:
+        self._lanes.commit(lane, episode or self._lanes.prepare(self._lanes.draw(self._generators[lane])))
         self._needs_reset[lane] = False
+        self._n_steps[lane] = 0
 
     def step(
         self, actions: Action
@@ -281,8 +314,13 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         """
         waiting = self._needs_reset.copy()
         if waiting.any() and (self.autoreset_mode != AutoresetMode.NEXT_STEP or not self._started()):
-            raise RuntimeError(f"lanes {np.flatnonzero(waiting).tolist()} are over; call reset() before step()")
-        self._lanes.step(np.ascontiguousarray(actions, dtype=np.float64))
+            raise RuntimeError(
+                f"lanes {np.flatnonzero(waiting).tolist()} are over or were never started; call reset() before step()"
+            )
+        self._lanes.step(as_actions(actions, (self.num_envs, self._lanes.n_action)))
+        self._n_steps += 1
+        if self._max_episode_steps is not None:
+            self._lanes.stop(~waiting & (self._n_steps >= self._max_episode_steps))
         terminated, truncated = self._lanes.ended()
         # A lane that waited for its reset has not been stepped: this step starts its next episode.
         terminated &= ~waiting
@@ -323,13 +361,13 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
 
     def snapshot(self) -> Any:
         """Return a copy of every episode's complete state, for :meth:`restore`; the generators are not part of it."""
-        return self._lanes.snapshot(), self._needs_reset.copy()
+        return self._lanes.snapshot(), self._needs_reset.copy(), self._n_steps.copy()
 
     def restore(self, snapshot: Any) -> None:
         """Go back to a :meth:`snapshot`."""
-        lanes, needs_reset = snapshot
+        lanes, needs_reset, n_steps = snapshot
         self._lanes.restore(lanes)
-        self._needs_reset[:] = needs_reset
+        self._needs_reset[:], self._n_steps[:] = needs_reset, n_steps
 
     def close_extras(self, **kwargs: Any) -> None:
         """Release the worker threads."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+import numbers
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +22,7 @@ from wtg_gym.envs.task import (
 from wtg_gym.physics.layout import LaneData, LaneRow, Status
 from wtg_gym.physics.plant import whole_steps
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.physics.simulator import Simulator
+from wtg_gym.physics.simulator import PreparedLane, Simulator
 from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[np.float64]
@@ -43,6 +44,30 @@ INFO_UNITS = {
     **{f"cost_{name}": "-" for name in COST_TERMS},
     "scenario_seed": "-",
 }
+
+
+def as_actions(given: Any, shape: tuple[int, ...]) -> Floats:
+    """Return actions as floats of a shape; whatever is not that many real numbers is a ValueError."""
+    allowed = f"the action must be real numbers in -1 … 1 of shape {shape}"
+    try:
+        array = np.asarray(given)
+        if array.dtype.kind == "O" and all(isinstance(value, numbers.Real) for value in array.flat):
+            array = array.astype(np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"{allowed}: {error}") from error
+    if array.dtype.kind not in "biuf":
+        raise ValueError(f"{allowed}, got {array.dtype} values: {given!r:.60}")
+    if array.shape != shape:
+        raise ValueError(f"{allowed}, got shape {array.shape}")
+    return np.ascontiguousarray(array, dtype=np.float64)
+
+
+class PreparedEpisode(NamedTuple):
+    """An episode that is ready to start."""
+
+    lane: PreparedLane
+    n_intervals: int
+    scenario_seed: int
 
 
 class TaskLanes:
@@ -81,8 +106,11 @@ class TaskLanes:
         self.observations = np.zeros((n_lanes, self.n_observation), dtype=np.float32)
         self.rewards = np.zeros(n_lanes)
         self.scenario_seeds = np.full(n_lanes, -1, dtype=np.int64)
-        self._fixed = settings.fixed_scenario()
         self._seeds = self.suite.seeds(settings.split)
+        self._fixed = settings.fixed_scenario()
+        if self._fixed is not None:
+            # What cannot be played is refused here rather than at the first reset.
+            self.prepare(self._fixed)
 
     @property
     def n_lanes(self) -> int:
@@ -99,36 +127,46 @@ class TaskLanes:
         """Return the suite's scenario of a seed, for this plant and episode length."""
         return self.suite.scenario(seed, n_wtg=self.n_wtg, n_turbines=self.n_turbines, duration_s=self.duration_s)
 
-    def start(self, lane: int, scenario: Scenario) -> None:
-        """Start an episode in a lane, from the equilibrium of its scenario.
+    def prepare(self, scenario: Scenario) -> PreparedEpisode:
+        """Find the equilibrium that an episode starts from; no running lane is touched.
 
         Raises:
             ValueError: the scenario does not fit the plant or the episode length, or has no equilibrium.
         """
-        simulator = self.simulator
-        simulator.start(lane, scenario, self.laws)
+        lane = self.simulator.prepare(scenario, self.laws)
         duration = min(scenario.duration_s, self.duration_s)
         intervals = whole_steps("scenario duration_s", duration, self.settings.control_dt, "control step")
-        end_step = float(intervals * simulator.plant.n_substeps)
+        return PreparedEpisode(lane, intervals, -1 if scenario.seed is None else int(scenario.seed))
+
+    def commit(self, lane: int, episode: PreparedEpisode) -> None:
+        """Start a prepared episode in a lane."""
+        simulator = self.simulator
+        simulator.commit(lane, episode.lane)
+        end_step = float(episode.n_intervals * simulator.plant.n_substeps)
         start_task(
             simulator.blocks, lane, simulator.plant, self.task, end_step, self.observations[lane], simulator.lanes
         )
-        self.scenario_seeds[lane] = -1 if scenario.seed is None else scenario.seed
+        self.scenario_seeds[lane] = episode.scenario_seed
         self.rewards[lane] = 0.0
+
+    def start(self, lane: int, scenario: Scenario) -> None:
+        """Start an episode in a lane: :meth:`prepare`, then :meth:`commit`."""
+        self.commit(lane, self.prepare(scenario))
+
+    def stop(self, lanes: npt.NDArray[np.bool_]) -> None:
+        """End the episodes of a mask's lanes, as if their time were over; shape (n_lanes,)."""
+        for lane in np.flatnonzero(lanes):
+            self.simulator.stop(int(lane))
 
     def step(self, actions: Floats) -> None:
         """Step every running lane; results are in `observations`, `rewards` and :meth:`ended`.
 
         Args:
-            actions: (n_lanes, n_action), clipped to [-1, 1].
+            actions: (n_lanes, n_action), as :func:`as_actions` gives them; clipped to [-1, 1].
 
         Raises:
-            ValueError: wrong shape, or an action that is not finite; nothing has been stepped then.
+            ValueError: an action is not finite; nothing has been stepped then.
         """
-        if actions.shape != (self.n_lanes, self.n_action):
-            raise ValueError(
-                f"actions must have shape {(self.n_lanes, self.n_action)} (lanes, values), got {actions.shape}"
-            )
         invalid = first_invalid_action(actions)
         if invalid >= 0:
             raise ValueError(f"action {actions[invalid].tolist()} of lane {invalid} is not finite; allowed: -1 … 1")
@@ -186,7 +224,12 @@ class TaskLanes:
     def restore(
         self, snapshot: tuple[tuple[Floats, LaneData], npt.NDArray[np.float32], Floats, npt.NDArray[np.int64]]
     ) -> None:
-        """Go back to a :meth:`snapshot`."""
+        """Go back to a :meth:`snapshot`; a ValueError refuses that of another environment."""
         physics, observations, rewards, seeds = snapshot
+        if observations.shape != self.observations.shape:
+            raise ValueError(
+                f"the snapshot is of another environment: its observations have shape {observations.shape}, "
+                f"here it is {self.observations.shape}"
+            )
         self.simulator.restore(physics)
         self.observations[:], self.rewards[:], self.scenario_seeds[:] = observations, rewards, seeds

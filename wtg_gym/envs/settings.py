@@ -9,10 +9,10 @@ from typing import Any
 
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.parameters import WtgGroup, default_groups, parameter
-from wtg_gym.physics.plant import PlantSettings
-from wtg_gym.physics.scenario import Scenario, require_range
+from wtg_gym.physics.plant import PlantSettings, whole_steps
+from wtg_gym.physics.scenario import SERIES_DT, Scenario, require_range
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, get_law
-from wtg_gym.scenarios import SPLITS, get_suite
+from wtg_gym.scenarios import SPLITS, SUITES, get_suite
 
 #: Action modes and which of (k, τ) each of them modulates.
 ACTION_MODES: dict[str, tuple[bool, bool]] = {"k": (True, False), "tau": (False, True), "k+tau": (True, True)}
@@ -84,7 +84,8 @@ class EnvSettings:
     """Arguments of the environment; all of them survive JSON.
 
     Args:
-        strategy: law that the actions modulate, by name or .toml file; one for all groups, or one per group.
+        strategy: law that the actions modulate, by name, .toml file or (beyond JSON) as a `TrackingLaw`; one for all
+            groups, or one per group.
         action_mode: "k", "tau" or "k+tau".
         observation_mode: "local" (what each group measures itself) or "privileged" (plus the grid's state).
         suite, split: where scenarios are drawn from.
@@ -101,7 +102,7 @@ class EnvSettings:
         ValueError: a value is unknown or out of range; the message lists what is allowed.
     """
 
-    strategy: str | Sequence[str] = REFERENCE_STRATEGY
+    strategy: str | TrackingLaw | Sequence[str | TrackingLaw] = REFERENCE_STRATEGY
     action_mode: str = "k+tau"
     observation_mode: str = "local"
     suite: str = "standard"
@@ -121,12 +122,18 @@ class EnvSettings:
         _require_choice("machine_model", self.machine_model, MACHINE_MODELS)
         _require_choice("on_failure", self.on_failure, FAILURE_MODES)
         _require_choice("split", self.split, SPLITS)
-        get_suite(self.suite)
+        _require_choice("suite", self.suite, tuple(SUITES))
         if self.duration_s is not None:
             require_range("duration_s", self.duration_s, 1.0, 3600.0, "s")
+        require_range("simulation_dt", self.simulation_dt, 5e-5, 0.04, "s")
+        if self.scenario is None and get_suite(self.suite).distribution is not None:
+            # Drawn events lie on this grid.
+            whole_steps("the grid of drawn events", SERIES_DT, self.simulation_dt, "simulation_dt step")
 
     def cost_weights(self) -> CostWeights:
         """Return the weights in force; a ValueError names unknown ones."""
+        if self.weights is not None and not isinstance(self.weights, Mapping):
+            raise ValueError(f"weights must be a dictionary of names and numbers, got {self.weights!r}")
         given = dict(self.weights or {})
         known = [field.name for field in dataclasses.fields(CostWeights)]
         unknown = sorted(set(given) - set(known))
@@ -174,7 +181,11 @@ class EnvSettings:
         """Return the scenario played in every episode, if one was given."""
         if self.scenario is None:
             return None
-        return self.scenario if isinstance(self.scenario, Scenario) else Scenario.from_dict(dict(self.scenario))
+        if isinstance(self.scenario, Scenario):
+            return self.scenario
+        if not isinstance(self.scenario, Mapping):
+            raise ValueError(f"scenario must be what Scenario.to_dict() gives, got {self.scenario!r}")
+        return Scenario.from_dict(dict(self.scenario))
 
     def episode_duration_s(self) -> float:
         """Return the length of an episode [s]."""
@@ -185,7 +196,7 @@ class EnvSettings:
 
 
 def _require_choice(name: str, value: Any, choices: Sequence[str]) -> None:
-    if value not in choices:
+    if not isinstance(value, str) or value not in choices:
         raise ValueError(f"unknown {name} {value!r}; choose one of {', '.join(choices)}")
 
 

@@ -65,8 +65,7 @@ def evaluate(
         env_arguments: further settings of the environment, see :class:`wtg_gym.envs.settings.EnvSettings`.
 
     Raises:
-        ValueError: an argument is unknown or out of range, or a policy returns what is no action; the message names
-            the value, or the entry, its step and the shape it returned.
+        ValueError: an argument is unknown or out of range, or a policy returns no action; the message names them.
     """
     competitors = _with_anchors(entries)
     _check_arguments(batch, partial, env_arguments)
@@ -78,12 +77,7 @@ def evaluate(
     for entry in competitors:
         for first in range(0, len(chosen), batch):
             part = chosen[first : first + batch]
-            path = store.path(entry.to_dict(), part)
-            rows = store.load(path, len(part))
-            if rows is None:
-                rows = _play(entry, settings, part, n_threads)
-                store.save(path, rows)
-            episodes += rows
+            episodes += _stored_or_played(store, entry, settings, part, n_threads)
             if on_progress is not None:
                 on_progress(entry.name, len(episodes), len(competitors) * len(chosen))
     results = Results(
@@ -167,6 +161,17 @@ def _versions() -> dict[str, str]:
         "numba": numba.__version__,
         "python": platform.python_version(),
     }
+
+
+def _stored_or_played(
+    store: PartialStore, entry: Entry, settings: EnvSettings, seeds: list[int], n_threads: int | None
+) -> list[Episode]:
+    path = store.path(entry.to_dict(), seeds)
+    rows = store.load(path, len(seeds))
+    if rows is None:
+        rows = _play(entry, settings, seeds, n_threads)
+        store.save(path, rows)
+    return rows
 
 
 def _play(entry: Entry, settings: EnvSettings, seeds: Sequence[int], n_threads: int | None) -> list[Episode]:

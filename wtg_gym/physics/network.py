@@ -96,10 +96,9 @@ class NetworkCase:
 
     def bus_index(self, number: int) -> int:
         """Return the index of a bus number; a ValueError lists the buses there are."""
-        try:
-            return self.bus_numbers.index(number)
-        except ValueError:
-            raise ValueError(f"unknown bus {number!r}; {self.name} has buses {list(self.bus_numbers)}") from None
+        if isinstance(number, bool) or number not in self.bus_numbers:
+            raise ValueError(f"unknown bus {number!r}; {self.name} has buses {list(self.bus_numbers)}")
+        return self.bus_numbers.index(number)
 
     def branch_index(self, from_bus: int, to_bus: int) -> int:
         """Return the index of the branch between two buses, either way round; a ValueError lists the branches."""

@@ -33,6 +33,13 @@ def require_range(name: str, value: float, low: float, high: float, unit: str) -
     return number
 
 
+def _series(name: str, values: Any) -> npt.NDArray[np.float64]:
+    try:
+        return np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} must be numbers in a regular array: {error}") from error
+
+
 def _require_bus(name: str, bus: int) -> None:
     if isinstance(bus, bool) or not isinstance(bus, (int, np.integer)) or bus < 1:
         raise ValueError(f"{name} must be a bus number of the network (a positive integer), got {bus!r}")
@@ -146,7 +153,7 @@ class Scenario:
     seed: int | None = None
 
     def __post_init__(self) -> None:
-        wind = np.array(self.wind_speed, dtype=np.float64)
+        wind = _series("wind_speed", self.wind_speed)
         if wind.ndim != 2 or wind.shape[1] < 1:
             raise ValueError(f"wind_speed must have shape (n_wtg, n_samples), got shape {wind.shape}")
         low, high = WIND_SPEED_RANGE
@@ -157,7 +164,7 @@ class Scenario:
                 f"wind_speed of group {group} at t = {sample * self.wind_dt_s:g} s is {wind[group, sample]:g} m/s, "
                 f"outside the allowed range {low:g} … {high:g} m/s"
             )
-        noise = np.array(self.load_noise_mw, dtype=np.float64)
+        noise = _series("load_noise_mw", self.load_noise_mw)
         if noise.ndim != 1 or not np.isfinite(noise).all():
             raise ValueError(f"load_noise_mw must be a finite series [MW], got shape {noise.shape}")
         if noise.size and noise[0] != 0.0:
@@ -172,6 +179,10 @@ class Scenario:
         if self.governor_droop is not None:
             require_range("governor_droop", self.governor_droop, 0.005, 1.0, "p.u.")
         require_range("inertia_scale", self.inertia_scale, 0.05, 5.0, "")
+        if self.seed is not None:
+            is_whole = isinstance(self.seed, (int, np.integer)) and not isinstance(self.seed, bool)
+            if not is_whole or not 0 <= self.seed < 2**63:
+                raise ValueError(f"seed of a scenario must be a whole number in 0 … 2^63 - 1, got {self.seed!r}")
         for series in (wind, noise):
             series.setflags(write=False)
         object.__setattr__(self, "wind_speed", wind)
@@ -205,6 +216,8 @@ class Scenario:
         if unknown:
             raise ValueError(f"unknown scenario keys {unknown}; known keys: {sorted(known)}")
         fields = dict(data)
+        if not isinstance(data.get("events", ()), (list, tuple)):
+            raise ValueError(f"events must be a list, got {data['events']!r}")
         try:
             fields["events"] = tuple(_event_from_dict(e) for e in data.get("events", ()))
             return cls(**fields)

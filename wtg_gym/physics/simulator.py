@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,6 +36,18 @@ def _copy(data: LaneData) -> LaneData:
     return LaneData._make(array.copy() for array in data)
 
 
+def _clear_events(table: Floats) -> None:
+    table[...] = -1.0
+    table[..., EventColumn.START] = table[..., EventColumn.END] = math.inf
+
+
+class PreparedLane(NamedTuple):
+    """A run that is ready to start: its rows, and the data it reads."""
+
+    rows: Floats
+    data: LaneData
+
+
 class Simulator:
     """Runs of one plant, in lanes.
 
@@ -61,7 +73,7 @@ class Simulator:
     ) -> None:
         if isinstance(n_lanes, bool) or not isinstance(n_lanes, (int, np.integer)) or not 1 <= n_lanes <= 1_000_000:
             raise ValueError(f"the number of lanes must be 1 … 1000000, got {n_lanes!r}")
-        if n_threads is not None and (not isinstance(n_threads, int) or n_threads < 1):
+        if n_threads is not None and (isinstance(n_threads, bool) or not isinstance(n_threads, int) or n_threads < 1):
             raise ValueError(f"the number of threads must be 1 or more, got {n_threads!r}")
         self.settings = settings
         self.plant = build_plant(settings)
@@ -77,13 +89,12 @@ class Simulator:
         self.data = self._allocate_data(n_blocks * self.width, 4)
         self.n_threads = n_threads
         self._pool: ThreadPoolExecutor | None = None
-        self._single = np.zeros(self.layout.n_rows)
         self._pad()
 
     def _allocate_data(self, n: int, n_events: int) -> LaneData:
         n_bus, n_wtg = self.plant.shunt_y.shape[0], self.layout.n_wtg
-        events = np.full((n, n_events, len(EventColumn)), -1.0)
-        events[:, :, EventColumn.START] = events[:, :, EventColumn.END] = math.inf
+        events = np.empty((n, n_events, len(EventColumn)))
+        _clear_events(events)
         return LaneData(
             wind=np.full((n, n_wtg, self.n_intervals + 1), 8.0),
             noise=np.zeros((n, self.n_intervals)),
@@ -111,7 +122,7 @@ class Simulator:
 
     def values(self, row: int) -> Floats:
         """Return one row for every lane, shape (n_lanes,): a copy."""
-        return np.ascontiguousarray(self._view[:, row, :]).ravel()[: self.n_lanes]
+        return self._view[:, row, :].ravel()[: self.n_lanes].copy()
 
     def wtg_values(self, row: int) -> Floats:
         """Return a :class:`WtgRow` or :class:`WtgState` of every lane and group, shape (n_lanes, n_wtg)."""
@@ -121,11 +132,10 @@ class Simulator:
         """Return a :class:`LaneRow` of every lane, shape (n_lanes,)."""
         return self.values(self.layout.lane + row)
 
-    def start(self, lane: int, scenario: Scenario, laws: Sequence[TrackingLaw]) -> None:
-        """Put a lane into the exact equilibrium its scenario starts from.
+    def prepare(self, scenario: Scenario, laws: Sequence[TrackingLaw]) -> PreparedLane:
+        """Find the exact equilibrium that a scenario starts from; no running lane is touched.
 
         Args:
-            lane: which lane.
             scenario: what will happen; its wind has one series per WTG group.
             laws: one law per WTG group.
 
@@ -137,29 +147,46 @@ class Simulator:
                 f"scenario {scenario.name!r} has wind for {scenario.n_wtg} WTG groups and {len(laws)} laws were given; "
                 f"the plant has {self.layout.n_wtg} groups"
             )
-        self._write_series(lane, scenario)
-        self._write_events(lane, scenario)
-        single = self._single
-        single[:] = 0.0
-        self._write_constants(single, scenario)
+        data = self._allocate_data(1, max(1, len(scenario.events)))
+        self._write_series(data, scenario)
+        self._write_events(data, scenario)
+        rows = np.zeros(self.layout.n_rows)
+        self._write_constants(rows, scenario)
         for j, law in enumerate(laws):
             o = self.wtg_row(j, 0)
-            single[o + WtgRow.K_MIN], single[o + WtgRow.K_NOMINAL] = law.k_min, law.k_nominal
-            single[o + WtgRow.K_MAX], single[o + WtgRow.INV_TAU] = law.k_max, law.inverse_time_constant
-            single[o + WtgRow.DROOP_CANCELLED] = law.droop_cancelled
-        failure = start_lane(single, lane, self.plant, self.data, scenario.load_level)
+            rows[o + WtgRow.K_MIN], rows[o + WtgRow.K_NOMINAL] = law.k_min, law.k_nominal
+            rows[o + WtgRow.K_MAX], rows[o + WtgRow.INV_TAU] = law.k_max, law.inverse_time_constant
+            rows[o + WtgRow.DROOP_CANCELLED] = law.droop_cancelled
+        failure = start_lane(rows, 0, self.plant, data, scenario.load_level)
         if failure:
             raise ValueError(f"scenario {scenario.name!r} cannot start: {_FAILURE_TEXT[StartFailure(failure)]}")
-        self._lane_view(lane)[:] = single
+        return PreparedLane(rows, data)
 
-    def _write_series(self, lane: int, scenario: Scenario) -> None:
+    def commit(self, lane: int, prepared: PreparedLane) -> None:
+        """Put a lane into a prepared equilibrium."""
+        n_events = prepared.data.events.shape[1]
+        if n_events > self.data.events.shape[1]:
+            more = self._allocate_data(self.data.wind.shape[0], 2 * n_events).events
+            more[:, : self.data.events.shape[1]] = self.data.events
+            self.data = self.data._replace(events=more)
+        for name in ("wind", "noise", "noise_bus", "load_y"):
+            getattr(self.data, name)[lane] = getattr(prepared.data, name)[0]
+        _clear_events(self.data.events[lane])
+        self.data.events[lane, :n_events] = prepared.data.events[0]
+        self._lane_view(lane)[:] = prepared.rows
+
+    def start(self, lane: int, scenario: Scenario, laws: Sequence[TrackingLaw]) -> None:
+        """Put a lane into the equilibrium its scenario starts from: :meth:`prepare`, then :meth:`commit`."""
+        self.commit(lane, self.prepare(scenario, laws))
+
+    def _write_series(self, data: LaneData, scenario: Scenario) -> None:
         dt, n = self.settings.control_dt, self.n_intervals
         if scenario.duration_s > n * dt * (1.0 + 1e-9):
             raise ValueError(
                 f"scenario {scenario.name!r} lasts {scenario.duration_s:g} s, longer than the {n * dt:g} s held here"
             )
-        self.data.noise_bus[lane] = self.settings.case.bus_index(scenario.load_noise_bus)
-        wind, target = scenario.wind_speed, self.data.wind[lane]
+        data.noise_bus[0] = self.settings.case.bus_index(scenario.load_noise_bus)
+        wind, target = scenario.wind_speed, data.wind[0]
         if abs(scenario.wind_dt_s - dt) < 1e-12:
             m = min(wind.shape[1], n + 1)
             target[:, :m] = wind[:, :m]
@@ -168,7 +195,7 @@ class Simulator:
             given, wanted = np.arange(wind.shape[1]) * scenario.wind_dt_s, np.arange(n + 1) * dt
             for j in range(wind.shape[0]):
                 target[j] = np.interp(wanted, given, wind[j])
-        noise, row = scenario.load_noise_mw, self.data.noise[lane]
+        noise, row = scenario.load_noise_mw, data.noise[0]
         row[:] = 0.0
         if noise.size:
             if abs(SERIES_DT - dt) < 1e-12:
@@ -178,18 +205,12 @@ class Simulator:
                 index = np.minimum((np.arange(n) * dt / SERIES_DT + 1e-9).astype(np.int64), noise.size - 1)
                 row[:] = noise[index]
 
-    def _write_events(self, lane: int, scenario: Scenario) -> None:
-        if len(scenario.events) > self.data.events.shape[1]:
-            more = self._allocate_data(self.data.wind.shape[0], 2 * len(scenario.events)).events
-            more[:, : self.data.events.shape[1]] = self.data.events
-            self.data = self.data._replace(events=more)
+    def _write_events(self, data: LaneData, scenario: Scenario) -> None:
         lost = [event.bus for event in scenario.events if isinstance(event, LoadTrip)]
         if len(set(lost)) < len(lost):
             raise ValueError(f"scenario {scenario.name!r} disconnects a load twice; load trips at buses {lost}")
-        table = self.data.events[lane]
-        table[:] = -1.0
-        table[:, EventColumn.START] = table[:, EventColumn.END] = math.inf
         tripped = []
+        table = data.events[0]
         for row, event in zip(table, scenario.events, strict=False):
             self._write_event(row, event, scenario.load_level)
             if isinstance(event, LineTrip):
@@ -222,6 +243,10 @@ class Simulator:
             if droop > 0.0 and scenario.governor_droop is not None:
                 droop = 1.0 / scenario.governor_droop
             rows[o + SyncRow.INV_DROOP] = droop
+
+    def stop(self, lane: int) -> None:
+        """Let a lane stand still from now on."""
+        self._lane_view(lane)[self.layout.lane + LaneRow.ACTIVE] = 0.0
 
     def advance(self) -> None:
         """Advance every running lane by one control interval."""
@@ -261,8 +286,17 @@ class Simulator:
         return self.blocks.copy(), _copy(self.data)
 
     def restore(self, snapshot: tuple[Floats, LaneData]) -> None:
-        """Go back to a :meth:`snapshot`; it can be used again."""
+        """Go back to a :meth:`snapshot`; it can be used again.
+
+        Raises:
+            ValueError: the snapshot is of a simulator of another size; nothing has changed then.
+        """
         blocks, data = snapshot
+        if blocks.shape != self.blocks.shape or data.wind.shape != self.data.wind.shape:
+            raise ValueError(
+                f"the snapshot is of another simulator: it holds {data.wind.shape[:2]} lanes and groups over "
+                f"{data.wind.shape[2] - 1} intervals, this one {self.data.wind.shape[:2]} over {self.n_intervals}"
+            )
         self.blocks[:] = blocks
         self.data = _copy(data)
 

@@ -161,7 +161,7 @@ def get_law(strategy: str | Path | TrackingLaw) -> TrackingLaw:
         return strategy
     if str(strategy).endswith(".toml"):
         return read_law(Path(strategy))
-    if strategy not in STRATEGIES:
+    if not isinstance(strategy, str) or strategy not in STRATEGIES:
         raise ValueError(
             f"unknown strategy {str(strategy)!r}; known strategies: {', '.join(STRATEGIES)}, or a .toml file with a law"
         )

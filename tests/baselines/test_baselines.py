@@ -1,0 +1,51 @@
+"""Facts about the conventional strategies as entries."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+
+import pytest
+
+import baselines
+from wtg_gym.evaluation import evaluate, leaderboard_rows, load_entries
+from wtg_gym.physics.tracking_law import STRATEGIES, tracking_coefficient
+
+FOLDER = Path(baselines.__file__).parent
+
+
+def test_entries_are_the_built_in_strategies_in_the_order_of_the_package() -> None:
+    entries = load_entries("baselines")
+    assert [entry.name for entry in entries] == [name.replace("_", "-") for name in baselines.ORDER]
+    assert {entry.name: entry.law for entry in entries} == STRATEGIES
+    assert all(entry.kind == "law" for entry in entries)
+
+
+@pytest.mark.parametrize("name", baselines.ORDER)
+def test_module_gives_equation_and_source(name: str) -> None:
+    module = importlib.import_module(f"baselines.{name}")
+    assert "Source:" in module.__doc__ and "P_st =" in module.__doc__
+    entry = module.ENTRY
+    assert (entry.description and entry.equation in module.__doc__.replace("\n", " ")) or "P_st" in entry.equation
+    assert "Chen" in entry.source
+    assert len((FOLDER / f"{name}.py").read_text(encoding="utf-8").split("\n")) < 40
+
+
+def test_order_names_every_module() -> None:
+    assert sorted(baselines.ORDER) == sorted(path.stem for path in FOLDER.glob("[a-z]*.py"))
+
+
+def test_linear_law_is_the_straight_line_of_its_docstring() -> None:
+    law, low, high = STRATEGIES["coordinated-linear"], 0.992, 1.008
+    for speed in (low, 0.997, 1.0, 1.004, high):
+        k = tracking_coefficient(speed, law.k_min, law.k_nominal, law.k_max, low, 1.0, high)
+        assert k == pytest.approx(law.k_max + (law.k_min - law.k_max) * (high - speed) / (high - low))
+
+
+def test_example_law_can_be_evaluated() -> None:
+    (entry,) = load_entries(FOLDER / "example_law.toml")
+    assert entry.name == "reserve-7" and entry.law.damping_time_constant_s == 0.8
+    nominal = {name: STRATEGIES[name].k_nominal for name in ("deloaded-5", "deloaded-10")}
+    assert nominal["deloaded-10"] < entry.law.k_nominal < nominal["deloaded-5"]
+    results = evaluate([entry], "standard", seeds=range(20_000, 20_004), duration_s=10.0)
+    assert {row.name for row in leaderboard_rows(results)} == {"reserve-7", "mppt", "coordinated-piecewise"}

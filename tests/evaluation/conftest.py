@@ -1,0 +1,21 @@
+"""One short evaluation that many tests look at."""
+
+from __future__ import annotations
+
+import pytest
+
+from wtg_gym.evaluation import Entry, Results, evaluate
+
+SEEDS = (20_002, 20_000, 20_005)
+DURATION_S = 10.0
+
+
+@pytest.fixture(scope="session")
+def entries() -> list[Entry]:
+    names = ("mppt", "deloaded-10", "coordinated-piecewise")
+    return [Entry(name=name, strategy=name) for name in names]
+
+
+@pytest.fixture(scope="session")
+def results(entries: list[Entry]) -> Results:
+    return evaluate(entries, "standard", seeds=SEEDS, duration_s=DURATION_S)

@@ -1,0 +1,141 @@
+"""Facts about entries and where they are found."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import pytest
+
+from wtg_gym.evaluation import Entry, load_entries
+from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw
+
+MODULE = """
+from wtg_gym.evaluation import Entry
+
+class Still:
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return observation[:, :4] * 0.0, state
+
+ENTRY = Entry(name={name!r}, policy=Still())
+policy = Still()
+number = 3
+
+def build():
+    return Entry(name="built", policy=Still(), fingerprint="1")
+"""
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    folder = tmp_path / "my_entries"
+    folder.mkdir()
+    (folder / "__init__.py").write_text('ORDER = ("late",)\n')
+    (folder / "helper.py").write_text("x = 1\n")
+    for name in ("early", "late", "middle"):
+        (folder / f"{name}.py").write_text(MODULE.format(name=name))
+    monkeypatch.syspath_prepend(tmp_path)
+    yield "my_entries"
+    for name in [name for name in sys.modules if name.split(".")[0] == "my_entries"]:
+        del sys.modules[name]
+
+
+def test_built_in_strategy_is_an_entry() -> None:
+    (entry,) = load_entries("mppt")
+    assert (entry.name, entry.kind, entry.policy, entry.law) == ("mppt", "law", None, STRATEGIES["mppt"])
+
+
+def test_toml_law_is_an_entry(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text("k_min = 1.0\nk_nominal = 0.8\nk_max = 0.6\ntau_s = 0.5\n")
+    (entry,) = load_entries(path)
+    law = TrackingLaw(name="mine", k_min=1.0, k_nominal=0.8, k_max=0.6, damping_time_constant_s=0.5)
+    assert (entry.name, entry.law) == ("mine", law)
+
+
+def test_package_gives_its_entries_in_its_order_then_by_name(package: str) -> None:
+    assert [entry.name for entry in load_entries(package)] == ["late", "early", "middle"]
+
+
+@pytest.mark.parametrize(
+    ("attribute", "name"), [("ENTRY", "early"), ("policy", "policy"), ("Still", "Still"), ("build", "built")]
+)
+def test_attribute_may_be_entry_policy_or_callable(package: str, attribute: str, name: str) -> None:
+    (entry,) = load_entries(f"{package}.early:{attribute}")
+    assert (entry.name, entry.kind) == (name, "learned")
+    assert hasattr(entry.policy, "predict")
+
+
+def test_module_with_an_entry_counts_alone(package: str) -> None:
+    assert [entry.name for entry in load_entries(f"{package}.middle")] == ["middle"]
+
+
+@pytest.mark.parametrize(
+    ("spec", "text"),
+    [
+        ("no-such-thing", "coordinated-piecewise"),
+        ("no_such_package", "no module 'no_such_package'"),
+        ("no_such_package.inner:ENTRY", "no module"),
+        ("", "unknown entry"),
+        ("no-such-file.toml", "cannot read the law file"),
+        ("my_entries:nothing", "has no 'nothing'"),
+        ("my_entries.early:number", "an Entry, an object with predict"),
+        ("my_entries.helper", "ENTRY"),
+    ],
+)
+def test_unknown_entry_names_what_is_allowed(package: str, spec: str, text: str) -> None:
+    with pytest.raises(ValueError, match=text):
+        load_entries(spec)
+
+
+def test_order_with_a_missing_module_is_refused(package: str, tmp_path: Path) -> None:
+    (tmp_path / "my_entries" / "__init__.py").write_text('ORDER = ("gone",)\n')
+    with pytest.raises(ValueError, match="gone"):
+        load_entries(package)
+
+
+def test_import_error_inside_an_entry_is_not_hidden(package: str, tmp_path: Path) -> None:
+    (tmp_path / "my_entries" / "early.py").write_text("import no_such_dependency\n")
+    with pytest.raises(ValueError, match="no_such_dependency"):
+        load_entries(package)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"name": ""}, "printable"),
+        ({"name": "a|b"}, "printable"),
+        ({"name": "a\nb"}, "printable"),
+        ({"name": " a"}, "printable"),
+        ({"name": 3}, "printable"),
+        ({"name": "a", "policy": object()}, "predict"),
+        ({"name": "a", "strategy": "mpp"}, "known strategies: mppt"),
+        ({"name": "a", "action_mode": "both"}, "k, tau, k\\+tau"),
+        ({"name": "a", "observation_mode": "all"}, "local, privileged"),
+        ({"name": "a", "training_seed": -1}, "training_seed"),
+        ({"name": "a", "source": None}, "source"),
+    ],
+)
+def test_wrong_entry_says_what_is_allowed(arguments: dict, text: str) -> None:
+    with pytest.raises(ValueError, match=text):
+        Entry(**arguments)
+
+
+def test_identity_of_a_law_follows_its_numbers() -> None:
+    law = STRATEGIES["mppt"]
+    other = TrackingLaw(name="mppt", k_min=law.k_min, k_nominal=law.k_nominal, k_max=law.k_max * (1.0 + 1e-15))
+    same, changed = Entry(name="another name", strategy=law), Entry(name="mppt", strategy=other)
+    assert same.identity == Entry(name="mppt", strategy="mppt").identity
+    assert changed.identity != same.identity
+
+
+def test_identity_of_a_policy_needs_a_fingerprint(package: str) -> None:
+    (unknown,), (known,) = load_entries(f"{package}.early:policy"), load_entries(f"{package}.early:build")
+    assert unknown.identity is None
+    assert known.identity is not None and known.identity != Entry(name="law").identity
+
+
+def test_infinite_time_constant_survives_json() -> None:
+    assert math.isinf(STRATEGIES["mppt"].damping_time_constant_s)
+    assert Entry(name="mppt", strategy="mppt").to_dict()["strategy"]["damping_time_constant_s"] == "inf"

@@ -1,0 +1,299 @@
+"""Facts about the evaluation: independent of how it is cut up, interruptible, strict with policies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import wtg_gym
+from wtg_gym.evaluation import ANCHORS, METRICS, Entry, Results, evaluate
+from wtg_gym.evaluation.evaluator import Progress
+from wtg_gym.scenarios import get_suite
+
+SHORT = {"seeds": (20_002, 20_000, 20_005), "duration_s": 10.0}
+
+
+class Linear:
+    """A policy of numpy alone: a fixed multiple of the frequency deviation on every action."""
+
+    def __init__(self, gain: float) -> None:
+        self.gain = gain
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> Any:
+        return np.repeat(-self.gain * observation[:, :1], 4, axis=1), None
+
+
+class Answering(Linear):
+    """A policy that answers whatever a function of the observation and the step says."""
+
+    def __init__(self, answer: Any) -> None:
+        self.answer, self.step = answer, -1
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> Any:
+        self.step += 1
+        return self.answer(observation, self.step)
+
+
+class Counting:
+    """A policy with a recurrent state; it notes what it was given."""
+
+    def __init__(self) -> None:
+        self.states: list[Any] = []
+        self.starts: list[Any] = []
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> Any:
+        assert deterministic
+        self.states.append(state)
+        self.starts.append(episode_start)
+        count = np.zeros(len(observation)) if state is None else state[0] + 1.0
+        return np.repeat(0.01 * count[:, np.newaxis], 4, axis=1), (count,)
+
+
+@pytest.mark.parametrize(("batch", "n_threads"), [(1, 1), (2, 1), (100, 4)])
+def test_law_result_ignores_batch_and_threads(
+    results: Results, entries: list[Entry], batch: int, n_threads: int
+) -> None:
+    again = evaluate(entries, "standard", batch=batch, n_threads=n_threads, **SHORT)
+    assert again == results
+    assert [e.cells() for e in again.episodes] == [e.cells() for e in results.episodes]
+
+
+def test_many_lanes_on_threads_equal_one_thread() -> None:
+    # Enough blocks of lanes that several threads are really used.
+    arguments = {"seeds": range(20_000, 20_150), "duration_s": 2.0}
+    one = evaluate([], "standard", batch=150, n_threads=1, **arguments)
+    assert evaluate([], "standard", batch=150, n_threads=2, **arguments) == one
+    assert evaluate([], "standard", batch=37, **arguments) == one
+
+
+def test_episode_equals_the_single_environment(results: Results) -> None:
+    for name in ("mppt", "coordinated-piecewise"):
+        env = gym.make(
+            wtg_gym.ENV_ID, strategy=name, duration_s=SHORT["duration_s"], disable_env_checker=True
+        ).unwrapped
+        for episode in results.episodes_of(name):
+            scenario = get_suite("standard").scenario(episode.seed, n_turbines=[10.0, 10.0], duration_s=10.0)
+            _, info = env.reset(options={"scenario": scenario})
+            terms = {key: 0.0 for key in info if key.startswith("cost_")}
+            frequency, over = [info["frequency_hz"]], False
+            while not over:
+                _, _, terminated, truncated, info = env.step(np.zeros(4, dtype=np.float32))
+                over = terminated or truncated
+                frequency.append(info["frequency_hz"])
+                terms = {key: value + info[key] for key, value in terms.items()}
+            assert {key: episode.metrics[key] for key in terms} == terms
+            assert episode.failure == info["termination_reason"]
+            assert episode.metrics["survived_s"] == pytest.approx(info["time_s"])
+            assert episode.metrics["nadir_hz"] <= min(frequency) and episode.metrics["zenith_hz"] >= max(frequency)
+
+
+def test_anchors_are_evaluated_without_being_asked_for() -> None:
+    results = evaluate([Entry(name="linear", policy=Linear(0.1))], "standard", **SHORT)
+    assert [entry["name"] for entry in results.entries] == ["linear", *ANCHORS]
+    assert len(results.episodes) == 9
+    assert all(set(episode.metrics) == set(METRICS) for episode in results.episodes)
+
+
+def test_zero_policy_is_the_reference() -> None:
+    results = evaluate([Entry(name="zero", policy=Linear(0.0))], "standard", **SHORT)
+    zero, reference = results.episodes_of("zero"), results.episodes_of("coordinated-piecewise")
+    assert [e.metrics for e in zero] == [e.metrics for e in reference]
+
+
+def test_sb3_model_is_evaluated_through_its_own_predict() -> None:
+    ppo = pytest.importorskip("stable_baselines3").PPO
+    env = gym.make(wtg_gym.ENV_ID, action_mode="k", duration_s=10.0)
+    model = ppo("MlpPolicy", env, n_steps=8, batch_size=8, policy_kwargs={"net_arch": [4]}, seed=0, device="cpu")
+    entry = Entry(name="PPO", policy=model, action_mode="k")
+    results = evaluate([entry], "standard", **SHORT)
+    observation, _ = env.reset(options={"scenario": get_suite("standard").scenario(20_005, duration_s=10.0)})
+    cost, over = 0.0, False
+    while not over:
+        observation, reward, terminated, truncated, _ = env.step(model.predict(observation, deterministic=True)[0])
+        cost, over = cost - reward, terminated or truncated
+    assert results.episodes_of("PPO")[2].metrics["cost"] == pytest.approx(cost, rel=1e-4)
+    assert results.entries[0]["kind"] == "learned"
+
+
+def test_recurrent_state_is_passed_on_and_starts_anew_in_every_batch() -> None:
+    policy = Counting()
+    results = evaluate([Entry(name="counting", policy=policy)], "standard", batch=2, **SHORT)
+    firsts = [i for i, state in enumerate(policy.states) if state is None]
+    assert firsts == [0, 100]
+    assert [int(state[0][0]) for state in policy.states[1:100]] == list(range(99))
+    assert [start.shape for start in policy.starts] == [(2,)] * 100 + [(1,)] * 100
+    assert [bool(start.all()) for start in policy.starts] == [i in firsts for i in range(200)]
+    assert not any(start.any() for i, start in enumerate(policy.starts) if i not in firsts)
+    whole = evaluate([Entry(name="counting", policy=Counting())], "standard", **SHORT)
+    assert whole.episodes == results.episodes
+
+
+def test_failed_episode_is_kept_and_its_lane_ignores_actions() -> None:
+    last: list[Any] = [None]
+
+    def drain(observation: Any, step: int) -> Any:
+        actions = np.tile([1.0, 0.0], (len(observation), 2))
+        if last[0] is not None:
+            actions[(observation == last[0]).all(axis=1)] = np.nan
+        last[0] = observation
+        return actions, None
+
+    entry = Entry(name="drain", strategy="mppt", policy=Answering(drain), action_mode="k+tau")
+    results = evaluate([entry], "low-wind", seeds=range(20_000, 20_008), duration_s=60.0)
+    episodes = results.episodes_of("drain")
+    failed = [episode for episode in episodes if episode.failed]
+    assert failed and len(failed) < len(episodes), "the test needs lanes that end at different times"
+    for episode in failed:
+        assert episode.failure == "stall"
+        assert episode.metrics["survived_s"] < 60.0 and episode.metrics["cost_failure"] > 0.0
+        assert episode.metrics["quasi_steady_deviation_hz"] is None and episode.metrics["settling_time_s"] is None
+
+
+BAD = {
+    "nan": (lambda o, s: (np.full((3, 4), np.nan if s == 7 else 0.0), None), r"step 7: .*\(3, 4\) must be finite"),
+    "inf": (lambda o, s: (np.full((3, 4), np.inf), None), "step 0: .*finite"),
+    "shape": (lambda o, s: (np.zeros((3, 2)), None), r"shape \(3, 4\) .*got shape \(3, 2\)"),
+    "flat": (lambda o, s: (np.zeros(4), None), r"shape \(3, 4\) .*got shape \(4,\)"),
+    "text": (lambda o, s: ("up", None), "numbers"),
+    "ragged": (lambda o, s: ([[1.0], [1.0, 2.0]], None), "numbers"),
+    "no-state": (lambda o, s: np.zeros((3, 4)), r"\(actions, state\)"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_policy_is_named_with_step_and_shape(case: str) -> None:
+    answer, text = BAD[case]
+    with pytest.raises(ValueError, match=f"'{case}', .*{text}"):
+        evaluate([Entry(name=case, policy=Answering(answer))], "standard", **SHORT)
+
+
+def test_error_inside_a_policy_says_whose_it_is() -> None:
+    def fail(observation: Any, step: int) -> Any:
+        raise ZeroDivisionError("from inside")
+
+    with pytest.raises(ZeroDivisionError) as caught:
+        evaluate([Entry(name="failing", policy=Answering(fail))], "standard", **SHORT)
+    assert "'failing' at step 0" in caught.value.__notes__[0]
+
+
+@pytest.mark.parametrize(
+    ("entries", "suite", "arguments", "text"),
+    [
+        ([], "standrd", {}, "unknown suite 'standrd'"),
+        ([], "standard", {"split": "tests"}, "unknown split"),
+        ([], "standard", {"split": "train"}, "too many"),
+        ([], "standard", {"seeds": [5]}, "20000 … 20199"),
+        ([], "standard", {"seeds": []}, "20000 … 20199"),
+        ([], "standard", {"seeds": [20_000, 20_000]}, "different"),
+        ([], "standard", {"batch": 0}, "1 … 100000"),
+        ([], "standard", {"duration_s": 0.0}, "duration_s"),
+        ([], "standard", {"n_threads": 0}, "threads"),
+        ([], "standard", {"strategy": "mppt"}, "set by the entry"),
+        ([], "paper", {"seeds": [2]}, "0 … 1"),
+        ([], "standard", {"color": "red"}, "unknown environment settings"),
+        ([], "standard", {"weights": {"fun": 1.0}}, "unknown weights"),
+        ("mppt", "standard", {}, "list of Entry"),
+        ([Entry(name="a"), Entry(name="a")], "standard", {}, "more than once"),
+        ([Entry(name="a"), Entry(name="a", training_seed=1)], "standard", {}, "all have a training seed"),
+        ([Entry(name="mppt")], "standard", {}, "reserved"),
+    ],
+)
+def test_wrong_argument_is_refused(entries: Any, suite: str, arguments: dict, text: str) -> None:
+    with pytest.raises(ValueError, match=text):
+        evaluate(
+            entries,
+            suite,
+            **{"seeds": [20_000], "duration_s": 2.0, **arguments} if "split" not in arguments else arguments,
+        )
+
+
+def test_settings_of_the_environment_are_passed_on(results: Results) -> None:
+    other = evaluate([], "standard", weights={"duty": 0.0}, machine_model="classical", **SHORT)
+    assert other.settings["weights"]["duty"] == 0.0 and other.settings["machine_model"] == "classical"
+    assert all(episode.metrics["cost_duty"] == 0.0 for episode in other.episodes)
+    assert results.settings["weights"]["duty"] == 1.0
+
+
+class Killed(Exception):
+    pass
+
+
+def killer(after: int) -> Progress:
+    def on_progress(name: str, done: int, total: int) -> None:
+        if done >= after:
+            raise Killed
+
+    return on_progress
+
+
+def test_progress_counts_every_episode(entries: list[Entry]) -> None:
+    seen: list[tuple[str, int, int]] = []
+    evaluate(entries, "standard", batch=2, on_progress=lambda *call: seen.append(call), **SHORT)
+    names = [entry.name for entry in entries for _ in range(2)]
+    assert seen == [(name, done, 9) for name, done in zip(names, (2, 3, 5, 6, 8, 9), strict=True)]
+
+
+def test_killed_run_goes_on_and_gives_the_same_bytes(
+    results: Results, entries: list[Entry], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    partial = tmp_path / "partial"
+    arguments = {"batch": 2, "partial": partial, **SHORT}
+    with pytest.raises(Killed):
+        evaluate(entries, "standard", on_progress=killer(5), **arguments)
+    assert len(list(partial.iterdir())) == 3
+    played: list[str] = []
+    play = wtg_gym.evaluation.evaluator._play
+    monkeypatch.setattr("wtg_gym.evaluation.evaluator._play", lambda e, *rest: played.append(e.name) or play(e, *rest))
+    again = evaluate(entries, "standard", **arguments)
+    assert played == ["deloaded-10", "coordinated-piecewise", "coordinated-piecewise"]
+    assert list(partial.iterdir()) == []
+    for one, other in zip(again.write(tmp_path / "a"), results.write(tmp_path / "b"), strict=True):
+        assert one.read_bytes() == other.read_bytes()
+
+
+@pytest.mark.parametrize("damage", [b"", b"{", b'{"rows": [], "sha256": ""}', b"[]", b"null", b"\xff\x00"])
+def test_damaged_partial_is_computed_again(
+    results: Results, entries: list[Entry], tmp_path: Path, damage: bytes
+) -> None:
+    with pytest.raises(Killed):
+        evaluate(entries, "standard", on_progress=killer(6), partial=tmp_path, **SHORT)
+    for path in tmp_path.iterdir():
+        path.write_bytes(damage)
+    assert evaluate(entries, "standard", partial=tmp_path, **SHORT) == results
+
+
+def test_edited_partial_is_computed_again(results: Results, entries: list[Entry], tmp_path: Path) -> None:
+    with pytest.raises(Killed):
+        evaluate(entries, "standard", on_progress=killer(6), partial=tmp_path, **SHORT)
+    for path in tmp_path.iterdir():
+        path.write_text(path.read_text().replace("standard/20000", "standard/20001"))
+    assert evaluate(entries, "standard", partial=tmp_path, **SHORT) == results
+
+
+def test_partial_of_other_settings_or_unknown_policy_is_not_used(entries: list[Entry], tmp_path: Path) -> None:
+    with pytest.raises(Killed):
+        evaluate(entries, "standard", on_progress=killer(3), partial=tmp_path, **SHORT)
+    stored = list(tmp_path.iterdir())
+    other = evaluate(entries, "standard", partial=tmp_path, weights={"rocof": 0.0}, **SHORT)
+    assert all(episode.metrics["cost_rocof"] == 0.0 for episode in other.episodes)
+    assert list(tmp_path.iterdir()) == stored
+    unknown = Entry(name="unknown", policy=Linear(0.2))
+    with pytest.raises(Killed):
+        evaluate([unknown], "standard", on_progress=killer(3), partial=tmp_path, **SHORT)
+    assert list(tmp_path.iterdir()) == stored
+
+
+def test_partial_must_be_a_folder(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(ValueError, match="must be a folder"):
+        evaluate([], "standard", partial=tmp_path / "file", **SHORT)

@@ -1,0 +1,113 @@
+"""Facts about what is measured in an episode."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from wtg_gym.envs.task import COST_TERMS
+from wtg_gym.evaluation import METRICS, Entry, Results, evaluate
+from wtg_gym.evaluation.metrics import last_event_s, steady_metrics
+from wtg_gym.physics.scenario import LoadRamp, LoadStep, LoadTrip, Scenario
+from wtg_gym.physics.simulator import PlantSettings
+from wtg_gym.physics.tracking_law import get_law
+from wtg_gym.physics.trajectory import simulate
+from wtg_gym.scenarios import get_suite
+
+DT = 0.1
+
+
+def test_every_metric_has_unit_and_definition() -> None:
+    assert all(metric.unit and len(metric.doc) > 10 for metric in METRICS.values())
+
+
+def test_metrics_are_numbers_or_missing_where_they_may_be(results: Results) -> None:
+    for episode in results.episodes:
+        assert list(episode.metrics) == list(METRICS)
+        for name, value in episode.metrics.items():
+            assert METRICS[name].optional if value is None else math.isfinite(value)
+
+
+def test_cost_is_the_sum_of_its_terms(results: Results) -> None:
+    for episode in results.episodes:
+        assert episode.metrics["cost"] == math.fsum(episode.metrics[f"cost_{term}"] for term in COST_TERMS)
+
+
+def test_metrics_agree_with_the_recorded_run() -> None:
+    results = evaluate([], "paper", duration_s=60.0)
+    for episode in results.episodes_of("coordinated-piecewise"):
+        scenario = get_suite("paper").scenario(episode.seed, duration_s=60.0)
+        run = simulate(scenario, get_law("coordinated-piecewise"))
+        m = episode.metrics
+        assert m["nadir_hz"] == pytest.approx(run.frequency_hz.min(), abs=2e-3)
+        assert m["zenith_hz"] == pytest.approx(run.frequency_hz.max(), abs=2e-3)
+        assert m["largest_rocof_hz_s"] == pytest.approx(np.abs(run.rocof_hz_s()).max(), rel=1e-9)
+        assert m["least_rotor_speed_pu"] == run.rotor_speed_pu.min()
+        assert m["largest_rotor_speed_pu"] == run.rotor_speed_pu.max()
+        assert m["peak_power_pu"] == pytest.approx(run.power_pu.max(), rel=0.02)
+        assert m["least_tip_speed_ratio"] == pytest.approx(run.tip_speed_ratio.min(), rel=1e-3)
+        # Two groups of ten turbines of 5 MW each.
+        energy = np.trapezoid(run.captured_power_pu, dx=DT, axis=0).sum() * 50.0 / 3600.0
+        assert m["energy_mwh"] == pytest.approx(energy, rel=1e-4)
+        assert m["survived_s"] == pytest.approx(60.0)
+        assert 90.0 < m["energy_share_percent"] < 100.0
+
+
+def test_deloading_shows_in_the_share_of_energy() -> None:
+    calm = evaluate(
+        [Entry(name="deloaded-10", strategy="deloaded-10")], "paper", seeds=[0], duration_s=5.0, weights={"cap": 1e6}
+    )
+    shares = {e.entry: e.metrics["energy_share_percent"] for e in calm.episodes}
+    assert shares["mppt"] == pytest.approx(100.0, abs=0.01)
+    assert shares["deloaded-10"] == pytest.approx(90.0, abs=0.01)
+    assert shares["coordinated-piecewise"] == pytest.approx(95.0, abs=0.01)
+    errors = {e.entry: e.metrics["duty_error_percent"] for e in calm.episodes}
+    assert errors["mppt"] == pytest.approx(5.0, abs=0.01)
+    assert errors["coordinated-piecewise"] == pytest.approx(0.0, abs=0.01)
+
+
+def test_step_that_settles_is_timed_from_the_event() -> None:
+    time = np.arange(601) * DT
+    frequency = np.where(time < 10.0, 50.0, 49.8 + 0.2 * np.exp(-(time - 10.0) / 2.0))
+    deviation, settling = steady_metrics(frequency, DT, 50.0, 10.0)
+    assert deviation == pytest.approx(-0.2, abs=1e-6)
+    assert settling == pytest.approx(2.0 * math.log(4.0), abs=DT)
+
+
+def test_frequency_that_never_leaves_its_band_settles_at_once() -> None:
+    assert steady_metrics(np.full(601, 50.01), DT, 50.0, 10.0) == (pytest.approx(0.01), 0.0)
+
+
+def test_frequency_that_leaves_its_band_in_the_end_has_not_settled() -> None:
+    frequency = np.full(601, 50.0)
+    frequency[-20:] += 0.2
+    assert steady_metrics(frequency, DT, 50.0, 10.0)[1] is None
+
+
+def test_no_event_gives_no_settling_time() -> None:
+    assert steady_metrics(np.full(601, 50.0), DT, 50.0, None) == (0.0, None)
+
+
+def test_episode_shorter_than_the_window_has_a_mean() -> None:
+    deviation, _ = steady_metrics(np.array([50.0, 50.1, 50.2]), DT, 50.0, 0.0)
+    assert deviation == pytest.approx(0.15)
+
+
+def test_last_event_is_complete_when_its_ramp_is() -> None:
+    events = (
+        LoadRamp(time_s=10.0, bus=3, power_mw=5.0, duration_s=9.0),
+        LoadStep(time_s=12.0, bus=3, power_mw=5.0),
+        LoadTrip(time_s=70.0, bus=4),
+    )
+    scenario = Scenario(name="three", wind_speed=np.full((2, 1), 8.0), events=events)
+    assert last_event_s(scenario, 60.0) == 19.0
+    assert last_event_s(scenario, 5.0) is None
+
+
+def test_tripped_groups_are_counted_where_the_run_goes_on() -> None:
+    results = evaluate([], "low-wind", seeds=range(20_000, 20_040), on_failure="trip")
+    tripped = [e for e in results.episodes_of("mppt") if e.metrics["tripped_groups"] > 0.0]
+    assert tripped and all(e.failure == "" and e.metrics["survived_s"] == pytest.approx(60.0) for e in tripped)
+    assert PlantSettings().trips_groups is False

@@ -1,0 +1,239 @@
+"""Facts about results and their files: the same bytes again, and nothing damaged is ever read."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from wtg_gym.evaluation import ANCHORS, METRICS, Entry, Results, evaluate
+from wtg_gym.evaluation.episodes import Episode
+from wtg_gym.evaluation.files import sha256, to_json, write_atomically
+
+
+@pytest.fixture(scope="session")
+def written(results: Results, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    return results.write(tmp_path_factory.mktemp("written"))
+
+
+@pytest.fixture
+def copies(written: tuple[Path, Path], tmp_path: Path) -> tuple[Path, Path]:
+    paths = tuple(tmp_path / path.name for path in written)
+    for source, target in zip(written, paths, strict=True):
+        target.write_bytes(source.read_bytes())
+    return paths[0], paths[1]
+
+
+def test_second_run_writes_the_same_bytes(written: tuple[Path, Path], entries: list[Entry], tmp_path: Path) -> None:
+    again = evaluate(entries, "standard", seeds=(20_002, 20_000, 20_005), duration_s=10.0)
+    for one, other in zip(again.write(tmp_path), written, strict=True):
+        assert one.read_bytes() == other.read_bytes()
+
+
+def test_files_are_named_after_suite_and_split_and_nothing_is_left_beside_them(written: tuple[Path, Path]) -> None:
+    assert sorted(path.name for path in written[0].parent.iterdir()) == ["standard-test.csv", "standard-test.json"]
+
+
+def test_read_gives_back_what_was_written(written: tuple[Path, Path], results: Results) -> None:
+    assert Results.read(written[0]) == results
+
+
+def test_read_then_write_gives_the_same_bytes(written: tuple[Path, Path], tmp_path: Path) -> None:
+    for one, other in zip(Results.read(written[0]).write(tmp_path), written, strict=True):
+        assert one.read_bytes() == other.read_bytes()
+
+
+def test_json_is_strict_sorted_and_without_time_or_place(written: tuple[Path, Path]) -> None:
+    text = written[0].read_text(encoding="utf-8")
+    data = json.loads(text, parse_constant=lambda name: pytest.fail(name))
+    assert list(data) == sorted(data)
+    assert data["metrics"]["nadir_hz"]["unit"] == "Hz"
+    assert set(data["versions"]) == {"wtg_gym", "numpy", "numba", "python"}
+    assert str(Path.home()) not in text and not re.search(r"20\d\d-\d\d-\d\dT", text)
+
+
+def test_summary_scores_the_anchors_exactly(results: Results) -> None:
+    scores = {summary.name: summary.score for summary in results.summaries}
+    mppt, reference = (scores[name] for name in ANCHORS)
+    assert mppt.value == 0.0 and mppt.low < 0.0 < mppt.high
+    assert (reference.value, reference.low, reference.high) == (100.0, 100.0, 100.0)
+    summary = next(s for s in results.summaries if s.name == ANCHORS[1])
+    assert summary.difference.value == 0.0 and summary.probability_of_improvement.value == 0.5
+
+
+def test_failures_are_pinned_in_score_and_cost(results: Results) -> None:
+    episodes = [dataclasses.replace(e, failure="stall") if e.entry == "deloaded-10" else e for e in results.episodes]
+    failed = dataclasses.replace(results, episodes=tuple(episodes))
+    before, after = (next(s for s in r.summaries if s.name == "deloaded-10") for r in (results, failed))
+    assert (before.failures_percent, after.failures_percent) == (0.0, 100.0)
+    assert after.mean_cost == 50.0 * (10.0 + 1.0)
+    assert after.score.value < before.score.value and after.probability_of_improvement.value == 0.0
+
+
+def test_training_seeds_share_a_row(results: Results) -> None:
+    seeds = [Entry(name="many", strategy="coordinated-linear", training_seed=seed) for seed in (3, 1)]
+    many = evaluate(seeds, "standard", seeds=(20_002, 20_000, 20_005), duration_s=10.0)
+    summary = next(s for s in many.summaries if s.name == "many")
+    assert (summary.n_runs, summary.n_episodes) == (2, 6)
+    assert len(many.summaries) == 3
+
+
+def test_unknown_entry_in_results_lists_the_known(results: Results) -> None:
+    assert [e.seed for e in results.episodes_of("mppt")] == [20_002, 20_000, 20_005]
+    with pytest.raises(ValueError, match="deloaded-10"):
+        results.episodes_of("nobody")
+
+
+def test_no_score_where_mppt_is_not_worse(results: Results, tmp_path: Path) -> None:
+    def swapped(episode: Episode) -> Episode:
+        names = {ANCHORS[0]: ANCHORS[1], ANCHORS[1]: ANCHORS[0]}
+        return dataclasses.replace(episode, entry=names.get(episode.entry, episode.entry))
+
+    turned = dataclasses.replace(results, episodes=tuple(map(swapped, results.episodes)))
+    with pytest.raises(ValueError, match="not worse than the reference"):
+        turned.write(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(which=st.integers(0, 1), data=st.data())
+def test_damaged_file_never_passes(copies: tuple[Path, Path], which: int, data: st.DataObject) -> None:
+    path = copies[which]
+    original = path.read_bytes()
+    position = data.draw(st.integers(0, len(original) - 1))
+    damaged = data.draw(
+        st.one_of(
+            st.just(original[:position]),
+            st.integers(1, 255).map(
+                lambda bits: original[:position] + bytes([original[position] ^ bits]) + original[position + 1 :]
+            ),
+            st.binary(min_size=1, max_size=8).map(lambda more: original[:position] + more + original[position:]),
+        )
+    )
+    path.write_bytes(damaged)
+    try:
+        with pytest.raises(ValueError, match=re.escape(path.stem)):
+            Results.read(copies[0])
+    finally:
+        path.write_bytes(original)
+
+
+def test_missing_file_is_named(copies: tuple[Path, Path]) -> None:
+    copies[1].unlink()
+    with pytest.raises(ValueError, match=r"cannot read the table of episodes .*standard-test\.csv"):
+        Results.read(copies[0])
+    copies[0].unlink()
+    with pytest.raises(ValueError, match=r"cannot read the results file .*standard-test\.json"):
+        Results.read(copies[0])
+
+
+EDITS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
+    "number as text": (lambda d: d["settings"]["weights"].update(cap="much"), "settings.weights.cap must be a number"),
+    "unknown metric": (lambda d: d["metrics"].update(beauty={"unit": "-"}), r"unknown metrics \['beauty'\]"),
+    "missing metric": (lambda d: d["metrics"].pop("cost"), r"missing metrics \['cost'\]"),
+    "other unit": (lambda d: d["metrics"]["cost"].update(unit="EUR"), "metrics.cost must be"),
+    "missing key": (lambda d: d.pop("seeds"), r"missing keys \['seeds'\]"),
+    "unknown key": (lambda d: d.update(winner="me"), r"unknown keys \['winner'\]"),
+    "wrong seeds": (lambda d: d.update(seeds=[1.5]), "seeds must be a list of whole numbers"),
+    "unknown suite": (lambda d: d.update(suite="easy"), "suite must be one of paper"),
+    "short hash": (lambda d: d.update(suite_hash="abc"), "suite_hash must be 64 hexadecimal"),
+    "other format": (lambda d: d.update(format=2), "format must be 1"),
+    "wrong kind": (lambda d: d["entries"][0].update(kind="magic"), r"entries\[0\]: kind must be law or learned"),
+    "no entries": (lambda d: d.update(entries=[]), "entries must be a list"),
+    "no summary": (lambda d: d["summary"].pop("mppt"), "summary must have one object per entry"),
+    "bad interval": (
+        lambda d: d["summary"]["mppt"].update(score=3),
+        "summary.mppt.score must give value, low and high",
+    ),
+    "better score": (lambda d: d["summary"]["mppt"]["score"].update(value=200.0), "sha256 does not fit"),
+}
+
+
+@pytest.mark.parametrize("case", EDITS)
+def test_edited_json_names_file_and_key(copies: tuple[Path, Path], case: str) -> None:
+    edit, text = EDITS[case]
+    data = json.loads(copies[0].read_text(encoding="utf-8"))
+    edit(data)
+    copies[0].write_text(to_json(data), encoding="utf-8")
+    with pytest.raises(ValueError, match=f"standard-test.json.*{text}"):
+        Results.read(copies[0])
+
+
+@pytest.mark.parametrize("number", ["NaN", "Infinity", "1e999"])
+def test_number_that_is_not_finite_is_refused(copies: tuple[Path, Path], number: str) -> None:
+    text = copies[0].read_text(encoding="utf-8").replace('"duration_s": 10.0', f'"duration_s": {number}')
+    copies[0].write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=r"standard-test.json.*finite number"):
+        Results.read(copies[0])
+
+
+CELLS = {
+    "cost": ("cheap", "cost must be a finite number"),
+    "nadir_hz": ("nan", r"nadir_hz must be a finite number \[Hz\]"),
+    "energy_mwh": ("", r"energy_mwh must be a finite number \[MWh\]"),
+    "seed": ("-1", "seed must be a whole number"),
+    "failure": ("bored", "failure must be empty or one of stall"),
+    "duration_s": ("inf", r"duration_s must be a finite number \[s\]"),
+}
+
+
+@pytest.mark.parametrize("column", CELLS)
+def test_edited_table_names_line_and_column(copies: tuple[Path, Path], column: str) -> None:
+    value, text = CELLS[column]
+    lines = copies[1].read_text(encoding="utf-8").split("\n")
+    cells = lines[2].split(",")
+    cells[lines[0].split(",").index(column)] = value
+    copies[1].write_text("\n".join([*lines[:2], ",".join(cells), *lines[3:]]), encoding="utf-8")
+    with pytest.raises(ValueError, match=rf"standard-test.csv, line 3: {text}"):
+        Results.read(copies[0])
+
+
+def test_better_number_in_the_table_is_noticed(copies: tuple[Path, Path], results: Results) -> None:
+    cost = repr(results.episodes[0].metrics["cost"])
+    text = copies[1].read_text(encoding="utf-8")
+    copies[1].write_text(text.replace(f",{cost},", ",0.5,", 1), encoding="utf-8")
+    with pytest.raises(ValueError, match="csv_sha256"):
+        Results.read(copies[0])
+
+
+def test_unknown_column_is_named(copies: tuple[Path, Path]) -> None:
+    copies[1].write_text(copies[1].read_text(encoding="utf-8").replace("nadir_hz", "beauty", 1), encoding="utf-8")
+    with pytest.raises(ValueError, match=r"unknown columns \['beauty'\], missing columns \['nadir_hz'\]"):
+        Results.read(copies[0])
+
+
+def test_table_without_a_row_is_refused_even_with_fitting_sums(copies: tuple[Path, Path]) -> None:
+    table = copies[1].read_text(encoding="utf-8").split("\n", 2)
+    short = "\n".join([table[0], table[2]])
+    data = json.loads(copies[0].read_text(encoding="utf-8"))
+    data["csv_sha256"] = sha256(short.encode())
+    data["sha256"] = sha256(to_json({k: v for k, v in data.items() if k != "sha256"}).encode())
+    copies[0].write_text(to_json(data), encoding="utf-8")
+    copies[1].write_text(short, encoding="utf-8")
+    with pytest.raises(ValueError, match=r"expected one row per entry and seed.*9 rows.*got 8"):
+        Results.read(copies[0])
+
+
+def test_interrupted_writing_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "file"
+    write_atomically(path, "old")
+
+    def full(*_: Any) -> None:
+        raise OSError("no space left")
+
+    monkeypatch.setattr("os.replace", full)
+    with pytest.raises(OSError, match="no space"):
+        write_atomically(path, "new")
+    assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
+
+
+def test_metric_names_are_columns(written: tuple[Path, Path]) -> None:
+    header = written[1].read_text(encoding="utf-8").split("\n", 1)[0].split(",")
+    assert header[6:] == list(METRICS)

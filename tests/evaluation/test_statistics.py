@@ -1,0 +1,106 @@
+"""Facts about scores, means and intervals."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy import stats
+
+from wtg_gym.evaluation import statistics
+from wtg_gym.evaluation.statistics import COST_OFFSET
+
+COSTS = arrays(np.float64, 7, elements=st.floats(0.0, 3050.0))
+
+
+def test_score_is_the_written_formula() -> None:
+    reference, mppt, costs = np.array([10.0, 20.0]), np.array([100.0, 40.0]), np.array([5.0, 80.0])
+    scale = (math.log(105.0 / 15.0) + math.log(45.0 / 25.0)) / 2.0
+    expected = [100.0 * (1.0 + math.log(15.0 / 10.0) / scale), 100.0 * (1.0 + math.log(25.0 / 85.0) / scale)]
+    assert COST_OFFSET == 5.0
+    assert statistics.score_scale(mppt, reference) == pytest.approx(scale, rel=1e-14)
+    gains = statistics.log_gains(costs[np.newaxis], reference)
+    assert statistics.scenario_scores(gains, scale)[0] == pytest.approx(expected, rel=1e-14)
+    assert statistics.mean_score(gains, scale) == pytest.approx(sum(expected) / 2.0, rel=1e-14)
+
+
+@given(COSTS, COSTS)
+def test_anchors_score_exactly_0_and_100(one: np.ndarray, other: np.ndarray) -> None:
+    reference, mppt = sorted((one, other), key=lambda c: float(np.log(c + COST_OFFSET).sum()))
+    try:
+        scale = statistics.score_scale(mppt, reference)
+    except ValueError:
+        return
+    assert statistics.mean_score(statistics.log_gains(mppt[np.newaxis], reference), scale) == 0.0
+    assert statistics.mean_score(statistics.log_gains(reference[np.newaxis], reference), scale) == 100.0
+    assert (statistics.scenario_scores(statistics.log_gains(reference[np.newaxis], reference), scale) == 100.0).all()
+
+
+def test_one_free_scenario_cannot_carry_an_entry() -> None:
+    reference, mppt = np.full(200, 70.0), np.full(200, 200.0)
+    scale = statistics.score_scale(mppt, reference)
+    costs = reference.copy()
+    costs[0] = 0.0
+    gain = statistics.mean_score(statistics.log_gains(costs[np.newaxis], reference), scale) - 100.0
+    assert 0.0 < gain < 2.0
+
+
+def test_scale_needs_an_mppt_that_is_worse() -> None:
+    with pytest.raises(ValueError, match=r"MPPT \(mean cost 3\) is not worse than the reference \(mean cost 3\)"):
+        statistics.score_scale(np.full(4, 3.0), np.full(4, 3.0))
+
+
+@pytest.mark.parametrize("bad", [-1.0, math.nan, math.inf])
+def test_impossible_costs_are_refused(bad: float) -> None:
+    with pytest.raises(ValueError, match="finite and not negative"):
+        statistics.log_gains(np.array([[1.0, bad]]), np.ones(2))
+
+
+def test_failure_costs_the_worst_there_is() -> None:
+    assert statistics.pinned_cost(12.0, failed=True, duration_s=60.0, cap=50.0) == 3050.0
+    assert statistics.pinned_cost(12.0, failed=False, duration_s=60.0, cap=50.0) == 12.0
+
+
+@given(st.integers(1, 60), st.integers(0, 2**31))
+def test_interquartile_mean_is_scipys_trimmed_mean(n: int, seed: int) -> None:
+    values = np.random.default_rng(seed).normal(size=(3, n))
+    expected = stats.trim_mean(values, 0.25, axis=1)
+    np.testing.assert_allclose(statistics.interquartile_mean(values), expected, rtol=1e-12, atol=1e-14)
+
+
+def test_improvement_counts_equal_costs_half() -> None:
+    better = statistics.improvement(np.array([[1.0, 2.0, 3.0], [0.0, 0.0, 9.0]]), np.array([2.0, 2.0, 2.0]))
+    assert better.tolist() == [[1.0, 0.5, 0.0], [1.0, 1.0, 0.0]]
+    assert statistics.mean_interval(better).value == pytest.approx(3.5 / 6.0)
+
+
+def test_bootstrap_agrees_with_scipys_percentile_bootstrap() -> None:
+    values = np.random.default_rng(1).exponential(size=120)
+    interval = statistics.mean_interval(values[np.newaxis])
+    expected = stats.bootstrap((values,), np.mean, n_resamples=20_000, method="percentile", rng=2).confidence_interval
+    width = expected.high - expected.low
+    assert interval.value == pytest.approx(values.mean())
+    assert interval.low == pytest.approx(expected.low, abs=0.05 * width)
+    assert interval.high == pytest.approx(expected.high, abs=0.05 * width)
+
+
+def test_bootstrap_interval_covers_the_truth_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(3)
+    intervals = [statistics.mean_interval(rng.normal(size=(1, 80))) for _ in range(200)]
+    covered = np.mean([interval.low <= 0.0 <= interval.high for interval in intervals])
+    assert 0.89 <= covered <= 0.99
+
+
+def test_bootstrap_is_stratified_by_training_seed() -> None:
+    # Each resample draws as often from either run: runs without spread leave none.
+    values = np.repeat([[0.0], [100.0]], 30, axis=1)
+    assert statistics.bootstrap(values, lambda samples: samples.mean(axis=-1)) == (50.0, 50.0)
+
+
+def test_bootstrap_gives_the_same_interval_again() -> None:
+    values = np.random.default_rng(4).normal(size=(2, 50))
+    assert statistics.interquartile_interval(values) == statistics.interquartile_interval(values)
