@@ -46,7 +46,10 @@ def test_impossible_plants_are_named(settings: dict[str, Any], message: str) -> 
         ({"events": (LoadTrip(time_s=1.0, bus=15),)}, r"unknown bus 15"),
         ({"events": (LineTrip(time_s=1.0, from_bus=1, to_bus=9),)}, r"no branch 1-9"),
         ({"events": (LineTrip(time_s=1.0, from_bus=7, to_bus=8),)}, r"would split the network"),
-        ({"events": (LoadTrip(time_s=1.0, bus=9), LoadTrip(time_s=2.0, bus=9))}, r"disconnects a load twice; .*\[9, 9\]"),
+        (
+            {"events": (LoadTrip(time_s=1.0, bus=9), LoadTrip(time_s=2.0, bus=9))},
+            r"disconnects a load twice; .*\[9, 9\]",
+        ),
         ({"load_noise_bus": 77}, r"unknown bus 77"),
         ({"duration_s": 300.0}, r"lasts 300 s, longer than the 120 s held here"),
         ({"wind_speed": np.full((3, 1), 9.0)}, r"has wind for 3 WTG groups .* the plant has 2 groups"),
