@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from wtg_gym.evaluation import ANCHORS, METRICS, Entry, Results, evaluate
+from wtg_gym.evaluation import ANCHORS, METRICS, Entry, NoScaleError, Results, evaluate, leaderboard_rows
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.files import sha256, to_json, write_atomically
 
@@ -237,3 +237,14 @@ def test_interrupted_writing_leaves_the_old_file(tmp_path: Path, monkeypatch: py
 def test_metric_names_are_columns(written: tuple[Path, Path]) -> None:
     header = written[1].read_text(encoding="utf-8").split("\n", 1)[0].split(",")
     assert header[6:] == list(METRICS)
+
+
+def test_results_without_a_scale_are_written_and_read_without_a_ranking(tmp_path: Path) -> None:
+    # Without the duty that running at maximum power neglects, MPPT's stiffer droop is the better of the two.
+    results = evaluate([], "standard", seeds=[20_000, 20_001], duration_s=15.0, weights={"duty": 0.0, "rotor": 0.0})
+    with pytest.raises(NoScaleError, match=r"MPPT .* is not worse than the reference"):
+        leaderboard_rows(results)
+    path, _ = results.write(tmp_path)
+    again = Results.read(path)
+    assert again.episodes == results.episodes
+    assert again.to_dict()["summary"] == {}

@@ -18,6 +18,7 @@ from wtg_gym.cli.parser import Commands, add_command, add_plant_options
 from wtg_gym.evaluation import (
     ANCHORS,
     Entry,
+    NoScaleError,
     Results,
     evaluate,
     leaderboard_rows,
@@ -192,7 +193,6 @@ def _seeds(texts: Sequence[str]) -> list[int]:
 
 def _finish(results: Results, folder: Path | None, *, as_json: bool) -> None:
     """Write the results, then print the ranking or all of the description as JSON."""
-    rows = leaderboard_rows(results)
     if folder is not None:
         for path in results.write(folder):
             note(f"wrote {path}")
@@ -200,6 +200,11 @@ def _finish(results: Results, folder: Path | None, *, as_json: bool) -> None:
         print_json(results.to_dict())
         return
     print(f"suite {results.suite} ({results.suite_hash[:12]}), {results.split}: {len(results.seeds)} scenarios\n")
+    try:
+        rows = leaderboard_rows(results)
+    except NoScaleError as error:
+        note(f"no ranking: {error}")
+        return
     left = [index for index, is_number in enumerate(COLUMNS.values()) if not is_number]
     print_table(tuple(COLUMNS), table_cells(rows), left=left)
 

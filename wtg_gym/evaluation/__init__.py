@@ -5,7 +5,7 @@ from wtg_gym.evaluation.evaluator import evaluate
 from wtg_gym.evaluation.leaderboard import leaderboard_rows, markdown_table, table_cells, update_between_markers
 from wtg_gym.evaluation.metrics import METRICS, Metric
 from wtg_gym.evaluation.results import Results
-from wtg_gym.evaluation.statistics import Interval
+from wtg_gym.evaluation.statistics import Interval, NoScaleError
 from wtg_gym.evaluation.summary import EntrySummary
 
 __all__ = [
@@ -15,6 +15,7 @@ __all__ = [
     "EntrySummary",
     "Interval",
     "Metric",
+    "NoScaleError",
     "Policy",
     "Results",
     "evaluate",

@@ -93,7 +93,8 @@ def check_description(data: Any, path: Path, version: int) -> None:
     weights = data["settings"].get("weights")
     if not isinstance(weights, dict) or not _is_number(weights.get("cap")):
         raise ValueError(f"{path}: settings.weights.cap must be a number [1/s], got {weights!r}")
-    if set(data["summary"]) != {entry["name"] for entry in data["entries"]}:
+    # Empty: MPPT was not worse than the reference, there is no score.
+    if data["summary"] and set(data["summary"]) != {entry["name"] for entry in data["entries"]}:
         raise ValueError(f"{path}: summary must have one object per entry, got {sorted(data['summary'])}")
     for name, summary in data["summary"].items():
         for key in _INTERVALS:

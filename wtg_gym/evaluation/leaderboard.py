@@ -31,7 +31,7 @@ def leaderboard_rows(results: Results) -> list[EntrySummary]:
     """Return the entries' summaries, the best score first, equal ones by name.
 
     Raises:
-        ValueError: there is no score, see :attr:`Results.summaries`.
+        NoScaleError: there is no score, see :attr:`Results.summaries`.
     """
     return sorted(results.summaries, key=lambda row: (-row.score.value, row.name))
 

@@ -13,6 +13,7 @@ from wtg_gym.evaluation.entries import ANCHORS
 from wtg_gym.evaluation.episodes import Episode, from_csv, to_csv
 from wtg_gym.evaluation.files import parse_json, read_text, sha256, to_json, write_atomically
 from wtg_gym.evaluation.metrics import METRICS
+from wtg_gym.evaluation.statistics import NoScaleError
 from wtg_gym.evaluation.summary import EntrySummary, summarise
 
 #: Version of the files; another number is another form.
@@ -50,7 +51,7 @@ class Results:
         """Summary of every entry, in the order of the entries.
 
         Raises:
-            ValueError: on these scenarios MPPT is not worse than the reference, so that there is no score.
+            NoScaleError: on these scenarios MPPT is not worse than the reference, so that there is no score.
         """
         return summarise(self.entries, self.episodes, float(self.settings["weights"]["cap"]))
 
@@ -72,7 +73,11 @@ class Results:
         return found
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything but the episodes as JSON-ready data."""
+        """Return everything but the episodes as JSON-ready data; `summary` is empty where there is no score."""
+        try:
+            summary = {row.name: row.to_dict() for row in self.summaries}
+        except NoScaleError:
+            summary = {}
         return {
             "format": FORMAT,
             "suite": self.suite,
@@ -84,7 +89,7 @@ class Results:
             "versions": dict(self.versions),
             "entries": [dict(entry) for entry in self.entries],
             "metrics": {name: asdict(metric) for name, metric in METRICS.items()},
-            "summary": {summary.name: summary.to_dict() for summary in self.summaries},
+            "summary": summary,
         }
 
     def write(self, folder: str | Path) -> tuple[Path, Path]:
@@ -97,7 +102,6 @@ class Results:
             the paths of the JSON and the CSV.
 
         Raises:
-            ValueError: there is no score, see :attr:`summaries`.
             OSError: the folder cannot be written to.
         """
         json_path, csv_path = (Path(folder) / f"{self.name}.{ending}" for ending in ("json", "csv"))

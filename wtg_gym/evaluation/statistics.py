@@ -29,6 +29,10 @@ BOOTSTRAP_SEED = 20260101
 CONFIDENCE = 0.95
 
 
+class NoScaleError(ValueError):
+    """On these scenarios MPPT is not worse than the reference, so that there is nothing to score with."""
+
+
 @dataclass(frozen=True)
 class Interval:
     """A value and its 95 % bootstrap interval."""
@@ -77,11 +81,11 @@ def score_scale(mppt: Floats, reference: Floats) -> float:
     """Return Λ from the pinned costs of the two anchors, each of shape (n_scenarios,).
 
     Raises:
-        ValueError: Λ is not positive, so that there is no scale to score on.
+        NoScaleError: Λ is not positive, so that there is no scale to score on.
     """
     scale = -mean(log_gains(mppt[np.newaxis], reference))
     if not scale > 0.0:
-        raise ValueError(
+        raise NoScaleError(
             f"on these {reference.size} scenarios MPPT (mean cost {mean(mppt):.4g}) is not worse than the reference "
             f"(mean cost {mean(reference):.4g}): Λ = {scale:.3g} must be positive to score with; "
             "take more scenarios or longer ones"
@@ -150,6 +154,7 @@ __all__ = [
     "COST_OFFSET",
     "N_RESAMPLES",
     "Interval",
+    "NoScaleError",
     "bootstrap",
     "improvement",
     "interquartile_interval",

@@ -45,7 +45,7 @@ class PlantSettings:
         groups: the WTG groups; may be empty where the network has machines.
         turbine, pitch, control, protection: parameters of every WTG.
         control_dt: control interval [s], a whole number of simulation steps.
-        simulation_dt: step of the integration, 0.5 … 40 ms [s].
+        simulation_dt: step of the integration, 0.05 … 40 ms [s].
         trips_groups: a stalled or over-speeding group is disconnected instead of ending the run.
 
     Raises:
