@@ -96,7 +96,9 @@ def test_no_score_where_mppt_is_not_worse(results: Results, tmp_path: Path) -> N
         names = {ANCHORS[0]: ANCHORS[1], ANCHORS[1]: ANCHORS[0]}
         return dataclasses.replace(episode, entry=names.get(episode.entry, episode.entry))
 
-    turned = dataclasses.replace(results, episodes=tuple(map(swapped, results.episodes)))
+    swapped_ones = [swapped(episode) for episode in results.episodes]
+    ordered = [e for entry in results.entries for e in swapped_ones if e.entry == entry["name"]]
+    turned = dataclasses.replace(results, episodes=tuple(ordered))
     with pytest.raises(NoScaleError, match="not worse than the reference"):
         leaderboard_rows(turned)
     # There is no ranking, but what was measured is not lost.
