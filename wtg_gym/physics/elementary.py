@@ -1,4 +1,4 @@
-"""Sine, cosine and exponential as plain arithmetic.
+"""Sine, cosine, exponential and a limited rate as plain arithmetic.
 
 Numba's wheels carry no vector mathematics library, so a call into libm keeps a loop over lanes scalar. These
 are Taylor polynomials on a reduced argument: branch-free, the same bits in every lane on every platform, and
@@ -77,3 +77,10 @@ def exponential(x: float) -> float:
     e = e * e
     e = e * e
     return e * e
+
+
+@compiled
+def limited_rate(rate: float, value: float, low: float, high: float) -> float:
+    """Return the rate of a state with non-windup limits: zero where it would leave [low, high]."""
+    upward = rate if value < high else min(rate, 0.0)
+    return upward if value > low else max(upward, 0.0)

@@ -123,8 +123,7 @@ def start_lane(block: Floats, lane: int, plant: Plant, data: LaneData, load_leve
         power[plant.unit_bus[i]] += plant.dispatch[i]
     for j in range(n_wtg):
         o = n_sync * SyncRow.N_ROWS + j * WtgRow.N_ROWS
-        k_start = max(block[o + WtgRow.K_NOMINAL] + block[o + WtgRow.K_OFFSET], 0.0)
-        rotor, pitch, found = turbine_equilibrium(data.wind[lane, j, 0], k_start, plant.turbine)
+        rotor, pitch, found = turbine_equilibrium(data.wind[lane, j, 0], block[o + WtgRow.K_NOMINAL], plant.turbine)
         if not found:
             return 1
         for s in range(WtgRow.EMF):
@@ -136,7 +135,7 @@ def start_lane(block: Floats, lane: int, plant: Plant, data: LaneData, load_leve
         block[o + WtgRow.CONNECTED] = 1.0
         block[o + WtgRow.WIND_START] = data.wind[lane, j, 0]
         block[o + WtgRow.WIND_END] = data.wind[lane, j, 0]
-        power[plant.unit_bus[n_sync + j]] += plant.share[j] * k_start * rotor**3
+        power[plant.unit_bus[n_sync + j]] += _start_power(block, plant, j)
     open_branch = np.zeros(plant.branch_from.shape[0], dtype=np.bool_)
     y = assemble_admittance(plant.branch_from, plant.branch_to, plant.branch_y, open_branch, plant.shunt_y)
     magnitude, angle = plant.voltage.copy(), np.zeros(n_bus)
@@ -149,6 +148,14 @@ def start_lane(block: Floats, lane: int, plant: Plant, data: LaneData, load_leve
     failure = _start_units(block, plant, load_level, y, voltage)
     _start_rows(block, lane, plant, data, magnitude)
     return failure
+
+
+@compiled
+def _start_power(block: Floats, plant: Plant, j: int) -> float:
+    """Return what WTG group j feeds in before any policy has acted [p.u. of the system base]."""
+    o = len(plant.syncs) * SyncRow.N_ROWS + j * WtgRow.N_ROWS
+    power: float = plant.share[j] * block[o + WtgRow.K_NOMINAL] * block[o + WtgState.ROTOR_SPEED] ** 3
+    return power
 
 
 @compiled
@@ -192,9 +199,7 @@ def _start_units(
                     fixed += plant.dispatch[u]
                 else:
                     size = plant.share[u - n_sync]
-                    o = n_sync * SyncRow.N_ROWS + (u - n_sync) * WtgRow.N_ROWS
-                    k_start = max(block[o + WtgRow.K_NOMINAL] + block[o + WtgRow.K_OFFSET], 0.0)
-                    fixed += size * k_start * block[o + WtgState.ROTOR_SPEED] ** 3
+                    fixed += _start_power(block, plant, u - n_sync)
                 rating_all += size
                 if u == i:
                     rating = size
@@ -207,8 +212,7 @@ def _start_units(
             delta = _start_machine(block, i, plant, complex(active, reactive), voltage[bus])
         else:
             o = n_sync * SyncRow.N_ROWS + (i - n_sync) * WtgRow.N_ROWS
-            k_start = max(block[o + WtgRow.K_NOMINAL] + block[o + WtgRow.K_OFFSET], 0.0)
-            active = plant.share[i - n_sync] * k_start * block[o + WtgState.ROTOR_SPEED] ** 3
+            active = _start_power(block, plant, i - n_sync)
             current = (complex(active, reactive) / voltage[bus]).conjugate()
             emf = voltage[bus] + current / plant.unit_y[i]
             block[o + WtgRow.EMF] = abs(emf)

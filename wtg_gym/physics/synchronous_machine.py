@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.compiled import compiled
+from wtg_gym.physics.elementary import limited_rate
 from wtg_gym.physics.parameters import SynchronousMachineParameters
 
 
@@ -103,13 +104,6 @@ def flux_rates(
     field_flux_rate = inv_t_d * (field_voltage - field_flux - x_d_field * (i_d - gamma_d2 * damper_d))
     damper_flux_rate = inv_t_q * (-damper_flux + x_q_field * (i_q - gamma_q2 * damper_q))
     return field_flux_rate, damper_flux_rate, -inv_t_dd * damper_d, -inv_t_qq * damper_q
-
-
-@compiled
-def limited_rate(rate: float, value: float, low: float, high: float) -> float:
-    """Return the rate of a state with non-windup limits: zero where it would leave [low, high]."""
-    upward = rate if value < high else min(rate, 0.0)
-    return upward if value > low else max(upward, 0.0)
 
 
 @compiled

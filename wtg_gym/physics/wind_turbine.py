@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from wtg_gym.physics.aerodynamics import power_coefficient_of_inverse, tracking_point
 from wtg_gym.physics.compiled import compiled
+from wtg_gym.physics.elementary import limited_rate
 from wtg_gym.physics.parameters import (
     GridFormingParameters,
     PitchParameters,
@@ -110,9 +111,7 @@ def pitch_rates(
     The integral has non-windup limits, so that pitch and integral stay exactly at zero while the excess is negative.
     """
     scheduled = excess / (1.0 + pitch * inv_schedule)
-    rate = gain_i * scheduled
-    upward = rate if integral < angle_max else min(rate, 0.0)
-    integral_rate = upward if integral > 0.0 else max(upward, 0.0)
+    integral_rate = limited_rate(gain_i * scheduled, integral, 0.0, angle_max)
     demand = min(max(integral + gain_p * scheduled, 0.0), angle_max)
     return integral_rate, min(max((demand - pitch) * inv_actuator, -rate_limit), rate_limit)
 
