@@ -190,25 +190,25 @@ def _start_units(
         for k in range(n_bus):
             injected += y[bus, k] * voltage[k]
         total = voltage[bus] * injected.conjugate() + load_level * plant.load[bus]
-        rating, rating_all, machines_all, fixed = 0.0, 0.0, 0.0, 0.0
+        weight, weight_all, machines_all, fixed = 0.0, 0.0, 0.0, 0.0
         for u in range(n_sync + n_wtg):
             if plant.unit_bus[u] == bus:
                 if u < n_sync:
-                    size = plant.machines[u, MachineConstant.RATING]
-                    machines_all += size
+                    size = plant.machines[u, MachineConstant.REACTIVE_WEIGHT]
+                    machines_all += plant.machines[u, MachineConstant.RATING]
                     fixed += plant.dispatch[u]
                 else:
                     size = plant.share[u - n_sync]
                     fixed += _start_power(block, plant, u - n_sync)
-                rating_all += size
+                weight_all += size
                 if u == i:
-                    rating = size
-        # Reactive power in proportion to rating; at the slack bus the machines share what is missing likewise.
-        reactive = total.imag * rating / rating_all if plant.holds_voltage[bus] else 0.0
+                    weight = size
+        # Reactive power in proportion to the weights; at the slack bus the machines share missing power by rating.
+        reactive = total.imag * weight / weight_all if plant.holds_voltage[bus] else 0.0
         if i < n_sync:
             active = plant.dispatch[i]
             if bus == plant.slack:
-                active += (total.real - fixed) * rating / machines_all
+                active += (total.real - fixed) * plant.machines[i, MachineConstant.RATING] / machines_all
             delta = _start_machine(block, i, plant, complex(active, reactive), voltage[bus])
         else:
             o = n_sync * SyncRow.N_ROWS + (i - n_sync) * WtgRow.N_ROWS

@@ -92,7 +92,8 @@ class LaneRow(IntEnum):
     NOISE_Z_RE = 11
     NOISE_Z_IM = 12
     NOISE_PER_MW = 13  # admittance per MW of load noise [p.u.]
-    N_ROWS = 14
+    LAST_CHANGE = 14  # simulation step at which the network was last reduced
+    N_ROWS = 15
 
 
 class Status(IntEnum):

@@ -194,6 +194,9 @@ class SynchronousMachineParameters:
     resistance: float = parameter(0.0, "p.u.", "design", "armature resistance")
     damping_pu: float = parameter(2.0, "p.u./p.u.", "Milano", "damping D")
     dispatch_mw: float = parameter(0.0, "MW", "design", "power in the initial power flow; slack machines balance")
+    reactive_weight: float | None = parameter(
+        None, "MVA", "design", "weight in sharing its bus's initial reactive power; None: its rating"
+    )
     exciter: ExciterParameters | None = dataclasses.field(
         default_factory=ExciterParameters,
         metadata=describe("-", "design", "exciter, None for constant field"),

@@ -20,7 +20,7 @@ from wtg_gym.physics.layout import (
     lane_row,
     network_row,
 )
-from wtg_gym.physics.network import assemble_admittance, transfer_impedances
+from wtg_gym.physics.network import assemble_admittance, solve_in_place, transfer_impedances
 
 
 @compiled
@@ -29,10 +29,8 @@ def refresh_network(block: Floats, x: int, lane: int, plant: Plant, data: LaneDa
 
     Load ramps are staircases: constant over a control interval at the value of its middle.
     """
-    n_sync, n = len(plant.syncs), len(plant.syncs) + len(plant.wtgs)
     own = lane_row(plant) * width
     step = block[own + LaneRow.STEP * width + x]
-    n_bus = plant.shunt_y.shape[0]
     events = data.events[lane]
     following = math.inf
     for e in range(events.shape[0]):
@@ -42,7 +40,36 @@ def refresh_network(block: Floats, x: int, lane: int, plant: Plant, data: LaneDa
         elif step < end:
             boundary = (math.floor(step / plant.n_substeps) + 1.0) * plant.n_substeps
             following = min(following, min(boundary, end))
+    block[own + LaneRow.LAST_CHANGE * width + x] = step
     block[own + LaneRow.NEXT_CHANGE * width + x] = following
+    unit_y = _connected_units(block, x, plant, width)
+    y = _full_admittance(step, 0.5 * (step + following), lane, plant, data, unit_y)
+    noise_bus = data.noise_bus[lane]
+    z = transfer_impedances(y, plant.unit_bus, noise_bus)
+    _store_reduction(block, x, plant, unit_y, z, noise_bus, width)
+
+
+@compiled
+def _connected_units(block: Floats, x: int, plant: Plant, width: int) -> npt.NDArray[np.complex128]:
+    """Return the internal admittance of every unit, zero for a group that has tripped [p.u.]."""
+    n_sync = len(plant.syncs)
+    unit_y = plant.unit_y.copy()
+    for j in range(len(plant.wtgs)):
+        connected = block[(n_sync * SyncRow.N_ROWS + j * WtgRow.N_ROWS + WtgRow.CONNECTED) * width + x]
+        unit_y[n_sync + j] *= connected
+    return unit_y
+
+
+@compiled
+def _full_admittance(
+    step: float, ramp_step: float, lane: int, plant: Plant, data: LaneData, unit_y: npt.NDArray[np.complex128]
+) -> npt.NDArray[np.complex128]:
+    """Return the bus admittance matrix of a lane with its loads, events and units, without load noise [p.u.].
+
+    `step` decides which events have struck, `ramp_step` how far a ramp has come.
+    """
+    n_bus = plant.shunt_y.shape[0]
+    events = data.events[lane]
     bus_y = np.empty(n_bus, dtype=np.complex128)
     for k in range(n_bus):
         bus_y[k] = plant.shunt_y[k] + data.load_y[lane, k]
@@ -50,7 +77,7 @@ def refresh_network(block: Floats, x: int, lane: int, plant: Plant, data: LaneDa
     for e in range(events.shape[0]):
         start, end = events[e, EventColumn.START], events[e, EventColumn.END]
         if step >= start:
-            level = 1.0 if step >= end else (0.5 * (step + following) - start) / (end - start)
+            level = 1.0 if step >= end else (ramp_step - start) / (end - start)
             branch = int(events[e, EventColumn.BRANCH])
             if branch >= 0:
                 open_branch[branch] = True
@@ -58,16 +85,41 @@ def refresh_network(block: Floats, x: int, lane: int, plant: Plant, data: LaneDa
                 bus_y[int(events[e, EventColumn.BUS])] += level * complex(
                     events[e, EventColumn.CONDUCTANCE], events[e, EventColumn.SUSCEPTANCE]
                 )
-    unit_y = plant.unit_y.copy()
-    for j in range(len(plant.wtgs)):
-        connected = block[(n_sync * SyncRow.N_ROWS + j * WtgRow.N_ROWS + WtgRow.CONNECTED) * width + x]
-        unit_y[n_sync + j] *= connected
-    for i in range(n):
+    for i in range(unit_y.shape[0]):
         bus_y[plant.unit_bus[i]] += unit_y[i]
-    y = assemble_admittance(plant.branch_from, plant.branch_to, plant.branch_y, open_branch, bus_y)
+    return assemble_admittance(plant.branch_from, plant.branch_to, plant.branch_y, open_branch, bus_y)
+
+
+@compiled
+def bus_voltages(
+    block: Floats, x: int, lane: int, plant: Plant, data: LaneData, noise_mw: float, width: int
+) -> npt.NDArray[np.complex128]:
+    """Return the bus voltages of a lane where it stands, in the frame of its first unit's rotor, (n_bus,) [p.u.].
+
+    Args:
+        block: one block's rows, flat, with the internal voltages of the latest evaluation.
+        x: the lane's column in the block.
+        lane: its row in `data`.
+        plant, data: constants and what the lane was given.
+        noise_mw: load noise that acts [MW].
+        width: lanes of the block.
+    """
+    own = lane_row(plant) * width
+    last = block[own + LaneRow.LAST_CHANGE * width + x]
+    following = block[own + LaneRow.NEXT_CHANGE * width + x]
+    unit_y = _connected_units(block, x, plant, width)
+    # The network as it was last reduced: an event that strikes just now is seen by the next step.
+    y = _full_admittance(last, 0.5 * (last + following), lane, plant, data, unit_y)
     noise_bus = data.noise_bus[lane]
-    z = transfer_impedances(y, plant.unit_bus, noise_bus)
-    _store_reduction(block, x, plant, unit_y, z, noise_bus, width)
+    y[noise_bus, noise_bus] += noise_mw * block[own + LaneRow.NOISE_PER_MW * width + x]
+    n = unit_y.shape[0]
+    e_re = network_row(plant) * width + x
+    injected = np.zeros((y.shape[0], 1), dtype=np.complex128)
+    for i in range(n):
+        emf = complex(block[e_re + i * width], block[e_re + (n + i) * width])
+        injected[plant.unit_bus[i], 0] += unit_y[i] * emf
+    solve_in_place(y, injected)
+    return injected[:, 0]
 
 
 @compiled

@@ -9,12 +9,14 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from wtg_gym.physics.dynamics import evaluate_rates
 from wtg_gym.physics.equilibrium import StartFailure, start_lane
 from wtg_gym.physics.integration import advance_blocks
 from wtg_gym.physics.layout import EventColumn, Floats, LaneData, LaneRow, Layout, SyncRow, WtgRow
 from wtg_gym.physics.plant import PlantSettings, build_plant, whole_steps
+from wtg_gym.physics.reduction import bus_voltages
 from wtg_gym.physics.scenario import SERIES_DT, Event, LineTrip, LoadRamp, LoadTrip, Scenario
 from wtg_gym.physics.synchronous_machine import MachineConstant
 from wtg_gym.physics.tracking_law import TrackingLaw
@@ -268,6 +270,17 @@ class Simulator:
     def evaluate(self) -> None:
         """Evaluate rates, powers and coefficients of all lanes where they stand, in place."""
         evaluate_rates(self.blocks, self.plant, self.lanes)
+
+    def bus_voltages(self, lane: int = 0) -> npt.NDArray[np.complex128]:
+        """Return the bus voltages where a lane stands, shape (n_bus,) [p.u.].
+
+        Angles count from the rotor of the first machine; evaluated with the state as of the last step or
+        :meth:`evaluate`.
+        """
+        interval = max(0, math.ceil(self._lane_view(lane)[self.layout.lane + LaneRow.STEP] / self.plant.n_substeps) - 1)
+        noise_mw = self.data.noise[lane, min(interval, self.n_intervals - 1)]
+        block, x = self.blocks[lane // self.width], lane % self.width
+        return bus_voltages(block, x, lane, self.plant, self.data, noise_mw, self.width)
 
     def state(self, lane: int = 0) -> Floats:
         """Return a copy of a lane's state vector; `layout.state_names` names its entries."""

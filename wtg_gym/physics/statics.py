@@ -1,38 +1,132 @@
-"""Where a strategy has an equilibrium: the static side of primary frequency regulation."""
+"""Where a strategy has an equilibrium, and which: the static side of primary frequency regulation.
+
+In steady state the rotor captures what the law delivers, p_w(ω_m) = g(ω) ω_m³ - D_p (ω - ω_st), the last term only
+where the law keeps its droop (τ = ∞). The pitch protection caps the left side at its power limit and the rotor at its
+speed limit, exactly as its controller does once at rest; `fine_pitch` leaves it out.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 from scipy.optimize import brentq, minimize_scalar
 
-from wtg_gym.physics.aerodynamics import power_coefficient
-from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
+from wtg_gym.physics.aerodynamics import power_coefficient, tracking_point
+from wtg_gym.physics.parameters import GridFormingParameters, PitchParameters, TurbineParameters
 from wtg_gym.physics.scenario import WIND_SPEED_RANGE, require_range
 from wtg_gym.physics.tracking_law import TrackingLaw, tracking_coefficient
 
+Floats = npt.NDArray[np.float64]
 
-def power_margin_pu(
-    frequency_pu: float,
-    law: TrackingLaw,
-    wind_m_s: float,
-    turbine: TurbineParameters | None = None,
-    control: GridFormingParameters | None = None,
-) -> float:
-    """Return how much more than the law demands a rotor could capture in steady state, at best over its speed [p.u.].
+#: Tip-speed ratios between which equilibria are looked for [-].
+TIP_SPEED_RATIO_RANGE = (1.0, 20.0)
+#: Frequencies the functions accept [p.u.].
+FREQUENCY_RANGE = (0.5, 1.5)
+_N_SAMPLES = 191
 
-    max over ω_m of p_w(ω_m) - g(ω) ω_m³ - D_p (ω_st - ω), the last term only where the law keeps its droop (τ = ∞).
-    Negative: there is no equilibrium. Blades at fine pitch. Source: paper, section on MPPT.
+
+@dataclass(frozen=True, kw_only=True)
+class OperatingPoint:
+    """A steady state of one WTG at a grid frequency.
 
     Args:
         frequency_pu: grid frequency ω [p.u.].
-        law: the strategy.
-        wind_m_s: wind speed [m/s].
-        turbine, control: parameters; the paper's by default.
+        rotor_speed_pu: ω_m [p.u.].
+        tip_speed_ratio: λ [-].
+        power_pu: p, captured and delivered alike [p.u.].
+        pitch_deg: β, above 0 where the pitch protection holds the rotor [deg].
+        stable: a faster rotor captures less than it delivers, so that it comes back.
     """
-    turbine, control = turbine or TurbineParameters(), control or GridFormingParameters()
-    k = tracking_coefficient(
+
+    frequency_pu: float
+    rotor_speed_pu: float
+    tip_speed_ratio: float
+    power_pu: float
+    pitch_deg: float
+    stable: bool
+
+
+@dataclass(frozen=True)
+class Characteristic:
+    """The power-frequency characteristic of a law at a wind speed.
+
+    `frequency_pu` (n,); the other arrays (n,) belong to the stable branch and to the unstable one, not a number where
+    there is none [p.u.].
+    """
+
+    frequency_pu: Floats
+    rotor_speed_pu: Floats
+    power_pu: Floats
+    unstable_rotor_speed_pu: Floats
+    unstable_power_pu: Floats
+
+
+class _Balance:
+    """Captured minus delivered power as a function of the rotor speed, at one frequency, law and wind."""
+
+    def __init__(
+        self,
+        frequency_pu: float,
+        law: TrackingLaw,
+        wind_m_s: float,
+        turbine: TurbineParameters,
+        control: GridFormingParameters,
+        pitch: PitchParameters | None,
+    ) -> None:
+        self.k = coefficient_pu(frequency_pu, law, control)
+        keeps_droop = math.isinf(law.damping_time_constant_s)
+        deviation = frequency_pu - control.frequency_setpoint_pu
+        self.droop = control.droop_gain_pu * deviation if keeps_droop else 0.0
+        self.in_wind = turbine.wind_power_pu_per_cubic_wind * wind_m_s**3
+        self.ratio_per_speed = turbine.tip_speed_ratio_per_speed_m_s / wind_m_s
+        self.curve = turbine.power_coefficient
+        self.pitch = pitch
+        self.speed_limit = math.inf if pitch is None else pitch.rotor_speed_limit_pu
+        self.power_limit = math.inf if pitch is None else pitch.captured_power_limit_pu
+        low, high = (ratio / self.ratio_per_speed for ratio in TIP_SPEED_RATIO_RANGE)
+        self.range = low, max(low, min(high, self.speed_limit))
+
+    def captured(self, speed: Floats | float, pitch_deg: float = 0.0) -> Floats:
+        ratio = self.ratio_per_speed * np.asarray(speed, dtype=np.float64)
+        return self.in_wind * power_coefficient(ratio, pitch_deg, self.curve)
+
+    def delivered(self, speed: Floats | float) -> Floats:
+        return np.asarray(self.k * np.asarray(speed, dtype=np.float64) ** 3 - self.droop)
+
+    def __call__(self, speed: Floats | float) -> Floats:
+        return np.asarray(np.minimum(self.captured(speed), self.power_limit) - self.delivered(speed))
+
+    def best_speed(self) -> float:
+        """Return the rotor speed with the largest surplus [p.u.]; a coarse look brackets it."""
+        speeds = np.linspace(*self.range, _N_SAMPLES)
+        at = int(np.argmax(self(speeds)))
+        around = speeds[max(at - 1, 0)], speeds[min(at + 1, speeds.size - 1)]
+        found = minimize_scalar(lambda x: -float(self(x)), bounds=around, method="bounded", options={"xatol": 1e-11})
+        return max((float(found.x), float(speeds[at])), key=lambda x: float(self(x)))
+
+    def holding_pitch(self, speed: float) -> float | None:
+        """Return the smallest pitch angle at which the captured power is the delivered one; None if none does [deg]."""
+        assert self.pitch is not None
+        target = float(self.delivered(speed))
+
+        def excess(pitch_deg: float) -> float:
+            return float(self.captured(speed, pitch_deg)) - target
+
+        angles = np.arange(0.0, self.pitch.largest_angle_deg + 0.05, 0.05)
+        below = [angle for angle in angles if excess(float(angle)) <= 0.0]
+        if not below:
+            return None
+        return float(brentq(excess, max(below[0] - 0.05, 0.0), below[0])) if below[0] > 0.0 else 0.0
+
+
+def coefficient_pu(frequency_pu: float, law: TrackingLaw, control: GridFormingParameters | None = None) -> float:
+    """Return g(ω) of a law at a frequency [p.u.]. Source: paper, equation `gomega_augement`."""
+    control = control or GridFormingParameters()
+    k: float = tracking_coefficient(
         frequency_pu,
         law.k_min,
         law.k_nominal,
@@ -41,21 +135,149 @@ def power_margin_pu(
         control.frequency_setpoint_pu,
         control.frequency_max_pu,
     )
-    in_wind = turbine.wind_power_pu_per_cubic_wind * wind_m_s**3
-    scale = wind_m_s / turbine.tip_speed_ratio_per_speed_m_s
+    return k
 
-    def shortfall(ratio: float) -> float:
-        captured = in_wind * float(power_coefficient(ratio, 0.0, turbine.power_coefficient))
-        return float(k * (scale * ratio) ** 3 - captured)
 
-    # The difference has one maximum, on the way from stall to over-speed; a coarse look brackets it.
-    ratios = np.linspace(2.0, 12.0, 41)
-    nearest = float(ratios[np.argmin([shortfall(r) for r in ratios])])
-    best = minimize_scalar(
-        shortfall, bounds=(nearest - 0.25, nearest + 0.25), method="bounded", options={"xatol": 1e-9}
+def _balance(
+    frequency_pu: float,
+    law: TrackingLaw,
+    wind_m_s: float,
+    turbine: TurbineParameters | None,
+    control: GridFormingParameters | None,
+    pitch: PitchParameters | None,
+    fine_pitch: bool,
+) -> _Balance:
+    require_range("frequency", frequency_pu, *FREQUENCY_RANGE, "p.u.")
+    require_range("wind", wind_m_s, *WIND_SPEED_RANGE, "m/s")
+    held = None if fine_pitch else pitch or PitchParameters()
+    return _Balance(
+        frequency_pu, law, wind_m_s, turbine or TurbineParameters(), control or GridFormingParameters(), held
     )
-    droop = control.droop_gain_pu if math.isinf(law.damping_time_constant_s) else 0.0
-    return -float(best.fun) - droop * (control.frequency_setpoint_pu - frequency_pu)
+
+
+def power_margin_pu(
+    frequency_pu: float,
+    law: TrackingLaw,
+    wind_m_s: float,
+    turbine: TurbineParameters | None = None,
+    control: GridFormingParameters | None = None,
+    pitch: PitchParameters | None = None,
+    *,
+    fine_pitch: bool = False,
+) -> float:
+    """Return how much more than the law demands a rotor could capture in steady state, at best over its speed [p.u.].
+
+    max over ω_m of p_w(ω_m) - g(ω) ω_m³ + D_p (ω - ω_st), the last term only where the law keeps its droop (τ = ∞).
+    Negative: there is no equilibrium. Source: paper, section on MPPT.
+
+    Args:
+        frequency_pu: grid frequency ω, 0.5 … 1.5 [p.u.].
+        law: the strategy.
+        wind_m_s: wind speed, 3 … 25 [m/s].
+        turbine, control, pitch: parameters; the paper's and the benchmark's by default.
+        fine_pitch: leave the pitch protection out and hold β = 0.
+
+    Raises:
+        ValueError: frequency or wind is out of range.
+    """
+    balance = _balance(frequency_pu, law, wind_m_s, turbine, control, pitch, fine_pitch)
+    return float(balance(balance.best_speed()))
+
+
+def equilibria(
+    frequency_pu: float,
+    law: TrackingLaw,
+    wind_m_s: float,
+    turbine: TurbineParameters | None = None,
+    control: GridFormingParameters | None = None,
+    pitch: PitchParameters | None = None,
+    *,
+    fine_pitch: bool = False,
+) -> tuple[OperatingPoint, ...]:
+    """Return every steady state of a WTG at a grid frequency, from the slowest rotor to the fastest.
+
+    Args, Raises: as for :func:`power_margin_pu`. Stability is that of the rotor at constant frequency; that of the
+    whole system is :mod:`wtg_gym.small_signal`'s business.
+    """
+    balance = _balance(frequency_pu, law, wind_m_s, turbine, control, pitch, fine_pitch)
+    # The surplus is smooth but for the corner at the power limit; its maximum splits a close pair of roots.
+    speeds = np.unique(np.append(np.linspace(*balance.range, _N_SAMPLES), balance.best_speed()))
+    surplus = balance(speeds)
+    points = []
+    for i in range(speeds.size - 1):
+        if (surplus[i] > 0.0) == (surplus[i + 1] > 0.0):
+            continue
+        root = float(brentq(lambda x: float(balance(x)), speeds[i], speeds[i + 1], xtol=1e-14, rtol=1e-14))
+        points.append(_operating_point(balance, frequency_pu, root, stable=bool(surplus[i] > 0.0)))
+    if surplus[-1] > 0.0 and math.isfinite(balance.speed_limit) and balance.range[1] == balance.speed_limit:
+        # The rotor would go on accelerating, but the blades turn and hold it at its limit.
+        points.append(_operating_point(balance, frequency_pu, balance.speed_limit, stable=True))
+    return tuple(point for point in points if point is not None)
+
+
+def _operating_point(balance: _Balance, frequency_pu: float, speed: float, *, stable: bool) -> OperatingPoint | None:
+    held = speed >= balance.speed_limit or float(balance.captured(speed)) > balance.power_limit
+    pitch_deg = balance.holding_pitch(speed) if held else 0.0
+    if pitch_deg is None:
+        return None
+    return OperatingPoint(
+        frequency_pu=frequency_pu,
+        rotor_speed_pu=speed,
+        tip_speed_ratio=balance.ratio_per_speed * speed,
+        power_pu=float(balance.delivered(speed)),
+        pitch_deg=pitch_deg,
+        stable=stable,
+    )
+
+
+def stable_equilibrium(
+    frequency_pu: float,
+    law: TrackingLaw,
+    wind_m_s: float,
+    turbine: TurbineParameters | None = None,
+    control: GridFormingParameters | None = None,
+    pitch: PitchParameters | None = None,
+    *,
+    fine_pitch: bool = False,
+) -> OperatingPoint | None:
+    """Return the stable steady state with the fastest rotor, the one an operating WTG is in; None if there is none.
+
+    Args, Raises: as for :func:`power_margin_pu`.
+    """
+    found = equilibria(frequency_pu, law, wind_m_s, turbine, control, pitch, fine_pitch=fine_pitch)
+    return next((point for point in reversed(found) if point.stable), None)
+
+
+def characteristic(
+    law: TrackingLaw,
+    wind_m_s: float,
+    frequency_pu: npt.ArrayLike,
+    turbine: TurbineParameters | None = None,
+    control: GridFormingParameters | None = None,
+    pitch: PitchParameters | None = None,
+    *,
+    fine_pitch: bool = False,
+) -> Characteristic:
+    """Return the power-frequency characteristic of a law: the stable and the unstable branch over frequency.
+
+    Source: paper, figures `MPPTDroop` … `Proposed`.
+
+    Args:
+        law: the strategy.
+        wind_m_s: wind speed, 3 … 25 [m/s].
+        frequency_pu: frequencies, shape (n,), 0.5 … 1.5 [p.u.].
+        turbine, control, pitch, fine_pitch: as for :func:`power_margin_pu`.
+
+    Raises:
+        ValueError: a frequency or the wind is out of range.
+    """
+    frequencies = np.atleast_1d(np.asarray(frequency_pu, dtype=np.float64))
+    table = np.full((4, frequencies.size), np.nan)
+    for i, frequency in enumerate(frequencies):
+        for point in equilibria(float(frequency), law, wind_m_s, turbine, control, pitch, fine_pitch=fine_pitch):
+            row = 0 if point.stable else 2
+            table[row : row + 2, i] = point.rotor_speed_pu, point.power_pu
+    return Characteristic(frequencies, *table)
 
 
 def critical_frequency_pu(
@@ -63,32 +285,112 @@ def critical_frequency_pu(
     wind_m_s: float,
     turbine: TurbineParameters | None = None,
     control: GridFormingParameters | None = None,
+    pitch: PitchParameters | None = None,
     *,
     lowest_pu: float = 0.9,
+    fine_pitch: bool = False,
 ) -> float | None:
     """Return the frequency below which a strategy has no equilibrium at a wind speed [p.u.].
 
     Args:
         law: the strategy.
-        wind_m_s: wind speed, 3 … 25 m/s [m/s].
-        turbine, control: parameters; the paper's by default.
-        lowest_pu: lowest frequency looked at [p.u.].
+        wind_m_s: wind speed, 3 … 25 [m/s].
+        turbine, control, pitch, fine_pitch: as for :func:`power_margin_pu`.
+        lowest_pu: lowest frequency looked at, 0.5 … 1.5 and below the set-point [p.u.].
 
     Returns:
-        the critical frequency, or None where there is an equilibrium down to `lowest_pu`.
+        the critical frequency, the highest one if there were several, or None where there is an equilibrium down to
+        `lowest_pu`.
 
     Raises:
-        ValueError: the wind is out of range, or there is no equilibrium at nominal frequency either.
+        ValueError: a value is out of range, or there is no equilibrium at nominal frequency either.
     """
-    require_range("wind", wind_m_s, *WIND_SPEED_RANGE, "m/s")
     control = control or GridFormingParameters()
+    nominal = control.frequency_setpoint_pu
+    require_range("lowest frequency", lowest_pu, FREQUENCY_RANGE[0], nominal, "p.u.")
 
     def margin(frequency: float) -> float:
-        return power_margin_pu(frequency, law, wind_m_s, turbine, control)
+        return power_margin_pu(frequency, law, wind_m_s, turbine, control, pitch, fine_pitch=fine_pitch)
 
-    nominal = control.frequency_setpoint_pu
     if margin(nominal) < 0.0:
         raise ValueError(f"law {law.name!r} has no equilibrium at {wind_m_s:g} m/s even at nominal frequency")
-    if margin(lowest_pu) >= 0.0:
+    return _highest_crossing(margin, nominal, lowest_pu, control.frequency_min_pu)
+
+
+def _highest_crossing(margin: Callable[[float], float], nominal: float, lowest: float, corner: float) -> float | None:
+    """Return the highest frequency below nominal at which the margin becomes negative.
+
+    The margin falls with the frequency under every law of the paper, but a law is data: one whose k falls too is
+    searched in steps down to the corner of g(ω); below that only the droop changes, and it falls.
+    """
+    above = nominal
+    for below in (*np.linspace(nominal, max(corner, lowest), 17)[1:], lowest):
+        if margin(float(below)) < 0.0:
+            return float(brentq(margin, below, above, xtol=1e-13))
+        above = float(below)
+    return None
+
+
+def named_points(
+    law: TrackingLaw,
+    wind_m_s: float,
+    turbine: TurbineParameters | None = None,
+    control: GridFormingParameters | None = None,
+) -> dict[str, OperatingPoint]:
+    """Return the points that the paper names on a power-frequency characteristic, blades at fine pitch.
+
+    A: at ω_st. B: at ω_min, or where the equilibrium is lost if that comes first. C: at ω_max. M: where the stable
+    branch passes the maximum power point on the way from A to B. A point that does not exist is left out.
+
+    Args, Raises: as for :func:`critical_frequency_pu`.
+    """
+    turbine, control = turbine or TurbineParameters(), control or GridFormingParameters()
+
+    def at(frequency: float) -> OperatingPoint | None:
+        return stable_equilibrium(frequency, law, wind_m_s, turbine, control, fine_pitch=True)
+
+    lowest = control.frequency_min_pu
+    critical = critical_frequency_pu(law, wind_m_s, turbine, control, lowest_pu=lowest, fine_pitch=True)
+    if critical is None:
+        limit = at(lowest)
+    else:
+        # The two branches meet there, so that neither has a root; the surplus has its maximum at that speed.
+        balance = _balance(critical, law, wind_m_s, turbine, control, None, True)
+        limit = _operating_point(balance, critical, balance.best_speed(), stable=True)
+    points = {"A": at(control.frequency_setpoint_pu), "B": limit, "C": at(control.frequency_max_pu)}
+    points["M"] = _maximum_power_crossing(law, wind_m_s, turbine, control, lowest)
+    return {name: point for name, point in points.items() if point is not None}
+
+
+def _maximum_power_crossing(
+    law: TrackingLaw, wind_m_s: float, turbine: TurbineParameters, control: GridFormingParameters, lowest: float
+) -> OperatingPoint | None:
+    """Return the point between ω_st and ω_min at which the rotor stands at λ_opt and has come from above it."""
+    optimum = tracking_point(0.0, turbine)
+    speed = optimum.tip_speed_ratio * wind_m_s / turbine.tip_speed_ratio_per_speed_m_s
+
+    def surplus(frequency: float) -> float:
+        return float(_balance(frequency, law, wind_m_s, turbine, control, None, True)(speed))
+
+    nominal = control.frequency_setpoint_pu
+    # With a surplus at λ_opt the rotor stands above it.
+    if not surplus(nominal) > 1e-12 or surplus(lowest) > -1e-12:
         return None
-    return float(brentq(margin, lowest_pu, nominal, xtol=1e-12))
+    frequency = float(brentq(surplus, lowest, nominal, xtol=1e-14))
+    balance = _balance(frequency, law, wind_m_s, turbine, control, None, True)
+    point = _operating_point(balance, frequency, speed, stable=True)
+    return point
+
+
+__all__ = [
+    "FREQUENCY_RANGE",
+    "Characteristic",
+    "OperatingPoint",
+    "characteristic",
+    "coefficient_pu",
+    "critical_frequency_pu",
+    "equilibria",
+    "named_points",
+    "power_margin_pu",
+    "stable_equilibrium",
+]

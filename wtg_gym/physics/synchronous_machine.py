@@ -66,6 +66,7 @@ class MachineConstant(IntEnum):
     RATING = 27  # S_n / system base
     TWO_H = 28  # on the system base [s]
     INV_DROOP = 29
+    REACTIVE_WEIGHT = 30  # rating, or what shares the reactive power of its bus instead [p.u.]
 
 
 @compiled
@@ -152,7 +153,9 @@ def machine_constants(machine: SynchronousMachineParameters, base_mva: float) ->
     c = MachineConstant
     row = np.zeros(len(c))
     scale = base_mva / machine.rating_mva
-    row[c.RATING] = 1.0 / scale
+    row[c.RATING] = row[c.REACTIVE_WEIGHT] = 1.0 / scale
+    if machine.reactive_weight is not None:
+        row[c.REACTIVE_WEIGHT] = machine.reactive_weight / base_mva
     row[c.TWO_H] = machine.two_h_s / scale
     row[c.DAMPING] = machine.damping_pu / scale
     row[c.RESISTANCE] = machine.resistance * scale
