@@ -1,0 +1,193 @@
+"""The whole system linearised numerically from the simulator's own right-hand side: eigenvalues and participation.
+
+Source for participation factors: P. Kundur: Power System Stability and Control, section 12.2.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from wtg_gym.physics.layout import N_SYNC_STATES, N_WTG_STATES, WtgRow
+from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.scenario import Scenario
+from wtg_gym.physics.simulator import Simulator
+from wtg_gym.physics.tracking_law import TrackingLaw
+from wtg_gym.physics.wind_turbine import WtgState
+from wtg_gym.small_signal.single_machine import Side
+
+Floats = npt.NDArray[np.float64]
+
+#: Step of the finite differences [p.u., rad]; truncation and rounding are both near 1e-9 of a rate.
+_STEP = 2e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearModel:
+    """ẋ = A x around an equilibrium.
+
+    Args:
+        matrix: A, shape (n, n) [1/s, with p.u. and rad].
+        state_names: name of each state, such as ``sync0.speed`` or ``wtg1.rotor_speed``.
+        left_out: states without a part in the dynamics: constants, and integrals that nothing depends on.
+    """
+
+    matrix: Floats
+    state_names: tuple[str, ...]
+    left_out: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mode:
+    """An eigenvalue, or a conjugate pair of them.
+
+    Args:
+        eigenvalue: with the imaginary part of the pair that is not negative [1/s].
+        frequency_hz: of the oscillation, 0 for a real eigenvalue [Hz].
+        damping_ratio: ζ = -Re λ/|λ| [-].
+        time_constant_s: 1/|Re λ| [s].
+        participation: share of each state in the mode, by name, largest first; the magnitudes sum to 1 [-].
+    """
+
+    eigenvalue: complex
+    frequency_hz: float
+    damping_ratio: float
+    time_constant_s: float
+    participation: dict[str, float]
+
+
+def linearise(
+    scenario: Scenario,
+    laws: TrackingLaw | Sequence[TrackingLaw],
+    settings: PlantSettings | None = None,
+    *,
+    side: Side = "under",
+) -> LinearModel:
+    """Linearise the plant around the equilibrium that a scenario starts from, before any of its events.
+
+    Central differences of the simulator's right-hand side; one-sided ones of the same order for the frequencies of the
+    WTGs, where g(ω) has a corner. The pitch protection at rest takes no part, since it only acts upwards.
+
+    Args:
+        scenario: wind, load level, governor droop and inertia.
+        laws: one law for all WTG groups, or one per group.
+        settings: the plant; the paper's by default.
+        side: which slope of g(ω) counts at ω_st.
+
+    Raises:
+        ValueError: scenario, laws and plant do not fit, there is no equilibrium, or `side` is unknown.
+    """
+    if side not in ("under", "over"):
+        raise ValueError(f"side must be 'under' or 'over', got {side!r}")
+    simulator = _at_rest(scenario, laws, settings or PlantSettings())
+    names = simulator.layout.state_names
+    here = simulator.state()
+    direction = np.zeros(here.size)
+    for j in range(simulator.layout.n_wtg):
+        at = simulator.layout.n_sync * N_SYNC_STATES + j * N_WTG_STATES
+        direction[at + WtgState.SPEED] = -1.0 if side == "under" else 1.0
+
+    def rates(state: Floats) -> Floats:
+        simulator.set_state(state)
+        simulator.evaluate()
+        return simulator.rates()
+
+    matrix = np.empty((here.size, here.size))
+    for column in range(here.size):
+        step = np.zeros(here.size)
+        step[column] = _STEP
+        if direction[column]:
+            step *= direction[column]
+            change = -3.0 * rates(here) + 4.0 * rates(here + step) - rates(here + 2.0 * step)
+            matrix[:, column] = direction[column] * change / (2.0 * _STEP)
+        else:
+            matrix[:, column] = (rates(here + step) - rates(here - step)) / (2.0 * _STEP)
+    keep = np.ones(here.size, dtype=bool)
+    for j in range(simulator.layout.n_wtg):
+        if simulator.wtg_values(WtgState.PITCH)[0, j] == 0.0:
+            at = simulator.layout.n_sync * N_SYNC_STATES + j * N_WTG_STATES
+            keep[[at + WtgState.PITCH_INTEGRAL, at + WtgState.PITCH]] = False
+    keep = _with_part_in_the_dynamics(matrix, keep)
+    return LinearModel(
+        matrix=matrix[np.ix_(keep, keep)],
+        state_names=tuple(name for name, kept in zip(names, keep, strict=True) if kept),
+        left_out=tuple(name for name, kept in zip(names, keep, strict=True) if not kept),
+    )
+
+
+def _at_rest(scenario: Scenario, laws: TrackingLaw | Sequence[TrackingLaw], settings: PlantSettings) -> Simulator:
+    """Return a simulator in the equilibrium that a scenario starts from; its events do not matter."""
+    duration_s = settings.control_dt * max(1, round(1.0 / settings.control_dt))
+    simulator = Simulator(settings, duration_s=duration_s)
+    if isinstance(laws, TrackingLaw):
+        laws = (laws,) * len(settings.groups)
+    simulator.start(0, dataclasses.replace(scenario, events=(), duration_s=duration_s), laws)
+    return simulator
+
+
+def _with_part_in_the_dynamics(matrix: Floats, keep: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Leave out states that never change and states that nothing depends on, until none is left."""
+    while True:
+        rest = np.where(np.outer(keep, keep), matrix, 0.0)
+        kept = keep & rest.any(axis=0) & rest.any(axis=1)
+        if (kept == keep).all():
+            return kept
+        keep = kept
+
+
+def modes(model: LinearModel) -> tuple[Mode, ...]:
+    """Return the modes of a linear model, the least damped first (by real part)."""
+    values, right = np.linalg.eig(model.matrix)
+    left = np.linalg.inv(right)
+    found = []
+    for i in np.argsort(-values.real):
+        value = complex(values[i])
+        if value.imag < 0.0:
+            continue
+        share = np.abs(left[i] * right[:, i])
+        share /= share.sum()
+        order = np.argsort(-share)
+        found.append(
+            Mode(
+                eigenvalue=value,
+                frequency_hz=abs(value.imag) / (2.0 * math.pi),
+                damping_ratio=-value.real / abs(value) if value != 0.0 else 0.0,
+                time_constant_s=1.0 / abs(value.real) if value.real != 0.0 else math.inf,
+                participation={model.state_names[k]: float(share[k]) for k in order},
+            )
+        )
+    return tuple(found)
+
+
+def synchronising_coefficients(
+    scenario: Scenario, laws: TrackingLaw | Sequence[TrackingLaw], settings: PlantSettings | None = None
+) -> Floats:
+    """Return ∂p_i/∂δ_j between WTG groups, on the base of group i, shape (n_wtg, n_wtg) [p.u./rad].
+
+    The diagonal is the K_p of the paper's single-machine model as the network makes it, with the angles of all other
+    units held; the sum of a row is that of all groups swinging together against the synchronous machines.
+
+    Args, Raises: as for :func:`linearise`.
+    """
+    simulator = _at_rest(scenario, laws, settings or PlantSettings())
+    here = simulator.state()
+    n_wtg = simulator.layout.n_wtg
+    result = np.empty((n_wtg, n_wtg))
+    for j in range(n_wtg):
+        powers = []
+        for sign in (-1.0, 1.0):
+            state = here.copy()
+            state[simulator.layout.n_sync * N_SYNC_STATES + j * N_WTG_STATES + WtgState.ANGLE] += sign * _STEP
+            simulator.set_state(state)
+            simulator.evaluate()
+            powers.append(simulator.wtg_values(WtgRow.POWER)[0])
+        result[:, j] = (powers[1] - powers[0]) / (2.0 * _STEP)
+    return result
+
+
+__all__ = ["LinearModel", "Mode", "linearise", "modes", "synchronising_coefficients"]

@@ -1,0 +1,316 @@
+"""Networks, machines and events from a parameter file, for cross-checks against other simulators.
+
+The form is that of the golden cases (`tests/golden`): one JSON object with the solved power flow, lines, loads,
+machines and events, all in p.u. of `Sbase` except machine data, which are on the machine's own base `Sn`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from wtg_gym.physics.network import Branch, Bus, NetworkCase
+from wtg_gym.physics.parameters import ExciterParameters, GovernorParameters, SynchronousMachineParameters
+from wtg_gym.physics.scenario import LoadStep
+
+#: Largest difference [p.u.] of any quantity at which two simulators agree, where a file does not say.
+DEFAULT_TOLERANCE = {"w": 1e-6, "Pe": 1e-5, "V": 1e-5}
+#: Unused by a classical machine, but the machine data want them.
+_ANY_REACTANCES = {
+    "x_d": 1.0,
+    "x_subtransient": 0.15,
+    "x_q": 1.0,
+    "x_q_transient": 1.0,
+    "t_d0_transient_s": 1.0,
+    "t_d0_subtransient_s": 1.0,
+    "t_q0_subtransient_s": 1.0,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReferenceCase:
+    """What a parameter file holds.
+
+    Args:
+        network: the network with its machines, in the order of `machine_keys`.
+        machine_keys: the file's names of the machines.
+        voltage: |V| and angle of each bus in the file's power flow, by bus number [p.u., rad].
+        events: each event list by its name; constant-admittance changes at their instants.
+        tolerance: allowed largest difference by quantity: "w", "Pe", "V" [p.u.].
+    """
+
+    network: NetworkCase
+    machine_keys: tuple[str, ...]
+    voltage: Mapping[int, tuple[float, float]]
+    events: Mapping[str, tuple[LoadStep, ...]]
+    tolerance: Mapping[str, float]
+
+
+class _Reader:
+    """Values of a nested JSON object; an error names the place, what is wanted and what is there."""
+
+    def __init__(self, data: Any, where: str) -> None:
+        if not isinstance(data, dict):
+            raise ValueError(f"{where} must be an object with named values, got {type(data).__name__}")
+        self.data = data
+        self.where = where
+
+    def has(self, key: str) -> bool:
+        return self.data.get(key) is not None
+
+    def number(self, key: str, default: float | None = None, *, positive: bool = False) -> float:
+        value = self.data.get(key, default)
+        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        if not is_number or not math.isfinite(value) or (positive and value <= 0.0):
+            raise ValueError(
+                f"{key} of {self.where} must be a finite{' positive' if positive else ''} number, got {value!r}"
+            )
+        return float(value)
+
+    def bus(self, key: str = "bus") -> int:
+        value = self.data.get(key)
+        if not isinstance(value, int) or isinstance(value, bool):
+            raise ValueError(f"{key} of {self.where} must be a bus number, got {value!r}")
+        return value
+
+    def list(self, key: str, *, required: bool = True) -> list[_Reader]:
+        value = self.data.get(key)
+        if value is None and not required:
+            return []
+        # A single object stands for a list of one.
+        value = [value] if isinstance(value, dict) else value
+        if not isinstance(value, list):
+            raise ValueError(f"{key} of {self.where} must be a list, got {value!r}")
+        return [_Reader(item, f"{key}[{i}] of {self.where}") for i, item in enumerate(value)]
+
+    def object(self, key: str) -> _Reader:
+        return _Reader(self.data.get(key), f"{key} of {self.where}")
+
+
+def read_parameters(path: str | Path) -> ReferenceCase:
+    """Read a parameter file.
+
+    Raises:
+        ValueError: the file is missing, not JSON, or not of the form; the message names the place and the value.
+    """
+    try:
+        data = json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ValueError(f"cannot read the parameter file {path}: {error.strerror}") from error
+    except ValueError as error:
+        raise ValueError(f"the parameter file {path} is not JSON: {error}") from error
+    root = _Reader(data, f"the parameter file {path}")
+    base = root.number("Sbase", positive=True)
+    voltage = {b.bus(): (b.number("V", positive=True), b.number("theta", 0.0)) for b in root.list("bus")}
+    machines, keys = _read_machines(root, base)
+    held = sorted({machine.bus for machine in machines})
+    for machine in machines:
+        if machine.bus not in voltage:
+            raise ValueError(f"{root.where}: a machine stands at bus {machine.bus}, which it does not list")
+    # Every machine's power is given, so that any of their buses can take the slack; the angle's zero is a choice.
+    slack = min(held, key=lambda number: abs(voltage[number][1]))
+    loads, shunts = _totals(root, "load", ("P", "Q"), voltage), _totals(root, "shunt", ("g", "b"), voltage)
+    network = NetworkCase(
+        name=Path(path).stem,
+        base_mva=base,
+        frequency_hz=root.number("fn", positive=True),
+        slack_bus=slack,
+        buses=tuple(
+            Bus(
+                number=number,
+                load_mw=base * loads[number][0],
+                load_mvar=base * loads[number][1],
+                shunt_mw=base * shunts[number][0],
+                shunt_mvar=base * shunts[number][1],
+                voltage_pu=voltage[number][0] if number in held else None,
+            )
+            for number in voltage
+        ),
+        branches=tuple(
+            Branch(
+                from_bus=line.bus("f"),
+                to_bus=line.bus("t"),
+                resistance=line.number("r"),
+                reactance=line.number("x"),
+                charging=line.number("b", 0.0),
+                tap=line.number("tap", 1.0, positive=True),
+                phase_rad=line.number("phi", 0.0),
+            )
+            for line in root.list("line")
+        ),
+        machines=tuple(machines),
+    )
+    return ReferenceCase(
+        network=network,
+        machine_keys=keys,
+        voltage=voltage,
+        events=_read_events(root, base, voltage, loads),
+        tolerance=_read_tolerance(root),
+    )
+
+
+def _totals(
+    root: _Reader, key: str, names: tuple[str, str], voltage: Mapping[int, tuple[float, float]]
+) -> dict[int, tuple[float, float]]:
+    """Sums of two values by bus: a bus may have several loads or shunts, or none."""
+    totals = dict.fromkeys(voltage, (0.0, 0.0))
+    for entry in root.list(key, required=False):
+        bus = entry.bus()
+        if bus not in totals:
+            raise ValueError(f"{entry.where} is at bus {bus}, which the file does not list")
+        first, second = totals[bus]
+        totals[bus] = first + entry.number(names[0], 0.0), second + entry.number(names[1], 0.0)
+    return totals
+
+
+def _read_machines(root: _Reader, base: float) -> tuple[list[SynchronousMachineParameters], tuple[str, ...]]:
+    gens, static = root.object("gens"), root.object("gen_static")
+    governors = {str(g.data.get("gen")): g for g in root.list("tgov1", required=False)}
+    exciters = {str(e.data.get("gen")): e for e in root.list("sexs", required=False)}
+    for kind, found in (("tgov1", governors), ("sexs", exciters)):
+        unknown = sorted(set(found) - set(gens.data))
+        if unknown:
+            raise ValueError(f"{kind} of {root.where} belongs to unknown machines {unknown}; there are {list(gens.data)}")
+    machines = []
+    for key in gens.data:
+        gen = gens.object(key)
+        at = static.object(str(gen.bus()))
+        power = at.number("P") * gen.number("gammap", 1.0)
+        governor = _read_governor(governors[key]) if key in governors else None
+        exciter = _read_exciter(exciters[key]) if key in exciters else None
+        machines.append(_read_machine(gen, base, power, governor, exciter))
+    if not machines:
+        raise ValueError(f"{root.where} has no machine")
+    idle = sorted(set(static.data) - {str(machine.bus) for machine in machines})
+    if idle:
+        raise ValueError(f"gen_static of {root.where} has buses without a machine: {', '.join(idle)}")
+    return machines, tuple(gens.data)
+
+
+def _read_machine(
+    gen: _Reader, base: float, power: float, governor: GovernorParameters | None, exciter: ExciterParameters | None
+) -> SynchronousMachineParameters:
+    model = gen.data.get("model", "GENCLS")
+    # Equal weights would do for equal shares; only their proportions count.
+    common: dict[str, Any] = {
+        "bus": gen.bus(),
+        "rating_mva": gen.number("Sn", positive=True),
+        "two_h_s": gen.number("M", positive=True),
+        "damping_pu": gen.number("D", 0.0),
+        "resistance": gen.number("ra", 0.0),
+        "x_d_transient": gen.number("xd1", positive=True),
+        "dispatch_mw": base * power,
+        "reactive_weight": base * gen.number("gammaq", 1.0, positive=True),
+        "governor": governor,
+    }
+    if model == "GENCLS":
+        if exciter is not None:
+            raise ValueError(f"{gen.where} is a GENCLS with an exciter; its voltage is constant")
+        return SynchronousMachineParameters(classical=True, exciter=None, **common, **_ANY_REACTANCES)
+    if model != "GENROU":
+        raise ValueError(f"model of {gen.where} must be GENCLS or GENROU, got {model!r}")
+    if abs(gen.number("xd2") - gen.number("xq2", gen.number("xd2"))) > 1e-12:
+        raise ValueError(
+            f"{gen.where}: x''_q = {gen.number('xq2'):g} must equal x''_d = {gen.number('xd2'):g} p.u., "
+            "so that the network stays a constant admittance"
+        )
+    return SynchronousMachineParameters(
+        exciter=exciter,
+        x_d=gen.number("xd", positive=True),
+        x_q=gen.number("xq", positive=True),
+        x_q_transient=gen.number("xq1", positive=True),
+        x_subtransient=gen.number("xd2", positive=True),
+        x_leakage=gen.number("xl", positive=True),
+        t_d0_transient_s=gen.number("Td10", positive=True),
+        t_d0_subtransient_s=gen.number("Td20", positive=True),
+        t_q0_transient_s=gen.number("Tq10", positive=True),
+        t_q0_subtransient_s=gen.number("Tq20", positive=True),
+        **common,
+    )
+
+
+def _read_governor(entry: _Reader) -> GovernorParameters:
+    return GovernorParameters(
+        droop_pu=entry.number("R", positive=True),
+        gate_time_s=entry.number("T1", positive=True),
+        lead_time_s=entry.number("T2"),
+        reheat_time_s=entry.number("T3", positive=True),
+        gate_min_pu=entry.number("VMIN"),
+        gate_max_pu=entry.number("VMAX"),
+        turbine_damping_pu=entry.number("Dt", 0.0),
+    )
+
+
+def _read_exciter(entry: _Reader) -> ExciterParameters:
+    return ExciterParameters(
+        gain=entry.number("K", positive=True),
+        lead_lag_ratio=entry.number("TATB"),
+        lag_time_s=entry.number("TB", positive=True),
+        exciter_time_s=entry.number("TE", positive=True),
+        field_min_pu=entry.number("EMIN"),
+        field_max_pu=entry.number("EMAX"),
+    )
+
+
+def _read_events(
+    root: _Reader,
+    base: float,
+    voltage: Mapping[int, tuple[float, float]],
+    loads: Mapping[int, tuple[float, float]],
+) -> dict[str, tuple[LoadStep, ...]]:
+    lists = root.data.get("events")
+    if isinstance(lists, list):
+        lists = {"": lists}
+    holder = _Reader(lists, f"events of {root.where}")
+    found = {}
+    for name in holder.data:
+        events = []
+        for entry in holder.list(name):
+            bus = entry.bus()
+            if bus not in voltage:
+                raise ValueError(f"{entry.where} is at bus {bus}, which the file does not list")
+            events.append(_read_event(entry, bus, base, voltage[bus][0] ** 2, loads[bus]))
+        found[name] = tuple(sorted(events, key=lambda event: event.time_s))
+    return found
+
+
+def _read_event(entry: _Reader, bus: int, base: float, square: float, load: tuple[float, float]) -> LoadStep:
+    """An event as the power its admittance takes at the bus's initial voltage, whose square is given [p.u.]."""
+    time_s = entry.number("t")
+    if entry.has("trip_load_MW"):
+        trip = entry.number("trip_load_MW") / base
+        if load[0] == 0.0 or not -1e-9 <= trip / load[0] <= 1.0 + 1e-6:
+            raise ValueError(
+                f"{entry.where} disconnects {base * trip:g} MW, but bus {bus} has a load of {base * load[0]:g} MW"
+            )
+        # A part of a load takes its reactive power along.
+        share = min(trip / load[0], 1.0)
+        return LoadStep(
+            time_s=time_s, bus=bus, power_mw=-share * base * load[0], reactive_mvar=-share * base * load[1]
+        )
+    if not entry.has("dG_pu") and not entry.has("dB_pu"):
+        raise ValueError(f"{entry.where} must give dG_pu, dB_pu or trip_load_MW, got {sorted(entry.data)}")
+    return LoadStep(
+        time_s=time_s,
+        bus=bus,
+        power_mw=base * entry.number("dG_pu", 0.0) * square,
+        reactive_mvar=-base * entry.number("dB_pu", 0.0) * square,
+    )
+
+
+def _read_tolerance(root: _Reader) -> dict[str, float]:
+    tolerance = dict(DEFAULT_TOLERANCE)
+    if root.has("tolerance"):
+        given = root.object("tolerance")
+        unknown = sorted(set(given.data) - set(tolerance))
+        if unknown:
+            raise ValueError(f"{given.where} has unknown quantities {unknown}; known: {sorted(tolerance)}")
+        tolerance.update({key: given.number(key, positive=True) for key in given.data})
+    return tolerance
+
+
+__all__ = ["DEFAULT_TOLERANCE", "ReferenceCase", "read_parameters"]
