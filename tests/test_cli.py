@@ -510,7 +510,7 @@ def test_leaderboard_ranks_writes_and_updates_the_readme(capsys: pytest.CaptureF
     arguments = [*_PAPER, "--results", str(results), "--readme", str(readme)]
     assert main(arguments) == 0
     said = capsys.readouterr()
-    assert "table updated" in said.err
+    assert f"{readme}: updated" in said.err
     rows = [line.split() for line in said.out.splitlines() if line.split()[1:2] and line.split()[0] in "123"]
     assert rows[0][:2] == ["1", "coordinated-piecewise"]
     text = readme.read_text(encoding="utf-8")
@@ -518,7 +518,7 @@ def test_leaderboard_ranks_writes_and_updates_the_readme(capsys: pytest.CaptureF
     assert "| 1 | coordinated-piecewise |" in text
     assert sorted(path.name for path in results.iterdir()) == ["paper-test.csv", "paper-test.json"]
     assert main(arguments) == 0
-    assert "the table is up to date" in capsys.readouterr().err
+    assert f"{readme}: already up to date" in capsys.readouterr().err
 
 
 def test_leaderboard_evaluates_only_what_is_missing(
@@ -571,7 +571,10 @@ def test_leaderboard_json_keeps_stdout_clean(capsys: pytest.CaptureFixture[str],
 
 @pytest.mark.parametrize(
     ("text", "said"),
-    [(None, "No such file"), ("no markers", "must have the markers <!-- leaderboard:paper:start -->")],
+    [
+        (None, "cannot read the file with the markers"),
+        ("no markers", "must have the markers <!-- leaderboard:paper:start -->"),
+    ],
 )
 def test_readme_that_cannot_take_the_table_is_refused_before_anything_runs(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str | None, said: str

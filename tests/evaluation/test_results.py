@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from wtg_gym.evaluation import ANCHORS, METRICS, Entry, NoScaleError, Results, evaluate, leaderboard_rows
 from wtg_gym.evaluation.episodes import Episode
-from wtg_gym.evaluation.files import sha256, to_json, write_atomically
+from wtg_gym.files import sha256, to_json, write_atomically
 
 
 @pytest.fixture(scope="session")

@@ -7,10 +7,12 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal
+
+from wtg_gym.files import require_markers, update_between_markers
 
 #: Lines of progress come this far apart, the first one after as long [s].
 _PROGRESS_INTERVAL_S = 5.0
@@ -60,15 +62,30 @@ def check_output_folder(option: str, text: str) -> Path:
     return path
 
 
-def write_atomically(path: Path, content: str | bytes) -> None:
-    """Write a file completely or not at all, through a neighbour that then takes its name."""
-    target = path.resolve()
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+def check_page(option: str, text: str | None, *sections: str) -> Path | None:
+    """Return the path of a file whose sections between markers are to be renewed, or raise a ValueError now.
+
+    Args:
+        option: what the user called it.
+        text: the path; None for no file.
+        sections: names in the markers, see :func:`wtg_gym.files.update_between_markers`.
+    """
+    if text is None:
+        return None
+    path = Path(text)
     try:
-        temporary.write_bytes(content.encode() if isinstance(content, str) else content)
-        os.replace(temporary, target)
-    finally:
-        temporary.unlink(missing_ok=True)
+        require_markers(path, *sections)
+    except ValueError as error:
+        raise ValueError(f"{option}: {error}") from error
+    if not os.access(path, os.W_OK) or not os.access(path.resolve().parent, os.W_OK):
+        raise ValueError(f"{option} {path} is not writable")
+    return path
+
+
+def update_page(path: Path, sections: Mapping[str, str]) -> None:
+    """Renew sections of a file and say whether anything has changed."""
+    changed = [update_between_markers(path, content, name) for name, content in sections.items()]
+    note(f"{path}: {'updated' if any(changed) else 'already up to date'}")
 
 
 def print_json(data: Any) -> None:

@@ -13,7 +13,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from wtg_gym.cli.output import Progress, check_output_folder, note, print_json, print_table
+from wtg_gym.cli.output import (
+    Progress,
+    check_output_folder,
+    check_page,
+    note,
+    print_json,
+    print_table,
+    update_page,
+)
 from wtg_gym.cli.parser import Commands, add_command, add_plant_options
 from wtg_gym.evaluation import (
     ANCHORS,
@@ -25,7 +33,6 @@ from wtg_gym.evaluation import (
     load_entries,
     markdown_table,
     table_cells,
-    update_between_markers,
 )
 from wtg_gym.evaluation.leaderboard import COLUMNS
 from wtg_gym.scenarios import SPLITS, SUITES, get_suite
@@ -215,7 +222,8 @@ def _finish(results: Results, folder: Path | None, *, as_json: bool) -> None:
 def _run_leaderboard(arguments: argparse.Namespace) -> int:
     get_suite(arguments.suite)
     folder = check_output_folder("--results", arguments.results)
-    readme = None if arguments.readme is None else _check_readme(Path(arguments.readme), arguments.suite)
+    section = f"leaderboard:{arguments.suite}"
+    readme = check_page("--readme", arguments.readme, section)
     partial = folder / _PARTIAL_FOLDER
     arguments.after_interrupt = _resumable(partial)
     entries = _entries(arguments.entries)
@@ -228,25 +236,8 @@ def _run_leaderboard(arguments: argparse.Namespace) -> int:
     results = _merged(entries, fresh, stored)
     _finish(results, folder, as_json=arguments.json)
     if readme is not None:
-        changed = update_between_markers(readme, markdown_table(leaderboard_rows(results)), results.suite)
-        note(f"{readme}: {'table updated' if changed else 'the table is up to date'}")
+        update_page(readme, {section: markdown_table(leaderboard_rows(results))})
     return 0
-
-
-def _check_readme(path: Path, suite: str) -> Path:
-    """Raise a ValueError now if the table could not be written in the end."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise ValueError(f"--readme {path} is not UTF-8 text: {error}") from error
-    except OSError as error:
-        raise ValueError(f"--readme {path}: {error.strerror}") from error
-    start, end = (f"<!-- leaderboard:{suite}:{edge} -->" for edge in ("start", "end"))
-    if text.count(start) != 1 or text.count(end) != 1 or text.index(start) > text.index(end):
-        raise ValueError(f"--readme {path} must have the markers {start} and {end} once each, in this order")
-    if not os.access(path, os.W_OK) or not os.access(path.resolve().parent, os.W_OK):
-        raise ValueError(f"--readme {path} is not writable")
-    return path
 
 
 def _stored(path: Path, anchors: Results) -> Results | None:

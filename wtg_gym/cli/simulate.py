@@ -12,23 +12,24 @@ from typing import Any
 
 import numpy as np
 
+from wtg_gym.cli.laws import add_law_option, chosen_laws
 from wtg_gym.cli.output import (
     Progress,
     check_output_file,
     note,
     print_json,
     require_extra,
-    write_atomically,
 )
 from wtg_gym.cli.parser import Commands, add_command, add_plant_options
 from wtg_gym.cli.runs import key_figures, print_key_figures, traces_csv
 from wtg_gym.cli.scenario import describe_scenario, read_scenario, scenario_summary
+from wtg_gym.files import write_atomically
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import WtgGroup, default_groups
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, TrackingLaw, get_law
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 from wtg_gym.physics.trajectory import Trajectory, simulate
 from wtg_gym.scenarios import SUITES, get_suite, read_wind_csv
 
@@ -85,13 +86,7 @@ def add_commands(commands: Commands) -> None:
         "--wind-csv", metavar="FILE", help="wind series: time_s, then one column per WTG group [m/s], uniform steps"
     )
     add_plant_options(parser)
-    parser.add_argument(
-        "--strategy",
-        nargs="+",
-        action="extend",
-        metavar="NAME",
-        help=f"strategies by name, 'all', or a .toml file with a law; may be repeated (default: {REFERENCE_STRATEGY})",
-    )
+    add_law_option(parser, REFERENCE_STRATEGY)
     out = parser.add_argument_group("output")
     out.add_argument("--plot", metavar="FILE", help=f"write a figure of the runs: {', '.join(_PLOT_SUFFIXES)}")
     out.add_argument("--csv", metavar="FILE", help="write every sample of every run, units in the header: .csv")
@@ -104,7 +99,7 @@ def run(arguments: argparse.Namespace) -> int:
     table = check_output_file("--csv", arguments.csv, (".csv",))
     if plot is not None:
         require_extra("matplotlib", "--plot")
-    laws = _laws(arguments.strategy or [REFERENCE_STRATEGY])
+    laws = {law.name: law for law in chosen_laws(arguments.law)}
     scenario, groups = _scenario_and_groups(arguments)
     settings = PlantSettings(
         case=modified_ieee14(classical=arguments.machine_model == "classical"),
@@ -133,17 +128,6 @@ def run(arguments: argparse.Namespace) -> int:
         print("\n".join(describe_scenario(scenario)), end="\n\n")
         print_key_figures(figures)
     return int(any(trajectory.status == Status.NUMERICAL_FAILURE for trajectory in runs.values()))
-
-
-def _laws(names: list[str]) -> dict[str, TrackingLaw]:
-    laws: dict[str, TrackingLaw] = {}
-    given = [expanded for name in names for expanded in (STRATEGIES if name == "all" else (name,))]
-    for name in dict.fromkeys(given):
-        law = get_law(name)
-        if law.name in laws:
-            raise ValueError(f"two strategies are called {law.name!r}; give the law in {name} another name")
-        laws[law.name] = law
-    return laws
 
 
 def _scenario_and_groups(arguments: argparse.Namespace) -> tuple[Scenario, tuple[WtgGroup, ...]]:

@@ -2,7 +2,7 @@
 
 from wtg_gym.evaluation.entries import ANCHORS, Entry, Policy, load_entries
 from wtg_gym.evaluation.evaluator import evaluate
-from wtg_gym.evaluation.leaderboard import leaderboard_rows, markdown_table, table_cells, update_between_markers
+from wtg_gym.evaluation.leaderboard import leaderboard_rows, markdown_table, table_cells
 from wtg_gym.evaluation.metrics import METRICS, Metric
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.statistics import Interval, NoScaleError
@@ -23,5 +23,4 @@ __all__ = [
     "load_entries",
     "markdown_table",
     "table_cells",
-    "update_between_markers",
 ]

@@ -13,7 +13,7 @@ from types import ModuleType
 from typing import Any, Protocol, runtime_checkable
 
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation.files import sha256
+from wtg_gym.files import sha256
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, TrackingLaw, get_law
 
 #: Names of the two entries that fix the score's 0 and 100.

@@ -1,11 +1,9 @@
-"""The ranking as rows, and as a Markdown table between two markers of a file."""
+"""The ranking as rows, and as a Markdown table."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
-from wtg_gym.evaluation.files import read_text, write_atomically
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.statistics import Interval
 from wtg_gym.evaluation.summary import EntrySummary
@@ -73,31 +71,4 @@ def markdown_table(rows: Sequence[EntrySummary]) -> str:
     return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
 
 
-def update_between_markers(path: str | Path, table: str, suite: str = "standard") -> bool:
-    """Put a table between `<!-- leaderboard:<suite>:start -->` and `<!-- leaderboard:<suite>:end -->` of a file.
-
-    Args:
-        path: the file; all else in it stays as it is.
-        table: what to put there.
-        suite: name in the markers.
-
-    Returns:
-        whether the file has changed.
-
-    Raises:
-        ValueError: the file cannot be read, or does not have each marker once, the start before the end.
-    """
-    path = Path(path)
-    text = read_text(path, "file with the leaderboard")
-    start, end = (f"<!-- leaderboard:{suite}:{edge} -->" for edge in ("start", "end"))
-    if text.count(start) != 1 or text.count(end) != 1 or text.index(start) > text.index(end):
-        raise ValueError(f"{path} must have the markers {start} and {end} once each, in this order")
-    newline = "\r\n" if "\r\n" in text else "\n"
-    before, after = text[: text.index(start) + len(start)], text[text.index(end) :]
-    changed = before + newline + table.strip().replace("\n", newline) + newline + after
-    if changed != text:
-        write_atomically(path, changed)
-    return changed != text
-
-
-__all__ = ["COLUMNS", "leaderboard_rows", "markdown_table", "table_cells", "update_between_markers"]
+__all__ = ["COLUMNS", "leaderboard_rows", "markdown_table", "table_cells"]

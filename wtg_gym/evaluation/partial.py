@@ -9,7 +9,7 @@ from typing import Any
 
 from wtg_gym import __version__
 from wtg_gym.evaluation.episodes import Episode, episode_from_cells
-from wtg_gym.evaluation.files import parse_json, read_text, sha256, to_json, write_atomically
+from wtg_gym.files import parse_json, read_text, sha256, to_json, write_atomically
 from wtg_gym.physics.compiled import source_hash
 
 

@@ -11,10 +11,10 @@ from typing import Any
 from wtg_gym.evaluation.checks import check_description
 from wtg_gym.evaluation.entries import ANCHORS
 from wtg_gym.evaluation.episodes import Episode, from_csv, to_csv
-from wtg_gym.evaluation.files import parse_json, read_text, sha256, to_json, write_atomically
 from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.evaluation.statistics import NoScaleError
 from wtg_gym.evaluation.summary import EntrySummary, summarise
+from wtg_gym.files import parse_json, read_text, sha256, to_json, write_atomically
 
 #: Version of the files; another number is another form.
 FORMAT = 1

@@ -174,7 +174,9 @@ def _read_machines(root: _Reader, base: float) -> tuple[list[SynchronousMachineP
     for kind, found in (("tgov1", governors), ("sexs", exciters)):
         unknown = sorted(set(found) - set(gens.data))
         if unknown:
-            raise ValueError(f"{kind} of {root.where} belongs to unknown machines {unknown}; there are {list(gens.data)}")
+            raise ValueError(
+                f"{kind} of {root.where} belongs to unknown machines {unknown}; there are {list(gens.data)}"
+            )
     machines = []
     for key in gens.data:
         gen = gens.object(key)
@@ -289,9 +291,7 @@ def _read_event(entry: _Reader, bus: int, base: float, square: float, load: tupl
             )
         # A part of a load takes its reactive power along.
         share = min(trip / load[0], 1.0)
-        return LoadStep(
-            time_s=time_s, bus=bus, power_mw=-share * base * load[0], reactive_mvar=-share * base * load[1]
-        )
+        return LoadStep(time_s=time_s, bus=bus, power_mw=-share * base * load[0], reactive_mvar=-share * base * load[1])
     if not entry.has("dG_pu") and not entry.has("dB_pu"):
         raise ValueError(f"{entry.where} must give dG_pu, dB_pu or trip_load_MW, got {sorted(entry.data)}")
     return LoadStep(

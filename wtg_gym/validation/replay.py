@@ -238,8 +238,9 @@ class _Run:
             + 1j * block[layout.network + (k + 1) * n : layout.network + (k + 2) * n]
             for k in (0, 2)
         )
-        impedance = self.plant.machines[:, MachineConstant.RESISTANCE] + 1j * (
-            self.plant.machines[:, MachineConstant.INTERNAL_REACTANCE]
+        impedance = (
+            self.plant.machines[:, MachineConstant.RESISTANCE]
+            + 1j * (self.plant.machines[:, MachineConstant.INTERNAL_REACTANCE])
         )
         power = (emf - impedance * current) * current.conj()
         voltage = self._bus_voltages(block)

@@ -24,8 +24,8 @@ def to_json(data: Any) -> str:
     return json.dumps(data, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def write_atomically(path: Path, text: str) -> None:
-    """Replace the file `path` by `text` (UTF-8, line feeds as given) in one go, keeping its permissions.
+def write_atomically(path: Path, content: str | bytes) -> None:
+    """Replace the file `path` by bytes, or by text (UTF-8, line feeds as given), in one go, keeping its permissions.
 
     Raises:
         OSError: the folder cannot be written to.
@@ -35,12 +35,50 @@ def write_atomically(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        temporary.write_bytes(text.encode("utf-8"))
+        temporary.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
         if path.exists():
             shutil.copymode(path, temporary)
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def update_between_markers(path: str | Path, content: str, name: str) -> bool:
+    """Put text between `<!-- NAME:start -->` and `<!-- NAME:end -->` of a file, which are lines of their own.
+
+    Args:
+        path: the file; all else in it stays as it is.
+        content: what to put there.
+        name: name in the markers.
+
+    Returns:
+        whether the file has changed.
+
+    Raises:
+        ValueError: the file cannot be read, or does not have each marker once, the start before the end.
+    """
+    path = Path(path)
+    text, start, end = _with_markers(path, name)
+    newline = "\r\n" if "\r\n" in text else "\n"
+    before, after = text[: text.index(start) + len(start)], text[text.index(end) :]
+    changed = before + newline + content.strip().replace("\n", newline) + newline + after
+    if changed != text:
+        write_atomically(path, changed)
+    return changed != text
+
+
+def require_markers(path: str | Path, *names: str) -> None:
+    """Raise the ValueError that :func:`update_between_markers` would, before the work."""
+    for name in names:
+        _with_markers(Path(path), name)
+
+
+def _with_markers(path: Path, name: str) -> tuple[str, str, str]:
+    text = read_text(path, "file with the markers")
+    start, end = (f"<!-- {name}:{edge} -->" for edge in ("start", "end"))
+    if text.count(start) != 1 or text.count(end) != 1 or text.index(start) > text.index(end):
+        raise ValueError(f"{path} must have the markers {start} and {end} once each, in this order")
+    return text, start, end
 
 
 def read_text(path: Path, what: str) -> str:
@@ -77,4 +115,12 @@ def parse_json(text: str, path: Path, what: str) -> Any:
         raise ValueError(f"the {what} {path} is not JSON, or was cut short: {error}") from error
 
 
-__all__ = ["parse_json", "read_text", "sha256", "to_json", "write_atomically"]
+__all__ = [
+    "parse_json",
+    "read_text",
+    "require_markers",
+    "sha256",
+    "to_json",
+    "update_between_markers",
+    "write_atomically",
+]

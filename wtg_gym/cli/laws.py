@@ -1,0 +1,52 @@
+"""The laws a command is asked about."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from typing import Any
+
+from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw, get_law
+
+
+class _FirstReplacesDefault(argparse.Action):
+    """Collect the values of a repeated option; the first use replaces the default."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        before = getattr(namespace, self.dest)
+        setattr(namespace, self.dest, [*([] if before is self.default else before), *values])
+
+
+def add_law_option(parser: argparse.ArgumentParser, default: str) -> None:
+    """Add the option `--law` (or `--strategy`): names of strategies, law files, or all; may be repeated."""
+    parser.add_argument(
+        "--law",
+        "--strategy",
+        nargs="+",
+        action=_FirstReplacesDefault,
+        default=[default],
+        metavar="NAME",
+        help=f"strategies by name, 'all', or .toml files with a law; may be repeated (default: {default})",
+    )
+
+
+def chosen_laws(names: Sequence[str]) -> list[TrackingLaw]:
+    """Return the laws of these names, each once.
+
+    Raises:
+        ValueError: a name is unknown, or two laws have the same one.
+    """
+    laws: dict[str, TrackingLaw] = {}
+    given = [expanded for name in names for expanded in (STRATEGIES if name == "all" else (name,))]
+    for name in dict.fromkeys(given):
+        law = get_law(name)
+        if law.name in laws:
+            raise ValueError(f"two strategies are called {law.name!r}; give the law in {name} another name")
+        laws[law.name] = law
+    return list(laws.values())

@@ -1,0 +1,246 @@
+"""`wtg-gym margins` and `wtg-gym modes`: small-signal stability of one machine and of the whole system."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from wtg_gym.cli.laws import add_law_option, chosen_laws
+from wtg_gym.cli.output import check_output_file, note, print_json, print_table, require_extra
+from wtg_gym.cli.parser import Commands, add_command
+from wtg_gym.files import write_atomically
+from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.parameters import default_groups
+from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.scenario import Scenario
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
+from wtg_gym.small_signal import LinearModel, Mode, SingleMachine, ideal_source_loop, linearise, modes, single_machine
+from wtg_gym.small_signal.modes import synchronising_coefficients
+from wtg_gym.small_signal.single_machine import PAPER_SYNCHRONISING_COEFFICIENT, Side
+
+_PLOT_SUFFIXES = (".png", ".svg", ".pdf")
+_SIDES: tuple[Side, ...] = ("under", "over")
+
+_MARGINS = """\
+Phase margin, crossover and gain margin of the paper's open-loop transfer functions: one WTG on an infinite bus with
+the synchronising coefficient K_p. g(ω) may have two slopes, so that a law has a margin for frequencies under and one
+for frequencies over the set-point."""
+
+_MODES = """\
+Eigenvalues of the whole 14-bus system, linearised numerically from the simulator's own right-hand side around its
+equilibrium: frequency, damping ratio, time constant, and the states that take part most (participation factors).
+States are named by the bus of the synchronous machine (bus1, …) and by WTG group (wtg1, wtg2, …)."""
+
+
+def add_commands(commands: Commands) -> None:
+    """Add `wtg-gym margins` and `wtg-gym modes`."""
+    parser = add_command(
+        commands,
+        "margins",
+        run_margins,
+        summary="stability margins of the single-machine loops",
+        description=_MARGINS,
+        examples="  wtg-gym margins --wind 8 11.4\n  wtg-gym margins --law my_law.toml --kp 2.0 --json",
+    )
+    add_law_option(parser, "all")
+    parser.add_argument(
+        "--wind", type=float, nargs="+", default=[11.4], metavar="V", help="wind speeds, 3 … 25 m/s (default: 11.4)"
+    )
+    parser.add_argument(
+        "--kp",
+        type=float,
+        default=PAPER_SYNCHRONISING_COEFFICIENT,
+        metavar="K",
+        help="synchronising coefficient, 0.01 … 100 p.u./rad (default: 1.45, which gives the paper's margins)",
+    )
+    parser.add_argument("--plot", metavar="FILE", help=f"Bode plot, for one wind: {', '.join(_PLOT_SUFFIXES)}")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON, and nothing else, on stdout")
+    _add_modes(commands)
+
+
+def _add_modes(commands: Commands) -> None:
+    parser = add_command(
+        commands,
+        "modes",
+        run_modes,
+        summary="eigenvalues, damping ratios and participation factors of the whole system",
+        description=_MODES,
+        examples=(
+            "  wtg-gym modes\n  wtg-gym modes --law mppt deloaded-10 --wind 9 7 --plot modes.svg\n"
+            "  wtg-gym modes --law my_law.toml --side over --machine-model classical --json"
+        ),
+    )
+    add_law_option(parser, REFERENCE_STRATEGY)
+    parser.add_argument(
+        "--wind",
+        type=float,
+        nargs="+",
+        default=[11.4, 8.0],
+        metavar="V",
+        help="wind speed of each WTG group, 3 … 25 m/s; as many groups as values (default: 11.4 8)",
+    )
+    parser.add_argument("--side", choices=_SIDES, default="under", help="slope of g(ω) at ω_st (default: under)")
+    parser.add_argument("--machine-model", choices=("genrou", "classical"), default="genrou", help="(default: genrou)")
+    parser.add_argument("--load-level", type=float, default=1.0, metavar="X", help="factor on every load (default: 1)")
+    parser.add_argument(
+        "--governor-droop", type=float, metavar="R", help="droop R, 0.005 … 1 p.u. (default: the case's, 0.018)"
+    )
+    parser.add_argument(
+        "--inertia-scale", type=float, default=1.0, metavar="X", help="factor on the machines' inertia (default: 1)"
+    )
+    out = parser.add_argument_group("output")
+    out.add_argument("--plot", metavar="FILE", help=f"eigenvalues as a figure: {', '.join(_PLOT_SUFFIXES)}")
+    out.add_argument(
+        "--json", action="store_true", help="print modes and matrices as JSON, and nothing else, on stdout"
+    )
+
+
+def run_margins(arguments: argparse.Namespace) -> int:
+    """Carry out `wtg-gym margins`."""
+    plot = check_output_file("--plot", arguments.plot, _PLOT_SUFFIXES)
+    if plot is not None:
+        require_extra("matplotlib", "--plot")
+        if len(arguments.wind) != 1:
+            raise ValueError(f"--plot draws one wind speed, {len(arguments.wind)} are given")
+    loops: list[tuple[str, SingleMachine]] = [("–", ideal_source_loop(arguments.kp))]
+    for law in chosen_laws(arguments.law):
+        for wind in arguments.wind:
+            both = [single_machine(law, wind, arguments.kp, side=side) for side in _SIDES]
+            if math.isclose(both[0].frequency_slope, both[1].frequency_slope, rel_tol=1e-9, abs_tol=1e-12):
+                loops.append(("–", both[0]))
+            else:
+                loops += zip(_SIDES, both, strict=True)
+    if plot is not None:
+        from wtg_gym.plotting import figure_bytes, plot_bode
+
+        named = {loop.law + (f", {side}-frequency" if side != "–" else ""): loop for side, loop in loops}
+        write_atomically(plot, figure_bytes(plot_bode(named), plot.suffix.lower()))
+        note(f"wrote {plot}")
+    if arguments.json:
+        print_json({"synchronising_coefficient": arguments.kp, "loops": [_loop(side, loop) for side, loop in loops]})
+        return 0
+    header = ("law", "wind [m/s]", "slope", "phase margin [°]", "crossover [rad/s]", "gain margin [dB]", "closed loop")
+    rows = []
+    for side, loop in loops:
+        found = loop.margins()
+        rows.append(
+            (
+                loop.law,
+                "–" if math.isnan(loop.wind_m_s) else f"{loop.wind_m_s:g}",
+                side,
+                f"{found.phase_margin_deg:.1f}",
+                f"{found.crossover_rad_s:.2f}",
+                "∞" if math.isinf(found.gain_margin_db) else f"{found.gain_margin_db:.1f}",
+                "stable" if found.stable else "unstable",
+            )
+        )
+    print_table(header, rows, left=(0, 2, 6))
+    return 0
+
+
+def _loop(side: str, loop: SingleMachine) -> dict[str, Any]:
+    data = dataclasses.asdict(loop) | {"side": None if side == "–" else side} | dataclasses.asdict(loop.margins())
+    data["closed_loop_poles"] = [[float(pole.real), float(pole.imag)] for pole in loop.closed_loop_poles()]
+    return {key: None if isinstance(v, float) and not math.isfinite(v) else v for key, v in data.items()}
+
+
+def run_modes(arguments: argparse.Namespace) -> int:
+    """Carry out `wtg-gym modes`; return 1 if an equilibrium is unstable."""
+    plot = check_output_file("--plot", arguments.plot, _PLOT_SUFFIXES)
+    if plot is not None:
+        require_extra("matplotlib", "--plot")
+    settings = PlantSettings(
+        case=modified_ieee14(classical=arguments.machine_model == "classical"),
+        groups=default_groups(len(arguments.wind)),
+    )
+    scenario = Scenario(
+        name="modes",
+        wind_speed=np.array(arguments.wind)[:, None],
+        load_level=arguments.load_level,
+        governor_droop=arguments.governor_droop,
+        inertia_scale=arguments.inertia_scale,
+    )
+    laws = chosen_laws(arguments.law)
+    models = {law.name: _renamed(linearise(scenario, law, settings, side=arguments.side), settings) for law in laws}
+    found = {name: modes(model) for name, model in models.items()}
+    if plot is not None:
+        from wtg_gym.plotting import figure_bytes, plot_modes
+
+        write_atomically(plot, figure_bytes(plot_modes(found), plot.suffix.lower()))
+        note(f"wrote {plot}")
+    if arguments.json:
+        coefficients = {law.name: synchronising_coefficients(scenario, law, settings) for law in laws}
+        print_json(
+            {
+                "wind_m_s": arguments.wind,
+                "side": arguments.side,
+                "machine_model": arguments.machine_model,
+                "laws": [_modes(name, models[name], found[name], coefficients[name]) for name in found],
+            }
+        )
+    else:
+        for number, (name, table) in enumerate(found.items()):
+            print(f"{chr(10) if number else ''}{name}")
+            _print_modes(table)
+    return int(any(mode.eigenvalue.real > 0.0 for table in found.values() for mode in table))
+
+
+def _renamed(model: LinearModel, settings: PlantSettings) -> LinearModel:
+    """Name machines by their bus and count WTG groups from 1, as every command does."""
+    names = {f"sync{i}": f"bus{machine.bus}" for i, machine in enumerate(settings.case.machines)}
+    names.update({f"wtg{j}": f"wtg{j + 1}" for j in range(len(settings.groups))})
+
+    def renamed(state: str) -> str:
+        unit, _, rest = state.partition(".")
+        return f"{names.get(unit, unit)}.{rest}" if rest else state
+
+    return dataclasses.replace(
+        model,
+        state_names=tuple(map(renamed, model.state_names)),
+        left_out=tuple(map(renamed, model.left_out)),
+    )
+
+
+def _modes(name: str, model: LinearModel, found: Iterable[Mode], coefficients: Any) -> dict[str, Any]:
+    return {
+        "law": name,
+        "synchronising_coefficients": coefficients.tolist(),
+        "state_names": list(model.state_names),
+        "states_left_out": list(model.left_out),
+        "matrix": model.matrix.tolist(),
+        "modes": [
+            {
+                "real_1_s": mode.eigenvalue.real,
+                "imaginary_rad_s": mode.eigenvalue.imag,
+                "frequency_hz": mode.frequency_hz,
+                "damping_ratio": mode.damping_ratio,
+                "time_constant_s": mode.time_constant_s if math.isfinite(mode.time_constant_s) else None,
+                "participation": mode.participation,
+            }
+            for mode in found
+        ],
+    }
+
+
+def _print_modes(table: Iterable[Mode]) -> None:
+    header = ("eigenvalue [1/s]", "frequency [Hz]", "damping ratio", "time constant [s]", "takes part")
+    rows = []
+    for mode in table:
+        oscillates = mode.eigenvalue.imag > 0.0
+        imaginary = f" ± j{mode.eigenvalue.imag:.3f}" if oscillates else ""
+        shares = [f"{name} {100 * share:.0f} %" for name, share in mode.participation.items() if share >= 0.05]
+        rows.append(
+            (
+                f"{mode.eigenvalue.real:.3f}{imaginary}".replace("-", "−"),
+                f"{mode.frequency_hz:.3f}" if oscillates else "–",
+                f"{mode.damping_ratio:.3f}" if oscillates else "–",
+                f"{mode.time_constant_s:.3f}",
+                ", ".join(shares[:3]),
+            )
+        )
+    print_table(header, rows, left=(0, 4))
