@@ -1,4 +1,4 @@
-"""The command `wtg-gym`: simulate, evaluate, leaderboard, suites.
+"""The command `wtg-gym`: one module a command or family of commands.
 
 Exit codes: 0 fine, 1 a check failed, 2 bad input, 130 interrupted. Results go to stdout; progress, notes and errors
 go to stderr.
@@ -12,7 +12,7 @@ import sys
 from collections.abc import Sequence
 
 from wtg_gym import __version__
-from wtg_gym.cli import scores, simulate, small_signal, statics, suites, validate
+from wtg_gym.cli import accuracy, parameters, reproduce, scores, simulate, small_signal, statics, suites, validate
 from wtg_gym.cli.parser import Parser
 
 _DESCRIPTION = """\
@@ -25,6 +25,7 @@ first steps:
   wtg-gym simulate --strategy all --plot run.png     under every strategy, with a figure
   wtg-gym suites                                     which suites of scenarios there are
   wtg-gym leaderboard --suite paper                  rank every entry of a checkout
+  wtg-gym reproduce                                  the paper's figures and claims, measured
 
 'wtg-gym COMMAND --help' explains a command and gives examples.
 exit codes: 0 fine, 1 a check failed, 2 bad input, 130 interrupted
@@ -36,7 +37,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser = Parser(prog="wtg-gym", description=_DESCRIPTION, epilog=_EPILOG)
     parser.add_argument("--version", action="version", version=f"wtg-gym {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for module in (simulate, scores, suites, statics, small_signal, validate):
+    for module in (simulate, scores, suites, statics, small_signal, reproduce, validate, accuracy, parameters):
         module.add_commands(commands)
     return parser
 

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from wtg_gym.cli.output import note, print_json, print_table
+from wtg_gym.cli.output import check_page, note, print_json, print_table, update_page
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.physics.plant import PlantSettings
-from wtg_gym.physics.scenario import require_range
-from wtg_gym.validation.parameter_file import ReferenceCase, read_parameters
+from wtg_gym.physics.scenario import LoadStep, require_range
+from wtg_gym.validation.parameter_file import DEFAULT_TOLERANCE, ReferenceCase, read_parameters
 from wtg_gym.validation.replay import (
     BUS_QUANTITIES,
     MACHINE_QUANTITIES,
@@ -19,6 +24,7 @@ from wtg_gym.validation.replay import (
     read_trace,
     replay,
 )
+from wtg_gym.validation.report import markdown_table
 
 _NAMES = {
     "w": "machine speed",
@@ -41,12 +47,13 @@ PARAMS.json  bus, line, shunt, load, gen_static, gens (GENCLS or GENROU), tgov1,
 TRACE.csv    a column t [s], then w…, Pe…, Qe…, Tm…, delta… by machine and V…, th… by bus, in p.u. of the system base
              and rad; rows at any time, the one at the instant of an event showing the state before it
 
+A folder stands for its params.json and every trace beside it.
 exit codes: 0 within tolerance, 1 above it, 2 bad input"""
 
 _EXAMPLES = """\
-  wtg-gym validate tests/golden/params_m.json tests/golden/classical_m_a.csv
   wtg-gym validate params.json trace.csv --events b --step 0.001 --tolerance-w 1e-7
-  wtg-gym validate params.json trace.csv --json"""
+  wtg-gym validate params.json trace_a.csv trace_b.csv --json
+  wtg-gym validate tests/golden/*/ --page docs/validation.md"""
 
 
 def add_commands(commands: Commands) -> None:
@@ -55,12 +62,13 @@ def add_commands(commands: Commands) -> None:
         commands,
         "validate",
         run,
-        summary="a case of another simulator against its trace; exit code 1 above a tolerance",
+        summary="cases of another simulator against its traces; exit code 1 above a tolerance",
         description=_DESCRIPTION,
         examples=_EXAMPLES,
     )
-    parser.add_argument("parameters", metavar="PARAMS.json", help="parameter file")
-    parser.add_argument("trace", metavar="TRACE.csv", help="what the other simulator found")
+    parser.add_argument(
+        "paths", nargs="+", metavar="PATH", help="PARAMS.json and one or more TRACE.csv, or folders that hold both"
+    )
     parser.add_argument(
         "--events",
         metavar="NAME",
@@ -69,76 +77,95 @@ def add_commands(commands: Commands) -> None:
     parser.add_argument(
         "--step", type=float, default=0.0025, metavar="S", help="the fine step, 5e-5 … 0.04 s (default: 0.0025)"
     )
-    for key, unit in (("w", "p.u."), ("Pe", "p.u."), ("V", "p.u.")):
+    for key in DEFAULT_TOLERANCE:
         parser.add_argument(
             f"--tolerance-{key.lower()}",
             type=float,
             metavar="X",
-            help=f"largest difference of {_NAMES[key]} [{unit}] (default: the file's own, or 1e-6 for w, 1e-5)",
+            help=f"largest difference of {_NAMES[key]} [p.u.] (default: the file's, or {DEFAULT_TOLERANCE[key]:.0e})",
         )
+    parser.add_argument("--page", metavar="FILE", help="Markdown file with markers 'golden' to put the table between")
     parser.add_argument("--json", action="store_true", help="print the result as JSON, and nothing else, on stdout")
+
+
+@dataclass(frozen=True)
+class _Comparison:
+    """One trace against both runs: differences by quantity, with the fine and with the default step."""
+
+    parameters: Path
+    trace: Path
+    case: ReferenceCase
+    events: tuple[LoadStep, ...]
+    n_rows: int
+    end_s: float
+    tolerance: Mapping[str, float]
+    fine: Mapping[str, Difference]
+    default: Mapping[str, Difference]
+
+    def agrees(self, quantity: str) -> bool | None:
+        """Whether a quantity is within tolerance; None where it is not judged."""
+        limit = self.tolerance.get(quantity)
+        return None if limit is None else self.fine[quantity].size <= limit
+
+    @property
+    def all_agree(self) -> bool:
+        return all(self.agrees(quantity) is not False for quantity in self.fine)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym validate`; return 1 if a difference is above its tolerance."""
     require_range("--step", arguments.step, 5e-5, 0.04, "s")
-    case = read_parameters(arguments.parameters)
-    events = choose_events(case, arguments.trace, arguments.events)
-    trace, unknown = read_trace(arguments.trace, case)
+    page = check_page("--page", arguments.page, "golden")
+    pairs = _pairs([Path(path) for path in arguments.paths])
+    found = [_compare(parameters, trace, arguments) for parameters, trace in pairs]
+    if page is not None:
+        update_page(page, {"golden": _page_table(found, arguments.step)})
+    if arguments.json:
+        results = [_as_json(comparison, arguments.step) for comparison in found]
+        print_json(results[0] if len(results) == 1 else results)
+    else:
+        for number, comparison in enumerate(found):
+            print(end="\n" if number else "")
+            _print(comparison, arguments.step)
+    return 0 if all(comparison.all_agree for comparison in found) else 1
+
+
+def _pairs(paths: list[Path]) -> list[tuple[Path, Path]]:
+    """Return (parameter file, trace) pairs of the command line."""
+    pairs: list[tuple[Path, Path]] = []
+    parameters: Path | None = None
+    for path in paths:
+        if path.is_dir():
+            traces = sorted(path.glob("*.csv"))
+            if not (path / "params.json").is_file() or not traces:
+                raise ValueError(f"the folder {path} must hold params.json and at least one trace in CSV")
+            pairs += [(path / "params.json", trace) for trace in traces]
+        elif path.suffix.lower() == ".json":
+            parameters = path
+        elif parameters is None:
+            raise ValueError(f"{path}: give the parameter file (.json) before its traces")
+        else:
+            pairs.append((parameters, path))
+    if not pairs:
+        raise ValueError(f"{parameters}: give a trace (.csv) to compare with")
+    return pairs
+
+
+def _compare(parameters: Path, trace_path: Path, arguments: argparse.Namespace) -> _Comparison:
+    case = read_parameters(parameters)
+    events = choose_events(case, trace_path, arguments.events)
+    trace, unknown = read_trace(trace_path, case)
     if unknown:
-        note(f"columns that are not compared: {', '.join(unknown)}")
+        note(f"{trace_path}: columns that are not compared: {', '.join(unknown)}")
     tolerance = _tolerance(arguments, case)
-    default_step = PlantSettings().simulation_dt
     fine, default = (
         {d.quantity: d for d in differences(case, trace, replay(case, events, trace.time_s, step))}
-        for step in (arguments.step, default_step)
+        for step in (arguments.step, PlantSettings().simulation_dt)
     )
-    judged = {key: not fine[key].size > tolerance[key] for key in fine if key in tolerance}
-    if not judged:
-        raise ValueError(f"{arguments.trace} has none of the quantities that are judged: {', '.join(tolerance)}")
-    agrees = all(judged.values())
-    if arguments.json:
-        print_json(
-            {
-                "parameters": str(arguments.parameters),
-                "trace": str(arguments.trace),
-                "n_machines": len(case.machine_keys),
-                "n_rows": int(trace.time_s.size),
-                "events": [vars(event) for event in events],
-                "step_s": arguments.step,
-                "default_step_s": default_step,
-                "differences": [_as_json(fine[key], default[key], tolerance.get(key)) for key in fine],
-                "agrees": agrees,
-            }
-        )
-        return 0 if agrees else 1
-    print(
-        f"{case.network.name}: {len(case.network.buses)} buses, {len(case.machine_keys)} machines, "
-        f"{len(events)} events, {trace.time_s.size} rows to {trace.time_s[-1]:g} s\n"
-    )
-    header = (
-        "largest difference",
-        "unit",
-        f"step {1e3 * arguments.step:g} ms",
-        "where",
-        f"default step {1e3 * default_step:g} ms",
-        "tolerance",
-        "verdict",
-    )
-    rows = [
-        (
-            _NAMES[key],
-            _UNITS[key],
-            f"{d.size:.1e}",
-            f"{d.column} at {d.time_s:g} s",
-            f"{default[key].size:.1e}",
-            f"{tolerance[key]:.0e}" if key in tolerance else "–",
-            ("agrees" if judged[key] else "DIFFERS") if key in judged else "–",
-        )
-        for key, d in fine.items()
-    ]
-    print_table(header, rows, left=(0, 1, 3, 6))
-    return 0 if agrees else 1
+    if not set(fine) & set(tolerance):
+        raise ValueError(f"{trace_path} has none of the quantities that are judged: {', '.join(tolerance)}")
+    rows, end_s = trace.time_s.size, float(trace.time_s[-1])
+    return _Comparison(parameters, trace_path, case, events, rows, end_s, tolerance, fine, default)
 
 
 def _tolerance(arguments: argparse.Namespace, case: ReferenceCase) -> dict[str, float]:
@@ -150,17 +177,76 @@ def _tolerance(arguments: argparse.Namespace, case: ReferenceCase) -> dict[str, 
     return tolerance
 
 
-def _as_json(fine: Difference, default: Difference, tolerance: float | None) -> dict[str, Any]:
-    def plain(size: float) -> float | None:
-        return size if size < float("inf") else None
+def _print(comparison: _Comparison, step_s: float) -> None:
+    network = comparison.case.network
+    print(
+        f"{comparison.parameters}, {comparison.trace.name}: {len(network.buses)} buses, "
+        f"{len(network.machines)} machines, {len(comparison.events)} events, {comparison.n_rows} rows to {comparison.end_s:g} s\n"
+    )
+    default_ms = 1e3 * PlantSettings().simulation_dt
+    header = (
+        "largest difference",
+        "unit",
+        f"step {1e3 * step_s:g} ms",
+        "where",
+        f"default step {default_ms:g} ms",
+        "tolerance",
+        "verdict",
+    )
+    rows = [
+        (
+            _NAMES[key],
+            _UNITS[key],
+            f"{d.size:.1e}",
+            f"{d.column} at {d.time_s:g} s",
+            f"{comparison.default[key].size:.1e}",
+            f"{comparison.tolerance[key]:.0e}" if key in comparison.tolerance else "–",
+            {None: "–", True: "agrees", False: "DIFFERS"}[comparison.agrees(key)],
+        )
+        for key, d in comparison.fine.items()
+    ]
+    print_table(header, rows, left=(0, 1, 3, 6))
 
+
+def _page_table(found: Iterable[_Comparison], step_s: float) -> str:
+    judged = tuple(DEFAULT_TOLERANCE)
+    header = ("case", "trace", "machines", *(f"{key} (tolerance)" for key in judged), "at 20 ms: w, Pe, V", "verdict")
+    rows = []
+    for c in found:
+        cells = [f"{c.fine[k].size:.1e} ({c.tolerance[k]:.0e})" if k in c.fine else "–" for k in judged]
+        coarse = ", ".join(f"{c.default[k].size:.1e}" for k in judged if k in c.default)
+        models = sorted({"GENCLS" if machine.classical else "GENROU" for machine in c.case.network.machines})
+        machines = f"{len(c.case.network.machines)} ({', '.join(models)})"
+        verdict = "agrees" if c.all_agree else "**differs**"
+        rows.append((c.parameters.parent.name, c.trace.name, machines, *cells, coarse, verdict))
+    return f"Largest differences [p.u.] with a step of {1e3 * step_s:g} ms.\n\n{markdown_table(header, rows)}"
+
+
+def _as_json(comparison: _Comparison, step_s: float) -> dict[str, Any]:
     return {
-        "quantity": fine.quantity,
-        "unit": _UNITS[fine.quantity],
-        "largest": plain(fine.size),
-        "column": fine.column,
-        "time_s": fine.time_s,
-        "largest_at_default_step": plain(default.size),
-        "tolerance": tolerance,
-        "agrees": None if tolerance is None else not fine.size > tolerance,
+        "parameters": str(comparison.parameters),
+        "trace": str(comparison.trace),
+        "n_machines": len(comparison.case.machine_keys),
+        "n_rows": comparison.n_rows,
+        "events": [dataclasses.asdict(event) for event in comparison.events],
+        "step_s": step_s,
+        "default_step_s": PlantSettings().simulation_dt,
+        "differences": [
+            {
+                "quantity": key,
+                "unit": _UNITS[key],
+                "largest": _finite(d.size),
+                "column": d.column,
+                "time_s": d.time_s,
+                "largest_at_default_step": _finite(comparison.default[key].size),
+                "tolerance": comparison.tolerance.get(key),
+                "agrees": comparison.agrees(key),
+            }
+            for key, d in comparison.fine.items()
+        ],
+        "agrees": comparison.all_agree,
     }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

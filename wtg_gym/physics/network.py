@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.compiled import compiled
-from wtg_gym.physics.parameters import SynchronousMachineParameters
+from wtg_gym.physics.parameters import SynchronousMachineParameters, parameter, required
 
 #: Largest power mismatch accepted as a power-flow solution [p.u.].
 POWER_FLOW_TOLERANCE = 1e-12
@@ -21,30 +21,27 @@ POWER_FLOW_TOLERANCE = 1e-12
 
 @dataclass(frozen=True, kw_only=True)
 class Bus:
-    """A bus: number, constant-impedance load and shunt, and the voltage its units hold (None: none is held).
+    """A bus: number, constant-impedance load and shunt, and the voltage its units hold."""
 
-    Units: loads [MW, Mvar] at the initial voltage, shunts [MW, Mvar] at 1 p.u., voltage [p.u.].
-    """
-
-    number: int
-    load_mw: float = 0.0
-    load_mvar: float = 0.0
-    shunt_mw: float = 0.0
-    shunt_mvar: float = 0.0
-    voltage_pu: float | None = None
+    number: int = required("-", "IEEE 14", "bus number")
+    load_mw: float = parameter(0.0, "MW", "IEEE 14", "active load at the initial voltage")
+    load_mvar: float = parameter(0.0, "Mvar", "IEEE 14", "reactive load at the initial voltage")
+    shunt_mw: float = parameter(0.0, "MW", "IEEE 14", "active shunt at 1 p.u. of voltage")
+    shunt_mvar: float = parameter(0.0, "Mvar", "IEEE 14", "capacitive shunt at 1 p.u. of voltage")
+    voltage_pu: float | None = parameter(None, "p.u.", "IEEE 14", "voltage that the bus's units hold, None for none")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Branch:
     """A line or transformer as a π section; the tap is on the `from_bus` side. Values in p.u. of the system base."""
 
-    from_bus: int
-    to_bus: int
-    resistance: float
-    reactance: float
-    charging: float = 0.0
-    tap: float = 1.0
-    phase_rad: float = 0.0
+    from_bus: int = required("-", "IEEE 14", "bus at the tap's side")
+    to_bus: int = required("-", "IEEE 14", "bus at the other end")
+    resistance: float = required("p.u.", "IEEE 14", "series resistance")
+    reactance: float = required("p.u.", "IEEE 14", "series reactance")
+    charging: float = parameter(0.0, "p.u.", "IEEE 14", "charging susceptance of the whole line")
+    tap: float = parameter(1.0, "-", "IEEE 14", "tap ratio")
+    phase_rad: float = parameter(0.0, "rad", "IEEE 14", "phase shift")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,9 +18,11 @@ SOURCES = {
     "printed digit; the paper prints no c_1 … c_6",
     "Heier": "S. Heier: Grid Integration of Wind Energy, the exponential C_p form and its pitch term",
     "Milano": "F. Milano: IEEE 14-bus dynamic data as distributed with PSAT (d_014_dyn)",
+    "IEEE 14": "IEEE 14-bus power-flow test case, University of Washington archive; the same numbers as MATPOWER's "
+    "case14. Voltages of machine buses are its scheduled ones",
     "NREL 5 MW": "J. Jonkman et al.: Definition of a 5-MW Reference Wind Turbine, NREL/TP-500-38060 (2009)",
-    "WECC": "WECC generic wind turbine models, pitch controller with a speed and a power-compensation path (WTGPT_A)",
-    "calibrated": "chosen so that the paper's settled frequency and powers come out, see docs of the field",
+    "calibrated": "chosen so that the paper's settled frequency (0.996 p.u.) and the final power of WTG 2 below 0.3 "
+    "p.u. both come out",
     "ENTSO-E": "Commission Regulation (EU) 2016/631 (requirements for generators), article 13, continental Europe",
     "design": "a design value of this benchmark",
 }
@@ -87,9 +89,10 @@ class TurbineParameters:
 class PitchParameters:
     """Pitch protection: a PI on the larger of the captured-power and the rotor-speed excess.
 
-    The two paths follow the generic WECC pitch controller; gain schedule and rate limit the NREL 5 MW design. Both
-    limits lie above everything the paper's cases reach (captured power at most the available 1.0172 p.u. at
-    11.4 m/s, rotor at most 1.23 p.u.), so that the blades stay at rest there.
+    The two paths, speed and power compensation, follow the pitch controller of WECC's generic wind turbine models
+    (WTGPT_A); gain schedule and rate limit follow the NREL 5 MW design. Both limits lie above everything the paper's
+    cases reach (captured power at most the available 1.0172 p.u. at 11.4 m/s, rotor at most 1.23 p.u.), so that the
+    blades stay at rest there.
     """
 
     captured_power_limit_pu: float = parameter(1.05, "p.u.", "design", "captured power held above rated")

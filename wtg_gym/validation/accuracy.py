@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -108,11 +108,15 @@ class Accuracy:
 
 @dataclass(frozen=True)
 class AccuracyStudy:
-    """The curve: one :class:`Accuracy` per method and step, over the `seeds` of a suite."""
+    """The curve: one :class:`Accuracy` per method and step, over the `seeds` of a suite.
+
+    `smooth_order` is each method's order of convergence on a case whose right-hand side is smooth, from 10 to 5 ms.
+    """
 
     suite: str
     seeds: tuple[int, ...]
     rows: tuple[Accuracy, ...]
+    smooth_order: Mapping[str, float]
     default_step_s: float
 
     def row(self, method: str, step_s: float) -> Accuracy:
@@ -183,7 +187,20 @@ def study_accuracy(
                     table[:, 2],
                 )
             )
-    return AccuracyStudy(suite, seeds, tuple(rows), PlantSettings().simulation_dt)
+    orders = {method.name: smooth_order(method, law) for method in methods}
+    return AccuracyStudy(suite, seeds, tuple(rows), orders, PlantSettings().simulation_dt)
+
+
+def smooth_order(method: Method, law: TrackingLaw, coarse_s: float = 0.01) -> float:
+    """Return the order of convergence of a method after the paper's first load step, from a step to half of it.
+
+    The frequency stays on one side of the corner of g(ω) then, and no limit binds: the right-hand side is smooth.
+    """
+    paper = get_suite("paper").scenario(0)
+    scenario = dataclasses.replace(paper, events=paper.events[:1], duration_s=10.0)
+    exact = _samples(scenario, law)[:, :, 0]
+    errors = [np.abs(_samples(scenario, law, method, h)[:, :, 0] - exact).max() for h in (coarse_s, 0.5 * coarse_s)]
+    return float(np.log2(errors[0] / errors[1]))
 
 
 def on_the_grid(scenario: Scenario) -> Scenario:

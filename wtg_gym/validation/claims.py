@@ -160,8 +160,8 @@ def _coordination() -> Iterable[Claim]:
     for wind in _ALL_WINDS:
         for frequency, share in wanted.items():
             point = stable_equilibrium(frequency, law, float(wind))
-            power = 0.0 if point is None else point.power_pu
-            worst = max(worst, abs(power / float(available_power_pu(float(wind))) - share))
+            captured = 0.0 if point is None else point.power_pu
+            worst = max(worst, abs(captured / float(available_power_pu(float(wind))) - share))
     yield Claim(
         key="coordination",
         source="section on the control objective",
@@ -352,7 +352,7 @@ def _settling(studies: CaseStudies) -> Iterable[Claim]:
             for quantity in ("power_pu", "rotor_speed_pu")
             for name in _DELOADED
         ),
-        remark="In a 1 % band the coordinated power takes longer than deloaded-5's: it follows the governor's recovery.",
+        remark="In a 1 % band the coordinated power takes longer than deloaded-5's: it follows the governor.",
     )
 
 

@@ -20,7 +20,7 @@ from wtg_gym.physics.scenario import LoadStep
 #: Largest difference [p.u.] of any quantity at which two simulators agree, where a file does not say.
 DEFAULT_TOLERANCE = {"w": 1e-6, "Pe": 1e-5, "V": 1e-5}
 #: Unused by a classical machine, but the machine data want them.
-_ANY_REACTANCES = {
+_ANY_REACTANCES: dict[str, Any] = {
     "x_d": 1.0,
     "x_subtransient": 0.15,
     "x_q": 1.0,
@@ -64,8 +64,12 @@ class _Reader:
 
     def number(self, key: str, default: float | None = None, *, positive: bool = False) -> float:
         value = self.data.get(key, default)
-        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        if not is_number or not math.isfinite(value) or (positive and value <= 0.0):
+        if (
+            not isinstance(value, (int, float))
+            or isinstance(value, bool)
+            or not math.isfinite(value)
+            or (positive and value <= 0.0)
+        ):
             raise ValueError(
                 f"{key} of {self.where} must be a finite{' positive' if positive else ''} number, got {value!r}"
             )

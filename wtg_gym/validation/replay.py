@@ -78,11 +78,13 @@ def read_trace(path: str | Path, case: ReferenceCase) -> tuple[Trace, tuple[str,
     names = [name.strip() for name in text.split("\n", 1)[0].split(",")]
     if names[0] != "t" or len(set(names)) != len(names):
         raise ValueError(f"the trace {path} must begin with a line of different column names, the first one 't'")
+    if not text.partition("\n")[2].strip():
+        raise ValueError(f"the trace {path} has no rows")
     try:
         table = np.loadtxt(io.StringIO(text), delimiter=",", skiprows=1, ndmin=2)
     except ValueError as error:
         raise ValueError(f"the trace {path} is not a table of numbers: {error}") from error
-    if table.shape[0] == 0 or table.shape[1] != len(names):
+    if table.shape[1] != len(names):
         raise ValueError(f"the trace {path} has {len(names)} column names and a table of shape {table.shape}")
     if not np.isfinite(table).all():
         row, column = np.argwhere(~np.isfinite(table))[0]

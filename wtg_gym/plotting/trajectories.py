@@ -1,14 +1,10 @@
-"""Recorded runs side by side, as a figure for the screen or for print.
-
-Needs matplotlib, which the `leaderboard` extra brings, from the moment something is drawn. Figures are built without
-pyplot, so that nothing global changes and no window opens.
-"""
+"""Recorded runs side by side, as a figure for the screen."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -18,16 +14,12 @@ from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.scenario import Event, LineTrip, LoadRamp, LoadTrip, Scenario
 from wtg_gym.physics.tracking_law import coordinated_piecewise
 from wtg_gym.physics.trajectory import Trajectory
+from wtg_gym.plotting.style import GROUP_STYLES, LineStyle, name_at_right, strategy_looks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-LineStyle = Literal["-", "--", ":", "-."]
-#: The palette of Okabe and Ito, which colour-blind readers can tell apart; yellow, weak on white, comes last.
-PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
-#: One dash pattern per WTG group; a plant with more groups gets thin plain lines.
-GROUP_STYLES: tuple[LineStyle, ...] = ("-", "--", ":", "-.")
 _GREY = "0.45"
 _FONT = {"title": 12.0, "label": 10.0, "small": 8.5}
 #: A reference line this far outside the data, in shares of their span, is still brought into view.
@@ -51,8 +43,8 @@ class _Panel:
 def plot_trajectories(trajectories: Mapping[str, Trajectory], scenario: Scenario, title: str | None = None) -> Figure:
     """Draw frequency, RoCoF, wind, rotor speeds, powers and tracking coefficients on a shared time axis.
 
-    One colour per run, one dash pattern per WTG group; events are numbered and explained above the panels; a cross
-    marks where a run ended before its time.
+    One colour per run, a strategy's own where it has one; one dash pattern per WTG group; events are numbered and
+    explained above the panels; a cross marks where a run ended before its time.
 
     Args:
         trajectories: recorded runs of the scenario by label, all with the same number of WTG groups.
@@ -74,7 +66,7 @@ def plot_trajectories(trajectories: Mapping[str, Trajectory], scenario: Scenario
     counts = {run.power_pu.shape[1] for run in trajectories.values()}
     if len(counts) > 1:
         raise ValueError(f"the runs to plot have different numbers of WTG groups: {sorted(counts)}")
-    colours = {label: PALETTE[i % len(PALETTE)] for i, label in enumerate(trajectories)}
+    colours = {label: look.colour for label, look in strategy_looks(trajectories).items()}
     figure = Figure(figsize=(11.5, 9.0), facecolor="white")
     FigureCanvasAgg(figure)
     grid = figure.subplots(3, 2, sharex=True, height_ratios=(1.15, 1.2, 0.9))
@@ -86,7 +78,7 @@ def plot_trajectories(trajectories: Mapping[str, Trajectory], scenario: Scenario
         grid[2, column].set_xlabel("time [s]", fontsize=_FONT["label"])
     _draw_wind(grid[2, 0], trajectories)
     grid[0, 0].set_xlim(0.0, scenario.duration_s)
-    events = _event_lines(scenario)
+    events = event_lines(scenario)
     n_legend_rows = _draw_legend(figure, trajectories, colours, counts.pop())
     top = 0.925 - 0.021 * len(events)
     figure.subplots_adjust(
@@ -163,13 +155,13 @@ def _draw_panel(axes: Axes, panel: _Panel, trajectories: Mapping[str, Trajectory
         low, high = min(low, y - 0.03 * (high - low)), max(high, y + 0.03 * (high - low))
     axes.set_ylim(low, high)
     for name, y in shown.items():
-        _name_right(axes, name, y)
+        name_at_right(axes, name, y, size_pt=_FONT["small"])
     if panel.band is not None:
         axes.axhspan(*panel.band, color="#009E73", alpha=0.08, linewidth=0, zorder=0)
         for edge in panel.band:
             if low < edge < high:
                 middle = 0.5 * (panel.band[0] + panel.band[1])
-                _name_right(axes, f"{edge - middle:+.1f} Hz".replace("-", "−"), edge)
+                name_at_right(axes, f"{edge - middle:+.1f} Hz".replace("-", "−"), edge, size_pt=_FONT["small"])
     axes.set_ylabel(panel.label, fontsize=_FONT["label"])
     axes.tick_params(labelsize=_FONT["small"] + 0.5)
     axes.ticklabel_format(axis="y", useOffset=False)
@@ -194,13 +186,8 @@ def _line(group: int, n_groups: int) -> tuple[LineStyle, float]:
     return (GROUP_STYLES[group], 1.5) if n_groups <= len(GROUP_STYLES) else ("-", 0.7)
 
 
-def _name_right(axes: Axes, name: str, y: float) -> None:
-    at_axes_right = axes.get_yaxis_transform()
-    axes.text(1.01, y, name, transform=at_axes_right, fontsize=_FONT["small"], color="0.3", va="center", clip_on=False)
-
-
-def _numbered_events(scenario: Scenario) -> list[tuple[str, list[Event]]]:
-    """Events by instant, each instant with its number."""
+def numbered_events(scenario: Scenario) -> list[tuple[str, list[Event]]]:
+    """Return the events by instant, each instant with its number."""
     instants = sorted({event.time_s for event in scenario.events if event.time_s <= scenario.duration_s})
     return [
         (str(number), [event for event in scenario.events if event.time_s == instant])
@@ -208,15 +195,15 @@ def _numbered_events(scenario: Scenario) -> list[tuple[str, list[Event]]]:
     ]
 
 
-def _event_lines(scenario: Scenario) -> list[str]:
-    """The numbered events in words, a few per line."""
+def event_lines(scenario: Scenario, width: int = 130) -> list[str]:
+    """Return the numbered events in words, as many per line as `width` characters hold."""
     texts = [
         f"({number}) {events[0].time_s:g} s: " + " and ".join(describe_event(event) for event in events)
-        for number, events in _numbered_events(scenario)
+        for number, events in numbered_events(scenario)
     ]
     lines: list[str] = []
     for text in texts:
-        if lines and len(lines[-1]) + len(text) < 130:
+        if lines and len(lines[-1]) + len(text) < width:
             lines[-1] += "    " + text
         else:
             lines.append(text)
@@ -224,7 +211,7 @@ def _event_lines(scenario: Scenario) -> list[str]:
 
 
 def _mark_events(axes: Axes, scenario: Scenario, *, numbered: bool) -> None:
-    for number, events in _numbered_events(scenario):
+    for number, events in numbered_events(scenario):
         start = events[0].time_s
         axes.axvline(start, color=_GREY, linewidth=0.8, linestyle=":", zorder=1)
         for event in events:
@@ -268,4 +255,4 @@ def _draw_legend(
     return -(-len(handles) // n_columns)
 
 
-__all__ = ["GROUP_STYLES", "PALETTE", "describe_event", "plot_trajectories"]
+__all__ = ["describe_event", "event_lines", "numbered_events", "plot_trajectories"]

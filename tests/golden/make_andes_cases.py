@@ -1,0 +1,517 @@
+"""Make the golden cases `genrou` and `limits`, parameter files and traces, with ANDES.
+
+ANDES (https://docs.andes.app) is an independent implementation of the same published models: GENROU without
+saturation, the SEXS exciter, the TGOV1 governor and classical machines (GENCLS). Only the network and machine data come
+from `wtg_gym`; the power flow, the initial state and the integration are ANDES' own. At bus 2 two classical machines of
+50 MVA stand for grid-forming units with an ideal dc source.
+
+ANDES integrates with the implicit trapezoidal rule, whose error falls with the square of the step. Every trace is made
+with several fixed steps, the finest is kept, and what error remains in it is estimated from the two finest ones. Each
+step divides 1/16 s, so that all rows and events lie on its grid.
+
+ANDES takes one short step away from each event, half of it with the rates from before the event, and counts its steps
+from its end. As ANDES has it, this step takes 0.1 ms, and speeds differ by up to 7e-7 p.u. whatever the step size; here
+it takes 1 ns. Three more habits of ANDES are kept from the traces: it adds 1e-8 p.u. to every line's r and x (taken off
+the data beforehand), it shortens a fixed step where Newton's method is slow, which is whenever a limit binds, and it
+accepts an unfinished iteration that goes to and fro (both switched off).
+
+Usage:
+    pip install andes==2.0.0
+    python tests/golden/make_andes_cases.py --help
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import functools
+import json
+import logging
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import andes
+import numpy as np
+import numpy.typing as npt
+from andes.routines.daeint import Trapezoid, method_map
+
+from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.network import NetworkCase
+from wtg_gym.physics.parameters import SynchronousMachineParameters
+
+Floats = npt.NDArray[np.float64]
+
+DURATION_S = 60.0
+STEPS_PER_SECOND = (96, 192, 384, 768)
+#: Spacing of the rows of a trace, and in the second after an event [s].
+ROW_S, FINE_ROW_S, FINE_SPAN_S = 0.25, 0.0625, 1.0
+#: Length of ANDES' steps on both sides of an event [s].
+EVENT_STEP_S = 1e-9
+#: What ANDES adds to the resistance and reactance of every line [p.u.].
+LINE_OFFSET_PU = 1e-8
+#: All buses get one nominal voltage [kV]: the data are per unit throughout.
+NOMINAL_KV = 69.0
+#: Bus, power flow set-points and machine data of the units that stand for the wind turbine groups.
+UNIT_BUS, UNIT_POWER_PU, UNIT_MVA, UNIT_TWO_H_S, UNIT_DAMPING_PU, UNIT_REACTANCE_PU = 2, 0.65, 50.0, 10.0, 62.5, 0.55
+UNITS = ("2a", "2b")
+QUANTITIES = ("w", "Pe", "V")
+
+NOTE = (
+    "Made by make_andes_cases.py with ANDES {version}. System base {base:g} MVA, {frequency:g} Hz, theta in rad. "
+    "line: pi model, b/2 at each end, tap on the from side (V_from/tap). load: constant impedance, y = (P - jQ)/V0^2 "
+    "with V0 of the power flow in 'bus'. gens: machine data on Sn; gammap, gammaq: shares of the bus' P and Q in "
+    "gen_static. GENCLS: constant E behind ra + j xd1. GENROU: no saturation. Both: M dw/dt = Tm - Te - D (w - 1), Te"
+    " = psi_d i_q - psi_q i_d (the air-gap power: Te = Pe + ra i^2), d(delta)/dt = 2 pi fn (w - 1), no speed terms in"
+    " the stator. sexs: vi = Vref - V; TB dx/dt = vi - x; y = x + TATB (vi - x); TE dEfd/dt = K y - Efd (anti-windup "
+    "EMIN..EMAX). tgov1, on Sn: pd = Pref - (w - 1)/R; T1 dg/dt = pd - g (anti-windup VMIN..VMAX); T3 dx/dt = g - x; "
+    "Tm = x + T2/T3 (g - x) - Dt (w - 1); Tm constant where there is no governor. events: dG_pu: conductance added; "
+    "trip_load_MW: the whole load of the bus, with its reactive part, is disconnected. tolerance [p.u.]: three times "
+    "the integration error that is estimated to remain in the traces. Traces: w, V in p.u., Pe terminal electrical "
+    "power in p.u. of the system base; no row lies at an event."
+)
+
+
+@dataclass(frozen=True)
+class Step:
+    """A constant conductance switched on, given as its power at the bus voltage of the power flow [MW]."""
+
+    time_s: float
+    bus: int
+    power_mw: float
+
+
+@dataclass(frozen=True)
+class Trip:
+    """The load of a bus, active and reactive, is disconnected."""
+
+    time_s: float
+    bus: int
+
+
+Event = Step | Trip
+
+
+class FixedTrapezoid(Trapezoid):
+    """ANDES' trapezoidal rule with a step that stays fixed: ANDES shortens it where Newton's method is slow."""
+
+    @staticmethod
+    def calc_h(tds: Any) -> None:
+        """Keep the step, or give up where the last one did not converge."""
+        tds.deltat = tds.config.tstep if tds.converged else 0.0
+        tds.busted = not tds.converged
+
+
+method_map["fixed_trapezoid"] = FixedTrapezoid
+
+
+@dataclass(frozen=True)
+class Case:
+    """One parameter file and its traces.
+
+    Args:
+        name: its folder, with `params.json` and one `<key of events>.csv` each.
+        events: event lists by key.
+        gate_max_pu: upper limit of the governor's gate on the machine's base; None keeps that of the data.
+        field_max_pu: upper limit of the field voltage by bus of the machine; the others keep that of the data.
+        resistance_pu: armature resistance by bus of the machine, on its base.
+    """
+
+    name: str
+    events: dict[str, tuple[Event, ...]]
+    gate_max_pu: float | None = None
+    field_max_pu: dict[int, float] = field(default_factory=dict)
+    resistance_pu: dict[int, float] = field(default_factory=dict)
+
+
+STEPS_UP = (Step(5.0, 2, 75.0), Step(30.0, 3, 75.0))
+CASES = (
+    Case("genrou", {"a": STEPS_UP, "b": (Trip(5.0, 4), Trip(30.0, 9))}),
+    Case(
+        "limits",
+        {"a": (*STEPS_UP, Step(42.375, 3, -45.0))},
+        gate_max_pu=0.49,
+        field_max_pu={3: 1.95, 8: 2.0},
+        resistance_pu={1: 0.003},
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Rows of one run: times (n,), speeds and powers (n, machines), voltages (n, buses)."""
+
+    t: Floats
+    w: Floats
+    Pe: Floats
+    V: Floats
+    at_limit_s: dict[str, float]
+
+
+def network_of(case: Case) -> NetworkCase:
+    """Return the modified IEEE 14-bus system with the case's limits and resistances."""
+    network = modified_ieee14()
+    machines = []
+    for m in network.machines:
+        governor, exciter = m.governor, m.exciter
+        if governor is not None and case.gate_max_pu is not None:
+            governor = dataclasses.replace(governor, gate_max_pu=case.gate_max_pu)
+        if exciter is not None and m.bus in case.field_max_pu:
+            exciter = dataclasses.replace(exciter, field_max_pu=case.field_max_pu[m.bus])
+        resistance = case.resistance_pu.get(m.bus, m.resistance)
+        machines.append(dataclasses.replace(m, governor=governor, exciter=exciter, resistance=resistance))
+    return dataclasses.replace(network, machines=tuple(machines))
+
+
+def genrou_data(m: SynchronousMachineParameters) -> dict[str, float]:
+    """Return ANDES' parameters of a GENROU on its own base."""
+    return {
+        "Sn": m.rating_mva,
+        "M": m.two_h_s,
+        "D": m.damping_pu,
+        "ra": m.resistance,
+        "xl": m.x_leakage,
+        "xd": m.x_d,
+        "xq": m.x_q,
+        "xd1": m.x_d_transient,
+        "xq1": m.x_q_transient,
+        "xd2": m.x_subtransient,
+        "xq2": m.x_subtransient,
+        "Td10": m.t_d0_transient_s,
+        "Td20": m.t_d0_subtransient_s,
+        "Tq10": m.t_q0_transient_s,
+        "Tq20": m.t_q0_subtransient_s,
+        "gammap": 1.0,
+        "gammaq": 1.0,
+    }
+
+
+def unit_data() -> dict[str, float]:
+    """Return ANDES' parameters of one of the classical machines at bus 2."""
+    share = 1.0 / len(UNITS)
+    return {
+        "Sn": UNIT_MVA,
+        "M": UNIT_TWO_H_S,
+        "D": UNIT_DAMPING_PU,
+        "ra": 0.0,
+        "xd1": UNIT_REACTANCE_PU,
+        "gammap": share,
+        "gammaq": share,
+    }
+
+
+def sexs_data(m: SynchronousMachineParameters) -> dict[str, float]:
+    """Return ANDES' parameters of a machine's exciter."""
+    e = m.exciter
+    assert e is not None
+    return {
+        "TATB": e.lead_lag_ratio,
+        "TB": e.lag_time_s,
+        "K": e.gain,
+        "TE": e.exciter_time_s,
+        "EMIN": e.field_min_pu,
+        "EMAX": e.field_max_pu,
+    }
+
+
+def tgov1_data(m: SynchronousMachineParameters) -> dict[str, float]:
+    """Return ANDES' parameters of a machine's governor."""
+    g = m.governor
+    assert g is not None
+    return {
+        "R": g.droop_pu,
+        "T1": g.gate_time_s,
+        "T2": g.lead_time_s,
+        "T3": g.reheat_time_s,
+        "VMIN": g.gate_min_pu,
+        "VMAX": g.gate_max_pu,
+        "Dt": g.turbine_damping_pu,
+    }
+
+
+def build_system(network: NetworkCase, events: Sequence[Event], voltage: dict[int, float] | None = None) -> Any:
+    """Return an ANDES system with its power flow solved.
+
+    Args:
+        network: data.
+        events: what is switched when.
+        voltage: bus voltages of the power flow [p.u.], needed where `events` has a step.
+    """
+    system = andes.System(default_config=True, no_output=True)
+    base, frequency = network.base_mva, network.frequency_hz
+    system.config.freq = frequency
+    common = {"Vn": NOMINAL_KV}
+    for b in network.buses:
+        system.add("Bus", idx=b.number, name=f"bus {b.number}", v0=b.voltage_pu or 1.0, a0=0.0, **common)
+    for i, branch in enumerate(network.branches):
+        system.add(
+            "Line",
+            idx=f"line {i}",
+            bus1=branch.from_bus,
+            bus2=branch.to_bus,
+            r=branch.resistance - LINE_OFFSET_PU,
+            x=branch.reactance - LINE_OFFSET_PU,
+            b=branch.charging,
+            tap=branch.tap,
+            phi=0.0,
+            trans=int(branch.tap != 1.0),
+            Vn1=NOMINAL_KV,
+            Vn2=NOMINAL_KV,
+            Sn=base,
+            fn=frequency,
+        )
+    for b in network.buses:
+        if b.load_mw or b.load_mvar:
+            p0, q0 = b.load_mw / base, b.load_mvar / base
+            system.add("PQ", idx=f"load {b.number}", bus=b.number, p0=p0, q0=q0, vmin=0.1, vmax=2.0, **common)
+        if b.shunt_mvar:
+            system.add("Shunt", idx=f"shunt {b.number}", bus=b.number, g=0.0, b=b.shunt_mvar / base, Sn=base, **common)
+
+    dispatch = {m.bus: m.dispatch_mw / base for m in network.machines} | {UNIT_BUS: UNIT_POWER_PU}
+    for bus, power in sorted(dispatch.items()):
+        held = {"idx": f"static {bus}", "bus": bus, "v0": network.buses[network.bus_index(bus)].voltage_pu}
+        if bus == network.slack_bus:
+            system.add("Slack", a0=0.0, **held, **common)
+        else:
+            system.add("PV", p0=power, qmin=-9.0, qmax=9.0, **held, **common)
+    for m in network.machines:
+        key = str(m.bus)
+        data = {**genrou_data(m), "S10": 0.0, "S12": 1.0, **common}
+        system.add("GENROU", idx=key, bus=m.bus, gen=f"static {key}", fn=frequency, **data)
+        if m.exciter is not None:
+            system.add("SEXS", idx=f"exciter {key}", syn=key, **sexs_data(m))
+        if m.governor is not None:
+            system.add("TGOV1", idx=f"governor {key}", syn=key, **tgov1_data(m))
+    for key in UNITS:
+        system.add("GENCLS", idx=key, bus=UNIT_BUS, gen=f"static {UNIT_BUS}", fn=frequency, **unit_data(), **common)
+
+    for i, event in enumerate(events):
+        if isinstance(event, Step):
+            if voltage is None:
+                raise ValueError("a step needs the voltages of the power flow")
+            model, device = "Shunt", f"step {i}"
+            conductance = event.power_mw / base / voltage[event.bus] ** 2
+            system.add("Shunt", idx=device, bus=event.bus, g=conductance, b=0.0, Sn=base, u=0, **common)
+        else:
+            model, device = "PQ", f"load {event.bus}"
+        system.add("Toggle", idx=f"event {i}", model=model, dev=device, t=event.time_s)
+
+    system.PQ.config.update(p2p=0.0, p2i=0.0, p2z=1.0, q2q=0.0, q2i=0.0, q2z=1.0)
+    system.setup()
+    system.PFlow.config.update(tol=1e-12)
+    if not system.PFlow.run():
+        raise RuntimeError("ANDES' power flow did not converge")
+    return system
+
+
+def machine_keys(network: NetworkCase) -> tuple[str, ...]:
+    """Return the names of the machines in the order of their buses."""
+    return tuple(sorted([*(str(m.bus) for m in network.machines), *UNITS]))
+
+
+def row_times(events: Sequence[Event]) -> Floats:
+    """Return the times of a trace's rows [s]."""
+    coarse = np.arange(round(DURATION_S / ROW_S) + 1) * ROW_S
+    fine = [e.time_s + np.arange(1, round(FINE_SPAN_S / FINE_ROW_S) + 1) * FINE_ROW_S for e in events]
+    return np.setdiff1d(np.concatenate([coarse, *fine]), [e.time_s for e in events])
+
+
+def simulate(network: NetworkCase, events: Sequence[Event], voltage: dict[int, float], steps_per_second: int) -> Trace:
+    """Integrate one event list with a fixed step and return the rows to keep."""
+    system = build_system(network, events, voltage)
+    system.store_switch_times = functools.partial(system.store_switch_times, eps=EVENT_STEP_S)
+    system.TDS.config.update(
+        tf=DURATION_S,
+        tstep=1.0 / steps_per_second,
+        fixt=1,
+        shrinkt=0,
+        tol=1e-11,
+        method="fixed_trapezoid",
+        max_iter=100,
+        chatter_iter=1000,
+        reset_tiny=0,
+        linesearch=0,
+        criteria=0,
+        no_tqdm=1,
+    )
+    if not (system.TDS.run(no_summary=True) and system.TDS.test_ok and system.exit_code == 0):
+        raise RuntimeError("ANDES' time-domain simulation failed")
+    series = system.dae.ts
+    t, x, y = np.asarray(series.t), np.asarray(series.x), np.asarray(series.y)
+
+    keys = [*system.GENROU.idx.v, *system.GENCLS.idx.v]
+    order = [keys.index(key) for key in machine_keys(network)]
+    speed = np.r_[system.GENROU.omega.a, system.GENCLS.omega.a][order]
+    power = np.r_[system.GENROU.Pe.a, system.GENCLS.Pe.a][order]
+    before = t < min(e.time_s for e in events) - 0.5 * EVENT_STEP_S
+    drift = np.abs(x[before] - x[0]).max()
+    if drift > 1e-9:
+        raise RuntimeError(f"ANDES does not start in equilibrium: a state drifts by {drift:.1e} before the first event")
+
+    wanted = row_times(events)
+    at = np.array([np.argmin(np.abs(t - row)) for row in wanted])
+    if np.abs(t[at] - wanted).max() > 10.0 * EVENT_STEP_S:
+        raise RuntimeError("a row does not lie on the grid of time steps")
+
+    # Times spent at an upper limit, for the summary only.
+    step = np.diff(t, append=t[-1])
+    at_limit = {}
+    for model, state, limit in (("TGOV1", "LAG_y", "VMAX"), ("SEXS", "LAW_y", "EMAX")):
+        m = getattr(system, model)
+        for i, name in enumerate(m.idx.v):
+            held = x[:, getattr(m, state).a[i]] > getattr(m, limit).v[i] - 1e-9
+            at_limit[name] = float(step[held].sum())
+    return Trace(wanted, x[np.ix_(at, speed)], y[np.ix_(at, power)], y[np.ix_(at, system.Bus.v.a)], at_limit)
+
+
+def difference(trace: Trace, other: Trace) -> dict[str, float]:
+    """Return the largest difference per quantity."""
+    return {q: float(np.abs(getattr(trace, q) - getattr(other, q)).max()) for q in QUANTITIES}
+
+
+def event_data(event: Event, network: NetworkCase, voltage: dict[int, float]) -> dict[str, float]:
+    """Return an event as it stands in the parameter file."""
+    if isinstance(event, Step):
+        conductance = event.power_mw / network.base_mva / voltage[event.bus] ** 2
+        return {"t": event.time_s, "bus": event.bus, "dG_pu": conductance, "MW_at_V0": event.power_mw}
+    return {"t": event.time_s, "bus": event.bus, "trip_load_MW": network.buses[network.bus_index(event.bus)].load_mw}
+
+
+def parameter_file(case: Case, network: NetworkCase, system: Any, tolerance: dict[str, float]) -> dict[str, Any]:
+    """Return the contents of a parameter file; `system` has the power flow."""
+    base = network.base_mva
+    voltage = dict(zip(system.Bus.idx.v, system.Bus.v.v.tolist(), strict=True))
+    angle = system.Bus.a.v.tolist()
+    static = {}
+    for model in (system.Slack, system.PV):
+        for bus, p, q in zip(model.bus.v, model.p.v.tolist(), model.q.v.tolist(), strict=True):
+            static[str(bus)] = {"P": p, "Q": q}
+    gens: dict[str, dict[str, Any]] = {
+        str(m.bus): {"model": "GENROU", "bus": m.bus, **genrou_data(m)} for m in network.machines
+    }
+    gens |= {key: {"model": "GENCLS", "bus": UNIT_BUS, **unit_data()} for key in UNITS}
+    return {
+        "note": NOTE.format(version=andes.__version__, base=base, frequency=network.frequency_hz),
+        "fn": network.frequency_hz,
+        "Sbase": base,
+        "bus": [
+            {"bus": b.number, "V": voltage[b.number], "theta": a, "Vn": NOMINAL_KV}
+            for b, a in zip(network.buses, angle, strict=True)
+        ],
+        "line": [
+            {
+                "f": branch.from_bus,
+                "t": branch.to_bus,
+                "r": branch.resistance,
+                "x": branch.reactance,
+                "b": branch.charging,
+                "tap": branch.tap,
+                "phi": 0.0,
+            }
+            for branch in network.branches
+        ],
+        "shunt": [{"bus": b.number, "g": 0.0, "b": b.shunt_mvar / base} for b in network.buses if b.shunt_mvar],
+        "load": [
+            {"bus": b.number, "P": b.load_mw / base, "Q": b.load_mvar / base}
+            for b in network.buses
+            if b.load_mw or b.load_mvar
+        ],
+        "gen_static": dict(sorted(static.items())),
+        "gens": dict(sorted(gens.items())),
+        "sexs": [{"gen": str(m.bus), **sexs_data(m)} for m in network.machines if m.exciter is not None],
+        "tgov1": [{"gen": str(m.bus), "bus": m.bus, **tgov1_data(m)} for m in network.machines if m.governor],
+        "events": {key: [event_data(e, network, voltage) for e in events] for key, events in case.events.items()},
+        "tolerance": tolerance,
+    }
+
+
+def write_trace(path: Path, trace: Trace, network: NetworkCase) -> None:
+    """Write a trace as CSV with ten significant digits."""
+    pairs = [pair for i in range(trace.w.shape[1]) for pair in (trace.w[:, i], trace.Pe[:, i])]
+    names = [name for key in machine_keys(network) for name in (f"w{key}", f"Pe{key}")]
+    names += [f"V{b.number}" for b in network.buses]
+    rows = np.column_stack([trace.t, *pairs, trace.V])
+    # Adding zero turns a negative zero into a positive one.
+    lines = [",".join(f"{value:.10g}" for value in np.round(row, 12) + 0.0) for row in rows]
+    path.write_text("\n".join([",".join(["t", *names]), *lines]) + "\n", encoding="utf-8")
+
+
+def write_json(path: Path, data: dict[str, Any]) -> None:
+    """Write JSON as the other parameter files have it."""
+    path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+
+
+def short(values: dict[str, float]) -> dict[str, float]:
+    """Return values with three significant digits."""
+    return {key: float(f"{value:.3g}") for key, value in values.items()}
+
+
+def one_digit_up(value: float) -> float:
+    """Return a positive value rounded up to one significant digit."""
+    exponent = math.floor(math.log10(value))
+    return float(f"{math.ceil(value / 10.0**exponent)}e{exponent}")
+
+
+def make_case(case: Case, folder: Path, steps: Sequence[int]) -> dict[str, Any]:
+    """Write one case's files and return its convergence by event list."""
+    (folder / case.name).mkdir(parents=True, exist_ok=True)
+    network = network_of(case)
+    static = build_system(network, ())
+    voltage = dict(zip(static.Bus.idx.v, static.Bus.v.v.tolist(), strict=True))
+    worst = dict.fromkeys(QUANTITIES, 0.0)
+    convergence = {}
+    for key, events in case.events.items():
+        traces = [simulate(network, events, voltage, n) for n in steps]
+        finest = traces[-1]
+        to_finest = {f"1/{n}": difference(t, finest) for n, t in zip(steps[:-1], traces[:-1], strict=True)}
+        remaining = {q: value / 3.0 for q, value in to_finest[f"1/{steps[-2]}"].items()}
+        worst = {q: max(worst[q], remaining[q]) for q in QUANTITIES}
+        name = f"{case.name}/{key}.csv"
+        write_trace(folder / name, finest, network)
+        convergence[name] = {
+            "step_s": f"1/{steps[-1]}",
+            "largest_difference_to_it_pu": {step: short(d) for step, d in to_finest.items()},
+            "estimated_remaining_error_pu": short(remaining),
+            "time_at_upper_limit_s": {k: round(v, 3) for k, v in finest.at_limit_s.items() if v > 0.0},
+        }
+        print(f"{name}: {json.dumps(convergence[name])}; lowest speed {finest.w.min():.5f} p.u.", flush=True)
+    tolerance = {q: one_digit_up(3.0 * worst[q]) for q in QUANTITIES}
+    write_json(folder / case.name / "params.json", parameter_file(case, network, static, tolerance))
+    return convergence
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Make the cases that are asked for."""
+    parser = argparse.ArgumentParser(description="Make the golden cases of GENROU, SEXS and TGOV1 with ANDES.")
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent, help="folder for the files (default: here)")
+    parser.add_argument("--case", choices=[c.name for c in CASES], action="append", help="case to make (default: all)")
+    parser.add_argument(
+        "--steps",
+        type=int,
+        nargs="+",
+        default=list(STEPS_PER_SECOND),
+        metavar="N",
+        help=f"steps per second, at least two multiples of 16, rising (default: {STEPS_PER_SECOND})",
+    )
+    options = parser.parse_args(arguments)
+    if len(options.steps) < 2 or options.steps != sorted(set(options.steps)) or any(n % 16 for n in options.steps):
+        parser.error(f"--steps must be at least two rising multiples of 16, got {options.steps}")
+    andes.config_logger(stream_level=logging.WARNING)
+    logging.getLogger("andes").setLevel(logging.WARNING)
+    path = options.out / "andes_convergence.json"
+    traces = json.loads(path.read_text(encoding="utf-8"))["traces"] if options.case and path.exists() else {}
+    for case in CASES:
+        if not options.case or case.name in options.case:
+            traces |= make_case(case, options.out, options.steps)
+    note = (
+        "Largest difference over all rows and columns of a trace between each step and the finest; the trapezoidal "
+        "rule's error falls fourfold with every halving of the step, and these differences about fourfold, fivefold at "
+        "the last one, where the finest step's own error counts. Remaining error: a third of the last difference."
+    )
+    write_json(path, {"note": note, "andes": andes.__version__, "event_step_s": EVENT_STEP_S, "traces": traces})
+
+
+if __name__ == "__main__":
+    main()

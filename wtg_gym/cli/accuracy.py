@@ -1,0 +1,143 @@
+"""`wtg-gym accuracy`: what an integration step costs and what it is worth."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wtg_gym.cli.output import (
+    Progress,
+    check_output_folder,
+    check_page,
+    note,
+    print_json,
+    print_table,
+    require_extra,
+    update_page,
+)
+from wtg_gym.cli.parser import Commands, add_command
+from wtg_gym.files import write_atomically
+from wtg_gym.scenarios import SUITES
+from wtg_gym.validation.accuracy import METHODS, STEPS, Accuracy, AccuracyStudy, study_accuracy
+from wtg_gym.validation.report import accuracy_table, order_table
+
+_DESCRIPTION = f"""\
+Integrates random scenarios with several explicit methods and steps, and compares frequency, rotor speed and power of
+every WTG group with scipy's DOP853 at rtol 1e-10 on the same right-hand side: the median and the worst error over the
+scenarios against the time that a simulated second takes. Without --output only the table is printed.
+
+methods: {", ".join(method.name for method in METHODS)}; steps: {", ".join(f"{1e3 * step:g}" for step in STEPS)} ms"""
+
+
+def add_commands(commands: Commands) -> None:
+    """Add `wtg-gym accuracy`."""
+    parser = add_command(
+        commands,
+        "accuracy",
+        run,
+        summary="error of the integration step against its cost",
+        description=_DESCRIPTION,
+        examples="  wtg-gym accuracy --scenarios 5\n  wtg-gym accuracy --suite gust --json\n"
+        "  wtg-gym accuracy --output docs/validation --page docs/validation.md",
+    )
+    parser.add_argument("--scenarios", type=int, default=100, metavar="N", help="validation scenarios (default: 100)")
+    drawn = [name for name, suite in SUITES.items() if suite.distribution is not None]
+    parser.add_argument("--suite", default="standard", metavar="NAME", help=f"{', '.join(drawn)} (default: standard)")
+    out = parser.add_argument_group("output")
+    out.add_argument("--output", metavar="FOLDER", help="write accuracy.png, accuracy.svg and accuracy.json there")
+    out.add_argument("--page", metavar="FILE", help="Markdown file with markers 'accuracy' to put the tables between")
+    out.add_argument("--json", action="store_true", help="print the study as JSON, and nothing else, on stdout")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Carry out `wtg-gym accuracy`; return 1 if the default step did not stay finite."""
+    page = check_page("--page", arguments.page, "accuracy")
+    folder = None if arguments.output is None else check_output_folder("--output", arguments.output)
+    if folder is not None:
+        require_extra("matplotlib", "--output")
+    with Progress("scenarios") as progress:
+        study = study_accuracy(
+            arguments.scenarios,
+            suite=arguments.suite,
+            on_progress=lambda done, total: progress.update("integrating", done, total),
+        )
+    data = _as_json(study)
+    if folder is not None:
+        _write(folder, study, data)
+    if page is not None:
+        update_page(page, {"accuracy": f"{_summary(study)}\n\n{order_table(study)}\n\n{accuracy_table(study)}"})
+    if arguments.json:
+        print_json(data)
+    else:
+        _print(study)
+    return int(not np.isfinite(study.row("RK4", study.default_step_s).frequency_hz).all())
+
+
+def _write(folder: Path, study: AccuracyStudy, data: Any) -> None:
+    from wtg_gym.files import to_json
+    from wtg_gym.plotting import figure_bytes, plot_accuracy
+
+    figure = plot_accuracy(study)
+    for suffix in ("png", "svg"):
+        write_atomically(folder / f"accuracy.{suffix}", figure_bytes(figure, suffix))
+    write_atomically(folder / "accuracy.json", to_json(data))
+    note(f"wrote {folder / 'accuracy'}.png, .svg and .json")
+
+
+def _summary(study: AccuracyStudy) -> str:
+    chosen = study.row("RK4", study.default_step_s)
+    return (
+        f"{len(study.seeds)} validation scenarios of the suite {study.suite} under the reference strategy; errors are "
+        "the largest of any WTG group over an episode, median / worst scenario. The default, RK4 at "
+        f"{1e3 * study.default_step_s:g} ms, is wrong by at most {chosen.frequency_hz.max():.1e} Hz, "
+        f"{chosen.rotor_speed_pu.max():.1e} p.u. of rotor speed and {chosen.power_pu.max():.1e} p.u. of power."
+    )
+
+
+def _as_json(study: AccuracyStudy) -> dict[str, Any]:
+    def errors(values: np.ndarray) -> dict[str, float | None]:
+        found = {
+            "median": float(np.median(values)),
+            "p95": float(np.quantile(values, 0.95)),
+            "worst": float(values.max()),
+        }
+        return {key: value if math.isfinite(value) else None for key, value in found.items()}
+
+    def row(accuracy: Accuracy) -> dict[str, Any]:
+        return {
+            "method": accuracy.method,
+            "order": accuracy.order,
+            "step_s": accuracy.step_s,
+            "evaluations_per_s": accuracy.evaluations_per_s,
+            "microseconds_per_s": accuracy.microseconds_per_s,
+            "frequency_hz": errors(accuracy.frequency_hz),
+            "rotor_speed_pu": errors(accuracy.rotor_speed_pu),
+            "power_pu": errors(accuracy.power_pu),
+        }
+
+    return {
+        "suite": study.suite,
+        "seeds": list(study.seeds),
+        "default_step_s": study.default_step_s,
+        "smooth_order": dict(study.smooth_order),
+        "rows": [row(accuracy) for accuracy in study.rows],
+    }
+
+
+def _print(study: AccuracyStudy) -> None:
+    header = ("method", "step [ms]", "time per s [µs]", "frequency [Hz]", "rotor speed [p.u.]", "power [p.u.]")
+    rows = [
+        (
+            row.method,
+            f"{1e3 * row.step_s:g}",
+            f"{row.microseconds_per_s:.0f}",
+            *(f"{np.median(x):.1e} / {x.max():.1e}" for x in (row.frequency_hz, row.rotor_speed_pu, row.power_pu)),
+        )
+        for row in study.rows
+    ]
+    print_table(header, rows)
+    print(f"\nerrors: median / worst of {len(study.seeds)} scenarios; {_summary(study)}")

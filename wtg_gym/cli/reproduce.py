@@ -1,0 +1,313 @@
+"""`wtg-gym reproduce`: the paper's figures and claims, and what lies beyond the paper."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from wtg_gym.cli.output import (
+    Progress,
+    check_output_folder,
+    check_page,
+    note,
+    print_json,
+    print_table,
+    require_extra,
+    update_page,
+)
+from wtg_gym.cli.parser import Commands, add_command
+from wtg_gym.files import to_json, write_atomically
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
+from wtg_gym.scenarios import get_suite
+from wtg_gym.small_signal import Mode, SingleMachine, ideal_source_loop, linearise, modes, single_machine
+from wtg_gym.validation.agreement import Agreement, agreements
+from wtg_gym.validation.claims import Claim, paper_claims
+from wtg_gym.validation.report import agreement_table, claims_table, modes_table
+from wtg_gym.validation.studies import (
+    CaseStudies,
+    DampingStudy,
+    EquilibriumStudy,
+    MachineModelStudy,
+    MarginStudy,
+    linear_undamped,
+    run_case_studies,
+    study_damping,
+    study_equilibria,
+    study_machine_models,
+    study_margins,
+    study_slopes,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_FORMATS = ("svg", "png", "pdf")
+_SECTIONS = ("claims", "figures", "studies", "agreement", "modes")
+
+_DESCRIPTION = f"""\
+Runs the paper's analysis and case studies on the simulator and writes, within a minute or two,
+
+  claims.md, claims.json   every claim of the paper: what it says, what came out, tolerance, verdict
+  figures/*                every figure of the paper that a simulator can give, and what lies beyond the paper:
+                           margins over wind and on both slopes of g(ω), where the deloaded strategies lose their
+                           equilibrium, what τ trades, classical against GENROU machines, the modes of the system
+
+With --page the sections {", ".join(_SECTIONS)} of a Markdown file are renewed, each between <!-- NAME:start --> and
+<!-- NAME:end -->; its pictures are those of the output folder."""
+
+_EXAMPLES = """\
+  wtg-gym reproduce
+  wtg-gym reproduce --output figures-for-print --formats svg pdf
+  wtg-gym reproduce --output docs/validation --formats png --page docs/validation.md"""
+
+
+def add_commands(commands: Commands) -> None:
+    """Add `wtg-gym reproduce`."""
+    parser = add_command(
+        commands,
+        "reproduce",
+        run,
+        summary="the paper's figures and claims, measured; and what lies beyond the paper",
+        description=_DESCRIPTION,
+        examples=_EXAMPLES,
+        after_interrupt="what has been written so far is complete; run the same command again",
+    )
+    parser.add_argument(
+        "--output", default="reproduction", metavar="FOLDER", help="where to write (default: reproduction)"
+    )
+    parser.add_argument(
+        "--formats", nargs="+", choices=_FORMATS, default=["svg", "png"], help="of the figures (default: svg png)"
+    )
+    parser.add_argument("--page", metavar="FILE", help="Markdown file whose sections are renewed")
+    parser.add_argument("--json", action="store_true", help="print claims.json on stdout instead of the table")
+
+
+@dataclass(frozen=True)
+class _Picture:
+    """A figure to be: file name, caption, and how it is drawn."""
+
+    name: str
+    caption: str
+    draw: Callable[[], Figure]
+
+
+@dataclass(frozen=True)
+class _Evidence:
+    """All that is measured before anything is drawn."""
+
+    cases: CaseStudies
+    claims: tuple[Claim, ...]
+    margins: MarginStudy
+    slopes: MarginStudy
+    equilibria: EquilibriumStudy
+    damping: DampingStudy
+    machines: MachineModelStudy
+    agreement: tuple[Agreement, ...]
+    modes: Mapping[str, tuple[Mode, ...]]
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Carry out `wtg-gym reproduce`."""
+    require_extra("matplotlib", "wtg-gym reproduce")
+    folder = check_output_folder("--output", arguments.output)
+    page = check_page("--page", arguments.page, *_SECTIONS)
+    with Progress("steps") as progress:
+        evidence = _measure(progress)
+        pictures = [*_paper_pictures(evidence), *_study_pictures(evidence)]
+        for done, picture in enumerate(pictures):
+            progress.update(f"drawing {picture.name}", done, len(pictures))
+            _write_picture(folder / "figures", picture, arguments.formats)
+    data = _as_json(evidence)
+    write_atomically(folder / "claims.json", to_json(data))
+    write_atomically(folder / "claims.md", claims_table(evidence.claims) + "\n")
+    note(f"wrote {folder / 'claims.md'}, claims.json and {len(pictures)} figures in {folder / 'figures'}")
+    if page is not None:
+        update_page(page, _sections(evidence, folder, page, arguments.formats))
+    if arguments.json:
+        print_json(data)
+    else:
+        rows = [(c.key, c.expected, c.measured, "holds" if c.holds else "DOES NOT HOLD") for c in evidence.claims]
+        print_table(("claim", "expected", "measured", "verdict"), rows, left=(0, 1, 2, 3))
+    return 0
+
+
+def _measure(progress: Progress) -> _Evidence:
+    cases = run_case_studies(progress.update)
+    steps: dict[str, Callable[[], Any]] = {
+        "claims": lambda: paper_claims(cases),
+        "margins over wind": study_margins,
+        "both slopes": study_slopes,
+        "lost equilibria": study_equilibria,
+        "damping time constant": study_damping,
+        "machine models": study_machine_models,
+        "infinite bus": lambda: tuple(agreements()),
+        "modes": _system_modes,
+    }
+    found = []
+    for done, (name, measure) in enumerate(steps.items()):
+        progress.update(name, done, len(steps))
+        found.append(measure())
+    return _Evidence(cases, *found)
+
+
+def _system_modes() -> dict[str, tuple[Mode, ...]]:
+    scenario = get_suite("paper").scenario(0)
+    return {
+        name: modes(linearise(scenario, STRATEGIES[name]))
+        for name in (REFERENCE_STRATEGY, "coordinated-undamped", "deloaded-5")
+    }
+
+
+def _paper_pictures(evidence: _Evidence) -> Iterator[_Picture]:
+    from wtg_gym import plotting
+
+    yield _Picture(
+        "power-coefficient",
+        "Power coefficient with the deloading points: λ_opt, λ_n (5 %) and λ_pr (10 %).",
+        plotting.plot_power_coefficient,
+    )
+    for name, words in (
+        ("mppt", "maximum power point tracking"),
+        ("deloaded-5", "a low deloading level (5 %)"),
+        ("deloaded-10", "a high deloading level (10 %)"),
+        (REFERENCE_STRATEGY, "the coordinated strategy"),
+    ):
+        yield _Picture(
+            f"characteristic-{name}",
+            f"Power-frequency characteristic with {words} at 11.4 and 8 m/s: A at the set-point, B at ω_min or where "
+            "the equilibrium is lost, C at ω_max, M at the maximum power point; dashed: unstable.",
+            lambda name=name: plotting.plot_characteristic(STRATEGIES[name]),  # type: ignore[misc]
+        )
+    yield _Picture(
+        "bode-comparison",
+        "Open-loop Bode plots at 11.4 m/s, K_p = 1.45, with phase margins: ideal DC source, deloaded strategies, and "
+        "the linear law without transient damping.",
+        lambda: plotting.plot_bode(_bode_loops()),
+    )
+    yield _Picture(
+        "bode-proposed",
+        "Open-loop Bode plot of the linear law with transient damping (τ = 0.8 s) and without.",
+        lambda: plotting.plot_bode(
+            {
+                "coordinated-linear": single_machine(STRATEGIES["coordinated-linear"], 11.4),
+                "coordinated-linear-undamped": single_machine(linear_undamped(), 11.4),
+            }
+        ),
+    )
+    cases = evidence.cases
+    yield _Picture(
+        "load-increase",
+        "Load increase: +75 MW at bus 2 at 5 s and at bus 3 at 30 s; a cross marks a stall.",
+        lambda: plotting.plot_case_study(cases.increase, cases.increase_runs),
+    )
+    yield _Picture(
+        "load-decrease",
+        "Load decrease: the loads of bus 4 (47.8 MW) at 5 s and bus 9 (29.5 MW) at 30 s are lost.",
+        lambda: plotting.plot_case_study(cases.decrease, cases.decrease_runs),
+    )
+
+
+def _bode_loops() -> dict[str, SingleMachine]:
+    return {
+        "ideal-source": ideal_source_loop(),
+        "deloaded-5": single_machine(STRATEGIES["deloaded-5"], 11.4),
+        "deloaded-10": single_machine(STRATEGIES["deloaded-10"], 11.4),
+        "coordinated-linear-undamped": single_machine(linear_undamped(), 11.4),
+    }
+
+
+def _study_pictures(evidence: _Evidence) -> Iterator[_Picture]:
+    from wtg_gym import plotting
+
+    yield _Picture("margins", evidence.margins.sentence, lambda: plotting.plot_margins(evidence.margins))
+    yield _Picture("slopes", evidence.slopes.sentence, lambda: plotting.plot_slopes(evidence.slopes))
+    yield _Picture("equilibria", evidence.equilibria.sentence, lambda: plotting.plot_equilibria(evidence.equilibria))
+    yield _Picture("damping", evidence.damping.sentence, lambda: plotting.plot_damping(evidence.damping))
+    yield _Picture("machines", evidence.machines.sentence, lambda: plotting.plot_machine_models(evidence.machines))
+    yield _Picture("modes", _modes_sentence(evidence), lambda: plotting.plot_modes(evidence.modes))
+
+
+def _modes_sentence(evidence: _Evidence) -> str:
+    def least(name: str) -> Mode:
+        return min((m for m in evidence.modes[name] if m.eigenvalue.imag > 0.0), key=lambda m: m.damping_ratio)
+
+    with_damping, without = least(REFERENCE_STRATEGY), least("coordinated-undamped")
+    return (
+        "Eigenvalues of the whole 14-bus system at 11.4 and 8 m/s: the least damped oscillation of the reference has "
+        f"ζ = {with_damping.damping_ratio:.2f} at {with_damping.frequency_hz:.2f} Hz and belongs to the machines, "
+        f"without transient damping ζ = {without.damping_ratio:.2f} at {without.frequency_hz:.2f} Hz."
+    )
+
+
+def _write_picture(folder: Path, picture: _Picture, formats: list[str]) -> None:
+    from wtg_gym.plotting import figure_bytes
+
+    figure = picture.draw()
+    for suffix in formats:
+        write_atomically(folder / f"{picture.name}.{suffix}", figure_bytes(figure, suffix))
+
+
+def _sections(evidence: _Evidence, folder: Path, page: Path, formats: list[str]) -> dict[str, str]:
+    suffix = "png" if "png" in formats else formats[0]
+    where = Path(_relative(folder / "figures", page.resolve().parent))
+
+    def gallery(pictures: Iterator[_Picture]) -> str:
+        return "\n\n".join(
+            f"![{picture.caption}]({(where / picture.name).as_posix()}.{suffix})\n\n{picture.caption}"
+            for picture in pictures
+        )
+
+    return {
+        "claims": claims_table(evidence.claims),
+        "figures": gallery(_paper_pictures(evidence)),
+        "studies": gallery(_study_pictures(evidence)),
+        "agreement": agreement_table(evidence.agreement),
+        "modes": modes_table(evidence.modes[REFERENCE_STRATEGY]),
+    }
+
+
+def _relative(path: Path, start: Path) -> str:
+    import os
+
+    return os.path.relpath(path.resolve(), start)
+
+
+def _as_json(evidence: _Evidence) -> dict[str, Any]:
+    return {
+        "claims": [dataclasses.asdict(claim) for claim in evidence.claims],
+        "studies": {
+            "margins": _study(evidence.margins),
+            "slopes": _study(evidence.slopes),
+            "equilibria": _study(evidence.equilibria),
+            "damping": _study(evidence.damping),
+            "machines": {"sentence": evidence.machines.sentence},
+            "modes": {"sentence": _modes_sentence(evidence)},
+        },
+        "agreement": [_plain(dataclasses.asdict(row)) for row in evidence.agreement],
+    }
+
+
+def _study(study: Any) -> Any:
+    return _plain({field.name: getattr(study, field.name) for field in dataclasses.fields(study)})
+
+
+def _plain(value: Any) -> Any:
+    """Return data as JSON has it: arrays as lists, complex numbers as pairs, nothing for what is not finite."""
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, complex):
+        return [value.real, value.imag]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,56 @@
+"""Figures for screen and print: recorded runs, the paper's figures, and those of the studies beyond it.
+
+Needs matplotlib, which the `leaderboard` extra brings, from the moment something is drawn; importing the package does
+not. Every function returns a matplotlib figure, built without pyplot; :func:`figure_bytes` turns one into a file.
+"""
+
+from wtg_gym.plotting.accuracy import plot_accuracy
+from wtg_gym.plotting.characteristics import plot_characteristic
+from wtg_gym.plotting.modes import plot_modes
+from wtg_gym.plotting.paper import plot_bode, plot_case_study, plot_power_coefficient
+from wtg_gym.plotting.studies import (
+    plot_damping,
+    plot_equilibria,
+    plot_machine_models,
+    plot_margins,
+    plot_slopes,
+)
+from wtg_gym.plotting.style import (
+    DOUBLE_COLUMN_MM,
+    GROUP_STYLES,
+    PALETTE,
+    SINGLE_COLUMN_MM,
+    STRATEGY_LOOKS,
+    figure_bytes,
+    new_figure,
+    print_style,
+    save_figure,
+    strategy_looks,
+)
+from wtg_gym.plotting.trajectories import describe_event, plot_trajectories
+
+__all__ = [
+    "DOUBLE_COLUMN_MM",
+    "GROUP_STYLES",
+    "PALETTE",
+    "SINGLE_COLUMN_MM",
+    "STRATEGY_LOOKS",
+    "describe_event",
+    "figure_bytes",
+    "new_figure",
+    "plot_accuracy",
+    "plot_bode",
+    "plot_case_study",
+    "plot_characteristic",
+    "plot_damping",
+    "plot_equilibria",
+    "plot_machine_models",
+    "plot_margins",
+    "plot_modes",
+    "plot_power_coefficient",
+    "plot_slopes",
+    "plot_trajectories",
+    "print_style",
+    "save_figure",
+    "strategy_looks",
+]

@@ -1,0 +1,244 @@
+"""How every figure looks: sizes, fonts, a colour and a dash pattern per strategy, and files that repeat bit for bit.
+
+Figures are built without pyplot, so that nothing global changes and no window opens; matplotlib is imported by the
+functions that draw.
+"""
+
+from __future__ import annotations
+
+import functools
+import io
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, ParamSpec
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Parameters = ParamSpec("Parameters")
+LineStyle = Literal["-", "--", ":", "-."]
+#: On and off lengths in line widths, after an offset; or a solid line.
+Dashes = tuple[float, tuple[float, ...]] | Literal["-"]
+
+#: The palette of Okabe and Ito, which colour-blind readers can tell apart; yellow, weak on white, comes last.
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
+#: One dash pattern per WTG group; a plant with more groups gets thin plain lines.
+GROUP_STYLES: tuple[LineStyle, ...] = ("-", "--", ":", "-.")
+#: One marker per series; eight differ at a glance.
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
+#: Widths of one and of two columns of an IEEE journal [mm].
+SINGLE_COLUMN_MM, DOUBLE_COLUMN_MM = 88.9, 181.9
+#: Resolution of pixel files [dots per inch].
+PRINT_DPI = 300
+#: File formats that :func:`figure_bytes` writes.
+SUFFIXES = ("png", "svg", "pdf")
+#: Grey of reference lines and their names.
+REFERENCE_GREY = "0.4"
+SMALL_PT = 7.0
+
+_MM_PER_INCH = 25.4
+_SOLID: Dashes = "-"
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a strategy is drawn: its colour, and its dashes where dashes do not tell groups apart."""
+
+    colour: str
+    dashes: Dashes = _SOLID
+
+
+#: Fixed, so that a strategy looks the same in every figure; the dashes tell strategies apart in greyscale.
+STRATEGY_LOOKS = {
+    "mppt": Look("#D55E00", (0.0, (5.0, 1.4, 1.2, 1.4))),
+    "deloaded-5": Look("#E69F00", (0.0, (3.0, 1.4))),
+    "deloaded-10": Look("#CC79A7", (0.0, (7.0, 1.8))),
+    "coordinated-linear": Look("#009E73", (0.0, (6.0, 1.3, 1.2, 1.3, 1.2, 1.3))),
+    "coordinated-piecewise": Look("#0072B2"),
+    "coordinated-undamped": Look("#56B4E9", (0.0, (1.2, 1.2))),
+    "ideal-source": Look("#000000"),
+    # Not in the palette: tells itself from the damped linear law beside which it is drawn.
+    "coordinated-linear-undamped": Look("#882255", (0.0, (1.2, 1.2))),
+}
+# Black first, which no simulated strategy has; yellow last.
+_FREE_COLOURS = ("#000000", *(colour for colour in PALETTE if colour not in ("#000000", "#F0E442")), "#F0E442")
+_FREE_DASHES: tuple[Dashes, ...] = (_SOLID, (0.0, (4.0, 1.5)), (0.0, (1.2, 1.2)), (0.0, (5.0, 1.4, 1.2, 1.4)))
+
+# matplotlib types each key by a literal of its own, which differ between its versions.
+_STYLE: dict[Any, Any] = {
+    "font.family": "sans-serif",
+    # DejaVu comes with matplotlib, so that text is equally wide everywhere.
+    "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial", "Helvetica"],
+    "mathtext.fontset": "dejavusans",
+    "font.size": 7.5,
+    "axes.labelsize": 8.0,
+    "axes.titlesize": 8.0,
+    "figure.titlesize": 9.0,
+    "figure.titleweight": "bold",
+    "legend.fontsize": SMALL_PT,
+    "xtick.labelsize": SMALL_PT,
+    "ytick.labelsize": SMALL_PT,
+    "axes.linewidth": 0.6,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.formatter.useoffset": False,
+    "grid.color": "0.9",
+    "grid.linewidth": 0.5,
+    "lines.linewidth": 1.1,
+    "lines.markersize": 4.0,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "xtick.minor.width": 0.4,
+    "ytick.minor.width": 0.4,
+    "xtick.minor.size": 1.5,
+    "ytick.minor.size": 1.5,
+    "hatch.linewidth": 0.4,
+    "legend.frameon": False,
+    "legend.handlelength": 2.8,
+    "legend.columnspacing": 1.6,
+    "legend.borderaxespad": 0.4,
+    # Text stays text: it can be searched and edited.
+    "svg.fonttype": "none",
+    "pdf.fonttype": 42,
+    # Names inside an SVG are drawn at random without it.
+    "svg.hashsalt": "wtg_gym",
+}
+# A date would make every file a new one.
+_METADATA: dict[str, dict[str, Any]] = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
+
+
+def strategy_looks(labels: Iterable[str]) -> dict[str, Look]:
+    """Return the look of each label: a strategy's own one, what is left of palette and dashes for other labels."""
+    names = list(labels)
+    taken = {STRATEGY_LOOKS[name].colour for name in names if name in STRATEGY_LOOKS}
+    free = [colour for colour in _FREE_COLOURS if colour not in taken] or list(_FREE_COLOURS)
+    others = [name for name in names if name not in STRATEGY_LOOKS]
+    looks = {
+        name: Look(free[i % len(free)], _FREE_DASHES[i % len(_FREE_DASHES)])
+        for i, name in enumerate(dict.fromkeys(others))
+    }
+    return {name: STRATEGY_LOOKS[name] if name in STRATEGY_LOOKS else looks[name] for name in names}
+
+
+@contextmanager
+def print_style() -> Iterator[None]:
+    """Draw in the style of print inside the `with` block, whatever the user's matplotlib settings are."""
+    import matplotlib
+
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(_STYLE)
+        yield
+
+
+def printed(draw: Callable[Parameters, Figure]) -> Callable[Parameters, Figure]:
+    """Decorate a function that draws a figure: it draws in the style of print and with a layout that stays."""
+
+    @functools.wraps(draw)
+    def drawn(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Figure:
+        with print_style():
+            figure = draw(*args, **kwargs)
+            # The second pass starts from the tick labels of the first. After it places are fixed: each format and
+            # each repetition gets the same ones.
+            for _ in range(2):
+                figure.draw_without_rendering()
+            figure.set_layout_engine("none")
+        return figure
+
+    return drawn
+
+
+def new_figure(width_mm: float = SINGLE_COLUMN_MM, height_mm: float = 65.0) -> Figure:
+    """Return an empty figure of a printed size [mm] with an Agg canvas and constrained layout.
+
+    Raises:
+        ValueError: a side is not positive.
+        ImportError: matplotlib is not installed.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    if not (width_mm > 0.0 and height_mm > 0.0):
+        raise ValueError(f"a figure needs a positive width and height, got {width_mm:g} mm × {height_mm:g} mm")
+    size = width_mm / _MM_PER_INCH, height_mm / _MM_PER_INCH
+    figure = Figure(figsize=size, facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def figure_bytes(figure: Figure, suffix: str) -> bytes:
+    """Return a figure as a file, the same bytes on each run; with print's fonts, and text as text in SVG and PDF.
+
+    Args:
+        figure: as returned by the functions of :mod:`wtg_gym.plotting`.
+        suffix: png, svg or pdf, with or without a dot.
+
+    Raises:
+        ValueError: the suffix is another one.
+    """
+    kind = suffix.lower().removeprefix(".")
+    if kind not in SUFFIXES:
+        raise ValueError(f"a figure is written as {', '.join(SUFFIXES)}, got {suffix!r}")
+    picture = io.BytesIO()
+    with print_style():
+        figure.savefig(picture, format=kind, dpi=PRINT_DPI, metadata=_METADATA[kind])
+    return picture.getvalue()
+
+
+def save_figure(figure: Figure, path_without_suffix: Path, suffixes: Iterable[str] = ("svg", "png")) -> list[Path]:
+    """Write a figure in several formats next to each other; return the paths.
+
+    Args:
+        figure: as returned by the functions of :mod:`wtg_gym.plotting`.
+        path_without_suffix: where to; the folder is made, files are replaced.
+        suffixes: png, svg or pdf.
+
+    Raises:
+        ValueError: a suffix is another one; nothing has been written then.
+    """
+    contents = {suffix.lower().removeprefix("."): figure_bytes(figure, suffix) for suffix in suffixes}
+    path_without_suffix.parent.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for suffix, content in contents.items():
+        path = path_without_suffix.with_name(f"{path_without_suffix.name}.{suffix}")
+        path.write_bytes(content)
+        paths.append(path)
+    return paths
+
+
+def letter_panel(axes: Axes, letter: str, text: str = "") -> None:
+    """Write "(a) text" above the left end of a panel."""
+    axes.set_title(f"({letter}) {text}".rstrip(), loc="left", pad=10.0)
+
+
+def name_at_right(axes: Axes, name: str, y: float, *, gap: float = 1.01, size_pt: float = SMALL_PT) -> None:
+    """Name a horizontal line right of the panel, at height y in data units; the layout makes room for it."""
+    at_right = axes.get_yaxis_transform()
+    axes.text(gap, y, name, transform=at_right, fontsize=size_pt, color="0.3", va="center", clip_on=False)
+
+
+__all__ = [
+    "DOUBLE_COLUMN_MM",
+    "GROUP_STYLES",
+    "MARKERS",
+    "PALETTE",
+    "SINGLE_COLUMN_MM",
+    "STRATEGY_LOOKS",
+    "LineStyle",
+    "Look",
+    "figure_bytes",
+    "letter_panel",
+    "name_at_right",
+    "new_figure",
+    "print_style",
+    "printed",
+    "save_figure",
+    "strategy_looks",
+]
