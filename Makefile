@@ -5,11 +5,13 @@ PYTHON ?= python3
 
 LEADERBOARD_VENV := .venv
 TEST_VENV := .venv-test
+GOLDEN_VENV := .venv-golden
 
 # Part of the stamps' names, so that another Python starts another environment.
 PYTHON_VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
 LEADERBOARD_READY := $(LEADERBOARD_VENV)/ready-$(PYTHON_VERSION)
 TEST_READY := $(TEST_VENV)/ready-$(PYTHON_VERSION)
+GOLDEN_READY := $(GOLDEN_VENV)/ready-$(PYTHON_VERSION)
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
@@ -29,6 +31,17 @@ help: ## Show this list
 .PHONY: leaderboard
 leaderboard: $(LEADERBOARD_READY) ## Score every entry on the standard suite and write the ranking to the README
 	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard --results results --readme README.md
+
+.PHONY: docs
+docs: $(LEADERBOARD_READY) ## Measure everything that docs/ shows again and renew its tables and figures
+	$(LEADERBOARD_VENV)/bin/wtg-gym parameters --page docs/parameters.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym validate tests/golden/*/ --page docs/validation.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym reproduce --output docs/validation --formats svg --page docs/validation.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym accuracy --output docs/validation --page docs/validation.md
+
+.PHONY: golden
+golden: $(GOLDEN_READY) ## Make the golden cases of ANDES again, in an environment of its own (a quarter of an hour)
+	$(GOLDEN_VENV)/bin/python tests/golden/make_andes_cases.py
 
 .PHONY: test
 test: lint types contracts pytest ## Check everything, stopping at the first failure: the four targets below, in order
@@ -58,15 +71,16 @@ format: $(TEST_READY) ## Format the code and mend what can be mended by itself
 
 .PHONY: clean
 clean: ## Remove the environments, caches and built files; results stay
-	rm -rf $(LEADERBOARD_VENV) $(TEST_VENV) .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache build dist
+	rm -rf $(LEADERBOARD_VENV) $(TEST_VENV) $(GOLDEN_VENV) .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache build dist
 	find wtg_gym baselines agents tests -type d -name __pycache__ -prune -exec rm -rf {} +
 
 $(LEADERBOARD_READY): EXTRA := leaderboard
 $(TEST_READY): EXTRA := dev
+$(GOLDEN_READY): EXTRA := golden
 
 # An environment whose stamp is merely out of date is brought up to date; any other is started over. The two
 # variables hold the build of the package itself to the constraints too, by either pip's way of saying so.
-$(LEADERBOARD_READY) $(TEST_READY): pyproject.toml constraints.txt
+$(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY): pyproject.toml constraints.txt
 	@case '$(PYTHON_VERSION)' in 3.11|3.12|3.13) ;; *) \
 	    echo 'wtg_gym needs Python 3.11, 3.12 or 3.13, but $(PYTHON) is $(or $(PYTHON_VERSION),not found).' >&2; \
 	    echo 'Name another one: make $(MAKECMDGOALS) PYTHON=python3.12' >&2; exit 1;; esac

@@ -181,7 +181,8 @@ def _print(comparison: _Comparison, step_s: float) -> None:
     network = comparison.case.network
     print(
         f"{comparison.parameters}, {comparison.trace.name}: {len(network.buses)} buses, "
-        f"{len(network.machines)} machines, {len(comparison.events)} events, {comparison.n_rows} rows to {comparison.end_s:g} s\n"
+        f"{len(network.machines)} machines, {len(comparison.events)} events, {comparison.n_rows} rows to "
+        f"{comparison.end_s:g} s\n"
     )
     default_ms = 1e3 * PlantSettings().simulation_dt
     header = (

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wtg_gym.plotting.style import DOUBLE_COLUMN_MM, PALETTE, new_figure, printed
+from wtg_gym.plotting.style import DOUBLE_COLUMN_MM, PALETTE, SMALL_PT, new_figure, printed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,7 +53,7 @@ def _draw(axes: Axes, study: AccuracyStudy, quantity: str) -> None:
         if name == names[-1]:
             for row, x, y in zip(rows, cost, worst, strict=True):
                 axes.annotate(
-                    f"{1e3 * row.step_s:g} ms", (x, y), xytext=(4, 4), textcoords="offset points", fontsize=6.5
+                    f"{1e3 * row.step_s:g} ms", (x, y), xytext=(4, 4), textcoords="offset points", fontsize=SMALL_PT
                 )
     chosen = study.row("RK4", study.default_step_s)
     axes.plot(

@@ -128,7 +128,7 @@ def study_margins() -> MarginStudy:
         margins,
         f"Without transient damping the margin of the linear law falls from {undamped[high]:.0f}° at 11.5 m/s to "
         f"{undamped[low]:.0f}° at 6 m/s, because its damping is the slope of g(ω) times ω_m³; with τ = 0.8 s it stays "
-        f"at {damped.min():.0f}° or more.",
+        f"at {damped.min():.0f}° or more. Above 11.5 m/s the pitch protection holds the operating point.",
     )
 
 
@@ -176,7 +176,8 @@ def study_equilibria() -> EquilibriumStudy:
         f"At 8 m/s a grid at {50 * critical['mppt'][at]:.2f} Hz is enough to stall a WTG at its maximum power point, "
         f"{50 * critical['deloaded-10'][at]:.2f} Hz one with 10 % of reserve; only above "
         f"{safe['deloaded-5']:.2f} m/s (5 %) and {safe['deloaded-10']:.2f} m/s (10 %) does a deloaded WTG survive all "
-        "of the regulation range down to 49.6 Hz, while the coordinated laws do at every wind speed.",
+        "of the regulation range down to 49.6 Hz, while the coordinated laws do at every wind speed. The bend near "
+        "12 m/s is the pitch protection's.",
     )
 
 

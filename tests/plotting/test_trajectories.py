@@ -13,25 +13,18 @@ from wtg_gym.physics.layout import Status
 from wtg_gym.physics.scenario import LineTrip, LoadRamp, LoadStep, LoadTrip, Scenario
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.physics.trajectory import Trajectory, simulate
-from wtg_gym.plotting import GROUP_STYLES, PALETTE, describe_event, plot_trajectories
-from wtg_gym.scenarios import get_suite
+from wtg_gym.plotting import GROUP_STYLES, STRATEGY_LOOKS, describe_event, plot_trajectories
 
 pytest.importorskip("matplotlib")
 
-_RUNS = {
-    "mppt": STRATEGIES["mppt"],
-    "coordinated-piecewise": STRATEGIES["coordinated-piecewise"],
-}
+
+@pytest.fixture
+def two_runs(load_increase: tuple[Scenario, dict[str, Trajectory]]) -> tuple[Scenario, dict[str, Trajectory]]:
+    return load_increase[0], {name: load_increase[1][name] for name in ("mppt", "coordinated-piecewise")}
 
 
-@pytest.fixture(scope="module")
-def load_increase() -> tuple[Scenario, dict[str, Trajectory]]:
-    scenario = get_suite("paper").scenario(0)
-    return scenario, {name: simulate(scenario, law) for name, law in _RUNS.items()}
-
-
-def test_every_axis_has_a_unit(load_increase: tuple[Scenario, dict[str, Trajectory]]) -> None:
-    figure = plot_trajectories(load_increase[1], load_increase[0])
+def test_every_axis_has_a_unit(two_runs: tuple[Scenario, dict[str, Trajectory]]) -> None:
+    figure = plot_trajectories(two_runs[1], two_runs[0])
     labels = [axes.get_ylabel() for axes in figure.axes]
     assert len(labels) == 6
     for unit in ("[Hz]", "[Hz/s]", "[p.u.]", "[m/s]"):
@@ -41,20 +34,22 @@ def test_every_axis_has_a_unit(load_increase: tuple[Scenario, dict[str, Trajecto
 
 
 def test_a_strategy_keeps_its_colour_and_a_group_its_dashes(
-    load_increase: tuple[Scenario, dict[str, Trajectory]],
+    two_runs: tuple[Scenario, dict[str, Trajectory]],
 ) -> None:
-    figure = plot_trajectories(load_increase[1], load_increase[0])
+    figure = plot_trajectories(two_runs[1], two_runs[0])
     rotor = next(axes for axes in figure.axes if axes.get_ylabel() == "rotor speed [p.u.]")
     traces = [line for line in rotor.get_lines() if len(line.get_xdata()) > 2]
     assert [(line.get_color(), line.get_linestyle()) for line in traces] == [
-        (PALETTE[run], GROUP_STYLES[group]) for run in range(2) for group in range(2)
+        (STRATEGY_LOOKS[run].colour, GROUP_STYLES[group])
+        for run in ("mppt", "coordinated-piecewise")
+        for group in range(2)
     ]
 
 
 def test_a_run_that_ended_early_is_marked_with_a_cross_where_it_ended(
-    load_increase: tuple[Scenario, dict[str, Trajectory]],
+    two_runs: tuple[Scenario, dict[str, Trajectory]],
 ) -> None:
-    scenario, runs = load_increase
+    scenario, runs = two_runs
     assert runs["mppt"].status == Status.STALL
     figure = plot_trajectories(runs, scenario)
     crosses = [line for axes in figure.axes for line in axes.get_lines() if line.get_marker() == "x"]
@@ -64,8 +59,8 @@ def test_a_run_that_ended_early_is_marked_with_a_cross_where_it_ended(
     assert legend == ["mppt", "coordinated-piecewise", "WTG group 1", "WTG group 2", "run ended: stall"]
 
 
-def test_events_are_numbered_and_explained(load_increase: tuple[Scenario, dict[str, Trajectory]]) -> None:
-    figure = plot_trajectories(load_increase[1], load_increase[0], title="my title")
+def test_events_are_numbered_and_explained(two_runs: tuple[Scenario, dict[str, Trajectory]]) -> None:
+    figure = plot_trajectories(two_runs[1], two_runs[0], title="my title")
     texts = "\n".join(text.get_text() for text in figure.texts)
     assert "my title" in texts
     assert "(1) 5 s: +75 MW at bus 2" in texts
@@ -73,9 +68,9 @@ def test_events_are_numbered_and_explained(load_increase: tuple[Scenario, dict[s
 
 
 def test_wind_and_all_tracking_coefficients_lie_inside_their_axes(
-    load_increase: tuple[Scenario, dict[str, Trajectory]],
+    two_runs: tuple[Scenario, dict[str, Trajectory]],
 ) -> None:
-    figure = plot_trajectories({"mppt": load_increase[1]["mppt"]}, load_increase[0])
+    figure = plot_trajectories({"mppt": two_runs[1]["mppt"]}, two_runs[0])
     panels = {axes.get_ylabel(): axes for axes in figure.axes}
     low, high = panels["wind speed [m/s]"].get_ylim()
     assert low < 8.0 < 11.4 < high
@@ -102,9 +97,9 @@ def _with_groups(run: Trajectory, n_groups: int) -> Trajectory:
 
 
 def test_many_groups_are_drawn_as_thin_plain_lines(
-    load_increase: tuple[Scenario, dict[str, Trajectory]],
+    two_runs: tuple[Scenario, dict[str, Trajectory]],
 ) -> None:
-    scenario, runs = load_increase
+    scenario, runs = two_runs
     figure = plot_trajectories({"mppt": _with_groups(runs["mppt"], 6)}, scenario)
     assert "one line per WTG group (6)" in [text.get_text() for text in figure.legends[0].get_texts()]
     rotor = next(axes for axes in figure.axes if axes.get_ylabel() == "rotor speed [p.u.]")
@@ -121,9 +116,9 @@ def test_pyplot_is_never_imported() -> None:
 
 
 def test_no_run_or_runs_of_different_plants_are_refused(
-    load_increase: tuple[Scenario, dict[str, Trajectory]],
+    two_runs: tuple[Scenario, dict[str, Trajectory]],
 ) -> None:
-    scenario, runs = load_increase
+    scenario, runs = two_runs
     with pytest.raises(ValueError, match="no run"):
         plot_trajectories({}, scenario)
     with pytest.raises(ValueError, match=r"different numbers of WTG groups: \[1, 2\]"):
