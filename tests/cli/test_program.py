@@ -1,0 +1,153 @@
+"""The program as a whole: help, errors, pipes, interruptions."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import wtg_gym
+import wtg_gym.cli.scores
+import wtg_gym.cli.simulate
+import wtg_gym.cli.suites
+from tests.cli.calls import ROOT, call, error_of
+from wtg_gym.cli import main
+
+COMMANDS = (
+    "simulate",
+    "evaluate",
+    "leaderboard",
+    "suites",
+    "statics",
+    "margins",
+    "modes",
+    "reproduce",
+    "validate",
+    "accuracy",
+    "parameters",
+)
+_QUICK = ("--duration", "6")
+
+
+def test_program_runs_as_a_module_and_prints_only_json_on_stdout(tmp_path: Path) -> None:
+    done = call("simulate", *_QUICK, "--json", "--csv", "traces.csv", cwd=tmp_path)
+    assert done.returncode == 0
+    assert json.loads(done.stdout)["runs"][0]["strategy"] == "coordinated-piecewise"
+    # A first call that has to compile reports its progress before that.
+    assert done.stderr.endswith("wrote traces.csv\n")
+
+
+def test_bad_input_is_one_line_without_a_traceback(tmp_path: Path) -> None:
+    done = call("simulate", "--wind", "-3", "--plot", "run.png", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert "-3 m/s, outside the allowed range 3 … 25 m/s" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pipes break in another way there")
+def test_reader_that_leaves_early_is_no_error() -> None:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [sys.executable, "-m", "wtg_gym.cli", "suites", "standard", "--seed", "20003", "--json"]
+    done = subprocess.run(command, env=environment, stdout=writing, stderr=subprocess.PIPE, timeout=300)
+    os.close(writing)
+    assert done.returncode == 141
+    assert done.stderr == b""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no pseudo-terminals there")
+@pytest.mark.parametrize("arguments", [("simulate", *_QUICK), ("evaluate", "--entries", "mppt", "--suite", "paper")])
+def test_terminal_gets_a_drawn_table_and_a_progress_bar(arguments: tuple[str, ...]) -> None:
+    pytest.importorskip("rich")
+    import pty
+
+    own, theirs = pty.openpty()
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "200", "TERM": "xterm"}
+    command = [sys.executable, "-m", "wtg_gym.cli", *arguments]
+    process = subprocess.Popen(command, env=environment, stdin=theirs, stdout=theirs, stderr=theirs)
+    os.close(theirs)
+    shown = b""
+    # At the end of the output Linux raises, others return nothing.
+    with contextlib.suppress(OSError):
+        while chunk := os.read(own, 4096):
+            shown += chunk
+    os.close(own)
+    assert process.wait(timeout=100) == 0
+    text = shown.decode()
+    assert "Traceback" not in text
+    assert "coordinated-piecewise" in text
+    assert "─" in text
+
+
+@pytest.mark.parametrize("columns", ["60", "120", "180", "240"])
+def test_no_column_is_lost_in_a_narrow_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, columns: str
+) -> None:
+    monkeypatch.setenv("COLUMNS", columns)
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    assert main(["simulate", *_QUICK]) == 0
+    text = capsys.readouterr().out
+    assert "final power [p.u.]" in text
+    assert "completed 6.0 s" in text
+
+
+def test_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["--version"])
+    assert end.value.code == 0
+    assert capsys.readouterr().out == f"wtg-gym {wtg_gym.__version__}\n"
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_of_each_command_teaches(capsys: pytest.CaptureFixture[str], command: str) -> None:
+    with pytest.raises(SystemExit) as end:
+        main([command, "--help"])
+    assert end.value.code == 0
+    text = capsys.readouterr().out
+    assert "examples:\n  wtg-gym " in text
+    assert "--json" in text
+
+
+def test_help_lists_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    text = capsys.readouterr().out
+    assert all(command in text for command in COMMANDS)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ((), "required: COMMAND"),
+        (("fly",), "invalid choice: 'fly'"),
+        (("simulate", "--wnd", "8"), "--wnd"),
+        (("simulate", "--case", "load-increase", "--suite", "paper"), "not allowed with argument --case"),
+        (("simulate", "--wind", "strong"), "invalid float value: 'strong'"),
+    ],
+)
+def test_wrong_usage_points_to_the_help(
+    capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str
+) -> None:
+    line = error_of(capsys, *arguments)
+    assert said in line
+    assert "--help" in line
+
+
+def test_interrupt_exits_with_130_and_says_what_is_left(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(wtg_gym.cli.simulate, "simulate", interrupt)
+    assert main(["simulate", *_QUICK]) == 130
+    assert "wtg-gym: interrupted; nothing was written" in capsys.readouterr().err

@@ -1,0 +1,105 @@
+"""`wtg-gym reproduce`, `accuracy` and `parameters` as a user calls them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.cli.calls import error_of, json_of
+from wtg_gym.cli import main
+
+SECTIONS = ("claims", "figures", "studies", "agreement", "modes")
+
+
+def _page(path: Path, *sections: str) -> Path:
+    markers = [f"<!-- {name}:start -->\n<!-- {name}:end -->" for name in sections]
+    path.write_text("# Page\n\n" + "\n\ntext\n\n".join(markers) + "\nend\n", encoding="utf-8")
+    return path
+
+
+def test_reproduce_writes_claims_and_every_figure(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    folder = tmp_path / "docs" / "out"
+    folder.parent.mkdir()
+    page = _page(tmp_path / "docs" / "page.md", *SECTIONS)
+    assert main(["reproduce", "--output", str(folder), "--formats", "svg", "--page", str(page)]) == 0
+    said = capsys.readouterr().out
+    data = json.loads((folder / "claims.json").read_text(encoding="utf-8"))
+    assert len(data["claims"]) == said.count(" holds\n") + said.count("DOES NOT HOLD\n") >= 28
+    assert len(data["agreement"]) >= 18
+    figures = sorted(path.stem for path in (folder / "figures").iterdir())
+    assert figures == sorted(
+        [
+            "bode-comparison",
+            "bode-proposed",
+            *(f"characteristic-{n}" for n in ("mppt", "deloaded-5", "deloaded-10", "coordinated-piecewise")),
+            "damping",
+            "equilibria",
+            "load-decrease",
+            "load-increase",
+            "machines",
+            "margins",
+            "modes",
+            "power-coefficient",
+            "slopes",
+        ]
+    )
+    text = page.read_text(encoding="utf-8")
+    assert text.startswith("# Page\n") and text.endswith("\nend\n") and text.count("text") >= 4
+    for name in figures:
+        assert f"(out/figures/{name}.svg)" in text
+    assert "| the paper says |" in text and "**does not hold**" in text
+    assert (folder / "claims.md").read_text(encoding="utf-8").strip() in text
+
+
+def test_accuracy_writes_study_and_page(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    page = _page(tmp_path / "page.md", "accuracy")
+    data = json_of(capsys, "accuracy", "--scenarios", "1", "--output", str(tmp_path), "--page", str(page), "--json")
+    stored = json.loads((tmp_path / "accuracy.json").read_text(encoding="utf-8"))
+    assert stored == data
+    chosen = next(row for row in data["rows"] if row["method"] == "RK4" and row["step_s"] == 0.02)
+    assert chosen["frequency_hz"]["worst"] < 1e-5
+    assert (tmp_path / "accuracy.svg").exists() and (tmp_path / "accuracy.png").exists()
+    assert "| **RK4** | **20** |" in page.read_text(encoding="utf-8")
+
+
+def test_parameters_are_listed_and_kept_on_a_page(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    data = json_of(capsys, "parameters", "--json")
+    assert len(data["parameters"]) > 200
+    assert {row["source"] for row in data["parameters"]} == set(data["sources"])
+    page = _page(tmp_path / "page.md", "parameters")
+    assert main(["parameters", "--page", str(page)]) == 0
+    assert "### Synchronous machines" in page.read_text(encoding="utf-8")
+    assert main(["parameters"]) == 0
+    assert "blade_radius_m" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("reproduce", "--page", "nowhere.md"), "--page: cannot read the file with the markers nowhere.md"),
+        (("reproduce", "--formats", "jpg"), "invalid choice"),
+        (("accuracy", "--scenarios", "0"), "the number of scenarios must be 1 … 100"),
+        (("accuracy", "--suite", "best"), "best"),
+        (("parameters", "--page", "nowhere.md"), "--page: cannot read the file with the markers"),
+    ],
+)
+def test_bad_input_is_one_line(capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str) -> None:
+    assert said in error_of(capsys, *arguments)
+
+
+def test_folder_that_cannot_be_written_is_refused_before_anything_runs(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "file").write_text("x")
+    assert "is not a folder" in error_of(capsys, "reproduce", "--output", str(tmp_path / "file"))
+
+
+def test_page_without_markers_is_refused_and_left_alone(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    page = _page(tmp_path / "page.md", "claims")
+    before = page.read_bytes()
+    assert "must have the markers <!-- figures:start -->" in error_of(
+        capsys, "reproduce", "--page", str(page), "--output", str(tmp_path / "out")
+    )
+    assert page.read_bytes() == before and not (tmp_path / "out").exists()

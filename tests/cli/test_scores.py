@@ -1,0 +1,195 @@
+"""`wtg-gym evaluate` and `wtg-gym leaderboard` as a user calls them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import wtg_gym
+import wtg_gym.cli.scores
+import wtg_gym.cli.simulate
+import wtg_gym.cli.suites
+from tests.cli.calls import ROOT, error_of, json_of
+from wtg_gym.cli import main
+from wtg_gym.scenarios import FROZEN_HASHES
+
+_FEW = ("--suite", "low-wind", "--seeds", "20000:20003", "20005")
+_PAPER = ("leaderboard", "--suite", "paper", "--entries", "mppt", "deloaded-5", "coordinated-piecewise")
+
+
+def _count_played(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
+    """Names of the entries of every evaluation from now on."""
+    played: list[list[str]] = []
+    real = wtg_gym.cli.scores.evaluate
+
+    def counting(entries: Any, *arguments: Any, **named: Any) -> Any:
+        played.append([entry.name for entry in entries])
+        return real(entries, *arguments, **named)
+
+    monkeypatch.setattr(wtg_gym.cli.scores, "evaluate", counting)
+    return played
+
+
+def test_evaluate_scores_entries_and_writes_results(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    folder = tmp_path / "mine"
+    assert main(["evaluate", "--entries", "deloaded-5", *_FEW, "--results", str(folder)]) == 0
+    said = capsys.readouterr()
+    assert "4 scenarios" in said.out
+    assert "score" in said.out and "median nadir [Hz]" in said.out
+    assert all(name in said.out for name in ("deloaded-5", "mppt", "coordinated-piecewise"))
+    assert sorted(path.name for path in folder.iterdir()) == ["low-wind-test.csv", "low-wind-test.json"]
+
+
+def test_evaluate_json_is_the_description_with_the_summary(capsys: pytest.CaptureFixture[str]) -> None:
+    data = json_of(capsys, "evaluate", "--entries", "deloaded-5", *_FEW, "--machine-model", "classical", "--json")
+    assert data["seeds"] == [20_000, 20_001, 20_002, 20_005]
+    assert set(data["summary"]) == {"deloaded-5", "mppt", "coordinated-piecewise"}
+    assert data["summary"]["coordinated-piecewise"]["score"]["value"] == 100.0
+    assert data["settings"]["machine_model"] == "classical"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--entries", "turbo"), "'turbo'"),
+        (("--entries", "mppt", "mppt"), "mppt more than once"),
+        (("--suite", "storm"), "unknown suite 'storm'"),
+        (("--seeds", "3"), "the test seeds of suite 'standard' are 20000 … 20199"),
+        (("--seeds", "20000-20010"), "expected a seed such as 20003, or a range such as 20000:20010"),
+        (("--seeds", "20010:20000"), "0 seeds, a range must hold 1 … 100000"),
+        (("--seeds", "0:999999999999"), "a range must hold 1 … 100000"),
+        (("--duration", "0.2"), "duration_s = 0.2 s is outside the allowed range 1 … 3600 s"),
+        (("--simulation-dt", "0.03"), "0.1 s is not a whole number of"),
+        (("--threads", "0"), "the number of threads must be 1 or more, got 0"),
+        (("--results", "file.txt"), "file.txt is not a folder"),
+    ],
+)
+def test_evaluate_refuses_bad_input(
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    arguments: tuple[str, ...],
+    said: str,
+) -> None:
+    (tmp_path / "file.txt").write_text("not a folder", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    entries = () if "--entries" in arguments else ("--entries", "mppt")
+    assert said in error_of(capsys, "evaluate", *entries, *arguments)
+    assert [path.name for path in tmp_path.iterdir()] == ["file.txt"]
+
+
+def test_missing_baselines_say_how_to_go_on(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(wtg_gym.cli.scores, "_DEFAULT_ENTRIES", "no_such_package")
+    line = error_of(capsys, "leaderboard", "--entries", "no_such_package")
+    assert "run the command in the root of a checkout, or say what to score with --entries" in line
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are another thing there")
+def test_interrupted_leaderboard_keeps_its_finished_parts(tmp_path: Path) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", "wtg_gym.cli", "leaderboard", "--entries"]
+    command += ["deloaded-5", "deloaded-10", "coordinated-linear", "coordinated-undamped", "--threads", "1"]
+    process = subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True)
+    partial = tmp_path / "results" / "partial"
+    until = time.monotonic() + 200.0
+    while not list(partial.glob("*.json")) and process.poll() is None and time.monotonic() < until:
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    said = process.communicate(timeout=100)[1]
+    assert process.returncode == 130
+    assert f"finished parts are kept in {Path('results') / 'partial'}: run the same command again to go on" in said
+    assert "Traceback" not in said
+    assert list(partial.glob("*.json"))
+
+
+def test_leaderboard_ranks_writes_and_updates_the_readme(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    readme = tmp_path / "README.md"
+    readme.write_text("before\n<!-- leaderboard:paper:start -->\nold\n<!-- leaderboard:paper:end -->\nafter\n")
+    results = tmp_path / "results"
+    arguments = [*_PAPER, "--results", str(results), "--readme", str(readme)]
+    assert main(arguments) == 0
+    said = capsys.readouterr()
+    assert f"{readme}: updated" in said.err
+    rows = [line.split() for line in said.out.splitlines() if line.split()[1:2] and line.split()[0] in "123"]
+    assert rows[0][:2] == ["1", "coordinated-piecewise"]
+    text = readme.read_text(encoding="utf-8")
+    assert text.startswith("before\n") and text.endswith("after\n") and "old" not in text
+    assert "| 1 | coordinated-piecewise |" in text
+    assert sorted(path.name for path in results.iterdir()) == ["paper-test.csv", "paper-test.json"]
+    assert main(arguments) == 0
+    assert f"{readme}: already up to date" in capsys.readouterr().err
+
+
+def test_leaderboard_evaluates_only_what_is_missing(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    results = ("--results", str(tmp_path))
+    whole = ("--entries", "mppt", "deloaded-5", "coordinated-linear", "coordinated-piecewise")
+    assert main([*_PAPER, *whole, *results]) == 0
+    expected = [(tmp_path / f"paper-test.{ending}").read_bytes() for ending in ("json", "csv")]
+    assert main([*_PAPER, *results]) == 0
+    played = _count_played(monkeypatch)
+    assert main([*_PAPER, *whole, *results]) == 0
+    # The anchors alone, to compare; then the one that the second call has dropped.
+    assert played == [[], ["coordinated-linear"]]
+    assert [(tmp_path / f"paper-test.{ending}").read_bytes() for ending in ("json", "csv")] == expected
+    played.clear()
+    assert main([*_PAPER, *results, "--fresh"]) == 0
+    assert played == [[], ["mppt", "deloaded-5", "coordinated-piecewise"]]
+
+
+@pytest.mark.parametrize("damage", ["cut short", "edited", "other source"])
+def test_damaged_or_stale_results_are_evaluated_again(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, damage: str
+) -> None:
+    results = ("--results", str(tmp_path))
+    assert main([*_PAPER, *results]) == 0
+    path = tmp_path / "paper-test.json"
+    good = path.read_text(encoding="utf-8")
+    if damage == "cut short":
+        path.write_text(good[:500], encoding="utf-8")
+    elif damage == "edited":
+        table = path.with_suffix(".csv")
+        table.write_text(table.read_text(encoding="utf-8").replace("49.", "50."), encoding="utf-8")
+    else:
+        monkeypatch.setattr("wtg_gym.evaluation.evaluator.source_hash", lambda: "0" * 64)
+    capsys.readouterr()
+    played = _count_played(monkeypatch)
+    assert main([*_PAPER, *results]) == 0
+    assert "not used: " in capsys.readouterr().err
+    assert played == [[], ["mppt", "deloaded-5", "coordinated-piecewise"]]
+    if damage != "other source":
+        assert path.read_text(encoding="utf-8") == good
+
+
+def test_leaderboard_json_keeps_stdout_clean(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    data = json_of(capsys, *_PAPER, "--results", str(tmp_path), "--json")
+    assert data["suite_hash"] == FROZEN_HASHES["paper"]
+    assert set(data["summary"]) == {"mppt", "deloaded-5", "coordinated-piecewise"}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (None, "cannot read the file with the markers"),
+        ("no markers", "must have the markers <!-- leaderboard:paper:start -->"),
+    ],
+)
+def test_readme_that_cannot_take_the_table_is_refused_before_anything_runs(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, text: str | None, said: str
+) -> None:
+    readme = tmp_path / "README.md"
+    if text is not None:
+        readme.write_text(text, encoding="utf-8")
+    results = tmp_path / "results"
+    assert said in error_of(capsys, *_PAPER, "--results", str(results), "--readme", str(readme))
+    assert not results.exists()

@@ -1,0 +1,208 @@
+"""`wtg-gym simulate` as a user calls it, with scenario and wind files."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.cli.calls import error_of, json_of
+from wtg_gym.cli import main
+from wtg_gym.physics.scenario import Scenario
+from wtg_gym.scenarios import get_suite
+
+_QUICK = ("--duration", "6")
+
+
+def test_simulate_tables_every_strategy_with_units(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["simulate", *_QUICK, "--strategy", "mppt", "deloaded-5", "--strategy", "coordinated-linear"]) == 0
+    text = capsys.readouterr().out
+    assert "5 s: +75 MW at bus 2" in text
+    for unit in ("nadir [Hz]", "zenith [Hz]", "RoCoF, 500 ms [Hz/s]", "rotor speed [p.u.]", "power [p.u.]"):
+        assert unit in text
+    rows = [line for line in text.splitlines() if line.endswith("completed 6.0 s")]
+    assert [row.split()[0] for row in rows] == ["mppt", "deloaded-5", "coordinated-linear"]
+
+
+def test_strategy_all_is_every_built_in_one_once(capsys: pytest.CaptureFixture[str]) -> None:
+    data = json_of(capsys, "simulate", "--duration", "1", "--strategy", "mppt", "all", "--json")
+    names = [run["strategy"] for run in data["runs"]]
+    assert len(names) == len(set(names)) == 6
+    assert names[0] == "mppt"
+
+
+def test_deloaded_strategy_is_reported_to_stall_in_the_papers_load_increase(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    data = json_of(capsys, "simulate", "--case", "load-increase", "--strategy", "deloaded-5", "--json")
+    (run,) = data["runs"]
+    assert (run["status"], run["failed_group"]) == ("stall", 2)
+    assert 30.0 < run["end_time_s"] < 120.0
+    assert 49.5 < run["nadir_hz"] < 49.9 < run["zenith_hz"]
+    assert -1.0 < run["largest_rocof_hz_s"] < 0.0
+    assert run["rocof_window_s"] == 0.5
+
+
+def test_on_failure_trip_names_the_group_that_tripped(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ("simulate", "--strategy", "mppt", "--on-failure", "trip")
+    (run,) = json_of(capsys, *arguments, "--json")["runs"]
+    assert run["status"] == "completed"
+    assert [trip["group"] for trip in run["tripped_groups"]] == [2]
+    assert main(arguments) == 0
+    assert f"group 2 tripped at {run['tripped_groups'][0]['time_s']:.1f} s" in capsys.readouterr().out
+
+
+def test_wind_and_groups_follow_each_other(capsys: pytest.CaptureFixture[str]) -> None:
+    data = json_of(capsys, "simulate", "--duration", "1", "--wind", "9", "8", "7", "--json")
+    assert data["scenario"]["mean_wind_m_s"] == [9.0, 8.0, 7.0]
+    assert len(data["plant"]["groups"]) == 3
+    data = json_of(capsys, "simulate", "--duration", "1", "--wind", "9", "--groups", "3", "--json")
+    assert data["scenario"]["mean_wind_m_s"] == [9.0] * 3
+    assert "give one or 2" in error_of(capsys, "simulate", "--wind", "9", "8", "7", "--groups", "2")
+
+
+def test_traces_hold_every_sample_with_units_in_the_header(tmp_path: Path) -> None:
+    path = tmp_path / "traces.csv"
+    assert main(["simulate", *_QUICK, "--strategy", "mppt", "deloaded-10", "--csv", str(path)]) == 0
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 2 * 61
+    assert {row["strategy"] for row in rows} == {"mppt", "deloaded-10"}
+    assert {"time_s", "frequency_hz", "rocof_hz_s", "group_1_power_pu", "group_2_rotor_speed_pu"} <= set(rows[0])
+    assert float(rows[0]["frequency_hz"]) == pytest.approx(50.0)
+    assert float(rows[60]["time_s"]) == 6.0
+
+
+@pytest.mark.parametrize("name", ["run.png", "run.svg", "run.PDF"])
+def test_plot_replaces_an_older_file_and_leaves_nothing_beside_it(tmp_path: Path, name: str) -> None:
+    pytest.importorskip("matplotlib")
+    path = tmp_path / name
+    path.write_text("old", encoding="utf-8")
+    assert main(["simulate", *_QUICK, "--plot", str(path)]) == 0
+    assert path.stat().st_size > 1000
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_missing_matplotlib_is_said_before_anything_runs(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    line = error_of(capsys, "simulate", "--plot", str(tmp_path / "run.png"))
+    assert "--plot needs the leaderboard extra: pip install 'wtg-gym[leaderboard]'" in line
+
+
+def test_law_file_is_simulated_under_its_own_name(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    law = tmp_path / "law.toml"
+    law.write_text('name = "mine"\nk_min = 1.0\nk_nominal = 0.7\nk_max = 0.5\ntau_s = 0.5\n', encoding="utf-8")
+    data = json_of(capsys, "simulate", "--duration", "1", "--strategy", str(law), "--json")
+    assert data["runs"][0]["strategy"] == "mine"
+    other = tmp_path / "other.toml"
+    other.write_text(law.read_text(encoding="utf-8"), encoding="utf-8")
+    assert "two strategies are called 'mine'" in error_of(capsys, "simulate", "--strategy", str(law), str(other))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--strategy", "turbo"), "unknown strategy 'turbo'; known strategies: mppt"),
+        (("--suite", "storm"), "unknown suite 'storm'; known suites: paper"),
+        (("--case", "storm"), "unknown case 'storm'; known cases: load-increase, load-decrease"),
+        (("--suite", "standard", "--seed", "3"), "seed 3 is in no split"),
+        (("--seed", "3"), "--seed 3 needs a suite"),
+        (("--wind", "-1"), "-1 m/s, outside the allowed range 3 … 25 m/s"),
+        (("--duration", "nan"), "duration_s = nan s is outside the allowed range 0.1 … 86400 s"),
+        (("--duration", "10.05"), "10.05 s is not a whole number of"),
+        (("--simulation-dt", "0.03"), "control_dt = 0.1 s is not a whole number of"),
+        (("--simulation-dt", "0.2"), "simulation_dt = 0.2 s is outside the allowed range"),
+        (("--groups", "0"), "the number of WTG groups must be 1 … 1024, got 0"),
+        (("--plot", "run.jpg"), "it must end in .png, .svg, .pdf"),
+        (("--csv", "run.txt"), "it must end in .csv"),
+        (("--csv", "nowhere/run.csv"), "there is no folder nowhere"),
+        (("--scenario", "nowhere.json"), "cannot read the scenario file nowhere.json"),
+        (("--wind-csv", "nowhere.csv"), "nowhere.csv: No such file"),
+    ],
+)
+def test_simulate_refuses_bad_input(
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    arguments: tuple[str, ...],
+    said: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert said in error_of(capsys, "simulate", *arguments)
+    assert not list(tmp_path.iterdir())
+
+
+def test_folder_in_the_place_of_a_file_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "run.csv").mkdir()
+    assert "it exists and is not a file" in error_of(capsys, "simulate", "--csv", str(tmp_path / "run.csv"))
+
+
+def _wind_csv(path: Path, times: list[float]) -> str:
+    lines = ["time_s,wind_1_m_s,wind_2_m_s", *(f"{time:g},9.5,8.0" for time in times)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return str(path)
+
+
+def test_wind_from_csv_replaces_the_wind(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = _wind_csv(tmp_path / "wind.csv", [float(second) for second in range(8)])
+    data = json_of(capsys, "simulate", *_QUICK, "--wind-csv", path, "--json")
+    assert data["scenario"]["mean_wind_m_s"] == [9.5, 8.0]
+    assert "has wind for 2 WTG groups, --groups asks for 3" in error_of(
+        capsys, "simulate", "--wind-csv", path, "--groups", "3"
+    )
+    assert "the series ends after 7 s, at least 120 s" in error_of(capsys, "simulate", "--wind-csv", path)
+
+
+def test_wind_csv_with_a_gap_names_the_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = _wind_csv(tmp_path / "wind.csv", [0.0, 1.0, 2.0, 5.0, 6.0])
+    line = error_of(capsys, "simulate", *_QUICK, "--wind-csv", path)
+    assert "line 5: gap or change of step in time" in line
+
+
+def _scenario_file(path: Path, **changes: Any) -> str:
+    data = get_suite("standard").scenario(20_003).to_dict()
+    data.update(changes)
+    path.write_text(json.dumps(data), encoding="utf-8")
+    return str(path)
+
+
+def test_dumped_scenario_can_be_edited_and_simulated(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    data = json_of(capsys, "suites", "standard", "--seed", "20003", "--json")
+    assert Scenario.from_dict(data).to_json() == get_suite("standard").scenario(20_003).to_json()
+    data["events"] = [{"kind": "load_step", "time_s": 2.0, "bus": 3, "power_mw": 30.0}]
+    path = tmp_path / "mine.json"
+    path.write_text(json.dumps(data), encoding="utf-8")
+    result = json_of(capsys, "simulate", *_QUICK, "--scenario", str(path), "--json")
+    assert [event["power_mw"] for event in result["scenario"]["events"]] == [30.0]
+    assert result["runs"][0]["end_time_s"] == 6.0
+    assert "has wind for 2 WTG groups, --groups asks for 3" in error_of(
+        capsys, "simulate", "--scenario", str(path), "--groups", "3"
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"events": [{"kind": "load_step", "time_s": 2.0, "bus": 99, "power_mw": 30.0}]}, "unknown bus 99"),
+        ({"events": [{"kind": "storm"}]}, "an event needs a kind out of load_step"),
+        ({"wind_speed": [[9.0], [-2.0]]}, "-2 m/s, outside the allowed range 3 … 25 m/s"),
+        ({"inertia_scale": 0.0}, "inertia_scale = 0 is outside the allowed range 0.05 … 5"),
+        ({"colour": "red"}, "unknown scenario keys ['colour']"),
+    ],
+)
+def test_scenario_file_with_a_wrong_value_is_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, changes: dict[str, Any], said: str
+) -> None:
+    assert said in error_of(capsys, "simulate", "--scenario", _scenario_file(tmp_path / "s.json", **changes))
+
+
+def test_scenario_file_that_is_not_json_is_named(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "broken.json"
+    path.write_text('{"name": ', encoding="utf-8")
+    line = error_of(capsys, "simulate", "--scenario", str(path))
+    assert "broken.json is not JSON" in line
