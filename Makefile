@@ -37,7 +37,7 @@ docs: $(LEADERBOARD_READY) ## Measure everything that docs/ shows again and rene
 	$(LEADERBOARD_VENV)/bin/wtg-gym parameters --page docs/parameters.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym validate tests/golden/*/ --page docs/validation.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym reproduce --output docs/validation --formats svg --page docs/validation.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym accuracy --output docs/validation --page docs/validation.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym accuracy --output docs/validation --formats svg --page docs/validation.md
 
 .PHONY: golden
 golden: $(GOLDEN_READY) ## Make the golden cases of ANDES again, in an environment of its own (a quarter of an hour)

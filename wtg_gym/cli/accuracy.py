@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from wtg_gym.cli.output import (
+    FIGURE_FORMATS,
     Progress,
     check_output_folder,
     check_page,
@@ -20,7 +22,7 @@ from wtg_gym.cli.output import (
     update_page,
 )
 from wtg_gym.cli.parser import Commands, add_command
-from wtg_gym.files import write_atomically
+from wtg_gym.files import to_json, write_atomically
 from wtg_gym.scenarios import SUITES
 from wtg_gym.validation.accuracy import METHODS, STEPS, Accuracy, AccuracyStudy, study_accuracy
 from wtg_gym.validation.report import accuracy_table, order_table
@@ -48,7 +50,14 @@ def add_commands(commands: Commands) -> None:
     drawn = [name for name, suite in SUITES.items() if suite.distribution is not None]
     parser.add_argument("--suite", default="standard", metavar="NAME", help=f"{', '.join(drawn)} (default: standard)")
     out = parser.add_argument_group("output")
-    out.add_argument("--output", metavar="FOLDER", help="write accuracy.png, accuracy.svg and accuracy.json there")
+    out.add_argument("--output", metavar="FOLDER", help="write the figure 'accuracy' and accuracy.json there")
+    out.add_argument(
+        "--formats",
+        nargs="+",
+        choices=FIGURE_FORMATS,
+        default=["svg", "png"],
+        help="of the figure (default: svg png)",
+    )
     out.add_argument("--page", metavar="FILE", help="Markdown file with markers 'accuracy' to put the tables between")
     out.add_argument("--json", action="store_true", help="print the study as JSON, and nothing else, on stdout")
 
@@ -67,7 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
         )
     data = _as_json(study)
     if folder is not None:
-        _write(folder, study, data)
+        _write(folder, study, data, arguments.formats)
     if page is not None:
         update_page(page, {"accuracy": f"{_summary(study)}\n\n{order_table(study)}\n\n{accuracy_table(study)}"})
     if arguments.json:
@@ -77,15 +86,14 @@ def run(arguments: argparse.Namespace) -> int:
     return int(not np.isfinite(study.row("RK4", study.default_step_s).frequency_hz).all())
 
 
-def _write(folder: Path, study: AccuracyStudy, data: Any) -> None:
-    from wtg_gym.files import to_json
+def _write(folder: Path, study: AccuracyStudy, data: Any, formats: Sequence[str]) -> None:
     from wtg_gym.plotting import figure_bytes, plot_accuracy
 
     figure = plot_accuracy(study)
-    for suffix in ("png", "svg"):
+    for suffix in formats:
         write_atomically(folder / f"accuracy.{suffix}", figure_bytes(figure, suffix))
     write_atomically(folder / "accuracy.json", to_json(data))
-    note(f"wrote {folder / 'accuracy'}.png, .svg and .json")
+    note(f"wrote accuracy.json and accuracy.{', accuracy.'.join(formats)} in {folder}")
 
 
 def _summary(study: AccuracyStudy) -> str:

@@ -14,6 +14,8 @@ from typing import Any, Literal
 
 from wtg_gym.files import require_markers, update_between_markers
 
+#: Formats that figures are written in.
+FIGURE_FORMATS = ("svg", "png", "pdf")
 #: Lines of progress come this far apart, the first one after as long [s].
 _PROGRESS_INTERVAL_S = 5.0
 

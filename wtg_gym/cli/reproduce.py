@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from wtg_gym.cli.output import (
+    FIGURE_FORMATS,
     Progress,
     check_output_folder,
     check_page,
@@ -48,7 +49,6 @@ from wtg_gym.validation.studies import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_FORMATS = ("svg", "png", "pdf")
 _SECTIONS = ("claims", "figures", "studies", "agreement", "modes")
 
 _DESCRIPTION = f"""\
@@ -83,7 +83,7 @@ def add_commands(commands: Commands) -> None:
         "--output", default="reproduction", metavar="FOLDER", help="where to write (default: reproduction)"
     )
     parser.add_argument(
-        "--formats", nargs="+", choices=_FORMATS, default=["svg", "png"], help="of the figures (default: svg png)"
+        "--formats", nargs="+", choices=FIGURE_FORMATS, default=["svg", "png"], help="of the figures (default: svg png)"
     )
     parser.add_argument("--page", metavar="FILE", help="Markdown file whose sections are renewed")
     parser.add_argument("--json", action="store_true", help="print claims.json on stdout instead of the table")
@@ -187,19 +187,15 @@ def _paper_pictures(evidence: _Evidence) -> Iterator[_Picture]:
         )
     yield _Picture(
         "bode-comparison",
-        "Open-loop Bode plots at 11.4 m/s, K_p = 1.45, with phase margins: ideal DC source, deloaded strategies, and "
-        "the linear law without transient damping.",
+        "Open-loop Bode plots at 11.4 m/s, K_p = 1.45, with phase margins: ideal DC source, fixed strategies, and the "
+        "linear law without transient damping.",
         lambda: plotting.plot_bode(_bode_loops()),
     )
     yield _Picture(
         "bode-proposed",
-        "Open-loop Bode plot of the linear law with transient damping (τ = 0.8 s) and without.",
-        lambda: plotting.plot_bode(
-            {
-                "coordinated-linear": single_machine(STRATEGIES["coordinated-linear"], 11.4),
-                "coordinated-linear-undamped": single_machine(linear_undamped(), 11.4),
-            }
-        ),
+        "Open-loop Bode plots of the proposed strategy: the linear law with transient damping (τ = 0.8 s) and without, "
+        "and both slopes of the piecewise law with it.",
+        lambda: plotting.plot_bode(_proposed_loops()),
     )
     cases = evidence.cases
     yield _Picture(
@@ -214,9 +210,20 @@ def _paper_pictures(evidence: _Evidence) -> Iterator[_Picture]:
     )
 
 
+def _proposed_loops() -> dict[str, SingleMachine]:
+    piecewise = STRATEGIES[REFERENCE_STRATEGY]
+    return {
+        "coordinated-linear": single_machine(STRATEGIES["coordinated-linear"], 11.4),
+        "coordinated-linear-undamped": single_machine(linear_undamped(), 11.4),
+        f"{REFERENCE_STRATEGY}, under-frequency": single_machine(piecewise, 11.4, side="under"),
+        f"{REFERENCE_STRATEGY}, over-frequency": single_machine(piecewise, 11.4, side="over"),
+    }
+
+
 def _bode_loops() -> dict[str, SingleMachine]:
     return {
         "ideal-source": ideal_source_loop(),
+        "mppt": single_machine(STRATEGIES["mppt"], 11.4),
         "deloaded-5": single_machine(STRATEGIES["deloaded-5"], 11.4),
         "deloaded-10": single_machine(STRATEGIES["deloaded-10"], 11.4),
         "coordinated-linear-undamped": single_machine(linear_undamped(), 11.4),

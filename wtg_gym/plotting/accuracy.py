@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,32 +13,55 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from wtg_gym.validation.accuracy import AccuracyStudy
+    from wtg_gym.validation.accuracy import Accuracy, AccuracyStudy
 
 _MARKERS = ("s", "^", "D", "o", "v", "P")
 
 
 @printed
 def plot_accuracy(study: AccuracyStudy) -> Figure:
-    """Draw the worst error of frequency and of power over all scenarios against the time per simulated second.
+    """Draw the error of frequency and of power against the time per simulated second, one line per method.
 
-    One line per method, one marker per step; the line below is the median scenario, the ring the default step.
+    Lines join the worst scenario of each step, dots the median one; the ring is the default step. Steps are written at
+    the last method, since the others' follow from their numbers of evaluations.
 
     Args:
         study: what :func:`wtg_gym.validation.accuracy.study_accuracy` returns.
     """
-    figure = new_figure(DOUBLE_COLUMN_MM, 78.0)
-    panels = figure.subplots(1, 2)
+    figure = new_figure(DOUBLE_COLUMN_MM, 82.0)
+    panels = figure.subplots(1, 2, sharex=True)
     for axes, quantity, label in (
         (panels[0], "frequency_hz", "error of frequency [Hz]"),
         (panels[1], "power_pu", "error of power [p.u.]"),
     ):
         _draw(axes, study, quantity)
-        axes.set_xlabel("time per simulated second, one environment [µs]")
+        axes.set_xlabel("time per simulated second [µs]")
         axes.set_ylabel(label)
+    _label_times(panels[0])
     handles, names = panels[0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=len(names))
     return figure
+
+
+def _label_times(axes: Axes) -> None:
+    from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
+
+    axes.xaxis.set_major_locator(FixedLocator([50, 100, 200, 500, 1000, 2000]))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+
+
+def _label_steps(axes: Axes, rows: Sequence[Accuracy], cost: Sequence[float], error: Sequence[float]) -> None:
+    """Write the steps below a line's points, but for those that would run into their neighbour on the right."""
+    right = float("inf")
+    for row, x, y in reversed(list(zip(rows, cost, error, strict=True))):
+        if right / x > 1.3:
+            right = x
+            text = f"{1e3 * row.step_s:g} ms"
+            offset = (0, -4)
+            axes.annotate(text, (x, y), offset, textcoords="offset points", ha="center", va="top", fontsize=SMALL_PT)
+    low, high = axes.get_ylim()
+    axes.set_ylim(low / 3.0, high)
 
 
 def _draw(axes: Axes, study: AccuracyStudy, quantity: str) -> None:
@@ -47,24 +71,16 @@ def _draw(axes: Axes, study: AccuracyStudy, quantity: str) -> None:
         cost = [row.microseconds_per_s for row in rows]
         worst = [float(getattr(row, quantity).max()) for row in rows]
         median = [float(np.median(getattr(row, quantity))) for row in rows]
-        colour = PALETTE[i % len(PALETTE)]
-        axes.loglog(cost, worst, marker=_MARKERS[i % len(_MARKERS)], color=colour, label=f"{name}, worst scenario")
-        axes.loglog(cost, median, linestyle=":", color=colour, linewidth=0.9)
-        if name == names[-1]:
-            for row, x, y in zip(rows, cost, worst, strict=True):
-                axes.annotate(
-                    f"{1e3 * row.step_s:g} ms", (x, y), xytext=(4, 4), textcoords="offset points", fontsize=SMALL_PT
-                )
+        colour, last = PALETTE[i % len(PALETTE)], name == names[-1]
+        axes.loglog(cost, worst, marker=_MARKERS[i % len(_MARKERS)], color=colour, label=name)
+        axes.loglog(
+            cost, median, ":", color=colour, linewidth=0.9, label="median scenario" if last else None, zorder=1.5
+        )
+        if last:
+            _label_steps(axes, rows, cost, median)
     chosen = study.row("RK4", study.default_step_s)
-    axes.plot(
-        chosen.microseconds_per_s,
-        getattr(chosen, quantity).max(),
-        "o",
-        markersize=11,
-        markerfacecolor="none",
-        markeredgecolor="black",
-        label="default" if quantity == "frequency_hz" else None,
-    )
+    at = chosen.microseconds_per_s, float(getattr(chosen, quantity).max())
+    axes.plot(*at, "o", markersize=10, markerfacecolor="none", markeredgecolor="black", label="default")
 
 
 __all__ = ["plot_accuracy"]

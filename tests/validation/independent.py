@@ -1,0 +1,150 @@
+"""Classical machines with TGOV1, written a second time from the equations, with numpy and scipy only.
+
+Shares nothing with the package: loads and events by bus, the whole network solved at each evaluation, limits of the
+gate as a hybrid system whose mode changes are located by the integrator. Slow, and good to about 1e-10.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+
+class Independent:
+    """A parameter file's system, from the file's own data."""
+
+    def __init__(self, data: dict[str, Any]) -> None:
+        self.buses = [bus["bus"] for bus in data["bus"]]
+        self.index = {bus: i for i, bus in enumerate(self.buses)}
+        self.keys = list(data["gens"])
+        gens = [data["gens"][key] for key in self.keys]
+        start = np.array([bus["V"] * np.exp(1j * bus["theta"]) for bus in data["bus"]])
+        scale = np.array([gen["Sn"] / data["Sbase"] for gen in gens])
+        self.scale, self.omega_n = scale, 2.0 * np.pi * data["fn"]
+        self.inertia = np.array([gen["M"] for gen in gens]) * scale
+        self.damping = np.array([gen["D"] for gen in gens]) * scale
+        self.impedance = np.array([complex(gen["ra"], gen["xd1"]) for gen in gens]) / scale
+        self.at = np.array([self.index[gen["bus"]] for gen in gens])
+        static = [data["gen_static"][str(gen["bus"])] for gen in gens]
+        power = np.array(
+            [complex(s["P"] * g["gammap"], s["Q"] * g["gammaq"]) for s, g in zip(static, gens, strict=True)]
+        )
+        current = np.conj(power / start[self.at])
+        emf = start[self.at] + self.impedance * current
+        self.emf, self.delta = np.abs(emf), np.angle(emf)
+        self.torque = power.real + self.impedance.real * np.abs(current) ** 2
+        self.loads = {bus: 0j for bus in self.buses}
+        for load in data["load"]:
+            self.loads[load["bus"]] += complex(load["P"], -load["Q"]) / abs(start[self.index[load["bus"]]]) ** 2
+        self.y = self._network(data)
+        governors = data["tgov1"] if isinstance(data["tgov1"], list) else [data["tgov1"]]
+        self.governed = np.array([self.keys.index(str(g["gen"])) for g in governors])
+        for name in ("R", "T1", "T2", "T3", "VMIN", "VMAX", "Dt"):
+            setattr(self, name, np.array([g[name] for g in governors]))
+        self.reference = self.torque[self.governed] / scale[self.governed]
+
+    def _network(self, data: dict[str, Any]) -> np.ndarray:
+        n = len(self.buses)
+        y = np.zeros((n, n), dtype=complex)
+        for line in data["line"]:
+            f, t = self.index[line["f"]], self.index[line["t"]]
+            series, half = 1.0 / complex(line["r"], line["x"]), 0.5j * line["b"]
+            tap = line["tap"] * np.exp(1j * line["phi"])
+            y[f, f] += (series + half) / abs(tap) ** 2
+            y[t, t] += series + half
+            y[f, t] -= series / np.conj(tap)
+            y[t, f] -= series / tap
+        for shunt in data["shunt"]:
+            y[self.index[shunt["bus"]], self.index[shunt["bus"]]] += complex(shunt["g"], shunt["b"])
+        for bus, load in self.loads.items():
+            y[self.index[bus], self.index[bus]] += load
+        np.add.at(y, (self.at, self.at), 1.0 / self.impedance)
+        return y
+
+    def solve(self, y: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return bus voltages, machine currents and voltages behind the impedances."""
+        m = len(self.keys)
+        emf = self.emf * np.exp(1j * state[:m])
+        injected = np.zeros(len(self.buses), dtype=complex)
+        np.add.at(injected, self.at, emf / self.impedance)
+        voltage = np.linalg.solve(y, injected)
+        return voltage, (emf - voltage[self.at]) / self.impedance, emf
+
+    def rates(self, y: np.ndarray, held: np.ndarray, state: np.ndarray) -> np.ndarray:
+        """Return the time derivatives; `held` marks gates at a limit."""
+        m, g = len(self.keys), len(self.governed)
+        _, current, emf = self.solve(y, state)
+        speed, gate, lag = state[m : 2 * m], state[2 * m : 2 * m + g], state[2 * m + g :]
+        torque = self.torque.copy()
+        own = lag + self.T2 / self.T3 * (gate - lag) - self.Dt * (speed[self.governed] - 1.0)
+        torque[self.governed] = self.scale[self.governed] * own
+        demand = self.reference - (speed[self.governed] - 1.0) / self.R
+        return np.concatenate(
+            [
+                self.omega_n * (speed - 1.0),
+                (torque - (emf * current.conj()).real - self.damping * (speed - 1.0)) / self.inertia,
+                np.where(held != 0, 0.0, (demand - gate) / self.T1),
+                (gate - lag) / self.T3,
+            ]
+        )
+
+    def columns(self, y: np.ndarray, state: np.ndarray) -> dict[str, float]:
+        """Return speeds, powers and voltages as a trace has them."""
+        voltage, current, _ = self.solve(y, state)
+        power = (voltage[self.at] * current.conj()).real
+        found = {f"V{bus}": abs(voltage[i]) for i, bus in enumerate(self.buses)}
+        for i, key in enumerate(self.keys):
+            found |= {f"w{key}": state[len(self.keys) + i], f"Pe{key}": power[i]}
+        return found
+
+    def run(self, events: list[dict[str, float]], times: list[float]) -> dict[str, np.ndarray]:
+        """Return the columns at the times [s], and how often a gate has met or left a limit as `switches`."""
+        m, g = len(self.keys), len(self.governed)
+        state = np.concatenate([self.delta, np.ones(m), self.reference, self.reference])
+        y, held, clock, rows, switches = self.y.copy(), np.zeros(g), 0.0, [], 0
+        for stop in sorted({event["t"] for event in events} | {times[-1]}):
+            while clock < stop:
+                watched = [
+                    self._watch(j, held[j], limit) for j in range(g) for limit in ((1, -1) if not held[j] else (0,))
+                ]
+                done = solve_ivp(
+                    lambda _t, x, y=y, held=held: self.rates(y, held, x),
+                    (clock, stop),
+                    state,
+                    method="DOP853",
+                    rtol=1e-11,
+                    atol=1e-13,
+                    dense_output=True,
+                    events=[event for _, _, event in watched],
+                )
+                while len(rows) < len(times) and times[len(rows)] <= done.t[-1]:
+                    rows.append(self.columns(y, done.sol(times[len(rows)])))
+                clock, state = float(done.t[-1]), done.y[:, -1].copy()
+                for (j, mode, _), hits in zip(watched, done.t_events, strict=True):
+                    if len(hits):
+                        held[j] = mode
+                        switches += 1
+            for event in events:
+                if event["t"] == stop:
+                    i = self.index[int(event["bus"])]
+                    y[i, i] += event["dG_pu"] if "dG_pu" in event else -self.loads[int(event["bus"])]
+        found = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+        return found | {"switches": np.array([switches])}
+
+    def _watch(self, j: int, held: float, limit: int) -> tuple[int, int, Any]:
+        m = len(self.keys)
+
+        def to_limit(_t: float, x: np.ndarray) -> float:
+            return float(x[2 * m + j] - (self.VMAX[j] if limit > 0 else self.VMIN[j]))
+
+        def off_limit(_t: float, x: np.ndarray) -> float:
+            return float(self.reference[j] - (x[m + self.governed[j]] - 1.0) / self.R[j] - x[2 * m + j])
+
+        watch: Any = to_limit if limit else off_limit
+        watch.terminal, watch.direction = True, limit if limit else -held
+        return j, limit, watch
+
+
+__all__ = ["Independent"]
