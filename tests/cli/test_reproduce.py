@@ -10,7 +10,7 @@ import pytest
 from tests.cli.calls import error_of, json_of
 from wtg_gym.cli import main
 
-SECTIONS = ("claims", "figures", "studies", "agreement", "modes")
+SECTIONS = ("claims", "figures", "studies", "agreement", "system-margins", "modes")
 
 
 def _page(path: Path, *sections: str) -> Path:

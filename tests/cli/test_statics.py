@@ -49,8 +49,14 @@ def test_law_file_is_one_of_any_laws(capsys: pytest.CaptureFixture[str], tmp_pat
 def test_law_without_an_equilibrium_is_told_not_crashed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     law = tmp_path / "greedy.toml"
     law.write_text("k_min = 3\nk_nominal = 3\nk_max = 3\n")
-    assert main(["statics", "--law", str(law), "--points", "2"]) == 0
-    assert "any frequency" in capsys.readouterr().out
+    data = json_of(capsys, "statics", "--law", str(law), "--wind", "8", "--points", "2", "--json")
+    (entry,) = data["statics"]
+    # Above the set-point its droop lets go.
+    assert not entry["has_equilibrium_at_setpoint"] and entry["has_equilibrium_from_setpoint_on"]
+    assert entry["critical_frequency_pu"] == pytest.approx(1.00005, abs=5e-6)
+    law.write_text("k_min = 3\nk_nominal = 3\nk_max = 3\ntau_s = 0.8\n")
+    assert main(["statics", "--law", str(law), "--wind", "8", "--points", "2"]) == 0
+    assert "none from ω_st on" in capsys.readouterr().out
 
 
 def test_csv_and_plot_are_written(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -60,7 +60,7 @@ def test_slopes_are_the_derivatives_of_the_equations(law: TrackingLaw, wind: flo
     assert loop.frequency_slope <= 0.0
 
 
-@given(st.floats(4.0, 11.5), st.floats(0.2, 5.0), st.floats(0.05, 20.0), st.sampled_from(["under", "over"]))
+@given(st.floats(4.0, 25.0), st.floats(0.2, 5.0), st.floats(0.05, 20.0), st.sampled_from(["under", "over"]))
 def test_margins_agree_with_a_fine_sweep_and_with_the_poles(wind: float, k_p: float, tau: float, side: str) -> None:
     law = dataclasses.replace(STRATEGIES["coordinated-piecewise"], name="x", damping_time_constant_s=tau)
     loop = single_machine(law, wind, k_p, side=side)  # type: ignore[arg-type]
@@ -70,10 +70,13 @@ def test_margins_agree_with_a_fine_sweep_and_with_the_poles(wind: float, k_p: fl
     crossings = np.flatnonzero((gain[:-1] - 1.0) * (gain[1:] - 1.0) <= 0.0)
     margins = [180.0 + np.degrees(np.unwrap(np.angle(loop.response(sweep))))[i] for i in crossings]
     margins = [(margin + 180.0) % 360.0 - 180.0 for margin in margins]
+    if not found.stable:
+        assert math.isnan(found.phase_margin_deg) and loop.closed_loop_poles().real.max() >= 0.0
+        return
     assert found.phase_margin_deg == pytest.approx(min(margins), abs=0.5)
     assert abs(loop.response(found.crossover_rad_s)) == pytest.approx(1.0, abs=1e-9)
     # One crossover and a rolling-off loop: Nyquist says the sign of the margin decides.
-    assert found.stable == (found.phase_margin_deg > 0.0)
+    assert found.phase_margin_deg > 0.0
 
 
 @given(st.floats(0.05, 1e3), st.floats(0.05, 1e3))

@@ -104,9 +104,23 @@ def test_any_machine_bus_can_have_the_angle_zero(edited: Any) -> None:
         (lambda d: d["gens"]["3"].update(model="REGCV1"), "must be GENCLS or GENROU, got 'REGCV1'"),
         (lambda d: d["gens"]["3"].update(bus=99), "99 of gen_static"),
         (lambda d: d["gen_static"].pop("3"), "3 of gen_static"),
+        (lambda d: d["gens"]["1"].update(gammap=0.6), "gammap of the machines at bus 1 add up to 0.6"),
+        (lambda d: d["gens"]["2a"].update(gammaq=0.7), "gammaq of the machines at bus 2 add up to 1.2"),
+        (lambda d: d["gen_static"]["1"].update(P=0.9), "the power of machine 1 in the file's power flow is 0.9"),
+        (lambda d: d["gen_static"]["3"].update(Q=0.9), "the power of machine 3 in the file's power flow is"),
+        (lambda d: d.update(tgov1=[d["tgov1"], d["tgov1"]]), "is the second one of machine '1'"),
+        (lambda d: d["tgov1"].update(gen=None, bus=2), "must name its machine .gen.: bus 2 has 2 machines"),
+        (
+            lambda d: d["events"].update(a=[{"t": t, "bus": 4, "trip_load_MW": 30} for t in (1, 2)]),
+            "more than bus 4 has",
+        ),
+        (lambda d: d["bus"].append(d["bus"][3]), "is bus 4 for the second time"),
+        (lambda d: d["line"][3].update(u=0), "is switched off .u = 0.; leave it out"),
+        (lambda d: d["line"][3].update(t=2), "a branch goes from bus 2 to itself"),
+        (lambda d: d["tgov1"].update(VMIN=2.0), "outside the limits VMIN … VMAX = 2 … 1.2"),
         (lambda d: d["gens"].pop("3"), "gen_static of .* has buses without a machine: 3"),
-        (lambda d: d["tgov1"].update(gen="7"), r"tgov1 of .* belongs to unknown machines \['7'\]"),
-        (lambda d: d["tgov1"].update(VMAX=0.05), "cannot start: the balancing machine would start beyond its gate"),
+        (lambda d: d["tgov1"].update(gen="7"), r"tgov1.0. of .* belongs to an unknown machine '7'"),
+        (lambda d: d["tgov1"].update(VMAX=0.05), "its machine at bus 1 starts with a gate of 0.1324"),
         (lambda d: d["events"]["a"][0].update(bus=15), "is at bus 15, which the file does not list"),
         (lambda d: d["events"]["a"][0].pop("dG_pu"), "must give dG_pu, dB_pu or trip_load_MW"),
         (lambda d: d["events"]["a"][0].update(t=-1.0), "event time = -1 s is outside"),
@@ -117,7 +131,7 @@ def test_any_machine_bus_can_have_the_angle_zero(edited: Any) -> None:
         (lambda d: d.update(tolerance={"P": 1e-6}), r"has unknown quantities \['P'\]"),
         (lambda d: d["bus"][4].update(V=1.2), "are not a power flow of its own network and powers: at bus 5"),
         (lambda d: (d["gens"].clear(), d.pop("tgov1")), "has no machine"),
-        (lambda d: d.update(sexs={"gen": "3"}), "K of sexs"),
+        (lambda d: d.update(sexs={"gen": "3"}), "is a GENCLS with an exciter; its voltage is constant"),
     ],
 )
 def test_wrong_files_are_refused_with_the_place_and_the_value(
@@ -126,6 +140,38 @@ def test_wrong_files_are_refused_with_the_place_and_the_value(
     with pytest.raises(ValueError, match=said):
         case = read_parameters(edited(change))
         replay(case, case.events["a"], [0.0], 0.01)
+
+
+def test_what_is_not_understood_is_listed(edited: Any) -> None:
+    def change(data: Any) -> None:
+        data["fault"], data["line"][0]["rate"], data["gens"]["3"]["H"] = [{"bus": 3}], 100.0, 5.0
+
+    assert read_parameters(PARAMS).unused == ()
+    unused = read_parameters(edited(change)).unused
+    assert [place.split(" of the parameter")[0] for place in unused] == ["fault", "H of 3 of gens", "rate of line[0]"]
+
+
+def test_null_and_whole_floats_and_missing_events_are_understood(edited: Any) -> None:
+    def change(data: Any) -> None:
+        data["events"], data["gens"]["3"]["D"], data["line"][0]["f"] = None, None, 1.0
+        data["tgov1"].pop("gen")
+        data["gens"]["2a"]["gammaq"], data["gens"]["2b"]["gammaq"] = 0.0, 1.0
+
+    case = read_parameters(edited(change))
+    assert case.events == {} and case.network.machines[3].damping_pu == 0.0
+    assert case.network.machines[0].governor is not None
+    assert replay(case, (), [1.0], 0.01)["w3"] == pytest.approx([1.0], abs=1e-9)
+
+
+def test_event_of_several_parts_is_their_sum(edited: Any) -> None:
+    def change(data: Any) -> None:
+        data["events"] = [{"t": 1.0, "bus": 4, "dG_pu": 0.1, "dB_pu": 0.2, "trip_load_MW": 47.8}]
+
+    case = read_parameters(edited(change))
+    ((event,),) = case.events.values()
+    square = case.voltage[4][0] ** 2
+    assert event.power_mw == pytest.approx(10.0 * square - 47.8)
+    assert event.reactive_mvar == pytest.approx(-20.0 * square - 10.0)
 
 
 @pytest.mark.parametrize("text", ["", "[1, 2]", "{", '{"Sbase": NaN}', "\x00"])

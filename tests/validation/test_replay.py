@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from tests.golden_cases import CASES, GOLDEN
 from wtg_gym.validation.parameter_file import read_parameters
-from wtg_gym.validation.replay import Trace, choose_events, differences, read_trace, replay
+from wtg_gym.validation.replay import Trace, choose_events, differences, read_trace, replay, replay_closely
 
 UNITS = read_parameters(GOLDEN / "ideal-source-units" / "params.json")
 
@@ -69,6 +69,27 @@ def test_looking_more_often_changes_nothing(times: list[float]) -> None:
         assert whole[name][-1] == values[-1], name
 
 
+def test_second_row_at_an_event_is_the_one_after_it() -> None:
+    times = [4.9, 5.0, 5.0, 5.1]
+    found = replay(UNITS, UNITS.events["a"], times, 0.0025)
+    before, after = found["Pe2a"][1], found["Pe2a"][2]
+    assert before == pytest.approx(found["Pe2a"][0], abs=1e-9)
+    assert after > before + 0.05
+    assert found["w2a"][1] == pytest.approx(found["w2a"][2], abs=1e-12)
+
+
+def test_step_is_refined_until_its_own_error_does_not_matter() -> None:
+    """A machine so light that 2.5 ms are far too coarse."""
+    machines = list(UNITS.network.machines)
+    machines[5] = dataclasses.replace(machines[5], two_h_s=0.1, damping_pu=0.0)
+    light = dataclasses.replace(UNITS, network=dataclasses.replace(UNITS.network, machines=tuple(machines)))
+    events = (dataclasses.replace(UNITS.events["a"][0], time_s=0.5),)
+    times = np.linspace(0.0, 2.0, 17)
+    columns, step_s, own_error = replay_closely(light, events, times, 0.0025, {"w": 1e-7})
+    assert step_s < 0.0005 and own_error["w"] <= 1e-8
+    assert columns["w8"] == pytest.approx(replay(light, events, times, 5e-5)["w8"], abs=2e-8)
+
+
 def test_two_events_at_once_are_their_sum() -> None:
     first, second = UNITS.events["a"]
     together = (dataclasses.replace(first, time_s=1.0), dataclasses.replace(second, time_s=1.0, bus=first.bus))
@@ -115,6 +136,13 @@ def test_angles_are_compared_modulo_a_turn() -> None:
     assert sizes["w"].column == "w1" and sizes["w"].time_s == 0.0
 
 
+def test_comments_quotes_and_line_ends_do_not_matter(tmp_path: Path) -> None:
+    path = tmp_path / "trace.csv"
+    path.write_bytes('\ufeff# made elsewhere\r\n"t", "w1"\r\n0, 1\r\n\r\n1, 1.5\r\n'.encode())
+    trace, _ = read_trace(path, UNITS)
+    assert trace.time_s.tolist() == [0.0, 1.0] and trace.columns["w1"].tolist() == [1.0, 1.5]
+
+
 def test_event_list_is_found_by_name_or_said() -> None:
     assert choose_events(UNITS, "anything_b.csv") == UNITS.events["b"]
     assert choose_events(UNITS, "b.csv") == UNITS.events["b"]
@@ -130,6 +158,7 @@ def test_event_list_is_found_by_name_or_said() -> None:
     [
         ("", "must begin with a line of different column names"),
         ("w1,V1\n1,1\n", "the first one 't'"),
+        ("# only a comment\n", "the first one 't'"),
         ("t,w1,w1\n0,1,1\n", "different column names"),
         ("t,w1\n0,one\n", "is not a table of numbers"),
         ("t,w1\n0,1\n0.1\n", "is not a table of numbers"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import json
 import os
@@ -26,9 +27,13 @@ def note(text: str) -> None:
 
 
 def require_extra(package: str, purpose: str) -> None:
-    """Raise a ValueError that says what to install if a package of the leaderboard extra is missing."""
-    if importlib.util.find_spec(package) is None:
-        raise ValueError(f"{purpose} needs the leaderboard extra: pip install 'wtg-gym[leaderboard]'")
+    """Raise a ValueError that says what to install if a package of the leaderboard extra cannot be imported."""
+    try:
+        importlib.import_module(package)
+    except ImportError as error:
+        raise ValueError(
+            f"{purpose} needs {package} of the leaderboard extra: pip install 'wtg-gym[leaderboard]' ({error})"
+        ) from error
 
 
 def check_output_file(option: str, text: str | None, suffixes: Sequence[str]) -> Path | None:

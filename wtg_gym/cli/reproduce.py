@@ -25,12 +25,13 @@ from wtg_gym.cli.output import (
 )
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.files import to_json, write_atomically
+from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 from wtg_gym.scenarios import get_suite
 from wtg_gym.small_signal import Mode, SingleMachine, ideal_source_loop, linearise, modes, single_machine
-from wtg_gym.validation.agreement import Agreement, agreements
+from wtg_gym.validation.agreement import Agreement, agreements, system_margins
 from wtg_gym.validation.claims import Claim, paper_claims
-from wtg_gym.validation.report import agreement_table, claims_table, modes_table
+from wtg_gym.validation.report import agreement_table, claims_table, modes_table, system_margins_table
 from wtg_gym.validation.studies import (
     CaseStudies,
     DampingStudy,
@@ -49,7 +50,7 @@ from wtg_gym.validation.studies import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_SECTIONS = ("claims", "figures", "studies", "agreement", "modes")
+_SECTIONS = ("claims", "figures", "studies", "agreement", "system-margins", "modes")
 
 _DESCRIPTION = f"""\
 Runs the paper's analysis and case studies on the simulator and writes, within a minute or two,
@@ -59,8 +60,8 @@ Runs the paper's analysis and case studies on the simulator and writes, within a
                            margins over wind and on both slopes of g(ω), where the deloaded strategies lose their
                            equilibrium, what τ trades, classical against GENROU machines, the modes of the system
 
-With --page the sections {", ".join(_SECTIONS)} of a Markdown file are renewed, each between <!-- NAME:start --> and
-<!-- NAME:end -->; its pictures are those of the output folder."""
+With --page sections of a Markdown file are renewed, each between <!-- NAME:start --> and <!-- NAME:end -->; its
+pictures are those of the output folder. Sections: {", ".join(_SECTIONS)}"""
 
 _EXAMPLES = """\
   wtg-gym reproduce
@@ -110,6 +111,7 @@ class _Evidence:
     damping: DampingStudy
     machines: MachineModelStudy
     agreement: tuple[Agreement, ...]
+    system_margins: tuple[SingleMachine, ...]
     modes: Mapping[str, tuple[Mode, ...]]
 
 
@@ -148,6 +150,7 @@ def _measure(progress: Progress) -> _Evidence:
         "damping time constant": study_damping,
         "machine models": study_machine_models,
         "infinite bus": lambda: tuple(agreements()),
+        "margins in the system": lambda: tuple(system_margins()),
         "modes": _system_modes,
     }
     found = []
@@ -160,7 +163,7 @@ def _measure(progress: Progress) -> _Evidence:
 def _system_modes() -> dict[str, tuple[Mode, ...]]:
     scenario = get_suite("paper").scenario(0)
     return {
-        name: modes(linearise(scenario, STRATEGIES[name]))
+        name: modes(linearise(scenario, STRATEGIES[name]).renamed(PlantSettings()))
         for name in (REFERENCE_STRATEGY, "coordinated-undamped", "deloaded-5")
     }
 
@@ -276,6 +279,7 @@ def _sections(evidence: _Evidence, folder: Path, page: Path, formats: list[str])
         "figures": gallery(_paper_pictures(evidence)),
         "studies": gallery(_study_pictures(evidence)),
         "agreement": agreement_table(evidence.agreement),
+        "system-margins": system_margins_table(evidence.system_margins),
         "modes": modes_table(evidence.modes[REFERENCE_STRATEGY]),
     }
 

@@ -29,12 +29,15 @@ _SIDES: tuple[Side, ...] = ("under", "over")
 _MARGINS = """\
 Phase margin, crossover and gain margin of the paper's open-loop transfer functions: one WTG on an infinite bus with
 the synchronising coefficient K_p. g(ω) may have two slopes, so that a law has a margin for frequencies under and one
-for frequencies over the set-point."""
+for frequencies over the set-point. The pitch angle counts as constant, also where the pitch protection holds the
+rotor (marked *). An unstable loop has no margin."""
 
 _MODES = """\
 Eigenvalues of the whole 14-bus system, linearised numerically from the simulator's own right-hand side around its
 equilibrium: frequency, damping ratio, time constant, and the states that take part most (participation factors).
-States are named by the bus of the synchronous machine (bus1, …) and by WTG group (wtg1, wtg2, …)."""
+States are named by the bus of the synchronous machine (bus1, …) and by WTG group (wtg1, wtg2, …).
+
+exit codes: 0 stable, 1 an eigenvalue has a positive real part, 2 bad input"""
 
 
 def add_commands(commands: Commands) -> None:
@@ -131,15 +134,17 @@ def run_margins(arguments: argparse.Namespace) -> int:
         rows.append(
             (
                 loop.law,
-                "–" if math.isnan(loop.wind_m_s) else f"{loop.wind_m_s:g}",
+                "–" if math.isnan(loop.wind_m_s) else f"{loop.wind_m_s:g}{'*' if loop.pitch_deg > 0.0 else ''}",
                 side,
-                f"{found.phase_margin_deg:.1f}",
+                f"{found.phase_margin_deg:.1f}" if found.stable else "–",
                 f"{found.crossover_rad_s:.2f}",
-                "∞" if math.isinf(found.gain_margin_db) else f"{found.gain_margin_db:.1f}",
+                "∞" if math.isinf(found.gain_margin_db) else (f"{found.gain_margin_db:.1f}" if found.stable else "–"),
                 "stable" if found.stable else "unstable",
             )
         )
     print_table(header, rows, left=(0, 2, 6))
+    if any(loop.pitch_deg > 0.0 for _, loop in loops):
+        print("\n* held by the pitch protection, whose angle counts as constant here; `wtg-gym modes` includes it")
     return 0
 
 
@@ -166,7 +171,7 @@ def run_modes(arguments: argparse.Namespace) -> int:
         inertia_scale=arguments.inertia_scale,
     )
     laws = chosen_laws(arguments.law)
-    models = {law.name: _renamed(linearise(scenario, law, settings, side=arguments.side), settings) for law in laws}
+    models = {law.name: linearise(scenario, law, settings, side=arguments.side).renamed(settings) for law in laws}
     found = {name: modes(model) for name, model in models.items()}
     if plot is not None:
         from wtg_gym.plotting import figure_bytes, plot_modes
@@ -188,22 +193,6 @@ def run_modes(arguments: argparse.Namespace) -> int:
             print(f"{chr(10) if number else ''}{name}")
             _print_modes(table)
     return int(any(mode.eigenvalue.real > 0.0 for table in found.values() for mode in table))
-
-
-def _renamed(model: LinearModel, settings: PlantSettings) -> LinearModel:
-    """Name machines by their bus and count WTG groups from 1, as every command does."""
-    names = {f"sync{i}": f"bus{machine.bus}" for i, machine in enumerate(settings.case.machines)}
-    names.update({f"wtg{j}": f"wtg{j + 1}" for j in range(len(settings.groups))})
-
-    def renamed(state: str) -> str:
-        unit, _, rest = state.partition(".")
-        return f"{names.get(unit, unit)}.{rest}" if rest else state
-
-    return dataclasses.replace(
-        model,
-        state_names=tuple(map(renamed, model.state_names)),
-        left_out=tuple(map(renamed, model.left_out)),
-    )
 
 
 def _modes(name: str, model: LinearModel, found: Iterable[Mode], coefficients: Any) -> dict[str, Any]:

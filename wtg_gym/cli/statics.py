@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import csv
 import dataclasses
 import io
@@ -130,8 +131,12 @@ def _statics(law: TrackingLaw, wind: float, frequencies: list[float], fine_pitch
     control = GridFormingParameters()
     nominal = control.frequency_setpoint_pu
     exists = power_margin_pu(nominal, law, wind, fine_pitch=fine_pitch) >= 0.0
-    critical = critical_frequency_pu(law, wind, fine_pitch=fine_pitch) if exists else None
-    points = named_points(law, wind) if power_margin_pu(nominal, law, wind, fine_pitch=True) >= 0.0 else {}
+    # No equilibrium at any frequency is an answer here, no error.
+    critical, somewhere, points = None, False, {}
+    with contextlib.suppress(ValueError):
+        critical, somewhere = critical_frequency_pu(law, wind, fine_pitch=fine_pitch), True
+    with contextlib.suppress(ValueError):
+        points = named_points(law, wind)
     at = {
         name: stable_equilibrium(frequency, law, wind, fine_pitch=fine_pitch)
         for name, frequency in (
@@ -145,6 +150,7 @@ def _statics(law: TrackingLaw, wind: float, frequencies: list[float], fine_pitch
         "wind_m_s": wind,
         "fine_pitch": fine_pitch,
         "available_power_pu": float(available_power_pu(wind)),
+        "has_equilibrium_from_setpoint_on": somewhere,
         "has_equilibrium_at_setpoint": exists,
         "critical_frequency_pu": critical,
         "critical_frequency_hz": None if critical is None else _NOMINAL_HZ * critical,
@@ -193,8 +199,8 @@ def _short(point: dict[str, Any] | None) -> str:
 
 
 def _critical(entry: dict[str, Any]) -> str:
-    if not entry["has_equilibrium_at_setpoint"]:
-        return "any frequency"
+    if not entry["has_equilibrium_from_setpoint_on"]:
+        return "none from ω_st on"
     if entry["critical_frequency_pu"] is None:
         return "never"
     return f"{entry['critical_frequency_pu']:.5f} p.u., {entry['critical_frequency_hz']:.3f} Hz"

@@ -75,6 +75,8 @@ class NetworkCase:
         for branch in self.branches:
             self.bus_index(branch.from_bus)
             self.bus_index(branch.to_bus)
+            if branch.from_bus == branch.to_bus:
+                raise ValueError(f"{self.name}: a branch goes from bus {branch.from_bus} to itself")
             if branch.resistance == 0.0 and branch.reactance == 0.0:
                 raise ValueError(f"{self.name}: branch {branch.from_bus}-{branch.to_bus} has no impedance")
         for machine in self.machines:

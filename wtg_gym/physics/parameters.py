@@ -119,7 +119,7 @@ class GridFormingParameters:
         0.55,
         "p.u.",
         "design",
-        "X_g behind the voltage; with the network K_p ≈ 1.5 as the paper's margins need",
+        "X_g behind the voltage; on a stiff bus at 1 p.u. K_p ≈ 1.5 as the paper's margins need, in this system 2.2",
     )
     damping_time_constant_s: float = parameter(0.8, "s", "paper", "transient damping time constant τ")
     deloading_nominal: float = parameter(0.05, "-", "paper", "deloading d_n at ω_st")

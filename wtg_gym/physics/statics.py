@@ -15,18 +15,18 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq, minimize_scalar
 
-from wtg_gym.physics.aerodynamics import power_coefficient, tracking_point
+from wtg_gym.physics.aerodynamics import available_power_pu, power_coefficient, tracking_point
 from wtg_gym.physics.parameters import GridFormingParameters, PitchParameters, TurbineParameters
 from wtg_gym.physics.scenario import WIND_SPEED_RANGE, require_range
 from wtg_gym.physics.tracking_law import TrackingLaw, tracking_coefficient
 
 Floats = npt.NDArray[np.float64]
 
-#: Tip-speed ratios between which equilibria are looked for [-].
-TIP_SPEED_RATIO_RANGE = (1.0, 20.0)
+#: Least tip-speed ratio at which equilibria are looked for; far below, the C_p curve is no longer meant [-].
+LEAST_TIP_SPEED_RATIO = 1.0
 #: Frequencies the functions accept [p.u.].
 FREQUENCY_RANGE = (0.5, 1.5)
-_N_SAMPLES = 191
+_SAMPLE_STEP = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,8 +87,16 @@ class _Balance:
         self.pitch = pitch
         self.speed_limit = math.inf if pitch is None else pitch.rotor_speed_limit_pu
         self.power_limit = math.inf if pitch is None else pitch.captured_power_limit_pu
-        low, high = (ratio / self.ratio_per_speed for ratio in TIP_SPEED_RATIO_RANGE)
-        self.range = low, max(low, min(high, self.speed_limit))
+        # A rotor so fast that the law takes more than the wind holds leaves a deficit for certain.
+        most = (max(self.droop, 0.0) + float(available_power_pu(wind_m_s, turbine))) / self.k
+        fastest = min(1.01 * most ** (1.0 / 3.0), self.speed_limit)
+        slowest = LEAST_TIP_SPEED_RATIO / self.ratio_per_speed
+        self.range = slowest, max(slowest, fastest)
+
+    def samples(self) -> Floats:
+        """Return rotor speeds that are close enough together to tell all equilibria apart (n,) [p.u.]."""
+        low, high = self.range
+        return np.linspace(low, high, 2 + int((high - low) * self.ratio_per_speed / _SAMPLE_STEP))
 
     def captured(self, speed: Floats | float, pitch_deg: float = 0.0) -> Floats:
         ratio = self.ratio_per_speed * np.asarray(speed, dtype=np.float64)
@@ -102,7 +110,7 @@ class _Balance:
 
     def best_speed(self) -> float:
         """Return the rotor speed with the largest surplus [p.u.]; a coarse look brackets it."""
-        speeds = np.linspace(*self.range, _N_SAMPLES)
+        speeds = self.samples()
         at = int(np.argmax(self(speeds)))
         around = speeds[max(at - 1, 0)], speeds[min(at + 1, speeds.size - 1)]
         found = minimize_scalar(lambda x: -float(self(x)), bounds=around, method="bounded", options={"xatol": 1e-11})
@@ -196,12 +204,15 @@ def equilibria(
 ) -> tuple[OperatingPoint, ...]:
     """Return every steady state of a WTG at a grid frequency, from the slowest rotor to the fastest.
 
-    Args, Raises: as for :func:`power_margin_pu`. Stability is that of the rotor at constant frequency; that of the
-    whole system is :mod:`wtg_gym.small_signal`'s business.
+    Stability is that of the rotor at constant frequency; that of the whole system is :mod:`wtg_gym.small_signal`'s
+    business. Where the pitch protection holds the rotor the smallest angle is given: C_p is not monotonic in β close
+    to fine pitch, so that a second angle with the same rotor speed and power may exist.
+
+    Args, Raises: as for :func:`power_margin_pu`.
     """
     balance = _balance(frequency_pu, law, wind_m_s, turbine, control, pitch, fine_pitch)
     # The surplus is smooth but for the corner at the power limit; its maximum splits a close pair of roots.
-    speeds = np.unique(np.append(np.linspace(*balance.range, _N_SAMPLES), balance.best_speed()))
+    speeds = np.unique(np.append(balance.samples(), balance.best_speed()))
     surplus = balance(speeds)
     points = []
     for i in range(speeds.size - 1):
@@ -292,43 +303,47 @@ def critical_frequency_pu(
 ) -> float | None:
     """Return the frequency below which a strategy has no equilibrium at a wind speed [p.u.].
 
+    Looked for from the set-point downwards: the first frequency at which the equilibrium is lost. A law that has none
+    at the set-point either has its critical frequency above: the lowest one at which it has.
+
     Args:
         law: the strategy.
         wind_m_s: wind speed, 3 … 25 [m/s].
         turbine, control, pitch, fine_pitch: as for :func:`power_margin_pu`.
-        lowest_pu: lowest frequency looked at, 0.5 … 1.5 and below the set-point [p.u.].
+        lowest_pu: lowest frequency looked at, 0.5 p.u. … the set-point [p.u.].
 
     Returns:
-        the critical frequency, the highest one if there were several, or None where there is an equilibrium down to
-        `lowest_pu`.
+        the critical frequency, or None where there is an equilibrium down to `lowest_pu`.
 
     Raises:
-        ValueError: a value is out of range, or there is no equilibrium at nominal frequency either.
+        ValueError: a value is out of range, or there is no equilibrium from the set-point up to 1.5 p.u.
     """
     control = control or GridFormingParameters()
-    nominal = control.frequency_setpoint_pu
-    require_range("lowest frequency", lowest_pu, FREQUENCY_RANGE[0], nominal, "p.u.")
+    setpoint = control.frequency_setpoint_pu
+    require_range("lowest frequency", lowest_pu, FREQUENCY_RANGE[0], setpoint, "p.u.")
 
     def margin(frequency: float) -> float:
         return power_margin_pu(frequency, law, wind_m_s, turbine, control, pitch, fine_pitch=fine_pitch)
 
-    if margin(nominal) < 0.0:
-        raise ValueError(f"law {law.name!r} has no equilibrium at {wind_m_s:g} m/s even at nominal frequency")
-    return _highest_crossing(margin, nominal, lowest_pu, control.frequency_min_pu)
+    if margin(setpoint) < 0.0:
+        for low, high in ((setpoint, control.frequency_max_pu), (control.frequency_max_pu, FREQUENCY_RANGE[1])):
+            if margin(high) >= 0.0:
+                return float(brentq(margin, low, high, xtol=1e-13))
+        raise ValueError(f"law {law.name!r} has no equilibrium at {wind_m_s:g} m/s from the set-point on upwards")
+    corner = max(control.frequency_min_pu, lowest_pu)
+    return _first_loss(margin, corner, setpoint) or _first_loss(margin, lowest_pu, corner)
 
 
-def _highest_crossing(margin: Callable[[float], float], nominal: float, lowest: float, corner: float) -> float | None:
-    """Return the highest frequency below nominal at which the margin becomes negative.
+def _first_loss(margin: Callable[[float], float], low: float, high: float) -> float | None:
+    """Return the highest frequency between two corners of g(ω) below which the margin is negative; None if none is.
 
-    The margin falls with the frequency under every law of the paper, but a law is data: one whose k falls too is
-    searched in steps down to the corner of g(ω); below that only the droop changes, and it falls.
+    The margin is convex there, as the largest of functions that are linear in ω: it dips below zero at most once.
     """
-    above = nominal
-    for below in (*np.linspace(nominal, max(corner, lowest), 17)[1:], lowest):
-        if margin(float(below)) < 0.0:
-            return float(brentq(margin, below, above, xtol=1e-13))
-        above = float(below)
-    return None
+    if not low < high:
+        return None
+    found = minimize_scalar(margin, bounds=(low, high), method="bounded", options={"xatol": 1e-13})
+    lowest = min((float(found.x), low), key=margin)
+    return float(brentq(margin, lowest, high, xtol=1e-13)) if margin(lowest) < 0.0 else None
 
 
 def named_points(
@@ -351,7 +366,7 @@ def named_points(
 
     lowest = control.frequency_min_pu
     critical = critical_frequency_pu(law, wind_m_s, turbine, control, lowest_pu=lowest, fine_pitch=True)
-    if critical is None:
+    if critical is None or critical > control.frequency_setpoint_pu:
         limit = at(lowest)
     else:
         # The two branches meet there, so that neither has a root; the surplus has its maximum at that speed.

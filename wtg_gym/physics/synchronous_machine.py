@@ -186,9 +186,9 @@ def machine_constants(machine: SynchronousMachineParameters, base_mva: float) ->
 
 def _genrou_constants(m: SynchronousMachineParameters, scale: float, row: npt.NDArray[np.float64]) -> None:
     for axis, x, x_transient in (("d", m.x_d, m.x_d_transient), ("q", m.x_q, m.x_q_transient)):
-        if not x >= x_transient >= m.x_subtransient > m.x_leakage > 0.0:
+        if not x >= x_transient >= m.x_subtransient > m.x_leakage >= 0.0:
             raise ValueError(
-                f"machine at bus {m.bus}: reactances of the {axis} axis must satisfy x ≥ x' ≥ x'' > x_l > 0, "
+                f"machine at bus {m.bus}: reactances of the {axis} axis must satisfy x ≥ x' ≥ x'' > x_l ≥ 0, "
                 f"got {x:g}, {x_transient:g}, {m.x_subtransient:g}, {m.x_leakage:g} p.u."
             )
     c = MachineConstant

@@ -206,7 +206,10 @@ def read_law(path: Path) -> TrackingLaw:
         raise ValueError(f"name in {path} must be text, got {name!r}")
     if name in STRATEGIES:
         raise ValueError(f"name {name!r} in {path} is that of a built-in strategy; choose another")
-    return TrackingLaw(name=name, damping_time_constant_s=data.get("tau_s", math.inf), **coefficients)
+    tau = data.get("tau_s", math.inf)
+    if isinstance(tau, bool) or not isinstance(tau, (int, float)):
+        raise ValueError(f"tau_s in {path} must be a number of seconds, 0 … inf, got {tau!r}")
+    return TrackingLaw(name=name, damping_time_constant_s=tau, **coefficients)
 
 
 __all__ = [

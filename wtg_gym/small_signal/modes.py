@@ -41,6 +41,19 @@ class LinearModel:
     state_names: tuple[str, ...]
     left_out: tuple[str, ...]
 
+    def renamed(self, settings: PlantSettings) -> LinearModel:
+        """Return the model with names for people: machines by their bus, WTG groups counted from 1."""
+        names = {f"sync{i}": f"bus{machine.bus}" for i, machine in enumerate(settings.case.machines)}
+        names.update({f"wtg{j}": f"wtg{j + 1}" for j in range(len(settings.groups))})
+
+        def rename(state: str) -> str:
+            unit, _, rest = state.partition(".")
+            return f"{names.get(unit, unit)}.{rest}" if rest else state
+
+        return dataclasses.replace(
+            self, state_names=tuple(map(rename, self.state_names)), left_out=tuple(map(rename, self.left_out))
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class Mode:

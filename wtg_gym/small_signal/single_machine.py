@@ -19,7 +19,7 @@ from numpy.polynomial import Polynomial
 from wtg_gym.physics.aerodynamics import power_coefficient
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.physics.scenario import require_range
-from wtg_gym.physics.statics import stable_equilibrium
+from wtg_gym.physics.statics import OperatingPoint, stable_equilibrium
 from wtg_gym.physics.tracking_law import TrackingLaw
 
 #: Which slope of g(ω) counts at ω_st: that of under-frequency, or that of over-frequency.
@@ -34,12 +34,12 @@ _STEP = 1e-5
 
 @dataclass(frozen=True, kw_only=True)
 class Margins:
-    """Stability margins of an open loop.
+    """Stability margins of an open loop; an unstable closed loop has none: not a number.
 
     Args:
-        phase_margin_deg: smallest distance to -180° over all gain crossovers, below 0 for an unstable loop [deg].
+        phase_margin_deg: smallest distance to -180° over all gain crossovers [deg].
         crossover_rad_s: the gain crossover at which it is found [rad/s].
-        gain_margin_db: smallest factor that makes the loop unstable; infinite where none does [dB].
+        gain_margin_db: smallest increase of the gain that makes the loop unstable; infinite where none does [dB].
         stable: all poles of the closed loop lie in the left half plane.
     """
 
@@ -58,6 +58,8 @@ class SingleMachine:
         wind_m_s: [m/s].
         rotor_speed_pu: ω_m of the operating point [p.u.].
         power_pu: p of the operating point [p.u.].
+        pitch_deg: β of the operating point, which counts as constant: above 0 the loop leaves the pitch control out,
+            and the modes of the whole system tell more [deg].
         aerodynamic_slope: A = ∂p_w/∂ω_m at constant pitch [p.u./p.u.].
         rotor_slope: B1 = ∂P_st/∂ω_m = 3 k ω_m² [p.u./p.u.].
         frequency_slope: B2 = ω_m³ dg/dω [p.u./p.u.].
@@ -69,6 +71,7 @@ class SingleMachine:
     wind_m_s: float
     rotor_speed_pu: float
     power_pu: float
+    pitch_deg: float
     aerodynamic_slope: float
     rotor_slope: float
     frequency_slope: float
@@ -95,12 +98,14 @@ class SingleMachine:
             margin = math.degrees(math.remainder(math.atan2(value.imag, value.real) + math.pi, 2.0 * math.pi))
             if margin < phase_margin:
                 phase_margin, crossover = margin, w
+        if not (self.closed_loop_poles().real < 0.0).all():
+            return Margins(phase_margin_deg=math.nan, crossover_rad_s=crossover, gain_margin_db=math.nan, stable=False)
         gains = [20.0 * math.log10(1.0 / abs(complex(self.response(w)))) for w in self._phase_crossovers()]
         return Margins(
             phase_margin_deg=phase_margin,
             crossover_rad_s=crossover,
             gain_margin_db=min((gain for gain in gains if gain > 0.0), default=math.inf),
-            stable=bool((self.closed_loop_poles().real < 0.0).all()),
+            stable=True,
         )
 
     def _phase_crossovers(self) -> list[float]:
@@ -154,8 +159,7 @@ def single_machine(
     return _build(
         law.name,
         wind_m_s,
-        point.rotor_speed_pu,
-        point.power_pu,
+        point,
         in_wind * float(high - low) / (2.0 * _STEP * rotor),
         3.0 * law.k_nominal * rotor**2,
         slope * rotor**3,
@@ -179,12 +183,10 @@ def ideal_source_loop(
     """
     require_range("synchronising coefficient", synchronising_coefficient, 0.01, 100.0, "p.u./rad")
     control = control or GridFormingParameters()
-    nan = math.nan
     return _build(
         "ideal-source",
-        nan,
-        nan,
-        nan,
+        math.nan,
+        None,
         0.0,
         0.0,
         0.0,
@@ -199,8 +201,7 @@ def ideal_source_loop(
 def _build(
     name: str,
     wind_m_s: float,
-    rotor_speed_pu: float,
-    power_pu: float,
+    point: OperatingPoint | None,
     a: float,
     b1: float,
     b2: float,
@@ -226,8 +227,9 @@ def _build(
     return SingleMachine(
         law=name,
         wind_m_s=wind_m_s,
-        rotor_speed_pu=rotor_speed_pu,
-        power_pu=power_pu,
+        rotor_speed_pu=math.nan if point is None else point.rotor_speed_pu,
+        power_pu=math.nan if point is None else point.power_pu,
+        pitch_deg=0.0 if point is None else point.pitch_deg,
         aerodynamic_slope=a,
         rotor_slope=b1,
         frequency_slope=b2,

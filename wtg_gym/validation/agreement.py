@@ -12,7 +12,8 @@ from wtg_gym.physics.parameters import SynchronousMachineParameters, WtgGroup
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw
-from wtg_gym.small_signal import linearise, single_machine
+from wtg_gym.scenarios import get_suite
+from wtg_gym.small_signal import SingleMachine, linearise, single_machine
 from wtg_gym.small_signal.modes import synchronising_coefficients
 from wtg_gym.small_signal.single_machine import Side
 
@@ -112,4 +113,15 @@ def compare(law: TrackingLaw, wind_m_s: float, side: Side, settings: PlantSettin
     )
 
 
-__all__ = ["Agreement", "agreements", "compare", "infinite_bus"]
+def system_margins() -> Iterator[SingleMachine]:
+    """Return the single-machine loops of every strategy at the K_p that the paper's case gives each WTG group."""
+    scenario = get_suite("paper").scenario(0)
+    for law in STRATEGIES.values():
+        coefficients = np.diag(synchronising_coefficients(scenario, law))
+        sides: tuple[Side, ...] = ("under", "over") if law.name.startswith("coordinated") else ("under",)
+        for wind, k_p in zip(scenario.wind_speed[:, 0], coefficients, strict=True):
+            for side in sides:
+                yield single_machine(law, float(wind), float(k_p), side=side)
+
+
+__all__ = ["Agreement", "agreements", "compare", "infinite_bus", "system_margins"]

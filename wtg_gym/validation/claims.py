@@ -12,7 +12,7 @@ import numpy.typing as npt
 from wtg_gym.physics.aerodynamics import available_power_pu, tracking_point
 from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import GridFormingParameters
-from wtg_gym.physics.statics import named_points, stable_equilibrium
+from wtg_gym.physics.statics import OperatingPoint, named_points, stable_equilibrium
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 from wtg_gym.physics.trajectory import Trajectory, simulate
 from wtg_gym.small_signal import ideal_source_loop, single_machine
@@ -24,6 +24,7 @@ _REFERENCE = REFERENCE_STRATEGY
 _DELOADED = ("deloaded-5", "deloaded-10")
 #: Winds of the two groups of the case studies [m/s].
 _WINDS = (11.4, 8.0)
+_OMEGA_MIN = GridFormingParameters().frequency_min_pu
 _EVENT_S, _SECOND_EVENT_S = 5.0, 30.0
 #: Winds at which a statement "for every wind speed" is tried; above, the pitch protection sets in [m/s].
 _ALL_WINDS = np.arange(4.0, 11.51, 0.5)
@@ -42,6 +43,7 @@ class Claim:
         values: the numbers behind `measured`, units in their names.
         holds: the verdict.
         remark: what a reader should know about it.
+        target, tolerance: the number that must come out and how closely, where the claim is one number.
     """
 
     key: str
@@ -52,6 +54,8 @@ class Claim:
     values: Mapping[str, float | list[float]]
     holds: bool
     remark: str = ""
+    target: float | None = None
+    tolerance: float | None = None
 
 
 def paper_claims(studies: CaseStudies) -> tuple[Claim, ...]:
@@ -81,6 +85,8 @@ def _near(
         measured=f"{value:.{digits}f}{unit}",
         values={name: float(value)},
         holds=abs(value - expected) <= tolerance,
+        target=expected,
+        tolerance=tolerance,
     )
 
 
@@ -108,7 +114,7 @@ def _statics() -> Iterable[Claim]:
         expected="p_B < p_A at both winds; ω_min < ω_b(11.4 m/s) < ω_b(8 m/s)",
         measured=f"p_B/p_A = {powers[0]:.3f}, {powers[1]:.3f}; ω_b = {limits[0]:.5f}, {limits[1]:.5f} p.u.",
         values={"power_ratio": powers, "critical_frequency_pu": limits},
-        holds=max(powers) < 1.0 and 0.992 < limits[0] < limits[1],
+        holds=max(powers) < 1.0 and _OMEGA_MIN < limits[0] < limits[1],
     )
     points = {name: {wind: named_points(STRATEGIES[name], wind) for wind in _WINDS} for name in _DELOADED}
     low = points["deloaded-5"]
@@ -122,7 +128,7 @@ def _statics() -> Iterable[Claim]:
         expected="p_M > p_A, p_B < p_M at both winds; ω_B(8 m/s) > 0.992 p.u.",
         measured=f"p_A, p_M, p_B = {_powers(low[11.4])} (11.4 m/s), {_powers(low[8.0])} (8 m/s); ω_B = {lost:.5f} p.u.",
         values={"critical_frequency_pu": lost},
-        holds=rises and falls and lost > 0.992,
+        holds=rises and falls and lost > _OMEGA_MIN,
     )
     ratio = points["deloaded-10"][11.4]["B"].tip_speed_ratio
     crossing = points["deloaded-10"][11.4]["M"].frequency_pu if "M" in points["deloaded-10"][11.4] else 0.0
@@ -130,7 +136,7 @@ def _statics() -> Iterable[Claim]:
         key="high-deloading-high-wind",
         source="section on high deloading",
         says="10 %, high wind: the rotor may stay right of the maximum power point down to ω_min",
-        expected="λ at ω_min above 7.003",
+        expected=f"λ at ω_min above λ_opt = {tracking_point(0.0).tip_speed_ratio:.3f}",
         measured=f"λ = {ratio:.3f}; it passes the maximum power point at {crossing:.5f} p.u.",
         values={"tip_speed_ratio": ratio, "crossing_frequency_pu": crossing},
         holds=ratio > tracking_point(0.0).tip_speed_ratio,
@@ -145,12 +151,12 @@ def _statics() -> Iterable[Claim]:
         expected="M passed, and the equilibrium at ω_min left of it or lost",
         measured=f"M at {points['deloaded-10'][8.0]['M'].frequency_pu:.5f} p.u., lost at {lost:.5f} p.u.",
         values={"critical_frequency_pu": lost},
-        holds="M" in points["deloaded-10"][8.0] and lost > 0.992,
+        holds="M" in points["deloaded-10"][8.0] and lost > _OMEGA_MIN,
     )
 
 
-def _powers(points: Mapping[str, object]) -> str:
-    return ", ".join(f"{points[name].power_pu:.4f}" for name in "AMB")  # type: ignore[attr-defined]
+def _powers(points: Mapping[str, OperatingPoint]) -> str:
+    return ", ".join(f"{points[name].power_pu:.4f}" for name in "AMB")
 
 
 def _coordination() -> Iterable[Claim]:
@@ -227,17 +233,18 @@ def _load_increase(runs: Mapping[str, Trajectory]) -> Iterable[Claim]:
     end = float(reference.frequency_hz[-1] / reference.nominal_frequency_hz)
     yield _near("settles", where, "frequency settles at about 0.996", "frequency_pu", end, 0.996, 0.0005, digits=5)
     rotors = [float(x) for x in reference.rotor_speed_pu[-1]]
+    least, most = (tracking_point(d).tip_speed_ratio for d in (0.0, 0.10))
+    ratios = [float(x) for x in reference.tip_speed_ratio[-1]]
     drift = float(np.ptp(reference.rotor_speed_pu[-200:], axis=0).max())
     yield Claim(
         key="stays-stable",
         source=where,
-        says="coordinated: stable throughout, both rotors within their operating range",
-        expected="no failure, rotors at 1.055 / 0.740 ± 0.005 p.u. and at rest",
-        measured=f"{rotors[0]:.3f} / {rotors[1]:.3f} p.u., moving {drift:.0e} p.u. in the last 20 s",
-        values={"rotor_speed_pu": rotors},
-        holds=reference.status == Status.RUNNING
-        and max(abs(rotors[0] - 1.055), abs(rotors[1] - 0.740)) <= 0.005
-        and drift < 1e-4,
+        says="coordinated: stable throughout, both groups within their admissible operating region",
+        expected=f"no failure; λ_opt ≤ λ ≤ λ_pr ({least:.3f} … {most:.3f}) and at rest in the end",
+        measured=f"λ = {ratios[0]:.3f} / {ratios[1]:.3f}, rotors at {rotors[0]:.3f} / {rotors[1]:.3f} p.u., moving "
+        f"{drift:.0e} p.u. in the last 20 s",
+        values={"tip_speed_ratio": ratios, "rotor_speed_pu": rotors},
+        holds=reference.status == Status.RUNNING and all(least <= ratio <= most for ratio in ratios) and drift < 1e-4,
     )
     stalls = {name: float(runs[name].time_s[-1]) for name in ("mppt", *_DELOADED)}
     stalled = all(
@@ -305,10 +312,10 @@ def _first_event(runs: Mapping[str, Trajectory], where: str) -> Iterable[Claim]:
         key="nadir",
         source=where,
         says="the nadir is slightly lower than with the deloaded strategies",
-        expected="lower by less than 50 mHz",
+        expected="lower by less than 10 mHz",
         measured=f"{nadir[0]:.3f} against {nadir[1]:.3f} and {nadir[2]:.3f} Hz",
         values={"nadir_hz": nadir},
-        holds=all(0.0 < other - nadir[0] < 0.05 for other in nadir[1:]),
+        holds=all(0.0 < other - nadir[0] < 0.01 for other in nadir[1:]),
     )
     settled = [
         [float(runs[n].rotor_speed_pu[0, g] - runs[n].rotor_speed_pu[first[n]][-1, g]) for g in range(2)] for n in names
@@ -357,8 +364,8 @@ def _settling(studies: CaseStudies) -> Iterable[Claim]:
 
 
 def _settling_time(run: Trajectory, value: Floats) -> float:
-    outside = np.abs(value / value[-1] - 1.0) > 0.02
-    return float(run.time_s[outside][-1]) - _EVENT_S
+    outside = np.flatnonzero(np.abs(value / value[-1] - 1.0) > 0.02)
+    return float(run.time_s[outside[-1]]) - _EVENT_S if outside.size else 0.0
 
 
 def _load_decrease(runs: Mapping[str, Trajectory]) -> Iterable[Claim]:
@@ -370,11 +377,13 @@ def _load_decrease(runs: Mapping[str, Trajectory]) -> Iterable[Claim]:
     yield Claim(
         key="rotor-rise",
         source=where,
-        says="the deloaded strategies let the rotors accelerate much more, 10 % most beyond the range",
+        says="the deloaded strategies let the rotors accelerate much more",
         expected="larger rise of ω_m than coordinated, both groups",
         measured=f"{_pair(rise[0])} against {_pair(rise[1])} and {_pair(rise[2])} p.u.",
         values={name: rise[i] for i, name in enumerate(names)},
         holds=all(rise[0][group] < min(rise[1][group], rise[2][group]) for group in range(2)),
+        remark="The paper finds it particularly evident at 10 %. The rises are alike at 5 and 10 %; what differs is "
+        "the start, which at 10 % is the boundary already.",
     )
     yield Claim(
         key="decrease-10",

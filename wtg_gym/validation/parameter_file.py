@@ -19,6 +19,10 @@ from wtg_gym.physics.scenario import LoadStep
 
 #: Largest difference [p.u.] of any quantity at which two simulators agree, where a file does not say.
 DEFAULT_TOLERANCE = {"w": 1e-6, "Pe": 1e-5, "V": 1e-5}
+#: Keys that only describe.
+_DESCRIPTIVE = ("note", "name", "idx", "comment", "Vn", "u")
+#: Largest sum by which shares of a bus may miss 1, and load disconnected twice may exceed the load.
+_SHARE_TOLERANCE = 1e-3
 #: Unused by a classical machine, but the machine data want them.
 _ANY_REACTANCES: dict[str, Any] = {
     "x_d": 1.0,
@@ -40,29 +44,46 @@ class ReferenceCase:
         machine_keys: the file's names of the machines.
         voltage: |V| and angle of each bus in the file's power flow, by bus number [p.u., rad].
         events: each event list by its name; constant-admittance changes at their instants.
+        power: P + jQ of each machine in the file's power flow, by key [p.u. of the system base].
         tolerance: allowed largest difference by quantity: "w", "Pe", "V" [p.u.].
+        unused: places of the file that nothing was made of.
     """
 
     network: NetworkCase
     machine_keys: tuple[str, ...]
     voltage: Mapping[int, tuple[float, float]]
     events: Mapping[str, tuple[LoadStep, ...]]
+    power: Mapping[str, complex]
     tolerance: Mapping[str, float]
+    unused: tuple[str, ...]
 
 
 class _Reader:
-    """Values of a nested JSON object; an error names the place, what is wanted and what is there."""
+    """Values of a nested JSON object; an error names the place, what is wanted and what is there.
 
-    def __init__(self, data: Any, where: str) -> None:
+    A null counts as missing. `unused` collects the places of keys that nothing has asked for, over all objects of a
+    file.
+    """
+
+    def __init__(self, data: Any, where: str, unused: dict[str, None] | None = None) -> None:
         if not isinstance(data, dict):
             raise ValueError(f"{where} must be an object with named values, got {type(data).__name__}")
-        self.data = data
+        self.data = {key: value for key, value in data.items() if value is not None}
         self.where = where
+        self.unused: dict[str, None] = {} if unused is None else unused
+        self.unused.update(dict.fromkeys(f"{key} of {where}" for key in self.data if key not in _DESCRIPTIVE))
+        if self.data.get("u", 1) == 0:
+            raise ValueError(f"{where} is switched off (u = 0); leave it out of the file")
+
+    def _use(self, key: str) -> None:
+        self.unused.pop(f"{key} of {self.where}", None)
 
     def has(self, key: str) -> bool:
-        return self.data.get(key) is not None
+        self._use(key)
+        return key in self.data
 
     def number(self, key: str, default: float | None = None, *, positive: bool = False) -> float:
+        self._use(key)
         value = self.data.get(key, default)
         if (
             not isinstance(value, (int, float))
@@ -76,12 +97,14 @@ class _Reader:
         return float(value)
 
     def bus(self, key: str = "bus") -> int:
+        self._use(key)
         value = self.data.get(key)
-        if not isinstance(value, int) or isinstance(value, bool):
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or value != int(value):
             raise ValueError(f"{key} of {self.where} must be a bus number, got {value!r}")
-        return value
+        return int(value)
 
     def list(self, key: str, *, required: bool = True) -> list[_Reader]:
+        self._use(key)
         value = self.data.get(key)
         if value is None and not required:
             return []
@@ -89,10 +112,11 @@ class _Reader:
         value = [value] if isinstance(value, dict) else value
         if not isinstance(value, list):
             raise ValueError(f"{key} of {self.where} must be a list, got {value!r}")
-        return [_Reader(item, f"{key}[{i}] of {self.where}") for i, item in enumerate(value)]
+        return [_Reader(item, f"{key}[{i}] of {self.where}", self.unused) for i, item in enumerate(value)]
 
     def object(self, key: str) -> _Reader:
-        return _Reader(self.data.get(key), f"{key} of {self.where}")
+        self._use(key)
+        return _Reader(self.data.get(key), f"{key} of {self.where}", self.unused)
 
 
 def read_parameters(path: str | Path) -> ReferenceCase:
@@ -102,15 +126,19 @@ def read_parameters(path: str | Path) -> ReferenceCase:
         ValueError: the file is missing, not JSON, or not of the form; the message names the place and the value.
     """
     try:
-        data = json.loads(Path(path).read_text(encoding="utf-8"))
+        data = json.loads(Path(path).read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise ValueError(f"cannot read the parameter file {path}: {error.strerror}") from error
     except ValueError as error:
         raise ValueError(f"the parameter file {path} is not JSON: {error}") from error
     root = _Reader(data, f"the parameter file {path}")
     base = root.number("Sbase", positive=True)
-    voltage = {b.bus(): (b.number("V", positive=True), b.number("theta", 0.0)) for b in root.list("bus")}
-    machines, keys = _read_machines(root, base)
+    voltage: dict[int, tuple[float, float]] = {}
+    for bus in root.list("bus"):
+        if bus.bus() in voltage:
+            raise ValueError(f"{bus.where} is bus {bus.bus()} for the second time")
+        voltage[bus.bus()] = bus.number("V", positive=True), bus.number("theta", 0.0)
+    machines, power = _read_machines(root, base)
     held = sorted({machine.bus for machine in machines})
     for machine in machines:
         if machine.bus not in voltage:
@@ -148,12 +176,16 @@ def read_parameters(path: str | Path) -> ReferenceCase:
         ),
         machines=tuple(machines),
     )
+    events = _read_events(root, base, voltage, loads)
+    tolerance = _read_tolerance(root)
     return ReferenceCase(
         network=network,
-        machine_keys=keys,
+        machine_keys=tuple(power),
         voltage=voltage,
-        events=_read_events(root, base, voltage, loads),
-        tolerance=_read_tolerance(root),
+        events=events,
+        power=power,
+        tolerance=tolerance,
+        unused=tuple(root.unused),
     )
 
 
@@ -171,37 +203,59 @@ def _totals(
     return totals
 
 
-def _read_machines(root: _Reader, base: float) -> tuple[list[SynchronousMachineParameters], tuple[str, ...]]:
+def _read_machines(root: _Reader, base: float) -> tuple[list[SynchronousMachineParameters], dict[str, complex]]:
     gens, static = root.object("gens"), root.object("gen_static")
-    governors = {str(g.data.get("gen")): g for g in root.list("tgov1", required=False)}
-    exciters = {str(e.data.get("gen")): e for e in root.list("sexs", required=False)}
-    for kind, found in (("tgov1", governors), ("sexs", exciters)):
-        unknown = sorted(set(found) - set(gens.data))
-        if unknown:
-            raise ValueError(
-                f"{kind} of {root.where} belongs to unknown machines {unknown}; there are {list(gens.data)}"
-            )
-    machines = []
+    governors, exciters = _of_machines(root, "tgov1", gens), _of_machines(root, "sexs", gens)
+    machines, power = [], {}
+    shares: dict[int, list[float]] = {}
     for key in gens.data:
         gen = gens.object(key)
         at = static.object(str(gen.bus()))
-        power = at.number("P") * gen.number("gammap", 1.0)
-        governor = _read_governor(governors[key]) if key in governors else None
-        exciter = _read_exciter(exciters[key]) if key in exciters else None
-        machines.append(_read_machine(gen, base, power, governor, exciter))
+        share = gen.number("gammap", 1.0), gen.number("gammaq", 1.0)
+        power[key] = complex(at.number("P") * share[0], at.number("Q") * share[1])
+        total = shares.setdefault(gen.bus(), [0.0, 0.0])
+        total[0], total[1] = total[0] + share[0], total[1] + share[1]
+        machines.append(_read_machine(gen, base, power[key].real, share[1], governors.get(key), exciters.get(key)))
     if not machines:
         raise ValueError(f"{root.where} has no machine")
+    for bus, total in shares.items():
+        for name, value in zip(("gammap", "gammaq"), total, strict=True):
+            if abs(value - 1.0) > _SHARE_TOLERANCE:
+                raise ValueError(f"{name} of the machines at bus {bus} add up to {value:g}, they must add up to 1")
     idle = sorted(set(static.data) - {str(machine.bus) for machine in machines})
     if idle:
         raise ValueError(f"gen_static of {root.where} has buses without a machine: {', '.join(idle)}")
-    return machines, tuple(gens.data)
+    return machines, power
+
+
+def _of_machines(root: _Reader, kind: str, gens: _Reader) -> dict[str, _Reader]:
+    """Governors or exciters by the key of their machine, at most one each."""
+    found: dict[str, _Reader] = {}
+    for entry in root.list(kind, required=False):
+        if entry.has("gen"):
+            key = str(entry.data["gen"])
+            entry.has("bus")
+        else:
+            bus = entry.bus()
+            here = [name for name, gen in gens.data.items() if isinstance(gen, dict) and gen.get("bus") == bus]
+            if len(here) != 1:
+                raise ValueError(f"{entry.where} must name its machine (gen): bus {bus} has {len(here)} machines")
+            key = here[0]
+        if key not in gens.data:
+            raise ValueError(f"{entry.where} belongs to an unknown machine {key!r}; there are {list(gens.data)}")
+        if key in found:
+            raise ValueError(f"{entry.where} is the second one of machine {key!r}")
+        found[key] = entry
+    return found
 
 
 def _read_machine(
-    gen: _Reader, base: float, power: float, governor: GovernorParameters | None, exciter: ExciterParameters | None
+    gen: _Reader, base: float, power: float, reactive_share: float, governor: _Reader | None, exciter: _Reader | None
 ) -> SynchronousMachineParameters:
     model = gen.data.get("model", "GENCLS")
-    # Equal weights would do for equal shares; only their proportions count.
+    gen.has("model")
+    if reactive_share < 0.0:
+        raise ValueError(f"gammaq of {gen.where} must be 0 or more, got {reactive_share:g}")
     common: dict[str, Any] = {
         "bus": gen.bus(),
         "rating_mva": gen.number("Sn", positive=True),
@@ -210,8 +264,9 @@ def _read_machine(
         "resistance": gen.number("ra", 0.0),
         "x_d_transient": gen.number("xd1", positive=True),
         "dispatch_mw": base * power,
-        "reactive_weight": base * gen.number("gammaq", 1.0, positive=True),
-        "governor": governor,
+        # Only the proportions of the weights count.
+        "reactive_weight": base * reactive_share,
+        "governor": None if governor is None else _read_governor(governor, gen, power * base),
     }
     if model == "GENCLS":
         if exciter is not None:
@@ -224,13 +279,16 @@ def _read_machine(
             f"{gen.where}: x''_q = {gen.number('xq2'):g} must equal x''_d = {gen.number('xd2'):g} p.u., "
             "so that the network stays a constant admittance"
         )
+    if gen.number("S10", 0.0) != 0.0:
+        raise ValueError(f"S10 of {gen.where} = {gen.number('S10'):g}: saturation is not modelled, it must be 0")
+    gen.has("S12")
     return SynchronousMachineParameters(
-        exciter=exciter,
+        exciter=None if exciter is None else _read_exciter(exciter),
         x_d=gen.number("xd", positive=True),
         x_q=gen.number("xq", positive=True),
         x_q_transient=gen.number("xq1", positive=True),
         x_subtransient=gen.number("xd2", positive=True),
-        x_leakage=gen.number("xl", positive=True),
+        x_leakage=gen.number("xl"),
         t_d0_transient_s=gen.number("Td10", positive=True),
         t_d0_subtransient_s=gen.number("Td20", positive=True),
         t_q0_transient_s=gen.number("Tq10", positive=True),
@@ -239,7 +297,14 @@ def _read_machine(
     )
 
 
-def _read_governor(entry: _Reader) -> GovernorParameters:
+def _read_governor(entry: _Reader, gen: _Reader, power_mw: float) -> GovernorParameters:
+    low, high, gate = entry.number("VMIN"), entry.number("VMAX"), power_mw / gen.number("Sn")
+    # Losses in the armature may add a little; the start itself is exact.
+    if not low <= gate + 1e-9 or not gate <= high + 1e-9:
+        raise ValueError(
+            f"{entry.where}: its machine at bus {gen.bus()} starts with a gate of {gate:.6g} p.u. of its rating, "
+            f"outside the limits VMIN … VMAX = {low:g} … {high:g}"
+        )
     return GovernorParameters(
         droop_pu=entry.number("R", positive=True),
         gate_time_s=entry.number("T1", positive=True),
@@ -268,41 +333,53 @@ def _read_events(
     voltage: Mapping[int, tuple[float, float]],
     loads: Mapping[int, tuple[float, float]],
 ) -> dict[str, tuple[LoadStep, ...]]:
-    lists = root.data.get("events")
-    if isinstance(lists, list):
-        lists = {"": lists}
-    holder = _Reader(lists, f"events of {root.where}")
+    if not root.has("events"):
+        return {}
+    lists = root.data["events"]
+    # One list needs no name.
+    named = {"": lists} if isinstance(lists, list) else lists
+    holder = _Reader(named, f"events of {root.where}", root.unused)
     found = {}
     for name in holder.data:
-        events = []
+        events, lost = [], dict.fromkeys(voltage, 0.0)
         for entry in holder.list(name):
             bus = entry.bus()
             if bus not in voltage:
                 raise ValueError(f"{entry.where} is at bus {bus}, which the file does not list")
-            events.append(_read_event(entry, bus, base, voltage[bus][0] ** 2, loads[bus]))
+            trip = _tripped_share(entry, bus, base, loads[bus][0])
+            lost[bus] += trip
+            if lost[bus] > 1.0 + _SHARE_TOLERANCE:
+                raise ValueError(f"{entry.where} disconnects more than bus {bus} has left of its load")
+            events.append(_read_event(entry, bus, base, voltage[bus][0] ** 2, trip, loads[bus]))
         found[name] = tuple(sorted(events, key=lambda event: event.time_s))
     return found
 
 
-def _read_event(entry: _Reader, bus: int, base: float, square: float, load: tuple[float, float]) -> LoadStep:
+def _tripped_share(entry: _Reader, bus: int, base: float, load: float) -> float:
+    """The share of a bus's load that an event disconnects; a part of a load takes its reactive power along."""
+    trip = entry.number("trip_load_MW", 0.0) / base
+    if trip == 0.0:
+        return 0.0
+    if load == 0.0 or not 0.0 <= trip / load <= 1.0 + _SHARE_TOLERANCE:
+        raise ValueError(
+            f"{entry.where} disconnects {base * trip:g} MW, but bus {bus} has a load of {base * load:g} MW"
+        )
+    return min(trip / load, 1.0)
+
+
+def _read_event(
+    entry: _Reader, bus: int, base: float, square: float, trip: float, load: tuple[float, float]
+) -> LoadStep:
     """An event as the power its admittance takes at the bus's initial voltage, whose square is given [p.u.]."""
-    time_s = entry.number("t")
-    if entry.has("trip_load_MW"):
-        trip = entry.number("trip_load_MW") / base
-        if load[0] == 0.0 or not -1e-9 <= trip / load[0] <= 1.0 + 1e-6:
-            raise ValueError(
-                f"{entry.where} disconnects {base * trip:g} MW, but bus {bus} has a load of {base * load[0]:g} MW"
-            )
-        # A part of a load takes its reactive power along.
-        share = min(trip / load[0], 1.0)
-        return LoadStep(time_s=time_s, bus=bus, power_mw=-share * base * load[0], reactive_mvar=-share * base * load[1])
-    if not entry.has("dG_pu") and not entry.has("dB_pu"):
+    if not any([entry.has("trip_load_MW"), entry.has("dG_pu"), entry.has("dB_pu")]):
         raise ValueError(f"{entry.where} must give dG_pu, dB_pu or trip_load_MW, got {sorted(entry.data)}")
+    # What dG_pu amounts to, for people.
+    entry.has("MW_at_V0")
     return LoadStep(
-        time_s=time_s,
+        time_s=entry.number("t"),
         bus=bus,
-        power_mw=base * entry.number("dG_pu", 0.0) * square,
-        reactive_mvar=-base * entry.number("dB_pu", 0.0) * square,
+        power_mw=base * (entry.number("dG_pu", 0.0) * square - trip * load[0]),
+        reactive_mvar=base * (-entry.number("dB_pu", 0.0) * square - trip * load[1]),
     )
 
 

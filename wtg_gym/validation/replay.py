@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -34,9 +35,13 @@ MACHINE_QUANTITIES = {"w": "p.u.", "Pe": "p.u.", "Qe": "p.u.", "Tm": "p.u.", "de
 BUS_QUANTITIES = {"V": "p.u.", "th": "rad"}
 #: Largest disagreement of our power flow with the file's own [p.u., rad].
 _POWER_FLOW_TOLERANCE = 1e-5
+#: Largest disagreement of a machine's power with the file's own [p.u.].
+_POWER_TOLERANCE = 1e-4
 #: Instants closer than this are one [s].
 _INSTANT = 1e-9
 _LONGEST_TRACE_S = 3600.0
+#: The finest step that is tried [s].
+FINEST_STEP_S = 5e-5
 
 
 @dataclass(frozen=True)
@@ -75,13 +80,16 @@ def read_trace(path: str | Path, case: ReferenceCase) -> tuple[Trace, tuple[str,
         raise ValueError(f"cannot read the trace {path}: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise ValueError(f"the trace {path} is not text: {error}") from error
-    names = [name.strip() for name in text.split("\n", 1)[0].split(",")]
+    # Comments may come before the names, too.
+    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    text = "\n".join(lines[1:])
+    names = [name.strip().strip("\"'") for name in lines[0].split(",")] if lines else [""]
     if names[0] != "t" or len(set(names)) != len(names):
         raise ValueError(f"the trace {path} must begin with a line of different column names, the first one 't'")
-    if not text.partition("\n")[2].strip():
+    if not text:
         raise ValueError(f"the trace {path} has no rows")
     try:
-        table = np.loadtxt(io.StringIO(text), delimiter=",", skiprows=1, ndmin=2)
+        table = np.loadtxt(io.StringIO(text), delimiter=",", ndmin=2)
     except ValueError as error:
         raise ValueError(f"the trace {path} is not a table of numbers: {error}") from error
     if table.shape[1] != len(names):
@@ -110,10 +118,14 @@ def _known_columns(case: ReferenceCase) -> dict[str, str]:
 def choose_events(case: ReferenceCase, trace_path: str | Path, name: str | None = None) -> tuple[LoadStep, ...]:
     """Return the event list of a trace: the named one, the only one, or the one its file name ends with (`…_a.csv`).
 
+    A file without events has none to choose.
+
     Raises:
         ValueError: there is no such list, or it is not clear which one is meant; the message lists them.
     """
     known = ", ".join(case.events) or "none"
+    if name is None and not case.events:
+        return ()
     if name is not None:
         if name not in case.events:
             raise ValueError(f"unknown event list {name!r}; the parameter file has: {known}")
@@ -129,7 +141,7 @@ def choose_events(case: ReferenceCase, trace_path: str | Path, name: str | None 
 def replay(case: ReferenceCase, events: Sequence[LoadStep], time_s: npt.ArrayLike, step_s: float) -> dict[str, Floats]:
     """Run a case and return every column of :data:`MACHINE_QUANTITIES` and :data:`BUS_QUANTITIES`, each (n,).
 
-    A value at the instant of an event is the one before it.
+    A value at the instant of an event is the one before it; of several rows at that instant, the first.
 
     Args:
         case: network and machines.
@@ -155,13 +167,48 @@ def replay(case: ReferenceCase, events: Sequence[LoadStep], time_s: npt.ArrayLik
                 row += 1
             run.advance(step)
             clock = after
-        while row < times.size and times[row] <= end + _INSTANT:
+        first = True
+        while row < times.size and times[row] <= end + _INSTANT and (first or times[row] < end - _INSTANT):
+            # Of two rows at the instant of an event the second is the one after it.
+            first = times[row] < end - _INSTANT
             table[row] = run.look(0.0)
             row += 1
         if row == times.size:
             break
         clock = end
     return {name: table[:, i] for i, name in enumerate(names)}
+
+
+def replay_closely(
+    case: ReferenceCase,
+    events: Sequence[LoadStep],
+    time_s: npt.ArrayLike,
+    step_s: float,
+    tolerance: Mapping[str, float],
+) -> tuple[dict[str, Floats], float, dict[str, float]]:
+    """Run a case with a step so fine that its own error does not decide a comparison.
+
+    The step is halved, at most down to 0.05 ms, until halving it once more changes every judged quantity by less than
+    a tenth of its tolerance.
+
+    Args:
+        case, events, time_s: as for :func:`replay`.
+        step_s: the coarsest step [s].
+        tolerance: the judged quantities and their tolerances [p.u.].
+
+    Returns:
+        the columns, the step they were found with [s], and what the last halving changed, by quantity [p.u.].
+    """
+    times = np.asarray(time_s, dtype=np.float64)
+    coarse = replay(case, events, times, step_s)
+    while True:
+        finer = max(0.5 * step_s, FINEST_STEP_S)
+        fine = replay(case, events, times, finer)
+        change = {d.quantity: d.size for d in differences(case, Trace(times, coarse), fine)}
+        settled = all(change[quantity] <= 0.1 * limit for quantity, limit in tolerance.items())
+        if settled or finer <= FINEST_STEP_S:
+            return fine, finer, change
+        coarse, step_s = fine, finer
 
 
 def _steps(start: float, end: float, step_s: float) -> Iterator[tuple[float, float]]:
@@ -203,12 +250,20 @@ class _Run:
             magnitude, angle = case.voltage[number]
             slack = voltage[case.network.bus_index(case.network.slack_bus)]
             turned = np.angle(value / slack) + case.voltage[case.network.slack_bus][1]
-            off = max(abs(abs(value) - magnitude), abs(turned - angle))
+            off = max(abs(abs(value) - magnitude), abs(math.remainder(turned - angle, 2.0 * math.pi)))
             if off > _POWER_FLOW_TOLERANCE:
                 raise ValueError(
                     f"{case.network.name}: the file's V and theta are not a power flow of its own network and powers: "
                     f"at bus {number} they are {magnitude:.6f} p.u. and {angle:.6f} rad, the solution is "
                     f"{abs(value):.6f} p.u. and {turned:.6f} rad"
+                )
+        found = dict(zip(_known_columns(case), self.look(0.0), strict=True))
+        for key, power in case.power.items():
+            own = complex(found[f"Pe{key}"], found[f"Qe{key}"])
+            if abs(own - power) > _POWER_TOLERANCE:
+                raise ValueError(
+                    f"{case.network.name}: the power of machine {key} in the file's power flow is {power:.6f} p.u., "
+                    f"the solution at its V and theta is {own:.6f} p.u."
                 )
 
     def _bus_voltages(self, block: Floats | None = None) -> npt.NDArray[np.complex128]:
@@ -276,4 +331,4 @@ def differences(case: ReferenceCase, trace: Trace, columns: Mapping[str, Floats]
     return tuple(found.values())
 
 
-__all__ = ["Difference", "Trace", "choose_events", "differences", "read_trace", "replay"]
+__all__ = ["Difference", "Trace", "choose_events", "differences", "read_trace", "replay", "replay_closely"]

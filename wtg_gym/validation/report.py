@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from wtg_gym.small_signal import Mode
+from wtg_gym.small_signal import Mode, SingleMachine
 from wtg_gym.validation.accuracy import AccuracyStudy
 from wtg_gym.validation.agreement import Agreement
 from wtg_gym.validation.claims import Claim
@@ -59,6 +59,25 @@ def agreement_table(found: Iterable[Agreement]) -> str:
     ]
     header = ("law", "wind [m/s]", "slope", "K_p", "margin [°]", "closed-loop poles [1/s]", "largest difference")
     return markdown_table(header, rows, right=(1, 3, 4, 6))
+
+
+def system_margins_table(loops: Iterable[SingleMachine]) -> str:
+    """Return the margins at the system's own K_p, both slopes of g(ω) of a law and wind in one row."""
+    rows: dict[tuple[str, float], list[SingleMachine]] = {}
+    for loop in loops:
+        rows.setdefault((loop.law, loop.wind_m_s), []).append(loop)
+    cells = [
+        (
+            law,
+            f"{wind:g}",
+            f"{own[0].synchronising_coefficient:.3f}",
+            f"{own[0].margins().phase_margin_deg:.1f}",
+            f"{own[-1].margins().phase_margin_deg:.1f}",
+        )
+        for (law, wind), own in rows.items()
+    ]
+    header = ("law", "wind [m/s]", "K_p", "margin, under-frequency [°]", "margin, over-frequency [°]")
+    return markdown_table(header, cells, right=(1, 2, 3, 4))
 
 
 def _poles(poles: Iterable[complex]) -> Iterable[str]:
@@ -144,4 +163,5 @@ __all__ = [
     "markdown_table",
     "modes_table",
     "order_table",
+    "system_margins_table",
 ]

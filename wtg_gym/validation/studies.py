@@ -11,9 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import brentq
 
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.layout import Status
+from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.statics import critical_frequency_pu
@@ -168,16 +170,25 @@ def study_equilibria() -> EquilibriumStudy:
         name: np.array([critical_frequency_pu(STRATEGIES[name], float(wind)) or np.nan for wind in winds])
         for name in ("mppt", "deloaded-5", "deloaded-10")
     }
+    lowest = GridFormingParameters().frequency_min_pu
+
+    def safe_from(name: str) -> float:
+        """Return the wind at which the critical frequency is the lower end of the regulation range [m/s]."""
+
+        def excess(wind: float) -> float:
+            return (critical_frequency_pu(STRATEGIES[name], wind) or 0.0) - lowest
+
+        return float(brentq(excess, 4.0, 14.0, xtol=1e-6))
+
     at = int(np.argmin(np.abs(winds - 8.0)))
-    safe = {name: winds[series <= 0.992].min(initial=np.inf) for name, series in critical.items()}
     return EquilibriumStudy(
         winds,
         critical,
         f"At 8 m/s a grid at {50 * critical['mppt'][at]:.2f} Hz is enough to stall a WTG at its maximum power point, "
-        f"{50 * critical['deloaded-10'][at]:.2f} Hz one with 10 % of reserve; only above "
-        f"{safe['deloaded-5']:.2f} m/s (5 %) and {safe['deloaded-10']:.2f} m/s (10 %) does a deloaded WTG survive all "
-        "of the regulation range down to 49.6 Hz, while the coordinated laws do at every wind speed. The bend near "
-        "12 m/s is the pitch protection's.",
+        f"{50 * critical['deloaded-10'][at]:.2f} Hz one with 10 % of reserve; only above {safe_from('deloaded-5'):.2f} "
+        f"m/s (5 %) and {safe_from('deloaded-10'):.2f} m/s (10 %) does a deloaded WTG survive all of the regulation "
+        f"range down to {50 * lowest:.1f} Hz, while the coordinated laws do at every wind speed. The bend above "
+        "11.5 m/s is the pitch protection's.",
     )
 
 
