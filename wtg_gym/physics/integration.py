@@ -32,33 +32,57 @@ def _stage(block: Floats, plant: Plant, weight: float, ahead: float, first: bool
     width = len(lanes)
     n_sync, n_wtg = len(plant.syncs), len(plant.wtgs)
     for i in range(n_sync):
-        o = i * SyncRow.N_ROWS * width
-        _stage_rows(block, o, N_SYNC_STATES * width, weight, ahead, first)
+        _stage_rows(block, i * SyncRow.N_ROWS * width, N_SYNC_STATES, weight, ahead, first, lanes)
     for j in range(n_wtg):
         o = (n_sync * SyncRow.N_ROWS + j * WtgRow.N_ROWS) * width
-        _stage_rows(block, o, N_WTG_STATES * width, weight, ahead, first)
-    _stage_rows(block, lane_row(plant) * width, width, weight, ahead, first)
+        _stage_rows(block, o, N_WTG_STATES, weight, ahead, first, lanes)
+    _stage_rows(block, lane_row(plant) * width, 1, weight, ahead, first, lanes)
 
 
 @compiled
-def _stage_rows(block: Floats, o: int, count: int, weight: float, ahead: float, first: bool) -> None:
-    # States, rates, base and sum of a record follow each other at the same distance.
-    if first:
-        for r in range(o, o + count):
-            value, rate = block[r], block[r + count]
-            block[r + 2 * count] = value
-            block[r + 3 * count] = rate
+def _stage_rows(block: Floats, o: int, n_states: int, weight: float, ahead: float, first: bool, lanes: Lanes) -> None:
+    # States, rates, base and sum of a record follow each other at the same distance. Unsigned indices, which cannot
+    # count from the end, are what lets the compiler use vectors here; for a single lane it had better unroll.
+    width = np.uint64(len(lanes))
+    u, c = np.uint64(o), np.uint64(n_states) * width
+    if len(lanes) == 1:
+        for s in range(n_states):
+            r = u + np.uint64(s)
+            rate = block[r + c]
+            if first:
+                block[r + c + c] = block[r]
+                block[r + c + c + c] = rate
+            else:
+                block[r + c + c + c] += weight * rate
+            block[r] = block[r + c + c] + ahead * rate
+    elif first:
+        for q in range(n_states * len(lanes)):
+            r = u + np.uint64(q)
+            value, rate = block[r], block[r + c]
+            block[r + c + c] = value
+            block[r + c + c + c] = rate
             block[r] = value + ahead * rate
     else:
-        for r in range(o, o + count):
-            rate = block[r + count]
-            block[r + 3 * count] += weight * rate
-            block[r] = block[r + 2 * count] + ahead * rate
+        for q in range(n_states * len(lanes)):
+            r = u + np.uint64(q)
+            rate = block[r + c]
+            block[r + c + c + c] += weight * rate
+            block[r] = block[r + c + c] + ahead * rate
 
 
 @compiled
-def _finish_rows(block: Floats, o: int, count: int, sixth: float, active: int, width: int) -> None:
+def _finish_rows(
+    block: Floats, o: int, n_states: int, sixth: float, active: int, all_active: bool, lanes: Lanes
+) -> None:
+    width = len(lanes)
+    u, c = np.uint64(o), np.uint64(n_states) * np.uint64(width)
+    if all_active:
+        for q in range(n_states * width):
+            r = u + np.uint64(q)
+            block[r] = block[r + c + c] + sixth * block[r + c + c + c]
+        return
     # An ended lane keeps its base exactly: nothing, not even a rounding, is added to it.
+    count = n_states * width
     for r in range(o, o + count, width):
         for x in range(width):
             base = block[r + 2 * count + x]
@@ -85,9 +109,12 @@ def runge_kutta_step(block: Floats, plant: Plant, step: int, lanes: Lanes) -> No
         derivatives(block, plant, (step + offset) * part, lanes)
         _stage(block, plant, weight, ahead, stage == 0, lanes)
     active = (lane_row(plant) + LaneRow.ACTIVE) * width
+    all_active = True
+    for x in range(width):
+        all_active = all_active and block[active + x] > 0.5
     for i in range(n_sync):
         o = i * SyncRow.N_ROWS * width
-        _finish_rows(block, o, N_SYNC_STATES * width, h / 6.0, active, width)
+        _finish_rows(block, o, N_SYNC_STATES, h / 6.0, active, all_active, lanes)
         field_min = plant.machines[i, MachineConstant.FIELD_MIN]
         field_max = plant.machines[i, MachineConstant.FIELD_MAX]
         gate_min = plant.machines[i, MachineConstant.GATE_MIN]
@@ -96,11 +123,11 @@ def runge_kutta_step(block: Floats, plant: Plant, step: int, lanes: Lanes) -> No
         _clip_row(block, o + SyncState.GATE * width, gate_min, gate_max, width)
     for j in range(n_wtg):
         o = (n_sync * SyncRow.N_ROWS + j * WtgRow.N_ROWS) * width
-        _finish_rows(block, o, N_WTG_STATES * width, h / 6.0, active, width)
+        _finish_rows(block, o, N_WTG_STATES, h / 6.0, active, all_active, lanes)
         pitch_max = plant.turbine[TurbineConstant.PITCH_MAX]
         _clip_row(block, o + WtgState.PITCH_INTEGRAL * width, 0.0, pitch_max, width)
         _clip_row(block, o + WtgState.PITCH * width, 0.0, pitch_max, width)
-    _finish_rows(block, lane_row(plant) * width, width, h / 6.0, active, width)
+    _finish_rows(block, lane_row(plant) * width, 1, h / 6.0, active, all_active, lanes)
 
 
 @compiled
