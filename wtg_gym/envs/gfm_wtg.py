@@ -112,6 +112,7 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
         self.settings = _settings(arguments)
         self._lanes = TaskLanes(self.settings, 1)
         self.observation_space, self.action_space = _spaces(self._lanes)
+        self._action_shape = (self._lanes.n_action,)
         self._running = False
 
     @property
@@ -141,7 +142,7 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
         scenario = _as_scenario(given["scenario"]) if "scenario" in given else self._lanes.draw(self.np_random)
         self._lanes.start(0, scenario)
         self._running = True
-        return self._lanes.observations[0].copy(), self._info()
+        return self._lanes.observations[0].copy(), self._lanes.info()
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Hold the action for one control interval.
@@ -155,17 +156,12 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
         """
         if not self._running:
             raise RuntimeError("the episode is over or was never started; call reset() before step()")
-        self._lanes.step(as_actions(action, (self._lanes.n_action,))[None, :])
-        terminated, truncated = (bool(flag[0]) for flag in self._lanes.ended())
+        lanes = self._lanes
+        lanes.step(as_actions(action, self._action_shape)[None, :])
+        outputs = lanes.outputs
+        terminated, truncated = bool(outputs.terminated[0]), bool(outputs.truncated[0])
         self._running = not (terminated or truncated)
-        reward = float(self._lanes.rewards[0])
-        return self._lanes.observations[0].copy(), reward, terminated, truncated, self._info()
-
-    def _info(self) -> dict[str, Any]:
-        return {
-            key: value if isinstance(value, str) else value.item()
-            for key, value in ((key, array[0]) for key, array in self._lanes.info_arrays().items())
-        }
+        return outputs.observations[0].copy(), float(outputs.rewards[0]), terminated, truncated, lanes.info()
 
     def snapshot(self) -> Any:
         """Return a copy of the episode's complete state, for :meth:`restore`; the generator is not part of it."""
@@ -235,6 +231,8 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         self._generators = [seeding.np_random()[0] for _ in range(num_envs)]
         self._needs_reset = np.ones(num_envs, dtype=np.bool_)
         self._n_steps = np.zeros(num_envs, dtype=np.int64)
+        self._all_lanes = np.ones(num_envs, dtype=np.bool_)
+        self._all_lanes.setflags(write=False)
 
     @property
     def lanes(self) -> TaskLanes:
@@ -264,7 +262,7 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
             lane = int(index)
             self._generators[lane] = generators[lane] or self._generators[lane]
             self._start(lane, None if episodes is None else episodes[lane])
-        return self._lanes.observations.copy(), self._infos(mask)
+        return self._lanes.observations.copy(), self._infos(mask.copy())
 
     def _reset_mask(self, given: Any) -> npt.NDArray[np.bool_]:
         if given is None:
@@ -336,16 +334,17 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
             for lane in np.flatnonzero(waiting):
                 self._start(int(lane))
             self._needs_reset |= done
-        infos.update(self._infos(np.ones(self.num_envs, dtype=np.bool_)))
+        infos.update(self._infos(self._all_lanes))
         return self._lanes.observations.copy(), rewards, terminated, truncated, infos
 
     def _started(self) -> bool:
         return bool((self._lanes.task_values(TaskRow.END_STEP) > 0.0).all())
 
     def _infos(self, mask: npt.NDArray[np.bool_]) -> dict[str, Any]:
+        """Every key of `info` as an array, and as `_key` the lanes that it holds for: one array for all keys."""
         infos: dict[str, Any] = {}
         for key, array in self._lanes.info_arrays().items():
-            infos[key], infos[f"_{key}"] = array, mask.copy()
+            infos[key], infos[f"_{key}"] = array, mask
         return infos
 
     def _final_infos(self, done: npt.NDArray[np.bool_]) -> dict[str, Any]:
@@ -355,7 +354,7 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         return {
             "final_obs": final,
             "_final_obs": done.copy(),
-            "final_info": self._infos(done),
+            "final_info": self._infos(done.copy()),
             "_final_info": done.copy(),
         }
 

@@ -11,7 +11,8 @@ import numpy.typing as npt
 from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
 from wtg_gym.envs.task import (
     COST_TERMS,
-    TaskRow,
+    N_INFO,
+    Outputs,
     build_task,
     first_invalid_action,
     n_extra_rows,
@@ -44,6 +45,14 @@ INFO_UNITS = {
     **{f"cost_{name}": "-" for name in COST_TERMS},
     "scenario_seed": "-",
 }
+
+
+#: Those of them that the kernels write, in the order of their columns.
+_INFO_KEYS = tuple(key for key in INFO_UNITS if key != "scenario_seed")
+
+
+def _copied(outputs: Outputs) -> Outputs:
+    return Outputs._make(array.copy() for array in outputs)
 
 
 def as_actions(given: Any, shape: tuple[int, ...]) -> Floats:
@@ -103,14 +112,31 @@ class TaskLanes:
         )
         self.n_observation = len(self.observation_names)
         self.n_action = self.n_wtg * sum(ACTION_MODES[settings.action_mode])
-        self.observations = np.zeros((n_lanes, self.n_observation), dtype=np.float32)
-        self.rewards = np.zeros(n_lanes)
+        self.outputs = Outputs(
+            observations=np.zeros((n_lanes, self.n_observation), dtype=np.float32),
+            rewards=np.zeros(n_lanes),
+            infos=np.zeros((n_lanes, N_INFO)),
+            terminated=np.zeros(n_lanes, dtype=np.bool_),
+            truncated=np.zeros(n_lanes, dtype=np.bool_),
+        )
         self.scenario_seeds = np.full(n_lanes, -1, dtype=np.int64)
+        self._no_reasons = np.full(n_lanes, "", dtype=object)
+        self._no_reasons.setflags(write=False)
         self._seeds = self.suite.seeds(settings.split)
         self._fixed = settings.fixed_scenario()
         if self._fixed is not None:
             # What cannot be played is refused here rather than at the first reset.
             self.prepare(self._fixed)
+
+    @property
+    def observations(self) -> npt.NDArray[np.float32]:
+        """Observation of every lane, (n_lanes, n_observation): the array that the next step writes into."""
+        return self.outputs.observations
+
+    @property
+    def rewards(self) -> Floats:
+        """Reward of every lane's last step, (n_lanes,): the array that the next step writes into."""
+        return self.outputs.rewards
 
     @property
     def n_lanes(self) -> int:
@@ -143,11 +169,8 @@ class TaskLanes:
         simulator = self.simulator
         simulator.commit(lane, episode.lane)
         end_step = float(episode.n_intervals * simulator.plant.n_substeps)
-        start_task(
-            simulator.blocks, lane, simulator.plant, self.task, end_step, self.observations[lane], simulator.lanes
-        )
+        start_task(simulator.blocks, lane, simulator.plant, self.task, end_step, self.outputs, simulator.lanes)
         self.scenario_seeds[lane] = episode.scenario_seed
-        self.rewards[lane] = 0.0
 
     def start(self, lane: int, scenario: Scenario) -> None:
         """Start an episode in a lane: :meth:`prepare`, then :meth:`commit`."""
@@ -157,6 +180,7 @@ class TaskLanes:
         """End the episodes of a mask's lanes, as if their time were over; shape (n_lanes,)."""
         for lane in np.flatnonzero(lanes):
             self.simulator.stop(int(lane))
+            self.outputs.truncated[lane] = not self.outputs.terminated[lane]
 
     def step(self, actions: Floats) -> None:
         """Step every running lane; results are in `observations`, `rewards` and :meth:`ended`.
@@ -180,8 +204,7 @@ class TaskLanes:
                 simulator.data,
                 self.task,
                 actions,
-                self.observations,
-                self.rewards,
+                self.outputs,
                 simulator.lanes,
             )
         )
@@ -191,45 +214,45 @@ class TaskLanes:
         return self.simulator.lane_values(LaneRow.STATUS).astype(np.int64)
 
     def ended(self) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-        """Return (terminated, truncated) per lane."""
-        terminated = self.simulator.lane_values(LaneRow.STATUS) != 0.0
-        active = self.simulator.lane_values(LaneRow.ACTIVE) > 0.5
-        return terminated, ~active & ~terminated
+        """Return (terminated, truncated) per lane: copies."""
+        return self.outputs.terminated.copy(), self.outputs.truncated.copy()
 
     def task_values(self, row: int) -> Floats:
         """Return a :class:`TaskRow` of every lane (n_lanes,)."""
         return self.simulator.values(self.simulator.layout.extra + row)
 
     def info_arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """Return every key of `info` as an array over lanes."""
-        simulator = self.simulator
-        nominal = self.task.nominal_hz
-        arrays: dict[str, npt.NDArray[Any]] = {
-            "time_s": simulator.lane_values(LaneRow.STEP) * simulator.plant.simulation_dt,
-            "frequency_hz": nominal * simulator.lane_values(LaneRow.COI),
-            "rocof_hz_s": self.task_values(TaskRow.ROCOF),
-            "cost": self.task_values(TaskRow.CONSTRAINT),
-        }
-        for term, name in enumerate(COST_TERMS):
-            arrays[f"cost_{name}"] = self.task_values(TaskRow.TERM + term)
+        """Return every key of `info` as an array over lanes: copies, but for the reasons while no lane has failed."""
+        arrays: dict[str, npt.NDArray[Any]] = dict(zip(_INFO_KEYS, self.outputs.infos.T.copy(), strict=True))
         arrays["scenario_seed"] = self.scenario_seeds.copy()
-        reasons = [TERMINATION_REASONS[Status(status)] for status in self.statuses()]
-        arrays["termination_reason"] = np.array(reasons, dtype=object)
+        arrays["termination_reason"] = self._no_reasons
+        if self.outputs.terminated.any():
+            reasons = [TERMINATION_REASONS[Status(status)] for status in self.statuses()]
+            arrays["termination_reason"] = np.array(reasons, dtype=object)
         return arrays
 
-    def snapshot(self) -> tuple[tuple[Floats, LaneData], npt.NDArray[np.float32], Floats, npt.NDArray[np.int64]]:
-        """Return a copy of everything that changes."""
-        return self.simulator.snapshot(), self.observations.copy(), self.rewards.copy(), self.scenario_seeds.copy()
+    def info(self) -> dict[str, Any]:
+        """Return `info` of the first lane as plain numbers and text."""
+        info: dict[str, Any] = dict(zip(_INFO_KEYS, self.outputs.infos[0].tolist(), strict=True))
+        info["scenario_seed"] = int(self.scenario_seeds[0])
+        failed = self.outputs.terminated[0]
+        info["termination_reason"] = TERMINATION_REASONS[Status(int(self.statuses()[0]))] if failed else ""
+        return info
 
-    def restore(
-        self, snapshot: tuple[tuple[Floats, LaneData], npt.NDArray[np.float32], Floats, npt.NDArray[np.int64]]
-    ) -> None:
+    def snapshot(self) -> tuple[tuple[Floats, LaneData], Outputs, npt.NDArray[np.int64]]:
+        """Return a copy of everything that changes."""
+        return self.simulator.snapshot(), _copied(self.outputs), self.scenario_seeds.copy()
+
+    def restore(self, snapshot: tuple[tuple[Floats, LaneData], Outputs, npt.NDArray[np.int64]]) -> None:
         """Go back to a :meth:`snapshot`; a ValueError refuses that of another environment."""
-        physics, observations, rewards, seeds = snapshot
-        if observations.shape != self.observations.shape:
+        physics, outputs, seeds = snapshot
+        if outputs.observations.shape != self.observations.shape:
             raise ValueError(
-                f"the snapshot is of another environment: its observations have shape {observations.shape}, "
+                f"the snapshot is of another environment: its observations have shape {outputs.observations.shape}, "
                 f"here it is {self.observations.shape}"
             )
         self.simulator.restore(physics)
-        self.observations[:], self.rewards[:], self.scenario_seeds[:] = observations, rewards, seeds
+        self.outputs.observations[:], self.outputs.rewards[:] = outputs.observations, outputs.rewards
+        self.outputs.infos[:] = outputs.infos
+        self.outputs.terminated[:], self.outputs.truncated[:] = outputs.terminated, outputs.truncated
+        self.scenario_seeds[:] = seeds

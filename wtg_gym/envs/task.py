@@ -60,6 +60,10 @@ class TaskRow(IntEnum):
     HISTORY = 22
 
 
+#: Columns of the numbers that `info` holds: time, frequency, RoCoF, constraint cost, then the cost terms.
+N_INFO = 4 + len(COST_TERMS)
+
+
 class GroupRow(IntEnum):
     """Rows of a WTG group that belong to the task."""
 
@@ -68,6 +72,16 @@ class GroupRow(IntEnum):
     ROCOF = 2  # of its own frequency over the last control interval [Hz/s]
     ACTION = 3  # the last action on k, then on τ
     N_ROWS = 5
+
+
+class Outputs(NamedTuple):
+    """What the kernels leave for the caller, one row per lane."""
+
+    observations: Observations  # (n_lanes, n_observation)
+    rewards: Floats  # (n_lanes,), 0 for a lane that had ended
+    infos: Floats  # (n_lanes, N_INFO)
+    terminated: npt.NDArray[np.bool_]  # (n_lanes,)
+    truncated: npt.NDArray[np.bool_]  # (n_lanes,)
 
 
 class Task(NamedTuple):
@@ -145,10 +159,10 @@ def start_task(
     plant: Plant,
     task: Task,
     end_step: float,
-    observation: Observations,
+    outputs: Outputs,
     lanes: Lanes,
 ) -> None:
-    """Reset the task's rows of a freshly started lane and write its first observation (n_observation,)."""
+    """Reset the task's rows of a freshly started lane and write its first observation and information."""
     width = len(lanes)
     block, x = blocks[lane // width], lane % width
     for r in range(task.extra, block.shape[0] // width):
@@ -161,7 +175,9 @@ def start_task(
         g = _group_row(j, task)
         block[(g + GroupRow.BASE_INV_TAU) * width + x] = block[(o + WtgRow.INV_TAU) * width + x]
         block[(g + GroupRow.LAST_SPEED) * width + x] = block[(o + WtgState.SPEED) * width + x]
-    observe(block, x, plant, task, observation, width)
+    outputs.rewards[lane] = 0.0
+    observe(block, x, plant, task, outputs.observations[lane], width)
+    report(block, x, lane, plant, task, outputs, width)
 
 
 @compiled
@@ -173,16 +189,14 @@ def step_blocks(
     data: LaneData,
     task: Task,
     actions: Floats,
-    observations: Observations,
-    rewards: Floats,
+    outputs: Outputs,
     lanes: Lanes,
 ) -> None:
     """Apply actions, advance one control interval, observe and charge, for the lanes of blocks first … last - 1.
 
     Args:
         actions: (n_lanes, n_action), finite; clipped to [-1, 1] here.
-        observations: (n_lanes, n_observation), written for running lanes.
-        rewards: (n_lanes,), written; 0 for lanes that had ended.
+        outputs: written for running lanes; the reward is 0 for those that had ended.
     """
     width = len(lanes)
     noise_y = np.empty(width)
@@ -198,13 +212,31 @@ def step_blocks(
             was_active[x] = block[(own + LaneRow.ACTIVE) * width + x]
         advance_interval(block, b * width, plant, data, noise_y, lanes)
         for x in range(count):
-            rewards[b * width + x] = 0.0
+            lane = b * width + x
+            outputs.rewards[lane] = 0.0
             if was_active[x] > 0.5:
-                rewards[b * width + x] = -charge(block, x, plant, task, actions[b * width + x], width)
-                observe(block, x, plant, task, observations[b * width + x], width)
+                outputs.rewards[lane] = -charge(block, x, plant, task, actions[lane], width)
+                observe(block, x, plant, task, outputs.observations[lane], width)
                 # A lane at its end stands still until it is started again.
                 if block[(own + LaneRow.STEP) * width + x] >= block[(task.extra + TaskRow.END_STEP) * width + x] - 0.5:
                     block[(own + LaneRow.ACTIVE) * width + x] = 0.0
+                report(block, x, lane, plant, task, outputs, width)
+
+
+@compiled
+def report(block: Floats, x: int, lane: int, plant: Plant, task: Task, outputs: Outputs, width: int) -> None:
+    """Write the numbers of a lane's `info`, and whether its episode is over."""
+    own, extra = lane_row(plant) * width + x, task.extra * width + x
+    row = outputs.infos[lane]
+    row[0] = block[own + LaneRow.STEP * width] * plant.simulation_dt
+    row[1] = task.nominal_hz * block[own + LaneRow.COI * width]
+    row[2] = block[extra + TaskRow.ROCOF * width]
+    row[3] = block[extra + TaskRow.CONSTRAINT * width]
+    for term in range(7):
+        row[4 + term] = block[extra + (TaskRow.TERM + term) * width]
+    failed = block[own + LaneRow.STATUS * width] != 0.0
+    outputs.terminated[lane] = failed
+    outputs.truncated[lane] = not failed and block[own + LaneRow.ACTIVE * width] < 0.5
 
 
 @compiled

@@ -75,7 +75,7 @@ def _finish_rows(
     block: Floats, o: int, n_states: int, sixth: float, active: int, all_active: bool, lanes: Lanes
 ) -> None:
     width = len(lanes)
-    u, c = np.uint64(o), np.uint64(n_states) * np.uint64(width)
+    u, c = np.uint64(o), np.uint64(n_states * width)
     if all_active:
         for q in range(n_states * width):
             r = u + np.uint64(q)
@@ -83,11 +83,11 @@ def _finish_rows(
         return
     # An ended lane keeps its base exactly: nothing, not even a rounding, is added to it.
     count = n_states * width
-    for r in range(o, o + count, width):
+    for at in range(o, o + count, width):
         for x in range(width):
-            base = block[r + 2 * count + x]
-            moved = base + sixth * block[r + 3 * count + x]
-            block[r + x] = moved if block[active + x] > 0.5 else base
+            base = block[at + 2 * count + x]
+            moved = base + sixth * block[at + 3 * count + x]
+            block[at + x] = moved if block[active + x] > 0.5 else base
 
 
 @compiled
