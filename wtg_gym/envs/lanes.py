@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.envs.bound import BoundStep, can_bind
 from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
 from wtg_gym.envs.task import (
     COST_TERMS,
@@ -120,6 +121,7 @@ class TaskLanes:
             truncated=np.zeros(n_lanes, dtype=np.bool_),
         )
         self.scenario_seeds = np.full(n_lanes, -1, dtype=np.int64)
+        self._bound: BoundStep | None = None
         self._no_reasons = np.full(n_lanes, "", dtype=object)
         self._no_reasons.setflags(write=False)
         self._seeds = self.suite.seeds(settings.split)
@@ -167,6 +169,8 @@ class TaskLanes:
     def commit(self, lane: int, episode: PreparedEpisode) -> None:
         """Start a prepared episode in a lane."""
         simulator = self.simulator
+        # More events than ever before, or a snapshot, bring new arrays.
+        self._bound = None
         simulator.commit(lane, episode.lane)
         end_step = float(episode.n_intervals * simulator.plant.n_substeps)
         start_task(simulator.blocks, lane, simulator.plant, self.task, end_step, self.outputs, simulator.lanes)
@@ -191,10 +195,16 @@ class TaskLanes:
         Raises:
             ValueError: an action is not finite; nothing has been stepped then.
         """
-        invalid = first_invalid_action(actions)
+        simulator = self.simulator
+        if self._bound is None and self.n_lanes == 1 and can_bind():
+            self._bound = BoundStep(
+                simulator.blocks, simulator.plant, simulator.data, self.task, self.outputs, simulator.lanes
+            )
+        invalid = first_invalid_action(actions) if self._bound is None else self._bound(actions)
         if invalid >= 0:
             raise ValueError(f"action {actions[invalid].tolist()} of lane {invalid} is not finite; allowed: -1 … 1")
-        simulator = self.simulator
+        if self._bound is not None:
+            return
         simulator.for_blocks(
             lambda first, last: step_blocks(
                 simulator.blocks,
@@ -239,6 +249,10 @@ class TaskLanes:
         info["termination_reason"] = TERMINATION_REASONS[Status(int(self.statuses()[0]))] if failed else ""
         return info
 
+    def __getstate__(self) -> dict[str, Any]:
+        # Addresses are those of this object's arrays.
+        return {**self.__dict__, "_bound": None}
+
     def snapshot(self) -> tuple[tuple[Floats, LaneData], Outputs, npt.NDArray[np.int64]]:
         """Return a copy of everything that changes."""
         return self.simulator.snapshot(), _copied(self.outputs), self.scenario_seeds.copy()
@@ -251,6 +265,7 @@ class TaskLanes:
                 f"the snapshot is of another environment: its observations have shape {outputs.observations.shape}, "
                 f"here it is {self.observations.shape}"
             )
+        self._bound = None
         self.simulator.restore(physics)
         self.outputs.observations[:], self.outputs.rewards[:] = outputs.observations, outputs.rewards
         self.outputs.infos[:] = outputs.infos

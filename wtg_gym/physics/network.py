@@ -6,6 +6,7 @@ network events.
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 
@@ -88,7 +89,7 @@ class NetworkCase:
         if not self.connected_without(()):
             raise ValueError(f"{self.name}: the network is not connected")
 
-    @property
+    @functools.cached_property
     def bus_numbers(self) -> tuple[int, ...]:
         """Return the bus numbers in order of the index."""
         return tuple(bus.number for bus in self.buses)

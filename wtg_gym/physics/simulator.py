@@ -257,6 +257,10 @@ class Simulator:
     def for_blocks(self, work: Callable[[int, int], Any]) -> None:
         """Call `work(first, last)` for ranges that cover all blocks, on several threads where that pays."""
         n_blocks = self.blocks.shape[0]
+        if n_blocks < 2 * _BLOCKS_PER_THREAD:
+            work(0, n_blocks)
+            return
+        # Asked for anew: a copy may live on another machine. It costs as much as a step, but not as a thousand.
         n_threads = min(self.n_threads or os.cpu_count() or 1, n_blocks // _BLOCKS_PER_THREAD)
         if n_threads < 2:
             work(0, n_blocks)
