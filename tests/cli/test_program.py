@@ -31,6 +31,7 @@ COMMANDS = (
     "validate",
     "accuracy",
     "parameters",
+    "bench",
 )
 _QUICK = ("--duration", "6")
 

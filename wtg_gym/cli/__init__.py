@@ -12,7 +12,18 @@ import sys
 from collections.abc import Sequence
 
 from wtg_gym import __version__
-from wtg_gym.cli import accuracy, parameters, reproduce, scores, simulate, small_signal, statics, suites, validate
+from wtg_gym.cli import (
+    accuracy,
+    bench,
+    parameters,
+    reproduce,
+    scores,
+    simulate,
+    small_signal,
+    statics,
+    suites,
+    validate,
+)
 from wtg_gym.cli.parser import Parser
 
 _DESCRIPTION = """\
@@ -37,7 +48,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser = Parser(prog="wtg-gym", description=_DESCRIPTION, epilog=_EPILOG)
     parser.add_argument("--version", action="version", version=f"wtg-gym {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for module in (simulate, scores, suites, statics, small_signal, reproduce, validate, accuracy, parameters):
+    for module in (simulate, scores, suites, statics, small_signal, reproduce, validate, accuracy, parameters, bench):
         module.add_commands(commands)
     return parser
 
