@@ -11,7 +11,7 @@ import math
 
 from wtg_gym.physics.compiled import compiled
 
-_TWO_PI = 6.283185307179586
+_TURNS_PER_RADIAN = 0.15915494309189535
 # 2π in two parts, the first of 33 bits, so that a product with a whole number of turns is exact (Cody and Waite).
 _TWO_PI_HIGH = 6.28318530693650245668
 _TWO_PI_LOW = 2.430840202602476899728e-10
@@ -23,7 +23,7 @@ def sine_cosine(angle: float) -> tuple[float, float]:
 
     The angle is reduced to one turn, quartered, expanded and doubled twice.
     """
-    turns = math.floor(angle / _TWO_PI + 0.5)
+    turns = math.floor(angle * _TURNS_PER_RADIAN + 0.5)
     x = 0.25 * ((angle - turns * _TWO_PI_HIGH) - turns * _TWO_PI_LOW)
     y = x * x
     s = 1.0 - y * (1.0 / 210.0)
