@@ -191,3 +191,9 @@ def test_frequency_observation_turns_negative_when_load_is_added():
     deviation = observation[names.index("grid.frequency_deviation [0.5 Hz]")]
     assert deviation == pytest.approx((info["frequency_hz"] - 50.0) / 0.5, abs=1e-6) and deviation < -0.05
     assert observation[names.index("wtg0.frequency_deviation [0.5 Hz]")] == pytest.approx(deviation, abs=0.05)
+
+
+def test_vector_environment_names_its_observations_as_the_single_one_does() -> None:
+    single, batch = GFMWTGEnv(observation_mode="privileged"), GFMWTGVectorEnv(2, observation_mode="privileged")
+    assert batch.observation_names == single.observation_names
+    assert len(single.observation_names) == batch.single_observation_space.shape[0]  # type: ignore[index]

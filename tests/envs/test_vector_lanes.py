@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 import sys
 from functools import cache
@@ -180,3 +181,13 @@ def test_ended_lane_waits_one_step_in_next_step_mode():
     _, rewards, terminated, truncated, infos = env.step(np.ones((2, 4)))
     assert rewards[0] == 0.0 and rewards[1] < 0.0 and not truncated.any() and not terminated.any()
     assert infos["time_s"][0] == 0.0 and infos["time_s"][1] == pytest.approx(1.1)
+
+
+def test_scenarios_of_lanes_that_go_on_are_not_looked_at():
+    env = GFMWTGVectorEnv(2, duration_s=3.0, autoreset_mode="Disabled")
+    env.reset(seed=0)
+    fits = env.lanes.scenario(1_000_001)
+    misfit = dataclasses.replace(fits, wind_speed=np.full((3, 1), 8.0))
+    env.reset(options={"reset_mask": np.array([True, False]), "scenarios": [fits, misfit]})
+    with pytest.raises(ValueError, match="wind for 3 WTG groups"):
+        env.reset(options={"reset_mask": np.array([False, True]), "scenarios": [fits, misfit]})

@@ -239,6 +239,11 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         """The episodes' simulator, observations and costs."""
         return self._lanes
 
+    @property
+    def observation_names(self) -> list[str]:
+        """Names and units of one lane's observation."""
+        return self._lanes.observation_names
+
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
@@ -257,11 +262,11 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         scenarios = self._scenarios(given.get("scenarios"))
         # Everything that can be refused comes before the first change.
         generators = [None if s is None else seeding.np_random(s)[0] for s in seeds]
-        episodes = None if scenarios is None else [self._lanes.prepare(scenario) for scenario in scenarios]
-        for index in np.flatnonzero(mask):
-            lane = int(index)
+        lanes = [int(lane) for lane in np.flatnonzero(mask)]
+        episodes = {} if scenarios is None else {lane: self._lanes.prepare(scenarios[lane]) for lane in lanes}
+        for lane in lanes:
             self._generators[lane] = generators[lane] or self._generators[lane]
-            self._start(lane, None if episodes is None else episodes[lane])
+            self._start(lane, episodes.get(lane))
         return self._lanes.observations.copy(), self._infos(mask.copy())
 
     def _reset_mask(self, given: Any) -> npt.NDArray[np.bool_]:
