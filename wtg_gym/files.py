@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import shutil
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,13 @@ def write_atomically(path: Path, content: str | bytes) -> None:
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, right: Sequence[int] = ()) -> str:
+    """Return a Markdown table without a line feed at the end; `right` are the columns of numbers."""
+    rules = ["---:" if index in right else "---" for index in range(len(header))]
+    lines = (header, rules, *rows)
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in lines)
 
 
 def update_between_markers(path: str | Path, content: str, name: str) -> bool:
@@ -116,6 +124,7 @@ def parse_json(text: str, path: Path, what: str) -> Any:
 
 
 __all__ = [
+    "markdown_table",
     "parse_json",
     "read_text",
     "require_markers",

@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from wtg_gym.physics.layout import SyncRow
 from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import LineTrip, LoadStep, LoadTrip, Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import STRATEGIES
+from wtg_gym.scenarios import get_suite
 
 LAW = STRATEGIES["coordinated-piecewise"]
 WIND = np.array([[11.4], [8.0]])
@@ -100,3 +102,18 @@ def test_a_finer_control_interval_does_not_change_a_run_without_noise() -> None:
         ends.append(simulator.state())
     assert (ends[0] == ends[1]).all()
     assert (ends[0] == ends[2]).all()
+
+
+def test_bus_voltages_are_those_at_the_machines_terminals() -> None:
+    """Recovered from the whole network, against the machines' own equations, through steps, ramps and noise."""
+    scenario = get_suite("standard").scenario(20_003)
+    simulator = Simulator(PlantSettings(), duration_s=scenario.duration_s)
+    simulator.start(0, scenario, (LAW, LAW))
+    assert scenario.events and scenario.load_noise_mw.any()
+    case = simulator.settings.case
+    for _ in range(simulator.n_intervals):
+        magnitude = np.abs(simulator.bus_voltages())
+        for i, machine in enumerate(case.machines):
+            own = simulator.values(i * SyncRow.N_ROWS + SyncRow.VOLTAGE)[0]
+            assert magnitude[case.bus_index(machine.bus)] == pytest.approx(own, abs=1e-12)
+        simulator.advance()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from wtg_gym.cli.output import (
     check_output_folder,
     check_page,
     note,
+    plain_json,
     print_json,
     print_table,
     require_extra,
@@ -74,7 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
             suite=arguments.suite,
             on_progress=lambda done, total: progress.update("integrating", done, total),
         )
-    data = _as_json(study)
+    data = plain_json(_as_json(study))
     if folder is not None:
         _write(folder, study, data, arguments.formats)
     if page is not None:
@@ -87,11 +87,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _write(folder: Path, study: AccuracyStudy, data: Any, formats: Sequence[str]) -> None:
-    from wtg_gym.plotting import figure_bytes, plot_accuracy
+    from wtg_gym.plotting import plot_accuracy, save_figure
 
-    figure = plot_accuracy(study)
-    for suffix in formats:
-        write_atomically(folder / f"accuracy.{suffix}", figure_bytes(figure, suffix))
+    save_figure(plot_accuracy(study), folder / "accuracy", formats)
     write_atomically(folder / "accuracy.json", to_json(data))
     note(f"wrote accuracy.json and accuracy.{', accuracy.'.join(formats)} in {folder}")
 
@@ -108,13 +106,12 @@ def _summary(study: AccuracyStudy) -> str:
 
 
 def _as_json(study: AccuracyStudy) -> dict[str, Any]:
-    def errors(values: np.ndarray) -> dict[str, float | None]:
-        found = {
+    def errors(values: np.ndarray) -> dict[str, float]:
+        return {
             "median": float(np.median(values)),
             "p95": float(np.quantile(values, 0.95)),
             "worst": float(values.max()),
         }
-        return {key: value if math.isfinite(value) else None for key, value in found.items()}
 
     def row(accuracy: Accuracy) -> dict[str, Any]:
         return {

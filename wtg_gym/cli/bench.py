@@ -19,9 +19,9 @@ import numpy as np
 import wtg_gym
 from wtg_gym.cli.output import Progress, check_page, print_json, print_table, update_page
 from wtg_gym.cli.parser import Commands, add_command
+from wtg_gym.files import markdown_table
 from wtg_gym.physics.scenario import require_range
 from wtg_gym.scenarios import get_suite
-from wtg_gym.validation.report import markdown_table
 
 #: The yardstick: physics of a few lines, in pure Python.
 _YARDSTICK = "Pendulum-v1"

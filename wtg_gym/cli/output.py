@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import json
+import math
 import os
 import sys
 import time
@@ -13,10 +14,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal
 
-from wtg_gym.files import require_markers, update_between_markers
+from wtg_gym.files import require_markers, update_between_markers, write_atomically
 
 #: Formats that figures are written in.
 FIGURE_FORMATS = ("svg", "png", "pdf")
+#: What the file of a figure may end with.
+PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 #: Lines of progress come this far apart, the first one after as long [s].
 _PROGRESS_INTERVAL_S = 5.0
 
@@ -58,6 +61,20 @@ def check_output_file(option: str, text: str | None, suffixes: Sequence[str]) ->
     return path
 
 
+def check_plot_file(text: str | None) -> Path | None:
+    """Return the path of `--plot`, or raise a ValueError now rather than after the work; None for no figure."""
+    path = check_output_file("--plot", text, PLOT_SUFFIXES)
+    if path is not None:
+        require_extra("matplotlib", "--plot")
+    return path
+
+
+def write_and_say(path: Path, content: str | bytes) -> None:
+    """Write a file and say so."""
+    write_atomically(path, content)
+    note(f"wrote {path}")
+
+
 def check_output_folder(option: str, text: str) -> Path:
     """Return the path of a folder to write into, which may not exist yet; a ValueError if it cannot be one."""
     path = Path(text)
@@ -93,6 +110,21 @@ def update_page(path: Path, sections: Mapping[str, str]) -> None:
     """Renew sections of a file and say whether anything has changed."""
     changed = [update_between_markers(path, content, name) for name, content in sections.items()]
     note(f"{path}: {'updated' if any(changed) else 'already up to date'}")
+
+
+def plain_json(value: Any) -> Any:
+    """Return data as JSON has it: arrays as lists, complex numbers as pairs, null for what is not finite."""
+    if hasattr(value, "tolist"):
+        return plain_json(value.tolist())
+    if isinstance(value, Mapping):
+        return {key: plain_json(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain_json(item) for item in value]
+    if isinstance(value, complex):
+        return [value.real, value.imag]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
 
 
 def print_json(data: Any) -> None:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import math
+import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from wtg_gym.cli.output import (
     FIGURE_FORMATS,
@@ -18,6 +16,7 @@ from wtg_gym.cli.output import (
     check_output_folder,
     check_page,
     note,
+    plain_json,
     print_json,
     print_table,
     require_extra,
@@ -118,6 +117,8 @@ class _Evidence:
 def run(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym reproduce`."""
     require_extra("matplotlib", "wtg-gym reproduce")
+    from wtg_gym.plotting import save_figure
+
     folder = check_output_folder("--output", arguments.output)
     page = check_page("--page", arguments.page, *_SECTIONS)
     with Progress("steps") as progress:
@@ -125,7 +126,7 @@ def run(arguments: argparse.Namespace) -> int:
         pictures = [*_paper_pictures(evidence), *_study_pictures(evidence)]
         for done, picture in enumerate(pictures):
             progress.update(f"drawing {picture.name}", done, len(pictures))
-            _write_picture(folder / "figures", picture, arguments.formats)
+            save_figure(picture.draw(), folder / "figures" / picture.name, arguments.formats)
     data = _as_json(evidence)
     write_atomically(folder / "claims.json", to_json(data))
     write_atomically(folder / "claims.md", claims_table(evidence.claims) + "\n")
@@ -256,17 +257,9 @@ def _modes_sentence(evidence: _Evidence) -> str:
     )
 
 
-def _write_picture(folder: Path, picture: _Picture, formats: list[str]) -> None:
-    from wtg_gym.plotting import figure_bytes
-
-    figure = picture.draw()
-    for suffix in formats:
-        write_atomically(folder / f"{picture.name}.{suffix}", figure_bytes(figure, suffix))
-
-
 def _sections(evidence: _Evidence, folder: Path, page: Path, formats: list[str]) -> dict[str, str]:
     suffix = "png" if "png" in formats else formats[0]
-    where = Path(_relative(folder / "figures", page.resolve().parent))
+    where = Path(os.path.relpath((folder / "figures").resolve(), page.resolve().parent))
 
     def gallery(pictures: Iterator[_Picture]) -> str:
         return "\n\n".join(
@@ -284,12 +277,6 @@ def _sections(evidence: _Evidence, folder: Path, page: Path, formats: list[str])
     }
 
 
-def _relative(path: Path, start: Path) -> str:
-    import os
-
-    return os.path.relpath(path.resolve(), start)
-
-
 def _as_json(evidence: _Evidence) -> dict[str, Any]:
     return {
         "claims": [dataclasses.asdict(claim) for claim in evidence.claims],
@@ -301,24 +288,9 @@ def _as_json(evidence: _Evidence) -> dict[str, Any]:
             "machines": {"sentence": evidence.machines.sentence},
             "modes": {"sentence": _modes_sentence(evidence)},
         },
-        "agreement": [_plain(dataclasses.asdict(row)) for row in evidence.agreement],
+        "agreement": [plain_json(dataclasses.asdict(row)) for row in evidence.agreement],
     }
 
 
 def _study(study: Any) -> Any:
-    return _plain({field.name: getattr(study, field.name) for field in dataclasses.fields(study)})
-
-
-def _plain(value: Any) -> Any:
-    """Return data as JSON has it: arrays as lists, complex numbers as pairs, nothing for what is not finite."""
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, complex):
-        return [value.real, value.imag]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    return plain_json({field.name: getattr(study, field.name) for field in dataclasses.fields(study)})

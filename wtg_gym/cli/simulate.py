@@ -14,16 +14,16 @@ import numpy as np
 
 from wtg_gym.cli.laws import add_law_option, chosen_laws
 from wtg_gym.cli.output import (
+    PLOT_SUFFIXES,
     Progress,
     check_output_file,
-    note,
+    check_plot_file,
     print_json,
-    require_extra,
+    write_and_say,
 )
 from wtg_gym.cli.parser import Commands, add_command, add_plant_options
 from wtg_gym.cli.runs import key_figures, print_key_figures, traces_csv
 from wtg_gym.cli.scenario import describe_scenario, read_scenario, scenario_summary
-from wtg_gym.files import write_atomically
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import WtgGroup, default_groups
@@ -32,8 +32,6 @@ from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 from wtg_gym.physics.trajectory import Trajectory, simulate
 from wtg_gym.scenarios import SUITES, get_suite, read_wind_csv
-
-_PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 
 _DESCRIPTION = f"""\
 Simulates one scenario under each of the given strategies and prints the key figures: frequency nadir and zenith, the
@@ -88,17 +86,15 @@ def add_commands(commands: Commands) -> None:
     add_plant_options(parser)
     add_law_option(parser, REFERENCE_STRATEGY)
     out = parser.add_argument_group("output")
-    out.add_argument("--plot", metavar="FILE", help=f"write a figure of the runs: {', '.join(_PLOT_SUFFIXES)}")
+    out.add_argument("--plot", metavar="FILE", help=f"write a figure of the runs: {', '.join(PLOT_SUFFIXES)}")
     out.add_argument("--csv", metavar="FILE", help="write every sample of every run, units in the header: .csv")
     out.add_argument("--json", action="store_true", help="print the key figures as JSON, and nothing else, on stdout")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym simulate`; return 1 if a run failed numerically."""
-    plot = check_output_file("--plot", arguments.plot, _PLOT_SUFFIXES)
+    plot = check_plot_file(arguments.plot)
     table = check_output_file("--csv", arguments.csv, (".csv",))
-    if plot is not None:
-        require_extra("matplotlib", "--plot")
     laws = {law.name: law for law in chosen_laws(arguments.law)}
     scenario, groups = _scenario_and_groups(arguments)
     settings = PlantSettings(
@@ -117,8 +113,7 @@ def run(arguments: argparse.Namespace) -> int:
     if plot is not None:
         _write_plot(plot, runs, scenario)
     if table is not None:
-        write_atomically(table, traces_csv(runs))
-        note(f"wrote {table}")
+        write_and_say(table, traces_csv(runs))
     figures = [key_figures(name, trajectory) for name, trajectory in runs.items()]
     if arguments.json:
         print_json(
@@ -193,5 +188,4 @@ def _write_plot(path: Path, runs: Mapping[str, Trajectory], scenario: Scenario) 
 
     picture = io.BytesIO()
     plot_trajectories(runs, scenario).savefig(picture, format=path.suffix[1:].lower(), dpi=150)
-    write_atomically(path, picture.getvalue())
-    note(f"wrote {path}")
+    write_and_say(path, picture.getvalue())

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 
 from wtg_gym.cli.laws import add_law_option, chosen_laws
-from wtg_gym.cli.output import check_output_file, note, print_json, print_table, require_extra
+from wtg_gym.cli.output import PLOT_SUFFIXES, check_plot_file, plain_json, print_json, print_table, write_and_say
 from wtg_gym.cli.parser import Commands, add_command
-from wtg_gym.files import write_atomically
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.parameters import default_groups
 from wtg_gym.physics.plant import PlantSettings
@@ -22,8 +21,8 @@ from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.small_signal import LinearModel, Mode, SingleMachine, ideal_source_loop, linearise, modes, single_machine
 from wtg_gym.small_signal.modes import synchronising_coefficients
 from wtg_gym.small_signal.single_machine import PAPER_SYNCHRONISING_COEFFICIENT, Side
+from wtg_gym.validation.report import mode_cells
 
-_PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 _SIDES: tuple[Side, ...] = ("under", "over")
 
 _MARGINS = """\
@@ -61,7 +60,7 @@ def add_commands(commands: Commands) -> None:
         metavar="K",
         help="synchronising coefficient, 0.01 … 100 p.u./rad (default: 1.45, which gives the paper's margins)",
     )
-    parser.add_argument("--plot", metavar="FILE", help=f"Bode plot, for one wind: {', '.join(_PLOT_SUFFIXES)}")
+    parser.add_argument("--plot", metavar="FILE", help=f"Bode plot, for one wind: {', '.join(PLOT_SUFFIXES)}")
     parser.add_argument("--json", action="store_true", help="print the result as JSON, and nothing else, on stdout")
     _add_modes(commands)
 
@@ -97,7 +96,7 @@ def _add_modes(commands: Commands) -> None:
         "--inertia-scale", type=float, default=1.0, metavar="X", help="factor on the machines' inertia (default: 1)"
     )
     out = parser.add_argument_group("output")
-    out.add_argument("--plot", metavar="FILE", help=f"eigenvalues as a figure: {', '.join(_PLOT_SUFFIXES)}")
+    out.add_argument("--plot", metavar="FILE", help=f"eigenvalues as a figure: {', '.join(PLOT_SUFFIXES)}")
     out.add_argument(
         "--json", action="store_true", help="print modes and matrices as JSON, and nothing else, on stdout"
     )
@@ -105,11 +104,9 @@ def _add_modes(commands: Commands) -> None:
 
 def run_margins(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym margins`."""
-    plot = check_output_file("--plot", arguments.plot, _PLOT_SUFFIXES)
-    if plot is not None:
-        require_extra("matplotlib", "--plot")
-        if len(arguments.wind) != 1:
-            raise ValueError(f"--plot draws one wind speed, {len(arguments.wind)} are given")
+    plot = check_plot_file(arguments.plot)
+    if plot is not None and len(arguments.wind) != 1:
+        raise ValueError(f"--plot draws one wind speed, {len(arguments.wind)} are given")
     loops: list[tuple[str, SingleMachine]] = [("–", ideal_source_loop(arguments.kp))]
     for law in chosen_laws(arguments.law):
         for wind in arguments.wind:
@@ -122,8 +119,7 @@ def run_margins(arguments: argparse.Namespace) -> int:
         from wtg_gym.plotting import figure_bytes, plot_bode
 
         named = {loop.law + (f", {side}-frequency" if side != "–" else ""): loop for side, loop in loops}
-        write_atomically(plot, figure_bytes(plot_bode(named), plot.suffix.lower()))
-        note(f"wrote {plot}")
+        write_and_say(plot, figure_bytes(plot_bode(named), plot.suffix.lower()))
     if arguments.json:
         print_json({"synchronising_coefficient": arguments.kp, "loops": [_loop(side, loop) for side, loop in loops]})
         return 0
@@ -150,15 +146,13 @@ def run_margins(arguments: argparse.Namespace) -> int:
 
 def _loop(side: str, loop: SingleMachine) -> dict[str, Any]:
     data = dataclasses.asdict(loop) | {"side": None if side == "–" else side} | dataclasses.asdict(loop.margins())
-    data["closed_loop_poles"] = [[float(pole.real), float(pole.imag)] for pole in loop.closed_loop_poles()]
-    return {key: None if isinstance(v, float) and not math.isfinite(v) else v for key, v in data.items()}
+    data["closed_loop_poles"] = loop.closed_loop_poles()
+    return plain_json(data)  # type: ignore[no-any-return]
 
 
 def run_modes(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym modes`; return 1 if an equilibrium is unstable."""
-    plot = check_output_file("--plot", arguments.plot, _PLOT_SUFFIXES)
-    if plot is not None:
-        require_extra("matplotlib", "--plot")
+    plot = check_plot_file(arguments.plot)
     settings = PlantSettings(
         case=modified_ieee14(classical=arguments.machine_model == "classical"),
         groups=default_groups(len(arguments.wind)),
@@ -176,8 +170,7 @@ def run_modes(arguments: argparse.Namespace) -> int:
     if plot is not None:
         from wtg_gym.plotting import figure_bytes, plot_modes
 
-        write_atomically(plot, figure_bytes(plot_modes(found), plot.suffix.lower()))
-        note(f"wrote {plot}")
+        write_and_say(plot, figure_bytes(plot_modes(found), plot.suffix.lower()))
     if arguments.json:
         coefficients = {law.name: synchronising_coefficients(scenario, law, settings) for law in laws}
         print_json(
@@ -185,7 +178,7 @@ def run_modes(arguments: argparse.Namespace) -> int:
                 "wind_m_s": arguments.wind,
                 "side": arguments.side,
                 "machine_model": arguments.machine_model,
-                "laws": [_modes(name, models[name], found[name], coefficients[name]) for name in found],
+                "laws": [plain_json(_modes(name, models[name], found[name], coefficients[name])) for name in found],
             }
         )
     else:
@@ -198,17 +191,17 @@ def run_modes(arguments: argparse.Namespace) -> int:
 def _modes(name: str, model: LinearModel, found: Iterable[Mode], coefficients: Any) -> dict[str, Any]:
     return {
         "law": name,
-        "synchronising_coefficients": coefficients.tolist(),
-        "state_names": list(model.state_names),
-        "states_left_out": list(model.left_out),
-        "matrix": model.matrix.tolist(),
+        "synchronising_coefficients": coefficients,
+        "state_names": model.state_names,
+        "states_left_out": model.left_out,
+        "matrix": model.matrix,
         "modes": [
             {
                 "real_1_s": mode.eigenvalue.real,
                 "imaginary_rad_s": mode.eigenvalue.imag,
                 "frequency_hz": mode.frequency_hz,
                 "damping_ratio": mode.damping_ratio,
-                "time_constant_s": mode.time_constant_s if math.isfinite(mode.time_constant_s) else None,
+                "time_constant_s": mode.time_constant_s,
                 "participation": mode.participation,
             }
             for mode in found
@@ -218,18 +211,4 @@ def _modes(name: str, model: LinearModel, found: Iterable[Mode], coefficients: A
 
 def _print_modes(table: Iterable[Mode]) -> None:
     header = ("eigenvalue [1/s]", "frequency [Hz]", "damping ratio", "time constant [s]", "takes part")
-    rows = []
-    for mode in table:
-        oscillates = mode.eigenvalue.imag > 0.0
-        imaginary = f" ± j{mode.eigenvalue.imag:.3f}" if oscillates else ""
-        shares = [f"{name} {100 * share:.0f} %" for name, share in mode.participation.items() if share >= 0.05]
-        rows.append(
-            (
-                f"{mode.eigenvalue.real:.3f}{imaginary}".replace("-", "−"),
-                f"{mode.frequency_hz:.3f}" if oscillates else "–",
-                f"{mode.damping_ratio:.3f}" if oscillates else "–",
-                f"{mode.time_constant_s:.3f}",
-                ", ".join(shares[:3]),
-            )
-        )
-    print_table(header, rows, left=(0, 4))
+    print_table(header, [mode_cells(mode) for mode in table], left=(0, 4))

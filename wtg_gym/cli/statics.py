@@ -12,9 +12,15 @@ from typing import Any
 import numpy as np
 
 from wtg_gym.cli.laws import add_law_option, chosen_laws
-from wtg_gym.cli.output import check_output_file, note, print_json, print_table, require_extra
+from wtg_gym.cli.output import (
+    PLOT_SUFFIXES,
+    check_output_file,
+    check_plot_file,
+    print_json,
+    print_table,
+    write_and_say,
+)
 from wtg_gym.cli.parser import Commands, add_command
-from wtg_gym.files import write_atomically
 from wtg_gym.physics.aerodynamics import available_power_pu
 from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.scenario import WIND_SPEED_RANGE, require_range
@@ -30,7 +36,6 @@ from wtg_gym.physics.statics import (
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw
 
 _NOMINAL_HZ = 50.0
-_PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 
 _DESCRIPTION = f"""\
 Steady states of one WTG on a grid of constant frequency: where a law has an equilibrium, whether it is stable, how
@@ -79,7 +84,7 @@ def add_commands(commands: Commands) -> None:
     parser.add_argument("--fine-pitch", action="store_true", help="hold the blades at 0°: no pitch protection")
     out = parser.add_argument_group("output")
     out.add_argument(
-        "--plot", metavar="FILE", help=f"characteristics of one law as a figure: {', '.join(_PLOT_SUFFIXES)}"
+        "--plot", metavar="FILE", help=f"characteristics of one law as a figure: {', '.join(PLOT_SUFFIXES)}"
     )
     out.add_argument("--csv", metavar="FILE", help="every equilibrium over frequency, units in the header: .csv")
     out.add_argument("--json", action="store_true", help="print everything as JSON, and nothing else, on stdout")
@@ -87,13 +92,11 @@ def add_commands(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym statics`."""
-    plot = check_output_file("--plot", arguments.plot, _PLOT_SUFFIXES)
+    plot = check_plot_file(arguments.plot)
     table = check_output_file("--csv", arguments.csv, (".csv",))
     laws = chosen_laws(arguments.law)
-    if plot is not None:
-        require_extra("matplotlib", "--plot")
-        if len(laws) != 1:
-            raise ValueError(f"--plot draws one law, {len(laws)} are given: add --law NAME")
+    if plot is not None and len(laws) != 1:
+        raise ValueError(f"--plot draws one law, {len(laws)} are given: add --law NAME")
     winds = [require_range("--wind", wind, *WIND_SPEED_RANGE, "m/s") for wind in arguments.wind]
     low, high = (require_range("--frequency", value, *FREQUENCY_RANGE, "p.u.") for value in arguments.frequency)
     if not low < high:
@@ -103,13 +106,11 @@ def run(arguments: argparse.Namespace) -> int:
     frequencies = [float(value) for value in np.linspace(low, high, arguments.points)]
     found = [_statics(law, wind, frequencies, arguments.fine_pitch) for law in laws for wind in winds]
     if table is not None:
-        write_atomically(table, _csv(found))
-        note(f"wrote {table}")
+        write_and_say(table, _csv(found))
     if plot is not None:
         from wtg_gym.plotting import figure_bytes, plot_characteristic
 
-        write_atomically(plot, figure_bytes(plot_characteristic(laws[0], winds), plot.suffix.lower()))
-        note(f"wrote {plot}")
+        write_and_say(plot, figure_bytes(plot_characteristic(laws[0], winds), plot.suffix.lower()))
     if arguments.json:
         print_json(
             {

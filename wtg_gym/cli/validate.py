@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from wtg_gym.cli.output import check_page, note, print_json, print_table, update_page
+from wtg_gym.cli.output import check_page, note, plain_json, print_json, print_table, update_page
 from wtg_gym.cli.parser import Commands, add_command
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.files import markdown_table
+from wtg_gym.physics.plant import SIMULATION_DT_RANGE, PlantSettings
 from wtg_gym.physics.scenario import LoadStep, require_range
 from wtg_gym.validation.parameter_file import DEFAULT_TOLERANCE, ReferenceCase, read_parameters
 from wtg_gym.validation.replay import (
@@ -25,7 +25,6 @@ from wtg_gym.validation.replay import (
     replay,
     replay_closely,
 )
-from wtg_gym.validation.report import markdown_table
 
 _NAMES = {
     "w": "machine speed",
@@ -124,14 +123,14 @@ class _Comparison:
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym validate`; return 1 if a difference is above its tolerance."""
-    require_range("--step", arguments.step, 5e-5, 0.04, "s")
+    require_range("--step", arguments.step, *SIMULATION_DT_RANGE, "s")
     page = check_page("--page", arguments.page, "golden")
     pairs = _pairs([Path(path) for path in arguments.paths])
     found = [_compare(parameters, trace, arguments) for parameters, trace in pairs]
     if page is not None:
         update_page(page, {"golden": _page_table(found)})
     if arguments.json:
-        results = [_as_json(comparison) for comparison in found]
+        results = [plain_json(_as_json(comparison)) for comparison in found]
         print_json(results[0] if len(results) == 1 else results)
     else:
         for number, comparison in enumerate(found):
@@ -257,11 +256,11 @@ def _as_json(comparison: _Comparison) -> dict[str, Any]:
             {
                 "quantity": key,
                 "unit": _UNITS[key],
-                "largest": _finite(d.size),
-                "own_error": _finite(comparison.own_error[key]),
+                "largest": d.size,
+                "own_error": comparison.own_error[key],
                 "column": d.column,
                 "time_s": d.time_s,
-                "largest_at_default_step": _finite(comparison.default[key].size),
+                "largest_at_default_step": comparison.default[key].size,
                 "tolerance": comparison.tolerance.get(key),
                 "agrees": comparison.agrees(key),
             }
@@ -269,7 +268,3 @@ def _as_json(comparison: _Comparison) -> dict[str, Any]:
         ],
         "agrees": comparison.all_agree,
     }
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

@@ -9,7 +9,7 @@ from typing import Any
 
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.parameters import WtgGroup, default_groups, parameter
-from wtg_gym.physics.plant import PlantSettings, whole_steps
+from wtg_gym.physics.plant import SIMULATION_DT_RANGE, PlantSettings, whole_steps
 from wtg_gym.physics.scenario import SERIES_DT, Scenario, require_range
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, get_law
 from wtg_gym.scenarios import SPLITS, SUITES, get_suite
@@ -125,7 +125,7 @@ class EnvSettings:
         _require_choice("suite", self.suite, tuple(SUITES))
         if self.duration_s is not None:
             require_range("duration_s", self.duration_s, 1.0, 3600.0, "s")
-        require_range("simulation_dt", self.simulation_dt, 5e-5, 0.04, "s")
+        require_range("simulation_dt", self.simulation_dt, *SIMULATION_DT_RANGE, "s")
         if self.scenario is None and get_suite(self.suite).distribution is not None:
             # Drawn events lie on this grid.
             whole_steps("the grid of drawn events", SERIES_DT, self.simulation_dt, "simulation_dt step")

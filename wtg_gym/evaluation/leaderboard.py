@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from wtg_gym import files
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.statistics import Interval
 from wtg_gym.evaluation.summary import EntrySummary
@@ -67,8 +68,8 @@ def _interval(interval: Interval) -> str:
 
 def markdown_table(rows: Sequence[EntrySummary]) -> str:
     """Return the ranking as a Markdown table without a line feed at the end."""
-    lines = [list(COLUMNS), ["---:" if numbers else "---" for numbers in COLUMNS.values()], *table_cells(rows)]
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
+    numbers = [index for index, is_number in enumerate(COLUMNS.values()) if is_number]
+    return files.markdown_table(list(COLUMNS), table_cells(rows), right=numbers)
 
 
 __all__ = ["COLUMNS", "leaderboard_rows", "markdown_table", "table_cells"]

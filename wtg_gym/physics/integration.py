@@ -180,13 +180,10 @@ def track_extremes(block: Floats, plant: Plant, lanes: Lanes) -> None:
 
 
 @compiled
-def advance_interval(
-    block: Floats, first_lane: int, plant: Plant, data: LaneData, noise_y: Floats, lanes: Lanes
-) -> None:
-    """Advance every running lane of a block by one control interval.
+def enter_interval(block: Floats, first_lane: int, plant: Plant, data: LaneData, noise_y: Floats, lanes: Lanes) -> None:
+    """Put wind and load noise of the control interval that begins into force, for every lane of a block.
 
-    The control inputs (K_OFFSET, INV_TAU) are rows of the block and hold over the interval. On return the rows hold
-    powers, coefficients and rates at the interval's end; `noise_y` (width) is scratch.
+    `first_lane` is the row of the block's first lane in `data`; `noise_y` (width) takes the noise's admittance [p.u.].
     """
     width = len(lanes)
     n_sync = len(plant.syncs)
@@ -201,15 +198,38 @@ def advance_interval(
         noise = data.noise[first_lane + x, min(index, data.noise.shape[1] - 1)]
         noise_y[x] = noise * block[own + LaneRow.NOISE_PER_MW * width + x]
     combine_load_noise(block, plant, noise_y, lanes)
+
+
+@compiled
+def apply_network_changes(
+    block: Floats, first_lane: int, plant: Plant, data: LaneData, noise_y: Floats, lanes: Lanes
+) -> None:
+    """Let the events that are due at the present step change the networks of a block's lanes."""
+    width = len(lanes)
+    own = lane_row(plant) * width
+    changed = False
+    for x in range(width):
+        if block[own + LaneRow.STEP * width + x] >= block[own + LaneRow.NEXT_CHANGE * width + x]:
+            refresh_network(block, x, first_lane + x, plant, data, width)
+            changed = True
+    if changed:
+        # For the whole block: a lane without a change gets the same bits again.
+        combine_load_noise(block, plant, noise_y, lanes)
+
+
+@compiled
+def advance_interval(
+    block: Floats, first_lane: int, plant: Plant, data: LaneData, noise_y: Floats, lanes: Lanes
+) -> None:
+    """Advance every running lane of a block by one control interval.
+
+    The control inputs (K_OFFSET, INV_TAU) are rows of the block and hold over the interval. On return the rows hold
+    powers, coefficients and rates at the interval's end; `noise_y` (width) is scratch.
+    """
+    width = len(lanes)
+    enter_interval(block, first_lane, plant, data, noise_y, lanes)
     for step in range(plant.n_substeps):
-        changed = False
-        for x in range(width):
-            if block[own + LaneRow.STEP * width + x] >= block[own + LaneRow.NEXT_CHANGE * width + x]:
-                refresh_network(block, x, first_lane + x, plant, data, width)
-                changed = True
-        if changed:
-            # For the whole block: a lane without a change gets the same bits again.
-            combine_load_noise(block, plant, noise_y, lanes)
+        apply_network_changes(block, first_lane, plant, data, noise_y, lanes)
         runge_kutta_step(block, plant, step, lanes)
         track_extremes(block, plant, lanes)
     update_status(block, plant, width)

@@ -215,6 +215,24 @@ class SynchronousMachineParameters:
     )
 
 
+def classical_machine(**values: Any) -> SynchronousMachineParameters:
+    """Return a constant voltage behind x'_d, without exciter.
+
+    Args:
+        values: of :class:`SynchronousMachineParameters`; those of a round rotor have no effect and need not be given.
+    """
+    unused = {
+        "x_d": 1.0,
+        "x_subtransient": 0.15,
+        "x_q": 1.0,
+        "x_q_transient": 1.0,
+        "t_d0_transient_s": 1.0,
+        "t_d0_subtransient_s": 1.0,
+        "t_q0_subtransient_s": 1.0,
+    }
+    return SynchronousMachineParameters(**{**unused, "exciter": None, **values, "classical": True})
+
+
 @dataclass(frozen=True, kw_only=True)
 class WtgGroup:
     """Identical grid-forming WTGs at one bus, as one aggregate.

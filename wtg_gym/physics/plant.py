@@ -23,6 +23,9 @@ from wtg_gym.physics.scenario import require_range
 from wtg_gym.physics.synchronous_machine import MachineConstant, machine_constants
 from wtg_gym.physics.wind_turbine import TurbineConstant, turbine_constants
 
+#: Integration steps that are accepted [s].
+SIMULATION_DT_RANGE = (5e-5, 0.04)
+
 
 def whole_steps(name: str, interval: float, step: float, step_name: str) -> int:
     """Return how many steps make up an interval [s].
@@ -63,7 +66,7 @@ class PlantSettings:
     trips_groups: bool = False
 
     def __post_init__(self) -> None:
-        require_range("simulation_dt", self.simulation_dt, 5e-5, 0.04, "s")
+        require_range("simulation_dt", self.simulation_dt, *SIMULATION_DT_RANGE, "s")
         require_range("control_dt", self.control_dt, self.simulation_dt, 10.0, "s")
         whole_steps("control_dt", self.control_dt, self.simulation_dt, "simulation step")
         for group in self.groups:

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, ParamSpec
 
+from wtg_gym.files import write_atomically
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -203,14 +205,15 @@ def save_figure(figure: Figure, path_without_suffix: Path, suffixes: Iterable[st
     Raises:
         ValueError: a suffix is another one; nothing has been written then.
     """
-    contents = {suffix.lower().removeprefix("."): figure_bytes(figure, suffix) for suffix in suffixes}
-    path_without_suffix.parent.mkdir(parents=True, exist_ok=True)
-    paths = []
-    for suffix, content in contents.items():
-        path = path_without_suffix.with_name(f"{path_without_suffix.name}.{suffix}")
-        path.write_bytes(content)
-        paths.append(path)
-    return paths
+    contents = {
+        path_without_suffix.with_name(f"{path_without_suffix.name}.{suffix.lower().removeprefix('.')}"): figure_bytes(
+            figure, suffix
+        )
+        for suffix in suffixes
+    }
+    for path, content in contents.items():
+        write_atomically(path, content)
+    return list(contents)
 
 
 def letter_panel(axes: Axes, letter: str, text: str = "") -> None:

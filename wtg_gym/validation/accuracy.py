@@ -18,6 +18,7 @@ from scipy.integrate import solve_ivp
 
 from wtg_gym.physics.compiled import compiled
 from wtg_gym.physics.dynamics import derivatives
+from wtg_gym.physics.integration import apply_network_changes, enter_interval
 from wtg_gym.physics.layout import (
     N_SYNC_STATES,
     N_WTG_STATES,
@@ -25,12 +26,10 @@ from wtg_gym.physics.layout import (
     LaneData,
     LaneRow,
     Plant,
-    SyncRow,
     WtgRow,
     lane_row,
 )
 from wtg_gym.physics.plant import PlantSettings, whole_steps
-from wtg_gym.physics.reduction import combine_load_noise, refresh_network
 from wtg_gym.physics.scenario import LoadRamp, Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.synchronous_machine import MachineConstant, SyncState
@@ -243,12 +242,12 @@ class _Integration:
         tableau = np.array(method.a), np.array(method.b), np.array(method.c)
         _advance_interval(self.block, self.plant, self.data, *tableau, self.states, self.rates, self.low, self.high)
 
-    def advance_exactly(self, index: int, tightening: float) -> None:
+    def advance_exactly(self, tightening: float) -> None:
         """Advance by one control interval with DOP853, at a share of its tolerances.
 
         The network may change at the interval's start alone.
         """
-        _enter_interval(self.block, self.plant, self.data, self.plant.n_substeps * index)
+        _begin_interval(self.block, self.plant, self.data)
 
         def rates(at: float, state: Floats) -> Floats:
             return _evaluate(self.block, self.plant, at / CONTROL_DT, state, self.states, self.rates)
@@ -276,9 +275,9 @@ def _samples(
     """Return what a method finds at the ends of all intervals, (n, n_wtg, 3); None is DOP853."""
     run = _Integration(scenario, law, step_s)
     found = []
-    for index in range(run.n_intervals):
+    for _ in range(run.n_intervals):
         if method is None:
-            run.advance_exactly(index, tightening)
+            run.advance_exactly(tightening)
         else:
             run.advance_explicit(method)
         found.append(run.sample())
@@ -335,19 +334,11 @@ def _evaluate(
 
 
 @compiled
-def _enter_interval(block: Floats, plant: Plant, data: LaneData, step: int) -> None:
-    """Put wind, noise and network of a one-lane block in force at a step that begins a control interval."""
-    n_sync, own = len(plant.syncs), lane_row(plant)
-    index, last = step // plant.n_substeps, data.wind.shape[2] - 1
-    for j in range(len(plant.wtgs)):
-        o = n_sync * SyncRow.N_ROWS + j * WtgRow.N_ROWS
-        block[o + WtgRow.WIND_START] = data.wind[0, j, min(index, last)]
-        block[o + WtgRow.WIND_END] = data.wind[0, j, min(index + 1, last)]
-    if block[own + LaneRow.STEP] >= block[own + LaneRow.NEXT_CHANGE]:
-        refresh_network(block, 0, 0, plant, data, 1)
+def _begin_interval(block: Floats, plant: Plant, data: LaneData) -> None:
+    """Put wind, noise and network of a one-lane block into force at the beginning of a control interval."""
     noise_y = np.empty(1)
-    noise_y[0] = data.noise[0, min(index, data.noise.shape[1] - 1)] * block[own + LaneRow.NOISE_PER_MW]
-    combine_load_noise(block, plant, noise_y, (0,))
+    enter_interval(block, 0, plant, data, noise_y, (0,))
+    apply_network_changes(block, 0, plant, data, noise_y, (0,))
 
 
 @compiled
@@ -365,7 +356,7 @@ def _advance_interval(
 ) -> None:
     """Advance a one-lane block by one control interval, at whose start alone the network may change."""
     own = lane_row(plant) + LaneRow.STEP
-    _enter_interval(block, plant, data, int(block[own]))
+    _begin_interval(block, plant, data)
     h, part = plant.simulation_dt, 1.0 / plant.n_substeps
     n, n_stages = states.size, b.size
     base, slopes = np.empty(n), np.empty((n_stages, n))

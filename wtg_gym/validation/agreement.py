@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wtg_gym.physics.network import Branch, Bus, NetworkCase
-from wtg_gym.physics.parameters import SynchronousMachineParameters, WtgGroup
+from wtg_gym.physics.parameters import WtgGroup, classical_machine
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw
@@ -48,22 +48,7 @@ class Agreement:
 
 def infinite_bus(reactance_pu: float = 0.2) -> PlantSettings:
     """Return a plant of one WTG group (50 MW) behind a reactance [p.u. of 100 MVA] at an infinite bus, 50 Hz."""
-    machine = SynchronousMachineParameters(
-        bus=1,
-        rating_mva=_INFINITE_MVA,
-        two_h_s=1e3,
-        damping_pu=0.0,
-        x_d=1.0,
-        x_d_transient=1e-3,
-        x_subtransient=1e-3,
-        x_q=1.0,
-        x_q_transient=1.0,
-        t_d0_transient_s=1.0,
-        t_d0_subtransient_s=1.0,
-        t_q0_subtransient_s=1.0,
-        exciter=None,
-        classical=True,
-    )
+    machine = classical_machine(bus=1, rating_mva=_INFINITE_MVA, two_h_s=1e3, damping_pu=0.0, x_d_transient=1e-3)
     case = NetworkCase(
         name="infinite bus",
         base_mva=100.0,

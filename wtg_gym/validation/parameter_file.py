@@ -14,7 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from wtg_gym.physics.network import Branch, Bus, NetworkCase
-from wtg_gym.physics.parameters import ExciterParameters, GovernorParameters, SynchronousMachineParameters
+from wtg_gym.physics.parameters import (
+    ExciterParameters,
+    GovernorParameters,
+    SynchronousMachineParameters,
+    classical_machine,
+)
 from wtg_gym.physics.scenario import LoadStep
 
 #: Largest difference [p.u.] of any quantity at which two simulators agree, where a file does not say.
@@ -23,16 +28,6 @@ DEFAULT_TOLERANCE = {"w": 1e-6, "Pe": 1e-5, "V": 1e-5}
 _DESCRIPTIVE = ("note", "name", "idx", "comment", "Vn", "u")
 #: Largest sum by which shares of a bus may miss 1, and load disconnected twice may exceed the load.
 _SHARE_TOLERANCE = 1e-3
-#: Unused by a classical machine, but the machine data want them.
-_ANY_REACTANCES: dict[str, Any] = {
-    "x_d": 1.0,
-    "x_subtransient": 0.15,
-    "x_q": 1.0,
-    "x_q_transient": 1.0,
-    "t_d0_transient_s": 1.0,
-    "t_d0_subtransient_s": 1.0,
-    "t_q0_subtransient_s": 1.0,
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -271,7 +266,7 @@ def _read_machine(
     if model == "GENCLS":
         if exciter is not None:
             raise ValueError(f"{gen.where} is a GENCLS with an exciter; its voltage is constant")
-        return SynchronousMachineParameters(classical=True, exciter=None, **common, **_ANY_REACTANCES)
+        return classical_machine(**common)
     if model != "GENROU":
         raise ValueError(f"model of {gen.where} must be GENCLS or GENROU, got {model!r}")
     if abs(gen.number("xd2") - gen.number("xq2", gen.number("xd2"))) > 1e-12:

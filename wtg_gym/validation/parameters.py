@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from typing import Any
 
 from wtg_gym.envs.settings import CostWeights
+from wtg_gym.files import markdown_table
 from wtg_gym.physics import parameters
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.network import Branch, Bus
 from wtg_gym.physics.parameters import SOURCES, SynchronousMachineParameters
-from wtg_gym.validation.report import markdown_table
 
 #: What a row of :func:`parameter_rows` holds.
 COLUMNS = ("group", "parameter", "value", "unit", "source", "what it is")

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from wtg_gym.physics.dynamics import derivatives
 from wtg_gym.physics.integration import runge_kutta_step
 from wtg_gym.physics.layout import LaneRow, SyncRow
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import SIMULATION_DT_RANGE, PlantSettings
 from wtg_gym.physics.reduction import bus_voltages, combine_load_noise, refresh_network
 from wtg_gym.physics.scenario import LoadStep, Scenario, require_range
 from wtg_gym.physics.simulator import Simulator
@@ -40,8 +40,6 @@ _POWER_TOLERANCE = 1e-4
 #: Instants closer than this are one [s].
 _INSTANT = 1e-9
 _LONGEST_TRACE_S = 3600.0
-#: The finest step that is tried [s].
-FINEST_STEP_S = 5e-5
 
 
 @dataclass(frozen=True)
@@ -152,7 +150,7 @@ def replay(case: ReferenceCase, events: Sequence[LoadStep], time_s: npt.ArrayLik
     Raises:
         ValueError: the step is out of range, the case has no equilibrium, or it is not the one its file tells.
     """
-    require_range("integration step", step_s, 5e-5, 0.04, "s")
+    require_range("integration step", step_s, *SIMULATION_DT_RANGE, "s")
     times = np.asarray(time_s, dtype=np.float64)
     run = _Run(case, events)
     names = list(_known_columns(case))
@@ -199,14 +197,14 @@ def replay_closely(
     Returns:
         the columns, the step they were found with [s], and what the last halving changed, by quantity [p.u.].
     """
-    times = np.asarray(time_s, dtype=np.float64)
+    times, finest = np.asarray(time_s, dtype=np.float64), SIMULATION_DT_RANGE[0]
     coarse = replay(case, events, times, step_s)
     while True:
-        finer = max(0.5 * step_s, FINEST_STEP_S)
+        finer = max(0.5 * step_s, finest)
         fine = replay(case, events, times, finer)
         change = {d.quantity: d.size for d in differences(case, Trace(times, coarse), fine)}
         settled = all(change[quantity] <= 0.1 * limit for quantity, limit in tolerance.items())
-        if settled or finer <= FINEST_STEP_S:
+        if settled or finer <= finest:
             return fine, finer, change
         coarse, step_s = fine, finer
 

@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
+from wtg_gym.files import markdown_table
 from wtg_gym.small_signal import Mode, SingleMachine
 from wtg_gym.validation.accuracy import AccuracyStudy
 from wtg_gym.validation.agreement import Agreement
 from wtg_gym.validation.claims import Claim
-
-
-def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, right: Sequence[int] = ()) -> str:
-    """Return a Markdown table; `right` are the columns of numbers."""
-    rules = ["---:" if index in right else "---" for index in range(len(header))]
-    return "\n".join(
-        "| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in (header, rules, *rows)
-    )
 
 
 def claims_table(claims: Iterable[Claim]) -> str:
@@ -88,21 +81,24 @@ def _poles(poles: Iterable[complex]) -> Iterable[str]:
             yield f"{pole.real:.3f}".replace("-", "−")
 
 
-def modes_table(found: Iterable[Mode], n_states: int = 3) -> str:
+def mode_cells(mode: Mode) -> tuple[str, str, str, str, str]:
+    """Return eigenvalue, frequency, damping ratio, time constant and the three states that take part most, as text."""
+    oscillates = mode.eigenvalue.imag > 0.0
+    shares = [f"{name} {100 * share:.0f} %" for name, share in mode.participation.items() if share >= 0.05]
+    return (
+        next(iter(_poles([mode.eigenvalue]))),
+        f"{mode.frequency_hz:.3f}" if oscillates else "–",
+        f"{mode.damping_ratio:.3f}" if oscillates else "–",
+        f"{mode.time_constant_s:.3f}",
+        ", ".join(shares[:3]),
+    )
+
+
+def modes_table(found: Iterable[Mode]) -> str:
     """Return the modes of a system with the states that take part most."""
-    rows = []
-    for mode in found:
-        shares = list(mode.participation.items())[:n_states]
-        oscillates = mode.eigenvalue.imag > 0.0
-        rows.append(
-            (
-                next(iter(_poles([mode.eigenvalue]))),
-                f"{mode.frequency_hz:.3f}" if oscillates else "–",
-                f"{mode.damping_ratio:.3f}" if oscillates else "–",
-                ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares if share >= 0.05),
-            )
-        )
-    return markdown_table(("eigenvalue [1/s]", "frequency [Hz]", "damping ratio", "takes part"), rows, right=(1, 2))
+    header = ("eigenvalue [1/s]", "frequency [Hz]", "damping ratio", "takes part")
+    rows = [(*cells[:3], cells[4]) for cells in map(mode_cells, found)]
+    return markdown_table(header, rows, right=(1, 2))
 
 
 def accuracy_table(study: AccuracyStudy) -> str:
@@ -160,7 +156,7 @@ __all__ = [
     "accuracy_table",
     "agreement_table",
     "claims_table",
-    "markdown_table",
+    "mode_cells",
     "modes_table",
     "order_table",
     "system_margins_table",
