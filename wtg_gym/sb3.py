@@ -185,8 +185,7 @@ class SB3VecEnv(VecEnv):
         """
         lanes = self._lanes_asked_for(indices)
         name = _NAMES_IN_THE_BATCH.get(attr_name, attr_name)
-        owner = self.vector_env.lanes if name == "observation_names" else self.vector_env
-        value = None if name in _NOT_OF_A_LANE else getattr(owner, name)
+        value = None if name in _NOT_OF_A_LANE else getattr(self.vector_env, name)
         if name in _NOT_OF_A_LANE or callable(value):
             raise AttributeError(f"the lanes are stepped together and have no {attr_name!r} of their own")
         return [value] * len(lanes)
