@@ -10,13 +10,14 @@ import numpy.typing as npt
 from scipy.optimize import brentq, minimize_scalar
 
 from wtg_gym.physics.compiled import compiled
-from wtg_gym.physics.elementary import exponential
+from wtg_gym.physics.elementary import exponential, fma
 from wtg_gym.physics.parameters import PowerCoefficientParameters, TurbineParameters
 
 
 @compiled
-def power_coefficient_of_inverse(
-    inverse_tip_speed_ratio: float,
+def power_coefficient_at(
+    tip_speed: float,
+    wind: float,
     pitch_deg: float,
     c1: float,
     c2: float,
@@ -26,13 +27,15 @@ def power_coefficient_of_inverse(
     c7: float,
     c8: float,
 ) -> float:
-    """Return C_p, given 1/λ [-] and the pitch angle β [deg].
+    """Return C_p, given the speed of the blade tip and the wind [m/s] and the pitch angle β [deg]; λ is at least 0.2.
 
-    1/(λ + c7 β) is written as (1/λ)/(1 + c7 β/λ), so that λ itself is never formed. Source: paper, equation `cp`.
+    1/λ_i = 1/(λ + c7 β) - c8/(β³ + 1), with λ = tip speed / wind, is brought to a common denominator: one division
+    instead of three. Source: paper, equation `cp`.
     """
-    inverse = min(inverse_tip_speed_ratio, 1.0 / 0.2)
-    inverse_i = inverse / (1.0 + c7 * pitch_deg * inverse) - c8 / (pitch_deg * pitch_deg * pitch_deg + 1.0)
-    return c1 * (c2 * inverse_i - c3 * pitch_deg - c5) * exponential(-c6 * inverse_i)
+    speed = fma(c7 * pitch_deg, wind, max(tip_speed, 0.2 * wind))
+    cubic = fma(pitch_deg * pitch_deg, pitch_deg, 1.0)
+    inverse_i = fma(wind, cubic, -c8 * speed) / (speed * cubic)
+    return c1 * (fma(c2, inverse_i, -c3 * pitch_deg) - c5) * exponential(-c6 * inverse_i)
 
 
 def power_coefficient(
@@ -57,7 +60,7 @@ def power_coefficient(
     if not pitch_deg >= 0.0:
         raise ValueError(f"pitch angle must be 0 deg or more, got {pitch_deg:g} deg")
     flat = [
-        power_coefficient_of_inverse(1.0 / x, float(pitch_deg), p.c1, p.c2, p.c3, p.c5, p.c6, p.c7, p.c8)
+        power_coefficient_at(x, 1.0, float(pitch_deg), p.c1, p.c2, p.c3, p.c5, p.c6, p.c7, p.c8)
         for x in ratio.ravel()
     ]
     return np.array(flat).reshape(ratio.shape)

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 
-from wtg_gym.physics.compiled import compiled
-from wtg_gym.physics.elementary import sine_cosine
+from wtg_gym.physics.compiled import compiled, inlined
+from wtg_gym.physics.elementary import fma, sine_cosine
 from wtg_gym.physics.layout import Floats, LaneRow, Lanes, Plant, SyncRow, WtgRow, lane_row, network_row
 from wtg_gym.physics.synchronous_machine import (
     MachineConstant,
@@ -23,7 +23,7 @@ from wtg_gym.physics.tracking_law import tracking_coefficient
 from wtg_gym.physics.wind_turbine import TurbineConstant, WtgState, captured_power, pitch_rates
 
 
-@compiled
+@inlined
 def derivatives(block: Floats, plant: Plant, fraction: float, lanes: Lanes) -> None:
     """Evaluate the time derivatives of every lane of a block, in place.
 
@@ -43,7 +43,7 @@ def derivatives(block: Floats, plant: Plant, fraction: float, lanes: Lanes) -> N
         block[lane + LaneRow.RATE * width + x] = plant.angular_frequency * (block[SyncState.SPEED * width + x] - 1.0)
 
 
-@compiled
+@inlined
 def _internal_voltages(block: Floats, plant: Plant, lanes: Lanes) -> None:
     """Voltages behind the internal impedances, in the network frame."""
     width = len(lanes)
@@ -81,7 +81,7 @@ def _internal_voltages(block: Floats, plant: Plant, lanes: Lanes) -> None:
             block[e_im + at + x] = emf * sine
 
 
-@compiled
+@inlined
 def _unit_currents(block: Floats, plant: Plant, lanes: Lanes) -> None:
     """I = Y E with the reduced admittance of the lane's topology."""
     width = len(lanes)
@@ -101,11 +101,11 @@ def _unit_currents(block: Floats, plant: Plant, lanes: Lanes) -> None:
             for x in range(width):
                 re, im = block[e_re + j * width + x], block[e_im + j * width + x]
                 y_re, y_im = block[g + at + x], block[b + at + x]
-                block[i_re + i * width + x] += y_re * re - y_im * im
-                block[i_im + i * width + x] += y_re * im + y_im * re
+                block[i_re + i * width + x] += fma(y_re, re, -(y_im * im))
+                block[i_im + i * width + x] += fma(y_re, im, y_im * re)
 
 
-@compiled
+@inlined
 def _machine_rates(block: Floats, plant: Plant, lanes: Lanes) -> None:
     """Swing, fluxes, exciter and governor of the synchronous machines."""
     width = len(lanes)
@@ -203,7 +203,7 @@ def _machine_rates(block: Floats, plant: Plant, lanes: Lanes) -> None:
             block[rate + SyncState.REHEAT * width + x] = reheat_rate
 
 
-@compiled
+@inlined
 def _wtg_rates(block: Floats, plant: Plant, fraction: float, lanes: Lanes) -> None:
     """Rotor, pitch, tracking law and grid-forming swing of the WTG groups."""
     width = len(lanes)

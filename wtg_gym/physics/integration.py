@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
-from wtg_gym.physics.compiled import compiled
+from wtg_gym.physics.compiled import compiled, inlined
 from wtg_gym.physics.dynamics import derivatives
+from wtg_gym.physics.elementary import fma
 from wtg_gym.physics.layout import (
     N_SYNC_STATES,
     N_WTG_STATES,
@@ -26,71 +27,61 @@ from wtg_gym.physics.synchronous_machine import MachineConstant, SyncState
 from wtg_gym.physics.wind_turbine import TurbineConstant, WtgState
 
 
-@compiled
-def _stage(block: Floats, plant: Plant, weight: float, ahead: float, first: bool, lanes: Lanes) -> None:
-    """Add a Runge-Kutta stage's rates to the sum and move the states `ahead` [s] from the base along them."""
+@inlined
+def _stage(block: Floats, plant: Plant, ahead: float, first: bool, lanes: Lanes) -> None:
+    """Add the rates of one of the first three stages to the sum and move the states `ahead` [s] from the base."""
     width = len(lanes)
     n_sync, n_wtg = len(plant.syncs), len(plant.wtgs)
     for i in range(n_sync):
-        _stage_rows(block, i * SyncRow.N_ROWS * width, N_SYNC_STATES, weight, ahead, first, lanes)
+        _stage_rows(block, i * SyncRow.N_ROWS * width, N_SYNC_STATES, ahead, first, lanes)
     for j in range(n_wtg):
         o = (n_sync * SyncRow.N_ROWS + j * WtgRow.N_ROWS) * width
-        _stage_rows(block, o, N_WTG_STATES, weight, ahead, first, lanes)
-    _stage_rows(block, lane_row(plant) * width, 1, weight, ahead, first, lanes)
+        _stage_rows(block, o, N_WTG_STATES, ahead, first, lanes)
+    _stage_rows(block, lane_row(plant) * width, 1, ahead, first, lanes)
 
 
-@compiled
-def _stage_rows(block: Floats, o: int, n_states: int, weight: float, ahead: float, first: bool, lanes: Lanes) -> None:
+@inlined
+def _stage_rows(block: Floats, o: int, n_states: int, ahead: float, first: bool, lanes: Lanes) -> None:
     # States, rates, base and sum of a record follow each other at the same distance. Unsigned indices, which cannot
-    # count from the end, are what lets the compiler use vectors here; for a single lane it had better unroll.
-    width = np.uint64(len(lanes))
-    u, c = np.uint64(o), np.uint64(n_states) * width
-    if len(lanes) == 1:
-        for s in range(n_states):
-            r = u + np.uint64(s)
-            rate = block[r + c]
-            if first:
-                block[r + c + c] = block[r]
-                block[r + c + c + c] = rate
-            else:
-                block[r + c + c + c] += weight * rate
-            block[r] = block[r + c + c] + ahead * rate
-    elif first:
+    # count from the end, are what lets the compiler use vectors here.
+    u, c = np.uint64(o), np.uint64(n_states * len(lanes))
+    if first:
         for q in range(n_states * len(lanes)):
             r = u + np.uint64(q)
             value, rate = block[r], block[r + c]
             block[r + c + c] = value
             block[r + c + c + c] = rate
-            block[r] = value + ahead * rate
+            block[r] = fma(ahead, rate, value)
     else:
         for q in range(n_states * len(lanes)):
             r = u + np.uint64(q)
             rate = block[r + c]
-            block[r + c + c + c] += weight * rate
-            block[r] = block[r + c + c] + ahead * rate
+            block[r + c + c + c] = fma(2.0, rate, block[r + c + c + c])
+            block[r] = fma(ahead, rate, block[r + c + c])
 
 
-@compiled
+@inlined
 def _finish_rows(
     block: Floats, o: int, n_states: int, sixth: float, active: int, all_active: bool, lanes: Lanes
 ) -> None:
+    """Move a record's states from the base along the sum of all four stages, the last one's rates included."""
     width = len(lanes)
     u, c = np.uint64(o), np.uint64(n_states * width)
     if all_active:
         for q in range(n_states * width):
             r = u + np.uint64(q)
-            block[r] = block[r + c + c] + sixth * block[r + c + c + c]
+            block[r] = fma(sixth, block[r + c + c + c] + block[r + c], block[r + c + c])
         return
     # An ended lane keeps its base exactly: nothing, not even a rounding, is added to it.
     count = n_states * width
     for at in range(o, o + count, width):
         for x in range(width):
             base = block[at + 2 * count + x]
-            moved = base + sixth * block[at + 3 * count + x]
+            moved = fma(sixth, block[at + 3 * count + x] + block[at + count + x], base)
             block[at + x] = moved if block[active + x] > 0.5 else base
 
 
-@compiled
+@inlined
 def runge_kutta_step(block: Floats, plant: Plant, step: int, lanes: Lanes) -> None:
     """Advance a block by one simulation step with the classical fourth-order method.
 
@@ -103,11 +94,10 @@ def runge_kutta_step(block: Floats, plant: Plant, step: int, lanes: Lanes) -> No
     h = plant.simulation_dt
     part = 1.0 / plant.n_substeps
     for stage in range(4):
-        ahead = 0.5 * h if stage < 2 else h
-        weight = 2.0 if stage == 1 or stage == 2 else 1.0
         offset = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
         derivatives(block, plant, (step + offset) * part, lanes)
-        _stage(block, plant, weight, ahead, stage == 0, lanes)
+        if stage < 3:
+            _stage(block, plant, 0.5 * h if stage < 2 else h, stage == 0, lanes)
     active = (lane_row(plant) + LaneRow.ACTIVE) * width
     all_active = True
     for x in range(width):
@@ -130,13 +120,13 @@ def runge_kutta_step(block: Floats, plant: Plant, step: int, lanes: Lanes) -> No
     _finish_rows(block, lane_row(plant) * width, 1, h / 6.0, active, all_active, lanes)
 
 
-@compiled
+@inlined
 def _clip_row(block: Floats, o: int, low: float, high: float, width: int) -> None:
     for x in range(width):
         block[o + x] = min(max(block[o + x], low), high)
 
 
-@compiled
+@inlined
 def track_extremes(block: Floats, plant: Plant, lanes: Lanes) -> None:
     """Update the frequency of the centre of inertia and the extremes of running lanes after a simulation step."""
     width = len(lanes)
@@ -179,7 +169,7 @@ def track_extremes(block: Floats, plant: Plant, lanes: Lanes) -> None:
             block[o + WtgRow.OVERLOAD_TIME * width + x] += plant.simulation_dt if turning and power > overload else 0.0
 
 
-@compiled
+@inlined
 def enter_interval(block: Floats, first_lane: int, plant: Plant, data: LaneData, noise_y: Floats, lanes: Lanes) -> None:
     """Put wind and load noise of the control interval that begins into force, for every lane of a block.
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics.compiled import compiled
+from wtg_gym.physics.compiled import compiled, inlined
 from wtg_gym.physics.layout import (
     EventColumn,
     Floats,
@@ -153,7 +153,7 @@ def _store_reduction(
     block[own + LaneRow.NOISE_Z_IM * width + x] = z[noise_bus, n].imag
 
 
-@compiled
+@inlined
 def combine_load_noise(block: Floats, plant: Plant, noise_y: Floats, lanes: Lanes) -> None:
     """Put the load noise into the reduced admittance of every lane of a block by a rank-one update.
 
@@ -169,18 +169,20 @@ def combine_load_noise(block: Floats, plant: Plant, noise_y: Floats, lanes: Lane
     b = g + n * n * width
     g0 = b + n * n * width
     b0 = g0 + n * n * width
+    f_re, f_im = np.empty(width), np.empty(width)
+    for x in range(width):
+        dy = noise_y[x]
+        d_re = 1.0 + dy * block[own + LaneRow.NOISE_Z_RE * width + x]
+        d_im = dy * block[own + LaneRow.NOISE_Z_IM * width + x]
+        size = dy / (d_re * d_re + d_im * d_im)
+        f_re[x], f_im[x] = size * d_re, -size * d_im
     for i in range(n):
         for j in range(n):
             at = (i * n + j) * width
             for x in range(width):
-                dy = noise_y[x]
-                d_re = 1.0 + dy * block[own + LaneRow.NOISE_Z_RE * width + x]
-                d_im = dy * block[own + LaneRow.NOISE_Z_IM * width + x]
-                size = dy / (d_re * d_re + d_im * d_im)
-                f_re, f_im = size * d_re, -size * d_im
                 u_i_re, u_i_im = block[u_re + i * width + x], block[u_im + i * width + x]
                 u_j_re, u_j_im = block[u_re + j * width + x], block[u_im + j * width + x]
                 v_re = u_i_re * u_j_re - u_i_im * u_j_im
                 v_im = u_i_re * u_j_im + u_i_im * u_j_re
-                block[g + at + x] = block[g0 + at + x] + f_re * v_re - f_im * v_im
-                block[b + at + x] = block[b0 + at + x] + f_re * v_im + f_im * v_re
+                block[g + at + x] = block[g0 + at + x] + f_re[x] * v_re - f_im[x] * v_im
+                block[b + at + x] = block[b0 + at + x] + f_re[x] * v_im + f_im[x] * v_re

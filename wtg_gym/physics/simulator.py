@@ -50,6 +50,14 @@ class PreparedLane(NamedTuple):
     data: LaneData
 
 
+def _aligned_zeros(n_rows: int, n_columns: int) -> Floats:
+    """Return zeros that start at a cache line: a vector that straddles two of them costs two accesses."""
+    line = 64 // 8
+    buffer = np.zeros(n_rows * n_columns + line)
+    start = -(buffer.ctypes.data // 8) % line
+    return buffer[start : start + n_rows * n_columns].reshape(n_rows, n_columns)
+
+
 class Simulator:
     """Runs of one plant, in lanes.
 
@@ -85,7 +93,7 @@ class Simulator:
         self.width = 1 if n_lanes == 1 else BLOCK_WIDTH
         self.lanes = (0,) * self.width
         n_blocks = -(-self.n_lanes // self.width)
-        self.blocks = np.zeros((n_blocks, self.layout.n_rows * self.width))
+        self.blocks = _aligned_zeros(n_blocks, self.layout.n_rows * self.width)
         # A padded or not yet started lane must hold finite values: it is computed along with its neighbours.
         self._view = self.blocks.reshape(n_blocks, self.layout.n_rows, self.width)
         self.data = self._allocate_data(n_blocks * self.width, 4)
@@ -330,6 +338,8 @@ class Simulator:
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._pool = None
+        self.blocks = _aligned_zeros(*state["blocks"].shape)
+        self.blocks[:] = state["blocks"]
         self._view = self.blocks.reshape(self.blocks.shape[0], self.layout.n_rows, self.width)
 
 

@@ -16,6 +16,7 @@ from typing import Any
 
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.compiled import compiled
+from wtg_gym.physics.elementary import fma
 from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.scenario import require_range
 
@@ -37,9 +38,10 @@ def tracking_coefficient(
 
     Source: paper, equation `gomega_augement`; the linear g of equation `gomega` has its middle corner on the line.
     """
-    below = min(max(speed_setpoint - speed, 0.0), speed_setpoint - speed_min) / (speed_setpoint - speed_min)
-    above = min(max(speed - speed_setpoint, 0.0), speed_max - speed_setpoint) / (speed_max - speed_setpoint)
-    return k_nominal + below * (k_min - k_nominal) + above * (k_max - k_nominal)
+    # The spans are the same for all lanes: a factor is worked out once, a quotient in every lane.
+    below = min(max((speed_setpoint - speed) * (1.0 / (speed_setpoint - speed_min)), 0.0), 1.0)
+    above = min(max((speed - speed_setpoint) * (1.0 / (speed_max - speed_setpoint)), 0.0), 1.0)
+    return fma(below, k_min - k_nominal, fma(above, k_max - k_nominal, k_nominal))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,7 +7,7 @@ from enum import IntEnum
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics.aerodynamics import power_coefficient_of_inverse, tracking_point
+from wtg_gym.physics.aerodynamics import power_coefficient_at, tracking_point
 from wtg_gym.physics.compiled import compiled
 from wtg_gym.physics.elementary import limited_rate
 from wtg_gym.physics.parameters import (
@@ -88,10 +88,8 @@ def captured_power(
     c8: float,
 ) -> float:
     """Return p_w [p.u.] at rotor speed ω_m [p.u.], wind [m/s] and pitch [deg]. Source: paper, equation `pw`."""
-    inverse = wind / (tip_speed * max(rotor_speed, 1e-3))
-    return (
-        wind_power * wind * wind * wind * power_coefficient_of_inverse(inverse, pitch_deg, c1, c2, c3, c5, c6, c7, c8)
-    )
+    tip = tip_speed * max(rotor_speed, 1e-3)
+    return wind_power * wind * wind * wind * power_coefficient_at(tip, wind, pitch_deg, c1, c2, c3, c5, c6, c7, c8)
 
 
 @compiled
