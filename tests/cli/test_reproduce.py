@@ -58,10 +58,10 @@ def test_accuracy_writes_study_and_page(capsys: pytest.CaptureFixture[str], tmp_
     data = json_of(capsys, "accuracy", "--scenarios", "1", "--output", str(tmp_path), "--page", str(page), "--json")
     stored = json.loads((tmp_path / "accuracy.json").read_text(encoding="utf-8"))
     assert stored == data
-    chosen = next(row for row in data["rows"] if row["method"] == "RK4" and row["step_s"] == 0.02)
+    chosen = next(row for row in data["rows"] if row["method"] == "RK4" and row["step_s"] == 0.025)
     assert chosen["frequency_hz"]["worst"] < 1e-5
     assert (tmp_path / "accuracy.svg").exists() and (tmp_path / "accuracy.png").exists()
-    assert "| **RK4** | **20** |" in page.read_text(encoding="utf-8")
+    assert "| **RK4** | **25** |" in page.read_text(encoding="utf-8")
 
 
 def test_parameters_are_listed_and_kept_on_a_page(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

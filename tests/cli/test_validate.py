@@ -27,7 +27,7 @@ def test_json_has_every_quantity(capsys: pytest.CaptureFixture[str]) -> None:
     data = json_of(capsys, "validate", PARAMS, TRACE, "--json")
     assert data["agrees"] is True
     # The step is halved until its own error does not matter.
-    assert data["step_s"] == 0.00125 and data["default_step_s"] == 0.02
+    assert data["step_s"] == 0.00125 and data["default_step_s"] == 0.025
     assert [event["time_s"] for event in data["events"]] == [5.0, 30.0]
     found = {row["quantity"]: row for row in data["differences"]}
     assert found["w"]["largest"] < found["w"]["tolerance"] == 2e-7

@@ -28,10 +28,10 @@ def actions_of(seed: int, n_steps: int, n_lanes: int = 1, n_action: int = 4, sca
 def eventful(wind: float = 9.0, duration_s: float = 4.0, **changes: Any) -> Scenario:
     """Return a short scenario with every kind of event in it, off the control grid as well."""
     events = (
-        LoadStep(time_s=0.52, bus=2, power_mw=40.0, reactive_mvar=5.0),
+        LoadStep(time_s=0.525, bus=2, power_mw=40.0, reactive_mvar=5.0),
         LoadRamp(time_s=0.9, bus=14, power_mw=-10.0, duration_s=1.1),
         LineTrip(time_s=1.3, from_bus=5, to_bus=4),
-        LoadTrip(time_s=1.98, bus=9),
+        LoadTrip(time_s=1.975, bus=9),
         LoadStep(time_s=2.5, bus=5, power_mw=15.0),
     )
     noise = np.r_[0.0, np.random.default_rng(5).normal(0.0, 1.0, round(10 * duration_s))]

@@ -10,7 +10,7 @@ from wtg_gym.envs import CostWeights, GFMWTGEnv
 from wtg_gym.physics.layout import WtgRow
 from wtg_gym.physics.scenario import LoadStep, Scenario
 
-GONE = calm(duration_s=20.0, inertia_scale=0.05, events=(LoadStep(time_s=1.02, bus=2, power_mw=1000.0),))
+GONE = calm(duration_s=20.0, inertia_scale=0.05, events=(LoadStep(time_s=1.025, bus=2, power_mw=1000.0),))
 
 
 def play(scenario: Scenario, action=0.0, **settings):

@@ -25,7 +25,7 @@ WEIGHTS = st.none() | st.dictionaries(
     st.sampled_from([0.0, 1e-3, 1.0, 1e6]),
 )
 #: Control and simulation step that fit 3 s and the drawn events' grid of 0.1 s.
-STEPS = st.sampled_from([(0.1, 0.02), (0.02, 0.02), (0.1, 0.005), (0.5, 0.02), (1.0, 0.01), (3.0, 0.02)])
+STEPS = st.sampled_from([(0.1, 0.02), (0.02, 0.02), (0.1, 0.005), (0.5, 0.02), (1.0, 0.01), (3.0, 0.025)])
 ACTION = st.sampled_from([-1e30, -1.0, -0.5, -1e-300, 0.0, 1e-9, 0.3, 1.0, 1e308])
 
 
@@ -108,7 +108,7 @@ def test_any_batch_plays_on(given_arguments: dict, mode: str, n: int, seed: int)
 
 
 BUSES = st.integers(1, 14)
-TIMES = st.integers(0, 250).map(lambda n: n * 0.02)
+TIMES = st.integers(0, 200).map(lambda n: n * 0.025)
 POWERS = st.sampled_from([-1e4, -300.0, -75.0, 0.0, 75.0, 300.0, 1e4])
 WINDS = st.lists(st.sampled_from([3.0, 5.0, 8.0, 11.4, 17.0, 25.0]), min_size=1, max_size=6)
 

@@ -41,7 +41,7 @@ def test_editing_a_callee_in_another_file_is_never_ignored(tmp_path: Path) -> No
     before = run_copy(tmp_path, cache)
     assert run_copy(tmp_path, cache) == before
     edited = tmp_path / "wtg_gym" / "physics" / "elementary.py"
-    edited.write_text(edited.read_text().replace("    return e * e\n", "    return 1.01 * e * e\n"))
+    edited.write_text(edited.read_text().replace("    return p * p\n", "    return 1.01 * p * p\n"))
     after = run_copy(tmp_path, cache)
     assert after[0] != before[0]
     assert after[1] != before[1]

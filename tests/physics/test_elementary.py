@@ -4,12 +4,38 @@ from __future__ import annotations
 
 import math
 
+import numba
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wtg_gym.physics.elementary import exponential, sine_cosine
+from wtg_gym.physics.elementary import exponential, fma, sine_cosine
+
+ORDINARY = st.floats(-1e100, 1e100, allow_subnormal=False)
+
+
+@numba.njit
+def compiled_fma(a: float, b: float, c: float) -> float:
+    return fma(a, b, c)
+
+
+@given(ORDINARY, ORDINARY, ORDINARY)
+def test_compiled_multiply_add_has_the_bits_of_the_exact_one(a: float, b: float, c: float) -> None:
+    assert compiled_fma(a, b, c) == fma(a, b, c)
+
+
+def test_multiply_add_is_rounded_once() -> None:
+    a = 1.0 + 2.0**-30
+    assert fma(a, a, -1.0 - 2.0**-29) == 2.0**-60
+    assert a * a - (1.0 + 2.0**-29) == 0.0
+
+
+@pytest.mark.parametrize(
+    "values", [(math.inf, 1.0, 0.0), (math.nan, 1.0, 0.0), (1e300, 1e300, 0.0), (-1e300, 1e300, 1.0)]
+)
+def test_multiply_add_keeps_what_is_not_finite(values: tuple[float, float, float]) -> None:
+    assert repr(compiled_fma(*values)) == repr(fma(*values))
 
 
 @given(st.floats(-1e4, 1e4))

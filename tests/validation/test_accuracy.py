@@ -17,7 +17,7 @@ LAW = STRATEGIES["coordinated-piecewise"]
 @pytest.mark.parametrize("seed", [10_000, 10_007])
 def test_rk4_of_the_study_is_the_simulators_own(seed: int) -> None:
     scenario = on_the_grid(get_suite("standard").scenario(seed))
-    run = _Integration(scenario, LAW, 0.02)
+    run = _Integration(scenario, LAW, 0.025)
     simulator = Simulator(PlantSettings(control_dt=CONTROL_DT), duration_s=scenario.duration_s)
     simulator.start(0, scenario, (LAW, LAW))
     (method,) = (method for method in METHODS if method.name == "RK4")
@@ -41,14 +41,14 @@ def test_tableaux_are_consistent(method: object) -> None:
 
 
 def test_default_step_is_exact_enough_and_errors_fall() -> None:
-    study = study_accuracy(2, methods=[m for m in METHODS if m.name in ("Heun", "RK4")], steps=(0.005, 0.02))
-    chosen = study.row("RK4", 0.02)
-    assert study.default_step_s == 0.02
+    study = study_accuracy(2, methods=[m for m in METHODS if m.name in ("Heun", "RK4")], steps=(0.005, 0.02, 0.025))
+    chosen = study.row("RK4", 0.025)
+    assert study.default_step_s == 0.025
     assert chosen.frequency_hz.max() < 1e-5
     assert chosen.power_pu.max() < 1e-4
     assert study.observed_order("Heun") == pytest.approx(2.0, abs=0.2)
     assert (study.row("RK4", 0.005).frequency_hz < study.row("Heun", 0.005).frequency_hz).all()
-    assert chosen.evaluations_per_s == 200.0 and chosen.microseconds_per_s > 0.0
+    assert chosen.evaluations_per_s == 160.0 and chosen.microseconds_per_s > 0.0
 
 
 @pytest.mark.parametrize("n", [0, 101])

@@ -66,9 +66,9 @@ def add_plant_options(parser: argparse.ArgumentParser) -> None:
     plant.add_argument(
         "--simulation-dt",
         type=float,
-        default=0.02,
+        default=0.025,
         metavar="S",
-        help="integration step, at most 0.04 s (default: 0.02)",
+        help="integration step, at most 0.04 s (default: 0.025)",
     )
     plant.add_argument(
         "--machine-model",

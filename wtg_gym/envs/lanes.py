@@ -58,6 +58,8 @@ def _copied(outputs: Outputs) -> Outputs:
 
 def as_actions(given: Any, shape: tuple[int, ...]) -> Floats:
     """Return actions as floats of a shape; whatever is not that many real numbers is a ValueError."""
+    if type(given) is np.ndarray and given.dtype == np.float32 and given.shape == shape:
+        return given.astype(np.float64, order="C")
     allowed = f"the action must be real numbers in -1 … 1 of shape {shape}"
     try:
         array = np.asarray(given)

@@ -111,7 +111,7 @@ class EnvSettings:
     groups: int | Sequence[Mapping[str, Any]] = 2
     duration_s: float | None = None
     control_dt: float = 0.1
-    simulation_dt: float = 0.02
+    simulation_dt: float = 0.025
     weights: Mapping[str, float] | None = None
     machine_model: str = "genrou"
     on_failure: str = "terminate"

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
-from wtg_gym.physics.compiled import compiled
+from wtg_gym.physics.compiled import compiled, inlined
 from wtg_gym.physics.integration import advance_interval
 from wtg_gym.physics.layout import Floats, LaneData, LaneRow, Lanes, Plant, SyncRow, WtgRow, lane_row
 from wtg_gym.physics.synchronous_machine import MachineConstant, SyncState
@@ -137,7 +137,7 @@ def build_task(settings: EnvSettings, nominal_hz: float, extra: int) -> Task:
     )
 
 
-@compiled
+@inlined
 def _group_row(j: int, task: Task) -> int:
     return task.extra + TaskRow.HISTORY + task.n_window + 1 + j * GroupRow.N_ROWS
 
@@ -223,7 +223,7 @@ def step_blocks(
                 report(block, x, lane, plant, task, outputs, width)
 
 
-@compiled
+@inlined
 def report(block: Floats, x: int, lane: int, plant: Plant, task: Task, outputs: Outputs, width: int) -> None:
     """Write the numbers of a lane's `info`, and whether its episode is over."""
     own, extra = lane_row(plant) * width + x, task.extra * width + x
@@ -239,7 +239,7 @@ def report(block: Floats, x: int, lane: int, plant: Plant, task: Task, outputs: 
     outputs.truncated[lane] = not failed and block[own + LaneRow.ACTIVE * width] < 0.5
 
 
-@compiled
+@inlined
 def apply_action(block: Floats, x: int, plant: Plant, task: Task, action: Floats, width: int) -> None:
     """Turn a lane's action into the offset on k and the scale on τ; zero action leaves the law to the last bit."""
     at = 0
@@ -255,7 +255,7 @@ def apply_action(block: Floats, x: int, plant: Plant, task: Task, action: Floats
             at += 1
 
 
-@compiled
+@inlined
 def charge(block: Floats, x: int, plant: Plant, task: Task, action: Floats, width: int) -> float:
     """Return a lane's cost of the last control interval, and keep its terms, sums and extremes."""
     own, extra = lane_row(plant) * width + x, task.extra * width + x
@@ -307,7 +307,7 @@ def charge(block: Floats, x: int, plant: Plant, task: Task, action: Floats, widt
     return cost
 
 
-@compiled
+@inlined
 def _effort(block: Floats, g: int, at: int, task: Task, action: Floats, terms: Floats, n_wtg: int, width: int) -> int:
     """Charge one group's actions, remember them, and return the index of the next group's."""
     n_action = int(task.modulates_k) + int(task.modulates_tau)
@@ -319,7 +319,7 @@ def _effort(block: Floats, g: int, at: int, task: Task, action: Floats, terms: F
     return at + n_action
 
 
-@compiled
+@inlined
 def _update_rocof(block: Floats, x: int, plant: Plant, task: Task, width: int) -> float:
     """Put the new frequency into the lane's history and return the rate of change over the window [Hz/s]."""
     own, extra = lane_row(plant) * width + x, task.extra * width + x
@@ -336,7 +336,7 @@ def _update_rocof(block: Floats, x: int, plant: Plant, task: Task, width: int) -
     return float(rocof)
 
 
-@compiled
+@inlined
 def _group_costs(block: Floats, o: int, t: Floats, task: Task, width: int) -> tuple[float, float, float, float]:
     """Return (duty error, rotor excursion, overload) in their units, and the available power [p.u.], of a group.
 
@@ -368,7 +368,7 @@ def _group_costs(block: Floats, o: int, t: Floats, task: Task, width: int) -> tu
     return duty, rotor, overload, available
 
 
-@compiled
+@inlined
 def observe(block: Floats, x: int, plant: Plant, task: Task, observation: Observations, width: int) -> None:
     """Write a lane's observation; see :func:`observation_names` for its entries and their units."""
     at = 0
@@ -408,7 +408,7 @@ def observe(block: Floats, x: int, plant: Plant, task: Task, observation: Observ
         observation[at + 2] = _bounded(torque)
 
 
-@compiled
+@inlined
 def _bounded(value: float) -> float:
     return min(max(value, -OBSERVATION_BOUND), OBSERVATION_BOUND)
 

@@ -60,8 +60,7 @@ def power_coefficient(
     if not pitch_deg >= 0.0:
         raise ValueError(f"pitch angle must be 0 deg or more, got {pitch_deg:g} deg")
     flat = [
-        power_coefficient_at(x, 1.0, float(pitch_deg), p.c1, p.c2, p.c3, p.c5, p.c6, p.c7, p.c8)
-        for x in ratio.ravel()
+        power_coefficient_at(x, 1.0, float(pitch_deg), p.c1, p.c2, p.c3, p.c5, p.c6, p.c7, p.c8) for x in ratio.ravel()
     ]
     return np.array(flat).reshape(ratio.shape)
 

@@ -40,7 +40,7 @@ def _fused(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
     return types.float64(types.float64, types.float64, types.float64), code
 
 
-@overload(fma, strict=False)  # type: ignore[untyped-decorator]
+@overload(fma, strict=False)
 def _compiled_fma(a: Any, b: Any, c: Any) -> Callable[[float, float, float], float]:
     return lambda a, b, c: _fused(a, b, c)
 

@@ -190,7 +190,7 @@ def enter_interval(block: Floats, first_lane: int, plant: Plant, data: LaneData,
     combine_load_noise(block, plant, noise_y, lanes)
 
 
-@compiled
+@inlined
 def apply_network_changes(
     block: Floats, first_lane: int, plant: Plant, data: LaneData, noise_y: Floats, lanes: Lanes
 ) -> None:
@@ -207,7 +207,7 @@ def apply_network_changes(
         combine_load_noise(block, plant, noise_y, lanes)
 
 
-@compiled
+@inlined
 def advance_interval(
     block: Floats, first_lane: int, plant: Plant, data: LaneData, noise_y: Floats, lanes: Lanes
 ) -> None:
@@ -226,7 +226,7 @@ def advance_interval(
     derivatives(block, plant, 1.0, lanes)
 
 
-@compiled
+@inlined
 def update_status(block: Floats, plant: Plant, width: int) -> None:
     """End lanes that stalled, over-sped, left the frequency limits or are no longer finite; or trip their groups."""
     n_sync = len(plant.syncs)

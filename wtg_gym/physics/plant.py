@@ -62,7 +62,7 @@ class PlantSettings:
     control: GridFormingParameters = dataclasses.field(default_factory=GridFormingParameters)
     protection: ProtectionParameters = dataclasses.field(default_factory=ProtectionParameters)
     control_dt: float = 0.1
-    simulation_dt: float = 0.02
+    simulation_dt: float = 0.025
     trips_groups: bool = False
 
     def __post_init__(self) -> None:

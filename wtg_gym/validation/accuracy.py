@@ -268,7 +268,7 @@ def _samples(
     scenario: Scenario,
     law: TrackingLaw,
     method: Method | None = None,
-    step_s: float = 0.02,
+    step_s: float = 0.025,
     *,
     tightening: float = 1.0,
 ) -> Floats:
