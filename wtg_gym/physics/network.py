@@ -124,6 +124,11 @@ class NetworkCase:
                         todo.append(there)
         return len(reached) == len(self.buses)
 
+    @functools.cached_property
+    def bridges(self) -> frozenset[int]:
+        """Return the indices of the branches any one of which splits the network when it opens."""
+        return frozenset(index for index in range(len(self.branches)) if not self.connected_without((index,)))
+
 
 def branch_admittances(branches: tuple[Branch, ...]) -> npt.NDArray[np.complex128]:
     """Return (y_ff, y_ft, y_tf, y_tt) of every branch, shape (n_branch, 4) [p.u.]."""
@@ -232,6 +237,7 @@ def solve_power_flow(
     jacobian = np.empty((n_unknown, n_unknown))
     mismatch = np.empty((n_unknown, 1))
     flow = np.empty(n, dtype=np.complex128)
+    turn = np.ones((n, n), dtype=np.complex128)
     for iteration in range(30):
         worst = 0.0
         jacobian[:, :] = 0.0
@@ -239,8 +245,12 @@ def solve_power_flow(
             flow[i] = 0.0
             for j in range(n):
                 if y[i, j] != 0.0:
-                    d = angle[i] - angle[j]
-                    s = magnitude[i] * magnitude[j] * y[i, j].conjugate() * complex(math.cos(d), math.sin(d))
+                    # Buses are met in both orders: cosine and sine of the other one's are this one's.
+                    if j > i:
+                        d = angle[i] - angle[j]
+                        turn[i, j] = complex(math.cos(d), math.sin(d))
+                        turn[j, i] = turn[i, j].conjugate()
+                    s = magnitude[i] * magnitude[j] * y[i, j].conjugate() * turn[i, j]
                     flow[i] += s
                     if j != i:
                         _add_jacobian(jacobian, unknown, i, j, s.imag, -s.real, s.real, s.imag, magnitude[j])
