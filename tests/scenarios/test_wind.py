@@ -18,7 +18,8 @@ FREQUENCY = wind.resolved_frequencies(N_PERIOD)
 def synthesised(seed: int, amplitudes: list[np.ndarray], n_samples: int) -> np.ndarray:
     """One series per coefficient scale."""
     normals = np.random.default_rng(seed).standard_normal((len(amplitudes), N_PERIOD // 2 + 1, 2))
-    return wind.synthesised_series(normals, np.array(amplitudes), N_PERIOD, n_samples)
+    coefficients = np.array(amplitudes) * normals.view(np.complex128)[..., 0]
+    return np.fft.irfft(coefficients, N_PERIOD)[:, :n_samples]
 
 
 def resolved_variance(spectrum: np.ndarray) -> float:

@@ -244,12 +244,12 @@ def solve_power_flow(
         for i in range(n):
             flow[i] = 0.0
             for j in range(n):
+                # Sine and cosine of a pair of buses serve both ways round.
+                if j > i and (y[i, j] != 0.0 or y[j, i] != 0.0):
+                    d = angle[i] - angle[j]
+                    turn[i, j] = complex(math.cos(d), math.sin(d))
+                    turn[j, i] = turn[i, j].conjugate()
                 if y[i, j] != 0.0:
-                    # Buses are met in both orders: cosine and sine of the other one's are this one's.
-                    if j > i:
-                        d = angle[i] - angle[j]
-                        turn[i, j] = complex(math.cos(d), math.sin(d))
-                        turn[j, i] = turn[i, j].conjugate()
                     s = magnitude[i] * magnitude[j] * y[i, j].conjugate() * turn[i, j]
                     flow[i] += s
                     if j != i:

@@ -32,7 +32,6 @@ from wtg_gym.scenarios.wind import (
     period_length,
     resolved_frequencies,
     spectrum_amplitude,
-    synthesised_series,
     turbulence_amplitude,
 )
 
@@ -288,9 +287,9 @@ class ScenarioDistribution:
         for rows, plan in zip(amplitudes, plans, strict=True):
             for row, mean, n_turbines in zip(rows, plan.mean_winds, turbines, strict=False):
                 turbulence_amplitude(mean, ntm_sigma(mean, plan.intensity), n_turbines, n_period, out=row)
-        normals = np.empty((*amplitudes.shape, 2))
-        draw_normals(states, normals.reshape(n, -1))
-        series = synthesised_series(normals, amplitudes, n_period, n_samples)
+        coefficients = np.empty(amplitudes.shape, dtype=np.complex128)
+        draw_normals(states, amplitudes.reshape(n, -1), coefficients.view(np.float64).reshape(n, -1, 2))
+        series: FloatArray = np.fft.irfft(coefficients, n_period)[..., :n_samples]
         wind = series[:, :n_wtg] + np.array([plan.mean_winds for plan in plans])[:, :, None]
         for own, plan in zip(wind, plans, strict=True):
             if plan.wind_event is not None:

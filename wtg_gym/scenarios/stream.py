@@ -147,9 +147,9 @@ def _tail(high: Word, low: Word, add_high: Word, add_low: Word) -> tuple[float, 
 
 
 @compiled
-def _fill_normals(state: Words, normals: FloatArray) -> None:
+def _fill_normals(state: Words, scale: FloatArray, normals: FloatArray) -> None:
     high, low, add_high, add_low = state[0], state[1], state[2], state[3]
-    for i in range(normals.shape[0]):
+    for i in range(2 * scale.shape[0]):
         while True:
             high, low = _advance(high, low, add_high, add_low)
             bits = _output(high, low)
@@ -169,12 +169,18 @@ def _fill_normals(state: Words, normals: FloatArray) -> None:
             step = (_DENSITY[layer - uint64(1)] - _DENSITY[layer]) * _unit(_output(high, low))
             if step + _DENSITY[layer] < math.exp(-0.5 * x * x):
                 break
-        normals[i] = x
+        normals[i // 2, i % 2] = x * scale[i // 2]
     state[0], state[1] = high, low
 
 
 @compiled
-def draw_normals(states: Words, normals: FloatArray) -> None:
-    """Fill normals (n, m) with the next m standard normal numbers of each of n streams; states (n, 4) move on."""
+def draw_normals(states: Words, scale: FloatArray, normals: FloatArray) -> None:
+    """Fill normals (n, m, 2) with the next pairs of normal numbers of each of n streams, of mean 0.
+
+    Args:
+        states: (n, 4); they move on.
+        scale: standard deviation of each pair (n, m).
+        normals: written.
+    """
     for i in range(states.shape[0]):
-        _fill_normals(states[i], normals[i])
+        _fill_normals(states[i], scale[i], normals[i])

@@ -159,6 +159,8 @@ def resolved_frequencies(n_period: int, dt_s: float = SERIES_DT) -> FloatArray:
 def spectrum_amplitude(spectrum: FloatArray, n_period: int, dt_s: float = SERIES_DT) -> FloatArray:
     """Return the scale of the Fourier coefficients that give a series this one-sided spectrum.
 
+    Coefficients of standard normal real and imaginary parts, times this, are those of a Gaussian series.
+
     Args:
         spectrum: values at :func:`resolved_frequencies`, shape (n_frequencies,) [unit²/Hz].
         n_period: samples of the period, even.
@@ -203,21 +205,6 @@ def turbulence_amplitude(
     require_range("n_turbines", n_turbines, 1e-3, 1e4, "")
     unit = _unit_amplitude(round(10.0 * mean_wind_m_s), float(n_turbines), n_period)
     return np.multiply(unit, sigma_m_s, out=out)
-
-
-def synthesised_series(normals: FloatArray, amplitudes: FloatArray, n_period: int, n_samples: int) -> FloatArray:
-    """Return independent Gaussian series with given spectra, shape (…, n_samples).
-
-    Args:
-        normals: standard normal numbers, shape (…, n_period / 2 + 1, 2); overwritten.
-        amplitudes: coefficient scales, shape (…, n_period / 2 + 1), see :func:`spectrum_amplitude`.
-        n_period: samples of the period, even.
-        n_samples: samples to return, at most `n_period`.
-    """
-    normals *= amplitudes[..., None]
-    coefficients: npt.NDArray[np.complex128] = normals.view(np.complex128)[..., 0]
-    series: FloatArray = np.fft.irfft(coefficients, n_period)[..., :n_samples]
-    return series
 
 
 def extreme_operating_gust(time_s: FloatArray, start_s: float, size_m_s: float) -> FloatArray:
