@@ -27,7 +27,7 @@ from wtg_gym.physics.compiled import compiled
 from wtg_gym.physics.layout import LaneData, LaneRow, Lanes, Plant, Status
 from wtg_gym.physics.plant import whole_steps
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.physics.simulator import BLOCK_WIDTH, PreparedLanes, Simulator
+from wtg_gym.physics.simulator import PreparedLanes, Simulator
 from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[np.float64]
@@ -53,6 +53,8 @@ INFO_UNITS = {
 
 #: Those of them that the kernels write, in the order of their columns.
 _INFO_KEYS = tuple(key for key in INFO_UNITS if key != "scenario_seed")
+#: Lanes whose episodes are drawn and prepared together: their series fit a processor's cache.
+_LANES_AT_ONCE = 8
 
 
 def _copied(outputs: Outputs) -> Outputs:
@@ -206,10 +208,10 @@ class TaskLanes:
 
     def start_next(self, lanes: Sequence[int], rngs: Sequence[np.random.Generator]) -> None:
         """Start the next episode of each of the lanes, its scenario drawn with the lane's generator."""
-        # By the handful, whose series fit the processor's cache.
-        for first in range(0, len(lanes), BLOCK_WIDTH):
-            part = slice(first, first + BLOCK_WIDTH)
-            self.start(lanes[part], self.draw(rngs[part]))
+        parts = [slice(first, first + _LANES_AT_ONCE) for first in range(0, len(lanes), _LANES_AT_ONCE)]
+        episodes = self.simulator.map_threads(lambda part: self.prepare(self.draw(rngs[part])), parts)
+        for part, prepared in zip(parts, episodes, strict=True):
+            self.commit(lanes[part], prepared)
 
     def stop(self, lanes: npt.NDArray[np.bool_]) -> None:
         """End the episodes of a mask's lanes, as if their time were over; shape (n_lanes,)."""

@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,9 @@ from wtg_gym.physics.reduction import bus_voltages
 from wtg_gym.physics.scenario import SERIES_DT, Event, LineTrip, LoadRamp, LoadTrip, Scenario
 from wtg_gym.physics.synchronous_machine import MachineConstant
 from wtg_gym.physics.tracking_law import TrackingLaw
+
+A = TypeVar("A")
+B = TypeVar("B")
 
 #: Lanes per block of a batched simulator; a single run uses a block of one.
 BLOCK_WIDTH = 16
@@ -267,16 +270,21 @@ class Simulator:
         if n_blocks < 2 * _BLOCKS_PER_THREAD:
             work(0, n_blocks)
             return
-        # Asked for anew: a copy may live on another machine. It costs as much as a step, but not as a thousand.
-        n_threads = min(self.n_threads or os.cpu_count() or 1, n_blocks // _BLOCKS_PER_THREAD)
-        if n_threads < 2:
-            work(0, n_blocks)
-            return
+        n_parts = max(1, min(self._most_threads(), n_blocks // _BLOCKS_PER_THREAD))
+        edges = [n_blocks * i // n_parts for i in range(n_parts + 1)]
+        self.map_threads(lambda i: work(edges[i], edges[i + 1]), range(n_parts))
+
+    def map_threads(self, work: Callable[[A], B], items: Sequence[A]) -> list[B]:
+        """Return `work(item)` of every item, in order, worked out on several threads."""
+        if len(items) < 2 or self._most_threads() < 2:
+            return [work(item) for item in items]
         if self._pool is None:
-            self._pool = ThreadPoolExecutor(n_threads, thread_name_prefix="wtg_gym")
-        edges = [n_blocks * i // n_threads for i in range(n_threads + 1)]
-        for done in [self._pool.submit(work, edges[i], edges[i + 1]) for i in range(n_threads)]:
-            done.result()
+            self._pool = ThreadPoolExecutor(self._most_threads(), thread_name_prefix="wtg_gym")
+        return list(self._pool.map(work, items))
+
+    def _most_threads(self) -> int:
+        # Asked for anew: a copy may live on another machine. It costs as much as a step, but not as a thousand.
+        return self.n_threads or os.cpu_count() or 1
 
     def evaluate(self) -> None:
         """Evaluate rates, powers and coefficients of all lanes where they stand, in place."""
