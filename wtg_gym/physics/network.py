@@ -104,11 +104,16 @@ class NetworkCase:
         """Return the index of the branch between two buses, either way round; a ValueError lists the branches."""
         self.bus_index(from_bus)
         self.bus_index(to_bus)
-        for index, branch in enumerate(self.branches):
-            if {branch.from_bus, branch.to_bus} == {from_bus, to_bus}:
-                return index
+        index = self._branches_by_ends.get(frozenset((from_bus, to_bus)))
+        if index is not None:
+            return index
         known = ", ".join(f"{b.from_bus}-{b.to_bus}" for b in self.branches)
         raise ValueError(f"no branch {from_bus}-{to_bus} in {self.name}; branches: {known}")
+
+    @functools.cached_property
+    def _branches_by_ends(self) -> dict[frozenset[int], int]:
+        # Of parallel branches the first one counts: it comes last here.
+        return {frozenset((b.from_bus, b.to_bus)): i for i, b in reversed(list(enumerate(self.branches)))}
 
     def connected_without(self, branches: tuple[int, ...]) -> bool:
         """Return whether every bus stays connected when the branches of these indices are open."""

@@ -221,13 +221,12 @@ class Simulator:
         lost = [event.bus for event in scenario.events if isinstance(event, LoadTrip)]
         if len(set(lost)) < len(lost):
             raise ValueError(f"scenario {scenario.name!r} disconnects a load twice; load trips at buses {lost}")
-        case = self.settings.case
-        rows = [self._event_row(event, scenario.load_level) for event in scenario.events]
-        if not rows:
-            return
-        table[: len(rows)] = rows
-        opened = tuple(int(row[EventColumn.BRANCH]) for row in rows if row[EventColumn.BRANCH] >= 0)
-        if not case.bridges.isdisjoint(opened) or (len(opened) > 1 and not case.connected_without(opened)):
+        case, opened = self.settings.case, []
+        for row, event in enumerate(scenario.events):
+            values = table[row] = self._event_row(event, scenario.load_level)
+            if values[-1] >= 0:
+                opened.append(int(values[-1]))
+        if not case.bridges.isdisjoint(opened) or (len(opened) > 1 and not case.connected_without(tuple(opened))):
             raise ValueError(f"scenario {scenario.name!r}: its line trips would split the network")
 
     def _event_row(self, event: Event, load_level: float) -> tuple[float, ...]:

@@ -238,7 +238,7 @@ class ScenarioDistribution:
 
     def _load_events(self, pick: _Picker, window: Span) -> list[Event]:
         n_events = pick.whole(*self.n_load_events)
-        times = sorted(pick.instant(window) for _ in range(n_events))
+        times = sorted([pick.instant(window) for _ in range(n_events)])
         trip_index = pick.whole(0, n_events - 1) if n_events and pick.chance(self.load_trip_probability) else -1
         increase = {bus: limit for bus, limit, _ in self.load_buses}
         decrease = {bus: limit for bus, _, limit in self.load_buses}
@@ -290,7 +290,8 @@ class ScenarioDistribution:
         coefficients = np.empty(amplitudes.shape, dtype=np.complex128)
         draw_normals(states, amplitudes.reshape(n, -1), coefficients.view(np.float64).reshape(n, -1, 2))
         series: FloatArray = np.fft.irfft(coefficients, n_period)[..., :n_samples]
-        wind = series[:, :n_wtg] + np.array([plan.mean_winds for plan in plans])[:, :, None]
+        wind, noise = series[:, :n_wtg], series[:, n_wtg]
+        wind += np.array([plan.mean_winds for plan in plans])[:, :, None]
         for own, plan in zip(wind, plans, strict=True):
             if plan.wind_event is not None:
                 group, change = plan.wind_event
@@ -298,8 +299,8 @@ class ScenarioDistribution:
         np.clip(wind, *DRAWN_WIND_RANGE, out=wind)
         if not self.load_noise_mw:
             return wind, np.zeros((n, 0))
-        noise = series[:, n_wtg]
-        return wind, noise - noise[:, :1] * _noise_decay(self.load_noise_correlation_s, n_samples)
+        noise -= noise[:, :1] * _noise_decay(self.load_noise_correlation_s, n_samples)
+        return wind, noise
 
     def _mean_winds(self, pick: _Picker, n_wtg: int) -> list[float]:
         spread = self.mean_wind_spread_m_s
@@ -362,7 +363,8 @@ class _Picker:
         self.uniform = uniform
 
     def between(self, span: Span) -> float:
-        return span[0] + (span[1] - span[0]) * self.uniform()
+        low, high = span
+        return low + (high - low) * self.uniform()
 
     def chance(self, probability: float) -> bool:
         return self.uniform() < probability
