@@ -186,7 +186,7 @@ def test_ended_lane_waits_one_step_in_next_step_mode():
 def test_scenarios_of_lanes_that_go_on_are_not_looked_at():
     env = GFMWTGVectorEnv(2, duration_s=3.0, autoreset_mode="Disabled")
     env.reset(seed=0)
-    fits = env.lanes.scenario(1_000_001)
+    fits = env.lanes.scenarios([1_000_001])[0]
     misfit = dataclasses.replace(fits, wind_speed=np.full((3, 1), 8.0))
     env.reset(options={"reset_mask": np.array([True, False]), "scenarios": [fits, misfit]})
     with pytest.raises(ValueError, match="wind for 3 WTG groups"):

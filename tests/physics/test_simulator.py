@@ -117,3 +117,24 @@ def test_bus_voltages_are_those_at_the_machines_terminals() -> None:
             own = simulator.values(i * SyncRow.N_ROWS + SyncRow.VOLTAGE)[0]
             assert magnitude[case.bus_index(machine.bus)] == pytest.approx(own, abs=1e-12)
         simulator.advance()
+
+
+def test_runs_prepared_together_equal_runs_prepared_alone_bit_for_bit() -> None:
+    simulator = Simulator(PlantSettings())
+    scenarios = [get_suite("weak-grid").scenario(seed) for seed in range(20_000, 20_030)]
+    together = simulator.prepare(scenarios, (LAW, LAW))
+    for i, scenario in enumerate(scenarios):
+        alone = simulator.prepare([scenario], (LAW, LAW))
+        n_events = alone.data.events.shape[1]
+        assert (together.rows[i] == alone.rows[0]).all()
+        assert (together.data.events[i, :n_events] == alone.data.events[0]).all()
+        for one, many in zip(alone.data[:-1], together.data[:-1], strict=True):
+            assert (many[i] == one[0]).all()
+
+
+def test_one_run_that_cannot_start_stops_all_that_are_prepared_with_it() -> None:
+    simulator = Simulator(PlantSettings(), n_lanes=2)
+    good = Scenario(name="good", wind_speed=WIND)
+    bad = Scenario(name="bad", wind_speed=np.full((2, 1), 25.0), load_level=0.3)
+    with pytest.raises(ValueError, match="scenario 'bad' cannot start"):
+        simulator.prepare([good, bad, good], (LAW, LAW))

@@ -3,6 +3,7 @@
 import json
 import math
 import time
+import zlib
 from dataclasses import fields
 
 import numpy as np
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 
 from wtg_gym.physics.scenario import LineTrip, LoadRamp, LoadStep, LoadTrip, Scenario
 from wtg_gym.scenarios import DRAWN_WIND_RANGE, SUITES, TRIPPABLE_LINES, ScenarioDistribution
+from wtg_gym.scenarios.distribution import _noise_amplitude, _noise_decay
 
 DISTRIBUTIONS = [suite.distribution for suite in SUITES.values() if suite.distribution is not None]
 STANDARD = SUITES["standard"].distribution
@@ -111,6 +113,25 @@ def test_same_arguments_give_the_same_scenario_whatever_was_drawn_before():
     assert STANDARD.draw(7).to_json() == first
     assert STANDARD.draw(np.int64(7)).to_json() == first
     assert STANDARD.draw(9).to_json() != first
+
+
+@pytest.mark.parametrize("source", DISTRIBUTIONS, ids=lambda source: source.name)
+def test_scenarios_drawn_together_equal_scenarios_drawn_alone_bit_for_bit(source: ScenarioDistribution):
+    seeds = [0, 2**63 - 1, *range(20_000, 20_040)]
+    for seed, scenario in zip(seeds, source.draw_many(seeds, 3, [1.0, 5.0, 60.0], 47.3), strict=True):
+        assert source.draw(seed, 3, [1.0, 5.0, 60.0], 47.3).to_json() == scenario.to_json()
+
+
+def test_a_scenario_of_many_uniform_numbers_goes_on_with_its_stream():
+    # Twenty load events need more than one block of numbers.
+    source = ScenarioDistribution(name="busy", n_load_events=(20, 20), load_event_mw=(0.0, 1.0))
+    scenario = source.draw(5)
+    rng = np.random.default_rng([5, zlib.crc32(b"busy")])
+    blocks = [rng.random(64).tolist()[::-1] for _ in range(2)]
+    assert scenario.governor_droop == 0.02 + (0.05 - 0.02) * blocks[0][0]
+    coefficients = rng.standard_normal((3, 626, 2)).view(np.complex128)[2, :, 0] * _noise_amplitude(2.0, 1250)
+    noise = np.fft.irfft(coefficients, 1250)[:601]
+    assert (scenario.load_noise_mw == noise - noise[0] * _noise_decay(2.0, 601)).all()
 
 
 def test_groups_have_independent_means_unless_a_spread_is_given():

@@ -13,7 +13,7 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from wtg_gym.envs.lanes import PreparedEpisode, TaskLanes, as_actions
+from wtg_gym.envs.lanes import PreparedEpisodes, TaskLanes, as_actions
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task import OBSERVATION_BOUND, TaskRow
 from wtg_gym.physics.scenario import Scenario
@@ -139,8 +139,10 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
         """
         super().reset(seed=seed)
         given = _check_options(options, ("scenario",))
-        scenario = _as_scenario(given["scenario"]) if "scenario" in given else self._lanes.draw(self.np_random)
-        self._lanes.start(0, scenario)
+        if "scenario" in given:
+            self._lanes.start([0], [_as_scenario(given["scenario"])])
+        else:
+            self._lanes.start_next([0], [self.np_random])
         self._running = True
         return self._lanes.observations[0].copy(), self._lanes.info()
 
@@ -262,11 +264,11 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         scenarios = self._scenarios(given.get("scenarios"))
         # Everything that can be refused comes before the first change.
         generators = [None if s is None else seeding.np_random(s)[0] for s in seeds]
-        lanes = [int(lane) for lane in np.flatnonzero(mask)]
-        episodes = {} if scenarios is None else {lane: self._lanes.prepare(scenarios[lane]) for lane in lanes}
+        lanes = np.flatnonzero(mask).tolist()
+        episodes = None if scenarios is None else self._lanes.prepare([scenarios[lane] for lane in lanes])
         for lane in lanes:
             self._generators[lane] = generators[lane] or self._generators[lane]
-            self._start(lane, episodes.get(lane))
+        self._start(lanes, episodes)
         return self._lanes.observations.copy(), self._infos(mask.copy())
 
     def _reset_mask(self, given: Any) -> npt.NDArray[np.bool_]:
@@ -298,10 +300,13 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
             raise ValueError(f"one seed per lane is needed ({self.num_envs}), got {len(seed)}")
         return [_lane_seed(given) for given in seed]
 
-    def _start(self, lane: int, episode: PreparedEpisode | None = None) -> None:
-        self._lanes.commit(lane, episode or self._lanes.prepare(self._lanes.draw(self._generators[lane])))
-        self._needs_reset[lane] = False
-        self._n_steps[lane] = 0
+    def _start(self, lanes: list[int], episodes: PreparedEpisodes | None = None) -> None:
+        if episodes is None:
+            self._lanes.start_next(lanes, [self._generators[lane] for lane in lanes])
+        else:
+            self._lanes.commit(lanes, episodes)
+        self._needs_reset[lanes] = False
+        self._n_steps[lanes] = 0
 
     def step(
         self, actions: Action
@@ -333,11 +338,10 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         infos: dict[str, Any] = {}
         if self.autoreset_mode == AutoresetMode.SAME_STEP and done.any():
             infos = self._final_infos(done)
-            for lane in np.flatnonzero(done):
-                self._start(int(lane))
+            self._start(np.flatnonzero(done).tolist())
         else:
-            for lane in np.flatnonzero(waiting):
-                self._start(int(lane))
+            if waiting.any():
+                self._start(np.flatnonzero(waiting).tolist())
             self._needs_reset |= done
         infos.update(self._infos(self._all_lanes))
         return self._lanes.observations.copy(), rewards, terminated, truncated, infos

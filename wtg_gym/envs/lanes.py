@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numbers
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from wtg_gym.envs.task import (
     COST_TERMS,
     N_INFO,
     Outputs,
+    Task,
     build_task,
     first_invalid_action,
     n_extra_rows,
@@ -21,10 +23,11 @@ from wtg_gym.envs.task import (
     start_task,
     step_blocks,
 )
-from wtg_gym.physics.layout import LaneData, LaneRow, Status
+from wtg_gym.physics.compiled import compiled
+from wtg_gym.physics.layout import LaneData, LaneRow, Lanes, Plant, Status
 from wtg_gym.physics.plant import whole_steps
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.physics.simulator import PreparedLane, Simulator
+from wtg_gym.physics.simulator import PreparedLanes, Simulator
 from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[np.float64]
@@ -50,6 +53,8 @@ INFO_UNITS = {
 
 #: Those of them that the kernels write, in the order of their columns.
 _INFO_KEYS = tuple(key for key in INFO_UNITS if key != "scenario_seed")
+#: Lanes whose episodes are drawn and prepared together: their series fit a processor's cache.
+_LANES_AT_ONCE = 8
 
 
 def _copied(outputs: Outputs) -> Outputs:
@@ -74,12 +79,27 @@ def as_actions(given: Any, shape: tuple[int, ...]) -> Floats:
     return np.ascontiguousarray(array, dtype=np.float64)
 
 
-class PreparedEpisode(NamedTuple):
-    """An episode that is ready to start."""
+@compiled
+def _start_tasks(
+    blocks: Floats,
+    starting: npt.NDArray[np.int64],
+    plant: Plant,
+    task: Task,
+    end_steps: Floats,
+    outputs: Outputs,
+    lanes: Lanes,
+) -> None:
+    """Call :func:`start_task` for every lane of starting (n,), with the last step of each in end_steps (n,)."""
+    for i in range(starting.shape[0]):
+        start_task(blocks, starting[i], plant, task, end_steps[i], outputs, lanes)
 
-    lane: PreparedLane
-    n_intervals: int
-    scenario_seed: int
+
+class PreparedEpisodes(NamedTuple):
+    """Episodes that are ready to start; length and seed of each, (n,)."""
+
+    lanes: PreparedLanes
+    n_intervals: npt.NDArray[np.int64]
+    scenario_seeds: npt.NDArray[np.int64]
 
 
 class TaskLanes:
@@ -130,7 +150,7 @@ class TaskLanes:
         self._fixed = settings.fixed_scenario()
         if self._fixed is not None:
             # What cannot be played is refused here rather than at the first reset.
-            self.prepare(self._fixed)
+            self.prepare([self._fixed])
 
     @property
     def observations(self) -> npt.NDArray[np.float32]:
@@ -147,40 +167,53 @@ class TaskLanes:
         """Number of episodes side by side."""
         return self.simulator.n_lanes
 
-    def draw(self, rng: np.random.Generator) -> Scenario:
-        """Return the next episode's scenario."""
+    def draw(self, rngs: Sequence[np.random.Generator]) -> list[Scenario]:
+        """Return the next episode's scenario of every generator."""
         if self._fixed is not None:
-            return self._fixed
-        return self.scenario(int(rng.integers(self._seeds.start, self._seeds.stop)))
+            return [self._fixed] * len(rngs)
+        return self.scenarios([int(rng.integers(self._seeds.start, self._seeds.stop)) for rng in rngs])
 
-    def scenario(self, seed: int) -> Scenario:
-        """Return the suite's scenario of a seed, for this plant and episode length."""
-        return self.suite.scenario(seed, n_wtg=self.n_wtg, n_turbines=self.n_turbines, duration_s=self.duration_s)
+    def scenarios(self, seeds: Sequence[int]) -> list[Scenario]:
+        """Return the suite's scenarios of seeds, for this plant and episode length."""
+        return self.suite.scenarios(seeds, n_wtg=self.n_wtg, n_turbines=self.n_turbines, duration_s=self.duration_s)
 
-    def prepare(self, scenario: Scenario) -> PreparedEpisode:
-        """Find the equilibrium that an episode starts from; no running lane is touched.
+    def prepare(self, scenarios: Sequence[Scenario]) -> PreparedEpisodes:
+        """Find the equilibria that episodes start from; no running lane is touched.
 
         Raises:
-            ValueError: the scenario does not fit the plant or the episode length, or has no equilibrium.
+            ValueError: a scenario does not fit the plant or the episode length, or has no equilibrium.
         """
-        lane = self.simulator.prepare(scenario, self.laws)
-        duration = min(scenario.duration_s, self.duration_s)
-        intervals = whole_steps("scenario duration_s", duration, self.settings.control_dt, "control step")
-        return PreparedEpisode(lane, intervals, -1 if scenario.seed is None else int(scenario.seed))
+        lanes = self.simulator.prepare(scenarios, self.laws)
+        intervals = [
+            whole_steps(
+                "scenario duration_s", min(s.duration_s, self.duration_s), self.settings.control_dt, "control step"
+            )
+            for s in scenarios
+        ]
+        seeds = [-1 if scenario.seed is None else scenario.seed for scenario in scenarios]
+        return PreparedEpisodes(lanes, np.array(intervals, dtype=np.int64), np.array(seeds, dtype=np.int64))
 
-    def commit(self, lane: int, episode: PreparedEpisode) -> None:
-        """Start a prepared episode in a lane."""
+    def commit(self, lanes: Sequence[int], episodes: PreparedEpisodes) -> None:
+        """Start prepared episodes in lanes, one each."""
         simulator = self.simulator
         # More events than ever before, or a snapshot, bring new arrays.
         self._bound = None
-        simulator.commit(lane, episode.lane)
-        end_step = float(episode.n_intervals * simulator.plant.n_substeps)
-        start_task(simulator.blocks, lane, simulator.plant, self.task, end_step, self.outputs, simulator.lanes)
-        self.scenario_seeds[lane] = episode.scenario_seed
+        simulator.commit(lanes, episodes.lanes)
+        index = np.array(lanes, dtype=np.int64)
+        end_steps = (episodes.n_intervals * simulator.plant.n_substeps).astype(np.float64)
+        _start_tasks(simulator.blocks, index, simulator.plant, self.task, end_steps, self.outputs, simulator.lanes)
+        self.scenario_seeds[index] = episodes.scenario_seeds
 
-    def start(self, lane: int, scenario: Scenario) -> None:
-        """Start an episode in a lane: :meth:`prepare`, then :meth:`commit`."""
-        self.commit(lane, self.prepare(scenario))
+    def start(self, lanes: Sequence[int], scenarios: Sequence[Scenario]) -> None:
+        """Start an episode in each of the lanes: :meth:`prepare`, then :meth:`commit`."""
+        self.commit(lanes, self.prepare(scenarios))
+
+    def start_next(self, lanes: Sequence[int], rngs: Sequence[np.random.Generator]) -> None:
+        """Start the next episode of each of the lanes, its scenario drawn with the lane's generator."""
+        parts = [slice(first, first + _LANES_AT_ONCE) for first in range(0, len(lanes), _LANES_AT_ONCE)]
+        episodes = self.simulator.map_threads(lambda part: self.prepare(self.draw(rngs[part])), parts)
+        for part, prepared in zip(parts, episodes, strict=True):
+            self.commit(lanes[part], prepared)
 
     def stop(self, lanes: npt.NDArray[np.bool_]) -> None:
         """End the episodes of a mask's lanes, as if their time were over; shape (n_lanes,)."""

@@ -183,9 +183,8 @@ def _play(entry: Entry, settings: EnvSettings, seeds: Sequence[int], n_threads: 
     )
     lanes = TaskLanes(own, len(seeds), n_threads)
     try:
-        scenarios = [lanes.scenario(seed) for seed in seeds]
-        for lane, scenario in enumerate(scenarios):
-            _start(lanes, lane, scenario, entry)
+        scenarios = lanes.scenarios(seeds)
+        _start(lanes, scenarios, entry)
         recorder = Recorder(lanes, _n_steps(lanes))
         policy = _Actions(entry, lanes)
         running = np.ones(lanes.n_lanes, dtype=np.bool_)
@@ -199,9 +198,9 @@ def _play(entry: Entry, settings: EnvSettings, seeds: Sequence[int], n_threads: 
         lanes.simulator.close()
 
 
-def _start(lanes: TaskLanes, lane: int, scenario: Scenario, entry: Entry) -> None:
+def _start(lanes: TaskLanes, scenarios: Sequence[Scenario], entry: Entry) -> None:
     try:
-        lanes.start(lane, scenario)
+        lanes.start(range(len(scenarios)), scenarios)
     except ValueError as error:
         raise ValueError(f"entry {entry.label!r}: {error}") from error
 

@@ -27,7 +27,7 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 def source_hash() -> str:
     """Return the sha256 hex digest of every source file that compiled code lives in."""
     digest = hashlib.sha256()
-    for folder in ("physics", "envs"):
+    for folder in ("physics", "scenarios", "envs"):
         for path in sorted((_PACKAGE / folder).glob("*.py")):
             digest.update(path.name.encode())
             digest.update(path.read_bytes())

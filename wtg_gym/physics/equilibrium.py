@@ -86,6 +86,8 @@ def turbine_equilibrium(wind: float, k: float, t: Floats) -> tuple[float, float,
 def _bisect_rotor(low: float, high: float, wind: float, k: float, t: Floats) -> float:
     for _ in range(80):
         middle = 0.5 * (low + high)
+        if middle in (low, high):
+            break
         if _captured(middle, wind, 0.0, t) > k * middle**3:
             low = middle
         else:
@@ -97,11 +99,22 @@ def _bisect_rotor(low: float, high: float, wind: float, k: float, t: Floats) -> 
 def _bisect_pitch(low: float, high: float, rotor: float, wind: float, target: float, t: Floats) -> float:
     for _ in range(80):
         middle = 0.5 * (low + high)
+        if middle in (low, high):
+            break
         if _captured(rotor, wind, middle, t) > target:
             low = middle
         else:
             high = middle
     return 0.5 * (low + high)
+
+
+@compiled
+def start_lanes(
+    rows: Floats, plant: Plant, data: LaneData, load_levels: Floats, failures: npt.NDArray[np.int64]
+) -> None:
+    """Call :func:`start_lane` for every lane of rows (n, n_rows), and write what it returns into failures (n,)."""
+    for lane in range(rows.shape[0]):
+        failures[lane] = start_lane(rows[lane], lane, plant, data, load_levels[lane])
 
 
 @compiled

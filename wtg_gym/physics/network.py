@@ -104,11 +104,16 @@ class NetworkCase:
         """Return the index of the branch between two buses, either way round; a ValueError lists the branches."""
         self.bus_index(from_bus)
         self.bus_index(to_bus)
-        for index, branch in enumerate(self.branches):
-            if {branch.from_bus, branch.to_bus} == {from_bus, to_bus}:
-                return index
+        index = self._branches_by_ends.get(frozenset((from_bus, to_bus)))
+        if index is not None:
+            return index
         known = ", ".join(f"{b.from_bus}-{b.to_bus}" for b in self.branches)
         raise ValueError(f"no branch {from_bus}-{to_bus} in {self.name}; branches: {known}")
+
+    @functools.cached_property
+    def _branches_by_ends(self) -> dict[frozenset[int], int]:
+        # Of parallel branches the first one counts: it comes last here.
+        return {frozenset((b.from_bus, b.to_bus)): i for i, b in reversed(list(enumerate(self.branches)))}
 
     def connected_without(self, branches: tuple[int, ...]) -> bool:
         """Return whether every bus stays connected when the branches of these indices are open."""
@@ -123,6 +128,11 @@ class NetworkCase:
                         reached.add(there)
                         todo.append(there)
         return len(reached) == len(self.buses)
+
+    @functools.cached_property
+    def bridges(self) -> frozenset[int]:
+        """Return the indices of the branches any one of which splits the network when it opens."""
+        return frozenset(index for index in range(len(self.branches)) if not self.connected_without((index,)))
 
 
 def branch_admittances(branches: tuple[Branch, ...]) -> npt.NDArray[np.complex128]:
@@ -238,15 +248,20 @@ def solve_power_flow(
     jacobian = np.empty((n_unknown, n_unknown))
     mismatch = np.empty((n_unknown, 1))
     flow = np.empty(n, dtype=np.complex128)
+    turn = np.ones((n, n), dtype=np.complex128)
     for iteration in range(30):
         worst = 0.0
         jacobian[:, :] = 0.0
         for i in range(n):
             flow[i] = 0.0
             for j in range(n):
-                if y[i, j] != 0.0:
+                # Sine and cosine of a pair of buses serve both ways round.
+                if j > i and (y[i, j] != 0.0 or y[j, i] != 0.0):
                     d = angle[i] - angle[j]
-                    s = magnitude[i] * magnitude[j] * y[i, j].conjugate() * complex(math.cos(d), math.sin(d))
+                    turn[i, j] = complex(math.cos(d), math.sin(d))
+                    turn[j, i] = turn[i, j].conjugate()
+                if y[i, j] != 0.0:
+                    s = magnitude[i] * magnitude[j] * y[i, j].conjugate() * turn[i, j]
                     flow[i] += s
                     if j != i:
                         _add_jacobian(jacobian, unknown, i, j, s.imag, -s.real, s.real, s.imag, magnitude[j])

@@ -6,13 +6,13 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.dynamics import evaluate_rates
-from wtg_gym.physics.equilibrium import StartFailure, start_lane
+from wtg_gym.physics.equilibrium import StartFailure, start_lanes
 from wtg_gym.physics.integration import advance_blocks
 from wtg_gym.physics.layout import EventColumn, Floats, LaneData, LaneRow, Layout, SyncRow, WtgRow
 from wtg_gym.physics.plant import PlantSettings, build_plant, whole_steps
@@ -20,6 +20,9 @@ from wtg_gym.physics.reduction import bus_voltages
 from wtg_gym.physics.scenario import SERIES_DT, Event, LineTrip, LoadRamp, LoadTrip, Scenario
 from wtg_gym.physics.synchronous_machine import MachineConstant
 from wtg_gym.physics.tracking_law import TrackingLaw
+
+A = TypeVar("A")
+B = TypeVar("B")
 
 #: Lanes per block of a batched simulator; a single run uses a block of one.
 BLOCK_WIDTH = 16
@@ -43,8 +46,8 @@ def _clear_events(table: Floats) -> None:
     table[..., EventColumn.START] = table[..., EventColumn.END] = math.inf
 
 
-class PreparedLane(NamedTuple):
-    """A run that is ready to start: its rows, and the data it reads."""
+class PreparedLanes(NamedTuple):
+    """Runs that are ready to start: the rows of each, (n, n_rows), and the data they read."""
 
     rows: Floats
     data: LaneData
@@ -117,7 +120,8 @@ class Simulator:
         for lane in range(self.n_lanes, self._view.shape[0] * self.width):
             rows = self._lane_view(lane)
             rows[:] = 0.0
-            self._write_constants(rows, Scenario(name="padding", wind_speed=np.full((self.layout.n_wtg, 1), 8.0)))
+            padding = Scenario(name="padding", wind_speed=np.full((self.layout.n_wtg, 1), 8.0))
+            self._write_constants(rows[None, :], [padding])
             for j in range(self.layout.n_wtg):
                 rows[self.wtg_row(j, WtgRow.WIND)] = rows[self.wtg_row(j, WtgRow.WIND_START)] = 8.0
             rows[self.layout.lane + LaneRow.NEXT_CHANGE] = math.inf
@@ -142,61 +146,68 @@ class Simulator:
         """Return a :class:`LaneRow` of every lane, shape (n_lanes,)."""
         return self.values(self.layout.lane + row)
 
-    def prepare(self, scenario: Scenario, laws: Sequence[TrackingLaw]) -> PreparedLane:
-        """Find the exact equilibrium that a scenario starts from; no running lane is touched.
+    def prepare(self, scenarios: Sequence[Scenario], laws: Sequence[TrackingLaw]) -> PreparedLanes:
+        """Find the exact equilibria that scenarios start from; no running lane is touched.
 
         Args:
-            scenario: what will happen; its wind has one series per WTG group.
+            scenarios: what will happen in each run; its wind has one series per WTG group.
             laws: one law per WTG group.
 
         Raises:
-            ValueError: the scenario does not fit the plant, or has no equilibrium.
+            ValueError: a scenario does not fit the plant, or has no equilibrium.
         """
-        if scenario.n_wtg != self.layout.n_wtg or len(laws) != self.layout.n_wtg:
-            raise ValueError(
-                f"scenario {scenario.name!r} has wind for {scenario.n_wtg} WTG groups and {len(laws)} laws were given; "
-                f"the plant has {self.layout.n_wtg} groups"
-            )
-        data = self._allocate_data(1, max(1, len(scenario.events)))
-        self._write_series(data, scenario)
-        self._write_events(data, scenario)
-        rows = np.zeros(self.layout.n_rows)
-        self._write_constants(rows, scenario)
+        for scenario in scenarios:
+            if scenario.n_wtg != self.layout.n_wtg or len(laws) != self.layout.n_wtg:
+                raise ValueError(
+                    f"scenario {scenario.name!r} has wind for {scenario.n_wtg} WTG groups and {len(laws)} laws were "
+                    f"given; the plant has {self.layout.n_wtg} groups"
+                )
+        n = len(scenarios)
+        data = self._allocate_data(n, max([1, *(len(scenario.events) for scenario in scenarios)]))
+        for lane, scenario in enumerate(scenarios):
+            self._write_series(data, lane, scenario)
+            self._write_events(data.events[lane], scenario)
+        rows = np.zeros((n, self.layout.n_rows))
+        self._write_constants(rows, scenarios)
         for j, law in enumerate(laws):
-            o = self.wtg_row(j, 0)
-            rows[o + WtgRow.K_MIN], rows[o + WtgRow.K_NOMINAL] = law.k_min, law.k_nominal
-            rows[o + WtgRow.K_MAX], rows[o + WtgRow.INV_TAU] = law.k_max, law.inverse_time_constant
-            rows[o + WtgRow.DROOP_CANCELLED] = law.droop_cancelled
-        failure = start_lane(rows, 0, self.plant, data, scenario.load_level)
-        if failure:
-            raise ValueError(f"scenario {scenario.name!r} cannot start: {_FAILURE_TEXT[StartFailure(failure)]}")
-        return PreparedLane(rows, data)
+            own = rows[:, self.wtg_row(j, 0) :]
+            own[:, WtgRow.K_MIN], own[:, WtgRow.K_NOMINAL], own[:, WtgRow.K_MAX] = law.k_min, law.k_nominal, law.k_max
+            own[:, WtgRow.INV_TAU], own[:, WtgRow.DROOP_CANCELLED] = law.inverse_time_constant, law.droop_cancelled
+        failures = np.zeros(n, dtype=np.int64)
+        start_lanes(rows, self.plant, data, np.array([scenario.load_level for scenario in scenarios]), failures)
+        for scenario, failure in zip(scenarios, failures.tolist(), strict=True):
+            if failure:
+                raise ValueError(f"scenario {scenario.name!r} cannot start: {_FAILURE_TEXT[StartFailure(failure)]}")
+        return PreparedLanes(rows, data)
 
-    def commit(self, lane: int, prepared: PreparedLane) -> None:
-        """Put a lane into a prepared equilibrium."""
+    def commit(self, lanes: Sequence[int], prepared: PreparedLanes) -> None:
+        """Put lanes into prepared equilibria, one each."""
         n_events = prepared.data.events.shape[1]
         if n_events > self.data.events.shape[1]:
             more = self._allocate_data(self.data.wind.shape[0], 2 * n_events).events
             more[:, : self.data.events.shape[1]] = self.data.events
             self.data = self.data._replace(events=more)
-        for name in ("wind", "noise", "noise_bus", "load_y"):
-            getattr(self.data, name)[lane] = getattr(prepared.data, name)[0]
-        _clear_events(self.data.events[lane])
-        self.data.events[lane, :n_events] = prepared.data.events[0]
-        self._lane_view(lane)[:] = prepared.rows
+        index = np.array(lanes, dtype=np.int64)
+        for own, given in zip(self.data[:-1], prepared.data[:-1], strict=True):
+            own[index] = given
+        events = np.empty((index.size, *self.data.events.shape[1:]))
+        _clear_events(events)
+        events[:, :n_events] = prepared.data.events
+        self.data.events[index] = events
+        self._view[index // self.width, :, index % self.width] = prepared.rows
 
     def start(self, lane: int, scenario: Scenario, laws: Sequence[TrackingLaw]) -> None:
         """Put a lane into the equilibrium its scenario starts from: :meth:`prepare`, then :meth:`commit`."""
-        self.commit(lane, self.prepare(scenario, laws))
+        self.commit([lane], self.prepare([scenario], laws))
 
-    def _write_series(self, data: LaneData, scenario: Scenario) -> None:
+    def _write_series(self, data: LaneData, lane: int, scenario: Scenario) -> None:
         dt, n = self.settings.control_dt, self.n_intervals
         if scenario.duration_s > n * dt * (1.0 + 1e-9):
             raise ValueError(
                 f"scenario {scenario.name!r} lasts {scenario.duration_s:g} s, longer than the {n * dt:g} s held here"
             )
-        data.noise_bus[0] = self.settings.case.bus_index(scenario.load_noise_bus)
-        wind, target = scenario.wind_speed, data.wind[0]
+        data.noise_bus[lane] = self.settings.case.bus_index(scenario.load_noise_bus)
+        wind, target = scenario.wind_speed, data.wind[lane]
         if abs(scenario.wind_dt_s - dt) < 1e-12:
             m = min(wind.shape[1], n + 1)
             target[:, :m] = wind[:, :m]
@@ -205,54 +216,52 @@ class Simulator:
             given, wanted = np.arange(wind.shape[1]) * scenario.wind_dt_s, np.arange(n + 1) * dt
             for j in range(wind.shape[0]):
                 target[j] = np.interp(wanted, given, wind[j])
-        noise, row = scenario.load_noise_mw, data.noise[0]
-        row[:] = 0.0
+        noise = scenario.load_noise_mw
         if noise.size:
             if abs(SERIES_DT - dt) < 1e-12:
                 m = min(noise.size, n)
-                row[:m] = noise[:m]
+                data.noise[lane, :m] = noise[:m]
             else:
                 index = np.minimum((np.arange(n) * dt / SERIES_DT + 1e-9).astype(np.int64), noise.size - 1)
-                row[:] = noise[index]
+                data.noise[lane] = noise[index]
 
-    def _write_events(self, data: LaneData, scenario: Scenario) -> None:
+    def _write_events(self, table: Floats, scenario: Scenario) -> None:
         lost = [event.bus for event in scenario.events if isinstance(event, LoadTrip)]
         if len(set(lost)) < len(lost):
             raise ValueError(f"scenario {scenario.name!r} disconnects a load twice; load trips at buses {lost}")
-        tripped = []
-        table = data.events[0]
-        for row, event in zip(table, scenario.events, strict=False):
-            self._write_event(row, event, scenario.load_level)
-            if isinstance(event, LineTrip):
-                tripped.append(int(row[EventColumn.BRANCH]))
-        if tripped and not self.settings.case.connected_without(tuple(tripped)):
+        case, opened = self.settings.case, []
+        for row, event in enumerate(scenario.events):
+            values = table[row] = self._event_row(event, scenario.load_level)
+            if values[-1] >= 0:
+                opened.append(int(values[-1]))
+        if not case.bridges.isdisjoint(opened) or (len(opened) > 1 and not case.connected_without(tuple(opened))):
             raise ValueError(f"scenario {scenario.name!r}: its line trips would split the network")
 
-    def _write_event(self, row: Floats, event: Event, load_level: float) -> None:
+    def _event_row(self, event: Event, load_level: float) -> tuple[float, ...]:
+        """The columns of :class:`EventColumn`; load as power [p.u.]."""
         case, dt = self.settings.case, self.settings.simulation_dt
         start = whole_steps("event time", event.time_s, dt, "simulation step")
-        row[EventColumn.START] = row[EventColumn.END] = start
         if isinstance(event, LineTrip):
-            row[EventColumn.BRANCH] = case.branch_index(event.from_bus, event.to_bus)
-            return
-        bus = case.bus_index(event.bus)
+            return start, start, -1.0, -1.0, -1.0, case.branch_index(event.from_bus, event.to_bus)
+        bus, end = case.bus_index(event.bus), start
         if isinstance(event, LoadTrip):
-            power = -load_level * self.plant.load[bus]
+            power = -load_level * complex(self.plant.load[bus])
         else:
             power = complex(event.power_mw, event.reactive_mvar) / case.base_mva
         if isinstance(event, LoadRamp):
-            row[EventColumn.END] = start + whole_steps("ramp duration", event.duration_s, dt, "simulation step")
-        row[EventColumn.BUS] = bus
-        row[EventColumn.CONDUCTANCE], row[EventColumn.SUSCEPTANCE] = power.real, power.imag
+            end = start + whole_steps("ramp duration", event.duration_s, dt, "simulation step")
+        return start, end, bus, power.real, power.imag, -1.0
 
-    def _write_constants(self, rows: Floats, scenario: Scenario) -> None:
+    def _write_constants(self, rows: Floats, scenarios: Sequence[Scenario]) -> None:
+        scale = np.array([scenario.inertia_scale for scenario in scenarios])
         for i, machine in enumerate(self.plant.machines):
-            o = i * SyncRow.N_ROWS
-            rows[o + SyncRow.INV_TWO_H] = 1.0 / (machine[MachineConstant.TWO_H] * scenario.inertia_scale)
+            own = rows[:, i * SyncRow.N_ROWS :]
+            own[:, SyncRow.INV_TWO_H] = 1.0 / (machine[MachineConstant.TWO_H] * scale)
             droop = machine[MachineConstant.INV_DROOP]
-            if droop > 0.0 and scenario.governor_droop is not None:
-                droop = 1.0 / scenario.governor_droop
-            rows[o + SyncRow.INV_DROOP] = droop
+            own[:, SyncRow.INV_DROOP] = droop
+            if droop > 0.0:
+                given = [droop if s.governor_droop is None else 1.0 / s.governor_droop for s in scenarios]
+                own[:, SyncRow.INV_DROOP] = given
 
     def stop(self, lane: int) -> None:
         """Let a lane stand still from now on."""
@@ -268,16 +277,21 @@ class Simulator:
         if n_blocks < 2 * _BLOCKS_PER_THREAD:
             work(0, n_blocks)
             return
-        # Asked for anew: a copy may live on another machine. It costs as much as a step, but not as a thousand.
-        n_threads = min(self.n_threads or os.cpu_count() or 1, n_blocks // _BLOCKS_PER_THREAD)
-        if n_threads < 2:
-            work(0, n_blocks)
-            return
+        n_parts = max(1, min(self._most_threads(), n_blocks // _BLOCKS_PER_THREAD))
+        edges = [n_blocks * i // n_parts for i in range(n_parts + 1)]
+        self.map_threads(lambda i: work(edges[i], edges[i + 1]), range(n_parts))
+
+    def map_threads(self, work: Callable[[A], B], items: Sequence[A]) -> list[B]:
+        """Return `work(item)` of every item, in order, worked out on several threads."""
+        if len(items) < 2 or self._most_threads() < 2:
+            return [work(item) for item in items]
         if self._pool is None:
-            self._pool = ThreadPoolExecutor(n_threads, thread_name_prefix="wtg_gym")
-        edges = [n_blocks * i // n_threads for i in range(n_threads + 1)]
-        for done in [self._pool.submit(work, edges[i], edges[i + 1]) for i in range(n_threads)]:
-            done.result()
+            self._pool = ThreadPoolExecutor(self._most_threads(), thread_name_prefix="wtg_gym")
+        return list(self._pool.map(work, items))
+
+    def _most_threads(self) -> int:
+        # Asked for anew: a copy may live on another machine. It costs as much as a step, but not as a thousand.
+        return self.n_threads or os.cpu_count() or 1
 
     def evaluate(self) -> None:
         """Evaluate rates, powers and coefficients of all lanes where they stand, in place."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 import dataclasses
 import math
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from wtg_gym.physics.scenario import (
     Scenario,
     require_range,
 )
+from wtg_gym.scenarios.stream import Words, draw_normals, draw_uniforms, seed_streams
 from wtg_gym.scenarios.wind import (
     DRAWN_WIND_RANGE,
     FloatArray,
@@ -29,7 +30,6 @@ from wtg_gym.scenarios.wind import (
     extreme_operating_gust,
     ntm_sigma,
     period_length,
-    random_series,
     resolved_frequencies,
     spectrum_amplitude,
     turbulence_amplitude,
@@ -46,6 +46,8 @@ TRIPPABLE_LINES = (
 #: The same without 1-2, which carries most of the output of bus 1: with a load event on top, no wind
 #: controller could save the run.
 _SURVIVABLE_LINES = TRIPPABLE_LINES[1:]
+#: Uniform numbers that are taken from a stream at a time.
+_N_UNIFORMS = 64
 #: Bus, largest load increase and largest decrease there [MW]: less at the buses behind weak lines; the
 #: decrease is the load the bus has at 85 % load level, so that no bus turns into a generator.
 _LOAD_BUSES = (
@@ -180,8 +182,19 @@ class ScenarioDistribution:
         Raises:
             ValueError: an argument is out of range; the message names it.
         """
-        if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
-            raise ValueError(f"a seed must be a non-negative integer, got {seed!r}")
+        return self.draw_many([seed], n_wtg, n_turbines, duration_s)[0]
+
+    def draw_many(
+        self,
+        seeds: Sequence[int],
+        n_wtg: int = 2,
+        n_turbines: Sequence[float] | None = None,
+        duration_s: float = 60.0,
+    ) -> list[Scenario]:
+        """Draw the scenarios of several seeds, which is quicker than one by one; arguments as for :meth:`draw`."""
+        for seed in seeds:
+            if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or not 0 <= seed < 2**63:
+                raise ValueError(f"a seed must be a non-negative integer, got {seed!r}; the largest is 2^63 - 1")
         if isinstance(n_wtg, bool) or not isinstance(n_wtg, (int, np.integer)) or n_wtg < 1:
             raise ValueError(f"n_wtg must be a positive integer, got {n_wtg!r}")
         turbines = [self.n_turbines] * int(n_wtg) if n_turbines is None else [float(n) for n in n_turbines]
@@ -190,26 +203,42 @@ class ScenarioDistribution:
         require_range("duration_s", duration_s, SERIES_DT, 86400.0, "s")
         latest = max(duration_s - self.quiet_end_s, 0.5 * duration_s)
         window = (min(self.first_event_s, latest), latest)
+        n_samples = math.ceil(round(duration_s / SERIES_DT, 6)) + 1
         # The name is part of the seed, so that two suites share no scenario.
-        rng = np.random.default_rng([int(seed), zlib.crc32(self.name.encode())])
-        pick = _Picker(rng)
-        grid = {key: pick.between(getattr(self, key)) for key in ("governor_droop", "inertia_scale", "load_level")}
-        events = self._load_events(pick, window) + self._line_events(pick, window)
-        wind, noise = self._series(pick, rng, turbines, duration_s, window)
-        return Scenario(
-            name=f"{self.name}/{seed}",
-            wind_speed=wind,
-            duration_s=duration_s,
-            events=tuple(events),
-            load_noise_mw=noise,
-            load_noise_bus=self.load_noise_bus,
-            seed=int(seed),
-            **grid,
+        states = np.empty((len(seeds), 4), dtype=np.uint64)
+        seed_streams(np.array(seeds, dtype=np.uint64), zlib.crc32(self.name.encode()), states)
+        plans = [self._plan(pick, len(turbines), n_samples, window) for pick in _pickers(states)]
+        winds, noises = self._series(states, plans, turbines, n_samples)
+        return [
+            Scenario(
+                name=f"{self.name}/{seed}",
+                wind_speed=wind,
+                duration_s=duration_s,
+                events=plan.events,
+                load_noise_mw=noise,
+                load_noise_bus=self.load_noise_bus,
+                load_level=plan.load_level,
+                governor_droop=plan.governor_droop,
+                inertia_scale=plan.inertia_scale,
+                seed=int(seed),
+            )
+            for seed, plan, wind, noise in zip(seeds, plans, winds, noises, strict=True)
+        ]
+
+    def _plan(self, pick: _Picker, n_wtg: int, n_samples: int, window: Span) -> _Plan:
+        return _Plan(
+            governor_droop=pick.between(self.governor_droop),
+            inertia_scale=pick.between(self.inertia_scale),
+            load_level=pick.between(self.load_level),
+            events=(*self._load_events(pick, window), *self._line_events(pick, window)),
+            intensity=pick.between(self.turbulence_intensity),
+            mean_winds=self._mean_winds(pick, n_wtg),
+            wind_event=self._wind_event(pick, n_wtg, n_samples, window),
         )
 
     def _load_events(self, pick: _Picker, window: Span) -> list[Event]:
         n_events = pick.whole(*self.n_load_events)
-        times = sorted(pick.instant(window) for _ in range(n_events))
+        times = sorted([pick.instant(window) for _ in range(n_events)])
         trip_index = pick.whole(0, n_events - 1) if n_events and pick.chance(self.load_trip_probability) else -1
         increase = {bus: limit for bus, limit, _ in self.load_buses}
         decrease = {bus: limit for bus, _, limit in self.load_buses}
@@ -249,28 +278,29 @@ class ScenarioDistribution:
         return [LineTrip(time_s=pick.instant(window), from_bus=from_bus, to_bus=to_bus)]
 
     def _series(
-        self, pick: _Picker, rng: np.random.Generator, turbines: list[float], duration_s: float, window: Span
+        self, states: Words, plans: Sequence[_Plan], turbines: list[float], n_samples: int
     ) -> tuple[FloatArray, FloatArray]:
-        """Wind per group, shape (n_wtg, n_samples) [m/s], and load noise, shape (n_samples,) [MW]."""
-        n_samples = math.ceil(round(duration_s / SERIES_DT, 6)) + 1
-        n_period = period_length(n_samples)
-        intensity = pick.between(self.turbulence_intensity)
-        means = self._mean_winds(pick, len(turbines))
-        wind_event = self._wind_event(pick, len(turbines), n_samples, window)
-        amplitudes = [
-            turbulence_amplitude(mean, ntm_sigma(mean, intensity), n, n_period)
-            for mean, n in zip(means, turbines, strict=True)
-        ]
-        amplitudes.append(self.load_noise_mw * _noise_amplitude(self.load_noise_correlation_s, n_period))
-        series = random_series(rng, amplitudes, n_period, n_samples)
-        wind = series[:-1] + np.array(means)[:, None]
-        if wind_event is not None:
-            group, change = wind_event
-            wind[group] += change
+        """Wind per scenario and group, (n, n_wtg, n_samples) [m/s], and load noise, (n, n_samples or 0) [MW]."""
+        n, n_wtg, n_period = len(plans), len(turbines), period_length(n_samples)
+        amplitudes = np.empty((n, n_wtg + 1, n_period // 2 + 1))
+        amplitudes[:, n_wtg] = self.load_noise_mw * _noise_amplitude(self.load_noise_correlation_s, n_period)
+        for rows, plan in zip(amplitudes, plans, strict=True):
+            for row, mean, n_turbines in zip(rows, plan.mean_winds, turbines, strict=False):
+                turbulence_amplitude(mean, ntm_sigma(mean, plan.intensity), n_turbines, n_period, out=row)
+        coefficients = np.empty(amplitudes.shape, dtype=np.complex128)
+        draw_normals(states, amplitudes.reshape(n, -1), coefficients.view(np.float64).reshape(n, -1, 2))
+        series: FloatArray = np.fft.irfft(coefficients, n_period)[..., :n_samples]
+        wind, noise = series[:, :n_wtg], series[:, n_wtg]
+        wind += np.array([plan.mean_winds for plan in plans])[:, :, None]
+        for own, plan in zip(wind, plans, strict=True):
+            if plan.wind_event is not None:
+                group, change = plan.wind_event
+                own[group] += change
         np.clip(wind, *DRAWN_WIND_RANGE, out=wind)
         if not self.load_noise_mw:
-            return wind, np.zeros(0)
-        return wind, series[-1] - series[-1, 0] * _noise_decay(self.load_noise_correlation_s, n_samples)
+            return wind, np.zeros((n, 0))
+        noise -= noise[:, :1] * _noise_decay(self.load_noise_correlation_s, n_samples)
+        return wind, noise
 
     def _mean_winds(self, pick: _Picker, n_wtg: int) -> list[float]:
         spread = self.mean_wind_spread_m_s
@@ -297,20 +327,44 @@ class ScenarioDistribution:
         return slice(None), coherent_ramp(time_s, start_s, change, pick.between(self.wind_ramp_s))
 
 
+class _Plan(NamedTuple):
+    """What is drawn of a scenario besides its series."""
+
+    governor_droop: float
+    inertia_scale: float
+    load_level: float
+    events: tuple[Event, ...]
+    intensity: float
+    mean_winds: list[float]
+    wind_event: tuple[int | slice, FloatArray] | None
+
+
+def _pickers(states: Words) -> Iterator[_Picker]:
+    """One picker per stream; the numbers that most scenarios need are drawn for all streams at once."""
+    first = np.empty((states.shape[0], _N_UNIFORMS))
+    draw_uniforms(states, first)
+    for state, block in zip(states, first.tolist(), strict=True):
+        yield _Picker(_uniforms(state[None, :], block).__next__)
+
+
+def _uniforms(state: Words, block: list[float]) -> Iterator[float]:
+    """The numbers of a stream by the block, each block from its end."""
+    while True:
+        yield from reversed(block)
+        more = np.empty((1, _N_UNIFORMS))
+        draw_uniforms(state, more)
+        block = more[0].tolist()
+
+
 class _Picker:
-    """Uniform draws of plain Python values, taken from the generator by the block because that is faster."""
+    """Uniform draws of plain Python values."""
 
-    def __init__(self, rng: np.random.Generator) -> None:
-        self._rng = rng
-        self._pool: list[float] = []
-
-    def uniform(self) -> float:
-        if not self._pool:
-            self._pool = self._rng.random(64).tolist()
-        return self._pool.pop()
+    def __init__(self, uniform: Callable[[], float]) -> None:
+        self.uniform = uniform
 
     def between(self, span: Span) -> float:
-        return span[0] + (span[1] - span[0]) * self.uniform()
+        low, high = span
+        return low + (high - low) * self.uniform()
 
     def chance(self, probability: float) -> bool:
         return self.uniform() < probability

@@ -117,23 +117,39 @@ class Suite:
         Raises:
             ValueError: the seed is in no split, or an argument is out of range; the message says what is allowed.
         """
-        is_whole = isinstance(seed, (int, np.integer)) and not isinstance(seed, bool)
-        if not is_whole or not any(int(seed) in self.seeds(split) for split in SPLITS):
-            raise ValueError(f"seed {seed!r} is in no split of suite {self.name!r}: {self._split_text()}")
+        return self.scenarios([seed], n_wtg=n_wtg, n_turbines=n_turbines, duration_s=duration_s)[0]
+
+    def scenarios(
+        self,
+        seeds: Sequence[int],
+        *,
+        n_wtg: int = 2,
+        n_turbines: Sequence[float] | None = None,
+        duration_s: float | None = None,
+    ) -> list[Scenario]:
+        """Return the scenarios of several seeds; everything else as for :meth:`scenario`."""
+        splits = [self.seeds(split) for split in SPLITS]
+        for seed in seeds:
+            is_whole = isinstance(seed, (int, np.integer)) and not isinstance(seed, bool)
+            if not is_whole or not any(int(seed) in split for split in splits):
+                raise ValueError(f"seed {seed!r} is in no split of suite {self.name!r}: {self._split_text()}")
         duration = self.duration_s if duration_s is None else duration_s
         if self.distribution is not None:
-            return self.distribution.draw(int(seed), n_wtg, n_turbines, duration)
-        case = self.cases[seed]
+            return self.distribution.draw_many(seeds, n_wtg, n_turbines, duration)
         if isinstance(n_wtg, bool) or not isinstance(n_wtg, (int, np.integer)) or n_wtg < 1:
             raise ValueError(f"n_wtg must be a positive integer, got {n_wtg!r}")
         if n_turbines is not None and len(n_turbines) != n_wtg:
             raise ValueError(f"n_turbines must have one value per WTG group ({n_wtg}), got {len(n_turbines)}")
+        return [self._fixed_scenario(int(seed), n_wtg, duration) for seed in seeds]
+
+    def _fixed_scenario(self, seed: int, n_wtg: int, duration_s: float) -> Scenario:
+        case = self.cases[seed]
         return Scenario(
             name=f"{self.name}/{case.name}",
             wind_speed=np.resize(case.wind_speed_m_s, (n_wtg, 1)),
-            duration_s=duration,
+            duration_s=duration_s,
             events=case.events,
-            seed=int(seed),
+            seed=seed,
         )
 
     @cached_property

@@ -8,7 +8,6 @@ IEC 61400-1 ed. 3, annex B, and both are filters |H(f)|² on the Kaimal spectrum
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -160,6 +159,8 @@ def resolved_frequencies(n_period: int, dt_s: float = SERIES_DT) -> FloatArray:
 def spectrum_amplitude(spectrum: FloatArray, n_period: int, dt_s: float = SERIES_DT) -> FloatArray:
     """Return the scale of the Fourier coefficients that give a series this one-sided spectrum.
 
+    Coefficients of standard normal real and imaginary parts, times this, are those of a Gaussian series.
+
     Args:
         spectrum: values at :func:`resolved_frequencies`, shape (n_frequencies,) [unit²/Hz].
         n_period: samples of the period, even.
@@ -183,7 +184,9 @@ def _unit_amplitude(mean_tenth_m_s: int, n_turbines: float, n_period: int) -> Fl
     return amplitude
 
 
-def turbulence_amplitude(mean_wind_m_s: float, sigma_m_s: float, n_turbines: float, n_period: int) -> FloatArray:
+def turbulence_amplitude(
+    mean_wind_m_s: float, sigma_m_s: float, n_turbines: float, n_period: int, out: FloatArray | None = None
+) -> FloatArray:
     """Return the coefficient scale of rotor-effective, group-averaged turbulence of zero mean.
 
     The shape of the spectrum is that of the mean wind rounded to 0.1 m/s, so that it is worked out only once.
@@ -193,30 +196,15 @@ def turbulence_amplitude(mean_wind_m_s: float, sigma_m_s: float, n_turbines: flo
         sigma_m_s: standard deviation of the wind at a point [m/s].
         n_turbines: turbines the group averages over [-].
         n_period: samples of the period, even, `SERIES_DT` apart.
+        out: written and returned instead of a new array, shape (n_period / 2 + 1,).
 
     Raises:
         ValueError: the mean wind is outside the turbine model's range, or there is no turbine.
     """
     require_range("mean wind", mean_wind_m_s, *WIND_SPEED_RANGE, "m/s")
     require_range("n_turbines", n_turbines, 1e-3, 1e4, "")
-    return sigma_m_s * _unit_amplitude(round(10.0 * mean_wind_m_s), float(n_turbines), n_period)
-
-
-def random_series(
-    rng: np.random.Generator, amplitudes: Sequence[FloatArray], n_period: int, n_samples: int
-) -> FloatArray:
-    """Return independent Gaussian series with given spectra, shape (n_series, n_samples).
-
-    Args:
-        rng: source of the Fourier coefficients.
-        amplitudes: one coefficient scale per series, see :func:`spectrum_amplitude`.
-        n_period: samples of the period, even.
-        n_samples: samples to return, at most `n_period`.
-    """
-    scale = np.array(amplitudes)
-    normal: npt.NDArray[np.complex128] = rng.standard_normal((*scale.shape, 2)).view(np.complex128)[..., 0]
-    series: FloatArray = np.fft.irfft(normal * scale, n_period, axis=1)[:, :n_samples]
-    return series
+    unit = _unit_amplitude(round(10.0 * mean_wind_m_s), float(n_turbines), n_period)
+    return np.multiply(unit, sigma_m_s, out=out)
 
 
 def extreme_operating_gust(time_s: FloatArray, start_s: float, size_m_s: float) -> FloatArray:
