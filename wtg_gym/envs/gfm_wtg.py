@@ -142,7 +142,7 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
         if "scenario" in given:
             self._lanes.start([0], [_as_scenario(given["scenario"])])
         else:
-            self._lanes.start_next([0], [self.np_random])
+            self._lanes.commit([0], self._lanes.prepare_next([self.np_random]))
         self._running = True
         return self._lanes.observations[0].copy(), self._lanes.info()
 
@@ -265,7 +265,7 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         # Everything that can be refused comes before the first change.
         generators = [None if s is None else seeding.np_random(s)[0] for s in seeds]
         lanes = np.flatnonzero(mask).tolist()
-        episodes = None if scenarios is None else self._lanes.prepare([scenarios[lane] for lane in lanes])
+        episodes = None if scenarios is None else [self._lanes.prepare([scenarios[lane] for lane in lanes])]
         for lane in lanes:
             self._generators[lane] = generators[lane] or self._generators[lane]
         self._start(lanes, episodes)
@@ -300,11 +300,8 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
             raise ValueError(f"one seed per lane is needed ({self.num_envs}), got {len(seed)}")
         return [_lane_seed(given) for given in seed]
 
-    def _start(self, lanes: list[int], episodes: PreparedEpisodes | None = None) -> None:
-        if episodes is None:
-            self._lanes.start_next(lanes, [self._generators[lane] for lane in lanes])
-        else:
-            self._lanes.commit(lanes, episodes)
+    def _start(self, lanes: list[int], episodes: list[PreparedEpisodes] | None = None) -> None:
+        self._lanes.commit(lanes, episodes or self._lanes.prepare_next([self._generators[lane] for lane in lanes]))
         self._needs_reset[lanes] = False
         self._n_steps[lanes] = 0
 
@@ -325,7 +322,10 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
             raise RuntimeError(
                 f"lanes {np.flatnonzero(waiting).tolist()} are over or were never started; call reset() before step()"
             )
-        self._lanes.step(as_actions(actions, (self.num_envs, self._lanes.n_action)))
+        beginning = np.flatnonzero(waiting).tolist()
+        episodes = self._lanes.step(
+            as_actions(actions, (self.num_envs, self._lanes.n_action)), [self._generators[lane] for lane in beginning]
+        )
         self._n_steps += 1
         if self._max_episode_steps is not None:
             self._lanes.stop(~waiting & (self._n_steps >= self._max_episode_steps))
@@ -340,8 +340,7 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
             infos = self._final_infos(done)
             self._start(np.flatnonzero(done).tolist())
         else:
-            if waiting.any():
-                self._start(np.flatnonzero(waiting).tolist())
+            self._start(beginning, episodes)
             self._needs_reset |= done
         infos.update(self._infos(self._all_lanes))
         return self._lanes.observations.copy(), rewards, terminated, truncated, infos

@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,9 +20,6 @@ from wtg_gym.physics.reduction import bus_voltages
 from wtg_gym.physics.scenario import SERIES_DT, Event, LineTrip, LoadRamp, LoadTrip, Scenario
 from wtg_gym.physics.synchronous_machine import MachineConstant
 from wtg_gym.physics.tracking_law import TrackingLaw
-
-A = TypeVar("A")
-B = TypeVar("B")
 
 #: Lanes per block of a batched simulator; a single run uses a block of one.
 BLOCK_WIDTH = 16
@@ -180,7 +177,7 @@ class Simulator:
                 raise ValueError(f"scenario {scenario.name!r} cannot start: {_FAILURE_TEXT[StartFailure(failure)]}")
         return PreparedLanes(rows, data)
 
-    def commit(self, lanes: Sequence[int], prepared: PreparedLanes) -> None:
+    def commit(self, lanes: Sequence[int] | npt.NDArray[np.int64], prepared: PreparedLanes) -> None:
         """Put lanes into prepared equilibria, one each."""
         n_events = prepared.data.events.shape[1]
         if n_events > self.data.events.shape[1]:
@@ -271,23 +268,32 @@ class Simulator:
         """Advance every running lane by one control interval."""
         self.for_blocks(lambda a, b: advance_blocks(self.blocks, a, b, self.plant, self.data, self.lanes))
 
-    def for_blocks(self, work: Callable[[int, int], Any]) -> None:
-        """Call `work(first, last)` for ranges that cover all blocks, on several threads where that pays."""
-        n_blocks = self.blocks.shape[0]
-        if n_blocks < 2 * _BLOCKS_PER_THREAD:
-            work(0, n_blocks)
-            return
-        n_parts = max(1, min(self._most_threads(), n_blocks // _BLOCKS_PER_THREAD))
-        edges = [n_blocks * i // n_parts for i in range(n_parts + 1)]
-        self.map_threads(lambda i: work(edges[i], edges[i + 1]), range(n_parts))
+    def for_blocks(
+        self, work: Callable[[int, int], Any], meanwhile: Callable[[], Any] | None = None, meanwhile_blocks: int = 0
+    ) -> None:
+        """Call `work(first, last)` for ranges that cover all blocks, on several threads where that pays.
 
-    def map_threads(self, work: Callable[[A], B], items: Sequence[A]) -> list[B]:
-        """Return `work(item)` of every item, in order, worked out on several threads."""
-        if len(items) < 2 or self._most_threads() < 2:
-            return [work(item) for item in items]
-        if self._pool is None:
-            self._pool = ThreadPoolExecutor(self._most_threads(), thread_name_prefix="wtg_gym")
-        return list(self._pool.map(work, items))
+        Args:
+            work: compiled, so that it releases the interpreter.
+            meanwhile: called once, by this thread, while others work.
+            meanwhile_blocks: how many blocks take as long as that call.
+        """
+        n_blocks = self.blocks.shape[0]
+        n_threads = min(self._most_threads(), n_blocks // _BLOCKS_PER_THREAD)
+        futures, own = [], n_blocks
+        if n_threads > 1:
+            if self._pool is None:
+                self._pool = ThreadPoolExecutor(self._most_threads(), thread_name_prefix="wtg_gym")
+            own = max(0, (n_blocks + meanwhile_blocks) // n_threads - meanwhile_blocks)
+            edges = [own + (n_blocks - own) * i // (n_threads - 1) for i in range(n_threads)]
+            futures = [self._pool.submit(work, edges[i], edges[i + 1]) for i in range(n_threads - 1)]
+        try:
+            if meanwhile is not None:
+                meanwhile()
+            work(0, own)
+        finally:
+            for done in futures:
+                done.result()
 
     def _most_threads(self) -> int:
         # Asked for anew: a copy may live on another machine. It costs as much as a step, but not as a thousand.
