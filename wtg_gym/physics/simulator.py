@@ -279,11 +279,14 @@ class Simulator:
             meanwhile_blocks: how many blocks take as long as that call.
         """
         n_blocks = self.blocks.shape[0]
-        n_threads = min(self._most_threads(), n_blocks // _BLOCKS_PER_THREAD)
+        n_threads = n_blocks // _BLOCKS_PER_THREAD
+        if n_threads > 1:
+            # Asked for anew: a copy may live on another machine. It costs as much as a step, but not as a thousand.
+            n_threads = min(n_threads, self.n_threads or os.cpu_count() or 1)
         futures, own = [], n_blocks
         if n_threads > 1:
             if self._pool is None:
-                self._pool = ThreadPoolExecutor(self._most_threads(), thread_name_prefix="wtg_gym")
+                self._pool = ThreadPoolExecutor(n_threads, thread_name_prefix="wtg_gym")
             own = max(0, (n_blocks + meanwhile_blocks) // n_threads - meanwhile_blocks)
             edges = [own + (n_blocks - own) * i // (n_threads - 1) for i in range(n_threads)]
             futures = [self._pool.submit(work, edges[i], edges[i + 1]) for i in range(n_threads - 1)]
@@ -294,10 +297,6 @@ class Simulator:
         finally:
             for done in futures:
                 done.result()
-
-    def _most_threads(self) -> int:
-        # Asked for anew: a copy may live on another machine. It costs as much as a step, but not as a thousand.
-        return self.n_threads or os.cpu_count() or 1
 
     def evaluate(self) -> None:
         """Evaluate rates, powers and coefficients of all lanes where they stand, in place."""
