@@ -1,0 +1,93 @@
+"""All parts of the benchmark in one run."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from wtg_gym.benchmarks.environments import environment_cases, yardstick
+from wtg_gym.benchmarks.growth import Curve, growth_cases, growth_curves
+from wtg_gym.benchmarks.peers import missing_packages, peer_cases
+from wtg_gym.benchmarks.roofline import Roofline, roofline, roofline_cases
+from wtg_gym.benchmarks.timing import OnProgress, Rate, measure
+from wtg_gym.benchmarks.training import training_cases
+
+#: What can be measured, and what each part is.
+PARTS = {
+    "environments": "environment steps per second, of ours and of Gymnasium's own",
+    "training": "steps per second of PPO learning, on our adapter and on Stable-Baselines3's vector environments",
+    "peers": "other projects' environments, those that are installed",
+    "growth": "cost of a step against the numbers of WTG groups, machines, lanes and threads",
+    "roofline": "counted floating-point operations against the machine's measured peak and bandwidth",
+}
+
+
+@dataclass(frozen=True)
+class Results:
+    """What a run has found; parts that were not asked for are empty or None.
+
+    Args:
+        rates: of environments, training and peers; the yardstick comes first.
+        growth: a curve per kind of size.
+        roofline: arithmetic.
+        missing: lines that say what was left out, and what to install.
+    """
+
+    rates: list[Rate]
+    growth: list[Curve]
+    roofline: Roofline | None
+    missing: list[str]
+
+    def ratio(self, rate: Rate) -> float:
+        """Return a rate as a multiple of the yardstick's in this run."""
+        return rate.per_s / self.rates[0].per_s
+
+
+def run_benchmark(
+    parts: Sequence[str], *, seconds: float, repeats: int, full: bool, on_progress: OnProgress
+) -> Results:
+    """Measure parts of the benchmark, all their cases in turns.
+
+    Args:
+        parts: of :data:`PARTS`.
+        seconds: length of a run [s].
+        repeats: runs per case; the median counts.
+        full: growth up to the largest plants.
+        on_progress: called with what is under way, and the seconds planned so far and in all.
+    """
+    missing = _missing(parts)
+    cases = [yardstick()]
+    if "environments" in parts:
+        cases += environment_cases()
+    if "training" in parts and _has_sb3():
+        cases += training_cases()
+    if "peers" in parts:
+        cases += peer_cases()
+    n_rates = len(cases)
+    sizes = growth_cases(full=full) if "growth" in parts else {}
+    cases += [own.case() for curve in sizes.values() for _, own in curve]
+    if "roofline" in parts:
+        ceilings, ours = roofline_cases()
+        cases += [*ceilings, *(own.case() for own in ours)]
+    rates = measure(cases, seconds, repeats, on_progress)
+    by_name = {rate.case.name: rate for rate in rates}
+    return Results(
+        rates=rates[:n_rates],
+        growth=growth_curves(sizes, by_name),
+        roofline=roofline(by_name) if "roofline" in parts else None,
+        missing=missing,
+    )
+
+
+def _has_sb3() -> bool:
+    return importlib.util.find_spec("stable_baselines3") is not None
+
+
+def _missing(parts: Sequence[str]) -> list[str]:
+    lines = []
+    if not _has_sb3() and {"environments", "training"} & set(parts):
+        lines.append("Stable-Baselines3 is left out: pip install 'wtg-gym[train]'")
+    if "peers" in parts:
+        lines += [f"{package} is left out: pip install {package}" for package in missing_packages()]
+    return lines
