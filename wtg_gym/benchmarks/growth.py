@@ -130,8 +130,8 @@ def _describe(curve: Curve) -> str:
     if len(curve.points) < 4:
         return f"{text}."
     return (
-        f"{text}. A fit of a + b n + c n² gives the square {curve.quadratic_share:.0%} of the cost at {last.n}: the "
-        "reduced admittance is a full matrix, all else is linear."
+        f"{text}. A fit of a + b n + c n² gives the square {curve.quadratic_share:.0%} of the cost at {last.n}; it "
+        "comes from the reduced admittance, which is a full matrix."
     )
 
 

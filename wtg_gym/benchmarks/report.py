@@ -104,8 +104,8 @@ def describe_roofline(roofline: Roofline) -> str:
     cache, memory = roofline.bandwidths[0].giga_per_s, roofline.bandwidths[-1].giga_per_s
     return (
         f"As written, a step makes {roofline.cache_intensity:.2f} flop for every byte between rows and registers, "
-        f"where this machine's first cache keeps vectors busy from {peak / cache:.2f} flop per byte on; for every byte of a "
-        f"lane's {1e-3 * roofline.row_bytes:.1f} kB of rows, read and written once a step, it makes "
+        f"where this machine's first cache keeps vectors busy from {peak / cache:.2f} flop per byte on; for every byte "
+        f"of a lane's {1e-3 * roofline.row_bytes:.1f} kB of rows, read and written once a step, it makes "
         f"{roofline.memory_intensity:.1f}, where memory asks for {peak / memory:.1f}. So "
         f"{'memory does not limit' if roofline.memory_intensity > peak / memory else 'memory limits'} the step, and "
         f"{'the first cache may' if roofline.cache_intensity < peak / cache else 'the first cache does not'}."

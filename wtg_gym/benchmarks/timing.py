@@ -87,11 +87,10 @@ def step_single(env: Any) -> Stepper:
     def stepper(seconds: float) -> float:
         n, begin = 0, time.perf_counter()
         while (passed := time.perf_counter() - begin) < seconds:
-            for action in actions:
-                _, _, terminated, truncated, _ = env.step(action)
-                if terminated or truncated:
-                    env.reset()
-            n += len(actions)
+            _, _, terminated, truncated, _ = env.step(actions[n % _N_ACTIONS])
+            if terminated or truncated:
+                env.reset()
+            n += 1
         return n / passed
 
     return stepper
