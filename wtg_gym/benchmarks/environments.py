@@ -19,6 +19,11 @@ from wtg_gym.scenarios import get_suite
 YARDSTICK = "Pendulum-v1"
 
 
+def has_sb3() -> bool:
+    """Return whether Stable-Baselines3 is installed."""
+    return importlib.util.find_spec("stable_baselines3") is not None
+
+
 def yardstick() -> Case:
     """Return the case that every other one is compared with."""
     return Case("environments", YARDSTICK, 1, _single(YARDSTICK))
@@ -32,7 +37,7 @@ def environment_cases() -> Iterator[Case]:
     for n in (64, 1024):
         yield Case(part, f"{ours}, vector of {n}", n, functools.partial(_our_vector, n))
     yield Case(part, "CartPole-v1, vector of 1024", 1024, _cart_poles)
-    if importlib.util.find_spec("stable_baselines3") is None:
+    if not has_sb3():
         return
     n_cpu = os.cpu_count() or 1
     for n in (64, 1024):

@@ -124,9 +124,11 @@ def _describe(curve: Curve) -> str:
     what, *single = curve.name.split(", ")
     where = "a single environment" if single else f"a batch of {BATCH}"
     text = (
-        f"{what.capitalize()}, {where}: from {first.n} to {last.n} a step costs {ratio:.3g} times as much; at the "
+        f"{what.capitalize()} in {where}: from {first.n} to {last.n} a step costs {ratio:.3g} times as much; at the "
         f"upper end the cost goes with n to the power of {curve.exponent:.2f}"
     )
+    if first.compile_s and last.compile_s:
+        text += f", and compiling takes {last.compile_s:.0f} instead of {first.compile_s:.0f} s"
     if len(curve.points) < 4:
         return f"{text}."
     return (

@@ -122,7 +122,6 @@ def _on_threads(n_threads: int, make: Callable[[], Callable[[int], float]]) -> S
         work(1)
 
     def stepper(seconds: float) -> float:
-        nonlocal repetitions
         done = [0.0] * n_threads
         begin = time.perf_counter()
 

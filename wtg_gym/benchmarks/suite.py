@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from wtg_gym.benchmarks.environments import environment_cases, yardstick
+from wtg_gym.benchmarks.environments import environment_cases, has_sb3, yardstick
 from wtg_gym.benchmarks.growth import Curve, growth_cases, growth_curves
 from wtg_gym.benchmarks.peers import missing_packages, peer_cases
 from wtg_gym.benchmarks.roofline import Roofline, roofline, roofline_cases
@@ -60,7 +59,7 @@ def run_benchmark(
     cases = [yardstick()]
     if "environments" in parts:
         cases += environment_cases()
-    if "training" in parts and _has_sb3():
+    if "training" in parts and has_sb3():
         cases += training_cases()
     if "peers" in parts:
         cases += peer_cases()
@@ -80,13 +79,9 @@ def run_benchmark(
     )
 
 
-def _has_sb3() -> bool:
-    return importlib.util.find_spec("stable_baselines3") is not None
-
-
 def _missing(parts: Sequence[str]) -> list[str]:
     lines = []
-    if not _has_sb3() and {"environments", "training"} & set(parts):
+    if not has_sb3() and {"environments", "training"} & set(parts):
         lines.append("Stable-Baselines3 is left out: pip install 'wtg-gym[train]'")
     if "peers" in parts:
         lines += [f"{package} is left out: pip install {package}" for package in missing_packages()]

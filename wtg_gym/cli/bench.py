@@ -38,7 +38,7 @@ from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.files import markdown_table, read_text, to_json, write_atomically
 from wtg_gym.physics.scenario import require_range
 
-_WIDTH = max(map(len, PARTS))
+_PARTS = "\n".join(f"  {name:12}  {what}" for name, what in PARTS.items())
 _DESCRIPTION = f"""\
 Measures what the environment costs on this machine. Every case runs several times, in turns so that a busy spell of the
 machine strikes all alike; the median counts, and its ratio to {YARDSTICK} of the same run travels between machines.
@@ -46,7 +46,7 @@ Episodes' resets are included and actions are drawn beforehand. What is not inst
 what to install.
 
 parts:
-{chr(10).join(f"  {name:{_WIDTH}}  {what}" for name, what in PARTS.items())}
+{_PARTS}
 
 Each new number of groups or machines compiles for half a minute the first time and is cached on disk then; a fresh
 folder in NUMBA_CACHE_DIR compiles all of them again, which fills the column of compile times."""
