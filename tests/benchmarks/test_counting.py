@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 
 from wtg_gym.benchmarks.counting import Counted, Counts, Rows, count, count_operations, counted
@@ -59,3 +64,34 @@ def test_right_hand_side_of_the_default_plant() -> None:
     assert derivatives.multiplies > 4 * 36 and derivatives.adds > 4 * 36
     assert counts["control interval"].roots == 21 * 4
     assert counts["environment step"].flops > counts["control interval"].flops
+
+
+_SAME_BITS = """
+import numpy as np
+from wtg_gym.benchmarks.counting import Rows, _instrument, counted
+from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.envs.task import step_blocks
+from wtg_gym.physics.scenario import Scenario
+
+lanes = TaskLanes(EnvSettings(duration_s=2.0))
+lanes.start(0, Scenario(name="calm", wind_speed=np.array([[11.4], [8.0]]), duration_s=2.0))
+simulator, actions = lanes.simulator, np.full((1, lanes.n_action), 0.1)
+before = simulator.blocks[0].copy()
+
+def step(block, *given):
+    step_blocks([block], 0, 1, *given, lanes.outputs, simulator.lanes)
+    return [float(block[i]) for i in range(block.shape[0])], float(lanes.outputs.rewards[0])
+
+given = simulator.plant, simulator.data, lanes.task, actions
+plain = step(before.copy(), *given)
+_instrument()
+assert step(Rows(before), *map(counted, given)) == plain
+assert plain[1] < 0.0
+"""
+
+
+def test_counting_changes_no_bit_of_the_result() -> None:
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(Path(__file__).resolve().parents[2])}
+    done = subprocess.run([sys.executable, "-c", _SAME_BITS], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
