@@ -9,7 +9,7 @@ from wtg_gym.benchmarks.environments import environment_cases, has_sb3, yardstic
 from wtg_gym.benchmarks.growth import Curve, growth_cases, growth_curves
 from wtg_gym.benchmarks.peers import missing_packages, peer_cases
 from wtg_gym.benchmarks.roofline import Roofline, roofline, roofline_cases
-from wtg_gym.benchmarks.timing import OnProgress, Rate, measure
+from wtg_gym.benchmarks.timing import OnProgress, Rate, Stepper, measure, prepare
 from wtg_gym.benchmarks.training import training_cases
 
 #: What can be measured, and what each part is.
@@ -30,53 +30,58 @@ class Results:
         rates: of environments, training and peers; the yardstick comes first.
         growth: a curve per kind of size.
         roofline: arithmetic.
-        missing: lines that say what was left out, and what to install.
     """
 
     rates: list[Rate]
     growth: list[Curve]
     roofline: Roofline | None
-    missing: list[str]
 
     def ratio(self, rate: Rate) -> float:
         """Return a rate as a multiple of the yardstick's in this run."""
         return rate.per_s / self.rates[0].per_s
 
 
-def run_benchmark(
-    parts: Sequence[str], *, seconds: float, repeats: int, full: bool, on_progress: OnProgress
-) -> Results:
-    """Measure parts of the benchmark, all their cases in turns.
+class Benchmark:
+    """Parts of the benchmark, all of whose cases are measured in turns.
 
     Args:
         parts: of :data:`PARTS`.
-        seconds: length of a run [s].
-        repeats: runs per case; the median counts.
         full: growth up to the largest plants.
-        on_progress: called with what is under way, and the seconds planned so far and in all.
     """
-    missing = _missing(parts)
-    cases = [yardstick()]
-    if "environments" in parts:
-        cases += environment_cases()
-    if "training" in parts and has_sb3():
-        cases += training_cases()
-    if "peers" in parts:
-        cases += peer_cases()
-    n_rates = len(cases)
-    sizes = growth_cases(full=full) if "growth" in parts else {}
-    cases += [own.case() for curve in sizes.values() for _, own in curve]
-    if "roofline" in parts:
-        ceilings, ours = roofline_cases()
-        cases += [*ceilings, *(own.case() for own in ours)]
-    rates = measure(cases, seconds, repeats, on_progress)
-    by_name = {rate.case.name: rate for rate in rates}
-    return Results(
-        rates=rates[:n_rates],
-        growth=growth_curves(sizes, by_name),
-        roofline=roofline(by_name) if "roofline" in parts else None,
-        missing=missing,
-    )
+
+    def __init__(self, parts: Sequence[str], *, full: bool) -> None:
+        #: What is left out: lines that say what to install.
+        self.missing = _missing(parts)
+        cases = [yardstick()]
+        if "environments" in parts:
+            cases += environment_cases()
+        if "training" in parts and has_sb3():
+            cases += training_cases()
+        if "peers" in parts:
+            cases += peer_cases()
+        self._n_rates = len(cases)
+        self._sizes = growth_cases(full=full) if "growth" in parts else {}
+        cases += [own.case() for curve in self._sizes.values() for _, own in curve]
+        self._has_roofline = "roofline" in parts
+        if self._has_roofline:
+            ceilings, ours = roofline_cases()
+            cases += [*ceilings, *(own.case() for own in ours)]
+        self._cases = cases
+        self._steppers: list[Stepper] = []
+
+    def prepare(self, on_progress: OnProgress) -> None:
+        """Make and compile everything, once, before :meth:`measure`."""
+        self._steppers = prepare(self._cases, on_progress)
+
+    def measure(self, seconds: float, repeats: int, on_progress: OnProgress) -> Results:
+        """Return what `repeats` runs of `seconds` [s] per case have found; the median counts."""
+        rates = measure(self._cases, self._steppers, seconds, repeats, on_progress)
+        by_name = {rate.case.name: rate for rate in rates}
+        return Results(
+            rates=rates[: self._n_rates],
+            growth=growth_curves(self._sizes, by_name),
+            roofline=roofline(by_name) if self._has_roofline else None,
+        )
 
 
 def _missing(parts: Sequence[str]) -> list[str]:

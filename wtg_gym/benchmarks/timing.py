@@ -16,7 +16,7 @@ import numpy as np
 
 #: Works for at least so many seconds and returns what it has done per second: environment steps, or operations.
 Stepper = Callable[[float], float]
-#: Called with what is under way, and the seconds planned so far and in all.
+#: Called with what is under way, and the expected seconds of what is done and of all.
 OnProgress = Callable[[str, float, float], None]
 
 #: How long a case is stepped before it counts [s].
@@ -58,11 +58,9 @@ class Rate:
         return statistics.median(self.all)
 
 
-def measure(cases: Sequence[Case], seconds: float, repeats: int, on_progress: OnProgress) -> list[Rate]:
-    """Return the rates of cases, each measured for `seconds` in every one of `repeats` rounds."""
-    runs = [max(seconds, case.least_s) for case in cases]
-    total = sum(case.preparation_s for case in cases) + repeats * sum(runs)
-    done = 0.0
+def prepare(cases: Sequence[Case], on_progress: OnProgress) -> list[Stepper]:
+    """Return what measures each case, compiled and warm."""
+    total, done = sum(case.preparation_s for case in cases), 0.0
     steppers = []
     for case in cases:
         on_progress(f"preparing {case.name}", done, total)
@@ -70,6 +68,15 @@ def measure(cases: Sequence[Case], seconds: float, repeats: int, on_progress: On
         stepper(WARM_UP_S)
         steppers.append(stepper)
         done += case.preparation_s
+    return steppers
+
+
+def measure(
+    cases: Sequence[Case], steppers: Sequence[Stepper], seconds: float, repeats: int, on_progress: OnProgress
+) -> list[Rate]:
+    """Return the rates of prepared cases, each measured for `seconds` in every one of `repeats` rounds."""
+    runs = [max(seconds, case.least_s) for case in cases]
+    total, done = repeats * sum(runs), 0.0
     rates: list[list[float]] = [[] for _ in cases]
     for _ in range(repeats):
         for case, stepper, found, run in zip(cases, steppers, rates, runs, strict=True):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from wtg_gym.benchmarks.report import (
     growth_table,
     rate_table,
 )
-from wtg_gym.benchmarks.suite import PARTS, Results, run_benchmark
+from wtg_gym.benchmarks.suite import PARTS, Benchmark, Results
 from wtg_gym.benchmarks.timing import machine, versions
 from wtg_gym.benchmarks.training import describe_training
 from wtg_gym.cli.output import (
@@ -101,17 +102,18 @@ def run(arguments: argparse.Namespace) -> int:
     folder = None if arguments.output is None else check_output_folder("--output", arguments.output)
     if folder is not None and "growth" in parts:
         require_extra("matplotlib", "--output")
-    with Progress("s planned") as progress:
-        results = run_benchmark(
-            parts,
-            seconds=seconds,
-            repeats=arguments.repeats,
-            full=arguments.full,
-            on_progress=lambda name, done, total: progress.update(name, done, round(total)),
+    benchmark = Benchmark(parts, full=arguments.full)
+    # Two bars: how long compiling takes says nothing about the runs, whose length is known.
+    with Progress("expected s") as progress:
+        benchmark.prepare(lambda name, done, total: progress.update(name, done, math.ceil(total)))
+    with Progress("expected s") as progress:
+        results = benchmark.measure(
+            seconds, arguments.repeats, lambda name, done, total: progress.update(name, done, math.ceil(total))
         )
-    for line in results.missing:
+    for line in benchmark.missing:
         note(line)
-    data = plain_json({**_as_json(results), "seconds": seconds, "repeats": arguments.repeats, "parts": parts})
+    facts = {"seconds": seconds, "repeats": arguments.repeats, "parts": parts, "missing": benchmark.missing}
+    data = plain_json({**_as_json(results), **facts})
     if folder is not None:
         _write(folder, results, data, arguments.formats)
     caption = f"{machine()}; median of {arguments.repeats} runs of {seconds:g} s."
@@ -144,7 +146,6 @@ def _as_json(results: Results) -> dict[str, Any]:
     return {
         "machine": machine(),
         "versions": versions(),
-        "missing": results.missing,
         "training": describe_training() if _of_part(results, "training") else None,
         "cases": [
             {
