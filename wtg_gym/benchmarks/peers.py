@@ -34,6 +34,11 @@ def missing_packages() -> list[str]:
     return list(dict.fromkeys(peer.package for peer in _PEERS if not _is_installed(peer)))
 
 
+def peer_packages() -> list[str]:
+    """Return the names, for pip, of the packages that the peers come in."""
+    return list(dict.fromkeys(peer.package for peer in _PEERS))
+
+
 def _is_installed(peer: _Peer) -> bool:
     return importlib.util.find_spec(peer.module) is not None
 

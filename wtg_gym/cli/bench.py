@@ -11,6 +11,7 @@ from typing import Any
 
 from wtg_gym.benchmarks.environments import YARDSTICK
 from wtg_gym.benchmarks.growth import ALL_GROUPS, ALL_MACHINES, GROUPS, MACHINES, describe_growth
+from wtg_gym.benchmarks.peers import peer_packages
 from wtg_gym.benchmarks.report import (
     Table,
     achieved_table,
@@ -39,6 +40,8 @@ from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.files import markdown_table, read_text, to_json, write_atomically
 from wtg_gym.physics.scenario import require_range
 
+#: Whose versions matter, besides those of the peers.
+_PACKAGES = ("gymnasium", "numba", "numpy", "stable-baselines3", "torch")
 _PARTS = "\n".join(f"  {name:12}  {what}" for name, what in PARTS.items())
 _DESCRIPTION = f"""\
 Measures what the environment costs on this machine. Every case runs several times, in turns so that a busy spell of the
@@ -145,7 +148,7 @@ def _as_json(results: Results) -> dict[str, Any]:
     roofline = results.roofline
     return {
         "machine": machine(),
-        "versions": versions(),
+        "versions": versions((*_PACKAGES, *peer_packages())),
         "training": describe_training() if _of_part(results, "training") else None,
         "cases": [
             {
