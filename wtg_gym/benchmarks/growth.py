@@ -133,7 +133,7 @@ def _describe(curve: Curve) -> str:
         return f"{text}."
     return (
         f"{text}. A fit of a + b n + c n² gives the square {curve.quadratic_share:.0%} of the cost at {last.n}; it "
-        "comes from the reduced admittance, which is a full matrix."
+        "comes from the reduced admittance, a full matrix, which takes time and memory alike."
     )
 
 

@@ -127,10 +127,14 @@ def _on_threads(n_threads: int, make: Callable[[], Callable[[int], float]]) -> S
 
         def run(index: int) -> None:
             nonlocal repetitions
-            while (start := time.perf_counter()) - begin < seconds:
+            now = begin
+            # Once at least: a thread may be given its first turn when the time is over.
+            while now - begin < seconds or not done[index]:
+                start = time.perf_counter()
                 done[index] += works[index](repetitions)
+                now = time.perf_counter()
                 # A call into compiled code must not count.
-                if time.perf_counter() - start < 1e-3:
+                if now - start < 1e-3:
                     repetitions *= 2
 
         threads = [threading.Thread(target=run, args=(index,)) for index in range(n_threads)]
