@@ -39,7 +39,7 @@ def test_sentences_hold_the_numbers() -> None:
     )
     assert "from 1 to 8 a step costs 8 times as much" in groups and "power of 1.00" in groups
     assert "20 µs alone and 4 µs in a batch of 1024, 5.0 times less" in lanes and "2 µs, at 64 lanes" in lanes
-    assert "4 are 3.20 times as fast as one" in threads and "80% of the ideal" in threads
+    assert "4 are 3.20 times as fast as one" in threads and "80 % of the ideal" in threads
     assert "3 times as much" in single and "fit" not in single
 
 

@@ -119,7 +119,7 @@ def _describe(curve: Curve) -> str:
     if curve.name == "threads":
         return (
             f"Threads: {last.n} are {1.0 / ratio:.2f} times as fast as one in a batch of {THREADED_BATCH} "
-            f"({1.0 / ratio / size_ratio:.0%} of the ideal)."
+            f"({100.0 / ratio / size_ratio:.0f} % of the ideal)."
         )
     what, *single = curve.name.split(", ")
     where = "a single environment" if single else f"a batch of {BATCH}"
@@ -132,7 +132,7 @@ def _describe(curve: Curve) -> str:
     if len(curve.points) < 4:
         return f"{text}."
     return (
-        f"{text}. A fit of a + b n + c n² gives the square {curve.quadratic_share:.0%} of the cost at {last.n}; it "
+        f"{text}. A fit of a + b n + c n² gives the square {100.0 * curve.quadratic_share:.0f} % of the cost at {last.n}; it "
         "comes from the reduced admittance, a full matrix, which takes time and memory alike."
     )
 

@@ -90,8 +90,8 @@ def achieved_table(roofline: Roofline) -> Table:
                 str(row.threads),
                 f"{row.steps_per_s:,.0f}",
                 f"{row.gflop_per_s:.2f}",
-                f"{row.share:.1%}",
-                f"{row.fused_share:.1%}",
+                f"{100.0 * row.share:.1f} %",
+                f"{100.0 * row.fused_share:.1f} %",
             )
             for row in roofline.achieved
         ],

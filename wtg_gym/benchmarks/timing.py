@@ -94,7 +94,7 @@ def step_single(env: Any) -> Stepper:
 
     def stepper(seconds: float) -> float:
         n, begin = 0, time.perf_counter()
-        while (passed := time.perf_counter() - begin) < seconds:
+        while (passed := time.perf_counter() - begin) < seconds or n == 0:
             _, _, terminated, truncated, _ = env.step(actions[n % _N_ACTIONS])
             if terminated or truncated:
                 env.reset()
@@ -116,7 +116,7 @@ def step_batch(envs: Any, action_space: Any, n_envs: int) -> Stepper:
 
     def stepper(seconds: float) -> float:
         n, begin = 0, time.perf_counter()
-        while (passed := time.perf_counter() - begin) < seconds:
+        while (passed := time.perf_counter() - begin) < seconds or n == 0:
             envs.step(actions[n % 8])
             n += 1
         return n * n_envs / passed

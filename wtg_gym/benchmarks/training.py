@@ -61,7 +61,7 @@ def _train(envs: Any) -> Stepper:
 
     def stepper(seconds: float) -> float:
         n, begin = 0, time.perf_counter()
-        while (passed := time.perf_counter() - begin) < seconds:
+        while (passed := time.perf_counter() - begin) < seconds or n == 0:
             model.learn(n_steps * envs.num_envs, reset_num_timesteps=False)
             n += n_steps * envs.num_envs
         return n / passed
