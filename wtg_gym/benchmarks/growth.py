@@ -132,8 +132,8 @@ def _describe(curve: Curve) -> str:
     if len(curve.points) < 4:
         return f"{text}."
     return (
-        f"{text}. A fit of a + b n + c n² gives the square {100.0 * curve.quadratic_share:.0f} % of the cost at {last.n}; it "
-        "comes from the reduced admittance, a full matrix, which takes time and memory alike."
+        f"{text}. A fit of a + b n + c n² gives the square {100.0 * curve.quadratic_share:.0f} % of the cost at "
+        f"{last.n}; it comes from the reduced admittance, a full matrix, which takes time and memory alike."
     )
 
 
