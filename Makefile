@@ -33,11 +33,16 @@ leaderboard: $(LEADERBOARD_READY) ## Score every entry on the standard suite and
 	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard --results results --readme README.md
 
 .PHONY: docs
-docs: $(LEADERBOARD_READY) ## Measure everything that docs/ shows again and renew its tables and figures
+docs: $(LEADERBOARD_READY) ## Measure everything that docs/ shows again, but for performance, and renew its tables and figures
 	$(LEADERBOARD_VENV)/bin/wtg-gym parameters --page docs/parameters.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym validate tests/golden/*/ --page docs/validation.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym reproduce --output docs/validation --formats svg --page docs/validation.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym accuracy --output docs/validation --formats svg --page docs/validation.md
+
+.PHONY: performance
+performance: $(TEST_READY) ## Measure speed, growth and arithmetic again; on a machine that does nothing else (a quarter of an hour)
+	$(TEST_VENV)/bin/wtg-gym bench --only environments training peers --page README.md
+	$(TEST_VENV)/bin/wtg-gym bench --only growth roofline --full --output docs/performance --formats svg --page docs/performance.md
 
 .PHONY: golden
 golden: $(GOLDEN_READY) ## Make the golden cases of ANDES again, in an environment of its own (a quarter of an hour)

@@ -1,37 +1,59 @@
-"""`wtg-gym bench`: environment steps per second, as ratios to Gymnasium's own environments in the same run."""
+"""`wtg-gym bench`: what the environment costs, in one run and against other environments of the same run."""
 
 from __future__ import annotations
 
 import argparse
-import importlib.util
-import os
-import platform
-import statistics
-import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+import dataclasses
+import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
-import numpy as np
-
-import wtg_gym
-from wtg_gym.cli.output import Progress, check_page, print_json, print_table, update_page
+from wtg_gym.benchmarks.environments import YARDSTICK
+from wtg_gym.benchmarks.growth import ALL_GROUPS, ALL_MACHINES, GROUPS, MACHINES, describe_growth
+from wtg_gym.benchmarks.peers import peer_packages
+from wtg_gym.benchmarks.report import (
+    Table,
+    achieved_table,
+    ceiling_table,
+    count_table,
+    describe_roofline,
+    growth_table,
+    rate_table,
+)
+from wtg_gym.benchmarks.suite import PARTS, Benchmark, Results
+from wtg_gym.benchmarks.timing import machine, versions
+from wtg_gym.benchmarks.training import describe_training
+from wtg_gym.cli.output import (
+    FIGURE_FORMATS,
+    Progress,
+    check_output_folder,
+    check_page,
+    note,
+    plain_json,
+    print_json,
+    print_table,
+    require_extra,
+    update_page,
+)
 from wtg_gym.cli.parser import Commands, add_command
-from wtg_gym.files import markdown_table
+from wtg_gym.files import markdown_table, read_text, to_json, write_atomically
 from wtg_gym.physics.scenario import require_range
-from wtg_gym.scenarios import get_suite
 
-#: The yardstick: physics of a few lines, in pure Python.
-_YARDSTICK = "Pendulum-v1"
-_N_ACTIONS = 256
-
+#: Whose versions matter, besides those of the peers.
+_PACKAGES = ("gymnasium", "numba", "numpy", "stable-baselines3", "torch")
+_PARTS = "\n".join(f"  {name:12}  {what}" for name, what in PARTS.items())
 _DESCRIPTION = f"""\
-Measures environment steps per second in one process, episodes' resets included, actions drawn beforehand: this
-environment single and batched, Gymnasium's own ones, and Stable-Baselines3's vector environments where installed.
-Every case runs several times, in turns so that a busy spell of the machine strikes all alike; the median counts, and
-its ratio to {_YARDSTICK} of the same run travels between machines."""
+Measures what the environment costs on this machine. Every case runs several times, in turns so that a busy spell of the
+machine strikes all alike; the median counts, and its ratio to {YARDSTICK} of the same run travels between machines.
+Episodes' resets are included and actions are drawn beforehand. What is not installed is left out, with a line that says
+what to install.
+
+parts:
+{_PARTS}
+
+Each new number of groups or machines compiles for half a minute the first time and is cached on disk then; a fresh
+folder in NUMBA_CACHE_DIR compiles all of them again, which fills the column of compile times."""
 
 
 def add_commands(commands: Commands) -> None:
@@ -40,23 +62,37 @@ def add_commands(commands: Commands) -> None:
         commands,
         "bench",
         run,
-        summary="environment steps per second, and their ratio to Gymnasium's own environments",
+        summary="speed against other environments, training throughput, growth with size, share of the machine's peak",
         description=_DESCRIPTION,
-        examples="  wtg-gym bench\n  wtg-gym bench --seconds 0.5 --repeats 3 --json\n  wtg-gym bench --page README.md",
+        examples="  wtg-gym bench --only environments\n"
+        "  wtg-gym bench --only environments training --seconds 0.5 --repeats 3 --json\n"
+        "  wtg-gym bench --only environments training peers --page README.md\n"
+        "  wtg-gym bench --only growth roofline --full --output docs/performance --page docs/performance.md",
     )
-    parser.add_argument("--seconds", type=float, default=2.0, metavar="S", help="per case and repeat (default: 2)")
+    parser.add_argument(
+        "--only", nargs="+", choices=tuple(PARTS), metavar="PART", help="parts to measure, all else not"
+    )
+    parser.add_argument("--seconds", type=float, default=1.0, metavar="S", help="per case and repeat (default: 1)")
     parser.add_argument("--repeats", type=int, default=5, metavar="N", help="the median of these counts (default: 5)")
-    parser.add_argument("--page", metavar="FILE", help="Markdown file with markers 'bench' to put the table between")
-    parser.add_argument("--json", action="store_true", help="print the result as JSON, and nothing else, on stdout")
-
-
-@dataclass(frozen=True)
-class _Case:
-    """Something to step: what it is called, how many environments it steps at once, how it is made."""
-
-    name: str
-    n_envs: int
-    make: Callable[[], Callable[[float], float]]
+    parser.add_argument(
+        "--full",
+        action="store_true",
+        help=f"growth up to {ALL_GROUPS[-1]} groups and {ALL_MACHINES[-1]} machines instead of {GROUPS[-1]} and "
+        f"{MACHINES[-1]}",
+    )
+    out = parser.add_argument_group("output")
+    out.add_argument("--output", metavar="FOLDER", help="write bench.json there, and the figure 'growth' if measured")
+    out.add_argument(
+        "--formats", nargs="+", choices=FIGURE_FORMATS, default=["svg", "png"], help="of the figure (default: svg png)"
+    )
+    out.add_argument(
+        "--page",
+        nargs="+",
+        default=(),
+        metavar="FILE",
+        help="Markdown files; a measured part's tables go between the markers 'bench:PART' of those that have them",
+    )
+    out.add_argument("--json", action="store_true", help="print the result as JSON, and nothing else, on stdout")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -64,151 +100,132 @@ def run(arguments: argparse.Namespace) -> int:
     seconds = require_range("--seconds", arguments.seconds, 0.01, 600.0, "s")
     if not 1 <= arguments.repeats <= 1000:
         raise ValueError(f"--repeats = {arguments.repeats} is outside the allowed range 1 … 1000")
-    page = check_page("--page", arguments.page, "bench")
-    cases = list(_cases())
-    rates: dict[str, list[float]] = {case.name: [] for case in cases}
-    with Progress("runs") as progress:
-        steppers = {}
-        for case in cases:
-            progress.update(f"preparing {case.name}", 0, len(cases))
-            steppers[case.name] = case.make()
-            steppers[case.name](0.01)
-        total = arguments.repeats * len(cases)
-        for repeat in range(arguments.repeats):
-            for done, case in enumerate(cases):
-                progress.update(case.name, repeat * len(cases) + done, total)
-                rates[case.name].append(steppers[case.name](seconds))
-    medians = {name: statistics.median(found) for name, found in rates.items()}
-    rows = [(case, medians[case.name], medians[case.name] / medians[_YARDSTICK]) for case in cases]
-    if page is not None:
-        update_page(page, {"bench": _page(rows, arguments)})
-    if arguments.json:
-        print_json(
-            {
-                "machine": _machine(),
-                "versions": _versions(),
-                "seconds": seconds,
-                "repeats": arguments.repeats,
-                "cases": [
-                    {"name": c.name, "n_envs": c.n_envs, "steps_per_s": median, "ratio": ratio, "all": rates[c.name]}
-                    for c, median, ratio in rows
-                ],
-            }
+    parts = [part for part in PARTS if arguments.only is None or part in arguments.only]
+    pages = {page: _sections(page, parts) for page in arguments.page}
+    folder = None if arguments.output is None else check_output_folder("--output", arguments.output)
+    if folder is not None and "growth" in parts:
+        require_extra("matplotlib", "--output")
+    benchmark = Benchmark(parts, full=arguments.full)
+    # Two bars: how long compiling takes says nothing about the runs, whose length is known.
+    with Progress("expected s") as progress:
+        benchmark.prepare(lambda name, done, total: progress.update(name, done, math.ceil(total)))
+    with Progress("expected s") as progress:
+        results = benchmark.measure(
+            seconds, arguments.repeats, lambda name, done, total: progress.update(name, done, math.ceil(total))
         )
-        return 0
-    print(_machine(), end="\n\n")
-    header = ("case", "environments", "steps per s", f"× {_YARDSTICK}")
-    print_table(header, [(c.name, str(c.n_envs), f"{median:.0f}", f"{ratio:.2f}") for c, median, ratio in rows])
+    for line in benchmark.missing:
+        note(line)
+    facts = {"seconds": seconds, "repeats": arguments.repeats, "parts": parts, "missing": benchmark.missing}
+    data = plain_json({**_as_json(results), **facts})
+    if folder is not None:
+        _write(folder, results, data, arguments.formats)
+    caption = f"{machine()}; median of {arguments.repeats} runs of {seconds:g} s."
+    texts = {part: text for part in parts if (text := _markdown(part, results))}
+    for page, sections in pages.items():
+        update_page(Path(page), {f"bench:{part}": f"{caption}\n\n{texts[part]}" for part in sections if part in texts})
+    if arguments.json:
+        print_json(data)
+    else:
+        _print(results)
     return 0
 
 
-def _cases() -> Iterator[_Case]:
-    ours = wtg_gym.ENV_ID
-    for name in (_YARDSTICK, "CartPole-v1", ours):
-        yield _Case(name, 1, lambda name=name: _single(gym.make(name)))  # type: ignore[misc]
-    for n in (64, 1024):
-        yield _Case(f"{ours}, vector of {n}", n, lambda n=n: _vector(_staggered(n)))  # type: ignore[misc]
-    yield _Case(
-        "CartPole-v1, vector of 1024",
-        1024,
-        lambda: _vector(gym.make_vec("CartPole-v1", num_envs=1024, vectorization_mode="vector_entry_point")),
-    )
-    if importlib.util.find_spec("stable_baselines3") is not None:
-        yield from _sb3_cases()
-
-
-def _sb3_cases() -> Iterator[_Case]:
-    from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
-
-    from wtg_gym.sb3 import SB3VecEnv
-
-    n_cpu = os.cpu_count() or 1
-    for n in (64, 1024):
-        yield _Case(f"SB3 adapter of {n}", n, lambda n=n: _sb3(SB3VecEnv(n)))  # type: ignore[misc]
-    yield _Case("SB3 DummyVecEnv of 8", 8, lambda: _sb3(DummyVecEnv([_make_single] * 8)))
-    yield _Case(
-        f"SB3 SubprocVecEnv of {n_cpu}", n_cpu, lambda: _sb3(SubprocVecEnv([_make_single] * n_cpu, "forkserver"))
-    )
-
-
-def _make_single() -> Any:
-    import wtg_gym
-
-    return gym.make(wtg_gym.ENV_ID)
-
-
-def _single(env: Any) -> Callable[[float], float]:
-    actions = [env.action_space.sample() for _ in range(_N_ACTIONS)]
-    env.reset(seed=0)
-
-    def measure(seconds: float) -> float:
-        n, begin = 0, time.perf_counter()
-        while (passed := time.perf_counter() - begin) < seconds:
-            for action in actions:
-                _, _, terminated, truncated, _ = env.step(action)
-                if terminated or truncated:
-                    env.reset()
-            n += len(actions)
-        return n / passed
-
-    return measure
-
-
-def _staggered(n_envs: int) -> Any:
-    """Return a batch whose first episodes are of all lengths, so that resets come evenly from then on."""
-    envs = gym.make_vec(wtg_gym.ENV_ID, num_envs=n_envs)
-    suite = get_suite("standard")
-    lengths = np.random.default_rng(0).integers(1, round(suite.duration_s), n_envs)
-    scenarios = [suite.scenario(suite.validation[i % 100], duration_s=float(s)) for i, s in enumerate(lengths)]
-    envs.reset(seed=0)
-    envs.reset(options={"scenarios": scenarios})
-    return envs
-
-
-def _vector(envs: Any) -> Callable[[float], float]:
-    actions = [envs.action_space.sample() for _ in range(8)]
-    if envs.spec is None or envs.spec.id != wtg_gym.ENV_ID:
-        envs.reset(seed=0)
-    return _repeat(lambda i: envs.step(actions[i % 8]), envs.num_envs)
-
-
-def _sb3(envs: Any) -> Callable[[float], float]:
-    actions = [np.stack([envs.action_space.sample() for _ in range(envs.num_envs)]) for _ in range(8)]
-    envs.reset()
-    return _repeat(lambda i: envs.step(actions[i % 8]), envs.num_envs)
-
-
-def _repeat(step: Callable[[int], Any], n_envs: int) -> Callable[[float], float]:
-    def measure(seconds: float) -> float:
-        n, begin = 0, time.perf_counter()
-        while (passed := time.perf_counter() - begin) < seconds:
-            step(n)
-            n += 1
-        return n * n_envs / passed
-
-    return measure
-
-
-def _machine() -> str:
-    model = platform.processor() or platform.machine()
+def _sections(page: str, parts: Sequence[str]) -> list[str]:
+    """Return the parts whose markers a page has; a ValueError if it has none, or not in pairs."""
     try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        model = next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        pass
-    return f"{model}, {os.cpu_count()} processors, Python {platform.python_version()}"
+        text = read_text(Path(page), "file with the markers")
+    except ValueError as error:
+        raise ValueError(f"--page: {error}") from error
+    found = [part for part in parts if f"<!-- bench:{part}:" in text]
+    if not found:
+        wanted = ", ".join(f"<!-- bench:{part}:start -->" for part in parts)
+        raise ValueError(f"--page: {page} has no markers of a measured part: {wanted}, with the same to the end")
+    check_page("--page", page, *(f"bench:{part}" for part in found))
+    return found
 
 
-def _versions() -> dict[str, str]:
-    from importlib.metadata import version
+def _as_json(results: Results) -> dict[str, Any]:
+    roofline = results.roofline
+    return {
+        "machine": machine(),
+        "versions": versions((*_PACKAGES, *peer_packages())),
+        "training": describe_training() if _of_part(results, "training") else None,
+        "cases": [
+            {
+                "part": rate.case.part,
+                "name": rate.case.name,
+                "n_envs": rate.case.n_envs,
+                "steps_per_s": rate.per_s,
+                "ratio": results.ratio(rate),
+                "all": rate.all,
+            }
+            for rate in results.rates
+        ],
+        "growth": [{**dataclasses.asdict(curve), "exponent": curve.exponent} for curve in results.growth],
+        "roofline": None
+        if roofline is None
+        else {
+            **dataclasses.asdict(roofline),
+            "cache_intensity": roofline.cache_intensity,
+            "memory_intensity": roofline.memory_intensity,
+        },
+    }
 
-    return {name: version(name) for name in ("gymnasium", "numba", "numpy")}
+
+def _of_part(results: Results, part: str) -> list[Any]:
+    return [rate for rate in results.rates if rate.case.part == part]
 
 
-def _page(rows: list[tuple[_Case, float, float]], arguments: argparse.Namespace) -> str:
-    table = markdown_table(
-        ("case", "environments", "steps per second", f"× {_YARDSTICK}"),
-        [(case.name, str(case.n_envs), f"{median:,.0f}", f"{ratio:.2f}") for case, median, ratio in rows],
-        right=(1, 2, 3),
-    )
-    return f"{_machine()}; median of {arguments.repeats} runs of {arguments.seconds:g} s.\n\n{table}"
+def _write(folder: Path, results: Results, data: Any, formats: Sequence[str]) -> None:
+    written = ["bench.json"]
+    if results.growth:
+        from wtg_gym.plotting import plot_growth, save_figure
+
+        written += [path.name for path in save_figure(plot_growth(results.growth), folder / "growth", formats)]
+    write_atomically(folder / "bench.json", to_json(data))
+    note(f"wrote {', '.join(written)} in {folder}")
+
+
+def _tables(part: str, results: Results) -> list[Table | str]:
+    """Return a part's tables and the sentences that go with them; nothing where nothing was measured."""
+    if part == "growth":
+        return [*describe_growth(results.growth), growth_table(results.growth)]
+    if part == "roofline":
+        roofline = results.roofline
+        assert roofline is not None
+        tables = count_table(roofline), ceiling_table(roofline), achieved_table(roofline)
+        return [*tables, describe_roofline(roofline)]
+    rates = _of_part(results, part)
+    if not rates:
+        return []
+    words = [describe_training() + "."] if part == "training" else []
+    return [*words, rate_table(results, rates)]
+
+
+def _markdown(part: str, results: Results) -> str:
+    pieces = []
+    for piece in _tables(part, results):
+        if isinstance(piece, Table):
+            right = [index for index in range(len(piece.header)) if index not in piece.text]
+            pieces.append(markdown_table(piece.header, piece.rows, right=right))
+        else:
+            pieces.append(piece)
+    return "\n\n".join(pieces)
+
+
+def _print(results: Results) -> None:
+    print(machine(), end="\n\n")
+    pieces: list[Table | str] = [rate_table(results, results.rates)]
+    if _of_part(results, "training"):
+        pieces.append(describe_training())
+    if results.growth:
+        pieces += _tables("growth", results)
+    if results.roofline is not None:
+        pieces += _tables("roofline", results)
+    for index, piece in enumerate(pieces):
+        if index:
+            print()
+        if isinstance(piece, Table):
+            print_table(piece.header, piece.rows, left=piece.text)
+        else:
+            print(piece)

@@ -6,6 +6,7 @@ not. Every function returns a matplotlib figure, built without pyplot; :func:`fi
 
 from wtg_gym.plotting.accuracy import plot_accuracy
 from wtg_gym.plotting.characteristics import plot_characteristic
+from wtg_gym.plotting.growth import plot_growth
 from wtg_gym.plotting.modes import plot_modes
 from wtg_gym.plotting.paper import plot_bode, plot_case_study, plot_power_coefficient
 from wtg_gym.plotting.studies import (
@@ -44,6 +45,7 @@ __all__ = [
     "plot_characteristic",
     "plot_damping",
     "plot_equilibria",
+    "plot_growth",
     "plot_machine_models",
     "plot_margins",
     "plot_modes",
