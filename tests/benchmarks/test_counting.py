@@ -62,7 +62,7 @@ def test_right_hand_side_of_the_default_plant() -> None:
     assert derivatives.roots == 4
     # Six units' currents alone: four multiplies and adds each for 36 complex products with their sums.
     assert derivatives.multiplies > 4 * 36 and derivatives.adds > 4 * 36
-    assert counts["control interval"].roots == 21 * 4
+    assert counts["control interval"].roots == 17 * 4
     assert counts["environment step"].flops > counts["control interval"].flops
 
 
@@ -75,7 +75,7 @@ from wtg_gym.envs.task import step_blocks
 from wtg_gym.physics.scenario import Scenario
 
 lanes = TaskLanes(EnvSettings(duration_s=2.0))
-lanes.start(0, Scenario(name="calm", wind_speed=np.array([[11.4], [8.0]]), duration_s=2.0))
+lanes.start([0], [Scenario(name="calm", wind_speed=np.array([[11.4], [8.0]]), duration_s=2.0)])
 simulator, actions = lanes.simulator, np.full((1, lanes.n_action), 0.1)
 before = simulator.blocks[0].copy()
 

@@ -92,18 +92,17 @@ class LanesCase:
                 duration_s=_DURATION_S,
                 events=(LoadStep(time_s=1.0, bus=2, power_mw=30.0),),
             )
-            episode = lanes.prepare(scenario)
-            lanes.commit(0, episode)
+            episode = lanes.prepare([scenario])
+            lanes.commit([0], [episode])
             actions = np.zeros((self.n_lanes, lanes.n_action))
             lanes.step(actions)
         self.compile_s = _outermost_s(recorder.buffer)
         arrays: list[npt.NDArray[Any]] = [lanes.simulator.blocks, *lanes.simulator.data, *lanes.outputs]
         self.bytes_per_lane = sum(array.nbytes for array in arrays) / self.n_lanes
-        n_steps = episode.n_intervals
+        n_steps = int(episode.n_intervals[0])
 
         def start() -> None:
-            for lane in range(self.n_lanes):
-                lanes.commit(lane, episode)
+            lanes.commit(range(self.n_lanes), [episode] * self.n_lanes)
 
         step = n_steps
 
