@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @printed
 def plot_growth(curves: Sequence[Curve]) -> Figure:
-    """Draw the time per environment step against every kind of size, both on logarithmic axes.
+    """Draw the time per environment step against every kind of size, the sizes on logarithmic axes.
 
     Grey lines go through the first point with the slope that is named: what proportional growth, or an ideal gain,
     would be.
@@ -80,9 +80,14 @@ def _label_axes(axes: Axes, kind: str, sizes: Sequence[int]) -> None:
     axes.xaxis.set_major_locator(FixedLocator(list(sizes)))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.xaxis.set_minor_locator(FixedLocator([]))
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.yaxis.set_minor_formatter(NullFormatter())
+    if kind in ("groups", "machines"):
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.yaxis.set_minor_formatter(NullFormatter())
+    else:
+        # Less than a decade: the eye compares heights from zero.
+        axes.set_yscale("linear")
+        axes.set_ylim(bottom=0.0)
     axes.tick_params(labelsize=SMALL_PT)
 
 
