@@ -42,11 +42,12 @@ class CostWeights:
         doc="one unit at 0.2 Hz/s over 500 ms, squared; loss-of-mains relays act from 0.5 … 1 Hz/s on",
     )
     duty: float = parameter(
-        1.0,
+        2.0,
         unit="1/s",
         source="design",
         doc="one unit at a captured power 5 % of the available away from what the prescribed characteristic asks: the "
-        "reserve a unit is paid to hold; running at maximum power to sell it does not pay",
+        "reserve a unit is paid to hold; running at maximum power to sell it does not pay. Twice the frequency's weight: "
+        "the reserve is the unit's own doing, the frequency everybody's",
     )
     rotor: float = parameter(
         5.0,
@@ -56,7 +57,7 @@ class CostWeights:
         "stall, high speed loads the structure",
     )
     overload: float = parameter(
-        1.0, unit="1/s", source="design", doc="one unit at 0.1 p.u. of power above 1.2 p.u., squared: converter heating"
+        1.0, unit="1/s", source="design", doc="one unit at 0.1 p.u. of power above 1.1 p.u., squared: converter heating"
     )
     effort: float = parameter(
         0.05,

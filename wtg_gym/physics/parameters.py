@@ -124,7 +124,7 @@ class GridFormingParameters:
     damping_time_constant_s: float = parameter(0.8, "s", "paper", "transient damping time constant τ")
     deloading_nominal: float = parameter(0.05, "-", "paper", "deloading d_n at ω_st")
     deloading_limit: float = parameter(0.10, "-", "paper", "deloading limit d_pr at ω_max")
-    overload_limit_pu: float = parameter(1.2, "p.u.", "design", "power above which the converter counts as overloaded")
+    overload_limit_pu: float = parameter(1.1, "p.u.", "design", "power above which the converter counts as overloaded")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -93,13 +93,13 @@ class ScenarioDistribution:
     wind_ramp_m_s: tuple[float, float] = _span((1.0, 3.0), (0.0, 10.0), "m/s", "size of a wind ramp; both signs")
     wind_ramp_s: tuple[float, float] = _span((5.0, 20.0), (0.1, 3600.0), "s", "length of a wind ramp")
     n_load_events: tuple[int, int] = _span((1, 3), (0, 20), "", "number of load events")
-    load_event_mw: tuple[float, float] = _span((15.0, 75.0), (0.0, 500.0), "MW", "size of a load event")
+    load_event_mw: tuple[float, float] = _span((15.0, 50.0), (0.0, 500.0), "MW", "size of a load event")
     load_increase_probability: float = _number(0.5, (0.0, 1.0), "", "chance that a load event is an increase")
     net_load_change_mw: float = _number(
-        150.0,
+        75.0,
         (0.0, 1000.0),
         "MW",
-        "a load step or ramp that would take their sum beyond this (the paper's) changes its sign",
+        "a load step or ramp that would take their sum beyond this changes its sign",
     )
     load_buses: tuple[tuple[int, float, float], ...] = _table(
         _LOAD_BUSES, "bus, largest increase and largest decrease there [MW] over all load events of a run"

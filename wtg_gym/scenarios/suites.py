@@ -257,10 +257,10 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
 FROZEN_HASHES: Mapping[str, str] = MappingProxyType(
     {
         "paper": "7aaa8a1c75a47f259104b4d8d5b94a7e1b9e51f918aa5e1a5e5dff708b7ed360",
-        "standard": "8a48f97a6416ac5c76984f6e6b6bb0b5ac475bc8be5a575dc507dad31bbb489d",
-        "low-wind": "c43dd227d394bfe5d45217ea45514605fe77411930eb1b1de20089f814191a14",
-        "gust": "f5d50f77803175c273f21d1280832fc95b4aa8aefc215fb4534c688610a51bb9",
-        "weak-grid": "27f052296599cc7340522eee0ec1d73d54f208ea5a94731b780ed0b592d644aa",
+        "standard": "ebb8c5bcdf75973ef5cee1e48639976e9cb4db654fa5f0b201595dfbc517a045",
+        "low-wind": "3c6454dd11d019be25e8282164a9b8c8a00bf377ca149c67b1af51261ce2f54f",
+        "gust": "a6a50118d0a21891c75f9eea0470f8c06c45c4b9cec95a635fb9b51815b708c5",
+        "weak-grid": "54861ae09060eb4e63541f6e14187da30e9bd11d3cce7b366e3fab39b4350ad9",
     }
 )
 
