@@ -4,9 +4,9 @@
     python -m agents.oracle foresight --suite standard --split test
 
 `linear` tunes one linear feedback of a group's own observation on training scenarios and measures it on validation
-scenarios: what a simple learner must beat. `foresight` searches for every scenario on its own, knowing all of it, for the
-best actions: a course of actions over time (knots, linear in between), then the same on top of a linear feedback. The
-cheaper of the two is the oracle. It is what was found, not a bound: a longer search may find better.
+scenarios: what a simple learner must beat. `foresight` searches for every scenario on its own, knowing all of it, for
+the best actions: a course of actions over time (knots, linear in between), then the same on top of a linear feedback.
+The cheaper of the two is the oracle. It is what was found, not a bound: a longer search may find better.
 
 Both search with CMA-ES (N. Hansen, "The CMA evolution strategy: a tutorial", 2016).
 """

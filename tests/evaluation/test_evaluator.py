@@ -221,7 +221,7 @@ def test_settings_of_the_environment_are_passed_on(results: Results) -> None:
     other = evaluate([], "standard", weights={"duty": 0.0}, machine_model="classical", **SHORT)
     assert other.settings["weights"]["duty"] == 0.0 and other.settings["machine_model"] == "classical"
     assert all(episode.metrics["cost_duty"] == 0.0 for episode in other.episodes)
-    assert results.settings["weights"]["duty"] == 1.0
+    assert results.settings["weights"]["duty"] == 2.0
 
 
 class Killed(Exception):

@@ -104,7 +104,7 @@ def test_event_shares_are_those_of_the_settings():
     assert sum(isinstance(event, LineTrip) for event in events) / 3000 == pytest.approx(0.15, abs=0.025)
     assert sum(isinstance(event, LoadRamp) for event in steps) / len(steps) == pytest.approx(0.25, abs=0.025)
     assert sum(event.power_mw > 0.0 for event in steps) / len(steps) == pytest.approx(0.5, abs=0.03)
-    assert np.mean([abs(event.power_mw) for event in steps]) == pytest.approx(45.0, abs=2.5)
+    assert np.mean([abs(event.power_mw) for event in steps]) == pytest.approx(32.5, abs=2.5)
 
 
 def test_same_arguments_give_the_same_scenario_whatever_was_drawn_before():

@@ -82,7 +82,7 @@ def _our_vector(n_envs: int) -> Stepper:
     """Return a batch whose first episodes are of all lengths, so that resets come evenly from then on."""
     envs = gym.make_vec(wtg_gym.ENV_ID, num_envs=n_envs)
     suite = get_suite("standard")
-    lengths = np.random.default_rng(0).integers(1, round(suite.duration_s), n_envs)
+    lengths = np.random.default_rng(0).integers(10, round(10.0 * suite.duration_s), n_envs) / 10.0
     scenarios = [suite.scenario(suite.validation[i % 100], duration_s=float(s)) for i, s in enumerate(lengths)]
     envs.reset(seed=0)
     envs.reset(options={"scenarios": scenarios})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import warnings
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
@@ -40,7 +40,12 @@ def peer_packages() -> list[str]:
 
 
 def _is_installed(peer: _Peer) -> bool:
-    return importlib.util.find_spec(peer.module) is not None
+    try:
+        importlib.import_module(peer.module)
+    except Exception:
+        # Whatever is wrong with another project's package, this one's figures are wanted.
+        return False
+    return True
 
 
 def _electric_motor() -> Stepper:

@@ -99,14 +99,16 @@ def achieved_table(roofline: Roofline) -> Table:
 
 
 def describe_roofline(roofline: Roofline) -> str:
-    """Return a sentence on arithmetic intensity, computed from the numbers."""
+    """Return what limits a step, computed from the numbers."""
     peak = next(c.giga_per_s for c in roofline.peaks if c.name == "vectors" and c.threads == 1)
-    cache, memory = roofline.bandwidths[0].giga_per_s, roofline.bandwidths[-1].giga_per_s
+    cache = roofline.bandwidths[0].giga_per_s * roofline.cache_intensity
+    memory = roofline.bandwidths[-1].giga_per_s * roofline.memory_intensity
+    roof = min(peak, cache, memory)
+    single, batch = (next(a for a in roofline.achieved if a.name.startswith(name)) for name in ("single", "batch"))
     return (
-        f"As written, a step makes {roofline.cache_intensity:.2f} flop for every byte between rows and registers, "
-        f"where this machine's first cache keeps vectors busy from {peak / cache:.2f} flop per byte on; for every byte "
-        f"of a lane's {1e-3 * roofline.row_bytes:.1f} kB of rows, read and written once a step, it makes "
-        f"{roofline.memory_intensity:.1f}, where memory asks for {peak / memory:.1f}. So "
-        f"{'memory does not limit' if roofline.memory_intensity > peak / memory else 'memory limits'} the step, and "
-        f"{'the first cache may' if roofline.cache_intensity < peak / cache else 'the first cache does not'}."
+        f"As written, a step makes {roofline.cache_intensity:.2f} flop for every byte between rows and registers, and "
+        f"{roofline.memory_intensity:.1f} for every byte of a lane's {1e-3 * roofline.row_bytes:.1f} kB of rows, read "
+        f"and written once a step. On one thread the first cache can feed {cache:.0f} Gflop/s of that, memory "
+        f"{memory:.0f}, and the arithmetic itself ends at {peak:.0f}. Of the lowest of these roofs the batch reaches "
+        f"{100.0 * batch.gflop_per_s / roof:.0f} %, the single environment {100.0 * single.gflop_per_s / roof:.0f} %."
     )

@@ -13,7 +13,7 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from wtg_gym.envs.lanes import PreparedEpisodes, TaskLanes, as_actions
+from wtg_gym.envs.lanes import NextEpisodes, TaskLanes, as_actions
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task import OBSERVATION_BOUND, TaskRow
 from wtg_gym.physics.scenario import Scenario
@@ -142,7 +142,7 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
         if "scenario" in given:
             self._lanes.start([0], [_as_scenario(given["scenario"])])
         else:
-            self._lanes.commit([0], self._lanes.prepare_next([self.np_random]))
+            self._lanes.start([0], self._lanes.draw([self.np_random]))
         self._running = True
         return self._lanes.observations[0].copy(), self._lanes.info()
 
@@ -230,7 +230,7 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         self.single_observation_space, self.single_action_space = _spaces(self._lanes)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._generators = [seeding.np_random()[0] for _ in range(num_envs)]
+        self._next = NextEpisodes(self._lanes, [seeding.np_random()[0] for _ in range(num_envs)])
         self._needs_reset = np.ones(num_envs, dtype=np.bool_)
         self._n_steps = np.zeros(num_envs, dtype=np.int64)
         self._all_lanes = np.ones(num_envs, dtype=np.bool_)
@@ -262,13 +262,16 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         mask = self._reset_mask(given.get("reset_mask"))
         seeds = self._lane_seeds(seed)
         scenarios = self._scenarios(given.get("scenarios"))
-        # Everything that can be refused comes before the first change.
-        generators = [None if s is None else seeding.np_random(s)[0] for s in seeds]
         lanes = np.flatnonzero(mask).tolist()
-        episodes = None if scenarios is None else [self._lanes.prepare([scenarios[lane] for lane in lanes])]
-        for lane in lanes:
-            self._generators[lane] = generators[lane] or self._generators[lane]
-        self._start(lanes, episodes)
+        generators = {lane: seeding.np_random(s)[0] for lane in lanes if (s := seeds[lane]) is not None}
+        # Given scenarios that cannot start are refused before the first change.
+        episodes = None if scenarios is None else self._lanes.prepare([scenarios[lane] for lane in lanes])
+        self._next.reseed(generators)
+        if episodes is None:
+            self._next.start(lanes)
+        else:
+            self._lanes.commit(lanes, [episodes])
+        self._mark_started(lanes)
         return self._lanes.observations.copy(), self._infos(mask.copy())
 
     def _reset_mask(self, given: Any) -> npt.NDArray[np.bool_]:
@@ -300,8 +303,7 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
             raise ValueError(f"one seed per lane is needed ({self.num_envs}), got {len(seed)}")
         return [_lane_seed(given) for given in seed]
 
-    def _start(self, lanes: list[int], episodes: list[PreparedEpisodes] | None = None) -> None:
-        self._lanes.commit(lanes, episodes or self._lanes.prepare_next([self._generators[lane] for lane in lanes]))
+    def _mark_started(self, lanes: list[int]) -> None:
         self._needs_reset[lanes] = False
         self._n_steps[lanes] = 0
 
@@ -314,7 +316,8 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
             actions: (num_envs, n_action), clipped to [-1, 1].
 
         Raises:
-            ValueError: wrong shape, or a value that is not finite; nothing has been stepped then.
+            ValueError: wrong shape, or a value that is not finite; nothing has been stepped then. Or a drawn scenario
+                cannot start; every running lane has been stepped then, and that one still waits for its reset.
             RuntimeError: a lane was never started, or is over and resets are disabled.
         """
         waiting = self._needs_reset.copy()
@@ -323,8 +326,11 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
                 f"lanes {np.flatnonzero(waiting).tolist()} are over or were never started; call reset() before step()"
             )
         beginning = np.flatnonzero(waiting).tolist()
-        episodes = self._lanes.step(
-            as_actions(actions, (self.num_envs, self._lanes.n_action)), [self._generators[lane] for lane in beginning]
+        preparing = self._next.choose(beginning)
+        self._lanes.step(
+            as_actions(actions, (self.num_envs, self._lanes.n_action)),
+            lambda: self._next.prepare(preparing),
+            len(preparing),
         )
         self._n_steps += 1
         if self._max_episode_steps is not None:
@@ -338,10 +344,11 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         infos: dict[str, Any] = {}
         if self.autoreset_mode == AutoresetMode.SAME_STEP and done.any():
             infos = self._final_infos(done)
-            self._start(np.flatnonzero(done).tolist())
-        else:
-            self._start(beginning, episodes)
-            self._needs_reset |= done
+            beginning = np.flatnonzero(done).tolist()
+        self._needs_reset |= done
+        if beginning:
+            self._next.start(beginning)
+            self._mark_started(beginning)
         infos.update(self._infos(self._all_lanes))
         return self._lanes.observations.copy(), rewards, terminated, truncated, infos
 

@@ -46,8 +46,8 @@ class CostWeights:
         unit="1/s",
         source="design",
         doc="one unit at a captured power 5 % of the available away from what the prescribed characteristic asks: the "
-        "reserve a unit is paid to hold; running at maximum power to sell it does not pay. Twice the frequency's weight: "
-        "the reserve is the unit's own doing, the frequency everybody's",
+        "reserve a unit is paid to hold; running at maximum power to sell it does not pay. Twice the frequency's "
+        "weight: the reserve is the unit's own doing, the frequency everybody's",
     )
     rotor: float = parameter(
         5.0,

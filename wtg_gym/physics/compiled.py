@@ -28,7 +28,7 @@ def source_hash() -> str:
     """Return the sha256 hex digest of every source file that compiled code lives in."""
     digest = hashlib.sha256()
     for folder in ("physics", "scenarios", "envs"):
-        for path in sorted((_PACKAGE / folder).glob("*.py")):
+        for path in sorted([*(_PACKAGE / folder).glob("*.py"), *(_PACKAGE / folder).glob("*.npy")]):
             digest.update(path.name.encode())
             digest.update(path.read_bytes())
     return digest.hexdigest()

@@ -1,8 +1,7 @@
 """Fused multiply-add, sine, cosine, exponential and a limited rate as plain arithmetic.
 
 Numba's wheels carry no vector mathematics library, so a call into libm keeps a loop over lanes scalar. These
-are polynomials on a reduced argument: branch-free, the same bits in every lane on every platform, and
-within a few units in the last place of libm (tested).
+are polynomials on a reduced argument: branch-free, the same bits in every lane, and as close to libm as the tests say.
 """
 
 from __future__ import annotations
@@ -22,12 +21,16 @@ def fma(a: float, b: float, c: float) -> float:
     """Return a·b + c, rounded once.
 
     It is asked for by name where it pays. Left to itself the compiler might fuse in a batch and not in a single
-    environment, or on one processor and not on another; like this the bits are the same everywhere.
+    environment, or on one processor and not on another.
     """
-    if not (math.isfinite(a) and math.isfinite(b) and math.isfinite(c)):
+    if not math.isfinite(c):
+        return c if math.isfinite(a) and math.isfinite(b) else a * b + c
+    if not (math.isfinite(a) and math.isfinite(b)):
         return a * b + c
     try:
-        return float(Fraction(a) * Fraction(b) + Fraction(c))
+        exact = Fraction(a) * Fraction(b) + Fraction(c)
+        # A sum of nothing keeps the sign that floating-point zeros give it.
+        return float(exact) if exact else a * b + c
     except OverflowError:
         return a * b + c
 
@@ -53,7 +56,7 @@ _HALF_PI_LOW = 6.123233995736766e-17
 
 @compiled
 def sine_cosine(angle: float) -> tuple[float, float]:
-    """Return (sin, cos) of an angle [rad], |angle| up to about 1e4 rad.
+    """Return (sin, cos) of an angle [rad], |angle| up to about 1e4 rad, wrong by 4e-15 at most.
 
     The angle is reduced to ±π/4. The polynomials interpolate (sin r / r - 1)/r² and (cos r - 1 + r²/2)/r⁴ at the
     Chebyshev nodes of r² in 0 … (π/4)²: 1.8e-17 and 9e-19 off.
@@ -83,10 +86,10 @@ def sine_cosine(angle: float) -> tuple[float, float]:
 
 @compiled
 def exponential(x: float) -> float:
-    """Return e^x for -40 ≤ x ≤ 1; below -40 the result stays at e^-40 ≈ 4e-18.
+    """Return e^x for -40 ≤ x ≤ 1; below -40 the result stays at e^-40 ≈ 4e-18. C_p needs x ≤ c6 c8 = 0.61.
 
     e^(x/32) by a polynomial, then squared five times: no power of two has to be assembled from bits, and the
-    relative error stays below 2e-14. The polynomial interpolates (e^r - 1 - r)/r² at the Chebyshev nodes of
+    relative error stays below 3e-14. The polynomial interpolates (e^r - 1 - r)/r² at the Chebyshev nodes of
     -1.25 … 0.05, 1.9e-16 off; it is summed in pairs, because a single environment waits for its chain.
     """
     r = max(x, -40.0) * 0.03125

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -99,6 +99,7 @@ class Simulator:
         self.data = self._allocate_data(n_blocks * self.width, 4)
         self.n_threads = n_threads
         self._pool: ThreadPoolExecutor | None = None
+        self._pool_process = 0
         self._pad()
 
     def _allocate_data(self, n: int, n_events: int) -> LaneData:
@@ -285,18 +286,28 @@ class Simulator:
             n_threads = min(n_threads, self.n_threads or os.cpu_count() or 1)
         futures, own = [], n_blocks
         if n_threads > 1:
-            if self._pool is None:
-                self._pool = ThreadPoolExecutor(n_threads, thread_name_prefix="wtg_gym")
             own = max(0, (n_blocks + meanwhile_blocks) // n_threads - meanwhile_blocks)
             edges = [own + (n_blocks - own) * i // (n_threads - 1) for i in range(n_threads)]
-            futures = [self._pool.submit(work, edges[i], edges[i + 1]) for i in range(n_threads - 1)]
+            pool = self._workers(n_threads)
+            futures = [pool.submit(work, edges[i], edges[i + 1]) for i in range(n_threads - 1)]
+        # Whatever happens meanwhile, no block may be left a step behind the others.
         try:
             if meanwhile is not None:
                 meanwhile()
-            work(0, own)
         finally:
-            for done in futures:
-                done.result()
+            try:
+                work(0, own)
+            finally:
+                wait(futures)
+        for done in futures:
+            done.result()
+
+    def _workers(self, n_threads: int) -> ThreadPoolExecutor:
+        # A forked process inherits the pool, but not its threads.
+        if self._pool is None or self._pool_process != os.getpid():
+            self._pool = ThreadPoolExecutor(n_threads, thread_name_prefix="wtg_gym")
+            self._pool_process = os.getpid()
+        return self._pool
 
     def evaluate(self) -> None:
         """Evaluate rates, powers and coefficients of all lanes where they stand, in place."""

@@ -1,0 +1,81 @@
+"""Resets while other threads step: parity, and what a failed preparation leaves."""
+
+from __future__ import annotations
+
+import copy
+import multiprocessing
+import os
+import pickle
+
+import numpy as np
+import pytest
+
+from wtg_gym.envs.gfm_wtg import GFMWTGVectorEnv
+from wtg_gym.physics.layout import LaneRow
+
+N = 1024
+
+
+def staggered(n_threads: int) -> GFMWTGVectorEnv:
+    """A batch of 64 blocks of which one lane waits for its reset and the others run."""
+    env = GFMWTGVectorEnv(N, n_threads=n_threads, duration_s=3.0)
+    env.reset(seed=0)
+    actions = np.zeros((N, 4), dtype=np.float32)
+    for _ in range(10):
+        env.step(actions)
+    env.reset(options={"reset_mask": np.arange(N) > 0})
+    for _ in range(20):
+        env.step(actions)
+    return env
+
+
+@pytest.mark.parametrize("n_threads", [2, 3, 4, 9])
+def test_resets_while_other_threads_step_change_no_bit(n_threads: int) -> None:
+    one, many = staggered(1), staggered(n_threads)
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (45, N, 4)).astype(np.float32)
+    for own in actions:
+        for a, b in zip(one.step(own)[:4], many.step(own)[:4], strict=True):
+            assert (a == b).all()
+    many.close()
+
+
+def test_a_preparation_that_fails_leaves_no_lane_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    env = staggered(2)
+    simulator, actions = env.lanes.simulator, np.zeros((N, 4), dtype=np.float32)
+    # Nothing is ready: what the waiting lane needs is drawn in the next step.
+    env._next._ready.clear()
+    before = simulator.lane_values(LaneRow.STEP)
+
+    def refuse(scenarios: object) -> None:
+        raise ValueError("scenario 'x' cannot start")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(env.lanes, "prepare", refuse)
+        with pytest.raises(ValueError, match="cannot start"):
+            env.step(actions)
+    assert (simulator.lane_values(LaneRow.STEP)[1:] == before[1:] + simulator.plant.n_substeps).all()
+    # The lane that could not start has moved on to the scenario after it.
+    env.step(actions)
+    assert simulator.lane_values(LaneRow.STEP)[0] == 0.0
+    env.close()
+
+
+def test_blocks_begin_at_a_cache_line_in_copies_too() -> None:
+    env = GFMWTGVectorEnv(33)
+    for each in (env, copy.deepcopy(env), pickle.loads(pickle.dumps(env))):
+        assert each.lanes.simulator.blocks.ctypes.data % 64 == 0
+
+
+def _step_after_fork(env: GFMWTGVectorEnv) -> None:
+    env.step(np.zeros((N, 4), dtype=np.float32))
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+def test_a_forked_process_steps_a_batch_that_has_stepped_on_threads() -> None:
+    env = staggered(2)
+    process = multiprocessing.get_context("fork").Process(target=_step_after_fork, args=(env,))
+    process.start()
+    process.join(60.0)
+    assert process.exitcode == 0
+    env.close()
