@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import pickle
 import random
-import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -26,33 +24,6 @@ _MODEL = "model.zip"
 _NORMALIZE = "vec_normalize.pkl"
 _REPLAY_BUFFER = "replay_buffer.pkl"
 _STATE = "state.pkl"
-
-
-def save_folder(parent: Path, timesteps: int, write: Callable[[Path], None]) -> None:
-    """Write a folder that is named after a number of timesteps, then remove the older ones beside it.
-
-    It gets its name when it is complete, so that a kill at any moment leaves a complete one behind.
-
-    Args:
-        parent: where to put it.
-        timesteps: number of timesteps.
-        write: writes the files into the folder that it is given.
-    """
-    parent.mkdir(parents=True, exist_ok=True)
-    target, temporary = parent / f"{timesteps:012d}", parent / "incomplete"
-    shutil.rmtree(temporary, ignore_errors=True)
-    temporary.mkdir()
-    write(temporary)
-    shutil.rmtree(target, ignore_errors=True)
-    temporary.rename(target)
-    for other in folders(parent):
-        if other != target:
-            shutil.rmtree(other)
-
-
-def folders(parent: Path) -> list[Path]:
-    """Return the complete folders in `parent`, the fewest timesteps first."""
-    return sorted(path for path in parent.glob("*") if path.name.isdigit())
 
 
 def save_policy(folder: Path, model: BaseAlgorithm) -> None:
@@ -137,4 +108,4 @@ def _set_random_states(model: BaseAlgorithm, states: dict[str, Any]) -> None:
     model.action_space.np_random.bit_generator.state = states["action_space"]
 
 
-__all__ = ["folders", "load_checkpoint", "load_policy", "save_checkpoint", "save_folder", "save_policy"]
+__all__ = ["load_checkpoint", "load_policy", "save_checkpoint", "save_policy"]

@@ -17,8 +17,8 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
-from torch import nn
 
+from agents.networks import ACTIVATIONS
 from wtg_gym import ENV_ID
 from wtg_gym.files import read_text
 
@@ -31,14 +31,6 @@ ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
     "recurrent_ppo": RecurrentPPO,
 }
 CONFIG_FOLDER = Path(__file__).parent / "configs"
-#: Activations that policy_kwargs may name; the export knows each of them.
-ACTIVATIONS: dict[str, type[nn.Module]] = {
-    "nn.ELU": nn.ELU,
-    "nn.LeakyReLU": nn.LeakyReLU,
-    "nn.ReLU": nn.ReLU,
-    "nn.Sigmoid": nn.Sigmoid,
-    "nn.Tanh": nn.Tanh,
-}
 #: Keys that may hold a text such as "lin_0.0003".
 _SCHEDULES = ("learning_rate", "clip_range", "clip_range_vf")
 _OF_THE_RUN = ("n_timesteps", "n_envs", "normalize", "noise_type", "noise_std")
@@ -168,7 +160,7 @@ def _noise(raw: Mapping[str, Any]) -> float | None:
 def parse_literal(key: str, value: Any) -> dict[str, Any]:
     """Return the dictionary that a text such as "dict(net_arch=[64, 64], activation_fn=nn.Tanh)" writes down.
 
-    RL Zoo evaluates such texts; here only literals, `dict(…)` and the names of :data:`ACTIVATIONS` mean anything.
+    RL Zoo evaluates such texts; here only literals, `dict(…)` and the names of :data:`agents.networks.ACTIVATIONS` mean anything.
 
     Raises:
         ValueError: it is no dictionary, or holds anything else.
@@ -230,4 +222,4 @@ def build_model(algo: str, hyperparameters: Hyperparameters, env: VecEnv, *, see
         raise ValueError(f"{algo} refuses its hyperparameters {dict(hyperparameters.arguments)}: {error}") from error
 
 
-__all__ = ["ACTIVATIONS", "ALGORITHMS", "CONFIG_FOLDER", "Hyperparameters", "build_model", "parse", "read_config"]
+__all__ = ["ALGORITHMS", "CONFIG_FOLDER", "Hyperparameters", "build_model", "parse", "read_config"]

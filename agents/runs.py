@@ -6,10 +6,11 @@ import dataclasses
 import importlib.metadata
 import platform
 import shlex
+import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,8 @@ from wtg_gym.files import parse_json, read_text, to_json, write_atomically
 from wtg_gym.physics.compiled import source_hash
 from wtg_gym.scenarios import get_suite
 
-RUN_FILE = "run.json"
+#: In the folder of a run: its description, its last checkpoint, its best policy.
+RUN_FILE, CHECKPOINTS, BEST = "run.json", "checkpoints", "best"
 _PACKAGES = ("gymnasium", "numba", "numpy", "stable-baselines3", "sb3-contrib", "torch")
 
 
@@ -134,6 +136,33 @@ def new_folder(path: Path) -> Path:
     return path
 
 
+def save_folder(parent: Path, timesteps: int, write: Callable[[Path], None]) -> None:
+    """Write a folder that is named after a number of timesteps, then remove the older ones beside it.
+
+    It gets its name when it is complete, so that a kill at any moment leaves a complete one behind.
+
+    Args:
+        parent: where to put it.
+        timesteps: number of timesteps.
+        write: writes the files into the folder that it is given.
+    """
+    parent.mkdir(parents=True, exist_ok=True)
+    target, temporary = parent / f"{timesteps:012d}", parent / "incomplete"
+    shutil.rmtree(temporary, ignore_errors=True)
+    temporary.mkdir()
+    write(temporary)
+    shutil.rmtree(target, ignore_errors=True)
+    temporary.rename(target)
+    for other in folders(parent):
+        if other != target:
+            shutil.rmtree(other)
+
+
+def folders(parent: Path) -> list[Path]:
+    """Return the complete folders in `parent`, the fewest timesteps first."""
+    return sorted(path for path in parent.glob("*") if path.name.isdigit())
+
+
 def _provenance(settings: RunSettings) -> dict[str, Any]:
     return {
         "command": shlex.join([Path(sys.executable).name, *sys.orig_argv[1:]]),
@@ -145,9 +174,16 @@ def _provenance(settings: RunSettings) -> dict[str, Any]:
         "versions": {
             "python": platform.python_version(),
             "wtg_gym": __version__,
-            **{name: importlib.metadata.version(name) for name in _PACKAGES},
+            **{name: version for name in _PACKAGES if (version := _version(name)) is not None},
         },
     }
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
 
 
 def _git_commit() -> str | None:
@@ -159,4 +195,4 @@ def _git_commit() -> str | None:
         return None
 
 
-__all__ = ["RUN_FILE", "Run", "RunSettings", "new_folder"]
+__all__ = ["BEST", "CHECKPOINTS", "RUN_FILE", "Run", "RunSettings", "folders", "new_folder", "save_folder"]

@@ -13,15 +13,16 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize, unwrap_vec_wrapper
 
-from agents.checkpoints import folders, load_checkpoint, save_checkpoint, save_folder, save_policy
+from agents.checkpoints import load_checkpoint, save_checkpoint, save_policy
 from agents.hyperparameters import build_model, parse
 from agents.metrics import EpisodeMetrics
-from agents.runs import Run
-from agents.validation import NormalizedPolicy, validate
+from agents.learners import NormalizedPolicy
+from agents.runs import BEST, CHECKPOINTS, Run, folders, save_folder
+from agents.validation import validate
 from wtg_gym.cli.output import Progress
 from wtg_gym.sb3 import SB3VecEnv, make_sb3_vec_env
 
-CHECKPOINTS, BEST, TENSORBOARD = "checkpoints", "best", "tensorboard"
+_TENSORBOARD = "tensorboard"
 
 #: Called with (timesteps, score) after each validation; an exception that it raises ends the run.
 OnScore = Callable[[int, float], None]
@@ -151,7 +152,7 @@ def train(
     """
     # Sums over several threads depend on which of them ends first, and networks this small gain nothing from them.
     torch.set_num_threads(1)
-    outputs = (None, []) if folder is None else (str(folder / TENSORBOARD), ["tensorboard"])
+    outputs = (None, []) if folder is None else (str(folder / _TENSORBOARD), ["tensorboard"])
     model.set_logger(configure(*outputs))
     env = model.get_env()
     assert env is not None
@@ -171,4 +172,4 @@ def train(
         env.close()
 
 
-__all__ = ["BEST", "CHECKPOINTS", "TENSORBOARD", "OnScore", "resume", "start", "train"]
+__all__ = ["OnScore", "resume", "start", "train"]

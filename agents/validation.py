@@ -2,36 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
-from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.vec_env import VecNormalize
-
 from agents.runs import RunSettings
 from wtg_gym.evaluation import Entry, Policy, evaluate
 from wtg_gym.scenarios import get_suite
-
-
-@dataclass(frozen=True)
-class NormalizedPolicy:
-    """A learner together with the normalisation of its observations.
-
-    Args:
-        model: the learner.
-        vec_normalize: the normalisation it was trained with; None for none.
-    """
-
-    model: BaseAlgorithm
-    vec_normalize: VecNormalize | None
-
-    def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
-    ) -> tuple[Any, Any]:
-        """Return (actions (n_lanes, n_action), next recurrent state) for raw observations (n_lanes, n_observation)."""
-        if self.vec_normalize is not None:
-            observation = self.vec_normalize.normalize_obs(observation)
-        return self.model.predict(observation, state, episode_start, deterministic)
 
 
 def validate(policy: Policy, settings: RunSettings) -> dict[str, float]:
@@ -61,4 +34,4 @@ def validate(policy: Policy, settings: RunSettings) -> dict[str, float]:
     }
 
 
-__all__ = ["NormalizedPolicy", "validate"]
+__all__ = ["validate"]
