@@ -160,7 +160,8 @@ def _noise(raw: Mapping[str, Any]) -> float | None:
 def parse_literal(key: str, value: Any) -> dict[str, Any]:
     """Return the dictionary that a text such as "dict(net_arch=[64, 64], activation_fn=nn.Tanh)" writes down.
 
-    RL Zoo evaluates such texts; here only literals, `dict(…)` and the names of :data:`agents.networks.ACTIVATIONS` mean anything.
+    RL Zoo evaluates such texts. Here only literals, `dict(…)` and the names of :data:`agents.networks.ACTIVATIONS`
+    mean anything.
 
     Raises:
         ValueError: it is no dictionary, or holds anything else.
@@ -184,9 +185,7 @@ def _literal(node: ast.expr) -> Any:
         case ast.Call(func=ast.Name(id="dict"), args=[], keywords=keywords):
             return {str(keyword.arg): _literal(keyword.value) for keyword in keywords if keyword.arg is not None}
         case ast.Dict(keys=keys, values=values) if None not in keys:
-            return {
-                _literal(key): _literal(value) for key, value in zip(keys, values, strict=True) if key is not None
-            }
+            return {_literal(key): _literal(value) for key, value in zip(keys, values, strict=True) if key is not None}
         case ast.List(elts=elements):
             return [_literal(element) for element in elements]
         case ast.Attribute() if ast.unparse(node) in ACTIVATIONS:

@@ -55,7 +55,7 @@ def network_of(model: BaseAlgorithm, vec_normalize: VecNormalize | None) -> Poli
         if isinstance(policy, RecurrentActorCriticPolicy):
             lstm = policy.lstm_actor
     else:
-        actor = policy.actor
+        actor: Any = policy.actor
         extractor = actor.features_extractor
         # TD3's `mu` is the whole network and ends in Tanh; SAC and TQC squash what theirs gives.
         layers = flat_layers([actor.latent_pi, actor.mu, nn.Tanh()] if hasattr(actor, "latent_pi") else [actor.mu])
@@ -63,9 +63,7 @@ def network_of(model: BaseAlgorithm, vec_normalize: VecNormalize | None) -> Poli
         raise ValueError(f"cannot export the features of {type(extractor).__name__}, only plain observations")
     shape = model.observation_space.shape
     assert shape is not None
-    return PolicyNetwork(
-        n_observation=shape[0], normalization=_normalization(vec_normalize), lstm=lstm, layers=layers
-    )
+    return PolicyNetwork(n_observation=shape[0], normalization=_normalization(vec_normalize), lstm=lstm, layers=layers)
 
 
 def _normalization(vec_normalize: VecNormalize | None) -> Normalization | None:

@@ -51,27 +51,30 @@ def model_card(run: Run, name: str, authors: Sequence[str], content: bytes) -> s
         [[f"{row[key]:,.{digits}f}" for key, digits in _CURVE.items()] for row in run.curve],
         right=range(len(_CURVE)),
     )
-    return "\n\n".join(
-        [
-            f"# {name}",
-            "A policy that modulates the grid-forming control of wind turbines on the IEEE 14-bus system.",
-            _table(facts),
-            "## Use",
-            "With the checkout's root as the working folder, and this folder in place of `FOLDER`:",
-            "```\nwtg-gym evaluate --entries FOLDER --suite standard\n```",
-            "## Hyperparameters",
-            _table({key: f"`{value}`" for key, value in sorted(settings.hyperparameters.items())}),
-            f"Number of lanes in this run: {settings.n_envs}.",
-            "## Training curve",
-            curve,
-            "## How to reproduce",
-            f"In a checkout of commit `{provenance['git_commit']}`:",
-            f"```\n{provenance['command']}\n```",
-            _table({key: str(value) for key, value in sorted(provenance["versions"].items())}),
-            f"Source hash `{provenance['source_hash']}`, suite hash `{provenance['suite_hash']}`; the same versions on "
-            f"the same kind of machine ({provenance['machine']}) give the same weights.",
-        ]
-    ) + "\n"
+    return (
+        "\n\n".join(
+            [
+                f"# {name}",
+                "A policy that modulates the grid-forming control of wind turbines on the IEEE 14-bus system.",
+                _table(facts),
+                "## Use",
+                "With the checkout's root as the working folder, and this folder in place of `FOLDER`:",
+                "```\nwtg-gym evaluate --entries FOLDER --suite standard\n```",
+                "## Hyperparameters",
+                _table({key: f"`{value}`" for key, value in sorted(settings.hyperparameters.items())}),
+                f"Number of lanes in this run: {settings.n_envs}.",
+                "## Training curve",
+                curve,
+                "## How to reproduce",
+                f"In a checkout of commit `{provenance['git_commit']}`:",
+                f"```\n{provenance['command']}\n```",
+                _table({key: str(value) for key, value in sorted(provenance["versions"].items())}),
+                f"Source hash `{provenance['source_hash']}`, suite hash `{provenance['suite_hash']}`; the same "
+                f"versions on the same kind of machine ({provenance['machine']}) give the same weights.",
+            ]
+        )
+        + "\n"
+    )
 
 
 def _table(facts: Mapping[str, Any]) -> str:

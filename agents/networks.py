@@ -35,7 +35,7 @@ class Normalization:
     bound: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class PolicyNetwork:
     """Observation → normalisation → LSTM → layers → clip to [-1, 1]: the deterministic action.
 

@@ -124,9 +124,7 @@ def _lstm_layer(graph: _Graph, value: str, lstm: nn.LSTM, layer: int) -> tuple[s
     """Return (hidden, cell) of one layer after one step; gates in torch's order: input, forget, cell, output."""
     hidden, cell = f"state_{2 * layer}", f"state_{2 * layer + 1}"
     parameters = [getattr(lstm, f"{name}_l{layer}") for name in ("weight_ih", "bias_ih", "weight_hh", "bias_hh")]
-    gates = graph.add(
-        "Add", _linear(graph, value, *parameters[:2]), _linear(graph, hidden, *parameters[2:])
-    )
+    gates = graph.add("Add", _linear(graph, value, *parameters[:2]), _linear(graph, hidden, *parameters[2:]))
     i, f, g, o = graph.add_many("Split", gates, n_outputs=4, axis=1)
     kept = graph.add("Mul", graph.add("Sigmoid", f), cell)
     written = graph.add("Mul", graph.add("Sigmoid", i), graph.add("Tanh", g))

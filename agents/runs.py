@@ -76,7 +76,7 @@ class RunSettings:
             raise ValueError(f"device must be cpu or cuda, got {self.device!r}")
 
     @property
-    def env_arguments(self) -> dict[str, str]:
+    def env_arguments(self) -> dict[str, Any]:
         """The environment's arguments that the run decides."""
         return {"action_mode": self.action_mode, "observation_mode": self.observation_mode, "suite": self.suite}
 

@@ -6,7 +6,6 @@ generalised advantage estimation; the exported policy comes from `python -m agen
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import sys
 import time
@@ -19,14 +18,15 @@ import gymnasium as gym
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.distributions import Normal
 
 from agents.networks import Normalization, PolicyNetwork, flat_layers
-from agents.runs import BEST, Run, RunSettings, folders, new_folder, save_folder
+from agents.runs import BEST, Run, RunSettings, new_folder, save_folder
+from agents.staggering import stagger
 from agents.validation import validate
 from wtg_gym import ENV_ID
 from wtg_gym.cli.output import Progress, note
 from wtg_gym.cli.parser import Parser
+from wtg_gym.envs import GFMWTGVectorEnv
 from wtg_gym.envs.settings import ACTION_MODES
 
 #: The algorithm's name in run.json.
@@ -86,11 +86,11 @@ class RunningMoments(nn.Module):
 
 
 def _network(n_in: int, hidden: int, n_out: int, last_gain: float) -> nn.Sequential:
-    layers = [nn.Linear(n_in, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, n_out)]
-    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain), strict=True):
+    first, second, last = nn.Linear(n_in, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, n_out)
+    for layer, gain in ((first, 2**0.5), (second, 2**0.5), (last, last_gain)):
         nn.init.orthogonal_(layer.weight, gain)
         nn.init.zeros_(layer.bias)
-    return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2])
+    return nn.Sequential(first, nn.Tanh(), second, nn.Tanh(), last)
 
 
 class Agent(nn.Module):
@@ -114,29 +114,35 @@ class Agent(nn.Module):
         values = (torch.as_tensor(observations, dtype=torch.float64) - self.moments.mean) / self.moments.std
         return values.clamp(-_CLIP_OBSERVATION, _CLIP_OBSERVATION).float()
 
-    def distribution(self, normalized: Tensor) -> Normal:
-        """Return the actions' distribution; they are clipped by the environment."""
-        return Normal(self.actor(normalized), self.log_std.exp())
+    def sample(self, normalized: Tensor) -> Tensor:
+        """Return random actions (n, n_action), not clipped."""
+        mean: Tensor = self.actor(normalized)
+        return mean + self.log_std.exp() * torch.randn_like(mean)
+
+    def log_prob(self, normalized: Tensor, actions: Tensor) -> Tensor:
+        """Return the logarithm of the actions' density (n,), but for a constant."""
+        distance: Tensor = (actions - self.actor(normalized)) / self.log_std.exp()
+        return -(0.5 * distance.square() + self.log_std).sum(-1)
 
     def value(self, normalized: Tensor) -> Tensor:
         """Return the expected scaled return (n,)."""
-        return self.critic(normalized).squeeze(-1)  # type: ignore[no-any-return]
+        values: Tensor = self.critic(normalized)
+        return values.squeeze(-1)
 
     @torch.no_grad()
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[Any, Any]:
         """Return (actions (n_lanes, n_action), state), in the manner of Stable-Baselines3."""
-        distribution = self.distribution(self.normalized(observation))
-        actions = distribution.mean if deterministic else distribution.sample()
+        seen = self.normalized(observation)
+        actions: Tensor = self.actor(seen) if deterministic else self.sample(seen)
         return actions.clamp(-1.0, 1.0).numpy(), state
 
     def network(self) -> PolicyNetwork:
         """Return the deterministic policy for the export."""
         mean, std = self.moments.mean.numpy(), self.moments.std.numpy()
         normalization = Normalization(mean=mean, std=std, bound=_CLIP_OBSERVATION)
-        layers = flat_layers([self.actor])
-        return PolicyNetwork(n_observation=mean.size, normalization=normalization, lstm=None, layers=layers)
+        return PolicyNetwork(mean.size, normalization, lstm=None, layers=flat_layers([self.actor]))
 
 
 class Batch(NamedTuple):
@@ -153,42 +159,41 @@ class Collector:
     """Plays the lanes and prepares what is learned from.
 
     Args:
-        envs: vector environment that resets within the step in which an episode ends, so that every step is learned
-            from and none is a mere reset.
+        envs: resets within the step in which an episode ends, so that no step to learn from is a mere reset.
         agent: whose policy is played.
         hyperparameters: lengths and discounts.
         seed: lane i starts with seed + i.
     """
 
-    def __init__(self, envs: gym.vector.VectorEnv, agent: Agent, hyperparameters: Hyperparameters, seed: int) -> None:
+    def __init__(self, envs: GFMWTGVectorEnv, agent: Agent, hyperparameters: Hyperparameters, seed: int) -> None:
         self._envs, self._agent, self._h = envs, agent, hyperparameters
-        self._observations, _ = envs.reset(seed=seed)
+        envs.reset(seed=seed)
+        self._observations = stagger(envs)
         self._returns = torch.zeros(envs.num_envs, dtype=torch.float64)
         self._return_moments = RunningMoments(1)
 
     @torch.no_grad()
     def rollout(self) -> tuple[Batch, float]:
         """Return a batch, and the mean reward of a step in it."""
-        agent, n = self._agent, self._envs.num_envs
+        agent = self._agent
         rows: list[tuple[Tensor, ...]] = []
         total = 0.0
         for _ in range(self._h.n_steps):
             agent.moments.update(torch.as_tensor(self._observations, dtype=torch.float64))
             seen = agent.normalized(self._observations)
-            distribution = agent.distribution(seen)
-            actions = distribution.sample()
+            actions = agent.sample(seen)
             self._observations, given, terminated, truncated, infos = self._envs.step(actions.clamp(-1, 1).numpy())
             rewards, done = self._scaled(given, terminated | truncated)
             if truncated.any():
                 # Time ran out but the grid lives on: what would have followed is estimated.
                 last = np.stack(infos["final_obs"][truncated])
                 rewards[torch.as_tensor(truncated)] += self._h.gamma * agent.value(agent.normalized(last))
-            rows.append((seen, actions, distribution.log_prob(actions).sum(-1), agent.value(seen), rewards, done))
+            rows.append((seen, actions, agent.log_prob(seen, actions), agent.value(seen), rewards, done))
             total += float(given.mean())
         seen, actions, log_probs, values, rewards, done = map(torch.stack, zip(*rows, strict=True))
         advantages = self._advantages(values, rewards, done, agent.value(agent.normalized(self._observations)))
-        flat = (array.reshape(self._h.n_steps * n, *array.shape[2:]) for array in (seen, actions, log_probs))
-        return Batch(*flat, advantages.flatten(), (advantages + values).flatten()), total / self._h.n_steps
+        columns = (seen, actions, log_probs, advantages, advantages + values)
+        return Batch(*(column.flatten(0, 1) for column in columns)), total / self._h.n_steps
 
     def _scaled(self, rewards: Any, done: Any) -> tuple[Tensor, Tensor]:
         """Return rewards in units of the spread of discounted returns, clipped to ± 10, and done as numbers; (n,)."""
@@ -219,7 +224,7 @@ def update(agent: Agent, optimizer: torch.optim.Optimizer, batch: Batch, h: Hype
         for part in torch.randperm(n).chunk(h.n_minibatches):
             observations, actions, log_probs, advantages, returns = (array[part] for array in batch)
             advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
-            ratio = (agent.distribution(observations).log_prob(actions).sum(-1) - log_probs).exp()
+            ratio = (agent.log_prob(observations, actions) - log_probs).exp()
             clipped = ratio.clamp(1.0 - h.clip_range, 1.0 + h.clip_range)
             policy_loss = -torch.minimum(ratio * advantages, clipped * advantages).mean()
             value_loss = (agent.value(observations) - returns).square().mean()
@@ -231,16 +236,15 @@ def update(agent: Agent, optimizer: torch.optim.Optimizer, batch: Batch, h: Hype
     return float(np.mean(errors))
 
 
-def train(run: Run, folder: Path, h: Hyperparameters) -> Agent:
+def train(run: Run, folder: Path, h: Hyperparameters) -> None:
     """Train from start to end; the best policy and run.json go to `folder`."""
     settings = run.settings
     # One thread, so that sums do not depend on which thread ends first.
     torch.set_num_threads(1)
     torch.manual_seed(settings.seed)
-    arguments: dict[str, Any] = {"autoreset_mode": "SameStep", **settings.env_arguments}
-    envs = gym.make_vec(ENV_ID, num_envs=settings.n_envs, **arguments)
-    n_observation, n_action = envs.single_observation_space.shape[0], envs.single_action_space.shape[0]  # type: ignore[index]
-    agent = Agent(n_observation, n_action, h)
+    envs = gym.make_vec(ENV_ID, num_envs=settings.n_envs, autoreset_mode="SameStep", **settings.env_arguments)
+    assert isinstance(envs, GFMWTGVectorEnv)
+    agent = Agent(envs.lanes.n_observation, envs.lanes.n_action, h)
     optimizer = torch.optim.Adam(agent.parameters(), lr=h.learning_rate, eps=1e-5)
     collector = Collector(envs, agent, h, settings.seed)
     per_rollout = h.n_steps * settings.n_envs
@@ -262,29 +266,22 @@ def train(run: Run, folder: Path, h: Hyperparameters) -> Agent:
     envs.close()
     run.finished = True
     run.write(folder)
-    return agent
 
 
 def _take_stock(run: Run, folder: Path, agent: Agent, steps: int, wall_time_s: float) -> None:
     row = validate(agent, run.settings)
     run.curve.append({"timesteps": steps, "wall_time_s": round(wall_time_s, 2), **row})
     if run.best is run.curve[-1]:
-        save_folder(folder / BEST, steps, lambda path: torch.save(_content(agent), path / _WEIGHTS))
+        save_folder(folder / BEST, steps, lambda path: torch.save(agent.state_dict(), path / _WEIGHTS))
     run.write(folder)
-
-
-def _content(agent: Agent) -> dict[str, Any]:
-    first, last = agent.actor[0], agent.actor[-1]
-    assert isinstance(first, nn.Linear) and isinstance(last, nn.Linear)
-    return {"sizes": (first.in_features, last.out_features, first.out_features), "weights": agent.state_dict()}
 
 
 def load(folder: Path) -> Agent:
     """Return the agent of a folder that :func:`train` saved; no code in it is run."""
-    content = torch.load(folder / _WEIGHTS, weights_only=True)
-    n_observation, n_action, hidden = content["sizes"]
-    agent = Agent(n_observation, n_action, Hyperparameters(hidden=hidden))
-    agent.load_state_dict(content["weights"])
+    weights = torch.load(folder / _WEIGHTS, weights_only=True)
+    hidden, n_observation = weights["actor.0.weight"].shape
+    agent = Agent(n_observation, weights["log_std"].numel(), Hyperparameters(hidden=hidden))
+    agent.load_state_dict(weights)
     return agent
 
 
@@ -301,7 +298,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         given = parser.parse_args(argv)
         h = Hyperparameters()
-        run = Run.new(_settings(given, h))
+        settings = RunSettings(
+            algo=NAME,
+            hyperparameters=dataclasses.asdict(h),
+            action_mode=given.action_mode,
+            seed=given.seed,
+            timesteps=given.timesteps,
+            n_envs=given.n_envs,
+            interval=given.interval or max(1, given.timesteps // 20),
+            validation_episodes=given.validation_episodes,
+        )
+        run = Run.new(settings)
         folder = new_folder(Path(given.output))
         train(run, folder, h)
     except ValueError as error:
@@ -309,19 +316,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     note(f"best validation score {run.best['score']:.1f} at step {run.best['timesteps']}; wrote {given.output}")
     return 0
-
-
-def _settings(given: argparse.Namespace, h: Hyperparameters) -> RunSettings:
-    return RunSettings(
-        algo=NAME,
-        hyperparameters=dataclasses.asdict(h),
-        action_mode=given.action_mode,
-        seed=given.seed,
-        timesteps=given.timesteps,
-        n_envs=given.n_envs,
-        interval=max(1, given.timesteps // 20) if given.interval is None else given.interval,
-        validation_episodes=given.validation_episodes,
-    )
 
 
 if __name__ == "__main__":

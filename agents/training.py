@@ -15,12 +15,13 @@ from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize, u
 
 from agents.checkpoints import load_checkpoint, save_checkpoint, save_policy
 from agents.hyperparameters import build_model, parse
-from agents.metrics import EpisodeMetrics
 from agents.learners import NormalizedPolicy
+from agents.metrics import EpisodeMetrics
 from agents.runs import BEST, CHECKPOINTS, Run, folders, save_folder
 from agents.validation import validate
+from agents.vec_env import StaggeredVecEnv
 from wtg_gym.cli.output import Progress
-from wtg_gym.sb3 import SB3VecEnv, make_sb3_vec_env
+from wtg_gym.sb3 import SB3VecEnv
 
 _TENSORBOARD = "tensorboard"
 
@@ -87,9 +88,7 @@ class _Supervision(BaseCallback):
         model, run = self.model, self._run
         if run.best is run.curve[-1]:
             save_folder(folder / BEST, model.num_timesteps, lambda path: save_policy(path, model))
-        save_folder(
-            folder / CHECKPOINTS, model.num_timesteps, lambda path: save_checkpoint(path, model, self._metrics)
-        )
+        save_folder(folder / CHECKPOINTS, model.num_timesteps, lambda path: save_checkpoint(path, model, self._metrics))
         # The checkpoint is what counts: a row without one is dropped on resumption.
         run.write(folder)
 
@@ -109,7 +108,7 @@ def start(run: Run) -> tuple[BaseAlgorithm, EpisodeMetrics]:
     """
     settings = run.settings
     hyperparameters = parse(settings.algo, settings.hyperparameters)
-    env: VecEnv = make_sb3_vec_env(settings.n_envs, seed=settings.seed, **settings.env_arguments)
+    env: VecEnv = VecMonitor(StaggeredVecEnv(settings.n_envs, **settings.env_arguments))
     if hyperparameters.normalize is not None:
         env = VecNormalize(env, **hyperparameters.normalize)
     model = build_model(settings.algo, hyperparameters, env, seed=settings.seed, device=settings.device)
