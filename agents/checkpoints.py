@@ -40,7 +40,13 @@ def load_policy(folder: Path, algo: str) -> tuple[BaseAlgorithm, VecNormalize | 
     if (folder / _NORMALIZE).exists():
         normalize = pickle.loads((folder / _NORMALIZE).read_bytes())
         normalize.training = False
-    return ALGORITHMS[algo].load(folder / _MODEL, device="cpu"), normalize
+    return _load_model(folder, algo, device="cpu"), normalize
+
+
+def _load_model(folder: Path, algo: str, **arguments: Any) -> BaseAlgorithm:
+    # What the learner chose by itself for its n_steps would be taken for a choice of the user's, with a warning.
+    custom = {"replay_buffer_class": None}
+    return ALGORITHMS[algo].load(folder / _MODEL, custom_objects=custom, **arguments)
 
 
 def save_checkpoint(folder: Path, model: BaseAlgorithm, extra: Any) -> None:
@@ -80,7 +86,7 @@ def load_checkpoint(folder: Path, algo: str, device: str) -> tuple[BaseAlgorithm
         normalize = VecNormalize.load(str(folder / _NORMALIZE), monitor)
         normalize.returns = state["discounted_returns"]
         env = normalize
-    model = ALGORITHMS[algo].load(folder / _MODEL, env=env, device=device, force_reset=False)
+    model = _load_model(folder, algo, env=env, device=device, force_reset=False)
     if isinstance(model, OffPolicyAlgorithm):
         model.load_replay_buffer(folder / _REPLAY_BUFFER)
     if state["lstm_states"] is not None:

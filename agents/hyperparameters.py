@@ -182,8 +182,8 @@ def parse_literal(key: str, value: Any) -> dict[str, Any]:
 
 def _literal(node: ast.expr) -> Any:
     match node:
-        case ast.Call(func=ast.Name(id="dict"), args=[], keywords=keywords):
-            return {str(keyword.arg): _literal(keyword.value) for keyword in keywords if keyword.arg is not None}
+        case ast.Call(func=ast.Name(id="dict"), args=[], keywords=keywords) if all(each.arg for each in keywords):
+            return {str(each.arg): _literal(each.value) for each in keywords}
         case ast.Dict(keys=keys, values=values) if None not in keys:
             return {_literal(key): _literal(value) for key, value in zip(keys, values, strict=True) if key is not None}
         case ast.List(elts=elements):

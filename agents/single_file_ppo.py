@@ -39,18 +39,18 @@ _CLIP_OBSERVATION = 10.0
 class Hyperparameters:
     """What can be turned; the same best guesses as in configs/ppo.yml."""
 
-    n_steps: int = 128
+    n_steps: int = 300
     n_minibatches: int = 8
     n_epochs: int = 5
-    gamma: float = 0.99
-    gae_lambda: float = 0.95
+    gamma: float = 0.995
+    gae_lambda: float = 1.0
     learning_rate: float = 5e-4
     clip_range: float = 0.2
     value_coefficient: float = 0.5
     max_grad_norm: float = 0.5
     hidden: int = 64
     # Zero action is already a good controller: explore close to it.
-    log_std_init: float = -2.0
+    log_std_init: float = -1.5
 
 
 class RunningMoments(nn.Module):
@@ -291,8 +291,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--output", required=True, metavar="FOLDER", help="folder of the new run")
     parser.add_argument("--action-mode", choices=tuple(ACTION_MODES), default="k+tau")
     parser.add_argument("--seed", type=int, default=0, metavar="N")
-    parser.add_argument("--timesteps", type=int, default=4_000_000, metavar="N")
-    parser.add_argument("--n-envs", type=int, default=64, metavar="N")
+    parser.add_argument("--timesteps", type=int, default=10_000_000, metavar="N")
+    parser.add_argument("--n-envs", type=int, default=256, metavar="N")
     parser.add_argument("--interval", type=int, metavar="N", help="steps between validations (default: a 20th of all)")
     parser.add_argument("--validation-episodes", type=int, default=50, metavar="N")
     try:

@@ -41,7 +41,7 @@ Values = dict[str, Any]
 def _shared(trial: Trial) -> Values:
     return {
         "learning_rate": trial.suggest_float("learning_rate", 5e-5, 3e-3, log=True),
-        "gamma": trial.suggest_categorical("gamma", (0.95, 0.98, 0.99, 0.995)),
+        "gamma": trial.suggest_categorical("gamma", (0.98, 0.99, 0.995, 0.998)),
     }
 
 
@@ -52,10 +52,10 @@ def _width(trial: Trial) -> int:
 def _on_policy(trial: Trial) -> Values:
     return {
         **_shared(trial),
-        "n_steps": trial.suggest_categorical("n_steps", (32, 64, 128, 256)),
-        "batch_size": trial.suggest_categorical("batch_size", (512, 1024, 2048)),
+        "n_steps": trial.suggest_categorical("n_steps", (128, 300, 600)),
+        "batch_size": trial.suggest_categorical("batch_size", (2048, 4096, 8192)),
         "n_epochs": trial.suggest_int("n_epochs", 3, 10),
-        "gae_lambda": trial.suggest_categorical("gae_lambda", (0.9, 0.95, 0.98)),
+        "gae_lambda": trial.suggest_categorical("gae_lambda", (0.95, 0.98, 0.99, 1.0)),
         "clip_range": trial.suggest_categorical("clip_range", (0.1, 0.2, 0.3)),
         "ent_coef": trial.suggest_float("ent_coef", 1e-6, 1e-2, log=True),
     }

@@ -24,7 +24,7 @@ class OnnxPolicy:
     """A policy that onnxruntime evaluates, on one thread so that its results do not depend on the machine's load.
 
     Args:
-        path: the .onnx file; nothing beside it is read.
+        path: the .onnx file, weights included.
 
     Raises:
         ImportError: onnxruntime is not installed.
