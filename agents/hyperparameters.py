@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 import yaml
 from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.utils import LinearSchedule
-from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from agents.networks import ACTIVATIONS
 from wtg_gym import ENV_ID
@@ -109,6 +110,9 @@ def parse(algo: str, raw: Mapping[str, Any]) -> Hyperparameters:
     if options is not None and "gamma" in raw:
         # Rewards are scaled by the spread of the returns that the learner sees.
         options = {**options, "gamma": raw["gamma"]}
+    taken = [key for key in inspect.signature(VecNormalize).parameters if key != "venv"]
+    if options is not None and not set(options) <= set(taken):
+        raise ValueError(f"normalize takes {', '.join(taken)}, got {options}")
     return Hyperparameters(
         n_timesteps=_whole("n_timesteps", raw.get("n_timesteps")),
         n_envs=_whole("n_envs", raw.get("n_envs", 1)),
@@ -206,8 +210,10 @@ def build_model(algo: str, hyperparameters: Hyperparameters, env: VecEnv, *, see
         device: "cpu" or "cuda".
 
     Raises:
-        ValueError: the algorithm refuses a hyperparameter.
+        ValueError: the algorithm refuses a hyperparameter, or there is no such device.
     """
+    if device == "cuda" and not torch.cuda.is_available():
+        raise ValueError("device is cuda, but torch finds no such device; use cpu")
     # The algorithms write into policy_kwargs.
     arguments = dict(hyperparameters.arguments)
     arguments["policy_kwargs"] = dict(arguments.get("policy_kwargs") or {})

@@ -1,7 +1,6 @@
 """`python -m agents.single_file_ppo`: PPO from top to bottom in one file, for changing the algorithm itself.
 
-Only torch is needed. The objective is that of Schulman et al., "Proximal Policy Optimization Algorithms", 2017, with
-generalised advantage estimation; the exported policy comes from `python -m agents.export`, like any other.
+The objective is that of Schulman et al., "Proximal Policy Optimization Algorithms", 2017; torch is all it needs.
 """
 
 from __future__ import annotations
@@ -33,11 +32,12 @@ from wtg_gym.envs.settings import ACTION_MODES
 NAME = "single_file_ppo"
 _WEIGHTS = "weights.pt"
 _CLIP_OBSERVATION = 10.0
+_NUMBERS = {"--seed": 0, "--timesteps": 10_000_000, "--n-envs": 256, "--validation-episodes": 50}
 
 
 @dataclass(frozen=True)
 class Hyperparameters:
-    """What can be turned; the same best guesses as in configs/ppo.yml."""
+    """What can be turned, with the values of configs/ppo.yml, which gives the reasons."""
 
     n_steps: int = 300
     n_minibatches: int = 8
@@ -46,10 +46,8 @@ class Hyperparameters:
     gae_lambda: float = 1.0
     learning_rate: float = 5e-4
     clip_range: float = 0.2
-    value_coefficient: float = 0.5
     max_grad_norm: float = 0.5
     hidden: int = 64
-    # Zero action is already a good controller: explore close to it.
     log_std_init: float = -1.5
 
 
@@ -98,16 +96,16 @@ class Agent(nn.Module):
 
     Args:
         n_observation, n_action: widths.
-        hyperparameters: sizes and the initial exploration.
+        h: size and initial exploration.
     """
 
-    def __init__(self, n_observation: int, n_action: int, hyperparameters: Hyperparameters) -> None:
+    def __init__(self, n_observation: int, n_action: int, h: Hyperparameters) -> None:
         super().__init__()
         self.moments = RunningMoments(n_observation)
         # The last layer starts almost at zero, which is the reference controller.
-        self.actor = _network(n_observation, hyperparameters.hidden, n_action, 0.01)
-        self.critic = _network(n_observation, hyperparameters.hidden, 1, 1.0)
-        self.log_std = nn.Parameter(torch.full((n_action,), hyperparameters.log_std_init))
+        self.actor = _network(n_observation, h.hidden, n_action, 0.01)
+        self.critic = _network(n_observation, h.hidden, 1, 1.0)
+        self.log_std = nn.Parameter(torch.full((n_action,), h.log_std_init))
 
     def normalized(self, observations: Any) -> Tensor:
         """Return what the networks see, float32, of raw observations (n, n_observation)."""
@@ -134,15 +132,15 @@ class Agent(nn.Module):
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[Any, Any]:
         """Return (actions (n_lanes, n_action), state), in the manner of Stable-Baselines3."""
-        seen = self.normalized(observation)
-        actions: Tensor = self.actor(seen) if deterministic else self.sample(seen)
+        act = self.actor if deterministic else self.sample
+        actions: Tensor = act(self.normalized(observation))
         return actions.clamp(-1.0, 1.0).numpy(), state
 
     def network(self) -> PolicyNetwork:
         """Return the deterministic policy for the export."""
         mean, std = self.moments.mean.numpy(), self.moments.std.numpy()
-        normalization = Normalization(mean=mean, std=std, bound=_CLIP_OBSERVATION)
-        return PolicyNetwork(mean.size, normalization, lstm=None, layers=flat_layers([self.actor]))
+        seen = Normalization(mean=mean, std=std, bound=_CLIP_OBSERVATION)
+        return PolicyNetwork(mean.size, seen, lstm=None, layers=flat_layers([self.actor]))
 
 
 class Batch(NamedTuple):
@@ -175,9 +173,7 @@ class Collector:
     @torch.no_grad()
     def rollout(self) -> tuple[Batch, float]:
         """Return a batch, and the mean reward of a step in it."""
-        agent = self._agent
-        rows: list[tuple[Tensor, ...]] = []
-        total = 0.0
+        agent, rows, total = self._agent, list[tuple[Tensor, ...]](), 0.0
         for _ in range(self._h.n_steps):
             agent.moments.update(torch.as_tensor(self._observations, dtype=torch.float64))
             seen = agent.normalized(self._observations)
@@ -217,11 +213,9 @@ class Collector:
 
 def update(agent: Agent, optimizer: torch.optim.Optimizer, batch: Batch, h: Hyperparameters) -> float:
     """Improve the agent on a batch and return the value function's mean squared error in the last epoch."""
-    n = batch.returns.shape[0]
     errors: list[float] = []
     for _ in range(h.n_epochs):
-        errors = []
-        for part in torch.randperm(n).chunk(h.n_minibatches):
+        for part in torch.randperm(batch.returns.shape[0]).chunk(h.n_minibatches):
             observations, actions, log_probs, advantages, returns = (array[part] for array in batch)
             advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
             ratio = (agent.log_prob(observations, actions) - log_probs).exp()
@@ -229,11 +223,11 @@ def update(agent: Agent, optimizer: torch.optim.Optimizer, batch: Batch, h: Hype
             policy_loss = -torch.minimum(ratio * advantages, clipped * advantages).mean()
             value_loss = (agent.value(observations) - returns).square().mean()
             optimizer.zero_grad()
-            (policy_loss + h.value_coefficient * value_loss).backward()  # type: ignore[no-untyped-call]
+            (policy_loss + value_loss).backward()  # type: ignore[no-untyped-call]
             nn.utils.clip_grad_norm_(agent.parameters(), h.max_grad_norm)
             optimizer.step()
             errors.append(value_loss.item())
-    return float(np.mean(errors))
+    return float(np.mean(errors[-h.n_minibatches :]))
 
 
 def train(run: Run, folder: Path, h: Hyperparameters) -> None:
@@ -251,21 +245,18 @@ def train(run: Run, folder: Path, h: Hyperparameters) -> None:
     n_rollouts = -(-settings.timesteps // per_rollout)
     began = time.monotonic()
     with Progress("rollouts") as progress:
-        for index in range(n_rollouts + 1):
+        for index in range(n_rollouts):
             steps = index * per_rollout
-            if index == n_rollouts or steps // settings.interval > (steps - per_rollout) // settings.interval:
+            if steps // settings.interval > (steps - per_rollout) // settings.interval:
                 _take_stock(run, folder, agent, steps, time.monotonic() - began)
-            if index == n_rollouts:
-                break
             optimizer.param_groups[0]["lr"] = h.learning_rate * (1.0 - index / n_rollouts)
             batch, reward = collector.rollout()
             error = update(agent, optimizer, batch, h)
-            score = run.curve[-1]["score"]
-            name = f"reward {reward:.3f} per step, value error {error:.2g}, score {score:.1f}"
+            name = f"reward {reward:.3f} per step, value error {error:.2g}, score {run.curve[-1]['score']:.1f}"
             progress.update(name, index + 1, n_rollouts)
-    envs.close()
     run.finished = True
-    run.write(folder)
+    _take_stock(run, folder, agent, n_rollouts * per_rollout, time.monotonic() - began)
+    envs.close()
 
 
 def _take_stock(run: Run, folder: Path, agent: Agent, steps: int, wall_time_s: float) -> None:
@@ -290,31 +281,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = Parser(prog="python -m agents.single_file_ppo", description=__doc__)
     parser.add_argument("--output", required=True, metavar="FOLDER", help="folder of the new run")
     parser.add_argument("--action-mode", choices=tuple(ACTION_MODES), default="k+tau")
-    parser.add_argument("--seed", type=int, default=0, metavar="N")
-    parser.add_argument("--timesteps", type=int, default=10_000_000, metavar="N")
-    parser.add_argument("--n-envs", type=int, default=256, metavar="N")
-    parser.add_argument("--interval", type=int, metavar="N", help="steps between validations (default: a 20th of all)")
-    parser.add_argument("--validation-episodes", type=int, default=50, metavar="N")
+    for option, default in _NUMBERS.items():
+        parser.add_argument(option, type=int, default=default, metavar="N", help=f"default: {default}")
     try:
-        given = parser.parse_args(argv)
-        h = Hyperparameters()
-        settings = RunSettings(
-            algo=NAME,
-            hyperparameters=dataclasses.asdict(h),
-            action_mode=given.action_mode,
-            seed=given.seed,
-            timesteps=given.timesteps,
-            n_envs=given.n_envs,
-            interval=given.interval or max(1, given.timesteps // 20),
-            validation_episodes=given.validation_episodes,
-        )
-        run = Run.new(settings)
-        folder = new_folder(Path(given.output))
-        train(run, folder, h)
+        given = vars(parser.parse_args(argv))
+        output, h = Path(given.pop("output")), Hyperparameters()
+        interval = max(1, given["timesteps"] // 20)
+        run = Run.new(RunSettings(algo=NAME, hyperparameters=dataclasses.asdict(h), interval=interval, **given))
+        train(run, new_folder(output), h)
     except ValueError as error:
         note(f"error: {error}")
         return 2
-    note(f"best validation score {run.best['score']:.1f} at step {run.best['timesteps']}; wrote {given.output}")
+    note(f"best validation score {run.best['score']:.1f} at step {run.best['timesteps']}; wrote {output}")
     return 0
 
 

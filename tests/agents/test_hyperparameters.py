@@ -68,6 +68,7 @@ def test_texts_that_would_need_evaluation_are_refused(text: str) -> None:
         ({"learning_rate": "exp_0.1"}, "learning_rate must be"),
         ({"noise_type": "normal", "noise_std": -0.1}, "noise_std above 0"),
         ({"normalize": "exit()"}, "normalize must be a dictionary"),
+        ({"normalize": "dict(norm_actions=True)"}, "normalize takes training, norm_obs"),
     ],
 )
 def test_bad_values_are_named(changes: dict[str, Any], text: str) -> None:
