@@ -49,11 +49,12 @@ def _width(trial: Trial) -> int:
     return int(trial.suggest_categorical("width", (32, 64, 128)))
 
 
-def _on_policy(trial: Trial) -> Values:
+def _on_policy(trial: Trial, n_envs: int) -> Values:
+    n_steps = int(trial.suggest_categorical("n_steps", (128, 304, 600)))
     return {
         **_shared(trial),
-        "n_steps": trial.suggest_categorical("n_steps", (128, 300, 600)),
-        "batch_size": trial.suggest_categorical("batch_size", (2048, 4096, 8192)),
+        "n_steps": n_steps,
+        "batch_size": n_steps * n_envs // int(trial.suggest_categorical("n_minibatches", (2, 4, 8))),
         "n_epochs": trial.suggest_int("n_epochs", 3, 10),
         "gae_lambda": trial.suggest_categorical("gae_lambda", (0.95, 0.98, 0.99, 1.0)),
         "clip_range": trial.suggest_categorical("clip_range", (0.1, 0.2, 0.3)),
@@ -61,40 +62,41 @@ def _on_policy(trial: Trial) -> Values:
     }
 
 
-def _ppo(trial: Trial) -> Values:
+def _ppo(trial: Trial, n_envs: int) -> Values:
     log_std, n = trial.suggest_float("log_std_init", -3.5, -1.0), _width(trial)
     kwargs = f"dict(log_std_init={log_std:.3f}, activation_fn=nn.Tanh, net_arch=dict(pi=[{n}, {n}], vf=[{n}, {n}]))"
-    return {**_on_policy(trial), "policy_kwargs": kwargs}
+    return {**_on_policy(trial, n_envs), "policy_kwargs": kwargs}
 
 
-def _recurrent_ppo(trial: Trial) -> Values:
+def _recurrent_ppo(trial: Trial, n_envs: int) -> Values:
     log_std, n = trial.suggest_float("log_std_init", -3.5, -1.0), _width(trial)
     kwargs = f"dict(log_std_init={log_std:.3f}, lstm_hidden_size={n}, net_arch=dict(pi=[{n}], vf=[{n}]))"
-    return {**_on_policy(trial), "policy_kwargs": kwargs}
+    return {**_on_policy(trial, n_envs), "policy_kwargs": kwargs}
 
 
-def _off_policy(trial: Trial) -> Values:
+def _off_policy(trial: Trial, n_envs: int) -> Values:
     n = _width(trial)
     return {
         **_shared(trial),
         "batch_size": trial.suggest_categorical("batch_size", (128, 256, 512)),
-        "gradient_steps": trial.suggest_categorical("gradient_steps", (2, 4, 8, 16)),
+        "gradient_steps": max(1, round(n_envs * trial.suggest_categorical("updates_per_step", (0.125, 0.25, 0.5)))),
+        "n_steps": trial.suggest_categorical("n_steps", (1, 10, 30, 60)),
         "tau": trial.suggest_categorical("tau", (0.002, 0.005, 0.01, 0.02)),
         "policy_kwargs": f"dict(net_arch=dict(pi=[{n}, {n}], qf=[{2 * n}, {2 * n}]))",
     }
 
 
-def _with_entropy(trial: Trial) -> Values:
+def _with_entropy(trial: Trial, n_envs: int) -> Values:
     start_at = trial.suggest_categorical("ent_coef", ("auto_0.01", "auto_0.05", "auto_0.2"))
-    return {**_off_policy(trial), "ent_coef": start_at}
+    return {**_off_policy(trial, n_envs), "ent_coef": start_at}
 
 
-def _td3(trial: Trial) -> Values:
-    return {**_off_policy(trial), "noise_std": trial.suggest_float("noise_std", 0.02, 0.3, log=True)}
+def _td3(trial: Trial, n_envs: int) -> Values:
+    return {**_off_policy(trial, n_envs), "noise_std": trial.suggest_float("noise_std", 0.02, 0.3, log=True)}
 
 
-#: What replaces values of the configuration file, by algorithm.
-SPACES: Mapping[str, Callable[[Trial], Values]] = {
+#: What replaces values of the configuration file, by algorithm, for a number of lanes.
+SPACES: Mapping[str, Callable[[Trial, int], Values]] = {
     "ppo": _ppo,
     "recurrent_ppo": _recurrent_ppo,
     "sac": _with_entropy,
@@ -150,7 +152,7 @@ def search(settings: RunSettings, n_trials: int, folder: Path) -> optuna.Study:
 
 def _objective(trial: Trial, settings: RunSettings) -> float:
     """Train once and return the last validation score."""
-    hyperparameters = {**settings.hyperparameters, **SPACES[settings.algo](trial)}
+    hyperparameters = {**settings.hyperparameters, **SPACES[settings.algo](trial, settings.n_envs)}
     run = Run.new(dataclasses.replace(settings, hyperparameters=hyperparameters))
 
     def report(timesteps: int, score: float) -> None:

@@ -29,14 +29,14 @@ def test_search_space_gives_hyperparameters_that_the_algorithm_takes(algo: str) 
     raw = read_config(CONFIG_FOLDER / f"{algo}.yml")
     for seed in range(3):
         trial = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed)).ask()
-        parse(algo, {**raw, **SPACES[algo](trial)})
-        assert SPACES[algo](FixedTrial(trial.params)) == SPACES[algo](trial)
+        parse(algo, {**raw, **SPACES[algo](trial, 64)})
+        assert SPACES[algo](FixedTrial(trial.params), 64) == SPACES[algo](trial, 64)
 
 
 def test_study_goes_on_and_repeats_what_was_interrupted(tmp_path: Path) -> None:
     assert main([*options(tmp_path), "--trials", "1"]) == 0
     interrupted = study(tmp_path).ask()
-    SPACES["ppo"](interrupted)
+    SPACES["ppo"](interrupted, 16)
     assert main([*options(tmp_path), "--trials", "2"]) == 0
     trials = study(tmp_path).trials
     assert [trial.state for trial in trials] == [TrialState.COMPLETE, TrialState.FAIL, TrialState.COMPLETE]
