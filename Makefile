@@ -13,6 +13,9 @@ LEADERBOARD_READY := $(LEADERBOARD_VENV)/ready-$(PYTHON_VERSION)
 TEST_READY := $(TEST_VENV)/ready-$(PYTHON_VERSION)
 GOLDEN_READY := $(GOLDEN_VENV)/ready-$(PYTHON_VERSION)
 
+# Trained policies, one folder each, ranked beside the baselines.
+POLICIES := $(patsubst %/entry.toml,%,$(sort $(wildcard agents/policies/*/entry.toml)))
+
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 # The steps of `test` come in their order, under -j too.
@@ -30,7 +33,7 @@ help: ## Show this list
 
 .PHONY: leaderboard
 leaderboard: $(LEADERBOARD_READY) ## Score every entry on the standard suite and write the ranking to the README
-	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard --results results --readme README.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard --entries baselines $(POLICIES) --results results --readme README.md
 
 .PHONY: docs
 docs: $(LEADERBOARD_READY) ## Measure everything that docs/ shows again, but for performance, and renew its tables and figures
@@ -57,7 +60,7 @@ lint: $(TEST_READY) ## Look for mistakes and for files that `make format` would 
 	$(TEST_VENV)/bin/ruff format --check .
 
 .PHONY: types
-types: $(TEST_READY) ## Check the types of wtg_gym and baselines
+types: $(TEST_READY) ## Check the types of wtg_gym, baselines and agents
 	$(TEST_VENV)/bin/mypy
 
 .PHONY: contracts
@@ -79,7 +82,7 @@ clean: ## Remove the environments, caches and built files; results stay
 	rm -rf $(LEADERBOARD_VENV) $(TEST_VENV) $(GOLDEN_VENV) .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache build dist
 	find wtg_gym baselines agents tests -type d -name __pycache__ -prune -exec rm -rf {} +
 
-$(LEADERBOARD_READY): EXTRA := leaderboard
+$(LEADERBOARD_READY): EXTRA := leaderboard,agents
 $(TEST_READY): EXTRA := dev
 $(GOLDEN_READY): EXTRA := golden
 

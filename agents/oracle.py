@@ -85,7 +85,8 @@ def linear_feedback(gains: Floats) -> Candidates:
     """
 
     def act(_step: int, own: Floats) -> Floats:
-        return np.einsum("...ij,...wj->...wi", gains[..., :-1], own[..., :N_LOCAL]) + gains[..., None, :, -1]
+        actions: Floats = np.einsum("...ij,...wj->...wi", gains[..., :-1], own[..., :N_LOCAL])
+        return actions + gains[..., None, :, -1]
 
     return act
 
@@ -97,7 +98,8 @@ def knots(values: Floats, n_steps: int) -> Candidates:
     share = position - left
 
     def act(step: int, _own: Floats) -> Floats:
-        return (1.0 - share[step]) * values[:, :, left[step]] + share[step] * values[:, :, left[step] + 1]
+        before, after = values[:, :, left[step]], values[:, :, left[step] + 1]
+        return before + float(share[step]) * (after - before)
 
     return act
 

@@ -42,7 +42,8 @@ _DEFAULT_ENTRIES = "baselines"
 _PARTIAL_FOLDER = "partial"
 _LARGEST_SEED_RANGE = 100_000
 _ENTRIES_HELP = (
-    "what to score, several allowed: a strategy by name, a .toml file with a law, a package with entries, or "
+    "what to score, several allowed: a strategy by name, a .toml file with a law, a folder with entry.toml and "
+    "policy.onnx, a package with entries, or "
     f"module:ATTRIBUTE, whose code is run (default: {_DEFAULT_ENTRIES}, the package in a checkout)"
 )
 

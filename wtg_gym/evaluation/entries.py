@@ -6,6 +6,7 @@ import dataclasses
 import importlib
 import json
 import pkgutil
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,12 +14,17 @@ from types import ModuleType
 from typing import Any, Protocol, runtime_checkable
 
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.files import sha256
+from wtg_gym.evaluation.onnx_policy import OnnxPolicy
+from wtg_gym.files import read_text, sha256
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, TrackingLaw, get_law
 
 #: Names of the two entries that fix the score's 0 and 100.
 ANCHORS = ("mppt", REFERENCE_STRATEGY)
 _NOT_IN_NAMES = "|<>`*\\"
+#: The files of a folder with a trained policy.
+ENTRY_FILE = "entry.toml"
+POLICY_FILE = "policy.onnx"
+_ENTRY_KEYS = ("name", "description", "action_mode", "observation_mode", "training_seed", "authors")
 
 
 @runtime_checkable
@@ -134,9 +140,10 @@ def load_entries(spec: str | Path) -> list[Entry]:
     """Return the entries that a text names.
 
     Args:
-        spec: the name of a built-in strategy; a .toml file with a law; a package such as "baselines", of which every
-            module with an `ENTRY` counts, in the order of the package's `ORDER` and then by name; or
-            "module:ATTRIBUTE", an entry, a policy, or a callable that returns one. Importing runs the module's code.
+        spec: the name of a built-in strategy; a .toml file with a law; a folder with an entry.toml and a policy.onnx,
+            see :func:`load_entry_folder`; a package such as "baselines", of which every module with an `ENTRY` counts,
+            in the order of the package's `ORDER` and then by name; or "module:ATTRIBUTE", an entry, a policy, or a
+            callable that returns one. Importing runs the module's code.
 
     Raises:
         ValueError: nothing of that name, or it holds no entry; the message says what is allowed.
@@ -147,9 +154,41 @@ def load_entries(spec: str | Path) -> list[Entry]:
     if text.endswith(".toml"):
         law = get_law(text)
         return [Entry(name=law.name, strategy=law, description="A law read from a file.")]
+    if (Path(text) / ENTRY_FILE).is_file():
+        return [load_entry_folder(Path(text))]
     module_name, colon, attribute = text.partition(":")
     module = _import(module_name, text)
     return [_entry_of(module, attribute, text)] if colon else _entries_of(module, text)
+
+
+def load_entry_folder(folder: Path) -> Entry:
+    """Return the entry of a folder with a policy that modulates the reference strategy.
+
+    Its entry.toml has the keys name and action_mode, and may have description, observation_mode, training_seed and
+    authors (a list of names); its policy.onnx is what :class:`OnnxPolicy` takes. No code of the folder is run.
+
+    Raises:
+        ValueError: a file is missing or damaged, a key is unknown or of the wrong type, or onnxruntime is missing.
+    """
+    path = folder / ENTRY_FILE
+    try:
+        data = tomllib.loads(read_text(path, "entry file"))
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"the entry file {path} is not TOML: {error}") from error
+    unknown, missing = sorted(set(data) - set(_ENTRY_KEYS)), sorted({"name", "action_mode"} - set(data))
+    if unknown or missing:
+        raise ValueError(
+            f"the entry file {path} must have the keys name and action_mode and may have others out of "
+            f"{', '.join(_ENTRY_KEYS)}; unknown: {unknown}, missing: {missing}"
+        )
+    authors = data.pop("authors", [])
+    if not isinstance(authors, list) or not all(isinstance(author, str) and author for author in authors):
+        raise ValueError(f"authors in {path} must be a list of names, got {authors!r}")
+    try:
+        policy = OnnxPolicy(folder / POLICY_FILE)
+        return Entry(**data, policy=policy, fingerprint=policy.sha256, source=", ".join(authors))
+    except (ImportError, ValueError) as error:
+        raise ValueError(f"entry {folder}: {error}") from error
 
 
 def _import(name: str, spec: str) -> ModuleType:
@@ -205,4 +244,4 @@ def _entries_of(module: ModuleType, spec: str) -> list[Entry]:
     return entries
 
 
-__all__ = ["ANCHORS", "Entry", "Policy", "load_entries"]
+__all__ = ["ANCHORS", "ENTRY_FILE", "POLICY_FILE", "Entry", "Policy", "load_entries", "load_entry_folder"]

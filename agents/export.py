@@ -1,0 +1,144 @@
+"""`python -m agents.export`: a trained policy as ONNX, with a model card and as an entry of the leaderboard."""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from agents import single_file_ppo
+from agents.checkpoints import load_policy
+from agents.learners import NormalizedPolicy, network_of
+from agents.model_card import model_card
+from agents.networks import PolicyNetwork
+from agents.onnx_graph import to_onnx
+from agents.runs import BEST, Run, RunSettings, folders
+from wtg_gym.cli.output import note
+from wtg_gym.cli.parser import Parser
+from wtg_gym.envs import GFMWTGVectorEnv
+from wtg_gym.evaluation import OnnxPolicy, Policy
+from wtg_gym.evaluation.entries import ENTRY_FILE, POLICY_FILE
+from wtg_gym.files import write_atomically
+
+#: Largest difference between the export's actions and the learner's [full action].
+TOLERANCE = 1e-6
+_CHECKED_LANES, _CHECKED_STEPS = 16, 250
+
+_DESCRIPTION = """\
+Writes the best policy of a run as policy.onnx, normalisation and clipping included, a model card README.md, and an
+entry.toml that makes the folder an entry of the leaderboard. The file's actions are compared with the learner's on 4000
+observations of random episodes, and must agree to 1e-6."""
+_EXAMPLES = """\
+examples:
+  python -m agents.export runs/ppo-0 --output agents/policies/ppo-0 --name PPO --authors 'Jane Doe'
+  wtg-gym evaluate --entries agents/policies/ppo-0 --suite standard"""
+
+
+def export(
+    run_folder: Path, output: Path, *, name: str | None = None, description: str = "", authors: Sequence[str] = ()
+) -> float:
+    """Write the best policy of a run into a folder.
+
+    Args:
+        run_folder: of the run.
+        output: folder to write policy.onnx, README.md and entry.toml into; made if missing.
+        name: of the entry; None for one made of algorithm and action mode.
+        description: one sentence on what it is; empty for a general one.
+        authors: names.
+
+    Returns:
+        the largest difference between the file's actions and the learner's.
+
+    Raises:
+        ValueError: there is no policy, it cannot be written as ONNX, or the file's actions differ.
+    """
+    run = Run.read(run_folder)
+    settings = run.settings
+    policy, network = _trained(run_folder, settings.algo)
+    content = to_onnx(network)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / POLICY_FILE
+        path.write_bytes(content)
+        difference = largest_difference(policy, OnnxPolicy(path), settings)
+    if not difference <= TOLERANCE:
+        raise ValueError(f"the actions of the ONNX file differ by {difference:.2g}, allowed are {TOLERANCE:g}")
+    entry = {
+        "name": name or f"{settings.algo} {settings.action_mode}",
+        "description": description or f"Trained with {settings.algo} for {run.best['timesteps']} steps.",
+        "action_mode": settings.action_mode,
+        "observation_mode": settings.observation_mode,
+        "training_seed": settings.seed,
+        "authors": list(authors),
+    }
+    # Such texts, numbers and lists are written alike in JSON and TOML.
+    lines = [f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in entry.items()]
+    write_atomically(output / POLICY_FILE, content)
+    write_atomically(output / "README.md", model_card(run, str(entry["name"]), authors, content))
+    # Last, because it is what makes the folder an entry.
+    write_atomically(output / ENTRY_FILE, "".join(lines))
+    return difference
+
+
+def _trained(run_folder: Path, algo: str) -> tuple[Policy, PolicyNetwork]:
+    """Return a run's best policy and the network in it."""
+    best = folders(run_folder / BEST)
+    if not best:
+        raise ValueError(f"{run_folder} has no policy yet: its first validation has not been reached")
+    if algo == single_file_ppo.NAME:
+        agent = single_file_ppo.load(best[-1])
+        return agent, agent.network()
+    model, vec_normalize = load_policy(best[-1], algo)
+    return NormalizedPolicy(model, vec_normalize), network_of(model, vec_normalize)
+
+
+def largest_difference(policy: Policy, other: Policy, settings: RunSettings) -> float:
+    """Return the largest difference between two policies' actions, [-1, 1], over 4000 observations.
+
+    The first one acts, with some noise so that the episodes differ; episodes start anew within.
+    """
+    env = GFMWTGVectorEnv(_CHECKED_LANES, autoreset_mode="SameStep", duration_s=20.0, **settings.env_arguments)
+    rng = np.random.default_rng(0)
+    largest, states, start = 0.0, (None, None), np.ones(_CHECKED_LANES, dtype=np.bool_)
+    try:
+        observations, _ = env.reset(seed=0)
+        for _ in range(_CHECKED_STEPS):
+            (one, first), (two, second) = (
+                each.predict(observations, state, start, deterministic=True)
+                for each, state in zip((policy, other), states, strict=True)
+            )
+            states = first, second
+            largest = max(largest, float(np.abs(one - two).max()))
+            noise = rng.normal(0.0, 0.3, one.shape)
+            observations, _, terminated, truncated, _ = env.step((one + noise).astype(np.float32))
+            start = terminated | truncated
+    finally:
+        env.close()
+    return largest
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    parser = Parser(prog="python -m agents.export", description=_DESCRIPTION, epilog=_EXAMPLES)
+    parser.add_argument("run", metavar="RUN_FOLDER", help="folder of the run")
+    parser.add_argument("--output", required=True, metavar="FOLDER", help="folder to write to")
+    parser.add_argument("--name", help="of the entry; runs of one name and several seeds share a row of the table")
+    parser.add_argument("--description", default="", help="one sentence on what it is")
+    parser.add_argument("--authors", nargs="+", default=[], metavar="NAME", help="who trained it")
+    try:
+        given = parser.parse_args(argv)
+        difference = export(
+            Path(given.run), Path(given.output), name=given.name, description=given.description, authors=given.authors
+        )
+    except ValueError as error:
+        note(f"error: {error}")
+        return 2
+    note(f"wrote {given.output}; its actions agree to {difference:.1g}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,78 @@
+"""A trained learner of Stable-Baselines3: as a policy, and as a network for the export."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from sb3_contrib.common.recurrent.policies import RecurrentActorCriticPolicy
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.distributions import DiagGaussianDistribution
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.running_mean_std import RunningMeanStd
+from stable_baselines3.common.torch_layers import FlattenExtractor
+from stable_baselines3.common.vec_env import VecNormalize
+from torch import nn
+
+from agents.networks import Normalization, PolicyNetwork, flat_layers
+
+
+@dataclass(frozen=True)
+class NormalizedPolicy:
+    """A learner together with the normalisation of its observations.
+
+    Args:
+        model: the learner.
+        vec_normalize: the normalisation it was trained with; None for none.
+    """
+
+    model: BaseAlgorithm
+    vec_normalize: VecNormalize | None
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> tuple[Any, Any]:
+        """Return (actions (n_lanes, n_action), next recurrent state) for raw observations (n_lanes, n_observation)."""
+        if self.vec_normalize is not None:
+            observation = self.vec_normalize.normalize_obs(observation)
+        return self.model.predict(observation, state, episode_start, deterministic)
+
+
+def network_of(model: BaseAlgorithm, vec_normalize: VecNormalize | None) -> PolicyNetwork:
+    """Return the network that a learner's deterministic `predict` evaluates.
+
+    Raises:
+        ValueError: it has a layer that the export cannot write.
+    """
+    policy = model.policy
+    lstm: nn.LSTM | None = None
+    if isinstance(policy, ActorCriticPolicy):
+        if not isinstance(policy.action_dist, DiagGaussianDistribution):
+            raise ValueError(f"cannot export actions of {type(policy.action_dist).__name__}; leave use_sde out")
+        extractor = policy.pi_features_extractor
+        layers = flat_layers([policy.mlp_extractor.policy_net, policy.action_net])
+        if isinstance(policy, RecurrentActorCriticPolicy):
+            lstm = policy.lstm_actor
+    else:
+        actor: Any = policy.actor
+        extractor = actor.features_extractor
+        # TD3's `mu` is the whole network and ends in Tanh; SAC and TQC squash what theirs gives.
+        layers = flat_layers([actor.latent_pi, actor.mu, nn.Tanh()] if hasattr(actor, "latent_pi") else [actor.mu])
+    if not isinstance(extractor, FlattenExtractor):
+        raise ValueError(f"cannot export the features of {type(extractor).__name__}, only plain observations")
+    shape = model.observation_space.shape
+    assert shape is not None
+    return PolicyNetwork(n_observation=shape[0], normalization=_normalization(vec_normalize), lstm=lstm, layers=layers)
+
+
+def _normalization(vec_normalize: VecNormalize | None) -> Normalization | None:
+    if vec_normalize is None or not vec_normalize.norm_obs:
+        return None
+    statistics = vec_normalize.obs_rms
+    assert isinstance(statistics, RunningMeanStd)
+    std = np.sqrt(statistics.var + vec_normalize.epsilon)
+    return Normalization(mean=statistics.mean, std=std, bound=vec_normalize.clip_obs)
+
+
+__all__ = ["NormalizedPolicy", "network_of"]

@@ -1,0 +1,300 @@
+"""`python -m agents.single_file_ppo`: PPO from top to bottom in one file, for changing the algorithm itself.
+
+The objective is that of Schulman et al., "Proximal Policy Optimization Algorithms", 2017; torch is all it needs.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from agents.networks import Normalization, PolicyNetwork, flat_layers
+from agents.runs import BEST, Run, RunSettings, new_folder, save_folder
+from agents.staggering import stagger
+from agents.validation import validate
+from wtg_gym import ENV_ID
+from wtg_gym.cli.output import Progress, note
+from wtg_gym.cli.parser import Parser
+from wtg_gym.envs import GFMWTGVectorEnv
+from wtg_gym.envs.settings import ACTION_MODES
+
+#: The algorithm's name in run.json.
+NAME = "single_file_ppo"
+_WEIGHTS = "weights.pt"
+_CLIP_OBSERVATION = 10.0
+_NUMBERS = {"--seed": 0, "--timesteps": 10_000_000, "--n-envs": 256, "--validation-episodes": 50}
+
+
+@dataclass(frozen=True)
+class Hyperparameters:
+    """What can be turned, with the values of configs/ppo.yml, which gives the reasons."""
+
+    n_steps: int = 300
+    n_minibatches: int = 8
+    n_epochs: int = 5
+    gamma: float = 0.995
+    gae_lambda: float = 1.0
+    learning_rate: float = 5e-4
+    clip_range: float = 0.2
+    max_grad_norm: float = 0.5
+    hidden: int = 64
+    log_std_init: float = -1.5
+
+
+class RunningMoments(nn.Module):
+    """Mean and variance of all rows seen so far, by the parallel formula of Chan et al.; float64.
+
+    Args:
+        width: number of entries of a row.
+    """
+
+    mean: Tensor
+    var: Tensor
+    count: Tensor
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(width, dtype=torch.float64))
+        self.register_buffer("var", torch.ones(width, dtype=torch.float64))
+        self.register_buffer("count", torch.tensor(1e-4, dtype=torch.float64))
+
+    def update(self, rows: Tensor) -> None:
+        """Take in rows (n, width)."""
+        n, total = rows.shape[0], self.count + rows.shape[0]
+        difference = rows.mean(dim=0) - self.mean
+        squares = self.var * self.count + rows.var(dim=0, correction=0) * n + difference**2 * self.count * n / total
+        self.mean += difference * n / total
+        self.var.copy_(squares / total)
+        self.count.copy_(total)
+
+    @property
+    def std(self) -> Tensor:
+        """Standard deviations (width,), never zero."""
+        return torch.sqrt(self.var + 1e-8)
+
+
+def _network(n_in: int, hidden: int, n_out: int, last_gain: float) -> nn.Sequential:
+    first, second, last = nn.Linear(n_in, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, n_out)
+    for layer, gain in ((first, 2**0.5), (second, 2**0.5), (last, last_gain)):
+        nn.init.orthogonal_(layer.weight, gain)
+        nn.init.zeros_(layer.bias)
+    return nn.Sequential(first, nn.Tanh(), second, nn.Tanh(), last)
+
+
+class Agent(nn.Module):
+    """Policy and value function, with the normalisation of what they see.
+
+    Args:
+        n_observation, n_action: widths.
+        h: size and initial exploration.
+    """
+
+    def __init__(self, n_observation: int, n_action: int, h: Hyperparameters) -> None:
+        super().__init__()
+        self.moments = RunningMoments(n_observation)
+        # The last layer starts almost at zero, which is the reference controller.
+        self.actor = _network(n_observation, h.hidden, n_action, 0.01)
+        self.critic = _network(n_observation, h.hidden, 1, 1.0)
+        self.log_std = nn.Parameter(torch.full((n_action,), h.log_std_init))
+
+    def normalized(self, observations: Any) -> Tensor:
+        """Return what the networks see, float32, of raw observations (n, n_observation)."""
+        values = (torch.as_tensor(observations, dtype=torch.float64) - self.moments.mean) / self.moments.std
+        return values.clamp(-_CLIP_OBSERVATION, _CLIP_OBSERVATION).float()
+
+    def sample(self, normalized: Tensor) -> Tensor:
+        """Return random actions (n, n_action), not clipped."""
+        mean: Tensor = self.actor(normalized)
+        return mean + self.log_std.exp() * torch.randn_like(mean)
+
+    def log_prob(self, normalized: Tensor, actions: Tensor) -> Tensor:
+        """Return the logarithm of the actions' density (n,), but for a constant."""
+        distance: Tensor = (actions - self.actor(normalized)) / self.log_std.exp()
+        return -(0.5 * distance.square() + self.log_std).sum(-1)
+
+    def value(self, normalized: Tensor) -> Tensor:
+        """Return the expected scaled return (n,)."""
+        values: Tensor = self.critic(normalized)
+        return values.squeeze(-1)
+
+    @torch.no_grad()
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> tuple[Any, Any]:
+        """Return (actions (n_lanes, n_action), state), in the manner of Stable-Baselines3."""
+        act = self.actor if deterministic else self.sample
+        actions: Tensor = act(self.normalized(observation))
+        return actions.clamp(-1.0, 1.0).numpy(), state
+
+    def network(self) -> PolicyNetwork:
+        """Return the deterministic policy for the export."""
+        mean, std = self.moments.mean.numpy(), self.moments.std.numpy()
+        seen = Normalization(mean=mean, std=std, bound=_CLIP_OBSERVATION)
+        return PolicyNetwork(mean.size, seen, lstm=None, layers=flat_layers([self.actor]))
+
+
+class Batch(NamedTuple):
+    """A rollout, the steps of all lanes one after the other: n = n_steps · n_envs rows."""
+
+    observations: Tensor  # (n, n_observation), normalised
+    actions: Tensor  # (n, n_action), not clipped
+    log_probs: Tensor  # (n,), when they were taken
+    advantages: Tensor  # (n,)
+    returns: Tensor  # (n,), scaled
+
+
+class Collector:
+    """Plays the lanes and prepares what is learned from.
+
+    Args:
+        envs: resets within the step in which an episode ends, so that no step to learn from is a mere reset.
+        agent: whose policy is played.
+        hyperparameters: lengths and discounts.
+        seed: lane i starts with seed + i.
+    """
+
+    def __init__(self, envs: GFMWTGVectorEnv, agent: Agent, hyperparameters: Hyperparameters, seed: int) -> None:
+        self._envs, self._agent, self._h = envs, agent, hyperparameters
+        envs.reset(seed=seed)
+        self._observations = stagger(envs)
+        self._returns = torch.zeros(envs.num_envs, dtype=torch.float64)
+        self._return_moments = RunningMoments(1)
+
+    @torch.no_grad()
+    def rollout(self) -> tuple[Batch, float]:
+        """Return a batch, and the mean reward of a step in it."""
+        agent, rows, total = self._agent, list[tuple[Tensor, ...]](), 0.0
+        for _ in range(self._h.n_steps):
+            agent.moments.update(torch.as_tensor(self._observations, dtype=torch.float64))
+            seen = agent.normalized(self._observations)
+            actions = agent.sample(seen)
+            self._observations, given, terminated, truncated, infos = self._envs.step(actions.clamp(-1, 1).numpy())
+            rewards, done = self._scaled(given, terminated | truncated)
+            if truncated.any():
+                # Time ran out but the grid lives on: what would have followed is estimated.
+                last = np.stack(infos["final_obs"][truncated])
+                rewards[torch.as_tensor(truncated)] += self._h.gamma * agent.value(agent.normalized(last))
+            rows.append((seen, actions, agent.log_prob(seen, actions), agent.value(seen), rewards, done))
+            total += float(given.mean())
+        seen, actions, log_probs, values, rewards, done = map(torch.stack, zip(*rows, strict=True))
+        advantages = self._advantages(values, rewards, done, agent.value(agent.normalized(self._observations)))
+        columns = (seen, actions, log_probs, advantages, advantages + values)
+        return Batch(*(column.flatten(0, 1) for column in columns)), total / self._h.n_steps
+
+    def _scaled(self, rewards: Any, done: Any) -> tuple[Tensor, Tensor]:
+        """Return rewards in units of the spread of discounted returns, clipped to ± 10, and done as numbers; (n,)."""
+        self._returns = self._returns * self._h.gamma + torch.as_tensor(rewards)
+        self._return_moments.update(self._returns[:, None])
+        ended = torch.as_tensor(done)
+        self._returns[ended] = 0.0
+        scaled = torch.as_tensor(rewards) / self._return_moments.std
+        return scaled.clamp(-10.0, 10.0).float(), ended.float()
+
+    def _advantages(self, values: Tensor, rewards: Tensor, done: Tensor, last_value: Tensor) -> Tensor:
+        """Return the generalised advantage estimates, (n_steps, n_envs) like the arguments."""
+        advantages, advantage, following = torch.zeros_like(rewards), torch.zeros_like(last_value), last_value
+        for step in reversed(range(rewards.shape[0])):
+            goes_on = 1.0 - done[step]
+            error = rewards[step] + self._h.gamma * goes_on * following - values[step]
+            advantage = error + self._h.gamma * self._h.gae_lambda * goes_on * advantage
+            advantages[step], following = advantage, values[step]
+        return advantages
+
+
+def update(agent: Agent, optimizer: torch.optim.Optimizer, batch: Batch, h: Hyperparameters) -> float:
+    """Improve the agent on a batch and return the value function's mean squared error in the last epoch."""
+    errors: list[float] = []
+    for _ in range(h.n_epochs):
+        for part in torch.randperm(batch.returns.shape[0]).chunk(h.n_minibatches):
+            observations, actions, log_probs, advantages, returns = (array[part] for array in batch)
+            advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+            ratio = (agent.log_prob(observations, actions) - log_probs).exp()
+            clipped = ratio.clamp(1.0 - h.clip_range, 1.0 + h.clip_range)
+            policy_loss = -torch.minimum(ratio * advantages, clipped * advantages).mean()
+            value_loss = (agent.value(observations) - returns).square().mean()
+            optimizer.zero_grad()
+            (policy_loss + value_loss).backward()  # type: ignore[no-untyped-call]
+            nn.utils.clip_grad_norm_(agent.parameters(), h.max_grad_norm)
+            optimizer.step()
+            errors.append(value_loss.item())
+    return float(np.mean(errors[-h.n_minibatches :]))
+
+
+def train(run: Run, folder: Path, h: Hyperparameters) -> None:
+    """Train from start to end; the best policy and run.json go to `folder`."""
+    settings = run.settings
+    # One thread, so that sums do not depend on which thread ends first.
+    torch.set_num_threads(1)
+    torch.manual_seed(settings.seed)
+    envs = gym.make_vec(ENV_ID, num_envs=settings.n_envs, autoreset_mode="SameStep", **settings.env_arguments)
+    assert isinstance(envs, GFMWTGVectorEnv)
+    agent = Agent(envs.lanes.n_observation, envs.lanes.n_action, h)
+    optimizer = torch.optim.Adam(agent.parameters(), lr=h.learning_rate, eps=1e-5)
+    collector = Collector(envs, agent, h, settings.seed)
+    per_rollout = h.n_steps * settings.n_envs
+    n_rollouts = -(-settings.timesteps // per_rollout)
+    began = time.monotonic()
+    with Progress("rollouts") as progress:
+        for index in range(n_rollouts):
+            steps = index * per_rollout
+            if steps // settings.interval > (steps - per_rollout) // settings.interval:
+                _take_stock(run, folder, agent, steps, time.monotonic() - began)
+            optimizer.param_groups[0]["lr"] = h.learning_rate * (1.0 - index / n_rollouts)
+            batch, reward = collector.rollout()
+            error = update(agent, optimizer, batch, h)
+            name = f"reward {reward:.3f} per step, value error {error:.2g}, score {run.curve[-1]['score']:.1f}"
+            progress.update(name, index + 1, n_rollouts)
+    run.finished = True
+    _take_stock(run, folder, agent, n_rollouts * per_rollout, time.monotonic() - began)
+    envs.close()
+
+
+def _take_stock(run: Run, folder: Path, agent: Agent, steps: int, wall_time_s: float) -> None:
+    row = validate(agent, run.settings)
+    run.curve.append({"timesteps": steps, "wall_time_s": round(wall_time_s, 2), **row})
+    if run.best is run.curve[-1]:
+        save_folder(folder / BEST, steps, lambda path: torch.save(agent.state_dict(), path / _WEIGHTS))
+    run.write(folder)
+
+
+def load(folder: Path) -> Agent:
+    """Return the agent of a folder that :func:`train` saved; no code in it is run."""
+    weights = torch.load(folder / _WEIGHTS, weights_only=True)
+    hidden, n_observation = weights["actor.0.weight"].shape
+    agent = Agent(n_observation, weights["log_std"].numel(), Hyperparameters(hidden=hidden))
+    agent.load_state_dict(weights)
+    return agent
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    parser = Parser(prog="python -m agents.single_file_ppo", description=__doc__)
+    parser.add_argument("--output", required=True, metavar="FOLDER", help="folder of the new run")
+    parser.add_argument("--action-mode", choices=tuple(ACTION_MODES), default="k+tau")
+    for option, default in _NUMBERS.items():
+        parser.add_argument(option, type=int, default=default, metavar="N", help=f"default: {default}")
+    try:
+        given = vars(parser.parse_args(argv))
+        output, h = Path(given.pop("output")), Hyperparameters()
+        interval = max(1, given["timesteps"] // 20)
+        run = Run.new(RunSettings(algo=NAME, hyperparameters=dataclasses.asdict(h), interval=interval, **given))
+        train(run, new_folder(output), h)
+    except ValueError as error:
+        note(f"error: {error}")
+        return 2
+    note(f"best validation score {run.best['score']:.1f} at step {run.best['timesteps']}; wrote {output}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

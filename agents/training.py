@@ -1,0 +1,174 @@
+"""A training run from start to end, or from its last checkpoint on."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import configure
+from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize, unwrap_vec_wrapper
+
+from agents.checkpoints import load_checkpoint, save_checkpoint, save_policy
+from agents.hyperparameters import build_model, parse
+from agents.learners import NormalizedPolicy
+from agents.metrics import EpisodeMetrics
+from agents.runs import BEST, CHECKPOINTS, Run, folders, save_folder
+from agents.validation import validate
+from agents.vec_env import StaggeredVecEnv
+from wtg_gym.cli.output import Progress
+from wtg_gym.sb3 import SB3VecEnv
+
+_TENSORBOARD = "tensorboard"
+
+#: Called with (timesteps, score) after each validation; an exception that it raises ends the run.
+OnScore = Callable[[int, float], None]
+
+
+class _Supervision(BaseCallback):
+    """Measures, validates and saves while a learner learns.
+
+    Args:
+        run: the run; its curve grows here.
+        folder: of the run; None to write nothing.
+        metrics: of the episodes under way.
+        progress: where to say how far it is.
+        on_score: see :data:`OnScore`.
+    """
+
+    def __init__(
+        self, run: Run, folder: Path | None, metrics: EpisodeMetrics, progress: Progress, on_score: OnScore | None
+    ) -> None:
+        super().__init__()
+        self._run = run
+        self._folder = folder
+        self._metrics = metrics
+        self._progress = progress
+        self._on_score = on_score
+        self._began = time.monotonic()
+        self._before_s = run.curve[-1]["wall_time_s"] if run.curve else 0.0
+
+    def _on_training_start(self) -> None:
+        self._first = self.num_timesteps
+        monitor = unwrap_vec_wrapper(self.training_env, VecMonitor)
+        assert isinstance(monitor, VecMonitor) and isinstance(monitor.venv, SB3VecEnv)
+        self._lanes = monitor.venv.vector_env.lanes
+
+    def _on_step(self) -> bool:
+        for metrics in self._metrics.update(self._lanes, self.locals["dones"], self.locals["infos"]):
+            for key, value in metrics.items():
+                self.logger.record_mean(f"episode/{key}", value)
+        self._show()
+        return True
+
+    def _on_rollout_start(self) -> None:
+        # Here, and not in the middle of a rollout, the learner is at rest and can be saved whole.
+        rows, interval = self._run.curve, self._run.settings.interval
+        if not rows or self.num_timesteps // interval > int(rows[-1]["timesteps"]) // interval:
+            self.take_stock()
+
+    def take_stock(self) -> None:
+        """Validate, keep the best policy, and write a checkpoint."""
+        run, model = self._run, self.model
+        row = validate(NormalizedPolicy(model, model.get_vec_normalize_env()), run.settings)
+        for key, value in row.items():
+            self.logger.record(f"validation/{key}", value)
+        wall_time_s = self._before_s + time.monotonic() - self._began
+        run.curve.append({"timesteps": model.num_timesteps, "wall_time_s": round(wall_time_s, 2), **row})
+        if self._folder is not None:
+            self._save(self._folder)
+        if self._on_score is not None:
+            self._on_score(model.num_timesteps, row["score"])
+
+    def _save(self, folder: Path) -> None:
+        model, run = self.model, self._run
+        if run.best is run.curve[-1]:
+            save_folder(folder / BEST, model.num_timesteps, lambda path: save_policy(path, model))
+        save_folder(folder / CHECKPOINTS, model.num_timesteps, lambda path: save_checkpoint(path, model, self._metrics))
+        # The checkpoint is what counts: a row without one is dropped on resumption.
+        run.write(folder)
+
+    def _show(self) -> None:
+        total = self._run.settings.timesteps - self._first
+        latest, best = self._run.curve[-1]["score"], self._run.best["score"]
+        name = f"{self._run.settings.algo}, score {latest:.1f}, best {best:.1f}"
+        # Counted from where this process began, so that the remaining time follows from its own speed.
+        self._progress.update(name, (self.num_timesteps - self._first) / 1000, round(total / 1000))
+
+
+def start(run: Run) -> tuple[BaseAlgorithm, EpisodeMetrics]:
+    """Return a new run's learner and measurements.
+
+    Raises:
+        ValueError: a hyperparameter is unknown or out of range.
+    """
+    settings = run.settings
+    hyperparameters = parse(settings.algo, settings.hyperparameters)
+    env: VecEnv = VecMonitor(StaggeredVecEnv(settings.n_envs, **settings.env_arguments))
+    if hyperparameters.normalize is not None:
+        env = VecNormalize(env, **hyperparameters.normalize)
+    model = build_model(settings.algo, hyperparameters, env, seed=settings.seed, device=settings.device)
+    return model, EpisodeMetrics(settings.n_envs)
+
+
+def resume(run: Run, folder: Path) -> tuple[BaseAlgorithm, EpisodeMetrics]:
+    """Return a run's learner and measurements as its last checkpoint has them, and forget what came after it.
+
+    Raises:
+        ValueError: there is no checkpoint.
+    """
+    checkpoints = folders(folder / CHECKPOINTS)
+    if not checkpoints:
+        raise ValueError(f"{folder} has no checkpoint to go on from; start the run anew in another folder")
+    timesteps = int(checkpoints[-1].name)
+    run.curve = [row for row in run.curve if row["timesteps"] <= timesteps]
+    for path in folders(folder / BEST):
+        if int(path.name) > timesteps:
+            shutil.rmtree(path)
+    run.resumed += 1
+    model, metrics = load_checkpoint(checkpoints[-1], run.settings.algo, run.settings.device)
+    return model, metrics
+
+
+def train(
+    run: Run,
+    model: BaseAlgorithm,
+    metrics: EpisodeMetrics,
+    folder: Path | None = None,
+    on_score: OnScore | None = None,
+) -> None:
+    """Let a learner learn until the run's timesteps are done.
+
+    Args:
+        run: what :func:`start` or :func:`resume` was given; its curve grows here.
+        model, metrics: what they returned.
+        folder: where checkpoints, the best policy, TensorBoard's files and run.json go; None to write nothing.
+        on_score: called with (timesteps, score) after every validation; an exception that it raises ends the run.
+    """
+    # Sums over several threads depend on which of them ends first, and networks this small gain nothing from them.
+    torch.set_num_threads(1)
+    outputs = (None, []) if folder is None else (str(folder / _TENSORBOARD), ["tensorboard"])
+    model.set_logger(configure(*outputs))
+    env = model.get_env()
+    assert env is not None
+    try:
+        with Progress("thousand steps") as progress:
+            supervision = _Supervision(run, folder, metrics, progress, on_score)
+            left = run.settings.timesteps - model.num_timesteps
+            if left > 0:
+                model.learn(left, callback=supervision, reset_num_timesteps=model.num_timesteps == 0)
+            run.finished = True
+            if run.curve[-1]["timesteps"] < model.num_timesteps:
+                supervision.take_stock()
+                model.logger.dump(model.num_timesteps)
+            elif folder is not None:
+                run.write(folder)
+    finally:
+        env.close()
+
+
+__all__ = ["OnScore", "resume", "start", "train"]

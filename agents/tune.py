@@ -1,0 +1,207 @@
+"""`python -m agents.tune`: searches hyperparameters with Optuna; the objective is the validation score."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import optuna
+import yaml
+from optuna.trial import Trial, TrialState
+
+from agents.runs import Run, RunSettings
+from agents.train import add_run_options, run_settings
+from agents.training import start, train
+from wtg_gym import ENV_ID
+from wtg_gym.cli.output import note
+from wtg_gym.cli.parser import Parser
+from wtg_gym.files import to_json, write_atomically
+
+STUDY_FILE, BEST_FILE = "study.sqlite3", "best.yml"
+#: So many trials run to their end before any is compared with the others' median.
+_TRIALS_BEFORE_PRUNING = 5
+
+_DESCRIPTION = """\
+Searches hyperparameters: every trial is a short training run, judged by the benchmark's score on validation scenarios
+and stopped early where it falls behind the median of the others. Every finished trial is kept in study.sqlite3: the
+same command goes on after an interruption, with the interrupted trial first. best.yml is a file for --config. One
+process per folder."""
+_EXAMPLES = """\
+examples:
+  python -m agents.tune --algo ppo --timesteps 1000000 --trials 50 --output runs/tune-ppo
+  python -m agents.train --algo ppo --config runs/tune-ppo/best.yml --output runs/ppo-tuned"""
+
+Values = dict[str, Any]
+
+
+def _shared(trial: Trial) -> Values:
+    return {
+        "learning_rate": trial.suggest_float("learning_rate", 5e-5, 3e-3, log=True),
+        "gamma": trial.suggest_categorical("gamma", (0.98, 0.99, 0.995, 0.998)),
+    }
+
+
+def _width(trial: Trial) -> int:
+    return int(trial.suggest_categorical("width", (32, 64, 128)))
+
+
+def _on_policy(trial: Trial, n_envs: int) -> Values:
+    n_steps = int(trial.suggest_categorical("n_steps", (128, 304, 600)))
+    return {
+        **_shared(trial),
+        "n_steps": n_steps,
+        "batch_size": n_steps * n_envs // int(trial.suggest_categorical("n_minibatches", (2, 4, 8))),
+        "n_epochs": trial.suggest_int("n_epochs", 3, 10),
+        "gae_lambda": trial.suggest_categorical("gae_lambda", (0.95, 0.98, 0.99, 1.0)),
+        "clip_range": trial.suggest_categorical("clip_range", (0.1, 0.2, 0.3)),
+        "ent_coef": trial.suggest_float("ent_coef", 1e-6, 1e-2, log=True),
+    }
+
+
+def _ppo(trial: Trial, n_envs: int) -> Values:
+    log_std, n = trial.suggest_float("log_std_init", -3.5, -1.0), _width(trial)
+    kwargs = f"dict(log_std_init={log_std:.3f}, activation_fn=nn.Tanh, net_arch=dict(pi=[{n}, {n}], vf=[{n}, {n}]))"
+    return {**_on_policy(trial, n_envs), "policy_kwargs": kwargs}
+
+
+def _recurrent_ppo(trial: Trial, n_envs: int) -> Values:
+    log_std, n = trial.suggest_float("log_std_init", -3.5, -1.0), _width(trial)
+    kwargs = f"dict(log_std_init={log_std:.3f}, lstm_hidden_size={n}, net_arch=dict(pi=[{n}], vf=[{n}]))"
+    return {**_on_policy(trial, n_envs), "policy_kwargs": kwargs}
+
+
+def _off_policy(trial: Trial, n_envs: int) -> Values:
+    n = _width(trial)
+    return {
+        **_shared(trial),
+        "batch_size": trial.suggest_categorical("batch_size", (128, 256, 512)),
+        "gradient_steps": max(1, round(n_envs * trial.suggest_categorical("updates_per_step", (0.125, 0.25, 0.5)))),
+        "n_steps": trial.suggest_categorical("n_steps", (1, 10, 30, 60)),
+        "tau": trial.suggest_categorical("tau", (0.002, 0.005, 0.01, 0.02)),
+        "policy_kwargs": f"dict(net_arch=dict(pi=[{n}, {n}], qf=[{2 * n}, {2 * n}]))",
+    }
+
+
+def _with_entropy(trial: Trial, n_envs: int) -> Values:
+    start_at = trial.suggest_categorical("ent_coef", ("auto_0.01", "auto_0.05", "auto_0.2"))
+    return {**_off_policy(trial, n_envs), "ent_coef": start_at}
+
+
+def _td3(trial: Trial, n_envs: int) -> Values:
+    return {**_off_policy(trial, n_envs), "noise_std": trial.suggest_float("noise_std", 0.02, 0.3, log=True)}
+
+
+#: What replaces values of the configuration file, by algorithm, for a number of lanes.
+SPACES: Mapping[str, Callable[[Trial, int], Values]] = {
+    "ppo": _ppo,
+    "recurrent_ppo": _recurrent_ppo,
+    "sac": _with_entropy,
+    "td3": _td3,
+    "tqc": _with_entropy,
+}
+
+
+def search(settings: RunSettings, n_trials: int, folder: Path) -> optuna.Study:
+    """Bring a study to a number of trials, the ones before an interruption included.
+
+    Args:
+        settings: of every trial; the search space replaces some of the hyperparameters.
+        n_trials: finished and pruned trials in all.
+        folder: of the study; made if missing.
+
+    Returns:
+        the study; best.yml has its best hyperparameters.
+
+    Raises:
+        ValueError: the folder holds a study with other settings.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    study = optuna.create_study(
+        study_name="study",
+        storage=f"sqlite:///{(folder / STUDY_FILE).absolute()}",
+        direction="maximize",
+        sampler=optuna.samplers.TPESampler(seed=settings.seed),
+        pruner=optuna.pruners.MedianPruner(_TRIALS_BEFORE_PRUNING, n_warmup_steps=settings.timesteps // 4),
+        load_if_exists=True,
+    )
+    text = to_json(dataclasses.asdict(settings))
+    if study.user_attrs.setdefault("settings", text) != text:
+        raise ValueError(f"{folder} holds a study with other settings:\n{study.user_attrs['settings']}")
+    study.set_user_attr("settings", text)
+    for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
+        study.tell(trial.number, state=TrialState.FAIL)
+        study.enqueue_trial(trial.params)
+    left = n_trials - len(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE, TrialState.PRUNED)))
+
+    def after_trial(study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
+        value = f"score {trial.value:.1f}" if trial.value is not None else ""
+        note(f"trial {trial.number}: {trial.state.name.lower()} {value}")
+        _write_best(study, settings, folder)
+
+    # A learner that diverges raises a ValueError: that trial has failed, the others go on.
+    study.optimize(
+        lambda trial: _objective(trial, settings), n_trials=max(0, left), catch=(ValueError,), callbacks=[after_trial]
+    )
+    return study
+
+
+def _objective(trial: Trial, settings: RunSettings) -> float:
+    """Train once and return the last validation score."""
+    hyperparameters = {**settings.hyperparameters, **SPACES[settings.algo](trial, settings.n_envs)}
+    run = Run.new(dataclasses.replace(settings, hyperparameters=hyperparameters))
+
+    def report(timesteps: int, score: float) -> None:
+        trial.report(score, timesteps)
+        if trial.should_prune():
+            raise optuna.TrialPruned
+
+    model, metrics = start(run)
+    train(run, model, metrics, on_score=report)
+    trial.set_user_attr("hyperparameters", hyperparameters)
+    return run.curve[-1]["score"]
+
+
+def _write_best(study: optuna.Study, settings: RunSettings, folder: Path) -> None:
+    complete = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+    if complete:
+        best = study.best_trial
+        head = (
+            f"# {settings.algo}: trial {best.number} of the study beside this file, validation score {best.value:.2f}\n"
+        )
+        content = yaml.safe_dump({ENV_ID: best.user_attrs["hyperparameters"]}, sort_keys=True)
+        write_atomically(folder / BEST_FILE, head + content)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    parser = Parser(prog="python -m agents.tune", description=_DESCRIPTION, epilog=_EXAMPLES)
+    add_run_options(parser)
+    parser.add_argument("--trials", type=int, default=30, metavar="N", help="trials in all (default: 30)")
+    parser.add_argument("--output", required=True, metavar="FOLDER", help="folder of the study")
+    try:
+        _tune(parser.parse_args(argv))
+    except ValueError as error:
+        note(f"error: {error}")
+        return 2
+    except KeyboardInterrupt:
+        note("interrupted; the same command goes on")
+        return 130
+    return 0
+
+
+def _tune(given: argparse.Namespace) -> None:
+    if given.trials < 1:
+        raise ValueError(f"--trials must be 1 or more, got {given.trials}")
+    settings = run_settings(given)
+    study = search(settings, given.trials, Path(given.output))
+    n_complete = len(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)))
+    note(f"{n_complete} of {len(study.trials)} trials complete; wrote {Path(given.output) / BEST_FILE}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,65 @@
+"""Facts about what training measures and where its lanes begin."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agents.metrics import EpisodeMetrics
+from agents.staggering import stagger
+from agents.vec_env import StaggeredVecEnv
+from wtg_gym.envs import GFMWTGVectorEnv
+from wtg_gym.envs.task import COST_TERMS
+from wtg_gym.sb3 import SB3VecEnv
+
+N = 3
+COSTS = [f"cost_{term}" for term in COST_TERMS]
+
+
+def test_metrics_of_an_episode_are_those_of_its_steps() -> None:
+    keys = ["frequency_hz", "rocof_hz_s", *COSTS]
+    env = SB3VecEnv(N, info_keys=keys, duration_s=3.0)
+    env.seed(4)
+    env.reset()
+    metrics, rng = EpisodeMetrics(N), np.random.default_rng(0)
+    steps: list[list[dict[str, Any]]] = [[] for _ in range(N)]
+    n_ended = 0
+    for _ in range(70):
+        _, _, dones, infos = env.step(rng.uniform(-1, 1, (N, 4)).astype(np.float32))
+        ended = iter(metrics.update(env.vector_env.lanes, dones, infos))
+        for lane in range(N):
+            steps[lane].append(infos[lane])
+            if dones[lane]:
+                found, own = next(ended), steps[lane]
+                # The start at 50 Hz counts.
+                assert found["nadir_hz"] == min(50.0, *(info["frequency_hz"] for info in own))
+                assert found["largest_rocof_hz_s"] == max(abs(info["rocof_hz_s"]) for info in own)
+                for key in COSTS:
+                    assert found[key] == pytest.approx(sum(info[key] for info in own), abs=1e-9)
+                assert 0.0 < found["duty_error_percent"] < 100.0
+                assert (found["failure"], found["length_s"]) == (0.0, pytest.approx(3.0))
+                steps[lane], n_ended = [], n_ended + 1
+    assert n_ended == 2 * N
+    env.close()
+
+
+def test_lanes_are_spread_evenly_over_an_episode() -> None:
+    env = GFMWTGVectorEnv(4, autoreset_mode="SameStep", duration_s=2.0)
+    env.reset(seed=0)
+    observations = stagger(env)
+    assert np.array_equal(observations, env.lanes.observations)
+    assert env.lanes.info_arrays()["time_s"] == pytest.approx([0.0, 1.5, 1.0, 0.5])
+    env.close()
+
+
+def test_staggered_environment_starts_alike_with_a_seed() -> None:
+    firsts = []
+    for _ in range(2):
+        env = StaggeredVecEnv(4, duration_s=2.0)
+        env.seed(7)
+        firsts.append(env.reset())
+        assert env.reset_infos == [{}] * 4
+        env.close()
+    assert np.array_equal(*firsts)

@@ -1,0 +1,152 @@
+"""Facts about training: it is reproducible, survives a kill, and what it exports plays like the learner."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from agents.checkpoints import load_policy
+from agents.export import export, largest_difference
+from agents.hyperparameters import ALGORITHMS
+from agents.runs import Run, folders, save_folder
+from agents.train import main
+from tests.agents.small import config_file, options, trained
+from wtg_gym.evaluation import evaluate, load_entries
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def kill_after_the_second_checkpoint(arguments: list[str], folder: Path) -> None:
+    process = subprocess.Popen([sys.executable, "-m", "agents.train", *arguments, "--output", str(folder)], cwd=ROOT)
+    deadline = time.monotonic() + 120.0
+    while not (folder / "checkpoints" / f"{256:012d}").exists():
+        assert process.poll() is None and time.monotonic() < deadline
+        time.sleep(0.002)
+    process.kill()
+    assert process.wait() == -signal.SIGKILL
+
+
+def weights(folder: Path, algo: str) -> Any:
+    """Networks and optimisers of a finished run's last checkpoint."""
+    (path,) = folders(folder / "checkpoints")
+    assert int(path.name) == 768
+    return load_policy(path, algo)[0].get_parameters()
+
+
+def same(a: Any, b: Any) -> bool:
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+    if isinstance(a, (list, tuple)):
+        return len(a) == len(b) and all(map(same, a, b))
+    return torch.equal(a, b) if isinstance(a, torch.Tensor) else a == b
+
+
+@pytest.mark.parametrize("algo", ALGORITHMS)
+def test_killed_run_goes_on_to_the_weights_of_an_undisturbed_one_and_its_export_plays(
+    algo: str, tmp_path: Path
+) -> None:
+    killed, undisturbed = tmp_path / "killed", trained(tmp_path, algo, "undisturbed")
+    kill_after_the_second_checkpoint(options(tmp_path, algo), killed)
+    assert main(["--resume", str(killed)]) == 0
+    assert same(weights(killed, algo), weights(undisturbed, algo))
+    runs = [Run.read(folder) for folder in (killed, undisturbed)]
+    curves = [[{**row, "wall_time_s": 0.0} for row in run.curve] for run in runs]
+    assert curves[0] == curves[1]
+    assert [(run.finished, run.resumed) for run in runs] == [(True, 1), (True, 0)]
+    assert [row["timesteps"] for row in runs[0].curve] == [0, 256, 512, 768]
+
+    difference = export(killed, tmp_path / "entry", name="mine", authors=["A. Author"])
+    assert difference <= 1e-6
+    (entry,) = load_entries(tmp_path / "entry")
+    assert (entry.name, entry.training_seed, entry.kind, entry.source) == ("mine", 0, "learned", "A. Author")
+    results = evaluate([entry], "standard", seeds=[20_000, 20_001], duration_s=5.0)
+    assert len(results.episodes_of("mine")) == 2
+    card = (tmp_path / "entry" / "README.md").read_text()
+    assert all(text in card for text in (algo, "A. Author", "python", f"{runs[0].best['score']:.1f}"))
+
+
+def test_another_seed_gives_other_weights(tmp_path: Path) -> None:
+    one = trained(tmp_path, "ppo", "one")
+    assert main([*options(tmp_path, "ppo"), "--seed", "1", "--output", str(tmp_path / "two")]) == 0
+    assert not same(weights(one, "ppo"), weights(tmp_path / "two", "ppo"))
+
+
+def test_comparison_of_policies_finds_a_difference(tmp_path: Path) -> None:
+    run = Run.read(trained(tmp_path, "ppo", "run"))
+
+    class Still:
+        def __init__(self, value: float) -> None:
+            self.value = value
+
+        def predict(self, observation: Any, state: Any = None, *_: Any, **__: Any) -> tuple[Any, Any]:
+            return np.full((len(observation), 4), self.value), state
+
+    assert largest_difference(Still(0.0), Still(2e-6), run.settings) == 2e-6
+
+
+def test_run_says_what_it_was_and_tensorboard_shows_the_grid(tmp_path: Path) -> None:
+    arguments = ["--timesteps", "12800", "--action-mode", "k", "--interval", "12800", "--validation-episodes", "2"]
+    folder = tmp_path / "run"
+    assert main(["--algo", "ppo", "--config", config_file(tmp_path, "ppo"), *arguments, "--output", str(folder)]) == 0
+    data = json.loads((folder / "run.json").read_text())
+    assert data["settings"]["action_mode"] == "k" and data["settings"]["hyperparameters"]["n_steps"] == 8
+    assert {"command", "git_commit", "suite_hash", "source_hash", "versions"} <= data["provenance"].keys()
+    events = EventAccumulator(str(folder / "tensorboard"))
+    events.Reload()
+    shown = set(events.Tags()["scalars"])
+    keys = ("nadir_hz", "largest_rocof_hz_s", "duty_error_percent", "failure", "cost_frequency", "cost_failure")
+    assert {"rollout/ep_rew_mean", "validation/score", *(f"episode/{key}" for key in keys)} <= shown
+    assert 45.0 < events.Scalars("episode/nadir_hz")[-1].value < 50.0
+
+
+def test_folder_is_complete_or_not_there(tmp_path: Path) -> None:
+    save_folder(tmp_path, 1, lambda path: (path / "a").write_text("1"))
+
+    def fails(path: Path) -> None:
+        (path / "a").write_text("half")
+        raise OSError("disk full")
+
+    with pytest.raises(OSError, match="disk full"):
+        save_folder(tmp_path, 2, fails)
+    assert [path.name for path in folders(tmp_path)] == [f"{1:012d}"]
+    save_folder(tmp_path, 3, lambda path: (path / "a").write_text("3"))
+    assert [path.name for path in folders(tmp_path)] == [f"{3:012d}"]
+    assert {path.name for path in tmp_path.iterdir()} == {f"{3:012d}"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ([], "--output FOLDER is needed"),
+        (["--output", "new"], "--algo is needed"),
+        (["--algo", "dqn", "--output", "new"], "invalid choice"),
+        (["--algo", "ppo", "--output", "."], "not an empty folder"),
+        (["--algo", "ppo", "--output", "new", "--timesteps", "0"], "timesteps must be a whole number, 1"),
+        (["--algo", "ppo", "--output", "new", "--validation-episodes", "101"], r"validation_episodes .* 1 … 100"),
+        (["--algo", "ppo", "--output", "new", "--suite", "paper"], "fixed list of cases"),
+        (["--algo", "ppo", "--output", "new", "--config", "no.yml"], "cannot read the hyperparameter file"),
+        (["--resume", "no-such-run"], "cannot read the description of the run"),
+        (["--resume", "no-such-run", "--seed", "1"], "leave out seed"),
+    ],
+)
+def test_bad_options_are_refused_before_anything_runs(
+    arguments: list[str], text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "something").touch()
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and error.count("\n") == 1
+    assert re.search(text, error), error
+    assert not (tmp_path / "new").exists()

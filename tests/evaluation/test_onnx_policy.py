@@ -1,0 +1,153 @@
+"""Facts about policies as ONNX files and the folders that make them entries."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+
+from wtg_gym.evaluation import OnnxPolicy, evaluate, load_entries
+
+FLOAT = TensorProto.FLOAT
+#: Width of the local observation of two groups with both actions.
+N = 20
+TOML = 'name = "still"\naction_mode = "k+tau"\n'
+
+
+def write(path: Path, nodes: list[Any], inputs: list[Any], outputs: list[Any]) -> Path:
+    make = helper.make_tensor_value_info
+    graph = helper.make_graph(
+        nodes, "g", [make(*given) for given in inputs], [make(*given) for given in outputs], CONSTANTS
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    path.write_bytes(model.SerializeToString())
+    return path
+
+
+CONSTANTS = [
+    numpy_helper.from_array(np.zeros((N, 4), dtype=np.float32), "weights"),
+    helper.make_tensor("starts", TensorProto.INT64, [1], [0]),
+    helper.make_tensor("ends", TensorProto.INT64, [1], [4]),
+    helper.make_tensor("axes", TensorProto.INT64, [1], [1]),
+]
+STILL = [helper.make_node("MatMul", ["observation", "weights"], ["action"])]
+OBSERVATION, ACTION = ("observation", FLOAT, ["batch", N]), ("action", FLOAT, ["batch", 4])
+
+
+def still(path: Path) -> Path:
+    return write(path, STILL, [OBSERVATION], [ACTION])
+
+
+def counter(path: Path) -> Path:
+    """A policy that adds up the first four entries of the observations: the sum is its state and its action."""
+    nodes = [
+        helper.make_node("Slice", ["observation", "starts", "ends", "axes"], ["first"]),
+        helper.make_node("Add", ["first", "state_0"], ["next_state_0"]),
+        helper.make_node("Identity", ["next_state_0"], ["action"]),
+    ]
+    return write(
+        path, nodes, [OBSERVATION, ("state_0", FLOAT, ["batch", 4])], [ACTION, ("next_state_0", FLOAT, ["batch", 4])]
+    )
+
+
+def folder(path: Path, toml: str = TOML) -> Path:
+    path.mkdir()
+    (path / "entry.toml").write_text(toml)
+    still(path / "policy.onnx")
+    return path
+
+
+def test_policy_without_memory_answers_any_number_of_lanes(tmp_path: Path) -> None:
+    policy = OnnxPolicy(still(tmp_path / "a.onnx"))
+    for n_lanes in (1, 3):
+        actions, state = policy.predict(np.ones((n_lanes, N)), None, np.ones(n_lanes, bool), deterministic=True)
+        assert actions.shape == (n_lanes, 4) and actions.dtype == np.float32 and not actions.any() and state is None
+
+
+def test_memory_goes_on_and_is_cleared_where_an_episode_starts(tmp_path: Path) -> None:
+    policy = OnnxPolicy(counter(tmp_path / "a.onnx"))
+    ones = np.ones((2, N), dtype=np.float32)
+    first, state = policy.predict(ones)
+    second, state = policy.predict(ones, state)
+    third, _ = policy.predict(ones, state, np.array([True, False]))
+    assert [values[:, 0].tolist() for values in (first, second, third)] == [[1, 1], [2, 2], [1, 3]]
+
+
+def test_file_is_data_and_nothing_else_is_loaded(tmp_path: Path) -> None:
+    path = tmp_path / "a.onnx"
+    for content in (b"", b"no model", b"\x80\x04."):
+        path.write_bytes(content)
+        with pytest.raises(ValueError, match=r"a\.onnx is no ONNX model"):
+            OnnxPolicy(path)
+    with pytest.raises(ValueError, match="cannot read the policy"):
+        OnnxPolicy(tmp_path / "none.onnx")
+    # Weights in another file, which a path could point anywhere with.
+    model = onnx.load(still(path))
+    onnx.save(model, path, save_as_external_data=True, location="weights.bin", size_threshold=0)
+    with pytest.raises(ValueError, match="is no ONNX model"):
+        OnnxPolicy(path)
+
+
+@pytest.mark.parametrize(
+    ("inputs", "outputs", "text"),
+    [
+        ([("observation", FLOAT, [1, N])], [("action", FLOAT, [1, 4])], r"\(batch, n\) with any batch"),
+        ([("observation", FLOAT, ["batch", "n"])], [ACTION], "observation of the policy"),
+        ([OBSERVATION, ("memory", FLOAT, ["batch", 2])], [ACTION], "must take observation, state_0"),
+        ([OBSERVATION, ("state_0", FLOAT, ["batch", 2])], [ACTION], "must take observation, state_0"),
+        ([OBSERVATION], [], "must take observation, state_0"),
+    ],
+)
+def test_wrong_signature_is_refused_when_loaded(inputs: list[Any], outputs: list[Any], text: str, tmp_path: Path):
+    path = write(tmp_path / "a.onnx", STILL, inputs, outputs)
+    with pytest.raises(ValueError, match=text):
+        OnnxPolicy(path)
+
+
+def test_wrong_shapes_are_named(tmp_path: Path) -> None:
+    policy = OnnxPolicy(counter(tmp_path / "a.onnx"))
+    with pytest.raises(ValueError, match=r"shape \(lanes, 20\), got \(2, 18\).*action_mode"):
+        policy.predict(np.zeros((2, 18)))
+    with pytest.raises(ValueError, match=r"states of shapes \[\(3, 4\)\], got \[\(2, 4\)\]"):
+        policy.predict(np.zeros((3, N)), (np.zeros((2, 4), dtype=np.float32),))
+
+
+def test_folder_is_an_entry_and_zero_action_scores_a_hundred(tmp_path: Path) -> None:
+    toml = TOML + 'training_seed = 3\nauthors = ["A", "B"]\ndescription = "Does nothing."\n'
+    (entry,) = load_entries(folder(tmp_path / "still", toml))
+    assert (entry.name, entry.training_seed, entry.source, entry.kind) == ("still", 3, "A, B", "learned")
+    assert entry.identity is not None
+    results = evaluate([entry], "standard", seeds=[20_000, 20_003], duration_s=10.0)
+    costs = {
+        name: [e.metrics["cost"] for e in results.episodes_of(name)] for name in ("still", "coordinated-piecewise")
+    }
+    assert costs["still"] == costs["coordinated-piecewise"]
+
+
+@pytest.mark.parametrize(
+    ("toml", "text"),
+    [
+        ("name = ", "is not TOML"),
+        ('name = "a"\n', r"missing: \['action_mode'\]"),
+        (TOML + "strategy = 1\n", r"unknown: \['strategy'\]"),
+        (TOML + 'authors = "me"\n', "authors in"),
+        (TOML + "training_seed = -1\n", "training_seed"),
+        (TOML.replace("k+tau", "pitch"), "unknown action_mode 'pitch'"),
+    ],
+)
+def test_wrong_entry_file_says_what_is_allowed(toml: str, text: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=text):
+        load_entries(folder(tmp_path / "a", toml))
+
+
+def test_missing_policy_and_other_action_mode_are_named(tmp_path: Path) -> None:
+    (folder(tmp_path / "a") / "policy.onnx").unlink()
+    with pytest.raises(ValueError, match=r"cannot read the policy .*policy\.onnx"):
+        load_entries(tmp_path / "a")
+    (entry,) = load_entries(folder(tmp_path / "b", TOML.replace("k+tau", "k")))
+    with pytest.raises(ValueError, match="trained with another action_mode"):
+        evaluate([entry], "standard", seeds=[20_000], duration_s=1.0)
