@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -74,6 +75,22 @@ def test_killed_run_goes_on_to_the_weights_of_an_undisturbed_one_and_its_export_
     assert len(results.episodes_of("mine")) == 2
     card = (tmp_path / "entry" / "README.md").read_text()
     assert all(text in card for text in (algo, "A. Author", "python", f"{runs[0].best['score']:.1f}"))
+
+
+@pytest.mark.parametrize("missing", ["row", "checkpoint"])
+def test_kill_between_two_files_is_mended(missing: str, tmp_path: Path) -> None:
+    folder = trained(tmp_path, "ppo", "run")
+    complete = Run.read(folder)
+    damaged = Run.read(folder)
+    del damaged.curve[-1 if missing == "row" else 0 :]
+    damaged.write(folder)
+    if missing == "checkpoint":
+        shutil.rmtree(folder / "checkpoints")
+        shutil.rmtree(folder / "best")
+    assert main(["--resume", str(folder)]) == 0
+    scores = [[(row["timesteps"], row["score"]) for row in run.curve] for run in (complete, Run.read(folder))]
+    assert scores[0] == scores[1]
+    assert [int(path.name) for path in folders(folder / "best")] == [complete.best["timesteps"]]
 
 
 def test_another_seed_gives_other_weights(tmp_path: Path) -> None:
