@@ -154,7 +154,8 @@ def train(
             supervision.init_callback(model)
             left = run.settings.timesteps - model.num_timesteps
             if left > 0:
-                model.learn(left, callback=supervision, reset_num_timesteps=model.num_timesteps == 0)
+                # A new learner starts its environments all the same; one from a checkpoint, that of step 0 too, goes on.
+                model.learn(left, callback=supervision, reset_num_timesteps=False)
             run.finished = True
             if run.curve[-1]["timesteps"] < model.num_timesteps:
                 supervision.take_stock()

@@ -22,6 +22,7 @@ from agents.export import export, largest_difference
 from agents.hyperparameters import ALGORITHMS
 from agents.runs import Run, folders, save_folder
 from agents.train import main
+from agents.training import start, train
 from tests.agents.small import config_file, options, trained
 from wtg_gym.evaluation import evaluate, load_entries
 
@@ -75,6 +76,21 @@ def test_killed_run_goes_on_to_the_weights_of_an_undisturbed_one_and_its_export_
     assert len(results.episodes_of("mine")) == 2
     card = (tmp_path / "entry" / "README.md").read_text()
     assert all(text in card for text in (algo, "A. Author", "python", f"{runs[0].best['score']:.1f}"))
+
+
+def test_run_stopped_at_its_first_checkpoint_goes_on_to_the_same_weights(tmp_path: Path) -> None:
+    whole, stopped = trained(tmp_path, "ppo", "whole"), tmp_path / "stopped"
+    run = Run.new(Run.read(whole).settings)
+    model, metrics = start(run)
+
+    def stop(timesteps: int, score: float) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(run, model, metrics, stopped, stop)
+    assert [int(path.name) for path in folders(stopped / "checkpoints")] == [0]
+    assert main(["--resume", str(stopped)]) == 0
+    assert same(weights(stopped, "ppo"), weights(whole, "ppo"))
 
 
 @pytest.mark.parametrize("missing", ["row", "checkpoint"])
