@@ -154,7 +154,7 @@ def train(
             supervision.init_callback(model)
             left = run.settings.timesteps - model.num_timesteps
             if left > 0:
-                # A new learner starts its environments all the same; one from a checkpoint, that of step 0 too, goes on.
+                # A new learner starts its environments all the same; one from a checkpoint, be it of step 0, goes on.
                 model.learn(left, callback=supervision, reset_num_timesteps=False)
             run.finished = True
             if run.curve[-1]["timesteps"] < model.num_timesteps:
