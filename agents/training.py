@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -85,11 +84,12 @@ class _Supervision(BaseCallback):
             self._on_score(model.num_timesteps, row["score"])
 
     def _save(self, folder: Path) -> None:
+        # In this order a kill in between is mended on resumption: a checkpoint whose row is missing in run.json is
+        # validated again.
         model, run = self.model, self._run
+        save_folder(folder / CHECKPOINTS, model.num_timesteps, lambda path: save_checkpoint(path, model, self._metrics))
         if run.best is run.curve[-1]:
             save_folder(folder / BEST, model.num_timesteps, lambda path: save_policy(path, model))
-        save_folder(folder / CHECKPOINTS, model.num_timesteps, lambda path: save_checkpoint(path, model, self._metrics))
-        # The checkpoint is what counts: a row without one is dropped on resumption.
         run.write(folder)
 
     def _show(self) -> None:
@@ -116,20 +116,11 @@ def start(run: Run) -> tuple[BaseAlgorithm, EpisodeMetrics]:
 
 
 def resume(run: Run, folder: Path) -> tuple[BaseAlgorithm, EpisodeMetrics]:
-    """Return a run's learner and measurements as its last checkpoint has them, and forget what came after it.
-
-    Raises:
-        ValueError: there is no checkpoint.
-    """
+    """Return a run's learner and measurements as its last checkpoint has them; anew if it has none yet."""
+    run.resumed += 1
     checkpoints = folders(folder / CHECKPOINTS)
     if not checkpoints:
-        raise ValueError(f"{folder} has no checkpoint to go on from; start the run anew in another folder")
-    timesteps = int(checkpoints[-1].name)
-    run.curve = [row for row in run.curve if row["timesteps"] <= timesteps]
-    for path in folders(folder / BEST):
-        if int(path.name) > timesteps:
-            shutil.rmtree(path)
-    run.resumed += 1
+        return start(run)
     model, metrics = load_checkpoint(checkpoints[-1], run.settings.algo, run.settings.device)
     return model, metrics
 
@@ -155,12 +146,16 @@ def train(
     model.set_logger(configure(*outputs))
     env = model.get_env()
     assert env is not None
+    if folder is not None:
+        run.write(folder)
     try:
         with Progress("thousand steps") as progress:
             supervision = _Supervision(run, folder, metrics, progress, on_score)
+            supervision.init_callback(model)
             left = run.settings.timesteps - model.num_timesteps
             if left > 0:
-                model.learn(left, callback=supervision, reset_num_timesteps=model.num_timesteps == 0)
+                # A new learner starts its environments all the same; one from a checkpoint, be it of step 0, goes on.
+                model.learn(left, callback=supervision, reset_num_timesteps=False)
             run.finished = True
             if run.curve[-1]["timesteps"] < model.num_timesteps:
                 supervision.take_stock()

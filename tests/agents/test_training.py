@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -21,6 +22,7 @@ from agents.export import export, largest_difference
 from agents.hyperparameters import ALGORITHMS
 from agents.runs import Run, folders, save_folder
 from agents.train import main
+from agents.training import start, train
 from tests.agents.small import config_file, options, trained
 from wtg_gym.evaluation import evaluate, load_entries
 
@@ -74,6 +76,37 @@ def test_killed_run_goes_on_to_the_weights_of_an_undisturbed_one_and_its_export_
     assert len(results.episodes_of("mine")) == 2
     card = (tmp_path / "entry" / "README.md").read_text()
     assert all(text in card for text in (algo, "A. Author", "python", f"{runs[0].best['score']:.1f}"))
+
+
+def test_run_stopped_at_its_first_checkpoint_goes_on_to_the_same_weights(tmp_path: Path) -> None:
+    whole, stopped = trained(tmp_path, "ppo", "whole"), tmp_path / "stopped"
+    run = Run.new(Run.read(whole).settings)
+    model, metrics = start(run)
+
+    def stop(timesteps: int, score: float) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(run, model, metrics, stopped, stop)
+    assert [int(path.name) for path in folders(stopped / "checkpoints")] == [0]
+    assert main(["--resume", str(stopped)]) == 0
+    assert same(weights(stopped, "ppo"), weights(whole, "ppo"))
+
+
+@pytest.mark.parametrize("missing", ["row", "checkpoint"])
+def test_kill_between_two_files_is_mended(missing: str, tmp_path: Path) -> None:
+    folder = trained(tmp_path, "ppo", "run")
+    complete = Run.read(folder)
+    damaged = Run.read(folder)
+    del damaged.curve[-1 if missing == "row" else 0 :]
+    damaged.write(folder)
+    if missing == "checkpoint":
+        shutil.rmtree(folder / "checkpoints")
+        shutil.rmtree(folder / "best")
+    assert main(["--resume", str(folder)]) == 0
+    scores = [[(row["timesteps"], row["score"]) for row in run.curve] for run in (complete, Run.read(folder))]
+    assert scores[0] == scores[1]
+    assert [int(path.name) for path in folders(folder / "best")] == [complete.best["timesteps"]]
 
 
 def test_another_seed_gives_other_weights(tmp_path: Path) -> None:
