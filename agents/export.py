@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import sys
 import tempfile
@@ -12,6 +13,7 @@ import numpy as np
 
 from agents import single_file_ppo
 from agents.checkpoints import load_policy
+from agents.command import run_command
 from agents.learners import NormalizedPolicy, network_of
 from agents.model_card import model_card
 from agents.networks import PolicyNetwork
@@ -128,16 +130,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--name", help="of the entry; runs of one name and several seeds share a row of the table")
     parser.add_argument("--description", default="", help="one sentence on what it is")
     parser.add_argument("--authors", nargs="+", default=[], metavar="NAME", help="who trained it")
-    try:
-        given = parser.parse_args(argv)
-        difference = export(
-            Path(given.run), Path(given.output), name=given.name, description=given.description, authors=given.authors
-        )
-    except ValueError as error:
-        note(f"error: {error}")
-        return 2
+    return run_command(lambda: _export(parser.parse_args(argv)))
+
+
+def _export(given: argparse.Namespace) -> None:
+    difference = export(
+        Path(given.run), Path(given.output), name=given.name, description=given.description, authors=given.authors
+    )
     note(f"wrote {given.output}; its actions agree to {difference:.1g}")
-    return 0
 
 
 if __name__ == "__main__":

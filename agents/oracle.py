@@ -54,15 +54,15 @@ class Rollouts:
         self.lanes = TaskLanes(chosen, len(seeds) * n_candidates)
         self._shape = len(seeds), n_candidates, self.lanes.n_wtg
         self._episodes = self.lanes.prepare(self.lanes.scenarios(seeds))
-        self._order = np.arange(self.lanes.n_lanes).reshape(len(seeds), n_candidates)
+        # One candidate's lanes after another's, each in the order of the scenarios.
+        self._order = np.arange(self.lanes.n_lanes).reshape(len(seeds), n_candidates).T.ravel().tolist()
         self.n_steps = int(self._episodes.n_intervals.max())
         self.n_action = self.lanes.n_action // self.lanes.n_wtg
 
     def play(self, candidates: Candidates) -> Floats:
         """Return the sums of the cost's terms over an episode, (n_scenarios, n_candidates, n_terms)."""
         lanes = self.lanes
-        for column in self._order.T:
-            lanes.commit(column.tolist(), [self._episodes])
+        lanes.commit(self._order, [self._episodes] * self._shape[1])
         for step in range(self.n_steps):
             own = lanes.observations.reshape(*self._shape, -1).astype(np.float64)
             actions = np.clip(candidates(step, own), -1.0, 1.0)

@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from agents.command import run_command
 from agents.networks import Normalization, PolicyNetwork, flat_layers
 from agents.runs import BEST, Run, RunSettings, new_folder, save_folder
 from agents.staggering import stagger
@@ -283,17 +284,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--action-mode", choices=tuple(ACTION_MODES), default="k+tau")
     for option, default in _NUMBERS.items():
         parser.add_argument(option, type=int, default=default, metavar="N", help=f"default: {default}")
-    try:
-        given = vars(parser.parse_args(argv))
-        output, h = Path(given.pop("output")), Hyperparameters()
-        interval = max(1, given["timesteps"] // 20)
-        run = Run.new(RunSettings(algo=NAME, hyperparameters=dataclasses.asdict(h), interval=interval, **given))
-        train(run, new_folder(output), h)
-    except ValueError as error:
-        note(f"error: {error}")
-        return 2
+    return run_command(lambda: _train(vars(parser.parse_args(argv))))
+
+
+def _train(given: dict[str, Any]) -> None:
+    output, h = Path(given.pop("output")), Hyperparameters()
+    interval = max(1, given["timesteps"] // 20)
+    run = Run.new(RunSettings(algo=NAME, hyperparameters=dataclasses.asdict(h), interval=interval, **given))
+    train(run, new_folder(output), h)
     note(f"best validation score {run.best['score']:.1f} at step {run.best['timesteps']}; wrote {output}")
-    return 0
 
 
 if __name__ == "__main__":

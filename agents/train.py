@@ -7,6 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from agents.command import run_command
 from agents.hyperparameters import ALGORITHMS, CONFIG_FOLDER, parse, read_config
 from agents.runs import Run, RunSettings, new_folder
 from agents.training import resume, start, train
@@ -69,15 +70,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add_run_options(parser)
     parser.add_argument("--output", metavar="FOLDER", help="folder of the new run")
     parser.add_argument("--resume", metavar="FOLDER", help="go on with the run in this folder; no other option applies")
-    try:
-        _train(parser.parse_args(argv))
-    except ValueError as error:
-        note(f"error: {error}")
-        return 2
-    except KeyboardInterrupt:
-        note("interrupted; go on with --resume")
-        return 130
-    return 0
+    return run_command(lambda: _train(parser.parse_args(argv)), "go on with --resume")
 
 
 def _train(arguments: argparse.Namespace) -> None:

@@ -13,6 +13,7 @@ import optuna
 import yaml
 from optuna.trial import Trial, TrialState
 
+from agents.command import run_command
 from agents.runs import Run, RunSettings
 from agents.train import add_run_options, run_settings
 from agents.training import start, train
@@ -183,15 +184,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add_run_options(parser)
     parser.add_argument("--trials", type=int, default=30, metavar="N", help="trials in all (default: 30)")
     parser.add_argument("--output", required=True, metavar="FOLDER", help="folder of the study")
-    try:
-        _tune(parser.parse_args(argv))
-    except ValueError as error:
-        note(f"error: {error}")
-        return 2
-    except KeyboardInterrupt:
-        note("interrupted; the same command goes on")
-        return 130
-    return 0
+    return run_command(lambda: _tune(parser.parse_args(argv)), "the same command goes on")
 
 
 def _tune(given: argparse.Namespace) -> None:
