@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import platform
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -176,26 +176,37 @@ def _stored_or_played(
 
 def _play(entry: Entry, settings: EnvSettings, seeds: Sequence[int], n_threads: int | None) -> list[Episode]:
     """Play one batch from start to end."""
+    lanes = entry_lanes(entry, settings, len(seeds), n_threads)
+    try:
+        scenarios = lanes.scenarios(seeds)
+        _start(lanes, scenarios, entry)
+        recorder = Recorder(lanes, _n_steps(lanes))
+        for stepped in play(entry, lanes):
+            recorder.record(stepped)
+        return [_episode(entry, lanes, recorder, lane, scenario) for lane, scenario in enumerate(scenarios)]
+    finally:
+        lanes.simulator.close()
+
+
+def entry_lanes(entry: Entry, settings: EnvSettings, n_lanes: int, n_threads: int | None = None) -> TaskLanes:
+    """Return lanes with an entry's own law and modes, everything else as in `settings`."""
     # A law is no JSON, which is why the settings' own type is narrower than what they take.
     law: Any = entry.law
     own = dataclasses.replace(
         settings, strategy=law, action_mode=entry.action_mode, observation_mode=entry.observation_mode
     )
-    lanes = TaskLanes(own, len(seeds), n_threads)
-    try:
-        scenarios = lanes.scenarios(seeds)
-        _start(lanes, scenarios, entry)
-        recorder = Recorder(lanes, _n_steps(lanes))
-        policy = _Actions(entry, lanes)
-        running = np.ones(lanes.n_lanes, dtype=np.bool_)
-        while running.any():
-            lanes.step(policy.next(running))
-            recorder.record(running)
-            terminated, truncated = lanes.ended()
-            running = ~(terminated | truncated)
-        return [_episode(entry, lanes, recorder, lane, scenario) for lane, scenario in enumerate(scenarios)]
-    finally:
-        lanes.simulator.close()
+    return TaskLanes(own, n_lanes, n_threads)
+
+
+def play(entry: Entry, lanes: TaskLanes) -> Iterator[npt.NDArray[np.bool_]]:
+    """Play the started episodes of all lanes to their ends; after every step, yield which lanes made it, (n_lanes,)."""
+    policy = _Actions(entry, lanes)
+    running = np.ones(lanes.n_lanes, dtype=np.bool_)
+    while running.any():
+        lanes.step(policy.next(running))
+        yield running
+        terminated, truncated = lanes.ended()
+        running = ~(terminated | truncated)
 
 
 def _start(lanes: TaskLanes, scenarios: Sequence[Scenario], entry: Entry) -> None:
@@ -272,4 +283,4 @@ class _Actions:
         return ValueError(f"entry {self._entry.label!r}, step {self._step}: {wanted}, got {got}")
 
 
-__all__ = ["evaluate"]
+__all__ = ["entry_lanes", "evaluate", "play"]
