@@ -5,8 +5,10 @@ not. Every function returns a matplotlib figure, built without pyplot; :func:`fi
 """
 
 from wtg_gym.plotting.accuracy import plot_accuracy
+from wtg_gym.plotting.behaviour import plot_costs, plot_responses, plot_runs
 from wtg_gym.plotting.characteristics import plot_characteristic
 from wtg_gym.plotting.growth import plot_growth
+from wtg_gym.plotting.learning import LearningCurve, plot_learning_curves
 from wtg_gym.plotting.modes import plot_modes
 from wtg_gym.plotting.paper import plot_bode, plot_case_study, plot_power_coefficient
 from wtg_gym.plotting.studies import (
@@ -36,6 +38,7 @@ __all__ = [
     "PALETTE",
     "SINGLE_COLUMN_MM",
     "STRATEGY_LOOKS",
+    "LearningCurve",
     "describe_event",
     "figure_bytes",
     "new_figure",
@@ -43,13 +46,17 @@ __all__ = [
     "plot_bode",
     "plot_case_study",
     "plot_characteristic",
+    "plot_costs",
     "plot_damping",
     "plot_equilibria",
     "plot_growth",
+    "plot_learning_curves",
     "plot_machine_models",
     "plot_margins",
     "plot_modes",
     "plot_power_coefficient",
+    "plot_responses",
+    "plot_runs",
     "plot_slopes",
     "plot_trajectories",
     "print_style",

@@ -231,11 +231,11 @@ def plot_case_study(
             list(grid[:, group]), max(chosen.values(), key=lambda run: run.time_s.size), group, (start, end)
         )
         for axes in grid[:, group]:
-            _mark_instants(axes, scenario, (start, end), numbered=axes is grid[0, group])
+            mark_instants(axes, scenario, (start, end), numbered=axes is grid[0, group])
         grid[3, group].set_xlabel("time [s]")
     grid[0, 0].set_xlim(start, end)
-    _share_limits(list(grid[0]))
-    _share_limits(list(grid[3]))
+    share_limits(list(grid[0]))
+    share_limits(list(grid[3]))
     nominal = next(iter(chosen.values())).nominal_frequency_hz
     hertz = grid[0, -1].secondary_yaxis("right", functions=(lambda x: nominal * x, lambda x: x / nominal))
     hertz.set_ylabel("frequency [Hz]")
@@ -322,7 +322,8 @@ def _draw_references(column: Sequence[Axes], run: Trajectory, group: int, window
             column[0].axhline(frequency, color=REFERENCE_GREY, linewidth=0.8, linestyle=_THIN_DASHES, zorder=2)
 
 
-def _mark_instants(axes: Axes, scenario: Scenario, window_s: tuple[float, float], *, numbered: bool) -> None:
+def mark_instants(axes: Axes, scenario: Scenario, window_s: tuple[float, float], *, numbered: bool) -> None:
+    """Draw a dotted line at every instant with an event, with its number above where `numbered`."""
     for number, events in numbered_events(scenario):
         instant = events[0].time_s
         if not window_s[0] <= instant <= window_s[1]:
@@ -334,7 +335,8 @@ def _mark_instants(axes: Axes, scenario: Scenario, window_s: tuple[float, float]
             )
 
 
-def _share_limits(row: Sequence[Axes]) -> None:
+def share_limits(row: Sequence[Axes]) -> None:
+    """Give panels the same vertical range, wide enough for all."""
     limits = [axes.get_ylim() for axes in row]
     for axes in row:
         axes.set_ylim(min(low for low, _ in limits), max(high for _, high in limits))
@@ -358,4 +360,4 @@ def _draw_strategy_legend(
     figure.legend(handles=handles, loc="outside lower center", ncols=min(4, len(handles)), handlelength=3.6)
 
 
-__all__ = ["plot_bode", "plot_case_study", "plot_power_coefficient"]
+__all__ = ["mark_instants", "plot_bode", "plot_case_study", "plot_power_coefficient", "share_limits"]
