@@ -1,0 +1,248 @@
+"""What a policy does, in numbers of plain language: how k and τ depend on what it sees, by linear regression.
+
+Every visited state counts once per WTG group; all groups share one regression.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from wtg_gym.evaluation.recording import Recording
+from wtg_gym.files import markdown_table
+from wtg_gym.physics.aerodynamics import tracking_point
+
+Floats = npt.NDArray[np.float64]
+
+#: What decides together: none of them is the last action by another name, as k and the power are.
+_TOGETHER = ("frequency deviation", "RoCoF", "tip-speed ratio above its target", "wind", "filter state")
+_COLUMNS = ("entry", "action", "regression", "quantity", "unit", "slope", "share_percent")
+#: Actions: k added by the policy as a share of K_opt, and log2 of what τ is multiplied with.
+ACTIONS = ("k", "tau")
+
+
+@dataclass(frozen=True)
+class Slope:
+    """A row of the regression on one action.
+
+    Args:
+        quantity: what is seen.
+        unit: what the slope counts it in.
+        slope: of k [K_opt] or log2 τ per unit; not a number where it has none.
+        share: of the action's variance that it explains, 0 … 1.
+    """
+
+    quantity: str
+    unit: str
+    slope: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """How one action depends on what the policy sees.
+
+    Args:
+        mean: of the action: k added [K_opt], or log2 of τ's factor.
+        deviation: its standard deviation, in the same unit.
+        alone: each named observation on its own.
+        together: the quantities that decide, in one regression; shares add up to `explained`.
+        explained: share of the variance that these explain, 0 … 1.
+        with_others: the same with those of the other groups beside them.
+        each_group: the same with a regression for each group.
+    """
+
+    mean: float
+    deviation: float
+    alone: tuple[Slope, ...]
+    together: tuple[Slope, ...]
+    explained: float
+    with_others: float
+    each_group: float
+
+
+def sensitivities(recording: Recording) -> dict[str, Sensitivity]:
+    """Return the sensitivity of every action that the policy modulates, by its name in :data:`ACTIONS`."""
+    decided = {
+        "k": recording.offset_pu / tracking_point(0.0).coefficient,
+        "tau": np.log2(recording.time_constant_s / recording.time_constant_s[:, :1]),
+    }
+    # A step's action follows the state before it.
+    actions = {name: values[:, 1:] for name, values in decided.items()}
+    return {
+        name: _sensitivity(recording, values)
+        for name, values in actions.items()
+        if np.isfinite(values).any() and np.nanstd(values) > 1e-9
+    }
+
+
+def _sensitivity(recording: Recording, action: Floats) -> Sensitivity:
+    own = [_quantities(recording, group) for group in range(recording.n_wtg)]
+    seen = [_observations(recording, group) for group in range(recording.n_wtg)]
+    rows = [np.isfinite(action[:, :, group]) for group in range(recording.n_wtg)]
+    y = [action[:, :, group][row] for group, row in enumerate(rows)]
+    x = [np.stack([values[row] for values in each.values()], axis=1) for each, row in zip(own, rows, strict=True)]
+    o = [np.stack([values[row] for values in each.values()], axis=1) for each, row in zip(seen, rows, strict=True)]
+    all_y, all_x, all_o = np.concatenate(y), np.concatenate(x), np.concatenate(o)
+    # The other groups' mean, at the same instants.
+    total = np.sum([np.stack(list(each.values()), axis=-1) for each in own], axis=0)
+    others = np.concatenate([total[row] - each for row, each in zip(rows, x, strict=True)])
+    left = sum(
+        float(each.var()) * each.size * (1.0 - _explained(values, each)) for values, each in zip(x, y, strict=True)
+    )
+    slopes = _slopes(all_x, all_y)
+    return Sensitivity(
+        mean=float(all_y.mean()),
+        deviation=float(all_y.std()),
+        alone=tuple(
+            Slope(name, unit, float(_slopes(column[:, None], all_y)[0]), _explained(column[:, None], all_y))
+            for (name, unit), column in zip(seen[0], all_o.T, strict=True)
+        ),
+        together=tuple(
+            Slope(name, unit, float(slope), float(share))
+            for (name, unit), slope, share in zip(own[0], slopes, _shares(all_x, all_y), strict=True)
+        ),
+        explained=_explained(all_x, all_y),
+        with_others=_explained(np.hstack([all_x, others]), all_y),
+        each_group=1.0 - left / (float(all_y.var()) * all_y.size),
+    )
+
+
+def _quantities(recording: Recording, group: int) -> dict[tuple[str, str], Floats]:
+    """Return what decides at each step, by name and unit of the slope, (n_scenarios, n_steps)."""
+    values = (
+        ("0.1 Hz", recording.deviation_hz / 0.1),
+        ("0.1 Hz/s", recording.rocof_hz_s / 0.1),
+        ("0.1", recording.ratio_above_target / 0.1),
+        ("1 m/s", recording.wind_m_s),
+        ("0.1 Hz", recording.filter_hz / 0.1),
+    )
+    return {(name, unit): each[:, :-1, group] for name, (unit, each) in zip(_TOGETHER, values, strict=True)}
+
+
+def _observations(recording: Recording, group: int) -> dict[tuple[str, str], Floats]:
+    """Return a group's own observations and those that all share, by name and unit, (n_scenarios, n_steps)."""
+    found = {}
+    for i, name in enumerate(recording.observation_names):
+        owner, quantity = name.split(".", 1)
+        if owner == f"wtg{group}" or not owner.startswith("wtg"):
+            quantity = quantity if owner.startswith("wtg") else name
+            words, _, unit = quantity.partition(" [")
+            found[words, unit.removesuffix("]") or "full action"] = recording.observations[:, :-1, i]
+    return found
+
+
+def _standardised(x: Floats) -> tuple[Floats, Floats]:
+    """Return columns with mean 0 and deviation 1, constant ones as zeros, and their deviations."""
+    deviation = x.std(axis=0)
+    scale = np.where(deviation > 1e-9, deviation, np.inf)
+    return (x - x.mean(axis=0)) / scale, scale
+
+
+def _slopes(x: Floats, y: Floats) -> Floats:
+    """Return the slopes (n,) of a regression of y (m,) on the columns of x (m, n); 0 for a constant column."""
+    z, scale = _standardised(x)
+    slopes: Floats = np.linalg.lstsq(z, y - y.mean(), rcond=1e-9)[0] / scale
+    return slopes
+
+
+def _explained(x: Floats, y: Floats) -> float:
+    """Return the share of y's variance that a regression on x's columns explains."""
+    variance = float(y.var())
+    residual = y - y.mean() - (x - x.mean(axis=0)) @ _slopes(x, y)
+    return 1.0 - float(residual.var()) / variance if variance > 0.0 else 0.0
+
+
+def _shares(x: Floats, y: Floats) -> Floats:
+    """Return what each column adds to the explained share, the mean over all orders of adding them (n,)."""
+    n = x.shape[1]
+    z, own = _standardised(np.column_stack([x, y]))[0], np.zeros(n)
+    correlation = z.T @ z / y.size
+
+    def explained(columns: tuple[int, ...]) -> float:
+        rows = list(columns)
+        to_y = correlation[rows, n]
+        return float(to_y @ np.linalg.lstsq(correlation[np.ix_(rows, rows)], to_y, rcond=1e-9)[0]) if rows else 0.0
+
+    found = {c: explained(c) for size in range(n + 1) for c in itertools.combinations(range(n), size)}
+    for columns, value in found.items():
+        for i in set(range(n)) - set(columns):
+            orders = math.factorial(len(columns)) * math.factorial(n - len(columns) - 1) / math.factorial(n)
+            own[i] += orders * (found[tuple(sorted((*columns, i)))] - value)
+    return own
+
+
+def sensitivity_tables(found: Mapping[str, Mapping[str, Sensitivity]]) -> str:
+    """Return two Markdown tables for every entry, with what they are; `found` by entry and action."""
+    parts = []
+    for name, actions in found.items():
+        parts.append(f"**{name}**")
+        parts.append(
+            "Together, in one regression: what is added to k, in shares of K_opt, and the factor on τ, for every unit "
+            "more; the share of an action's variance that a quantity explains is the mean over all orders of adding "
+            "them."
+        )
+        rows = _rows([actions[a].together if a in actions else None for a in ACTIONS])
+        for words, key in (
+            ("all of these", "explained"),
+            ("the same of the other groups as well", "with_others"),
+            ("a regression for each group", "each_group"),
+        ):
+            shares = [_percent(getattr(actions[a], key)) if a in actions else "–" for a in ACTIONS]
+            rows.append([words, "", "", shares[0], "", shares[1]])
+        means = [_change(a, actions[a].mean) if a in actions else "–" for a in ACTIONS]
+        rows.append(["mean of the action", "", means[0], "", means[1], ""])
+        spread = [_change(a, actions[a].deviation) if a in actions else "–" for a in ACTIONS]
+        rows.append(["its standard deviation", "", spread[0].removeprefix("+"), "", spread[1], ""])
+        parts.append(_table(rows))
+        parts.append("Each observation of a group on its own, in the unit that it is observed in:")
+        parts.append(_table(_rows([actions[a].alone if a in actions else None for a in ACTIONS])))
+    return "\n\n".join(parts)
+
+
+def _rows(columns: Sequence[Sequence[Slope] | None]) -> list[list[str]]:
+    named = next(slopes for slopes in columns if slopes is not None)
+    rows = []
+    for i, first in enumerate(named):
+        cells = [first.quantity, first.unit]
+        for action, slopes in zip(ACTIONS, columns, strict=True):
+            cells += ["–", "–"] if slopes is None else [_change(action, slopes[i].slope), _percent(slopes[i].share)]
+        rows.append(cells)
+    return rows
+
+
+def _table(rows: Sequence[Sequence[str]]) -> str:
+    header = ("seen", "unit", "k [K_opt]", "of k's variance [%]", "τ", "of τ's variance [%]")
+    return markdown_table(header, rows, right=(2, 3, 4, 5))
+
+
+def _change(action: str, value: float) -> str:
+    return f"{value:+.4f}".replace("-", "−") if action == "k" else f"× {2.0**value:.3f}"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.1f}"
+
+
+def sensitivity_csv(found: Mapping[str, Mapping[str, Sensitivity]]) -> str:
+    """Return all slopes as CSV: that of k in K_opt per unit, that of τ in doublings per unit; `found` as above."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(_COLUMNS)
+    for name, actions in found.items():
+        for action, result in actions.items():
+            for regression in ("together", "alone"):
+                for row in getattr(result, regression):
+                    numbers = f"{row.slope:.6g}", f"{100.0 * row.share:.4g}"
+                    writer.writerow([name, action, regression, row.quantity, row.unit, *numbers])
+    return text.getvalue()
+
+
+__all__ = ["ACTIONS", "Sensitivity", "Slope", "sensitivities", "sensitivity_csv", "sensitivity_tables"]
