@@ -39,10 +39,10 @@ Floats = npt.NDArray[np.float64]
 Quantity = Callable[[Recording], Floats]
 
 #: Share of the samples drawn, from the middle, and of those in a bin that lie within its band.
-_DRAWN, _BAND = 0.99, 0.8
+_DRAWN, _BAND = 0.98, 0.8
 _N_BINS = 24
-#: A bin with fewer samples says nothing.
-_LEAST_SAMPLES = 30
+#: A bin with fewer samples says nothing: neighbours in time are alike.
+_LEAST_SAMPLES = 60
 #: Groups are drawn apart where their means differ by this share of the scatter (root mean square over bins).
 _GROUPS_APART = 0.25
 _LARGEST_NUMBER_OF_GROUPS = 4
@@ -71,7 +71,7 @@ class Bins:
 
 
 def binned(x: Floats, y: Floats, edges: Floats) -> Bins:
-    """Return the quantiles 10, 50 and 90 % of y over x, not a number in bins of fewer than 30 samples.
+    """Return the quantiles 10, 50 and 90 % of y over x, not a number in bins of fewer than 60 samples.
 
     Args:
         x, y: samples of one shape; those that are not finite do not count.
@@ -401,7 +401,7 @@ def plot_costs(
         )
     axes.set_yticks(range(len(rows)), ["RoCoF" if term == "rocof" else term for term in rows])
     axes.tick_params(axis="y", length=0.0)
-    axes.invert_yaxis()
+    axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.grid(False, axis="y")
     axes.margins(x=0.08)
     axes.set_xlabel(f"mean cost of an episode{suite and f' of {suite}'} [–]")
