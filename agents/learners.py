@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from sb3_contrib.common.recurrent.policies import RecurrentActorCriticPolicy
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.distributions import DiagGaussianDistribution
+from stable_baselines3.common.distributions import DiagGaussianDistribution, StateDependentNoiseDistribution
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.torch_layers import FlattenExtractor
@@ -48,8 +48,10 @@ def network_of(model: BaseAlgorithm, vec_normalize: VecNormalize | None) -> Poli
     policy = model.policy
     lstm: nn.LSTM | None = None
     if isinstance(policy, ActorCriticPolicy):
-        if not isinstance(policy.action_dist, DiagGaussianDistribution):
-            raise ValueError(f"cannot export actions of {type(policy.action_dist).__name__}; leave use_sde out")
+        distribution = policy.action_dist
+        squashed = isinstance(distribution, StateDependentNoiseDistribution) and distribution.bijector is not None
+        if not isinstance(distribution, (DiagGaussianDistribution, StateDependentNoiseDistribution)) or squashed:
+            raise ValueError(f"cannot export actions of {type(distribution).__name__} that are not a plain mean")
         extractor = policy.pi_features_extractor
         layers = flat_layers([policy.mlp_extractor.policy_net, policy.action_net])
         if isinstance(policy, RecurrentActorCriticPolicy):

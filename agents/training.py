@@ -18,7 +18,7 @@ from agents.learners import NormalizedPolicy
 from agents.metrics import EpisodeMetrics
 from agents.runs import BEST, CHECKPOINTS, Run, folders, save_folder
 from agents.validation import validate
-from agents.vec_env import StaggeredVecEnv
+from agents.vec_env import GainVecEnv
 from wtg_gym.cli.output import Progress
 from wtg_gym.sb3 import SB3VecEnv
 
@@ -108,7 +108,7 @@ def start(run: Run) -> tuple[BaseAlgorithm, EpisodeMetrics]:
     """
     settings = run.settings
     hyperparameters = parse(settings.algo, settings.hyperparameters)
-    env: VecEnv = VecMonitor(StaggeredVecEnv(settings.n_envs, **settings.env_arguments))
+    env: VecEnv = VecMonitor(GainVecEnv(settings.n_envs, **settings.env_arguments))
     if hyperparameters.normalize is not None:
         env = VecNormalize(env, **hyperparameters.normalize)
     model = build_model(settings.algo, hyperparameters, env, seed=settings.seed, device=settings.device)

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
 from agents.metrics import EpisodeMetrics
 from agents.staggering import stagger
-from agents.vec_env import StaggeredVecEnv
+from agents.vec_env import GainVecEnv, StaggeredVecEnv
+from wtg_gym import ENV_ID
 from wtg_gym.envs import GFMWTGVectorEnv
 from wtg_gym.envs.task import COST_TERMS
+from wtg_gym.scenarios import get_suite
 from wtg_gym.sb3 import SB3VecEnv
 
 N = 3
@@ -63,3 +66,53 @@ def test_staggered_environment_starts_alike_with_a_seed() -> None:
         assert env.reset_infos == [{}] * 4
         env.close()
     assert np.array_equal(*firsts)
+
+
+def test_gain_over_the_reference_is_nothing_under_the_zero_action() -> None:
+    env = GainVecEnv(20, duration_s=2.0)
+    env.seed(7)
+    env.reset()
+    # Long enough for two new episodes in every lane.
+    for _ in range(45):
+        env.step_async(np.zeros((20, 4), np.float32))
+        _, gains, _, _ = env.step_wait()
+        assert np.abs(gains).max() < 1e-4
+    env.close()
+
+
+def test_gain_is_the_share_of_the_reference_cost_that_is_saved() -> None:
+    env, plain = GainVecEnv(3, duration_s=2.0), StaggeredVecEnv(3, duration_s=2.0)
+    for each in (env, plain):
+        each.seed(11)
+    assert np.array_equal(env.reset(), plain.reset())
+    rng = np.random.default_rng(0)
+    gain = {lane: 0.0 for lane in range(3)}
+    cost, seeds, n_ended = dict(gain), plain.vector_env.lanes.scenario_seeds.copy(), 0
+    for _ in range(50):
+        actions = rng.uniform(-1.0, 1.0, (3, 4)).astype(np.float32)
+        for each in (env, plain):
+            each.step_async(actions)
+        (observations, gains, dones, _), (same, rewards, same_dones, _) = env.step_wait(), plain.step_wait()
+        assert np.array_equal(observations, same) and np.array_equal(dones, same_dones)
+        for lane in range(3):
+            gain[lane] += float(gains[lane])
+            cost[lane] -= float(rewards[lane])
+            if dones[lane]:
+                # The first episode of a lane is what spreading has left of it.
+                if n_ended >= 3:
+                    reference = reference_cost(int(seeds[lane]))
+                    assert gain[lane] == pytest.approx(100.0 * (reference - cost[lane]) / (reference + 5.0), abs=1e-3)
+                gain[lane], cost[lane], n_ended = 0.0, 0.0, n_ended + 1
+        seeds = plain.vector_env.lanes.scenario_seeds.copy()
+    assert n_ended >= 6
+    env.close()
+    plain.close()
+
+
+def reference_cost(seed: int) -> float:
+    env = gym.make(ENV_ID, duration_s=2.0)
+    env.reset(options={"scenario": get_suite("standard").scenario(seed, n_turbines=[10.0, 10.0], duration_s=2.0)})
+    total = 0.0
+    for _ in range(20):
+        total -= float(env.step(np.zeros(4, np.float32))[1])
+    return total
