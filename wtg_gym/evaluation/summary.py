@@ -83,10 +83,11 @@ def summarise(entries: Sequence[Mapping[str, Any]], episodes: Sequence[Episode],
 
 def _costs(runs: Sequence[Sequence[Episode]], cap: float) -> Floats:
     """Pinned costs, shape (n_runs, n_scenarios)."""
-    return np.array([[_pinned(episode, cap) for episode in run] for run in runs])
+    return np.array([[pinned(episode, cap) for episode in run] for run in runs])
 
 
-def _pinned(episode: Episode, cap: float) -> float:
+def pinned(episode: Episode, cap: float) -> float:
+    """Return the pinned cost of an episode, with the largest cost rate `cap` [1/s]."""
     cost = episode.metrics["cost"]
     assert cost is not None
     return statistics.pinned_cost(cost, failed=episode.failed, duration_s=episode.duration_s, cap=cap)
@@ -124,4 +125,4 @@ def _summary(
     )
 
 
-__all__ = ["EntrySummary", "summarise"]
+__all__ = ["EntrySummary", "pinned", "summarise"]
