@@ -215,6 +215,8 @@ def _finish(results: Results, folder: Path | None, *, as_json: bool) -> None:
         return
     left = [index for index, is_number in enumerate(COLUMNS.values()) if not is_number]
     print_table(tuple(COLUMNS), table_cells(rows), left=left)
+    if results.oracle.missing:
+        note(f"no share of the oracle's gap: {results.oracle.missing}")
 
 
 # --- leaderboard -----------------------------------------------------------------------------------------------------

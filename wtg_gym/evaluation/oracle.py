@@ -24,6 +24,9 @@ FOLDER = Path(__file__).parent / "oracle_costs"
 #: entry (empty: there was no such search or entry), and the least of them all, the oracle's.
 FORMS = ("course", "course_and_feedback", "entries")
 COLUMNS = ("seed", "reference", *FORMS, "oracle")
+#: How far the reference's costs may be from those that the oracle was found beside, relative: other processors round
+#: otherwise.
+REFERENCE_TOLERANCE = 1e-6
 
 _KEYS: dict[str, type] = {
     "format": int,
@@ -157,6 +160,57 @@ class OracleCosts:
         return costs
 
 
+@dataclass(frozen=True, kw_only=True)
+class KnownOracle:
+    """The oracle's costs of an evaluation's scenarios.
+
+    Args:
+        costs: by the scenarios' seeds; a scenario without an oracle is left out.
+        missing: why there are none; empty where there are some.
+    """
+
+    costs: Mapping[int, float]
+    missing: str
+
+
+def known_oracle(
+    suite: str, split: str, suite_hash: str, settings: Mapping[str, Any], reference: Mapping[int, float]
+) -> KnownOracle:
+    """Return what the package knows of an evaluation's scenarios, if it is of the same problem.
+
+    Args:
+        suite, split, suite_hash, settings: of the evaluation.
+        reference: the reference's pinned costs in it, by the scenarios' seeds. They tell whether physics and cost are
+            still those that were searched.
+    """
+    path = FOLDER / f"{suite}-{split}.json"
+    if not path.exists():
+        return _none(f"there is no oracle for the {split} scenarios of {suite}")
+    try:
+        known = OracleCosts.read(path)
+    except ValueError as error:
+        return _none(str(error))
+    if (known.suite, known.split, known.suite_hash) != (suite, split, suite_hash):
+        return _none(f"the oracle in {path.name} is of another suite, of hash {known.suite_hash[:12]}")
+    if known.settings != settings:
+        different = sorted(key for key in settings if known.settings.get(key) != settings[key])
+        return _none(f"the oracle was found for other settings: {', '.join(different)}")
+    shared = [row for row in zip(known.seeds, known.reference, known.oracle, strict=True) if row[0] in reference]
+    if not shared:
+        return _none("none of these scenarios has an oracle")
+    for seed, cost, _ in shared:
+        if not math.isclose(cost, reference[seed], rel_tol=REFERENCE_TOLERANCE):
+            return _none(
+                f"the oracle was found for another physics or cost: in the scenario of seed {seed} the reference cost "
+                f"{cost:.6g}, now {reference[seed]:.6g}"
+            )
+    return KnownOracle(costs={seed: oracle for seed, _, oracle in shared}, missing="")
+
+
+def _none(why: str) -> KnownOracle:
+    return KnownOracle(costs={}, missing=why)
+
+
 def _check(data: Any, text: str, path: Path) -> None:
     if not isinstance(data, dict) or set(data) != set(_KEYS):
         got = sorted(data) if isinstance(data, dict) else type(data).__name__
@@ -199,4 +253,4 @@ def _forms(columns: Mapping[str, tuple[float, ...]]) -> dict[str, tuple[float, .
     return {form: columns[form] for form in FORMS if not all(map(math.isnan, columns[form]))}
 
 
-__all__ = ["COLUMNS", "FOLDER", "FORMS", "OracleCosts"]
+__all__ = ["COLUMNS", "FOLDER", "FORMS", "REFERENCE_TOLERANCE", "KnownOracle", "OracleCosts", "known_oracle"]
