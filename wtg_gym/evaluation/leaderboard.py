@@ -73,7 +73,7 @@ def _gap_closed(row: EntrySummary) -> str:
     if row.gap_closed_percent is None:
         return ""
     every = row.n_oracle * row.n_runs == row.n_episodes
-    return _interval(row.gap_closed_percent) + ("" if every else f", n = {row.n_oracle}")
+    return _plain(row.gap_closed_percent.value, 1) + ("" if every else f" (n = {row.n_oracle})")
 
 
 def markdown_table(rows: Sequence[EntrySummary]) -> str:
