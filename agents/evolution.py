@@ -5,7 +5,6 @@ the best actions of each scenario, known beforehand.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import cma
 import numpy as np
@@ -23,17 +22,39 @@ POPULATION = 24
 N_KNOTS = 16
 
 
-def _strategy(start: Floats, spread: float, *seed: int) -> Any:
-    # By itself it would draw from numpy's one generator for everybody, and searches side by side from each other's.
-    rng = np.random.default_rng(seed)
-    options = {
-        "popsize": POPULATION,
-        "randn": lambda *shape: rng.standard_normal(shape),
-        "seed": np.nan,
-        "verbose": -9,
-        "CMA_diagonal": 40,
-    }
-    return cma.CMAEvolutionStrategy(start.ravel(), spread, options)
+class _Strategy:
+    """A search by CMA-ES that draws from a generator of its own.
+
+    By itself cma draws from numpy's one generator for everybody: searches would depend on those beside them.
+
+    Args:
+        start: where it starts, of any shape.
+        spread: standard deviation of the first candidates.
+        seed: numbers that seed its generator.
+    """
+
+    def __init__(self, start: Floats, spread: float, *seed: int) -> None:
+        self._rng = np.random.default_rng(seed)
+        options = {"popsize": POPULATION, "randn": self._normal, "seed": np.nan, "verbose": -9, "CMA_diagonal": 40}
+        self._search = cma.CMAEvolutionStrategy(start.ravel(), spread, options)
+
+    def _normal(self, *shape: int) -> Floats:
+        return self._rng.standard_normal(shape)
+
+    def ask(self) -> Floats:
+        """Return the next candidates, (POPULATION, n)."""
+        # When cma goes over from a diagonal to a full covariance, its new sampler forgets the option.
+        self._search.sm.randn = self._normal
+        return np.array(self._search.ask())
+
+    def tell(self, candidates: Floats, costs: Floats) -> None:
+        """Learn from the candidates' costs (POPULATION,)."""
+        self._search.tell(list(candidates), costs.tolist())
+
+    @property
+    def mean(self) -> Floats:
+        """Mean of the distribution that candidates are drawn from, (n,)."""
+        return np.array(self._search.result.xfavorite, dtype=np.float64)
 
 
 def tune_linear(rollouts: Rollouts, generations: int, on_generation: OnGeneration, seed: int = 0) -> Floats:
@@ -46,14 +67,16 @@ def tune_linear(rollouts: Rollouts, generations: int, on_generation: OnGeneratio
         seed: of the search.
     """
     shape = (rollouts.n_action, N_LOCAL + 1)
-    search = _strategy(np.zeros(shape), 0.15, seed)
+    search = _Strategy(np.zeros(shape), 0.15, seed)
+    least = np.inf
     for generation in range(generations):
-        asked = np.array(search.ask())
+        asked = search.ask()
         costs = rollouts.play(linear_feedback(asked.reshape(-1, *shape))).sum(axis=-1).mean(axis=0)
-        search.tell(list(asked), costs.tolist())
-        on_generation(generation + 1, float(search.result.fbest))
+        search.tell(asked, costs)
+        least = min(least, float(costs.min()))
+        on_generation(generation + 1, least)
     # The mean of the search's distribution generalises better than its luckiest sample.
-    return np.array(search.result.xfavorite, dtype=np.float64).reshape(shape)
+    return search.mean.reshape(shape)
 
 
 def search_with_foresight(
@@ -78,7 +101,7 @@ def search_with_foresight(
     knots = (N_KNOTS, rollouts.n_wtg, rollouts.n_action)
     n_course = int(np.prod(knots))
     start = np.zeros(n_course) if gains is None else np.concatenate([np.zeros(n_course), gains.ravel()])
-    searches = [_strategy(start, 0.3, seed, scenario, int(gains is not None)) for scenario in scenario_seeds]
+    searches = [_Strategy(start, 0.3, seed, scenario, int(gains is not None)) for scenario in scenario_seeds]
 
     def played(on: Rollouts, asked: Floats) -> Floats:
         """The terms of the candidates asked (n_scenarios, n_candidates, n)."""
@@ -93,13 +116,13 @@ def search_with_foresight(
         terms = played(rollouts, asked)
         # A failure that comes later costs less, which shows the search the way out; what counts is the pinned cost.
         for search, candidates, cost in zip(searches, asked, terms.sum(axis=-1), strict=True):
-            search.tell(list(candidates), cost.tolist())
+            search.tell(candidates, cost)
         best = np.minimum(best, rollouts.pinned(terms).min(axis=1))
         on_generation(generation + 1, float(best.mean()))
     # The mean of a search's distribution is often better than any of its samples.
     alone = rollouts.with_candidates(1)
     try:
-        means = np.array([[search.result.xfavorite] for search in searches])
+        means = np.array([[search.mean] for search in searches])
         best = np.minimum(best, alone.pinned(played(alone, means))[:, 0])
     finally:
         alone.close()

@@ -17,7 +17,7 @@ import pytest
 pytest.importorskip("cma")
 
 from agents import foresight
-from agents.evolution import N_KNOTS, POPULATION, search_with_foresight
+from agents.evolution import N_KNOTS, POPULATION, _Strategy, search_with_foresight
 from agents.linear import GAINS_FILE, linear_policy
 from agents.oracle import main
 from agents.rollouts import Rollouts, course, linear_feedback
@@ -91,6 +91,21 @@ def test_a_search_does_not_depend_on_those_beside_it_nor_on_numpys_generator() -
     together = costs(SEEDS)
     assert costs(SEEDS[1:]) == pytest.approx(together[1:], rel=1e-9)
     assert costs(SEEDS) == together
+
+
+def test_a_search_draws_from_its_own_generator_to_the_end() -> None:
+    # Past the generation at which the covariance becomes a full one.
+    def ends(other: int) -> list[float]:
+        search, beside = _Strategy(np.zeros(6), 0.3, 0, 1), _Strategy(np.zeros(6), 0.3, 0, other)
+        for _ in range(60):
+            np.random.seed(other)
+            for each in (beside, search):
+                asked = each.ask()
+                each.tell(asked, ((asked - np.arange(6.0)) ** 2).sum(axis=1))
+        return search.mean.tolist()
+
+    assert ends(2) == ends(3)
+    assert ends(2) == pytest.approx(range(6), abs=0.01)
 
 
 def test_exported_feedback_acts_like_the_searched_one(rollouts: Rollouts, tmp_path: Path) -> None:
