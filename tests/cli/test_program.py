@@ -23,6 +23,7 @@ COMMANDS = (
     "simulate",
     "evaluate",
     "leaderboard",
+    "sensitivity",
     "suites",
     "statics",
     "margins",
@@ -72,7 +73,7 @@ def test_terminal_gets_a_drawn_table_and_a_progress_bar(arguments: tuple[str, ..
     import pty
 
     own, theirs = pty.openpty()
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "200", "TERM": "xterm"}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "220", "TERM": "xterm"}
     command = [sys.executable, "-m", "wtg_gym.cli", *arguments]
     process = subprocess.Popen(command, env=environment, stdin=theirs, stdout=theirs, stderr=theirs)
     os.close(theirs)

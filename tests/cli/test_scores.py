@@ -55,6 +55,16 @@ def test_evaluate_json_is_the_description_with_the_summary(capsys: pytest.Captur
     assert data["settings"]["machine_model"] == "classical"
 
 
+def test_share_of_the_oracles_gap_is_shown_or_why_not(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["evaluate", "--entries", "mppt", "--seeds", "20000:20003"]) == 0
+    said = capsys.readouterr()
+    assert "gap closed [%]" in said.out and "0.50             0.0 " in said.out and said.err == ""
+    assert main(["evaluate", "--entries", "mppt", "--seeds", "20000:20003", "--duration", "10"]) == 0
+    said = capsys.readouterr()
+    assert "gap closed [%]" in said.out and "0.50                 " in said.out
+    assert said.err == "no share of the oracle's gap: the oracle was found for other settings: duration_s\n"
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -104,3 +104,47 @@ def test_bootstrap_is_stratified_by_training_seed() -> None:
 def test_bootstrap_gives_the_same_interval_again() -> None:
     values = np.random.default_rng(4).normal(size=(2, 50))
     assert statistics.interquartile_interval(values) == statistics.interquartile_interval(values)
+
+
+def test_gap_closed_is_the_written_formula() -> None:
+    reference, oracle = np.array([10.0, 30.0, 20.0]), np.array([8.0, 20.0, 20.0])
+    costs = np.array([[9.0, 26.0, 21.0], [12.0, 24.0, 19.0]])
+    # Gained: 1 + 4 - 1 and -2 + 6 + 1, of 12 that there are in each run.
+    interval = statistics.gap_closed(costs, reference, oracle)
+    assert interval is not None and interval.value == pytest.approx(100.0 * (4.0 + 5.0) / 24.0)
+    assert interval.low < interval.value < interval.high
+
+
+def test_gap_closed_has_two_fixed_points_also_in_every_resample() -> None:
+    reference = np.random.default_rng(5).uniform(5.0, 50.0, 40)
+    oracle = 0.7 * reference
+    for costs, share in ((reference, 0.0), (oracle, 100.0)):
+        interval = statistics.gap_closed(costs[np.newaxis], reference, oracle)
+        assert interval is not None
+        assert (interval.value, interval.low, interval.high) == pytest.approx((share, share, share))
+
+
+def test_gap_closed_interval_agrees_with_scipys_paired_bootstrap() -> None:
+    rng = np.random.default_rng(6)
+    reference = rng.uniform(5.0, 50.0, 120)
+    oracle, costs = reference * rng.uniform(0.5, 0.9, 120), reference * rng.uniform(0.6, 1.2, 120)
+
+    def share(j: np.ndarray, ref: np.ndarray, best: np.ndarray, axis: int) -> np.ndarray:
+        return 100.0 * (ref - j).mean(axis=axis) / (ref - best).mean(axis=axis)
+
+    expected = stats.bootstrap(
+        (costs, reference, oracle), share, paired=True, n_resamples=20_000, method="percentile", rng=7
+    ).confidence_interval
+    interval = statistics.gap_closed(costs[np.newaxis], reference, oracle)
+    assert interval is not None
+    width = expected.high - expected.low
+    assert interval.low == pytest.approx(expected.low, abs=0.05 * width)
+    assert interval.high == pytest.approx(expected.high, abs=0.05 * width)
+
+
+def test_gap_closed_needs_a_gap() -> None:
+    reference = np.array([3.0, 4.0])
+    assert statistics.gap_closed(np.array([[1.0, 1.0]]), reference, reference) is None
+    # One scenario has none: the resamples with that one alone say nothing.
+    interval = statistics.gap_closed(np.array([[2.0, 4.0]]), reference, np.array([1.0, 4.0]))
+    assert interval is not None and (interval.value, interval.low, interval.high) == (50.0, 50.0, 50.0)

@@ -18,6 +18,7 @@ from wtg_gym.cli import (
     parameters,
     reproduce,
     scores,
+    sensitivity,
     simulate,
     small_signal,
     statics,
@@ -48,7 +49,8 @@ def build_parser() -> argparse.ArgumentParser:
     parser = Parser(prog="wtg-gym", description=_DESCRIPTION, epilog=_EPILOG)
     parser.add_argument("--version", action="version", version=f"wtg-gym {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for module in (simulate, scores, suites, statics, small_signal, reproduce, validate, accuracy, parameters, bench):
+    analysis = (statics, small_signal, reproduce, validate, accuracy, parameters, bench)
+    for module in (simulate, scores, sensitivity, suites, *analysis):
         module.add_commands(commands)
     return parser
 

@@ -81,7 +81,7 @@ def add_commands(commands: Commands) -> None:
         examples=_EVALUATE_EXAMPLES,
         after_interrupt="nothing was written; with --results DIR the finished parts are kept",
     )
-    _add_shared_options(parser)
+    add_score_options(parser)
     parser.add_argument("--split", choices=SPLITS, default="test", help="which seeds of the suite (default: test)")
     parser.add_argument(
         "--seeds", nargs="+", metavar="A:B", help="seeds of the split, N or A:B with B left out (default: all)"
@@ -103,7 +103,7 @@ def add_commands(commands: Commands) -> None:
         description=_LEADERBOARD,
         examples=_LEADERBOARD_EXAMPLES,
     )
-    _add_shared_options(parser)
+    add_score_options(parser)
     parser.add_argument(
         "--results", metavar="DIR", default="results", help="folder of the results; made if missing (default: results)"
     )
@@ -111,7 +111,8 @@ def add_commands(commands: Commands) -> None:
     parser.add_argument("--fresh", action="store_true", help="evaluate everything, whatever is stored")
 
 
-def _add_shared_options(parser: argparse.ArgumentParser) -> None:
+def add_score_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that every command shares that scores entries."""
     parser.add_argument("--entries", nargs="+", default=[_DEFAULT_ENTRIES], metavar="SPEC", help=_ENTRIES_HELP)
     parser.add_argument(
         "--suite", default="standard", metavar="NAME", help=f"suite: {', '.join(SUITES)} (default: standard)"
@@ -128,7 +129,7 @@ def _run_evaluate(arguments: argparse.Namespace) -> int:
     partial = folder / _PARTIAL_FOLDER if folder is not None and arguments.resume else None
     if partial is not None:
         arguments.after_interrupt = _resumable(partial)
-    entries = _entries(arguments.entries)
+    entries = chosen_entries(arguments.entries)
     results = _evaluate(
         entries,
         arguments,
@@ -169,7 +170,8 @@ def _evaluate(
     return results
 
 
-def _entries(specs: Sequence[str]) -> list[Entry]:
+def chosen_entries(specs: Sequence[str]) -> list[Entry]:
+    """Return the entries that the values of `--entries` name; a ValueError says what is wrong with one."""
     # A console script, unlike `python -m`, does not look into the working folder: a checkout's packages are there.
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())
@@ -215,6 +217,8 @@ def _finish(results: Results, folder: Path | None, *, as_json: bool) -> None:
         return
     left = [index for index, is_number in enumerate(COLUMNS.values()) if not is_number]
     print_table(tuple(COLUMNS), table_cells(rows), left=left)
+    if results.oracle.missing:
+        note(f"no share of the oracle's gap: {results.oracle.missing}")
 
 
 # --- leaderboard -----------------------------------------------------------------------------------------------------
@@ -227,7 +231,7 @@ def _run_leaderboard(arguments: argparse.Namespace) -> int:
     readme = check_page("--readme", arguments.readme, section)
     partial = folder / _PARTIAL_FOLDER
     arguments.after_interrupt = _resumable(partial)
-    entries = _entries(arguments.entries)
+    entries = chosen_entries(arguments.entries)
     anchors = _evaluate([], arguments, partial=None)
     stored = None if arguments.fresh else _stored(folder / f"{anchors.name}.json", anchors)
     missing = [entry for entry in entries if stored is None or not _is_in(entry, stored)]

@@ -67,6 +67,8 @@ _ENTRY: dict[str, tuple[Callable[[Any], bool], str]] = {
 }
 #: Fields of an entry's summary that are an interval.
 _INTERVALS = ("score", "interquartile_mean", "difference", "probability_of_improvement")
+#: One that only entries on scenarios with an oracle have.
+_OPTIONAL_INTERVAL = "gap_closed_percent"
 
 
 def check_description(data: Any, path: Path, version: int) -> None:
@@ -97,8 +99,10 @@ def check_description(data: Any, path: Path, version: int) -> None:
     if data["summary"] and set(data["summary"]) != {entry["name"] for entry in data["entries"]}:
         raise ValueError(f"{path}: summary must have one object per entry, got {sorted(data['summary'])}")
     for name, summary in data["summary"].items():
-        for key in _INTERVALS:
+        for key in (*_INTERVALS, _OPTIONAL_INTERVAL):
             interval = summary.get(key) if isinstance(summary, dict) else None
+            if key == _OPTIONAL_INTERVAL and interval is None:
+                continue
             if not isinstance(interval, dict) or not all(_is_number(interval.get(k)) for k in ("value", "low", "high")):
                 raise ValueError(f"{path}: summary.{name}.{key} must give value, low and high, got {interval!r}")
 

@@ -17,6 +17,7 @@ COLUMNS: dict[str, bool] = {
     "score": True,
     "IQM": True,
     "P(improvement)": True,
+    "gap closed [%]": True,
     "failures [%]": True,
     "mean cost": True,
     "median nadir [Hz]": True,
@@ -48,6 +49,7 @@ def _cells(row: EntrySummary) -> list[str]:
         _interval(row.score),
         f"{_plain(row.interquartile_mean.value, 1)}",
         f"{row.probability_of_improvement.value:.2f}",
+        _gap_closed(row),
         f"{row.failures_percent:.1f}",
         f"{row.mean_cost:.1f}",
         f"{row.median_nadir_hz:.3f}",
@@ -64,6 +66,14 @@ def _plain(value: float, digits: int) -> str:
 
 def _interval(interval: Interval) -> str:
     return f"{_plain(interval.value, 1)} ({_plain(interval.low, 1)} … {_plain(interval.high, 1)})"
+
+
+def _gap_closed(row: EntrySummary) -> str:
+    """The share of the oracle's gap, and of how many scenarios where not all have an oracle."""
+    if row.gap_closed_percent is None:
+        return ""
+    every = row.n_oracle * row.n_runs == row.n_episodes
+    return _plain(row.gap_closed_percent.value, 1) + ("" if every else f" (n = {row.n_oracle})")
 
 
 def markdown_table(rows: Sequence[EntrySummary]) -> str:

@@ -12,8 +12,9 @@ from wtg_gym.evaluation.checks import check_description
 from wtg_gym.evaluation.entries import ANCHORS
 from wtg_gym.evaluation.episodes import Episode, from_csv, to_csv
 from wtg_gym.evaluation.metrics import METRICS
+from wtg_gym.evaluation.oracle import KnownOracle, known_oracle
 from wtg_gym.evaluation.statistics import NoScaleError
-from wtg_gym.evaluation.summary import EntrySummary, summarise
+from wtg_gym.evaluation.summary import EntrySummary, pinned, summarise
 from wtg_gym.files import parse_json, read_text, sha256, to_json, write_atomically
 
 #: Version of the files; another number is another form.
@@ -53,7 +54,17 @@ class Results:
         Raises:
             NoScaleError: on these scenarios MPPT is not worse than the reference, so that there is no score.
         """
-        return summarise(self.entries, self.episodes, float(self.settings["weights"]["cap"]))
+        return summarise(self.entries, self.episodes, self._cap, self.oracle.costs)
+
+    @cached_property
+    def oracle(self) -> KnownOracle:
+        """What is known to be the cheapest in these scenarios, if anything is, and why not."""
+        reference = {episode.seed: pinned(episode, self._cap) for episode in self.episodes_of(ANCHORS[1])}
+        return known_oracle(self.suite, self.split, self.suite_hash, self.settings, reference)
+
+    @property
+    def _cap(self) -> float:
+        return float(self.settings["weights"]["cap"])
 
     @property
     def name(self) -> str:

@@ -130,11 +130,18 @@ def bootstrap(values: Floats, statistic: Callable[[Floats], Floats]) -> tuple[fl
         values: (n_runs, n_scenarios).
         statistic: takes (n_resamples, n_runs · n_scenarios) to (n_resamples,).
     """
-    n_runs, n = values.shape
-    index = np.random.default_rng(BOOTSTRAP_SEED).integers(0, n, size=(N_RESAMPLES, n_runs, n))
-    resampled = np.take_along_axis(values[np.newaxis], index, axis=2).reshape(N_RESAMPLES, n_runs * n)
+    resampled = np.take_along_axis(values[np.newaxis], _resamples(*values.shape), axis=2)
+    return _bounds(statistic(resampled.reshape(N_RESAMPLES, values.size)))
+
+
+def _resamples(n_runs: int, n: int) -> npt.NDArray[np.int64]:
+    """Scenarios of every resample and run, (N_RESAMPLES, n_runs, n)."""
+    return np.random.default_rng(BOOTSTRAP_SEED).integers(0, n, size=(N_RESAMPLES, n_runs, n))
+
+
+def _bounds(samples: Floats) -> tuple[float, float]:
     tail = 50.0 * (1.0 - CONFIDENCE)
-    low, high = np.percentile(statistic(resampled), [tail, 100.0 - tail])
+    low, high = np.percentile(samples, [tail, 100.0 - tail])
     return float(low), float(high)
 
 
@@ -148,6 +155,28 @@ def interquartile_interval(values: Floats) -> Interval:
     return Interval(float(interquartile_mean(values.ravel())), *bootstrap(values, interquartile_mean))
 
 
+def gap_closed(costs: Floats, reference: Floats, oracle: Floats) -> Interval | None:
+    """Return 100 · (mean J_ref - mean J) / (mean J_ref - mean J_oracle) with its bootstrap interval [%].
+
+    All three means are over the same scenarios, in every resample too. A resample whose scenarios the oracle does not
+    improve has no share and is left out.
+
+    Args:
+        costs: pinned costs (n_runs, n_scenarios).
+        reference, oracle: pinned costs of the two, (n_scenarios,).
+
+    Returns:
+        None where the oracle is not cheaper than the reference.
+    """
+    gains, gaps = reference - costs, reference - oracle
+    if not mean(gaps) > 0.0:
+        return None
+    index = _resamples(*costs.shape)
+    gained = np.take_along_axis(gains[np.newaxis], index, axis=2).sum(axis=(1, 2))
+    gap = gaps[index].sum(axis=(1, 2))
+    return Interval(100.0 * mean(gains) / mean(gaps), *_bounds(100.0 * gained[gap > 0.0] / gap[gap > 0.0]))
+
+
 __all__ = [
     "BOOTSTRAP_SEED",
     "CONFIDENCE",
@@ -156,6 +185,7 @@ __all__ = [
     "Interval",
     "NoScaleError",
     "bootstrap",
+    "gap_closed",
     "improvement",
     "interquartile_interval",
     "interquartile_mean",

@@ -31,6 +31,9 @@ class EntrySummary:
         interquartile_mean: of the scenarios' scores.
         difference: mean of the scenarios' scores minus the reference's on the same scenario.
         probability_of_improvement: P(J < J_ref) + ½ P(J = J_ref) of the pinned costs [-].
+        gap_closed_percent: (mean J_ref - mean J) / (mean J_ref - mean J_oracle) of the pinned costs, all means over the
+            scenarios that have an oracle [%]; None where none has.
+        n_oracle: number of scenarios that have an oracle.
         failures_percent: episodes that failed [%].
         mean_cost: mean pinned cost [-].
         mean_cost_terms: mean of every term of the cost as it was paid [-].
@@ -48,6 +51,8 @@ class EntrySummary:
     interquartile_mean: Interval
     difference: Interval
     probability_of_improvement: Interval
+    gap_closed_percent: Interval | None
+    n_oracle: int
     failures_percent: float
     mean_cost: float
     mean_cost_terms: Mapping[str, float]
@@ -61,13 +66,16 @@ class EntrySummary:
         return asdict(self)
 
 
-def summarise(entries: Sequence[Mapping[str, Any]], episodes: Sequence[Episode], cap: float) -> list[EntrySummary]:
+def summarise(
+    entries: Sequence[Mapping[str, Any]], episodes: Sequence[Episode], cap: float, oracle: Mapping[int, float]
+) -> list[EntrySummary]:
     """Return one summary per name, in the order of the entries.
 
     Args:
         entries: the entries' data, both anchors among them.
         episodes: their episodes, each entry on the same scenarios in the same order.
         cap: largest cost rate [1/s].
+        oracle: the oracle's costs by the scenarios' seeds, of those that have one.
 
     Raises:
         ValueError: MPPT is not worse than the reference, so that there is no scale.
@@ -78,15 +86,18 @@ def summarise(entries: Sequence[Mapping[str, Any]], episodes: Sequence[Episode],
     kinds = {entry["name"]: str(entry["kind"]) for entry in entries}
     mppt, reference = (_costs(list(runs[name].values()), cap)[0] for name in ANCHORS)
     scale = statistics.score_scale(mppt, reference)
-    return [_summary(name, kinds[name], list(runs[name].values()), reference, scale, cap) for name in kinds]
+    seeds = [episode.seed for episode in next(iter(runs[ANCHORS[1]].values()))]
+    known = np.array([oracle.get(seed, np.nan) for seed in seeds])
+    return [_summary(name, kinds[name], list(runs[name].values()), reference, known, scale, cap) for name in kinds]
 
 
 def _costs(runs: Sequence[Sequence[Episode]], cap: float) -> Floats:
     """Pinned costs, shape (n_runs, n_scenarios)."""
-    return np.array([[_pinned(episode, cap) for episode in run] for run in runs])
+    return np.array([[pinned(episode, cap) for episode in run] for run in runs])
 
 
-def _pinned(episode: Episode, cap: float) -> float:
+def pinned(episode: Episode, cap: float) -> float:
+    """Return the pinned cost of an episode, with the largest cost rate `cap` [1/s]."""
     cost = episode.metrics["cost"]
     assert cost is not None
     return statistics.pinned_cost(cost, failed=episode.failed, duration_s=episode.duration_s, cap=cap)
@@ -97,7 +108,13 @@ def _values(runs: Sequence[Sequence[Episode]], metric: str) -> Floats:
 
 
 def _summary(
-    name: str, kind: str, runs: Sequence[Sequence[Episode]], reference: Floats, scale: float, cap: float
+    name: str,
+    kind: str,
+    runs: Sequence[Sequence[Episode]],
+    reference: Floats,
+    oracle: Floats,
+    scale: float,
+    cap: float,
 ) -> EntrySummary:
     costs = _costs(runs, cap)
     gains = statistics.log_gains(costs, reference)
@@ -105,6 +122,7 @@ def _summary(
     # The plain mean of the scores misses the anchors' 0 and 100 by a rounding.
     value = statistics.mean_score(gains, scale)
     low, high = statistics.bootstrap(scores, lambda samples: samples.mean(axis=-1))
+    has = np.isfinite(oracle)
     return EntrySummary(
         name=name,
         kind=kind,
@@ -114,6 +132,8 @@ def _summary(
         interquartile_mean=statistics.interquartile_interval(scores),
         difference=Interval(value - 100.0, low - 100.0, high - 100.0),
         probability_of_improvement=statistics.mean_interval(statistics.improvement(costs, reference)),
+        gap_closed_percent=(statistics.gap_closed(costs[:, has], reference[has], oracle[has]) if has.any() else None),
+        n_oracle=int(has.sum()),
         failures_percent=100.0 * float(np.mean([episode.failed for run in runs for episode in run])),
         mean_cost=statistics.mean(costs),
         mean_cost_terms={term: statistics.mean(_values(runs, f"cost_{term}")) for term in COST_TERMS},
@@ -124,4 +144,4 @@ def _summary(
     )
 
 
-__all__ = ["EntrySummary", "summarise"]
+__all__ = ["EntrySummary", "pinned", "summarise"]

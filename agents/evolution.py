@@ -1,0 +1,132 @@
+"""Searches by CMA-ES (N. Hansen, "The CMA evolution strategy: a tutorial", 2016): one feedback for all scenarios, or
+the best actions of each scenario, known beforehand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import cma
+import numpy as np
+import numpy.typing as npt
+
+from agents.rollouts import Rollouts, both, course, linear_feedback
+from wtg_gym.envs.task import N_LOCAL
+
+Floats = npt.NDArray[np.float64]
+#: Called with the generations done and the (mean) cost of the best so far.
+OnGeneration = Callable[[int, float], None]
+
+#: Candidates per generation and knots per action.
+POPULATION = 24
+N_KNOTS = 16
+
+
+class _Strategy:
+    """A search by CMA-ES that draws from a generator of its own.
+
+    By itself cma draws from numpy's one generator for everybody: searches would depend on those beside them.
+
+    Args:
+        start: where it starts, of any shape.
+        spread: standard deviation of the first candidates.
+        seed: numbers that seed its generator.
+    """
+
+    def __init__(self, start: Floats, spread: float, *seed: int) -> None:
+        self._rng = np.random.default_rng(seed)
+        options = {"popsize": POPULATION, "randn": self._normal, "seed": np.nan, "verbose": -9, "CMA_diagonal": 40}
+        self._search = cma.CMAEvolutionStrategy(start.ravel(), spread, options)
+
+    def _normal(self, *shape: int) -> Floats:
+        return self._rng.standard_normal(shape)
+
+    def ask(self) -> Floats:
+        """Return the next candidates, (POPULATION, n)."""
+        # When cma goes over from a diagonal to a full covariance, its new sampler forgets the option.
+        self._search.sm.randn = self._normal
+        return np.array(self._search.ask())
+
+    def tell(self, candidates: Floats, costs: Floats) -> None:
+        """Learn from the candidates' costs (POPULATION,)."""
+        self._search.tell(list(candidates), costs.tolist())
+
+    @property
+    def mean(self) -> Floats:
+        """Mean of the distribution that candidates are drawn from, (n,)."""
+        return np.array(self._search.result.xfavorite, dtype=np.float64)
+
+
+def tune_linear(rollouts: Rollouts, generations: int, on_generation: OnGeneration, seed: int = 0) -> Floats:
+    """Return the gains (n_action, N_LOCAL + 1) of a linear feedback, the same for all groups, with a small mean cost.
+
+    Args:
+        rollouts: the scenarios, with POPULATION candidates each.
+        generations: of the search.
+        on_generation: is told after each.
+        seed: of the search.
+    """
+    shape = (rollouts.n_action, N_LOCAL + 1)
+    search = _Strategy(np.zeros(shape), 0.15, seed)
+    least = np.inf
+    for generation in range(generations):
+        asked = search.ask()
+        costs = rollouts.play(linear_feedback(asked.reshape(-1, *shape))).sum(axis=-1).mean(axis=0)
+        search.tell(asked, costs)
+        least = min(least, float(costs.min()))
+        on_generation(generation + 1, least)
+    # The mean of the search's distribution generalises better than its luckiest sample.
+    return search.mean.reshape(shape)
+
+
+def search_with_foresight(
+    rollouts: Rollouts,
+    scenario_seeds: Sequence[int],
+    gains: Floats | None,
+    generations: int,
+    on_generation: OnGeneration,
+    seed: int = 0,
+) -> Floats:
+    """Return the smallest pinned cost found for every scenario, (n_scenarios,).
+
+    Args:
+        rollouts: the scenarios, with POPULATION candidates each.
+        scenario_seeds: their seeds: every scenario's search draws from a generator of its own.
+        gains: of a linear feedback that the actions are added to and whose gains are searched as well,
+            (n_action, N_LOCAL + 1); None: a course of actions alone.
+        generations: of every scenario's search.
+        on_generation: is told after each.
+        seed: of the searches.
+    """
+    knots = (N_KNOTS, rollouts.n_wtg, rollouts.n_action)
+    n_course = int(np.prod(knots))
+    start = np.zeros(n_course) if gains is None else np.concatenate([np.zeros(n_course), gains.ravel()])
+    searches = [_Strategy(start, 0.3, seed, scenario, int(gains is not None)) for scenario in scenario_seeds]
+
+    def played(on: Rollouts, asked: Floats) -> Floats:
+        """The terms of the candidates asked (n_scenarios, n_candidates, n)."""
+        act = course(asked[..., :n_course].reshape(*asked.shape[:2], *knots), on.n_steps)
+        if gains is not None:
+            act = both(act, linear_feedback(asked[..., n_course:].reshape(*asked.shape[:2], *gains.shape)))
+        return on.play(act)
+
+    best: Floats = np.full(rollouts.n_scenarios, np.inf)
+    for generation in range(generations):
+        asked = np.array([search.ask() for search in searches])
+        terms = played(rollouts, asked)
+        # A failure that comes later costs less, which shows the search the way out; what counts is the pinned cost.
+        for search, candidates, cost in zip(searches, asked, terms.sum(axis=-1), strict=True):
+            search.tell(candidates, cost)
+        best = np.minimum(best, rollouts.pinned(terms).min(axis=1))
+        on_generation(generation + 1, float(best.mean()))
+    # The mean of a search's distribution is often better than any of its samples.
+    alone = rollouts.with_candidates(1)
+    try:
+        means = np.array([[search.mean] for search in searches])
+        best = np.minimum(best, alone.pinned(played(alone, means))[:, 0])
+    finally:
+        alone.close()
+    return best
+
+
+__all__ = ["N_KNOTS", "POPULATION", "search_with_foresight", "tune_linear"]

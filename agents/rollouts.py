@@ -1,0 +1,128 @@
+"""Many candidates played through many scenarios at once, and what a candidate can be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.envs.task import COST_TERMS, N_LOCAL, TaskRow
+from wtg_gym.evaluation.statistics import pinned_cost
+
+Floats = npt.NDArray[np.float64]
+#: Observations (n_scenarios, n_candidates, n_wtg, n) of a step to actions (n_scenarios, n_candidates, n_wtg, n_action).
+Candidates = Callable[[int, Floats], Floats]
+
+_FAILURE = COST_TERMS.index("failure")
+
+
+class Rollouts:
+    """Plays candidates through scenarios, all at once.
+
+    Args:
+        suite, split, seeds: which scenarios.
+        n_candidates: candidates side by side in every scenario.
+        n_threads: threads to step with; None for one per processor.
+        settings: further settings of the environment.
+    """
+
+    def __init__(
+        self,
+        suite: str,
+        split: str,
+        seeds: Sequence[int],
+        n_candidates: int,
+        n_threads: int | None = None,
+        **settings: Any,
+    ) -> None:
+        self._arguments = suite, split, list(seeds)
+        self._settings = settings
+        self._n_threads = n_threads
+        self.lanes = TaskLanes(EnvSettings(suite=suite, split=split, **settings), len(seeds) * n_candidates, n_threads)
+        self.n_scenarios, self.n_candidates = len(seeds), n_candidates
+        self.n_wtg = self.lanes.n_wtg
+        self.n_action = self.lanes.n_action // self.n_wtg
+        self._episodes = self.lanes.prepare(self.lanes.scenarios(seeds))
+        # One candidate's lanes after another's, each in the order of the scenarios.
+        self._order = np.arange(self.lanes.n_lanes).reshape(len(seeds), n_candidates).T.ravel().tolist()
+        self.n_steps = int(self._episodes.n_intervals.max())
+
+    def with_candidates(self, n_candidates: int) -> Rollouts:
+        """Return rollouts of the same scenarios with another number of candidates in each."""
+        return Rollouts(*self._arguments, n_candidates, self._n_threads, **self._settings)
+
+    def play(self, candidates: Candidates) -> Floats:
+        """Return the sums of the cost's terms over an episode, (n_scenarios, n_candidates, n_terms)."""
+        lanes, shape = self.lanes, (self.n_scenarios, self.n_candidates)
+        lanes.commit(self._order, [self._episodes] * self.n_candidates)
+        for step in range(self.n_steps):
+            own = lanes.observations.reshape(*shape, self.n_wtg, -1).astype(np.float64)
+            actions = np.clip(candidates(step, own), -1.0, 1.0)
+            lanes.step(np.ascontiguousarray(actions.reshape(lanes.n_lanes, -1)))
+        sums = np.stack([lanes.task_values(TaskRow.SUM + i) for i in range(len(COST_TERMS))], axis=-1)
+        return sums.reshape(*shape, -1)
+
+    def reference(self) -> Floats:
+        """Return what :meth:`play` gives for the zero action, (n_scenarios, n_terms)."""
+        zero = np.zeros((self.n_scenarios, 1, self.n_wtg, self.n_action))
+        alone = self if self.n_candidates == 1 else self.with_candidates(1)
+        try:
+            return alone.play(lambda _step, _own: zero)[:, 0]
+        finally:
+            if alone is not self:
+                alone.close()
+
+    def pinned(self, terms: Floats) -> Floats:
+        """Return the costs that the leaderboard counts, (...): a failed episode's is the largest there is.
+
+        Args:
+            terms: what :meth:`play` gave, (..., n_terms).
+        """
+        cap = self.lanes.settings.cost_weights().cap
+        worst = pinned_cost(0.0, failed=True, duration_s=self.lanes.duration_s, cap=cap)
+        costs: Floats = np.where(terms[..., _FAILURE] > 0.0, worst, terms.sum(axis=-1))
+        return costs
+
+    def close(self) -> None:
+        """Stop the threads."""
+        self.lanes.simulator.close()
+
+
+def linear_feedback(gains: Floats) -> Candidates:
+    """Return the feedback a = G o + b of a group's own observation.
+
+    Args:
+        gains: (..., n_action, N_LOCAL + 1) per candidate, the last column is b; leading axes as for scenarios and
+            candidates, or fewer.
+    """
+
+    def act(_step: int, own: Floats) -> Floats:
+        actions: Floats = np.einsum("...ij,...wj->...wi", gains[..., :-1], own[..., :N_LOCAL])
+        return actions + gains[..., None, :, -1]
+
+    return act
+
+
+def course(knots: Floats, n_steps: int) -> Candidates:
+    """Return actions that are linear in time between knots, (n_scenarios, n_candidates, n_knots, n_wtg, n_action)."""
+    position = np.linspace(0.0, knots.shape[2] - 1.0, n_steps)
+    left = np.minimum(position.astype(np.int64), knots.shape[2] - 2)
+    share = position - left
+
+    def act(step: int, _own: Floats) -> Floats:
+        before, after = knots[:, :, left[step]], knots[:, :, left[step] + 1]
+        return before + float(share[step]) * (after - before)
+
+    return act
+
+
+def both(one: Candidates, other: Candidates) -> Candidates:
+    """Return the sum of two candidates' actions."""
+    return lambda step, own: one(step, own) + other(step, own)
+
+
+__all__ = ["Candidates", "Rollouts", "both", "course", "linear_feedback"]

@@ -1,0 +1,261 @@
+"""Facts about the oracle's files, and about the share of its gap that an entry closes."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from wtg_gym.evaluation import Results, evaluate, leaderboard_rows, markdown_table, oracle
+from wtg_gym.evaluation.oracle import FOLDER, OracleCosts
+from wtg_gym.evaluation.summary import EntrySummary, pinned
+from wtg_gym.files import sha256, to_json
+from wtg_gym.scenarios import FROZEN_HASHES, get_suite
+
+
+def _costs(results: Results, name: str) -> list[float]:
+    return [pinned(episode, 50.0) for episode in results.episodes_of(name)]
+
+
+@pytest.fixture
+def made(results: Results) -> OracleCosts:
+    """An oracle of the short evaluation's scenarios: a tenth below the reference."""
+    reference = tuple(_costs(results, "coordinated-piecewise"))
+    return OracleCosts(
+        suite=results.suite,
+        split=results.split,
+        suite_hash=results.suite_hash,
+        source_hash=results.source_hash,
+        settings=results.settings,
+        search={"generations": 3},
+        entries=[{"name": "mine", "training_seed": None, "sha256": None}],
+        seeds=results.seeds,
+        reference=reference,
+        found={"course": tuple(0.9 * cost for cost in reference), "entries": tuple(2.0 * cost for cost in reference)},
+    )
+
+
+@pytest.fixture
+def folder(made: OracleCosts, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The package's folder, with that oracle instead of its own."""
+    made.write(tmp_path)
+    monkeypatch.setattr(oracle, "FOLDER", tmp_path)
+    return tmp_path
+
+
+def _fresh(results: Results, **changes: Any) -> Results:
+    """The same results without what they remember."""
+    return dataclasses.replace(results, **changes)
+
+
+def _row(results: Results, name: str) -> EntrySummary:
+    return next(row for row in results.summaries if row.name == name)
+
+
+# --- the share -------------------------------------------------------------------------------------------------------
+
+
+def test_share_is_that_of_the_mean_costs(results: Results, made: OracleCosts, folder: Path) -> None:
+    fresh = _fresh(results)
+    assert fresh.oracle.missing == "" and fresh.oracle.costs == dict(zip(made.seeds, made.oracle, strict=True))
+    reference = np.mean(made.reference)
+    for name in ("mppt", "deloaded-10", "coordinated-piecewise"):
+        share, row = _row(fresh, name).gap_closed_percent, _row(fresh, name)
+        assert share is not None and row.n_oracle == 3
+        assert share.value == pytest.approx(100.0 * (reference - np.mean(_costs(results, name))) / (0.1 * reference))
+        assert share.low <= share.value <= share.high
+    share = _row(fresh, "coordinated-piecewise").gap_closed_percent
+    assert share is not None and (share.value, share.low, share.high) == (0.0, 0.0, 0.0)
+
+
+def test_table_and_json_show_the_share(results: Results, folder: Path, tmp_path: Path) -> None:
+    fresh = _fresh(results)
+    lines = markdown_table(leaderboard_rows(fresh)).split("\n")
+    assert "| gap closed [%] |" in lines[0] and "| 0.50 | 0.0 | 0.0 |" in lines[2]
+    summary = fresh.to_dict()["summary"]["coordinated-piecewise"]
+    assert summary["gap_closed_percent"] == {"value": 0.0, "low": 0.0, "high": 0.0} and summary["n_oracle"] == 3
+    path, _ = fresh.write(tmp_path / "results")
+    assert Results.read(path).to_dict() == fresh.to_dict()
+
+
+def test_scenarios_without_an_oracle_are_left_out_and_counted(
+    results: Results, made: OracleCosts, folder: Path
+) -> None:
+    found = {"course": made.found["course"][:2]}
+    dataclasses.replace(made, seeds=made.seeds[:2], reference=made.reference[:2], found=found).write(folder)
+    fresh = _fresh(results)
+    row = _row(fresh, "deloaded-10")
+    reference, cost = np.mean(made.reference[:2]), np.mean(_costs(results, "deloaded-10")[:2])
+    assert row.n_oracle == 2 and row.gap_closed_percent is not None
+    assert row.gap_closed_percent.value == pytest.approx(100.0 * (reference - cost) / (0.1 * reference))
+    assert markdown_table(leaderboard_rows(fresh)).count(" (n = 2) |") == 3
+
+
+def test_an_oracle_no_better_than_the_reference_gives_no_share(
+    results: Results, made: OracleCosts, folder: Path
+) -> None:
+    dataclasses.replace(made, found={}).write(folder)
+    assert _row(_fresh(results), "mppt").gap_closed_percent is None
+
+
+def _other_settings(results: Results) -> Results:
+    weights = {**results.settings["weights"], "duty": 1.0}
+    return _fresh(results, settings={**results.settings, "weights": weights})
+
+
+def _other_physics(results: Results) -> Results:
+    # A reference that costs otherwise betrays it.
+    episodes = [
+        dataclasses.replace(e, metrics={**e.metrics, "cost": (e.metrics["cost"] or 0.0) * 1.0001})
+        for e in results.episodes
+    ]
+    return _fresh(results, episodes=tuple(episodes))
+
+
+def _other_scenarios(results: Results) -> Results:
+    episodes = [dataclasses.replace(e, seed=e.seed + 100) for e in results.episodes]
+    return _fresh(results, seeds=tuple(seed + 100 for seed in results.seeds), episodes=tuple(episodes))
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda r: _fresh(r, suite_hash="0" * 64), "is of another suite, of hash ebb8c5bcdf75"),
+        (lambda r: _fresh(r, split="validation"), "there is no oracle for the validation scenarios of standard"),
+        (_other_settings, "the oracle was found for other settings: weights"),
+        (_other_physics, "the oracle was found for another physics or cost: in the scenario of seed 20002"),
+        (_other_scenarios, "none of these scenarios has an oracle"),
+    ],
+)
+def test_no_share_of_another_problems_oracle(
+    results: Results, folder: Path, change: Callable[[Results], Results], why: str
+) -> None:
+    other = change(results)
+    assert why in other.oracle.missing and other.oracle.costs == {}
+    assert {row.gap_closed_percent for row in other.summaries} == {None}
+    assert {row.n_oracle for row in other.summaries} == {0}
+
+
+# --- the files -------------------------------------------------------------------------------------------------------
+
+
+def test_read_gives_back_what_was_written(made: OracleCosts, folder: Path) -> None:
+    read = OracleCosts.read(folder / "standard-test.json")
+    assert read == made and read.oracle == made.found["course"]
+    before = [path.read_bytes() for path in sorted(folder.iterdir())]
+    read.write(folder)
+    assert [path.read_bytes() for path in sorted(folder.iterdir())] == before
+
+
+def _edit_table(folder: Path, old: str, new: str, *, sign: bool = True) -> None:
+    """Change the table, and sign it like a forger would."""
+    json_path, csv_path = folder / "standard-test.json", folder / "standard-test.csv"
+    text = csv_path.read_text(encoding="utf-8")
+    assert old in text
+    csv_path.write_text(text.replace(old, new, 1), encoding="utf-8", newline="")
+    if sign:
+        data = json.loads(json_path.read_text(encoding="utf-8"))
+        data["csv_sha256"] = sha256(csv_path.read_bytes())
+        _sign(json_path, data)
+
+
+def _sign(path: Path, data: dict[str, Any]) -> None:
+    data.pop("sha256", None)
+    path.write_text(to_json({**data, "sha256": sha256(to_json(data).encode())}), encoding="utf-8", newline="")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "why"),
+    [
+        ("seed,", "Seed,", "the header must be seed,reference,course,course_and_feedback,entries,oracle"),
+        ("20000,", "20002,", "an oracle needs scenarios, each once"),
+        ("20000,", "x,", "line 3: expected a seed and 5 costs"),
+        ("20000,", "20000,1.0,", "line 3: expected a seed and 5 costs"),
+        ("20000,", "20000,-", "costs must be finite and not negative"),
+        ("20000,", "20000,1e999,,,,1.0\n20001,", "costs must be finite and not negative, got inf"),
+        ("20000,", "20000,,,,,\n20001,", "costs must be finite and not negative, got nan"),
+        ("20000,", "20000,9.0,8.0,,9.0,7.0\n20001,", "the oracle's costs are not the least of each row"),
+        ("20000,", '20000,"', "is not CSV"),
+    ],
+)
+def test_impossible_tables_are_refused(folder: Path, results: Results, old: str, new: str, why: str) -> None:
+    _edit_table(folder, old, new)
+    with pytest.raises(ValueError, match=r"standard-test\.csv") as refused:
+        OracleCosts.read(folder / "standard-test.json")
+    assert why in str(refused.value)
+    # An evaluation is not lost over it.
+    fresh = _fresh(results)
+    assert why in fresh.oracle.missing and _row(fresh, "mppt").gap_closed_percent is None
+
+
+def test_an_edited_table_is_refused(folder: Path) -> None:
+    _edit_table(folder, "20000,", "20001,", sign=False)
+    with pytest.raises(ValueError, match="was edited; search again"):
+        OracleCosts.read(folder / "standard-test.json")
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda data: {**data, "format": 2}, "format must be 1"),
+        (lambda data: {**data, "format": True}, "format must be of type int, got bool"),
+        (lambda data: {**data, "suite": 3}, "suite must be of type str, got int"),
+        (lambda data: {**data, "more": 3}, "expected an object with the keys format, suite"),
+        (lambda data: {key: value for key, value in data.items() if key != "search"}, "expected an object"),
+    ],
+)
+def test_impossible_descriptions_are_refused(
+    folder: Path, change: Callable[[dict[str, Any]], dict[str, Any]], why: str
+) -> None:
+    path = folder / "standard-test.json"
+    _sign(path, change(json.loads(path.read_text(encoding="utf-8"))))
+    with pytest.raises(ValueError, match=why):
+        OracleCosts.read(path)
+
+
+@pytest.mark.parametrize("damage", [lambda text: "", lambda text: text[:200], lambda text: "[]", lambda t: t + " "])
+def test_damaged_descriptions_are_refused(folder: Path, damage: Callable[[str], str]) -> None:
+    path = folder / "standard-test.json"
+    path.write_text(damage(path.read_text(encoding="utf-8")), encoding="utf-8")
+    with pytest.raises(ValueError, match=r"standard-test\.json"):
+        OracleCosts.read(path)
+
+
+def test_an_edited_description_is_refused(folder: Path) -> None:
+    path = folder / "standard-test.json"
+    path.write_text(path.read_text(encoding="utf-8").replace('"generations": 3', '"generations": 300'))
+    with pytest.raises(ValueError, match="sha256 does not fit its content"):
+        OracleCosts.read(path)
+
+
+def test_a_missing_table_is_said(folder: Path) -> None:
+    (folder / "standard-test.csv").unlink()
+    with pytest.raises(ValueError, match=r"cannot read the table of the oracle .*standard-test\.csv"):
+        OracleCosts.read(folder / "standard-test.json")
+
+
+# --- what is shipped -------------------------------------------------------------------------------------------------
+
+SHIPPED = sorted(FOLDER.glob("*.json"))
+
+
+def test_every_file_that_is_shipped_belongs_to_a_pair() -> None:
+    assert {path.suffix for path in FOLDER.iterdir()} == {".csv", ".json"}
+    assert [path.with_suffix(".csv") for path in SHIPPED] == sorted(FOLDER.glob("*.csv"))
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_shipped_costs_are_of_this_benchmark(path: Path) -> None:
+    known = OracleCosts.read(path)
+    assert path.stem == known.name and known.suite_hash == FROZEN_HASHES[known.suite]
+    assert known.seeds == tuple(get_suite(known.suite).seeds(known.split)[: len(known.seeds)])
+    assert np.mean(known.oracle) < 0.95 * np.mean(known.reference)
+    # Physics, cost and settings are still those that were searched.
+    seeds = known.seeds[:3]
+    results = evaluate([], known.suite, known.split, seeds=seeds)
+    assert results.oracle.missing == "" and tuple(results.oracle.costs) == seeds

@@ -1,0 +1,116 @@
+"""Facts about how the ranking depends on the weights."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import pytest
+
+from wtg_gym.evaluation import Entry, evaluate, leaderboard_rows
+from wtg_gym.evaluation.sensitivity import (
+    WEIGHTS,
+    Sensitivity,
+    Variant,
+    describe_idle,
+    sensitivity_cells,
+    sensitivity_page,
+    study_sensitivity,
+)
+
+ENTRIES = [Entry(name=name, strategy=name) for name in ("deloaded-5", "coordinated-linear")]
+
+
+@pytest.fixture
+def study() -> Sensitivity:
+    """One made by hand."""
+    before = {"a": 110.0, "coordinated-piecewise": 100.0, "b": 90.0, "mppt": 0.0}
+    variants = (
+        Variant("duty", 0.0, {"b": 111.0, "a": 108.0, "coordinated-piecewise": 100.0, "mppt": 0.0}),
+        Variant("duty", 2.0, {"a": 110.9, "coordinated-piecewise": 100.0, "b": 89.1, "mppt": 0.0}),
+        Variant("effort", 0.0, {"a": 110.0, "coordinated-piecewise": 100.0, "b": 90.9, "mppt": 0.0}),
+        Variant("rotor", 0.0, {}),
+    )
+    return Sensitivity(
+        suite="standard",
+        split="validation",
+        suite_hash="0" * 64,
+        n_scenarios=7,
+        weights={"duty": 2.0},
+        scores=before,
+        variants=variants,
+    )
+
+
+def test_changes_ranks_and_idle_weights_are_those_counted_by_hand(study: Sensitivity) -> None:
+    without, twice, _, rotor = study.variants
+    assert study.changes(without) == {"b": 21.0, "a": -2.0}
+    assert study.changes(twice) == {"a": pytest.approx(0.9), "b": pytest.approx(-0.9)}
+    assert study.moves(without) == {"b": (3, 1), "a": (1, 2), "coordinated-piecewise": (2, 3)}
+    assert study.moves(twice) == {}
+    assert [study.matters(variant) for variant in study.variants] == [True, False, False, True]
+    assert study.changes(rotor) == {} and study.moves(rotor) == {}
+    assert study.idle == ["effort"]
+
+
+def test_table_says_it_in_words(study: Sensitivity) -> None:
+    assert sensitivity_cells(study) == [
+        ["duty", "0", "changes: b 3 → 1, a 1 → 2, coordinated-piecewise 2 → 3", "b +21.0, a -2.0"],
+        ["duty", "2", "same", "none"],
+        ["effort", "0", "same", "none"],
+        ["rotor", "0", "no score: MPPT is not worse than the reference", ""],
+    ]
+    all_matter = dataclasses.replace(study, variants=study.variants[:1])
+    assert describe_idle(all_matter).startswith("Each of these weights moves a score by a point")
+    assert describe_idle(study) == "Neither a point of any score nor the order depends on: effort."
+    page = sensitivity_page(study)
+    assert page.startswith("7 validation scenarios of `standard`. Scores with the weights as they are: a 110.0, ")
+    assert page.endswith(describe_idle(study)) and "| duty | 2 | same | none |" in page
+
+
+def test_variants_are_evaluations_with_that_weight() -> None:
+    told: list[tuple[int, int]] = []
+    study = study_sensitivity(
+        ENTRIES,
+        n_scenarios=3,
+        weights=["duty", "overload"],
+        factors=[0.5],
+        on_progress=lambda _name, done, total: told.append((done, total)),
+    )
+    seeds = range(10_000, 10_003)
+    for scores, weights in (
+        (study.scores, {}),
+        (study.variants[0].scores, {"duty": 1.0}),
+        (study.variants[1].scores, {"overload": 5.0}),
+    ):
+        rows = leaderboard_rows(evaluate(ENTRIES, "standard", "validation", seeds=seeds, weights=weights))
+        assert list(scores.items()) == [(row.name, row.score.value) for row in rows]
+    assert study.idle == ["overload"] and study.matters(study.variants[0])
+    # Four entries on three scenarios, three times.
+    assert told == [(3 * n, 36) for n in range(1, 13)]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"weights": ["mass"]}, "weights must be different ones out of frequency, rocof"),
+        ({"weights": ["cap"]}, "weights must be different ones"),
+        ({"weights": ["duty", "duty"]}, "weights must be different ones"),
+        ({"weights": []}, "weights must be different ones"),
+        ({"factors": [1.0]}, "factors must be different numbers other than 1"),
+        ({"factors": [2.0, 2.0]}, "factors must be different numbers"),
+        ({"factors": []}, "factors must be different numbers"),
+        ({"factors": [-1.0]}, "a factor = -1 is outside the allowed range 0 … 1000"),
+        ({"factors": [math.nan]}, "a factor"),
+        ({"n_scenarios": 0}, "scenarios = 0 is outside the allowed range 1 … 100"),
+        ({"n_scenarios": 101}, "scenarios = 101 is outside the allowed range 1 … 100"),
+        ({"suite": "storm"}, "unknown suite 'storm'"),
+    ],
+)
+def test_impossible_arguments_are_refused(arguments: dict[str, object], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        study_sensitivity(ENTRIES, **arguments)  # type: ignore[arg-type]
+
+
+def test_all_weights_but_the_cap_are_varied() -> None:
+    assert WEIGHTS == ("frequency", "rocof", "duty", "rotor", "overload", "effort")

@@ -1,0 +1,256 @@
+"""The cheapest that is known of every scenario: what was found with foresight, frozen in files of the package.
+
+Two files for a split of a suite: `<suite>-<split>.csv` has a row per scenario, `<suite>-<split>.json` says what it was
+found for and how. All costs are pinned ones, see :mod:`wtg_gym.evaluation.statistics`.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from wtg_gym.files import parse_json, read_text, sha256, to_json, write_atomically
+
+#: Version of the files; another number is another form.
+FORMAT = 1
+#: Where the frozen files lie.
+FOLDER = Path(__file__).parent / "oracle_costs"
+#: Columns of the table: the reference's cost, the cheapest that each form of search found, that of the cheapest known
+#: entry (empty: there was no such search or entry), and the least of them all, the oracle's.
+FORMS = ("course", "course_and_feedback", "entries")
+COLUMNS = ("seed", "reference", *FORMS, "oracle")
+#: How far the reference's costs may be from those that the oracle was found beside, relative: other processors round
+#: otherwise.
+REFERENCE_TOLERANCE = 1e-6
+
+_KEYS: dict[str, type] = {
+    "format": int,
+    "suite": str,
+    "split": str,
+    "suite_hash": str,
+    "source_hash": str,
+    "settings": dict,
+    "search": dict,
+    "entries": list,
+    "csv_sha256": str,
+    "sha256": str,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class OracleCosts:
+    """The cheapest that is known of some scenarios of a split.
+
+    Args:
+        suite, split: which scenarios.
+        suite_hash: the suite's hash.
+        source_hash: hash of the physics and environment that were searched.
+        settings: settings of the environment, as in :class:`wtg_gym.evaluation.Results`.
+        search: what the search was asked for.
+        entries: name, training seed and sha256 of the entries that were tried as well.
+        seeds: seeds of the scenarios.
+        reference: the reference's costs, one per seed.
+        found: costs by the name of the form, see :data:`FORMS`, one per seed; a form not tried is left out.
+
+    Raises:
+        ValueError: seeds are not different, or a cost is missing, negative or not finite.
+    """
+
+    suite: str
+    split: str
+    suite_hash: str
+    source_hash: str
+    settings: Mapping[str, Any]
+    search: Mapping[str, Any]
+    entries: Sequence[Mapping[str, Any]]
+    seeds: tuple[int, ...]
+    reference: tuple[float, ...]
+    found: Mapping[str, tuple[float, ...]]
+
+    def __post_init__(self) -> None:
+        if not self.seeds or len(set(self.seeds)) < len(self.seeds):
+            raise ValueError(f"an oracle needs scenarios, each once; got {len(self.seeds)} seeds")
+        unknown = sorted(set(self.found) - set(FORMS))
+        if unknown:
+            raise ValueError(f"unknown forms {unknown}; known forms: {', '.join(FORMS)}")
+        for name, costs in {"reference": self.reference, **self.found}.items():
+            if len(costs) != len(self.seeds):
+                raise ValueError(f"{name} must have one cost per scenario ({len(self.seeds)}), got {len(costs)}")
+            wrong = [cost for cost in costs if not (math.isfinite(cost) and cost >= 0.0)]
+            if wrong:
+                raise ValueError(f"costs must be finite and not negative, got {wrong[0]} in {name}")
+
+    @property
+    def oracle(self) -> tuple[float, ...]:
+        """The least cost of each scenario, the reference's included."""
+        return tuple(min(costs) for costs in zip(self.reference, *self.found.values(), strict=True))
+
+    @property
+    def name(self) -> str:
+        """Return the files' name without ending."""
+        return f"{self.suite}-{self.split}"
+
+    def write(self, folder: str | Path) -> tuple[Path, Path]:
+        """Write `<suite>-<split>.csv` and `.json`, each in one go; the same costs give the same bytes.
+
+        Returns:
+            the paths of the JSON and the CSV.
+
+        Raises:
+            OSError: the folder cannot be written to.
+        """
+        json_path, csv_path = (Path(folder) / f"{self.name}.{ending}" for ending in ("json", "csv"))
+        table = self._to_csv()
+        data = {
+            "format": FORMAT,
+            "suite": self.suite,
+            "split": self.split,
+            "suite_hash": self.suite_hash,
+            "source_hash": self.source_hash,
+            "settings": dict(self.settings),
+            "search": dict(self.search),
+            "entries": [dict(entry) for entry in self.entries],
+            "csv_sha256": sha256(table.encode()),
+        }
+        data["sha256"] = sha256(to_json(data).encode())
+        write_atomically(csv_path, table)
+        # Last, so that a JSON never describes a table that is not there yet.
+        write_atomically(json_path, to_json(data))
+        return json_path, csv_path
+
+    def _to_csv(self) -> str:
+        buffer = io.StringIO()
+        writer = csv.writer(buffer, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        for i, (seed, reference, oracle) in enumerate(zip(self.seeds, self.reference, self.oracle, strict=True)):
+            forms = [repr(float(self.found[form][i])) if form in self.found else "" for form in FORMS]
+            writer.writerow([str(seed), repr(float(reference)), *forms, repr(float(oracle))])
+        return buffer.getvalue()
+
+    @classmethod
+    def read(cls, path: str | Path) -> OracleCosts:
+        """Read what :meth:`write` wrote; the CSV lies beside the JSON.
+
+        Args:
+            path: the JSON file.
+
+        Raises:
+            ValueError: a file is missing, cut short, of another version, or was edited; the message names the file.
+        """
+        json_path, csv_path = Path(path), Path(path).with_suffix(".csv")
+        text = read_text(json_path, "description of the oracle")
+        data = parse_json(text, json_path, "description of the oracle")
+        _check(data, text, json_path)
+        table = read_text(csv_path, "table of the oracle")
+        if sha256(table.encode()) != data["csv_sha256"]:
+            raise ValueError(f"{csv_path} is not the table that {json_path} describes: it was edited; search again")
+        seeds, columns = _from_csv(table, csv_path)
+        described = {key: data[key] for key in _KEYS if key not in ("format", "csv_sha256", "sha256")}
+        try:
+            costs = cls(**described, seeds=seeds, reference=columns["reference"], found=_forms(columns))
+        except ValueError as error:
+            raise ValueError(f"{csv_path}: {error}") from error
+        if costs.oracle != columns["oracle"]:
+            raise ValueError(f"{csv_path}: the oracle's costs are not the least of each row")
+        return costs
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownOracle:
+    """The oracle's costs of an evaluation's scenarios.
+
+    Args:
+        costs: by the scenarios' seeds; a scenario without an oracle is left out.
+        missing: why there are none; empty where there are some.
+    """
+
+    costs: Mapping[int, float]
+    missing: str
+
+
+def known_oracle(
+    suite: str, split: str, suite_hash: str, settings: Mapping[str, Any], reference: Mapping[int, float]
+) -> KnownOracle:
+    """Return what the package knows of an evaluation's scenarios, if it is of the same problem.
+
+    Args:
+        suite, split, suite_hash, settings: of the evaluation.
+        reference: the reference's pinned costs in it, by the scenarios' seeds. They tell whether physics and cost are
+            still those that were searched.
+    """
+    path = FOLDER / f"{suite}-{split}.json"
+    if not path.exists():
+        return _none(f"there is no oracle for the {split} scenarios of {suite}")
+    try:
+        known = OracleCosts.read(path)
+    except ValueError as error:
+        return _none(str(error))
+    if (known.suite, known.split, known.suite_hash) != (suite, split, suite_hash):
+        return _none(f"the oracle in {path.name} is of another suite, of hash {known.suite_hash[:12]}")
+    if known.settings != settings:
+        different = sorted(key for key in settings if known.settings.get(key) != settings[key])
+        return _none(f"the oracle was found for other settings: {', '.join(different)}")
+    shared = [row for row in zip(known.seeds, known.reference, known.oracle, strict=True) if row[0] in reference]
+    if not shared:
+        return _none("none of these scenarios has an oracle")
+    for seed, cost, _ in shared:
+        if not math.isclose(cost, reference[seed], rel_tol=REFERENCE_TOLERANCE):
+            return _none(
+                f"the oracle was found for another physics or cost: in the scenario of seed {seed} the reference cost "
+                f"{cost:.6g}, now {reference[seed]:.6g}"
+            )
+    return KnownOracle(costs={seed: oracle for seed, _, oracle in shared}, missing="")
+
+
+def _none(why: str) -> KnownOracle:
+    return KnownOracle(costs={}, missing=why)
+
+
+def _check(data: Any, text: str, path: Path) -> None:
+    if not isinstance(data, dict) or set(data) != set(_KEYS):
+        got = sorted(data) if isinstance(data, dict) else type(data).__name__
+        raise ValueError(f"{path}: expected an object with the keys {', '.join(_KEYS)}, got {got}")
+    for key, kind in _KEYS.items():
+        if type(data[key]) is not kind:
+            raise ValueError(f"{path}: {key} must be of type {kind.__name__}, got {type(data[key]).__name__}")
+    if data["format"] != FORMAT:
+        raise ValueError(f"{path}: format must be {FORMAT}, that of this version, got {data['format']}")
+    content = {key: value for key, value in data.items() if key != "sha256"}
+    if sha256(to_json(content).encode()) != data["sha256"] or to_json(data) != text:
+        raise ValueError(f"{path} was edited or damaged: its sha256 does not fit its content; search again")
+
+
+def _from_csv(table: str, path: Path) -> tuple[tuple[int, ...], dict[str, tuple[float, ...]]]:
+    """Return the seeds and the columns of costs; an empty cell is NaN."""
+    try:
+        header, *rows = csv.reader(io.StringIO(table), strict=True)
+    except (csv.Error, ValueError) as error:
+        raise ValueError(f"{path} is not CSV with a header: {error}") from error
+    if tuple(header) != COLUMNS:
+        raise ValueError(f"{path}: the header must be {','.join(COLUMNS)}, got {','.join(header)}")
+    seeds: list[int] = []
+    costs: list[list[float]] = []
+    for line, row in enumerate(rows, start=2):
+        try:
+            first, *others = row
+            seeds.append(int(first))
+            costs.append([float(cell) if cell else math.nan for cell in others])
+            if len(others) != len(COLUMNS) - 1:
+                raise ValueError(f"{len(row)} cells")
+        except ValueError as error:
+            raise ValueError(f"{path}, line {line}: expected a seed and {len(COLUMNS) - 1} costs: {error}") from error
+    columns = zip(*costs, strict=True) if costs else ((),) * (len(COLUMNS) - 1)
+    return tuple(seeds), dict(zip(COLUMNS[1:], columns, strict=True))
+
+
+def _forms(columns: Mapping[str, tuple[float, ...]]) -> dict[str, tuple[float, ...]]:
+    """The columns of the forms that were tried, those that are not wholly empty."""
+    return {form: columns[form] for form in FORMS if not all(map(math.isnan, columns[form]))}
+
+
+__all__ = ["COLUMNS", "FOLDER", "FORMS", "REFERENCE_TOLERANCE", "KnownOracle", "OracleCosts", "known_oracle"]
