@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -50,9 +51,11 @@ class _Supervision(BaseCallback):
         self._on_score = on_score
         self._began = time.monotonic()
         self._before_s = run.curve[-1]["wall_time_s"] if run.curve else 0.0
+        self._restored_at: int | None = None
 
     def _on_training_start(self) -> None:
         self._first = self.num_timesteps
+        self._restored_at = self.num_timesteps if self._run.resumed else None
         monitor = unwrap_vec_wrapper(self.training_env, VecMonitor)
         assert isinstance(monitor, VecMonitor) and isinstance(monitor.venv, SB3VecEnv)
         self._lanes = monitor.venv.vector_env.lanes
@@ -80,6 +83,9 @@ class _Supervision(BaseCallback):
         run.curve.append({"timesteps": model.num_timesteps, "wall_time_s": round(wall_time_s, 2), **row})
         if self._folder is not None:
             self._save(self._folder)
+        if model.num_timesteps != self._restored_at and getattr(model, "use_sde", False):
+            # A learner draws the noise of its next rollout before it calls us, and once more after a resumption.
+            model.policy.reset_noise(model.n_envs)
         if self._on_score is not None:
             self._on_score(model.num_timesteps, row["score"])
 
@@ -87,7 +93,9 @@ class _Supervision(BaseCallback):
         # In this order a kill in between is mended on resumption: a checkpoint whose row is missing in run.json is
         # validated again.
         model, run = self.model, self._run
-        save_folder(folder / CHECKPOINTS, model.num_timesteps, lambda path: save_checkpoint(path, model, self._metrics))
+        if model.num_timesteps != self._restored_at:
+            write = functools.partial(save_checkpoint, model=model, extra=self._metrics)
+            save_folder(folder / CHECKPOINTS, model.num_timesteps, write)
         if run.best is run.curve[-1]:
             save_folder(folder / BEST, model.num_timesteps, lambda path: save_policy(path, model))
         run.write(folder)

@@ -23,13 +23,13 @@ OFF_POLICY = {
     "policy_kwargs": "dict(net_arch=[8])",
 }
 CONFIGS: dict[str, dict[str, Any]] = {
-    "ppo": ON_POLICY,
+    "ppo": {**ON_POLICY, "use_sde": True, "sde_sample_freq": 3},
     "recurrent_ppo": {
         **ON_POLICY,
         "policy": "MlpLstmPolicy",
         "policy_kwargs": "dict(net_arch=[8], lstm_hidden_size=4, n_lstm_layers=2)",
     },
-    "sac": OFF_POLICY,
+    "sac": {**OFF_POLICY, "use_sde": True, "train_freq": 4, "gradient_steps": 8},
     "td3": {**OFF_POLICY, "noise_type": "normal", "noise_std": 0.1},
     "tqc": OFF_POLICY,
 }
