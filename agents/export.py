@@ -11,10 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from agents import single_file_ppo
-from agents.checkpoints import load_policy
+from agents import rllib_ppo, single_file_ppo
 from agents.command import run_command
-from agents.learners import NormalizedPolicy, network_of
 from agents.model_card import model_card
 from agents.networks import PolicyNetwork
 from agents.onnx_graph import to_onnx
@@ -90,9 +88,13 @@ def _trained(run_folder: Path, algo: str) -> tuple[Policy, PolicyNetwork]:
     best = folders(run_folder / BEST)
     if not best:
         raise ValueError(f"{run_folder} has no policy yet: its first validation has not been reached")
-    if algo == single_file_ppo.NAME:
+    if algo in (rllib_ppo.NAME, single_file_ppo.NAME):
         agent = single_file_ppo.load(best[-1])
         return agent, agent.network()
+    # Here, because the policies above are exported where Stable-Baselines3 is not installed.
+    from agents.checkpoints import load_policy
+    from agents.learners import NormalizedPolicy, network_of
+
     model, vec_normalize = load_policy(best[-1], algo)
     return NormalizedPolicy(model, vec_normalize), network_of(model, vec_normalize)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from agents import rllib_ppo
 from agents.runs import Run
 from wtg_gym import ENV_ID
 from wtg_gym.files import markdown_table, sha256
@@ -20,6 +21,10 @@ _CURVE = {
     "rocof_hz_s": 3,
     "duty_error_percent": 2,
 }
+
+#: What a repetition gives.
+_EXACTLY = "the same versions on the same kind of machine give the same weights"
+_REPEATED = {rllib_ppo.NAME: "runners end in any order, so that a repetition may give other weights"}
 
 
 def model_card(run: Run, name: str, authors: Sequence[str], content: bytes) -> str:
@@ -69,8 +74,8 @@ def model_card(run: Run, name: str, authors: Sequence[str], content: bytes) -> s
                 f"In a checkout of commit `{provenance['git_commit']}`:",
                 f"```\n{provenance['command']}\n```",
                 _table({key: str(value) for key, value in sorted(provenance["versions"].items())}),
-                f"Source hash `{provenance['source_hash']}`, suite hash `{provenance['suite_hash']}`; the same "
-                f"versions on the same kind of machine ({provenance['machine']}) give the same weights.",
+                f"Source hash `{provenance['source_hash']}`, suite hash `{provenance['suite_hash']}`, "
+                f"{provenance['machine']}; {_REPEATED.get(settings.algo, _EXACTLY)}.",
             ]
         )
         + "\n"

@@ -23,7 +23,7 @@ from wtg_gym.scenarios import get_suite
 
 #: In the folder of a run: its description, its last checkpoint, its best policy.
 RUN_FILE, CHECKPOINTS, BEST = "run.json", "checkpoints", "best"
-_PACKAGES = ("gymnasium", "numba", "numpy", "stable-baselines3", "sb3-contrib", "torch")
+_PACKAGES = ("gymnasium", "numba", "numpy", "ray", "stable-baselines3", "sb3-contrib", "torch")
 
 
 @dataclass(frozen=True, kw_only=True)

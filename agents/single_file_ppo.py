@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -264,13 +264,22 @@ def _take_stock(run: Run, folder: Path, agent: Agent, steps: int, wall_time_s: f
     row = validate(agent, run.settings)
     run.curve.append({"timesteps": steps, "wall_time_s": round(wall_time_s, 2), **row})
     if run.best is run.curve[-1]:
-        save_folder(folder / BEST, steps, lambda path: torch.save(agent.state_dict(), path / _WEIGHTS))
+        save_folder(folder / BEST, steps, lambda path: save(path, agent))
     run.write(folder)
 
 
+def save(folder: Path, agent: Agent) -> None:
+    """Write an agent's weights into a folder."""
+    torch.save(agent.state_dict(), folder / _WEIGHTS)
+
+
 def load(folder: Path) -> Agent:
-    """Return the agent of a folder that :func:`train` saved; no code in it is run."""
-    weights = torch.load(folder / _WEIGHTS, weights_only=True)
+    """Return the agent of a folder that :func:`save` wrote; no code in it is run."""
+    return agent_of(torch.load(folder / _WEIGHTS, weights_only=True))
+
+
+def agent_of(weights: Mapping[str, Tensor]) -> Agent:
+    """Return the agent whose `state_dict` has these weights."""
     hidden, n_observation = weights["actor.0.weight"].shape
     agent = Agent(n_observation, weights["log_std"].numel(), Hyperparameters(hidden=hidden))
     agent.load_state_dict(weights)

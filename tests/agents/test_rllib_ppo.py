@@ -1,0 +1,199 @@
+"""Facts about training with RLlib. Those that need Ray are skipped where it is not installed: `make test-rllib`."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+from agents.export import export
+from agents.rllib_envs import RunnerEnvs, measure_scales
+from agents.rllib_ppo import main
+from agents.runs import Run, RunSettings, folders
+from wtg_gym import ENV_ID
+from wtg_gym.envs import GFMWTGVectorEnv
+from wtg_gym.evaluation import load_entries
+
+ROOT = Path(__file__).resolve().parents[2]
+SMALL = ["--num-env-runners", "1", "--envs-per-runner", "4", "--timesteps", "6000", "--interval", "1200"]
+SMALL += ["--validation-episodes", "2"]
+
+
+def zeros(env: GFMWTGVectorEnv) -> Any:
+    return np.zeros((env.num_envs, env.lanes.n_action), dtype=np.float32)
+
+
+def test_registered_vector_entry_point_resets_as_rllib_expects() -> None:
+    mode = gym.VectorizeMode("vector_entry_point")
+    env = gym.make_vec(ENV_ID, num_envs=2, vectorization_mode=mode, duration_s=2.0)
+    assert isinstance(env.unwrapped, GFMWTGVectorEnv)
+    assert env.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
+    first, _ = env.reset(seed=0)
+    for _ in range(20):
+        last, _, terminated, truncated, _ = env.step(zeros(env.unwrapped))
+    assert truncated.all() and not terminated.any()
+    # The step after the end ignores the action and returns the next episode's first observation.
+    began, rewards, terminated, truncated, _ = env.step(zeros(env.unwrapped) + 1.0)
+    assert not (terminated | truncated).any() and rewards.tolist() == [0.0, 0.0]
+    assert not np.array_equal(began, last) and not np.array_equal(began, first)
+    env.close()
+
+
+def test_reward_is_the_gain_over_the_reference_in_the_same_scenario() -> None:
+    env = RunnerEnvs(3, duration_s=2.0, n_threads=1)
+    env.reset(seed=0)
+    for _ in range(45):
+        _, rewards, *_ = env.step(zeros(env))
+        assert rewards.tolist() == [0.0, 0.0, 0.0]
+    # One whole episode of each lane under another action, against the two costs of its scenario.
+    for lane in range(3):
+        while env._n_steps[lane] != 0:
+            env.step(zeros(env))
+        seed, gained = int(env.lanes.scenario_seeds[lane]), 0.0
+        for _ in range(env.n_steps):
+            _, rewards, *_ = env.step(zeros(env) + 0.5)
+            gained += rewards[lane]
+        costs = []
+        for action in (0.0, 0.5):
+            single = gym.make(ENV_ID, duration_s=2.0)
+            (scenario,) = env.lanes.scenarios([seed])
+            single.reset(options={"scenario": scenario})
+            costs.append(-sum(float(single.step(np.full(4, action, np.float32))[1]) for _ in range(20)))
+        assert gained == pytest.approx(100.0 * (costs[0] - costs[1]) / (costs[0] + 5.0), rel=1e-6)
+    env.close()
+
+
+def test_lanes_start_spread_and_none_is_over() -> None:
+    env = RunnerEnvs(8, duration_s=4.0, n_threads=1)
+    env.reset(seed=3)
+    assert sorted(env._n_steps.tolist()) == [0, 5, 10, 15, 20, 25, 30, 35]
+    assert not env._needs_reset.any()
+    env.close()
+
+
+def test_runners_play_different_scenarios() -> None:
+    # RLlib gives neighbouring runners neighbouring seeds; the native environment gives neighbouring lanes those.
+    played, shared = [], []
+    for seed in (1, 2):
+        env, native = (kind(16, duration_s=2.0, n_threads=1) for kind in (RunnerEnvs, GFMWTGVectorEnv))
+        env.reset(seed=seed)
+        native.reset(seed=seed)
+        played.append(set(env.lanes.scenario_seeds.tolist()))
+        shared.append(set(native.lanes.scenario_seeds.tolist()))
+        env.close()
+        native.close()
+    assert len(shared[0] & shared[1]) == 15 and not played[0] & played[1]
+
+
+def test_scales_are_reproducible_and_positive() -> None:
+    one, two = (measure_scales({"duration_s": 3.0}, noise=0.3, gamma=0.9, seed=1) for _ in range(2))
+    assert one == two and one.reward > 0.0 and min(one.std) > 0.0
+    assert len(one.mean) == len(one.std) == 20
+
+
+def test_both_files_of_constraints_agree_but_for_gymnasium() -> None:
+    one, two = (
+        dict(re.findall(r"^([a-z0-9-]+)==(\S+)$", (ROOT / name).read_text(), flags=re.MULTILINE))
+        for name in ("constraints.txt", "constraints-rllib.txt")
+    )
+    assert {name for name in one.keys() & two.keys() if one[name] != two[name]} == {"gymnasium"}
+    assert {"ray", "torch", "onnx", "hatchling"} <= two.keys()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ([], "--output FOLDER is needed"),
+        (["--output", "new", "--action-mode", "pitch"], "invalid choice"),
+        (["--output", "new", "--num-env-runners", "0"], "num_env_runners must be a whole number, 1"),
+        (["--output", "new", "--num-learners", "-1"], "num_learners must be a whole number, 0"),
+        (["--output", "new", "--envs-per-runner", "many"], "invalid int value"),
+        (["--output", "new", "--timesteps", "0"], "timesteps must be a whole number, 1"),
+        (["--output", "new", "--suite", "paper"], "fixed list of cases"),
+        (["--resume", "no-such-run"], "cannot read the description of the run"),
+        (["--resume", "no-such-run", "--seed", "1"], "leave out seed"),
+        (["--resume", "other"], "a run of ppo"),
+    ],
+)
+def test_bad_options_are_refused_before_anything_runs(
+    arguments: list[str], text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    settings = RunSettings(algo="ppo", hyperparameters={}, timesteps=1, n_envs=1, interval=1)
+    Run.new(settings).write(tmp_path / "other")
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and error.count("\n") == 1
+    assert re.search(text, error), error
+    assert not (tmp_path / "new").exists()
+
+
+def test_missing_ray_is_one_line_that_names_the_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    assert main(["--output", str(tmp_path / "new")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "ray is not installed" in error and ".[rllib]" in error
+    assert not (tmp_path / "new").exists()
+
+
+def needs_ray() -> None:
+    pytest.importorskip("ray", reason="Ray is not installed here; make test-rllib runs this in an environment with it")
+
+
+def test_killed_run_goes_on_from_its_checkpoint_and_its_export_plays_without_ray(tmp_path: Path) -> None:
+    needs_ray()
+    folder, program = tmp_path / "run", [sys.executable, "-m", "agents.rllib_ppo"]
+    process = subprocess.Popen([*program, *SMALL, "--output", str(folder)], cwd=ROOT)
+    deadline = time.monotonic() + 240.0
+    while not any(int(path.name) > 0 for path in folders(folder / "checkpoints")):
+        assert process.poll() is None and time.monotonic() < deadline
+        time.sleep(0.01)
+    process.kill()
+    assert process.wait() == -signal.SIGKILL
+    rows = Run.read(folder).curve
+    reached = int(folders(folder / "checkpoints")[-1].name)
+    subprocess.run([*program, "--resume", str(folder)], cwd=ROOT, check=True)
+
+    run = Run.read(folder)
+    steps = [row["timesteps"] for row in run.curve]
+    assert run.finished and run.resumed == 1
+    assert steps[0] == 0 and 0 < reached < steps[-1] and steps[-1] >= 6000
+    assert steps == sorted(set(steps)) and len(steps) >= 5
+    # Validated again where the kill came between checkpoint and row; otherwise kept.
+    assert [row for row in run.curve if row["timesteps"] < reached] == [r for r in rows if r["timesteps"] < reached]
+
+    entry = tmp_path / "entry"
+    code = f"""import sys; sys.modules.update(ray=None, stable_baselines3=None, sb3_contrib=None)
+from pathlib import Path; from agents.export import export
+print(export(Path({str(folder)!r}), Path({str(entry)!r}), name='mine'))"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert float(done.stdout) <= 1e-6
+    (loaded,) = load_entries(entry)
+    assert (loaded.name, loaded.kind, loaded.training_seed) == ("mine", "learned", 0)
+
+
+def test_learner_of_its_own_and_an_other_action_mode(tmp_path: Path) -> None:
+    needs_ray()
+    arguments = [*SMALL, "--timesteps", "1200", "--num-learners", "1", "--action-mode", "k"]
+    assert main([*arguments, "--output", str(tmp_path / "run")]) == 0
+    run = Run.read(tmp_path / "run")
+    assert run.finished and run.settings.hyperparameters["num_learners"] == 1
+    assert export(tmp_path / "run", tmp_path / "entry") <= 1e-6
+
+
+def test_cluster_that_does_not_answer_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    needs_ray()
+    assert main([*SMALL, "--address", "auto", "--output", str(tmp_path / "run")]) == 2
+    assert "--address auto: no Ray cluster answers" in capfd.readouterr().err
