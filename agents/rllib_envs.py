@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from agents.gains import Gains
 from agents.staggering import stagger
 from wtg_gym.envs import GFMWTGVectorEnv
-from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.evaluation.statistics import COST_OFFSET
 
 #: Rewards are clipped to this many scales, as VecNormalize does.
 _CLIP = 10.0
@@ -53,7 +52,7 @@ def measure_scales(arguments: Mapping[str, Any], *, noise: float, gamma: float, 
     returns, seen, all_returns = np.zeros(_MEASURED_LANES), [], []
     try:
         observations, _ = envs.reset(seed=seed)
-        for _ in range(envs.n_steps):
+        for _ in range(envs.gains.n_steps):
             seen.append(observations)
             actions = rng.normal(0.0, noise, (_MEASURED_LANES, envs.lanes.n_action)).astype(np.float32)
             observations, rewards, terminated, truncated, _ = envs.step(actions)
@@ -73,9 +72,7 @@ def measure_scales(arguments: Mapping[str, Any], *, noise: float, gamma: float, 
 class RunnerEnvs(GFMWTGVectorEnv):
     """The lanes of one runner: the native vector environment, with what RLlib does not do itself.
 
-    The reward of a step is 100 (c_ref - c) / (J_ref + J0), divided by a scale and clipped to ± 10: c is the step's
-    cost, c_ref what the zero action pays in the same step of the same scenario, J_ref in all of it, and J0 the score's
-    offset. What wind and loads cost either way drops out, and scenarios count alike, as in the score.
+    Rewards are :class:`agents.gains.Gains`, divided by a scale and clipped to ± 10.
 
     Lanes start spread over an episode (:mod:`agents.staggering`). A reset's seed means a set of seeds of its own: RLlib
     gives runner w the seed s + w, with which lane i + 1 of a runner would play the scenarios of lane i of the next one.
@@ -89,12 +86,8 @@ class RunnerEnvs(GFMWTGVectorEnv):
 
     def __init__(self, num_envs: int = 1, *, reward_scale: float = 1.0, **arguments: Any) -> None:
         super().__init__(num_envs, **arguments)
-        self.n_steps = round(self.settings.episode_duration_s() / self.settings.control_dt)
         self._reward_scale = reward_scale
-        self._reference = TaskLanes(self.settings, 1)
-        #: What the reference pays in each step of the lanes' episodes, and the gain that counts one per cent.
-        self._costs = np.zeros((num_envs, self.n_steps))
-        self._units = np.ones(num_envs)
+        self.gains = Gains(self.lanes)
         self._ended = np.zeros(num_envs, dtype=np.bool_)
 
     def reset(
@@ -112,7 +105,7 @@ class RunnerEnvs(GFMWTGVectorEnv):
         if self._ended.any():
             # RLlib takes what a reset returns as the beginning of an episode, which may not be over already.
             observations, _ = self.reset(options={"reset_mask": self._ended.copy()})
-        self._follow(range(self.num_envs))
+        self.gains.follow(range(self.num_envs))
         return observations, {}
 
     def step(
@@ -120,30 +113,17 @@ class RunnerEnvs(GFMWTGVectorEnv):
     ) -> tuple[npt.NDArray[np.float32], npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], dict[str, Any]]:
         """Step as the native one does, with other rewards and no info."""
         beginning = self._ended
-        # That of a lane which only begins its next episode is not used.
-        references = self._costs[np.arange(self.num_envs), np.minimum(self._n_steps, self.n_steps - 1)]
+        references = self.gains.reference_costs()
         observations, rewards, terminated, truncated, _ = super().step(actions)
-        gains = np.where(beginning, 0.0, (references + rewards) / self._units)
-        self._follow(np.flatnonzero(beginning).tolist())
+        # A lane that only begins its next episode gains nothing.
+        gains = np.where(beginning, 0.0, self.gains.of(references, rewards))
+        self.gains.follow(np.flatnonzero(beginning).tolist())
         self._ended = terminated | truncated
         return observations, np.clip(gains / self._reward_scale, -_CLIP, _CLIP), terminated, truncated, {}
 
-    def _follow(self, lanes: Iterable[int]) -> None:
-        """Let the reference play the scenarios that lanes play now."""
-        zero = np.zeros((1, self.lanes.n_action))
-        for lane in lanes:
-            self._reference.start([0], self.lanes.scenarios([int(self.lanes.scenario_seeds[lane])]))
-            self._costs[lane] = 0.0
-            for step in range(self.n_steps):
-                self._reference.step(zero)
-                self._costs[lane, step] = -self._reference.rewards[0]
-                if self._reference.outputs.terminated[0]:
-                    break
-            self._units[lane] = (self._costs[lane].sum() + COST_OFFSET) / 100.0
-
     def close_extras(self, **kwargs: Any) -> None:
         """Release the worker threads."""
-        self._reference.simulator.close()
+        self.gains.close()
         super().close_extras(**kwargs)
 
 

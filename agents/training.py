@@ -6,6 +6,7 @@ import functools
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -85,7 +86,8 @@ class _Supervision(BaseCallback):
             self._save(self._folder)
         if model.num_timesteps != self._restored_at and getattr(model, "use_sde", False):
             # A learner draws the noise of its next rollout before it calls us, and once more after a resumption.
-            model.policy.reset_noise(model.n_envs)
+            policy: Any = model.policy
+            policy.reset_noise(model.n_envs)
         if self._on_score is not None:
             self._on_score(model.num_timesteps, row["score"])
 

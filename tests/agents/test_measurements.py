@@ -14,8 +14,8 @@ from agents.vec_env import GainVecEnv, StaggeredVecEnv
 from wtg_gym import ENV_ID
 from wtg_gym.envs import GFMWTGVectorEnv
 from wtg_gym.envs.task import COST_TERMS
-from wtg_gym.scenarios import get_suite
 from wtg_gym.sb3 import SB3VecEnv
+from wtg_gym.scenarios import get_suite
 
 N = 3
 COSTS = [f"cost_{term}" for term in COST_TERMS]

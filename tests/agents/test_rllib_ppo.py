@@ -60,7 +60,7 @@ def test_reward_is_the_gain_over_the_reference_in_the_same_scenario() -> None:
         while env._n_steps[lane] != 0:
             env.step(zeros(env))
         seed, gained = int(env.lanes.scenario_seeds[lane]), 0.0
-        for _ in range(env.n_steps):
+        for _ in range(env.gains.n_steps):
             _, rewards, *_ = env.step(zeros(env) + 0.5)
             gained += rewards[lane]
         costs = []
