@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ import numpy as np
 from agents.command import run_command
 from agents.foresight import Search, find_oracle, read_gains
 from agents.linear import make_linear_feedback
+from agents.simple_policies import simple_policies
 from wtg_gym.cli.output import check_output_folder, note, print_json, print_table
 from wtg_gym.cli.parser import Parser
 from wtg_gym.envs.settings import ACTION_MODES
@@ -23,6 +26,7 @@ How much better than the reference can anything be? Policies found by search, wi
 
 linear     tunes one linear feedback of a group's own observation on training scenarios, judges it on the validation
            scenarios, and writes it as an entry of the leaderboard: what a simple learner must beat
+simple     plays constant actions and actions that jump with the sign of one observation: none may gain much
 foresight  searches every scenario on its own, knowing all of it; the cheapest that is found is the oracle's cost"""
 _LINEAR = """\
 Tunes a = clip(G o + b) of a group's own observation o, the same G and b in every group, on training scenarios. Writes
@@ -51,6 +55,12 @@ examples:
       --entries agents/policies/* --output wtg_gym/evaluation/oracle_costs"""
 
 
+_SIMPLE = """\
+Plays policies without any thought: a grid of constant actions, and actions that jump with the sign of one observation
+around its quartiles under the reference, between the limits (bang-bang) or by a part of that (relay). Neither constants
+nor bang-bang may beat the reference by much, else the benchmark would reward a mere change of settings."""
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(prog="python -m agents.oracle", description=_DESCRIPTION)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
@@ -61,6 +71,13 @@ def _parser() -> argparse.ArgumentParser:
     linear.add_argument("--authors", nargs="+", default=[], metavar="NAME", help="who tuned it")
     linear.add_argument("--scenarios", type=int, default=64, metavar="N", help="training scenarios (default: 64)")
     _add_shared_options(linear)
+    simple = commands.add_parser("simple", help="play constant and bang-bang actions", description=_SIMPLE)
+    simple.set_defaults(run=_simple)
+    simple.add_argument("--suite", metavar="NAME", default="standard", help="(default: standard)")
+    simple.add_argument("--split", choices=("validation", "test"), default="validation", help="(default: validation)")
+    simple.add_argument("--scenarios", type=int, metavar="N", help="the first N of the split (default: all)")
+    simple.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
+    simple.add_argument("--json", action="store_true", help="print JSON, and nothing else, on stdout")
     foresight = commands.add_parser(
         "foresight", help="search every scenario", description=_FORESIGHT, epilog=_FORESIGHT_EXAMPLES
     )
@@ -122,6 +139,27 @@ def _linear(given: argparse.Namespace) -> None:
     print_table(
         ("split", "scenarios", "reference's mean cost", "linear feedback's", "difference [%]"),
         [(split, str(n), f"{ref:.2f}", f"{cost:.2f}", _difference(cost, ref)) for split, n, ref, cost in rows],
+    )
+
+
+def _simple(given: argparse.Namespace) -> None:
+    reference, policies = simple_policies(given.suite, given.split, given.scenarios, given.threads)
+    if given.json:
+        print_json({"reference": reference, "policies": [asdict(policy) for policy in policies]})
+        return
+    shown = [
+        row for family in ("constant", "bang-bang", "relay") for row in [p for p in policies if p.family == family][:3]
+    ]
+    counts = Counter(policy.family for policy in policies)
+    print(
+        f"suite {given.suite}, {given.split}: mean cost of the reference {reference:.2f}; the best three of each kind\n"
+    )
+    print_table(
+        ("kind", "tried", "policy", "mean cost", "difference [%]"),
+        [
+            (p.family, str(counts[p.family]), p.description, f"{p.cost:.2f}", _difference(p.cost, reference))
+            for p in shown
+        ],
     )
 
 

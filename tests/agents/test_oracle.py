@@ -21,11 +21,13 @@ from agents.evolution import N_KNOTS, POPULATION, _Strategy, search_with_foresig
 from agents.linear import GAINS_FILE, linear_policy
 from agents.oracle import main
 from agents.rollouts import Rollouts, course, linear_feedback
+from agents.simple_policies import simple_policies
 from tests.cli.calls import ROOT
 from wtg_gym.envs.task import N_LOCAL
 from wtg_gym.evaluation import Entry, OnnxPolicy, evaluate, load_entries
 from wtg_gym.evaluation.oracle import OracleCosts
 from wtg_gym.evaluation.summary import pinned
+from wtg_gym.scenarios import get_suite
 
 SEEDS = [10_000, 10_001, 10_002]
 
@@ -271,3 +273,33 @@ def test_gains_that_do_not_fit_are_refused(capsys: pytest.CaptureFixture[str], t
     path.write_text(content, encoding="utf-8")
     said = _error_of(capsys, "foresight", *_QUICK, "--gains", str(path), "--output", str(tmp_path / "out"))
     assert str(path) in said
+
+
+def test_simple_policies_contain_the_reference_and_what_a_step_of_theirs_says() -> None:
+    reference, policies = simple_policies("standard", "validation", 2, n_threads=1)
+    costs = {(policy.family, policy.description): policy.cost for policy in policies}
+    # Quartiles of what hardly changes are alike when they are rounded.
+    assert len(policies) == 77 + 288
+    assert costs["constant", "k +0, tau +0"] == reference
+    found = [policy.cost for policy in policies]
+    assert found == sorted(found)
+
+    class Constant:
+        def predict(self, observation: Any, state: Any = None, *_: Any, **__: Any) -> tuple[Any, Any]:
+            return np.tile([0.5, -1.0], (len(observation), 2)), state
+
+    seeds = get_suite("standard").seeds("validation")[:2]
+    entry = Entry(name="constant", policy=Constant())
+    played = [
+        episode.metrics["cost"]
+        for episode in evaluate([entry], "standard", "validation", seeds=seeds).episodes_of("constant")
+    ]
+    assert costs["constant", "k +0.5, tau -1"] == pytest.approx(np.mean(played), rel=1e-12)
+
+
+def test_simple_policies_are_a_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["simple", "--scenarios", "1", "--threads", "1"]) == 0
+    printed = capsys.readouterr().out
+    assert all(text in printed for text in ("constant", "bang-bang", "relay", "sign("))
+    assert main(["simple", "--scenarios", "101"]) == 2
+    assert "outside the allowed range 1 … 100" in capsys.readouterr().err
