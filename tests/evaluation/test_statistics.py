@@ -95,10 +95,27 @@ def test_bootstrap_interval_covers_the_truth_as_often_as_it_says() -> None:
     assert 0.89 <= covered <= 0.99
 
 
-def test_bootstrap_is_stratified_by_training_seed() -> None:
-    # Each resample draws as often from either run: runs without spread leave none.
+def test_more_seeds_of_the_same_policy_tell_no_more() -> None:
+    one = np.random.default_rng(5).normal(size=(1, 60))
+    alone, together = statistics.mean_interval(one), statistics.mean_interval(np.repeat(one, 5, axis=0))
+    assert (together.low, together.high) == pytest.approx((alone.low, alone.high), rel=1e-12)
+
+
+def test_bootstrap_draws_seeds_too() -> None:
+    # Without any spread over scenarios, what is left is that of the seeds: either, or half of each.
     values = np.repeat([[0.0], [100.0]], 30, axis=1)
-    assert statistics.bootstrap(values, lambda samples: samples.mean(axis=-1)) == (50.0, 50.0)
+    assert statistics.bootstrap(values, lambda samples: samples.mean(axis=-1)) == (0.0, 100.0)
+
+
+def test_interval_of_several_seeds_covers_the_truth_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(6)
+    covered = []
+    for _ in range(200):
+        # As trained policies are: hard and easy scenarios for all of them, better and worse seeds, and the rest.
+        values = 20.0 * rng.normal(size=(1, 100)) + 3.0 * rng.normal(size=(5, 1)) + 2.0 * rng.normal(size=(5, 100))
+        interval = statistics.mean_interval(values)
+        covered.append(interval.low <= 0.0 <= interval.high)
+    assert 0.89 <= np.mean(covered) <= 0.99
 
 
 def test_bootstrap_gives_the_same_interval_again() -> None:

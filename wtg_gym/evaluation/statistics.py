@@ -124,19 +124,25 @@ def improvement(costs: Floats, reference: Floats) -> Floats:
 def bootstrap(values: Floats, statistic: Callable[[Floats], Floats]) -> tuple[float, float]:
     """Return the bounds of the percentile bootstrap interval.
 
-    Scenarios are drawn with replacement, separately within each run (stratified by training seed), and pooled.
+    Scenarios and training seeds are both drawn with replacement, and every drawn seed plays the same drawn scenarios,
+    as all seeds do in truth (A. B. Owen, "The pigeonhole bootstrap", 2007): what a hard scenario costs all seeds alike
+    does not average out over them. The score's Λ is taken as known.
 
     Args:
         values: (n_runs, n_scenarios).
         statistic: takes (n_resamples, n_runs · n_scenarios) to (n_resamples,).
     """
-    resampled = np.take_along_axis(values[np.newaxis], _resamples(*values.shape), axis=2)
-    return _bounds(statistic(resampled.reshape(N_RESAMPLES, values.size)))
+    return _bounds(statistic(_resampled(values).reshape(N_RESAMPLES, values.size)))
 
 
-def _resamples(n_runs: int, n: int) -> npt.NDArray[np.int64]:
-    """Scenarios of every resample and run, (N_RESAMPLES, n_runs, n)."""
-    return np.random.default_rng(BOOTSTRAP_SEED).integers(0, n, size=(N_RESAMPLES, n_runs, n))
+def _resampled(values: Floats) -> Floats:
+    """Return the values (n_runs, n_scenarios) of every resample, (N_RESAMPLES, n_runs, n_scenarios)."""
+    n_runs, n = values.shape
+    rng = np.random.default_rng(BOOTSTRAP_SEED)
+    scenarios = rng.integers(0, n, size=(N_RESAMPLES, 1, n))
+    runs = rng.integers(0, n_runs, size=(N_RESAMPLES, n_runs, 1))
+    resampled: Floats = values[runs, scenarios]
+    return resampled
 
 
 def _bounds(samples: Floats) -> tuple[float, float]:
@@ -171,9 +177,9 @@ def gap_closed(costs: Floats, reference: Floats, oracle: Floats) -> Interval | N
     gains, gaps = reference - costs, reference - oracle
     if not mean(gaps) > 0.0:
         return None
-    index = _resamples(*costs.shape)
-    gained = np.take_along_axis(gains[np.newaxis], index, axis=2).sum(axis=(1, 2))
-    gap = gaps[index].sum(axis=(1, 2))
+    gained = _resampled(gains).sum(axis=(1, 2))
+    # The same draws, for as many runs.
+    gap = _resampled(np.broadcast_to(gaps, costs.shape)).sum(axis=(1, 2))
     return Interval(100.0 * mean(gains) / mean(gaps), *_bounds(100.0 * gained[gap > 0.0] / gap[gap > 0.0]))
 
 
