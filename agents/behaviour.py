@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from agents.command import run_command
 from agents.curves import curves_by_setup, read_csv, read_runs, to_csv
-from agents.sensitivity import sensitivities, sensitivity_csv, sensitivity_tables
+from agents.slopes import policy_slopes, slopes_csv, slopes_tables
 from wtg_gym.cli.output import (
     FIGURE_FORMATS,
     check_output_folder,
@@ -35,9 +35,9 @@ from wtg_gym.scenarios import SUITES, get_suite
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-CURVES_FILE, SENSITIVITY_FILE = "learning_curves.csv", "sensitivity.csv"
+CURVES_FILE, SLOPES_FILE = "learning_curves.csv", "slopes.csv"
 #: Sections of the page: those that entries fill, and that of the learning curves.
-ENTRY_SECTIONS, CURVE_SECTION = ("responses", "runs", "costs", "sensitivity"), "learning-curves"
+ENTRY_SECTIONS, CURVE_SECTION = ("responses", "runs", "costs", "slopes"), "learning-curves"
 _DEFAULT_SCENARIOS = 50
 
 _DESCRIPTION = f"""\
@@ -46,7 +46,7 @@ Plays entries and the reference through scenarios of a suite and writes, as figu
   responses-NAME            k and τ in use over what the policy sees, beside the reference's
   run-NAME-SCENARIO         the paper's cases and a scenario of the suite over time, beside the reference
   costs                     what an episode costs, term by term
-  {SENSITIVITY_FILE}           how k and τ depend on each observation, by linear regression
+  {SLOPES_FILE}                how k and τ depend on each observation, by linear regression
   learning-curves           validation score against steps and wall time, and {CURVES_FILE}, which
                             draws them again when no runs are given
 
@@ -89,7 +89,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--output", required=True, metavar="FOLDER", help="folder to write to")
     parser.add_argument("--page", metavar="FILE", help="Markdown file whose sections are renewed")
     parser.add_argument("--suite", choices=tuple(SUITES), default="standard", help="default: standard")
-    parser.add_argument("--split", choices=("train", "validation", "test"), default="validation", help="its scenarios")
+    parser.add_argument("--split", choices=("train", "validation", "test"), default="test", help="its scenarios")
     parser.add_argument("--scenarios", type=int, metavar="N", help="the first N of the split (default: 50, or all)")
     parser.add_argument("--show", type=int, metavar="SEED", help="which of them to draw over time (default: the first)")
     parser.add_argument("--formats", nargs="+", choices=FIGURE_FORMATS, default=["svg"], help="default: svg")
@@ -117,11 +117,11 @@ def _behaviour(given: argparse.Namespace) -> None:
         played, cases = _play(entries, given.suite, given.split, seeds), _play(entries, "paper", "test", [0, 1])
         pictures += _pictures(entries, played, cases, given)
         learned = dict.fromkeys(entry.name for entry in entries if entry.policy is not None)
-        found = {name: sensitivities(pooled(played.recordings[name])) for name in learned}
+        found = {name: policy_slopes(pooled(played.recordings[name])) for name in learned}
         # A policy that never acts has nothing to be explained.
         found = {name: actions for name, actions in found.items() if actions}
-        write_and_say(folder / SENSITIVITY_FILE, sensitivity_csv(found))
-        texts["sensitivity"] = sensitivity_tables(found)
+        write_and_say(folder / SLOPES_FILE, slopes_csv(found))
+        texts["slopes"] = slopes_tables(found)
     if validations:
         from wtg_gym.plotting import plot_learning_curves
 
@@ -247,7 +247,7 @@ def _galleries(
             if picture.section == section
         )
         for section in sections
-        if section != "sensitivity"
+        if section != "slopes"
     }
 
 

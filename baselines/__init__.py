@@ -1,4 +1,5 @@
-"""The conventional strategies, one small module each, in the order in which the paper leads from one to the next.
+"""The conventional strategies, one small module each, in the order in which the paper leads from one to the next, and a
+feedback made by hand.
 
 Every module holds an `ENTRY`; `wtg_gym.evaluation.load_entries("baselines")` finds them. A strategy is a tracking law
 P_st = k ω_m³ + D_p x with k = g(ω), see :mod:`wtg_gym.physics.tracking_law`; zero action leaves it as it is.
@@ -13,6 +14,7 @@ ORDER = (
     "coordinated_linear",
     "coordinated_piecewise",
     "coordinated_undamped",
+    "tip_speed_feedback",
 )
 #: The source of the coordinated laws.
 COORDINATED_SOURCE = (

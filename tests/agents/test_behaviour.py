@@ -15,7 +15,7 @@ from onnx import TensorProto, helper, numpy_helper
 from agents.behaviour import CURVE_SECTION, ENTRY_SECTIONS, main
 from agents.curves import curves_by_setup, read_csv, read_runs, to_csv
 from agents.runs import Run, RunSettings
-from agents.sensitivity import sensitivities
+from agents.slopes import policy_slopes
 from wtg_gym.envs import EnvSettings, GFMWTGEnv
 from wtg_gym.evaluation import load_entries
 from wtg_gym.evaluation.recording import record
@@ -68,10 +68,10 @@ def digests(folder: Path) -> dict[str, str]:
     return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(folder.iterdir())}
 
 
-def test_sensitivity_finds_what_a_linear_policy_does(tmp_path: Path) -> None:
+def test_slopes_find_what_a_linear_policy_does(tmp_path: Path) -> None:
     (entry,) = load_entries(entry_folder(tmp_path / "entry"))
     scenarios = get_suite("standard").scenarios(range(10_000, 10_004), duration_s=30.0)
-    found = sensitivities(record(entry, EnvSettings(duration_s=30.0), scenarios))
+    found = policy_slopes(record(entry, EnvSettings(duration_s=30.0), scenarios))
     law = coordinated_piecewise()
     full = 0.5 * (law.k_min - law.k_max) / law.k_min
     k, tau = found["k"], found["tau"]
@@ -89,9 +89,9 @@ def test_sensitivity_finds_what_a_linear_policy_does(tmp_path: Path) -> None:
         assert result.with_others == pytest.approx(1.0, abs=1e-6) and result.each_group == pytest.approx(1.0, abs=1e-6)
 
 
-def test_law_without_actions_has_no_sensitivity() -> None:
+def test_law_without_actions_has_no_slopes_of() -> None:
     (reference,) = load_entries("coordinated-piecewise")
-    assert sensitivities(record(reference, EnvSettings(suite="paper"), get_suite("paper").scenarios([0]))) == {}
+    assert policy_slopes(record(reference, EnvSettings(suite="paper"), get_suite("paper").scenarios([0]))) == {}
 
 
 def test_everything_is_written_small_and_the_same_each_time(tmp_path: Path) -> None:
@@ -108,7 +108,7 @@ def test_everything_is_written_small_and_the_same_each_time(tmp_path: Path) -> N
         "costs.svg",
         "learning-curves.svg",
         "learning_curves.csv",
-        "sensitivity.csv",
+        "slopes.csv",
         "responses-linear.svg",
         *(f"run-linear-{where}.svg" for where in ("paper-load-increase", "paper-load-decrease", "standard-10001")),
     }
@@ -117,7 +117,7 @@ def test_everything_is_written_small_and_the_same_each_time(tmp_path: Path) -> N
     assert {Path(link).name for link in shown} == {name for name in written[0] if name.endswith(".svg")}
     assert all((tmp_path / link).is_file() for link in shown)
     assert "2 training seeds" in text.read_text() and "| wind | 1 m/s | +0.0139 |" in text.read_text()
-    rows = list(csv.DictReader((tmp_path / "one" / "sensitivity.csv").open()))
+    rows = list(csv.DictReader((tmp_path / "one" / "slopes.csv").open()))
     assert {row["entry"] for row in rows} == {"linear"} and {row["action"] for row in rows} == {"k", "tau"}
 
 
@@ -148,7 +148,7 @@ def test_curves_survive_their_file_and_are_sorted_by_set_up_and_seed(tmp_path: P
         ([], "nothing to draw: give --entries or --runs"),
         (["--entries", "no-such"], "unknown entry 'no-such'"),
         (["--entries", "ENTRY", "ENTRY"], "given more than once"),
-        (["--entries", "ENTRY", "--scenarios", "0"], "--scenarios must be 1 … 100 for standard/validation, got 0"),
+        (["--entries", "ENTRY", "--scenarios", "0"], "--scenarios must be 1 … 200 for standard/test, got 0"),
         (["--entries", "ENTRY", "--show", "7"], "--show must be one of the seeds played, 10000 … 10049, got 7"),
         (["--entries", "ENTRY", "--formats", "gif"], "invalid choice: 'gif'"),
         (["--entries", "ENTRY", "--page", "no.md"], "--page: cannot read"),

@@ -5,10 +5,13 @@ from __future__ import annotations
 import importlib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import baselines
+from baselines.tip_speed_feedback import TipSpeedFeedback
 from wtg_gym.evaluation import evaluate, leaderboard_rows, load_entries
+from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.tracking_law import STRATEGIES, tracking_coefficient
 
 FOLDER = Path(baselines.__file__).parent
@@ -17,8 +20,10 @@ FOLDER = Path(baselines.__file__).parent
 def test_entries_are_the_built_in_strategies_in_the_order_of_the_package() -> None:
     entries = load_entries("baselines")
     assert [entry.name for entry in entries] == [name.replace("_", "-") for name in baselines.ORDER]
-    assert {entry.name: entry.law for entry in entries} == STRATEGIES
-    assert all(entry.kind == "law" for entry in entries)
+    assert {entry.name: entry.law for entry in entries if entry.kind == "law"} == STRATEGIES
+    assert [(entry.name, entry.kind) for entry in entries if entry.kind != "law"] == [
+        ("tip-speed-feedback", "feedback")
+    ]
 
 
 @pytest.mark.parametrize("name", baselines.ORDER)
@@ -28,7 +33,8 @@ def test_module_gives_equation_and_source(name: str) -> None:
     entry = module.ENTRY
     assert (entry.description and entry.equation in module.__doc__.replace("\n", " ")) or "P_st" in entry.equation
     assert "Chen" in entry.source
-    assert len((FOLDER / f"{name}.py").read_text(encoding="utf-8").split("\n")) < 40
+    limit = 40 if entry.kind == "law" else 80
+    assert len((FOLDER / f"{name}.py").read_text(encoding="utf-8").split("\n")) < limit
 
 
 def test_order_names_every_module() -> None:
@@ -49,3 +55,29 @@ def test_example_law_can_be_evaluated() -> None:
     assert nominal["deloaded-10"] < entry.law.k_nominal < nominal["deloaded-5"]
     results = evaluate([entry], "standard", seeds=range(20_000, 20_004), duration_s=10.0)
     assert {row.name for row in leaderboard_rows(results)} == {"reserve-7", "mppt", "coordinated-piecewise"}
+
+
+def test_feedback_rests_where_the_turbine_captures_what_is_asked() -> None:
+    policy = TipSpeedFeedback(gain=1.0)
+    best, limit = tracking_point(0.0).tip_speed_ratio, tracking_point(0.1).tip_speed_ratio
+    for deviation_hz, deloading in ((-0.4, 0.0), (0.0, 0.05), (0.4, 0.1), (-0.2, 0.025), (-1.0, 0.0)):
+        observation = np.zeros((1, 18))
+        for group in (0, 9):
+            ratio = tracking_point(deloading).tip_speed_ratio
+            observation[0, group] = deviation_hz / 0.5
+            observation[0, group + 2] = (ratio - best) / (limit - best)
+        action, _ = policy.predict(observation)
+        assert np.abs(action).max() < 1e-3
+        # A rotor that is too fast gives more power.
+        observation[0, [2, 11]] += 0.1
+        assert policy.predict(observation)[0] == pytest.approx(np.full((1, 2), 0.1), abs=1e-3)
+
+
+def test_feedback_pays_less_for_duty_than_the_law() -> None:
+    entry = importlib.import_module("baselines.tip_speed_feedback").ENTRY
+    results = evaluate([entry], "standard", "validation", seeds=range(10_000, 10_020))
+    duty = {
+        name: np.mean([episode.metrics["cost_duty"] for episode in results.episodes_of(name)])
+        for name in ("coordinated-piecewise", "tip-speed-feedback")
+    }
+    assert duty["tip-speed-feedback"] < 0.7 * duty["coordinated-piecewise"]

@@ -60,7 +60,7 @@ _DESCRIPTION: dict[str, tuple[Callable[[Any], bool], str]] = {
 _ENTRY: dict[str, tuple[Callable[[Any], bool], str]] = {
     **{key: (_is_text, "text") for key in ("name", "action_mode", "observation_mode")},
     **{key: (_is_text, "text") for key in ("description", "equation", "source")},
-    "kind": (lambda v: v in ("law", "learned"), "law or learned"),
+    "kind": (lambda v: v in ("law", "feedback", "learned"), "law, feedback or learned"),
     "training_seed": (lambda v: v is None or _is_seed(v), "null or a whole number from 0 on"),
     "sha256": (lambda v: v is None or _is_hash(v), "null or 64 hexadecimal digits"),
     "strategy": (_is_object, "an object"),

@@ -54,6 +54,7 @@ class Entry:
         fingerprint: text that identifies the policy's content, such as its file's sha256; None: unknown, so that an
             interrupted evaluation starts this entry again. A law needs none: its numbers identify it.
         training_seed: seed the policy was trained with; entries of one name and several seeds share a table row.
+        learned: False for a policy that was made by hand.
 
     Raises:
         ValueError: a value is unknown or of the wrong type; the message says what is allowed.
@@ -69,6 +70,7 @@ class Entry:
     source: str = ""
     fingerprint: str | None = None
     training_seed: int | None = None
+    learned: bool = True
     law: TrackingLaw = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -90,14 +92,16 @@ class Entry:
             value = getattr(self, key)
             if not isinstance(value, str) and not (key == "fingerprint" and value is None):
                 raise ValueError(f"{key} of entry {name!r} must be text, got {value!r}")
+        if not isinstance(self.learned, bool):
+            raise ValueError(f"learned of entry {name!r} must be True or False, got {self.learned!r}")
         seed = self.training_seed
         if seed is not None and (isinstance(seed, bool) or not isinstance(seed, int) or seed < 0):
             raise ValueError(f"training_seed of entry {name!r} must be a whole number from 0 on, got {seed!r}")
 
     @property
     def kind(self) -> str:
-        """Return "law" for a strategy as it is, "learned" where a policy modulates it."""
-        return "law" if self.policy is None else "learned"
+        """Return "law" for a strategy as it is; where a policy modulates it, "learned", or "feedback" made by hand."""
+        return "law" if self.policy is None else "learned" if self.learned else "feedback"
 
     @property
     def label(self) -> str:

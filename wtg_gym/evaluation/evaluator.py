@@ -15,7 +15,7 @@ import numpy.typing as npt
 from wtg_gym import __version__
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.envs.task import TaskRow
+from wtg_gym.envs.task import COEFFICIENT_AUTHORITY, TIME_CONSTANT_RATIO, TaskRow
 from wtg_gym.evaluation.entries import ANCHORS, Entry
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.metrics import Recorder, measure
@@ -149,6 +149,7 @@ def _shared_settings(settings: EnvSettings) -> dict[str, Any]:
         "simulation_dt": float(settings.simulation_dt),
         "weights": {key: float(value) for key, value in dataclasses.asdict(settings.cost_weights()).items()},
         "groups": [{"bus": int(group.bus), "n_turbines": float(group.n_turbines)} for group in settings.wtg_groups()],
+        "authority": {"k": COEFFICIENT_AUTHORITY, "tau": TIME_CONSTANT_RATIO},
         "machine_model": settings.machine_model,
         "on_failure": settings.on_failure,
     }

@@ -24,7 +24,7 @@ class EntrySummary:
 
     Args:
         name: name of the entry.
-        kind: "law" or "learned".
+        kind: "law", "feedback" or "learned".
         n_runs: number of training seeds, 1 for a law.
         n_episodes: number of episodes.
         score: mean of the scenarios' scores: 0 is MPPT, 100 the reference.

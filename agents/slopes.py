@@ -46,7 +46,7 @@ class Slope:
 
 
 @dataclass(frozen=True)
-class Sensitivity:
+class Slopes:
     """How one action depends on what the policy sees.
 
     Args:
@@ -68,8 +68,8 @@ class Sensitivity:
     each_group: float
 
 
-def sensitivities(recording: Recording) -> dict[str, Sensitivity]:
-    """Return the sensitivity of every action that the policy modulates, by its name in :data:`ACTIONS`."""
+def policy_slopes(recording: Recording) -> dict[str, Slopes]:
+    """Return the slopes of every action that the policy modulates, by its name in :data:`ACTIONS`."""
     decided = {
         "k": recording.offset_pu / tracking_point(0.0).coefficient,
         "tau": np.log2(recording.time_constant_s / recording.time_constant_s[:, :1]),
@@ -77,13 +77,13 @@ def sensitivities(recording: Recording) -> dict[str, Sensitivity]:
     # A step's action follows the state before it.
     actions = {name: values[:, 1:] for name, values in decided.items()}
     return {
-        name: _sensitivity(recording, values)
+        name: _slopes_of(recording, values)
         for name, values in actions.items()
         if np.isfinite(values).any() and np.nanstd(values) > 1e-9
     }
 
 
-def _sensitivity(recording: Recording, action: Floats) -> Sensitivity:
+def _slopes_of(recording: Recording, action: Floats) -> Slopes:
     own = [_quantities(recording, group) for group in range(recording.n_wtg)]
     seen = [_observations(recording, group) for group in range(recording.n_wtg)]
     rows = [np.isfinite(action[:, :, group]) for group in range(recording.n_wtg)]
@@ -98,7 +98,7 @@ def _sensitivity(recording: Recording, action: Floats) -> Sensitivity:
         float(each.var()) * each.size * (1.0 - _explained(values, each)) for values, each in zip(x, y, strict=True)
     )
     slopes = _slopes(all_x, all_y)
-    return Sensitivity(
+    return Slopes(
         mean=float(all_y.mean()),
         deviation=float(all_y.std()),
         alone=tuple(
@@ -179,7 +179,7 @@ def _shares(x: Floats, y: Floats) -> Floats:
     return own
 
 
-def sensitivity_tables(found: Mapping[str, Mapping[str, Sensitivity]]) -> str:
+def slopes_tables(found: Mapping[str, Mapping[str, Slopes]]) -> str:
     """Return two Markdown tables for every entry, with what they are; `found` by entry and action."""
     parts = []
     for name, actions in found.items():
@@ -231,7 +231,7 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.1f}"
 
 
-def sensitivity_csv(found: Mapping[str, Mapping[str, Sensitivity]]) -> str:
+def slopes_csv(found: Mapping[str, Mapping[str, Slopes]]) -> str:
     """Return all slopes as CSV: that of k in K_opt per unit, that of τ in doublings per unit; `found` as above."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -245,4 +245,4 @@ def sensitivity_csv(found: Mapping[str, Mapping[str, Sensitivity]]) -> str:
     return text.getvalue()
 
 
-__all__ = ["ACTIONS", "Sensitivity", "Slope", "sensitivities", "sensitivity_csv", "sensitivity_tables"]
+__all__ = ["ACTIONS", "Slope", "Slopes", "policy_slopes", "slopes_csv", "slopes_tables"]

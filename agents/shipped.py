@@ -1,0 +1,116 @@
+"""`python -m agents.shipped`: trains and exports the policies of `agents/policies` again."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+
+from agents.command import run_command
+from agents.runs import RUN_FILE
+from wtg_gym.cli.output import Progress, note
+from wtg_gym.cli.parser import Parser
+
+#: Training seeds of each of them.
+SEEDS = range(5)
+_AUTHORS = "The wtg_gym authors"
+
+_DESCRIPTION = """\
+Trains the policies of agents/policies, five seeds each, and exports them. A run that is there already goes on from its
+last checkpoint, or is exported at once. What each run says goes to a file train.log in its folder's parent."""
+_EXAMPLES = """\
+examples:
+  python -m agents.shipped --only ppo-k+tau-0         the first PPO alone
+  python -m agents.shipped --jobs 2                   all of them, two at a time"""
+
+
+@dataclass(frozen=True)
+class Shipped:
+    """A set-up that is ranked: the name of its folders and of its row, and the options of its training."""
+
+    key: str
+    name: str
+    description: str
+    options: tuple[str, ...]
+
+
+SHIPPED = (
+    Shipped("ppo-k+tau", "PPO (k, τ)", "PPO that modulates k and τ.", ("--algo", "ppo", "--action-mode", "k+tau")),
+    Shipped("ppo-k", "PPO (k)", "PPO that modulates k alone.", ("--algo", "ppo", "--action-mode", "k")),
+    Shipped(
+        "ppo-tau",
+        "PPO (τ)",
+        "PPO that modulates τ alone.",
+        ("--algo", "ppo", "--action-mode", "tau", "--config", "agents/configs/ppo_tau.yml"),
+    ),
+    Shipped("sac-k+tau", "SAC (k, τ)", "SAC that modulates k and τ.", ("--algo", "sac", "--action-mode", "k+tau")),
+)
+
+
+def _names() -> dict[str, tuple[Shipped, int]]:
+    return {f"{shipped.key}-{seed}": (shipped, seed) for seed in SEEDS for shipped in SHIPPED}
+
+
+def _make(name: str, runs: Path, policies: Path) -> None:
+    """Train a policy and export it.
+
+    Raises:
+        ValueError: one of the two commands failed; the message names the file with its last words.
+    """
+    shipped, seed = _names()[name]
+    run = runs / name
+    exists = (run / RUN_FILE).is_file()
+    train = ["--resume", str(run)] if exists else [*shipped.options, "--seed", str(seed), "--output", str(run)]
+    described = ["--name", shipped.name, "--description", shipped.description, "--authors", _AUTHORS]
+    commands = (
+        ["agents.train", *train],
+        ["agents.export", str(run), "--output", str(policies / name), *described],
+    )
+    log = runs / f"{name}.log"
+    # Several trainings at a time on one thread each are faster than one after another on all of them.
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    with log.open("a", encoding="utf-8") as stream:
+        for command in commands:
+            if subprocess.run(
+                [sys.executable, "-m", *command], stdout=stream, stderr=stream, env=environment
+            ).returncode:
+                raise ValueError(f"{' '.join(command)} failed; its last words are in {log}")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    parser = Parser(prog="python -m agents.shipped", description=_DESCRIPTION, epilog=_EXAMPLES)
+    parser.add_argument("--only", nargs="+", metavar="NAME", help=f"of {', '.join(_names())} (default: all)")
+    parser.add_argument("--jobs", type=int, default=1, metavar="N", help="trainings at a time, 1 … 64 (default: 1)")
+    parser.add_argument("--runs", default="runs", metavar="FOLDER", help="of the runs (default: runs)")
+    parser.add_argument(
+        "--policies", default="agents/policies", metavar="FOLDER", help="of the exports (default: agents/policies)"
+    )
+    return run_command(lambda: _shipped(parser.parse_args(argv)), "the same command goes on")
+
+
+def _shipped(given: argparse.Namespace) -> None:
+    chosen = list(dict.fromkeys(given.only or _names()))
+    unknown = [name for name in chosen if name not in _names()]
+    if unknown:
+        raise ValueError(f"--only: unknown {', '.join(unknown)}; known: {', '.join(_names())}")
+    if not 1 <= given.jobs <= 64:
+        raise ValueError(f"--jobs = {given.jobs} is outside the allowed range 1 … 64")
+    runs, policies = Path(given.runs), Path(given.policies)
+    runs.mkdir(parents=True, exist_ok=True)
+    with Progress("policies") as progress, ThreadPoolExecutor(given.jobs) as pool:
+        progress.update("training", 0, len(chosen))
+        made = {pool.submit(_make, name, runs, policies): name for name in chosen}
+        for done, future in enumerate(as_completed(made), start=1):
+            future.result()
+            progress.update(f"made {made[future]}", done, len(chosen))
+    note(f"wrote {len(chosen)} policies to {policies}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
