@@ -22,7 +22,7 @@ _AUTHORS = "The wtg_gym authors"
 
 _DESCRIPTION = """\
 Trains the policies of agents/policies, five seeds each, and exports them. A run that is there already goes on from its
-last checkpoint, or is exported at once. What each run says goes to a file train.log in its folder's parent."""
+last checkpoint, or is exported at once. What a run says goes to the file NAME.log beside its folder."""
 _EXAMPLES = """\
 examples:
   python -m agents.shipped --only ppo-k+tau-0         the first PPO alone
@@ -52,7 +52,8 @@ SHIPPED = (
 )
 
 
-def _names() -> dict[str, tuple[Shipped, int]]:
+def names() -> dict[str, tuple[Shipped, int]]:
+    """Return set-up and training seed of every policy by the name of its folder."""
     return {f"{shipped.key}-{seed}": (shipped, seed) for seed in SEEDS for shipped in SHIPPED}
 
 
@@ -62,7 +63,7 @@ def _make(name: str, runs: Path, policies: Path) -> None:
     Raises:
         ValueError: one of the two commands failed; the message names the file with its last words.
     """
-    shipped, seed = _names()[name]
+    shipped, seed = names()[name]
     run = runs / name
     exists = (run / RUN_FILE).is_file()
     train = ["--resume", str(run)] if exists else [*shipped.options, "--seed", str(seed), "--output", str(run)]
@@ -85,7 +86,7 @@ def _make(name: str, runs: Path, policies: Path) -> None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     parser = Parser(prog="python -m agents.shipped", description=_DESCRIPTION, epilog=_EXAMPLES)
-    parser.add_argument("--only", nargs="+", metavar="NAME", help=f"of {', '.join(_names())} (default: all)")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help=f"of {', '.join(names())} (default: all)")
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="trainings at a time, 1 … 64 (default: 1)")
     parser.add_argument("--runs", default="runs", metavar="FOLDER", help="of the runs (default: runs)")
     parser.add_argument(
@@ -95,10 +96,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _shipped(given: argparse.Namespace) -> None:
-    chosen = list(dict.fromkeys(given.only or _names()))
-    unknown = [name for name in chosen if name not in _names()]
+    chosen = list(dict.fromkeys(given.only or names()))
+    unknown = [name for name in chosen if name not in names()]
     if unknown:
-        raise ValueError(f"--only: unknown {', '.join(unknown)}; known: {', '.join(_names())}")
+        raise ValueError(f"--only: unknown {', '.join(unknown)}; known: {', '.join(names())}")
     if not 1 <= given.jobs <= 64:
         raise ValueError(f"--jobs = {given.jobs} is outside the allowed range 1 … 64")
     runs, policies = Path(given.runs), Path(given.policies)

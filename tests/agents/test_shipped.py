@@ -1,0 +1,49 @@
+"""The command that makes the shipped policies: what it ships, and that it goes on where it stopped."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from agents import shipped
+from agents.runs import Run
+from tests.agents.small import options
+from wtg_gym.evaluation import load_entries
+
+POLICIES = Path(shipped.__file__).parent / "policies"
+
+
+def test_every_shipped_policy_is_there_and_comes_from_the_command() -> None:
+    for name, (setup, seed) in shipped.names().items():
+        (entry,) = load_entries(POLICIES / name)
+        assert (entry.name, entry.training_seed, entry.kind) == (setup.name, seed, "learned")
+        card = (POLICIES / name / "README.md").read_text(encoding="utf-8")
+        command = " ".join(["agents.train", *setup.options[:4], "--seed", str(seed)])
+        assert command in re.sub(r" --config \S+", "", card), command
+
+
+def test_command_trains_exports_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tiny = shipped.Shipped("tiny", "Tiny", "A test.", tuple(options(tmp_path, "ppo")))
+    monkeypatch.setattr(shipped, "SHIPPED", (tiny,))
+    monkeypatch.setattr(shipped, "SEEDS", range(2))
+    folders = ["--runs", str(tmp_path / "runs"), "--policies", str(tmp_path / "policies")]
+    assert shipped.main(["--only", "tiny-1", *folders]) == 0
+    first = (tmp_path / "policies" / "tiny-1" / "policy.onnx").read_bytes()
+    assert shipped.main(["--jobs", "2", *folders]) == 0
+    assert (tmp_path / "policies" / "tiny-1" / "policy.onnx").read_bytes() == first
+    assert [load_entries(tmp_path / "policies" / f"tiny-{seed}")[0].training_seed for seed in range(2)] == [0, 1]
+    assert Run.read(tmp_path / "runs" / "tiny-1").finished
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["--only", "ppo-9"], "unknown ppo-9; known: ppo-k+tau-0"),
+        (["--jobs", "0"], "--jobs = 0 is outside the allowed range 1 … 64"),
+    ],
+)
+def test_bad_options_are_refused(arguments: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert shipped.main(arguments) == 2
+    assert text in capsys.readouterr().err
