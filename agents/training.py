@@ -110,12 +110,19 @@ class _Supervision(BaseCallback):
         self._progress.update(name, (self.num_timesteps - self._first) / 1000, round(total / 1000))
 
 
+def _use_one_thread() -> None:
+    # Sums over several threads depend on which of them ends first, those that draw the first weights among them, and
+    # networks this small gain nothing from them.
+    torch.set_num_threads(1)
+
+
 def start(run: Run) -> tuple[BaseAlgorithm, EpisodeMetrics]:
     """Return a new run's learner and measurements.
 
     Raises:
         ValueError: a hyperparameter is unknown or out of range.
     """
+    _use_one_thread()
     settings = run.settings
     hyperparameters = parse(settings.algo, settings.hyperparameters)
     env: VecEnv = VecMonitor(GainVecEnv(settings.n_envs, **settings.env_arguments))
@@ -127,6 +134,7 @@ def start(run: Run) -> tuple[BaseAlgorithm, EpisodeMetrics]:
 
 def resume(run: Run, folder: Path) -> tuple[BaseAlgorithm, EpisodeMetrics]:
     """Return a run's learner and measurements as its last checkpoint has them; anew if it has none yet."""
+    _use_one_thread()
     run.resumed += 1
     checkpoints = folders(folder / CHECKPOINTS)
     if not checkpoints:
@@ -150,8 +158,6 @@ def train(
         folder: where checkpoints, the best policy, TensorBoard's files and run.json go; None to write nothing.
         on_score: called with (timesteps, score) after every validation; an exception that it raises ends the run.
     """
-    # Sums over several threads depend on which of them ends first, and networks this small gain nothing from them.
-    torch.set_num_threads(1)
     outputs = (None, []) if folder is None else (str(folder / _TENSORBOARD), ["tensorboard"])
     model.set_logger(configure(*outputs))
     env = model.get_env()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import signal
@@ -20,13 +21,15 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from agents.checkpoints import load_policy
 from agents.export import export, largest_difference
 from agents.hyperparameters import ALGORITHMS
-from agents.runs import Run, folders, save_folder
+from agents.runs import Run, RunSettings, folders, save_folder
 from agents.train import main
 from agents.training import start, train
-from tests.agents.small import config_file, options, trained
+from tests.agents.small import CONFIGS, config_file, options, trained
 from wtg_gym.evaluation import evaluate, load_entries
 
 ROOT = Path(__file__).resolve().parents[2]
+#: Large enough for torch to use several threads where it may.
+WIDE = {**CONFIGS["ppo"], "policy_kwargs": "dict(net_arch=[64, 64])"}
 
 
 def kill_after_the_second_checkpoint(arguments: list[str], folder: Path) -> None:
@@ -107,6 +110,29 @@ def test_kill_between_two_files_is_mended(missing: str, tmp_path: Path) -> None:
     scores = [[(row["timesteps"], row["score"]) for row in run.curve] for run in (complete, Run.read(folder))]
     assert scores[0] == scores[1]
     assert [int(path.name) for path in folders(folder / "best")] == [complete.best["timesteps"]]
+
+
+_FIRST_WEIGHTS = """
+import hashlib, sys
+from agents.runs import Run
+from agents.training import start
+from pathlib import Path
+model, _ = start(Run.read(Path(sys.argv[1])))
+weights = b"".join(value.numpy().tobytes() for value in model.policy.state_dict().values())
+print(hashlib.sha256(weights).hexdigest())
+"""
+
+
+def test_first_weights_do_not_depend_on_the_number_of_threads(tmp_path: Path) -> None:
+    settings = RunSettings(algo="ppo", hyperparameters=WIDE, timesteps=16, n_envs=2, interval=16)
+    Run.new(settings).write(tmp_path)
+    hashes = []
+    for n_threads in ("1", "2"):
+        command = [sys.executable, "-c", _FIRST_WEIGHTS, str(tmp_path)]
+        environment = {**os.environ, "OMP_NUM_THREADS": n_threads}
+        done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=True)
+        hashes.append(done.stdout)
+    assert hashes[0] == hashes[1]
 
 
 def test_another_seed_gives_other_weights(tmp_path: Path) -> None:
