@@ -39,10 +39,17 @@ class _Supervision(BaseCallback):
         metrics: of the episodes under way.
         progress: where to say how far it is.
         on_score: see :data:`OnScore`.
+        restored_at: timesteps of the checkpoint that the learner is from; None for a new one.
     """
 
     def __init__(
-        self, run: Run, folder: Path | None, metrics: EpisodeMetrics, progress: Progress, on_score: OnScore | None
+        self,
+        run: Run,
+        folder: Path | None,
+        metrics: EpisodeMetrics,
+        progress: Progress,
+        on_score: OnScore | None,
+        restored_at: int | None,
     ) -> None:
         super().__init__()
         self._run = run
@@ -52,11 +59,10 @@ class _Supervision(BaseCallback):
         self._on_score = on_score
         self._began = time.monotonic()
         self._before_s = run.curve[-1]["wall_time_s"] if run.curve else 0.0
-        self._restored_at: int | None = None
+        self._restored_at = restored_at
 
     def _on_training_start(self) -> None:
         self._first = self.num_timesteps
-        self._restored_at = self.num_timesteps if self._run.resumed else None
         monitor = unwrap_vec_wrapper(self.training_env, VecMonitor)
         assert isinstance(monitor, VecMonitor) and isinstance(monitor.venv, SB3VecEnv)
         self._lanes = monitor.venv.vector_env.lanes
@@ -162,11 +168,14 @@ def train(
     model.set_logger(configure(*outputs))
     env = model.get_env()
     assert env is not None
+    # A folder of a new learner has no checkpoint, even if its run was interrupted before the first one.
+    restored = folder is not None and bool(folders(folder / CHECKPOINTS))
+    restored_at = model.num_timesteps if restored else None
     if folder is not None:
         run.write(folder)
     try:
         with Progress("thousand steps") as progress:
-            supervision = _Supervision(run, folder, metrics, progress, on_score)
+            supervision = _Supervision(run, folder, metrics, progress, on_score, restored_at)
             supervision.init_callback(model)
             left = run.settings.timesteps - model.num_timesteps
             if left > 0:

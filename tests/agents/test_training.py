@@ -96,6 +96,14 @@ def test_run_stopped_at_its_first_checkpoint_goes_on_to_the_same_weights(tmp_pat
     assert same(weights(stopped, "ppo"), weights(whole, "ppo"))
 
 
+def test_run_killed_before_its_first_checkpoint_begins_anew_with_the_same_weights(tmp_path: Path) -> None:
+    whole, killed = trained(tmp_path, "ppo", "whole"), tmp_path / "killed"
+    assert Run.read(whole).settings.hyperparameters["use_sde"]
+    Run.new(Run.read(whole).settings).write(killed)
+    assert main(["--resume", str(killed)]) == 0
+    assert same(weights(killed, "ppo"), weights(whole, "ppo"))
+
+
 @pytest.mark.parametrize("missing", ["row", "checkpoint"])
 def test_kill_between_two_files_is_mended(missing: str, tmp_path: Path) -> None:
     folder = trained(tmp_path, "ppo", "run")
