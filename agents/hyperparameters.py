@@ -223,8 +223,9 @@ def build_model(algo: str, hyperparameters: Hyperparameters, env: VecEnv, *, see
         arguments["action_noise"] = NormalActionNoise(np.zeros(shape), np.full(shape, hyperparameters.noise_std))
     try:
         return ALGORITHMS[algo](env=env, seed=seed, device=device, **arguments)
-    except (AssertionError, TypeError) as error:
-        raise ValueError(f"{algo} refuses its hyperparameters {dict(hyperparameters.arguments)}: {error}") from error
+    except (AssertionError, AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise ValueError(f"{algo} refuses its hyperparameters {dict(hyperparameters.arguments)}: {reason}") from error
 
 
 __all__ = ["ALGORITHMS", "CONFIG_FOLDER", "Hyperparameters", "build_model", "parse", "read_config"]

@@ -16,8 +16,9 @@ from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize, u
 
 from agents.checkpoints import load_checkpoint, save_checkpoint, save_policy
 from agents.hyperparameters import build_model, parse
-from agents.learners import NormalizedPolicy
+from agents.learners import NormalizedPolicy, network_of
 from agents.metrics import EpisodeMetrics
+from agents.onnx_graph import to_onnx
 from agents.runs import BEST, CHECKPOINTS, Run, folders, save_folder
 from agents.validation import validate
 from agents.vec_env import GainVecEnv
@@ -126,7 +127,7 @@ def start(run: Run) -> tuple[BaseAlgorithm, EpisodeMetrics]:
     """Return a new run's learner and measurements.
 
     Raises:
-        ValueError: a hyperparameter is unknown or out of range.
+        ValueError: a hyperparameter is unknown or out of range, or makes a policy that cannot be exported.
     """
     _use_one_thread()
     settings = run.settings
@@ -134,7 +135,13 @@ def start(run: Run) -> tuple[BaseAlgorithm, EpisodeMetrics]:
     env: VecEnv = VecMonitor(GainVecEnv(settings.n_envs, **settings.env_arguments))
     if hyperparameters.normalize is not None:
         env = VecNormalize(env, **hyperparameters.normalize)
-    model = build_model(settings.algo, hyperparameters, env, seed=settings.seed, device=settings.device)
+    try:
+        model = build_model(settings.algo, hyperparameters, env, seed=settings.seed, device=settings.device)
+        # Only to see that it can be written: better now than after the training.
+        to_onnx(network_of(model, model.get_vec_normalize_env()))
+    except ValueError:
+        env.close()
+        raise
     return model, EpisodeMetrics(settings.n_envs)
 
 
