@@ -20,6 +20,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from agents.checkpoints import load_policy
 from agents.export import export, largest_difference
+from agents.export import main as export_command
 from agents.hyperparameters import ALGORITHMS
 from agents.runs import Run, RunSettings, folders, save_folder
 from agents.train import main
@@ -141,6 +142,52 @@ def test_first_weights_do_not_depend_on_the_number_of_threads(tmp_path: Path) ->
         done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=True)
         hashes.append(done.stdout)
     assert hashes[0] == hashes[1]
+
+
+def test_export_describes_the_policy_that_it_writes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, entry = trained(tmp_path, "ppo", "run"), tmp_path / "entry"
+    (best,) = folders(folder / "best")
+    run = Run.read(folder)
+    # A row with a better score whose policy is not there, as an interruption may leave it.
+    other = next(row for row in run.curve if row["timesteps"] != int(best.name))
+    other["score"] = run.best["score"] + 1.0
+    run.write(folder)
+    export(folder, entry, name="mine")
+    (row,) = (row for row in run.curve if row["timesteps"] == int(best.name))
+    assert f"| {row['score']:.1f} on 2 scenarios" in (entry / "README.md").read_text()
+    assert f"for {int(best.name)} steps" in (entry / "entry.toml").read_text()
+
+    def fails(*_: Any) -> Any:
+        raise AssertionError("the work was begun")
+
+    monkeypatch.setattr("agents.export._trained", fails)
+    for name in ("a|b", " a", "x" * 61):
+        assert export_command([str(folder), "--output", str(tmp_path / "other"), "--name", name]) == 2
+        assert "an entry's name must be" in capsys.readouterr().err
+    run.curve.remove(row)
+    run.write(folder)
+    assert export_command([str(folder), "--output", str(tmp_path / "other")]) == 2
+    assert "resume it first" in capsys.readouterr().err
+    assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.parametrize(
+    ("algo", "policy_kwargs", "text"),
+    [
+        ("ppo", "dict(net_arch=[8], squash_output=True)", "cannot export actions of StateDependentNoise"),
+        ("recurrent_ppo", "dict(lstm_kwargs=dict(bias=False))", "cannot export an LSTM with {'bias': False"),
+        ("ppo", "dict(net_arch=5)", "ppo refuses its hyperparameters"),
+    ],
+)
+def test_policies_that_could_not_be_exported_are_refused_at_the_start(
+    algo: str, policy_kwargs: str, text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config, new = config_file(tmp_path, algo, policy_kwargs=policy_kwargs), tmp_path / "new"
+    assert main(["--algo", algo, "--config", config, "--output", str(new)]) == 2
+    error = capsys.readouterr().err
+    assert text in error and error.count("\n") == 1 and not new.exists()
 
 
 def test_another_seed_gives_other_weights(tmp_path: Path) -> None:
