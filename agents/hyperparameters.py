@@ -35,8 +35,8 @@ CONFIG_FOLDER = Path(__file__).parent / "configs"
 #: Keys that may hold a text such as "lin_0.0003".
 _SCHEDULES = ("learning_rate", "clip_range", "clip_range_vf")
 _OF_THE_RUN = ("n_timesteps", "n_envs", "normalize", "noise_type", "noise_std")
-#: What a number must be, lowest and highest value, and the keys that must be so: else nothing is learned, or an algorithm
-#: ends in the midst of a run with an error of its own. None stands for "off" where an algorithm's own default is None.
+#: What a number must be, lowest and highest value, and the keys that must be so: else nothing is learned, or an
+#: algorithm ends in the midst of a run with an error of its own. None is allowed where it is an algorithm's default.
 _RANGES: tuple[tuple[str, float, float, tuple[str, ...]], ...] = (
     ("a whole number of 1 or more", 1, 1e12, ("n_steps", "batch_size", "n_epochs", "buffer_size", "policy_delay")),
     ("a whole number of 1 or more", 1, 1e12, ("target_update_interval", "stats_window_size")),
@@ -167,7 +167,9 @@ def _require_in_range(key: str, value: Any, default: Any, where: str = "") -> No
     elif key in _RANGE_OF and not isinstance(value, LinearSchedule):
         if key == "ent_coef" and isinstance(default, str) and isinstance(value, str):
             if value != "auto" and not _is_number_above_0(value.removeprefix("auto_")):
-                raise ValueError(f'{where}{key} must be a number, "auto", or "auto_" with a number above 0, got {value!r}')
+                raise ValueError(
+                    f'{where}{key} must be a number, "auto", or "auto_" with a number above 0, got {value!r}'
+                )
             return
         what, low, high = _RANGE_OF[key]
         kinds = int if "whole" in what else (int, float)

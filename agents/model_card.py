@@ -52,6 +52,9 @@ def model_card(run: Run, best: Mapping[str, float], name: str, authors: Sequence
         "authors": ", ".join(authors) or "not given",
         "sha256 of policy.onnx": f"`{sha256(content)}`",
     }
+    changes = [change for process in run.resumptions for change in process["differences"]]
+    if changes:
+        facts["changed by a resumption"] = "; ".join(changes)
     curve = markdown_table(
         list(_CURVE),
         [[f"{row[key]:,.{digits}f}" for key, digits in _CURVE.items()] for row in run.curve],

@@ -244,6 +244,7 @@ def train(run: Run, folder: Path, h: Hyperparameters) -> None:
     collector = Collector(envs, agent, h, settings.seed)
     per_rollout = h.n_steps * settings.n_envs
     n_rollouts = -(-settings.timesteps // per_rollout)
+    run.write(folder)
     began = time.monotonic()
     with Progress("rollouts") as progress:
         for index in range(n_rollouts):
@@ -300,7 +301,8 @@ def _train(given: dict[str, Any]) -> None:
     output, h = Path(given.pop("output")), Hyperparameters()
     interval = max(1, given["timesteps"] // 20)
     run = Run.new(RunSettings(algo=NAME, hyperparameters=dataclasses.asdict(h), interval=interval, **given))
-    train(run, new_folder(output), h)
+    with new_folder(output) as folder:
+        train(run, folder, h)
     note(f"best validation score {run.best['score']:.1f} at step {run.best['timesteps']}; wrote {output}")
 
 

@@ -19,7 +19,7 @@ from agents.hyperparameters import build_model, parse
 from agents.learners import NormalizedPolicy, network_of
 from agents.metrics import EpisodeMetrics
 from agents.onnx_graph import to_onnx
-from agents.runs import BEST, CHECKPOINTS, Run, folders, save_folder
+from agents.runs import BEST, CHECKPOINTS, Run, folders, put_back, save_folder
 from agents.validation import validate
 from agents.vec_env import GainVecEnv
 from wtg_gym.cli.output import Progress
@@ -145,11 +145,24 @@ def start(run: Run) -> tuple[BaseAlgorithm, EpisodeMetrics]:
     return model, EpisodeMetrics(settings.n_envs)
 
 
-def resume(run: Run, folder: Path) -> tuple[BaseAlgorithm, EpisodeMetrics]:
-    """Return a run's learner and measurements as its last checkpoint has them; anew if it has none yet."""
+def resume(run: Run, folder: Path, *, allow_other_versions: bool = False) -> tuple[BaseAlgorithm, EpisodeMetrics]:
+    """Return a run's learner and measurements as its last checkpoint has them; anew if it has not validated yet.
+
+    Args:
+        run: what run.json says; it notes that it goes on.
+        folder: of the run; no other process trains in it.
+        allow_other_versions: as for :meth:`agents.runs.Run.go_on`.
+
+    Raises:
+        ValueError: the checkpoint is gone, or sources, suite or packages are not what they were.
+    """
     _use_one_thread()
-    run.resumed += 1
+    for name in (CHECKPOINTS, BEST):
+        put_back(folder / name)
     checkpoints = folders(folder / CHECKPOINTS)
+    if run.curve and not checkpoints:
+        raise ValueError(f"{folder} has validations, but no checkpoint to go on from; begin anew in another folder")
+    run.go_on(allow_other_versions=allow_other_versions)
     if not checkpoints:
         return start(run)
     model, metrics = load_checkpoint(checkpoints[-1], run.settings.algo, run.settings.device)
@@ -171,15 +184,16 @@ def train(
         folder: where checkpoints, the best policy, TensorBoard's files and run.json go; None to write nothing.
         on_score: called with (timesteps, score) after every validation; an exception that it raises ends the run.
     """
-    outputs = (None, []) if folder is None else (str(folder / _TENSORBOARD), ["tensorboard"])
-    model.set_logger(configure(*outputs))
-    env = model.get_env()
-    assert env is not None
     # A folder of a new learner has no checkpoint, even if its run was interrupted before the first one.
     restored = folder is not None and bool(folders(folder / CHECKPOINTS))
     restored_at = model.num_timesteps if restored else None
     if folder is not None:
+        # Before anything else, so that whatever folder is left can be gone on with.
         run.write(folder)
+    outputs = (None, []) if folder is None else (str(folder / _TENSORBOARD), ["tensorboard"])
+    model.set_logger(configure(*outputs))
+    env = model.get_env()
+    assert env is not None
     try:
         with Progress("thousand steps") as progress:
             supervision = _Supervision(run, folder, metrics, progress, on_score, restored_at)

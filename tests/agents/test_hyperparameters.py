@@ -13,7 +13,6 @@ from agents.networks import ACTIVATIONS
 from tests.agents.small import CONFIGS, ON_POLICY
 from wtg_gym import ENV_ID
 
-
 #: The files that are not named after their algorithm.
 OTHER_FILES = {"ppo_tau": "ppo"}
 

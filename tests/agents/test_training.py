@@ -22,7 +22,7 @@ from agents.checkpoints import load_policy
 from agents.export import export, largest_difference
 from agents.export import main as export_command
 from agents.hyperparameters import ALGORITHMS
-from agents.runs import Run, RunSettings, folders, save_folder
+from agents.runs import Run, RunSettings, folders, held, new_folder, put_back, save_folder
 from agents.train import main
 from agents.training import start, train
 from tests.agents.small import CONFIGS, config_file, options, trained
@@ -190,6 +190,85 @@ def test_policies_that_could_not_be_exported_are_refused_at_the_start(
     assert text in error and error.count("\n") == 1 and not new.exists()
 
 
+def test_other_versions_are_refused_on_resumption_unless_they_are_allowed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "run"
+    run = Run.new(Run.read(trained(tmp_path, "ppo", "whole")).settings)
+    now = run.provenance
+    run.provenance = {**now, "source_hash": "0" * 64, "suite_hash": "1" * 64, "versions": {**now["versions"]}}
+    run.provenance["versions"]["torch"] = "0.1"
+    run.write(folder)
+    before = (folder / "run.json").read_bytes()
+    capsys.readouterr()
+    assert main(["--resume", str(folder)]) == 2
+    error = capsys.readouterr().err
+    for text in ("source hash was 000000000000", "suite hash was 111111111111", "torch was 0.1", "--allow-other-"):
+        assert text in error
+    assert error.count("\n") == 1 and (folder / "run.json").read_bytes() == before
+    assert main(["--resume", str(folder), "--allow-other-versions"]) == 0
+    after = Run.read(folder)
+    assert after.resumed == 1 and len(after.resumptions) == 1
+    assert len(after.resumptions[0]["differences"]) == 3 and after.resumptions[0]["source_hash"] == now["source_hash"]
+    # The process before is what the next one is compared with; a finished run is not gone on with.
+    assert main(["--resume", str(folder)]) == 0
+    assert (Run.read(folder).resumed, len(Run.read(folder).resumptions)) == (1, 1)
+    assert main([*options(tmp_path, "ppo"), "--output", str(tmp_path / "new"), "--allow-other-versions"]) == 2
+
+
+def test_folder_is_of_one_process_and_refuses_what_cannot_go_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = trained(tmp_path, "ppo", "run")
+    capsys.readouterr()
+    with held(folder):
+        assert main(["--resume", str(folder)]) == 2
+    assert f"another process trains in {folder}" in capsys.readouterr().err
+    with new_folder(tmp_path / "new"):
+        assert main([*options(tmp_path, "ppo"), "--output", str(tmp_path / "new")]) == 2
+    assert "another process trains in" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
+    shutil.rmtree(folder / "checkpoints")
+    assert main(["--resume", str(folder)]) == 2
+    error = capsys.readouterr().err
+    assert "no checkpoint to go on from" in error and error.count("\n") == 1
+
+
+def test_folder_of_the_same_name_is_replaced_without_a_gap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def content() -> list[str]:
+        return [(path / "a").read_text() for path in folders(tmp_path)]
+
+    save_folder(tmp_path, 1, lambda path: (path / "a").write_text("old"))
+    save_folder(tmp_path, 1, lambda path: (path / "a").write_text("new"))
+    assert content() == ["new"] and len(list(tmp_path.iterdir())) == 1
+
+    # Killed between the two renamings.
+    rename = Path.rename
+
+    def killed(path: Path, target: Path) -> Path:
+        if path.name == "incomplete":
+            raise KeyboardInterrupt
+        return rename(path, target)
+
+    monkeypatch.setattr(Path, "rename", killed)
+    with pytest.raises(KeyboardInterrupt):
+        save_folder(tmp_path, 1, lambda path: (path / "a").write_text("newer"))
+    monkeypatch.undo()
+    put_back(tmp_path)
+    assert content() == ["new"]
+
+
+def test_description_is_the_first_file_of_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def killed(*_: Any) -> Any:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("agents.training.configure", killed)
+    assert main([*options(tmp_path, "ppo"), "--output", str(tmp_path / "run")]) == 130
+    assert {path.name for path in (tmp_path / "run").iterdir()} == {"run.json", ".lock"}
+    monkeypatch.undo()
+    assert main(["--resume", str(tmp_path / "run")]) == 0
+
+
 def test_another_seed_gives_other_weights(tmp_path: Path) -> None:
     one = trained(tmp_path, "ppo", "one")
     assert main([*options(tmp_path, "ppo"), "--seed", "1", "--output", str(tmp_path / "two")]) == 0
@@ -252,6 +331,7 @@ def test_folder_is_complete_or_not_there(tmp_path: Path) -> None:
         (["--algo", "ppo", "--output", "new", "--config", "no.yml"], "cannot read the hyperparameter file"),
         (["--resume", "no-such-run"], "cannot read the description of the run"),
         (["--resume", "no-such-run", "--seed", "1"], "leave out seed"),
+        (["--algo", "ppo", "--output", "/proc/x"], "cannot create the folder /proc/x"),
     ],
 )
 def test_bad_options_are_refused_before_anything_runs(
