@@ -20,7 +20,7 @@ from agents.runs import BEST, Run, RunSettings, folders
 from wtg_gym.cli.output import note
 from wtg_gym.cli.parser import Parser
 from wtg_gym.envs import GFMWTGVectorEnv
-from wtg_gym.evaluation import OnnxPolicy, Policy
+from wtg_gym.evaluation import Entry, OnnxPolicy, Policy
 from wtg_gym.evaluation.entries import ENTRY_FILE, POLICY_FILE
 from wtg_gym.files import write_atomically
 
@@ -54,11 +54,28 @@ def export(
         the largest difference between the file's actions and the learner's.
 
     Raises:
-        ValueError: there is no policy, it cannot be written as ONNX, or the file's actions differ.
+        ValueError: there is no policy, the leaderboard would refuse the name, it cannot be written as ONNX, or the
+            file's actions differ.
     """
     run = Run.read(run_folder)
     settings = run.settings
-    policy, network = _trained(run_folder, settings.algo)
+    best = folders(run_folder / BEST)
+    if not best:
+        raise ValueError(f"{run_folder} has no policy yet: its first validation has not been reached")
+    timesteps = int(best[-1].name)
+    row = next((row for row in run.curve if row["timesteps"] == timesteps), None)
+    if row is None:
+        raise ValueError(f"{run_folder} was interrupted while it wrote the policy of step {timesteps}: resume it first")
+    # What the leaderboard refuses is refused before the work.
+    entry = Entry(
+        name=name or f"{settings.algo} {settings.action_mode}",
+        description=description or f"Trained with {settings.algo} for {timesteps} steps.",
+        source=", ".join(authors),
+        action_mode=settings.action_mode,
+        observation_mode=settings.observation_mode,
+        training_seed=settings.seed,
+    )
+    policy, network = _trained(best[-1], settings.algo)
     content = to_onnx(network)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / POLICY_FILE
@@ -66,36 +83,27 @@ def export(
         difference = largest_difference(policy, OnnxPolicy(path), settings)
     if not difference <= TOLERANCE:
         raise ValueError(f"the actions of the ONNX file differ by {difference:.2g}, allowed are {TOLERANCE:g}")
-    entry = {
-        "name": name or f"{settings.algo} {settings.action_mode}",
-        "description": description or f"Trained with {settings.algo} for {run.best['timesteps']} steps.",
-        "action_mode": settings.action_mode,
-        "observation_mode": settings.observation_mode,
-        "training_seed": settings.seed,
-        "authors": list(authors),
-    }
+    keys = ("name", "description", "action_mode", "observation_mode", "training_seed")
+    values = {**{key: getattr(entry, key) for key in keys}, "authors": list(authors)}
     # Such texts, numbers and lists are written alike in JSON and TOML.
-    lines = [f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in entry.items()]
+    lines = [f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in values.items()]
     write_atomically(output / POLICY_FILE, content)
-    write_atomically(output / "README.md", model_card(run, str(entry["name"]), authors, content))
+    write_atomically(output / "README.md", model_card(run, row, entry.name, authors, content))
     # Last, because it is what makes the folder an entry.
     write_atomically(output / ENTRY_FILE, "".join(lines))
     return difference
 
 
-def _trained(run_folder: Path, algo: str) -> tuple[Policy, PolicyNetwork]:
-    """Return a run's best policy and the network in it."""
-    best = folders(run_folder / BEST)
-    if not best:
-        raise ValueError(f"{run_folder} has no policy yet: its first validation has not been reached")
+def _trained(best: Path, algo: str) -> tuple[Policy, PolicyNetwork]:
+    """Return the policy in a folder and the network in it."""
     if algo in (rllib_ppo.NAME, single_file_ppo.NAME):
-        agent = single_file_ppo.load(best[-1])
+        agent = single_file_ppo.load(best)
         return agent, agent.network()
     # Here, because the policies above are exported where Stable-Baselines3 is not installed.
     from agents.checkpoints import load_policy
     from agents.learners import NormalizedPolicy, network_of
 
-    model, vec_normalize = load_policy(best[-1], algo)
+    model, vec_normalize = load_policy(best, algo)
     return NormalizedPolicy(model, vec_normalize), network_of(model, vec_normalize)
 
 

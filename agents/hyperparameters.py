@@ -35,6 +35,19 @@ CONFIG_FOLDER = Path(__file__).parent / "configs"
 #: Keys that may hold a text such as "lin_0.0003".
 _SCHEDULES = ("learning_rate", "clip_range", "clip_range_vf")
 _OF_THE_RUN = ("n_timesteps", "n_envs", "normalize", "noise_type", "noise_std")
+#: What a number must be, lowest and highest value, and the keys that must be so: else nothing is learned, or an
+#: algorithm ends in the midst of a run with an error of its own. None is allowed where it is an algorithm's default.
+_RANGES: tuple[tuple[str, float, float, tuple[str, ...]], ...] = (
+    ("a whole number of 1 or more", 1, 1e12, ("n_steps", "batch_size", "n_epochs", "buffer_size", "policy_delay")),
+    ("a whole number of 1 or more", 1, 1e12, ("target_update_interval", "stats_window_size")),
+    ("a whole number of 0 or more", 0, 1e12, ("learning_starts", "top_quantiles_to_drop_per_net")),
+    ("a whole number of 1 or more, or -1", -1, 1e12, ("sde_sample_freq", "gradient_steps")),
+    ("a number from 0 to 1", 0.0, 1.0, ("gamma", "gae_lambda", "tau")),
+    ("a number of 0 or more", 0.0, 1e12, ("ent_coef", "vf_coef", "target_policy_noise", "target_noise_clip")),
+    ("a number above 0", 1e-12, 1e12, ("learning_rate", "clip_range", "clip_range_vf", "max_grad_norm", "target_kl")),
+    ("a number above 0", 1e-12, 1e12, ("clip_obs", "clip_reward", "epsilon")),
+)
+_RANGE_OF = {key: (what, low, high) for what, low, high, keys in _RANGES for key in keys}
 #: Arguments of the algorithms that are set by the run itself or would need code in the file.
 _NOT_IN_FILES = (
     "self",
@@ -104,7 +117,11 @@ def parse(algo: str, raw: Mapping[str, Any]) -> Hyperparameters:
         raise ValueError(f"unknown hyperparameters {unknown} of {algo}; known: {', '.join([*_OF_THE_RUN, *known])}")
     if not isinstance(raw.get("policy"), str):
         raise ValueError(f'policy must be the name of one, such as "MlpPolicy", got {raw.get("policy")!r}')
+    _require_finite(raw)
+    defaults = {key: each.default for key, each in inspect.signature(ALGORITHMS[algo]).parameters.items()}
     arguments = {key: _value(key, raw[key]) for key in raw if key in known}
+    for key, value in arguments.items():
+        _require_in_range(key, value, defaults[key])
     normalize = raw.get("normalize", False)
     options = None if normalize is False else {} if normalize is True else parse_literal("normalize", normalize)
     if options is not None and "gamma" in raw:
@@ -113,6 +130,8 @@ def parse(algo: str, raw: Mapping[str, Any]) -> Hyperparameters:
     taken = [key for key in inspect.signature(VecNormalize).parameters if key != "venv"]
     if options is not None and not set(options) <= set(taken):
         raise ValueError(f"normalize takes {', '.join(taken)}, got {options}")
+    for key, value in (options or {}).items():
+        _require_in_range(key, value, inspect.signature(VecNormalize).parameters[key].default, "normalize: ")
     return Hyperparameters(
         n_timesteps=_whole("n_timesteps", raw.get("n_timesteps")),
         n_envs=_whole("n_envs", raw.get("n_envs", 1)),
@@ -122,20 +141,62 @@ def parse(algo: str, raw: Mapping[str, Any]) -> Hyperparameters:
     )
 
 
+def _require_finite(values: Any, key: str = "") -> None:
+    """Refuse NaN and infinity, in lists and dictionaries as well; no file of ours could hold them."""
+    if isinstance(values, Mapping):
+        for name, value in values.items():
+            _require_finite(value, key or str(name))
+    elif isinstance(values, (list, tuple)):
+        for value in values:
+            _require_finite(value, key)
+    elif isinstance(values, float) and not np.isfinite(values):
+        raise ValueError(f"{key} must be finite, got {values}")
+
+
+def _require_in_range(key: str, value: Any, default: Any, where: str = "") -> None:
+    """Refuse a value of the wrong type or beyond :data:`_RANGES`; `default` is the algorithm's own."""
+    if value is None and default is None:
+        return
+    if isinstance(default, bool):
+        if not isinstance(value, bool):
+            raise ValueError(f"{where}{key} must be true or false, got {value!r}")
+    elif key == "train_freq":
+        steps = value[0] if isinstance(value, tuple) and len(value) == 2 and value[1] == "step" else value
+        if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
+            raise ValueError(f'{where}{key} must be a whole number of 1 or more, or [it, "step"], got {value!r}')
+    elif key in _RANGE_OF and not isinstance(value, LinearSchedule):
+        if key == "ent_coef" and isinstance(default, str) and isinstance(value, str):
+            if value != "auto" and not _is_number_above_0(value.removeprefix("auto_")):
+                raise ValueError(
+                    f'{where}{key} must be a number, "auto", or "auto_" with a number above 0, got {value!r}'
+                )
+            return
+        what, low, high = _RANGE_OF[key]
+        kinds = int if "whole" in what else (int, float)
+        bad = isinstance(value, bool) or not isinstance(value, kinds) or not low <= value <= high
+        if bad or (low == -1 and value == 0):
+            raise ValueError(f"{where}{key} must be {what}, got {value!r}")
+
+
+def _is_number_above_0(text: str) -> bool:
+    try:
+        return 0.0 < float(text) < np.inf
+    except ValueError:
+        return False
+
+
 def _value(key: str, value: Any) -> Any:
     if key == "policy_kwargs":
-        return parse_literal(key, value)
+        result = parse_literal(key, value)
+        _require_finite(result, key)
+        return result
     if key == "train_freq" and isinstance(value, list):
         return tuple(value)
     if key in _SCHEDULES and isinstance(value, str):
         kind, _, start = value.partition("_")
-        try:
-            number = float(start)
-        except ValueError:
-            number = -1.0
-        if kind != "lin" or not 0.0 < number < np.inf:
+        if kind != "lin" or not _is_number_above_0(start):
             raise ValueError(f'{key} must be a number above 0, or "lin_" with the number to fall from, got {value!r}')
-        return LinearSchedule(start=number, end=0.0, end_fraction=1.0)
+        return LinearSchedule(start=float(start), end=0.0, end_fraction=1.0)
     return value
 
 
@@ -223,8 +284,9 @@ def build_model(algo: str, hyperparameters: Hyperparameters, env: VecEnv, *, see
         arguments["action_noise"] = NormalActionNoise(np.zeros(shape), np.full(shape, hyperparameters.noise_std))
     try:
         return ALGORITHMS[algo](env=env, seed=seed, device=device, **arguments)
-    except (AssertionError, TypeError) as error:
-        raise ValueError(f"{algo} refuses its hyperparameters {dict(hyperparameters.arguments)}: {error}") from error
+    except (AssertionError, AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise ValueError(f"{algo} refuses its hyperparameters {dict(hyperparameters.arguments)}: {reason}") from error
 
 
 __all__ = ["ALGORITHMS", "CONFIG_FOLDER", "Hyperparameters", "build_model", "parse", "read_config"]

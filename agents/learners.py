@@ -55,7 +55,7 @@ def network_of(model: BaseAlgorithm, vec_normalize: VecNormalize | None) -> Poli
         extractor = policy.pi_features_extractor
         layers = flat_layers([policy.mlp_extractor.policy_net, policy.action_net])
         if isinstance(policy, RecurrentActorCriticPolicy):
-            lstm = policy.lstm_actor
+            lstm = _plain(policy.lstm_actor)
     else:
         actor: Any = policy.actor
         extractor = actor.features_extractor
@@ -66,6 +66,13 @@ def network_of(model: BaseAlgorithm, vec_normalize: VecNormalize | None) -> Poli
     shape = model.observation_space.shape
     assert shape is not None
     return PolicyNetwork(n_observation=shape[0], normalization=_normalization(vec_normalize), lstm=lstm, layers=layers)
+
+
+def _plain(lstm: nn.LSTM) -> nn.LSTM:
+    given = {name: getattr(lstm, name) for name in ("bias", "bidirectional", "proj_size")}
+    if given != {"bias": True, "bidirectional": False, "proj_size": 0}:
+        raise ValueError(f"cannot export an LSTM with {given}, only with bias, one direction and no projection")
+    return lstm
 
 
 def _normalization(vec_normalize: VecNormalize | None) -> Normalization | None:

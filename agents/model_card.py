@@ -27,16 +27,17 @@ _EXACTLY = "the same versions on the same kind of machine give the same weights"
 _REPEATED = {rllib_ppo.NAME: "runners end in any order, so that a repetition may give other weights"}
 
 
-def model_card(run: Run, name: str, authors: Sequence[str], content: bytes) -> str:
+def model_card(run: Run, best: Mapping[str, float], name: str, authors: Sequence[str], content: bytes) -> str:
     """Return the README.md of an exported policy.
 
     Args:
         run: that it comes from.
+        best: the row of its curve that the policy is of.
         name: of the entry.
         authors: names.
         content: of policy.onnx.
     """
-    settings, best, provenance = run.settings, run.best, run.provenance
+    settings, provenance = run.settings, run.provenance
     last = run.curve[-1]
     facts = {
         "environment": f"`{ENV_ID}`, suite `{settings.suite}`",
@@ -51,6 +52,9 @@ def model_card(run: Run, name: str, authors: Sequence[str], content: bytes) -> s
         "authors": ", ".join(authors) or "not given",
         "sha256 of policy.onnx": f"`{sha256(content)}`",
     }
+    changes = [change for process in run.resumptions for change in process["differences"]]
+    if changes:
+        facts["changed by a resumption"] = "; ".join(changes)
     curve = markdown_table(
         list(_CURVE),
         [[f"{row[key]:,.{digits}f}" for key, digits in _CURVE.items()] for row in run.curve],

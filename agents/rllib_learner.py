@@ -29,7 +29,7 @@ from tensorboardX import SummaryWriter
 from agents import single_file_ppo
 from agents.rllib_envs import Scales, make_envs, measure_scales
 from agents.rllib_ppo import Hyperparameters
-from agents.runs import BEST, CHECKPOINTS, Run, RunSettings, folders, save_folder
+from agents.runs import BEST, CHECKPOINTS, Run, RunSettings, folders, put_back, save_folder
 from agents.validation import validate
 from wtg_gym.cli.output import Progress
 
@@ -202,6 +202,9 @@ def train(run: Run, folder: Path, address: str | None = None) -> None:
 
 def _train(run: Run, folder: Path, algorithm: Algorithm) -> None:
     settings = run.settings
+    run.write(folder)
+    for name in (CHECKPOINTS, BEST):
+        put_back(folder / name)
     checkpoints = folders(folder / CHECKPOINTS)
     if checkpoints:
         algorithm.restore_from_path(str(checkpoints[-1].resolve()))

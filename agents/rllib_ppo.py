@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from agents.command import run_command
-from agents.runs import Run, RunSettings, new_folder
+from agents.runs import Run, RunSettings, held, new_folder
 from wtg_gym.cli.output import note
 from wtg_gym.cli.parser import Parser
 from wtg_gym.envs.settings import ACTION_MODES, OBSERVATION_MODES
@@ -93,7 +93,13 @@ def _parser() -> argparse.ArgumentParser:
     parser = Parser(prog="python -m agents.rllib_ppo", description=_DESCRIPTION, epilog=_EXAMPLES)
     default = Hyperparameters()
     parser.add_argument("--output", metavar="FOLDER", help="folder of the new run")
-    parser.add_argument("--resume", metavar="FOLDER", help="go on with the run in this folder; takes --address only")
+    parser.add_argument("--resume", metavar="FOLDER", help="go on with the run in this folder; takes the next two only")
+    parser.add_argument(
+        "--allow-other-versions",
+        action="store_true",
+        default=None,
+        help="resume with other sources, suite or packages than before, which run.json then says",
+    )
     parser.add_argument("--address", help="Ray cluster to join, such as auto or HOST:6379 (default: start Ray here)")
     for option, of_each in (
         ("num-env-runners", f"processes that play episodes (default: {default.num_env_runners})"),
@@ -115,15 +121,17 @@ def _run(arguments: argparse.Namespace) -> tuple[Run, Path]:
     """Return the run that the options ask for and its folder, which may not exist yet."""
     given = {key: value for key, value in vars(arguments).items() if value is not None and key != "address"}
     if "resume" in given:
-        if len(given) > 1:
-            others = ", ".join(sorted(set(given) - {"resume"}))
-            raise ValueError(f"--resume goes on with the run's own settings; leave out {others}")
+        others = sorted(set(given) - {"resume", "allow_other_versions"})
+        if others:
+            raise ValueError(f"--resume goes on with the run's own settings; leave out {', '.join(others)}")
         folder = Path(given["resume"])
         run = Run.read(folder)
         if run.settings.algo != NAME:
             raise ValueError(f"{folder} is a run of {run.settings.algo}: go on with it by the command that began it")
-        run.resumed += 1
+        run.go_on(allow_other_versions=bool(given.get("allow_other_versions")))
         return run, folder
+    if "allow_other_versions" in given:
+        raise ValueError("--allow-other-versions is for --resume")
     if "output" not in given:
         raise ValueError("--output FOLDER is needed, or --resume FOLDER")
     folder = Path(given.pop("output"))
@@ -147,9 +155,8 @@ def _train(arguments: argparse.Namespace) -> None:
         raise ValueError("ray is not installed: pip install -c constraints-rllib.txt -e '.[rllib]', or make rllib")
     from agents.rllib_learner import train
 
-    if arguments.resume is None:
-        new_folder(folder)
-    train(run, folder, arguments.address)
+    with new_folder(folder) if arguments.resume is None else held(folder):
+        train(run, folder, arguments.address)
     best, wall_time_s = run.best, run.curve[-1]["wall_time_s"]
     note(f"best validation score {best['score']:.1f} at step {best['timesteps']}; {wall_time_s:.0f} s in all")
     note(f"wrote {folder}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import importlib.metadata
 import platform
@@ -10,7 +11,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,8 +22,15 @@ from wtg_gym.files import parse_json, read_text, to_json, write_atomically
 from wtg_gym.physics.compiled import source_hash
 from wtg_gym.scenarios import get_suite
 
+try:
+    import fcntl
+except ImportError:  # Windows: two processes in one folder are not noticed there.
+    fcntl = None  # type: ignore[assignment]
+
 #: In the folder of a run: its description, its last checkpoint, its best policy.
 RUN_FILE, CHECKPOINTS, BEST = "run.json", "checkpoints", "best"
+_LOCK_FILE = ".lock"
+_ASIDE = ".aside"
 _PACKAGES = ("gymnasium", "numba", "numpy", "ray", "stable-baselines3", "sb3-contrib", "torch")
 
 
@@ -87,9 +95,10 @@ class Run:
 
     Args:
         settings: what it was asked for.
-        provenance: command, versions, commit and start time.
+        provenance: command, versions, commit and start time of the process that began it.
         curve: one row per validation: timesteps, wall_time_s and the metrics of :func:`agents.validation.validate`.
         resumed: how many times it went on after an interruption.
+        resumptions: provenance of the processes that went on, the latest last, each with what it found different.
         finished: whether all timesteps are done.
     """
 
@@ -97,6 +106,7 @@ class Run:
     provenance: Mapping[str, Any]
     curve: list[dict[str, float]] = field(default_factory=list)
     resumed: int = 0
+    resumptions: list[Mapping[str, Any]] = field(default_factory=list)
     finished: bool = False
 
     @classmethod
@@ -108,6 +118,26 @@ class Run:
     def best(self) -> dict[str, float]:
         """The row with the best score, the first one of several."""
         return max(self.curve, key=lambda row: row["score"])
+
+    def go_on(self, *, allow_other_versions: bool = False) -> None:
+        """Note that this process goes on with the run; one that is finished is left as it is.
+
+        Args:
+            allow_other_versions: go on where the sources, the suite or a package are not those of the process before.
+
+        Raises:
+            ValueError: they are not, and that is not allowed; the message names them.
+        """
+        now = _provenance(self.settings)
+        differences = _differences(self.resumptions[-1] if self.resumptions else self.provenance, now)
+        if differences and not allow_other_versions:
+            raise ValueError(
+                f"the run would not end as it began: {'; '.join(differences)}; go back to what it had, "
+                "or go on all the same with --allow-other-versions"
+            )
+        if not self.finished:
+            self.resumed += 1
+            self.resumptions.append({**now, "differences": differences})
 
     def write(self, folder: Path) -> None:
         """Write run.json in one go."""
@@ -128,18 +158,55 @@ class Run:
             raise ValueError(f"{path} is no description of a training run: {error!r}") from error
 
 
-def new_folder(path: Path) -> Path:
-    """Create the folder of a new run; a ValueError if there is something in it."""
-    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+@contextlib.contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """Create the folder of a new run and hold it; at the end it is removed if nothing has been written into it.
+
+    Raises:
+        ValueError: there is something in it, or it cannot be created.
+    """
+    made = not path.exists()
+    if not made and (not path.is_dir() or any(each.name != _LOCK_FILE for each in path.iterdir())):
         raise ValueError(f"{path} exists and is not an empty folder; give a new one, or go on with --resume {path}")
-    path.mkdir(parents=True, exist_ok=True)
-    return path
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(f"cannot create the folder {path}: {error.strerror}") from error
+    try:
+        with held(path):
+            yield path
+    finally:
+        if made and all(each.name == _LOCK_FILE for each in path.iterdir()):
+            shutil.rmtree(path)
+
+
+@contextlib.contextmanager
+def held(folder: Path) -> Iterator[None]:
+    """Keep every other process from training in a folder; however this one ends, the folder is free again.
+
+    Raises:
+        ValueError: another process trains in it, or it cannot be written to.
+    """
+    try:
+        file = (folder / _LOCK_FILE).open("a")
+    except OSError as error:
+        raise ValueError(f"cannot write to the folder {folder}: {error.strerror}") from error
+    with file:
+        if fcntl is not None:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise ValueError(f"another process trains in {folder}; wait for it to end, or end it") from error
+            except OSError:
+                pass  # A file system without locks.
+        yield
 
 
 def save_folder(parent: Path, timesteps: int, write: Callable[[Path], None]) -> None:
     """Write a folder that is named after a number of timesteps, then remove the older ones beside it.
 
-    It gets its name when it is complete, so that a kill at any moment leaves a complete one behind.
+    It gets its name when it is complete, and one of the same name is moved aside before, so that a kill at any moment
+    leaves a complete one behind; :func:`put_back` returns one that was left aside to its place.
 
     Args:
         parent: where to put it.
@@ -151,11 +218,27 @@ def save_folder(parent: Path, timesteps: int, write: Callable[[Path], None]) -> 
     shutil.rmtree(temporary, ignore_errors=True)
     temporary.mkdir()
     write(temporary)
-    shutil.rmtree(target, ignore_errors=True)
+    put_back(parent)
+    aside = target.with_name(target.name + _ASIDE)
+    if target.exists():
+        target.rename(aside)
     temporary.rename(target)
-    for other in folders(parent):
-        if other != target:
+    for other in [*folders(parent), aside]:
+        if other != target and other.exists():
             shutil.rmtree(other)
+
+
+def put_back(parent: Path) -> None:
+    """Mend what a kill within :func:`save_folder` left: a folder aside goes back to its place, or goes if it is taken.
+
+    Only the process that holds the run's folder may do so.
+    """
+    for aside in parent.glob(f"*{_ASIDE}"):
+        target = aside.with_name(aside.name.removesuffix(_ASIDE))
+        if target.exists():
+            shutil.rmtree(aside)
+        else:
+            aside.rename(target)
 
 
 def folders(parent: Path) -> list[Path]:
@@ -179,6 +262,15 @@ def _provenance(settings: RunSettings) -> dict[str, Any]:
     }
 
 
+def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """Return what decides the weights and is not the same, in words; packages that only one side has do not count."""
+    pairs = {"source hash": "source_hash", "suite hash": "suite_hash"}
+    values = [(name, before[key][:12], now[key][:12]) for name, key in pairs.items() if key in before]
+    versions = before.get("versions", {}), now["versions"]
+    values += [(name, versions[0][name], versions[1][name]) for name in sorted(versions[0].keys() & versions[1].keys())]
+    return [f"{name} was {old} and is {new}" for name, old, new in values if old != new]
+
+
 def _version(package: str) -> str | None:
     try:
         return importlib.metadata.version(package)
@@ -195,4 +287,15 @@ def _git_commit() -> str | None:
         return None
 
 
-__all__ = ["BEST", "CHECKPOINTS", "RUN_FILE", "Run", "RunSettings", "folders", "new_folder", "save_folder"]
+__all__ = [
+    "BEST",
+    "CHECKPOINTS",
+    "RUN_FILE",
+    "Run",
+    "RunSettings",
+    "folders",
+    "held",
+    "new_folder",
+    "put_back",
+    "save_folder",
+]

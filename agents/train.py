@@ -9,7 +9,7 @@ from pathlib import Path
 
 from agents.command import run_command
 from agents.hyperparameters import ALGORITHMS, CONFIG_FOLDER, parse, read_config
-from agents.runs import Run, RunSettings, new_folder
+from agents.runs import Run, RunSettings, held, new_folder
 from agents.training import resume, start, train
 from wtg_gym.cli.output import note
 from wtg_gym.cli.parser import Parser
@@ -69,25 +69,40 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = Parser(prog="python -m agents.train", description=_DESCRIPTION, epilog=_EXAMPLES)
     add_run_options(parser)
     parser.add_argument("--output", metavar="FOLDER", help="folder of the new run")
-    parser.add_argument("--resume", metavar="FOLDER", help="go on with the run in this folder; no other option applies")
+    parser.add_argument(
+        "--resume", metavar="FOLDER", help="go on with the run in this folder; takes only the next option"
+    )
+    parser.add_argument(
+        "--allow-other-versions",
+        action="store_true",
+        default=None,
+        help="resume with other sources, suite or packages than before, which run.json then says",
+    )
     return run_command(lambda: _train(parser.parse_args(argv)), "go on with --resume")
 
 
 def _train(arguments: argparse.Namespace) -> None:
     if arguments.resume is not None:
-        others = sorted(key for key, value in vars(arguments).items() if value is not None and key != "resume")
+        allowed = ("resume", "allow_other_versions")
+        others = sorted(key for key, value in vars(arguments).items() if value is not None and key not in allowed)
         if others:
             raise ValueError(f"--resume goes on with the run's own settings; leave out {', '.join(others)}")
         folder = Path(arguments.resume)
-        run = Run.read(folder)
-        model, metrics = resume(run, folder)
+        # Once to see that it is a run's folder, and again when nobody else can change it.
+        Run.read(folder)
+        with held(folder):
+            run = Run.read(folder)
+            model, metrics = resume(run, folder, allow_other_versions=bool(arguments.allow_other_versions))
+            train(run, model, metrics, folder)
     else:
         if arguments.output is None:
             raise ValueError("--output FOLDER is needed, or --resume FOLDER")
+        if arguments.allow_other_versions:
+            raise ValueError("--allow-other-versions is for --resume")
         run = Run.new(run_settings(arguments))
-        model, metrics = start(run)
-        folder = new_folder(Path(arguments.output))
-    train(run, model, metrics, folder)
+        with new_folder(Path(arguments.output)) as folder:
+            model, metrics = start(run)
+            train(run, model, metrics, folder)
     best, wall_time_s = run.best, run.curve[-1]["wall_time_s"]
     note(f"best validation score {best['score']:.1f} at step {best['timesteps']}; {wall_time_s:.0f} s in all")
     note(f"wrote {folder}")

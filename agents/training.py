@@ -16,9 +16,10 @@ from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize, u
 
 from agents.checkpoints import load_checkpoint, save_checkpoint, save_policy
 from agents.hyperparameters import build_model, parse
-from agents.learners import NormalizedPolicy
+from agents.learners import NormalizedPolicy, network_of
 from agents.metrics import EpisodeMetrics
-from agents.runs import BEST, CHECKPOINTS, Run, folders, save_folder
+from agents.onnx_graph import to_onnx
+from agents.runs import BEST, CHECKPOINTS, Run, folders, put_back, save_folder
 from agents.validation import validate
 from agents.vec_env import GainVecEnv
 from wtg_gym.cli.output import Progress
@@ -39,10 +40,17 @@ class _Supervision(BaseCallback):
         metrics: of the episodes under way.
         progress: where to say how far it is.
         on_score: see :data:`OnScore`.
+        restored_at: timesteps of the checkpoint that the learner is from; None for a new one.
     """
 
     def __init__(
-        self, run: Run, folder: Path | None, metrics: EpisodeMetrics, progress: Progress, on_score: OnScore | None
+        self,
+        run: Run,
+        folder: Path | None,
+        metrics: EpisodeMetrics,
+        progress: Progress,
+        on_score: OnScore | None,
+        restored_at: int | None,
     ) -> None:
         super().__init__()
         self._run = run
@@ -52,11 +60,10 @@ class _Supervision(BaseCallback):
         self._on_score = on_score
         self._began = time.monotonic()
         self._before_s = run.curve[-1]["wall_time_s"] if run.curve else 0.0
-        self._restored_at: int | None = None
+        self._restored_at = restored_at
 
     def _on_training_start(self) -> None:
         self._first = self.num_timesteps
-        self._restored_at = self.num_timesteps if self._run.resumed else None
         monitor = unwrap_vec_wrapper(self.training_env, VecMonitor)
         assert isinstance(monitor, VecMonitor) and isinstance(monitor.venv, SB3VecEnv)
         self._lanes = monitor.venv.vector_env.lanes
@@ -110,25 +117,52 @@ class _Supervision(BaseCallback):
         self._progress.update(name, (self.num_timesteps - self._first) / 1000, round(total / 1000))
 
 
+def _use_one_thread() -> None:
+    # Sums over several threads depend on which of them ends first, those that draw the first weights among them, and
+    # networks this small gain nothing from them.
+    torch.set_num_threads(1)
+
+
 def start(run: Run) -> tuple[BaseAlgorithm, EpisodeMetrics]:
     """Return a new run's learner and measurements.
 
     Raises:
-        ValueError: a hyperparameter is unknown or out of range.
+        ValueError: a hyperparameter is unknown or out of range, or makes a policy that cannot be exported.
     """
+    _use_one_thread()
     settings = run.settings
     hyperparameters = parse(settings.algo, settings.hyperparameters)
     env: VecEnv = VecMonitor(GainVecEnv(settings.n_envs, **settings.env_arguments))
     if hyperparameters.normalize is not None:
         env = VecNormalize(env, **hyperparameters.normalize)
-    model = build_model(settings.algo, hyperparameters, env, seed=settings.seed, device=settings.device)
+    try:
+        model = build_model(settings.algo, hyperparameters, env, seed=settings.seed, device=settings.device)
+        # Only to see that it can be written: better now than after the training.
+        to_onnx(network_of(model, model.get_vec_normalize_env()))
+    except ValueError:
+        env.close()
+        raise
     return model, EpisodeMetrics(settings.n_envs)
 
 
-def resume(run: Run, folder: Path) -> tuple[BaseAlgorithm, EpisodeMetrics]:
-    """Return a run's learner and measurements as its last checkpoint has them; anew if it has none yet."""
-    run.resumed += 1
+def resume(run: Run, folder: Path, *, allow_other_versions: bool = False) -> tuple[BaseAlgorithm, EpisodeMetrics]:
+    """Return a run's learner and measurements as its last checkpoint has them; anew if it has not validated yet.
+
+    Args:
+        run: what run.json says; it notes that it goes on.
+        folder: of the run; no other process trains in it.
+        allow_other_versions: as for :meth:`agents.runs.Run.go_on`.
+
+    Raises:
+        ValueError: the checkpoint is gone, or sources, suite or packages are not what they were.
+    """
+    _use_one_thread()
+    for name in (CHECKPOINTS, BEST):
+        put_back(folder / name)
     checkpoints = folders(folder / CHECKPOINTS)
+    if run.curve and not checkpoints:
+        raise ValueError(f"{folder} has validations, but no checkpoint to go on from; begin anew in another folder")
+    run.go_on(allow_other_versions=allow_other_versions)
     if not checkpoints:
         return start(run)
     model, metrics = load_checkpoint(checkpoints[-1], run.settings.algo, run.settings.device)
@@ -150,17 +184,19 @@ def train(
         folder: where checkpoints, the best policy, TensorBoard's files and run.json go; None to write nothing.
         on_score: called with (timesteps, score) after every validation; an exception that it raises ends the run.
     """
-    # Sums over several threads depend on which of them ends first, and networks this small gain nothing from them.
-    torch.set_num_threads(1)
+    # A folder of a new learner has no checkpoint, even if its run was interrupted before the first one.
+    restored = folder is not None and bool(folders(folder / CHECKPOINTS))
+    restored_at = model.num_timesteps if restored else None
+    if folder is not None:
+        # Before anything else, so that whatever folder is left can be gone on with.
+        run.write(folder)
     outputs = (None, []) if folder is None else (str(folder / _TENSORBOARD), ["tensorboard"])
     model.set_logger(configure(*outputs))
     env = model.get_env()
     assert env is not None
-    if folder is not None:
-        run.write(folder)
     try:
         with Progress("thousand steps") as progress:
-            supervision = _Supervision(run, folder, metrics, progress, on_score)
+            supervision = _Supervision(run, folder, metrics, progress, on_score, restored_at)
             supervision.init_callback(model)
             left = run.settings.timesteps - model.num_timesteps
             if left > 0:

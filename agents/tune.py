@@ -23,14 +23,15 @@ from wtg_gym.cli.parser import Parser
 from wtg_gym.files import to_json, write_atomically
 
 STUDY_FILE, BEST_FILE = "study.sqlite3", "best.yml"
-#: So many trials run to their end before any is compared with the others' median.
-_TRIALS_BEFORE_PRUNING = 5
+#: So many trials run to their end before any is compared with the others' median, and so many others must have been
+#: validated after as many intervals.
+_TRIALS_BEFORE_PRUNING, _TRIALS_IN_MEDIAN = 5, 3
 
 _DESCRIPTION = """\
 Searches hyperparameters: every trial is a short training run, judged by the benchmark's score on validation scenarios
 and stopped early where it falls behind the median of the others. Every finished trial is kept in study.sqlite3: the
-same command goes on after an interruption, with the interrupted trial first. best.yml is a file for --config. One
-process per folder."""
+same command goes on after an interruption, with the interrupted trial first. best.yml is a file for --config; the score
+in it is the best of all trials on the scenarios that chose it, and thus optimistic. One process per folder."""
 _EXAMPLES = """\
 examples:
   python -m agents.tune --algo ppo --timesteps 1000000 --trials 50 --output runs/tune-ppo
@@ -127,7 +128,7 @@ def search(settings: RunSettings, n_trials: int, folder: Path) -> optuna.Study:
         storage=f"sqlite:///{(folder / STUDY_FILE).absolute()}",
         direction="maximize",
         sampler=optuna.samplers.TPESampler(seed=settings.seed),
-        pruner=optuna.pruners.MedianPruner(_TRIALS_BEFORE_PRUNING, n_warmup_steps=settings.timesteps // 4),
+        pruner=_pruner(settings),
         load_if_exists=True,
     )
     text = to_json(dataclasses.asdict(settings))
@@ -151,13 +152,37 @@ def search(settings: RunSettings, n_trials: int, folder: Path) -> optuna.Study:
     return study
 
 
+def _pruner(settings: RunSettings) -> optuna.pruners.BasePruner:
+    # Its steps are the intervals that are over: rollouts are of unequal length, and timesteps would rarely be the same.
+    return optuna.pruners.MedianPruner(
+        _TRIALS_BEFORE_PRUNING,
+        n_warmup_steps=settings.timesteps // 4 // settings.interval,
+        n_min_trials=_TRIALS_IN_MEDIAN,
+    )
+
+
+def _hyperparameters(trial: Trial, settings: RunSettings) -> Values:
+    """Return what a trial trains with: a schedule of the file remains one, and its lengths are those of the trial."""
+    values = dict(settings.hyperparameters)
+    for key, value in SPACES[settings.algo](trial, settings.n_envs).items():
+        falls = str(values.get(key)).startswith("lin_")
+        values[key] = f"lin_{value}" if falls else value
+    return {**values, "n_envs": settings.n_envs, "n_timesteps": settings.timesteps}
+
+
 def _objective(trial: Trial, settings: RunSettings) -> float:
     """Train once and return the last validation score."""
-    hyperparameters = {**settings.hyperparameters, **SPACES[settings.algo](trial, settings.n_envs)}
+    hyperparameters = _hyperparameters(trial, settings)
     run = Run.new(dataclasses.replace(settings, hyperparameters=hyperparameters))
+    reported = set[int]()
 
     def report(timesteps: int, score: float) -> None:
-        trial.report(score, timesteps)
+        n_intervals = timesteps // settings.interval
+        if n_intervals in reported:
+            # The last validation of all, within an interval that already has one: there is nothing left to prune.
+            return
+        reported.add(n_intervals)
+        trial.report(score, n_intervals)
         if trial.should_prune():
             raise optuna.TrialPruned
 
@@ -172,7 +197,8 @@ def _write_best(study: optuna.Study, settings: RunSettings, folder: Path) -> Non
     if complete:
         best = study.best_trial
         head = (
-            f"# {settings.algo}: trial {best.number} of the study beside this file, validation score {best.value:.2f}\n"
+            f"# {settings.algo}: trial {best.number} of the study here. Its validation score, {best.value:.2f},\n"
+            f"# is the largest of {len(complete)} trials on the scenarios that chose it, and thus optimistic.\n"
         )
         content = yaml.safe_dump({ENV_ID: best.user_attrs["hyperparameters"]}, sort_keys=True)
         write_atomically(folder / BEST_FILE, head + content)

@@ -10,13 +10,16 @@ from torch import nn
 
 from agents.hyperparameters import ALGORITHMS, CONFIG_FOLDER, parse, parse_literal, read_config
 from agents.networks import ACTIVATIONS
-from tests.agents.small import ON_POLICY
+from tests.agents.small import CONFIGS, ON_POLICY
 from wtg_gym import ENV_ID
 
+#: The files that are not named after their algorithm.
+OTHER_FILES = {"ppo_tau": "ppo"}
 
-@pytest.mark.parametrize("algo", ALGORITHMS)
-def test_shipped_files_mean_what_rl_zoo_makes_of_them(algo: str) -> None:
-    path = CONFIG_FOLDER / f"{algo}.yml"
+
+@pytest.mark.parametrize("name", [*ALGORITHMS, *OTHER_FILES])
+def test_shipped_files_mean_what_rl_zoo_makes_of_them(name: str) -> None:
+    path, algo = CONFIG_FOLDER / f"{name}.yml", OTHER_FILES.get(name, name)
     raw = yaml.safe_load(path.read_text())[ENV_ID]
     ours = parse(algo, read_config(path))
     # RL Zoo's own way: eval for dictionaries, the part after "lin_" for a schedule that falls to zero.
@@ -31,7 +34,7 @@ def test_shipped_files_mean_what_rl_zoo_makes_of_them(algo: str) -> None:
 
 
 def test_there_are_no_other_files() -> None:
-    assert {path.stem for path in CONFIG_FOLDER.glob("*")} == set(ALGORITHMS)
+    assert {path.stem for path in CONFIG_FOLDER.glob("*")} == {*ALGORITHMS, *OTHER_FILES}
 
 
 def test_texts_are_read_as_python_writes_them() -> None:
@@ -74,6 +77,49 @@ def test_texts_that_would_need_evaluation_are_refused(text: str) -> None:
 def test_bad_values_are_named(changes: dict[str, Any], text: str) -> None:
     with pytest.raises(ValueError, match=text):
         parse("ppo", {**ON_POLICY, **changes})
+
+
+@pytest.mark.parametrize(
+    ("algo", "changes", "text"),
+    [
+        ("ppo", {"learning_rate": float("nan")}, "learning_rate must be finite, got nan"),
+        ("ppo", {"gamma": float("inf")}, "gamma must be finite, got inf"),
+        ("ppo", {"policy_kwargs": "dict(log_std_init=-1e999)"}, "policy_kwargs must be finite, got -inf"),
+        ("ppo", {"normalize": "dict(clip_obs=1e999)"}, "normalize: clip_obs must be finite|clip_obs must be a number"),
+        ("ppo", {"n_epochs": "x"}, "n_epochs must be a whole number of 1 or more, got 'x'"),
+        ("ppo", {"n_epochs": 0}, "n_epochs must be a whole number of 1 or more, got 0"),
+        ("ppo", {"n_epochs": True}, "n_epochs must be"),
+        ("ppo", {"batch_size": 64.0}, "batch_size must be a whole number"),
+        ("ppo", {"ent_coef": "lin_0.1"}, "ent_coef must be a number of 0 or more, got 'lin_0.1'"),
+        ("ppo", {"sde_sample_freq": "x"}, "sde_sample_freq must be a whole number of 1 or more, or -1, got 'x'"),
+        ("ppo", {"sde_sample_freq": 0}, "sde_sample_freq must be"),
+        ("ppo", {"gamma": 2.0}, "gamma must be a number from 0 to 1, got 2.0"),
+        ("ppo", {"target_kl": -1}, "target_kl must be a number above 0, got -1"),
+        ("ppo", {"learning_rate": 0}, "learning_rate must be a number above 0, got 0"),
+        ("ppo", {"use_sde": "yes"}, "use_sde must be true or false, got 'yes'"),
+        ("ppo", {"normalize": "dict(clip_obs=-1)"}, "normalize: clip_obs must be a number above 0, got -1"),
+        ("ppo", {"normalize": "dict(norm_obs=2)"}, "normalize: norm_obs must be true or false, got 2"),
+        ("sac", {"ent_coef": "auto_x"}, "ent_coef must be a number, .auto., or .auto_. with a number above 0"),
+        ("sac", {"train_freq": [1, "episode"]}, "train_freq must be a whole number of 1 or more"),
+        ("td3", {"tau": -0.1}, "tau must be a number from 0 to 1, got -0.1"),
+    ],
+)
+def test_values_of_the_wrong_type_or_range_are_named(algo: str, changes: dict[str, Any], text: str) -> None:
+    with pytest.raises(ValueError, match=text) as caught:
+        parse(algo, {**CONFIGS[algo], **changes})
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("algo", "changes"),
+    [
+        ("ppo", {"target_kl": None, "clip_range_vf": None, "clip_range": "lin_0.2", "gamma": 1}),
+        ("sac", {"ent_coef": "auto", "gradient_steps": -1, "train_freq": [2, "step"]}),
+        ("tqc", {"ent_coef": 0.1, "target_entropy": "auto"}),
+    ],
+)
+def test_values_that_the_algorithms_take_are_taken(algo: str, changes: dict[str, Any]) -> None:
+    parse(algo, {**CONFIGS[algo], **changes})
 
 
 def test_unknown_algorithm_and_section_are_named(tmp_path: Any) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import signal
@@ -19,14 +20,17 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from agents.checkpoints import load_policy
 from agents.export import export, largest_difference
+from agents.export import main as export_command
 from agents.hyperparameters import ALGORITHMS
-from agents.runs import Run, folders, save_folder
+from agents.runs import Run, RunSettings, folders, held, new_folder, put_back, save_folder
 from agents.train import main
 from agents.training import start, train
-from tests.agents.small import config_file, options, trained
+from tests.agents.small import CONFIGS, config_file, options, trained
 from wtg_gym.evaluation import evaluate, load_entries
 
 ROOT = Path(__file__).resolve().parents[2]
+#: Large enough for torch to use several threads where it may.
+WIDE = {**CONFIGS["ppo"], "policy_kwargs": "dict(net_arch=[64, 64])"}
 
 
 def kill_after_the_second_checkpoint(arguments: list[str], folder: Path) -> None:
@@ -93,6 +97,14 @@ def test_run_stopped_at_its_first_checkpoint_goes_on_to_the_same_weights(tmp_pat
     assert same(weights(stopped, "ppo"), weights(whole, "ppo"))
 
 
+def test_run_killed_before_its_first_checkpoint_begins_anew_with_the_same_weights(tmp_path: Path) -> None:
+    whole, killed = trained(tmp_path, "ppo", "whole"), tmp_path / "killed"
+    assert Run.read(whole).settings.hyperparameters["use_sde"]
+    Run.new(Run.read(whole).settings).write(killed)
+    assert main(["--resume", str(killed)]) == 0
+    assert same(weights(killed, "ppo"), weights(whole, "ppo"))
+
+
 @pytest.mark.parametrize("missing", ["row", "checkpoint"])
 def test_kill_between_two_files_is_mended(missing: str, tmp_path: Path) -> None:
     folder = trained(tmp_path, "ppo", "run")
@@ -107,6 +119,154 @@ def test_kill_between_two_files_is_mended(missing: str, tmp_path: Path) -> None:
     scores = [[(row["timesteps"], row["score"]) for row in run.curve] for run in (complete, Run.read(folder))]
     assert scores[0] == scores[1]
     assert [int(path.name) for path in folders(folder / "best")] == [complete.best["timesteps"]]
+
+
+_FIRST_WEIGHTS = """
+import hashlib, sys
+from agents.runs import Run
+from agents.training import start
+from pathlib import Path
+model, _ = start(Run.read(Path(sys.argv[1])))
+weights = b"".join(value.numpy().tobytes() for value in model.policy.state_dict().values())
+print(hashlib.sha256(weights).hexdigest())
+"""
+
+
+def test_first_weights_do_not_depend_on_the_number_of_threads(tmp_path: Path) -> None:
+    settings = RunSettings(algo="ppo", hyperparameters=WIDE, timesteps=16, n_envs=2, interval=16)
+    Run.new(settings).write(tmp_path)
+    hashes = []
+    for n_threads in ("1", "2"):
+        command = [sys.executable, "-c", _FIRST_WEIGHTS, str(tmp_path)]
+        environment = {**os.environ, "OMP_NUM_THREADS": n_threads}
+        done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=True)
+        hashes.append(done.stdout)
+    assert hashes[0] == hashes[1]
+
+
+def test_export_describes_the_policy_that_it_writes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, entry = trained(tmp_path, "ppo", "run"), tmp_path / "entry"
+    (best,) = folders(folder / "best")
+    run = Run.read(folder)
+    # A row with a better score whose policy is not there, as an interruption may leave it.
+    other = next(row for row in run.curve if row["timesteps"] != int(best.name))
+    other["score"] = run.best["score"] + 1.0
+    run.write(folder)
+    export(folder, entry, name="mine")
+    (row,) = (row for row in run.curve if row["timesteps"] == int(best.name))
+    assert f"| {row['score']:.1f} on 2 scenarios" in (entry / "README.md").read_text()
+    assert f"for {int(best.name)} steps" in (entry / "entry.toml").read_text()
+
+    def fails(*_: Any) -> Any:
+        raise AssertionError("the work was begun")
+
+    monkeypatch.setattr("agents.export._trained", fails)
+    for name in ("a|b", " a", "x" * 61):
+        assert export_command([str(folder), "--output", str(tmp_path / "other"), "--name", name]) == 2
+        assert "an entry's name must be" in capsys.readouterr().err
+    run.curve.remove(row)
+    run.write(folder)
+    assert export_command([str(folder), "--output", str(tmp_path / "other")]) == 2
+    assert "resume it first" in capsys.readouterr().err
+    assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.parametrize(
+    ("algo", "policy_kwargs", "text"),
+    [
+        ("ppo", "dict(net_arch=[8], squash_output=True)", "cannot export actions of StateDependentNoise"),
+        ("recurrent_ppo", "dict(lstm_kwargs=dict(bias=False))", "cannot export an LSTM with {'bias': False"),
+        ("ppo", "dict(net_arch=5)", "ppo refuses its hyperparameters"),
+    ],
+)
+def test_policies_that_could_not_be_exported_are_refused_at_the_start(
+    algo: str, policy_kwargs: str, text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config, new = config_file(tmp_path, algo, policy_kwargs=policy_kwargs), tmp_path / "new"
+    assert main(["--algo", algo, "--config", config, "--output", str(new)]) == 2
+    error = capsys.readouterr().err
+    assert text in error and error.count("\n") == 1 and not new.exists()
+
+
+def test_other_versions_are_refused_on_resumption_unless_they_are_allowed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "run"
+    run = Run.new(Run.read(trained(tmp_path, "ppo", "whole")).settings)
+    now = run.provenance
+    run.provenance = {**now, "source_hash": "0" * 64, "suite_hash": "1" * 64, "versions": {**now["versions"]}}
+    run.provenance["versions"]["torch"] = "0.1"
+    run.write(folder)
+    before = (folder / "run.json").read_bytes()
+    capsys.readouterr()
+    assert main(["--resume", str(folder)]) == 2
+    error = capsys.readouterr().err
+    for text in ("source hash was 000000000000", "suite hash was 111111111111", "torch was 0.1", "--allow-other-"):
+        assert text in error
+    assert error.count("\n") == 1 and (folder / "run.json").read_bytes() == before
+    assert main(["--resume", str(folder), "--allow-other-versions"]) == 0
+    after = Run.read(folder)
+    assert after.resumed == 1 and len(after.resumptions) == 1
+    assert len(after.resumptions[0]["differences"]) == 3 and after.resumptions[0]["source_hash"] == now["source_hash"]
+    # The process before is what the next one is compared with; a finished run is not gone on with.
+    assert main(["--resume", str(folder)]) == 0
+    assert (Run.read(folder).resumed, len(Run.read(folder).resumptions)) == (1, 1)
+    assert main([*options(tmp_path, "ppo"), "--output", str(tmp_path / "new"), "--allow-other-versions"]) == 2
+
+
+def test_folder_is_of_one_process_and_refuses_what_cannot_go_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = trained(tmp_path, "ppo", "run")
+    capsys.readouterr()
+    with held(folder):
+        assert main(["--resume", str(folder)]) == 2
+    assert f"another process trains in {folder}" in capsys.readouterr().err
+    with new_folder(tmp_path / "new"):
+        assert main([*options(tmp_path, "ppo"), "--output", str(tmp_path / "new")]) == 2
+    assert "another process trains in" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
+    shutil.rmtree(folder / "checkpoints")
+    assert main(["--resume", str(folder)]) == 2
+    error = capsys.readouterr().err
+    assert "no checkpoint to go on from" in error and error.count("\n") == 1
+
+
+def test_folder_of_the_same_name_is_replaced_without_a_gap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def content() -> list[str]:
+        return [(path / "a").read_text() for path in folders(tmp_path)]
+
+    save_folder(tmp_path, 1, lambda path: (path / "a").write_text("old"))
+    save_folder(tmp_path, 1, lambda path: (path / "a").write_text("new"))
+    assert content() == ["new"] and len(list(tmp_path.iterdir())) == 1
+
+    # Killed between the two renamings.
+    rename = Path.rename
+
+    def killed(path: Path, target: Path) -> Path:
+        if path.name == "incomplete":
+            raise KeyboardInterrupt
+        return rename(path, target)
+
+    monkeypatch.setattr(Path, "rename", killed)
+    with pytest.raises(KeyboardInterrupt):
+        save_folder(tmp_path, 1, lambda path: (path / "a").write_text("newer"))
+    monkeypatch.undo()
+    put_back(tmp_path)
+    assert content() == ["new"]
+
+
+def test_description_is_the_first_file_of_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def killed(*_: Any) -> Any:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("agents.training.configure", killed)
+    assert main([*options(tmp_path, "ppo"), "--output", str(tmp_path / "run")]) == 130
+    assert {path.name for path in (tmp_path / "run").iterdir()} == {"run.json", ".lock"}
+    monkeypatch.undo()
+    assert main(["--resume", str(tmp_path / "run")]) == 0
 
 
 def test_another_seed_gives_other_weights(tmp_path: Path) -> None:
@@ -171,6 +331,7 @@ def test_folder_is_complete_or_not_there(tmp_path: Path) -> None:
         (["--algo", "ppo", "--output", "new", "--config", "no.yml"], "cannot read the hyperparameter file"),
         (["--resume", "no-such-run"], "cannot read the description of the run"),
         (["--resume", "no-such-run", "--seed", "1"], "leave out seed"),
+        (["--algo", "ppo", "--output", "/proc/x"], "cannot create the folder /proc/x"),
     ],
 )
 def test_bad_options_are_refused_before_anything_runs(

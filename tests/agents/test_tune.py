@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import optuna
 import pytest
 from optuna.trial import FixedTrial, TrialState
 
+from agents import tune
 from agents.hyperparameters import ALGORITHMS, CONFIG_FOLDER, parse, read_config
+from agents.runs import Run, RunSettings
 from agents.train import main as train
+from agents.training import OnScore
 from agents.tune import SPACES, main
 from tests.agents.small import config_file
 
@@ -17,7 +21,8 @@ LENGTH = ["--timesteps", "512", "--n-envs", "16", "--interval", "256", "--valida
 
 
 def options(folder: Path) -> list[str]:
-    return ["--algo", "ppo", "--config", config_file(folder, "ppo"), *LENGTH, "--output", str(folder / "study")]
+    config = config_file(folder, "ppo", learning_rate="lin_0.001", n_envs=4)
+    return ["--algo", "ppo", "--config", config, *LENGTH, "--output", str(folder / "study")]
 
 
 def study(folder: Path) -> optuna.Study:
@@ -41,10 +46,41 @@ def test_study_goes_on_and_repeats_what_was_interrupted(tmp_path: Path) -> None:
     trials = study(tmp_path).trials
     assert [trial.state for trial in trials] == [TrialState.COMPLETE, TrialState.FAIL, TrialState.COMPLETE]
     assert trials[2].params == trials[1].params
-    assert min(trials[0].intermediate_values) == 0 and max(trials[0].intermediate_values) >= 512
+    # Intervals, not timesteps.
+    assert min(trials[0].intermediate_values) == 0 and 2 <= max(trials[0].intermediate_values) <= 600 * 16 // 256 + 1
     best = tmp_path / "study" / "best.yml"
-    assert read_config(best)["learning_rate"] == study(tmp_path).best_trial.params["learning_rate"]
+    assert "# is the largest of 2 trials on the scenarios that chose it" in best.read_text()
+    found = read_config(best)
+    assert found["learning_rate"] == f"lin_{study(tmp_path).best_trial.params['learning_rate']}"
+    assert (found["n_envs"], found["n_timesteps"]) == (16, 512)
     assert train(["--algo", "ppo", "--config", str(best), *LENGTH, "--output", str(tmp_path / "run")]) == 0
+
+
+def test_trials_of_unequal_rollouts_are_compared() -> None:
+    hyperparameters = read_config(CONFIG_FOLDER / "ppo.yml")
+    settings = RunSettings(algo="ppo", hyperparameters=hyperparameters, timesteps=1000, n_envs=2, interval=50)
+    study = optuna.create_study(direction="maximize", pruner=tune._pruner(settings))
+
+    def play(length: int, score: float, monkeypatch: pytest.MonkeyPatch) -> TrialState:
+        """Validate after every interval, at the end of a rollout of this length."""
+
+        def train(run: Run, model: Any, metrics: Any, on_score: OnScore) -> None:
+            for timesteps in range(0, 1001, length):
+                if timesteps // 50 > (timesteps - length) // 50:
+                    on_score(timesteps, score)
+            run.curve.append({"score": score})
+
+        monkeypatch.setattr(tune, "start", lambda run: (None, None))
+        monkeypatch.setattr(tune, "train", train)
+        study.optimize(lambda trial: tune._objective(trial, settings), n_trials=1)
+        return study.trials[-1].state
+
+    with pytest.MonkeyPatch.context() as patch:
+        states = [play(length, 100.0, patch) for length in (7, 11, 13, 17, 19)]
+        assert states == [TrialState.COMPLETE] * 5
+        assert play(23, 90.0, patch) == TrialState.PRUNED
+    # Not before a quarter of the run.
+    assert max(study.trials[-1].intermediate_values) == 1000 // 4 // 50
 
 
 def test_folder_of_another_study_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
