@@ -22,11 +22,12 @@ class Gains:
 
     - Most of the cost is the doing of loads and wind, and the same for both: it drops out of the difference, and what
       the actions did stands out of the noise (common random numbers).
-    - Scenarios count alike, as in the score, whose slope at the reference this is; in a sum of costs a few wild ones
-      decide.
+    - Scenarios count alike, as in the score; in a sum of costs a few wild ones decide.
 
-    No action changes c_ref, so within an episode that runs its time the difference changes what is learned in no other
-    way. Who fails also forfeits what c_ref would still have brought.
+    This is deliberately another objective than the cost. To first order its sum over an episode is what the score gains
+    at the reference: each scenario weighs 1 / (J_ref + J0). And who fails pays extra: besides the cost of the failure,
+    what c_ref would still have brought is forfeited. The policy that is best by it need not be the one with the least
+    mean cost.
 
     Args:
         lanes: the episodes. What the reference pays in one of them is played once, when it begins.

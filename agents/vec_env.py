@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -26,11 +27,29 @@ class StaggeredVecEnv(SB3VecEnv):
         self.reset_infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         return stagger(self.vector_env)
 
+    def set_options(self, options: Sequence[dict[str, Any]] | dict[str, Any] | None = None) -> None:
+        """Refuse any: spreading the lanes starts them anew, with scenarios that are drawn.
+
+        Raises:
+            ValueError: there are options.
+        """
+        if options and any(options):
+            raise ValueError(
+                f"a {type(self).__name__} draws its scenarios and takes no reset options, got {options!r:.80}"
+            )
+        super().set_options(options)
+
 
 class GainVecEnv(StaggeredVecEnv):
-    """:class:`StaggeredVecEnv` whose rewards are :class:`agents.gains.Gains`."""
+    """:class:`StaggeredVecEnv` whose rewards are :class:`agents.gains.Gains`; scenarios are drawn, never given.
+
+    Raises:
+        ValueError: a scenario is given.
+    """
 
     def __init__(self, num_envs: int = 1, **arguments: Any) -> None:
+        if arguments.get("scenario") is not None:
+            raise ValueError("scenario must be left out: the gain is over the reference in a scenario that is drawn")
         super().__init__(num_envs, **arguments)
         self._gains = Gains(self.vector_env.lanes)
 

@@ -8,6 +8,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from agents.gains import Gains
 from agents.metrics import EpisodeMetrics
 from agents.staggering import stagger
 from agents.vec_env import GainVecEnv, StaggeredVecEnv
@@ -107,6 +108,44 @@ def test_gain_is_the_share_of_the_reference_cost_that_is_saved() -> None:
     assert n_ended >= 6
     env.close()
     plain.close()
+
+
+def test_failure_forfeits_what_the_reference_would_still_have_paid() -> None:
+    # Power point tracking survives this scenario of the training split, and stalls at full positive action.
+    arguments: dict[str, Any] = {"strategy": "mppt", "duration_s": 30.0}
+    env = GFMWTGVectorEnv(1, autoreset_mode="SameStep", n_threads=1, **arguments)
+    env.reset(seed=522)
+    gains, total, cost, n_steps, failed = Gains(env.lanes), 0.0, 0.0, 0, False
+    (scenario,) = env.lanes.scenarios(env.lanes.scenario_seeds.tolist())
+    gains.follow([0])
+    while not failed:
+        before = gains.reference_costs()
+        _, rewards, terminated, truncated, _ = env.step(np.ones((1, 4), np.float32))
+        total += float(gains.of(before, rewards)[0])
+        cost, n_steps, failed = cost - float(rewards[0]), n_steps + 1, bool(terminated[0])
+        assert not truncated[0]
+    single = gym.make(ENV_ID, **arguments)
+    single.reset(options={"scenario": scenario})
+    paid = [-float(single.step(np.zeros(4, np.float32))[1]) for _ in range(300)]
+    scale = 100.0 / (sum(paid) + 5.0)
+    assert n_steps < 300 and total == pytest.approx(scale * (sum(paid[:n_steps]) - cost), rel=1e-6)
+    # Less than the saving alone, by the rest of the reference's cost.
+    assert total == pytest.approx(scale * (sum(paid) - cost) - scale * sum(paid[n_steps:]), rel=1e-6)
+    assert sum(paid[n_steps:]) > 0.0 and total < 0.0
+    gains.close()
+    env.close()
+
+
+def test_scenarios_of_ones_own_are_refused() -> None:
+    scenario = get_suite("standard").scenario(10_000, n_turbines=[10.0, 10.0], duration_s=2.0)
+    with pytest.raises(ValueError, match="scenario must be left out"):
+        GainVecEnv(2, duration_s=2.0, scenario=scenario.to_dict())
+    env = GainVecEnv(2, duration_s=2.0)
+    for options in ({"scenario": scenario}, [{"scenario": scenario}, {}]):
+        with pytest.raises(ValueError, match="GainVecEnv draws its scenarios and takes no reset options"):
+            env.set_options(options)
+    env.set_options()
+    env.close()
 
 
 def reference_cost(seed: int) -> float:
