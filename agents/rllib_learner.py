@@ -141,7 +141,8 @@ def _connect(address: str | None, h: Hyperparameters) -> None:
         return
     try:
         ray.init(address, **options)
-    except (ConnectionError, ValueError) as error:
+    except (ConnectionError, ValueError, SystemExit) as error:
+        # Ray ends the process where a cluster that it remembers is gone.
         raise ValueError(f"--address {address}: no Ray cluster answers ({str(error).splitlines()[0]})") from error
     n_cpus = int(ray.cluster_resources().get("CPU", 0))
     if n_cpus < n_processes:

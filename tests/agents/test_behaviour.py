@@ -100,7 +100,18 @@ def test_everything_is_written_small_and_the_same_each_time(tmp_path: Path) -> N
     text = page(tmp_path / "page.md")
     written = []
     for name in ("one", "two"):
-        options = ["--entries", *entries, "--runs", *runs, "--scenarios", "3", "--show", "10001"]
+        options = [
+            "--entries",
+            *entries,
+            "--runs",
+            *runs,
+            "--split",
+            "validation",
+            "--scenarios",
+            "3",
+            "--show",
+            "10001",
+        ]
         assert main([*options, "--output", str(tmp_path / name), "--page", str(text)]) == 0
         written.append(digests(tmp_path / name))
     assert written[0] == written[1]
@@ -149,7 +160,7 @@ def test_curves_survive_their_file_and_are_sorted_by_set_up_and_seed(tmp_path: P
         (["--entries", "no-such"], "unknown entry 'no-such'"),
         (["--entries", "ENTRY", "ENTRY"], "given more than once"),
         (["--entries", "ENTRY", "--scenarios", "0"], "--scenarios must be 1 … 200 for standard/test, got 0"),
-        (["--entries", "ENTRY", "--show", "7"], "--show must be one of the seeds played, 10000 … 10049, got 7"),
+        (["--entries", "ENTRY", "--show", "7"], "--show must be one of the seeds played, 20000 … 20049, got 7"),
         (["--entries", "ENTRY", "--formats", "gif"], "invalid choice: 'gif'"),
         (["--entries", "ENTRY", "--page", "no.md"], "--page: cannot read"),
         (["--runs", "no-such"], "cannot read the description of the run"),
