@@ -28,7 +28,7 @@ STEP_S = 0.25
 LANE_TOLERANCE = 1e-3
 
 #: Of the process that plays a policy: address space [bytes], processor time [s], open files.
-MEMORY_BYTES = 3 * 2**30
+MEMORY_BYTES = 2 * 2**30
 CPU_S = 900
 OPEN_FILES = 64
 #: Wall-clock time until a policy is loaded, for one step, and for everything [s].
