@@ -89,7 +89,9 @@ def check_submission(folder: Path, *, weak: bool = False) -> Report:
         NotIsolatedError: this system cannot, and `weak` is not set.
     """
     done: list[Check] = []
-    entry, content, notes = None, b"", ()
+    entry: EntryFile | None = None
+    content: bytes = b""
+    notes: tuple[str, ...] = ()
     try:
         files = read_files(folder)
         content = files[POLICY_FILE]
@@ -177,7 +179,8 @@ def _observations(n_lanes: int, width: int, seed: int) -> Floats:
     special += [sign * _BOUND * row for row in np.eye(width) for sign in (1.0, -1.0)]
     n = min(len(special), n_lanes // 2)
     values[:n] = special[:n]
-    return values.astype(np.float32)
+    found: Floats = values.astype(np.float32)
+    return found
 
 
 def _course(policy: IsolatedPolicy, steps: Sequence[Floats]) -> list[Floats]:

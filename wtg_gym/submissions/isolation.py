@@ -5,6 +5,7 @@ The scenarios, the simulation and the score stay here, so a policy can neither s
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
@@ -118,7 +119,7 @@ class IsolatedPolicy:
             self.error = str(error)
         else:
             widths = loaded.get("states", [])
-            if not isinstance(widths, list) or not all(isinstance(width, int) and 0 < width for width in widths):
+            if not isinstance(widths, list) or not all(isinstance(width, int) and width > 0 for width in widths):
                 raise SubmissionError("the policy's process sent widths of states that are none")
             if len(widths) > limits.STATES or max(widths, default=0) > limits.VALUES_PER_LANE:
                 raise SubmissionError("the policy's process sent widths of states that are too large")
@@ -211,11 +212,9 @@ class IsolatedPolicy:
         self._process.kill()
         self._process.wait()
         for stream in (self._process.stdin, self._process.stdout):
-            try:
-                cast(IO[bytes], stream).close()
             # What was still to be written has no reader any more.
-            except OSError:
-                pass
+            with contextlib.suppress(OSError):
+                cast(IO[bytes], stream).close()
         self._folder.cleanup()
 
     def __enter__(self) -> IsolatedPolicy:

@@ -1,8 +1,8 @@
 """Shapes of everything that a policy computes, found without computing it.
 
 A shape is a tuple of lengths, with :data:`BATCH` in place of the number of lanes. Every rule keeps the lanes apart: an
-operator that would add them up, mix them, or make a second axis of them is refused. So the size of every value, and that
-a lane's action depends on that lane alone, are known beforehand. An operator that has no rule is not allowed.
+operator that would add them up, mix them, or make a second axis of them is refused. So the size of every value, and
+that a lane's action depends on that lane alone, are known beforehand. An operator that has no rule is not allowed.
 """
 
 from __future__ import annotations
