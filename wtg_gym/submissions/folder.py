@@ -177,7 +177,11 @@ def _list(key: str, value: Any, fewest: int, most: int) -> list[Any]:
 
 
 def _short(value: Any) -> str:
-    text = ascii(value)
+    try:
+        text = ascii(value)
+    # Python writes no number of more than 4300 digits.
+    except (ValueError, RecursionError):
+        text = f"a very long {type(value).__name__}"
     return text if len(text) <= 80 else text[:77] + "..."
 
 

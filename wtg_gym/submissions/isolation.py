@@ -195,8 +195,12 @@ class IsolatedPolicy:
 
     def _ended(self, seconds: float) -> SubmissionError:
         """Return the error that says how the process ended, once it has."""
-        self._process.kill()
-        code = self._process.wait()
+        # It has closed its end: a moment for it to exit by itself tells how.
+        try:
+            code = self._process.wait(timeout=2.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            code = self._process.wait()
         if self._timed_out:
             self.error = f"it took longer than {seconds:g} s, or than {limits.TOTAL_S:g} s in all"
         else:
