@@ -296,7 +296,9 @@ def _declared(given: Any) -> Shape:
     if kind.WhichOneof("value") != "tensor_type" or kind.tensor_type.elem_type != TensorProto.FLOAT:
         raise Refused(f"{quoted(given.name)} must be a float32 tensor")
     dims = kind.tensor_type.shape.dim
-    if len(dims) != 2 or dims[0].HasField("dim_value") or dims[1].dim_value < 1:
+    # An axis without a name is any length too; a name that is no text trips onnxruntime up.
+    named = all(dim.dim_param.isascii() for dim in dims)
+    if len(dims) != 2 or dims[0].HasField("dim_value") or dims[1].dim_value < 1 or not named:
         raise Refused(f"{quoted(given.name)} must have the shape (batch, n), with a name for the batch and a number n")
     return (BATCH, dims[1].dim_value)
 

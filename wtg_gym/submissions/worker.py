@@ -91,11 +91,11 @@ def _serve(content: bytes, source: BinaryIO, sink: BinaryIO) -> None:
     options.log_severity_level = 4
     try:
         session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+        widths = {value.name: int(value.shape[1]) for value in session.get_inputs()}
+        outputs = {value.name: int(value.shape[1]) for value in session.get_outputs()}
     except Exception as error:
         _send(sink, {"error": f"onnxruntime cannot load it: {_text(error)}"})
         return
-    widths = {value.name: int(value.shape[1]) for value in session.get_inputs()}
-    outputs = {value.name: int(value.shape[1]) for value in session.get_outputs()}
     n_states = len(widths) - 1
     inputs = ["observation", *(f"state_{index}" for index in range(n_states))]
     names = ["action", *(f"next_state_{index}" for index in range(n_states))]
