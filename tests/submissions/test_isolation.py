@@ -107,15 +107,14 @@ def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
         assert "its process ended with exit code 1" in policy.error
 
 
-def test_process_ends_with_the_one_that_started_it() -> None:
+def test_process_ends_with_the_one_that_started_it(tmp_path: Path) -> None:
     program = (
         "import sys, time; from tests.submissions.models import *; "
         "from wtg_gym.submissions.isolation import IsolatedPolicy; "
         "policy = IsolatedPolicy(make_bytes(), N, M); print(policy._process.pid, flush=True); time.sleep(60)"
     )
-    parent = subprocess.Popen(
-        [sys.executable, "-c", program], stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": str(ROOT)}
-    )
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)}
+    parent = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, env=environment)
     assert parent.stdout is not None
     pid = int(parent.stdout.readline())
     parent.kill()
