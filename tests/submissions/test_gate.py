@@ -28,7 +28,8 @@ from tests.submissions.models import (
     node,
 )
 from tests.submissions.models import model as make
-from wtg_gym.submissions.gate import CHECKS, Report, check_submission
+from wtg_gym.submissions import limits
+from wtg_gym.submissions.gate import CHECKS, Report, _probe, check_submission
 from wtg_gym.submissions.graph import inspect
 from wtg_gym.submissions.limits import MEMORY_BYTES
 
@@ -483,3 +484,34 @@ def test_what_onnxruntime_cannot_load_is_refused(tmp_path: Path) -> None:
     content = after(node("Not", ["linear"], "action"))
     check, reason = refusal(check_submission(folder(tmp_path / "a", content)))
     assert check == "loading" and "onnxruntime cannot load it" in reason
+
+
+def test_slow_policies_are_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(limits, "STEP_S", 1e-9)
+    check, reason = refusal(check_submission(folder(tmp_path / "a")))
+    assert check == "speed" and "ms for a step of 256 lanes" in reason
+
+
+class Fake:
+    """Stands for a policy that got past the gate for files."""
+
+    n_observation = N
+
+    def __init__(self, answer: Any) -> None:
+        self.answer = answer
+
+    def predict(self, observation: Any, state: Any = None) -> tuple[Any, Any]:
+        return self.answer(observation).astype(np.float32), None
+
+
+def test_answers_that_depend_on_anything_else_are_refused() -> None:
+    rng = np.random.default_rng(0)
+    for answer, refused in (
+        (lambda x: x[:, :M], None),
+        (lambda x: x[:, :M] + rng.normal(size=(len(x), M)), "repeatable"),
+        (lambda x: x[:, :M] + 0.01 * x.mean(), "lanes apart"),
+        (lambda x: x[:, :M] + np.arange(len(x))[:, None], "lanes apart"),
+    ):
+        fake: Any = Fake(answer)
+        last = _probe(fake)[-1]
+        assert (last.name, last.verdict) == ((refused, "refused") if refused else ("speed", "passed"))
