@@ -28,6 +28,7 @@ def test_every_program_runs_as_printed(tmp_path: Path) -> None:
 PAGES = [
     ROOT / "README.md",
     ROOT / "CHANGELOG.md",
+    ROOT / "CONTRIBUTING.md",
     *sorted((ROOT / "docs").glob("*.md")),
     ROOT / "tests/golden/README.md",
 ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from wtg_gym.evaluation import Results, leaderboard_rows, markdown_table
+from wtg_gym.evaluation import Results, leaderboard_rows, markdown_table, table_cells
 
 
 def test_rows_are_sorted_by_score(results: Results) -> None:
@@ -19,6 +19,12 @@ def test_equal_scores_are_sorted_by_name(results: Results) -> None:
     results = dataclasses.replace(results)
     results.__dict__["summaries"] = equal
     assert [row.name for row in leaderboard_rows(results)] == ["a", "b", "c"]
+
+
+def test_equal_scores_share_a_rank(results: Results) -> None:
+    first, second, third = leaderboard_rows(results)
+    rows = [first, dataclasses.replace(first, name="other"), second, third]
+    assert [cells[0] for cells in table_cells(rows)] == ["1", "1", "3", "4"]
 
 
 def test_table_has_a_row_per_entry_and_a_cell_per_column(results: Results) -> None:

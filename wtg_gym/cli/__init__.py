@@ -22,6 +22,7 @@ from wtg_gym.cli import (
     simulate,
     small_signal,
     statics,
+    submission,
     suites,
     validate,
 )
@@ -50,7 +51,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"wtg-gym {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     analysis = (statics, small_signal, reproduce, validate, accuracy, parameters, bench)
-    for module in (simulate, scores, sensitivity, suites, *analysis):
+    for module in (simulate, scores, submission, sensitivity, suites, *analysis):
         module.add_commands(commands)
     return parser
 

@@ -130,12 +130,12 @@ def _run_evaluate(arguments: argparse.Namespace) -> int:
     if partial is not None:
         arguments.after_interrupt = _resumable(partial)
     entries = chosen_entries(arguments.entries)
-    results = _evaluate(
+    results = run_evaluation(
         entries,
         arguments,
         split=arguments.split,
         partial=partial,
-        seeds=None if arguments.seeds is None else _seeds(arguments.seeds),
+        seeds=None if arguments.seeds is None else chosen_seeds(arguments.seeds),
         duration_s=arguments.duration,
         groups=2 if arguments.groups is None else arguments.groups,
         control_dt=arguments.control_dt,
@@ -143,7 +143,7 @@ def _run_evaluate(arguments: argparse.Namespace) -> int:
         machine_model=arguments.machine_model,
         on_failure=arguments.on_failure,
     )
-    _finish(results, folder, as_json=arguments.json)
+    finish(results, folder, as_json=arguments.json)
     return 0
 
 
@@ -151,9 +151,10 @@ def _resumable(partial: Path) -> str:
     return f"finished parts are kept in {partial}: run the same command again to go on"
 
 
-def _evaluate(
+def run_evaluation(
     entries: Sequence[Entry], arguments: argparse.Namespace, *, partial: Path | None, **settings: Any
 ) -> Results:
+    """Return the results of entries on the suite that the arguments name, with progress on stderr."""
     with Progress("episodes") as progress:
         results = evaluate(
             entries,
@@ -188,7 +189,8 @@ def chosen_entries(specs: Sequence[str]) -> list[Entry]:
     return entries
 
 
-def _seeds(texts: Sequence[str]) -> list[int]:
+def chosen_seeds(texts: Sequence[str]) -> list[int]:
+    """Return the seeds that the values of `--seeds` name; a ValueError says what is wrong with one."""
     seeds: list[int] = []
     for text in texts:
         if re.fullmatch(r"\d{1,12}(:\d{1,12})?", text) is None:
@@ -201,7 +203,7 @@ def _seeds(texts: Sequence[str]) -> list[int]:
     return seeds
 
 
-def _finish(results: Results, folder: Path | None, *, as_json: bool) -> None:
+def finish(results: Results, folder: Path | None, *, as_json: bool) -> None:
     """Write the results, then print the ranking or all of the description as JSON."""
     if folder is not None:
         for path in results.write(folder):
@@ -232,14 +234,14 @@ def _run_leaderboard(arguments: argparse.Namespace) -> int:
     partial = folder / _PARTIAL_FOLDER
     arguments.after_interrupt = _resumable(partial)
     entries = chosen_entries(arguments.entries)
-    anchors = _evaluate([], arguments, partial=None)
+    anchors = run_evaluation([], arguments, partial=None)
     stored = None if arguments.fresh else _stored(folder / f"{anchors.name}.json", anchors)
     missing = [entry for entry in entries if stored is None or not _is_in(entry, stored)]
     if stored is not None:
         note(f"{len(entries) - len(missing)} of {len(entries)} entries are stored in {folder}")
-    fresh = _evaluate(missing, arguments, partial=partial) if missing else anchors
+    fresh = run_evaluation(missing, arguments, partial=partial) if missing else anchors
     results = _merged(entries, fresh, stored)
-    _finish(results, folder, as_json=arguments.json)
+    finish(results, folder, as_json=arguments.json)
     if readme is not None:
         update_page(readme, {section: markdown_table(leaderboard_rows(results))})
     return 0

@@ -24,7 +24,16 @@ _NOT_IN_NAMES = "|<>`*\\"
 #: The files of a folder with a trained policy.
 ENTRY_FILE = "entry.toml"
 POLICY_FILE = "policy.onnx"
-_ENTRY_KEYS = ("name", "description", "action_mode", "observation_mode", "training_seed", "authors")
+_ENTRY_KEYS = (
+    "name",
+    "description",
+    "action_mode",
+    "observation_mode",
+    "training_seed",
+    "authors",
+    "trained_on",
+    "links",
+)
 
 
 @runtime_checkable
@@ -168,8 +177,10 @@ def load_entries(spec: str | Path) -> list[Entry]:
 def load_entry_folder(folder: Path) -> Entry:
     """Return the entry of a folder with a policy that modulates the reference strategy.
 
-    Its entry.toml has the keys name and action_mode, and may have description, observation_mode, training_seed and
-    authors (a list of names); its policy.onnx is what :class:`OnnxPolicy` takes. No code of the folder is run.
+    Its entry.toml has the keys name and action_mode, and may have description, observation_mode, training_seed,
+    authors (a list of names), trained_on (text) and links (a list of addresses); its policy.onnx is what
+    :class:`OnnxPolicy` takes. No code of the folder is run, but nothing is kept from onnxruntime either: a stranger's
+    folder is for `wtg-gym submission`.
 
     Raises:
         ValueError: a file is missing or damaged, a key is unknown or of the wrong type, or onnxruntime is missing.
@@ -188,6 +199,10 @@ def load_entry_folder(folder: Path) -> Entry:
     authors = data.pop("authors", [])
     if not isinstance(authors, list) or not all(isinstance(author, str) and author for author in authors):
         raise ValueError(f"authors in {path} must be a list of names, got {authors!r}")
+    # They say nothing about what it does.
+    trained_on, links = data.pop("trained_on", ""), data.pop("links", [])
+    if not isinstance(trained_on, str) or not isinstance(links, list) or not all(isinstance(x, str) for x in links):
+        raise ValueError(f"in {path}, trained_on must be text and links a list of texts, got {trained_on!r}, {links!r}")
     try:
         policy = OnnxPolicy(folder / POLICY_FILE)
         return Entry(**data, policy=policy, fingerprint=policy.sha256, source=", ".join(authors))

@@ -37,8 +37,9 @@ def leaderboard_rows(results: Results) -> list[EntrySummary]:
 
 
 def table_cells(rows: Sequence[EntrySummary]) -> list[list[str]]:
-    """Return the texts of the table, one list per row, in the order of :data:`COLUMNS`."""
-    return [[str(rank), *_cells(row)] for rank, row in enumerate(rows, start=1)]
+    """Return the texts of the table, one list per row, in the order of :data:`COLUMNS`; equal scores share a rank."""
+    scores = [row.score.value for row in rows]
+    return [[str(1 + sum(other > row.score.value for other in scores)), *_cells(row)] for row in rows]
 
 
 def _cells(row: EntrySummary) -> list[str]:

@@ -1,0 +1,195 @@
+"""The folder of a submission: which files it may hold, and what entry.toml may say."""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+import tomllib
+import unicodedata
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.evaluation.entries import ENTRY_FILE, POLICY_FILE
+from wtg_gym.physics.tracking_law import STRATEGIES
+from wtg_gym.submissions import limits
+
+README_FILE = "README.md"
+#: The files of a folder and their largest sizes [bytes].
+FILES = {ENTRY_FILE: limits.ENTRY_BYTES, POLICY_FILE: limits.MODEL_BYTES, README_FILE: limits.README_BYTES}
+_REQUIRED = ("name", "authors", "training_seed", "action_mode")
+_OPTIONAL = ("observation_mode", "description", "trained_on", "links")
+_MODES = {"action_mode": ("k", "tau", "k+tau"), "observation_mode": ("local", "privileged")}
+_NAME_SIGNS = " ()+-.,=_"
+_NOT_IN_TEXTS = "<>|`[]\\"
+_LONGEST_NAME, _LONGEST_TEXT, _LONGEST_LINK = 60, 400, 200
+_LARGEST_SEED = 2**32 - 1
+_MOST_AUTHORS, _MOST_LINKS = 40, 5
+_LINK = re.compile(r"https://[A-Za-z0-9][A-Za-z0-9.-]*\.[A-Za-z]{2,24}(/[A-Za-z0-9._~/%#?=&+-]*)?")
+
+
+@dataclass(frozen=True, kw_only=True)
+class EntryFile:
+    """What entry.toml says.
+
+    Args:
+        name: of the entry; folders of one name and different training seeds are one entry.
+        authors: who made it.
+        training_seed: 0 … 2³² - 1.
+        action_mode: "k", "tau" or "k+tau".
+        observation_mode: "local" or "privileged".
+        description: one sentence on what it is.
+        trained_on: what it was trained on.
+        links: https addresses of a paper or of the training code.
+    """
+
+    name: str
+    authors: tuple[str, ...]
+    training_seed: int
+    action_mode: str
+    observation_mode: str = "local"
+    description: str = ""
+    trained_on: str = ""
+    links: tuple[str, ...] = ()
+
+
+def read_files(folder: Path) -> dict[str, bytes]:
+    """Return the contents of a submission's files.
+
+    Raises:
+        ValueError: the folder holds something else, a file is no plain file or too large, or one is missing.
+    """
+    if not stat.S_ISDIR(_status(folder).st_mode):
+        raise ValueError(f"{folder} is not a folder, or a link to one")
+    names = []
+    with os.scandir(folder) as found:
+        for item in found:
+            names.append(item.name)
+            if item.name not in FILES:
+                raise ValueError(f"it holds {ascii(item.name)[:80]}; allowed are {', '.join(FILES)} and nothing else")
+    missing = [name for name in (ENTRY_FILE, POLICY_FILE) if name not in names]
+    if missing:
+        raise ValueError(f"it has no {' and no '.join(missing)}")
+    return {name: _read(folder / name, FILES[name]) for name in FILES if name in names}
+
+
+def read_policy(path: Path) -> bytes:
+    """Return the content of one policy file; a ValueError if it is no plain file or too large."""
+    return _read(path, limits.MODEL_BYTES)
+
+
+def _status(path: Path) -> os.stat_result:
+    try:
+        return os.lstat(path)
+    except (OSError, ValueError) as error:
+        raise ValueError(f"cannot read {path}: {error}") from error
+
+
+def _read(path: Path, largest: int) -> bytes:
+    """Return the content of a plain file that is no link; what is looked at is what is read."""
+    if not stat.S_ISREG(_status(path).st_mode):
+        raise ValueError(f"{path.name} is a link or something else that is not a plain file")
+    flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    try:
+        with os.fdopen(os.open(path, flags), "rb") as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise ValueError(f"{path.name} is not a plain file")
+            content = file.read(largest + 1)
+    except OSError as error:
+        raise ValueError(f"cannot read {path.name}: {error.strerror}") from error
+    if len(content) > largest:
+        raise ValueError(f"{path.name} is larger than {largest} bytes")
+    return content
+
+
+def parse_entry(content: bytes) -> EntryFile:
+    """Return what entry.toml says.
+
+    Raises:
+        ValueError: it is no TOML, or a key is missing, unknown or out of range; the message names what is allowed.
+    """
+    try:
+        data = tomllib.loads(content.decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"it is not TOML in UTF-8: {ascii(str(error))[:120]}") from error
+    missing, unknown = [key for key in _REQUIRED if key not in data], sorted(set(data) - {*_REQUIRED, *_OPTIONAL})
+    if missing or unknown:
+        raise ValueError(
+            f"it must have the keys {', '.join(_REQUIRED)} and may have {', '.join(_OPTIONAL)}; "
+            f"missing: {missing}, unknown: {ascii(unknown)[:120]}"
+        )
+    for key, allowed in _MODES.items():
+        if key in data and (not isinstance(data[key], str) or data[key] not in allowed):
+            raise ValueError(f"{key} must be one of {', '.join(allowed)}, got {_short(data[key])}")
+    seed = data["training_seed"]
+    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= _LARGEST_SEED:
+        raise ValueError(f"training_seed must be a whole number 0 … {_LARGEST_SEED}, got {_short(seed)}")
+    for key in ("description", "trained_on"):
+        data[key] = _text(key, data.get(key, ""), allow_empty=True)
+    data["authors"] = tuple(_text("an author", each) for each in _list("authors", data["authors"], 1, _MOST_AUTHORS))
+    data["links"] = tuple(_link(each) for each in _list("links", data.get("links", []), 0, _MOST_LINKS))
+    return EntryFile(**{**data, "name": _name(data["name"])})
+
+
+def _name(value: Any) -> str:
+    """Return the name, which stands in Markdown and HTML tables: nothing in it may be markup or a link."""
+    allowed = (
+        f"name must be 1 … {_LONGEST_NAME} letters, digits and signs out of {_NAME_SIGNS.strip()} or blanks, "
+        f"begin with a letter or digit, and be none of {', '.join(STRATEGIES)}"
+    )
+    if not isinstance(value, str) or not 1 <= len(value) <= _LONGEST_NAME:
+        raise ValueError(f"{allowed}; got {_short(value)}")
+    # isalnum() takes letters of every script, but neither control characters nor marks that change the direction.
+    plain = all(sign.isalnum() or sign in _NAME_SIGNS for sign in value)
+    normal = unicodedata.normalize("NFKC", value) == value and value == value.strip() and value[0].isalnum()
+    if not plain or not normal or "www." in value.lower() or value.lower() in STRATEGIES:
+        raise ValueError(f"{allowed}; got {_short(value)}")
+    return value
+
+
+def _text(key: str, value: Any, *, allow_empty: bool = False) -> str:
+    if (
+        not isinstance(value, str)
+        or not int(not allow_empty) <= len(value) <= _LONGEST_TEXT
+        or not value.isprintable()
+        or set(value) & set(_NOT_IN_TEXTS)
+        or "://" in value
+    ):
+        raise ValueError(
+            f"{key} must be up to {_LONGEST_TEXT} printable characters without {' '.join(_NOT_IN_TEXTS)} and "
+            f"addresses (those are for links), got {_short(value)}"
+        )
+    return value
+
+
+def _link(value: Any) -> str:
+    if not isinstance(value, str) or len(value) > _LONGEST_LINK or _LINK.fullmatch(value) is None:
+        raise ValueError(f"a link must be a plain https:// address of up to {_LONGEST_LINK}, got {_short(value)}")
+    return value
+
+
+def _list(key: str, value: Any, fewest: int, most: int) -> list[Any]:
+    if not isinstance(value, list) or not fewest <= len(value) <= most:
+        raise ValueError(f"{key} must be a list of {fewest} … {most} texts, got {_short(value)}")
+    return value
+
+
+def _short(value: Any) -> str:
+    try:
+        text = ascii(value)
+    # Python writes no number of more than 4300 digits.
+    except (ValueError, RecursionError):
+        text = f"a very long {type(value).__name__}"
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+def settings_of(entry: EntryFile) -> EnvSettings:
+    """Return the environment that an entry acts in."""
+    # The check of the modes was made when the file was read.
+    modes: Any = {"action_mode": entry.action_mode, "observation_mode": entry.observation_mode}
+    return EnvSettings(**modes)
+
+
+__all__ = ["FILES", "README_FILE", "EntryFile", "parse_entry", "read_files", "read_policy", "settings_of"]

@@ -1,0 +1,255 @@
+"""A policy in a process of its own: it gets observations and gives actions, and can do nothing else.
+
+The scenarios, the simulation and the score stay here, so a policy can neither see what is played nor forge a result.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, cast
+
+import numpy as np
+
+import wtg_gym
+from wtg_gym.evaluation.onnx_policy import Floats, States
+from wtg_gym.files import sha256
+from wtg_gym.submissions import limits
+from wtg_gym.submissions.worker import ACTIONS, LENGTH
+
+#: Longest message that the process may send [bytes].
+_LONGEST_MESSAGE = 65_536
+WEAK_OPTION = "--weak-isolation"
+_START = "import sys; sys.path.insert(0, sys.argv.pop(1)); from wtg_gym.submissions.worker import main; main()"
+
+
+class SubmissionError(ValueError):
+    """A submission cannot be played; the message says why."""
+
+
+class NotIsolatedError(SubmissionError):
+    """This system cannot isolate a process."""
+
+
+class IsolatedPolicy:
+    """A policy file that is looked at, loaded and asked in a process of its own; close it after use.
+
+    The process has no network, can write no file, and is bounded in memory and time. It ends with this one.
+
+    Args:
+        content: the .onnx file.
+        n_observation: width of its observations.
+        n_action: width of its actions.
+        weak: go on where this system cannot isolate the process completely; `missing` then says what is not isolated.
+
+    Raises:
+        NotIsolatedError: this system cannot, and `weak` is not set.
+        SubmissionError: the process ended or took too long before the file was looked at.
+    """
+
+    def __init__(self, content: bytes, n_observation: int, n_action: int, *, weak: bool = False) -> None:
+        self.sha256 = sha256(content)
+        self.n_observation, self.n_action = n_observation, n_action
+        #: What was found in the file: check, whether it passed, what it said.
+        self.checks: list[tuple[str, bool, str]] = []
+        #: What this system would not take away from the process.
+        self.missing: list[str] = []
+        #: Why the policy is not loaded; empty where it is.
+        self.error = "the file is refused"
+        self._widths: list[int] = []
+        self._deadline = time.monotonic() + limits.TOTAL_S
+        self._timed_out = False
+        self._folder = tempfile.TemporaryDirectory(prefix="wtg-gym-")
+        self._process = self._start(weak)
+        try:
+            self._open(content, weak)
+        except BaseException:
+            self.close()
+            raise
+
+    def _start(self, weak: bool) -> subprocess.Popen[bytes]:
+        wanted = {
+            "n_observation": self.n_observation,
+            "n_action": self.n_action,
+            "weak": weak,
+            "memory_bytes": limits.MEMORY_BYTES,
+            "cpu_s": limits.CPU_S,
+            "open_files": limits.OPEN_FILES,
+        }
+        environment = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+        if os.name == "nt":
+            # Without it Windows finds no random numbers, and Python does not start.
+            environment["SYSTEMROOT"] = os.environ.get("SYSTEMROOT", "")
+        package = str(Path(wtg_gym.__file__).resolve().parent.parent)
+        # -P: nothing is imported from the working folder; -B: nothing is written beside the sources.
+        command = [sys.executable, "-P", "-B", "-c", _START, package, json.dumps(wanted)]
+        return subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            cwd=self._folder.name,
+            env=environment,
+        )
+
+    def _open(self, content: bytes, weak: bool) -> None:
+        self.missing = [str(text) for text in self._message(limits.LOAD_S).get("missing", [])]
+        if self.missing and not weak:
+            raise NotIsolatedError(
+                f"this system cannot isolate the policy's process: {'; '.join(self.missing)}. "
+                f"{WEAK_OPTION} plays it all the same: do so with policies of people you trust"
+            )
+        self._write(LENGTH.pack(len(content)) + content, limits.LOAD_S)
+        given = self._message(limits.LOAD_S).get("checks")
+        self.checks = _as_checks(given)
+        if not all(passed for _, passed, _ in self.checks):
+            return
+        try:
+            loaded = self._message(limits.LOAD_S)
+            self.error = "" if "states" in loaded else str(loaded.get("error"))
+        except SubmissionError as error:
+            self.error = str(error)
+        else:
+            widths = loaded.get("states", [])
+            if not isinstance(widths, list) or not all(isinstance(width, int) and width > 0 for width in widths):
+                raise SubmissionError("the policy's process sent widths of states that are none")
+            if len(widths) > limits.STATES or max(widths, default=0) > limits.VALUES_PER_LANE:
+                raise SubmissionError("the policy's process sent widths of states that are too large")
+            self._widths = widths
+
+    def predict(
+        self, observation: Any, state: States | None = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[Floats, States | None]:
+        """Return (actions (n_lanes, n_action), next states), as :meth:`OnnxPolicy.predict` does.
+
+        Raises:
+            SubmissionError: the process ended, took too long, or the policy cannot answer.
+        """
+        if self.error:
+            raise SubmissionError(f"the policy is not loaded: {self.error}")
+        observations = np.ascontiguousarray(observation, dtype="<f4")
+        n_lanes = observations.shape[0]
+        if observations.shape != (n_lanes, self.n_observation):
+            raise SubmissionError(f"observations must be (lanes, {self.n_observation}), got {observations.shape}")
+        expected = [(n_lanes, width) for width in self._widths]
+        states = tuple(np.zeros(shape, dtype="<f4") for shape in expected) if state is None else state
+        if [values.shape for values in states] != expected:
+            raise SubmissionError(f"states must be of shapes {expected}, got {[values.shape for values in states]}")
+        if episode_start is not None:
+            running = ~np.asarray(episode_start, dtype=np.bool_)[:, None]
+            states = tuple(np.where(running, values, np.float32(0.0)) for values in states)
+        parts = [LENGTH.pack(n_lanes), observations.tobytes(), *(np.asarray(s, "<f4").tobytes() for s in states)]
+        answers = self._ask(b"".join(parts), [(n_lanes, self.n_action), *expected])
+        return answers[0], tuple(answers[1:]) if len(answers) > 1 else None
+
+    def _ask(self, request: bytes, shapes: list[tuple[int, int]]) -> list[Floats]:
+        self._write(request, limits.CALL_S)
+        if self._read(1, limits.CALL_S) != ACTIONS:
+            self.error = str(self._message(limits.CALL_S).get("error"))[:400]
+            raise SubmissionError(f"the policy cannot answer: {self.error}")
+        data = [self._read(4 * rows * columns, limits.CALL_S) for rows, columns in shapes]
+        return [np.frombuffer(d, dtype="<f4").reshape(s).astype(np.float32) for d, s in zip(data, shapes, strict=True)]
+
+    def _message(self, seconds: float) -> dict[str, Any]:
+        size = LENGTH.unpack(self._read(LENGTH.size, seconds))[0]
+        if size > _LONGEST_MESSAGE:
+            raise SubmissionError(f"the policy's process sent {size} bytes, allowed are {_LONGEST_MESSAGE}")
+        try:
+            message = json.loads(self._read(size, seconds))
+        except (ValueError, RecursionError) as error:
+            raise SubmissionError("the policy's process sent a message that is no JSON") from error
+        if not isinstance(message, dict):
+            raise SubmissionError("the policy's process sent a message that is no object")
+        return message
+
+    def _read(self, size: int, seconds: float) -> bytes:
+        with self._watch(seconds):
+            data = cast(IO[bytes], self._process.stdout).read(size)
+        if len(data) < size:
+            raise self._ended(seconds)
+        return data
+
+    def _write(self, data: bytes, seconds: float) -> None:
+        stream = cast(IO[bytes], self._process.stdin)
+        try:
+            with self._watch(seconds):
+                stream.write(data)
+                stream.flush()
+        except (BrokenPipeError, OSError) as error:
+            raise self._ended(seconds) from error
+
+    def _watch(self, seconds: float) -> _Watch:
+        return _Watch(self, min(seconds, max(0.0, self._deadline - time.monotonic())))
+
+    def _kill(self) -> None:
+        self._timed_out = True
+        self._process.kill()
+
+    def _ended(self, seconds: float) -> SubmissionError:
+        """Return the error that says how the process ended, once it has."""
+        # It has closed its end: a moment for it to exit by itself tells how.
+        try:
+            code = self._process.wait(timeout=2.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            code = self._process.wait()
+        if self._timed_out:
+            self.error = f"it took longer than {seconds:g} s, or than {limits.TOTAL_S:g} s in all"
+        else:
+            how = f"signal {-code}" if code < 0 else f"exit code {code}"
+            self.error = (
+                f"its process ended with {how}: more than {limits.MEMORY_BYTES // 2**20} MiB of memory or "
+                f"{limits.CPU_S} s of processor time, or a fault"
+            )
+        return SubmissionError(self.error)
+
+    def close(self) -> None:
+        """End the process and remove its folder."""
+        self._process.kill()
+        self._process.wait()
+        for stream in (self._process.stdin, self._process.stdout):
+            # What was still to be written has no reader any more.
+            with contextlib.suppress(OSError):
+                cast(IO[bytes], stream).close()
+        self._folder.cleanup()
+
+    def __enter__(self) -> IsolatedPolicy:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class _Watch:
+    """Kills the process if what is done within takes too long [s]."""
+
+    def __init__(self, policy: IsolatedPolicy, seconds: float) -> None:
+        self._timer = threading.Timer(seconds, policy._kill)
+        self._timer.daemon = True
+
+    def __enter__(self) -> None:
+        self._timer.start()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._timer.cancel()
+
+
+def _as_checks(given: Any) -> list[tuple[str, bool, str]]:
+    if isinstance(given, list) and given and all(isinstance(row, list) and len(row) == 3 for row in given):
+        return [(str(name), passed is True, str(reason)[:1500]) for name, passed, reason in given]
+    raise SubmissionError("the policy's process sent a list of checks that is none")
+
+
+__all__ = ["IsolatedPolicy", "NotIsolatedError", "SubmissionError"]
