@@ -104,14 +104,16 @@ def _behaviour(given: argparse.Namespace) -> None:
     csv_file = folder / CURVES_FILE
     if not given.entries and not given.runs and not csv_file.is_file():
         raise ValueError(f"nothing to draw: give --entries or --runs, there is no {csv_file} either")
-    validations = read_runs(map(Path, given.runs)) if given.runs else read_csv(csv_file) if csv_file.is_file() else []
+    # A pattern such as runs/* names logs beside the folders as well.
+    runs = [path for path in map(Path, given.runs or ()) if not path.is_file()]
+    validations = read_runs(runs) if runs else read_csv(csv_file) if csv_file.is_file() else []
     entries = _entries(given.entries) if given.entries else []
     sections = (*(ENTRY_SECTIONS if entries else ()), *((CURVE_SECTION,) if validations else ()))
     page = check_page("--page", given.page, *sections)
     seeds = _seeds(given)
     texts: dict[str, str] = {}
     pictures: list[_Picture] = []
-    if given.runs:
+    if runs:
         write_and_say(csv_file, to_csv(validations))
     if entries:
         played, cases = _play(entries, given.suite, given.split, seeds), _play(entries, "paper", "test", [0, 1])

@@ -143,11 +143,17 @@ def _connect(address: str | None, h: Hyperparameters) -> None:
         ray.init(address, **options)
     except (ConnectionError, ValueError, SystemExit) as error:
         # Ray ends the process where a cluster that it remembers is gone.
-        raise ValueError(f"--address {address}: no Ray cluster answers ({str(error).splitlines()[0]})") from error
+        raise ValueError(f"--address {address}: no Ray cluster answers ({_reason(error)})") from error
     n_cpus = int(ray.cluster_resources().get("CPU", 0))
     if n_cpus < n_processes:
         ray.shutdown()
         raise ValueError(f"{n_processes} runners and learners need a CPU each, but the cluster has {n_cpus}")
+
+
+def _reason(error: BaseException) -> str:
+    # An exit has a number for its reason, if any.
+    text = "" if isinstance(error, SystemExit) else str(error).partition("\n")[0]
+    return text or type(error).__name__
 
 
 def _steps_of(algorithm: Algorithm) -> int:
