@@ -12,8 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import ANCHORS, Entry, EntrySummary, Interval, Results, leaderboard_rows
-from wtg_gym.evaluation import statistics
+from wtg_gym.evaluation import ANCHORS, Entry, EntrySummary, Interval, Results, leaderboard_rows, statistics
 from wtg_gym.evaluation.recording import Recording, record
 from wtg_gym.evaluation.summary import pinned
 from wtg_gym.physics.compiled import source_hash
@@ -28,7 +27,8 @@ Progress = Callable[[str, int, int], None]
 
 #: Samples of the page's traces come this far apart [s].
 TRACE_STEP_S = 0.2
-#: Steps that the traces' numbers are rounded to; the wind comes once a scenario, everything else once an entry.
+#: Steps that the traces' numbers are rounded to; the wind comes once a scenario, everything else once an entry, the
+#: frequency as its deviation from the nominal one.
 RESOLUTIONS: Mapping[str, float] = {
     "frequency": 0.0005,
     "rocof": 0.002,
@@ -119,6 +119,7 @@ def page_data(
         "series": [{"name": name, "step": step} for name, step in RESOLUTIONS.items()],
         "wind_step": WIND_RESOLUTION,
         "missing": MISSING,
+        "nominal": modified_ieee14().frequency_hz,
         "tip_speed": TurbineParameters().tip_speed_ratio_per_speed_m_s,
         "reference": ANCHORS[1],
         "case": _case(),
@@ -308,7 +309,8 @@ def _traces(recordings: Sequence[Recording], place: int) -> dict[str, Any]:
 def _values(recording: Recording, name: str, place: int) -> Floats:
     """Return one of the page's quantities, (n, 1) of the grid or (n, n_wtg)."""
     if name == "frequency":
-        return recording.frequency_hz[place][:, np.newaxis]
+        deviation: Floats = recording.frequency_hz[place][:, np.newaxis] - modified_ieee14().frequency_hz
+        return deviation
     arrays: dict[str, Floats] = {
         "rocof": recording.rocof_hz_s,
         "rotor": recording.rotor_speed_pu,
@@ -316,7 +318,8 @@ def _values(recording: Recording, name: str, place: int) -> Floats:
         "k": recording.coefficient_pu,
         "tau": recording.time_constant_s,
     }
-    return arrays[name][place]
+    values: Floats = arrays[name][place]
+    return values
 
 
 def quantised(values: Floats, resolution: float) -> npt.NDArray[np.int16]:

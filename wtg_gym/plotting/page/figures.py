@@ -21,13 +21,13 @@ from bokeh.plotting import figure
 
 #: Name, title, and whether every WTG group has a line of its own.
 PANELS = (
-    ("frequency", "frequency of the centre of inertia [Hz]", False),
+    ("frequency", "frequency [Hz]", False),
     ("rocof", "RoCoF [Hz/s]", True),
     ("rotor", "rotor speed [p.u.]", True),
-    ("ratio", "tip-speed ratio λ [–]", True),
+    ("ratio", "tip-speed ratio [–]", True),
     ("power", "power [p.u.]", True),
-    ("k", "tracking coefficient k [p.u.]", True),
-    ("tau", "damping time constant τ [s]", True),
+    ("k", "k [p.u.]", True),
+    ("tau", "τ [s]", True),
     ("wind", "wind speed [m/s]", True),
 )
 #: Dashes of the groups' lines; further groups begin again.
@@ -107,7 +107,14 @@ def _physical(labels: list[str]) -> Any:
     lines = _lines(chart, "physical")
     for column, y, side in (("best", 1.03, "bottom"), ("worst", -0.03, "top")):
         chart.text(
-            "x", y, text=column, source=axes, text_align="center", text_baseline=side, text_font_size="11px", tags=["ink"]
+            "x",
+            y,
+            text=column,
+            source=axes,
+            text_align="center",
+            text_baseline=side,
+            text_font_size="11px",
+            tags=["ink"],
         )
     chart.xaxis.ticker = FixedTicker(ticks=places)
     chart.xaxis.major_label_overrides = dict(zip(places, labels, strict=True))

@@ -54,9 +54,7 @@ def leaderboard_page(
 
     from wtg_gym.plotting.page.figures import GROUP_DASHES, PANELS, page_document
 
-    data = page_data(
-        results, entries, n_scenarios=n_scenarios, n_threads=n_threads, on_progress=on_progress
-    )
+    data = page_data(results, entries, n_scenarios=n_scenarios, n_threads=n_threads, on_progress=on_progress)
     n_groups = max(len(suite["groups"]) for suite in data["suites"])
     document = page_document(n_groups, [metric["label"] for metric in data["metrics"]])
     data["panels"] = [{"name": name, "title": title, "own": own} for name, title, own in PANELS]
@@ -124,14 +122,13 @@ def _table(results: Results, *, hidden: bool) -> str:
     """Return the ranking of a suite as a table."""
     rows = leaderboard_rows(results)
     filled = [i for i, _ in enumerate(COLUMNS) if any(cells[i] for cells in table_cells(rows))]
-    described = {data["name"]: data for data in reversed(results.entries)}
     heads = list(COLUMNS.items())
     head = "".join(_head(*heads[i]) for i in filled)
     body = []
     for row, cells in zip(rows, table_cells(rows), strict=True):
-        action = "" if row.kind == "law" else described[row.name]["action_mode"]
-        marks = f'data-name="{html.escape(row.name)}" data-kind="{html.escape(row.kind)}" data-action="{html.escape(action)}"'
-        body.append(f"<tr {marks}>{''.join(_cell(heads[i], cells[i]) for i in filled)}</tr>")
+        body.append(
+            f'<tr data-name="{html.escape(row.name)}">{"".join(_cell(heads[i], cells[i]) for i in filled)}</tr>'
+        )
     suite = html.escape(results.suite)
     caption = f"Suite {suite}, {len(results.seeds)} {html.escape(results.split)} scenarios"
     return (

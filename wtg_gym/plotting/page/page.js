@@ -6,7 +6,6 @@
   const read = (id) => JSON.parse($(id).textContent);
   const data = read("data");
   const state = { suite: 0, a: "", b: "", scenario: 0, time: 0, table: null };
-  const motion = matchMedia("(prefers-reduced-motion: reduce)");
 
   const make = (tag, text, settings = {}) => {
     const element = document.createElement(tag);
@@ -178,7 +177,8 @@
     }
     return rows;
   };
-  const numbers = (row, step) => Float64Array.from(row, (value) => (value === data.missing ? NaN : value * step));
+  const numbers = (row, step, offset = 0) =>
+    Float64Array.from(row, (value) => (value === data.missing ? NaN : offset + value * step));
 
   const traces = async () => {
     const scenario = suite().scenarios[state.scenario];
@@ -196,7 +196,7 @@
       let row = groups + place * perEntry;
       for (const each of data.series)
         for (let j = 0; j < (each.name === "frequency" ? 1 : groups); j++)
-          table[`${side}-${each.name}-${j}`] = numbers(rows[row++], each.step);
+          table[`${side}-${each.name}-${j}`] = numbers(rows[row++], each.step, each.name === "frequency" ? data.nominal : 0);
       for (let j = 0; j < groups; j++)
         table[`${side}-ratio-${j}`] = table[`${side}-rotor-${j}`].map((speed, i) => (data.tip_speed * speed) / wind[j][i]);
     }
@@ -218,18 +218,18 @@
     sources.opened.data = ends(branches.filter(isOpened));
     const all = Object.entries(buses);
     sources.buses.data = {
-      x0: all.map(([, [x]]) => x - 0.32), x1: all.map(([, [x]]) => x + 0.32), y: all.map(([, [, y]]) => y),
+      x0: all.map(([, [x]]) => x - 0.45), x1: all.map(([, [x]]) => x + 0.45), y: all.map(([, [, y]]) => y),
       x: all.map(([, [x]]) => x), number: all.map(([number]) => number),
     };
     const unit = (list) => ({
       x: list.map(([bus, , dx]) => at(bus)[0] + dx), y: list.map(([bus]) => at(bus)[1] - 0.85),
       y0: list.map(([bus]) => at(bus)[1]), text: list.map(([, text]) => text), kind: list.map(([, text]) => text),
     });
-    sources.units.data = unit(machines.map(([bus, kind]) => [bus, kind, 0]));
+    sources.units.data = unit(machines.map(([bus, kind]) => [bus, kind, -0.35]));
     const { kind, ...groups } = unit(suite().groups.map((bus, j, every) => {
       const beside = every.filter((other) => other === bus).length;
       const place = every.slice(0, j).filter((other) => other === bus).length;
-      return [bus, `W${j + 1}`, 0.95 * (place - (beside - 1) / 2)];
+      return [bus, `W${j + 1}`, 0.8 * (place - (beside - 1) / 2)];
     }));
     sources.groups.data = groups;
     const struck = new Map();
