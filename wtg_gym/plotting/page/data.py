@@ -177,7 +177,7 @@ def _suite(
         "description": get_suite(results.suite).description,
         "hash": results.suite_hash,
         "source": results.source_hash,
-        "versions": dict(results.versions),
+        "versions": dict(sorted(results.versions.items())),
         "n_scenarios": len(results.seeds),
         "groups": [int(group["bus"]) for group in results.settings["groups"]],
         "profile": {"low": _PROFILE_LOW, "step": _PROFILE_STEP},
@@ -324,7 +324,7 @@ def _values(recording: Recording, name: str, place: int) -> Floats:
 
 def quantised(values: Floats, resolution: float) -> npt.NDArray[np.int16]:
     """Return numbers as whole steps of a resolution, :data:`MISSING` where there is none, limited to what fits."""
-    steps = np.clip(np.round(np.nan_to_num(values) / resolution), MISSING + 1, -MISSING - 1)
+    steps = np.clip(np.round(np.nan_to_num(values, posinf=0.0, neginf=0.0) / resolution), MISSING + 1, -MISSING - 1)
     whole: npt.NDArray[np.int16] = np.where(np.isfinite(values), steps, MISSING).astype(np.int16)
     return whole
 

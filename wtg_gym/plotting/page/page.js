@@ -113,7 +113,7 @@
       };
     }
     const narrow = innerWidth < 600;
-    const labels = new Map(entries.map((entry) => [y(entry), plain(short(entry.name, narrow ? 16 : 30))]));
+    const labels = new Map(entries.map((entry) => [y(entry), plain(short(entry.name, narrow ? 22 : 30))]));
     const axis = chart.ranking.left[0];
     axis.ticker.ticks = [...labels.keys()];
     axis.major_label_overrides = labels;
@@ -296,6 +296,7 @@
     const { n, step } = suite().scenarios[state.scenario];
     state.time = Math.min(Math.max(0, Math.round(value / step) * step), (n - 1) * step);
     $("time").value = state.time;
+    $("time").setAttribute("aria-valuetext", `${state.time.toFixed(1)} s`);
     fillValues();
   };
 
