@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 
+import numpy as np
+
 from wtg_gym.evaluation import Entry, Results, evaluate
 from wtg_gym.plotting.page import leaderboard_page
 
@@ -21,8 +23,6 @@ class _Full:
     def predict(
         self, observation: object, state: object = None, episode_start: object = None, deterministic: bool = False
     ) -> tuple[object, object]:
-        import numpy as np
-
         return np.ones((len(np.asarray(observation)), 4)), state
 
 

@@ -165,6 +165,20 @@ def test_traces_of_two_entries_side_by_side(open_page: Any) -> None:
     assert set(opened.column("a-tau-0")) == {None}
 
 
+def test_hovered_names_stay_texts(open_page: Any) -> None:
+    opened = open_page()
+    x, y, width = opened.middle("#ranking")
+    shown: set[str] = set()
+    for row in range(-60, 61, 6):
+        for column in range(-10, 25):
+            opened.page.mouse.move(x + 0.02 * column * width, y + row)
+            shown.update(opened.page.locator(".bk-tooltip-content:visible").all_inner_texts())
+        if any("onerror" in text for text in shown):
+            break
+    # check() looks for what the name would have made.
+    assert any('<img src="https://example.org/x"' in text for text in shown), shown
+
+
 def test_cursor_moves_by_keyboard_and_pointer(open_page: Any) -> None:
     opened = open_page()
     page = opened.page

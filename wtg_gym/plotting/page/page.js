@@ -300,7 +300,7 @@
     fillValues();
   };
 
-  const swatch = (dashes, mark) => {
+  const swatch = (dashes) => {
     const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
     const line = document.createElementNS("http://www.w3.org/2000/svg", "line");
     for (const [key, value] of Object.entries({ width: 28, height: 10, "aria-hidden": "true" })) svg.setAttribute(key, value);
@@ -317,9 +317,13 @@
       item.append(swatch(dashes), text);
       items.push(item);
     };
-    for (const side of ["a", "b"])
-      suite().groups.forEach((_, j) => add(side, data.dashes[j % data.dashes.length],
-        j ? `${side.toUpperCase()}, W${j + 1}` : `${side.toUpperCase()}: ${state[side]}, W1`));
+    const failures = suite().scenarios[state.scenario].failures;
+    for (const side of ["a", "b"]) {
+      const mark = side.toUpperCase(), failure = failures[state[side]];
+      suite().groups.forEach((_, j) =>
+        add(side, data.dashes[j % data.dashes.length], j ? `${mark}, W${j + 1}` : `${mark}: ${state[side]}, W1`));
+      if (failure) items.push(make("li", `✕ ${mark}: ${failure[0]} at ${failure[1]} s`, { className: `${side}-ink` }));
+    }
     add("wind", [], "wind");
     add("event", [3, 3], "event");
     $("legend").replaceChildren(...items);
