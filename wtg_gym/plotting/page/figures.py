@@ -19,10 +19,12 @@ from bokeh.models import (
 )
 from bokeh.plotting import figure
 
+from wtg_gym.physics.ieee14 import modified_ieee14
+
 #: Name, title, and whether every WTG group has a line of its own.
 PANELS = (
     ("frequency", "frequency [Hz]", False),
-    ("rocof", "RoCoF [Hz/s]", True),
+    ("rocof", "RoCoF over a control step [Hz/s]", True),
     ("rotor", "rotor speed [p.u.]", True),
     ("ratio", "tip-speed ratio [–]", True),
     ("power", "power [p.u.]", True),
@@ -227,7 +229,14 @@ def _panels(n_groups: int) -> list[Any]:
         if name == "frequency":
             # Beyond it the deviation costs four times as much.
             for edge in (-0.2, 0.2):
-                chart.add_layout(Span(location=50.0 + edge, dimension="width", line_dash=[2, 4], tags=["rule"]))
+                chart.add_layout(
+                    Span(
+                        location=modified_ieee14().frequency_hz + edge,
+                        dimension="width",
+                        line_dash=[2, 4],
+                        tags=["rule"],
+                    )
+                )
         chart.add_layout(cursor)
         zoom = BoxZoomTool(dimensions="width", name="drag")
         chart.add_tools(zoom, WheelZoomTool(dimensions="width", modifiers={"ctrl": True}))
