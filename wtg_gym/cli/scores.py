@@ -1,4 +1,4 @@
-"""`wtg-gym evaluate` and `wtg-gym leaderboard`: entries scored on a suite, and ranked."""
+"""`wtg-gym evaluate`, `wtg-gym leaderboard` and `wtg-gym page`: entries scored on a suite, ranked, and shown."""
 
 from __future__ import annotations
 
@@ -15,12 +15,15 @@ from typing import Any
 
 from wtg_gym.cli.output import (
     Progress,
+    check_output_file,
     check_output_folder,
     check_page,
     note,
     print_json,
     print_table,
+    require_extra,
     update_page,
+    write_and_say,
 )
 from wtg_gym.cli.parser import Commands, add_command, add_plant_options
 from wtg_gym.evaluation import (
@@ -35,6 +38,7 @@ from wtg_gym.evaluation import (
     table_cells,
 )
 from wtg_gym.evaluation.leaderboard import COLUMNS
+from wtg_gym.plotting.page import leaderboard_page, untraced
 from wtg_gym.scenarios import SPLITS, SUITES, get_suite
 
 #: The package with the entries of a checkout.
@@ -46,6 +50,9 @@ _ENTRIES_HELP = (
     "policy.onnx, a package with entries, or "
     f"module:ATTRIBUTE, whose code is run (default: {_DEFAULT_ENTRIES}, the package in a checkout)"
 )
+_TRACED_HELP = f"whose traces to show, as for 'wtg-gym leaderboard' (default: {_DEFAULT_ENTRIES})"
+#: Scenarios with traces: about a quarter of a megabyte a suite.
+_N_TRACED = 20
 
 _EVALUATE = """\
 Plays entries through the scenarios of a suite, many at a time, and scores them: 0 is maximum power point tracking, 100
@@ -62,16 +69,30 @@ _LEADERBOARD = """\
 Ranks entries on all test scenarios of a suite. Stored results are used again where they are of the same suite, source
 code and versions, and where replaying both anchors gives the same numbers; everything else is evaluated. The table is
 printed, the results are written as JSON and CSV, and with --readme the table between the markers
-<!-- leaderboard:SUITE:start --> and <!-- leaderboard:SUITE:end --> of that file is replaced."""
+<!-- leaderboard:SUITE:start --> and <!-- leaderboard:SUITE:end --> of that file is replaced. With --html the ranking
+is written as one HTML file with charts, and with traces of the first scenarios; 'wtg-gym page' does that for several
+suites at once."""
 
 _LEADERBOARD_EXAMPLES = """\
   wtg-gym leaderboard --suite standard --results results --readme README.md
   wtg-gym leaderboard --suite weak-grid --entries baselines my_law.toml
+  wtg-gym leaderboard --suite low-wind --html leaderboard.html
   wtg-gym leaderboard --suite paper --entries mppt deloaded-10 coordinated-piecewise --json"""
+
+_PAGE = """\
+Shows stored results as one HTML file that needs nothing but a browser, offline too: the ranking with its intervals,
+performance profiles, physical metrics, and two entries side by side in one scenario, frequency, rotors, power, k, τ
+and wind over one time axis. The traces are recorded anew from the entries given with --entries, as far as they are
+those of the results; both anchors are always there."""
+
+_PAGE_EXAMPLES = """\
+  wtg-gym page results/standard-test.json --output leaderboard.html
+  wtg-gym page results/*.json --entries baselines agents/policies/* --output leaderboard.html
+  wtg-gym page results/standard-test.json --scenarios 0 --output small.html"""
 
 
 def add_commands(commands: Commands) -> None:
-    """Add `wtg-gym evaluate` and `wtg-gym leaderboard`."""
+    """Add `wtg-gym evaluate`, `wtg-gym leaderboard` and `wtg-gym page`."""
     parser = add_command(
         commands,
         "evaluate",
@@ -108,7 +129,27 @@ def add_commands(commands: Commands) -> None:
         "--results", metavar="DIR", default="results", help="folder of the results; made if missing (default: results)"
     )
     parser.add_argument("--readme", metavar="FILE", help="file with the markers to put the table between")
+    parser.add_argument("--html", metavar="FILE", help="write the ranking as one HTML file with charts and traces")
     parser.add_argument("--fresh", action="store_true", help="evaluate everything, whatever is stored")
+    parser = add_command(
+        commands,
+        "page",
+        _run_page,
+        summary="show stored results as one HTML file with charts and traces",
+        description=_PAGE,
+        examples=_PAGE_EXAMPLES,
+    )
+    parser.add_argument("results", nargs="+", metavar="RESULTS", help="JSON file of results, one of each suite")
+    parser.add_argument("--entries", nargs="+", default=[_DEFAULT_ENTRIES], metavar="SPEC", help=_TRACED_HELP)
+    parser.add_argument("--output", required=True, metavar="FILE", help="the HTML file to write")
+    parser.add_argument(
+        "--scenarios",
+        type=int,
+        default=_N_TRACED,
+        metavar="N",
+        help=f"traces of the first N scenarios of each suite; 0 for none (default: {_N_TRACED})",
+    )
+    parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
 
 
 def add_score_options(parser: argparse.ArgumentParser) -> None:
@@ -231,6 +272,7 @@ def _run_leaderboard(arguments: argparse.Namespace) -> int:
     folder = check_output_folder("--results", arguments.results)
     section = f"leaderboard:{arguments.suite}"
     readme = check_page("--readme", arguments.readme, section)
+    page = _check_html("--html", arguments.html)
     partial = folder / _PARTIAL_FOLDER
     arguments.after_interrupt = _resumable(partial)
     entries = chosen_entries(arguments.entries)
@@ -244,6 +286,8 @@ def _run_leaderboard(arguments: argparse.Namespace) -> int:
     finish(results, folder, as_json=arguments.json)
     if readme is not None:
         update_page(readme, {section: markdown_table(leaderboard_rows(results))})
+    if page is not None:
+        _write_html(page, [results], entries, _N_TRACED, arguments.threads)
     return 0
 
 
@@ -287,3 +331,35 @@ def _merged(entries: Sequence[Entry], fresh: Results, stored: Results | None) ->
     return dataclasses.replace(
         fresh, entries=tuple(wanted.values()), episodes=tuple(episode for key in wanted for episode in episodes[key])
     )
+
+
+# --- page ------------------------------------------------------------------------------------------------------------
+
+
+def _run_page(arguments: argparse.Namespace) -> int:
+    page = _check_html("--output", arguments.output)
+    assert page is not None
+    results = [Results.read(path) for path in arguments.results]
+    entries = chosen_entries(arguments.entries) if arguments.scenarios else []
+    _write_html(page, results, entries, arguments.scenarios, arguments.threads)
+    return 0
+
+
+def _check_html(option: str, text: str | None) -> Path | None:
+    path = check_output_file(option, text, (".html", ".htm"))
+    if path is not None:
+        require_extra("bokeh", option)
+    return path
+
+
+def _write_html(
+    path: Path, results: Sequence[Results], entries: Sequence[Entry], n_scenarios: int, n_threads: int | None
+) -> None:
+    with Progress("entries") as progress:
+        page = leaderboard_page(
+            results, entries, n_scenarios=n_scenarios, n_threads=n_threads, on_progress=progress.update
+        )
+    missing = untraced(results, entries) if n_scenarios else []
+    if missing:
+        note(f"no traces of {', '.join(missing)}: not among the entries given, or changed since the results")
+    write_and_say(path, page)

@@ -1,0 +1,54 @@
+"""A small leaderboard for the tests of its page, one of its entries with hostile texts."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+import numpy as np
+
+from wtg_gym.evaluation import Entry, Results, evaluate
+from wtg_gym.plotting.page import leaderboard_page
+
+#: What would run or load something where it is taken for HTML, and what a chart would take for mathematics.
+HOSTILE = '</script><script>window.hacked=1</script><img src="https://example.org/x" onerror="window.hacked=1">$$x$$'
+DURATION_S = 12.0
+SEEDS = (20_000, 20_001, 20_002)
+TRACED = ("deloaded-10", "mppt", "coordinated-piecewise")
+
+
+class _Full:
+    """Turns every action up."""
+
+    def predict(
+        self, observation: object, state: object = None, episode_start: object = None, deterministic: bool = False
+    ) -> tuple[object, object]:
+        return np.ones((len(np.asarray(observation)), 4)), state
+
+
+@functools.cache
+def small_results() -> tuple[list[Entry], list[Results]]:
+    """Return three laws and a policy, and their results on two suites."""
+    laws = [Entry(name=name, strategy=name) for name in TRACED]
+    policy = Entry(name="full", policy=_Full(), description=HOSTILE, source=HOSTILE, fingerprint="full")
+    entries = [*laws, policy]
+    standard = evaluate(entries, "standard", seeds=SEEDS, duration_s=DURATION_S)
+    return entries, [standard, evaluate(laws, "paper")]
+
+
+def renamed(results: Results, old: str, new: str) -> Results:
+    """Return results with another name for an entry, which no `Entry` needs to allow."""
+    return dataclasses.replace(
+        results,
+        entries=tuple({**data, "name": new} if data["name"] == old else data for data in results.entries),
+        episodes=tuple(
+            dataclasses.replace(episode, entry=new) if episode.entry == old else episode for episode in results.episodes
+        ),
+    )
+
+
+@functools.cache
+def small_page() -> str:
+    """Return their page, the policy under a hostile name."""
+    entries, (standard, paper) = small_results()
+    return leaderboard_page([renamed(standard, "full", HOSTILE), paper], entries, n_scenarios=3)

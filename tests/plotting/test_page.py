@@ -1,0 +1,166 @@
+"""The leaderboard's page as a text: what it holds, and what it must not."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.cli.calls import error_of
+from tests.plotting.pages import DURATION_S, HOSTILE, TRACED, small_page, small_results
+from wtg_gym.cli import main
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.evaluation import Entry, leaderboard_rows
+from wtg_gym.evaluation.recording import record
+from wtg_gym.physics.parameters import TurbineParameters
+from wtg_gym.plotting.page import leaderboard_page, untraced
+from wtg_gym.plotting.page.data import MISSING, RESOLUTIONS, packed, quantised, unpacked
+from wtg_gym.scenarios import get_suite
+
+pytest.importorskip("bokeh", reason="the page's charts are Bokeh's")
+#: Attributes that a browser loads from.
+_LOADING = ("action", "background", "data", "formaction", "href", "poster", "src", "srcset", "xlink:href")
+
+
+class _Tags(HTMLParser):
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.texts: dict[str, str] = {}
+        self._inside: str | None = None
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attributes)))
+        self._inside = dict(attributes).get("id") if tag == "script" else None
+
+    def handle_data(self, data: str) -> None:
+        if self._inside:
+            self.texts[self._inside] = self.texts.get(self._inside, "") + data
+
+
+def _data(page: str) -> Any:
+    return json.loads(_Tags(page).texts["data"])
+
+
+def test_numbers_survive_packing() -> None:
+    rng = np.random.default_rng(1)
+    table = rng.integers(-32768, 32768, size=(7, 31)).astype(np.int16)
+    assert (unpacked(packed(table), 7) == table).all()
+    steps = quantised(np.array([0.0, 0.26, -1.0, np.nan, np.inf, 1e9, -1e9]), 0.5)
+    assert steps.tolist() == [0, 1, -2, MISSING, MISSING, 32767, -32767]
+
+
+def test_ranking_is_that_of_the_leaderboard() -> None:
+    _, results = small_results()
+    for suite, each in zip(_data(small_page())["suites"], results, strict=True):
+        rows = leaderboard_rows(each)
+        assert [entry["score"][0] for entry in suite["entries"]] == [round(row.score.value, 2) + 0.0 for row in rows]
+        assert [entry["kind"] for entry in suite["entries"]] == [row.kind for row in rows]
+        assert [entry["rank"] for entry in suite["entries"]] == list(range(1, len(rows) + 1))
+
+
+def test_profile_is_the_share_of_scenarios_above() -> None:
+    suite = _data(small_page())["suites"][0]
+    for entry in suite["entries"]:
+        scores = np.array(entry["scenario_scores"])
+        for place in (0, 100, 250):
+            s = suite["profile"]["low"] + suite["profile"]["step"] * place
+            if place < len(entry["above"]) and np.abs(scores - s).min() > 0.1:
+                assert entry["above"][place] == pytest.approx((scores > s).mean(), abs=1e-3)
+        assert entry["above"] == sorted(entry["above"], reverse=True) and entry["above"][-1] == 0.0
+
+
+def test_traces_are_the_recordings_to_their_resolution() -> None:
+    data = _data(small_page())
+    suite = data["suites"][0]
+    assert sorted(suite["traced"]) == sorted(TRACED)
+    scenarios = get_suite("standard").scenarios([20_001], n_turbines=[10.0, 10.0], duration_s=DURATION_S)
+    own = record(Entry(name="deloaded-10", strategy="deloaded-10"), EnvSettings(duration_s=DURATION_S), scenarios)
+    shown = suite["scenarios"][1]
+    n_rows = 2 + len(suite["traced"]) * (1 + 2 * (len(RESOLUTIONS) - 1))
+    rows = unpacked(shown["packed"], n_rows)
+    assert rows.shape[1] == shown["n"] == round(DURATION_S / shown["step"]) + 1
+    first = 2 + suite["traced"].index("deloaded-10") * (n_rows - 2) // len(suite["traced"])
+    expected = own.frequency_hz[0, ::2] - data["nominal"]
+    assert np.abs(rows[first] * RESOLUTIONS["frequency"] - expected).max() <= RESOLUTIONS["frequency"]
+    rotor = rows[first + 3 : first + 5] * RESOLUTIONS["rotor"]
+    assert np.abs(rotor.T - own.rotor_speed_pu[0, ::2]).max() <= RESOLUTIONS["rotor"]
+    assert data["tip_speed"] == TurbineParameters().tip_speed_ratio_per_speed_m_s
+
+
+def test_hostile_texts_stay_texts() -> None:
+    tags = _Tags(small_page())
+    assert "img" not in {tag for tag, _ in tags.tags}
+    assert sum(tag == "script" for tag, _ in tags.tags) == small_page().count("<script")
+    assert HOSTILE not in small_page()
+    assert HOSTILE in [entry["name"] for entry in _data(small_page())["suites"][0]["entries"]]
+    assert HOSTILE in [attributes.get("data-name") for _, attributes in tags.tags]
+
+
+def test_nothing_is_loaded() -> None:
+    for tag, attributes in _Tags(small_page()).tags:
+        loaded = {key: value for key, value in attributes.items() if key in _LOADING}
+        assert tag != "link" and (not loaded or loaded == {"href": "#drill"})
+    assert not re.search(r"@import|url\(", small_page().split("</style>")[0])
+    policy = next(a["content"] for _, a in _Tags(small_page()).tags if a.get("http-equiv"))
+    assert policy is not None and "default-src 'none'" in policy and "http" not in policy
+    assert "unsafe" not in policy.split("style-src")[0]
+
+
+def test_the_same_page_twice() -> None:
+    entries, (_, paper) = small_results()
+    pages = [leaderboard_page([paper], entries, n_scenarios=1) for _ in range(2)]
+    assert pages[0] == pages[1]
+    assert len(pages[0].encode()) < 3_000_000
+
+
+def test_results_of_another_source_code_get_no_traces() -> None:
+    entries, (_, paper) = small_results()
+    old = dataclasses.replace(paper, source_hash="0" * 64)
+    with pytest.raises(ValueError, match="of another source code"):
+        leaderboard_page([old], entries)
+    assert _data(leaderboard_page([old], [], n_scenarios=0))["suites"][0]["scenarios"] == []
+    with pytest.raises(ValueError, match="one of each suite"):
+        leaderboard_page([paper, paper], entries)
+
+
+def test_entries_that_have_changed_are_not_traced() -> None:
+    entries, results = small_results()
+    assert untraced(results, entries) == []
+    other = Entry(name="deloaded-10", strategy="deloaded-5")
+    assert untraced(results, [other]) == ["deloaded-10", "full"]
+
+
+def test_commands_write_the_page(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    laws = ("--entries", "mppt", "deloaded-5")
+    page, again = tmp_path / "leaderboard.html", tmp_path / "again.html"
+    assert main(["leaderboard", "--suite", "paper", *laws, "--results", str(tmp_path), "--html", str(page)]) == 0
+    assert f"wrote {page}" in capsys.readouterr().err
+    assert main(["page", str(tmp_path / "paper-test.json"), *laws, "--output", str(again)]) == 0
+    assert again.read_bytes() == page.read_bytes()
+    assert main(["page", str(tmp_path / "paper-test.json"), "--entries", "mppt", "--output", str(again)]) == 0
+    assert "no traces of deloaded-5" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("page", "none.json", "--output", "page.html"), "none.json"),
+        (("page", "none.json", "--output", "page.pdf"), "it must end in .html, .htm"),
+        (("page", "none.json"), "--output"),
+        (("leaderboard", "--suite", "paper", "--html", "missing/page.html"), "there is no folder missing"),
+    ],
+)
+def test_commands_refuse_bad_input(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, arguments: Any, said: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert said in error_of(capsys, *arguments)
+    assert list(tmp_path.iterdir()) == []

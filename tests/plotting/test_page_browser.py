@@ -1,0 +1,245 @@
+"""The leaderboard's page as a browser shows it, headless and without a network."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.plotting.pages import DURATION_S, HOSTILE, small_page
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.evaluation import Entry
+from wtg_gym.evaluation.recording import record
+from wtg_gym.scenarios import get_suite
+
+pytest.importorskip("bokeh", reason="the page's charts are Bokeh's")
+playwright = pytest.importorskip("playwright.sync_api", reason="a browser is driven by playwright")
+
+LAPTOP, PHONE = {"width": 1440, "height": 900}, {"width": 390, "height": 844}
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with playwright.sync_playwright() as driver:
+        names = ("chromium", "chromium-browser", "google-chrome")
+        found = next(filter(None, map(shutil.which, names)), None) or driver.chromium.executable_path
+        if not os.path.exists(found):
+            pytest.skip("there is no Chromium to look at the page with")
+        started = driver.chromium.launch(executable_path=found)
+        yield started
+        started.close()
+
+
+class Opened:
+    """The page in a browser, and all that it asked for and complained about."""
+
+    def __init__(self, browser: Any, path: Path, **settings: Any) -> None:
+        context = browser.new_context(offline=True, **settings)
+        self.page = context.new_page()
+        self.requests: list[str] = []
+        self.complaints: list[str] = []
+        self.page.on("request", lambda request: self.requests.append(request.url))
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.on("console", self._hear)
+        self.url = path.as_uri()
+        self.page.goto(self.url)
+        self.page.wait_for_selector("html[data-ready=yes]", state="attached")
+
+    def _hear(self, message: Any) -> None:
+        if message.type in ("error", "warning"):
+            self.complaints.append(message.text)
+
+    def wait_until(self, condition: str) -> None:
+        """Wait for a condition in JavaScript; the page's policy keeps the driver's own way of doing so from it."""
+        until = time.monotonic() + 10.0
+        while not self.page.evaluate(condition):
+            assert time.monotonic() < until, condition
+            time.sleep(0.02)
+
+    def middle(self, selector: str) -> tuple[float, float, float]:
+        """Bring a chart into view, and return where its middle is and how wide it is."""
+        canvas = self.page.locator(f"{selector} canvas").first
+        canvas.evaluate("(element) => element.scrollIntoView({block: 'center', behavior: 'instant'})")
+        box = canvas.bounding_box()
+        return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2, box["width"]
+
+    def column(self, name: str) -> list[float | None]:
+        """Return a column of the traces that are drawn, None for "no value"."""
+        values: list[float | None] = self.page.evaluate(
+            """(name) => {
+                for (const root of Bokeh.documents[0].roots())
+                    for (const renderer of root.renderers)
+                        if (renderer.data_source.name === "traces")
+                            return [...renderer.data_source.data[name]].map((x) => (Number.isFinite(x) ? x : null));
+            }""",
+            name,
+        )
+        return values
+
+    def value(self, row: str) -> list[str]:
+        """Return the two numbers of a row of the table at the cursor."""
+        cells: list[str] = (
+            self.page.locator("#values tr", has=self.page.get_by_role("rowheader", name=row))
+            .locator("td")
+            .all_inner_texts()
+        )
+        return cells
+
+    def check(self) -> None:
+        """Nothing was asked for, nothing went wrong, no text of an entry was run."""
+        assert [url for url in self.requests if url != self.url and not url.startswith(("data:", "blob:"))] == []
+        assert self.complaints == []
+        assert self.page.evaluate("window.hacked") is None
+        assert self.page.locator("img").count() == 0
+
+
+@pytest.fixture
+def open_page(browser: Any, tmp_path: Path) -> Iterator[Any]:
+    path = tmp_path / "leaderboard.html"
+    path.write_text(small_page(), encoding="utf-8")
+    opened: list[Opened] = []
+
+    def opening(**settings: Any) -> Opened:
+        opened.append(Opened(browser, path, **{"viewport": LAPTOP, **settings}))
+        return opened[-1]
+
+    yield opening
+    for each in opened:
+        each.check()
+        each.page.context.close()
+
+
+@pytest.mark.parametrize("viewport", [PHONE, LAPTOP, {"width": 2560, "height": 1440}])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_page_fits_and_follows_the_colour_scheme(open_page: Any, viewport: dict[str, int], scheme: str) -> None:
+    opened = open_page(viewport=viewport, color_scheme=scheme)
+    page = opened.page
+    assert page.evaluate("document.documentElement.scrollWidth") == viewport["width"]
+    red = int(re.findall(r"\d+", page.evaluate("getComputedStyle(document.body).backgroundColor"))[0])
+    assert (red > 200) == (scheme == "light")
+    for chart in ("ranking", "profile", "physical", "grid", "panel-frequency", "panel-wind"):
+        box = page.locator(f"#{chart} canvas").first.bounding_box()
+        assert box["width"] > 0.3 * min(viewport["width"], 1500) and box["height"] > 80
+    page.emulate_media(color_scheme="dark" if scheme == "light" else "light")
+    opened.wait_until(f"!getComputedStyle(document.body).backgroundColor.startsWith('rgb({red},')")
+
+
+def test_filters_leave_out_entries(open_page: Any) -> None:
+    page = open_page().page
+    rows = page.locator("table[data-suite=standard] tbody tr:visible")
+    assert rows.count() == 4
+    page.get_by_label("learned").uncheck()
+    assert rows.count() == 3 and page.get_by_role("status").inner_text() == "3 of 4 entries shown."
+    page.get_by_label("learned").check()
+    page.get_by_label("Action").select_option("k+tau")
+    assert rows.all_inner_texts()[0].split("\t")[1] == HOSTILE and rows.count() == 1
+    page.get_by_label("Action").select_option("tau")
+    assert rows.count() == 0
+    page.get_by_label("Action").select_option("")
+    page.get_by_label("Suite").select_option("1")
+    assert page.locator("table[data-suite=paper] tbody tr:visible").count() == 3
+    assert page.locator("table[data-suite=standard]").is_hidden()
+
+
+def test_traces_of_two_entries_side_by_side(open_page: Any) -> None:
+    opened = open_page()
+    page = opened.page
+    page.get_by_label("Compare A").select_option("deloaded-10")
+    page.get_by_label("with B").select_option("coordinated-piecewise")
+    page.get_by_role("button", name="Next").click()
+    opened.wait_until("document.getElementById('facts').textContent.includes('20001')")
+    scenarios = get_suite("standard").scenarios([20_001], n_turbines=[10.0, 10.0], duration_s=DURATION_S)
+    for side, name in (("a", "deloaded-10"), ("b", "coordinated-piecewise")):
+        own = record(Entry(name=name, strategy=name), EnvSettings(duration_s=DURATION_S), scenarios)
+        shown = opened.column(f"{side}-frequency-0")
+        assert shown == pytest.approx(own.frequency_hz[0, ::2].tolist(), abs=5e-4)
+        ratio = opened.column(f"{side}-ratio-1")
+        assert ratio == pytest.approx(own.tip_speed_ratio[0, ::2, 1].tolist(), abs=0.02)
+    # MPPT and deloading have no damping, so no τ.
+    assert set(opened.column("a-tau-0")) == {None}
+
+
+def test_hovered_names_stay_texts(open_page: Any) -> None:
+    opened = open_page()
+    x, y, width = opened.middle("#ranking")
+    shown: set[str] = set()
+    for row in range(-60, 61, 6):
+        for column in range(-10, 25):
+            opened.page.mouse.move(x + 0.02 * column * width, y + row)
+            shown.update(opened.page.locator(".bk-tooltip-content:visible").all_inner_texts())
+        if any("onerror" in text for text in shown):
+            break
+    # check() looks for what the name would have made.
+    assert any('<img src="https://example.org/x"' in text for text in shown), shown
+
+
+def test_cursor_moves_by_keyboard_and_pointer(open_page: Any) -> None:
+    opened = open_page()
+    page = opened.page
+    slider = page.get_by_label("Cursor")
+    slider.focus()
+    page.keyboard.press("Home")
+    assert page.locator("#now").inner_text() == "0.0 s"
+    first = opened.value("frequency [Hz]")
+    page.keyboard.press("ArrowRight")
+    assert page.locator("#now").inner_text() == "0.2 s"
+    page.keyboard.press("End")
+    assert page.locator("#now").inner_text() == f"{DURATION_S:.1f} s" and opened.value("frequency [Hz]") != first
+    x, y, _ = opened.middle("#panel-rotor")
+    page.mouse.move(x, y)
+    opened.wait_until("Math.abs(Number(document.getElementById('time').value) - 6) < 1.5")
+
+
+def test_zoom_is_shared_by_all_panels(open_page: Any) -> None:
+    opened = open_page()
+    page = opened.page
+    ends = "Bokeh.documents[0].roots().filter((r) => r.name.startsWith('panel')).map((r) => r.x_range.end)"
+    assert set(page.evaluate(ends)) == {DURATION_S}
+    x, y, width = opened.middle("#panel-power")
+    page.mouse.move(x - 0.2 * width, y)
+    page.mouse.down()
+    page.mouse.move(x + 0.1 * width, y, steps=4)
+    page.mouse.up()
+    opened.wait_until(f"{ends}[0] < {DURATION_S}")
+    zoomed = page.evaluate(ends)
+    assert len(set(zoomed)) == 1 and 4.0 < zoomed[0] < 9.0
+    page.get_by_role("button", name="Whole run").click()
+    assert set(page.evaluate(ends)) == {DURATION_S}
+
+
+def test_everything_is_reached_by_keyboard_in_order(open_page: Any) -> None:
+    page = open_page().page
+    reached = []
+    for _ in range(22):
+        page.keyboard.press("Tab")
+        reached.append(page.evaluate("document.activeElement.id || document.activeElement.textContent.trim()"))
+    order = ["Skip to the traces", "suite", "action", "a", "b", "scenario", "previous", "next", "whole", "time"]
+    places = [reached.index(name) for name in order]
+    assert places == sorted(places)
+    names = "[...document.querySelectorAll('select, input, button')].filter((e) => !e.labels?.length && !e.textContent)"
+    assert page.evaluate(f"{names}.length") == 0
+    assert page.evaluate("[...document.querySelectorAll('[role=img]')].filter((e) => !e.ariaLabel).length") == 0
+
+
+def test_a_finger_on_a_chart_scrolls_the_page(open_page: Any) -> None:
+    page = open_page(viewport=PHONE, has_touch=True, is_mobile=True).page
+    assert page.evaluate(
+        "Bokeh.documents[0].roots().every((r) => !r.toolbar.active_drag || r.toolbar.active_drag === 'auto')"
+    )
+
+
+def test_without_javascript_the_table_is_there(browser: Any, tmp_path: Path) -> None:
+    context = browser.new_context(java_script_enabled=False)
+    page = context.new_page()
+    path = tmp_path / "plain.html"
+    path.write_text(small_page(), encoding="utf-8")
+    page.goto(path.as_uri())
+    assert page.locator("table[data-suite=standard] tbody tr").count() == 4
+    assert page.locator("table[data-suite=standard]").is_visible()
+    context.close()

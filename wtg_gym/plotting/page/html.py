@@ -1,0 +1,152 @@
+"""The page put together: template, style, script, charts, data, and the plotting library."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import html
+import json
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from string import Template
+from typing import Any
+
+from wtg_gym import __version__
+from wtg_gym.evaluation import Entry, Results, leaderboard_rows, table_cells
+from wtg_gym.evaluation.leaderboard import COLUMNS
+from wtg_gym.plotting.page.data import Progress, page_data
+
+#: Heads of the table's columns in full, where the head is short.
+_EXPLAINED = {
+    "IQM": "interquartile mean of the score",
+    "P(improvement)": "probability of a lower cost than the reference's",
+    "gap closed [%]": "share of the oracle's gain over the reference",
+}
+
+
+def leaderboard_page(
+    results: Sequence[Results],
+    entries: Sequence[Entry],
+    *,
+    n_scenarios: int = 20,
+    n_threads: int | None = None,
+    on_progress: Progress | None = None,
+) -> str:
+    """Return the leaderboard as one HTML file that needs nothing else.
+
+    The same arguments give the same text. No text of an entry is taken as HTML, and the file asks the browser to run
+    no other scripts than its own and to load nothing.
+
+    Args:
+        results: one of each suite.
+        entries: those whose traces are shown, where the results are theirs.
+        n_scenarios: scenarios with traces, the first ones of each suite's results.
+        n_threads: threads to step with; None for one per processor.
+        on_progress: called with (name of the entry, entries done, entries in all) after every entry.
+
+    Raises:
+        ImportError: Bokeh, of the leaderboard extra, is missing.
+        ValueError: no results, two of one suite, or traces of results that another source code gave.
+        NoScaleError: there is no score, see :attr:`Results.summaries`.
+    """
+    from bokeh.core.json_encoder import serialize_json
+    from bokeh.resources import Resources
+
+    from wtg_gym.plotting.page.figures import GROUP_DASHES, PANELS, page_document
+
+    data = page_data(results, entries, n_scenarios=n_scenarios, n_threads=n_threads, on_progress=on_progress)
+    n_groups = max(len(suite["groups"]) for suite in data["suites"])
+    document = page_document(n_groups, [metric["label"] for metric in data["metrics"]])
+    data["panels"] = [{"name": name, "title": title, "own": own} for name, title, own in PANELS]
+    data["dashes"] = GROUP_DASHES
+    library = Resources(mode="inline", components=["bokeh"], minified=True, log_level="error").js_raw
+    scripts = [*library, _asset("page.js")]
+    return Template(_asset("page.html")).substitute(
+        policy=html.escape(_policy(scripts)),
+        style=_asset("page.css"),
+        tables="\n".join(_table(each, hidden=place > 0) for place, each in enumerate(results)),
+        version=html.escape(__version__),
+        data=_json(data),
+        charts=_json(_plain_ids(json.loads(serialize_json(document.to_json())))),
+        scripts="\n".join(f"<script>{_script(text)}</script>" for text in scripts),
+    )
+
+
+def _asset(name: str) -> str:
+    return resources.files("wtg_gym.plotting.page").joinpath(name).read_text(encoding="utf-8")
+
+
+def _json(data: Any) -> str:
+    """Return JSON that neither ends a script element nor begins a comment in it."""
+    text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    for character in "<>&\u2028\u2029":
+        text = text.replace(character, f"\\u{ord(character):04x}")
+    return text
+
+
+def _script(text: str) -> str:
+    if "</script" in text.lower() or "<!--" in text:
+        raise ValueError("a script of the page holds what would end it")
+    return text
+
+
+def _policy(scripts: Sequence[str]) -> str:
+    """Return a content security policy under which these scripts run, and nothing is loaded from anywhere."""
+    hashes = (base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in scripts)
+    allowed = " ".join(f"'sha256-{value}'" for value in hashes)
+    return (
+        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data: blob:; font-src data:; "
+        "base-uri 'none'; form-action 'none'"
+    )
+
+
+def _plain_ids(document: Mapping[str, Any]) -> Any:
+    """Return a document whose models are numbered from 1 on, so that the page repeats byte for byte."""
+    text = json.dumps(document)
+    found: list[str] = []
+    stack: list[Any] = [document]
+    while stack:
+        item = stack.pop()
+        if isinstance(item, Mapping):
+            if item.get("type") == "object" and "id" in item:
+                found.append(item["id"])
+            stack += item.values()
+        elif isinstance(item, (list, tuple)):
+            stack += item
+    for number, name in enumerate(dict.fromkeys(found), start=1):
+        text = text.replace(json.dumps(name), f'"m{number}"')
+    return json.loads(text)
+
+
+def _table(results: Results, *, hidden: bool) -> str:
+    """Return the ranking of a suite as a table."""
+    rows = leaderboard_rows(results)
+    filled = [i for i, _ in enumerate(COLUMNS) if any(cells[i] for cells in table_cells(rows))]
+    heads = list(COLUMNS.items())
+    head = "".join(_head(*heads[i]) for i in filled)
+    body = []
+    for row, cells in zip(rows, table_cells(rows), strict=True):
+        body.append(
+            f'<tr data-name="{html.escape(row.name)}">{"".join(_cell(heads[i], cells[i]) for i in filled)}</tr>'
+        )
+    suite = html.escape(results.suite)
+    caption = f"Suite {suite}, {len(results.seeds)} {html.escape(results.split)} scenarios"
+    return (
+        f'<table data-suite="{suite}"{" hidden" if hidden else ""}><caption>{caption}</caption>'
+        f"<thead><tr>{head}</tr></thead><tbody>\n" + "\n".join(body) + "\n</tbody></table>"
+    )
+
+
+def _head(name: str, is_number: bool) -> str:
+    title = f' title="{html.escape(_EXPLAINED[name])}"' if name in _EXPLAINED else ""
+    return f'<th scope="col"{" class=number" if is_number else ""}{title}>{html.escape(name)}</th>'
+
+
+def _cell(head: tuple[str, bool], text: str) -> str:
+    name, is_number = head
+    if name == "entry":
+        return f'<th scope="row">{html.escape(text)}</th>'
+    return f"<td{' class=number' if is_number else ''}>{html.escape(text)}</td>"
+
+
+__all__ = ["leaderboard_page"]
