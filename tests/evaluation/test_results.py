@@ -150,7 +150,10 @@ EDITS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "unknown suite": (lambda d: d.update(suite="easy"), "suite must be one of paper"),
     "short hash": (lambda d: d.update(suite_hash="abc"), "suite_hash must be 64 hexadecimal"),
     "other format": (lambda d: d.update(format=2), "format must be 1"),
-    "wrong kind": (lambda d: d["entries"][0].update(kind="magic"), r"entries\[0\]: kind must be law, feedback or learned"),
+    "wrong kind": (
+        lambda d: d["entries"][0].update(kind="magic"),
+        r"entries\[0\]: kind must be law, feedback or learned",
+    ),
     "no entries": (lambda d: d.update(entries=[]), "entries must be a list"),
     "no summary": (lambda d: d["summary"].pop("mppt"), "summary must have one object per entry"),
     "bad interval": (
