@@ -25,6 +25,7 @@ from wtg_gym.cli import (
     submission,
     suites,
     validate,
+    verify,
 )
 from wtg_gym.cli.parser import Parser
 
@@ -51,7 +52,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"wtg-gym {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     analysis = (statics, small_signal, reproduce, validate, accuracy, parameters, bench)
-    for module in (simulate, scores, submission, sensitivity, suites, *analysis):
+    for module in (simulate, scores, verify, submission, sensitivity, suites, *analysis):
         module.add_commands(commands)
     return parser
 

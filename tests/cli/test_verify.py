@@ -1,0 +1,73 @@
+"""`wtg-gym verify` as a user runs it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+
+from wtg_gym.cli import main
+from wtg_gym.evaluation import Results, load_entries
+from wtg_gym.evaluation.verification import verify
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("results")
+    arguments = ["--entries", "deloaded-5", "--seeds", "20000:20003", "--duration", "10", "--results", str(folder)]
+    assert main(["evaluate", *arguments]) == 0
+    return folder / "standard-test.json"
+
+
+def test_untouched_results_are_identical(stored: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["verify", str(stored), "--entries", "deloaded-5", "deloaded-10"]) == 0
+    assert capsys.readouterr().out.startswith("identical: ")
+
+
+def test_numbers_that_were_made_up_are_named(stored: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    results = Results.read(stored)
+    first = results.episodes[0]
+    metrics = {**first.metrics, "cost": first.metrics["cost"] * 0.5}
+    better = dataclasses.replace(first, metrics=metrics)
+    # Written by the package itself, so that all checksums fit.
+    path, _ = dataclasses.replace(results, episodes=(better, *results.episodes[1:])).write(tmp_path)
+    assert main(["verify", str(path), "--entries", "deloaded-5", "--json"]) == 1
+    said = json.loads(capsys.readouterr().out)
+    assert not said["identical"]
+    (difference,) = said["differences"]
+    assert difference["where"] == f"{first.entry}, seed {first.seed}: cost"
+    assert float(difference["stored"]) == 0.5 * float(difference["now"])
+    assert main(["verify", str(path), "--entries", "deloaded-5"]) == 1
+    assert "not identical: 1 differences" in capsys.readouterr().out
+
+
+def test_another_policy_and_other_circumstances_are_named(stored: Path) -> None:
+    results = Results.read(stored)
+    (entry,) = load_entries("deloaded-5")
+    other = dataclasses.replace(entry, strategy="deloaded-10")
+    found = verify(dataclasses.replace(results, versions={**results.versions, "numpy": "1"}), [other])
+    assert found.differences[0].where == "deloaded-5: sha256"
+    assert [difference.where for difference in found.circumstances] == ["numpy"]
+    assert any(": cost" in difference.where for difference in found.differences)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["--entries", "mppt"], "hold entries that were not given: deloaded-5"),
+        (["--entries", "no-such-thing"], "unknown entry"),
+    ],
+)
+def test_bad_input_is_one_line(
+    arguments: list[str], text: str, stored: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["verify", str(stored), *arguments]) == 2
+    error = capsys.readouterr().err
+    assert text in error and error.count("\n") == 1
+
+
+def test_missing_file_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["verify", "nowhere.json"]) == 2
+    assert "nowhere.json" in capsys.readouterr().err

@@ -1,0 +1,69 @@
+"""`wtg-gym verify`: results computed anew."""
+
+from __future__ import annotations
+
+import argparse
+
+from wtg_gym.cli.output import Progress, note, print_json, print_table
+from wtg_gym.cli.parser import Commands, add_command
+from wtg_gym.cli.scores import chosen_entries
+from wtg_gym.evaluation import Results
+from wtg_gym.evaluation.verification import verify
+
+_SHOWN = 20
+
+_DESCRIPTION = """\
+Evaluates the entries of a results file again, on the same scenarios with the same settings, and compares every number
+of every episode to the last bit, the policies' sha256 and the suite's hash. Says that the results are identical, or
+what differs; the exit code is then 1. Other versions of source code or packages are named, but are no difference by
+themselves: laws give the same bits on one kind of processor, a policy's last digits may depend on onnxruntime."""
+_EXAMPLES = """\
+  wtg-gym verify results/standard-test.json --entries baselines agents/policies/*
+  wtg-gym verify results/paper-test.json --json"""
+
+
+def add_commands(commands: Commands) -> None:
+    """Add `wtg-gym verify`."""
+    parser = add_command(
+        commands,
+        "verify",
+        run,
+        summary="compute results anew, and say whether they are identical",
+        description=_DESCRIPTION,
+        examples=_EXAMPLES,
+    )
+    parser.add_argument("results", metavar="RESULTS.json", help="what evaluate or leaderboard wrote, its CSV beside it")
+    parser.add_argument(
+        "--entries", nargs="+", default=["baselines"], metavar="SPEC", help="as for evaluate (default: baselines)"
+    )
+    parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
+    parser.add_argument("--json", action="store_true", help="print JSON, and nothing else, on stdout")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Carry out `wtg-gym verify`."""
+    stored = Results.read(arguments.results)
+    entries = chosen_entries(arguments.entries)
+    with Progress("episodes") as progress:
+        found = verify(stored, entries, n_threads=arguments.threads, on_progress=progress.update)
+    if arguments.json:
+        print_json(
+            {
+                "identical": not found.differences,
+                "differences": [difference._asdict() for difference in found.differences],
+                "circumstances": [difference._asdict() for difference in found.circumstances],
+                "numbers": found.n_numbers,
+            }
+        )
+        return 1 if found.differences else 0
+    for difference in found.circumstances:
+        note(f"{difference.where} was {difference.stored}, is {difference.now}")
+    if not found.differences:
+        print(f"identical: {found.n_numbers} values of {len(stored.episodes)} episodes")
+        return 0
+    print(f"not identical: {len(found.differences)} differences, the first {min(_SHOWN, len(found.differences))}\n")
+    print_table(("where", "stored", "now"), found.differences[:_SHOWN], left=(0, 1, 2))
+    return 1
+
+
+__all__ = ["add_commands", "run"]

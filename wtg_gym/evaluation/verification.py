@@ -1,0 +1,100 @@
+"""Results computed anew: identical, or what differs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from wtg_gym.evaluation.entries import ANCHORS, Entry
+from wtg_gym.evaluation.episodes import COLUMNS
+from wtg_gym.evaluation.evaluator import evaluate
+from wtg_gym.evaluation.results import Results
+from wtg_gym.scenarios import get_suite
+
+#: The settings of results that are arguments of the environment, as they are called there.
+_ARGUMENTS = ("control_dt", "simulation_dt", "weights", "groups", "machine_model", "on_failure")
+
+
+class Difference(NamedTuple):
+    """Something that came out otherwise: where, as it is stored, and as it is now."""
+
+    where: str
+    stored: str
+    now: str
+
+
+class Verification(NamedTuple):
+    """What :func:`verify` found.
+
+    Args:
+        differences: numbers, policies, suite and settings that differ; empty where the results are reproduced.
+        circumstances: source code and versions that differ; they need not change a number.
+        n_numbers: how many numbers were compared.
+    """
+
+    differences: list[Difference]
+    circumstances: list[Difference]
+    n_numbers: int
+
+
+def verify(
+    stored: Results,
+    entries: Sequence[Entry],
+    *,
+    n_threads: int | None = None,
+    on_progress: Callable[[str, int, int], None] | None = None,
+) -> Verification:
+    """Evaluate the entries of stored results again, on the same scenarios with the same settings, and compare.
+
+    Args:
+        stored: the results.
+        entries: all of their entries, but for the anchors; further ones are left out.
+        n_threads, on_progress: as for :func:`wtg_gym.evaluation.evaluate`.
+
+    Raises:
+        ValueError: an entry is missing, or the results are of a suite, seeds or settings that there are no more.
+    """
+    given = {(entry.name, entry.training_seed): entry for entry in entries}
+    wanted = [(entry["name"], entry["training_seed"]) for entry in stored.entries]
+    missing = [name for name, seed in wanted if (name, seed) not in given and name not in ANCHORS]
+    if missing:
+        raise ValueError(f"the results hold entries that were not given: {', '.join(dict.fromkeys(missing))}")
+    now = evaluate(
+        [given[key] for key in wanted if key in given],
+        stored.suite,
+        stored.split,
+        seeds=stored.seeds,
+        duration_s=stored.settings["duration_s"],
+        n_threads=n_threads,
+        on_progress=on_progress,
+        **{name: stored.settings[name] for name in _ARGUMENTS if name in stored.settings},
+    )
+    differences = _compared("suite_hash", stored.suite_hash, get_suite(stored.suite).hash)
+    for key in sorted({*stored.settings, *now.settings}):
+        differences += _compared(f"settings.{key}", stored.settings.get(key), now.settings.get(key))
+    described = {(entry["name"], entry["training_seed"]): entry for entry in now.entries}
+    for entry in stored.entries:
+        label = _label(entry["name"], entry["training_seed"])
+        other = described[entry["name"], entry["training_seed"]]
+        differences += _compared(f"{label}: sha256", entry["sha256"], other["sha256"])
+    played = {(*episode.run, episode.seed): episode for episode in now.episodes}
+    for episode in stored.episodes:
+        other_cells = played[*episode.run, episode.seed].cells()
+        where = f"{_label(*episode.run)}, seed {episode.seed}"
+        for column, one, other_cell in zip(COLUMNS, episode.cells(), other_cells, strict=True):
+            differences += _compared(f"{where}: {column}", one, other_cell)
+    circumstances = _compared("source_hash", stored.source_hash, now.source_hash)
+    for key in sorted({*stored.versions, *now.versions}):
+        circumstances += _compared(key, stored.versions.get(key), now.versions.get(key))
+    return Verification(differences, circumstances, len(stored.episodes) * len(COLUMNS))
+
+
+def _label(name: str, training_seed: int | None) -> str:
+    return name if training_seed is None else f"{name} (training seed {training_seed})"
+
+
+def _compared(where: str, stored: object, now: object) -> list[Difference]:
+    return [] if stored == now else [Difference(where, str(stored), str(now))]
+
+
+__all__ = ["Difference", "Verification", "verify"]
