@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from onnx import ModelProto, TensorProto, helper
 
+import baselines
 from tests.submissions.models import (
     ACTION,
     LINEAR,
@@ -29,6 +30,7 @@ from tests.submissions.models import (
 )
 from tests.submissions.models import model as make
 from wtg_gym.submissions import limits
+from wtg_gym.submissions.folder import read_files
 from wtg_gym.submissions.gate import CHECKS, Report, _probe, check_submission
 from wtg_gym.submissions.graph import inspect
 from wtg_gym.submissions.limits import MEMORY_BYTES
@@ -515,3 +517,17 @@ def test_answers_that_depend_on_anything_else_are_refused() -> None:
         fake: Any = Fake(answer)
         last = _probe(fake)[-1]
         assert (last.name, last.verdict) == ((refused, "refused") if refused else ("speed", "passed"))
+
+
+@pytest.mark.parametrize("name", ["a;touch x", "$(id)", "--weak-isolation", "mine\n::error::hi", ".hidden", "ü"])
+def test_folder_whose_name_would_mean_something_to_a_shell_is_refused(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.mkdir()
+    with pytest.raises(ValueError, match="the folder's name must be"):
+        read_files(path)
+
+
+def test_folders_of_the_shipped_policies_have_names_that_pass() -> None:
+    policies = Path(baselines.__file__).parent.parent / "agents" / "policies"
+    folders = [path for path in policies.iterdir() if path.name != "linear-feedback"]
+    assert len(folders) == 20 and all(read_files(path) for path in folders)

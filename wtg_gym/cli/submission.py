@@ -20,9 +20,9 @@ from wtg_gym.submissions.template import write_template
 _OPSETS = f"{limits.OPSETS.start} … {limits.OPSETS.stop - 1}"
 _GATE = f"""\
 A submission is a folder with entry.toml and policy.onnx, and a README.md if you like; nothing in it is run but the
-network in policy.onnx, by onnxruntime, in a process without network that can write no file. Before, the file is parsed
-and refused unless it is plain: at most {limits.MODEL_BYTES // 1_000_000} MB and {limits.PARAMETERS:,} numbers,
-opset {_OPSETS}, operators from a list (feed-forward and recurrent layers; no loops, branches, random numbers or
+network in policy.onnx, by onnxruntime, in a process without network that can give no file any content. Before, the file
+is parsed and refused unless it is plain: at most {limits.MODEL_BYTES // 1_000_000} MB and {limits.PARAMETERS:,}
+numbers, opset {_OPSETS}, operators from a list (feed-forward and recurrent layers; no loops, branches, random numbers or
 functions), all weights in the file, and every shape known beforehand with the lanes of a batch apart."""
 
 _NEW = """\
@@ -132,7 +132,7 @@ def _run_score(arguments: argparse.Namespace) -> int:
     refused = [report for report in reports if not report.accepted]
     for report in refused:
         (check,) = (check for check in report.checks if check.verdict == REFUSED)
-        wrong.append(f"{report.folder}: {check.name}: {check.reason}")
+        wrong.append(f"{_shown(report.folder)}: {check.name}: {check.reason}")
     if wrong:
         for line in wrong:
             note(f"refused: {line}")
@@ -162,11 +162,16 @@ def _together(reports: list[Report]) -> list[str]:
     return doubled([report for report in reports if report.accepted])
 
 
+def _shown(folder: Path) -> str:
+    # Whatever it is called, it is one line and no command to a terminal.
+    return ascii(str(folder))[1:-1]
+
+
 def _print(report: Report) -> None:
     print_table(
-        (str(report.folder), "verdict", "reason"),
+        (_shown(report.folder), "verdict", "reason"),
         [(check.name, check.verdict, check.reason) for check in report.checks],
         left=(0, 1, 2),
     )
     accepted = f"accepted, sha256 {report.sha256}" if report.accepted else "refused"
-    print(f"{report.folder}: {accepted}\n")
+    print(f"{_shown(report.folder)}: {accepted}\n")

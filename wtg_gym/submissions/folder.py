@@ -23,6 +23,8 @@ _REQUIRED = ("name", "authors", "training_seed", "action_mode")
 _OPTIONAL = ("observation_mode", "description", "trained_on", "links")
 _MODES = {"action_mode": ("k", "tau", "k+tau"), "observation_mode": ("local", "privileged")}
 _NAME_SIGNS = " ()+-.,=_"
+#: Quantities that a name may speak of.
+_GREEK = "βγδκλμπτω"
 _NOT_IN_TEXTS = "<>|`[]\\"
 _LONGEST_NAME, _LONGEST_TEXT, _LONGEST_LINK = 60, 400, 200
 _LARGEST_SEED = 2**32 - 1
@@ -61,8 +63,15 @@ def read_files(folder: Path) -> dict[str, bytes]:
     Raises:
         ValueError: the folder holds something else, a file is no plain file or too large, or one is missing.
     """
+    # The folder's name goes to shells and terminals.
+    name = Path(os.path.abspath(folder)).name
+    if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9+._-]{0,79}", name) is None:
+        raise ValueError(
+            f"the folder's name must be 1 … 80 letters, digits and + . _ -, and begin with a letter or digit; "
+            f"got {ascii(name)[:90]}"
+        )
     if not stat.S_ISDIR(_status(folder).st_mode):
-        raise ValueError(f"{folder} is not a folder, or a link to one")
+        raise ValueError("it is not a folder, or a link to one")
     names = []
     with os.scandir(folder) as found:
         for item in found:
@@ -136,13 +145,13 @@ def parse_entry(content: bytes) -> EntryFile:
 def _name(value: Any) -> str:
     """Return the name, which stands in Markdown and HTML tables: nothing in it may be markup or a link."""
     allowed = (
-        f"name must be 1 … {_LONGEST_NAME} letters, digits and signs out of {_NAME_SIGNS.strip()} or blanks, "
+        f"name must be 1 … {_LONGEST_NAME} letters, digits and signs out of {_NAME_SIGNS.strip()}{_GREEK} or blanks, "
         f"begin with a letter or digit, and be none of {', '.join(STRATEGIES)}"
     )
     if not isinstance(value, str) or not 1 <= len(value) <= _LONGEST_NAME:
         raise ValueError(f"{allowed}; got {_short(value)}")
-    # isalnum() takes letters of every script, but neither control characters nor marks that change the direction.
-    plain = all(sign.isalnum() or sign in _NAME_SIGNS for sign in value)
+    # Letters of other scripts look like these, or like nothing at all.
+    plain = all((sign.isascii() and sign.isalnum()) or sign in _NAME_SIGNS + _GREEK for sign in value)
     normal = unicodedata.normalize("NFKC", value) == value and value == value.strip() and value[0].isalnum()
     if not plain or not normal or "www." in value.lower() or value.lower() in STRATEGIES:
         raise ValueError(f"{allowed}; got {_short(value)}")

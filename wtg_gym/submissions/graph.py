@@ -97,6 +97,9 @@ class _File:
         for start, what in ((b"PK", "a zip archive"), (b"\x80", "a pickle"), (b"\x1f\x8b", "a gzip archive")):
             if content.startswith(start):
                 raise Refused(f"it is {what}, not an ONNX model")
+        # onnxruntime would read it with the parser of another format.
+        if content[4:8] == b"ORTM":
+            raise Refused("it is marked as a file of onnxruntime's own format")
         if not 0 < len(content) <= limits.MODEL_BYTES:
             raise Refused(f"{len(content)} bytes, allowed are 1 … {limits.MODEL_BYTES}")
         model = onnx.ModelProto()

@@ -42,7 +42,7 @@ class NotIsolatedError(SubmissionError):
 class IsolatedPolicy:
     """A policy file that is looked at, loaded and asked in a process of its own; close it after use.
 
-    The process has no network, can write no file, and is bounded in memory and time. It ends with this one.
+    The process has no network, can give no file any content, and is bounded in memory and time. It ends with this one.
 
     Args:
         content: the .onnx file.

@@ -89,6 +89,8 @@ def _serve(content: bytes, source: BinaryIO, sink: BinaryIO) -> None:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4
+    # Never onnxruntime's own format, whatever the file begins with.
+    options.add_session_config_entry("session.load_model_format", "ONNX")
     try:
         session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
         widths = {value.name: int(value.shape[1]) for value in session.get_inputs()}
