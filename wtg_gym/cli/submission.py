@@ -22,8 +22,8 @@ _GATE = f"""\
 A submission is a folder with entry.toml and policy.onnx, and a README.md if you like; nothing in it is run but the
 network in policy.onnx, by onnxruntime, in a process without network that can give no file any content. Before, the file
 is parsed and refused unless it is plain: at most {limits.MODEL_BYTES // 1_000_000} MB and {limits.PARAMETERS:,}
-numbers, opset {_OPSETS}, operators from a list (feed-forward and recurrent layers; no loops, branches, random numbers or
-functions), all weights in the file, and every shape known beforehand with the lanes of a batch apart."""
+numbers, opset {_OPSETS}, operators from a list (feed-forward and recurrent layers; no loops, branches, random numbers
+or functions), all weights in the file, and every shape known beforehand with the lanes of a batch apart."""
 
 _NEW = """\
 Writes an entry.toml with comments to fill in, and copies a policy beside it. `python -m agents.export` writes both
