@@ -30,7 +30,7 @@ from wtg_gym.evaluation import Entry, load_entries
 from wtg_gym.evaluation.recording import Recording, one_scenario, pooled, record
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
-from wtg_gym.scenarios import SUITES, get_suite
+from wtg_gym.scenarios import SPLITS, SUITES, get_suite
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -89,7 +89,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--output", required=True, metavar="FOLDER", help="folder to write to")
     parser.add_argument("--page", metavar="FILE", help="Markdown file whose sections are renewed")
     parser.add_argument("--suite", choices=tuple(SUITES), default="standard", help="default: standard")
-    parser.add_argument("--split", choices=("train", "validation", "test"), default="test", help="its scenarios")
+    parser.add_argument("--split", choices=SPLITS, default="test", help="its scenarios")
     parser.add_argument("--scenarios", type=int, metavar="N", help="the first N of the split (default: 50, or all)")
     parser.add_argument("--show", type=int, metavar="SEED", help="which of them to draw over time (default: the first)")
     parser.add_argument("--formats", nargs="+", choices=FIGURE_FORMATS, default=["svg"], help="default: svg")
@@ -105,7 +105,7 @@ def _behaviour(given: argparse.Namespace) -> None:
     if not given.entries and not given.runs and not csv_file.is_file():
         raise ValueError(f"nothing to draw: give --entries or --runs, there is no {csv_file} either")
     # A pattern such as runs/* names logs beside the folders as well.
-    runs = [path for path in map(Path, given.runs or ()) if not path.is_file()]
+    runs = [path for path in map(Path, given.runs) if not path.is_file()]
     validations = read_runs(runs) if runs else read_csv(csv_file) if csv_file.is_file() else []
     entries = _entries(given.entries) if given.entries else []
     sections = (*(ENTRY_SECTIONS if entries else ()), *((CURVE_SECTION,) if validations else ()))

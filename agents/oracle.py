@@ -70,14 +70,13 @@ def _parser() -> argparse.ArgumentParser:
     linear.add_argument("--name", default="linear-feedback", help="of the entry (default: linear-feedback)")
     linear.add_argument("--authors", nargs="+", default=[], metavar="NAME", help="who tuned it")
     linear.add_argument("--scenarios", type=int, default=64, metavar="N", help="training scenarios (default: 64)")
+    _add_search_options(linear)
     _add_shared_options(linear)
     simple = commands.add_parser("simple", help="play constant and bang-bang actions", description=_SIMPLE)
     simple.set_defaults(run=_simple)
-    simple.add_argument("--suite", metavar="NAME", default="standard", help="(default: standard)")
     simple.add_argument("--split", choices=("validation", "test"), default="validation", help="(default: validation)")
     simple.add_argument("--scenarios", type=int, metavar="N", help="the first N of the split (default: all)")
-    simple.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
-    simple.add_argument("--json", action="store_true", help="print JSON, and nothing else, on stdout")
+    _add_shared_options(simple)
     foresight = commands.add_parser(
         "foresight", help="search every scenario", description=_FORESIGHT, epilog=_FORESIGHT_EXAMPLES
     )
@@ -102,15 +101,19 @@ def _parser() -> argparse.ArgumentParser:
         metavar="FOLDER",
         help="where finished chunks are kept (default: results/oracle-parts)",
     )
+    _add_search_options(foresight)
     _add_shared_options(foresight)
     return parser
 
 
-def _add_shared_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--suite", metavar="NAME", default="standard", help="(default: standard)")
+def _add_search_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--action-mode", choices=tuple(ACTION_MODES), default="k+tau", help="(default: k+tau)")
     parser.add_argument("--generations", type=int, default=150, metavar="N", help="of a search (default: 150)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the search (default: 0)")
+
+
+def _add_shared_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--suite", metavar="NAME", default="standard", help="(default: standard)")
     parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
     parser.add_argument("--json", action="store_true", help="print JSON, and nothing else, on stdout")
 

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.files import sha256
+from wtg_gym.onnx_session import open_session
 
 Floats = npt.NDArray[np.float32]
 #: The recurrent states, (n_lanes, n) each.
@@ -32,10 +33,6 @@ class OnnxPolicy:
     """
 
     def __init__(self, path: str | Path) -> None:
-        try:
-            import onnxruntime
-        except ImportError as error:
-            raise ImportError("policies as ONNX files need onnxruntime: pip install 'wtg-gym[agents]'") from error
         self._path = Path(path)
         try:
             content = self._path.read_bytes()
@@ -43,13 +40,10 @@ class OnnxPolicy:
             raise ValueError(f"cannot read the policy {path}: {error.strerror}") from error
         #: sha256 of the file.
         self.sha256 = sha256(content)
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = options.inter_op_num_threads = 1
-        options.log_severity_level = 4
-        # Never onnxruntime's own format, whatever the file begins with.
-        options.add_session_config_entry("session.load_model_format", "ONNX")
         try:
-            self._session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+            self._session = open_session(content)
+        except ImportError as error:
+            raise ImportError("policies as ONNX files need onnxruntime: pip install 'wtg-gym[agents]'") from error
         # onnxruntime's own exceptions share no other base.
         except Exception as error:
             raise ValueError(f"{path} is no ONNX model that onnxruntime can run: {error}") from error

@@ -84,15 +84,11 @@ def _cut_network() -> str:
 
 def _serve(content: bytes, source: BinaryIO, sink: BinaryIO) -> None:
     import numpy as np
-    import onnxruntime
 
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 4
-    # Never onnxruntime's own format, whatever the file begins with.
-    options.add_session_config_entry("session.load_model_format", "ONNX")
+    from wtg_gym.onnx_session import open_session
+
     try:
-        session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+        session = open_session(content)
         widths = {value.name: int(value.shape[1]) for value in session.get_inputs()}
         outputs = {value.name: int(value.shape[1]) for value in session.get_outputs()}
     except Exception as error:
