@@ -37,6 +37,17 @@ help: ## Show this list
 leaderboard: $(LEADERBOARD_READY) ## Score every entry on the standard suite and write the ranking to the README
 	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard --entries baselines $(POLICIES) --results results --readme README.md
 
+# What the fresh scenarios of the last round were drawn from: the commit with the entries, and the published secret.
+VERIFICATION_COMMIT := 82f6cbcc21a2b949267e19126c0e7868f44b4e5d
+VERIFICATION_SECRET := docs/verification/2026-11.txt
+
+.PHONY: verification
+verification: $(LEADERBOARD_READY) ## Score every entry on fresh scenarios too, and put the gap to the public ones into docs/benchmark.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard --entries baselines $(POLICIES) --results results
+	$(LEADERBOARD_VENV)/bin/wtg-gym evaluate --suite standard --entries baselines $(POLICIES) --results results \
+	    --split verification --commit $(VERIFICATION_COMMIT) --secret-file $(VERIFICATION_SECRET)
+	$(LEADERBOARD_VENV)/bin/wtg-gym gap results/standard-test.json results/standard-verification.json --page docs/benchmark.md
+
 # The suites that the page shows beside the paper's two cases.
 PAGE_SUITES := standard weak-grid
 

@@ -55,7 +55,7 @@ def test_json_is_strict_sorted_and_without_time_or_place(written: tuple[Path, Pa
     data = json.loads(text, parse_constant=lambda name: pytest.fail(name))
     assert list(data) == sorted(data)
     assert data["metrics"]["nadir_hz"]["unit"] == "Hz"
-    assert set(data["versions"]) == {"wtg_gym", "numpy", "numba", "python"}
+    assert set(data["versions"]) == {"wtg_gym", "numpy", "numba", "python", "platform", "onnxruntime"}
     assert str(Path.home()) not in text and not re.search(r"20\d\d-\d\d-\d\dT", text)
 
 
@@ -149,7 +149,20 @@ EDITS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "wrong seeds": (lambda d: d.update(seeds=[1.5]), "seeds must be a list of whole numbers"),
     "unknown suite": (lambda d: d.update(suite="easy"), "suite must be one of paper"),
     "short hash": (lambda d: d.update(suite_hash="abc"), "suite_hash must be 64 hexadecimal"),
-    "other format": (lambda d: d.update(format=2), "format must be 1"),
+    "other format": (lambda d: d.update(format=1), "format must be 2"),
+    "seeds of no draw": (
+        lambda d: d.update(split="verification"),
+        "draw must be given for the split 'verification' alone",
+    ),
+    "draw of a frozen split": (
+        lambda d: d.update(draw={"commit": "a" * 40, "secret_sha256": "0" * 64}),
+        "draw must be given for the split",
+    ),
+    "seeds that cannot be drawn": (
+        lambda d: d.update(split="verification", draw={"commit": "a" * 40, "secret_sha256": "0" * 64}),
+        "draw: seeds of a draw must be",
+    ),
+    "no fingerprint": (lambda d: d["environment"].pop("fingerprint"), "environment must be an object with id"),
     "wrong kind": (
         lambda d: d["entries"][0].update(kind="magic"),
         r"entries\[0\]: kind must be law, feedback or learned",

@@ -165,3 +165,48 @@ def test_gap_closed_needs_a_gap() -> None:
     # One scenario has none: the resamples with that one alone say nothing.
     interval = statistics.gap_closed(np.array([[2.0, 4.0]]), reference, np.array([1.0, 4.0]))
     assert interval is not None and (interval.value, interval.low, interval.high) == (50.0, 50.0, 50.0)
+
+
+def test_gap_interval_agrees_with_a_bootstrap_written_out() -> None:
+    rng = np.random.default_rng(8)
+    sides = []
+    for n in (120, 90):
+        mppt = -rng.uniform(0.5, 2.0, n)
+        sides.append((0.2 * rng.normal(size=(1, n)) - 0.1 * mppt, mppt))
+    (a, m), (b, k) = sides
+
+    def gap(x: np.ndarray, y: np.ndarray, axis: int) -> np.ndarray:
+        # Two columns at once: the entry's gains, and MPPT's.
+        one, other = (100.0 * z[0].mean(axis=axis) / -z[1].mean(axis=axis) for z in (x, y))
+        return one - other
+
+    resampled = []
+    for _ in range(20_000):
+        i, j = rng.integers(0, 120, 120), rng.integers(0, 90, 90)
+        resampled.append(gap(np.stack([a[0, i], m[i]]), np.stack([b[0, j], k[j]]), axis=-1))
+    low, high = np.percentile(resampled, [2.5, 97.5])
+    interval = statistics.score_gap(*sides)
+    assert interval.value == pytest.approx(100.0 * (a.mean() / -m.mean() - b.mean() / -k.mean()))
+    assert interval.low == pytest.approx(low, abs=0.06 * (high - low))
+    assert interval.high == pytest.approx(high, abs=0.06 * (high - low))
+
+
+def _two_sets(rng: np.random.Generator, fitted: float) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Gains of two seeds and of two controls on lucky public scenarios and on fresh ones; `fitted` on the public."""
+    sides = []
+    for luck, extra in ((0.5, fitted), (0.0, 0.0)):
+        shared = rng.normal(size=100) + luck
+        controls = np.stack([shared + 0.1 * rng.normal(size=100), rng.normal(size=100)])
+        sides.append((0.8 * shared + 0.1 * rng.normal(size=(2, 100)) + extra, controls))
+    return sides
+
+
+def test_excess_is_what_the_controls_do_not_share() -> None:
+    rng = np.random.default_rng(9)
+    honest = [statistics.excess_gap(*_two_sets(rng, 0.0), 1.0) for _ in range(200)]
+    assert 0.89 <= np.mean([interval.low <= 0.0 <= interval.high for interval in honest]) <= 0.99
+    # The luck of half a standard deviation, 40 points here, is none of theirs.
+    assert abs(np.mean([interval.value for interval in honest])) < 1.0
+    fitted = [statistics.excess_gap(*_two_sets(rng, 0.1), 1.0) for _ in range(50)]
+    assert np.mean([interval.value for interval in fitted]) == pytest.approx(10.0, abs=1.0)
+    assert all(interval.low > 0.0 for interval in fitted)

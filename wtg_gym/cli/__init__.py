@@ -15,6 +15,7 @@ from wtg_gym import __version__
 from wtg_gym.cli import (
     accuracy,
     bench,
+    gap,
     parameters,
     reproduce,
     scores,
@@ -52,7 +53,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"wtg-gym {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     analysis = (statics, small_signal, reproduce, validate, accuracy, parameters, bench)
-    for module in (simulate, scores, verify, submission, sensitivity, suites, *analysis):
+    for module in (simulate, scores, verify, gap, submission, sensitivity, suites, *analysis):
         module.add_commands(commands)
     return parser
 

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from wtg_gym.cli.draw import add_split_options, chosen_draw
 from wtg_gym.cli.output import (
     Progress,
     check_output_file,
@@ -39,7 +40,7 @@ from wtg_gym.evaluation import (
 )
 from wtg_gym.evaluation.leaderboard import COLUMNS
 from wtg_gym.plotting.page import leaderboard_page, untraced
-from wtg_gym.scenarios import SPLITS, SUITES, get_suite
+from wtg_gym.scenarios import SUITES, get_suite
 
 #: The package with the entries of a checkout.
 _DEFAULT_ENTRIES = "baselines"
@@ -103,7 +104,7 @@ def add_commands(commands: Commands) -> None:
         after_interrupt="nothing was written; with --results DIR the finished parts are kept",
     )
     add_score_options(parser)
-    parser.add_argument("--split", choices=SPLITS, default="test", help="which seeds of the suite (default: test)")
+    add_split_options(parser)
     parser.add_argument(
         "--seeds", nargs="+", metavar="A:B", help="seeds of the split, N or A:B with B left out (default: all)"
     )
@@ -177,6 +178,7 @@ def _run_evaluate(arguments: argparse.Namespace) -> int:
         split=arguments.split,
         partial=partial,
         seeds=None if arguments.seeds is None else chosen_seeds(arguments.seeds),
+        draw=chosen_draw(arguments),
         duration_s=arguments.duration,
         groups=2 if arguments.groups is None else arguments.groups,
         control_dt=arguments.control_dt,
@@ -300,7 +302,7 @@ def _stored(path: Path, anchors: Results) -> Results | None:
     except ValueError as error:
         note(f"not used: {error}")
         return None
-    for key in ("suite_hash", "source_hash", "split", "seeds", "settings", "versions"):
+    for key in ("suite_hash", "source_hash", "environment", "split", "seeds", "settings", "versions"):
         if getattr(stored, key) != getattr(anchors, key):
             note(f"not used: {path} is of another {key.replace('_', ' ')}; evaluating everything")
             return None

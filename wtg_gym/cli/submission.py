@@ -7,10 +7,11 @@ import contextlib
 import importlib.util
 from pathlib import Path
 
+from wtg_gym.cli.draw import add_split_options, chosen_draw
 from wtg_gym.cli.output import check_output_folder, note, print_json, print_table
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.cli.scores import chosen_seeds, finish, run_evaluation
-from wtg_gym.scenarios import SPLITS, SUITES, get_suite
+from wtg_gym.scenarios import SUITES, get_suite
 from wtg_gym.submissions import limits
 from wtg_gym.submissions.folder import FILES
 from wtg_gym.submissions.gate import REFUSED, Report, as_json, check_submission, doubled
@@ -85,7 +86,7 @@ def add_commands(commands: Commands) -> None:
     parser.add_argument(
         "--suite", default="standard", metavar="NAME", help=f"suite: {', '.join(SUITES)} (default: standard)"
     )
-    parser.add_argument("--split", choices=SPLITS, default="test", help="which seeds of the suite (default: test)")
+    add_split_options(parser)
     parser.add_argument(
         "--seeds", nargs="+", metavar="A:B", help="seeds of the split, N or A:B with B left out (default: all)"
     )
@@ -127,6 +128,7 @@ def _run_score(arguments: argparse.Namespace) -> int:
     results_folder = None if arguments.results is None else check_output_folder("--results", arguments.results)
     get_suite(arguments.suite)
     seeds = None if arguments.seeds is None else chosen_seeds(arguments.seeds)
+    draw = chosen_draw(arguments)
     reports = _reports(arguments)
     wrong = _together(reports)
     refused = [report for report in reports if not report.accepted]
@@ -143,7 +145,7 @@ def _run_score(arguments: argparse.Namespace) -> int:
             entry, policy = report.open(weak=arguments.weak_isolation)
             stack.enter_context(policy)
             entries.append(entry)
-        results = run_evaluation(entries, arguments, split=arguments.split, partial=None, seeds=seeds)
+        results = run_evaluation(entries, arguments, split=arguments.split, partial=None, seeds=seeds, draw=draw)
     finish(results, results_folder, as_json=arguments.json)
     return 0
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+from wtg_gym.cli.draw import read_secret
 from wtg_gym.cli.output import Progress, note, print_json, print_table
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.cli.scores import chosen_entries
@@ -16,7 +17,8 @@ _DESCRIPTION = """\
 Evaluates the entries of a results file again, on the same scenarios with the same settings, and compares every number
 of every episode to the last bit, the policies' sha256 and the suite's hash. Says that the results are identical, or
 what differs; the exit code is then 1. Other versions of source code or packages are named, but are no difference by
-themselves: laws give the same bits on one kind of processor, a policy's last digits may depend on onnxruntime."""
+themselves: laws give the same bits on one kind of processor, a policy's last digits may depend on onnxruntime. The
+environment's fingerprint says whether this machine computes the same as the one before."""
 _EXAMPLES = """\
   wtg-gym verify results/standard-test.json --entries baselines agents/policies/*
   wtg-gym verify results/paper-test.json --json"""
@@ -36,6 +38,9 @@ def add_commands(commands: Commands) -> None:
     parser.add_argument(
         "--entries", nargs="+", default=["baselines"], metavar="SPEC", help="as for evaluate (default: baselines)"
     )
+    parser.add_argument(
+        "--secret-file", metavar="FILE", help="also check that the seeds of a verification were drawn with this secret"
+    )
     parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
     parser.add_argument("--json", action="store_true", help="print JSON, and nothing else, on stdout")
 
@@ -43,9 +48,10 @@ def add_commands(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym verify`."""
     stored = Results.read(arguments.results)
+    secret = None if arguments.secret_file is None else read_secret(arguments.secret_file)
     entries = chosen_entries(arguments.entries)
     with Progress("episodes") as progress:
-        found = verify(stored, entries, n_threads=arguments.threads, on_progress=progress.update)
+        found = verify(stored, entries, secret=secret, n_threads=arguments.threads, on_progress=progress.update)
     if arguments.json:
         print_json(
             {

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from wtg_gym.evaluation.metrics import METRICS
-from wtg_gym.scenarios import SPLITS, SUITES
+from wtg_gym.scenarios import SPLITS, SUITES, VERIFICATION, VerificationDraw
 
 _HEX = re.compile("[0-9a-f]{64}")
 
@@ -39,10 +39,11 @@ def _is_object(value: Any) -> bool:
     return isinstance(value, dict)
 
 
+_ALL_SPLITS = (*SPLITS, VERIFICATION)
 _SHA256 = (_is_hash, "64 hexadecimal digits")
 _DESCRIPTION: dict[str, tuple[Callable[[Any], bool], str]] = {
     "suite": (lambda v: _is_text(v) and v in SUITES, f"one of {', '.join(SUITES)}"),
-    "split": (lambda v: _is_text(v) and v in SPLITS, f"one of {', '.join(SPLITS)}"),
+    "split": (lambda v: _is_text(v) and v in _ALL_SPLITS, f"one of {', '.join(_ALL_SPLITS)}"),
     "suite_hash": _SHA256,
     "source_hash": _SHA256,
     "csv_sha256": _SHA256,
@@ -50,6 +51,16 @@ _DESCRIPTION: dict[str, tuple[Callable[[Any], bool], str]] = {
     "seeds": (
         lambda v: isinstance(v, list) and bool(v) and all(map(_is_seed, v)),
         "a list of whole numbers from 0 on",
+    ),
+    "draw": (
+        lambda v: v is None or (_is_object(v) and set(v) == {"commit", "secret_sha256"}),
+        "null or an object with commit and secret_sha256",
+    ),
+    "environment": (
+        lambda v: (
+            _is_object(v) and set(v) == {"id", "fingerprint"} and _is_text(v["id"]) and _is_hash(v["fingerprint"])
+        ),
+        "an object with id, text, and fingerprint, 64 hexadecimal digits",
     ),
     "settings": (_is_object, "an object"),
     "versions": (lambda v: _is_object(v) and all(map(_is_text, v.values())), "an object of texts"),
@@ -92,6 +103,7 @@ def check_description(data: Any, path: Path, version: int) -> None:
     for i, entry in enumerate(data["entries"]):
         _check_keys(entry, _ENTRY, f"{path}: entries[{i}]")
     _check_metrics(data["metrics"], path)
+    _check_draw(data, path)
     weights = data["settings"].get("weights")
     if not isinstance(weights, dict) or not _is_number(weights.get("cap")):
         raise ValueError(f"{path}: settings.weights.cap must be a number [1/s], got {weights!r}")
@@ -105,6 +117,17 @@ def check_description(data: Any, path: Path, version: int) -> None:
                 continue
             if not isinstance(interval, dict) or not all(_is_number(interval.get(k)) for k in ("value", "low", "high")):
                 raise ValueError(f"{path}: summary.{name}.{key} must give value, low and high, got {interval!r}")
+
+
+def _check_draw(data: dict[str, Any], path: Path) -> None:
+    """The seeds of the split "verification", and no others, come of a draw."""
+    if (data["split"] == VERIFICATION) != (data["draw"] is not None):
+        raise ValueError(f"{path}: draw must be given for the split {VERIFICATION!r} alone, got {_short(data['draw'])}")
+    if data["draw"] is not None:
+        try:
+            VerificationDraw(suite=data["suite"], seeds=tuple(data["seeds"]), **data["draw"])
+        except ValueError as error:
+            raise ValueError(f"{path}: draw: {error}") from error
 
 
 def _check_keys(data: dict[str, Any], expected: dict[str, tuple[Callable[[Any], bool], str]], where: str) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import importlib.metadata
 import platform
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -12,19 +14,20 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym import __version__
+from wtg_gym import ENV_ID, __version__
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task import COEFFICIENT_AUTHORITY, TIME_CONSTANT_RATIO, TaskRow
 from wtg_gym.evaluation.entries import ANCHORS, Entry
 from wtg_gym.evaluation.episodes import Episode
+from wtg_gym.evaluation.fingerprint import environment_fingerprint
 from wtg_gym.evaluation.metrics import Recorder, measure
 from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.evaluation.results import Results
 from wtg_gym.physics.compiled import source_hash
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import STRATEGIES
-from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios import VERIFICATION, VerificationDraw, get_suite
 
 Progress = Callable[[str, int, int], None]
 #: Settings that an entry or an argument of its own decides.
@@ -39,6 +42,7 @@ def evaluate(
     split: str = "test",
     *,
     seeds: Sequence[int] | None = None,
+    draw: VerificationDraw | None = None,
     duration_s: float | None = None,
     batch: int = 256,
     n_threads: int | None = None,
@@ -54,8 +58,9 @@ def evaluate(
     Args:
         entries: competitors; names (with training seeds) must be unique.
         suite: name of the suite.
-        split: "train", "validation" or "test".
+        split: "train", "validation", "test" or "verification".
         seeds: some of the split's seeds; None for all.
+        draw: the seeds of the split "verification".
         duration_s: length of the episodes [s]; None for the suite's own.
         batch: scenarios that run side by side.
         n_threads: threads to step with; None for one per processor.
@@ -70,7 +75,7 @@ def evaluate(
     competitors = _with_anchors(entries)
     _check_arguments(batch, partial, env_arguments)
     settings = EnvSettings(suite=suite, split=split, duration_s=duration_s, **env_arguments)
-    chosen = _seeds(suite, split, seeds)
+    chosen = _seeds(suite, split, seeds, draw)
     shared, suite_hash = _shared_settings(settings), get_suite(suite).hash
     store = PartialStore(None if partial is None else Path(partial), [suite, suite_hash, split, shared])
     episodes: list[Episode] = []
@@ -86,6 +91,8 @@ def evaluate(
         suite_hash=suite_hash,
         source_hash=source_hash(),
         seeds=tuple(chosen),
+        draw=None if draw is None else {"commit": draw.commit, "secret_sha256": draw.secret_sha256},
+        environment={"id": ENV_ID, "fingerprint": environment_fingerprint(settings)},
         settings=shared,
         versions=_versions(),
         entries=tuple(entry.to_dict() for entry in competitors),
@@ -128,7 +135,19 @@ def _with_anchors(entries: Sequence[Entry]) -> list[Entry]:
     return [*entries, *(Entry(name=name, strategy=name, description="Anchor of the score.") for name in missing)]
 
 
-def _seeds(suite: str, split: str, seeds: Sequence[int] | None) -> list[int]:
+def _seeds(suite: str, split: str, seeds: Sequence[int] | None, draw: VerificationDraw | None) -> list[int]:
+    if (split == VERIFICATION) != (draw is not None):
+        raise ValueError(
+            f"the split {VERIFICATION!r}, and no other, is played on the seeds of a draw, see draw_seeds(); got the "
+            f"split {split!r} and {'no draw' if draw is None else 'a draw'}"
+        )
+    if draw is not None:
+        if seeds is not None or draw.suite != suite:
+            raise ValueError(
+                f"a draw gives all seeds, of its own suite {draw.suite!r}; got the suite {suite!r}"
+                f"{'' if seeds is None else ' and other seeds'}"
+            )
+        return list(draw.seeds)
     allowed = get_suite(suite).seeds(split)
     text = f"the {split} seeds of suite {suite!r} are {allowed.start} … {allowed.stop - 1}"
     if seeds is None:
@@ -156,12 +175,16 @@ def _shared_settings(settings: EnvSettings) -> dict[str, Any]:
 
 
 def _versions() -> dict[str, str]:
-    return {
+    versions = {
         "wtg_gym": __version__,
         "numpy": np.__version__,
         "numba": numba.__version__,
         "python": platform.python_version(),
+        "platform": f"{platform.system()} {platform.machine()}",
     }
+    with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+        versions["onnxruntime"] = importlib.metadata.version("onnxruntime")
+    return versions
 
 
 def _stored_or_played(

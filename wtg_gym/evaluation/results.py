@@ -18,7 +18,7 @@ from wtg_gym.evaluation.summary import EntrySummary, pinned, summarise
 from wtg_gym.files import parse_json, read_text, sha256, to_json, write_atomically
 
 #: Version of the files; another number is another form.
-FORMAT = 1
+FORMAT = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,8 +31,11 @@ class Results:
         suite_hash: the suite's own hash.
         source_hash: hash of the physics and environment that were run.
         seeds: seeds of the scenarios.
+        draw: commit and sha256 of the secret that the seeds of the split "verification" were drawn from; None for the
+            others.
+        environment: its id, and the fingerprint of what it answers on this machine.
         settings: settings of the environment that all entries share.
-        versions: of wtg_gym, numpy, numba and python.
+        versions: of wtg_gym, numpy, numba, python, onnxruntime where it is installed, and the platform.
         entries: data of every entry, the score's anchors among them.
         episodes: one row per entry and scenario, in the order of `entries` and `seeds`.
     """
@@ -42,6 +45,8 @@ class Results:
     suite_hash: str
     source_hash: str
     seeds: tuple[int, ...]
+    draw: Mapping[str, str] | None
+    environment: Mapping[str, str]
     settings: Mapping[str, Any]
     versions: Mapping[str, str]
     entries: tuple[Mapping[str, Any], ...]
@@ -96,6 +101,8 @@ class Results:
             "suite_hash": self.suite_hash,
             "source_hash": self.source_hash,
             "seeds": list(self.seeds),
+            "draw": None if self.draw is None else dict(self.draw),
+            "environment": dict(self.environment),
             "settings": dict(self.settings),
             "versions": dict(self.versions),
             "entries": [dict(entry) for entry in self.entries],
@@ -155,6 +162,8 @@ class Results:
             suite_hash=data["suite_hash"],
             source_hash=data["source_hash"],
             seeds=tuple(data["seeds"]),
+            draw=data["draw"],
+            environment=data["environment"],
             settings=data["settings"],
             versions=data["versions"],
             entries=tuple(data["entries"]),

@@ -9,7 +9,7 @@ from wtg_gym.evaluation.entries import ANCHORS, Entry
 from wtg_gym.evaluation.episodes import COLUMNS
 from wtg_gym.evaluation.evaluator import evaluate
 from wtg_gym.evaluation.results import Results
-from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios import VerificationDraw, get_suite
 
 #: The settings of results that are arguments of the environment, as they are called there.
 _ARGUMENTS = ("control_dt", "simulation_dt", "weights", "groups", "machine_model", "on_failure")
@@ -27,8 +27,8 @@ class Verification(NamedTuple):
     """What :func:`verify` found.
 
     Args:
-        differences: numbers, policies, suite and settings that differ; empty where the results are reproduced.
-        circumstances: source code and versions that differ; they need not change a number.
+        differences: numbers, policies, seeds, suite and settings that differ; empty where the results are reproduced.
+        circumstances: source code, versions and the environment's answers that differ; they need not change a number.
         n_numbers: how many numbers were compared.
     """
 
@@ -41,6 +41,7 @@ def verify(
     stored: Results,
     entries: Sequence[Entry],
     *,
+    secret: bytes | None = None,
     n_threads: int | None = None,
     on_progress: Callable[[str, int, int], None] | None = None,
 ) -> Verification:
@@ -49,11 +50,16 @@ def verify(
     Args:
         stored: the results.
         entries: all of their entries, but for the anchors; further ones are left out.
+        secret: what the seeds of the split "verification" were drawn with; None does not check them.
         n_threads, on_progress: as for :func:`wtg_gym.evaluation.evaluate`.
 
     Raises:
-        ValueError: an entry is missing, or the results are of a suite, seeds or settings that there are no more.
+        ValueError: an entry is missing, a secret is given for seeds that were not drawn, or the results are of a suite,
+            seeds or settings that there are no more.
     """
+    draw = None if stored.draw is None else VerificationDraw(suite=stored.suite, seeds=stored.seeds, **stored.draw)
+    if draw is None and secret is not None:
+        raise ValueError(f"the seeds of the split {stored.split!r} were not drawn: there is no secret to check")
     given = {(entry.name, entry.training_seed): entry for entry in entries}
     wanted = [(entry["name"], entry["training_seed"]) for entry in stored.entries]
     missing = [name for name, seed in wanted if (name, seed) not in given and name not in ANCHORS]
@@ -63,13 +69,16 @@ def verify(
         [given[key] for key in wanted if key in given],
         stored.suite,
         stored.split,
-        seeds=stored.seeds,
+        seeds=stored.seeds if draw is None else None,
+        draw=draw,
         duration_s=stored.settings["duration_s"],
         n_threads=n_threads,
         on_progress=on_progress,
         **{name: stored.settings[name] for name in _ARGUMENTS if name in stored.settings},
     )
     differences = _compared("suite_hash", stored.suite_hash, get_suite(stored.suite).hash)
+    if draw is not None and secret is not None and not draw.is_of(secret):
+        differences.append(Difference("seeds", f"those of {draw.secret_sha256[:12]}", "others: not of this secret"))
     for key in sorted({*stored.settings, *now.settings}):
         differences += _compared(f"settings.{key}", stored.settings.get(key), now.settings.get(key))
     described = {(entry["name"], entry["training_seed"]): entry for entry in now.entries}
@@ -84,6 +93,8 @@ def verify(
         for column, one, other_cell in zip(COLUMNS, episode.cells(), other_cells, strict=True):
             differences += _compared(f"{where}: {column}", one, other_cell)
     circumstances = _compared("source_hash", stored.source_hash, now.source_hash)
+    for key in ("id", "fingerprint"):
+        circumstances += _compared(f"environment.{key}", stored.environment[key], now.environment[key])
     for key in sorted({*stored.versions, *now.versions}):
         circumstances += _compared(key, stored.versions.get(key), now.versions.get(key))
     return Verification(differences, circumstances, len(stored.episodes) * len(COLUMNS))

@@ -1,0 +1,111 @@
+"""Fresh scenarios as a user plays them: `evaluate --split verification`, `gap`, and `verify` with the secret."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from wtg_gym.cli import main
+
+COMMIT = "0123456789abcdef0123456789abcdef01234567"
+SECRET = "a secret for these tests\n"
+SHORT = ["--entries", "deloaded-5", "--duration", "10"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("gap")
+    (folder / "secret.txt").write_text(SECRET)
+    (folder / "page.md").write_text("before\n<!-- gap:standard:start -->\n<!-- gap:standard:end -->\nafter\n")
+    assert main(["evaluate", *SHORT, "--seeds", "20000:20004", "--results", str(folder)]) == 0
+    drawn = ["--split", "verification", "--commit", COMMIT, "--secret-file", str(folder / "secret.txt")]
+    assert main(["evaluate", *SHORT, *drawn, "--scenarios", "4", "--results", str(folder)]) == 0
+    return folder
+
+
+def test_results_say_what_the_seeds_were_drawn_from(folder: Path) -> None:
+    data = json.loads((folder / "standard-verification.json").read_text())
+    assert data["draw"]["commit"] == COMMIT and len(data["seeds"]) == 4
+    # The secret itself is nowhere.
+    assert SECRET.strip() not in (folder / "standard-verification.json").read_text()
+
+
+def test_gap_is_printed_and_put_on_a_page(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = [str(folder / f"standard-{split}.json") for split in ("test", "verification")]
+    assert main(["gap", *files, "--page", str(folder / "page.md")]) == 0
+    out = capsys.readouterr().out
+    assert "4 public and 4 fresh scenarios" in out and "deloaded-5" in out
+    page = (folder / "page.md").read_text()
+    assert "| deloaded-5 |" in page and page.startswith("before\n") and page.endswith("after\n")
+    assert main(["gap", *files, "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert [gap["name"] for gap in said["gaps"]] == ["deloaded-5"] and said["draw"]["commit"] == COMMIT
+
+
+def test_verify_checks_the_seeds_against_the_secret(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    stored = [str(folder / "standard-verification.json"), "--entries", "deloaded-5"]
+    assert main(["verify", *stored]) == 0
+    assert main(["verify", *stored, "--secret-file", str(folder / "secret.txt")]) == 0
+    capsys.readouterr()
+    (folder / "other.txt").write_text("another secret for these tests")
+    assert main(["verify", *stored, "--secret-file", str(folder / "other.txt")]) == 1
+    assert "not of this secret" in capsys.readouterr().out
+
+
+BAD = {
+    "no commit": (["--split", "verification"], "missing: --commit, --secret-file"),
+    "short commit": (
+        ["--split", "verification", "--commit", "abc", "--secret-file", "SECRET"],
+        "full git hash of 40 or 64 hexadecimal digits, got 'abc'",
+    ),
+    "seeds of one's own": (
+        ["--split", "verification", "--commit", COMMIT, "--secret-file", "SECRET", "--seeds", "5"],
+        "without --seeds",
+    ),
+    "other split": (["--commit", COMMIT], "--commit: for --split verification only, the split is test"),
+    "no file": (
+        ["--split", "verification", "--commit", COMMIT, "--secret-file", "nowhere.txt"],
+        "--secret-file nowhere.txt: No such file",
+    ),
+    "fixed cases": (
+        ["--suite", "paper", "--split", "verification", "--commit", COMMIT, "--secret-file", "SECRET"],
+        "suite 'paper' has fixed cases",
+    ),
+    "too few": (
+        ["--split", "verification", "--commit", COMMIT, "--secret-file", "SECRET", "--scenarios", "0"],
+        "must be 1 … 100000, got 0",
+    ),
+    "short secret": (
+        ["--split", "verification", "--commit", COMMIT, "--secret-file", "SHORT"],
+        "must have 16 bytes or more, got 5",
+    ),
+    "large secret": (
+        ["--split", "verification", "--commit", COMMIT, "--secret-file", "LARGE"],
+        "larger than 4096 bytes",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_draw_is_one_line(case: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options, text = BAD[case]
+    (tmp_path / "short").write_text("12345")
+    (tmp_path / "large").write_bytes(bytes(5000))
+    paths = {"SECRET": folder / "secret.txt", "SHORT": tmp_path / "short", "LARGE": tmp_path / "large"}
+    assert main(["evaluate", "--entries", "mppt", *(str(paths.get(option, option)) for option in options)]) == 2
+    error = capsys.readouterr().err
+    assert text in error and error.count("\n") == 1
+
+
+def test_gap_wants_both_kinds_of_results(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    same = str(folder / "standard-test.json")
+    assert main(["gap", same, same]) == 2
+    assert "in this order; got 'test' and 'test'" in capsys.readouterr().err
+
+
+def test_secret_for_seeds_that_were_not_drawn_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = [str(folder / "standard-test.json"), "--entries", "deloaded-5", "--secret-file"]
+    assert main(["verify", *arguments, str(folder / "secret.txt")]) == 2
+    assert "were not drawn" in capsys.readouterr().err

@@ -1,0 +1,114 @@
+"""Facts about the gap between public and fresh scenarios: who memorises is seen, who is lucky is not blamed."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from baselines import tip_speed_feedback
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.evaluation import Entry, Results, evaluate, load_entries
+from wtg_gym.evaluation.evaluator import entry_lanes
+from wtg_gym.evaluation.generalisation import gap_cells, gap_page, generalisation_gaps, left_out
+from wtg_gym.scenarios import draw_seeds
+
+PUBLIC = range(20_000, 20_040)
+DRAW = draw_seeds("standard", "a" * 40, b"a secret for these tests", 40)
+SHORT = {"duration_s": 20.0}
+
+
+class Memoriser:
+    """Plays a good feedback in the scenarios it knows by their first observation, and nothing anywhere else."""
+
+    def __init__(self) -> None:
+        feedback = tip_speed_feedback.ENTRY
+        self._policy: Any = feedback.policy
+        lanes = entry_lanes(feedback, EnvSettings(suite="standard", **SHORT), len(PUBLIC))
+        lanes.start(range(len(PUBLIC)), lanes.scenarios(PUBLIC))
+        self._known = {row.tobytes() for row in lanes.observations}
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> Any:
+        if state is None:
+            state = np.array([[row.tobytes() in self._known] for row in np.asarray(observation)])
+        actions, _ = self._policy.predict(observation, None, episode_start, deterministic)
+        return np.where(state, actions, 0.0), state
+
+
+@pytest.fixture(scope="module")
+def both() -> tuple[Results, Results]:
+    feedback = tip_speed_feedback.ENTRY
+    modes: dict[str, Any] = {"action_mode": feedback.action_mode, "observation_mode": feedback.observation_mode}
+    entries = [
+        *load_entries("baselines"),
+        Entry(name="memoriser", policy=Memoriser(), fingerprint="memoriser", **modes),
+        Entry(name="honest", policy=feedback.policy, fingerprint="honest", **modes),
+    ]
+    public = evaluate(entries, "standard", seeds=PUBLIC, **SHORT)
+    return public, evaluate(entries, "standard", "verification", draw=DRAW, **SHORT)
+
+
+def test_memoriser_is_marked_and_the_same_policy_without_memory_is_not(both: tuple[Results, Results]) -> None:
+    gaps = {gap.name: gap for gap in generalisation_gaps(*both)}
+    memoriser, honest = gaps["memoriser"], gaps["honest"]
+    assert memoriser.public.value == honest.public.value > 105.0
+    assert memoriser.fresh.value == 100.0
+    assert memoriser.excess is not None and honest.excess is not None
+    assert memoriser.is_suspect and memoriser.excess.low > 5.0
+    # A control does exactly what it does.
+    assert not honest.is_suspect and abs(honest.excess.value) < 1e-9
+    assert [gap.name for gap in gaps.values() if gap.is_suspect] == ["memoriser"]
+
+
+def test_controllers_made_by_hand_have_a_gap_but_no_excess(both: tuple[Results, Results]) -> None:
+    gaps = {gap.name: gap for gap in generalisation_gaps(*both)}
+    assert {name for name, gap in gaps.items() if gap.excess is not None} == {"memoriser", "honest"}
+    for gap in gaps.values():
+        assert gap.gap.value == pytest.approx(gap.public.value - gap.fresh.value, abs=1e-9)
+        assert gap.gap.low <= gap.gap.value <= gap.gap.high
+
+
+def test_table_says_who_is_marked(both: tuple[Results, Results]) -> None:
+    marked = [cells[0] for cells in gap_cells(generalisation_gaps(*both)) if cells[-1]]
+    assert marked == ["memoriser"]
+    page = gap_page(*both)
+    assert "40 public and 40 fresh scenarios of `standard`" in page and DRAW.secret_sha256[:12] in page
+
+
+def test_few_fresh_scenarios_give_no_excess(both: tuple[Results, Results]) -> None:
+    fresh = both[1]
+    seeds = fresh.seeds[:10]
+    few = dataclasses.replace(
+        fresh, seeds=seeds, episodes=tuple(episode for episode in fresh.episodes if episode.seed in seeds)
+    )
+    gaps = generalisation_gaps(both[0], few)
+    assert len(gaps) == len(generalisation_gaps(*both)) and all(gap.excess is None for gap in gaps)
+
+
+def test_other_policies_of_a_name_are_left_out(both: tuple[Results, Results]) -> None:
+    public, fresh = both
+    changed = tuple({**entry, "sha256": "0" * 64} if entry["name"] == "honest" else entry for entry in fresh.entries)
+    other = dataclasses.replace(fresh, entries=changed)
+    assert left_out(public, fresh) == []
+    assert left_out(public, other) == ["honest"]
+    assert "honest" not in {gap.name for gap in generalisation_gaps(public, other)}
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"split": "test"}, "got 'test' and 'test'"),
+        ({"suite": "gust"}, "another suite:"),
+        ({"source_hash": "0" * 64}, "another source hash"),
+        ({"settings": {}}, "another settings"),
+    ],
+)
+def test_results_that_cannot_be_compared_are_refused(
+    both: tuple[Results, Results], change: dict[str, Any], text: str
+) -> None:
+    with pytest.raises(ValueError, match=text):
+        generalisation_gaps(both[0], dataclasses.replace(both[1], **change))
