@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import Any
 
@@ -151,3 +152,10 @@ def test_missing_policy_and_other_action_mode_are_named(tmp_path: Path) -> None:
     (entry,) = load_entries(folder(tmp_path / "b", TOML.replace("k+tau", "k")))
     with pytest.raises(ValueError, match="trained with another action_mode"):
         evaluate([entry], "standard", seeds=[20_000], duration_s=1.0)
+
+
+def test_entry_names_the_sha256_of_the_file(tmp_path: Path) -> None:
+    (entry,) = load_entries(folder(tmp_path / "still"))
+    content = (tmp_path / "still" / "policy.onnx").read_bytes()
+    assert entry.to_dict()["policy_sha256"] == hashlib.sha256(content).hexdigest()
+    assert load_entries("mppt")[0].to_dict()["policy_sha256"] is None

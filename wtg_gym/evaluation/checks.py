@@ -73,7 +73,10 @@ _ENTRY: dict[str, tuple[Callable[[Any], bool], str]] = {
     **{key: (_is_text, "text") for key in ("description", "equation", "source")},
     "kind": (lambda v: v in ("law", "feedback", "learned"), "law, feedback or learned"),
     "training_seed": (lambda v: v is None or _is_seed(v), "null or a whole number from 0 on"),
-    "sha256": (lambda v: v is None or _is_hash(v), "null or 64 hexadecimal digits"),
+    **{
+        key: (lambda v: v is None or _is_hash(v), "null or 64 hexadecimal digits")
+        for key in ("sha256", "policy_sha256")
+    },
     "strategy": (_is_object, "an object"),
 }
 #: Fields of an entry's summary that are an interval.

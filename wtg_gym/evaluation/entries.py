@@ -127,13 +127,18 @@ class Entry:
         return sha256(json.dumps(data, sort_keys=True).encode())
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the entry as JSON-ready data; an infinite time constant is the text "inf"."""
+        """Return the entry as JSON-ready data; an infinite time constant is the text "inf".
+
+        "sha256" is the :attr:`identity`, "policy_sha256" that of the policy's file, as sha256sum gives it, if it has one.
+        """
+        own = getattr(self.policy, "sha256", None)
         texts = ("name", "action_mode", "observation_mode", "description", "equation", "source", "training_seed")
         return {
             **{key: getattr(self, key) for key in texts},
             "kind": self.kind,
             "strategy": _law_numbers(self.law),
             "sha256": self.identity,
+            "policy_sha256": own if isinstance(own, str) else None,
         }
 
 
