@@ -129,7 +129,7 @@ class Entry:
     def to_dict(self) -> dict[str, Any]:
         """Return the entry as JSON-ready data; an infinite time constant is the text "inf".
 
-        "sha256" is the :attr:`identity`, "policy_sha256" that of the policy's file, as sha256sum gives it, if it has one.
+        "sha256" is the :attr:`identity`; "policy_sha256" that of the policy's file, as sha256sum gives it, or None.
         """
         own = getattr(self.policy, "sha256", None)
         texts = ("name", "action_mode", "observation_mode", "description", "equation", "source", "training_seed")
