@@ -1,8 +1,7 @@
-"""A trained learner of Stable-Baselines3: as a policy, and as a network for the export."""
+"""A trained learner of Stable-Baselines3 as a network for the export."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,27 +15,6 @@ from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
 from agents.networks import Normalization, PolicyNetwork, flat_layers
-
-
-@dataclass(frozen=True)
-class NormalizedPolicy:
-    """A learner together with the normalisation of its observations.
-
-    Args:
-        model: the learner.
-        vec_normalize: the normalisation it was trained with; None for none.
-    """
-
-    model: BaseAlgorithm
-    vec_normalize: VecNormalize | None
-
-    def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
-    ) -> tuple[Any, Any]:
-        """Return (actions (n_lanes, n_action), next recurrent state) for raw observations (n_lanes, n_observation)."""
-        if self.vec_normalize is not None:
-            observation = self.vec_normalize.normalize_obs(observation)
-        return self.model.predict(observation, state, episode_start, deterministic)
 
 
 def network_of(model: BaseAlgorithm, vec_normalize: VecNormalize | None) -> PolicyNetwork:
@@ -84,4 +62,4 @@ def _normalization(vec_normalize: VecNormalize | None) -> Normalization | None:
     return Normalization(mean=statistics.mean, std=std, bound=vec_normalize.clip_obs)
 
 
-__all__ = ["NormalizedPolicy", "network_of"]
+__all__ = ["network_of"]
