@@ -94,7 +94,7 @@ def _trained(best: Path, algo: str) -> tuple[Policy, PolicyNetwork]:
     from wtg_gym.sb3_archive import load_archive
 
     policy, _ = load_archive(best, ALGORITHMS[algo].__name__)
-    return policy, network_of(policy.model, policy.vec_normalize)
+    return policy, network_of(policy.policy, policy.vec_normalize)
 
 
 def largest_difference(policy: Policy, other: Policy, settings: RunSettings) -> float:

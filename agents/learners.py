@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 from sb3_contrib.common.recurrent.policies import RecurrentActorCriticPolicy
-from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.distributions import DiagGaussianDistribution, StateDependentNoiseDistribution
-from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import VecNormalize
@@ -17,13 +16,12 @@ from torch import nn
 from agents.networks import Normalization, PolicyNetwork, flat_layers
 
 
-def network_of(model: BaseAlgorithm, vec_normalize: VecNormalize | None) -> PolicyNetwork:
-    """Return the network that a learner's deterministic `predict` evaluates.
+def network_of(policy: BasePolicy, vec_normalize: VecNormalize | None) -> PolicyNetwork:
+    """Return the network that a policy's deterministic `predict` evaluates.
 
     Raises:
         ValueError: it has a layer that the export cannot write.
     """
-    policy = model.policy
     lstm: nn.LSTM | None = None
     if isinstance(policy, ActorCriticPolicy):
         distribution = policy.action_dist
@@ -41,7 +39,7 @@ def network_of(model: BaseAlgorithm, vec_normalize: VecNormalize | None) -> Poli
         layers = flat_layers([actor.latent_pi, actor.mu, nn.Tanh()] if hasattr(actor, "latent_pi") else [actor.mu])
     if not isinstance(extractor, FlattenExtractor):
         raise ValueError(f"cannot export the features of {type(extractor).__name__}, only plain observations")
-    shape = model.observation_space.shape
+    shape = policy.observation_space.shape
     assert shape is not None
     return PolicyNetwork(n_observation=shape[0], normalization=_normalization(vec_normalize), lstm=lstm, layers=layers)
 

@@ -88,7 +88,7 @@ class _Supervision(BaseCallback):
     def take_stock(self) -> None:
         """Validate, keep the best policy, and write a checkpoint."""
         run, model = self._run, self.model
-        row = validate(NormalizedPolicy(model, model.get_vec_normalize_env()), run.settings)
+        row = validate(NormalizedPolicy(model.policy, model.get_vec_normalize_env()), run.settings)
         for key, value in row.items():
             self.logger.record(f"validation/{key}", value)
         wall_time_s = self._before_s + time.monotonic() - self._began
@@ -148,7 +148,7 @@ def start(run: Run) -> tuple[BaseAlgorithm, EpisodeMetrics]:
     try:
         model = build_model(settings.algo, hyperparameters, env, seed=settings.seed, device=settings.device)
         # Only to see that it can be written: better now than after the training.
-        to_onnx(network_of(model, model.get_vec_normalize_env()))
+        to_onnx(network_of(model.policy, model.get_vec_normalize_env()))
     except ValueError:
         env.close()
         raise

@@ -23,6 +23,7 @@ try:
     from sb3_contrib import TQC, RecurrentPPO
     from stable_baselines3 import PPO, SAC, TD3
     from stable_baselines3.common.base_class import BaseAlgorithm
+    from stable_baselines3.common.policies import BasePolicy
     from stable_baselines3.common.vec_env import VecNormalize
 except ImportError as error:
     raise ImportError(
@@ -37,14 +38,14 @@ CUSTOM_OBJECTS = {"replay_buffer_class": None}
 
 @dataclass(frozen=True)
 class NormalizedPolicy:
-    """A learner together with the normalisation of its observations.
+    """A learner's policy together with the normalisation of its observations.
 
     Args:
-        model: the learner.
+        policy: the policy; without the learner's buffers, so that it is quickly sent to another process.
         vec_normalize: the normalisation it was trained with; None for none.
     """
 
-    model: BaseAlgorithm
+    policy: BasePolicy
     vec_normalize: VecNormalize | None
 
     def predict(
@@ -55,7 +56,7 @@ class NormalizedPolicy:
         Raises:
             ValueError: the observations are of another shape.
         """
-        expected, got = self.model.observation_space.shape, np.shape(observation)
+        expected, got = self.policy.observation_space.shape, np.shape(observation)
         if got[1:] != expected:
             raise ValueError(
                 f"the policy takes observations of shape (lanes, {', '.join(map(str, expected or ()))}), got {got}: "
@@ -63,7 +64,7 @@ class NormalizedPolicy:
             )
         if self.vec_normalize is not None:
             observation = self.vec_normalize.normalize_obs(observation)
-        return self.model.predict(observation, state, episode_start, deterministic)
+        return self.policy.predict(observation, state, episode_start, deterministic)
 
 
 def load_archive(folder: Path, algorithm: str) -> tuple[NormalizedPolicy, str]:
@@ -101,7 +102,7 @@ def load_archive(folder: Path, algorithm: str) -> tuple[NormalizedPolicy, str]:
     _check_spaces(model, path)
     normalize = _normalization(contents[1], statistics[0], model) if statistics else None
     parts = [algorithm, *(sha256(content) for content in contents)]
-    return NormalizedPolicy(model, normalize), sha256(" ".join(parts).encode())
+    return NormalizedPolicy(model.policy, normalize), sha256(" ".join(parts).encode())
 
 
 def _read(path: Path) -> bytes:
@@ -133,6 +134,8 @@ def _normalization(content: bytes, path: Path, model: BaseAlgorithm) -> VecNorma
             + (f" for {found.observation_space.shape}" if isinstance(found, VecNormalize) else "")
         )
     found.training = False
+    # Without an environment it has none of these, but pickles only with them.
+    found.class_attributes, found.returns = {}, np.zeros(0)
     return found
 
 

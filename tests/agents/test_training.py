@@ -26,7 +26,7 @@ from agents.train import main
 from agents.training import start, train
 from tests.agents.small import CONFIGS, config_file, options, trained
 from wtg_gym.evaluation import evaluate, load_entries
-from wtg_gym.sb3_archive import load_archive
+from wtg_gym.sb3_archive import CUSTOM_OBJECTS
 
 ROOT = Path(__file__).resolve().parents[2]
 #: Large enough for torch to use several threads where it may.
@@ -47,7 +47,7 @@ def weights(folder: Path, algo: str) -> Any:
     """Networks and optimisers of a finished run's last checkpoint."""
     (path,) = folders(folder / "checkpoints")
     assert int(path.name) == 768
-    return load_archive(path, ALGORITHMS[algo].__name__)[0].model.get_parameters()
+    return ALGORITHMS[algo].load(path / "model.zip", custom_objects=CUSTOM_OBJECTS).get_parameters()
 
 
 def same(a: Any, b: Any) -> bool:
