@@ -249,7 +249,7 @@ def _entry_data(path: Path, further: tuple[str, ...]) -> dict[str, Any]:
 def _import(name: str, spec: str) -> ModuleType:
     allowed = (
         f"allowed are a built-in strategy ({', '.join(STRATEGIES)}), a .toml file with a law, "
-        'an importable package or module with entries, or "module:ATTRIBUTE"'
+        f'a folder with {ENTRY_FILE}, an importable package or module with entries, or "module:ATTRIBUTE"'
     )
     if not name or not all(part.isidentifier() for part in name.split(".")):
         raise ValueError(f"unknown entry {spec!r}; {allowed}")
