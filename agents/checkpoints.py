@@ -19,34 +19,20 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize, unwrap_vec_wrapper
 
 from agents.hyperparameters import ALGORITHMS
+from wtg_gym.evaluation.entries import ARCHIVE_FILE
+from wtg_gym.sb3_archive import CUSTOM_OBJECTS
 
-_MODEL = "model.zip"
 _NORMALIZE = "vec_normalize.pkl"
 _REPLAY_BUFFER = "replay_buffer.pkl"
 _STATE = "state.pkl"
 
 
 def save_policy(folder: Path, model: BaseAlgorithm) -> None:
-    """Write the learner and its normalisation, which is what predictions need."""
-    model.save(folder / _MODEL)
+    """Write the learner and its normalisation, as :func:`wtg_gym.sb3_archive.load_archive` takes them."""
+    model.save(folder / ARCHIVE_FILE)
     normalize = model.get_vec_normalize_env()
     if normalize is not None:
         normalize.save(str(folder / _NORMALIZE))
-
-
-def load_policy(folder: Path, algo: str) -> tuple[BaseAlgorithm, VecNormalize | None]:
-    """Return what :func:`save_policy` wrote, for predictions on the CPU; the normalisation has no environment."""
-    normalize = None
-    if (folder / _NORMALIZE).exists():
-        normalize = pickle.loads((folder / _NORMALIZE).read_bytes())
-        normalize.training = False
-    return _load_model(folder, algo, device="cpu"), normalize
-
-
-def _load_model(folder: Path, algo: str, **arguments: Any) -> BaseAlgorithm:
-    # What the learner chose by itself for its n_steps would be taken for a choice of the user's, with a warning.
-    custom = {"replay_buffer_class": None}
-    return ALGORITHMS[algo].load(folder / _MODEL, custom_objects=custom, **arguments)
 
 
 def save_checkpoint(folder: Path, model: BaseAlgorithm, extra: Any) -> None:
@@ -86,7 +72,9 @@ def load_checkpoint(folder: Path, algo: str, device: str) -> tuple[BaseAlgorithm
         normalize = VecNormalize.load(str(folder / _NORMALIZE), monitor)
         normalize.returns = state["discounted_returns"]
         env = normalize
-    model = _load_model(folder, algo, env=env, device=device, force_reset=False)
+    model = ALGORITHMS[algo].load(
+        folder / ARCHIVE_FILE, env=env, device=device, custom_objects=CUSTOM_OBJECTS, force_reset=False
+    )
     if isinstance(model, OffPolicyAlgorithm):
         model.load_replay_buffer(folder / _REPLAY_BUFFER)
     if state["lstm_states"] is not None:
@@ -114,4 +102,4 @@ def _set_random_states(model: BaseAlgorithm, states: dict[str, Any]) -> None:
     model.action_space.np_random.bit_generator.state = states["action_space"]
 
 
-__all__ = ["load_checkpoint", "load_policy", "save_checkpoint", "save_policy"]
+__all__ = ["load_checkpoint", "save_checkpoint", "save_policy"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -13,6 +12,7 @@ import numpy as np
 
 from agents import rllib_ppo, single_file_ppo
 from agents.command import run_command
+from agents.entry_file import entry_file, entry_of
 from agents.model_card import model_card
 from agents.networks import PolicyNetwork
 from agents.onnx_graph import to_onnx
@@ -20,7 +20,7 @@ from agents.runs import BEST, Run, RunSettings, folders
 from wtg_gym.cli.output import note
 from wtg_gym.cli.parser import Parser
 from wtg_gym.envs import GFMWTGVectorEnv
-from wtg_gym.evaluation import Entry, OnnxPolicy, Policy
+from wtg_gym.evaluation import OnnxPolicy, Policy
 from wtg_gym.evaluation.entries import ENTRY_FILE, POLICY_FILE
 from wtg_gym.files import write_atomically
 
@@ -67,14 +67,7 @@ def export(
     if row is None:
         raise ValueError(f"{run_folder} was interrupted while it wrote the policy of step {timesteps}: resume it first")
     # What the leaderboard refuses is refused before the work.
-    entry = Entry(
-        name=name or f"{settings.algo} {settings.action_mode}",
-        description=description or f"Trained with {settings.algo} for {timesteps} steps.",
-        source=", ".join(authors),
-        action_mode=settings.action_mode,
-        observation_mode=settings.observation_mode,
-        training_seed=settings.seed,
-    )
+    entry = entry_of(settings, timesteps, name=name, description=description)
     policy, network = _trained(best[-1], settings.algo)
     content = to_onnx(network)
     with tempfile.TemporaryDirectory() as folder:
@@ -83,14 +76,10 @@ def export(
         difference = largest_difference(policy, OnnxPolicy(path), settings)
     if not difference <= TOLERANCE:
         raise ValueError(f"the actions of the ONNX file differ by {difference:.2g}, allowed are {TOLERANCE:g}")
-    keys = ("name", "description", "action_mode", "observation_mode", "training_seed")
-    values = {**{key: getattr(entry, key) for key in keys}, "authors": list(authors)}
-    # Such texts, numbers and lists are written alike in JSON and TOML.
-    lines = [f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in values.items()]
     write_atomically(output / POLICY_FILE, content)
     write_atomically(output / "README.md", model_card(run, row, entry.name, authors, content))
     # Last, because it is what makes the folder an entry.
-    write_atomically(output / ENTRY_FILE, "".join(lines))
+    write_atomically(output / ENTRY_FILE, entry_file(entry, authors=list(authors)))
     return difference
 
 
@@ -100,11 +89,12 @@ def _trained(best: Path, algo: str) -> tuple[Policy, PolicyNetwork]:
         agent = single_file_ppo.load(best)
         return agent, agent.network()
     # Here, because the policies above are exported where Stable-Baselines3 is not installed.
-    from agents.checkpoints import load_policy
-    from agents.learners import NormalizedPolicy, network_of
+    from agents.hyperparameters import ALGORITHMS
+    from agents.learners import network_of
+    from wtg_gym.sb3_archive import load_archive
 
-    model, vec_normalize = load_policy(best, algo)
-    return NormalizedPolicy(model, vec_normalize), network_of(model, vec_normalize)
+    policy, _ = load_archive(best, ALGORITHMS[algo].__name__)
+    return policy, network_of(policy.policy, policy.vec_normalize)
 
 
 def largest_difference(policy: Policy, other: Policy, settings: RunSettings) -> float:

@@ -1,15 +1,13 @@
-"""A trained learner of Stable-Baselines3: as a policy, and as a network for the export."""
+"""A trained learner of Stable-Baselines3 as a network for the export."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from sb3_contrib.common.recurrent.policies import RecurrentActorCriticPolicy
-from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.distributions import DiagGaussianDistribution, StateDependentNoiseDistribution
-from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import VecNormalize
@@ -18,34 +16,12 @@ from torch import nn
 from agents.networks import Normalization, PolicyNetwork, flat_layers
 
 
-@dataclass(frozen=True)
-class NormalizedPolicy:
-    """A learner together with the normalisation of its observations.
-
-    Args:
-        model: the learner.
-        vec_normalize: the normalisation it was trained with; None for none.
-    """
-
-    model: BaseAlgorithm
-    vec_normalize: VecNormalize | None
-
-    def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
-    ) -> tuple[Any, Any]:
-        """Return (actions (n_lanes, n_action), next recurrent state) for raw observations (n_lanes, n_observation)."""
-        if self.vec_normalize is not None:
-            observation = self.vec_normalize.normalize_obs(observation)
-        return self.model.predict(observation, state, episode_start, deterministic)
-
-
-def network_of(model: BaseAlgorithm, vec_normalize: VecNormalize | None) -> PolicyNetwork:
-    """Return the network that a learner's deterministic `predict` evaluates.
+def network_of(policy: BasePolicy, vec_normalize: VecNormalize | None) -> PolicyNetwork:
+    """Return the network that a policy's deterministic `predict` evaluates.
 
     Raises:
         ValueError: it has a layer that the export cannot write.
     """
-    policy = model.policy
     lstm: nn.LSTM | None = None
     if isinstance(policy, ActorCriticPolicy):
         distribution = policy.action_dist
@@ -63,7 +39,7 @@ def network_of(model: BaseAlgorithm, vec_normalize: VecNormalize | None) -> Poli
         layers = flat_layers([actor.latent_pi, actor.mu, nn.Tanh()] if hasattr(actor, "latent_pi") else [actor.mu])
     if not isinstance(extractor, FlattenExtractor):
         raise ValueError(f"cannot export the features of {type(extractor).__name__}, only plain observations")
-    shape = model.observation_space.shape
+    shape = policy.observation_space.shape
     assert shape is not None
     return PolicyNetwork(n_observation=shape[0], normalization=_normalization(vec_normalize), lstm=lstm, layers=layers)
 
@@ -84,4 +60,4 @@ def _normalization(vec_normalize: VecNormalize | None) -> Normalization | None:
     return Normalization(mean=statistics.mean, std=std, bound=vec_normalize.clip_obs)
 
 
-__all__ = ["NormalizedPolicy", "network_of"]
+__all__ = ["network_of"]

@@ -15,15 +15,19 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize, unwrap_vec_wrapper
 
 from agents.checkpoints import load_checkpoint, save_checkpoint, save_policy
+from agents.entry_file import entry_file, entry_of
 from agents.hyperparameters import build_model, parse
-from agents.learners import NormalizedPolicy, network_of
+from agents.learners import network_of
 from agents.metrics import EpisodeMetrics
 from agents.onnx_graph import to_onnx
 from agents.runs import BEST, CHECKPOINTS, Run, folders, put_back, save_folder
 from agents.validation import validate
 from agents.vec_env import GainVecEnv
 from wtg_gym.cli.output import Progress
+from wtg_gym.evaluation.entries import ENTRY_FILE
+from wtg_gym.files import write_atomically
 from wtg_gym.sb3 import SB3VecEnv
+from wtg_gym.sb3_archive import NormalizedPolicy
 
 _TENSORBOARD = "tensorboard"
 
@@ -84,7 +88,7 @@ class _Supervision(BaseCallback):
     def take_stock(self) -> None:
         """Validate, keep the best policy, and write a checkpoint."""
         run, model = self._run, self.model
-        row = validate(NormalizedPolicy(model, model.get_vec_normalize_env()), run.settings)
+        row = validate(NormalizedPolicy(model.policy, model.get_vec_normalize_env()), run.settings)
         for key, value in row.items():
             self.logger.record(f"validation/{key}", value)
         wall_time_s = self._before_s + time.monotonic() - self._began
@@ -106,8 +110,14 @@ class _Supervision(BaseCallback):
             write = functools.partial(save_checkpoint, model=model, extra=self._metrics)
             save_folder(folder / CHECKPOINTS, model.num_timesteps, write)
         if run.best is run.curve[-1]:
-            save_folder(folder / BEST, model.num_timesteps, lambda path: save_policy(path, model))
+            save_folder(folder / BEST, model.num_timesteps, self._write_entry)
         run.write(folder)
+
+    def _write_entry(self, folder: Path) -> None:
+        """Write the policy as an entry for `wtg-gym evaluate --trust-pickle`."""
+        save_policy(folder, self.model)
+        entry = entry_of(self._run.settings, self.model.num_timesteps)
+        write_atomically(folder / ENTRY_FILE, entry_file(entry, algorithm=type(self.model).__name__))
 
     def _show(self) -> None:
         total = self._run.settings.timesteps - self._first
@@ -138,7 +148,7 @@ def start(run: Run) -> tuple[BaseAlgorithm, EpisodeMetrics]:
     try:
         model = build_model(settings.algo, hyperparameters, env, seed=settings.seed, device=settings.device)
         # Only to see that it can be written: better now than after the training.
-        to_onnx(network_of(model, model.get_vec_normalize_env()))
+        to_onnx(network_of(model.policy, model.get_vec_normalize_env()))
     except ValueError:
         env.close()
         raise

@@ -18,7 +18,6 @@ import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from agents.checkpoints import load_policy
 from agents.export import export, largest_difference
 from agents.export import main as export_command
 from agents.hyperparameters import ALGORITHMS
@@ -27,6 +26,7 @@ from agents.train import main
 from agents.training import start, train
 from tests.agents.small import CONFIGS, config_file, options, trained
 from wtg_gym.evaluation import evaluate, load_entries
+from wtg_gym.sb3_archive import CUSTOM_OBJECTS
 
 ROOT = Path(__file__).resolve().parents[2]
 #: Large enough for torch to use several threads where it may.
@@ -47,7 +47,7 @@ def weights(folder: Path, algo: str) -> Any:
     """Networks and optimisers of a finished run's last checkpoint."""
     (path,) = folders(folder / "checkpoints")
     assert int(path.name) == 768
-    return load_policy(path, algo)[0].get_parameters()
+    return ALGORITHMS[algo].load(path / "model.zip", custom_objects=CUSTOM_OBJECTS).get_parameters()
 
 
 def same(a: Any, b: Any) -> bool:

@@ -31,6 +31,7 @@ from wtg_gym.evaluation import (
     ANCHORS,
     Entry,
     NoScaleError,
+    Policy,
     Results,
     evaluate,
     leaderboard_rows,
@@ -38,6 +39,7 @@ from wtg_gym.evaluation import (
     markdown_table,
     table_cells,
 )
+from wtg_gym.evaluation.entries import LoadArchive
 from wtg_gym.evaluation.leaderboard import COLUMNS
 from wtg_gym.plotting.page import leaderboard_page, untraced
 from wtg_gym.scenarios import SUITES, get_suite
@@ -50,6 +52,11 @@ _ENTRIES_HELP = (
     "what to score, several allowed: a strategy by name, a .toml file with a law, a folder with entry.toml and "
     "policy.onnx, a package with entries, or "
     f"module:ATTRIBUTE, whose code is run (default: {_DEFAULT_ENTRIES}, the package in a checkout)"
+)
+_TRUST_HELP = (
+    "also take folders with model.zip, an archive of Stable-Baselines3, in the place of policy.onnx, and the key "
+    "algorithm in entry.toml. Loading one runs whatever code its maker put in the file, with your rights, and nothing "
+    "can check that: only for files that you made yourself. The leaderboard never takes them"
 )
 _TRACED_HELP = f"whose traces to show, as for 'wtg-gym leaderboard' (default: {_DEFAULT_ENTRIES})"
 #: Scenarios with traces: about a quarter of a megabyte a suite.
@@ -64,7 +71,8 @@ on from its finished parts. Use another folder than the leaderboard's for choice
 _EVALUATE_EXAMPLES = """\
   wtg-gym evaluate --entries deloaded-5 coordinated-linear --suite low-wind
   wtg-gym evaluate --entries my_law.toml --suite standard --seeds 20000:20010 --results my_results
-  wtg-gym evaluate --entries my_package.controller:make_policy --split validation --json"""
+  wtg-gym evaluate --entries my_package.controller:make_policy --split validation --json
+  wtg-gym evaluate --entries runs/mine/best/* --trust-pickle"""
 
 _LEADERBOARD = """\
 Ranks entries on all test scenarios of a suite. Stored results are used again where they are of the same suite, source
@@ -116,6 +124,7 @@ def add_commands(commands: Commands) -> None:
         default=True,
         help="go on from the finished parts of an interrupted run in DIR, and keep them (default: --resume)",
     )
+    parser.add_argument("--trust-pickle", action="store_true", help=_TRUST_HELP)
     add_plant_options(parser)
     parser = add_command(
         commands,
@@ -171,7 +180,7 @@ def _run_evaluate(arguments: argparse.Namespace) -> int:
     partial = folder / _PARTIAL_FOLDER if folder is not None and arguments.resume else None
     if partial is not None:
         arguments.after_interrupt = _resumable(partial)
-    entries = chosen_entries(arguments.entries)
+    entries = chosen_entries(arguments.entries, _load_trusted if arguments.trust_pickle else None)
     results = run_evaluation(
         entries,
         arguments,
@@ -188,6 +197,14 @@ def _run_evaluate(arguments: argparse.Namespace) -> int:
     )
     finish(results, folder, as_json=arguments.json)
     return 0
+
+
+def _load_trusted(folder: Path, algorithm: str) -> tuple[Policy, str]:
+    # Here, because Stable-Baselines3 is another extra, and takes seconds to import.
+    from wtg_gym.sb3_archive import load_archive
+
+    note(f"running the code in the archive of {folder}, as --trust-pickle says")
+    return load_archive(folder, algorithm)
 
 
 def _resumable(partial: Path) -> str:
@@ -214,8 +231,11 @@ def run_evaluation(
     return results
 
 
-def chosen_entries(specs: Sequence[str]) -> list[Entry]:
-    """Return the entries that the values of `--entries` name; a ValueError says what is wrong with one."""
+def chosen_entries(specs: Sequence[str], load_archive: LoadArchive | None = None) -> list[Entry]:
+    """Return the entries that the values of `--entries` name; a ValueError says what is wrong with one.
+
+    Archives of Stable-Baselines3 are refused, unless `load_archive` loads them.
+    """
     # A console script, unlike `python -m`, does not look into the working folder: a checkout's packages are there.
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())
@@ -224,7 +244,7 @@ def chosen_entries(specs: Sequence[str]) -> list[Entry]:
             f"there is no package {_DEFAULT_ENTRIES!r} here: run the command in the root of a checkout, "
             "or say what to score with --entries"
         )
-    entries = [entry for spec in specs for entry in load_entries(spec)]
+    entries = [entry for spec in specs for entry in load_entries(spec, load_archive)]
     names = [(entry.name, entry.training_seed) for entry in entries]
     doubled = sorted({name for name, seed in names if names.count((name, seed)) > 1})
     if doubled:

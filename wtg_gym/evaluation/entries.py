@@ -5,9 +5,10 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import json
+import os
 import pkgutil
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
@@ -24,6 +25,8 @@ _NOT_IN_NAMES = "|<>`*\\"
 #: The files of a folder with a trained policy.
 ENTRY_FILE = "entry.toml"
 POLICY_FILE = "policy.onnx"
+#: In its place an archive of Stable-Baselines3, which runs code when it is loaded, and the key that names its class.
+ARCHIVE_FILE, _ALGORITHM = "model.zip", "algorithm"
 _ENTRY_KEYS = (
     "name",
     "description",
@@ -154,7 +157,11 @@ def _law_numbers(law: TrackingLaw) -> dict[str, Any]:
     return numbers
 
 
-def load_entries(spec: str | Path) -> list[Entry]:
+#: Returns the policy of a folder's archive and a sha256 of it, given folder and algorithm; runs the archive's code.
+LoadArchive = Callable[[Path, str], tuple[Policy, str]]
+
+
+def load_entries(spec: str | Path, load_archive: LoadArchive | None = None) -> list[Entry]:
     """Return the entries that a text names.
 
     Args:
@@ -162,6 +169,7 @@ def load_entries(spec: str | Path) -> list[Entry]:
             see :func:`load_entry_folder`; a package such as "baselines", of which every module with an `ENTRY` counts,
             in the order of the package's `ORDER` and then by name; or "module:ATTRIBUTE", an entry, a policy, or a
             callable that returns one. Importing runs the module's code.
+        load_archive: as for :func:`load_entry_folder`.
 
     Raises:
         ValueError: nothing of that name, or it holds no entry; the message says what is allowed.
@@ -172,14 +180,14 @@ def load_entries(spec: str | Path) -> list[Entry]:
     if text.endswith(".toml"):
         law = get_law(text)
         return [Entry(name=law.name, strategy=law, description="A law read from a file.")]
-    if (Path(text) / ENTRY_FILE).is_file():
-        return [load_entry_folder(Path(text))]
+    if (Path(text) / ENTRY_FILE).is_file() or os.path.lexists(Path(text) / ARCHIVE_FILE):
+        return [load_entry_folder(Path(text), load_archive)]
     module_name, colon, attribute = text.partition(":")
     module = _import(module_name, text)
     return [_entry_of(module, attribute, text)] if colon else _entries_of(module, text)
 
 
-def load_entry_folder(folder: Path) -> Entry:
+def load_entry_folder(folder: Path, load_archive: LoadArchive | None = None) -> Entry:
     """Return the entry of a folder with a policy that modulates the reference strategy.
 
     Its entry.toml has the keys name and action_mode, and may have description, observation_mode, training_seed,
@@ -187,19 +195,51 @@ def load_entry_folder(folder: Path) -> Entry:
     :class:`OnnxPolicy` takes. No code of the folder is run, but nothing is kept from onnxruntime either: a stranger's
     folder is for `wtg-gym submission`.
 
+    Args:
+        folder: the folder.
+        load_archive: loads a model.zip in the place of policy.onnx, whose entry.toml then has the key algorithm too;
+            None refuses it without opening it, because loading one runs the code in it.
+
     Raises:
-        ValueError: a file is missing or damaged, a key is unknown or of the wrong type, or onnxruntime is missing.
+        ValueError: a file is missing, damaged or not allowed, a key is unknown or of the wrong type, or a package is
+            missing.
     """
-    path = folder / ENTRY_FILE
+    is_archive = os.path.lexists(folder / ARCHIVE_FILE)
+    if is_archive and os.path.lexists(folder / POLICY_FILE):
+        raise ValueError(f"entry {folder} has both {POLICY_FILE} and {ARCHIVE_FILE}: which one plays? Remove the other")
+    if is_archive and load_archive is None:
+        raise ValueError(
+            f"entry {folder}: {ARCHIVE_FILE} is an archive of Stable-Baselines3 and was not opened, because loading it "
+            f"would run whatever code its maker put in it, with your rights. The leaderboard takes {POLICY_FILE}, "
+            "an ONNX file that 'python -m agents.export' writes; a file that you made yourself, and only that, can be "
+            "scored as it is with 'wtg-gym evaluate --trust-pickle'"
+        )
+    data = _entry_data(folder / ENTRY_FILE, (_ALGORITHM,) if is_archive else ())
+    algorithm = data.pop(_ALGORITHM, "")
+    try:
+        # All that entry.toml can have wrong is said before a policy is loaded.
+        entry = Entry(**data)
+        if is_archive and load_archive is not None:
+            policy, fingerprint = load_archive(folder, algorithm)
+            return dataclasses.replace(entry, policy=policy, fingerprint=fingerprint)
+        onnx_policy = OnnxPolicy(folder / POLICY_FILE)
+        return dataclasses.replace(entry, policy=onnx_policy, fingerprint=onnx_policy.sha256)
+    except (ImportError, ValueError) as error:
+        raise ValueError(f"entry {folder}: {error}") from error
+
+
+def _entry_data(path: Path, further: tuple[str, ...]) -> dict[str, Any]:
+    """Return the arguments of :class:`Entry` that an entry.toml gives, and its `further` keys, which it must have."""
     try:
         data = tomllib.loads(read_text(path, "entry file"))
     except tomllib.TOMLDecodeError as error:
         raise ValueError(f"the entry file {path} is not TOML: {error}") from error
-    unknown, missing = sorted(set(data) - set(_ENTRY_KEYS)), sorted({"name", "action_mode"} - set(data))
+    required, known = ("name", "action_mode", *further), (*_ENTRY_KEYS, *further)
+    unknown, missing = sorted(set(data) - set(known)), sorted(set(required) - set(data))
     if unknown or missing:
         raise ValueError(
-            f"the entry file {path} must have the keys name and action_mode and may have others out of "
-            f"{', '.join(_ENTRY_KEYS)}; unknown: {unknown}, missing: {missing}"
+            f"the entry file {path} must have the keys {' and '.join(required)} and may have others out of "
+            f"{', '.join(known)}; unknown: {unknown}, missing: {missing}"
         )
     authors = data.pop("authors", [])
     if not isinstance(authors, list) or not all(isinstance(author, str) and author for author in authors):
@@ -208,17 +248,13 @@ def load_entry_folder(folder: Path) -> Entry:
     trained_on, links = data.pop("trained_on", ""), data.pop("links", [])
     if not isinstance(trained_on, str) or not isinstance(links, list) or not all(isinstance(x, str) for x in links):
         raise ValueError(f"in {path}, trained_on must be text and links a list of texts, got {trained_on!r}, {links!r}")
-    try:
-        policy = OnnxPolicy(folder / POLICY_FILE)
-        return Entry(**data, policy=policy, fingerprint=policy.sha256, source=", ".join(authors))
-    except (ImportError, ValueError) as error:
-        raise ValueError(f"entry {folder}: {error}") from error
+    return {**data, "source": ", ".join(authors)}
 
 
 def _import(name: str, spec: str) -> ModuleType:
     allowed = (
         f"allowed are a built-in strategy ({', '.join(STRATEGIES)}), a .toml file with a law, "
-        'an importable package or module with entries, or "module:ATTRIBUTE"'
+        f'a folder with {ENTRY_FILE}, an importable package or module with entries, or "module:ATTRIBUTE"'
     )
     if not name or not all(part.isidentifier() for part in name.split(".")):
         raise ValueError(f"unknown entry {spec!r}; {allowed}")
@@ -268,4 +304,14 @@ def _entries_of(module: ModuleType, spec: str) -> list[Entry]:
     return entries
 
 
-__all__ = ["ANCHORS", "ENTRY_FILE", "POLICY_FILE", "Entry", "Policy", "load_entries", "load_entry_folder"]
+__all__ = [
+    "ANCHORS",
+    "ARCHIVE_FILE",
+    "ENTRY_FILE",
+    "POLICY_FILE",
+    "Entry",
+    "LoadArchive",
+    "Policy",
+    "load_entries",
+    "load_entry_folder",
+]

@@ -1,0 +1,292 @@
+"""Facts about archives of Stable-Baselines3: played as their exports are, and never opened without --trust-pickle."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import os
+import pickle
+import subprocess
+import sys
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+from agents.export import export, largest_difference
+from agents.hyperparameters import ALGORITHMS as TRAINED
+from agents.runs import Run, folders
+from tests.agents.small import trained
+from tests.cli.calls import ROOT, error_of, json_of
+from wtg_gym import ENV_ID
+from wtg_gym.cli import main
+from wtg_gym.evaluation import OnnxPolicy, load_entries
+from wtg_gym.sb3_archive import ALGORITHMS, NormalizedPolicy, load_archive
+
+TOML = 'name = "mine"\naction_mode = "k+tau"\nalgorithm = "PPO"\n'
+SHORT = ("--seeds", "20000:20003", "--duration", "10")
+#: Width of the local observation of two groups with both actions.
+N = 20
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    """An archive is played on one thread; the number of before is taken back."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="module")
+def archive() -> bytes:
+    """A small untrained PPO, as it saves itself."""
+    model = PPO("MlpPolicy", gym.make(ENV_ID), policy_kwargs={"net_arch": [8]}, n_steps=8, batch_size=8, device="cpu")
+    content = io.BytesIO()
+    model.save(content)
+    return content.getvalue()
+
+
+def folder(path: Path, content: bytes, toml: str = TOML) -> Path:
+    path.mkdir()
+    (path / "entry.toml").write_text(toml)
+    (path / "model.zip").write_bytes(content)
+    return path
+
+
+def changed(content: bytes, key: str, pickled: Any) -> bytes:
+    """The archive with another pickle under a key of its data."""
+    old, new = zipfile.ZipFile(io.BytesIO(content)), io.BytesIO()
+    with zipfile.ZipFile(new, "w") as archive:
+        for name in old.namelist():
+            if name != "data":
+                archive.writestr(name, old.read(name))
+        data = json.loads(old.read("data"))
+        data[key] = {":type:": "harmless", ":serialized:": base64.b64encode(pickle.dumps(pickled)).decode()}
+        archive.writestr("data", json.dumps(data))
+    return new.getvalue()
+
+
+class Creates:
+    """Creates a file when it is unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.mkdir, (str(self.path),)
+
+
+def evaluated(capsys: pytest.CaptureFixture[str], *entries: Path) -> dict[str, Any]:
+    names = [str(entry) for entry in entries]
+    summary: dict[str, Any] = json_of(capsys, "evaluate", "--entries", *names, "--trust-pickle", *SHORT, "--json")[
+        "summary"
+    ]
+    return summary
+
+
+def test_archives_are_of_the_algorithms_that_are_trained() -> None:
+    assert {each.__name__: each for each in TRAINED.values()} == ALGORITHMS
+
+
+@pytest.mark.parametrize("algo", TRAINED)
+def test_best_policy_of_a_run_plays_as_its_export(
+    algo: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = trained(tmp_path, algo, "run")
+    export(run, tmp_path / "exported", name="exported")
+    capsys.readouterr()
+    (best,) = folders(run / "best")
+    assert {path.name for path in best.iterdir()} == {"entry.toml", "model.zip", "vec_normalize.pkl"}
+    policy, _ = load_archive(best, TRAINED[algo].__name__)
+    onnx = OnnxPolicy(tmp_path / "exported" / "policy.onnx")
+    # Episodes of many lanes, which begin anew at different times: memory and normalisation are in it.
+    assert largest_difference(policy, onnx, Run.read(run).settings) <= 1e-6
+    assert largest_difference(NormalizedPolicy(policy.policy, None), onnx, Run.read(run).settings) > 1e-4
+    summary = evaluated(capsys, best, tmp_path / "exported")
+    costs = [summary[name]["mean_cost"] for name in (f"{algo} k+tau", "exported")]
+    assert costs[0] == pytest.approx(costs[1], rel=1e-4) and costs[0] != summary["coordinated-piecewise"]["mean_cost"]
+
+
+def test_memory_goes_on_and_is_cleared_where_an_episode_starts(tmp_path: Path) -> None:
+    (best,) = folders(trained(tmp_path, "recurrent_ppo", "run") / "best")
+    policy, _ = load_archive(best, "RecurrentPPO")
+    observations, nobody = np.full((2, N), 0.5, dtype=np.float32), np.zeros(2, dtype=np.bool_)
+    first, state = policy.predict(observations, None, ~nobody, deterministic=True)
+    second, _ = policy.predict(observations, state, nobody, deterministic=True)
+    again, _ = policy.predict(observations, state, np.array([True, False]), deterministic=True)
+    assert not np.array_equal(first, second)
+    assert np.array_equal(again[0], first[0]) and np.array_equal(again[1], second[1])
+
+
+def test_policy_goes_to_another_process_as_it_is(tmp_path: Path) -> None:
+    (best,) = folders(trained(tmp_path, "ppo", "run") / "best")
+    policy, fingerprint = load_archive(best, "PPO")
+    other = pickle.loads(pickle.dumps(policy))
+    observations = np.random.default_rng(0).normal(size=(3, N)).astype(np.float32)
+    actions = [each.predict(observations, deterministic=True)[0] for each in (policy, other)]
+    assert np.array_equal(*actions)
+    # What is loaded is what identifies the entry.
+    assert load_archive(best, "PPO")[1] == fingerprint
+    (best / "vec_normalize.pkl").unlink()
+    assert load_archive(best, "PPO")[1] != fingerprint
+
+
+_WATCHED = """
+import json, os, sys
+opened = []
+def watch(event, arguments):
+    if event == "open":
+        opened.append(str(arguments[0]))
+sys.addaudithook(watch)
+from wtg_gym.cli import main
+for command in json.loads(sys.argv[1]):
+    assert main(command) in (1, 2), command
+assert [name for name in opened if name.endswith((".py", ".pyc"))]
+assert not {"model.zip", "vecnormalize.pkl"} & {os.path.basename(name) for name in opened}
+assert not {"stable_baselines3", "sb3_contrib", "torch"} & set(sys.modules)
+"""
+
+
+def test_archive_is_not_opened_without_the_flag(archive: bytes, tmp_path: Path) -> None:
+    trap = tmp_path / "trap"
+    entry = folder(tmp_path / "entry", changed(archive, "lr_schedule", Creates(trap)))
+    (entry / "vecnormalize.pkl").write_bytes(pickle.dumps(Creates(trap)))
+    scoring = [[command, "--entries", str(entry)] for command in ("evaluate", "leaderboard", "sensitivity")]
+    submission = [["submission", command, str(entry)] for command in ("check", "score")]
+    call = [sys.executable, "-c", _WATCHED, json.dumps([*scoring, *submission])]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "utf-8"}
+    done = subprocess.run(call, cwd=tmp_path, env=environment, capture_output=True, encoding="utf-8")
+    assert done.returncode == 0, done.stderr
+    refusals = [line for line in done.stderr.splitlines() if "was not opened" in line]
+    assert len(refusals) == len(scoring)
+    for text in ("run whatever code", "with your rights", "python -m agents.export", "policy.onnx", "--trust-pickle"):
+        assert all(text in line for line in refusals)
+    assert (done.stdout + done.stderr).count("allowed are entry.toml, policy.onnx, README.md") == len(submission)
+    assert [path.name for path in tmp_path.iterdir()] == ["entry"]
+
+
+def test_flag_means_what_it_says(archive: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    trap = tmp_path / "trap"
+    entry = folder(tmp_path / "entry", changed(archive, "lr_schedule", Creates(trap)))
+    assert set(evaluated(capsys, entry)) == {"mine", "mppt", "coordinated-piecewise"}
+    assert trap.is_dir()
+
+
+@pytest.mark.parametrize("command", ["leaderboard", "sensitivity", "verify", "page"])
+def test_no_other_command_has_the_flag(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    needed = {"verify": ["a.json"], "page": ["a.json", "--output", "a.html"]}.get(command, [])
+    assert "unrecognized arguments: --trust-pickle" in error_of(capsys, command, *needed, "--trust-pickle")
+
+
+def test_help_says_what_loading_means(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["evaluate", "--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "runs whatever code its maker put in the file, with your rights" in said
+    assert "only for files that you made yourself" in said
+
+
+def refusal(capsys: pytest.CaptureFixture[str], entry: Path) -> str:
+    assert main(["evaluate", "--entries", str(entry), "--trust-pickle", *SHORT]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    return said.err.splitlines()[-1]
+
+
+@pytest.mark.parametrize("damage", ["empty", "no zip", "cut short", "other zip", "pickle", "weights"])
+def test_damaged_archive_is_named(
+    damage: str, archive: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = io.BytesIO()
+    with zipfile.ZipFile(other, "w") as made:
+        made.writestr("letter.txt", "hello")
+    content = {
+        "empty": b"",
+        "no zip": b"hello",
+        "cut short": archive[: len(archive) // 2],
+        "other zip": other.getvalue(),
+        "pickle": changed(archive, "policy_class", 3),
+        "weights": changed(archive, "policy_kwargs", {"net_arch": [9]}),
+    }[damage]
+    entry = folder(tmp_path / "entry", content)
+    line = refusal(capsys, entry)
+    assert line.startswith(
+        f"wtg-gym: error: entry {entry}: {entry / 'model.zip'} is no archive of PPO that can be loaded"
+    )
+
+
+@pytest.mark.parametrize(
+    ("toml", "text"),
+    [
+        (TOML.replace("PPO", "DQN"), "algorithm must be one of PPO, SAC, TD3, TQC, RecurrentPPO, got 'DQN'"),
+        (TOML.replace('"PPO"', '["PPO"]'), "algorithm must be one of PPO"),
+        (TOML.replace("PPO", "SAC"), "model.zip is no archive of SAC that can be loaded"),
+        (TOML.replace('algorithm = "PPO"\n', ""), "missing: ['algorithm']"),
+        (TOML + "training_seed = -1\n", "training_seed"),
+        (TOML.replace("k+tau", "k"), "shape (lanes, 20), got (3, 18): was it trained with another action_mode"),
+    ],
+)
+def test_wrong_entry_file_says_what_is_allowed(
+    toml: str, text: str, archive: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert text in refusal(capsys, folder(tmp_path / "entry", archive, toml))
+
+
+def test_algorithm_is_unknown_beside_an_onnx_file(tmp_path: Path) -> None:
+    (tmp_path / "entry.toml").write_text(TOML)
+    (tmp_path / "policy.onnx").write_bytes(b"")
+    with pytest.raises(ValueError, match=r"unknown: \['algorithm'\]"):
+        load_entries(tmp_path, load_archive)
+
+
+def test_folder_with_both_policies_is_refused(
+    archive: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    entry = folder(tmp_path / "entry", archive)
+    (entry / "policy.onnx").write_bytes(b"")
+    assert "has both policy.onnx and model.zip" in refusal(capsys, entry)
+    assert "has both policy.onnx and model.zip" in error_of(capsys, "evaluate", "--entries", str(entry))
+
+
+def test_archive_needs_an_entry_file(archive: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    entry = folder(tmp_path / "entry", archive)
+    (entry / "entry.toml").unlink()
+    assert f"cannot read the entry file {entry / 'entry.toml'}" in refusal(capsys, entry)
+
+
+def test_archive_of_another_environment_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    model = PPO("MlpPolicy", gym.make("CartPole-v1"), n_steps=8, batch_size=8, device="cpu")
+    entry = folder(tmp_path / "entry", b"")
+    model.save(entry / "model.zip")
+    assert "must take a list of observations and give a list of actions, -1 … 1" in refusal(capsys, entry)
+
+
+def test_wrong_normalisation_is_named(archive: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    entry = folder(tmp_path / "entry", archive)
+    path = entry / "vecnormalize.pkl"
+    path.write_bytes(b"no pickle")
+    assert f"{path} is no VecNormalize that can be loaded" in refusal(capsys, entry)
+    path.write_bytes(pickle.dumps([1]))
+    assert f"{path} must be the VecNormalize that the policy was trained with" in refusal(capsys, entry)
+    VecNormalize(DummyVecEnv([lambda: gym.make("CartPole-v1")])).save(str(path))
+    assert "for observations of shape (20,); it holds VecNormalize for (4,)" in refusal(capsys, entry)
+    (entry / "vec_normalize.pkl").write_bytes(b"")
+    assert "it has vec_normalize.pkl, vecnormalize.pkl" in refusal(capsys, entry)
+
+
+@pytest.mark.parametrize("package", ["stable_baselines3", "sb3_contrib"])
+def test_missing_package_names_the_extra(
+    package: str, archive: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.delitem(sys.modules, "wtg_gym.sb3_archive")
+    assert "pip install 'wtg-gym[train]'" in refusal(capsys, folder(tmp_path / "entry", archive))

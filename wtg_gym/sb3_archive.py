@@ -1,0 +1,146 @@
+"""Policies as archives of Stable-Baselines3, which run code when they are loaded: for one's own files only.
+
+An archive (model.zip) and the file of a VecNormalize are made of pickles. Loading one runs whatever code its maker put
+in it, with the rights of whoever loads it; no check can tell. Needs `pip install 'wtg-gym[train]'`.
+"""
+
+from __future__ import annotations
+
+import io
+import pickle
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box
+
+from wtg_gym.evaluation.entries import ARCHIVE_FILE
+from wtg_gym.files import sha256
+
+try:
+    import torch
+    from sb3_contrib import TQC, RecurrentPPO
+    from stable_baselines3 import PPO, SAC, TD3
+    from stable_baselines3.common.base_class import BaseAlgorithm
+    from stable_baselines3.common.policies import BasePolicy
+    from stable_baselines3.common.vec_env import VecNormalize
+except ImportError as error:
+    raise ImportError(
+        f"an archive of Stable-Baselines3 needs that and sb3-contrib: pip install 'wtg-gym[train]' ({error})"
+    ) from error
+
+#: The algorithms whose archives can be loaded, by the name of their class.
+ALGORITHMS: dict[str, type[BaseAlgorithm]] = {each.__name__: each for each in (PPO, SAC, TD3, TQC, RecurrentPPO)}
+#: What a learner chose by itself for its n_steps would be taken for a choice of the user's, with a warning.
+CUSTOM_OBJECTS = {"replay_buffer_class": None}
+
+
+@dataclass(frozen=True)
+class NormalizedPolicy:
+    """A learner's policy together with the normalisation of its observations.
+
+    Args:
+        policy: the policy; without the learner's buffers, so that it is quickly sent to another process.
+        vec_normalize: the normalisation it was trained with; None for none.
+    """
+
+    policy: BasePolicy
+    vec_normalize: VecNormalize | None
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> tuple[Any, Any]:
+        """Return (actions (n_lanes, n_action), next recurrent state) for raw observations (n_lanes, n_observation).
+
+        Raises:
+            ValueError: the observations are of another shape.
+        """
+        expected, got = self.policy.observation_space.shape, np.shape(observation)
+        if got[1:] != expected:
+            raise ValueError(
+                f"the policy takes observations of shape (lanes, {', '.join(map(str, expected or ()))}), got {got}: "
+                "was it trained with another action_mode, observation_mode or groups?"
+            )
+        if self.vec_normalize is not None:
+            observation = self.vec_normalize.normalize_obs(observation)
+        return self.policy.predict(observation, state, episode_start, deterministic)
+
+
+def load_archive(folder: Path, algorithm: str) -> tuple[NormalizedPolicy, str]:
+    """Load a folder's model.zip and, where there is one, its vecnormalize.pkl; runs whatever code they hold.
+
+    The one .pkl with "normalize" in its name is the normalisation, so that none is left out for its name. Torch is left
+    on one thread, so that the result does not depend on the machine's load.
+
+    Args:
+        folder: with the files.
+        algorithm: one of :data:`ALGORITHMS`.
+
+    Returns:
+        the policy, on the CPU, and a sha256 over all that was loaded.
+
+    Raises:
+        ValueError: the algorithm is unknown; a file is missing, damaged or of something else, or there are several
+            normalisations; the message names the file.
+    """
+    if not isinstance(algorithm, str) or algorithm not in ALGORITHMS:
+        raise ValueError(f"algorithm must be one of {', '.join(ALGORITHMS)}, got {algorithm!r}")
+    path = folder / ARCHIVE_FILE
+    statistics = sorted(each for each in folder.glob("*.pkl") if "normalize" in each.name.lower())
+    if len(statistics) > 1:
+        names = ", ".join(each.name for each in statistics)
+        raise ValueError(f"{folder} must have one file with a normalisation at most, vecnormalize.pkl; it has {names}")
+    # What is hashed is what is loaded.
+    contents = [_read(each) for each in (path, *statistics)]
+    torch.set_num_threads(1)
+    try:
+        model = ALGORITHMS[algorithm].load(io.BytesIO(contents[0]), device="cpu", custom_objects=CUSTOM_OBJECTS)
+    # Whatever is in it decides what is raised.
+    except Exception as error:
+        raise ValueError(f"{path} is no archive of {algorithm} that can be loaded: {_text(error)}") from error
+    _check_spaces(model, path)
+    normalize = _normalization(contents[1], statistics[0], model) if statistics else None
+    parts = [algorithm, *(sha256(content) for content in contents)]
+    return NormalizedPolicy(model.policy, normalize), sha256(" ".join(parts).encode())
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ValueError(f"cannot read {path}: {error.strerror}") from error
+
+
+def _check_spaces(model: BaseAlgorithm, path: Path) -> None:
+    observation, action = getattr(model, "observation_space", None), getattr(model, "action_space", None)
+    fits = all(isinstance(space, Box) and len(space.shape) == 1 for space in (observation, action))
+    if not fits or not (np.all(action.low == -1.0) and np.all(action.high == 1.0)):  # type: ignore[union-attr]
+        raise ValueError(
+            f"the policy in {path} must take a list of observations and give a list of actions, -1 … 1; "
+            f"its spaces are {observation!s:.80} and {action!s:.80}"
+        )
+
+
+def _normalization(content: bytes, path: Path, model: BaseAlgorithm) -> VecNormalize:
+    try:
+        found = pickle.loads(content)
+    except Exception as error:
+        raise ValueError(f"{path} is no VecNormalize that can be loaded: {_text(error)}") from error
+    if not isinstance(found, VecNormalize) or found.observation_space.shape != model.observation_space.shape:
+        raise ValueError(
+            f"{path} must be the VecNormalize that the policy was trained with, for observations of shape "
+            f"{model.observation_space.shape}; it holds {type(found).__name__}"
+            + (f" for {found.observation_space.shape}" if isinstance(found, VecNormalize) else "")
+        )
+    found.training = False
+    # Without an environment it has none of these, but pickles only with them.
+    found.class_attributes, found.returns = {}, np.zeros(0)
+    return found
+
+
+def _text(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"
+
+
+__all__ = ["ALGORITHMS", "CUSTOM_OBJECTS", "NormalizedPolicy", "load_archive"]
