@@ -201,7 +201,7 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
             self._frames.show()
         return outputs.observations[0].copy(), float(outputs.rewards[0]), terminated, truncated, lanes.info()
 
-    def render(self) -> Frame | None:  # type: ignore[override]
+    def render(self) -> Frame | None:
         """Draw the episode up to now.
 
         Returns:

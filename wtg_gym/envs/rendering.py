@@ -41,7 +41,7 @@ class LaneFrames:
         self._make_tools()
 
     def _make_tools(self) -> None:
-        self._painter = FramePainter()
+        self._painter = FramePainter(self._lanes.n_lanes)
         self._window = Window("GFMWTG-14bus-v0", self._fps) if self._opens_window else None
 
     def __getstate__(self) -> dict[str, Any]:

@@ -31,6 +31,8 @@ BUS_PLACES: Mapping[int, tuple[float, float]] = {
 }
 #: What the diagram covers, in the same units.
 EXTENT = ((-0.6, 9.8), (-0.9, 6.1))
+#: The groups of one bus stand within this; many of them overlap.
+_GROUPS_WIDTH = 4.4
 
 
 def draw_diagram(axes: Axes, group_buses: Sequence[int], events: Sequence[Event]) -> None:
@@ -55,14 +57,14 @@ def draw_diagram(axes: Axes, group_buses: Sequence[int], events: Sequence[Event]
     for machine in case.machines:
         # The machine with a governor is the generator; the others are condensers.
         _draw_unit(axes, machine.bus, -0.35, "G" if machine.governor is not None else "C", INK)
-    for group, bus in enumerate(group_buses):
-        beside = [other for other, at in enumerate(group_buses) if at == bus]
-        _draw_unit(
-            axes, bus, 0.8 * (beside.index(group) - (len(beside) - 1) / 2), f"W{group + 1}", group_colour(group)
-        )
     for number, (x, y) in BUS_PLACES.items():
-        axes.plot([x - 0.45, x + 0.45], [y, y], color=INK, linewidth=3.0, solid_capstyle="butt")
-        axes.text(x + 0.42, y + 0.08, str(number), fontsize=10, color=INK, va="bottom")
+        groups = [group for group, bus in enumerate(group_buses) if bus == number]
+        gap = min(0.8, _GROUPS_WIDTH / max(1, len(groups) - 1))
+        half = max(0.45, 0.5 * gap * (len(groups) - 1) + 0.15)
+        for place, group in enumerate(groups):
+            _draw_unit(axes, number, gap * (place - (len(groups) - 1) / 2), f"W{group + 1}", group_colour(group))
+        axes.plot([x - half, x + half], [y, y], color=INK, linewidth=3.0, solid_capstyle="butt")
+        axes.text(x + half - 0.03, y + 0.08, str(number), fontsize=10, color=INK, va="bottom")
     _draw_strikes(axes, events)
 
 

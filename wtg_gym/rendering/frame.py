@@ -47,22 +47,25 @@ _PANEL_COLUMNS = ((372, 644), (684, 948))
 _PANEL_ROWS = ((26, 122), (152, 248), (278, 374), (404, 500))
 _EVENTS_TOP, _EVENT_LINE, _N_EVENT_LINES = 394, 17, 6
 _HALF_WIDTH, _DOT_RADIUS = 0.85, 2.6
-#: Pictures of axes and of the left part that are kept; each is 1.5 MB and 0.5 MB.
-_N_KEPT = 24
+#: Pictures of the axes (1.5 MB) and of the left part (0.5 MB) that are kept beyond one per episode.
+_N_KEPT = 8
 
 
 class FramePainter:
-    """Draws frames; one painter serves any number of episodes of one plant.
+    """Draws frames, of several episodes in turn where there are several.
+
+    Args:
+        n_episodes: episodes side by side.
 
     Raises:
         DependencyNotInstalled: matplotlib is missing.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, n_episodes: int = 1) -> None:
         require_matplotlib()
         # Kept with the painter, so that they go with it.
-        self._axes = functools.lru_cache(_N_KEPT)(_axes_picture)
-        self._left = functools.lru_cache(_N_KEPT)(_left_picture)
+        self._axes = functools.lru_cache(n_episodes + _N_KEPT)(_axes_picture)
+        self._left = functools.lru_cache(n_episodes + _N_KEPT)(_left_picture)
 
     def paint(self, episode: Episode) -> Image:
         """Return the frame of an episode, (height, width, 3)."""
@@ -124,7 +127,9 @@ def _draw_numbers(frame: Image, episode: Episode, now: float) -> None:
     draw.text((0, 0), f"{now:.1f} s", INK, _font(22, bold=True))
     if episode.outcome:
         draw.text((100, 5), episode.outcome, EVENT if episode.failed else SOFT, _font(16, bold=True))
-    draw.text((0, 32), f"return {episode.total_reward:.2f}".replace("-", "−"), INK, _font(13))
+    # Not minus nothing.
+    total = round(episode.total_reward, 2) + 0.0
+    draw.text((0, 32), f"return {total:.2f}".replace("-", "−"), INK, _font(13))
     draw.text((0, 51), f"constraints violated in {episode.n_violated} steps", SOFT, _font(12))
     frame[top:bottom, left:right] = np.asarray(picture)
 
@@ -162,7 +167,7 @@ def _draw_axes(axes: Axes, panel: Panel, limits: tuple[float, float], duration_s
     axes.set_ylim(*limits)
     axes.set_title(panel.title, fontsize=12, color=INK, loc="left", pad=5)
     axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
-    axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 2.5, 5, 10]))
+    axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 4, 5, 10]))
     axes.ticklabel_format(useOffset=False)
     axes.tick_params(labelsize=10, labelcolor=SOFT, color=LINE, length=3, width=1)
     axes.grid(True, color=GRID, linewidth=1)
@@ -216,10 +221,7 @@ def _add_axes(figure: Figure, box: Box, size: tuple[int, int]) -> Axes:
 
 
 def _picture(figure: Figure) -> Image:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    canvas = figure.canvas
-    assert isinstance(canvas, FigureCanvasAgg)
+    canvas: Any = figure.canvas
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 

@@ -117,7 +117,7 @@ def _panels() -> tuple[Panel, ...]:
             per_group=True,
             ranges=((0.0, 3.4), (0.0, 14.0), (0.0, 60.0)),
         ),
-        Panel(name="wind", title="wind speed [m/s]", per_group=True, ranges=((4.0, 14.0), (3.0, 25.0))),
+        Panel(name="wind", title="wind speed [m/s]", per_group=True, ranges=((4.0, 16.0), (2.0, 26.0))),
     )
 
 

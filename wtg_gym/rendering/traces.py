@@ -60,7 +60,7 @@ def draw_traces(
                 highest[column] = max(highest[column], a, b)
         for column in range(width):
             y0, y1 = max(lowest[column] - half_width, 0.0), min(highest[column] + half_width, float(height))
-            for row in range(int(min(y0, float(height))), int(math.ceil(max(y1, 0.0)))):
+            for row in range(int(min(y0, float(height))), math.ceil(max(y1, 0.0))):
                 share = min(row + 1.0, y1) - max(float(row), y0)
                 for c in range(3):
                     old = image[top + row, left + column, c]

@@ -29,7 +29,7 @@ class Window:
         try:
             import pygame
         except ImportError as error:
-            raise DependencyNotInstalled('render_mode="human" needs pygame: pip install \'wtg-gym[render]\'') from error
+            raise DependencyNotInstalled("render_mode=\"human\" needs pygame: pip install 'wtg-gym[render]'") from error
         self._title, self._fps = title, fps
         self._clock = pygame.time.Clock()
         self._surface: pygame.Surface | None = None
