@@ -84,10 +84,10 @@ def _draw_strikes(axes: Axes, events: Sequence[Event]) -> None:
     for bus, numbers in struck.items():
         x, y = BUS_PLACES[bus]
         axes.plot([x], [y], "o", markersize=20, markerfacecolor="none", markeredgecolor=EVENT, markeredgewidth=2.0)
-        text = ", ".join(numbers)
-        axes.text(
-            x - 0.35, y + 0.25, text, fontsize=10, fontweight="bold", color=EVENT, ha="right", va="bottom", zorder=5
-        )
+        # On a plate, for a line may run behind it.
+        style = {"fontsize": 10, "fontweight": "bold", "color": EVENT, "ha": "right", "va": "bottom", "zorder": 5}
+        plate = {"facecolor": PAGE, "edgecolor": "none", "pad": 0.8}
+        axes.text(x - 0.35, y + 0.25, ", ".join(numbers), bbox=plate, **style)
 
 
 __all__ = ["BUS_PLACES", "EXTENT", "draw_diagram"]
