@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.scenario import Event, LineTrip
@@ -85,7 +85,14 @@ def _draw_strikes(axes: Axes, events: Sequence[Event]) -> None:
         x, y = BUS_PLACES[bus]
         axes.plot([x], [y], "o", markersize=20, markerfacecolor="none", markeredgecolor=EVENT, markeredgewidth=2.0)
         # On a plate, for a line may run behind it.
-        style = {"fontsize": 10, "fontweight": "bold", "color": EVENT, "ha": "right", "va": "bottom", "zorder": 5}
+        style: dict[str, Any] = {
+            "fontsize": 10,
+            "fontweight": "bold",
+            "color": EVENT,
+            "ha": "right",
+            "va": "bottom",
+            "zorder": 5,
+        }
         plate = {"facecolor": PAGE, "edgecolor": "none", "pad": 0.8}
         axes.text(x - 0.35, y + 0.25, ", ".join(numbers), bbox=plate, **style)
 
