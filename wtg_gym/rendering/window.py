@@ -35,11 +35,6 @@ class Window:
         self._surface: pygame.Surface | None = None
         self._is_closed = False
 
-    @property
-    def is_open(self) -> bool:
-        """Whether there is a window now."""
-        return self._surface is not None
-
     def show(self, picture: npt.NDArray[np.uint8]) -> None:
         """Show a picture (height, width, 3), and wait until it is due.
 
