@@ -172,9 +172,11 @@ class SB3VecEnv(VecEnv):
         """Release the worker threads."""
         self.vector_env.close()
 
-    def get_images(self) -> list[None]:
-        """Return None per lane: nothing is rendered."""
-        return [None] * self.num_envs
+    def get_images(self) -> list[npt.NDArray[np.uint8] | None]:
+        """Return a frame per lane, which `render_mode="rgb_array"` asks for; else None per lane."""
+        if self.vector_env.render_mode is None:
+            return [None] * self.num_envs
+        return list(self.vector_env.render() or ())
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
         """Return an attribute that all lanes share, such as `settings` or `observation_names`, once per lane asked for.

@@ -86,7 +86,7 @@ SETTINGS = [
     ("weights", 3, ["3"]),
     ("weights", "x", ["'x'"]),
     ("weights", [1], ["[1]"]),
-    ("render_mode", "human", ["'human'"]),
+    ("render_mode", "ansi", ["'ansi'", "None", "'human'", "'rgb_array'"]),
     ("scenario", "x", ["'x'"]),
     ("scenario", 3, ["3"]),
     ("scenario", [1], ["[1]"]),
@@ -215,7 +215,7 @@ BATCH = [
     ({"max_episode_steps": 20, "control_dt": None}, ["control_dt", "None"]),
     ({"max_episode_steps": 20, "control_dt": "x"}, ["control_dt", "'x'"]),
     ({"strategy": "x"}, ["'x'", "mppt"]),
-    ({"render_mode": "human"}, ["'human'"]),
+    ({"render_mode": "human"}, ["'human'", "None", "'rgb_array'"]),
 ]
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.plotting import describe_event
+from wtg_gym.rendering import describe_event
 
 
 def read_scenario(path: Path) -> Scenario:

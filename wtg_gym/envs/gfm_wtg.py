@@ -14,6 +14,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from wtg_gym.envs.lanes import NextEpisodes, TaskLanes, as_actions
+from wtg_gym.envs.rendering import Frame, LaneFrames
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task import OBSERVATION_BOUND, TaskRow
 from wtg_gym.physics.scenario import Scenario
@@ -34,6 +35,23 @@ def _settings(arguments: dict[str, Any]) -> EnvSettings:
     if unknown:
         raise TypeError(f"unknown arguments {unknown}; known arguments: {', '.join(known)}")
     return EnvSettings(**arguments)
+
+
+def _check_render_mode(render_mode: Any, metadata: Mapping[str, Any]) -> None:
+    if render_mode is not None and render_mode not in metadata["render_modes"]:
+        modes = ", ".join(repr(mode) for mode in metadata["render_modes"])
+        raise ValueError(f"unknown render_mode {render_mode!r}; choose None or one of {modes}")
+
+
+def _in_real_time(metadata: Mapping[str, Any], settings: EnvSettings) -> dict[str, Any]:
+    """Return metadata with as many frames per second as there are control intervals."""
+    return {**metadata, "render_fps": max(1, round(1.0 / settings.control_dt))}
+
+
+def _warn_of_no_render_mode() -> None:
+    gym.logger.warn(
+        'render() draws nothing, since the environment was made without a render_mode; give one, such as "rgb_array"'
+    )
 
 
 def _as_scenario(value: Any) -> Scenario:
@@ -95,6 +113,11 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
     ## Arguments
     See :class:`wtg_gym.envs.settings.EnvSettings`. `reset(options={"scenario": …})` plays a scenario of your own.
 
+    ## Rendering
+    `render_mode="rgb_array"` gives frames of 960 × 540 pixels: the grid with the events so far, and what frequency and
+    turbines have done. `render_mode="human"` shows them in a window, in real time. Both need the `render` extra.
+    Nothing of the simulation depends on it.
+
     ## Vectorized environment
     `gym.make_vec("GFMWTG-14bus-v0", num_envs=…)` gives :class:`GFMWTGVectorEnv`; its lane i seeded with s equals this
     environment seeded with s + i, bit for bit.
@@ -103,14 +126,21 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
     * v0: first version.
     """
 
-    metadata: dict[str, Any] = {"render_modes": [], "render_fps": 10}  # noqa: RUF012 (Gymnasium sets it so)
+    metadata: dict[str, Any] = {  # noqa: RUF012 (Gymnasium sets it so)
+        "render_modes": ["human", "rgb_array"],
+        "render_fps": 10,
+    }
 
     def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
-        if render_mode is not None:
-            raise ValueError(f"unknown render_mode {render_mode!r}; this version renders nothing: use None")
+        _check_render_mode(render_mode, self.metadata)
         self.render_mode = render_mode
         self.settings = _settings(arguments)
         self._lanes = TaskLanes(self.settings, 1)
+        self.metadata = _in_real_time(self.metadata, self.settings)
+        self._frames: LaneFrames | None = None
+        if render_mode is not None:
+            window = render_mode == "human"
+            self._frames = LaneFrames(self._lanes, opens_window=window, fps=self.metadata["render_fps"])
         self.observation_space, self.action_space = _spaces(self._lanes)
         self._action_shape = (self._lanes.n_action,)
         self._running = False
@@ -144,6 +174,9 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
         else:
             self._lanes.start([0], self._lanes.draw([self.np_random]))
         self._running = True
+        if self._frames is not None:
+            self._frames.sample()
+            self._frames.show()
         return self._lanes.observations[0].copy(), self._lanes.info()
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -163,20 +196,49 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
         outputs = lanes.outputs
         terminated, truncated = bool(outputs.terminated[0]), bool(outputs.truncated[0])
         self._running = not (terminated or truncated)
+        if self._frames is not None:
+            self._frames.sample()
+            self._frames.show()
         return outputs.observations[0].copy(), float(outputs.rewards[0]), terminated, truncated, lanes.info()
 
+    def render(self) -> Frame | None:
+        """Draw the episode up to now.
+
+        Returns:
+            With "rgb_array" the frame (540, 960, 3) uint8; with "human", where :meth:`reset` and :meth:`step` draw by
+            themselves, None; without a render mode None and a warning.
+
+        Raises:
+            RuntimeError: no episode was started; or with "human" there is no display.
+        """
+        if self._frames is None:
+            _warn_of_no_render_mode()
+            return None
+        if self.render_mode == "human":
+            self._frames.show()
+            return None
+        return self._frames.paint()[0]
+
     def snapshot(self) -> Any:
-        """Return a copy of the episode's complete state, for :meth:`restore`; the generator is not part of it."""
-        return self._lanes.snapshot(), self._running
+        """Return a copy of the episode's complete state, for :meth:`restore`; the generator is not part of it.
+
+        An environment that renders adds what it has drawn so far.
+        """
+        return self._lanes.snapshot(), self._running, None if self._frames is None else self._frames.snapshot()
 
     def restore(self, snapshot: Any) -> None:
         """Go back to a :meth:`snapshot`: what follows is then the same, bit for bit."""
-        lanes, self._running = snapshot
+        lanes, running, frames = snapshot
         self._lanes.restore(lanes)
+        self._running = running
+        if self._frames is not None:
+            self._frames.restore(frames)
 
     def close(self) -> None:
-        """Release the worker threads."""
+        """Release the worker threads, and close the window."""
         self._lanes.simulator.close()
+        if self._frames is not None:
+            self._frames.close()
 
 
 class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]]):
@@ -187,6 +249,7 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         autoreset_mode: NEXT_STEP (Gymnasium's default), SAME_STEP or DISABLED.
         max_episode_steps: cuts episodes off after this many steps; scenarios stay those of `duration_s`.
         n_threads: threads to step with; None for one per processor. Results do not depend on it.
+        render_mode: "rgb_array" lets :meth:`render` draw a frame per lane.
         arguments: as for :class:`GFMWTGEnv`.
 
     Raises:
@@ -194,7 +257,7 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
-        "render_modes": [],
+        "render_modes": ["rgb_array"],
         "render_fps": 10,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
@@ -209,8 +272,7 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         render_mode: str | None = None,
         **arguments: Any,
     ) -> None:
-        if render_mode is not None:
-            raise ValueError(f"unknown render_mode {render_mode!r}; this version renders nothing: use None")
+        _check_render_mode(render_mode, self.metadata)
         self.render_mode = render_mode
         if max_episode_steps is not None and (
             isinstance(max_episode_steps, bool)
@@ -223,10 +285,11 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         if autoreset_mode not in modes and autoreset_mode not in list(AutoresetMode):
             raise ValueError(f"unknown autoreset_mode {autoreset_mode!r}; choose one of {', '.join(modes)}")
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
         self.settings = _settings(arguments)
         self.num_envs = num_envs
         self._lanes = TaskLanes(self.settings, num_envs, n_threads)
+        self.metadata = {**_in_real_time(self.metadata, self.settings), "autoreset_mode": self.autoreset_mode}
+        self._frames = None if render_mode is None else LaneFrames(self._lanes)
         self.single_observation_space, self.single_action_space = _spaces(self._lanes)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -272,6 +335,8 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         else:
             self._lanes.commit(lanes, [episodes])
         self._mark_started(lanes)
+        if self._frames is not None:
+            self._frames.sample()
         return self._lanes.observations.copy(), self._infos(mask.copy())
 
     def _reset_mask(self, given: Any) -> npt.NDArray[np.bool_]:
@@ -349,6 +414,8 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         if beginning:
             self._next.start(beginning)
             self._mark_started(beginning)
+        if self._frames is not None:
+            self._frames.sample()
         infos.update(self._infos(self._all_lanes))
         return self._lanes.observations.copy(), rewards, terminated, truncated, infos
 
@@ -373,15 +440,31 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
             "_final_info": done.copy(),
         }
 
+    def render(self) -> tuple[Frame, ...] | None:
+        """Draw every lane's episode up to now: a frame (540, 960, 3) uint8 per lane.
+
+        Without a render mode: None and a warning.
+
+        Raises:
+            RuntimeError: a lane was never started.
+        """
+        if self._frames is None:
+            _warn_of_no_render_mode()
+            return None
+        return self._frames.paint()
+
     def snapshot(self) -> Any:
         """Return a copy of every episode's complete state, for :meth:`restore`; the generators are not part of it."""
-        return self._lanes.snapshot(), self._needs_reset.copy(), self._n_steps.copy()
+        frames = None if self._frames is None else self._frames.snapshot()
+        return self._lanes.snapshot(), self._needs_reset.copy(), self._n_steps.copy(), frames
 
     def restore(self, snapshot: Any) -> None:
         """Go back to a :meth:`snapshot`."""
-        lanes, needs_reset, n_steps = snapshot
+        lanes, needs_reset, n_steps, frames = snapshot
         self._lanes.restore(lanes)
         self._needs_reset[:], self._n_steps[:] = needs_reset, n_steps
+        if self._frames is not None:
+            self._frames.restore(frames)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Release the worker threads."""

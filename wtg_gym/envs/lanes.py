@@ -27,11 +27,12 @@ from wtg_gym.envs.task import (
 from wtg_gym.physics.compiled import compiled
 from wtg_gym.physics.layout import LaneData, LaneRow, Lanes, Plant, Status
 from wtg_gym.physics.plant import whole_steps
-from wtg_gym.physics.scenario import Scenario
+from wtg_gym.physics.scenario import Event, Scenario
 from wtg_gym.physics.simulator import PreparedLanes, Simulator
 from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[np.float64]
+LanesSnapshot = tuple[tuple[Floats, LaneData], Outputs, npt.NDArray[np.int64], list[tuple[Event, ...]]]
 
 #: Text of `info["termination_reason"]`: empty while an episode runs or when its time is over.
 TERMINATION_REASONS = {
@@ -98,17 +99,19 @@ def _start_tasks(
 
 
 class PreparedEpisodes(NamedTuple):
-    """Episodes that are ready to start; length and seed of each, (n,)."""
+    """Episodes that are ready to start; length and seed of each, (n,), and its events in their order."""
 
     lanes: PreparedLanes
     n_intervals: npt.NDArray[np.int64]
     scenario_seeds: npt.NDArray[np.int64]
+    events: tuple[tuple[Event, ...], ...]
 
     def take(self, which: list[int]) -> PreparedEpisodes:
         """Return some of the episodes."""
         rows, data = self.lanes
         lanes = PreparedLanes(rows[which], LaneData._make(array[which] for array in data))
-        return PreparedEpisodes(lanes, self.n_intervals[which], self.scenario_seeds[which])
+        events = tuple(self.events[place] for place in which)
+        return PreparedEpisodes(lanes, self.n_intervals[which], self.scenario_seeds[which], events)
 
 
 class TaskLanes:
@@ -152,6 +155,8 @@ class TaskLanes:
             truncated=np.zeros(n_lanes, dtype=np.bool_),
         )
         self.scenario_seeds = np.full(n_lanes, -1, dtype=np.int64)
+        #: What happens in each lane's episode, in its order.
+        self.events: list[tuple[Event, ...]] = [()] * n_lanes
         self._bound: BoundStep | None = None
         self._no_reasons = np.full(n_lanes, "", dtype=object)
         self._no_reasons.setflags(write=False)
@@ -200,7 +205,8 @@ class TaskLanes:
             for s in scenarios
         ]
         seeds = [-1 if scenario.seed is None else scenario.seed for scenario in scenarios]
-        return PreparedEpisodes(lanes, np.array(intervals, dtype=np.int64), np.array(seeds, dtype=np.int64))
+        events = tuple(tuple(sorted(scenario.events, key=lambda event: event.time_s)) for scenario in scenarios)
+        return PreparedEpisodes(lanes, np.array(intervals, dtype=np.int64), np.array(seeds, dtype=np.int64), events)
 
     def commit(self, lanes: Sequence[int], prepared: Sequence[PreparedEpisodes]) -> None:
         """Start prepared episodes in lanes, one each."""
@@ -215,6 +221,8 @@ class TaskLanes:
             end_steps = (episodes.n_intervals * simulator.plant.n_substeps).astype(np.float64)
             _start_tasks(simulator.blocks, index, simulator.plant, self.task, end_steps, self.outputs, simulator.lanes)
             self.scenario_seeds[index] = episodes.scenario_seeds
+            for lane, events in zip(index.tolist(), episodes.events, strict=True):
+                self.events[lane] = events
 
     def start(self, lanes: Sequence[int], scenarios: Sequence[Scenario]) -> None:
         """Start an episode in each of the lanes: :meth:`prepare`, then :meth:`commit`."""
@@ -299,13 +307,13 @@ class TaskLanes:
         # Addresses are those of this object's arrays.
         return {**self.__dict__, "_bound": None}
 
-    def snapshot(self) -> tuple[tuple[Floats, LaneData], Outputs, npt.NDArray[np.int64]]:
+    def snapshot(self) -> LanesSnapshot:
         """Return a copy of everything that changes."""
-        return self.simulator.snapshot(), _copied(self.outputs), self.scenario_seeds.copy()
+        return self.simulator.snapshot(), _copied(self.outputs), self.scenario_seeds.copy(), list(self.events)
 
-    def restore(self, snapshot: tuple[tuple[Floats, LaneData], Outputs, npt.NDArray[np.int64]]) -> None:
+    def restore(self, snapshot: LanesSnapshot) -> None:
         """Go back to a :meth:`snapshot`; a ValueError refuses that of another environment."""
-        physics, outputs, seeds = snapshot
+        physics, outputs, seeds, events = snapshot
         if outputs.observations.shape != self.observations.shape:
             raise ValueError(
                 f"the snapshot is of another environment: its observations have shape {outputs.observations.shape}, "
@@ -317,6 +325,7 @@ class TaskLanes:
         self.outputs.infos[:] = outputs.infos
         self.outputs.terminated[:], self.outputs.truncated[:] = outputs.terminated, outputs.truncated
         self.scenario_seeds[:] = seeds
+        self.events[:] = events
 
 
 class NextEpisodes:

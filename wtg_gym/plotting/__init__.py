@@ -30,7 +30,7 @@ from wtg_gym.plotting.style import (
     save_figure,
     strategy_looks,
 )
-from wtg_gym.plotting.trajectories import describe_event, plot_trajectories
+from wtg_gym.plotting.trajectories import plot_trajectories
 
 __all__ = [
     "DOUBLE_COLUMN_MM",
@@ -39,7 +39,6 @@ __all__ = [
     "SINGLE_COLUMN_MM",
     "STRATEGY_LOOKS",
     "LearningCurve",
-    "describe_event",
     "figure_bytes",
     "new_figure",
     "plot_accuracy",

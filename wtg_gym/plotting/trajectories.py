@@ -11,10 +11,11 @@ import numpy.typing as npt
 
 from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import GridFormingParameters
-from wtg_gym.physics.scenario import Event, LineTrip, LoadRamp, LoadTrip, Scenario
+from wtg_gym.physics.scenario import Event, LoadRamp, Scenario
 from wtg_gym.physics.tracking_law import coordinated_piecewise
 from wtg_gym.physics.trajectory import Trajectory
 from wtg_gym.plotting.style import GROUP_STYLES, LineStyle, name_at_right, strategy_looks
+from wtg_gym.rendering import describe_event
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -89,22 +90,6 @@ def plot_trajectories(trajectories: Mapping[str, Trajectory], scenario: Scenario
         figure.text(0.075, 0.945, "\n".join(events), fontsize=_FONT["small"], va="top", linespacing=1.35)
     figure.align_ylabels()
     return figure
-
-
-def describe_event(event: Event) -> str:
-    """Return an event in words, with its units, without its instant."""
-    if isinstance(event, LineTrip):
-        return f"line {event.from_bus}–{event.to_bus} opens"
-    if isinstance(event, LoadTrip):
-        return f"load of bus {event.bus} lost"
-    text = f"{event.power_mw:+g} MW"
-    if event.reactive_mvar:
-        text += f", {event.reactive_mvar:+g} Mvar"
-    text = text.replace("-", "−")
-    text += f" at bus {event.bus}"
-    if isinstance(event, LoadRamp):
-        text += f" over {event.duration_s:g} s"
-    return text
 
 
 def _panels(trajectories: Mapping[str, Trajectory]) -> tuple[_Panel, ...]:
@@ -255,4 +240,4 @@ def _draw_legend(
     return -(-len(handles) // n_columns)
 
 
-__all__ = ["describe_event", "event_lines", "numbered_events", "plot_trajectories"]
+__all__ = ["event_lines", "numbered_events", "plot_trajectories"]

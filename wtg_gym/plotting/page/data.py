@@ -19,7 +19,7 @@ from wtg_gym.physics.compiled import source_hash
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.parameters import TurbineParameters
 from wtg_gym.physics.scenario import Event, LineTrip, LoadRamp, LoadStep, Scenario
-from wtg_gym.plotting.trajectories import describe_event
+from wtg_gym.rendering import BUS_PLACES, describe_event
 from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[np.float64]
@@ -51,23 +51,6 @@ PHYSICAL_METRICS = (
     ("mean_duty_error_percent", "duty err.\n[%]", False),
     ("mean_energy_share_percent", "energy\n[%]", True),
 )
-#: Where the buses are drawn.
-_PLACES = {
-    1: (0.3, 1.6),
-    2: (2.2, 0.5),
-    3: (7.6, 0.3),
-    4: (6.0, 1.8),
-    5: (3.2, 1.8),
-    6: (3.0, 3.6),
-    7: (7.4, 2.6),
-    8: (9.0, 2.6),
-    9: (6.6, 3.6),
-    10: (5.6, 4.5),
-    11: (4.2, 4.5),
-    12: (0.9, 4.5),
-    13: (2.6, 5.4),
-    14: (6.6, 5.4),
-}
 
 
 def page_data(
@@ -350,7 +333,7 @@ def unpacked(text: str, n_rows: int) -> npt.NDArray[np.int16]:
 def _case() -> dict[str, Any]:
     case = modified_ieee14()
     return {
-        "buses": {str(bus.number): list(_PLACES[bus.number]) for bus in case.buses},
+        "buses": {str(bus.number): list(BUS_PLACES[bus.number]) for bus in case.buses},
         "loads": {str(bus.number): bus.load_mw for bus in case.buses if bus.load_mw},
         "branches": [[branch.from_bus, branch.to_bus] for branch in case.branches],
         # The machine with a governor is the generator; the others are condensers.

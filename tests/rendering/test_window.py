@@ -1,0 +1,83 @@
+"""Facts about the window of `render_mode="human"`, on SDL's dummy display."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import wtg_gym
+from wtg_gym.envs import GFMWTGEnv
+
+pygame = pytest.importorskip("pygame")
+ROOT = Path(__file__).resolve().parent.parent.parent
+
+
+@pytest.fixture(autouse=True)
+def dummy_display(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+
+
+def on_screen() -> np.ndarray:
+    return pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
+
+
+def test_reset_and_step_show_the_frame_by_themselves():
+    env, twin = GFMWTGEnv(duration_s=2.0, render_mode="human"), GFMWTGEnv(duration_s=2.0, render_mode="rgb_array")
+    assert pygame.display.get_surface() is None
+    env.reset(seed=3), twin.reset(seed=3)
+    assert np.array_equal(on_screen(), twin.render())
+    env.step(np.ones(4)), twin.step(np.ones(4))
+    assert np.array_equal(on_screen(), twin.render())
+    assert env.render() is None
+    env.close()
+    assert pygame.display.get_surface() is None
+
+
+def test_an_episode_goes_on_after_its_window_was_closed():
+    env = gym.make(wtg_gym.ENV_ID, duration_s=1.0, render_mode="human")
+    env.reset(seed=0)
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    for _ in range(10):
+        *_, truncated, _ = env.step(np.zeros(4, dtype=np.float32))
+    assert truncated and pygame.display.get_surface() is None
+    env.reset()
+    env.close()
+    env.close()
+
+
+def outcome(code: str, **environment: str) -> str:
+    """Return the last line that a program prints in a process of its own."""
+    variables = {key: value for key, value in os.environ.items() if key not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, env={**variables, **environment}
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip().splitlines()[-1]
+
+
+CAUGHT = """
+import sys
+{first}
+from wtg_gym.envs import GFMWTGEnv
+try:
+    GFMWTGEnv(duration_s=2.0, render_mode={mode!r}).reset()
+except Exception as error:
+    print(type(error).__name__, error)
+"""
+
+
+@pytest.mark.parametrize(("module", "mode"), [("pygame", "human"), ("matplotlib", "rgb_array")])
+def test_a_missing_library_is_named_with_what_to_install(module: str, mode: str):
+    said = outcome(CAUGHT.format(first=f"sys.modules[{module!r}] = None", mode=mode))
+    assert said.startswith("DependencyNotInstalled") and module in said and "wtg-gym[render]" in said
+
+
+def test_a_missing_display_is_named():
+    said = outcome(CAUGHT.format(first="", mode="human"), SDL_VIDEODRIVER="x11")
+    assert said.startswith("RuntimeError") and "display" in said and "rgb_array" in said
