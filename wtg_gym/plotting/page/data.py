@@ -9,7 +9,16 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import ANCHORS, Entry, EntrySummary, Interval, Results, leaderboard_rows, statistics, table_cells
+from wtg_gym.evaluation import (
+    ANCHORS,
+    Entry,
+    EntrySummary,
+    Interval,
+    Results,
+    leaderboard_rows,
+    statistics,
+    table_cells,
+)
 from wtg_gym.evaluation.recording import Recording, record
 from wtg_gym.evaluation.summary import pinned
 from wtg_gym.physics.aerodynamics import tracking_point
@@ -213,9 +222,7 @@ def _scores(results: Results) -> dict[str, Floats]:
     }
 
 
-def _entry(
-    results: Results, row: EntrySummary, rank: int, training_seeds: Mapping[str, int | None]
-) -> dict[str, Any]:
+def _entry(results: Results, row: EntrySummary, rank: int, training_seeds: Mapping[str, int | None]) -> dict[str, Any]:
     described = next(data for data in results.entries if data["name"] == row.name)
     # The run that is traced, the first where none is.
     seed = training_seeds.get(row.name, described["training_seed"])
@@ -313,4 +320,4 @@ def _case() -> dict[str, Any]:
     }
 
 
-__all__ = ["PHYSICAL_METRICS", "Progress", "limits", "page_data", "untraced"]
+__all__ = ["PHYSICAL_METRICS", "SCORE_RESOLUTION", "Progress", "limits", "page_data", "untraced"]

@@ -84,7 +84,7 @@ def _ranking() -> Any:
     for kind, marker in _MARKERS.items():
         columns = ("x", "y", "name", "colour", "interval")
         source = _source(f"dots-{kind}", *columns)
-        dots[kind] = chart.scatter("x", "y", size=11, marker=marker, color="colour", source=source)
+        dots[kind] = chart.scatter("x", "y", size=9, marker=marker, color="colour", source=source)
     for at, tag in ((0.0, "zero"), (100.0, "hundred")):
         chart.add_layout(Span(location=at, dimension="height", line_dash=[4, 4], tags=["rule", tag]))
     chart.add_tools(HoverTool(renderers=list(dots.values()), tooltips=[("", "@name"), ("score", "@interval")]))
@@ -109,7 +109,7 @@ def _compare() -> Any:
     columns = ("x", "y", "seed", "scores")
     for tag in "ab":
         source = _source(f"gains-{tag}", *columns)
-        chart.vbar("x", top="y", width=0.8, source=source, fill_alpha=0.45, line_alpha=0.0, tags=[tag, "filled"])
+        chart.vbar("x", top="y", width=0.8, source=source, fill_alpha=0.7, line_alpha=0.0, tags=[tag, "filled"])
     traced, shown = _source("gains-traced", *columns), _source("gains-shown", *columns)
     dots = chart.scatter("x", "y", size=8, source=traced, line_width=1.5, tags=["ink", "hollow"])
     chart.scatter("x", "y", size=13, source=shown, line_width=3.0, fill_alpha=0.0, tags=["event"])
