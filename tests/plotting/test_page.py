@@ -144,6 +144,12 @@ def test_the_same_page_twice() -> None:
     assert pages[0].size == len(pages[0].text.encode()) < 1_500_000
 
 
+def test_a_page_without_traces_holds_the_scores_all_the_same() -> None:
+    _, (standard, _) = small_results()
+    suite = _data(leaderboard_page([standard], [], n_scenarios=0).text)["suites"][0]
+    assert suite["scenarios"] == [] and unpacked(suite["scores"], len(suite["entries"])).shape[1] == len(SEEDS)
+
+
 def test_traces_are_left_out_of_a_file_that_would_grow_too_large(monkeypatch: pytest.MonkeyPatch) -> None:
     entries, (standard, _) = small_results()
     full = leaderboard_page([standard], entries)
@@ -198,3 +204,25 @@ def test_commands_refuse_bad_input(
     monkeypatch.chdir(tmp_path)
     assert said in error_of(capsys, *arguments)
     assert list(tmp_path.iterdir()) == []
+
+
+def _luminance(colour: str) -> float:
+    parts = [int(colour[place : place + 2], 16) / 255 for place in (1, 3, 5)]
+    red, green, blue = (part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts)
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_colours_have_the_contrast_of_wcag_aa(scheme: str) -> None:
+    light, dark = small_page().split("@media (prefers-color-scheme: dark)")
+    inks = dict(re.findall(r"--(\w+): (#[0-9a-f]{6})", light if scheme == "light" else dark))
+
+    def contrast(one: str, other: str) -> float:
+        low, high = sorted((_luminance(inks[one]), _luminance(inks[other])))
+        return (high + 0.05) / (low + 0.05)
+
+    for ink in ("ink", "soft", "a", "b", "event", "wind"):
+        assert min(contrast(ink, "page"), contrast(ink, "card")) >= 4.5, ink
+    assert contrast("ink", "bar") >= 4.5
+    for ink in ("rest", "edge", "focus"):
+        assert contrast(ink, "page") >= 3.0, ink

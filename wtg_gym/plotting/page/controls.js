@@ -16,7 +16,8 @@ const fillMenus = () => {
 const fillSuite = () => {
   const { entries, scenarios, seeds, split } = suite();
   const keep = (name, other) => (entryOf(name) ? name : other);
-  const best = entries.find((entry) => entry.name !== data.reference && suite().traced.includes(entry.name)) ?? entries[0];
+  const best = entries.find((entry) => entry.name !== data.reference && suite().traced.includes(entry.name)) ??
+    entries.find((entry) => entry.name !== data.reference);
   state.a = keep(state.a, best.name);
   state.b = keep(state.b, keep(data.reference, entries[1].name));
   $("scenario").replaceChildren(...scenarios.map((each, i) => {
@@ -87,13 +88,15 @@ const WORDS = {
   b: (text) => Boolean(entryOf(text)) && ((state.b = text), true),
   scenario: (text) => (state.scenario = suite().scenarios.findIndex((each) => String(each.seed) === text)) >= 0,
   t: (text) => /^\d{1,4}(\.\d{1,3})?$/.test(text),
-  kind: (text) => (state.kinds = KINDS.filter((kind) => text.split(",").includes(kind))).join() === text,
+  kind: (text) => {
+    const kinds = KINDS.filter((kind) => text.split(",").includes(kind));
+    return kinds.join() === text && ((state.kinds = kinds), true);
+  },
   action: (text) => ["", "k", "tau", "k+tau"].includes(text) && ((state.action = text), true),
   find: (text) => ((state.find = text.slice(0, 80)), true),
   sort: (text) => {
     const [, column, way] = /^(.*),(up|down)$/.exec(text) ?? [];
-    state.sort = { column, down: way === "down" };
-    return heads().some((head) => head.textContent === column) || ((state.sort = null), false);
+    return heads().some((head) => head.textContent === column) && ((state.sort = { column, down: way === "down" }), true);
   },
   limits: (text) => (state.limits = text === "on"),
 };

@@ -156,6 +156,8 @@ def _settings(results: Results) -> EnvSettings:
 
 
 def _scenarios(results: Results, n: int) -> list[Scenario]:
+    if n == 0:
+        return []
     groups = results.settings["groups"]
     return get_suite(results.suite).scenarios(
         results.seeds[:n],

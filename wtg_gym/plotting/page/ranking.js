@@ -1,6 +1,7 @@
 // --- ranking: chart, profile, physical metrics, and the table ---------------------------------------------------------
 
-const MOST_ROWS = 40;
+// Rows of the chart, besides those of A and B.
+const MOST_ROWS = 25;
 
 const shown = () =>
   suite().entries.filter((entry) =>
@@ -15,7 +16,7 @@ const around = (values, margin) => {
 };
 
 const drawRanking = (all) => {
-  const entries = all.slice(0, MOST_ROWS), n = entries.length;
+  const entries = all.filter((entry, i) => i < MOST_ROWS || tone(entry.name) !== "rest"), n = entries.length;
   const paints = colours();
   const y = (entry) => n - 1 - entries.indexOf(entry);
   const interval = (e) => `${e.score[0].toFixed(1)} (${e.score[1].toFixed(1)} … ${e.score[2].toFixed(1)})`;
@@ -41,7 +42,7 @@ const drawRanking = (all) => {
   $("ranking").setAttribute("aria-label", `Dot and interval chart of the scores, 0 to 100 marked by lines. ` +
     (n ? `From ${entries[0].name}, ${interval(entries[0])}, to ${entries[n - 1].name}, ${interval(entries[n - 1])}. ` : "") +
     "The table below holds the numbers.");
-  $("cut").textContent = all.length > n ? `The first ${n} of ${all.length} entries; the table holds all.` : "";
+  $("cut").textContent = all.length > n ? `The first ${MOST_ROWS} of ${all.length} entries, and A and B; the table holds all.` : "";
 };
 
 const LOWEST = -50, STEP = 0.5;
