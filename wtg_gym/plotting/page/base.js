@@ -112,6 +112,14 @@ if (!("DecompressionStream" in window)) {
 }
 delete document.documentElement.dataset.plain;
 
+// A chart takes no keys, so that it is no stop on the way through the page.
+const leaveOut = (place) => {
+  for (const each of place.querySelectorAll("*")) {
+    if (each.tabIndex >= 0) each.tabIndex = -1;
+    if (each.shadowRoot) leaveOut(each.shadowRoot);
+  }
+};
+
 const chart = {}, sources = {};
 let doc, panels, time, cursor;
 const buildCharts = async () => {
@@ -127,6 +135,7 @@ const buildCharts = async () => {
   const roots = {};
   for (const root of json.roots) roots[root.id] = $(root.attributes.name);
   await Bokeh.embed.embed_items({ page: json }, [{ docid: "page", roots, root_ids: Object.keys(roots) }]);
+  for (const place of document.querySelectorAll(".chart")) leaveOut(place);
   doc = Bokeh.documents[Bokeh.documents.length - 1];
   for (const root of doc.roots()) {
     chart[root.name] = root;
