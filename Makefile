@@ -48,14 +48,13 @@ verification: $(LEADERBOARD_READY) ## Score every entry on fresh scenarios too, 
 	    --split verification --commit $(VERIFICATION_COMMIT) --secret-file $(VERIFICATION_SECRET)
 	$(LEADERBOARD_VENV)/bin/wtg-gym gap results/standard-test.json results/standard-verification.json --page docs/benchmark.md
 
-# The suites that the page shows beside the paper's two cases.
-PAGE_SUITES := standard weak-grid
+PAGE_SUITES := standard weak-grid low-wind gust paper
 
 .PHONY: page
-page: $(LEADERBOARD_READY) ## Rank every entry on several suites and show them in docs/leaderboard.html
-	for suite in $(PAGE_SUITES) paper; do \
+page: $(LEADERBOARD_READY) ## Rank every entry on all suites and show them in docs/leaderboard.html
+	for suite in $(PAGE_SUITES); do \
 	    $(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite $$suite --entries baselines $(POLICIES) --results results || exit; done
-	$(LEADERBOARD_VENV)/bin/wtg-gym page $(PAGE_SUITES:%=results/%-test.json) results/paper-test.json \
+	$(LEADERBOARD_VENV)/bin/wtg-gym page $(PAGE_SUITES:%=results/%-test.json) \
 	    --entries baselines $(POLICIES) --output docs/leaderboard.html
 
 .PHONY: docs

@@ -51,4 +51,4 @@ def renamed(results: Results, old: str, new: str) -> Results:
 def small_page() -> str:
     """Return their page, the policy under a hostile name."""
     entries, (standard, paper) = small_results()
-    return leaderboard_page([renamed(standard, "full", HOSTILE), paper], entries, n_scenarios=3)
+    return leaderboard_page([renamed(standard, "full", HOSTILE), paper], entries, n_scenarios=3).text

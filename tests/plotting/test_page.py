@@ -13,14 +13,15 @@ import numpy as np
 import pytest
 
 from tests.cli.calls import error_of
-from tests.plotting.pages import DURATION_S, HOSTILE, TRACED, small_page, small_results
+from tests.plotting.pages import DURATION_S, HOSTILE, SEEDS, TRACED, small_page, small_results
 from wtg_gym.cli import main
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, leaderboard_rows
 from wtg_gym.evaluation.recording import record
 from wtg_gym.physics.parameters import TurbineParameters
 from wtg_gym.plotting.page import leaderboard_page, untraced
-from wtg_gym.plotting.page.data import MISSING, RESOLUTIONS, packed, quantised, unpacked
+from wtg_gym.plotting.page.data import SCORE_RESOLUTION
+from wtg_gym.plotting.page.traces import MISSING, RESOLUTIONS, packed, quantised, unpacked
 from wtg_gym.scenarios import get_suite
 
 pytest.importorskip("bokeh", reason="the page's charts are Bokeh's")
@@ -66,15 +67,37 @@ def test_ranking_is_that_of_the_leaderboard() -> None:
         assert [entry["rank"] for entry in suite["entries"]] == list(range(1, len(rows) + 1))
 
 
-def test_profile_is_the_share_of_scenarios_above() -> None:
-    suite = _data(small_page())["suites"][0]
-    for entry in suite["entries"]:
-        scores = np.array(entry["scenario_scores"])
-        for place in (0, 100, 250):
-            s = suite["profile"]["low"] + suite["profile"]["step"] * place
-            if place < len(entry["above"]) and np.abs(scores - s).min() > 0.1:
-                assert entry["above"][place] == pytest.approx((scores > s).mean(), abs=1e-3)
-        assert entry["above"] == sorted(entry["above"], reverse=True) and entry["above"][-1] == 0.0
+def test_scores_are_those_of_every_run_and_scenario() -> None:
+    _, results = small_results()
+    suite, rows = _data(small_page())["suites"][0], leaderboard_rows(results[0])
+    scores = unpacked(suite["scores"], len(rows)) * SCORE_RESOLUTION
+    assert scores.shape == (len(rows), len(SEEDS)) and suite["seeds"] == list(SEEDS)
+    for own, row in zip(scores, rows, strict=True):
+        assert own.mean() == pytest.approx(row.score.value, abs=SCORE_RESOLUTION)
+
+
+def test_differences_have_the_interval_of_the_score_where_the_reference_is_subtracted() -> None:
+    # The reference has 100 in every scenario, so that only the score varies.
+    _, results = small_results()
+    rows = leaderboard_rows(results[0])
+    lower = unpacked(_data(small_page())["suites"][0]["differences"], len(rows)) * SCORE_RESOLUTION
+    reference = [row.name for row in rows].index("coordinated-piecewise")
+    for place, row in enumerate(rows):
+        low, high = lower[place, reference], -lower[reference, place]
+        assert (low, high) == pytest.approx((row.difference.low, row.difference.high), abs=SCORE_RESOLUTION)
+        assert lower[place, place] == 0.0
+
+
+def test_equal_scores_share_a_rank() -> None:
+    entries, (_, paper) = small_results()
+    twin = dataclasses.replace(
+        paper,
+        entries=(*paper.entries, *({**data, "name": "twin"} for data in paper.entries if data["name"] == "mppt")),
+        episodes=(*paper.episodes, *(dataclasses.replace(e, entry="twin") for e in paper.episodes_of("mppt"))),
+    )
+    page = leaderboard_page([twin], entries, n_scenarios=0)
+    rank = {entry["name"]: entry["rank"] for entry in _data(page.text)["suites"][0]["entries"]}
+    assert rank["mppt"] == rank["twin"] and page.n_traced == {"paper": 0}
 
 
 def test_traces_are_the_recordings_to_their_resolution() -> None:
@@ -118,7 +141,23 @@ def test_the_same_page_twice() -> None:
     entries, (_, paper) = small_results()
     pages = [leaderboard_page([paper], entries, n_scenarios=1) for _ in range(2)]
     assert pages[0] == pages[1]
-    assert len(pages[0].encode()) < 3_000_000
+    assert pages[0].size == len(pages[0].text.encode()) < 1_500_000
+
+
+def test_a_page_without_traces_holds_the_scores_all_the_same() -> None:
+    _, (standard, _) = small_results()
+    suite = _data(leaderboard_page([standard], [], n_scenarios=0).text)["suites"][0]
+    assert suite["scenarios"] == [] and unpacked(suite["scores"], len(suite["entries"])).shape[1] == len(SEEDS)
+
+
+def test_traces_are_left_out_of_a_file_that_would_grow_too_large(monkeypatch: pytest.MonkeyPatch) -> None:
+    entries, (standard, _) = small_results()
+    full = leaderboard_page([standard], entries)
+    assert full.n_traced == {"standard": len(SEEDS)}
+    monkeypatch.setattr("wtg_gym.plotting.page.html.SIZE_LIMIT", full.size - 1)
+    less = leaderboard_page([standard], entries)
+    assert less.n_traced == {"standard": len(SEEDS) - 1} and less.size < full.size
+    assert leaderboard_page([standard], entries, n_scenarios=len(SEEDS)) == full
 
 
 def test_results_of_another_source_code_get_no_traces() -> None:
@@ -126,7 +165,7 @@ def test_results_of_another_source_code_get_no_traces() -> None:
     old = dataclasses.replace(paper, source_hash="0" * 64)
     with pytest.raises(ValueError, match="of another source code"):
         leaderboard_page([old], entries)
-    assert _data(leaderboard_page([old], [], n_scenarios=0))["suites"][0]["scenarios"] == []
+    assert _data(leaderboard_page([old], [], n_scenarios=0).text)["suites"][0]["scenarios"] == []
     with pytest.raises(ValueError, match="one of each suite"):
         leaderboard_page([paper, paper], entries)
 
@@ -142,7 +181,8 @@ def test_commands_write_the_page(capsys: pytest.CaptureFixture[str], tmp_path: P
     laws = ("--entries", "mppt", "deloaded-5")
     page, again = tmp_path / "leaderboard.html", tmp_path / "again.html"
     assert main(["leaderboard", "--suite", "paper", *laws, "--results", str(tmp_path), "--html", str(page)]) == 0
-    assert f"wrote {page}" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert f"wrote {page}" in said and "MB; scenarios with traces: paper 2" in said
     assert main(["page", str(tmp_path / "paper-test.json"), *laws, "--output", str(again)]) == 0
     assert again.read_bytes() == page.read_bytes()
     assert main(["page", str(tmp_path / "paper-test.json"), "--entries", "mppt", "--output", str(again)]) == 0
@@ -164,3 +204,25 @@ def test_commands_refuse_bad_input(
     monkeypatch.chdir(tmp_path)
     assert said in error_of(capsys, *arguments)
     assert list(tmp_path.iterdir()) == []
+
+
+def _luminance(colour: str) -> float:
+    parts = [int(colour[place : place + 2], 16) / 255 for place in (1, 3, 5)]
+    red, green, blue = (part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts)
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_colours_have_the_contrast_of_wcag_aa(scheme: str) -> None:
+    light, dark = small_page().split("@media (prefers-color-scheme: dark)")
+    inks = dict(re.findall(r"--(\w+): (#[0-9a-f]{6})", light if scheme == "light" else dark))
+
+    def contrast(one: str, other: str) -> float:
+        low, high = sorted((_luminance(inks[one]), _luminance(inks[other])))
+        return (high + 0.05) / (low + 0.05)
+
+    for ink in ("ink", "soft", "a", "b", "event", "wind"):
+        assert min(contrast(ink, "page"), contrast(ink, "card")) >= 4.5, ink
+    assert contrast("ink", "bar") >= 4.5
+    for ink in ("rest", "edge", "focus"):
+        assert contrast(ink, "page") >= 3.0, ink

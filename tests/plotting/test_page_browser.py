@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import json
 import os
 import re
 import shutil
 import time
+import urllib.parse
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.plotting.pages import DURATION_S, HOSTILE, small_page
+from tests.plotting.pages import DURATION_S, HOSTILE, small_page, small_results
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import Entry
+from wtg_gym.evaluation import Entry, leaderboard_rows
+from wtg_gym.evaluation.leaderboard import COLUMNS
 from wtg_gym.evaluation.recording import record
 from wtg_gym.scenarios import get_suite
 
@@ -39,7 +44,7 @@ def browser() -> Iterator[Any]:
 class Opened:
     """The page in a browser, and all that it asked for and complained about."""
 
-    def __init__(self, browser: Any, path: Path, **settings: Any) -> None:
+    def __init__(self, browser: Any, path: Path, *, state: str = "", **settings: Any) -> None:
         context = browser.new_context(offline=True, **settings)
         self.page = context.new_page()
         self.requests: list[str] = []
@@ -48,7 +53,7 @@ class Opened:
         self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
         self.page.on("console", self._hear)
         self.url = path.as_uri()
-        self.page.goto(self.url)
+        self.page.goto(self.url + state)
         self.page.wait_for_selector("html[data-ready=yes]", state="attached")
 
     def _hear(self, message: Any) -> None:
@@ -82,6 +87,34 @@ class Opened:
         )
         return values
 
+    def state(self) -> dict[str, str]:
+        """Return what the address holds, once it is written."""
+        self.page.wait_for_timeout(500)
+        return dict(urllib.parse.parse_qsl(urllib.parse.urlsplit(self.page.url).fragment))
+
+    def line(self, name: str, column: str) -> list[float]:
+        """Return the first of a chart's lines."""
+        return [float(value) for value in self.source(name, column)[0]]
+
+    def source(self, name: str, column: str) -> list[Any]:
+        """Return a column of a chart's data."""
+        values: list[Any] = self.page.evaluate(
+            """([name, column]) => {
+                for (const root of Bokeh.documents[0].roots())
+                    for (const renderer of root.renderers)
+                        if (renderer.data_source.name === name) return [...renderer.data_source.data[column]]
+                                .map((x) => (typeof x === "object" ? [...x] : x));
+            }""",
+            [name, column],
+        )
+        return values
+
+    def names(self) -> list[str]:
+        """Return the names in the rows of the ranking that are seen, from top to bottom."""
+        rows = self.page.locator("table[data-suite]:visible tbody tr:visible")
+        found: list[str] = rows.evaluate_all("(rows) => rows.map((row) => row.dataset.name)")
+        return found
+
     def value(self, row: str) -> list[str]:
         """Return the two numbers of a row of the table at the cursor."""
         cells: list[str] = (
@@ -93,7 +126,8 @@ class Opened:
 
     def check(self) -> None:
         """Nothing was asked for, nothing went wrong, no text of an entry was run."""
-        assert [url for url in self.requests if url != self.url and not url.startswith(("data:", "blob:"))] == []
+        asked = {url.split("#")[0] for url in self.requests}
+        assert {url for url in asked if not url.startswith(("data:", "blob:"))} == {self.url}
         assert self.complaints == []
         assert self.page.evaluate("window.hacked") is None
         assert self.page.locator("img").count() == 0
@@ -115,7 +149,7 @@ def open_page(browser: Any, tmp_path: Path) -> Iterator[Any]:
         each.page.context.close()
 
 
-@pytest.mark.parametrize("viewport", [PHONE, LAPTOP, {"width": 2560, "height": 1440}])
+@pytest.mark.parametrize("viewport", [{"width": 320, "height": 640}, PHONE, LAPTOP, {"width": 2560, "height": 1440}])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_page_fits_and_follows_the_colour_scheme(open_page: Any, viewport: dict[str, int], scheme: str) -> None:
     opened = open_page(viewport=viewport, color_scheme=scheme)
@@ -135,7 +169,7 @@ def test_filters_leave_out_entries(open_page: Any) -> None:
     rows = page.locator("table[data-suite=standard] tbody tr:visible")
     assert rows.count() == 4
     page.get_by_label("learned").uncheck()
-    assert rows.count() == 3 and page.get_by_role("status").inner_text() == "3 of 4 entries shown."
+    assert rows.count() == 3 and page.locator("#shown").inner_text() == "3 of 4 entries shown."
     page.get_by_label("learned").check()
     page.get_by_label("Action").select_option("k+tau")
     assert rows.all_inner_texts()[0].split("\t")[1] == HOSTILE and rows.count() == 1
@@ -216,15 +250,169 @@ def test_zoom_is_shared_by_all_panels(open_page: Any) -> None:
 def test_everything_is_reached_by_keyboard_in_order(open_page: Any) -> None:
     page = open_page().page
     reached = []
-    for _ in range(22):
+    while not reached or reached[-1] != "run":
         page.keyboard.press("Tab")
         reached.append(page.evaluate("document.activeElement.id || document.activeElement.textContent.trim()"))
-    order = ["Skip to the traces", "suite", "action", "a", "b", "scenario", "previous", "next", "whole", "time"]
+        outline = page.evaluate("getComputedStyle(document.activeElement).outlineStyle")
+        assert outline == "solid", reached
+        assert len(reached) < 60, reached
+    order = ["Skip to the traces", "suite", "find", "action", "a", "b", "Profile as a table", "rank", "score", "csv"]
+    order += ["What the columns mean", "Every scenario as a table", "scenario", "previous", "next", "whole", "time"]
     places = [reached.index(name) for name in order]
     assert places == sorted(places)
     names = "[...document.querySelectorAll('select, input, button')].filter((e) => !e.labels?.length && !e.textContent)"
     assert page.evaluate(f"{names}.length") == 0
     assert page.evaluate("[...document.querySelectorAll('[role=img]')].filter((e) => !e.ariaLabel).length") == 0
+
+
+def test_controls_are_large_enough_to_hit(open_page: Any) -> None:
+    page = open_page(viewport=PHONE).page
+    small = page.evaluate(
+        """[...document.querySelectorAll("a:not(.skip), button, select, input, summary")].filter((e) => e.offsetParent)
+            .map((e) => [e.id || e.textContent, (e.labels?.[0] ?? e).getBoundingClientRect()])
+            .filter(([, box]) => box.width < 24 || box.height < 24).map(([name]) => name)"""
+    )
+    assert small == []
+
+
+def test_skip_link_leads_to_the_traces_and_leaves_the_state_alone(open_page: Any) -> None:
+    opened = open_page(state="#suite=standard&a=mppt")
+    page = opened.page
+    page.keyboard.press("Tab")
+    page.keyboard.press("Enter")
+    assert page.evaluate("document.activeElement.id") == "drill"
+    assert page.get_by_label("Compare A").input_value() == "mppt"
+
+
+def test_address_holds_what_is_seen(open_page: Any) -> None:
+    opened = open_page()
+    page = opened.page
+    page.get_by_label("Compare A").select_option(HOSTILE)
+    page.get_by_label("with B").select_option("mppt")
+    page.locator("#scenario").select_option("2")
+    page.get_by_label("feedback").uncheck()
+    page.get_by_label("Action").select_option("k+tau")
+    page.get_by_label("Name").fill("script")
+    page.get_by_role("button", name="mean cost").click()
+    page.get_by_label("Limits in view").check()
+    opened.wait_until("document.getElementById('facts').textContent.includes('20002')")
+    page.get_by_label("Cursor").fill("7.4")
+    state = opened.state()
+    expected = {"suite": "standard", "a": HOSTILE, "b": "mppt", "scenario": "20002", "t": "7.4", "limits": "on"}
+    assert state == expected | {
+        "kind": "law,learned",
+        "action": "k+tau",
+        "find": "script",
+        "sort": "mean cost,down",
+    }
+    again = open_page(state=f"#{urllib.parse.urlsplit(page.url).fragment}")
+    assert again.page.locator("#lost").inner_text() == "" and again.names() == [HOSTILE]
+    assert again.page.locator("#now").inner_text() == "7.4 s"
+    assert "20002" in again.page.locator("#facts").inner_text()
+    again.page.get_by_role("button", name="Next").click()
+    assert again.state()["scenario"] == "20000"
+
+
+@pytest.mark.parametrize(
+    ("state", "lost"),
+    [
+        ("#suite=none&a=nobody&t=soon&kind=magic&sort=luck,down&action=hope", "suite “none”, a “nobody”"),
+        ("#scenario=<img src=x onerror=hacked>&b=%E0%A4%A", "scenario “<img src=x onerror=hacked>”"),
+        ("#t=1e9&limits=maybe", "t “1e9”, limits “maybe”"),
+        ("#%%%&&==&suite", "suite “”"),
+    ],
+)
+def test_nonsense_in_the_address_is_said_and_left_aside(open_page: Any, state: str, lost: str) -> None:
+    opened = open_page(state=state)
+    page = opened.page
+    assert lost in page.locator("#lost").inner_text()
+    assert len(opened.names()) == 4 and page.locator("#traces").is_visible()
+    assert page.get_by_label("with B").input_value() == "coordinated-piecewise"
+
+
+def test_address_typed_into_an_open_page_is_followed(open_page: Any) -> None:
+    opened = open_page()
+    opened.page.evaluate("location.hash = '#suite=paper&a=deloaded-10'")
+    opened.wait_until("document.getElementById('about').textContent.startsWith('paper')")
+    assert opened.page.get_by_label("Compare A").input_value() == "deloaded-10"
+
+
+def test_table_is_sorted_by_any_column(open_page: Any) -> None:
+    opened = open_page()
+    page = opened.page
+    table = page.locator("table[data-suite=standard]")
+    ranked = opened.names()
+    for name, is_number in COLUMNS.items():
+        button = table.get_by_role("button", name=name, exact=True)
+        if not button.count():
+            continue
+        cell = 1 + list(table.locator("thead th").all_inner_texts()).index(button.inner_text())
+        for press, way in enumerate(("descending", "ascending") if is_number and name != "rank" else ("ascending",)):
+            button.focus()
+            page.keyboard.press("Enter" if press else "Space")
+            assert table.locator("th[aria-sort]").get_attribute("aria-sort") == way
+            texts = table.locator(f"tbody tr > :nth-child({cell})").evaluate_all(
+                "(all) => all.map((e) => e.textContent)"
+            )
+            values = [float(text.split()[0]) for text in texts] if is_number else [text.lower() for text in texts]
+            if name != "entry":
+                assert values == sorted(values, reverse=way == "descending"), name
+    assert sorted(opened.names()) == sorted(ranked)
+    assert page.locator("th[aria-sort]").count() == 1
+
+
+def test_profile_is_the_share_of_scores_above(open_page: Any) -> None:
+    opened = open_page()
+    rows = {row.name: row for row in leaderboard_rows(small_results()[1][0])}
+    x, b = opened.line("profile-b", "xs"), opened.line("profile-b", "ys")
+    assert rows["coordinated-piecewise"].score.value == 100.0
+    assert [share for s, share in zip(x, b, strict=True) if s < 100.0] == [1.0] * x.index(100.0)
+    assert set(b[x.index(100.0) :]) == {0.0}
+
+
+def test_differences_of_two_entries_are_seen_and_chosen(open_page: Any) -> None:
+    opened = open_page(state="#a=mppt&b=deloaded-10")
+    page = opened.page
+    seeds, gains = opened.source("gains-traced", "seed"), opened.source("gains-traced", "y")
+    assert gains == sorted(gains, reverse=True) and sorted(seeds) == ["20000", "20001", "20002"]
+    assert opened.source("gains-shown", "seed") == ["20000"]
+    better = sum(gain > 0 for gain in gains)
+    assert f"A is better in {better} of 3 scenarios" in page.locator("#verdict").inner_text()
+    wanted = next(place for place, seed in enumerate(seeds) if seed != "20000")
+    x, y, width = opened.middle("#compare")
+    # The frame begins after the axis and ends before the border.
+    page.mouse.click(x - width / 2 + 58 + (width - 72) * (wanted + 1) / 4, y)
+    opened.wait_until(f"document.getElementById('facts').textContent.includes('{seeds[wanted]}')")
+    assert opened.source("gains-shown", "seed") == [seeds[wanted]]
+    page.get_by_text("Every scenario as a table").click()
+    assert page.locator("#gains tbody tr").count() == 3
+    page.get_by_role("button", name="Show scenario 20000").click()
+    opened.wait_until("document.getElementById('facts').textContent.includes('20000')")
+
+
+def test_limits_are_brought_into_view(open_page: Any) -> None:
+    opened = open_page()
+    top = "Bokeh.documents[0].roots().find((r) => r.name === 'panel-power').y_range.end"
+    assert opened.page.evaluate(top) < 1.1
+    opened.page.get_by_label("Limits in view").check()
+    assert opened.page.evaluate(top) > 1.1
+    assert "converter's limit (1.1 p.u.)" in opened.page.locator("#rules").inner_text()
+
+
+@pytest.mark.parametrize(("link", "kind"), [("CSV", "csv"), ("JSON", "json")])
+def test_ranking_is_downloaded(open_page: Any, tmp_path: Path, link: str, kind: str) -> None:
+    opened = open_page()
+    with opened.page.expect_download() as download:
+        opened.page.get_by_role("link", name=link, exact=True).click()
+    assert download.value.suggested_filename == f"wtg_gym-standard.{kind}"
+    path = tmp_path / "download"
+    download.value.save_as(path)
+    text = path.read_text(encoding="utf-8")
+    rows = list(csv.DictReader(io.StringIO(text))) if kind == "csv" else json.loads(text)["entries"]
+    assert [row["name"] for row in rows] == opened.names()
+    for row, own in zip(rows, leaderboard_rows(small_results()[1][0]), strict=True):
+        assert float(row["score"]) == pytest.approx(own.score.value, abs=0.01)
+        assert float(row["mean_cost"]) == pytest.approx(own.mean_cost, abs=1e-4)
 
 
 def test_a_finger_on_a_chart_scrolls_the_page(open_page: Any) -> None:
@@ -242,4 +430,17 @@ def test_without_javascript_the_table_is_there(browser: Any, tmp_path: Path) -> 
     page.goto(path.as_uri())
     assert page.locator("table[data-suite=standard] tbody tr").count() == 4
     assert page.locator("table[data-suite=standard]").is_visible()
+    context.close()
+
+
+def test_a_browser_without_what_the_charts_need_shows_the_tables_and_says_so(browser: Any, tmp_path: Path) -> None:
+    path = tmp_path / "old.html"
+    path.write_text(small_page(), encoding="utf-8")
+    context = browser.new_context()
+    context.add_init_script("delete window.DecompressionStream")
+    page = context.new_page()
+    page.goto(path.as_uri())
+    assert "too old for the charts" in page.get_by_role("alert").inner_text()
+    assert page.locator("table[data-suite]:visible").count() == 2
+    assert page.locator("form, .chart").first.is_hidden()
     context.close()

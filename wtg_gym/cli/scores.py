@@ -41,7 +41,7 @@ from wtg_gym.evaluation import (
 )
 from wtg_gym.evaluation.entries import LoadArchive
 from wtg_gym.evaluation.leaderboard import COLUMNS
-from wtg_gym.plotting.page import leaderboard_page, untraced
+from wtg_gym.plotting.page import N_SCENARIOS, SIZE_LIMIT, leaderboard_page, untraced
 from wtg_gym.scenarios import SUITES, get_suite
 
 #: The package with the entries of a checkout.
@@ -59,8 +59,6 @@ _TRUST_HELP = (
     "can check that: only for files that you made yourself. The leaderboard never takes them"
 )
 _TRACED_HELP = f"whose traces to show, as for 'wtg-gym leaderboard' (default: {_DEFAULT_ENTRIES})"
-#: Scenarios with traces: about a quarter of a megabyte a suite.
-_N_TRACED = 20
 
 _EVALUATE = """\
 Plays entries through the scenarios of a suite, many at a time, and scores them: 0 is maximum power point tracking, 100
@@ -155,9 +153,9 @@ def add_commands(commands: Commands) -> None:
     parser.add_argument(
         "--scenarios",
         type=int,
-        default=_N_TRACED,
         metavar="N",
-        help=f"traces of the first N scenarios of each suite; 0 for none (default: {_N_TRACED})",
+        help="traces of the first N scenarios of each suite; 0 for none "
+        f"(default: as many of the first {N_SCENARIOS} as keep the file below {SIZE_LIMIT / 1e6:g} MB)",
     )
     parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
 
@@ -309,7 +307,7 @@ def _run_leaderboard(arguments: argparse.Namespace) -> int:
     if readme is not None:
         update_page(readme, {section: markdown_table(leaderboard_rows(results))})
     if page is not None:
-        _write_html(page, [results], entries, _N_TRACED, arguments.threads)
+        _write_html(page, [results], entries, None, arguments.threads)
     return 0
 
 
@@ -362,7 +360,7 @@ def _run_page(arguments: argparse.Namespace) -> int:
     page = _check_html("--output", arguments.output)
     assert page is not None
     results = [Results.read(path) for path in arguments.results]
-    entries = chosen_entries(arguments.entries) if arguments.scenarios else []
+    entries = [] if arguments.scenarios == 0 else chosen_entries(arguments.entries)
     _write_html(page, results, entries, arguments.scenarios, arguments.threads)
     return 0
 
@@ -375,13 +373,17 @@ def _check_html(option: str, text: str | None) -> Path | None:
 
 
 def _write_html(
-    path: Path, results: Sequence[Results], entries: Sequence[Entry], n_scenarios: int, n_threads: int | None
+    path: Path, results: Sequence[Results], entries: Sequence[Entry], n_scenarios: int | None, n_threads: int | None
 ) -> None:
     with Progress("entries") as progress:
         page = leaderboard_page(
             results, entries, n_scenarios=n_scenarios, n_threads=n_threads, on_progress=progress.update
         )
-    missing = untraced(results, entries) if n_scenarios else []
+    missing = [] if n_scenarios == 0 else untraced(results, entries)
     if missing:
         note(f"no traces of {', '.join(missing)}: not among the entries given, or changed since the results")
-    write_and_say(path, page)
+    write_and_say(path, page.text)
+    traced = ", ".join(f"{name} {number}" for name, number in page.n_traced.items())
+    note(f"{page.size / 1e6:.2f} MB; scenarios with traces: {traced}")
+    if page.size > SIZE_LIMIT:
+        note(f"that is more than {SIZE_LIMIT / 1e6:g} MB: show fewer suites or entries, or fewer --scenarios")

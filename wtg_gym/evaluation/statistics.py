@@ -136,6 +136,15 @@ def bootstrap(values: Floats, statistic: Callable[[Floats], Floats]) -> tuple[fl
     return _bounds(statistic(_resampled(values).reshape(N_RESAMPLES, values.size)))
 
 
+def resampled_means(values: Floats) -> Floats:
+    """Return the mean of (n_runs, n_scenarios) in every resample of the bootstrap, (n_resamples,).
+
+    Every call draws the same scenarios, so that two entries' means can be subtracted as a paired difference.
+    """
+    means: Floats = _resampled(values).mean(axis=(1, 2))
+    return means
+
+
 def _resampled(values: Floats) -> Floats:
     """Return the values (n_runs, n_scenarios) of every resample, (N_RESAMPLES, n_runs, n_scenarios)."""
     n_runs, n = values.shape
@@ -254,6 +263,7 @@ __all__ = [
     "mean_interval",
     "mean_score",
     "pinned_cost",
+    "resampled_means",
     "scenario_scores",
     "score_gap",
     "score_scale",

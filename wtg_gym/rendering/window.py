@@ -51,7 +51,7 @@ class Window:
         if any(event.type == pygame.QUIT for event in pygame.event.get()):
             self.close()
             return
-        self._surface.blit(pygame.image.frombuffer(picture, (width, height), "RGB"), (0, 0))
+        self._surface.blit(pygame.image.frombuffer(picture.tobytes(), (width, height), "RGB"), (0, 0))
         pygame.display.flip()
         self._clock.tick(self._fps)
 

@@ -4,6 +4,6 @@ The file needs nothing but a browser: the plotting library, Bokeh, is taken from
 """
 
 from wtg_gym.plotting.page.data import untraced
-from wtg_gym.plotting.page.html import leaderboard_page
+from wtg_gym.plotting.page.html import N_SCENARIOS, SIZE_LIMIT, Page, leaderboard_page
 
-__all__ = ["leaderboard_page", "untraced"]
+__all__ = ["N_SCENARIOS", "SIZE_LIMIT", "Page", "leaderboard_page", "untraced"]

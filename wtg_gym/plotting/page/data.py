@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import math
-import zlib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -12,36 +9,40 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import ANCHORS, Entry, EntrySummary, Interval, Results, leaderboard_rows, statistics
+from wtg_gym.evaluation import (
+    ANCHORS,
+    Entry,
+    EntrySummary,
+    Interval,
+    Results,
+    leaderboard_rows,
+    statistics,
+    table_cells,
+)
 from wtg_gym.evaluation.recording import Recording, record
 from wtg_gym.evaluation.summary import pinned
+from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.compiled import source_hash
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.parameters import TurbineParameters
+from wtg_gym.physics.parameters import GridFormingParameters, PitchParameters, TurbineParameters
 from wtg_gym.physics.scenario import Event, LineTrip, LoadRamp, LoadStep, Scenario
+from wtg_gym.plotting.page.traces import (
+    MISSING,
+    RESOLUTIONS,
+    WIND_RESOLUTION,
+    packed,
+    quantised,
+    scenario_traces,
+)
 from wtg_gym.rendering import BUS_PLACES, describe_event
 from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
 
-#: Samples of the page's traces come this far apart [s].
-TRACE_STEP_S = 0.2
-#: Steps that the traces' numbers are rounded to; the wind comes once a scenario, everything else once an entry, the
-#: frequency as its deviation from the nominal one.
-RESOLUTIONS: Mapping[str, float] = {
-    "frequency": 0.0005,
-    "rocof": 0.002,
-    "rotor": 0.0005,
-    "power": 0.0005,
-    "k": 0.001,
-    "tau": 0.005,
-}
-WIND_RESOLUTION = 0.005
-#: What stands for "no value": the episode is over, or the law has no such quantity.
-MISSING = -32768
-#: Scores that the performance profile counts scenarios above.
-_PROFILE_LOW, _PROFILE_STEP = -50.0, 0.5
+#: Step that the scenarios' scores are rounded to.
+SCORE_RESOLUTION = 0.1
+
 #: Attribute of the summary, heading, whether more is better.
 PHYSICAL_METRICS = (
     ("failures_percent", "failures\n[%]", False),
@@ -98,13 +99,15 @@ def page_data(
                 on_progress(entry.name, done, n_all)
         suites.append(_suite(each, scenarios, own, recordings))
     return {
-        "metrics": [{"label": label, "up": up} for _, label, up in PHYSICAL_METRICS],
+        "metrics": [{"name": name, "label": label, "up": up} for name, label, up in PHYSICAL_METRICS],
         "series": [{"name": name, "step": step} for name, step in RESOLUTIONS.items()],
         "wind_step": WIND_RESOLUTION,
+        "score_step": SCORE_RESOLUTION,
         "missing": MISSING,
         "nominal": modified_ieee14().frequency_hz,
         "tip_speed": TurbineParameters().tip_speed_ratio_per_speed_m_s,
         "reference": ANCHORS[1],
+        "limits": limits(),
         "case": _case(),
         "suites": suites,
     }
@@ -136,6 +139,8 @@ def _settings(results: Results) -> EnvSettings:
 
 
 def _scenarios(results: Results, n: int) -> list[Scenario]:
+    if n == 0:
+        return []
     groups = results.settings["groups"]
     return get_suite(results.suite).scenarios(
         results.seeds[:n],
@@ -150,10 +155,9 @@ def _suite(
 ) -> dict[str, Any]:
     rows = leaderboard_rows(results)
     scores = _scores(results)
-    top = max(float(values.max()) for values in scores.values())
-    grid = np.arange(_PROFILE_LOW, math.ceil(top) + 2.0 * _PROFILE_STEP, _PROFILE_STEP)
     order = [row.name for row in rows if row.name in recordings]
     seeds = {entry.name: entry.training_seed for entry in played}
+    means = np.array([statistics.resampled_means(scores[row.name]) for row in rows])
     return {
         "name": results.suite,
         "split": results.split,
@@ -161,18 +165,32 @@ def _suite(
         "hash": results.suite_hash,
         "source": results.source_hash,
         "versions": dict(sorted(results.versions.items())),
-        "n_scenarios": len(results.seeds),
+        "seeds": results.seeds,
         "groups": [int(group["bus"]) for group in results.settings["groups"]],
-        "profile": {"low": _PROFILE_LOW, "step": _PROFILE_STEP},
         "entries": [
-            _entry(results, rank, row, scores[row.name], grid, seeds) for rank, row in enumerate(rows, start=1)
+            _entry(results, row, int(cells[0]), seeds) for row, cells in zip(rows, table_cells(rows), strict=True)
         ],
+        # Rows of every entry's runs, in the order of the entries.
+        "scores": packed(quantised(np.vstack([scores[row.name] for row in rows]), SCORE_RESOLUTION)),
+        "differences": packed(quantised(_lower_bounds(means), SCORE_RESOLUTION)),
         "traced": order,
         "scenarios": [
             _scenario(results, scenario, place, seeds, [recordings[name] for name in order])
             for place, scenario in enumerate(scenarios)
         ],
     }
+
+
+def _lower_bounds(means: Floats) -> Floats:
+    """Return lower ends of the intervals of the differences of mean scores, (n, n): row minus column.
+
+    The upper end is minus the lower one the other way round. Every entry is resampled on the same drawn scenarios.
+
+    Args:
+        means: resampled mean scores of the entries (n, n_resamples).
+    """
+    tail = 50.0 * (1.0 - statistics.CONFIDENCE)
+    return np.array([np.percentile(own - means, tail, axis=1) for own in means])
 
 
 def _scores(results: Results) -> dict[str, Floats]:
@@ -189,14 +207,7 @@ def _scores(results: Results) -> dict[str, Floats]:
     }
 
 
-def _entry(
-    results: Results,
-    rank: int,
-    row: EntrySummary,
-    scores: Floats,
-    grid: Floats,
-    training_seeds: Mapping[str, int | None],
-) -> dict[str, Any]:
+def _entry(results: Results, row: EntrySummary, rank: int, training_seeds: Mapping[str, int | None]) -> dict[str, Any]:
     described = next(data for data in results.entries if data["name"] == row.name)
     # The run that is traced, the first where none is.
     seed = training_seeds.get(row.name, described["training_seed"])
@@ -212,14 +223,13 @@ def _entry(
         "source": described["source"],
         "sha256": described["sha256"],
         "n_runs": row.n_runs,
+        "traced_run": every.index(seed),
         "training_seed": seed,
         "score": _interval(row.score),
         "iqm": _interval(row.interquartile_mean),
         "improvement": _interval(row.probability_of_improvement, 3),
         "gap": None if row.gap_closed_percent is None else _interval(row.gap_closed_percent),
         "physical": [round(float(getattr(row, name)), 5) for name, _, _ in PHYSICAL_METRICS],
-        "above": [round(float(value), 4) for value in (scores.ravel()[:, None] > grid).mean(axis=0)],
-        "scenario_scores": [round(float(value), 1) for value in scores[every.index(seed)]],
     }
 
 
@@ -248,7 +258,7 @@ def _scenario(
             for episode in results.episodes
             if episode.seed == seed and episode.failed and episode.run in training_seeds.items()
         },
-        **_traces(recordings, place),
+        **scenario_traces(recordings, place),
     }
 
 
@@ -265,69 +275,23 @@ def _event(event: Event) -> dict[str, Any]:
     }
 
 
-# --- traces ----------------------------------------------------------------------------------------------------------
+# --- the grid ------------------------------------------------------------------------------------------------------
 
 
-def _traces(recordings: Sequence[Recording], place: int) -> dict[str, Any]:
-    """Return the traces of a scenario, all entries together: packed rows, and how many samples each has."""
-    if not recordings:
-        return {"n": 0, "step": TRACE_STEP_S, "packed": ""}
-    first = recordings[0]
-    step = float(first.time_s[1] - first.time_s[0])
-    stride = max(1, round(TRACE_STEP_S / step))
-    longest = max(recordings, key=lambda recording: recording.time_s.size)
-    n = len(range(0, longest.time_s.size, stride))
-    # Wind is the scenario's: whoever lasts longest has seen most of it.
-    full = max(recordings, key=lambda recording: int(np.isfinite(recording.wind_m_s[place, :, 0]).sum()))
-    rows = [quantised(wind, WIND_RESOLUTION) for wind in full.wind_m_s[place, ::stride].T]
-    for recording in recordings:
-        for name, resolution in RESOLUTIONS.items():
-            rows += [quantised(values, resolution) for values in _values(recording, name, place)[::stride].T]
-    table = np.full((len(rows), n), MISSING, dtype=np.int16)
-    for index, row in enumerate(rows):
-        table[index, : row.size] = row
-    return {"n": n, "step": round(stride * step, 6), "packed": packed(table)}
-
-
-def _values(recording: Recording, name: str, place: int) -> Floats:
-    """Return one of the page's quantities, (n, 1) of the grid or (n, n_wtg)."""
-    if name == "frequency":
-        deviation: Floats = recording.frequency_hz[place][:, np.newaxis] - modified_ieee14().frequency_hz
-        return deviation
-    arrays: dict[str, Floats] = {
-        "rocof": recording.rocof_hz_s,
-        "rotor": recording.rotor_speed_pu,
-        "power": recording.power_pu,
-        "k": recording.coefficient_pu,
-        "tau": recording.time_constant_s,
+def limits() -> dict[str, dict[str, float]]:
+    """Return what the panels of the traces show as dotted lines: by panel, what it is and where."""
+    control, nominal = GridFormingParameters(), modified_ieee14().frequency_hz
+    best, deloaded = tracking_point(0.0), tracking_point(control.deloading_limit)
+    return {
+        # Beyond it the deviation costs four times as much.
+        "frequency": {"nominal − 0.2 Hz": nominal - 0.2, "nominal + 0.2 Hz": nominal + 0.2},
+        "rotor": {"the pitch's limit": PitchParameters().rotor_speed_limit_pu},
+        # Beyond them a rotor outside its range costs.
+        "ratio": {"0.9 λ_opt": 0.9 * best.tip_speed_ratio, "1.1 λ_pr": 1.1 * deloaded.tip_speed_ratio},
+        "power": {"the converter's limit": control.overload_limit_pu},
+        "k": {"K_pr": deloaded.coefficient, "K_opt": best.coefficient},
+        "tau": {"the reference's τ": control.damping_time_constant_s},
     }
-    values: Floats = arrays[name][place]
-    return values
-
-
-def quantised(values: Floats, resolution: float) -> npt.NDArray[np.int16]:
-    """Return numbers as whole steps of a resolution, :data:`MISSING` where there is none, limited to what fits."""
-    steps = np.clip(np.round(np.nan_to_num(values, posinf=0.0, neginf=0.0) / resolution), MISSING + 1, -MISSING - 1)
-    whole: npt.NDArray[np.int16] = np.where(np.isfinite(values), steps, MISSING).astype(np.int16)
-    return whole
-
-
-def packed(table: npt.NDArray[np.int16]) -> str:
-    """Return rows of whole numbers as base64 of their deflated differences, all low bytes before all high bytes."""
-    differences = np.diff(table.astype(np.int64), axis=1, prepend=0).astype("<u2")
-    low, high = (differences & 0xFF).astype(np.uint8), (differences >> 8).astype(np.uint8)
-    return base64.b64encode(zlib.compress(low.tobytes() + high.tobytes(), 9)).decode()
-
-
-def unpacked(text: str, n_rows: int) -> npt.NDArray[np.int16]:
-    """Return the rows that :func:`packed` packed, as the page does it too."""
-    low, high = np.frombuffer(zlib.decompress(base64.b64decode(text)), dtype=np.uint8).reshape(2, n_rows, -1)
-    differences = low.astype(np.uint16) | (high.astype(np.uint16) << 8)
-    table: npt.NDArray[np.int16] = np.cumsum(differences, axis=1, dtype=np.uint16).view(np.int16)
-    return table
-
-
-# --- the grid --------------------------------------------------------------------------------------------------------
 
 
 def _case() -> dict[str, Any]:
@@ -341,4 +305,4 @@ def _case() -> dict[str, Any]:
     }
 
 
-__all__ = ["MISSING", "PHYSICAL_METRICS", "RESOLUTIONS", "packed", "page_data", "quantised", "unpacked", "untraced"]
+__all__ = ["PHYSICAL_METRICS", "SCORE_RESOLUTION", "Progress", "limits", "page_data", "untraced"]

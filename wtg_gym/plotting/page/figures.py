@@ -19,7 +19,7 @@ from bokeh.models import (
 )
 from bokeh.plotting import figure
 
-from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.plotting.page.data import limits
 
 #: Name, title, and whether every WTG group has a line of its own.
 PANELS = (
@@ -36,18 +36,19 @@ PANELS = (
 GROUP_DASHES: tuple[list[int], ...] = ([], [6, 3], [2, 2], [8, 3, 2, 3])
 _MARKERS = {"law": "circle", "feedback": "diamond", "learned": "square"}
 _PANEL_HEIGHT, _LAST_AXIS_HEIGHT = 130, 26
-_WIDTHS = {"a": 2.0, "b": 2.0, "rest": 1.0}
+#: The two that are compared differ in width too, for those who cannot tell the colours apart.
+_WIDTHS = {"a": 2.4, "b": 1.4, "rest": 1.0}
 
 
 def page_document(n_groups: int, metric_labels: list[str]) -> Document:
-    """Return the document: figures "ranking", "profile", "physical", "grid" and one per panel.
+    """Return the document: figures "ranking", "profile", "compare", "physical", "grid" and one per panel.
 
     Args:
         n_groups: largest number of WTG groups of a suite.
         metric_labels: heads of the axes of the physical metrics.
     """
     document = Document()
-    for chart in (_ranking(), _profile(), _physical(metric_labels), _grid(), *_panels(n_groups)):
+    for chart in (_ranking(), _profile(), _compare(), _physical(metric_labels), _grid(), *_panels(n_groups)):
         document.add_root(chart)
     return document
 
@@ -83,7 +84,7 @@ def _ranking() -> Any:
     for kind, marker in _MARKERS.items():
         columns = ("x", "y", "name", "colour", "interval")
         source = _source(f"dots-{kind}", *columns)
-        dots[kind] = chart.scatter("x", "y", size=11, marker=marker, color="colour", source=source)
+        dots[kind] = chart.scatter("x", "y", size=9, marker=marker, color="colour", source=source)
     for at, tag in ((0.0, "zero"), (100.0, "hundred")):
         chart.add_layout(Span(location=at, dimension="height", line_dash=[4, 4], tags=["rule", tag]))
     chart.add_tools(HoverTool(renderers=list(dots.values()), tooltips=[("", "@name"), ("score", "@interval")]))
@@ -97,6 +98,25 @@ def _profile() -> Any:
     chart = _chart("profile", 320, x_axis_label="score s", y_axis_label="share of scenarios above s", **ranges)
     lines = _lines(chart, "profile")
     chart.add_tools(HoverTool(renderers=lines, tooltips=[("", "@name")], line_policy="none"))
+    return chart
+
+
+def _compare() -> Any:
+    """Return the differences of two entries' scores, one bar per scenario; dots are those with traces, one is shown."""
+    ranges = {"x_range": Range1d(0.0, 1.0), "y_range": Range1d(-1.0, 1.0)}
+    labels = {"x_axis_label": "scenarios, sorted", "y_axis_label": "score of A − score of B"}
+    chart = _chart("compare", 320, **labels, **ranges)
+    columns = ("x", "y", "seed", "scores")
+    for tag in "ab":
+        source = _source(f"gains-{tag}", *columns)
+        chart.vbar("x", top="y", width=0.8, source=source, fill_alpha=0.7, line_alpha=0.0, tags=[tag, "filled"])
+    traced, shown = _source("gains-traced", *columns), _source("gains-shown", *columns)
+    dots = chart.scatter("x", "y", size=8, source=traced, line_width=1.5, tags=["ink", "hollow"])
+    chart.scatter("x", "y", size=13, source=shown, line_width=3.0, fill_alpha=0.0, tags=["event"])
+    chart.add_layout(Span(location=0.0, dimension="width", tags=["rule"]))
+    chart.add_tools(HoverTool(renderers=[dots], tooltips=[("scenario", "@seed"), ("A, B", "@scores")]))
+    chart.xgrid.visible = False
+    chart.xaxis.ticker.desired_num_ticks = 5
     return chart
 
 
@@ -196,6 +216,7 @@ def _panels(n_groups: int) -> list[Any]:
     """Return the panels of the traces, over one time axis and one source, with one cursor."""
     columns = [f"{side}-{name}-{j}" for side in "ab" for name, _, own in PANELS for j in range(n_groups if own else 1)]
     source = _source("traces", "t", *columns)
+    lines = limits()
     events = _source("events", "x")
     time = Range1d(0.0, 60.0, name="time")
     cursor = Span(location=0.0, dimension="height", name="cursor", tags=["cursor"])
@@ -222,21 +243,12 @@ def _panels(n_groups: int) -> list[Any]:
                     "t",
                     f"{side}-{name}-{j}",
                     source=source,
-                    line_width=1.6,
+                    line_width=_WIDTHS[side],
                     line_dash=GROUP_DASHES[j % len(GROUP_DASHES)],
                     tags=["wind" if name == "wind" else side],
                 )
-        if name == "frequency":
-            # Beyond it the deviation costs four times as much.
-            for edge in (-0.2, 0.2):
-                chart.add_layout(
-                    Span(
-                        location=modified_ieee14().frequency_hz + edge,
-                        dimension="width",
-                        line_dash=[2, 4],
-                        tags=["rule"],
-                    )
-                )
+        for value in lines.get(name, {}).values():
+            chart.add_layout(Span(location=value, dimension="width", line_dash=[2, 4], tags=["rule"]))
         chart.add_layout(cursor)
         zoom = BoxZoomTool(dimensions="width", name="drag")
         chart.add_tools(zoom, WheelZoomTool(dimensions="width", modifiers={"ctrl": True}))

@@ -6,32 +6,49 @@ import base64
 import hashlib
 import html
 import json
+import zlib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from importlib import resources
 from string import Template
 from typing import Any
 
 from wtg_gym import __version__
-from wtg_gym.evaluation import Entry, Results, leaderboard_rows, table_cells
+from wtg_gym.evaluation import Entry, EntrySummary, Results, leaderboard_rows, table_cells
 from wtg_gym.evaluation.leaderboard import COLUMNS
 from wtg_gym.plotting.page.data import Progress, page_data
 
-#: Heads of the table's columns in full, where the head is short.
-_EXPLAINED = {
-    "IQM": "interquartile mean of the score",
-    "P(improvement)": "probability of a lower cost than the reference's",
-    "gap closed [%]": "share of the oracle's gain over the reference",
-}
+#: What the file should not grow beyond [B]: more than that is slow to open from a mail or over a network.
+SIZE_LIMIT = 3_000_000
+#: Scenarios with traces of each suite, where the file has room for them.
+N_SCENARIOS = 20
+_SCRIPTS = ("base.js", "ranking.js", "compare.js", "drill.js", "controls.js")
+_GAP = "gap closed [%]"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Page:
+    """The leaderboard as one HTML file.
+
+    Args:
+        text: the file's text.
+        size: its size in UTF-8 [B].
+        n_traced: scenarios with traces, by suite.
+    """
+
+    text: str
+    size: int
+    n_traced: Mapping[str, int]
 
 
 def leaderboard_page(
     results: Sequence[Results],
     entries: Sequence[Entry],
     *,
-    n_scenarios: int = 20,
+    n_scenarios: int | None = None,
     n_threads: int | None = None,
     on_progress: Progress | None = None,
-) -> str:
+) -> Page:
     """Return the leaderboard as one HTML file that needs nothing else.
 
     The same arguments give the same text. No text of an entry is taken as HTML, and the file asks the browser to run
@@ -40,7 +57,8 @@ def leaderboard_page(
     Args:
         results: one of each suite.
         entries: those whose traces are shown, where the results are theirs.
-        n_scenarios: scenarios with traces, the first ones of each suite's results.
+        n_scenarios: scenarios with traces, the first ones of each suite's results; None for as many of the first
+            :data:`N_SCENARIOS` as keep the file below :data:`SIZE_LIMIT`.
         n_threads: threads to step with; None for one per processor.
         on_progress: called with (name of the entry, entries done, entries in all) after every entry.
 
@@ -54,22 +72,41 @@ def leaderboard_page(
 
     from wtg_gym.plotting.page.figures import GROUP_DASHES, PANELS, page_document
 
-    data = page_data(results, entries, n_scenarios=n_scenarios, n_threads=n_threads, on_progress=on_progress)
+    wanted = N_SCENARIOS if n_scenarios is None else n_scenarios
+    data = page_data(results, entries, n_scenarios=wanted, n_threads=n_threads, on_progress=on_progress)
     n_groups = max(len(suite["groups"]) for suite in data["suites"])
     document = page_document(n_groups, [metric["label"] for metric in data["metrics"]])
     data["panels"] = [{"name": name, "title": title, "own": own} for name, title, own in PANELS]
     data["dashes"] = GROUP_DASHES
-    library = Resources(mode="inline", components=["bokeh"], minified=True, log_level="error").js_raw
-    scripts = [*library, _asset("page.js")]
-    return Template(_asset("page.html")).substitute(
-        policy=html.escape(_policy(scripts)),
-        style=_asset("page.css"),
-        tables="\n".join(_table(each, hidden=place > 0) for place, each in enumerate(results)),
-        version=html.escape(__version__),
-        data=_json(data),
-        charts=_json(_plain_ids(json.loads(serialize_json(document.to_json())))),
-        scripts="\n".join(f"<script>{_script(text)}</script>" for text in scripts),
-    )
+    library = "\n".join(Resources(mode="inline", components=["bokeh"], minified=True, log_level="error").js_raw)
+    script = _script()
+    fields = {
+        "policy": html.escape(_policy([library, script])),
+        "style": _asset("page.css"),
+        "tables": "\n".join(_table(each, hidden=place > 0) for place, each in enumerate(results)),
+        "version": html.escape(__version__),
+        "library": _deflated(library),
+        "charts": _deflated(json.dumps(_plain_ids(json.loads(serialize_json(document.to_json()))))),
+        "script": script,
+    }
+    text = _filled(fields, data)
+    while n_scenarios is None and len(text.encode()) > SIZE_LIMIT and _drop_scenario(data["suites"]):
+        text = _filled(fields, data)
+    n_traced = {suite["name"]: len(suite["scenarios"]) for suite in data["suites"]}
+    return Page(text=text, size=len(text.encode()), n_traced=n_traced)
+
+
+def _filled(fields: Mapping[str, str], data: Mapping[str, Any]) -> str:
+    return Template(_asset("page.html")).substitute(fields, data=_json(data))
+
+
+def _drop_scenario(suites: Sequence[Mapping[str, Any]]) -> bool:
+    """Leave out the last scenario with traces of the suites that have most of them; return whether there was one."""
+    most = max(len(suite["scenarios"]) for suite in suites)
+    for suite in suites:
+        if suite["scenarios"] and len(suite["scenarios"]) == most:
+            suite["scenarios"].pop()
+    return most > 0
 
 
 def _asset(name: str) -> str:
@@ -84,7 +121,14 @@ def _json(data: Any) -> str:
     return text
 
 
-def _script(text: str) -> str:
+def _deflated(text: str) -> str:
+    return base64.b64encode(zlib.compress(text.encode(), 9)).decode()
+
+
+def _script() -> str:
+    """Return the page's own script, all of its files in one scope."""
+    parts = "\n".join(_asset(name) for name in _SCRIPTS)
+    text = f'"use strict";\n(async () => {{\n{parts}\n}})();\n'
     if "</script" in text.lower() or "<!--" in text:
         raise ValueError("a script of the page holds what would end it")
     return text
@@ -119,16 +163,15 @@ def _plain_ids(document: Mapping[str, Any]) -> Any:
 
 
 def _table(results: Results, *, hidden: bool) -> str:
-    """Return the ranking of a suite as a table."""
+    """Return the ranking of a suite as a table, in the order of the scores."""
     rows = leaderboard_rows(results)
     filled = [i for i, _ in enumerate(COLUMNS) if any(cells[i] for cells in table_cells(rows))]
     heads = list(COLUMNS.items())
     head = "".join(_head(*heads[i]) for i in filled)
-    body = []
-    for row, cells in zip(rows, table_cells(rows), strict=True):
-        body.append(
-            f'<tr data-name="{html.escape(row.name)}">{"".join(_cell(heads[i], cells[i]) for i in filled)}</tr>'
-        )
+    body = [
+        f'<tr data-name="{html.escape(row.name)}">{"".join(_cell(heads[i][0], cells[i], row) for i in filled)}</tr>'
+        for row, cells in zip(rows, table_cells(rows), strict=True)
+    ]
     suite = html.escape(results.suite)
     caption = f"Suite {suite}, {len(results.seeds)} {html.escape(results.split)} scenarios"
     return (
@@ -138,15 +181,16 @@ def _table(results: Results, *, hidden: bool) -> str:
 
 
 def _head(name: str, is_number: bool) -> str:
-    title = f' title="{html.escape(_EXPLAINED[name])}"' if name in _EXPLAINED else ""
-    return f'<th scope="col"{" class=number" if is_number else ""}{title}>{html.escape(name)}</th>'
+    return f'<th scope="col"{" class=number" if is_number else ""}>{html.escape(name)}</th>'
 
 
-def _cell(head: tuple[str, bool], text: str) -> str:
-    name, is_number = head
+def _cell(name: str, text: str, row: EntrySummary) -> str:
     if name == "entry":
         return f'<th scope="row">{html.escape(text)}</th>'
-    return f"<td{' class=number' if is_number else ''}>{html.escape(text)}</td>"
+    if name == _GAP and row.gap_closed_percent is not None:
+        share = min(max(row.gap_closed_percent.value, 0.0), 100.0)
+        return f'<td class="number share" style="--share: {share:.1f}%">{html.escape(text)}</td>'
+    return f"<td{' class=number' if COLUMNS[name] else ''}>{html.escape(text)}</td>"
 
 
-__all__ = ["leaderboard_page"]
+__all__ = ["N_SCENARIOS", "SIZE_LIMIT", "Page", "leaderboard_page"]

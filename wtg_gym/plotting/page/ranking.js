@@ -1,0 +1,169 @@
+// --- ranking: chart, profile, physical metrics, and the table ---------------------------------------------------------
+
+// Rows of the chart, besides those of A and B.
+const MOST_ROWS = 25;
+
+const shown = () =>
+  suite().entries.filter((entry) =>
+    state.kinds.includes(entry.kind) && (!state.action || entry.action === state.action) &&
+    entry.name.toLowerCase().includes(state.find.toLowerCase()));
+
+const colours = () => ({ a: ink("a"), b: ink("b"), rest: ink("soft") });
+const around = (values, margin) => {
+  const least = Math.min(...values), most = Math.max(...values);
+  const span = most - least || 1;
+  return { start: least - margin * span, end: most + margin * span };
+};
+
+const drawRanking = (all) => {
+  const entries = all.filter((entry, i) => i < MOST_ROWS || tone(entry.name) !== "rest"), n = entries.length;
+  const paints = colours();
+  const y = (entry) => n - 1 - entries.indexOf(entry);
+  const interval = (e) => `${e.score[0].toFixed(1)} (${e.score[1].toFixed(1)} … ${e.score[2].toFixed(1)})`;
+  chart.ranking.setv({ height: 60 + 24 * Math.max(n, 3) });
+  chart.ranking.y_range.setv({ start: -0.7, end: n - 0.3 });
+  chart.ranking.x_range.setv(around([0, 100, ...entries.flatMap((entry) => entry.score)], 0.05));
+  sources.intervals.data = {
+    y: entries.map(y), low: entries.map((e) => e.score[1]), high: entries.map((e) => e.score[2]),
+    colour: entries.map((e) => paints[tone(e.name)]),
+  };
+  for (const kind of ["law", "feedback", "learned"]) {
+    const own = entries.filter((entry) => entry.kind === kind);
+    sources[`dots-${kind}`].data = {
+      x: own.map((e) => e.score[0]), y: own.map(y), name: own.map((e) => plain(e.name)),
+      colour: own.map((e) => paints[tone(e.name)]), interval: own.map(interval),
+    };
+  }
+  const mark = { a: "A  ", b: "B  ", rest: "" };
+  const label = (entry) => mark[tone(entry.name)] + plain(short(entry.name, innerWidth < 600 ? 22 : 30));
+  const axis = chart.ranking.left[0];
+  axis.ticker.ticks = entries.map(y);
+  axis.major_label_overrides = new Map(entries.map((entry) => [y(entry), label(entry)]));
+  $("ranking").setAttribute("aria-label", `Dot and interval chart of the scores, 0 to 100 marked by lines. ` +
+    (n ? `From ${entries[0].name}, ${interval(entries[0])}, to ${entries[n - 1].name}, ${interval(entries[n - 1])}. ` : "") +
+    "The table below holds the numbers.");
+  $("cut").textContent = all.length > n ? `The first ${MOST_ROWS} of ${all.length} entries, and A and B; the table holds all.` : "";
+};
+
+const LOWEST = -50, STEP = 0.5;
+const sortedScores = (entry) => (entry.sorted ??= Float64Array.from(entry.runs.flatMap((run) => [...run])).sort());
+// Shares of the scores above LOWEST, LOWEST + STEP, …
+const profile = (entry, n) => {
+  const sorted = sortedScores(entry);
+  let below = 0;
+  return Array.from({ length: n }, (_, i) => {
+    while (below < sorted.length && sorted[below] <= LOWEST + STEP * i) below++;
+    return 1 - below / sorted.length;
+  });
+};
+
+const drawProfile = (groups, entries) => {
+  const top = Math.max(100, ...entries.map((entry) => sortedScores(entry).at(-1)));
+  const n = Math.ceil((top - LOWEST) / STEP) + 3;
+  for (const [tag, own] of Object.entries(groups))
+    sources[`profile-${tag}`].data = {
+      xs: own.map(() => Array.from({ length: n }, (_, i) => LOWEST + STEP * i)),
+      ys: own.map((entry) => profile(entry, n)), name: own.map((entry) => plain(entry.name)),
+    };
+  chart.profile.x_range.setv({ start: LOWEST, end: LOWEST + STEP * n });
+  const parts = [5, 25, 50, 75, 95];
+  const at = (sorted, percent) => sorted[Math.round(((sorted.length - 1) * percent) / 100)].toFixed(1);
+  fillTable($("quantiles"), ["score at the percentile", ...parts.map((percent) => `${percent} %`)],
+    entries.map((entry) => [entry.name, ...parts.map((percent) => at(sortedScores(entry), percent))]));
+  $("profile").setAttribute("aria-label",
+    `Performance profiles of ${entries.length} entries; the table under them holds percentiles of the scores.`);
+};
+
+const drawPhysical = (groups, entries) => {
+  const bounds = data.metrics.map((metric, i) => {
+    const values = entries.map((entry) => entry.physical[i]);
+    const least = Math.min(...values), most = Math.max(...values);
+    return metric.up ? { worst: least, best: most } : { worst: most, best: least };
+  });
+  const place = (value, { worst, best }) => (best === worst ? 1 : (value - worst) / (best - worst));
+  for (const [tag, own] of Object.entries(groups))
+    sources[`physical-${tag}`].data = {
+      xs: own.map((entry) => entry.physical.map((_, i) => i)),
+      ys: own.map((entry) => entry.physical.map((value, i) => place(value, bounds[i]))),
+      name: own.map((entry) => plain(entry.name)),
+    };
+  const digits = (value) => // The nominal frequency is what small differences count from.
+    entries.length ? Number(value.toPrecision(value > 40 && value < 60 ? 5 : 3)).toString() : "";
+  sources.axes.data = {
+    x: data.metrics.map((_, i) => i), best: bounds.map((each) => digits(each.best)),
+    worst: bounds.map((each) => digits(each.worst)),
+  };
+};
+
+// --- the table ---
+
+const tables = [...document.querySelectorAll("table[data-suite]")];
+const heads = () => [...tables[state.suite].tHead.rows[0].cells];
+const isNumber = (head) => head.classList.contains("number");
+
+const sortTable = () => {
+  const table = tables[state.suite];
+  const column = heads().findIndex((head) => head.textContent === state.sort?.column);
+  heads().forEach((head, i) => {
+    if (i === column) head.setAttribute("aria-sort", state.sort.down ? "descending" : "ascending");
+    else head.removeAttribute("aria-sort");
+  });
+  const place = new Map(suite().entries.map((entry, i) => [entry.name, i]));
+  const rows = [...table.tBodies[0].rows].sort((p, q) => place.get(p.dataset.name) - place.get(q.dataset.name));
+  if (column >= 0) {
+    const sign = state.sort.down ? -1 : 1;
+    const text = (row) => row.cells[column].textContent;
+    if (!isNumber(heads()[column])) rows.sort((p, q) => sign * text(p).localeCompare(text(q), "en", { numeric: true }));
+    // What is missing comes last in either order.
+    else rows.sort((p, q) => {
+      const [x, y] = [parseFloat(text(p)), parseFloat(text(q))];
+      return Number.isNaN(x) || Number.isNaN(y) ? Number.isNaN(x) - Number.isNaN(y) : sign * (x - y);
+    });
+  }
+  table.tBodies[0].append(...rows);
+};
+// Numbers begin with the largest, all but the rank; texts with the first letter; once more turns the order round.
+const sortBy = (head) => {
+  const column = head.textContent;
+  const down = state.sort?.column === column ? !state.sort.down : isNumber(head) && column !== "rank";
+  state.sort = { column, down };
+  sortTable();
+};
+const addSortButtons = () => {
+  for (const head of tables.flatMap((table) => [...table.tHead.rows[0].cells])) {
+    const button = make("button", head.textContent, { type: "button" });
+    button.onclick = guarded(() => { sortBy(head); remember(); });
+    head.replaceChildren(button);
+  }
+};
+
+const fillRanking = () => {
+  const entries = shown(), n = entries.length;
+  const groups = { a: [], b: [], rest: [] };
+  for (const entry of entries) groups[tone(entry.name)].push(entry);
+  drawRanking(entries);
+  drawProfile(groups, entries);
+  drawPhysical(groups, entries);
+  const names = new Set(entries.map((entry) => entry.name));
+  tables.forEach((table, i) => { table.hidden = i !== state.suite; });
+  for (const row of tables[state.suite].tBodies[0].rows) {
+    row.hidden = !names.has(row.dataset.name);
+    row.className = tone(row.dataset.name);
+  }
+  sortTable();
+  $("shown").textContent = `${n} of ${suite().entries.length} entries shown.`;
+};
+
+const described = () =>
+  shown().map((entry) => ({
+    rank: entry.rank, name: entry.name, kind: entry.kind, action: entry.action, n_runs: entry.n_runs,
+    score: entry.score[0], score_low: entry.score[1], score_high: entry.score[2], iqm: entry.iqm[0],
+    probability_of_improvement: entry.improvement[0], gap_closed_percent: entry.gap?.[0] ?? null,
+    ...Object.fromEntries(data.metrics.map((metric, i) => [metric.name, entry.physical[i]])), sha256: entry.sha256,
+  }));
+offer("csv", () => `wtg_gym-${suite().name}.csv`, "text/csv", () => {
+  const rows = described();
+  return csv([Object.keys(rows[0] ?? { name: "" }), ...rows.map(Object.values)]);
+});
+offer("json", () => `wtg_gym-${suite().name}.json`, "application/json", () =>
+  JSON.stringify({ suite: suite().name, split: suite().split, suite_hash: suite().hash, entries: described() }, null, 1));
