@@ -21,7 +21,6 @@ from wtg_gym.envs.settings import ACTION_MODES
 from wtg_gym.envs.task import N_LOCAL
 from wtg_gym.evaluation import ANCHORS, Entry, Results, evaluate
 from wtg_gym.evaluation.oracle import OracleCosts
-from wtg_gym.evaluation.summary import pinned
 from wtg_gym.files import parse_json, read_text, sha256, to_json, write_atomically
 from wtg_gym.scenarios import get_suite
 
@@ -165,12 +164,12 @@ def find_oracle(search: Search, entries: Sequence[Entry], parts: Path, n_threads
         results = evaluate(
             entries, search.suite, search.split, seeds=seeds, n_threads=n_threads, on_progress=progress.update
         )
-    costs = _pinned_costs(results)
+    costs = results.pinned_costs
     store = _Parts(parts, search, results)
     found = _searched(search, list(_chunks(search, store)), n_threads)
-    tried = [(entry.name, entry.training_seed) for entry in entries]
-    if tried:
-        found["entries"] = tuple(min(costs[run][i] for run in tried) for i in range(len(seeds)))
+    if entries:
+        tried = np.concatenate([costs[entry.name] for entry in entries])
+        found["entries"] = tuple(tried.min(axis=0).tolist())
     return OracleCosts(
         suite=search.suite,
         split=search.split,
@@ -180,18 +179,9 @@ def find_oracle(search: Search, entries: Sequence[Entry], parts: Path, n_threads
         search=search.to_dict(),
         entries=[{key: entry.to_dict()[key] for key in ("name", "training_seed", "sha256")} for entry in entries],
         seeds=tuple(seeds),
-        reference=tuple(costs[ANCHORS[1], None]),
+        reference=tuple(costs[ANCHORS[1]][0].tolist()),
         found=found,
     )
-
-
-def _pinned_costs(results: Results) -> dict[tuple[str, int | None], list[float]]:
-    """The costs of every entry and training seed, in the order of the seeds."""
-    cap = float(results.settings["weights"]["cap"])
-    costs: dict[tuple[str, int | None], list[float]] = {}
-    for episode in results.episodes:
-        costs.setdefault(episode.run, []).append(pinned(episode, cap))
-    return costs
 
 
 def _chunks(search: Search, store: _Parts) -> Iterator[_Chunk]:

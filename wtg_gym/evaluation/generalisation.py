@@ -14,7 +14,6 @@ from wtg_gym.evaluation.entries import ANCHORS
 from wtg_gym.evaluation.leaderboard import leaderboard_rows
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.statistics import Floats, Interval
-from wtg_gym.evaluation.summary import pinned
 from wtg_gym.scenarios import VERIFICATION
 
 #: With fewer the regression on the controls fits noise.
@@ -74,7 +73,7 @@ def generalisation_gaps(public: Results, fresh: Results) -> list[GeneralisationG
     rows = [row for row in leaderboard_rows(public) if row.name in shared]
     controls = [row.name for row in rows if row.kind != "learned"]
     scores = {row.name: row.score for row in fresh.summaries}
-    gains = _log_gains(public), _log_gains(fresh)
+    gains = public.log_gains, fresh.log_gains
     return [
         GeneralisationGap(
             name=row.name,
@@ -114,16 +113,6 @@ def _names(results: Results) -> list[str]:
 
 def _policies(results: Results, name: str) -> list[tuple[int | None, str | None]]:
     return [(entry["training_seed"], entry["sha256"]) for entry in results.entries if entry["name"] == name]
-
-
-def _log_gains(results: Results) -> dict[str, Floats]:
-    """Return the log gains over the reference by the entry's name, (n_runs, n_scenarios)."""
-    cap = float(results.settings["weights"]["cap"])
-    runs: dict[str, dict[int | None, list[float]]] = {}
-    for episode in results.episodes:
-        runs.setdefault(episode.entry, {}).setdefault(episode.training_seed, []).append(pinned(episode, cap))
-    costs = {name: np.array(list(own.values())) for name, own in runs.items()}
-    return {name: statistics.log_gains(own, costs[ANCHORS[1]][0]) for name, own in costs.items()}
 
 
 def gap_cells(gaps: Sequence[GeneralisationGap]) -> list[list[str]]:

@@ -8,12 +8,15 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from wtg_gym.evaluation import statistics
 from wtg_gym.evaluation.checks import check_description
 from wtg_gym.evaluation.entries import ANCHORS
 from wtg_gym.evaluation.episodes import Episode, from_csv, to_csv
 from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.evaluation.oracle import KnownOracle, known_oracle
-from wtg_gym.evaluation.statistics import NoScaleError
+from wtg_gym.evaluation.statistics import Floats, NoScaleError
 from wtg_gym.evaluation.summary import EntrySummary, pinned, summarise
 from wtg_gym.files import parse_json, read_text, sha256, to_json, write_atomically
 
@@ -66,6 +69,20 @@ class Results:
         """What is known to be the cheapest in these scenarios, if anything is, and why not."""
         reference = {episode.seed: pinned(episode, self._cap) for episode in self.episodes_of(ANCHORS[1])}
         return known_oracle(self.suite, self.split, self.suite_hash, self.settings, reference)
+
+    @cached_property
+    def pinned_costs(self) -> dict[str, Floats]:
+        """Pinned costs by the entry's name, (n_runs, n_scenarios), in the order of training seeds and scenarios."""
+        runs: dict[str, dict[int | None, list[float]]] = {}
+        for episode in self.episodes:
+            runs.setdefault(episode.entry, {}).setdefault(episode.training_seed, []).append(pinned(episode, self._cap))
+        return {name: np.array(list(own.values())) for name, own in runs.items()}
+
+    @property
+    def log_gains(self) -> dict[str, Floats]:
+        """Log gains over the reference by the entry's name, (n_runs, n_scenarios)."""
+        reference = self.pinned_costs[ANCHORS[1]][0]
+        return {name: statistics.log_gains(costs, reference) for name, costs in self.pinned_costs.items()}
 
     @property
     def _cap(self) -> float:

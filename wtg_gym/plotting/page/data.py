@@ -20,7 +20,6 @@ from wtg_gym.evaluation import (
     table_cells,
 )
 from wtg_gym.evaluation.recording import Recording, record
-from wtg_gym.evaluation.summary import pinned
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.compiled import source_hash
 from wtg_gym.physics.ieee14 import modified_ieee14
@@ -195,16 +194,9 @@ def _lower_bounds(means: Floats) -> Floats:
 
 def _scores(results: Results) -> dict[str, Floats]:
     """Return the scenarios' scores of every entry, (n_runs, n_scenarios)."""
-    cap = float(results.settings["weights"]["cap"])
-    runs: dict[str, dict[int | None, list[float]]] = {}
-    for episode in results.episodes:
-        runs.setdefault(episode.entry, {}).setdefault(episode.training_seed, []).append(pinned(episode, cap))
-    costs = {name: np.array(list(own.values())) for name, own in runs.items()}
-    mppt, reference = (costs[name][0] for name in ANCHORS)
+    mppt, reference = (results.pinned_costs[name][0] for name in ANCHORS)
     scale = statistics.score_scale(mppt, reference)
-    return {
-        name: statistics.scenario_scores(statistics.log_gains(own, reference), scale) for name, own in costs.items()
-    }
+    return {name: statistics.scenario_scores(gains, scale) for name, gains in results.log_gains.items()}
 
 
 def _entry(results: Results, row: EntrySummary, rank: int, training_seeds: Mapping[str, int | None]) -> dict[str, Any]:
