@@ -38,6 +38,7 @@ from wtg_gym.evaluation import (
     table_cells,
 )
 from wtg_gym.evaluation.leaderboard import COLUMNS
+from wtg_gym.evaluation.workers import BACKENDS, Workers
 from wtg_gym.plotting.page import leaderboard_page, untraced
 from wtg_gym.scenarios import SPLITS, SUITES, get_suite
 
@@ -63,7 +64,8 @@ on from its finished parts. Use another folder than the leaderboard's for choice
 _EVALUATE_EXAMPLES = """\
   wtg-gym evaluate --entries deloaded-5 coordinated-linear --suite low-wind
   wtg-gym evaluate --entries my_law.toml --suite standard --seeds 20000:20010 --results my_results
-  wtg-gym evaluate --entries my_package.controller:make_policy --split validation --json"""
+  wtg-gym evaluate --entries my_package.controller:make_policy --split validation --json
+  wtg-gym evaluate --entries agents/policies/* --backend dask --address tcp://head:8786 --results my_results"""
 
 _LEADERBOARD = """\
 Ranks entries on all test scenarios of a suite. Stored results are used again where they are of the same suite, source
@@ -103,6 +105,7 @@ def add_commands(commands: Commands) -> None:
         after_interrupt="nothing was written; with --results DIR the finished parts are kept",
     )
     add_score_options(parser)
+    add_worker_options(parser)
     parser.add_argument("--split", choices=SPLITS, default="test", help="which seeds of the suite (default: test)")
     parser.add_argument(
         "--seeds", nargs="+", metavar="A:B", help="seeds of the split, N or A:B with B left out (default: all)"
@@ -125,6 +128,7 @@ def add_commands(commands: Commands) -> None:
         examples=_LEADERBOARD_EXAMPLES,
     )
     add_score_options(parser)
+    add_worker_options(parser)
     parser.add_argument(
         "--results", metavar="DIR", default="results", help="folder of the results; made if missing (default: results)"
     )
@@ -162,6 +166,32 @@ def add_score_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print JSON, and nothing else, on stdout")
 
 
+def add_worker_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that have other processes play."""
+    group = parser.add_argument_group("workers, see docs/performance.md")
+    group.add_argument(
+        "--backend",
+        choices=BACKENDS,
+        help="other processes play: loky's on this machine, or those of Dask or Ray (default: this process)",
+    )
+    group.add_argument(
+        "--address",
+        metavar="ADDRESS",
+        help="of a cluster: tcp://host:8786 for dask, host:6379 or auto for ray (default: workers on this machine)",
+    )
+    group.add_argument("--jobs", type=int, metavar="N", help="number of workers (default: one per processor)")
+
+
+def chosen_workers(arguments: argparse.Namespace) -> Workers | None:
+    """Return the workers that the options name; a ValueError says what is wrong with one."""
+    if arguments.backend is not None:
+        return Workers(arguments.backend, arguments.address, arguments.jobs)
+    for option in ("address", "jobs"):
+        if getattr(arguments, option) is not None:
+            raise ValueError(f"--{option} is for workers: say which with --backend {', '.join(BACKENDS)}")
+    return None
+
+
 # --- evaluate --------------------------------------------------------------------------------------------------------
 
 
@@ -170,12 +200,14 @@ def _run_evaluate(arguments: argparse.Namespace) -> int:
     partial = folder / _PARTIAL_FOLDER if folder is not None and arguments.resume else None
     if partial is not None:
         arguments.after_interrupt = _resumable(partial)
+    workers = chosen_workers(arguments)
     entries = chosen_entries(arguments.entries)
     results = run_evaluation(
         entries,
         arguments,
         split=arguments.split,
         partial=partial,
+        workers=workers,
         seeds=None if arguments.seeds is None else chosen_seeds(arguments.seeds),
         duration_s=arguments.duration,
         groups=2 if arguments.groups is None else arguments.groups,
@@ -275,13 +307,14 @@ def _run_leaderboard(arguments: argparse.Namespace) -> int:
     page = _check_html("--html", arguments.html)
     partial = folder / _PARTIAL_FOLDER
     arguments.after_interrupt = _resumable(partial)
+    workers = chosen_workers(arguments)
     entries = chosen_entries(arguments.entries)
     anchors = run_evaluation([], arguments, partial=None)
     stored = None if arguments.fresh else _stored(folder / f"{anchors.name}.json", anchors)
     missing = [entry for entry in entries if stored is None or not _is_in(entry, stored)]
     if stored is not None:
         note(f"{len(entries) - len(missing)} of {len(entries)} entries are stored in {folder}")
-    fresh = run_evaluation(missing, arguments, partial=partial) if missing else anchors
+    fresh = run_evaluation(missing, arguments, partial=partial, workers=workers) if missing else anchors
     results = _merged(entries, fresh, stored)
     finish(results, folder, as_json=arguments.json)
     if readme is not None:
