@@ -110,7 +110,7 @@ class Workers:
             for outcome in outcomes:
                 _require_same(wanted, outcome)
                 if outcome.error is not None:
-                    raise outcome.error
+                    raise cloudpickle.loads(outcome.error)
                 yield outcome.part, outcome.episodes
 
     def _outcomes(self, calls: dict[int, Any], labels: Sequence[str]) -> Generator[_Outcome, None, None]:
@@ -130,7 +130,7 @@ class Workers:
                         names = ", ".join(dict.fromkeys(labels[index] for index in calls))
                         raise ValueError(
                             f"{self.backend} workers were lost {n_lost} times without a batch finished in between, "
-                            f"{type(error).__name__}: {error}; not finished: {names}"
+                            f"{type(error).__name__}: {_first_line(error)}; not finished: {names}"
                         ) from error
 
     @contextlib.contextmanager
@@ -158,7 +158,7 @@ class Workers:
             try:
                 client = distributed.Client(target, timeout=_CONNECT_S, set_as_default=False)
             except (OSError, ValueError) as error:
-                raise ValueError(f"no Dask scheduler answers at {self.address}: {error}") from error
+                raise ValueError(f"no Dask scheduler answers at {self.address}: {_first_line(error)}") from error
             yield stack.enter_context(client)
 
     @contextlib.contextmanager
@@ -175,7 +175,7 @@ class Workers:
             ray.init(self.address or "local", **options)
         # Ray ends the process where a cluster that it remembers is gone.
         except (ConnectionError, ValueError, SystemExit) as error:
-            raise ValueError(f"no Ray cluster answers at {self.address}: {error}") from error
+            raise ValueError(f"no Ray cluster answers at {self.address}: {_first_line(error)}") from error
         try:
             n_cpus = int(ray.cluster_resources().get("CPU", 0))
             n_jobs = self.jobs or n_cpus
@@ -184,6 +184,11 @@ class Workers:
             yield n_jobs
         finally:
             ray.shutdown()
+
+
+def _first_line(error: BaseException) -> str:
+    # An exit has a number for its reason, if any.
+    return type(error).__name__ if isinstance(error, SystemExit) else str(error).strip().partition("\n")[0]
 
 
 def circumstances() -> dict[str, str]:
@@ -213,11 +218,11 @@ def _circumstances() -> dict[str, str]:
 
 
 class _Outcome(NamedTuple):
-    """What became of a batch: its episodes or an error, from which worker, and that one's circumstances."""
+    """What became of a batch: its episodes or a pickled error, from which worker, and that one's circumstances."""
 
     part: int
     episodes: list[Episode]
-    error: Exception | None
+    error: bytes | None
     worker: str
     circumstances: dict[str, str]
 
@@ -283,17 +288,21 @@ def _unpacked(packed: bytes, worker: str) -> tuple[Entry, EnvSettings]:
     return entry, settings
 
 
-def _portable(error: Exception, worker: str) -> Exception:
-    """Return an error that survives the way back, with where it was raised as a note."""
-    where = "".join(traceback.format_tb(error.__traceback__))
+def _portable(error: Exception, worker: str) -> bytes:
+    """Return a pickled error with a note where it was raised, or one of the same text where it cannot be pickled.
+
+    Pickled by cloudpickle itself, like the policy: to Ray's own copy of it an error's class would be another one.
+    """
+    error.add_note(f"in worker {worker}:\n{''.join(traceback.format_tb(error.__traceback__))}")
     try:
-        found: Exception = cloudpickle.loads(cloudpickle.dumps(error))
+        packed: bytes = cloudpickle.dumps(error)
+        cloudpickle.loads(packed)
     except Exception:
-        found = RuntimeError(f"{type(error).__name__}: {error}")
-        for text in getattr(error, "__notes__", ()):
-            found.add_note(text)
-    found.add_note(f"in worker {worker}:\n{where}")
-    return found
+        plain = RuntimeError(f"{type(error).__name__}: {error}")
+        for text in error.__notes__:
+            plain.add_note(text)
+        return bytes(cloudpickle.dumps(plain))
+    return packed
 
 
 def _require_same(wanted: dict[str, str], outcome: _Outcome) -> None:
@@ -341,6 +350,10 @@ def _dask_backend(client: Any) -> Any:
 
     class Backend(DaskDistributedBackend):  # type: ignore[misc]
         """joblib's own leaves out the callback where Dask gives a call up, and would wait for ever."""
+
+        def effective_n_jobs(self, n_jobs: int) -> int:
+            # With a single one joblib would make the calls here.
+            return max(2, int(super().effective_n_jobs(n_jobs)))
 
         def submit(self, func: Any, callback: Any = None) -> Any:
             future = super().submit(func, callback)
