@@ -38,8 +38,10 @@ _LARGEST_JOBS = 10_000
 _ATTEMPTS = 3
 #: Time for a scheduler to answer [s].
 _CONNECT_S = 15
+#: A loky worker without anything to do ends after this time [s].
+_IDLE_S = 5
 #: Ray's results come a round at a time: so many batches per worker, that waiting for the last one costs little.
-_ROUND = 16
+_ROUND = 8
 
 #: Plays one batch: entry, settings, seeds, number of threads.
 Play = Callable[[Entry, EnvSettings, Sequence[int], int | None], list[Episode]]
@@ -137,7 +139,8 @@ class Workers:
     def _started(self) -> Iterator[Callable[[list[Any]], Iterable[_Outcome]]]:
         """Start or reach the workers; yield what makes calls there, as joblib's `delayed` writes them."""
         if self.backend == "loky":
-            yield lambda calls: _unordered(calls, backend="loky", n_jobs=self.jobs or -1)
+            # Once this process is killed, its workers have nothing more to do.
+            yield lambda calls: _unordered(calls, backend="loky", n_jobs=self.jobs or -1, idle_worker_timeout=_IDLE_S)
         elif self.backend == "dask":
             with self._dask() as client:
                 yield lambda calls: _unordered(calls, backend=_dask_backend(client), n_jobs=-1)
@@ -316,11 +319,11 @@ def _require_same(wanted: dict[str, str], outcome: _Outcome) -> None:
 # --- joblib ----------------------------------------------------------------------------------------------------------
 
 
-def _unordered(calls: list[Any], *, backend: Any, n_jobs: int) -> Iterator[_Outcome]:
+def _unordered(calls: list[Any], *, backend: Any, n_jobs: int, **options: Any) -> Iterator[_Outcome]:
     """Make the calls, and yield each result as it comes."""
     import joblib
 
-    with joblib.parallel_config(backend=backend):
+    with joblib.parallel_config(backend=backend, **options):
         parallel = joblib.Parallel(n_jobs=n_jobs, batch_size=1, return_as="generator_unordered")
     results = parallel(calls)
     try:
