@@ -156,7 +156,9 @@ class Workers:
             target: Any = self.address
             if target is None:
                 n_workers = self.jobs or os.cpu_count()
-                local = distributed.LocalCluster(n_workers=n_workers, threads_per_worker=1, dashboard_address=None)
+                local = distributed.LocalCluster(
+                    n_workers=n_workers, threads_per_worker=1, dashboard_address="127.0.0.1:0"
+                )
                 target = stack.enter_context(local)
             try:
                 client = distributed.Client(target, timeout=_CONNECT_S, set_as_default=False)
