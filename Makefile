@@ -84,7 +84,7 @@ rllib: $(RLLIB_READY) ## Train with RLlib for a minute, in an environment of its
 
 .PHONY: test-rllib
 test-rllib: $(RLLIB_READY) ## Run the tests that need Ray, which `make test` skips
-	$(RLLIB_VENV)/bin/python -m pytest tests/agents/test_rllib_ppo.py
+	$(RLLIB_VENV)/bin/python -m pytest tests/agents/test_rllib_ppo.py tests/evaluation/test_workers.py
 
 .PHONY: test
 test: lint types contracts pytest ## Check everything, stopping at the first failure: the four targets below, in order

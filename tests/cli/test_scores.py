@@ -16,7 +16,7 @@ import wtg_gym
 import wtg_gym.cli.scores
 import wtg_gym.cli.simulate
 import wtg_gym.cli.suites
-from tests.cli.calls import ROOT, error_of, json_of
+from tests.cli.calls import ROOT, call, error_of, json_of
 from wtg_gym.cli import main
 from wtg_gym.scenarios import FROZEN_HASHES
 
@@ -79,6 +79,12 @@ def test_share_of_the_oracles_gap_is_shown_or_why_not(capsys: pytest.CaptureFixt
         (("--simulation-dt", "0.03"), "0.1 s is not a whole number of"),
         (("--threads", "0"), "the number of threads must be 1 or more, got 0"),
         (("--results", "file.txt"), "file.txt is not a folder"),
+        (("--address", "tcp://head:8786"), "--address is for workers: say which with --backend loky, dask, ray"),
+        (("--jobs", "2"), "--jobs is for workers: say which with --backend loky, dask, ray"),
+        (("--backend", "loky", "--address", "tcp://head:8786"), "loky has workers on this machine only"),
+        (("--backend", "loky", "--jobs", "1"), "jobs must be 2 … 10000 (a single one needs no backend), got 1"),
+        (("--backend", "loky", "--threads", "2"), "a worker steps with one thread"),
+        (("--backend", "slurm"), "argument --backend: invalid choice: 'slurm'"),
     ],
 )
 def test_evaluate_refuses_bad_input(
@@ -93,6 +99,51 @@ def test_evaluate_refuses_bad_input(
     entries = () if "--entries" in arguments else ("--entries", "mppt")
     assert said in error_of(capsys, "evaluate", *entries, *arguments)
     assert [path.name for path in tmp_path.iterdir()] == ["file.txt"]
+
+
+_KILLS_ITS_CALLER = """\
+import os, pathlib, signal, time
+
+class Policy:
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        folder = pathlib.Path(FOLDER)
+        if not (folder / "killed").exists():
+            # Something has to be finished by then.
+            while not list(folder.glob("results/partial/*.json")):
+                time.sleep(0.01)
+            (folder / "killed").touch()
+            os.kill(os.getppid(), signal.SIGKILL)
+        return 0.0 * observation[:, :4], state
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are another thing there")
+def test_killed_evaluation_with_workers_goes_on_and_gives_the_same_files(tmp_path: Path) -> None:
+    pytest.importorskip("joblib")
+    # Imported from the working folder, as a checkout's packages are.
+    text = _KILLS_ITS_CALLER.replace("FOLDER", repr(str(tmp_path)))
+    (tmp_path / "dangerous.py").write_text(text, encoding="utf-8")
+    arguments = ["evaluate", *_FEW, "--duration", "2", "--entries", "dangerous:Policy", "deloaded-5", "deloaded-10"]
+    workers = ["--backend", "loky", "--jobs", "2"]
+    killed = call(*arguments, *workers, "--results", "results", cwd=tmp_path)
+    assert killed.returncode == -signal.SIGKILL
+    assert list((tmp_path / "results").iterdir()) == [tmp_path / "results/partial"]
+    for options in ([*workers, "--results", "results"], ["--results", "expected"]):
+        done = call(*arguments, *options, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+    for ending in ("json", "csv"):
+        found, expected = (tmp_path / name / f"low-wind-test.{ending}" for name in ("results", "expected"))
+        assert found.read_bytes() == expected.read_bytes()
+    assert not (tmp_path / "results/partial").exists()
+
+
+def test_leaderboard_with_workers_is_the_same(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    pytest.importorskip("joblib")
+    for name, options in (("here", ()), ("there", ("--backend", "loky", "--jobs", "2"))):
+        assert main([*_PAPER, "--results", str(tmp_path / name), *options]) == 0
+    for ending in ("json", "csv"):
+        here, there = (tmp_path / name / f"paper-test.{ending}" for name in ("here", "there"))
+        assert here.read_bytes() == there.read_bytes()
 
 
 def test_missing_baselines_say_how_to_go_on(

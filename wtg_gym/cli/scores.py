@@ -41,6 +41,7 @@ from wtg_gym.evaluation import (
 )
 from wtg_gym.evaluation.entries import LoadArchive
 from wtg_gym.evaluation.leaderboard import COLUMNS
+from wtg_gym.evaluation.workers import BACKENDS, Workers
 from wtg_gym.plotting.page import N_SCENARIOS, SIZE_LIMIT, leaderboard_page, untraced
 from wtg_gym.scenarios import SUITES, get_suite
 
@@ -70,7 +71,8 @@ _EVALUATE_EXAMPLES = """\
   wtg-gym evaluate --entries deloaded-5 coordinated-linear --suite low-wind
   wtg-gym evaluate --entries my_law.toml --suite standard --seeds 20000:20010 --results my_results
   wtg-gym evaluate --entries my_package.controller:make_policy --split validation --json
-  wtg-gym evaluate --entries runs/mine/best/* --trust-pickle"""
+  wtg-gym evaluate --entries runs/mine/best/* --trust-pickle
+  wtg-gym evaluate --entries agents/policies/* --backend dask --address tcp://head:8786 --results my_results"""
 
 _LEADERBOARD = """\
 Ranks entries on all test scenarios of a suite. Stored results are used again where they are of the same suite, source
@@ -110,6 +112,7 @@ def add_commands(commands: Commands) -> None:
         after_interrupt="nothing was written; with --results DIR the finished parts are kept",
     )
     add_score_options(parser)
+    add_worker_options(parser)
     add_split_options(parser)
     parser.add_argument(
         "--seeds", nargs="+", metavar="A:B", help="seeds of the split, N or A:B with B left out (default: all)"
@@ -133,6 +136,7 @@ def add_commands(commands: Commands) -> None:
         examples=_LEADERBOARD_EXAMPLES,
     )
     add_score_options(parser)
+    add_worker_options(parser)
     parser.add_argument(
         "--results", metavar="DIR", default="results", help="folder of the results; made if missing (default: results)"
     )
@@ -170,6 +174,32 @@ def add_score_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print JSON, and nothing else, on stdout")
 
 
+def add_worker_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that have other processes play."""
+    group = parser.add_argument_group("workers, see docs/performance.md")
+    group.add_argument(
+        "--backend",
+        choices=BACKENDS,
+        help="other processes play: loky's on this machine, or those of Dask or Ray (default: this process)",
+    )
+    group.add_argument(
+        "--address",
+        metavar="ADDRESS",
+        help="of a cluster: tcp://host:8786 for dask, host:6379 or auto for ray (default: workers on this machine)",
+    )
+    group.add_argument("--jobs", type=int, metavar="N", help="number of workers (default: one per processor)")
+
+
+def chosen_workers(arguments: argparse.Namespace) -> Workers | None:
+    """Return the workers that the options name; a ValueError says what is wrong with one."""
+    if arguments.backend is not None:
+        return Workers(arguments.backend, arguments.address, arguments.jobs)
+    for option in ("address", "jobs"):
+        if getattr(arguments, option) is not None:
+            raise ValueError(f"--{option} is for workers: say which with --backend {', '.join(BACKENDS)}")
+    return None
+
+
 # --- evaluate --------------------------------------------------------------------------------------------------------
 
 
@@ -178,12 +208,14 @@ def _run_evaluate(arguments: argparse.Namespace) -> int:
     partial = folder / _PARTIAL_FOLDER if folder is not None and arguments.resume else None
     if partial is not None:
         arguments.after_interrupt = _resumable(partial)
+    workers = chosen_workers(arguments)
     entries = chosen_entries(arguments.entries, _load_trusted if arguments.trust_pickle else None)
     results = run_evaluation(
         entries,
         arguments,
         split=arguments.split,
         partial=partial,
+        workers=workers,
         seeds=None if arguments.seeds is None else chosen_seeds(arguments.seeds),
         draw=chosen_draw(arguments),
         duration_s=arguments.duration,
@@ -295,13 +327,14 @@ def _run_leaderboard(arguments: argparse.Namespace) -> int:
     page = _check_html("--html", arguments.html)
     partial = folder / _PARTIAL_FOLDER
     arguments.after_interrupt = _resumable(partial)
+    workers = chosen_workers(arguments)
     entries = chosen_entries(arguments.entries)
     anchors = run_evaluation([], arguments, partial=None)
     stored = None if arguments.fresh else _stored(folder / f"{anchors.name}.json", anchors)
     missing = [entry for entry in entries if stored is None or not _is_in(entry, stored)]
     if stored is not None:
         note(f"{len(entries) - len(missing)} of {len(entries)} entries are stored in {folder}")
-    fresh = run_evaluation(missing, arguments, partial=partial) if missing else anchors
+    fresh = run_evaluation(missing, arguments, partial=partial, workers=workers) if missing else anchors
     results = _merged(entries, fresh, stored)
     finish(results, folder, as_json=arguments.json)
     if readme is not None:

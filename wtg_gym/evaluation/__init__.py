@@ -8,6 +8,7 @@ from wtg_gym.evaluation.onnx_policy import OnnxPolicy
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.statistics import Interval, NoScaleError
 from wtg_gym.evaluation.summary import EntrySummary
+from wtg_gym.evaluation.workers import Workers
 
 __all__ = [
     "ANCHORS",
@@ -20,6 +21,7 @@ __all__ = [
     "OnnxPolicy",
     "Policy",
     "Results",
+    "Workers",
     "evaluate",
     "leaderboard_rows",
     "load_entries",

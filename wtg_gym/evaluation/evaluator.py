@@ -6,7 +6,7 @@ import contextlib
 import dataclasses
 import importlib.metadata
 import platform
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +24,15 @@ from wtg_gym.evaluation.fingerprint import environment_fingerprint
 from wtg_gym.evaluation.metrics import Recorder, measure
 from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.evaluation.results import Results
+from wtg_gym.evaluation.workers import Workers
 from wtg_gym.physics.compiled import source_hash
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.scenarios import VERIFICATION, VerificationDraw, get_suite
 
 Progress = Callable[[str, int, int], None]
+#: What is played at once: an entry, and seeds of scenarios.
+_Part = tuple[Entry, list[int]]
 #: Settings that an entry or an argument of its own decides.
 _TAKEN = ("strategy", "action_mode", "observation_mode", "suite", "split", "scenario", "duration_s")
 #: More scenarios than this must be asked for by their seeds.
@@ -48,12 +51,14 @@ def evaluate(
     n_threads: int | None = None,
     on_progress: Progress | None = None,
     partial: str | Path | None = None,
+    workers: Workers | None = None,
     **env_arguments: Any,
 ) -> Results:
     """Play every entry, and the two anchors of the score, through the scenarios of a suite.
 
     The numbers of a law depend neither on `batch` nor on `n_threads`, to the last bit. A policy is called once per
-    control step for a whole batch; its own rounding may depend on the batch's size.
+    control step for a whole batch; its own rounding may depend on the batch's size. Batches are the same whoever plays
+    them, and so are the numbers, with any `workers`.
 
     Args:
         entries: competitors; names (with training seeds) must be unique.
@@ -63,28 +68,34 @@ def evaluate(
         draw: the seeds of the split "verification".
         duration_s: length of the episodes [s]; None for the suite's own.
         batch: scenarios that run side by side.
-        n_threads: threads to step with; None for one per processor.
+        n_threads: threads to step with; None for one per processor. Workers have one each.
         on_progress: called with (name of the entry, episodes done, episodes in all) after every batch.
         partial: folder for finished batches: a run that was killed goes on from them; in the end they are removed, the
             folder stays.
+        workers: other processes that play the batches; None plays them here, one after the other.
         env_arguments: further settings of the environment, see :class:`wtg_gym.envs.settings.EnvSettings`.
 
     Raises:
-        ValueError: an argument is unknown or out of range, or a policy returns no action; the message names them.
+        ValueError: an argument is unknown or out of range, a policy returns no action, or the workers cannot be used;
+            the message names them.
     """
     competitors = _with_anchors(entries)
     _check_arguments(batch, partial, env_arguments)
+    if workers is not None and n_threads not in (None, 1):
+        raise ValueError(f"a worker steps with one thread; leave out n_threads, got {n_threads!r}")
     settings = EnvSettings(suite=suite, split=split, duration_s=duration_s, **env_arguments)
     chosen = _seeds(suite, split, seeds, draw)
     shared, suite_hash = _shared_settings(settings), get_suite(suite).hash
     store = PartialStore(None if partial is None else Path(partial), [suite, suite_hash, split, shared])
-    episodes: list[Episode] = []
-    for entry in competitors:
-        for first in range(0, len(chosen), batch):
-            part = chosen[first : first + batch]
-            episodes += _stored_or_played(store, entry, settings, part, n_threads)
+    parts = [(entry, chosen[first : first + batch]) for entry in competitors for first in range(0, len(chosen), batch)]
+    played: dict[int, list[Episode]] = {}
+    n_done = 0
+    with contextlib.closing(_stored_and_played(store, parts, settings, n_threads, workers)) as batches:
+        for index, rows in batches:
+            played[index] = rows
+            n_done += len(rows)
             if on_progress is not None:
-                on_progress(entry.name, len(episodes), len(competitors) * len(chosen))
+                on_progress(parts[index][0].name, n_done, len(competitors) * len(chosen))
     results = Results(
         suite=suite,
         split=split,
@@ -96,7 +107,7 @@ def evaluate(
         settings=shared,
         versions=_versions(),
         entries=tuple(entry.to_dict() for entry in competitors),
-        episodes=tuple(episodes),
+        episodes=tuple(episode for index in range(len(parts)) for episode in played[index]),
     )
     store.clear()
     return results
@@ -187,15 +198,36 @@ def _versions() -> dict[str, str]:
     return versions
 
 
-def _stored_or_played(
-    store: PartialStore, entry: Entry, settings: EnvSettings, seeds: list[int], n_threads: int | None
-) -> list[Episode]:
-    path = store.path(entry.to_dict(), seeds)
-    rows = store.load(path, len(seeds))
-    if rows is None:
-        rows = _play(entry, settings, seeds, n_threads)
-        store.save(path, rows)
-    return rows
+def _stored_and_played(
+    store: PartialStore,
+    parts: Sequence[_Part],
+    settings: EnvSettings,
+    n_threads: int | None,
+    workers: Workers | None,
+) -> Generator[tuple[int, list[Episode]], None, None]:
+    """Yield (index, episodes) of every batch: what is stored, then what has to be played, stored as it comes."""
+    paths = [store.path(entry.to_dict(), seeds) for entry, seeds in parts]
+    missing = []
+    for index, (_, seeds) in enumerate(parts):
+        rows = store.load(paths[index], len(seeds))
+        if rows is None:
+            missing.append(index)
+        else:
+            yield index, rows
+    with contextlib.closing(_played([parts[index] for index in missing], settings, n_threads, workers)) as batches:
+        for number, rows in batches:
+            store.save(paths[missing[number]], rows)
+            yield missing[number], rows
+
+
+def _played(
+    parts: Sequence[_Part], settings: EnvSettings, n_threads: int | None, workers: Workers | None
+) -> Generator[tuple[int, list[Episode]], None, None]:
+    if workers is not None and parts:
+        yield from workers.play(_play, settings, parts)
+        return
+    for index, (entry, seeds) in enumerate(parts):
+        yield index, _play(entry, settings, seeds, n_threads)
 
 
 def _play(entry: Entry, settings: EnvSettings, seeds: Sequence[int], n_threads: int | None) -> list[Episode]:

@@ -33,11 +33,21 @@ class OnnxPolicy:
     """
 
     def __init__(self, path: str | Path) -> None:
-        self._path = Path(path)
         try:
-            content = self._path.read_bytes()
+            content = Path(path).read_bytes()
         except OSError as error:
             raise ValueError(f"cannot read the policy {path}: {error.strerror}") from error
+        self._open(path, content)
+
+    def __getstate__(self) -> tuple[str | Path, bytes]:
+        # onnxruntime's session cannot be pickled, what it was opened from can.
+        return self._path, self._content
+
+    def __setstate__(self, state: tuple[str | Path, bytes]) -> None:
+        self._open(*state)
+
+    def _open(self, path: str | Path, content: bytes) -> None:
+        self._path, self._content = Path(path), content
         #: sha256 of the file.
         self.sha256 = sha256(content)
         try:

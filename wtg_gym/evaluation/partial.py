@@ -14,8 +14,8 @@ from wtg_gym.physics.compiled import source_hash
 
 
 @functools.cache
-def _measurement_hash() -> str:
-    """A change of what is measured makes old batches stale, as a change of the physics does."""
+def measurement_hash() -> str:
+    """Return the sha256 of what is measured: its change makes old batches stale, as a change of the physics does."""
     return sha256(b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py"))))
 
 
@@ -29,7 +29,7 @@ class PartialStore:
 
     def __init__(self, folder: Path | None, context: Any) -> None:
         self._folder = folder
-        self._context = [context, __version__, source_hash(), _measurement_hash()]
+        self._context = [context, __version__, source_hash(), measurement_hash()]
         self._used: list[Path] = []
 
     def path(self, entry: dict[str, Any], seeds: list[int]) -> Path | None:
@@ -70,4 +70,4 @@ class PartialStore:
             path.unlink(missing_ok=True)
 
 
-__all__ = ["PartialStore"]
+__all__ = ["PartialStore", "measurement_hash"]

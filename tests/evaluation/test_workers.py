@@ -1,0 +1,258 @@
+"""Facts about evaluations that other processes play: the same bytes, whatever happens to a process.
+
+Those of Ray are skipped where it is not installed: `make test-rllib`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import importlib.util
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from wtg_gym.evaluation import Entry, OnnxPolicy, Results, Workers, evaluate, load_entries, workers
+
+pytest.importorskip("joblib", reason="the extra 'cluster' is not installed here")
+
+ROOT = Path(__file__).resolve().parents[2]
+#: Three batches an entry, two of them of the same size.
+SHORT: dict[str, Any] = {"seeds": (20_002, 20_000, 20_005, 20_001, 20_007), "duration_s": 2.0, "batch": 2}
+BACKENDS = [
+    pytest.param(name, marks=pytest.mark.skipif(importlib.util.find_spec(package) is None, reason=f"{name} is missing"))
+    for name, (package, _) in workers.BACKENDS.items()
+]
+needs_dask = pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="dask is missing")
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are killed with signals")
+
+
+class Linear:
+    """A policy in Python: a fixed multiple of the frequency deviation on every action."""
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> Any:
+        self.act()
+        return np.repeat(-3.0 * observation[:, :1], 4, axis=1), state
+
+    def act(self) -> None:
+        """What it does besides."""
+
+
+class Mortal(Linear):
+    """The same, but it kills its process, once where a file is to remember that, else always."""
+
+    def __init__(self, driver: int, marker: Path | None) -> None:
+        self.driver, self.marker = driver, marker
+
+    def act(self) -> None:
+        # What plays here, to compare with, must live.
+        if os.getpid() == self.driver:
+            return
+        with contextlib.suppress(FileExistsError):
+            if self.marker is not None:
+                self.marker.touch(exist_ok=False)
+            os.kill(os.getpid(), signal.SIGKILL)
+
+
+class Complaint(Exception):
+    """An error that only this file knows."""
+
+
+class Failing(Linear):
+    def act(self) -> None:
+        raise Complaint("no action from me")
+
+
+def entries() -> list[Entry]:
+    (tip_speed,) = (e for e in load_entries("baselines") if e.name == "tip-speed-feedback")
+    (learned,) = load_entries(ROOT / "agents/policies/ppo-k-0")
+    return [Entry(name="deloaded-5", strategy="deloaded-5"), tip_speed, learned]
+
+
+@pytest.fixture(scope="module")
+def here() -> Results:
+    return evaluate(entries(), "standard", **SHORT)
+
+
+def written(results: Results, folder: Path) -> list[bytes]:
+    return [path.read_bytes() for path in results.write(folder)]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_workers_give_the_same_bytes(backend: str, here: Results, tmp_path: Path) -> None:
+    done: list[int] = []
+    there = evaluate(
+        entries(),
+        "standard",
+        workers=Workers(backend, jobs=2),
+        on_progress=lambda name, count, total: done.append(count),
+        **SHORT,
+    )
+    assert there == here
+    assert written(there, tmp_path / "a") == written(here, tmp_path / "b")
+    assert len(done) == 15 and done == sorted(done) and done[-1] == 25
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_killed_worker_changes_nothing(backend: str, tmp_path: Path) -> None:
+    marker = tmp_path / "killed"
+    mortal = Entry(name="mortal", policy=Mortal(os.getpid(), marker))
+    everyone = [*entries(), mortal]
+    there = evaluate(everyone, "standard", workers=Workers(backend, jobs=2), **SHORT)
+    assert marker.exists()
+    assert there == evaluate(everyone, "standard", **SHORT)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_error_of_a_policy_comes_through_and_is_not_tried_again(backend: str) -> None:
+    failing = Entry(name="failing", policy=Failing())
+    with pytest.raises(Complaint, match="no action from me") as caught:
+        evaluate([failing], "standard", workers=Workers(backend, jobs=2), **SHORT)
+    notes = caught.value.__notes__
+    assert "'failing' at step 0" in notes[0]
+    assert "in worker" in notes[1] and "no action from me" in notes[1]
+
+
+@pytest.mark.parametrize("backend", ["loky", pytest.param("dask", marks=needs_dask)])
+def test_workers_that_always_die_are_given_up(backend: str) -> None:
+    mortal = Entry(name="mortal", policy=Mortal(os.getpid(), None))
+    text = f"{backend} workers were lost 3 times without .*not finished: .*mortal"
+    with contextlib.ExitStack() as stack:
+        if backend == "dask":
+            # Dask itself would try three times more, each time.
+            stack.enter_context(
+                importlib.import_module("dask").config.set({"distributed.scheduler.allowed-failures": 0})
+            )
+        stack.enter_context(pytest.raises(ValueError, match=text))
+        evaluate([mortal], "standard", workers=Workers(backend, jobs=2), **SHORT)
+
+
+def test_finished_batches_are_kept_and_not_played_again(tmp_path: Path) -> None:
+    class Stopped(Exception):
+        pass
+
+    def stop(name: str, done: int, total: int) -> None:
+        if done == total:
+            raise Stopped
+
+    arguments: dict[str, Any] = {"workers": Workers("loky", jobs=2), "partial": tmp_path, **SHORT}
+    with pytest.raises(Stopped):
+        evaluate([Entry(name="a", policy=Linear(), fingerprint="1")], "standard", on_progress=stop, **arguments)
+    assert len(list(tmp_path.iterdir())) == 9
+    # It passes for the same policy, and would complain if it were asked.
+    again = evaluate([Entry(name="a", policy=Failing(), fingerprint="1")], "standard", **arguments)
+    assert again == evaluate([Entry(name="a", policy=Linear(), fingerprint="1")], "standard", **SHORT)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_policy_that_cannot_travel_is_named_before_anything_runs() -> None:
+    policy = Linear()
+    policy.lock = threading.Lock()  # type: ignore[attr-defined]
+    with pytest.raises(ValueError, match=r"entry 'tied' cannot be sent to other processes: .*pickle"):
+        evaluate([Entry(name="tied", policy=policy)], "standard", workers=Workers("loky", jobs=2), **SHORT)
+
+
+def test_pickled_onnx_policy_answers_the_same() -> None:
+    import cloudpickle
+
+    policy = OnnxPolicy(ROOT / "agents/policies/ppo-k-0/policy.onnx")
+    copied = cloudpickle.loads(cloudpickle.dumps(policy))
+    observations = np.random.default_rng(0).normal(size=(5, policy.n_observation)).astype(np.float32)
+    assert copied.sha256 == policy.sha256
+    assert np.array_equal(copied.predict(observations)[0], policy.predict(observations)[0])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (("threads",), "unknown backend 'threads'; allowed are loky, dask, ray"),
+        (("loky", "tcp://head:8786"), "loky has workers on this machine only"),
+        (("loky", None, 1), "jobs must be 2 … 10000"),
+        (("loky", None, 0), "jobs must be 2 … 10000"),
+        (("loky", None, 2.0), "jobs must be 2 … 10000"),
+    ],
+)
+def test_wrong_workers_are_refused(arguments: Any, text: str) -> None:
+    with pytest.raises(ValueError, match=text):
+        Workers(*arguments)
+
+
+def test_threads_and_workers_exclude_each_other() -> None:
+    with pytest.raises(ValueError, match="one thread"):
+        evaluate([], "standard", workers=Workers("loky"), n_threads=2, **SHORT)
+
+
+def test_missing_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name != "joblib" else True)
+    with pytest.raises(ValueError, match=r"dask needs distributed: pip install 'wtg-gym\[cluster\]'"):
+        Workers("dask")
+    with pytest.raises(ValueError, match=r"ray needs ray: pip install 'wtg-gym\[rllib\]'"):
+        Workers("ray")
+
+
+@needs_dask
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nowhere", "smoke://a:1"])
+def test_scheduler_that_does_not_answer_is_named(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workers, "_CONNECT_S", 1)
+    with pytest.raises(ValueError, match=f"no Dask scheduler answers at {address}"):
+        evaluate([], "standard", workers=Workers("dask", address), **SHORT)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="ray is missing")
+def test_ray_cluster_that_does_not_answer_is_named() -> None:
+    with pytest.raises(ValueError, match="no Ray cluster answers at auto"):
+        evaluate([], "standard", workers=Workers("ray", "auto"), **SHORT)
+
+
+@contextlib.contextmanager
+def dask_cluster(folder: Path, path: Path) -> Iterator[str]:
+    """A scheduler and a worker from the command line, the worker with the wtg_gym that lies in a folder."""
+    file, logs = folder / "scheduler.json", folder / "log"
+    common = ["--scheduler-file", str(file), "--no-dashboard"]
+    environment = {**os.environ, "PYTHONPATH": str(path)}
+    with contextlib.ExitStack() as stack, logs.open("w") as log:
+        commands = {
+            "scheduler": [*common, "--host", "127.0.0.1", "--port", "0"],
+            "worker": [*common, "--nthreads", "1", "--no-nanny"],
+        }
+        for kind, options in commands.items():
+            command = [sys.executable, "-m", "dask", kind, *options]
+            process = subprocess.Popen(command, cwd=folder, env=environment, stdout=log, stderr=log)
+            stack.callback(process.wait)
+            stack.callback(process.kill)
+            until = time.monotonic() + 100.0
+            while not file.exists():
+                assert process.poll() is None and time.monotonic() < until, logs.read_text()
+                time.sleep(0.01)
+        yield json.loads(file.read_text())["address"]
+
+
+@needs_dask
+def test_cluster_at_an_address_gives_the_same_bytes(here: Results, tmp_path: Path) -> None:
+    with dask_cluster(tmp_path, ROOT) as address:
+        assert evaluate(entries(), "standard", workers=Workers("dask", address), **SHORT) == here
+
+
+@needs_dask
+def test_worker_with_other_code_is_refused(tmp_path: Path) -> None:
+    shutil.copytree(ROOT / "wtg_gym", tmp_path / "other/wtg_gym", ignore=shutil.ignore_patterns("__pycache__"))
+    with (tmp_path / "other/wtg_gym/physics/dynamics.py").open("a") as file:
+        file.write("# Edited.\n")
+    with (
+        dask_cluster(tmp_path, tmp_path / "other") as address,
+        pytest.raises(ValueError, match=r"worker \S+:\d+ could give other numbers: source code is \w+, here \w+$"),
+    ):
+        evaluate(entries(), "standard", workers=Workers("dask", address), **SHORT)

@@ -1,0 +1,376 @@
+"""Batches played by other processes, here or on a cluster, through joblib: one word chooses loky, Dask or Ray.
+
+A worker that is lost costs the batches it had in hand: they are played again by another. A worker whose code, packages
+or processor could round otherwise than those here is refused.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import importlib.metadata
+import importlib.util
+import os
+import platform
+import socket
+import sys
+import traceback
+import warnings
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cloudpickle
+from llvmlite.binding import get_host_cpu_name
+
+from wtg_gym import __version__
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.evaluation.entries import Entry
+from wtg_gym.evaluation.episodes import Episode
+from wtg_gym.evaluation.partial import measurement_hash
+from wtg_gym.physics.compiled import source_hash
+
+#: Backends of joblib: the package each of them needs, and the extra of wtg-gym that brings it.
+BACKENDS = {"loky": ("joblib", "cluster"), "dask": ("distributed", "cluster"), "ray": ("ray", "rllib")}
+_LARGEST_JOBS = 10_000
+#: Workers may be lost this often in a row without a batch finished in between.
+_ATTEMPTS = 3
+#: Time for a scheduler to answer [s].
+_CONNECT_S = 15
+#: A loky worker without anything to do ends after this time [s].
+_IDLE_S = 5
+#: Ray's results come a round at a time: so many batches per worker, that waiting for the last one costs little.
+_ROUND = 8
+
+#: Plays one batch: entry, settings, seeds, number of threads.
+Play = Callable[[Entry, EnvSettings, Sequence[int], int | None], list[Episode]]
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Processes that play the batches of an evaluation, one batch on one thread at a time.
+
+    Numbers do not depend on who plays a batch. A policy travels pickled, and code of the working folder with it, so it
+    must keep what it remembers in the state that `predict` returns.
+
+    Args:
+        backend: "loky" for processes of this machine; "dask" or "ray" for a cluster, or for one of their own here.
+        address: of Dask's scheduler, as in "tcp://host:8786", or of a Ray cluster, as in "host:6379" or "auto"; None
+            starts workers on this machine.
+        jobs: number of workers, 2 or more; None for one per processor. A Dask cluster at an address uses all it has.
+
+    Raises:
+        ValueError: the backend is unknown or not installed, or it cannot have that address or number of jobs.
+    """
+
+    backend: str
+    address: str | None = None
+    jobs: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.backend not in BACKENDS:
+            raise ValueError(f"unknown backend {self.backend!r}; allowed are {', '.join(BACKENDS)}")
+        if self.address is not None and self.backend == "loky":
+            raise ValueError(
+                f"an address is for dask and ray, loky has workers on this machine only; got {self.address!r}"
+            )
+        if self.address is not None and (not isinstance(self.address, str) or not self.address.strip()):
+            raise ValueError(f"the address of a cluster must be text such as tcp://host:8786, got {self.address!r}")
+        jobs = self.jobs
+        if jobs is not None and (isinstance(jobs, bool) or not isinstance(jobs, int) or not 2 <= jobs <= _LARGEST_JOBS):
+            raise ValueError(f"jobs must be 2 … {_LARGEST_JOBS} (a single one needs no backend), got {jobs!r}")
+        if jobs is not None and self.address is not None and self.backend == "dask":
+            raise ValueError(f"a Dask cluster at an address uses all of its workers; leave out jobs, got {jobs}")
+        package, extra = BACKENDS[self.backend]
+        missing = [name for name in ("joblib", package) if importlib.util.find_spec(name) is None]
+        if missing:
+            raise ValueError(f"backend {self.backend} needs {missing[0]}: pip install 'wtg-gym[{extra}]'")
+
+    def play(
+        self, play: Play, settings: EnvSettings, parts: Sequence[tuple[Entry, list[int]]]
+    ) -> Generator[tuple[int, list[Episode]], None, None]:
+        """Yield (index, episodes) of every part as soon as it is finished.
+
+        Args:
+            play: plays a batch; a function of this package.
+            settings: settings of the environment.
+            parts: (entry, seeds) of the batches.
+
+        Raises:
+            ValueError: an entry cannot travel, the cluster does not answer, a worker has other code, packages or
+                processor, or workers are lost again and again.
+            Exception: what a policy raises.
+        """
+        wanted, packed = circumstances(), _packed([entry for entry, _ in parts], settings)
+        calls: dict[int, Any] = {
+            index: (_work, (index, play, packed[id(entry)], seeds, wanted), {})
+            for index, (entry, seeds) in enumerate(parts)
+        }
+        outcomes = self._outcomes(calls, [entry.label for entry, _ in parts])
+        with contextlib.closing(outcomes):
+            for outcome in outcomes:
+                _require_same(wanted, outcome)
+                if outcome.error is not None:
+                    raise cloudpickle.loads(outcome.error)
+                yield outcome.part, outcome.episodes
+
+    def _outcomes(self, calls: dict[int, Any], labels: Sequence[str]) -> Generator[_Outcome, None, None]:
+        """Yield what comes of the calls, in any order; calls that are lost with a worker are made again."""
+        n_lost = 0
+        with self._started() as made:
+            while calls:
+                try:
+                    for outcome in made(list(calls.values())):
+                        n_lost = 0
+                        del calls[outcome.part]
+                        yield outcome
+                # A policy's error comes as an outcome: what is raised here is that of a worker that is no more.
+                except Exception as error:
+                    n_lost += 1
+                    if n_lost == _ATTEMPTS:
+                        names = ", ".join(dict.fromkeys(labels[index] for index in calls))
+                        raise ValueError(
+                            f"{self.backend} workers were lost {n_lost} times without a batch finished in between, "
+                            f"{type(error).__name__}: {_first_line(error)}; not finished: {names}"
+                        ) from error
+
+    @contextlib.contextmanager
+    def _started(self) -> Iterator[Callable[[list[Any]], Iterable[_Outcome]]]:
+        """Start or reach the workers; yield what makes calls there, as joblib's `delayed` writes them."""
+        if self.backend == "loky":
+            # Once this process is killed, its workers have nothing more to do.
+            yield lambda calls: _unordered(calls, backend="loky", n_jobs=self.jobs or -1, idle_worker_timeout=_IDLE_S)
+        elif self.backend == "dask":
+            with self._dask() as client:
+                yield lambda calls: _unordered(calls, backend=_dask_backend(client), n_jobs=-1)
+        else:
+            with self._ray() as n_jobs:
+                yield lambda calls: _in_rounds(calls, n_jobs)
+
+    @contextlib.contextmanager
+    def _dask(self) -> Iterator[Any]:
+        import distributed
+
+        with contextlib.ExitStack() as stack:
+            target: Any = self.address
+            if target is None:
+                n_workers = self.jobs or os.cpu_count()
+                local = distributed.LocalCluster(
+                    n_workers=n_workers, threads_per_worker=1, dashboard_address="127.0.0.1:0"
+                )
+                target = stack.enter_context(local)
+            try:
+                client = distributed.Client(target, timeout=_CONNECT_S, set_as_default=False)
+            except (OSError, ValueError) as error:
+                raise ValueError(f"no Dask scheduler answers at {self.address}: {_first_line(error)}") from error
+            yield stack.enter_context(client)
+
+    @contextlib.contextmanager
+    def _ray(self) -> Iterator[int]:
+        import ray
+        from ray.util.joblib import register_ray
+
+        register_ray()
+        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+        options: dict[str, Any] = {"logging_level": "ERROR", "log_to_driver": False}
+        if self.address is None:
+            options.update(num_cpus=self.jobs or os.cpu_count(), include_dashboard=False)
+        try:
+            ray.init(self.address or "local", **options)
+        # Ray ends the process where a cluster that it remembers is gone.
+        except (ConnectionError, ValueError, SystemExit) as error:
+            raise ValueError(f"no Ray cluster answers at {self.address}: {_first_line(error)}") from error
+        try:
+            n_cpus = int(ray.cluster_resources().get("CPU", 0))
+            n_jobs = self.jobs or n_cpus
+            if not 2 <= n_jobs <= n_cpus:
+                raise ValueError(f"a Ray worker needs a CPU, and two of them at least: {n_jobs} jobs, {n_cpus} CPUs")
+            yield n_jobs
+        finally:
+            ray.shutdown()
+
+
+def _first_line(error: BaseException) -> str:
+    # An exit has a number for its reason, if any.
+    return type(error).__name__ if isinstance(error, SystemExit) else str(error).strip().partition("\n")[0]
+
+
+def circumstances() -> dict[str, str]:
+    """Return what decides the last bits of a result: code, packages and processor, as they are in this process."""
+    return dict(_circumstances())
+
+
+@functools.cache
+def _circumstances() -> dict[str, str]:
+    def version(package: str) -> str:
+        try:
+            return importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            return "none"
+
+    return {
+        "wtg_gym": __version__,
+        "source code": source_hash()[:16],
+        "evaluation code": measurement_hash()[:16],
+        "python": platform.python_version(),
+        **{package: version(package) for package in ("numpy", "scipy", "numba", "onnxruntime")},
+        "processor": f"{platform.machine()} {get_host_cpu_name()}",
+    }
+
+
+# --- what travels ----------------------------------------------------------------------------------------------------
+
+
+class _Outcome(NamedTuple):
+    """What became of a batch: its episodes or a pickled error, from which worker, and that one's circumstances."""
+
+    part: int
+    episodes: list[Episode]
+    error: bytes | None
+    worker: str
+    circumstances: dict[str, str]
+
+
+def _packed(entries: Sequence[Entry], settings: EnvSettings) -> dict[int, bytes]:
+    """Return entry and settings as bytes, by the entry's id.
+
+    Bytes, because what Dask would spread out by itself is lost with the worker that holds it.
+    """
+    packed: dict[int, bytes] = {}
+    with _own_code_by_value():
+        for entry in entries:
+            if id(entry) not in packed:
+                try:
+                    packed[id(entry)] = cloudpickle.dumps((entry, settings))
+                # Pickling calls whatever the policy's parts have for it.
+                except Exception as error:
+                    raise ValueError(f"entry {entry.label!r} cannot be sent to other processes: {error}") from error
+    return packed
+
+
+@contextlib.contextmanager
+def _own_code_by_value() -> Iterator[None]:
+    """Let modules of the working folder travel as code: a worker elsewhere could not import them."""
+    folder = Path.cwd().resolve()
+    own = []
+    for name, module in list(sys.modules.items()):
+        path = Path(getattr(module, "__file__", None) or "/").resolve()
+        # An environment may lie in the working folder, and wtg_gym is what a worker must have of its own.
+        if not path.is_relative_to(folder) or "site-packages" in path.parts:
+            continue
+        if name.partition(".")[0] in ("__main__", "__mp_main__", "wtg_gym"):
+            continue
+        if name not in cloudpickle.list_registry_pickle_by_value():
+            own.append(module)
+    for module in own:
+        cloudpickle.register_pickle_by_value(module)
+    try:
+        yield
+    finally:
+        for module in own:
+            cloudpickle.unregister_pickle_by_value(module)
+
+
+def _work(part: int, play: Play, packed: bytes, seeds: list[int], wanted: dict[str, str]) -> _Outcome:
+    """Play a batch in a worker; nothing is played where the circumstances are others."""
+    worker, own, error = f"{socket.gethostname()}:{os.getpid()}", circumstances(), None
+    episodes: list[Episode] = []
+    if own == wanted:
+        try:
+            entry, settings = _unpacked(packed, worker)
+            episodes = play(entry, settings, seeds, 1)
+        except Exception as raised:
+            error = _portable(raised, worker)
+    return _Outcome(part, episodes, error, worker, own)
+
+
+def _unpacked(packed: bytes, worker: str) -> tuple[Entry, EnvSettings]:
+    try:
+        entry, settings = cloudpickle.loads(packed)
+    except Exception as error:
+        raise ValueError(f"worker {worker} cannot load an entry: {type(error).__name__}: {error}") from error
+    return entry, settings
+
+
+def _portable(error: Exception, worker: str) -> bytes:
+    """Return a pickled error with a note where it was raised, or one of the same text where it cannot be pickled.
+
+    Pickled by cloudpickle itself, like the policy: to Ray's own copy of it an error's class would be another one.
+    """
+    error.add_note(f"in worker {worker}:\n{''.join(traceback.format_tb(error.__traceback__))}")
+    try:
+        packed: bytes = cloudpickle.dumps(error)
+        cloudpickle.loads(packed)
+    except Exception:
+        plain = RuntimeError(f"{type(error).__name__}: {error}")
+        for text in error.__notes__:
+            plain.add_note(text)
+        return bytes(cloudpickle.dumps(plain))
+    return packed
+
+
+def _require_same(wanted: dict[str, str], outcome: _Outcome) -> None:
+    theirs = outcome.circumstances
+    differing = [key for key in sorted({*wanted, *theirs}) if wanted.get(key) != theirs.get(key)]
+    if differing:
+        listed = "; ".join(f"{key} is {theirs.get(key, 'unknown')}, here {wanted.get(key)}" for key in differing)
+        raise ValueError(f"worker {outcome.worker} could give other numbers: {listed}")
+
+
+# --- joblib ----------------------------------------------------------------------------------------------------------
+
+
+def _unordered(calls: list[Any], *, backend: Any, n_jobs: int, **options: Any) -> Iterator[_Outcome]:
+    """Make the calls, and yield each result as it comes."""
+    import joblib
+
+    with joblib.parallel_config(backend=backend, **options):
+        parallel = joblib.Parallel(n_jobs=n_jobs, batch_size=1, return_as="generator_unordered")
+    results = parallel(calls)
+    try:
+        # Not `yield from`, which would close the results itself, outside of what is below.
+        for result in results:  # noqa: UP028
+            yield result
+    finally:
+        with warnings.catch_warnings():
+            # That there are unfinished calls: whoever stops knows it.
+            warnings.simplefilter("ignore")
+            results.close()
+
+
+def _in_rounds(calls: list[Any], n_jobs: int) -> Iterator[_Outcome]:
+    """Make the calls on Ray, whose backend gives results back together only: with a lost worker a round is lost."""
+    import joblib
+
+    with joblib.parallel_config(backend="ray", ray_remote_args={"num_cpus": 1}):
+        parallel = joblib.Parallel(n_jobs=n_jobs, batch_size=1)
+    with parallel:
+        for first in range(0, len(calls), _ROUND * n_jobs):
+            yield from parallel(calls[first : first + _ROUND * n_jobs])
+
+
+def _dask_backend(client: Any) -> Any:
+    from joblib._dask import DaskDistributedBackend
+
+    class Backend(DaskDistributedBackend):  # type: ignore[misc]
+        """joblib's own leaves out the callback where Dask gives a call up, and would wait for ever."""
+
+        def effective_n_jobs(self, n_jobs: int) -> int:
+            # With a single one joblib would make the calls here.
+            return max(2, int(super().effective_n_jobs(n_jobs)))
+
+        def submit(self, func: Any, callback: Any = None) -> Any:
+            future = super().submit(func, callback)
+            future.add_done_callback(lambda done: done.exception() is None or callback(done.exception()))
+            return future
+
+        def retrieve_result_callback(self, out: Any) -> Any:
+            if isinstance(out, BaseException):
+                raise ConnectionError(f"{type(out).__name__}: {out}") from out
+            return super().retrieve_result_callback(out)
+
+    return Backend(client=client)
+
+
+__all__ = ["BACKENDS", "Workers", "circumstances"]
