@@ -55,7 +55,7 @@ def test_json_is_strict_sorted_and_without_time_or_place(written: tuple[Path, Pa
     data = json.loads(text, parse_constant=lambda name: pytest.fail(name))
     assert list(data) == sorted(data)
     assert data["metrics"]["nadir_hz"]["unit"] == "Hz"
-    assert set(data["versions"]) == {"wtg_gym", "numpy", "numba", "python", "platform", "onnxruntime"}
+    assert set(data["versions"]) == {"wtg_gym", "numpy", "scipy", "numba", "python", "processor", "onnxruntime"}
     assert str(Path.home()) not in text and not re.search(r"20\d\d-\d\d-\d\dT", text)
 
 

@@ -7,7 +7,7 @@ import argparse
 from wtg_gym.cli.draw import read_secret
 from wtg_gym.cli.output import Progress, note, print_json, print_table
 from wtg_gym.cli.parser import Commands, add_command
-from wtg_gym.cli.scores import chosen_entries
+from wtg_gym.cli.scores import add_worker_options, chosen_entries, chosen_workers
 from wtg_gym.evaluation import Results
 from wtg_gym.evaluation.verification import verify
 
@@ -42,6 +42,7 @@ def add_commands(commands: Commands) -> None:
         "--secret-file", metavar="FILE", help="also check that the seeds of a verification were drawn with this secret"
     )
     parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
+    add_worker_options(parser)
     parser.add_argument("--json", action="store_true", help="print JSON, and nothing else, on stdout")
 
 
@@ -49,9 +50,12 @@ def run(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym verify`."""
     stored = Results.read(arguments.results)
     secret = None if arguments.secret_file is None else read_secret(arguments.secret_file)
+    workers = chosen_workers(arguments)
     entries = chosen_entries(arguments.entries)
     with Progress("episodes") as progress:
-        found = verify(stored, entries, secret=secret, n_threads=arguments.threads, on_progress=progress.update)
+        found = verify(
+            stored, entries, secret=secret, n_threads=arguments.threads, workers=workers, on_progress=progress.update
+        )
     if arguments.json:
         print_json(
             {

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import importlib.metadata
-import platform
 from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym import ENV_ID, __version__
+from wtg_gym import ENV_ID
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task import COEFFICIENT_AUTHORITY, TIME_CONSTANT_RATIO, TaskRow
+from wtg_gym.evaluation.circumstances import versions
 from wtg_gym.evaluation.entries import ANCHORS, Entry
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.fingerprint import environment_fingerprint
@@ -105,7 +103,7 @@ def evaluate(
         draw=None if draw is None else {"commit": draw.commit, "secret_sha256": draw.secret_sha256},
         environment={"id": ENV_ID, "fingerprint": environment_fingerprint(settings)},
         settings=shared,
-        versions=_versions(),
+        versions=versions(),
         entries=tuple(entry.to_dict() for entry in competitors),
         episodes=tuple(episode for index in range(len(parts)) for episode in played[index]),
     )
@@ -183,19 +181,6 @@ def _shared_settings(settings: EnvSettings) -> dict[str, Any]:
         "machine_model": settings.machine_model,
         "on_failure": settings.on_failure,
     }
-
-
-def _versions() -> dict[str, str]:
-    versions = {
-        "wtg_gym": __version__,
-        "numpy": np.__version__,
-        "numba": numba.__version__,
-        "python": platform.python_version(),
-        "platform": f"{platform.system()} {platform.machine()}",
-    }
-    with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-        versions["onnxruntime"] = importlib.metadata.version("onnxruntime")
-    return versions
 
 
 def _stored_and_played(

@@ -38,7 +38,7 @@ class Results:
             others.
         environment: its id, and the fingerprint of what it answers on this machine.
         settings: settings of the environment that all entries share.
-        versions: of wtg_gym, numpy, numba, python, onnxruntime where it is installed, and the platform.
+        versions: of wtg_gym, Python and the packages that compute, and the kind of processor.
         entries: data of every entry, the score's anchors among them.
         episodes: one row per entry and scenario, in the order of `entries` and `seeds`.
     """

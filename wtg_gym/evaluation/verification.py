@@ -9,6 +9,7 @@ from wtg_gym.evaluation.entries import ANCHORS, Entry
 from wtg_gym.evaluation.episodes import COLUMNS
 from wtg_gym.evaluation.evaluator import evaluate
 from wtg_gym.evaluation.results import Results
+from wtg_gym.evaluation.workers import Workers
 from wtg_gym.scenarios import VerificationDraw, get_suite
 
 #: The settings of results that are arguments of the environment, as they are called there.
@@ -43,6 +44,7 @@ def verify(
     *,
     secret: bytes | None = None,
     n_threads: int | None = None,
+    workers: Workers | None = None,
     on_progress: Callable[[str, int, int], None] | None = None,
 ) -> Verification:
     """Evaluate the entries of stored results again, on the same scenarios with the same settings, and compare.
@@ -51,7 +53,7 @@ def verify(
         stored: the results.
         entries: all of their entries, but for the anchors; further ones are left out.
         secret: what the seeds of the split "verification" were drawn with; None does not check them.
-        n_threads, on_progress: as for :func:`wtg_gym.evaluation.evaluate`.
+        n_threads, workers, on_progress: as for :func:`wtg_gym.evaluation.evaluate`.
 
     Raises:
         ValueError: an entry is missing, a secret is given for seeds that were not drawn, or the results are of a suite,
@@ -73,6 +75,7 @@ def verify(
         draw=draw,
         duration_s=stored.settings["duration_s"],
         n_threads=n_threads,
+        workers=workers,
         on_progress=on_progress,
         **{name: stored.settings[name] for name in _ARGUMENTS if name in stored.settings},
     )

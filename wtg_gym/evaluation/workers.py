@@ -7,11 +7,8 @@ or processor could round otherwise than those here is refused.
 from __future__ import annotations
 
 import contextlib
-import functools
-import importlib.metadata
 import importlib.util
 import os
-import platform
 import socket
 import sys
 import traceback
@@ -22,10 +19,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import cloudpickle
-from llvmlite.binding import get_host_cpu_name
 
-from wtg_gym import __version__
 from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.evaluation.circumstances import versions
 from wtg_gym.evaluation.entries import Entry
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.partial import measurement_hash
@@ -197,26 +193,8 @@ def _first_line(error: BaseException) -> str:
 
 
 def circumstances() -> dict[str, str]:
-    """Return what decides the last bits of a result: code, packages and processor, as they are in this process."""
-    return dict(_circumstances())
-
-
-@functools.cache
-def _circumstances() -> dict[str, str]:
-    def version(package: str) -> str:
-        try:
-            return importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            return "none"
-
-    return {
-        "wtg_gym": __version__,
-        "source code": source_hash()[:16],
-        "evaluation code": measurement_hash()[:16],
-        "python": platform.python_version(),
-        **{package: version(package) for package in ("numpy", "scipy", "numba", "onnxruntime")},
-        "processor": f"{platform.machine()} {get_host_cpu_name()}",
-    }
+    """Return what decides the last bits of a result, as it is in this process: code, packages and processor."""
+    return {"source code": source_hash()[:16], "evaluation code": measurement_hash()[:16], **versions()}
 
 
 # --- what travels ----------------------------------------------------------------------------------------------------
