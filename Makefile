@@ -68,7 +68,7 @@ docs: $(LEADERBOARD_READY) ## Measure everything that docs/ shows again, but for
 
 .PHONY: performance
 performance: $(TEST_READY) ## Measure speed, growth and arithmetic again; on a machine that does nothing else (a quarter of an hour)
-	$(TEST_VENV)/bin/wtg-gym bench --only environments training peers --page README.md
+	$(TEST_VENV)/bin/wtg-gym bench --only environments rendering training peers --page README.md
 	$(TEST_VENV)/bin/wtg-gym bench --only growth roofline --full --output docs/performance --formats svg --page docs/performance.md
 
 .PHONY: golden

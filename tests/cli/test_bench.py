@@ -50,6 +50,14 @@ def test_environments_are_measured_against_the_yardstick(capsys: pytest.CaptureF
     assert text.endswith("<!-- bench:growth:start -->\n<!-- bench:growth:end -->\n")
 
 
+def test_frames_are_drawn_at_every_step(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    page = page_with(tmp_path, "rendering")
+    data = json_of(capsys, "bench", "--only", "rendering", *QUICK, "--json", "--page", str(page))
+    names = [case["name"] for case in data["cases"] if case["part"] == "rendering"]
+    assert names == [f"{name}, a frame each step" for name in ("GFMWTG-14bus-v0", "CartPole-v1", "Pendulum-v1")]
+    assert names[0] in page.read_text(encoding="utf-8")
+
+
 def test_training_is_the_same_on_every_vector_environment(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

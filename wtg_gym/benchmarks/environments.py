@@ -46,6 +46,30 @@ def environment_cases() -> Iterator[Case]:
     yield Case(part, f"SB3 SubprocVecEnv of {n_cpu}", n_cpu, lambda: _step_sb3(processes(n_cpu)), preparation_s=4.0)
 
 
+def can_render() -> bool:
+    """Return whether frames can be drawn, of our environment and of Gymnasium's own."""
+    return all(importlib.util.find_spec(package) is not None for package in ("matplotlib", "pygame"))
+
+
+def rendering_cases() -> Iterator[Case]:
+    """Yield environments that draw a frame at every step; call it only where :func:`can_render`."""
+    for name in (wtg_gym.ENV_ID, "CartPole-v1", YARDSTICK):
+        yield Case("rendering", f"{name}, a frame each step", 1, functools.partial(_filmed, name))
+
+
+class _Filmed(gym.Wrapper[Any, Any, Any, Any]):
+    """Draws a frame at every step and drops it."""
+
+    def step(self, action: Any) -> Any:
+        found = self.env.step(action)
+        self.env.render()
+        return found
+
+
+def _filmed(name: str) -> Stepper:
+    return step_single(_Filmed(gym.make(name, render_mode="rgb_array")))
+
+
 def adapter(n_envs: int) -> Any:
     """Return our batch as a vector environment of Stable-Baselines3."""
     from wtg_gym.sb3 import SB3VecEnv

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from wtg_gym.benchmarks.environments import environment_cases, has_sb3, yardstick
+from wtg_gym.benchmarks.environments import can_render, environment_cases, has_sb3, rendering_cases, yardstick
 from wtg_gym.benchmarks.growth import Curve, growth_cases, growth_curves
 from wtg_gym.benchmarks.peers import missing_packages, peer_cases
 from wtg_gym.benchmarks.roofline import Roofline, roofline, roofline_cases
@@ -15,6 +15,7 @@ from wtg_gym.benchmarks.training import training_cases
 #: What can be measured, and what each part is.
 PARTS = {
     "environments": "environment steps per second, of ours and of Gymnasium's own",
+    "rendering": "steps per second with a frame drawn at each, of ours and of Gymnasium's own",
     "training": "steps per second of PPO learning, on our adapter and on Stable-Baselines3's vector environments",
     "peers": "other projects' environments, those that are installed",
     "growth": "cost of a step against the numbers of WTG groups, machines, lanes and threads",
@@ -27,7 +28,7 @@ class Results:
     """What a run has found; parts that were not asked for are empty or None.
 
     Args:
-        rates: of environments, training and peers; the yardstick comes first.
+        rates: of environments, rendering, training and peers; the yardstick comes first.
         growth: a curve per kind of size.
         roofline: arithmetic.
     """
@@ -55,6 +56,8 @@ class Benchmark:
         cases = [yardstick()]
         if "environments" in parts:
             cases += environment_cases()
+        if "rendering" in parts and can_render():
+            cases += rendering_cases()
         if "training" in parts and has_sb3():
             cases += training_cases()
         if "peers" in parts:
@@ -88,6 +91,8 @@ def _missing(parts: Sequence[str]) -> list[str]:
     lines = []
     if not has_sb3() and {"environments", "training"} & set(parts):
         lines.append("Stable-Baselines3 is left out: pip install 'wtg-gym[train]'")
+    if "rendering" in parts and not can_render():
+        lines.append("frames are left out: pip install 'wtg-gym[render]'")
     if "peers" in parts:
         lines += [f"{package} is left out: pip install {package}" for package in missing_packages()]
     return lines
