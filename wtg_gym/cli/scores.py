@@ -37,13 +37,15 @@ from wtg_gym.evaluation import (
     markdown_table,
     table_cells,
 )
+from wtg_gym.evaluation.evaluator import check_entries
 from wtg_gym.evaluation.leaderboard import COLUMNS
 from wtg_gym.plotting.page import leaderboard_page, untraced
 from wtg_gym.scenarios import SPLITS, SUITES, get_suite
 
 #: The package with the entries of a checkout.
 _DEFAULT_ENTRIES = "baselines"
-_PARTIAL_FOLDER = "partial"
+#: Of finished parts, in the folder of the results.
+PARTIAL_FOLDER = "partial"
 _LARGEST_SEED_RANGE = 100_000
 _ENTRIES_HELP = (
     "what to score, several allowed: a strategy by name, a .toml file with a law, a folder with entry.toml and "
@@ -167,9 +169,9 @@ def add_score_options(parser: argparse.ArgumentParser) -> None:
 
 def _run_evaluate(arguments: argparse.Namespace) -> int:
     folder = None if arguments.results is None else check_output_folder("--results", arguments.results)
-    partial = folder / _PARTIAL_FOLDER if folder is not None and arguments.resume else None
+    partial = folder / PARTIAL_FOLDER if folder is not None and arguments.resume else None
     if partial is not None:
-        arguments.after_interrupt = _resumable(partial)
+        arguments.after_interrupt = resumable(partial)
     entries = chosen_entries(arguments.entries)
     results = run_evaluation(
         entries,
@@ -188,7 +190,8 @@ def _run_evaluate(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _resumable(partial: Path) -> str:
+def resumable(partial: Path) -> str:
+    """Return what to say after Ctrl-C where finished parts are kept."""
     return f"finished parts are kept in {partial}: run the same command again to go on"
 
 
@@ -227,6 +230,8 @@ def chosen_entries(specs: Sequence[str]) -> list[Entry]:
     doubled = sorted({name for name, seed in names if names.count((name, seed)) > 1})
     if doubled:
         raise ValueError(f"--entries gives {', '.join(doubled)} more than once; names must be unique")
+    # The stored ones among them are not evaluated, but stand in the same table.
+    check_entries(entries)
     return entries
 
 
@@ -273,8 +278,8 @@ def _run_leaderboard(arguments: argparse.Namespace) -> int:
     section = f"leaderboard:{arguments.suite}"
     readme = check_page("--readme", arguments.readme, section)
     page = _check_html("--html", arguments.html)
-    partial = folder / _PARTIAL_FOLDER
-    arguments.after_interrupt = _resumable(partial)
+    partial = folder / PARTIAL_FOLDER
+    arguments.after_interrupt = resumable(partial)
     entries = chosen_entries(arguments.entries)
     anchors = run_evaluation([], arguments, partial=None)
     stored = None if arguments.fresh else _stored(folder / f"{anchors.name}.json", anchors)

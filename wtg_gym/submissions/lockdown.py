@@ -68,7 +68,7 @@ def lock(source: int, sink: int) -> str:
     column = list(_MACHINES).index(machine)
     kind, seccomp = _MACHINES[machine]
     lines = _filter(kind, column, source, sink)
-    instructions = (_Instruction * len(lines))(*lines)
+    instructions = (_Instruction * len(lines))(*(_Instruction(*line) for line in lines))
     program = _Program(len(lines), instructions)
     libc = ctypes.CDLL(None, use_errno=True)
     # Without it only root may set a filter; no program can give the process more rights any more.
