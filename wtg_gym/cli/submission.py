@@ -171,23 +171,24 @@ def _score(arguments: argparse.Namespace, folder: Path | None, partial: Path, se
         if report.refusal is not None:
             reason = f"{_shown(report.folder)}: {report.refusal.name}: {report.refusal.reason}"
             wrong.append(Conflict((report.folder,), reason))
-    entries = []
+    played: list[tuple[Report, Entry]] = []
     for report in _ranked(reports, wrong):
-        entry, policy = report.open(weak=arguments.weak_isolation)
-        with policy:
-            try:
+        try:
+            entry, policy = report.open(weak=arguments.weak_isolation)
+            with policy:
                 play([entry], keep=True)
-            except ValueError as error:
-                wrong.append(Conflict((report.folder,), f"{_shown(report.folder)}: {error}"))
-        entries.append((report, entry))
+            played.append((report, entry))
+        except ValueError as error:
+            wrong.append(Conflict((report.folder,), f"{_shown(report.folder)}: {error}"))
+    ranked = _ranked(reports, wrong)
     for conflict in wrong:
         note(f"refused: {conflict.reason}")
-    ranked = _ranked(reports, wrong)
     for report in reports:
         if report not in ranked and not any(report.folder in conflict.folders for conflict in wrong):
             note(f"left out: {_shown(report.folder)}, as another folder of its name is refused")
-    # All parts are there: nothing is played again.
-    results = play([entry for report, entry in entries if report in ranked], keep=False)
+    # Nothing is played again: these come from the finished parts, which the second call removes.
+    results = play([entry for report, entry in played if report in ranked], keep=True)
+    play([entry for _, entry in played], keep=False)
     if ranked:
         finish(results, folder, as_json=arguments.json)
     return int(bool(wrong))

@@ -138,9 +138,10 @@ class _Listener:
 
 #: The checks on made-up observations: name, and what says what was found or raises a ValueError.
 PROBES: tuple[tuple[str, Callable[[IsolatedPolicy], str]], ...] = (
+    # First, so that a slow policy does not hold up the others.
+    ("speed", _speed),
     ("finite", _finite),
     ("repeatable", _repeatable),
     ("lanes apart", _lanes_apart),
-    ("speed", _speed),
 )
 __all__ = ["PROBES", "rollout"]

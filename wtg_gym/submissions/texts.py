@@ -11,7 +11,7 @@ from wtg_gym.physics.tracking_law import STRATEGIES
 _NAME_SIGNS = " ()+-.,=_"
 #: Quantities that a name may speak of, and the letters that some of them look like.
 _GREEK = "βγδκλμπτω"
-_LOOKS = str.maketrans("βγκτω", "bykrw")
+_LOOKS = str.maketrans("βγκτω", "byktw")
 #: All signs of ASCII that a text may have; a colon and an ampersand only before a blank, an underscore within a word.
 _TEXT_SIGNS = " '\"(),-./:;%+=!?&_"
 #: Letters that are drawn as a blank or not at all, and the empty pattern of Braille.

@@ -94,8 +94,8 @@ def _copies(one: Report, other: Report) -> str:
     if difference > limits.COPY_TOLERANCE:
         return ""
     return (
-        f"the policies are one policy, their actions differ by {difference:.2g} (root mean square in "
-        f"{one.actions.shape[1]} scenarios), at least {limits.COPY_TOLERANCE:g} is asked for: {folders}"
+        f"the policies are one policy, their actions in {one.actions.shape[1]} scenarios differ by less than "
+        f"{limits.COPY_TOLERANCE:g} (root mean square): {folders}"
     )
 
 
