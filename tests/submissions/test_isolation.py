@@ -121,6 +121,8 @@ def test_process_ends_with_the_one_that_started_it(tmp_path: Path) -> None:
     parent.wait()
     parent.stdout.close()
     assert gone(pid)
+    # Nothing of it is left behind.
+    assert not list(tmp_path.iterdir())
 
 
 def _patched(code: str) -> str:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import importlib.util
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -149,49 +149,62 @@ def _run_score(arguments: argparse.Namespace) -> int:
     folder = None if arguments.results is None else check_output_folder("--results", arguments.results)
     get_suite(arguments.suite)
     seeds = None if arguments.seeds is None else chosen_seeds(arguments.seeds)
-    with tempfile.TemporaryDirectory(prefix="wtg-gym-") as temporary:
-        partial = Path(temporary) / PARTIAL_FOLDER
-        if folder is not None and arguments.resume:
-            partial = folder / PARTIAL_FOLDER
-            arguments.after_interrupt = resumable(partial)
-        return _score(arguments, folder, partial, seeds)
+    partial = folder / PARTIAL_FOLDER if folder is not None and arguments.resume else None
+    if partial is not None:
+        arguments.after_interrupt = resumable(partial)
 
-
-def _score(arguments: argparse.Namespace, folder: Path | None, partial: Path, seeds: list[int] | None) -> int:
     def play(entries: Sequence[Entry], *, keep: bool) -> Results:
         return run_evaluation(
             entries, arguments, split=arguments.split, partial=partial, seeds=seeds, keep_partial=keep
         )
 
     # Whatever is wrong with the arguments is said before the work.
-    play([], keep=True)
+    anchors = play([], keep=True)
     reports = _reports(arguments)
-    wrong = _together(reports, arguments)
-    for report in reports:
-        if report.refusal is not None:
-            reason = f"{_shown(report.folder)}: {report.refusal.name}: {report.refusal.reason}"
-            wrong.append(Conflict((report.folder,), reason))
-    played: list[tuple[Report, Entry]] = []
+    wrong = _together(reports, arguments) + _refused(reports)
+    played: list[tuple[Report, Entry, Results]] = []
     for report in _ranked(reports, wrong):
         try:
             entry, policy = report.open(weak=arguments.weak_isolation)
             with policy:
-                play([entry], keep=True)
-            played.append((report, entry))
+                played.append((report, entry, play([entry], keep=True)))
         except ValueError as error:
             wrong.append(Conflict((report.folder,), f"{_shown(report.folder)}: {error}"))
     ranked = _ranked(reports, wrong)
+    _say_what_is_not(ranked, reports, wrong)
+    if partial is not None:
+        # Nothing is played again, all parts are there: this removes them.
+        play([entry for _, entry, _ in played], keep=False)
+    if ranked:
+        results = _merged(anchors, [results for report, _, results in played if report in ranked])
+        finish(results, folder, as_json=arguments.json)
+    return int(bool(wrong))
+
+
+def _refused(reports: Sequence[Report]) -> list[Conflict]:
+    return [
+        Conflict((report.folder,), f"{_shown(report.folder)}: {report.refusal.name}: {report.refusal.reason}")
+        for report in reports
+        if report.refusal is not None
+    ]
+
+
+def _say_what_is_not(ranked: Sequence[Report], reports: Sequence[Report], wrong: Sequence[Conflict]) -> None:
     for conflict in wrong:
         note(f"refused: {conflict.reason}")
     for report in reports:
         if report not in ranked and not any(report.folder in conflict.folders for conflict in wrong):
             note(f"left out: {_shown(report.folder)}, as another folder of its name is refused")
-    # Nothing is played again: these come from the finished parts, which the second call removes.
-    results = play([entry for report, entry in played if report in ranked], keep=True)
-    play([entry for _, entry in played], keep=False)
-    if ranked:
-        finish(results, folder, as_json=arguments.json)
-    return int(bool(wrong))
+
+
+def _merged(anchors: Results, played: Sequence[Results]) -> Results:
+    """The results of several entries that were each played alone, as if they had been played together."""
+    n = len(anchors.seeds)
+    return dataclasses.replace(
+        anchors,
+        entries=(*(results.entries[0] for results in played), *anchors.entries),
+        episodes=(*(episode for results in played for episode in results.episodes[:n]), *anchors.episodes),
+    )
 
 
 def _ranked(reports: Sequence[Report], wrong: Sequence[Conflict]) -> list[Report]:
