@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from onnx import ModelProto
 
+import baselines
 from tests.submissions import models
 from tests.submissions.hostile import seed
 from tests.submissions.models import TOML, M, N, constant, folder
 from tests.submissions.models import model as make
+from wtg_gym.evaluation import load_entries
+from wtg_gym.submissions import limits
 from wtg_gym.submissions.gate import Report, check_submission
-from wtg_gym.submissions.together import conflicts
+from wtg_gym.submissions.probes import rollout
+from wtg_gym.submissions.together import action_difference, conflicts
 
 
 def report(path: Path, content: ModelProto | None = None, toml: str = TOML) -> Report:
@@ -73,3 +79,13 @@ def test_what_is_there_is_compared_as_far_as_it_can_be_read(tmp_path: Path) -> N
     assert not broken.accepted
     (conflict,) = conflicts([report(tmp_path / "b", models.other(), seed(1))], [broken])
     assert "is taken by Mine" in conflict.reason
+
+
+def test_shipped_policies_are_far_from_being_copies() -> None:
+    by_mode: dict[str, list[Any]] = {}
+    for path in sorted((Path(baselines.__file__).parent.parent / "agents" / "policies").iterdir()):
+        (entry,) = load_entries(path)
+        by_mode.setdefault(entry.action_mode, []).append(rollout(entry.policy, entry.action_mode, "local"))
+    pairs = [pair for actions in by_mode.values() for pair in itertools.combinations(actions, 2)]
+    assert len(pairs) == 55 + 10 + 10
+    assert min(itertools.starmap(action_difference, pairs)) > 7 * limits.COPY_TOLERANCE

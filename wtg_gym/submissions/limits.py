@@ -27,7 +27,7 @@ STEP_S = 0.25
 #: Largest difference of a lane's actions, [-1, 1], between batches that differ in the other lanes.
 LANE_TOLERANCE = 1e-3
 #: Two policies whose actions, [-1, 1], differ by no more than this (root mean square over the rollout) are copies. The
-#: shipped training seeds that are most alike differ by eight times as much.
+#: shipped training seeds that are most alike differ by more than seven times as much.
 COPY_TOLERANCE = 5e-3
 
 #: Of the process that plays a policy: address space [bytes], processor time [s].

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from wtg_gym.evaluation.onnx_policy import Floats
 from wtg_gym.submissions import limits
 from wtg_gym.submissions.folder import EntryFile
 from wtg_gym.submissions.gate import Report
@@ -46,6 +47,12 @@ def conflicts(reports: Sequence[Report], beside: Sequence[Report] = ()) -> list[
         # One reason is enough, however many seeds have the name.
         found += [Conflict((new.folder,), reason) for reason in itertools.islice(filter(None, reasons), 1)]
     return found
+
+
+def action_difference(one: Floats, other: Floats) -> float:
+    """Return the root mean square of the difference of two rollouts' actions, over the steps that both have."""
+    steps = min(len(one), len(other))
+    return float(np.sqrt(np.mean(np.square(one[:steps] - other[:steps], dtype=np.float64))))
 
 
 def _entries(one: Report, other: Report) -> tuple[EntryFile, EntryFile] | None:
@@ -89,9 +96,7 @@ def _copies(one: Report, other: Report) -> str:
     # Actions of other modes mean something else.
     if entries[0].action_mode != entries[1].action_mode:
         return ""
-    steps = min(len(one.actions), len(other.actions))
-    difference = float(np.sqrt(np.mean(np.square(one.actions[:steps] - other.actions[:steps], dtype=np.float64))))
-    if difference > limits.COPY_TOLERANCE:
+    if action_difference(one.actions, other.actions) > limits.COPY_TOLERANCE:
         return ""
     return (
         f"the policies are one policy, their actions in {one.actions.shape[1]} scenarios differ by less than "
@@ -99,4 +104,4 @@ def _copies(one: Report, other: Report) -> str:
     )
 
 
-__all__ = ["Conflict", "conflicts"]
+__all__ = ["Conflict", "action_difference", "conflicts"]
