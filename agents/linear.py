@@ -25,8 +25,6 @@ from wtg_gym.files import to_json, write_atomically
 from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[np.float64]
-#: In the entry's folder: the gains, how they were found, and what they cost.
-GAINS_FILE = "gains.json"
 
 
 def linear_policy(gains: Floats, n_wtg: int) -> bytes:
@@ -50,6 +48,7 @@ def linear_policy(gains: Floats, n_wtg: int) -> bytes:
 def make_linear_feedback(
     output: Path,
     *,
+    gains_file: Path | None,
     suite: str,
     action_mode: str,
     n_scenarios: int,
@@ -59,10 +58,11 @@ def make_linear_feedback(
     authors: Sequence[str],
     n_threads: int | None = None,
 ) -> dict[str, Any]:
-    """Tune a feedback on the first training scenarios, write its folder, and return what is in its gains.json.
+    """Tune a feedback on the first training scenarios, write its folder, and return gains, search and costs.
 
     Args:
-        output: folder to write entry.toml, policy.onnx and gains.json into; made if missing.
+        output: folder to write entry.toml and policy.onnx into; made if missing.
+        gains_file: JSON file to write what is returned into; None for none.
         suite: of the scenarios.
         action_mode: what it modulates.
         n_scenarios: training scenarios.
@@ -118,7 +118,8 @@ def make_linear_feedback(
     write_atomically(output / POLICY_FILE, linear_policy(gains, rollouts.n_wtg))
     # What is judged is the file that will be played.
     data["validation"] = _validate(output / POLICY_FILE, suite, action_mode, n_threads)
-    write_atomically(output / GAINS_FILE, to_json(data))
+    if gains_file is not None:
+        write_atomically(gains_file, to_json(data))
     # Last, because it is what makes the folder an entry. Such texts, numbers and lists are alike in JSON and TOML.
     lines = [f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in entry.items()]
     write_atomically(output / ENTRY_FILE, "".join(lines))
@@ -158,4 +159,4 @@ def _validate(path: Path, suite: str, action_mode: str, n_threads: int | None) -
     return {"scenarios": len(results.seeds), "score": score, **costs, **terms}
 
 
-__all__ = ["GAINS_FILE", "linear_policy", "make_linear_feedback"]
+__all__ = ["linear_policy", "make_linear_feedback"]

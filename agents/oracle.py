@@ -15,7 +15,7 @@ from agents.command import run_command
 from agents.foresight import Search, find_oracle, read_gains
 from agents.linear import make_linear_feedback
 from agents.simple_policies import simple_policies
-from wtg_gym.cli.output import check_output_folder, note, print_json, print_table
+from wtg_gym.cli.output import check_output_file, check_output_folder, note, print_json, print_table
 from wtg_gym.cli.parser import Parser
 from wtg_gym.envs.settings import ACTION_MODES
 from wtg_gym.evaluation import load_entries
@@ -30,7 +30,7 @@ simple     plays constant actions and actions that jump with the sign of one obs
 foresight  searches every scenario on its own, knowing all of it; the cheapest that is found is the oracle's cost"""
 _LINEAR = """\
 Tunes a = clip(G o + b) of a group's own observation o, the same G and b in every group, on training scenarios. Writes
-entry.toml and policy.onnx, which make the folder an entry of the leaderboard, and gains.json: the gains, how they were
+entry.toml and policy.onnx, which make the folder an entry of the leaderboard, and with --gains the gains, how they were
 found, and what the policy costs on all validation scenarios."""
 _FORESIGHT = """\
 Searches for every scenario on its own, knowing all of it, the cheapest course of actions over time (knots, linear in
@@ -46,12 +46,12 @@ writes the same files as an undisturbed one on the same machine; another one, wi
 only what is missing. A change of the physics, the cost or the search makes them stale."""
 _EXAMPLES = """\
 examples:
-  python -m agents.oracle linear --output agents/policies/linear-feedback
+  python -m agents.oracle linear --output agents/policies/linear-feedback --gains agents/linear_feedback_gains.json
   wtg-gym evaluate --entries agents/policies/linear-feedback --suite standard"""
 _FORESIGHT_EXAMPLES = """\
 examples:
   python -m agents.oracle foresight --split validation --scenarios 24 --output results
-  python -m agents.oracle foresight --gains agents/policies/linear-feedback/gains.json \\
+  python -m agents.oracle foresight --gains agents/linear_feedback_gains.json \\
       --entries agents/policies/* --output wtg_gym/evaluation/oracle_costs"""
 
 
@@ -67,6 +67,7 @@ def _parser() -> argparse.ArgumentParser:
     linear = commands.add_parser("linear", help="tune a linear feedback", description=_LINEAR, epilog=_EXAMPLES)
     linear.set_defaults(run=_linear)
     linear.add_argument("--output", required=True, metavar="FOLDER", help="folder of the entry; made if missing")
+    linear.add_argument("--gains", metavar="FILE", help="JSON file to write the gains to (default: none)")
     linear.add_argument("--name", default="linear-feedback", help="of the entry (default: linear-feedback)")
     linear.add_argument("--authors", nargs="+", default=[], metavar="NAME", help="who tuned it")
     linear.add_argument("--scenarios", type=int, default=64, metavar="N", help="training scenarios (default: 64)")
@@ -84,7 +85,7 @@ def _parser() -> argparse.ArgumentParser:
     foresight.add_argument("--output", required=True, metavar="FOLDER", help="folder of the result; made if missing")
     foresight.add_argument("--split", choices=("validation", "test"), default="test", help="(default: test)")
     foresight.add_argument("--scenarios", type=int, metavar="N", help="the first N of the split (default: all)")
-    foresight.add_argument("--gains", metavar="FILE", help="gains.json of `linear`: search on top of it as well")
+    foresight.add_argument("--gains", metavar="FILE", help="what `linear` wrote: search on top of it as well")
     foresight.add_argument(
         "--entries",
         nargs="+",
@@ -122,6 +123,7 @@ def _linear(given: argparse.Namespace) -> None:
     output = check_output_folder("--output", given.output)
     data = make_linear_feedback(
         output,
+        gains_file=check_output_file("--gains", given.gains, (".json",)),
         suite=given.suite,
         action_mode=given.action_mode,
         n_scenarios=given.scenarios,
@@ -131,7 +133,7 @@ def _linear(given: argparse.Namespace) -> None:
         authors=given.authors,
         n_threads=given.threads,
     )
-    note(f"wrote {output}")
+    note(f"wrote {output}" if given.gains is None else f"wrote {output} and {given.gains}")
     if given.json:
         print_json(data)
         return

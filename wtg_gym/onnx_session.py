@@ -4,6 +4,7 @@ same numbers.
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 
@@ -14,6 +15,8 @@ def open_session(content: bytes) -> Any:
         ImportError: onnxruntime is not installed.
         Exception: onnxruntime cannot load it; its exceptions share no other base.
     """
+    # onnxruntime would keep a file and a thread to report its use.
+    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     import onnxruntime
 
     options = onnxruntime.SessionOptions()

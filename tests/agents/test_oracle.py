@@ -18,7 +18,7 @@ pytest.importorskip("cma")
 
 from agents import foresight
 from agents.evolution import N_KNOTS, POPULATION, _Strategy, search_with_foresight
-from agents.linear import GAINS_FILE, linear_policy
+from agents.linear import linear_policy
 from agents.oracle import main
 from agents.rollouts import Rollouts, course, linear_feedback
 from agents.simple_policies import simple_policies
@@ -130,7 +130,8 @@ _QUICK = ("--suite", "paper", "--generations", "2", "--action-mode", "k")
 @pytest.fixture(scope="module")
 def linear(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("linear")
-    assert main(["linear", *_QUICK, "--scenarios", "2", "--output", str(folder), "--name", "mine"]) == 0
+    files = ("--output", str(folder / "entry"), "--gains", str(folder / "gains.json"))
+    assert main(["linear", *_QUICK, "--scenarios", "2", *files, "--name", "mine"]) == 0
     return folder
 
 
@@ -141,10 +142,11 @@ def _foresight(folder: Path, *more: str, parts: str = "parts") -> Path:
 
 
 def test_linear_writes_an_entry_and_its_gains(linear: Path) -> None:
-    (entry,) = load_entries(str(linear))
+    (entry,) = load_entries(linear / "entry")
+    assert sorted(path.name for path in (linear / "entry").iterdir()) == ["entry.toml", "policy.onnx"]
     assert (entry.name, entry.action_mode, entry.training_seed, entry.kind) == ("mine", "k", 0, "learned")
     assert "tuned by CMA-ES on 2 training scenarios of paper" in entry.description
-    data = json.loads((linear / GAINS_FILE).read_text(encoding="utf-8"))
+    data = json.loads((linear / "gains.json").read_text(encoding="utf-8"))
     assert np.array(data["gains"]).shape == (1, N_LOCAL + 1)
     assert (data["training"]["scenarios"], data["validation"]["scenarios"]) == (2, 2)
     assert data["validation"]["policy"] == pytest.approx(sum(data["validation"]["terms"].values()))
@@ -154,8 +156,8 @@ def test_linear_writes_an_entry_and_its_gains(linear: Path) -> None:
 
 
 def test_foresight_writes_the_least_of_all_it_knows(linear: Path, tmp_path: Path) -> None:
-    entries = [str(linear), "deloaded-5"]
-    _foresight(tmp_path, "--gains", str(linear / GAINS_FILE), "--entries", *entries)
+    entries = [str(linear / "entry"), "deloaded-5"]
+    _foresight(tmp_path, "--gains", str(linear / "gains.json"), "--entries", *entries)
     costs = OracleCosts.read(tmp_path / "paper-test.json")
     assert costs.seeds == (0, 1) and set(costs.found) == {"course", "course_and_feedback", "entries"}
     results = evaluate([entry for spec in entries for entry in load_entries(spec)], "paper")

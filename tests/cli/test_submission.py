@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
 
 from tests.cli.calls import error_of, json_of
+from tests.submissions import models
 from tests.submissions.models import TOML, after, folder, node
 from tests.submissions.models import model as make
 from wtg_gym.cli import main
-from wtg_gym.evaluation import Results, evaluate, load_entries
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.evaluation import ANCHORS, Entry, Results, evaluate, load_entries
+from wtg_gym.evaluation.evaluator import entry_lanes
 
+ROOT = Path(__file__).resolve().parents[2]
+OTHER = TOML.replace("Mine", "Other")
 _FEW = ("--seeds", "20000:20002")
 
 
@@ -23,7 +33,7 @@ def test_template_with_a_policy_is_accepted(capsys: pytest.CaptureFixture[str], 
     capsys.readouterr()
     assert main(["submission", "check", str(target)]) == 0
     said = capsys.readouterr().out
-    assert said.count(" passed ") == 13 and "accepted, sha256" in said
+    assert said.count(" passed ") == 14 and "accepted, sha256" in said
     assert "has entry.toml already" in error_of(capsys, "submission", "new", str(target))
 
 
@@ -35,7 +45,7 @@ def test_check_prints_every_check_and_why_one_is_refused(capsys: pytest.CaptureF
     data = json_of(capsys, "submission", "check", str(good), str(bad), "--json", code=1)
     first, second = data["submissions"]
     assert first["accepted"] and not second["accepted"]
-    assert [check["verdict"] for check in second["checks"]].count("not reached") == 7
+    assert [check["verdict"] for check in second["checks"]].count("not reached") == 8
     assert main(["submission", "check", str(bad)]) == 1
     assert "refused" in capsys.readouterr().out
 
@@ -54,13 +64,74 @@ def test_score_is_that_of_evaluate(capsys: pytest.CaptureFixture[str], tmp_path:
     assert stored.episodes == again.episodes and stored.entries == again.entries
 
 
-def test_score_refuses_before_it_plays(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    good, bad = folder(tmp_path / "a"), folder(tmp_path / "b", after(node("Tile", ["linear"], "action")))
+def test_score_ranks_what_is_not_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    good, bad = folder(tmp_path / "a"), folder(tmp_path / "b", after(node("Tile", ["linear"], "action")), OTHER)
     assert main(["submission", "score", str(good), str(bad), *_FEW, "--results", str(tmp_path / "r")]) == 1
     said = capsys.readouterr()
-    assert said.out == "" and "b: operators: node 1, 'Tile': the operator is not allowed" in said.err
-    assert not (tmp_path / "r").exists()
+    assert "Mine" in said.out and "Other" not in said.out
+    assert "b: operators: node 1, 'Tile': the operator is not allowed" in said.err
+    assert {entry["name"] for entry in Results.read(tmp_path / "r" / "standard-test.json").entries} == {
+        "Mine",
+        *ANCHORS,
+    }
     twin = folder(tmp_path / "c")
-    assert main(["submission", "score", str(good), str(twin), *_FEW]) == 1
-    assert "Mine, training seed 0 is given twice" in capsys.readouterr().err
+    assert main(["submission", "score", str(good), str(twin), *_FEW, "--results", str(tmp_path / "s")]) == 1
+    said = capsys.readouterr()
+    assert said.out == "" and "Mine, training seed 0 is given twice" in said.err
+    assert not list((tmp_path / "s").rglob("*.*"))
     assert "unknown suite" in error_of(capsys, "submission", "score", str(good), "--suite", "storm")
+
+
+def test_policy_that_fails_in_a_scored_scenario_stops_nobody_else(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """It knows the first scenario by what it sees there, and passes the gate."""
+    lanes = entry_lanes(Entry(name="any"), EnvSettings(suite="standard", split="test"), 1)
+    lanes.start([0], lanes.scenarios([20_000]))
+    trap = models.trap(lanes.observations[0], 1e-3)
+    lanes.simulator.close()
+    good = folder(tmp_path / "good", models.other(0.03))
+    bad = folder(tmp_path / "bad", trap, OTHER)
+    mate = folder(tmp_path / "mate", models.other(), OTHER.replace("seed = 0", "seed = 1"))
+    assert main(["submission", "check", str(bad)]) == 0
+    capsys.readouterr()
+    results = tmp_path / "results"
+    assert main(["submission", "score", str(bad), str(mate), str(good), *_FEW, "--results", str(results)]) == 1
+    said = capsys.readouterr()
+    assert "Mine" in said.out and "Other" not in said.out
+    assert "bad: entry 'Other (training seed 0)', step 0" in said.err and "the scenario of seed 20000" in said.err
+    assert "mate, as another folder of its name is refused" in said.err
+    # What is left is what the good one has alone.
+    assert main(["submission", "score", str(good), *_FEW, "--results", str(tmp_path / "alone")]) == 0
+    assert _files(results) == _files(tmp_path / "alone")
+
+
+def test_check_compares_with_the_entries_beside(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    old, mine = folder(tmp_path / "old"), folder(tmp_path / "mine", models.disguised(), OTHER)
+    data = json_of(capsys, "submission", "check", str(mine), "--beside", str(old), str(mine), "--json", code=1)
+    assert data["submissions"][0]["accepted"] and "the policies are one policy" in data["together"][0]
+    assert main(["submission", "check", str(old), "--beside", str(old)]) == 0
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are another thing there")
+def test_killed_score_goes_on_to_the_same_files(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    names = [TOML.replace("Mine", f"Number {i}") for i in range(3)]
+    given = [str(folder(tmp_path / f"f{i}", models.other(0.01 * (i + 1)), toml)) for i, toml in enumerate(names)]
+    killed, whole = tmp_path / "killed", tmp_path / "whole"
+    command = ["submission", "score", *given, *_FEW, "--results"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen([sys.executable, "-m", "wtg_gym.cli", *command, str(killed)], env=environment)
+    # The anchors and the first of three.
+    while len(list((killed / "partial").glob("*.json"))) < 3 and process.poll() is None:
+        time.sleep(0.001)
+    process.kill()
+    assert process.wait() == -signal.SIGKILL
+    parts = set((killed / "partial").glob("*.json"))
+    assert 3 <= len(parts) < 5 and not (killed / "standard-test.json").exists()
+    assert main([*command, str(killed)]) == 0 and main([*command, str(whole)]) == 0
+    assert _files(killed) == _files(whole) and not (killed / "partial").exists()
+    capsys.readouterr()
+
+
+def _files(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}

@@ -217,6 +217,37 @@ def test_wrong_argument_is_refused(entries: Any, suite: str, arguments: dict, te
         )
 
 
+@pytest.mark.parametrize(
+    ("key", "other"),
+    [
+        ("source", {"source": "John Roe"}),
+        ("action_mode", {"action_mode": "k"}),
+        ("observation_mode", {"observation_mode": "privileged"}),
+        ("strategy", {"strategy": "deloaded-5"}),
+        ("kind", {"learned": False}),
+    ],
+)
+def test_entry_does_not_join_the_row_of_another(key: str, other: dict[str, Any]) -> None:
+    own = {"name": "a", "source": "Jane Doe", "policy": Linear(1.0)}
+    evaluate([Entry(**own, training_seed=0), Entry(**own, training_seed=1)], "standard", **SHORT)
+    with pytest.raises(ValueError, match=f"entries named 'a' share a row and must agree on {key}, got"):
+        evaluate([Entry(**own, training_seed=0), Entry(**{**own, **other}, training_seed=1)], "standard", **SHORT)
+
+
+def test_kept_parts_serve_a_run_with_more_entries(tmp_path: Path) -> None:
+    first = Entry(name="first", policy=Linear(1.0), fingerprint="1")
+    evaluate([first], "standard", partial=tmp_path, keep_partial=True, **SHORT)
+    assert len(list(tmp_path.iterdir())) == 3
+
+    def fail(observation: Any, step: int) -> Any:
+        raise AssertionError("asked again")
+
+    again = Entry(name="first", policy=Answering(fail), fingerprint="1")
+    results = evaluate([again, Entry(name="deloaded-5", strategy="deloaded-5")], "standard", partial=tmp_path, **SHORT)
+    assert [entry["name"] for entry in results.entries] == ["first", "deloaded-5", *ANCHORS]
+    assert not list(tmp_path.iterdir())
+
+
 def test_settings_of_the_environment_are_passed_on(results: Results) -> None:
     other = evaluate([], "standard", weights={"duty": 0.0}, machine_model="classical", **SHORT)
     assert other.settings["weights"]["duty"] == 0.0 and other.settings["machine_model"] == "classical"

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
-import pickle
 import time
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ import pytest
 from onnx import ModelProto, TensorProto, helper
 
 import baselines
+from tests.submissions import models
 from tests.submissions.models import (
     ACTION,
     LINEAR,
@@ -24,20 +24,25 @@ from tests.submissions.models import (
     N,
     after,
     constant,
+    field,
     folder,
     info,
     node,
+    varint,
 )
 from tests.submissions.models import model as make
-from wtg_gym.submissions import limits
-from wtg_gym.submissions.folder import read_files
-from wtg_gym.submissions.gate import CHECKS, Report, _probe, check_submission
+from wtg_gym.submissions.folder import parse_entry, read_files
+from wtg_gym.submissions.gate import CHECKS, Report, check_submission
 from wtg_gym.submissions.graph import inspect
 from wtg_gym.submissions.limits import MEMORY_BYTES
+from wtg_gym.submissions.probes import PROBES
+
+POLICIES = Path(baselines.__file__).parent.parent / "agents" / "policies"
 
 
 def refusal(report: Report) -> tuple[str, str]:
     """The one check that was refused, and why; all after it were not reached."""
+    assert report.refusal is not None
     verdicts = [check.verdict for check in report.checks]
     assert [check.name for check in report.checks] == list(CHECKS)
     assert verdicts.count("refused") == 1 and not report.accepted
@@ -199,90 +204,7 @@ def test_wrong_entry_files_are_refused(toml: str | bytes, text: str, tmp_path: P
     assert check == "entry.toml" and text in reason
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "",
-        "x" * 61,
-        " x",
-        "a\\nb",
-        "a\\u001b[31mb",
-        "a\\u202eb",
-        "a\\u200bb",
-        "[a](https://b.c)",
-        "<b>a</b>",
-        "a|b",
-        "`a`",
-        "**a**",
-        "![a](b)",
-        "www.evil.com",
-        "http://a",
-        "&lt;",
-        "@someone",
-        "#1",
-        "~~a~~",
-        "mppt",
-        "Coordinated-Piecewise",
-        "\\uff21",
-    ],
-)
-def test_names_hold_no_markup_and_take_no_strategys_place(name: str, tmp_path: Path) -> None:
-    toml = TOML.replace("Mine", name)
-    check, reason = refusal(check_submission(folder(tmp_path / "a", toml=toml)))
-    assert check == "entry.toml" and "name must be 1 … 60 letters" in reason
-
-
 # --- the policy file -------------------------------------------------------------------------------------------------
-
-
-class Evil:
-    """Would write a file when it is unpickled."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return os.system, (f"touch {self.path}",)
-
-
-def test_pickles_and_archives_are_never_opened(tmp_path: Path) -> None:
-    trace = tmp_path / "trace"
-    bomb = tmp_path / "bomb.zip"
-    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("policy.pth", bytes(50_000_000))
-    for index, (content, text) in enumerate(
-        [
-            (pickle.dumps(Evil(trace)), "a pickle"),
-            (pickle.dumps(Evil(trace), protocol=0), "ONNX"),
-            (bomb.read_bytes(), "a zip archive"),
-            (b"\x1f\x8b\x08" + b"x" * 100, "a gzip archive"),
-            (b"", "0 bytes"),
-            (b"import os", "ONNX"),
-        ]
-    ):
-        check, reason = refusal(check_submission(folder(tmp_path / str(index), content)))
-        assert check == "file format" and text in reason
-    assert not trace.exists()
-
-
-def varint(number: int) -> bytes:
-    data = b""
-    while number > 127:
-        data, number = data + bytes([number & 127 | 128]), number >> 7
-    return data + bytes([number])
-
-
-def nested(depth: int) -> bytes:
-    """A graph in a node's attribute, in a graph in a node's attribute, and so on."""
-    data = b""
-    for _ in range(depth):
-        for field in (b"\x32", b"\x2a", b"\x0a"):
-            data = field + varint(len(data)) + data
-    return b"\x08\x08" + b"\x3a" + varint(len(data)) + data
-
-
-def field(number: bytes, data: bytes) -> bytes:
-    return number + varint(len(data)) + data
 
 
 @pytest.mark.parametrize(
@@ -293,12 +215,9 @@ def field(number: bytes, data: bytes) -> bytes:
         (b"\x08\x08" + b"\x42\x00" * 2_400_000 + field(b"\x3a", b"\x0a\x00"), "model"),  # opsets
         (b"\x08\x08" + field(b"\x3a", field(b"\x0a", b"\x0a\x00" * 2_400_000)), "model"),  # inputs of one node
         (b"\x08\x08" + field(b"\x3a", field(b"\x2a", b"\x0a" + varint(4_000_000) + b"\x01" * 4_000_000)), "model"),
-        (nested(10_000), "file format"),
-        (b"\x3a" + varint(2**40) + b"x", "file format"),
         (b"\x08" + b"\xff" * 4_000_000, "file format"),
-        (os.urandom(4_000_000), "file format"),
     ],
-    ids=["nodes", "fields", "opsets", "inputs", "dims", "nesting", "length", "varint", "noise"],
+    ids=["nodes", "fields", "opsets", "inputs", "dims", "varint"],
 )
 def test_protobuf_bombs_are_refused_in_bounded_time(content: bytes, check: str, tmp_path: Path) -> None:
     import resource
@@ -313,33 +232,9 @@ def test_protobuf_bombs_are_refused_in_bounded_time(content: bytes, check: str, 
     assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss < MEMORY_BYTES // 1024
 
 
-def external() -> ModelProto:
-    content = make()
-    tensor = content.graph.initializer[0]
-    tensor.ClearField("raw_data")
-    tensor.data_location = TensorProto.EXTERNAL
-    tensor.external_data.add(key="location", value="../../../../etc/passwd")
-    return content
-
-
-def external_in_constant() -> ModelProto:
-    content = make([helper.make_node("Constant", [], ["weights"], value=external().graph.initializer[0]), LINEAR])
-    content.graph.ClearField("initializer")
-    return content
-
-
 def resized(dims: list[int]) -> ModelProto:
     content = make()
     content.graph.initializer[0].dims[:] = dims
-    return content
-
-
-def with_function() -> ModelProto:
-    content = make()
-    function = helper.make_function(
-        "evil", "f", ["a"], ["b"], [node("Identity", ["a"], "b")], [helper.make_opsetid("", 17)]
-    )
-    content.functions.append(function)
     return content
 
 
@@ -347,21 +242,14 @@ def unknown_field() -> bytes:
     return make().SerializeToString() + field(b"\xfa\x07", b"something else")
 
 
-def body(*names: str) -> Any:
-    return helper.make_graph([node("Identity", ["c"], "d")], "b", [info("c", 1)], [info("d", 1)])
-
-
 @pytest.mark.parametrize(
     ("content", "check", "text"),
     [
-        (external(), "constants", "lies in another file"),
-        (external_in_constant(), "constants", "lies in another file"),
         (resized([N, 5]), "constants", "100 numbers has 320 bytes"),
         (resized([2**40, 2**40]), "constants", "allowed are up to 6 axes"),
         (resized([-1, 4]), "constants", "allowed are up to 6 axes"),
         (resized([1_000_000, 1_000_000]), "constants", "1000000000000 numbers has 320 bytes"),
         (resized([1] * 1000), "constants", "allowed are up to 6 axes"),
-        (make(constants=[constant("weights", np.full((N, M), np.nan))]), "constants", "not finite"),
         (make(constants=[constant("weights", np.full((N, M), np.inf))]), "constants", "not finite"),
         (make(constants=[WEIGHTS, constant("many", np.zeros(1_000_001), np.bool_)]), "constants", "1000000"),
         (make(constants=[WEIGHTS, helper.make_tensor("s", TensorProto.STRING, [1], [b"x"])]), "constants", "type 8"),
@@ -371,7 +259,6 @@ def body(*names: str) -> Any:
         (make(ir_version=99), "model", "IR version 99 is outside"),
         (make(domains=[("com.microsoft", 1)]), "model", "com.microsoft"),
         (make(domains=[("evil\x1b[31m", 1)]), "model", "evil"),
-        (with_function(), "model", "functions are not allowed"),
         (unknown_field(), "file format", "fields that ONNX does not know"),
         (make([LINEAR] * 2001), "model", "2001 nodes"),
         (
@@ -379,29 +266,14 @@ def body(*names: str) -> Any:
             "operators",
             "evil",
         ),
-        (make([node("Loop", ["n", "", "observation"], "action", body=body())]), "operators", "not allowed"),
-        (make([node("If", ["c"], "action", then_branch=body(), else_branch=body())]), "operators", "not allowed"),
-        (make([node("Scan", ["observation"], "action", body=body(), num_scan_inputs=1)]), "operators", "not allowed"),
-        (after(node("Relu", ["linear"], "action", body=body())), "operators", "not a plain number"),
-        (after(node("RandomNormalLike", ["linear"], "action")), "operators", "not allowed"),
+        (after(node("Relu", ["linear"], "action", body=models.body())), "operators", "not a plain number"),
         (make([node("RandomNormal", [], "action", shape=[1, M])]), "operators", "not allowed"),
         (after(node("Multinomial", ["linear"], "action")), "operators", "not allowed"),
-        (after(node("Dropout", ["linear"], "action")), "operators", "not allowed"),
         (after(node("Bernoulli", ["linear"], "action")), "operators", "not allowed"),
-        (make([node("ConstantOfShape", ["big"], "action")]), "operators", "not allowed"),
-        (after(node("Expand", ["linear", "big"], "action")), "operators", "not allowed"),
-        (after(node("Tile", ["linear", "big"], "action")), "operators", "not allowed"),
-        (after(node("Range", ["a", "b", "c"], "action")), "operators", "not allowed"),
         (after(node("Cast", ["linear"], "action", to=TensorProto.STRING)), "operators", "casts to type"),
         (after(node("Identity", ["later"], "action")), "operators", "not computed before"),
         (after(node("Softmax", ["linear"], "action", axis=0)), "operators", "lanes, which must stay apart"),
-        (
-            after(node("ReduceMean", ["linear"], "a", axes=[0]), node("Add", ["a", "linear"], "action")),
-            "operators",
-            "apart",
-        ),
         (after(node("ReduceMean", ["linear"], "action")), "operators", "its axes must be given"),
-        (after(node("Transpose", ["linear"], "t"), node("MatMul", ["linear", "t"], "action")), "operators", "two axes"),
         (after(node("Transpose", ["linear"], "t"), node("MatMul", ["t", "linear"], "action")), "operators", "apart"),
         (after(node("Concat", ["linear", "linear"], "action", axis=0)), "operators", "apart"),
         (
@@ -418,16 +290,6 @@ def body(*names: str) -> Any:
             after(node("Gather", ["linear", "s"], "action", axis=1), constants=[constant("s", [4], np.int64)]),
             "operators",
             "its indices must be -4 … 3",
-        ),
-        (
-            after(
-                node("Unsqueeze", ["linear", "two"], "a"),
-                node("MatMul", ["a", "wide"], "b"),
-                node("ReduceSum", ["b", "two"], "action", keepdims=0),
-                constants=[constant("two", [2], np.int64), constant("wide", np.ones((1, 100_000)))],
-            ),
-            "operators",
-            "more than 262144 values per lane",
         ),
         (make([node("Gemm", ["observation", "weights", "observation"], "action")]), "operators", "do not fit"),
         (make(inputs=[info("observation", 1, N)]), "operators", "with a name for the batch"),
@@ -449,36 +311,7 @@ def test_hostile_policy_files_are_refused_unrun(content: ModelProto | bytes, che
     assert reason.isprintable() and len(reason) < 1500
 
 
-def test_work_per_step_is_bounded() -> None:
-    """Few weights used many times over."""
-    nodes = [node("MatMul", ["linear" if i == 0 else f"v{i - 1}", "square"], f"v{i}") for i in range(60)]
-    nodes += [node("Gemm", ["v59", "back"], "action")]
-    first = node("MatMul", ["observation", "up"], "linear")
-    constants = [
-        constant("up", np.zeros((N, 400))),
-        constant("square", np.zeros((400, 400))),
-        constant("back", np.zeros((400, M))),
-    ]
-    assert static_refusal(make([first, *nodes], constants=constants))[0] == "size"
-
-
 # --- behaviour -------------------------------------------------------------------------------------------------------
-
-
-def test_actions_that_are_not_finite_are_refused(tmp_path: Path) -> None:
-    for index, content in enumerate(
-        [after(node("Log", ["linear"], "action")), after(node("Reciprocal", ["linear"], "action"))]
-    ):
-        check, reason = refusal(check_submission(folder(tmp_path / str(index), content)))
-        assert check == "finite" and "not finite" in reason
-
-
-def test_states_that_grow_without_end_are_refused(tmp_path: Path) -> None:
-    nodes = [LINEAR, node("Mul", ["state_0", "two"], "a"), node("Add", ["a", "one"], "next_state_0")]
-    state, following = info("state_0", "batch", 1), info("next_state_0", "batch", 1)
-    constants = [WEIGHTS, constant("two", 2.0), constant("one", 1.0)]
-    content = make(nodes, [OBSERVATION, state], [ACTION, following], constants)
-    assert refusal(check_submission(folder(tmp_path / "a", content)))[0] == "finite"
 
 
 def test_what_onnxruntime_cannot_load_is_refused(tmp_path: Path) -> None:
@@ -486,12 +319,6 @@ def test_what_onnxruntime_cannot_load_is_refused(tmp_path: Path) -> None:
     content = after(node("Not", ["linear"], "action"))
     check, reason = refusal(check_submission(folder(tmp_path / "a", content)))
     assert check == "loading" and "onnxruntime cannot load it" in reason
-
-
-def test_slow_policies_are_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(limits, "STEP_S", 1e-9)
-    check, reason = refusal(check_submission(folder(tmp_path / "a")))
-    assert check == "speed" and "ms for a step of 256 lanes" in reason
 
 
 class Fake:
@@ -515,8 +342,13 @@ def test_answers_that_depend_on_anything_else_are_refused() -> None:
         (lambda x: x[:, :M] + np.arange(len(x))[:, None], "lanes apart"),
     ):
         fake: Any = Fake(answer)
-        last = _probe(fake)[-1]
-        assert (last.name, last.verdict) == ((refused, "refused") if refused else ("speed", "passed"))
+        passed = []
+        with pytest.raises(ValueError) if refused else contextlib.nullcontext():
+            for name, probe in PROBES:
+                probe(fake)
+                passed.append(name)
+        names = [name for name, _ in PROBES]
+        assert passed == (names[: names.index(refused)] if refused else names)
 
 
 @pytest.mark.parametrize("name", ["a;touch x", "$(id)", "--weak-isolation", "mine\n::error::hi", ".hidden", "ü"])
@@ -527,7 +359,12 @@ def test_folder_whose_name_would_mean_something_to_a_shell_is_refused(name: str,
         read_files(path)
 
 
-def test_folders_of_the_shipped_policies_have_names_that_pass() -> None:
-    policies = Path(baselines.__file__).parent.parent / "agents" / "policies"
-    folders = [path for path in policies.iterdir() if path.name != "linear-feedback"]
-    assert len(folders) == 20 and all(read_files(path) for path in folders)
+@pytest.mark.parametrize("name", ["linear-feedback", "ppo-k-0", "sac-k+tau-3"])
+def test_shipped_entries_pass_every_check(name: str) -> None:
+    report = check_submission(POLICIES / name)
+    assert report.accepted, report.refusal
+
+
+def test_folders_and_texts_of_all_shipped_entries_pass() -> None:
+    folders = list(POLICIES.iterdir())
+    assert len(folders) == 21 and all(parse_entry(read_files(path)["entry.toml"]).authors for path in folders)

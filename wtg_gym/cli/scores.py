@@ -40,6 +40,7 @@ from wtg_gym.evaluation import (
     table_cells,
 )
 from wtg_gym.evaluation.entries import LoadArchive
+from wtg_gym.evaluation.evaluator import check_entries
 from wtg_gym.evaluation.leaderboard import COLUMNS
 from wtg_gym.evaluation.workers import BACKENDS, Workers
 from wtg_gym.plotting.page import N_SCENARIOS, SIZE_LIMIT, leaderboard_page, untraced
@@ -47,7 +48,8 @@ from wtg_gym.scenarios import SUITES, get_suite
 
 #: The package with the entries of a checkout.
 _DEFAULT_ENTRIES = "baselines"
-_PARTIAL_FOLDER = "partial"
+#: Of finished parts, in the folder of the results.
+PARTIAL_FOLDER = "partial"
 _LARGEST_SEED_RANGE = 100_000
 _ENTRIES_HELP = (
     "what to score, several allowed: a strategy by name, a .toml file with a law, a folder with entry.toml and "
@@ -205,9 +207,9 @@ def chosen_workers(arguments: argparse.Namespace) -> Workers | None:
 
 def _run_evaluate(arguments: argparse.Namespace) -> int:
     folder = None if arguments.results is None else check_output_folder("--results", arguments.results)
-    partial = folder / _PARTIAL_FOLDER if folder is not None and arguments.resume else None
+    partial = folder / PARTIAL_FOLDER if folder is not None and arguments.resume else None
     if partial is not None:
-        arguments.after_interrupt = _resumable(partial)
+        arguments.after_interrupt = resumable(partial)
     workers = chosen_workers(arguments)
     entries = chosen_entries(arguments.entries, _load_trusted if arguments.trust_pickle else None)
     results = run_evaluation(
@@ -237,7 +239,8 @@ def _load_trusted(folder: Path, algorithm: str) -> tuple[Policy, str]:
     return load_archive(folder, algorithm)
 
 
-def _resumable(partial: Path) -> str:
+def resumable(partial: Path) -> str:
+    """Return what to say after Ctrl-C where finished parts are kept."""
     return f"finished parts are kept in {partial}: run the same command again to go on"
 
 
@@ -279,6 +282,8 @@ def chosen_entries(specs: Sequence[str], load_archive: LoadArchive | None = None
     doubled = sorted({name for name, seed in names if names.count((name, seed)) > 1})
     if doubled:
         raise ValueError(f"--entries gives {', '.join(doubled)} more than once; names must be unique")
+    # The stored ones among them are not evaluated, but stand in the same table.
+    check_entries(entries)
     return entries
 
 
@@ -325,8 +330,8 @@ def _run_leaderboard(arguments: argparse.Namespace) -> int:
     section = f"leaderboard:{arguments.suite}"
     readme = check_page("--readme", arguments.readme, section)
     page = _check_html("--html", arguments.html)
-    partial = folder / _PARTIAL_FOLDER
-    arguments.after_interrupt = _resumable(partial)
+    partial = folder / PARTIAL_FOLDER
+    arguments.after_interrupt = resumable(partial)
     workers = chosen_workers(arguments)
     entries = chosen_entries(arguments.entries)
     anchors = run_evaluation([], arguments, partial=None)

@@ -3,26 +3,29 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
+import dataclasses
 import importlib.util
+from collections.abc import Sequence
 from pathlib import Path
 
 from wtg_gym.cli.draw import add_split_options, chosen_draw
 from wtg_gym.cli.output import check_output_folder, note, print_json, print_table
 from wtg_gym.cli.parser import Commands, add_command
-from wtg_gym.cli.scores import chosen_seeds, finish, run_evaluation
+from wtg_gym.cli.scores import PARTIAL_FOLDER, chosen_seeds, finish, resumable, run_evaluation
+from wtg_gym.evaluation import Entry, Results
 from wtg_gym.scenarios import SUITES, get_suite
 from wtg_gym.submissions import limits
 from wtg_gym.submissions.folder import FILES
-from wtg_gym.submissions.gate import REFUSED, Report, as_json, check_submission, doubled
+from wtg_gym.submissions.gate import Report, as_json, check_submission
 from wtg_gym.submissions.isolation import WEAK_OPTION
 from wtg_gym.submissions.template import write_template
+from wtg_gym.submissions.together import Conflict, conflicts
 
 _OPSETS = f"{limits.OPSETS.start} … {limits.OPSETS.stop - 1}"
 _GATE = f"""\
 A submission is a folder with entry.toml and policy.onnx, and a README.md if you like; nothing in it is run but the
-network in policy.onnx, by onnxruntime, in a process without network that can give no file any content. Before, the file
-is parsed and refused unless it is plain: at most {limits.MODEL_BYTES // 1_000_000} MB and {limits.PARAMETERS:,}
+network in policy.onnx, by onnxruntime, in a process that can do nothing but compute and answer. Before, the file is
+parsed and refused unless it is plain: at most {limits.MODEL_BYTES // 1_000_000} MB and {limits.PARAMETERS:,}
 numbers, opset {_OPSETS}, operators from a list (feed-forward and recurrent layers; no loops, branches, random numbers
 or functions), all weights in the file, and every shape known beforehand with the lanes of a batch apart."""
 
@@ -31,7 +34,9 @@ Writes an entry.toml with comments to fill in, and copies a policy beside it. `p
 files for a run of `python -m agents.train`."""
 
 _CHECK = f"""\
-Says of every check whether a submission passes it, and why not; exits with 1 if one is refused.
+Says of every check whether a submission passes it, and why not; exits with 1 if one is refused. Several folders are
+checked together, and with --beside against those that are there already: a name is one entry's, whose seeds come
+together, and the same policy counts once, however its file is written.
 
 {_GATE}"""
 
@@ -39,9 +44,11 @@ _PROCESS = (
     f"{limits.MEMORY_BYTES // 2**20} MiB of memory, {limits.CPU_S} s of processor time, {limits.CALL_S:g} s a step"
 )
 _SCORE = f"""\
-Checks submissions, plays them on a suite and prints their rows of the leaderboard with those of both anchors; exits
-with 1 if one is refused. Scenarios, simulation and score stay in this process; the policy's gets observations and
-gives actions. Its limits: {_PROCESS}.
+Checks submissions, plays each on its own on a suite and prints their rows of the leaderboard with those of both
+anchors. One that is refused, by the gate or because it gives no valid action in a scenario, is named with its reason
+and left out with all folders of its name; the others are ranked, and the exit code is 1. Scenarios, simulation and
+score stay in this process; the policy's gets observations and gives actions. Its limits: {_PROCESS}. With --results,
+an interrupted command goes on from its finished parts.
 
 {_GATE}"""
 
@@ -70,7 +77,8 @@ def add_commands(commands: Commands) -> None:
         _run_check,
         summary="say whether folders are accepted, and why not",
         description=_CHECK,
-        examples="  wtg-gym submission check my-policy\n  wtg-gym submission check my-policy-* --json",
+        examples="  wtg-gym submission check my-policy --beside agents/policies/*\n"
+        "  wtg-gym submission check my-policy-* --json",
     )
     _add_common(parser)
     parser = add_command(
@@ -92,10 +100,23 @@ def add_commands(commands: Commands) -> None:
     )
     parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
     parser.add_argument("--results", metavar="DIR", help="folder to write results to; made if missing (default: none)")
+    parser.add_argument(
+        "--resume",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="go on from the finished parts of an interrupted run in DIR, and keep them (default: --resume)",
+    )
 
 
 def _add_common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folders", nargs="+", metavar="FOLDER", help=f"folder with {', '.join(FILES)}")
+    parser.add_argument(
+        "--beside",
+        nargs="+",
+        default=[],
+        metavar="FOLDER",
+        help="entries that are there already, to compare names and policies with; those given as FOLDER are left out",
+    )
     parser.add_argument(
         WEAK_OPTION,
         action="store_true",
@@ -113,41 +134,90 @@ def _run_new(arguments: argparse.Namespace) -> int:
 
 def _run_check(arguments: argparse.Namespace) -> int:
     reports = _reports(arguments)
-    wrong = _together(reports)
+    wrong = _together(reports, arguments)
     if arguments.json:
-        print_json({"submissions": [as_json(report) for report in reports], "together": wrong})
+        together = [conflict.reason for conflict in wrong]
+        print_json({"submissions": [as_json(report) for report in reports], "together": together})
     else:
         for report in reports:
             _print(report)
-        for line in wrong:
-            print(f"refused: {line}")
+        for conflict in wrong:
+            print(f"refused: {conflict.reason}")
     return int(bool(wrong) or not all(report.accepted for report in reports))
 
 
 def _run_score(arguments: argparse.Namespace) -> int:
-    results_folder = None if arguments.results is None else check_output_folder("--results", arguments.results)
+    folder = None if arguments.results is None else check_output_folder("--results", arguments.results)
     get_suite(arguments.suite)
     seeds = None if arguments.seeds is None else chosen_seeds(arguments.seeds)
     draw = chosen_draw(arguments)
+    partial = folder / PARTIAL_FOLDER if folder is not None and arguments.resume else None
+    if partial is not None:
+        arguments.after_interrupt = resumable(partial)
+
+    def play(entries: Sequence[Entry], *, keep: bool) -> Results:
+        return run_evaluation(
+            entries, arguments, split=arguments.split, partial=partial, seeds=seeds, draw=draw, keep_partial=keep
+        )
+
+    # Whatever is wrong with the arguments is said before the work.
+    anchors = play([], keep=True)
     reports = _reports(arguments)
-    wrong = _together(reports)
-    refused = [report for report in reports if not report.accepted]
-    for report in refused:
-        (check,) = (check for check in report.checks if check.verdict == REFUSED)
-        wrong.append(f"{_shown(report.folder)}: {check.name}: {check.reason}")
-    if wrong:
-        for line in wrong:
-            note(f"refused: {line}")
-        return 1
-    with contextlib.ExitStack() as stack:
-        entries = []
-        for report in reports:
+    wrong = _together(reports, arguments) + _refused(reports)
+    played: list[tuple[Report, Entry, Results]] = []
+    for report in _ranked(reports, wrong):
+        try:
             entry, policy = report.open(weak=arguments.weak_isolation)
-            stack.enter_context(policy)
-            entries.append(entry)
-        results = run_evaluation(entries, arguments, split=arguments.split, partial=None, seeds=seeds, draw=draw)
-    finish(results, results_folder, as_json=arguments.json)
-    return 0
+            with policy:
+                played.append((report, entry, play([entry], keep=True)))
+        except ValueError as error:
+            wrong.append(Conflict((report.folder,), f"{_shown(report.folder)}: {error}"))
+    ranked = _ranked(reports, wrong)
+    _say_what_is_not(ranked, reports, wrong)
+    if partial is not None:
+        # Nothing is played again, all parts are there: this removes them.
+        play([entry for _, entry, _ in played], keep=False)
+    if ranked:
+        results = _merged(anchors, [results for report, _, results in played if report in ranked])
+        finish(results, folder, as_json=arguments.json)
+    return int(bool(wrong))
+
+
+def _refused(reports: Sequence[Report]) -> list[Conflict]:
+    return [
+        Conflict((report.folder,), f"{_shown(report.folder)}: {report.refusal.name}: {report.refusal.reason}")
+        for report in reports
+        if report.refusal is not None
+    ]
+
+
+def _say_what_is_not(ranked: Sequence[Report], reports: Sequence[Report], wrong: Sequence[Conflict]) -> None:
+    for conflict in wrong:
+        note(f"refused: {conflict.reason}")
+    for report in reports:
+        if report not in ranked and not any(report.folder in conflict.folders for conflict in wrong):
+            note(f"left out: {_shown(report.folder)}, as another folder of its name is refused")
+
+
+def _merged(anchors: Results, played: Sequence[Results]) -> Results:
+    """The results of several entries that were each played alone, as if they had been played together."""
+    n = len(anchors.seeds)
+    return dataclasses.replace(
+        anchors,
+        entries=(*(results.entries[0] for results in played), *anchors.entries),
+        episodes=(*(episode for results in played for episode in results.episodes[:n]), *anchors.episodes),
+    )
+
+
+def _ranked(reports: Sequence[Report], wrong: Sequence[Conflict]) -> list[Report]:
+    """The submissions of which nothing is wrong with any folder of their name: nobody chooses the seeds of a row."""
+    folders = {folder for conflict in wrong for folder in conflict.folders}
+    names = {report.entry.name for report in reports if report.folder in folders and report.entry is not None}
+    return [
+        report
+        for report in reports
+        if report.folder not in folders and report.entry is not None and report.entry.name not in names
+    ]
 
 
 def _reports(arguments: argparse.Namespace) -> list[Report]:
@@ -160,8 +230,18 @@ def _reports(arguments: argparse.Namespace) -> list[Report]:
     return reports
 
 
-def _together(reports: list[Report]) -> list[str]:
-    return doubled([report for report in reports if report.accepted])
+def _together(reports: list[Report], arguments: argparse.Namespace) -> list[Conflict]:
+    """What is wrong with the accepted submissions together, and beside those that are there."""
+    accepted = [report for report in reports if report.accepted]
+    own = {report.folder.resolve() for report in reports}
+    beside = []
+    for folder in map(Path, arguments.beside) if accepted else ():
+        if folder.resolve() not in own:
+            beside.append(check_submission(folder, weak=arguments.weak_isolation, probes=False))
+            refusal = beside[-1].refusal
+            if refusal is not None:
+                note(f"--beside {_shown(folder)}: compared as far as it can be read: {refusal.reason}")
+    return conflicts(accepted, beside)
 
 
 def _shown(folder: Path) -> str:

@@ -50,6 +50,7 @@ def evaluate(
     on_progress: Progress | None = None,
     partial: str | Path | None = None,
     workers: Workers | None = None,
+    keep_partial: bool = False,
     **env_arguments: Any,
 ) -> Results:
     """Play every entry, and the two anchors of the score, through the scenarios of a suite.
@@ -71,6 +72,7 @@ def evaluate(
         partial: folder for finished batches: a run that was killed goes on from them; in the end they are removed, the
             folder stays.
         workers: other processes that play the batches; None plays them here, one after the other.
+        keep_partial: leave finished batches in that folder, for a run with more entries.
         env_arguments: further settings of the environment, see :class:`wtg_gym.envs.settings.EnvSettings`.
 
     Raises:
@@ -107,7 +109,8 @@ def evaluate(
         entries=tuple(entry.to_dict() for entry in competitors),
         episodes=tuple(episode for index in range(len(parts)) for episode in played[index]),
     )
-    store.clear()
+    if not keep_partial:
+        store.clear()
     return results
 
 
@@ -125,21 +128,39 @@ def _check_arguments(batch: int, partial: str | Path | None, env_arguments: dict
         raise ValueError(f"partial must be a folder for finished batches, got the file {partial}")
 
 
-def _with_anchors(entries: Sequence[Entry]) -> list[Entry]:
-    """The entries with the anchors that are not among them, anchors of one's own making refused."""
+def check_entries(entries: Sequence[Entry]) -> None:
+    """Raise a ValueError if entries cannot stand in one table: names, training seeds and rows must fit."""
     if isinstance(entries, (str, Entry)) or not all(isinstance(entry, Entry) for entry in entries):
         raise ValueError(f"entries must be a list of Entry, see load_entries(), got {entries!r}")
     names = [(entry.name, entry.training_seed) for entry in entries]
     doubled = sorted({name for name, seed in names if names.count((name, seed)) > 1})
     if doubled:
         raise ValueError(f"entries must have different names or training seeds; given more than once: {doubled}")
-    for name in {name for name, _ in names}:
-        seeds = [seed for other, seed in names if other == name]
-        if len(seeds) > 1 and None in seeds:
-            raise ValueError(f"entries named {name!r} must all have a training seed, got {seeds}")
+    rows: dict[str, Entry] = {}
     for entry in entries:
+        first = rows.setdefault(entry.name, entry)
+        if first is not entry:
+            _check_row(first, entry)
         if entry.name in ANCHORS and (entry.policy is not None or entry.law != STRATEGIES[entry.name]):
             raise ValueError(f"the name {entry.name!r} is reserved for the strategy itself, which fixes the score")
+
+
+def _check_row(first: Entry, other: Entry) -> None:
+    """Entries of one name are one method, trained with several seeds: nobody joins another's row."""
+    if None in (first.training_seed, other.training_seed):
+        seeds = [first.training_seed, other.training_seed]
+        raise ValueError(f"entries named {first.name!r} must all have a training seed, got {seeds}")
+    one, two = first.to_dict(), other.to_dict()
+    for key in ("kind", "strategy", "action_mode", "observation_mode", "source"):
+        if one[key] != two[key]:
+            raise ValueError(
+                f"entries named {first.name!r} share a row and must agree on {key}, got {one[key]!r} and {two[key]!r}"
+            )
+
+
+def _with_anchors(entries: Sequence[Entry]) -> list[Entry]:
+    """The entries with the anchors that are not among them, anchors of one's own making refused."""
+    check_entries(entries)
     missing = [name for name in ANCHORS if name not in {entry.name for entry in entries}]
     return [*entries, *(Entry(name=name, strategy=name, description="Anchor of the score.") for name in missing)]
 
@@ -324,4 +345,4 @@ class _Actions:
         return ValueError(f"entry {self._entry.label!r}, step {self._step}: {wanted}, got {got}")
 
 
-__all__ = ["entry_lanes", "evaluate", "play"]
+__all__ = ["check_entries", "entry_lanes", "evaluate", "play"]

@@ -6,15 +6,14 @@ import os
 import re
 import stat
 import tomllib
-import unicodedata
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation.entries import ENTRY_FILE, POLICY_FILE
-from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.submissions import limits
+from wtg_gym.submissions.texts import check_author, check_link, check_name, check_text, short
 
 README_FILE = "README.md"
 #: The files of a folder and their largest sizes [bytes].
@@ -22,14 +21,8 @@ FILES = {ENTRY_FILE: limits.ENTRY_BYTES, POLICY_FILE: limits.MODEL_BYTES, README
 _REQUIRED = ("name", "authors", "training_seed", "action_mode")
 _OPTIONAL = ("observation_mode", "description", "trained_on", "links")
 _MODES = {"action_mode": ("k", "tau", "k+tau"), "observation_mode": ("local", "privileged")}
-_NAME_SIGNS = " ()+-.,=_"
-#: Quantities that a name may speak of.
-_GREEK = "βγδκλμπτω"
-_NOT_IN_TEXTS = "<>|`[]\\"
-_LONGEST_NAME, _LONGEST_TEXT, _LONGEST_LINK = 60, 400, 200
 _LARGEST_SEED = 2**32 - 1
 _MOST_AUTHORS, _MOST_LINKS = 40, 5
-_LINK = re.compile(r"https://[A-Za-z0-9][A-Za-z0-9.-]*\.[A-Za-z]{2,24}(/[A-Za-z0-9._~/%#?=&+-]*)?")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,67 +124,21 @@ def parse_entry(content: bytes) -> EntryFile:
         )
     for key, allowed in _MODES.items():
         if key in data and (not isinstance(data[key], str) or data[key] not in allowed):
-            raise ValueError(f"{key} must be one of {', '.join(allowed)}, got {_short(data[key])}")
+            raise ValueError(f"{key} must be one of {', '.join(allowed)}, got {short(data[key])}")
     seed = data["training_seed"]
     if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= _LARGEST_SEED:
-        raise ValueError(f"training_seed must be a whole number 0 … {_LARGEST_SEED}, got {_short(seed)}")
+        raise ValueError(f"training_seed must be a whole number 0 … {_LARGEST_SEED}, got {short(seed)}")
     for key in ("description", "trained_on"):
-        data[key] = _text(key, data.get(key, ""), allow_empty=True)
-    data["authors"] = tuple(_text("an author", each) for each in _list("authors", data["authors"], 1, _MOST_AUTHORS))
-    data["links"] = tuple(_link(each) for each in _list("links", data.get("links", []), 0, _MOST_LINKS))
-    return EntryFile(**{**data, "name": _name(data["name"])})
-
-
-def _name(value: Any) -> str:
-    """Return the name, which stands in Markdown and HTML tables: nothing in it may be markup or a link."""
-    allowed = (
-        f"name must be 1 … {_LONGEST_NAME} letters, digits and signs out of {_NAME_SIGNS.strip()}{_GREEK} or blanks, "
-        f"begin with a letter or digit, and be none of {', '.join(STRATEGIES)}"
-    )
-    if not isinstance(value, str) or not 1 <= len(value) <= _LONGEST_NAME:
-        raise ValueError(f"{allowed}; got {_short(value)}")
-    # Letters of other scripts look like these, or like nothing at all.
-    plain = all((sign.isascii() and sign.isalnum()) or sign in _NAME_SIGNS + _GREEK for sign in value)
-    normal = unicodedata.normalize("NFKC", value) == value and value == value.strip() and value[0].isalnum()
-    if not plain or not normal or "www." in value.lower() or value.lower() in STRATEGIES:
-        raise ValueError(f"{allowed}; got {_short(value)}")
-    return value
-
-
-def _text(key: str, value: Any, *, allow_empty: bool = False) -> str:
-    if (
-        not isinstance(value, str)
-        or not int(not allow_empty) <= len(value) <= _LONGEST_TEXT
-        or not value.isprintable()
-        or set(value) & set(_NOT_IN_TEXTS)
-        or "://" in value
-    ):
-        raise ValueError(
-            f"{key} must be up to {_LONGEST_TEXT} printable characters without {' '.join(_NOT_IN_TEXTS)} and "
-            f"addresses (those are for links), got {_short(value)}"
-        )
-    return value
-
-
-def _link(value: Any) -> str:
-    if not isinstance(value, str) or len(value) > _LONGEST_LINK or _LINK.fullmatch(value) is None:
-        raise ValueError(f"a link must be a plain https:// address of up to {_LONGEST_LINK}, got {_short(value)}")
-    return value
+        data[key] = check_text(key, data.get(key, ""))
+    data["authors"] = tuple(check_author(each) for each in _list("authors", data["authors"], 1, _MOST_AUTHORS))
+    data["links"] = tuple(check_link(each) for each in _list("links", data.get("links", []), 0, _MOST_LINKS))
+    return EntryFile(**{**data, "name": check_name(data["name"])})
 
 
 def _list(key: str, value: Any, fewest: int, most: int) -> list[Any]:
     if not isinstance(value, list) or not fewest <= len(value) <= most:
-        raise ValueError(f"{key} must be a list of {fewest} … {most} texts, got {_short(value)}")
+        raise ValueError(f"{key} must be a list of {fewest} … {most} texts, got {short(value)}")
     return value
-
-
-def _short(value: Any) -> str:
-    try:
-        text = ascii(value)
-    # Python writes no number of more than 4300 digits.
-    except (ValueError, RecursionError):
-        text = f"a very long {type(value).__name__}"
-    return text if len(text) <= 80 else text[:77] + "..."
 
 
 def settings_of(entry: EntryFile) -> EnvSettings:

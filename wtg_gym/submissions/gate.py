@@ -3,28 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
-import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-
-import numpy as np
 
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.evaluation.entries import ENTRY_FILE, POLICY_FILE, Entry
-from wtg_gym.evaluation.onnx_policy import Floats, States
+from wtg_gym.evaluation.onnx_policy import Floats
 from wtg_gym.files import sha256
-from wtg_gym.submissions import limits
 from wtg_gym.submissions.folder import EntryFile, parse_entry, read_files, settings_of
 from wtg_gym.submissions.isolation import IsolatedPolicy, NotIsolatedError
+from wtg_gym.submissions.probes import PROBES, rollout
 
 _FILE_CHECKS = ("file format", "model", "constants", "operators", "signature", "size")
 #: All checks in their order; those of the file are made where nothing of it is run.
-CHECKS = ("folder", "entry.toml", *_FILE_CHECKS, "loading", "finite", "repeatable", "lanes apart", "speed")
+CHECKS = ("folder", "entry.toml", *_FILE_CHECKS, "loading", *(name for name, _ in PROBES), "rollout")
 PASSED, REFUSED, NOT_REACHED = "passed", "refused", "not reached"
-#: Largest magnitude of an observation.
-_BOUND = 5.0
-_PROBE_LANES, _PROBE_STEPS, _LONG_STEPS = 64, 3, 600
 
 
 @dataclass(frozen=True)
@@ -47,6 +40,7 @@ class Report:
         sha256: of policy.onnx; None where it was not read.
         content: policy.onnx as it was checked.
         notes: what this system could not isolate.
+        actions: of the rollout, see :func:`wtg_gym.submissions.probes.rollout`; None where it was not reached.
     """
 
     folder: Path
@@ -55,11 +49,17 @@ class Report:
     sha256: str | None
     content: bytes
     notes: tuple[str, ...] = ()
+    actions: Floats | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def refusal(self) -> Check | None:
+        """Return the check that it did not pass; None if it is accepted."""
+        return next((check for check in self.checks if check.verdict == REFUSED), None)
 
     @property
     def accepted(self) -> bool:
         """Return whether every check was passed."""
-        return all(check.verdict == PASSED for check in self.checks)
+        return self.refusal is None
 
     def open(self, *, weak: bool = False) -> tuple[Entry, IsolatedPolicy]:
         """Return an accepted submission as an entry, whose policy plays in a process of its own and must be closed."""
@@ -78,12 +78,13 @@ class Report:
         return entry, policy
 
 
-def check_submission(folder: Path, *, weak: bool = False) -> Report:
+def check_submission(folder: Path, *, weak: bool = False, probes: bool = True) -> Report:
     """Return what the gate says about a folder; nothing of it is run in this process.
 
     Args:
         folder: with entry.toml and policy.onnx.
         weak: go on where this system cannot isolate a process completely.
+        probes: False leaves out the checks on made-up observations, for a folder that has passed them before.
 
     Raises:
         NotIsolatedError: this system cannot, and `weak` is not set.
@@ -91,7 +92,7 @@ def check_submission(folder: Path, *, weak: bool = False) -> Report:
     done: list[Check] = []
     entry: EntryFile | None = None
     content: bytes = b""
-    notes: tuple[str, ...] = ()
+    policy: _Played = _Played()
     try:
         files = read_files(folder)
         content = files[POLICY_FILE]
@@ -99,30 +100,24 @@ def check_submission(folder: Path, *, weak: bool = False) -> Report:
         entry = parse_entry(files[ENTRY_FILE])
         seed = f"training seed {entry.training_seed}"
         done.append(Check("entry.toml", PASSED, f"{entry.name}, {seed}, {entry.action_mode}, {entry.observation_mode}"))
-        policy_checks, notes = _check_policy(content, entry, weak)
-        done += policy_checks
+        policy = _check_policy(content, entry, weak, probes)
+        done += policy.checks
     except NotIsolatedError:
         raise
     except ValueError as error:
         done.append(Check(CHECKS[len(done)], REFUSED, str(error)))
-    done += [Check(name, NOT_REACHED) for name in CHECKS[len(done) :]]
-    digest = sha256(content) if content else None
-    return Report(folder=folder, checks=tuple(done), entry=entry, sha256=digest, content=content, notes=notes)
-
-
-def doubled(reports: Sequence[Report]) -> list[str]:
-    """Return what is wrong with several accepted submissions together: names and seeds, or policies, given twice."""
-    seen: dict[object, Path] = {}
-    wrong = []
-    for report in reports:
-        assert report.entry is not None
-        name, seed = report.entry.name, report.entry.training_seed
-        label = f"{name}, training seed {seed}"
-        for key, what in (((name, seed), label), (report.sha256, f"the policy file of {label}")):
-            if key in seen:
-                wrong.append(f"{what} is given twice: {seen[key]} and {report.folder}")
-            seen.setdefault(key, report.folder)
-    return wrong
+    made = {check.name for check in done}
+    if done[-1].verdict == REFUSED:
+        done += [Check(name, NOT_REACHED) for name in CHECKS if name not in made]
+    return Report(
+        folder=folder,
+        checks=tuple(done),
+        entry=entry,
+        sha256=sha256(content) if content else None,
+        content=content,
+        notes=policy.notes,
+        actions=policy.actions,
+    )
 
 
 def _widths(entry: EntryFile) -> tuple[int, int]:
@@ -134,118 +129,50 @@ def _widths(entry: EntryFile) -> tuple[int, int]:
         lanes.simulator.close()
 
 
-def _check_policy(content: bytes, entry: EntryFile, weak: bool) -> tuple[list[Check], tuple[str, ...]]:
+@dataclass
+class _Played:
+    """What was found out about a policy in its process."""
+
+    checks: list[Check] = field(default_factory=list)
+    notes: tuple[str, ...] = ()
+    actions: Floats | None = None
+
+    def add(self, name: str, reason: str, *, passed: bool = True) -> bool:
+        self.checks.append(Check(name, PASSED if passed else REFUSED, reason))
+        return passed
+
+
+def _check_policy(content: bytes, entry: EntryFile, weak: bool, probes: bool) -> _Played:
+    found = _Played()
     try:
         policy = IsolatedPolicy(content, *_widths(entry), weak=weak)
     except NotIsolatedError:
         raise
     except ValueError as error:
         # The process ended while it read the file.
-        return [Check(_FILE_CHECKS[0], REFUSED, str(error))], ()
+        found.add(_FILE_CHECKS[0], str(error), passed=False)
+        return found
     with policy:
-        done = [Check(name, PASSED if passed else REFUSED, reason) for name, passed, reason in policy.checks]
-        if done[-1].verdict == PASSED:
-            loaded = Check("loading", REFUSED if policy.error else PASSED, policy.error or "onnxruntime runs it")
-            done.append(loaded)
-        if done[-1].verdict == PASSED:
-            done += _probe(policy)
-        return done, tuple(policy.missing)
-
-
-def _probe(policy: IsolatedPolicy) -> list[Check]:
-    """Ask the policy about made-up observations."""
-    probes: list[tuple[str, Callable[[IsolatedPolicy], str]]] = [
-        ("finite", _finite),
-        ("repeatable", _repeatable),
-        ("lanes apart", _lanes_apart),
-        ("speed", _speed),
-    ]
-    done: list[Check] = []
-    for name, probe in probes:
-        try:
-            done.append(Check(name, PASSED, probe(policy)))
-        except ValueError as error:
-            done.append(Check(name, REFUSED, str(error)))
-            break
-    return done
-
-
-def _observations(n_lanes: int, width: int, seed: int) -> Floats:
-    """Return made-up observations, (n_lanes, width): zero, the bounds, one entry at a bound, small ones and any."""
-    rng = np.random.default_rng(seed)
-    scale = rng.choice([0.01, 0.3, 1.0, _BOUND], size=(n_lanes, 1))
-    values = np.clip(rng.normal(0.0, 1.0, (n_lanes, width)) * scale, -_BOUND, _BOUND)
-    special = [np.zeros(width), np.full(width, _BOUND), np.full(width, -_BOUND)]
-    special += [sign * _BOUND * row for row in np.eye(width) for sign in (1.0, -1.0)]
-    n = min(len(special), n_lanes // 2)
-    values[:n] = special[:n]
-    found: Floats = values.astype(np.float32)
+        found.notes = tuple(policy.missing)
+        if all(found.add(name, reason, passed=passed) for name, passed, reason in policy.checks):
+            _play(policy, entry, found, probes)
     return found
 
 
-def _course(policy: IsolatedPolicy, steps: Sequence[Floats]) -> list[Floats]:
-    """Return the actions and states of consecutive steps."""
-    state: States | None = None
-    found: list[Floats] = []
-    for step in steps:
-        action, state = policy.predict(step, state)
-        found += [action, *(state or ())]
-    return found
-
-
-def _steps(policy: IsolatedPolicy) -> list[Floats]:
-    return [_observations(_PROBE_LANES, policy.n_observation, seed) for seed in range(_PROBE_STEPS)]
-
-
-def _finite(policy: IsolatedPolicy) -> str:
-    many = 2 * (2 * policy.n_observation + 3)
-    for lanes, n_steps in ((max(many, _PROBE_LANES), _PROBE_STEPS), (4, _LONG_STEPS)):
-        course = _course(policy, [_observations(lanes, policy.n_observation, seed) for seed in range(n_steps)])
-        wrong = sum(int((~np.isfinite(values)).sum()) for values in course)
-        if wrong:
-            raise ValueError(f"{wrong} actions or states are not finite, for observations within ±{_BOUND:g}")
-    return f"on {max(many, _PROBE_LANES)} observations, and over {_LONG_STEPS} steps"
-
-
-def _repeatable(policy: IsolatedPolicy) -> str:
-    first, second = _course(policy, _steps(policy)), _course(policy, _steps(policy))
-    if not all(np.array_equal(one, two) for one, two in zip(first, second, strict=True)):
-        raise ValueError("the same observations give other actions the second time")
-    return f"{_PROBE_STEPS} steps twice, the same to the last bit"
-
-
-def _lanes_apart(policy: IsolatedPolicy) -> str:
-    steps = _steps(policy)
-    together = _course(policy, steps)
-    order = np.random.default_rng(0).permutation(_PROBE_LANES)
-    mixed = _course(policy, [step[order] for step in steps])
-    alone = _course(policy, [step[-1:] for step in steps])
-    # States may be of any magnitude; what they do shows in the actions.
-    stride = len(together) // len(steps)
-    differences = [
-        max(float(np.abs(one[order] - two).max()), float(np.abs(one[-1:] - three).max()))
-        for one, two, three in list(zip(together, mixed, alone, strict=True))[::stride]
-    ]
-    if not max(differences) <= limits.LANE_TOLERANCE:
-        raise ValueError(
-            f"a lane's action differs by {max(differences):.2g} with other lanes beside it, allowed are "
-            f"{limits.LANE_TOLERANCE:g}"
-        )
-    return f"to {max(differences):.1g}"
-
-
-def _speed(policy: IsolatedPolicy) -> str:
-    step = _observations(limits.TIMED_LANES, policy.n_observation, 0)
-    times = []
-    for _ in range(5):
-        began = time.perf_counter()
-        policy.predict(step)
-        times.append(time.perf_counter() - began)
-    # The fastest: a busy machine slows down the others.
-    found = f"{1e3 * min(times):.1f} ms for a step of {limits.TIMED_LANES} lanes, allowed are {1e3 * limits.STEP_S:g}"
-    if min(times) > limits.STEP_S:
-        raise ValueError(found)
-    return found
+def _play(policy: IsolatedPolicy, entry: EntryFile, found: _Played, probes: bool) -> None:
+    """Ask a policy that is loaded."""
+    if not found.add("loading", policy.error or "onnxruntime runs it", passed=not policy.error):
+        return
+    name = ""
+    try:
+        for name, probe in PROBES if probes else ():
+            found.add(name, probe(policy))
+        name = "rollout"
+        found.actions = rollout(policy, entry.action_mode, entry.observation_mode)
+        steps, lanes, _ = found.actions.shape
+        found.add(name, f"{lanes} scenarios of the validation split, up to {steps} steps")
+    except ValueError as error:
+        found.add(name, str(error), passed=False)
 
 
 def as_json(report: Report) -> dict[str, object]:
@@ -260,4 +187,4 @@ def as_json(report: Report) -> dict[str, object]:
     }
 
 
-__all__ = ["CHECKS", "NOT_REACHED", "PASSED", "REFUSED", "Check", "Report", "as_json", "check_submission", "doubled"]
+__all__ = ["CHECKS", "NOT_REACHED", "PASSED", "REFUSED", "Check", "Report", "as_json", "check_submission"]

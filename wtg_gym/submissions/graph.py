@@ -78,6 +78,20 @@ def inspect(content: bytes, n_observation: int, n_action: int) -> list[tuple[str
     return done
 
 
+def example() -> bytes:
+    """Return the file of a policy of one observation and one action."""
+    observation, action = (
+        onnx.helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", 1]) for name in ("observation", "action")
+    )
+    weight = numpy_helper.from_array(np.ones((1, 1), dtype=np.float32), "weight")
+    node = onnx.helper.make_node("MatMul", ["observation", "weight"], ["action"])
+    graph = onnx.helper.make_graph([node], "example", [observation], [action], [weight])
+    opset = onnx.helper.make_opsetid("", limits.OPSETS.start)
+    model = onnx.helper.make_model(graph, opset_imports=[opset], ir_version=limits.IR_VERSIONS.start)
+    content: bytes = model.SerializeToString()
+    return content
+
+
 def quoted(value: str) -> str:
     """Return text of a stranger as at most 80 harmless characters."""
     short = value if len(value) <= 60 else value[:57] + "..."
@@ -314,4 +328,4 @@ def _type_names() -> str:
     return ", ".join(TensorProto.DataType.Name(number).lower() for number in _TYPES)
 
 
-__all__ = ["CHECKS", "Refused", "inspect", "quoted"]
+__all__ = ["CHECKS", "Refused", "example", "inspect", "quoted"]

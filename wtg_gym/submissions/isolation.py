@@ -10,9 +10,9 @@ import json
 import os
 import subprocess
 import sys
-import tempfile
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, cast
@@ -42,7 +42,8 @@ class NotIsolatedError(SubmissionError):
 class IsolatedPolicy:
     """A policy file that is looked at, loaded and asked in a process of its own; close it after use.
 
-    The process has no network, can give no file any content, and is bounded in memory and time. It ends with this one.
+    The process can reach no file, no network and no other process, and is bounded in memory and time. It ends with this
+    one.
 
     Args:
         content: the .onnx file.
@@ -65,9 +66,8 @@ class IsolatedPolicy:
         #: Why the policy is not loaded; empty where it is.
         self.error = "the file is refused"
         self._widths: list[int] = []
-        self._deadline = time.monotonic() + limits.TOTAL_S
+        self._waited_s = 0.0
         self._timed_out = False
-        self._folder = tempfile.TemporaryDirectory(prefix="wtg-gym-")
         self._process = self._start(weak)
         try:
             self._open(content, weak)
@@ -82,7 +82,6 @@ class IsolatedPolicy:
             "weak": weak,
             "memory_bytes": limits.MEMORY_BYTES,
             "cpu_s": limits.CPU_S,
-            "open_files": limits.OPEN_FILES,
         }
         environment = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
         if os.name == "nt":
@@ -96,24 +95,26 @@ class IsolatedPolicy:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            cwd=self._folder.name,
+            cwd="/",
             env=environment,
         )
 
     def _open(self, content: bytes, weak: bool) -> None:
-        self.missing = [str(text) for text in self._message(limits.LOAD_S).get("missing", [])]
+        with self._wait(limits.LOAD_S):
+            self.missing = [str(text) for text in self._message().get("missing", [])]
         if self.missing and not weak:
             raise NotIsolatedError(
                 f"this system cannot isolate the policy's process: {'; '.join(self.missing)}. "
                 f"{WEAK_OPTION} plays it all the same: do so with policies of people you trust"
             )
-        self._write(LENGTH.pack(len(content)) + content, limits.LOAD_S)
-        given = self._message(limits.LOAD_S).get("checks")
-        self.checks = _as_checks(given)
+        with self._wait(limits.LOAD_S):
+            self._write(LENGTH.pack(len(content)) + content)
+            self.checks = _as_checks(self._message().get("checks"))
         if not all(passed for _, passed, _ in self.checks):
             return
         try:
-            loaded = self._message(limits.LOAD_S)
+            with self._wait(limits.LOAD_S):
+                loaded = self._message()
             self.error = "" if "states" in loaded else str(loaded.get("error"))
         except SubmissionError as error:
             self.error = str(error)
@@ -151,49 +152,58 @@ class IsolatedPolicy:
         return answers[0], tuple(answers[1:]) if len(answers) > 1 else None
 
     def _ask(self, request: bytes, shapes: list[tuple[int, int]]) -> list[Floats]:
-        self._write(request, limits.CALL_S)
-        if self._read(1, limits.CALL_S) != ACTIONS:
-            self.error = str(self._message(limits.CALL_S).get("error"))[:400]
-            raise SubmissionError(f"the policy cannot answer: {self.error}")
-        data = [self._read(4 * rows * columns, limits.CALL_S) for rows, columns in shapes]
+        with self._wait(limits.CALL_S):
+            self._write(request)
+            if self._read(1) != ACTIONS:
+                self.error = str(self._message().get("error"))[:400]
+                raise SubmissionError(f"the policy cannot answer: {self.error}")
+            data = [self._read(4 * rows * columns) for rows, columns in shapes]
         return [np.frombuffer(d, dtype="<f4").reshape(s).astype(np.float32) for d, s in zip(data, shapes, strict=True)]
 
-    def _message(self, seconds: float) -> dict[str, Any]:
-        size = LENGTH.unpack(self._read(LENGTH.size, seconds))[0]
+    def _message(self) -> dict[str, Any]:
+        size = LENGTH.unpack(self._read(LENGTH.size))[0]
         if size > _LONGEST_MESSAGE:
             raise SubmissionError(f"the policy's process sent {size} bytes, allowed are {_LONGEST_MESSAGE}")
         try:
-            message = json.loads(self._read(size, seconds))
+            message = json.loads(self._read(size))
         except (ValueError, RecursionError) as error:
             raise SubmissionError("the policy's process sent a message that is no JSON") from error
         if not isinstance(message, dict):
             raise SubmissionError("the policy's process sent a message that is no object")
         return message
 
-    def _read(self, size: int, seconds: float) -> bytes:
-        with self._watch(seconds):
-            data = cast(IO[bytes], self._process.stdout).read(size)
+    def _read(self, size: int) -> bytes:
+        data = cast(IO[bytes], self._process.stdout).read(size)
         if len(data) < size:
-            raise self._ended(seconds)
+            raise self._ended()
         return data
 
-    def _write(self, data: bytes, seconds: float) -> None:
+    def _write(self, data: bytes) -> None:
         stream = cast(IO[bytes], self._process.stdin)
         try:
-            with self._watch(seconds):
-                stream.write(data)
-                stream.flush()
+            stream.write(data)
+            stream.flush()
         except (BrokenPipeError, OSError) as error:
-            raise self._ended(seconds) from error
+            raise self._ended() from error
 
-    def _watch(self, seconds: float) -> _Watch:
-        return _Watch(self, min(seconds, max(0.0, self._deadline - time.monotonic())))
+    @contextlib.contextmanager
+    def _wait(self, seconds: float) -> Iterator[None]:
+        """Kill the process if what is done within takes too long [s]; only this time counts for the whole."""
+        began = time.monotonic()
+        timer = threading.Timer(min(seconds, max(0.0, limits.TOTAL_S - self._waited_s)), self._kill)
+        timer.daemon = True
+        timer.start()
+        try:
+            yield
+        finally:
+            timer.cancel()
+            self._waited_s += time.monotonic() - began
 
     def _kill(self) -> None:
         self._timed_out = True
         self._process.kill()
 
-    def _ended(self, seconds: float) -> SubmissionError:
+    def _ended(self) -> SubmissionError:
         """Return the error that says how the process ended, once it has."""
         # It has closed its end: a moment for it to exit by itself tells how.
         try:
@@ -202,7 +212,10 @@ class IsolatedPolicy:
             self._process.kill()
             code = self._process.wait()
         if self._timed_out:
-            self.error = f"it took longer than {seconds:g} s, or than {limits.TOTAL_S:g} s in all"
+            self.error = (
+                f"it took longer than {limits.LOAD_S:g} s to load, {limits.CALL_S:g} s for a step, or "
+                f"{limits.TOTAL_S:g} s in all"
+            )
         else:
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
             self.error = (
@@ -212,14 +225,13 @@ class IsolatedPolicy:
         return SubmissionError(self.error)
 
     def close(self) -> None:
-        """End the process and remove its folder."""
+        """End the process."""
         self._process.kill()
         self._process.wait()
         for stream in (self._process.stdin, self._process.stdout):
             # What was still to be written has no reader any more.
             with contextlib.suppress(OSError):
                 cast(IO[bytes], stream).close()
-        self._folder.cleanup()
 
     def __enter__(self) -> IsolatedPolicy:
         return self
@@ -228,22 +240,6 @@ class IsolatedPolicy:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-
-class _Watch:
-    """Kills the process if what is done within takes too long [s]."""
-
-    def __init__(self, policy: IsolatedPolicy, seconds: float) -> None:
-        self._timer = threading.Timer(seconds, policy._kill)
-        self._timer.daemon = True
-
-    def __enter__(self) -> None:
-        self._timer.start()
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._timer.cancel()
 
 
 def _as_checks(given: Any) -> list[tuple[str, bool, str]]:

@@ -1,8 +1,9 @@
-"""The process in which a stranger's policy is looked at and played: no network, bounded memory and time.
+"""The process in which a stranger's policy is looked at and played: it computes, and can do nothing else.
 
-Started by :mod:`wtg_gym.submissions.isolation`. It reads the policy from stdin, looks at it, loads it and answers
-observations with actions; a message is JSON with its length before it, arrays are float32 without anything around them.
-It never learns which scenario is played, and its answers are all that comes out of it.
+Started by :mod:`wtg_gym.submissions.isolation`. It loads the libraries, has the kernel take everything else away, and
+only then reads the policy from stdin, looks at it, loads it and answers observations with actions; a message is JSON
+with its length before it, arrays are float32 without anything around them. It never learns which scenario is played,
+and its answers are all that comes out of it.
 """
 
 from __future__ import annotations
@@ -10,13 +11,14 @@ from __future__ import annotations
 import ctypes
 import json
 import os
-import socket
 import struct
 import sys
+from collections.abc import Callable
 from typing import Any, BinaryIO
 
-_CLONE_NEWUSER, _CLONE_NEWNET, _CLONE_NEWIPC = 0x1000_0000, 0x4000_0000, 0x0800_0000
-_PR_SET_PDEATHSIG, _PR_SET_NO_NEW_PRIVS, _SIGKILL = 1, 38, 9
+from wtg_gym.submissions.lockdown import lock
+
+_PR_SET_PDEATHSIG, _SIGKILL = 1, 9
 #: Before a message: its length; before observations: the number of lanes.
 LENGTH = struct.Struct("<I")
 ACTIONS, COMPLAINT = b"\x00", b"\x01"
@@ -28,39 +30,28 @@ def main() -> None:
     source, sink = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     # What a library prints must not end up among the answers.
     os.dup2(2, 1)
-    missing = _isolate(wanted)
+    missing = [_limit(wanted)]
+    # What the libraries open, they must have opened before.
+    inspect = _rehearse()
+    missing = [text for text in (*missing, lock(source.fileno(), sink.fileno())) if text]
     _send(sink, {"missing": missing})
     if missing and not wanted["weak"]:
         return
     content = _read(source, LENGTH.unpack(_read(source, LENGTH.size))[0])
-    from wtg_gym.submissions.graph import inspect
-
     checks = inspect(content, wanted["n_observation"], wanted["n_action"])
     _send(sink, {"checks": checks})
     if all(passed for _, passed, _ in checks):
         _serve(content, source, sink)
 
 
-def _isolate(wanted: dict[str, Any]) -> list[str]:
-    """Take away network, memory, time and files; return what this system would not take away."""
-    return [text for text in (_limit(wanted), _cut_network()) if text]
-
-
 def _limit(wanted: dict[str, Any]) -> str:
-    try:
-        import resource
-    except ImportError:
-        return f"limits of memory and time: {sys.platform} has none"
-    limits = {
-        "RLIMIT_AS": wanted["memory_bytes"],
-        "RLIMIT_CPU": wanted["cpu_s"],
-        "RLIMIT_NOFILE": wanted["open_files"],
-        "RLIMIT_FSIZE": 0,
-        "RLIMIT_CORE": 0,
-    }
+    """Bound memory and time, and end with the process that started this one; return what this system would not do."""
     if sys.platform != "linux":
-        return f"limits of memory: {sys.platform} does not enforce them"
-    for name, value in limits.items():
+        return f"limits of memory and time: {sys.platform} does not enforce them"
+    import resource
+
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, _SIGKILL)
+    for name, value in (("RLIMIT_AS", wanted["memory_bytes"]), ("RLIMIT_CPU", wanted["cpu_s"]), ("RLIMIT_CORE", 0)):
         try:
             resource.setrlimit(getattr(resource, name), (value, value))
         except (OSError, ValueError) as error:
@@ -68,27 +59,29 @@ def _limit(wanted: dict[str, Any]) -> str:
     return ""
 
 
-def _cut_network() -> str:
-    if sys.platform != "linux":
-        return f"no network: {sys.platform} offers no way for a process to give it up"
-    libc = ctypes.CDLL(None, use_errno=True)
-    libc.prctl(_PR_SET_PDEATHSIG, _SIGKILL)
-    libc.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0)
-    # With a user namespace anybody may; root may without one, where containers forbid it.
-    for flags in (_CLONE_NEWUSER | _CLONE_NEWNET | _CLONE_NEWIPC, _CLONE_NEWNET):
-        if libc.unshare(flags) == 0:
-            left = [name for _, name in socket.if_nameindex() if name != "lo"]
-            return f"no network: {left} are still there" if left else ""
-    return f"no network: the kernel refuses a network namespace ({os.strerror(ctypes.get_errno())})"
+def _rehearse() -> Callable[[bytes, int, int], list[tuple[str, bool, str]]]:
+    """Look at a policy of our own, load it and ask it once; return what looks at a file."""
+    import numpy as np
+
+    from wtg_gym.submissions.graph import example, inspect
+
+    content = example()
+    inspect(content, 1, 1)
+    _load(content).run(None, {"observation": np.zeros((1, 1), dtype=np.float32)})
+    return inspect
+
+
+def _load(content: bytes) -> Any:
+    from wtg_gym.onnx_session import open_session
+
+    return open_session(content)
 
 
 def _serve(content: bytes, source: BinaryIO, sink: BinaryIO) -> None:
     import numpy as np
 
-    from wtg_gym.onnx_session import open_session
-
     try:
-        session = open_session(content)
+        session = _load(content)
         widths = {value.name: int(value.shape[1]) for value in session.get_inputs()}
         outputs = {value.name: int(value.shape[1]) for value in session.get_outputs()}
     except Exception as error:

@@ -1,0 +1,91 @@
+"""Several submissions together, and beside entries that are there."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from onnx import ModelProto
+
+import baselines
+from tests.submissions import models
+from tests.submissions.hostile import seed
+from tests.submissions.models import TOML, M, N, constant, folder
+from tests.submissions.models import model as make
+from wtg_gym.evaluation import load_entries
+from wtg_gym.submissions import limits
+from wtg_gym.submissions.gate import Report, check_submission
+from wtg_gym.submissions.probes import rollout
+from wtg_gym.submissions.together import action_difference, conflicts
+
+
+def report(path: Path, content: ModelProto | None = None, toml: str = TOML) -> Report:
+    found = check_submission(folder(path, content, toml))
+    assert found.accepted, found.refusal
+    return found
+
+
+def nudged(size: float) -> ModelProto:
+    """The plain policy with noise on its weights."""
+    noise = np.random.default_rng(0).normal(0.0, size, (N, M))
+    return make(constants=[constant("weights", 0.01 + noise)])
+
+
+def test_seeds_of_one_entry_are_accepted(tmp_path: Path) -> None:
+    first, second = report(tmp_path / "a"), report(tmp_path / "b", models.other(), seed(1))
+    assert conflicts([first, second]) == []
+    assert conflicts([first], [report(tmp_path / "c", models.other(), TOML.replace("Mine", "Yours"))]) == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key"),
+    [
+        ("Jane Doe", "John Roe", "authors"),
+        ('"Jane Doe"', '"Jane Doe", "John Roe"', "authors"),
+        ("training_seed", 'description = "Better"\ntraining_seed', "description"),
+        ("training_seed", 'trained_on = "The test scenarios"\ntraining_seed', "trained_on"),
+    ],
+)
+def test_nobody_joins_anothers_row(old: str, new: str, key: str, tmp_path: Path) -> None:
+    first = report(tmp_path / "a")
+    second = report(tmp_path / "b", models.other(), seed(1).replace(old, new))
+    (conflict,) = conflicts([first, second])
+    assert conflict.folders == (first.folder, second.folder) and f"must agree on {key}:" in conflict.reason
+    # Not even who says the same joins a row that is there.
+    (conflict,) = conflicts([second], [first])
+    assert conflict.folders == (second.folder,) and "is taken by Mine of" in conflict.reason
+
+
+@pytest.mark.parametrize("content", [models.disguised(), nudged(1e-5)], ids=["other bytes", "a little noise"])
+def test_copies_are_refused_whatever_their_bytes(content: ModelProto, tmp_path: Path) -> None:
+    first, second = report(tmp_path / "a"), report(tmp_path / "b", content, seed(1))
+    assert first.sha256 != second.sha256
+    (conflict,) = conflicts([first, second])
+    assert "the policies are one policy" in conflict.reason
+    third = report(tmp_path / "c", content, TOML.replace("Mine", "Yours"))
+    (conflict,) = conflicts([third], [first])
+    assert conflict.folders == (third.folder,) and "the policies are one policy" in conflict.reason
+
+
+def test_policies_that_differ_are_no_copies(tmp_path: Path) -> None:
+    assert conflicts([report(tmp_path / "a"), report(tmp_path / "b", nudged(0.01), seed(1))]) == []
+
+
+def test_what_is_there_is_compared_as_far_as_it_can_be_read(tmp_path: Path) -> None:
+    broken = check_submission(folder(tmp_path / "a", b"no model"), probes=False)
+    assert not broken.accepted
+    (conflict,) = conflicts([report(tmp_path / "b", models.other(), seed(1))], [broken])
+    assert "is taken by Mine" in conflict.reason
+
+
+def test_shipped_policies_are_far_from_being_copies() -> None:
+    by_mode: dict[str, list[Any]] = {}
+    for path in sorted((Path(baselines.__file__).parent.parent / "agents" / "policies").iterdir()):
+        (entry,) = load_entries(path)
+        by_mode.setdefault(entry.action_mode, []).append(rollout(entry.policy, entry.action_mode, "local"))
+    pairs = [pair for actions in by_mode.values() for pair in itertools.combinations(actions, 2)]
+    assert len(pairs) == 55 + 10 + 10
+    assert min(itertools.starmap(action_difference, pairs)) > 7 * limits.COPY_TOLERANCE
