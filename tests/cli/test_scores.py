@@ -149,7 +149,7 @@ def test_leaderboard_with_workers_is_the_same(capsys: pytest.CaptureFixture[str]
 def test_missing_baselines_say_how_to_go_on(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(wtg_gym.cli.scores, "_DEFAULT_ENTRIES", "no_such_package")
+    monkeypatch.setattr(wtg_gym.cli.scores, "DEFAULT_ENTRIES", "no_such_package")
     line = error_of(capsys, "leaderboard", "--entries", "no_such_package")
     assert "run the command in the root of a checkout, or say what to score with --entries" in line
 

@@ -15,10 +15,11 @@ from wtg_gym import __version__
 from wtg_gym.cli import (
     accuracy,
     bench,
+    evaluate,
     gap,
+    leaderboard,
     parameters,
     reproduce,
-    scores,
     sensitivity,
     simulate,
     small_signal,
@@ -53,7 +54,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"wtg-gym {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     analysis = (statics, small_signal, reproduce, validate, accuracy, parameters, bench)
-    for module in (simulate, scores, verify, gap, submission, sensitivity, suites, *analysis):
+    for module in (simulate, evaluate, leaderboard, verify, gap, submission, sensitivity, suites, *analysis):
         module.add_commands(commands)
     return parser
 
