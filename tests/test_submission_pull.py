@@ -74,9 +74,9 @@ def policy(name: str) -> Callable[[Path], object]:
 def test_new_folder_is_checked_and_scored(
     judge: Callable[[Callable[[Path], object]], tuple[int, str]], tmp_path: Path
 ) -> None:
-    code, said = judge(policy("ppo-k-2"))
+    code, said = judge(policy("ppo-tau-0"))
     assert code == 0, said
-    assert "PPO (k)" in said and "coordinated-piecewise" in said
+    assert "PPO (τ)" in said and "coordinated-piecewise" in said
     assert (tmp_path / "results" / "standard-test.csv").is_file()
 
 
