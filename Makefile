@@ -51,10 +51,10 @@ verification: $(LEADERBOARD_READY) ## Score every entry on fresh scenarios too, 
 PAGE_SUITES := standard weak-grid low-wind gust paper
 
 .PHONY: page
-page: $(LEADERBOARD_READY) ## Rank every entry on all suites and show them in docs/leaderboard.html
+page: verification ## Rank every entry on all suites and on fresh scenarios, and show them in docs/leaderboard.html
 	for suite in $(PAGE_SUITES); do \
 	    $(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite $$suite --entries baselines $(POLICIES) --results results || exit; done
-	$(LEADERBOARD_VENV)/bin/wtg-gym page $(PAGE_SUITES:%=results/%-test.json) \
+	$(LEADERBOARD_VENV)/bin/wtg-gym page $(PAGE_SUITES:%=results/%-test.json) results/standard-verification.json \
 	    --entries baselines $(POLICIES) --output docs/leaderboard.html
 
 .PHONY: docs

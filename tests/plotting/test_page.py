@@ -16,13 +16,13 @@ from tests.cli.calls import error_of
 from tests.plotting.pages import DURATION_S, HOSTILE, SEEDS, TRACED, small_page, small_results
 from wtg_gym.cli import main
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import Entry, leaderboard_rows
+from wtg_gym.evaluation import Entry, evaluate, leaderboard_rows
 from wtg_gym.evaluation.recording import record
 from wtg_gym.physics.parameters import TurbineParameters
 from wtg_gym.plotting.page import leaderboard_page, untraced
 from wtg_gym.plotting.page.data import SCORE_RESOLUTION
 from wtg_gym.plotting.page.traces import MISSING, RESOLUTIONS, packed, quantised, unpacked
-from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios import draw_seeds, get_suite
 
 pytest.importorskip("bokeh", reason="the page's charts are Bokeh's")
 #: Attributes that a browser loads from.
@@ -226,3 +226,18 @@ def test_colours_have_the_contrast_of_wcag_aa(scheme: str) -> None:
     assert contrast("ink", "bar") >= 4.5
     for ink in ("rest", "edge", "focus"):
         assert contrast(ink, "page") >= 3.0, ink
+
+
+def test_results_on_fresh_scenarios_are_a_suite_of_their_own_and_columns_of_the_public_ones() -> None:
+    entries = [Entry(name=name, strategy=name) for name in ("mppt", "coordinated-linear", "coordinated-piecewise")]
+    draw = draw_seeds("standard", "a" * 40, b"a secret for this test", 3)
+    public = evaluate(entries, "standard", seeds=SEEDS, duration_s=DURATION_S)
+    fresh = evaluate(entries, "standard", "verification", draw=draw, duration_s=DURATION_S)
+    text = leaderboard_page([public, fresh], [], n_scenarios=1).text
+    suites = _data(text)["suites"]
+    assert [suite["name"] for suite in suites] == ["standard", "standard, verification"]
+    assert suites[1]["seeds"] == list(draw.seeds)
+    tables = re.findall(r"<table data-suite.*?</table>", text, flags=re.DOTALL)
+    assert ["fresh score" in table for table in tables] == [True, False]
+    scores = {row.name: f"{row.score.value:.1f}" for row in leaderboard_rows(fresh)}
+    assert f'<td class="number">{scores["coordinated-linear"]}</td><td class="number"></td></tr>' in tables[0]

@@ -122,15 +122,16 @@ def gap_cells(gaps: Sequence[GeneralisationGap]) -> list[list[str]]:
             gap.name,
             f"{gap.public.value:.1f}",
             f"{gap.fresh.value:.1f}",
-            _text(gap.gap),
-            "" if gap.excess is None else _text(gap.excess),
+            signed_interval(gap.gap),
+            "" if gap.excess is None else signed_interval(gap.excess),
             "better on public scenarios" if gap.is_suspect else "",
         ]
         for gap in gaps
     ]
 
 
-def _text(interval: Interval) -> str:
+def signed_interval(interval: Interval) -> str:
+    """Return a difference of scores and its interval, with their signs."""
     value, low, high = (round(x, 1) + 0.0 for x in (interval.value, interval.low, interval.high))
     return f"{value:+.1f} ({low:+.1f} … {high:+.1f})"
 
@@ -151,4 +152,13 @@ def describe(public: Results, fresh: Results) -> str:
     )
 
 
-__all__ = ["COLUMNS", "GeneralisationGap", "describe", "gap_cells", "gap_page", "generalisation_gaps", "left_out"]
+__all__ = [
+    "COLUMNS",
+    "GeneralisationGap",
+    "describe",
+    "gap_cells",
+    "gap_page",
+    "generalisation_gaps",
+    "left_out",
+    "signed_interval",
+]

@@ -158,7 +158,7 @@ def _suite(
     seeds = {entry.name: entry.training_seed for entry in played}
     means = np.array([statistics.resampled_means(scores[row.name]) for row in rows])
     return {
-        "name": results.suite,
+        "name": results.suite if results.split == "test" else f"{results.suite}, {results.split}",
         "split": results.split,
         "description": get_suite(results.suite).description,
         "hash": results.suite_hash,

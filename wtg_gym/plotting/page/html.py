@@ -15,8 +15,10 @@ from typing import Any
 
 from wtg_gym import __version__
 from wtg_gym.evaluation import Entry, EntrySummary, Results, leaderboard_rows, table_cells
+from wtg_gym.evaluation.generalisation import GeneralisationGap, generalisation_gaps, signed_interval
 from wtg_gym.evaluation.leaderboard import COLUMNS
 from wtg_gym.plotting.page.data import Progress, page_data
+from wtg_gym.scenarios import VERIFICATION
 
 #: What the file should not grow beyond [B]: more than that is slow to open from a mail or over a network.
 SIZE_LIMIT = 3_000_000
@@ -24,6 +26,8 @@ SIZE_LIMIT = 3_000_000
 N_SCENARIOS = 20
 _SCRIPTS = ("base.js", "ranking.js", "compare.js", "drill.js", "controls.js")
 _GAP = "gap closed [%]"
+#: Columns where there are results on fresh scenarios.
+_FRESH = ("fresh score", "excess")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +87,7 @@ def leaderboard_page(
     fields = {
         "policy": html.escape(_policy([library, script])),
         "style": _asset("page.css"),
-        "tables": "\n".join(_table(each, hidden=place > 0) for place, each in enumerate(results)),
+        "tables": "\n".join(_table(each, _gaps(each, results), hidden=place > 0) for place, each in enumerate(results)),
         "version": html.escape(__version__),
         "library": _deflated(library),
         "charts": _deflated(json.dumps(_plain_ids(json.loads(serialize_json(document.to_json()))))),
@@ -162,14 +166,23 @@ def _plain_ids(document: Mapping[str, Any]) -> Any:
     return json.loads(text)
 
 
-def _table(results: Results, *, hidden: bool) -> str:
+def _gaps(public: Results, results: Sequence[Results]) -> dict[str, GeneralisationGap]:
+    """Return the gaps to fresh scenarios, by the entry's name, where there are results on these."""
+    if public.split != "test":
+        return {}
+    fresh = [each for each in results if (each.suite, each.split) == (public.suite, VERIFICATION)]
+    return {gap.name: gap for each in fresh for gap in generalisation_gaps(public, each)}
+
+
+def _table(results: Results, gaps: Mapping[str, GeneralisationGap], *, hidden: bool) -> str:
     """Return the ranking of a suite as a table, in the order of the scores."""
     rows = leaderboard_rows(results)
     filled = [i for i, _ in enumerate(COLUMNS) if any(cells[i] for cells in table_cells(rows))]
     heads = list(COLUMNS.items())
-    head = "".join(_head(*heads[i]) for i in filled)
+    head = "".join(_head(*heads[i]) for i in filled) + "".join(_head(name, True) for name in _FRESH if gaps)
     body = [
-        f'<tr data-name="{html.escape(row.name)}">{"".join(_cell(heads[i][0], cells[i], row) for i in filled)}</tr>'
+        f'<tr data-name="{html.escape(row.name)}">{"".join(_cell(heads[i][0], cells[i], row) for i in filled)}'
+        f"{_fresh_cells(gaps.get(row.name)) if gaps else ''}</tr>"
         for row, cells in zip(rows, table_cells(rows), strict=True)
     ]
     suite = html.escape(results.suite)
@@ -191,6 +204,12 @@ def _cell(name: str, text: str, row: EntrySummary) -> str:
         share = min(max(row.gap_closed_percent.value, 0.0), 100.0)
         return f'<td class="number share" style="--share: {share:.1f}%">{html.escape(text)}</td>'
     return f"<td{' class=number' if COLUMNS[name] else ''}>{html.escape(text)}</td>"
+
+
+def _fresh_cells(gap: GeneralisationGap | None) -> str:
+    fresh = "" if gap is None else f"{gap.fresh.value:.1f}"
+    excess = "" if gap is None or gap.excess is None else signed_interval(gap.excess)
+    return f'<td class="number">{fresh}</td><td class="number">{excess}</td>'
 
 
 __all__ = ["N_SCENARIOS", "SIZE_LIMIT", "Page", "leaderboard_page"]
