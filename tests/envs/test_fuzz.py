@@ -16,9 +16,7 @@ from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.scenarios import SUITES, TRIPPABLE_LINES
 
 # The same examples on every machine, and no data base in the working tree.
-FUZZ = settings(
-    max_examples=60, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck)
-)
+FUZZ = settings(max_examples=60, derandomize=True, database=None, suppress_health_check=list(HealthCheck))
 
 WEIGHTS = st.none() | st.dictionaries(
     st.sampled_from(["frequency", "rocof", "duty", "rotor", "overload", "effort"]),

@@ -107,7 +107,7 @@ def test_no_score_where_mppt_is_not_worse(results: Results, tmp_path: Path) -> N
     assert again.to_dict()["summary"] == {}
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(which=st.integers(0, 1), data=st.data())
 def test_damaged_file_never_passes(copies: tuple[Path, Path], which: int, data: st.DataObject) -> None:
     path = copies[which]

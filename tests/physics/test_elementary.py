@@ -7,7 +7,7 @@ import math
 import numba
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from wtg_gym.physics.elementary import exponential, fma, sine_cosine
@@ -20,7 +20,6 @@ def compiled_fma(a: float, b: float, c: float) -> float:
     return fma(a, b, c)
 
 
-@settings(deadline=None)  # The first call compiles.
 @given(ORDINARY, ORDINARY, ORDINARY)
 @example(-0.0, 1.0, -0.0)
 def test_compiled_multiply_add_has_the_bits_of_the_exact_one(a: float, b: float, c: float) -> None:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from wtg_gym.physics.statics import (
@@ -67,7 +67,6 @@ LAWS = st.builds(
 
 
 @given(LAWS, st.floats(3.0, 25.0), st.floats(0.98, 1.02), st.booleans())
-@settings(deadline=None)
 def test_every_equilibrium_balances_and_stable_and_unstable_ones_take_turns(
     law: TrackingLaw, wind: float, frequency: float, fine_pitch: bool
 ) -> None:
@@ -90,7 +89,6 @@ def test_every_equilibrium_balances_and_stable_and_unstable_ones_take_turns(
 
 
 @given(LAWS, st.floats(4.0, 20.0))
-@settings(deadline=None)
 def test_equilibrium_is_lost_just_below_the_critical_frequency(law: TrackingLaw, wind: float) -> None:
     try:
         critical = critical_frequency_pu(law, wind)

@@ -57,7 +57,7 @@ def test_first_two_hundred_test_scenarios_keep_every_promise(source: ScenarioDis
         check(source.draw(seed), source, 60.0)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.sampled_from(DISTRIBUTIONS),
     st.integers(0, 2**63 - 1),

@@ -58,7 +58,7 @@ def test_events_at_any_time_end_their_step_exactly() -> None:
     assert fine["Pe2a"][3] > fine["Pe2a"][2] + 0.05
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.lists(st.floats(0.0, 3.0), min_size=1, max_size=12))
 def test_looking_more_often_changes_nothing(times: list[float]) -> None:
     events = (dataclasses.replace(UNITS.events["a"][0], time_s=1.1),)
