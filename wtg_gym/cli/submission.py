@@ -22,12 +22,13 @@ from wtg_gym.submissions.template import write_template
 from wtg_gym.submissions.together import Conflict, conflicts
 
 _OPSETS = f"{limits.OPSETS.start} … {limits.OPSETS.stop - 1}"
+_SIZE = f"at most {limits.MODEL_BYTES // 1_000_000} MB and {limits.PARAMETERS:,} numbers, opset {_OPSETS}"
 _GATE = f"""\
 A submission is a folder with entry.toml and policy.onnx, and a README.md if you like; nothing in it is run but the
 network in policy.onnx, by onnxruntime, in a process that can do nothing but compute and answer. Before, the file is
-parsed and refused unless it is plain: at most {limits.MODEL_BYTES // 1_000_000} MB and {limits.PARAMETERS:,} numbers, opset {_OPSETS},
-operators from a list (feed-forward and recurrent layers; no loops, branches, random numbers or functions), all weights
-in the file, and every shape known beforehand with the lanes of a batch apart."""
+parsed and refused unless it is plain: {_SIZE}, operators from a
+list (feed-forward and recurrent layers; no loops, branches, random numbers or functions), all weights in the file,
+and every shape known beforehand with the lanes of a batch apart."""
 
 _NEW = """\
 Writes an entry.toml with comments to fill in, and copies a policy beside it. `python -m agents.export` writes both

@@ -66,7 +66,7 @@ def verify(
     wanted = [(entry["name"], entry["training_seed"]) for entry in stored.entries]
     missing = [name for name, seed in wanted if (name, seed) not in given and name not in ANCHORS]
     if missing:
-        raise ValueError(f"the results hold entries that were not given: {', '.join(dict.fromkeys(missing))} (--entries)")
+        raise ValueError(f"the results hold entries that were not given: {', '.join(dict.fromkeys(missing))}")
     now = evaluate(
         [given[key] for key in wanted if key in given],
         stored.suite,
