@@ -200,8 +200,6 @@ def test_pickled_onnx_policy_answers_the_same() -> None:
     [
         (("threads",), "unknown backend 'threads'; allowed are loky, dask, ray"),
         (("loky", "tcp://head:8786"), "loky has workers on this machine only"),
-        (("dask", "head"), "must end in a port of 1 … 65535, as in tcp://host:8786; got 'head'"),
-        (("dask", "tcp://head:65536"), "must end in a port of 1 … 65535"),
         (("loky", None, 1), "jobs must be 2 … 10000"),
         (("loky", None, 0), "jobs must be 2 … 10000"),
         (("loky", None, 2.0), "jobs must be 2 … 10000"),
@@ -226,7 +224,7 @@ def test_missing_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -
 
 
 @needs_dask
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "smoke://a:1"])
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nowhere", "smoke://a:1"])
 def test_scheduler_that_does_not_answer_is_named(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workers, "_CONNECT_S", 1)
     with pytest.raises(ValueError, match=f"no Dask scheduler answers at {address}"):

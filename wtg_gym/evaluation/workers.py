@@ -10,7 +10,6 @@ import contextlib
 import functools
 import importlib.util
 import os
-import re
 import socket
 import sys
 import threading
@@ -79,12 +78,6 @@ class Workers:
             )
         if self.address is not None and (not isinstance(self.address, str) or not self.address.strip()):
             raise ValueError(f"the address of a cluster must be text such as tcp://host:8786, got {self.address!r}")
-        # Dask itself takes half a minute to give such an address up.
-        if self.address is not None and self.backend == "dask" and not _has_port(self.address):
-            raise ValueError(
-                f"the address of a Dask scheduler must end in a port of 1 … 65535, as in tcp://host:8786; "
-                f"got {self.address!r}"
-            )
         jobs = self.jobs
         if jobs is not None and (isinstance(jobs, bool) or not isinstance(jobs, int) or not 2 <= jobs <= _LARGEST_JOBS):
             raise ValueError(f"jobs must be 2 … {_LARGEST_JOBS} (a single one needs no backend), got {jobs!r}")
@@ -169,6 +162,9 @@ class Workers:
                 )
                 target = stack.enter_context(local)
             try:
+                if self.address is not None:
+                    # A client that was made for an address that is none takes half a minute to go.
+                    distributed.comm.get_address_host_port(self.address, strict=True)
                 client = distributed.Client(target, timeout=_CONNECT_S, set_as_default=False)
             except (OSError, ValueError) as error:
                 raise ValueError(f"no Dask scheduler answers at {self.address}: {_first_line(error)}") from error
@@ -197,11 +193,6 @@ class Workers:
             yield n_jobs
         finally:
             ray.shutdown()
-
-
-def _has_port(address: str) -> bool:
-    port = re.search(r".:(\d{1,5})/?$", address)
-    return port is not None and 1 <= int(port[1]) <= 65_535
 
 
 def _first_line(error: BaseException) -> str:
