@@ -78,8 +78,9 @@ def export(
         raise ValueError(f"the actions of the ONNX file differ by {difference:.2g}, allowed are {TOLERANCE:g}")
     write_atomically(output / POLICY_FILE, content)
     write_atomically(output / "README.md", model_card(run, row, entry.name, authors, content))
+    trained_on = f"{settings.suite}, split train, {timesteps} steps; chosen on split validation"
     # Last, because it is what makes the folder an entry.
-    write_atomically(output / ENTRY_FILE, entry_file(entry, authors=list(authors)))
+    write_atomically(output / ENTRY_FILE, entry_file(entry, authors=list(authors), trained_on=trained_on))
     return difference
 
 

@@ -157,7 +157,9 @@ def test_export_describes_the_policy_that_it_writes(
     export(folder, entry, name="mine")
     (row,) = (row for row in run.curve if row["timesteps"] == int(best.name))
     assert f"| {row['score']:.1f} on 2 scenarios" in (entry / "README.md").read_text()
-    assert f"for {int(best.name)} steps" in (entry / "entry.toml").read_text()
+    text = (entry / "entry.toml").read_text()
+    assert f"for {int(best.name)} steps" in text
+    assert f'trained_on = "standard, split train, {int(best.name)} steps; chosen on split validation"' in text
 
     def fails(*_: Any) -> Any:
         raise AssertionError("the work was begun")

@@ -116,6 +116,26 @@ def test_killed_worker_changes_nothing(backend: str, tmp_path: Path) -> None:
     assert there == evaluate(everyone, "standard", **SHORT)
 
 
+_KILLS_ITS_PARENT = """
+import os, signal, threading
+from wtg_gym.evaluation import Entry, Workers, evaluate
+
+class Policy:
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        os.kill(os.getppid(), signal.SIGKILL)
+        threading.Event().wait()
+
+if __name__ == "__main__":
+    evaluate([Entry(name="a", policy=Policy())], "standard", seeds=[20000], workers=Workers("loky", jobs=2))
+"""
+
+
+def test_loky_workers_end_with_the_process_that_started_them() -> None:
+    # Its output ends when the last worker has ended, which inherited it.
+    done = subprocess.run([sys.executable, "-c", _KILLS_ITS_PARENT], capture_output=True, timeout=120)
+    assert done.returncode == -signal.SIGKILL
+
+
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_error_of_a_policy_comes_through_and_is_not_tried_again(backend: str) -> None:
     failing = Entry(name="failing", policy=Failing())

@@ -218,7 +218,8 @@ class Progress:
         now = time.monotonic()
         if now - self._last_line >= _PROGRESS_INTERVAL_S:
             self._last_line = now
-            left = f", about {(now - self._began) / done * (total - done):.0f} s left" if done else ""
+            # The first of it says little: compiling takes longer than playing.
+            left = f", about {(now - self._began) / done * (total - done):.0f} s left" if done > 0.02 * total else ""
             note(f"{name}: {count}{left}")
 
     def update_part(self, name: str, done: int, total: int, steps_done: int, n_steps: int) -> None:

@@ -53,14 +53,19 @@ def add_command(
     return parser
 
 
-def add_plant_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the plant and of the time steps, the same for every command that simulates."""
+def add_plant_options(parser: argparse.ArgumentParser, *, default_groups: str = "2") -> None:
+    """Add the options of the plant and of the time steps, the same for every command that simulates.
+
+    Args:
+        parser: of the command.
+        default_groups: how many WTG groups there are without `--groups`, in words.
+    """
     plant = parser.add_argument_group("plant and time steps")
     plant.add_argument(
         "--groups",
         type=int,
         metavar="N",
-        help="number of WTG groups at bus 2 that share 20 turbines of 5 MW (default: 2, or one per given wind)",
+        help=f"number of WTG groups at bus 2 that share 20 turbines of 5 MW (default: {default_groups})",
     )
     plant.add_argument("--control-dt", type=float, default=0.1, metavar="S", help="control interval [s] (default: 0.1)")
     plant.add_argument(

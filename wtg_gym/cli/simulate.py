@@ -83,7 +83,7 @@ def add_commands(commands: Commands) -> None:
     wind.add_argument(
         "--wind-csv", metavar="FILE", help="wind series: time_s, then one column per WTG group [m/s], uniform steps"
     )
-    add_plant_options(parser)
+    add_plant_options(parser, default_groups="2, or one per given wind")
     add_law_option(parser, REFERENCE_STRATEGY)
     out = parser.add_argument_group("output")
     out.add_argument("--plot", metavar="FILE", help=f"write a figure of the runs: {', '.join(PLOT_SUFFIXES)}")

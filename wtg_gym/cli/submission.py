@@ -22,12 +22,13 @@ from wtg_gym.submissions.template import write_template
 from wtg_gym.submissions.together import Conflict, conflicts
 
 _OPSETS = f"{limits.OPSETS.start} … {limits.OPSETS.stop - 1}"
+_SIZE = f"at most {limits.MODEL_BYTES // 1_000_000} MB and {limits.PARAMETERS:,} numbers, opset {_OPSETS}"
 _GATE = f"""\
 A submission is a folder with entry.toml and policy.onnx, and a README.md if you like; nothing in it is run but the
 network in policy.onnx, by onnxruntime, in a process that can do nothing but compute and answer. Before, the file is
-parsed and refused unless it is plain: at most {limits.MODEL_BYTES // 1_000_000} MB and {limits.PARAMETERS:,}
-numbers, opset {_OPSETS}, operators from a list (feed-forward and recurrent layers; no loops, branches, random numbers
-or functions), all weights in the file, and every shape known beforehand with the lanes of a batch apart."""
+parsed and refused unless it is plain: {_SIZE}, operators from a
+list (feed-forward and recurrent layers; no loops, branches, random numbers or functions), all weights in the file,
+and every shape known beforehand with the lanes of a batch apart."""
 
 _NEW = """\
 Writes an entry.toml with comments to fill in, and copies a policy beside it. `python -m agents.export` writes both
@@ -47,8 +48,9 @@ _SCORE = f"""\
 Checks submissions, plays each on its own on a suite and prints their rows of the leaderboard with those of both
 anchors. One that is refused, by the gate or because it gives no valid action in a scenario, is named with its reason
 and left out with all folders of its name; the others are ranked, and the exit code is 1. Scenarios, simulation and
-score stay in this process; the policy's gets observations and gives actions. Its limits: {_PROCESS}. With --results,
-an interrupted command goes on from its finished parts.
+score stay in this process; the policy's gets observations and gives actions. Its limits:
+{_PROCESS}.
+With --results, an interrupted command goes on from its finished parts.
 
 {_GATE}"""
 
@@ -120,7 +122,8 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         WEAK_OPTION,
         action="store_true",
-        help="go on where this system cannot take network, memory and time from a process; for policies you trust",
+        help="go on where this system cannot take files, network, other processes, memory or time from a process; for "
+        "policies of people you trust",
     )
     parser.add_argument("--json", action="store_true", help="print JSON, and nothing else, on stdout")
 

@@ -36,7 +36,11 @@ def add_commands(commands: Commands) -> None:
     )
     parser.add_argument("results", metavar="RESULTS.json", help="what evaluate or leaderboard wrote, its CSV beside it")
     parser.add_argument(
-        "--entries", nargs="+", default=["baselines"], metavar="SPEC", help="as for evaluate (default: baselines)"
+        "--entries",
+        nargs="+",
+        default=["baselines"],
+        metavar="SPEC",
+        help="as for evaluate, without archives of Stable-Baselines3 (default: baselines)",
     )
     parser.add_argument(
         "--secret-file", metavar="FILE", help="also check that the seeds of a verification were drawn with this secret"

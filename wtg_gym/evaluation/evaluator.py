@@ -82,7 +82,7 @@ def evaluate(
     competitors = _with_anchors(entries)
     _check_arguments(batch, partial, env_arguments)
     if workers is not None and n_threads not in (None, 1):
-        raise ValueError(f"a worker steps with one thread; leave out n_threads, got {n_threads!r}")
+        raise ValueError(f"a worker steps with one thread; leave out the threads, got {n_threads!r}")
     settings = EnvSettings(suite=suite, split=split, duration_s=duration_s, **env_arguments)
     chosen = _seeds(suite, split, seeds, draw)
     shared, suite_hash = _shared_settings(settings), get_suite(suite).hash

@@ -7,10 +7,13 @@ or processor could round otherwise than those here is refused.
 from __future__ import annotations
 
 import contextlib
+import functools
 import importlib.util
 import os
 import socket
 import sys
+import threading
+import time
 import traceback
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
@@ -36,6 +39,8 @@ _ATTEMPTS = 3
 _CONNECT_S = 15
 #: A loky worker without anything to do ends after this time [s].
 _IDLE_S = 5
+#: How often it looks whether the process that asked is still there [s].
+_WATCH_S = 1.0
 #: Ray's results come a round at a time: so many batches per worker, that waiting for the last one costs little.
 _ROUND = 8
 
@@ -99,8 +104,9 @@ class Workers:
             Exception: what a policy raises.
         """
         wanted, packed = circumstances(), _packed([entry for entry, _ in parts], settings)
+        parent = os.getpid() if self.backend == "loky" else None
         calls: dict[int, Any] = {
-            index: (_work, (index, play, packed[id(entry)], seeds, wanted), {})
+            index: (_work, (index, play, packed[id(entry)], seeds, wanted, parent), {})
             for index, (entry, seeds) in enumerate(parts)
         }
         outcomes = self._outcomes(calls, [entry.label for entry, _ in parts])
@@ -135,7 +141,6 @@ class Workers:
     def _started(self) -> Iterator[Callable[[list[Any]], Iterable[_Outcome]]]:
         """Start or reach the workers; yield what makes calls there, as joblib's `delayed` writes them."""
         if self.backend == "loky":
-            # Once this process is killed, its workers have nothing more to do.
             yield lambda calls: _unordered(calls, backend="loky", n_jobs=self.jobs or -1, idle_worker_timeout=_IDLE_S)
         elif self.backend == "dask":
             with self._dask() as client:
@@ -157,6 +162,9 @@ class Workers:
                 )
                 target = stack.enter_context(local)
             try:
+                if self.address is not None:
+                    # A client that was made for an address that is none takes half a minute to go.
+                    distributed.comm.get_address_host_port(self.address, strict=True)
                 client = distributed.Client(target, timeout=_CONNECT_S, set_as_default=False)
             except (OSError, ValueError) as error:
                 raise ValueError(f"no Dask scheduler answers at {self.address}: {_first_line(error)}") from error
@@ -250,8 +258,12 @@ def _own_code_by_value() -> Iterator[None]:
             cloudpickle.unregister_pickle_by_value(module)
 
 
-def _work(part: int, play: Play, packed: bytes, seeds: list[int], wanted: dict[str, str]) -> _Outcome:
+def _work(
+    part: int, play: Play, packed: bytes, seeds: list[int], wanted: dict[str, str], parent: int | None
+) -> _Outcome:
     """Play a batch in a worker; nothing is played where the circumstances are others."""
+    if parent is not None:
+        _end_with(parent)
     worker, own, error = f"{socket.gethostname()}:{os.getpid()}", circumstances(), None
     episodes: list[Episode] = []
     if own == wanted:
@@ -261,6 +273,18 @@ def _work(part: int, play: Play, packed: bytes, seeds: list[int], wanted: dict[s
         except Exception as raised:
             error = _portable(raised, worker)
     return _Outcome(part, episodes, error, worker, own)
+
+
+@functools.cache
+def _end_with(parent: int) -> None:
+    """Have this worker end once its parent process is gone: it would wait for ever for its result to be read."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(_WATCH_S)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _unpacked(packed: bytes, worker: str) -> tuple[Entry, EnvSettings]:
