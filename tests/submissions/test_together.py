@@ -70,6 +70,15 @@ def test_copies_are_refused_whatever_their_bytes(content: ModelProto, tmp_path: 
     assert conflict.folders == (third.folder,) and "the policies are one policy" in conflict.reason
 
 
+def test_folders_that_differ_in_capitals_alone_are_refused(tmp_path: Path) -> None:
+    first = report(tmp_path / "a" / "mine")
+    second = report(tmp_path / "b" / "Mine", models.other(), TOML.replace("Mine", "Yours"))
+    for found in (conflicts([first, second]), conflicts([second], [first])):
+        assert "differ in capitals alone" in found[0].reason
+    other = report(tmp_path / "c" / "mine", models.other(0.03), TOML.replace("Mine", "Theirs"))
+    assert conflicts([first, other]) == []
+
+
 def test_policies_that_differ_are_no_copies(tmp_path: Path) -> None:
     assert conflicts([report(tmp_path / "a"), report(tmp_path / "b", nudged(0.01), seed(1))]) == []
 

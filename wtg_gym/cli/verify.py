@@ -15,11 +15,12 @@ _SHOWN = 20
 
 _DESCRIPTION = """\
 Evaluates the entries of a results file again, on the same scenarios with the same settings, and compares every number
-of every episode to the last bit, the policies' sha256, kinds and laws, and the suite's hash. Says that the results are identical, or
-what differs; the exit code is then 1. Other versions of source code or packages are named, but are no difference by
-themselves: laws give the same bits on one kind of processor, a policy's last digits may depend on onnxruntime. The
-environment's fingerprint says whether this machine computes the same as the one before. So are other texts about an
-entry, and in what the results are not those of the benchmark: fewer scenarios, shorter episodes, weights of one's own."""
+of every episode to the last bit, the policies' sha256, kinds and laws, and the suite's hash. Says that the results are
+identical, or what differs; the exit code is then 1. Other versions of source code or packages, and other texts about an
+entry, are named, but are no difference by themselves: laws give the same bits on one kind of processor, a policy's last
+digits may depend on onnxruntime. The environment's fingerprint says whether this machine computes the same as the one
+before. Where the results are not those of the benchmark, with fewer scenarios, shorter episodes or weights of one's
+own, that is named too."""
 _EXAMPLES = """\
   wtg-gym verify results/standard-test.json --entries baselines agents/policies/*
   wtg-gym verify results/paper-test.json --json"""
