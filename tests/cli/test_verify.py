@@ -86,6 +86,16 @@ def test_summary_that_the_table_does_not_give_is_refused(
     assert "summary.deloaded-5.score.value is 140.0, the table sums up to" in capsys.readouterr().err
 
 
+def test_texts_of_a_file_are_no_commands_to_the_terminal(
+    stored: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    results = Results.read(stored)
+    versions = {**results.versions, "numpy": "1\x1b[2J\u202e\n::error::no"}
+    path, _ = dataclasses.replace(results, versions=versions).write(tmp_path)
+    assert main(["verify", str(path), "--entries", "deloaded-5"]) == 0
+    assert r"numpy was 1\x1b[2J\u202e\n::error::no, is" in capsys.readouterr().err
+
+
 def test_results_that_are_not_the_benchmarks_are_called_so(stored: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["verify", str(stored), "--entries", "deloaded-5"]) == 0
     said = capsys.readouterr().err

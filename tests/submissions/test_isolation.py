@@ -267,7 +267,8 @@ def test_lies_of_the_process_are_errors(attack: str, monkeypatch: pytest.MonkeyP
 
 
 def test_what_the_process_says_is_no_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    code = "def serve(content, source, sink):\n    worker._send(sink, {'error': 'a\\x1b[2J\\n```\\nb'})\nworker._serve = serve"
+    says = "worker._send(sink, {'error': 'a\\x1b[2J\\n```\\nb'})"
+    code = f"def serve(content, source, sink):\n    {says}\nworker._serve = serve"
     monkeypatch.setattr(isolation, "_START", _patched(code))
     with IsolatedPolicy(make_bytes(), N, M) as policy:
         assert policy.error == "a?[2J?????b"
