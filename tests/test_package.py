@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import wtg_gym
+
+ROOT = Path(__file__).parent.parent
 
 
 def test_importing_the_package_loads_nothing_heavy() -> None:
@@ -35,3 +40,11 @@ def test_environment_is_found_by_module_and_id() -> None:
     program = "import gymnasium; gymnasium.make('wtg_gym:GFMWTG-14bus-v0'); print('made')"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "made"
+
+
+@pytest.mark.skipif(shutil.which("git") is None or not (ROOT / ".git").exists(), reason="needs a checkout and git")
+def test_nothing_that_is_made_anew_is_in_the_repository() -> None:
+    """Results, environments and machine code that somebody had added would be used instead of one's own."""
+    command = ["git", "ls-files", "--cached", "--ignored", "--exclude-standard"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout == ""

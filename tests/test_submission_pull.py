@@ -74,9 +74,9 @@ def policy(name: str) -> Callable[[Path], object]:
 def test_new_folder_is_checked_and_scored(
     judge: Callable[[Callable[[Path], object]], tuple[int, str]], tmp_path: Path
 ) -> None:
-    code, said = judge(policy("ppo-tau-0"))
+    code, said = judge(policy("linear-feedback"))
     assert code == 0, said
-    assert "PPO (τ)" in said and "coordinated-piecewise" in said
+    assert "linear-feedback" in said and "coordinated-piecewise" in said
     assert (tmp_path / "results" / "standard-test.csv").is_file()
 
 
@@ -113,4 +113,35 @@ def test_other_changes_are_refused(change: str, judge: Callable[[Callable[[Path]
 def test_whole_folder_may_be_withdrawn(judge: Callable[[Callable[[Path], object]], tuple[int, str]]) -> None:
     code, said = judge(lambda pull: shutil.rmtree(pull / "agents/policies/ppo-k-1"))
     assert code == 0
-    assert "withdrawn:\n  agents/policies/ppo-k-1\n" in said and "nothing to score" in said
+    assert "may ask for:\n  agents/policies/ppo-k-1\n" in said and "nothing to score" in said
+
+
+def test_merge_that_takes_back_what_the_branch_did_is_refused(
+    base: Path, judge: Callable[[Callable[[Path], object]], tuple[int, str]]
+) -> None:
+    """Two common ancestors: seen from the one, the pull request only adds; merged, it undoes what the other did."""
+    git(base, "checkout", "--quiet", "-b", "earlier")
+    (base / "agents" / "policies" / "first").mkdir()
+    (base / "agents" / "policies" / "first" / "README.md").write_text("a submission that was merged\n")
+    git(base, "add", ".")
+    git(base, "commit", "--quiet", "--message", "earlier")
+    git(base, "checkout", "--quiet", "main")
+    (base / "code.py").write_text("raise SystemExit\n")
+    git(base, "commit", "--quiet", "--all", "--message", "mended")
+    mended = git(base, "rev-parse", "HEAD").strip()
+    git(base, "merge", "--quiet", "--no-ff", "--message", "merged", "earlier")
+
+    def undo(pull: Path) -> None:
+        git(pull, "reset", "--quiet", "--hard", "origin/earlier")
+        git(pull, "merge", "--quiet", "--strategy", "ours", "--message", "nothing of it", mended)
+        policy("ppo-k-2")(pull)
+
+    code, said = judge(undo)
+    assert code == 1 and "must have one latest common ancestor, they have 2" in said
+
+
+def test_history_of_another_repository_is_refused(
+    judge: Callable[[Callable[[Path], object]], tuple[int, str]],
+) -> None:
+    code, said = judge(lambda pull: git(pull, "checkout", "--quiet", "--orphan", "other"))
+    assert code == 1 and "must have one latest common ancestor, they have 0" in said

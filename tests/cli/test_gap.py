@@ -47,6 +47,7 @@ def test_gap_is_printed_and_put_on_a_page(folder: Path, capsys: pytest.CaptureFi
 def test_verify_checks_the_seeds_against_the_secret(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     stored = [str(folder / "standard-verification.json"), "--entries", "deloaded-5"]
     assert main(["verify", *stored]) == 0
+    assert "drawn or chosen is not known: check them with --secret-file" in capsys.readouterr().err
     assert main(["verify", *stored, "--secret-file", str(folder / "secret.txt")]) == 0
     capsys.readouterr()
     (folder / "other.txt").write_text("another secret for these tests")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -18,6 +19,8 @@ import wtg_gym.cli.simulate
 import wtg_gym.cli.suites
 from tests.cli.calls import ROOT, call, error_of, json_of
 from wtg_gym.cli import main
+from wtg_gym.evaluation.partial import PartialStore
+from wtg_gym.files import sha256, to_json
 from wtg_gym.scenarios import FROZEN_HASHES
 
 _FEW = ("--suite", "low-wind", "--seeds", "20000:20003", "20005")
@@ -206,6 +209,26 @@ def test_leaderboard_evaluates_only_what_is_missing(
     played.clear()
     assert main([*_PAPER, *results, "--fresh"]) == 0
     assert played == [[], ["mppt", "deloaded-5", "coordinated-piecewise"]]
+
+
+def test_fresh_leaderboard_believes_no_finished_parts(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    results = ("--results", str(tmp_path))
+    with monkeypatch.context() as patched:
+        patched.setattr(PartialStore, "clear", lambda _: None)
+        assert main([*_PAPER, *results]) == 0
+    honest = (tmp_path / "paper-test.csv").read_bytes()
+    for part in (tmp_path / "partial").iterdir():
+        rows = json.loads(part.read_text(encoding="utf-8"))["rows"]
+        forged = [[*row[:-1], "0.0"] for row in rows]
+        part.write_text(to_json({"rows": forged, "sha256": sha256(to_json(forged).encode())}), encoding="utf-8")
+    assert main([*_PAPER, *results, "--fresh"]) == 0
+    assert (tmp_path / "paper-test.csv").read_bytes() == honest
+    # Without the option they are what a run that was interrupted goes on from.
+    (tmp_path / "paper-test.json").unlink()
+    assert main([*_PAPER, *results]) == 0
+    assert (tmp_path / "paper-test.csv").read_bytes() != honest
 
 
 @pytest.mark.parametrize("damage", ["cut short", "edited", "other source"])

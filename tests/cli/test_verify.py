@@ -10,7 +10,8 @@ import pytest
 
 from wtg_gym.cli import main
 from wtg_gym.evaluation import Results, load_entries
-from wtg_gym.evaluation.verification import verify
+from wtg_gym.evaluation.verification import departures, verify
+from wtg_gym.files import sha256, to_json
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +52,56 @@ def test_another_policy_and_other_circumstances_are_named(stored: Path) -> None:
     assert found.differences[0].where == "deloaded-5: sha256"
     assert [difference.where for difference in found.circumstances] == ["numpy"]
     assert any(": cost" in difference.where for difference in found.differences)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("kind", "feedback"), ("policy_sha256", "0" * 64), ("observation_mode", "privileged")]
+)
+def test_made_up_claims_about_an_entry_are_differences(key: str, value: str, stored: Path) -> None:
+    results = Results.read(stored)
+    entries = tuple({**entry, key: value} if entry["name"] == "deloaded-5" else entry for entry in results.entries)
+    found = verify(dataclasses.replace(results, entries=entries), load_entries("deloaded-5"))
+    assert [difference.where for difference in found.differences] == [f"deloaded-5: {key}"]
+
+
+def test_another_author_is_named(stored: Path) -> None:
+    results = Results.read(stored)
+    entries = tuple({**entry, "source": "Somebody"} for entry in results.entries)
+    found = verify(dataclasses.replace(results, entries=entries), load_entries("deloaded-5"))
+    assert found.differences == []
+    assert [text.where for text in found.circumstances] == ["deloaded-5: source"]
+
+
+def test_summary_that_the_table_does_not_give_is_refused(
+    stored: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = json.loads(stored.read_text(encoding="utf-8"))
+    data["summary"]["deloaded-5"]["score"] = {"value": 140.0, "low": 139.0, "high": 141.0}
+    del data["sha256"]
+    data["sha256"] = sha256(to_json(data).encode())
+    path = tmp_path / stored.name
+    path.write_text(to_json(data), encoding="utf-8")
+    path.with_suffix(".csv").write_bytes(stored.with_suffix(".csv").read_bytes())
+    assert main(["verify", str(path), "--entries", "deloaded-5"]) == 2
+    assert "summary.deloaded-5.score.value is 140.0, the table sums up to" in capsys.readouterr().err
+
+
+def test_texts_of_a_file_are_no_commands_to_the_terminal(
+    stored: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    results = Results.read(stored)
+    versions = {**results.versions, "numpy": "1\x1b[2J\u202e\n::error::no"}
+    path, _ = dataclasses.replace(results, versions=versions).write(tmp_path)
+    assert main(["verify", str(path), "--entries", "deloaded-5"]) == 0
+    assert r"numpy was 1\x1b[2J\u202e\n::error::no, is" in capsys.readouterr().err
+
+
+def test_results_that_are_not_the_benchmarks_are_called_so(stored: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["verify", str(stored), "--entries", "deloaded-5"]) == 0
+    said = capsys.readouterr().err
+    assert "not the benchmark's own: 3 scenarios, those of the benchmark are 200" in said
+    assert "not the benchmark's own: duration_s is 10.0, that of the benchmark 60.0" in said
+    assert len(departures(Results.read(stored))) == 2
 
 
 @pytest.mark.parametrize(

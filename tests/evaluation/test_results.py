@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 import re
 from collections.abc import Callable
@@ -166,6 +167,14 @@ EDITS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "wrong kind": (
         lambda d: d["entries"][0].update(kind="magic"),
         r"entries\[0\]: kind must be law, feedback or learned",
+    ),
+    "name that is markup": (
+        lambda d: d["entries"][0].update(name="[me](https://example.org)\n"),
+        r"entries\[0\]: name must be 1 … 60 printable",
+    ),
+    "nested too deeply": (
+        lambda d: d["settings"].update(a=functools.reduce(lambda inner, _: [inner], range(100), 0)),
+        "nested deeper than 20 levels",
     ),
     "no entries": (lambda d: d.update(entries=[]), "entries must be a list"),
     "no summary": (lambda d: d["summary"].pop("mppt"), "summary must have one object per entry"),

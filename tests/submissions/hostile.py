@@ -148,6 +148,8 @@ ATTACKS = (
     Attack("a device without an end", "folder", _linked("policy.onnx", "/dev/zero")),
     Attack("a pipe that nobody writes to", "folder", _pipe),
     Attack("a command as the folder's name", "folder", lambda place: _named("$(id)", place)),
+    Attack("a folder that Windows cannot have", "folder", lambda place: _named("aux", place)),
+    Attack("a folder that is taken for a law's file", "folder", lambda place: _named("mine.toml", place)),
     Attack("a file of 5 MB and a byte", "folder", _of(bytes(5_000_001))),
     Attack("a zip bomb", "file format", _of(models.zip_bomb)),
     Attack("a file of noise", "file format", _of(lambda: models.noise(4_000_000))),
@@ -240,6 +242,8 @@ ATTACKS = (
     Attack("emphasis in a name", "entry.toml", _toml("Mine", "The _best_")),
     Attack("a command to the terminal in a name", "entry.toml", _toml("Mine", "a\\u001b[31mb")),
     Attack("a strategy's name", "entry.toml", _toml("Mine", "MPPT")),
+    Attack("the name of a controller made by hand", "entry.toml", _toml("Mine", "Tip-speed feedback")),
+    Attack("a name that is another's whole row", "entry.toml", _toml("Mine", "PPO (k) (5 seeds)")),
     Attack("an author nobody sees", "entry.toml", _toml("Jane Doe", "\\u3164")),
     Attack("an author with a link", "entry.toml", _toml("Jane Doe", "www.example.org")),
     Attack(

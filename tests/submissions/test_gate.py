@@ -351,7 +351,10 @@ def test_answers_that_depend_on_anything_else_are_refused() -> None:
         assert passed == (names[: names.index(refused)] if refused else names)
 
 
-@pytest.mark.parametrize("name", ["a;touch x", "$(id)", "--weak-isolation", "mine\n::error::hi", ".hidden", "ü"])
+@pytest.mark.parametrize(
+    "name",
+    ["a;touch x", "$(id)", "--weak-isolation", "mine\n::error::hi", ".hidden", "ü", "a.toml", "AUX", "con.x", "a."],
+)
 def test_folder_whose_name_would_mean_something_to_a_shell_is_refused(name: str, tmp_path: Path) -> None:
     path = tmp_path / name
     path.mkdir()

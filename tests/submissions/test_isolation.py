@@ -248,6 +248,7 @@ def test_time_counts_only_while_the_policy_is_waited_for(monkeypatch: pytest.Mon
         "sink.write(b'\\xff\\xff\\xff\\xff'); sink.flush()",
         "worker._send(sink, {'states': [10**12]})",
         "worker._send(sink, {'states': [-1]})",
+        "worker._send(sink, {'states': [100_000] * 3})",
         "worker._send(sink, {'states': 'x'})",
         "worker._send(sink, [1])",
         "sink.write(b'\\x04\\x00\\x00\\x00nope'); sink.flush()",
@@ -263,6 +264,14 @@ def test_lies_of_the_process_are_errors(attack: str, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(isolation, "_START", _patched(code))
     with pytest.raises(SubmissionError), IsolatedPolicy(make_bytes(), N, M) as policy:
         policy.predict(ONES)
+
+
+def test_what_the_process_says_is_no_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    says = "worker._send(sink, {'error': 'a\\x1b[2J\\n```\\nb'})"
+    code = f"def serve(content, source, sink):\n    {says}\nworker._serve = serve"
+    monkeypatch.setattr(isolation, "_START", _patched(code))
+    with IsolatedPolicy(make_bytes(), N, M) as policy:
+        assert policy.error == "a?[2J?????b"
 
 
 def test_policy_of_any_graph_gives_the_shape_it_said() -> None:

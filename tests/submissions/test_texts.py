@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.submissions.models import TOML, folder
+from wtg_gym.evaluation import load_entries
 from wtg_gym.submissions.gate import check_submission
 from wtg_gym.submissions.texts import check_author, check_name, check_text, plain_name
 
@@ -131,3 +132,21 @@ def test_the_gate_looks_at_every_text(tmp_path: Path) -> None:
         toml = TOML.replace('authors = ["Jane Doe"]\n', "") if line.startswith("authors") else TOML
         refusal = check_submission(folder(tmp_path / str(index), toml=toml + line + "\n")).refusal
         assert refusal is not None and refusal.name == "entry.toml" and "no markup" in refusal.reason
+
+
+@pytest.mark.parametrize("name", ["PPO (k) (5 seeds)", "Mine, 9 seeds", "Mine (1 Seed)"])
+def test_name_says_nothing_about_seeds(name: str) -> None:
+    with pytest.raises(ValueError, match="give no number of seeds"):
+        check_name(name)
+
+
+@pytest.mark.parametrize("name", ["Iinear", "1inear", "LINEAR", "l-i-n-e-a-r"])
+def test_letters_that_look_alike_are_one(name: str) -> None:
+    assert plain_name(name) == plain_name("linear")
+    assert plain_name("SAC 0") == plain_name("SAC O") != plain_name("SAC 8")
+
+
+def test_names_of_the_baselines_are_taken() -> None:
+    for entry in load_entries("baselines"):
+        with pytest.raises(ValueError, match="be none of"):
+            check_name(entry.name)

@@ -29,6 +29,7 @@ from wtg_gym.cli import (
     validate,
     verify,
 )
+from wtg_gym.cli.output import harmless
 from wtg_gym.cli.parser import Parser
 
 _DESCRIPTION = """\
@@ -90,7 +91,7 @@ def _one_line(error: ValueError | OSError) -> str:
     if isinstance(error, OSError) and error.strerror:
         where = f"{error.filename}: " if error.filename else ""
         return f"{where}{error.strerror}"
-    return " ".join(str(error).split())
+    return harmless(" ".join(str(error).split()))
 
 
 __all__ = ["build_parser", "main"]

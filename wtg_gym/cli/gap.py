@@ -14,8 +14,9 @@ Compares the scores of entries on the public test scenarios with those on fresh 
 were submitted. An entry that was fitted to the public scenarios, by mistake or on purpose, is better there. All entries
 are a little, or worse, by the luck of the draw: what suits one good controller suits the others. So beside the gap,
 public minus fresh, stands for every learned entry the excess: the part of its gap that the controllers made by hand in
-the same results do not share (a regression on their gains). Both have a bootstrap 95 % interval over scenarios and
-training seeds. An excess whose interval lies above zero is marked; of forty honest entries one is, by chance.
+the same results do not share (a regression on their gains). Both have a bootstrap 95 % interval over scenarios; that
+of the gap is over training seeds too. An excess whose interval lies above zero is marked; of forty honest entries one
+is, by chance.
 
 Fresh scenarios are played by 'wtg-gym evaluate' or 'wtg-gym submission score' with --split verification, --commit, the
 full hash of the commit with the entries, and --secret-file. Publish the sha256 of the secret before anybody submits and

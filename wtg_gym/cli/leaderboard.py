@@ -78,7 +78,7 @@ def add_commands(commands: Commands) -> None:
     )
     parser.add_argument("--readme", metavar="FILE", help="file with the markers to put the table between")
     parser.add_argument("--html", metavar="FILE", help="write the ranking as one HTML file with charts and traces")
-    parser.add_argument("--fresh", action="store_true", help="evaluate everything, whatever is stored")
+    parser.add_argument("--fresh", action="store_true", help="evaluate everything, whatever is stored, from the start")
     parser = add_command(
         commands,
         "page",
@@ -106,8 +106,10 @@ def _run_leaderboard(arguments: argparse.Namespace) -> int:
     section = f"leaderboard:{arguments.suite}"
     readme = check_page("--readme", arguments.readme, section)
     page = _check_html("--html", arguments.html)
-    partial = folder / PARTIAL_FOLDER
-    arguments.after_interrupt = resumable(partial)
+    # Nor are finished parts believed with --fresh: they are stored results too.
+    partial = None if arguments.fresh else folder / PARTIAL_FOLDER
+    if partial is not None:
+        arguments.after_interrupt = resumable(partial)
     workers = chosen_workers(arguments)
     entries = chosen_entries(arguments.entries)
     anchors = run_evaluation([], arguments, partial=None)

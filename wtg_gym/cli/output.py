@@ -26,7 +26,14 @@ _PROGRESS_INTERVAL_S = 5.0
 
 def note(text: str) -> None:
     """Write a line to stderr, so that stdout carries results only."""
-    print(text, file=sys.stderr)
+    print(harmless(text), file=sys.stderr)
+
+
+def harmless(text: str) -> str:
+    """Return a text, which may come from anybody's file, without commands to a terminal."""
+    if text.isprintable():
+        return text
+    return "".join(sign if sign.isprintable() else ascii(sign)[1:-1] for sign in text)
 
 
 def require_extra(package: str, purpose: str) -> None:
@@ -140,7 +147,7 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, left: S
         rows: cells.
         left: columns of text; the others are aligned right.
     """
-    cells = [list(row) for row in rows]
+    cells = [[harmless(cell) for cell in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(header, *cells, strict=True)]
     if sys.stdout.isatty() and importlib.util.find_spec("rich") is not None:
         from rich import box

@@ -9,16 +9,18 @@ from wtg_gym.cli.output import Progress, note, print_json, print_table
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.cli.scores import add_worker_options, chosen_entries, chosen_workers
 from wtg_gym.evaluation import Results
-from wtg_gym.evaluation.verification import verify
+from wtg_gym.evaluation.verification import departures, verify
 
 _SHOWN = 20
 
 _DESCRIPTION = """\
 Evaluates the entries of a results file again, on the same scenarios with the same settings, and compares every number
-of every episode to the last bit, the policies' sha256 and the suite's hash. Says that the results are identical, or
-what differs; the exit code is then 1. Other versions of source code or packages are named, but are no difference by
-themselves: laws give the same bits on one kind of processor, a policy's last digits may depend on onnxruntime. The
-environment's fingerprint says whether this machine computes the same as the one before."""
+of every episode to the last bit, the policies' sha256, kinds and laws, and the suite's hash. Says that the results are
+identical, or what differs; the exit code is then 1. Other versions of source code or packages, and other texts about an
+entry, are named, but are no difference by themselves: laws give the same bits on one kind of processor, a policy's last
+digits may depend on onnxruntime. The environment's fingerprint says whether this machine computes the same as the one
+before. Where the results are not those of the benchmark, with fewer scenarios, shorter episodes or weights of one's
+own, that is named too."""
 _EXAMPLES = """\
   wtg-gym verify results/standard-test.json --entries baselines agents/policies/*
   wtg-gym verify results/paper-test.json --json"""
@@ -66,12 +68,17 @@ def run(arguments: argparse.Namespace) -> int:
                 "identical": not found.differences,
                 "differences": [difference._asdict() for difference in found.differences],
                 "circumstances": [difference._asdict() for difference in found.circumstances],
+                "departures": departures(stored),
                 "numbers": found.n_numbers,
             }
         )
         return 1 if found.differences else 0
     for difference in found.circumstances:
         note(f"{difference.where} was {difference.stored}, is {difference.now}")
+    for text in departures(stored):
+        note(f"not the benchmark's own: {text}")
+    if stored.draw is not None and secret is None:
+        note("whether these seeds were drawn or chosen is not known: check them with --secret-file")
     if not found.differences:
         print(f"identical: {found.n_numbers} values of {len(stored.episodes)} episodes")
         return 0

@@ -9,10 +9,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from wtg_gym.evaluation.entries import is_name
 from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.scenarios import SPLITS, SUITES, VERIFICATION, VerificationDraw
 
 _HEX = re.compile("[0-9a-f]{64}")
+#: Levels of objects and lists; results have five.
+_DEEPEST = 20
 
 
 def _is_text(value: Any) -> bool:
@@ -69,7 +72,9 @@ _DESCRIPTION: dict[str, tuple[Callable[[Any], bool], str]] = {
     "summary": (_is_object, "an object"),
 }
 _ENTRY: dict[str, tuple[Callable[[Any], bool], str]] = {
-    **{key: (_is_text, "text") for key in ("name", "action_mode", "observation_mode")},
+    # It goes into tables and pages as it is.
+    "name": (is_name, "1 … 60 printable characters without markup"),
+    **{key: (_is_text, "text") for key in ("action_mode", "observation_mode")},
     **{key: (_is_text, "text") for key in ("description", "equation", "source")},
     "kind": (lambda v: v in ("law", "feedback", "learned"), "law, feedback or learned"),
     "training_seed": (lambda v: v is None or _is_seed(v), "null or a whole number from 0 on"),
@@ -142,14 +147,16 @@ def _check_keys(data: dict[str, Any], expected: dict[str, tuple[Callable[[Any], 
             raise ValueError(f"{where}: {key} must be {wanted}, got {_short(data[key])}")
 
 
-def _check_finite(value: Any, where: str) -> None:
-    """Refuse numbers that are not finite, wherever they are."""
+def _check_finite(value: Any, where: str, depth: int = 0) -> None:
+    """Refuse numbers that are not finite, wherever they are, and what is nested deeper than any results."""
+    if depth > _DEEPEST:
+        raise ValueError(f"{where}: nested deeper than {_DEEPEST} levels")
     if isinstance(value, dict):
         for key, inner in value.items():
-            _check_finite(inner, f"{where}: {key}")
+            _check_finite(inner, f"{where}: {key}", depth + 1)
     elif isinstance(value, list):
         for i, inner in enumerate(value):
-            _check_finite(inner, f"{where}[{i}]")
+            _check_finite(inner, f"{where}[{i}]", depth + 1)
     elif isinstance(value, (int, float)) and not isinstance(value, bool) and not _is_number(value):
         raise ValueError(f"{where} must be a finite number, got {_short(value)}")
 

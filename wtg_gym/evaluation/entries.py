@@ -87,8 +87,7 @@ class Entry:
 
     def __post_init__(self) -> None:
         name = self.name
-        printable = isinstance(name, str) and name.isprintable() and not set(name) & set(_NOT_IN_NAMES)
-        if not printable or not 1 <= len(name) <= 60 or name != name.strip():
+        if not is_name(name):
             raise ValueError(
                 f"an entry's name must be 1 … 60 printable characters without {' '.join(_NOT_IN_NAMES)}, got {name!r}"
             )
@@ -143,6 +142,12 @@ class Entry:
             "sha256": self.identity,
             "policy_sha256": own if isinstance(own, str) else None,
         }
+
+
+def is_name(value: Any) -> bool:
+    """Return whether a value can be the name of an entry, which stands in tables."""
+    printable = isinstance(value, str) and value.isprintable() and not set(value) & set(_NOT_IN_NAMES)
+    return printable and 1 <= len(value) <= 60 and value == value.strip()
 
 
 def _is_policy(value: Any) -> bool:
@@ -312,6 +317,7 @@ __all__ = [
     "Entry",
     "LoadArchive",
     "Policy",
+    "is_name",
     "load_entries",
     "load_entry_folder",
 ]

@@ -85,7 +85,7 @@ def evaluate(
         raise ValueError(f"a worker steps with one thread; leave out the threads, got {n_threads!r}")
     settings = EnvSettings(suite=suite, split=split, duration_s=duration_s, **env_arguments)
     chosen = _seeds(suite, split, seeds, draw)
-    shared, suite_hash = _shared_settings(settings), get_suite(suite).hash
+    shared, suite_hash = shared_settings(settings), get_suite(suite).hash
     store = PartialStore(None if partial is None else Path(partial), [suite, suite_hash, split, shared])
     parts = [(entry, chosen[first : first + batch]) for entry in competitors for first in range(0, len(chosen), batch)]
     played: dict[int, list[Episode]] = {}
@@ -190,8 +190,8 @@ def _seeds(suite: str, split: str, seeds: Sequence[int] | None, draw: Verificati
     return [int(seed) for seed in seeds]
 
 
-def _shared_settings(settings: EnvSettings) -> dict[str, Any]:
-    """What is the same for all entries, defaults filled in, as JSON-ready data."""
+def shared_settings(settings: EnvSettings) -> dict[str, Any]:
+    """Return what is the same for all entries, defaults filled in, as JSON-ready data."""
     return {
         "duration_s": settings.episode_duration_s(),
         "control_dt": float(settings.control_dt),
@@ -345,4 +345,4 @@ class _Actions:
         return ValueError(f"entry {self._entry.label!r}, step {self._step}: {wanted}, got {got}")
 
 
-__all__ = ["check_entries", "entry_lanes", "evaluate", "play"]
+__all__ = ["check_entries", "entry_lanes", "evaluate", "play", "shared_settings"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -22,6 +23,8 @@ from wtg_gym.files import parse_json, read_text, sha256, to_json, write_atomical
 
 #: Version of the files; another number is another form.
 FORMAT = 2
+#: By how much a summary may differ from what its table sums up to, relative, or absolute where it is next to nothing.
+_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,7 +176,7 @@ class Results:
                 "another run; evaluate again"
             )
         _require_complete(data, episodes, csv_path)
-        return cls(
+        results = cls(
             suite=data["suite"],
             split=data["split"],
             suite_hash=data["suite_hash"],
@@ -186,6 +189,8 @@ class Results:
             entries=tuple(data["entries"]),
             episodes=tuple(episodes),
         )
+        _require_summed_up(data["summary"], results.to_dict()["summary"], f"{json_path}: summary")
+        return results
 
 
 def _require_intact(text: str, data: dict[str, Any], path: Path) -> None:
@@ -193,6 +198,17 @@ def _require_intact(text: str, data: dict[str, Any], path: Path) -> None:
     content = {key: value for key, value in data.items() if key != "sha256"}
     if sha256(to_json(content).encode()) != data["sha256"] or to_json(data) != text:
         raise ValueError(f"{path} was edited or damaged: its sha256 does not fit its content; evaluate again")
+
+
+def _require_summed_up(stored: Any, summed: Any, where: str) -> None:
+    """What the summary says is what the table sums up to, but for the rounding of another machine."""
+    if isinstance(stored, dict) and isinstance(summed, dict) and set(stored) == set(summed):
+        for key in summed:
+            _require_summed_up(stored[key], summed[key], f"{where}.{key}")
+        return
+    numbers = all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in (stored, summed))
+    if not (math.isclose(stored, summed, rel_tol=_ROUNDING, abs_tol=_ROUNDING) if numbers else stored == summed):
+        raise ValueError(f"{where} is {str(stored)[:80]}, the table sums up to {str(summed)[:80]}; evaluate again")
 
 
 def _require_complete(data: dict[str, Any], episodes: list[Episode], path: Path) -> None:

@@ -218,7 +218,9 @@ def excess_gap(public: tuple[Floats, Floats], fresh: tuple[Floats, Floats], scal
 
     A set of scenarios that suits one good controller suits the others too. So the mean gain over the training seeds is
     regressed on the gains of controls, over the fresh scenarios; what this predicts for the public ones is taken off
-    their gains. The coefficients are taken as known in the resamples, which are those of :func:`score_gap`.
+    their gains. In the resamples, whose scenarios are those of :func:`score_gap`, the coefficients are taken as known,
+    and so are the training seeds: asked is what these policies are, not what others trained alike would be. A row of
+    which only some seeds know the public scenarios is seen as sharply as any other.
 
     Source: control variates, e.g. P. Glasserman, "Monte Carlo Methods in Financial Engineering", 2003, section 4.1.
 
@@ -229,9 +231,9 @@ def excess_gap(public: tuple[Floats, Floats], fresh: tuple[Floats, Floats], scal
     gains, controls = fresh
     centred = controls - controls.mean(axis=1, keepdims=True)
     weights = np.linalg.lstsq(centred.T, gains.mean(axis=0), rcond=None)[0]
-    one, other = (100.0 * (own - weights @ those) / scale for own, those in (public, fresh))
-    sides = _two_sides(gains.shape[0], one.shape[1], other.shape[1])
-    drawn = [own[runs, scenarios].mean(axis=(1, 2)) for own, (runs, scenarios) in zip((one, other), sides, strict=True)]
+    one, other = (100.0 * (own.mean(axis=0) - weights @ those) / scale for own, those in (public, fresh))
+    sides = _two_sides(1, one.size, other.size)
+    drawn = [own[scenarios[:, 0]].mean(axis=1) for own, (_, scenarios) in zip((one, other), sides, strict=True)]
     return Interval(mean(one) - mean(other), *_bounds(drawn[0] - drawn[1]))
 
 

@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation.entries import ANCHORS, Entry
 from wtg_gym.evaluation.episodes import COLUMNS
-from wtg_gym.evaluation.evaluator import evaluate
+from wtg_gym.evaluation.evaluator import evaluate, shared_settings
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.workers import Workers
-from wtg_gym.scenarios import VerificationDraw, get_suite
+from wtg_gym.scenarios import N_DRAWN, VerificationDraw, get_suite
 
 #: The settings of results that are arguments of the environment, as they are called there.
 _ARGUMENTS = ("control_dt", "simulation_dt", "weights", "groups", "machine_model", "on_failure")
+#: What an entry's data say of what was played; all else in them are texts about it.
+_PLAYED = ("kind", "strategy", "action_mode", "observation_mode", "sha256", "policy_sha256")
 
 
 class Difference(NamedTuple):
@@ -29,7 +32,8 @@ class Verification(NamedTuple):
 
     Args:
         differences: numbers, policies, seeds, suite and settings that differ; empty where the results are reproduced.
-        circumstances: source code, versions and the environment's answers that differ; they need not change a number.
+        circumstances: source code, versions, the environment's answers and texts about entries that differ; they need
+            not change a number.
         n_numbers: how many numbers were compared.
     """
 
@@ -84,11 +88,15 @@ def verify(
         differences.append(Difference("seeds", f"those of {draw.secret_sha256[:12]}", "others: not of this secret"))
     for key in sorted({*stored.settings, *now.settings}):
         differences += _compared(f"settings.{key}", stored.settings.get(key), now.settings.get(key))
+    texts: list[Difference] = []
     described = {(entry["name"], entry["training_seed"]): entry for entry in now.entries}
     for entry in stored.entries:
         label = _label(entry["name"], entry["training_seed"])
         other = described[entry["name"], entry["training_seed"]]
-        differences += _compared(f"{label}: sha256", entry["sha256"], other["sha256"])
+        for key in sorted({*entry, *other}):
+            (differences if key in _PLAYED else texts).extend(
+                _compared(f"{label}: {key}", entry.get(key), other.get(key))
+            )
     played = {(*episode.run, episode.seed): episode for episode in now.episodes}
     for episode in stored.episodes:
         other_cells = played[*episode.run, episode.seed].cells()
@@ -100,7 +108,22 @@ def verify(
         circumstances += _compared(f"environment.{key}", stored.environment[key], now.environment[key])
     for key in sorted({*stored.versions, *now.versions}):
         circumstances += _compared(key, stored.versions.get(key), now.versions.get(key))
+    # Whoever is given as MPPT or the reference needs no citation.
+    circumstances += [text for text in texts if text.where.partition(":")[0] not in ANCHORS]
     return Verification(differences, circumstances, len(stored.episodes) * len(COLUMNS))
+
+
+def departures(stored: Results) -> list[str]:
+    """Return in what results are not those of the benchmark: other settings, or not as many scenarios."""
+    found = []
+    settings = EnvSettings(suite=stored.suite, split=stored.split)
+    for key, usual in shared_settings(settings).items():
+        if stored.settings.get(key) != usual:
+            found.append(f"{key} is {stored.settings.get(key)}, that of the benchmark {usual}")
+    n_all = len(get_suite(stored.suite).seeds(stored.split)) if stored.draw is None else N_DRAWN
+    if len(stored.seeds) != n_all:
+        found.append(f"{len(stored.seeds)} scenarios, those of the benchmark are {n_all}")
+    return found
 
 
 def _label(name: str, training_seed: int | None) -> str:
@@ -111,4 +134,4 @@ def _compared(where: str, stored: object, now: object) -> list[Difference]:
     return [] if stored == now else [Difference(where, str(stored), str(now))]
 
 
-__all__ = ["Difference", "Verification", "verify"]
+__all__ = ["Difference", "Verification", "departures", "verify"]

@@ -18,6 +18,9 @@ from wtg_gym.submissions.texts import check_author, check_link, check_name, chec
 README_FILE = "README.md"
 #: The files of a folder and their largest sizes [bytes].
 FILES = {ENTRY_FILE: limits.ENTRY_BYTES, POLICY_FILE: limits.MODEL_BYTES, README_FILE: limits.README_BYTES}
+_FOLDER = re.compile(r"(?!.*(\.|\.toml)$)[A-Za-z0-9][A-Za-z0-9+._-]{0,79}", re.IGNORECASE)
+#: Names, with any ending, that Windows keeps for devices: a repository with one cannot be checked out there.
+_DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 _REQUIRED = ("name", "authors", "training_seed", "action_mode")
 _OPTIONAL = ("observation_mode", "description", "trained_on", "links")
 _MODES = {"action_mode": ("k", "tau", "k+tau"), "observation_mode": ("local", "privileged")}
@@ -56,12 +59,12 @@ def read_files(folder: Path) -> dict[str, bytes]:
     Raises:
         ValueError: the folder holds something else, a file is no plain file or too large, or one is missing.
     """
-    # The folder's name goes to shells and terminals.
+    # The folder's name goes to shells and terminals, and into checkouts on systems that cannot have every name.
     name = Path(os.path.abspath(folder)).name
-    if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9+._-]{0,79}", name) is None:
+    if _FOLDER.fullmatch(name) is None or _DEVICE.fullmatch(name) is not None:
         raise ValueError(
-            f"the folder's name must be 1 … 80 letters, digits and + . _ -, and begin with a letter or digit; "
-            f"got {ascii(name)[:90]}"
+            f"the folder's name must be 1 … 80 letters, digits and + . _ -, begin with a letter or digit, not end with "
+            f"a dot or .toml, and be no device of Windows; got {ascii(name)[:90]}"
         )
     if not stat.S_ISDIR(_status(folder).st_mode):
         raise ValueError("it is not a folder, or a link to one")

@@ -101,7 +101,7 @@ class IsolatedPolicy:
 
     def _open(self, content: bytes, weak: bool) -> None:
         with self._wait(limits.LOAD_S):
-            self.missing = [str(text) for text in self._message().get("missing", [])]
+            self.missing = [_plain(text) for text in self._message().get("missing", [])]
         if self.missing and not weak:
             raise NotIsolatedError(
                 f"this system cannot isolate the policy's process: {'; '.join(self.missing)}. "
@@ -115,14 +115,14 @@ class IsolatedPolicy:
         try:
             with self._wait(limits.LOAD_S):
                 loaded = self._message()
-            self.error = "" if "states" in loaded else str(loaded.get("error"))
+            self.error = "" if "states" in loaded else _plain(loaded.get("error"))
         except SubmissionError as error:
             self.error = str(error)
         else:
             widths = loaded.get("states", [])
             if not isinstance(widths, list) or not all(isinstance(width, int) and width > 0 for width in widths):
                 raise SubmissionError("the policy's process sent widths of states that are none")
-            if len(widths) > limits.STATES or max(widths, default=0) > limits.VALUES_PER_LANE:
+            if len(widths) > limits.STATES or sum(widths) > limits.VALUES_PER_LANE:
                 raise SubmissionError("the policy's process sent widths of states that are too large")
             self._widths = widths
 
@@ -155,7 +155,7 @@ class IsolatedPolicy:
         with self._wait(limits.CALL_S):
             self._write(request)
             if self._read(1) != ACTIONS:
-                self.error = str(self._message().get("error"))[:400]
+                self.error = _plain(self._message().get("error"))[:400]
                 raise SubmissionError(f"the policy cannot answer: {self.error}")
             data = [self._read(4 * rows * columns) for rows, columns in shapes]
         return [np.frombuffer(d, dtype="<f4").reshape(s).astype(np.float32) for d, s in zip(data, shapes, strict=True)]
@@ -244,8 +244,13 @@ class IsolatedPolicy:
 
 def _as_checks(given: Any) -> list[tuple[str, bool, str]]:
     if isinstance(given, list) and given and all(isinstance(row, list) and len(row) == 3 for row in given):
-        return [(str(name), passed is True, str(reason)[:1500]) for name, passed, reason in given]
+        return [(_plain(name)[:80], passed is True, _plain(reason)[:1500]) for name, passed, reason in given]
     raise SubmissionError("the policy's process sent a list of checks that is none")
+
+
+def _plain(text: Any) -> str:
+    """Return what the process says as one line that is no command to a terminal and ends no block of code."""
+    return "".join(sign if sign.isprintable() and sign != "`" else "?" for sign in str(text))
 
 
 __all__ = ["IsolatedPolicy", "NotIsolatedError", "SubmissionError"]

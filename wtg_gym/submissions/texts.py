@@ -12,6 +12,12 @@ _NAME_SIGNS = " ()+-.,=_"
 #: Quantities that a name may speak of, and the letters that some of them look like.
 _GREEK = "βγδκλμπτω"
 _LOOKS = str.maketrans("βγκτω", "byktw")
+#: Small letters and digits that are one line or one ring in many typefaces.
+_SAME = str.maketrans("1i0", "llo")
+#: Names of a checkout's own entries that submissions cannot have: one row, one maker.
+TAKEN = (*STRATEGIES, "tip-speed-feedback")
+#: The table says itself how many seeds a row has.
+_SEEDS = re.compile(r"\d\W*seeds?\b", re.IGNORECASE)
 #: All signs of ASCII that a text may have; a colon and an ampersand only before a blank, an underscore within a word.
 _TEXT_SIGNS = " '\"(),-./:;%+=!?&_"
 #: Letters that are drawn as a blank or not at all, and the empty pattern of Braille.
@@ -26,21 +32,23 @@ def check_name(value: Any) -> str:
     """Return the name of an entry; a ValueError says what is allowed."""
     allowed = (
         f"name must be 1 … {_LONGEST_NAME} letters, digits and signs out of {_NAME_SIGNS.strip()}{_GREEK} or blanks, "
-        f"begin with a letter or digit, have _ within words only, and be none of {', '.join(STRATEGIES)}"
+        f"begin with a letter or digit, have _ within words only, give no number of seeds, and be none of "
+        f"{', '.join(TAKEN)}"
     )
     if not isinstance(value, str) or not 1 <= len(value) <= _LONGEST_NAME:
         raise ValueError(f"{allowed}; got {short(value)}")
     # Letters of other scripts look like these, or like nothing at all.
     plain = all((sign.isascii() and sign.isalnum()) or sign in _NAME_SIGNS + _GREEK for sign in value)
-    taken = plain_name(value) in {plain_name(name) for name in STRATEGIES}
+    taken = plain_name(value) in {plain_name(name) for name in TAKEN} or _SEEDS.search(value)
     if not plain or not value[0].isalnum() or value != value.strip() or _MARKUP.search(value) or taken:
         raise ValueError(f"{allowed}; got {short(value)}")
     return value
 
 
 def plain_name(name: str) -> str:
-    """Return what people read of a name: no capitals, blanks and signs, and Greek letters as what they look like."""
-    return "".join(sign for sign in name.translate(_LOOKS).casefold() if sign.isalnum())
+    """Return what people read of a name: no capitals, blanks and signs, and letters as what they look like."""
+    plain = name.translate(_LOOKS).casefold().translate(_SAME)
+    return "".join(sign for sign in plain if sign.isalnum())
 
 
 def check_author(value: Any) -> str:
@@ -92,4 +100,4 @@ def short(value: Any) -> str:
     return text if len(text) <= 80 else text[:77] + "..."
 
 
-__all__ = ["check_author", "check_link", "check_name", "check_text", "plain_name", "short"]
+__all__ = ["TAKEN", "check_author", "check_link", "check_name", "check_text", "plain_name", "short"]

@@ -39,11 +39,11 @@ def conflicts(reports: Sequence[Report], beside: Sequence[Report] = ()) -> list[
     """
     found = []
     for one, other in itertools.combinations(reports, 2):
-        reason = _row_mates(one, other) or _copies(one, other)
+        reason = _same_place(one, other) or _row_mates(one, other) or _copies(one, other)
         if reason:
             found.append(Conflict((one.folder, other.folder), reason))
     for new in reports:
-        reasons = (_taken(new, old) or _copies(new, old) for old in beside)
+        reasons = (_same_place(new, old) or _taken(new, old) or _copies(new, old) for old in beside)
         # One reason is enough, however many seeds have the name.
         found += [Conflict((new.folder,), reason) for reason in itertools.islice(filter(None, reasons), 1)]
     return found
@@ -57,6 +57,14 @@ def action_difference(one: Floats, other: Floats) -> float:
 
 def _entries(one: Report, other: Report) -> tuple[EntryFile, EntryFile] | None:
     return None if one.entry is None or other.entry is None else (one.entry, other.entry)
+
+
+def _same_place(one: Report, other: Report) -> str:
+    """Return that two folders are one where capitals do not count, as on Windows and macOS; else nothing."""
+    first, second = one.folder.resolve().name, other.folder.resolve().name
+    if first == second or first.casefold() != second.casefold():
+        return ""
+    return f"the names of the folders {one.folder} and {other.folder} differ in capitals alone"
 
 
 def _row_mates(one: Report, other: Report) -> str:
