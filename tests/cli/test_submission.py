@@ -25,12 +25,23 @@ OTHER = TOML.replace("Mine", "Other")
 _FEW = ("--seeds", "20000:20002")
 
 
-def test_template_with_a_policy_is_accepted(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_template_with_a_policy_is_accepted_once_it_is_filled_in(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     (tmp_path / "some.onnx").write_bytes(make().SerializeToString())
     target = tmp_path / "new"
     assert main(["submission", "new", str(target), "--policy", str(tmp_path / "some.onnx")]) == 0
     assert sorted(path.name for path in target.iterdir()) == ["entry.toml", "policy.onnx"]
     capsys.readouterr()
+    entry = target / "entry.toml"
+    for old, new, missing in (
+        ("authors = []", "authors = []", "authors must be a list of 1 … 40"),
+        ("authors = []", 'authors = ["A"]', "name must be 1 … 60"),
+    ):
+        entry.write_text(entry.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
+        assert main(["submission", "check", str(target)]) == 1
+        assert missing in capsys.readouterr().out
+    entry.write_text(entry.read_text(encoding="utf-8").replace('name = ""', 'name = "Mine"'), encoding="utf-8")
     assert main(["submission", "check", str(target)]) == 0
     said = capsys.readouterr().out
     assert said.count(" passed ") == 14 and "accepted, sha256" in said

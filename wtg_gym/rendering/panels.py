@@ -85,7 +85,7 @@ def _panels() -> tuple[Panel, ...]:
         ),
         Panel(
             name="rocof",
-            title="RoCoF over 500 ms [Hz/s]",
+            title="RoCoF [Hz/s]",
             per_group=False,
             ranges=((-0.3, 0.3), (-0.6, 0.6), (-2.0, 2.0), (-10.0, 10.0)),
         ),

@@ -6,21 +6,21 @@ from pathlib import Path
 
 from wtg_gym.evaluation.entries import ENTRY_FILE, POLICY_FILE
 from wtg_gym.files import write_atomically
-from wtg_gym.submissions.folder import parse_entry, read_policy
+from wtg_gym.submissions.folder import read_policy
 
 _TEMPLATE = """\
 # A submission: this file, policy.onnx and, if you like, a README.md, in a folder of their own. Nothing in it is code.
 # `wtg-gym submission check FOLDER` says whether it is accepted, and why not.
 
-# Stands in the table: letters, digits, blanks and ( ) + - . , = _. Policies trained with several seeds are several
-# folders of one name, each with its own training_seed; they share a row, whose interval covers the seeds.
-name = "My policy"
+# Stands in the table: letters, digits, blanks and ( ) + - . , = _, at least one. Policies trained with several seeds are
+# several folders of one name, each with its own training_seed; they share a row, whose interval covers the seeds.
+name = ""
 
 # One sentence on what it is.
 description = ""
 
-# Who made it.
-authors = ["Jane Doe"]
+# Who made it, at least one name, such as ["Jane Doe", "John Roe"].
+authors = []
 
 # Seed it was trained with.
 training_seed = 0
@@ -52,7 +52,6 @@ def write_template(folder: Path, policy: Path | None = None) -> list[Path]:
     Raises:
         ValueError: one of the files is there already, or the policy is no plain file or too large.
     """
-    parse_entry(_TEMPLATE.encode())
     content = None if policy is None else read_policy(policy)
     wanted = {ENTRY_FILE: _TEMPLATE.encode(), **({} if content is None else {POLICY_FILE: content})}
     there = [name for name in wanted if (folder / name).exists()]
