@@ -56,12 +56,11 @@ def verify(
         n_threads, workers, on_progress: as for :func:`wtg_gym.evaluation.evaluate`.
 
     Raises:
-        ValueError: an entry is missing, a secret is given for seeds that were not drawn, or the results are of a suite,
-            seeds or settings that there are no more.
+        ValueError: an entry is missing, a secret is too short or given for seeds that were not drawn, or the results
+            are of a suite, seeds or settings that there are no more.
     """
     draw = None if stored.draw is None else VerificationDraw(suite=stored.suite, seeds=stored.seeds, **stored.draw)
-    if draw is None and secret is not None:
-        raise ValueError(f"the seeds of the split {stored.split!r} were not drawn: there is no secret to check")
+    differences = _seeds_compared(stored, draw, secret)
     given = {(entry.name, entry.training_seed): entry for entry in entries}
     wanted = [(entry["name"], entry["training_seed"]) for entry in stored.entries]
     missing = [name for name, seed in wanted if (name, seed) not in given and name not in ANCHORS]
@@ -79,9 +78,7 @@ def verify(
         on_progress=on_progress,
         **{name: stored.settings[name] for name in _ARGUMENTS if name in stored.settings},
     )
-    differences = _compared("suite_hash", stored.suite_hash, get_suite(stored.suite).hash)
-    if draw is not None and secret is not None and not draw.is_of(secret):
-        differences.append(Difference("seeds", f"those of {draw.secret_sha256[:12]}", "others: not of this secret"))
+    differences += _compared("suite_hash", stored.suite_hash, get_suite(stored.suite).hash)
     for key in sorted({*stored.settings, *now.settings}):
         differences += _compared(f"settings.{key}", stored.settings.get(key), now.settings.get(key))
     described = {(entry["name"], entry["training_seed"]): entry for entry in now.entries}
@@ -101,6 +98,16 @@ def verify(
     for key in sorted({*stored.versions, *now.versions}):
         circumstances += _compared(key, stored.versions.get(key), now.versions.get(key))
     return Verification(differences, circumstances, len(stored.episodes) * len(COLUMNS))
+
+
+def _seeds_compared(stored: Results, draw: VerificationDraw | None, secret: bytes | None) -> list[Difference]:
+    if secret is None:
+        return []
+    if draw is None:
+        raise ValueError(f"the seeds of the split {stored.split!r} were not drawn: there is no secret to check")
+    if draw.is_of(secret):
+        return []
+    return [Difference("seeds", f"those of {draw.secret_sha256[:12]}", "others: not of this secret")]
 
 
 def _label(name: str, training_seed: int | None) -> str:
