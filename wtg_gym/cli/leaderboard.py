@@ -20,13 +20,12 @@ from wtg_gym.cli.output import (
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.cli.scores import (
     DEFAULT_ENTRIES,
-    PARTIAL_FOLDER,
     add_score_options,
     add_worker_options,
     chosen_entries,
     chosen_workers,
     finish,
-    resumable,
+    kept_parts,
     run_evaluation,
 )
 from wtg_gym.evaluation import ANCHORS, Entry, Results, leaderboard_rows, markdown_table
@@ -106,8 +105,7 @@ def _run_leaderboard(arguments: argparse.Namespace) -> int:
     section = f"leaderboard:{arguments.suite}"
     readme = check_page("--readme", arguments.readme, section)
     page = _check_html("--html", arguments.html)
-    partial = folder / PARTIAL_FOLDER
-    arguments.after_interrupt = resumable(partial)
+    partial = kept_parts(folder, arguments)
     workers = chosen_workers(arguments)
     entries = chosen_entries(arguments.entries)
     anchors = run_evaluation([], arguments, partial=None)
