@@ -130,7 +130,10 @@ def test_memory_goes_on_and_is_cleared_where_an_episode_starts(tmp_path: Path) -
 def test_policy_goes_to_another_process_as_it_is(tmp_path: Path) -> None:
     (best,) = folders(trained(tmp_path, "ppo", "run") / "best")
     policy, fingerprint = load_archive(best, "PPO")
-    other = pickle.loads(pickle.dumps(policy))
+    content = pickle.dumps(policy)
+    torch.set_num_threads(2)
+    other = pickle.loads(content)
+    assert torch.get_num_threads() == 1
     observations = np.random.default_rng(0).normal(size=(3, N)).astype(np.float32)
     actions = [each.predict(observations, deterministic=True)[0] for each in (policy, other)]
     assert np.array_equal(*actions)

@@ -66,6 +66,11 @@ class NormalizedPolicy:
             observation = self.vec_normalize.normalize_obs(observation)
         return self.policy.predict(observation, state, episode_start, deterministic)
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        # In another process as where it was loaded: more threads would round otherwise.
+        torch.set_num_threads(1)
+        self.__dict__.update(state)
+
 
 def load_archive(folder: Path, algorithm: str) -> tuple[NormalizedPolicy, str]:
     """Load a folder's model.zip and, where there is one, its vecnormalize.pkl; runs whatever code they hold.

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from wtg_gym.cli import main
+from wtg_gym.evaluation import verification
 
 COMMIT = "0123456789abcdef0123456789abcdef01234567"
 SECRET = "a secret for these tests\n"
@@ -44,7 +45,9 @@ def test_gap_is_printed_and_put_on_a_page(folder: Path, capsys: pytest.CaptureFi
     assert [gap["name"] for gap in said["gaps"]] == ["deloaded-5"] and said["draw"]["commit"] == COMMIT
 
 
-def test_verify_checks_the_seeds_against_the_secret(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_verify_checks_the_seeds_against_the_secret(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     stored = [str(folder / "standard-verification.json"), "--entries", "deloaded-5"]
     assert main(["verify", *stored]) == 0
     assert "drawn or chosen is not known: check them with --secret-file" in capsys.readouterr().err
@@ -53,6 +56,14 @@ def test_verify_checks_the_seeds_against_the_secret(folder: Path, capsys: pytest
     (folder / "other.txt").write_text("another secret for these tests")
     assert main(["verify", *stored, "--secret-file", str(folder / "other.txt")]) == 1
     assert "not of this secret" in capsys.readouterr().out
+    (folder / "short.txt").write_text("short")
+
+    def play(*_: object, **__: object) -> None:
+        raise AssertionError("a secret that cannot be one is refused before anything is played")
+
+    monkeypatch.setattr(verification, "evaluate", play)
+    assert main(["verify", *stored, "--secret-file", str(folder / "short.txt")]) == 2
+    assert "the secret must have 16 bytes or more, got 5" in capsys.readouterr().err
 
 
 BAD = {

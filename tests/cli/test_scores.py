@@ -86,7 +86,7 @@ def test_share_of_the_oracles_gap_is_shown_or_why_not(capsys: pytest.CaptureFixt
         (("--jobs", "2"), "--jobs is for workers: say which with --backend loky, dask, ray"),
         (("--backend", "loky", "--address", "tcp://head:8786"), "loky has workers on this machine only"),
         (("--backend", "loky", "--jobs", "1"), "jobs must be 2 … 10000 (a single one needs no backend), got 1"),
-        (("--backend", "loky", "--threads", "2"), "a worker steps with one thread"),
+        (("--backend", "loky", "--threads", "2"), "--threads 2: a worker steps with one thread"),
         (("--backend", "slurm"), "argument --backend: invalid choice: 'slurm'"),
     ],
 )

@@ -75,7 +75,7 @@ def test_controllers_made_by_hand_have_a_gap_but_no_excess(both: tuple[Results, 
 def test_table_says_who_is_marked(both: tuple[Results, Results]) -> None:
     marked = [cells[0] for cells in gap_cells(generalisation_gaps(*both)) if cells[-1]]
     assert marked == ["memoriser"]
-    page = gap_page(*both)
+    page = gap_page(*both, generalisation_gaps(*both))
     assert "40 public and 40 fresh scenarios of `standard`" in page and DRAW.secret_sha256[:12] in page
 
 

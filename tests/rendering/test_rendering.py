@@ -225,6 +225,16 @@ def test_render_before_reset_says_so():
             env.render()
 
 
+@pytest.mark.filterwarnings("error")
+def test_lanes_may_be_started_one_after_the_other():
+    batch = GFMWTGVectorEnv(2, duration_s=2.0, render_mode="rgb_array")
+    for lane in (1, 0):
+        with pytest.raises(RuntimeError, match="reset"):
+            batch.render()
+        batch.reset(seed=0, options={"reset_mask": np.arange(2) == lane})
+    assert len(batch.render()) == 2
+
+
 @pytest.mark.parametrize("control_dt", [0.1, 0.2])
 def test_frames_come_in_real_time(control_dt: float):
     env = GFMWTGEnv(control_dt=control_dt, simulation_dt=0.025, duration_s=2.0)

@@ -13,6 +13,7 @@ import pytest
 
 import wtg_gym
 from wtg_gym.envs import GFMWTGEnv
+from wtg_gym.envs.rendering import LaneFrames
 
 pygame = pytest.importorskip("pygame")
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -48,6 +49,21 @@ def test_an_episode_goes_on_after_its_window_was_closed():
     assert truncated and pygame.display.get_surface() is None
     env.reset()
     env.close()
+    env.close()
+
+
+def test_nothing_is_painted_for_a_window_that_was_closed(monkeypatch: pytest.MonkeyPatch):
+    env = GFMWTGEnv(duration_s=1.0, render_mode="human")
+    env.reset(seed=0)
+    painted = []
+    paint = LaneFrames.paint
+    monkeypatch.setattr(LaneFrames, "paint", lambda frames: painted.append(frames) or paint(frames))
+    env.step(np.zeros(4))
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    for _ in range(5):
+        env.step(np.zeros(4))
+    # The last one, in which the window hears that it is closed, too.
+    assert len(painted) == 2
     env.close()
 
 

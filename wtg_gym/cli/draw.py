@@ -1,4 +1,4 @@
-"""The options of the split "verification": which commit, and the file with the secret."""
+"""The options that say which scenarios of a suite: split and seeds, and what fresh ones are drawn from."""
 
 from __future__ import annotations
 
@@ -11,12 +11,15 @@ _LARGEST_SECRET = 4096
 
 
 def add_split_options(parser: argparse.ArgumentParser) -> None:
-    """Add `--split`, and what its value "verification" needs."""
+    """Add `--split` and `--seeds`, and what the split "verification" needs."""
     parser.add_argument(
         "--split",
         choices=(*SPLITS, VERIFICATION),
         default="test",
         help="which seeds of the suite; verification: fresh ones, drawn from a commit and a secret (default: test)",
+    )
+    parser.add_argument(
+        "--seeds", nargs="+", metavar="A:B", help="seeds of the split, N or A:B with B left out (default: all)"
     )
     group = parser.add_argument_group("fresh scenarios", f"for --split {VERIFICATION}")
     group.add_argument("--commit", metavar="HASH", help="full hash of the git commit with the entries")

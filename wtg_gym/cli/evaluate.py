@@ -9,14 +9,14 @@ from wtg_gym.cli.draw import add_split_options, chosen_draw
 from wtg_gym.cli.output import check_output_folder, note
 from wtg_gym.cli.parser import Commands, add_command, add_plant_options
 from wtg_gym.cli.scores import (
-    PARTIAL_FOLDER,
+    add_result_options,
     add_score_options,
     add_worker_options,
     chosen_entries,
     chosen_seeds,
     chosen_workers,
     finish,
-    resumable,
+    kept_parts,
     run_evaluation,
 )
 from wtg_gym.evaluation import Policy
@@ -55,27 +55,19 @@ def add_commands(commands: Commands) -> None:
     add_score_options(parser)
     add_worker_options(parser)
     add_split_options(parser)
-    parser.add_argument(
-        "--seeds", nargs="+", metavar="A:B", help="seeds of the split, N or A:B with B left out (default: all)"
-    )
     parser.add_argument("--duration", type=float, metavar="S", help="length of an episode [s] (default: the suite's)")
-    parser.add_argument("--results", metavar="DIR", help="folder to write results to; made if missing (default: none)")
-    parser.add_argument(
-        "--resume",
-        action=argparse.BooleanOptionalAction,
-        default=True,
-        help="go on from the finished parts of an interrupted run in DIR, and keep them (default: --resume)",
-    )
+    add_result_options(parser)
     parser.add_argument("--trust-pickle", action="store_true", help=_TRUST_HELP)
     add_plant_options(parser)
 
 
 def _run_evaluate(arguments: argparse.Namespace) -> int:
     folder = None if arguments.results is None else check_output_folder("--results", arguments.results)
-    partial = folder / PARTIAL_FOLDER if folder is not None and arguments.resume else None
-    if partial is not None:
-        arguments.after_interrupt = resumable(partial)
+    partial = kept_parts(folder, arguments)
     workers = chosen_workers(arguments)
+    seeds = None if arguments.seeds is None else chosen_seeds(arguments.seeds)
+    draw = chosen_draw(arguments)
+    # Last, because it takes longest, and may run code.
     entries = chosen_entries(arguments.entries, _load_trusted if arguments.trust_pickle else None)
     results = run_evaluation(
         entries,
@@ -83,8 +75,8 @@ def _run_evaluate(arguments: argparse.Namespace) -> int:
         split=arguments.split,
         partial=partial,
         workers=workers,
-        seeds=None if arguments.seeds is None else chosen_seeds(arguments.seeds),
-        draw=chosen_draw(arguments),
+        seeds=seeds,
+        draw=draw,
         duration_s=arguments.duration,
         groups=2 if arguments.groups is None else arguments.groups,
         control_dt=arguments.control_dt,

@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
     if missing:
         note(f"left out, not the same policy in both results: {', '.join(missing)}")
     if page is not None:
-        update_page(page, {section: gap_page(public, fresh)})
+        update_page(page, {section: gap_page(public, fresh, gaps)})
     return 0
 
 

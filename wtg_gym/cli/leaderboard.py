@@ -20,13 +20,12 @@ from wtg_gym.cli.output import (
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.cli.scores import (
     DEFAULT_ENTRIES,
-    PARTIAL_FOLDER,
     add_score_options,
     add_worker_options,
     chosen_entries,
     chosen_workers,
     finish,
-    resumable,
+    kept_parts,
     run_evaluation,
 )
 from wtg_gym.evaluation import ANCHORS, Entry, Results, leaderboard_rows, markdown_table
@@ -107,9 +106,7 @@ def _run_leaderboard(arguments: argparse.Namespace) -> int:
     readme = check_page("--readme", arguments.readme, section)
     page = _check_html("--html", arguments.html)
     # Nor are finished parts believed with --fresh: they are stored results too.
-    partial = None if arguments.fresh else folder / PARTIAL_FOLDER
-    if partial is not None:
-        arguments.after_interrupt = resumable(partial)
+    partial = None if arguments.fresh else kept_parts(folder, arguments)
     workers = chosen_workers(arguments)
     entries = chosen_entries(arguments.entries)
     anchors = run_evaluation([], arguments, partial=None)

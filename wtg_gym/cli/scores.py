@@ -12,12 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from wtg_gym.cli.output import (
-    Progress,
-    note,
-    print_json,
-    print_table,
-)
+from wtg_gym.cli.output import Progress, note, print_json, print_table
 from wtg_gym.evaluation import (
     Entry,
     NoScaleError,
@@ -36,7 +31,7 @@ from wtg_gym.scenarios import SUITES
 #: The package with the entries of a checkout.
 DEFAULT_ENTRIES = "baselines"
 #: Of finished parts, in the folder of the results.
-PARTIAL_FOLDER = "partial"
+_PARTIAL_FOLDER = "partial"
 _LARGEST_SEED_RANGE = 100_000
 _ENTRIES_HELP = (
     "what to score, several allowed: a strategy by name, a .toml file with a law, a folder with entry.toml and "
@@ -53,6 +48,17 @@ def add_score_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
     parser.add_argument("--json", action="store_true", help="print JSON, and nothing else, on stdout")
+
+
+def add_result_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say where results go, and whether an interrupted command goes on."""
+    parser.add_argument("--results", metavar="DIR", help="folder to write results to; made if missing (default: none)")
+    parser.add_argument(
+        "--resume",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="go on from the finished parts of an interrupted run in DIR, and keep them (default: --resume)",
+    )
 
 
 def add_worker_options(parser: argparse.ArgumentParser) -> None:
@@ -74,6 +80,8 @@ def add_worker_options(parser: argparse.ArgumentParser) -> None:
 def chosen_workers(arguments: argparse.Namespace) -> Workers | None:
     """Return the workers that the options name; a ValueError says what is wrong with one."""
     if arguments.backend is not None:
+        if arguments.threads not in (None, 1):
+            raise ValueError(f"--threads {arguments.threads}: a worker steps with one thread; say how many with --jobs")
         return Workers(arguments.backend, arguments.address, arguments.jobs)
     for option in ("address", "jobs"):
         if getattr(arguments, option) is not None:
@@ -81,9 +89,18 @@ def chosen_workers(arguments: argparse.Namespace) -> Workers | None:
     return None
 
 
-def resumable(partial: Path) -> str:
-    """Return what to say after Ctrl-C where finished parts are kept."""
-    return f"finished parts are kept in {partial}: run the same command again to go on"
+def kept_parts(folder: Path | None, arguments: argparse.Namespace) -> Path | None:
+    """Return where finished parts are kept, which is then said after Ctrl-C; None for nowhere.
+
+    Args:
+        folder: of the results; None for none.
+        arguments: of the command; one without `--resume` keeps its parts.
+    """
+    if folder is None or not getattr(arguments, "resume", True):
+        return None
+    partial = folder / _PARTIAL_FOLDER
+    arguments.after_interrupt = f"finished parts are kept in {partial}: run the same command again to go on"
+    return partial
 
 
 def run_evaluation(
@@ -165,13 +182,13 @@ def finish(results: Results, folder: Path | None, *, as_json: bool) -> None:
 
 __all__ = [
     "DEFAULT_ENTRIES",
-    "PARTIAL_FOLDER",
+    "add_result_options",
     "add_score_options",
     "add_worker_options",
     "chosen_entries",
     "chosen_seeds",
     "chosen_workers",
     "finish",
-    "resumable",
+    "kept_parts",
     "run_evaluation",
 ]

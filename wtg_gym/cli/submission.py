@@ -11,7 +11,7 @@ from pathlib import Path
 from wtg_gym.cli.draw import add_split_options, chosen_draw
 from wtg_gym.cli.output import check_output_folder, note, print_json, print_table
 from wtg_gym.cli.parser import Commands, add_command
-from wtg_gym.cli.scores import PARTIAL_FOLDER, chosen_seeds, finish, resumable, run_evaluation
+from wtg_gym.cli.scores import add_result_options, chosen_seeds, finish, kept_parts, run_evaluation
 from wtg_gym.evaluation import Entry, Results
 from wtg_gym.scenarios import SUITES, get_suite
 from wtg_gym.submissions import limits
@@ -97,17 +97,8 @@ def add_commands(commands: Commands) -> None:
         "--suite", default="standard", metavar="NAME", help=f"suite: {', '.join(SUITES)} (default: standard)"
     )
     add_split_options(parser)
-    parser.add_argument(
-        "--seeds", nargs="+", metavar="A:B", help="seeds of the split, N or A:B with B left out (default: all)"
-    )
     parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
-    parser.add_argument("--results", metavar="DIR", help="folder to write results to; made if missing (default: none)")
-    parser.add_argument(
-        "--resume",
-        action=argparse.BooleanOptionalAction,
-        default=True,
-        help="go on from the finished parts of an interrupted run in DIR, and keep them (default: --resume)",
-    )
+    add_result_options(parser)
 
 
 def _add_common(parser: argparse.ArgumentParser) -> None:
@@ -154,9 +145,7 @@ def _run_score(arguments: argparse.Namespace) -> int:
     get_suite(arguments.suite)
     seeds = None if arguments.seeds is None else chosen_seeds(arguments.seeds)
     draw = chosen_draw(arguments)
-    partial = folder / PARTIAL_FOLDER if folder is not None and arguments.resume else None
-    if partial is not None:
-        arguments.after_interrupt = resumable(partial)
+    partial = kept_parts(folder, arguments)
 
     def play(entries: Sequence[Entry], *, keep: bool) -> Results:
         return run_evaluation(

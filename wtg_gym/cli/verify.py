@@ -7,7 +7,7 @@ import argparse
 from wtg_gym.cli.draw import read_secret
 from wtg_gym.cli.output import Progress, note, print_json, print_table
 from wtg_gym.cli.parser import Commands, add_command
-from wtg_gym.cli.scores import add_worker_options, chosen_entries, chosen_workers
+from wtg_gym.cli.scores import DEFAULT_ENTRIES, add_worker_options, chosen_entries, chosen_workers
 from wtg_gym.evaluation import Results
 from wtg_gym.evaluation.verification import departures, verify
 
@@ -40,7 +40,7 @@ def add_commands(commands: Commands) -> None:
     parser.add_argument(
         "--entries",
         nargs="+",
-        default=["baselines"],
+        default=[DEFAULT_ENTRIES],
         metavar="SPEC",
         help="as for evaluate, without archives of Stable-Baselines3 (default: baselines)",
     )

@@ -61,10 +61,10 @@ class LaneFrames:
             lanes.task.nominal_hz * simulator.lane_values(LaneRow.COI)[:, None],
             lanes.task_values(TaskRow.ROCOF)[:, None],
             rotor,
-            TurbineParameters().tip_speed_ratio_per_speed_m_s * rotor / wind,
+            TurbineParameters().tip_speed_ratio_per_speed_m_s * _quotients(rotor, wind),
             simulator.wtg_values(WtgRow.POWER),
             simulator.wtg_values(WtgRow.COEFFICIENT),
-            np.divide(1.0, rate, out=np.full_like(rate, np.nan), where=rate > 0.0),
+            _quotients(np.ones_like(rate), rate),
             wind,
         ]
         self._samples[np.arange(lanes.n_lanes), self._places()] = np.concatenate(columns, axis=1)
@@ -86,7 +86,7 @@ class LaneFrames:
 
     def show(self) -> None:
         """Show the first lane's frame in the window."""
-        if self._window is not None:
+        if self._window is not None and not self._window.is_closed:
             self._window.show(self.paint()[0])
 
     def close(self) -> None:
@@ -122,6 +122,11 @@ class LaneFrames:
             outcome=reason if failed else "time over" if over else "",
             failed=failed,
         )
+
+
+def _quotients(values: npt.NDArray[np.float64], divisors: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return quotients, not a number where there is none: without damping, and in lanes that were never started."""
+    return np.divide(values, divisors, out=np.full_like(values, np.nan), where=divisors > 0.0)
 
 
 __all__ = ["Frame", "LaneFrames"]

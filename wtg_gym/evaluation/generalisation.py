@@ -136,10 +136,10 @@ def signed_interval(interval: Interval) -> str:
     return f"{value:+.1f} ({low:+.1f} … {high:+.1f})"
 
 
-def gap_page(public: Results, fresh: Results) -> str:
+def gap_page(public: Results, fresh: Results, gaps: Sequence[GeneralisationGap]) -> str:
     """Return what was compared, and the table, as Markdown without a line feed at the end."""
     numbers = [index for index, is_number in enumerate(COLUMNS.values()) if is_number]
-    table = files.markdown_table(list(COLUMNS), gap_cells(generalisation_gaps(public, fresh)), right=numbers)
+    table = files.markdown_table(list(COLUMNS), gap_cells(gaps), right=numbers)
     return f"{describe(public, fresh)}\n\n{table}"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -160,12 +161,19 @@ def target_rotor_speed_pu(frequency_pu: Floats, wind_m_s: Floats) -> Floats:
 
     In proportion to the wind, by the law alone, up to where the pitch protection holds it.
     """
-    control, law = GridFormingParameters(), coordinated_piecewise()
-    corners = np.linspace(control.frequency_min_pu, control.frequency_max_pu, _N_FREQUENCIES)
-    light, strong = (characteristic(law, wind, corners).rotor_speed_pu for wind in (_LIGHT_WIND_M_S, _STRONG_WIND_M_S))
+    corners, light, strong = _resting_speeds()
     # Beyond its corners the law saturates, as the interpolation does.
     free = np.interp(frequency_pu, corners, light / _LIGHT_WIND_M_S) * wind_m_s
     return np.minimum(free, np.interp(frequency_pu, corners, strong))
+
+
+@functools.cache
+def _resting_speeds() -> tuple[Floats, Floats, Floats]:
+    """Return frequencies [p.u.], and the reference's rotor speeds there in light and in strong wind [p.u.]."""
+    control, law = GridFormingParameters(), coordinated_piecewise()
+    corners = np.linspace(control.frequency_min_pu, control.frequency_max_pu, _N_FREQUENCIES)
+    light, strong = (characteristic(law, wind, corners).rotor_speed_pu for wind in (_LIGHT_WIND_M_S, _STRONG_WIND_M_S))
+    return corners, light, strong
 
 
 def one_scenario(recording: Recording, index: int) -> Recording:

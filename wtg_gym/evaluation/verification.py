@@ -60,12 +60,11 @@ def verify(
         n_threads, workers, on_progress: as for :func:`wtg_gym.evaluation.evaluate`.
 
     Raises:
-        ValueError: an entry is missing, a secret is given for seeds that were not drawn, or the results are of a suite,
-            seeds or settings that there are no more.
+        ValueError: an entry is missing, a secret is too short or given for seeds that were not drawn, or the results
+            are of a suite, seeds or settings that there are no more.
     """
     draw = None if stored.draw is None else VerificationDraw(suite=stored.suite, seeds=stored.seeds, **stored.draw)
-    if draw is None and secret is not None:
-        raise ValueError(f"the seeds of the split {stored.split!r} were not drawn: there is no secret to check")
+    differences = _seeds_compared(stored, draw, secret)
     given = {(entry.name, entry.training_seed): entry for entry in entries}
     wanted = [(entry["name"], entry["training_seed"]) for entry in stored.entries]
     missing = [name for name, seed in wanted if (name, seed) not in given and name not in ANCHORS]
@@ -83,9 +82,7 @@ def verify(
         on_progress=on_progress,
         **{name: stored.settings[name] for name in _ARGUMENTS if name in stored.settings},
     )
-    differences = _compared("suite_hash", stored.suite_hash, get_suite(stored.suite).hash)
-    if draw is not None and secret is not None and not draw.is_of(secret):
-        differences.append(Difference("seeds", f"those of {draw.secret_sha256[:12]}", "others: not of this secret"))
+    differences += _compared("suite_hash", stored.suite_hash, get_suite(stored.suite).hash)
     for key in sorted({*stored.settings, *now.settings}):
         differences += _compared(f"settings.{key}", stored.settings.get(key), now.settings.get(key))
     texts: list[Difference] = []
@@ -97,12 +94,7 @@ def verify(
             (differences if key in _PLAYED else texts).extend(
                 _compared(f"{label}: {key}", entry.get(key), other.get(key))
             )
-    played = {(*episode.run, episode.seed): episode for episode in now.episodes}
-    for episode in stored.episodes:
-        other_cells = played[*episode.run, episode.seed].cells()
-        where = f"{_label(*episode.run)}, seed {episode.seed}"
-        for column, one, other_cell in zip(COLUMNS, episode.cells(), other_cells, strict=True):
-            differences += _compared(f"{where}: {column}", one, other_cell)
+    differences += _episodes_compared(stored, now)
     circumstances = _compared("source_hash", stored.source_hash, now.source_hash)
     for key in ("id", "fingerprint"):
         circumstances += _compared(f"environment.{key}", stored.environment[key], now.environment[key])
@@ -111,6 +103,17 @@ def verify(
     # Whoever is given as MPPT or the reference needs no citation.
     circumstances += [text for text in texts if text.where.partition(":")[0] not in ANCHORS]
     return Verification(differences, circumstances, len(stored.episodes) * len(COLUMNS))
+
+
+def _episodes_compared(stored: Results, now: Results) -> list[Difference]:
+    differences: list[Difference] = []
+    played = {(*episode.run, episode.seed): episode for episode in now.episodes}
+    for episode in stored.episodes:
+        other_cells = played[*episode.run, episode.seed].cells()
+        where = f"{_label(*episode.run)}, seed {episode.seed}"
+        for column, one, other_cell in zip(COLUMNS, episode.cells(), other_cells, strict=True):
+            differences += _compared(f"{where}: {column}", one, other_cell)
+    return differences
 
 
 def departures(stored: Results) -> list[str]:
@@ -124,6 +127,16 @@ def departures(stored: Results) -> list[str]:
     if len(stored.seeds) != n_all:
         found.append(f"{len(stored.seeds)} scenarios, those of the benchmark are {n_all}")
     return found
+
+
+def _seeds_compared(stored: Results, draw: VerificationDraw | None, secret: bytes | None) -> list[Difference]:
+    if secret is None:
+        return []
+    if draw is None:
+        raise ValueError(f"the seeds of the split {stored.split!r} were not drawn: there is no secret to check")
+    if draw.is_of(secret):
+        return []
+    return [Difference("seeds", f"those of {draw.secret_sha256[:12]}", "others: not of this secret")]
 
 
 def _label(name: str, training_seed: int | None) -> str:

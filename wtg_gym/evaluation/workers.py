@@ -7,28 +7,17 @@ or processor could round otherwise than those here is refused.
 from __future__ import annotations
 
 import contextlib
-import functools
 import importlib.util
 import os
-import socket
-import sys
-import threading
-import time
-import traceback
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, NamedTuple
-
-import cloudpickle
+from typing import Any
 
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation.circumstances import versions
 from wtg_gym.evaluation.entries import Entry
 from wtg_gym.evaluation.episodes import Episode
-from wtg_gym.evaluation.partial import measurement_hash
-from wtg_gym.physics.compiled import source_hash
+from wtg_gym.evaluation.parcels import Outcome, Play, circumstances, opened, packed, work
 
 #: Backends of joblib: the package each of them needs, and the extra of wtg-gym that brings it.
 BACKENDS = {"loky": ("joblib", "cluster"), "dask": ("distributed", "cluster"), "ray": ("ray", "rllib")}
@@ -39,13 +28,8 @@ _ATTEMPTS = 3
 _CONNECT_S = 15
 #: A loky worker without anything to do ends after this time [s].
 _IDLE_S = 5
-#: How often it looks whether the process that asked is still there [s].
-_WATCH_S = 1.0
 #: Ray's results come a round at a time: so many batches per worker, that waiting for the last one costs little.
 _ROUND = 8
-
-#: Plays one batch: entry, settings, seeds, number of threads.
-Play = Callable[[Entry, EnvSettings, Sequence[int], int | None], list[Episode]]
 
 
 @dataclass(frozen=True)
@@ -103,21 +87,18 @@ class Workers:
                 processor, or workers are lost again and again.
             Exception: what a policy raises.
         """
-        wanted, packed = circumstances(), _packed([entry for entry, _ in parts], settings)
+        wanted, parcels = circumstances(), packed([entry for entry, _ in parts], settings)
         parent = os.getpid() if self.backend == "loky" else None
         calls: dict[int, Any] = {
-            index: (_work, (index, play, packed[id(entry)], seeds, wanted, parent), {})
+            index: (work, (index, play, parcels[id(entry)], seeds, wanted, parent), {})
             for index, (entry, seeds) in enumerate(parts)
         }
         outcomes = self._outcomes(calls, [entry.label for entry, _ in parts])
         with contextlib.closing(outcomes):
             for outcome in outcomes:
-                _require_same(wanted, outcome)
-                if outcome.error is not None:
-                    raise cloudpickle.loads(outcome.error)
-                yield outcome.part, outcome.episodes
+                yield outcome.part, opened(outcome, wanted)
 
-    def _outcomes(self, calls: dict[int, Any], labels: Sequence[str]) -> Generator[_Outcome, None, None]:
+    def _outcomes(self, calls: dict[int, Any], labels: Sequence[str]) -> Generator[Outcome, None, None]:
         """Yield what comes of the calls, in any order; calls that are lost with a worker are made again."""
         n_lost = 0
         with self._started() as made:
@@ -138,7 +119,7 @@ class Workers:
                         ) from error
 
     @contextlib.contextmanager
-    def _started(self) -> Iterator[Callable[[list[Any]], Iterable[_Outcome]]]:
+    def _started(self) -> Iterator[Callable[[list[Any]], Iterable[Outcome]]]:
         """Start or reach the workers; yield what makes calls there, as joblib's `delayed` writes them."""
         if self.backend == "loky":
             yield lambda calls: _unordered(calls, backend="loky", n_jobs=self.jobs or -1, idle_worker_timeout=_IDLE_S)
@@ -200,130 +181,10 @@ def _first_line(error: BaseException) -> str:
     return type(error).__name__ if isinstance(error, SystemExit) else str(error).strip().partition("\n")[0]
 
 
-def circumstances() -> dict[str, str]:
-    """Return what decides the last bits of a result, as it is in this process: code, packages and processor."""
-    return {"source code": source_hash()[:16], "evaluation code": measurement_hash()[:16], **versions()}
-
-
-# --- what travels ----------------------------------------------------------------------------------------------------
-
-
-class _Outcome(NamedTuple):
-    """What became of a batch: its episodes or a pickled error, from which worker, and that one's circumstances."""
-
-    part: int
-    episodes: list[Episode]
-    error: bytes | None
-    worker: str
-    circumstances: dict[str, str]
-
-
-def _packed(entries: Sequence[Entry], settings: EnvSettings) -> dict[int, bytes]:
-    """Return entry and settings as bytes, by the entry's id.
-
-    Bytes, because what Dask would spread out by itself is lost with the worker that holds it.
-    """
-    packed: dict[int, bytes] = {}
-    with _own_code_by_value():
-        for entry in entries:
-            if id(entry) not in packed:
-                try:
-                    packed[id(entry)] = cloudpickle.dumps((entry, settings))
-                # Pickling calls whatever the policy's parts have for it.
-                except Exception as error:
-                    raise ValueError(f"entry {entry.label!r} cannot be sent to other processes: {error}") from error
-    return packed
-
-
-@contextlib.contextmanager
-def _own_code_by_value() -> Iterator[None]:
-    """Let modules of the working folder travel as code: a worker elsewhere could not import them."""
-    folder = Path.cwd().resolve()
-    own = []
-    for name, module in list(sys.modules.items()):
-        path = Path(getattr(module, "__file__", None) or "/").resolve()
-        # An environment may lie in the working folder, and wtg_gym is what a worker must have of its own.
-        if not path.is_relative_to(folder) or "site-packages" in path.parts:
-            continue
-        if name.partition(".")[0] in ("__main__", "__mp_main__", "wtg_gym"):
-            continue
-        if name not in cloudpickle.list_registry_pickle_by_value():
-            own.append(module)
-    for module in own:
-        cloudpickle.register_pickle_by_value(module)
-    try:
-        yield
-    finally:
-        for module in own:
-            cloudpickle.unregister_pickle_by_value(module)
-
-
-def _work(
-    part: int, play: Play, packed: bytes, seeds: list[int], wanted: dict[str, str], parent: int | None
-) -> _Outcome:
-    """Play a batch in a worker; nothing is played where the circumstances are others."""
-    if parent is not None:
-        _end_with(parent)
-    worker, own, error = f"{socket.gethostname()}:{os.getpid()}", circumstances(), None
-    episodes: list[Episode] = []
-    if own == wanted:
-        try:
-            entry, settings = _unpacked(packed, worker)
-            episodes = play(entry, settings, seeds, 1)
-        except Exception as raised:
-            error = _portable(raised, worker)
-    return _Outcome(part, episodes, error, worker, own)
-
-
-@functools.cache
-def _end_with(parent: int) -> None:
-    """Have this worker end once its parent process is gone: it would wait for ever for its result to be read."""
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(_WATCH_S)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
-def _unpacked(packed: bytes, worker: str) -> tuple[Entry, EnvSettings]:
-    try:
-        entry, settings = cloudpickle.loads(packed)
-    except Exception as error:
-        raise ValueError(f"worker {worker} cannot load an entry: {type(error).__name__}: {error}") from error
-    return entry, settings
-
-
-def _portable(error: Exception, worker: str) -> bytes:
-    """Return a pickled error with a note where it was raised, or one of the same text where it cannot be pickled.
-
-    Pickled by cloudpickle itself, like the policy: to Ray's own copy of it an error's class would be another one.
-    """
-    error.add_note(f"in worker {worker}:\n{''.join(traceback.format_tb(error.__traceback__))}")
-    try:
-        packed: bytes = cloudpickle.dumps(error)
-        cloudpickle.loads(packed)
-    except Exception:
-        plain = RuntimeError(f"{type(error).__name__}: {error}")
-        for text in error.__notes__:
-            plain.add_note(text)
-        return bytes(cloudpickle.dumps(plain))
-    return packed
-
-
-def _require_same(wanted: dict[str, str], outcome: _Outcome) -> None:
-    theirs = outcome.circumstances
-    differing = [key for key in sorted({*wanted, *theirs}) if wanted.get(key) != theirs.get(key)]
-    if differing:
-        listed = "; ".join(f"{key} is {theirs.get(key, 'unknown')}, here {wanted.get(key)}" for key in differing)
-        raise ValueError(f"worker {outcome.worker} could give other numbers: {listed}")
-
-
 # --- joblib ----------------------------------------------------------------------------------------------------------
 
 
-def _unordered(calls: list[Any], *, backend: Any, n_jobs: int, **options: Any) -> Iterator[_Outcome]:
+def _unordered(calls: list[Any], *, backend: Any, n_jobs: int, **options: Any) -> Iterator[Outcome]:
     """Make the calls, and yield each result as it comes."""
     import joblib
 
@@ -341,7 +202,7 @@ def _unordered(calls: list[Any], *, backend: Any, n_jobs: int, **options: Any) -
             results.close()
 
 
-def _in_rounds(calls: list[Any], n_jobs: int) -> Iterator[_Outcome]:
+def _in_rounds(calls: list[Any], n_jobs: int) -> Iterator[Outcome]:
     """Make the calls on Ray, whose backend gives results back together only: with a lost worker a round is lost."""
     import joblib
 
@@ -375,4 +236,4 @@ def _dask_backend(client: Any) -> Any:
     return Backend(client=client)
 
 
-__all__ = ["BACKENDS", "Workers", "circumstances"]
+__all__ = ["BACKENDS", "Workers"]

@@ -33,7 +33,8 @@ class Window:
         self._title, self._fps = title, fps
         self._clock = pygame.time.Clock()
         self._surface: pygame.Surface | None = None
-        self._is_closed = False
+        #: Whether there is nothing left to show pictures in.
+        self.is_closed = False
 
     def show(self, picture: npt.NDArray[np.uint8]) -> None:
         """Show a picture (height, width, 3), and wait until it is due.
@@ -43,7 +44,7 @@ class Window:
         """
         import pygame
 
-        if self._is_closed:
+        if self.is_closed:
             return
         height, width = picture.shape[:2]
         if self._surface is None:
@@ -70,7 +71,7 @@ class Window:
 
     def close(self) -> None:
         """Close the window; no other one opens."""
-        self._is_closed = True
+        self.is_closed = True
         if self._surface is not None:
             import pygame
 

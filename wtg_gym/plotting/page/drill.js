@@ -1,9 +1,10 @@
 // --- one scenario, two entries: the grid, the traces, and the values at the cursor ------------------------------------
 
 const traces = async () => {
-  const { n, step, packed } = scenario();
+  // Of what is chosen now: while the rows are unpacked it may change.
+  const { n, step, packed } = scenario(), groups = suite().groups.length;
+  const places = { a: suite().traced.indexOf(state.a), b: suite().traced.indexOf(state.b) };
   const rows = await unpack(packed, n);
-  const groups = suite().groups.length;
   const wind = rows.slice(0, groups).map((row) => numbers(row, data.wind_step));
   const lines = (each) => (each.name === "frequency" ? 1 : groups);
   const perEntry = data.series.reduce((sum, each) => sum + lines(each), 0);
@@ -11,9 +12,8 @@ const traces = async () => {
   for (const name of Object.keys(sources.traces.data)) table[name] ??= new Float64Array(n).fill(NaN);
   for (const side of ["a", "b"]) {
     wind.forEach((values, j) => (table[`${side}-wind-${j}`] = values));
-    const place = suite().traced.indexOf(state[side]);
-    if (place < 0) continue;
-    let row = groups + place * perEntry;
+    if (places[side] < 0) continue;
+    let row = groups + places[side] * perEntry;
     for (const each of data.series)
       for (let j = 0; j < lines(each); j++)
         table[`${side}-${each.name}-${j}`] = numbers(rows[row++], each.step, each.name === "frequency" ? data.nominal : 0);

@@ -1,0 +1,169 @@
+"""What travels to a worker and back: an entry, the batch's episodes or its error, and what could change a number."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import os
+import socket
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import cloudpickle
+
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.evaluation.circumstances import versions
+from wtg_gym.evaluation.entries import Entry
+from wtg_gym.evaluation.episodes import Episode
+from wtg_gym.evaluation.partial import measurement_hash
+from wtg_gym.physics.compiled import source_hash
+
+#: How often a worker looks whether the process that asked is still there [s].
+_WATCH_S = 1.0
+
+#: Plays one batch: entry, settings, seeds, number of threads.
+Play = Callable[[Entry, EnvSettings, Sequence[int], int | None], list[Episode]]
+
+
+def circumstances() -> dict[str, str]:
+    """Return what decides the last bits of a result, as it is in this process: code, packages and processor."""
+    return {"source code": source_hash()[:16], "evaluation code": measurement_hash()[:16], **versions()}
+
+
+class Outcome(NamedTuple):
+    """What became of a batch: its episodes or a pickled error, from which worker, and that one's circumstances."""
+
+    part: int
+    episodes: list[Episode]
+    error: bytes | None
+    worker: str
+    circumstances: dict[str, str]
+
+
+def packed(entries: Sequence[Entry], settings: EnvSettings) -> dict[int, bytes]:
+    """Return each entry, together with the settings, as bytes, by the entry's id.
+
+    Bytes, because what Dask would spread out by itself is lost with the worker that holds it.
+
+    Raises:
+        ValueError: an entry cannot be pickled.
+    """
+    found: dict[int, bytes] = {}
+    with _own_code_by_value():
+        for entry in entries:
+            if id(entry) not in found:
+                try:
+                    found[id(entry)] = cloudpickle.dumps((entry, settings))
+                # Pickling calls whatever the policy's parts have for it.
+                except Exception as error:
+                    raise ValueError(f"entry {entry.label!r} cannot be sent to other processes: {error}") from error
+    return found
+
+
+@contextlib.contextmanager
+def _own_code_by_value() -> Iterator[None]:
+    """Let modules of the working folder travel as code: a worker elsewhere could not import them."""
+    folder = Path.cwd().resolve()
+    own = []
+    for name, module in list(sys.modules.items()):
+        path = Path(getattr(module, "__file__", None) or "/").resolve()
+        # An environment may lie in the working folder, and wtg_gym is what a worker must have of its own.
+        if not path.is_relative_to(folder) or "site-packages" in path.parts:
+            continue
+        if name.partition(".")[0] in ("__main__", "__mp_main__", "wtg_gym"):
+            continue
+        if name not in cloudpickle.list_registry_pickle_by_value():
+            own.append(module)
+    for module in own:
+        cloudpickle.register_pickle_by_value(module)
+    try:
+        yield
+    finally:
+        for module in own:
+            cloudpickle.unregister_pickle_by_value(module)
+
+
+def work(part: int, play: Play, parcel: bytes, seeds: list[int], wanted: dict[str, str], parent: int | None) -> Outcome:
+    """Play a batch in a worker; nothing is played where the circumstances are others.
+
+    Args:
+        part: number of the batch, for the outcome.
+        play: plays it, on one thread.
+        parcel: its entry and settings, see :func:`packed`.
+        seeds: of its scenarios.
+        wanted: the :func:`circumstances` that there must be.
+        parent: the process that this worker is to end with; None for none.
+    """
+    if parent is not None:
+        _end_with(parent)
+    worker, own, error = f"{socket.gethostname()}:{os.getpid()}", circumstances(), None
+    episodes: list[Episode] = []
+    if own == wanted:
+        try:
+            entry, settings = _unpacked(parcel, worker)
+            episodes = play(entry, settings, seeds, 1)
+        except Exception as raised:
+            error = _portable(raised, worker)
+    return Outcome(part, episodes, error, worker, own)
+
+
+@functools.cache
+def _end_with(parent: int) -> None:
+    """Have this worker end once its parent process is gone: it would wait for ever for its result to be read."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(_WATCH_S)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _unpacked(parcel: bytes, worker: str) -> tuple[Entry, EnvSettings]:
+    try:
+        entry, settings = cloudpickle.loads(parcel)
+    except Exception as error:
+        raise ValueError(f"worker {worker} cannot load an entry: {type(error).__name__}: {error}") from error
+    return entry, settings
+
+
+def _portable(error: Exception, worker: str) -> bytes:
+    """Return a pickled error with a note where it was raised, or one of the same text where it cannot be pickled.
+
+    Pickled by cloudpickle itself, like the policy: to Ray's own copy of it an error's class would be another one.
+    """
+    error.add_note(f"in worker {worker}:\n{''.join(traceback.format_tb(error.__traceback__))}")
+    try:
+        parcel: bytes = cloudpickle.dumps(error)
+        cloudpickle.loads(parcel)
+    except Exception:
+        plain = RuntimeError(f"{type(error).__name__}: {error}")
+        for text in error.__notes__:
+            plain.add_note(text)
+        return bytes(cloudpickle.dumps(plain))
+    return parcel
+
+
+def opened(outcome: Outcome, wanted: dict[str, str]) -> list[Episode]:
+    """Return the episodes of an outcome.
+
+    Raises:
+        ValueError: the circumstances were not the wanted ones, so that the numbers could be others.
+        Exception: what was raised while the batch was played.
+    """
+    theirs = outcome.circumstances
+    differing = [key for key in sorted({*wanted, *theirs}) if wanted.get(key) != theirs.get(key)]
+    if differing:
+        listed = "; ".join(f"{key} is {theirs.get(key, 'unknown')}, here {wanted.get(key)}" for key in differing)
+        raise ValueError(f"worker {outcome.worker} could give other numbers: {listed}")
+    if outcome.error is not None:
+        raise cloudpickle.loads(outcome.error)
+    return outcome.episodes
+
+
+__all__ = ["Outcome", "Play", "circumstances", "opened", "packed", "work"]
