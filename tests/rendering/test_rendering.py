@@ -127,7 +127,7 @@ def test_an_early_stall_and_the_end_of_the_time_are_named():
     assert before[words].tobytes() != after[words].tobytes() and not has_colour(after[words], EVENT)
 
 
-@pytest.mark.parametrize(("groups", "n_colours"), [(1, 1), (4, 4)])
+@pytest.mark.parametrize(("groups", "n_colours"), [(1, 1), (3, 3)])
 def test_every_group_has_a_line_and_a_sign_in_the_diagram(groups: int, n_colours: int):
     env = GFMWTGEnv(render_mode="rgb_array", groups=groups, duration_s=5.0)
     env.reset(seed=1)
