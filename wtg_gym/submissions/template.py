@@ -12,8 +12,8 @@ _TEMPLATE = """\
 # A submission: this file, policy.onnx and, if you like, a README.md, in a folder of their own. Nothing in it is code.
 # `wtg-gym submission check FOLDER` says whether it is accepted, and why not.
 
-# Stands in the table, must be filled in: letters, digits, blanks and ( ) + - . , = _. Policies trained with several seeds
-# are several folders of one name, each with its own training_seed; they share a row, whose interval covers the seeds.
+# Stands in the table, must be filled in: letters, digits, blanks and ( ) + - . , = _. Policies trained with several
+# seeds are several folders of one name, each with its own training_seed; they share a row, whose interval covers them.
 name = ""
 
 # One sentence on what it is.
