@@ -46,7 +46,7 @@ def _cells(row: EntrySummary) -> list[str]:
     name = row.name if row.n_runs == 1 else f"{row.name} ({row.n_runs} seeds)"
     return [
         name,
-        row.kind,
+        f"{row.kind}, privileged" if row.privileged else row.kind,
         _interval(row.score),
         f"{_plain(row.interquartile_mean.value, 1)}",
         f"{row.probability_of_improvement.value:.2f}",

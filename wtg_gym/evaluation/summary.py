@@ -25,6 +25,7 @@ class EntrySummary:
     Args:
         name: name of the entry.
         kind: "law", "feedback" or "learned".
+        privileged: whether it sees the state of the grid, which no turbine measures.
         n_runs: number of training seeds, 1 for a law.
         n_episodes: number of episodes.
         score: mean of the scenarios' scores: 0 is MPPT, 100 the reference.
@@ -45,6 +46,7 @@ class EntrySummary:
 
     name: str
     kind: str
+    privileged: bool
     n_runs: int
     n_episodes: int
     score: Interval
@@ -83,12 +85,14 @@ def summarise(
     runs: dict[str, dict[int | None, list[Episode]]] = {}
     for episode in episodes:
         runs.setdefault(episode.entry, {}).setdefault(episode.training_seed, []).append(episode)
-    kinds = {entry["name"]: str(entry["kind"]) for entry in entries}
+    described = {entry["name"]: entry for entry in entries}
     mppt, reference = (_costs(list(runs[name].values()), cap)[0] for name in ANCHORS)
     scale = statistics.score_scale(mppt, reference)
     seeds = [episode.seed for episode in next(iter(runs[ANCHORS[1]].values()))]
     known = np.array([oracle.get(seed, np.nan) for seed in seeds])
-    return [_summary(name, kinds[name], list(runs[name].values()), reference, known, scale, cap) for name in kinds]
+    return [
+        _summary(entry, list(runs[name].values()), reference, known, scale, cap) for name, entry in described.items()
+    ]
 
 
 def _costs(runs: Sequence[Sequence[Episode]], cap: float) -> Floats:
@@ -108,8 +112,7 @@ def _values(runs: Sequence[Sequence[Episode]], metric: str) -> Floats:
 
 
 def _summary(
-    name: str,
-    kind: str,
+    entry: Mapping[str, Any],
     runs: Sequence[Sequence[Episode]],
     reference: Floats,
     oracle: Floats,
@@ -124,8 +127,9 @@ def _summary(
     low, high = statistics.bootstrap(scores, lambda samples: samples.mean(axis=-1))
     has = np.isfinite(oracle)
     return EntrySummary(
-        name=name,
-        kind=kind,
+        name=entry["name"],
+        kind=str(entry["kind"]),
+        privileged=entry["observation_mode"] == "privileged",
         n_runs=costs.shape[0],
         n_episodes=costs.size,
         score=Interval(value, low, high),

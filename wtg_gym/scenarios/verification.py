@@ -3,7 +3,7 @@
 The test scenarios are public, so a policy can be fitted to them, by mistake or on purpose. Seeds that depend on the
 commit cannot be known before the submission is made; that they also depend on a secret keeps its authors from trying
 commits until the draw suits them. Whoever draws publishes the secret's sha256 beforehand and the secret afterwards:
-then everybody can see that the seeds were not chosen.
+then everybody can see that the seeds are those of commit and secret.
 """
 
 from __future__ import annotations
