@@ -134,7 +134,7 @@ $(LEADERBOARD_READY): EXTRA := leaderboard,agents
 $(TEST_READY): EXTRA := dev
 $(GOLDEN_READY): EXTRA := golden
 $(RLLIB_READY): EXTRA := rllib
-$(RLLIB_READY): ALSO := pytest
+$(RLLIB_READY): ALSO := hypothesis pytest
 
 $(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY): CONSTRAINTS := constraints.txt
 $(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY): constraints.txt
