@@ -186,7 +186,8 @@ def _table(results: Results, gaps: Mapping[str, GeneralisationGap], *, hidden: b
         for row, cells in zip(rows, table_cells(rows), strict=True)
     ]
     suite = html.escape(results.suite)
-    caption = f"Suite {suite}, {len(results.seeds)} {html.escape(results.split)} scenarios"
+    drawn = "" if results.draw is None else f" drawn from commit {html.escape(results.draw['commit'][:12])}"
+    caption = f"Suite {suite}, {len(results.seeds)} {html.escape(results.split)} scenarios{drawn}"
     return (
         f'<table data-suite="{suite}"{" hidden" if hidden else ""}><caption>{caption}</caption>'
         f"<thead><tr>{head}</tr></thead><tbody>\n" + "\n".join(body) + "\n</tbody></table>"
@@ -194,7 +195,9 @@ def _table(results: Results, gaps: Mapping[str, GeneralisationGap], *, hidden: b
 
 
 def _head(name: str, is_number: bool) -> str:
-    return f'<th scope="col"{" class=number" if is_number else ""}>{html.escape(name)}</th>'
+    # A long word may break, or it would make its column wide.
+    text = html.escape(name).replace("(improvement)", "(<wbr>improve<wbr>ment)")
+    return f'<th scope="col"{" class=number" if is_number else ""}>{text}</th>'
 
 
 def _cell(name: str, text: str, row: EntrySummary) -> str:

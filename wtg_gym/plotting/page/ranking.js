@@ -131,7 +131,8 @@ const sortBy = (head) => {
 };
 const addSortButtons = () => {
   for (const head of tables.flatMap((table) => [...table.tHead.rows[0].cells])) {
-    const button = make("button", head.textContent, { type: "button" });
+    const button = make("button", undefined, { type: "button" });
+    button.append(...head.childNodes);
     button.onclick = guarded(() => { sortBy(head); remember(); });
     head.replaceChildren(button);
   }
