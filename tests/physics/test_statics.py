@@ -155,3 +155,14 @@ def test_branches_of_the_characteristic_meet_at_the_critical_frequency() -> None
     assert np.isnan(curve.power_pu[0]) and np.isnan(curve.unstable_power_pu[0])
     gap = curve.rotor_speed_pu - curve.unstable_rotor_speed_pu
     assert 0.0 < gap[1] < 0.02 < gap[2]
+
+
+def test_margin_at_the_corner_of_the_power_limit_is_exact() -> None:
+    """A surplus that is largest where the captured power is capped: to either side it falls along a slope."""
+    law = TrackingLaw(name="corner", k_min=1.0, k_nominal=3.0, k_max=1.0, damping_time_constant_s=0.0)
+    critical = critical_frequency_pu(law, 18.768600535348114)
+    assert critical is not None
+    slope = power_margin_pu(critical + 1e-6, law, 18.768600535348114) / 1e-6
+    for step in (-1e-9, -1e-11, 0.0, 1e-11, 1e-9):
+        margin = power_margin_pu(critical + step, law, 18.768600535348114)
+        assert margin == pytest.approx(slope * step, abs=1e-12, rel=1e-3)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -114,7 +115,15 @@ class _Balance:
         at = int(np.argmax(self(speeds)))
         around = speeds[max(at - 1, 0)], speeds[min(at + 1, speeds.size - 1)]
         found = minimize_scalar(lambda x: -float(self(x)), bounds=around, method="bounded", options={"xatol": 1e-11})
-        return max((float(found.x), float(speeds[at])), key=lambda x: float(self(x)))
+        candidates = [float(found.x), float(speeds[at])]
+        # Where the power limit begins the surplus has a corner, which the search misses by a part in 10⁸.
+        for low, high in pairwise((around[0], speeds[at], around[1])):
+            if (self._over_limit(low) < 0.0) != (self._over_limit(high) < 0.0):
+                candidates.append(float(brentq(self._over_limit, low, high, xtol=1e-15, rtol=1e-15)))
+        return max(candidates, key=lambda x: float(self(x)))
+
+    def _over_limit(self, speed: float) -> float:
+        return float(self.captured(speed)) - self.power_limit
 
     def holding_pitch(self, speed: float) -> float | None:
         """Return the smallest pitch angle at which the captured power is the delivered one; None if none does [deg]."""
