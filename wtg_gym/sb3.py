@@ -75,6 +75,8 @@ class SB3VecEnv(VecEnv):
             raise ValueError(f"unknown info_keys {unknown}; known keys: {', '.join(known)}")
         self._actions: npt.NDArray[Any] | None = None
         super().__init__(num_envs, self.vector_env.single_observation_space, self.vector_env.single_action_space)
+        # Without it VecVideoRecorder would play an episode three times as fast as it was.
+        self.metadata["render_fps"] = self.vector_env.metadata["render_fps"]
 
     def reset(self) -> Observations:
         """Start an episode in every lane, with the seeds and options set before, which are used once.

@@ -317,7 +317,9 @@ def test_video_recorder_of_stable_baselines3_writes_the_batch(tmp_path: Path):
         envs.step(np.zeros((2, 4), dtype=np.float32))
     envs.close()
     (path,) = tmp_path.glob("*.mp4")
-    assert video_frames(path)[0] == 5
+    # The start and five steps, in real time.
+    assert envs.frames_per_sec == 10
+    assert video_frames(path)[0] == 6
 
 
 def test_render_collection_gives_all_frames_since_the_last_call():
