@@ -1,0 +1,106 @@
+"""What `GFMWTG-14bus-v0` answers, as numbers: over suites, modes, autoresets and threads, single and batched.
+
+`python -m tests.envs.frozen > tests/envs/frozen_v0.json` wrote the answers of version 0.1.0. They are never written
+anew: another answer is another environment, with another id.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+
+from tests.envs.rollouts import ACTION_MODES, MODES, OBSERVATION_MODES
+from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
+from wtg_gym.evaluation.circumstances import versions
+from wtg_gym.scenarios import SUITES
+
+#: Longer than an episode of every drawn suite, so that lanes start again.
+_N_STEPS, _N_LANES = 640, 17
+#: Settings besides the modes under which a suite is played once more.
+_VARIANTS: dict[str, dict[str, Any]] = {
+    "stalls": {"suite": "low-wind", "strategy": "mppt"},
+    "trips": {"suite": "low-wind", "strategy": "deloaded-5", "on_failure": "trip"},
+    "classical": {"suite": "gust", "machine_model": "classical"},
+    "three groups": {"suite": "weak-grid", "groups": 3},
+    "one group": {"suite": "standard", "groups": [{"bus": 3, "n_turbines": 4.0}]},
+    "fine steps": {"suite": "standard", "control_dt": 0.05, "simulation_dt": 0.0125},
+    "laws": {"suite": "standard", "strategy": ["coordinated-linear", "coordinated-undamped"]},
+}
+
+
+class _Answers:
+    """Collects observations, rewards and ends."""
+
+    def __init__(self) -> None:
+        self._hash = hashlib.sha256()
+        self._n_ends = 0
+        self._sums = np.zeros(3)
+
+    def add(self, observations: Any, rewards: Any = 0.0, terminated: Any = False, truncated: Any = False) -> None:
+        for values in (observations, np.float64(rewards), np.bool_(terminated), np.bool_(truncated)):
+            self._hash.update(np.ascontiguousarray(values).tobytes())
+        self._n_ends += int(np.sum(terminated) + np.sum(truncated))
+        wide = np.asarray(observations, dtype=np.float64)
+        self._sums += [np.sum(rewards), np.sum(wide), np.sum(wide * np.arange(1, wide.shape[-1] + 1))]
+
+    def as_dict(self) -> dict[str, Any]:
+        return {"sha256": self._hash.hexdigest(), "n_ends": self._n_ends, "sums": self._sums.tolist()}
+
+
+def _batched(mode: AutoresetMode, n_threads: int, **settings: Any) -> dict[str, Any]:
+    env = GFMWTGVectorEnv(_N_LANES, autoreset_mode=mode, n_threads=n_threads, **settings)
+    rng, answers = np.random.default_rng(7), _Answers()
+    answers.add(env.reset(seed=3)[0])
+    for _ in range(_N_STEPS):
+        observations, rewards, terminated, truncated, _ = env.step(rng.uniform(-1.1, 1.1, env.action_space.shape))
+        answers.add(observations, rewards, terminated, truncated)
+        over = terminated | truncated
+        if mode == AutoresetMode.DISABLED and over.any():
+            answers.add(env.reset(options={"reset_mask": over})[0])
+    env.close()
+    return answers.as_dict()
+
+
+def _single(**settings: Any) -> dict[str, Any]:
+    env = GFMWTGEnv(**settings)
+    rng, answers = np.random.default_rng(8), _Answers()
+    for seed in range(2):
+        answers.add(env.reset(seed=seed)[0])
+        over = False
+        while not over:
+            observation, reward, terminated, truncated, _ = env.step(rng.uniform(-1.1, 1.1, env.action_space.shape))
+            answers.add(observation, reward, terminated, truncated)
+            over = terminated or truncated
+    return answers.as_dict()
+
+
+def cases() -> dict[str, Callable[[], dict[str, Any]]]:
+    """Return what plays each case, by its name."""
+    found: dict[str, Callable[[], dict[str, Any]]] = {}
+    modes = list(itertools.product(ACTION_MODES, OBSERVATION_MODES))
+    splits = itertools.cycle(("train", "validation", "test"))
+    autoresets, threads = itertools.cycle(MODES), itertools.cycle((1, 2))
+
+    def add(name: str, settings: dict[str, Any]) -> None:
+        settings = {"split": next(splits), **settings}
+        mode, n_threads = next(autoresets), next(threads)
+        found[f"{name}, single"] = lambda: _single(**settings)
+        found[f"{name}, batched"] = lambda: _batched(mode, n_threads, **settings)
+
+    for suite, (action, observation) in itertools.product(SUITES, modes):
+        chosen = {"suite": suite, "action_mode": action, "observation_mode": observation}
+        add(f"{suite}, {action}, {observation}", chosen)
+    for name, settings in _VARIANTS.items():
+        add(name, settings)
+    return found
+
+
+if __name__ == "__main__":
+    answers = {name: play() for name, play in cases().items()}
+    print(json.dumps({"versions": versions(), "cases": answers}, indent=1))
