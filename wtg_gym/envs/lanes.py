@@ -41,6 +41,8 @@ TERMINATION_REASONS = {
     Status.OVER_SPEED: "over-speed",
     Status.FREQUENCY_LIMIT: "frequency limit",
     Status.NUMERICAL_FAILURE: "numerical failure",
+    Status.LOSS_OF_SYNCHRONISM: "loss of synchronism",
+    Status.VOLTAGE_COLLAPSE: "voltage collapse",
 }
 #: Keys of `info`, with their units, besides `termination_reason`.
 INFO_UNITS = {
