@@ -59,7 +59,9 @@ def test_a_mode_that_grows_by_itself_is_not_the_integrations_fault() -> None:
 
 
 @pytest.mark.parametrize("eigenvalues", [(-3.0, -40.0), (-8.9 + 46j, -8.9 - 46j), (-0.2 + 17j, -0.2 - 17j)])
-def test_a_linear_system_grows_just_beyond_its_largest_step_and_not_just_below(eigenvalues: tuple[complex, ...]) -> None:
+def test_a_linear_system_grows_just_beyond_its_largest_step_and_not_just_below(
+    eigenvalues: tuple[complex, ...],
+) -> None:
     value = complex(eigenvalues[-1])
     matrix = np.diag(np.real(eigenvalues)).astype(np.float64)
     if value.imag:

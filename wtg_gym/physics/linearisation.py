@@ -15,8 +15,8 @@ from wtg_gym.physics.wind_turbine import TurbineConstant, WtgState
 
 #: Step of the finite differences [p.u., rad]; truncation and rounding are both near 1e-9 of a rate.
 _DIFFERENCE = 2e-6
-#: The largest stable step must exceed the chosen one by this factor. Load level, line trips, wind and governor droop
-#: move it by less than 3 % from one operating point of the suites to another; the rest is for what lies beyond them.
+#: The largest stable step must exceed the chosen one by this factor. Load, line trips, wind and governor droop move it
+#: by less than 1 % over the runs of the suites; the rest is for what lies beyond them.
 STEP_MARGIN = 1.1
 
 
@@ -49,13 +49,13 @@ def state_matrix(rows: Floats, plant: Plant, layout: Layout, side: float) -> Flo
 def moving_states(matrix: Floats, rows: Floats, layout: Layout) -> npt.NDArray[np.bool_]:
     """Return which states have a part in the dynamics, (n,): neither constants nor integrals nothing depends on.
 
-    The pitch protection at rest has none, since it only acts upwards.
+    The pitch protection at rest has none, since it only acts upwards: a difference across that limit is no slope.
     """
     keep = np.ones(matrix.shape[0], dtype=np.bool_)
     for j in range(layout.n_wtg):
-        if rows[layout.wtg + j * WtgRow.N_ROWS + WtgState.PITCH] == 0.0:
-            at = layout.n_sync * N_SYNC_STATES + j * N_WTG_STATES
-            keep[[at + WtgState.PITCH_INTEGRAL, at + WtgState.PITCH]] = False
+        for state in (WtgState.PITCH_INTEGRAL, WtgState.PITCH):
+            at_rest = rows[layout.wtg + j * WtgRow.N_ROWS + state] < 4.0 * _DIFFERENCE
+            keep[layout.n_sync * N_SYNC_STATES + j * N_WTG_STATES + state] = not at_rest
     while True:
         rest = np.where(np.outer(keep, keep), matrix, 0.0)
         kept = keep & rest.any(axis=0) & rest.any(axis=1)
