@@ -13,6 +13,7 @@ from wtg_gym.physics.layout import LaneRow, Status, WtgRow
 from wtg_gym.physics.parameters import ProtectionParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import LineTrip, LoadStep, Scenario
+from wtg_gym.physics.tracking_law import TrackingLaw
 from wtg_gym.physics.trajectory import simulate
 
 GONE = calm(duration_s=20.0, events=(LoadStep(time_s=1.025, bus=2, power_mw=600.0),))
@@ -177,6 +178,17 @@ def test_group_that_trips_within_a_long_step_is_off_from_then_on():
     usual, rare = (simulate(sagging(), "mppt", PlantSettings(control_dt=dt, trips_groups=True)) for dt in (0.1, 10.0))
     assert rare.frequency_hz[-1] == pytest.approx(usual.frequency_hz[-1], abs=1e-9)
     assert not rare.power_pu[-1].any() and not usual.power_pu[-1].any()
+
+
+def test_damping_that_actions_make_too_fast_for_the_step_is_refused():
+    law = TrackingLaw(name="quick", k_min=0.7, k_nominal=0.6, k_max=0.5, damping_time_constant_s=0.05)
+    steps = {"control_dt": 0.2, "simulation_dt": 0.04, "scenario": calm().to_dict()}
+    with pytest.raises(
+        ValueError, match=r"simulation_dt = 0.04 s .* of 0.05 s, .* 0.0125 s; allowed: at most 0.0317 s"
+    ):
+        GFMWTGEnv(strategy=law, **steps)
+    GFMWTGEnv(strategy=law, action_mode="k", **steps)
+    GFMWTGEnv(strategy=law)
 
 
 def test_scenario_shorter_than_the_episode_is_cut_at_its_end():

@@ -55,7 +55,7 @@ def test_stable_steps_end_where_the_stability_region_does() -> None:
 
 
 def test_a_mode_that_grows_by_itself_is_not_the_integrations_fault() -> None:
-    assert largest_stable_steps(np.array([0.0, 0.3, 1.0 + 2.0j], dtype=np.complex128)).min() > 1.0
+    assert largest_stable_steps(np.array([0.0, 0.3, 1.0 + 2.0j], dtype=np.complex128)).min() > 0.4
 
 
 @pytest.mark.parametrize("eigenvalues", [(-3.0, -40.0), (-8.9 + 46j, -8.9 - 46j), (-0.2 + 17j, -0.2 - 17j)])
@@ -79,7 +79,7 @@ def test_a_subtransient_time_constant_that_the_step_cannot_follow_is_refused_whe
 
 
 def test_an_inertia_that_is_too_small_for_the_step_is_refused_with_its_scenario() -> None:
-    simulator = Simulator(plant(two_h_s=2.0))
+    simulator = Simulator(plant(two_h_s=0.5))
     scenario = Scenario(name="light", wind_speed=np.full((2, 1), 8.0), inertia_scale=0.3)
     simulator.prepare([scenario], LAWS)
     lighter = dataclasses.replace(scenario, inertia_scale=0.05)

@@ -118,7 +118,11 @@ class Simulator:
         self._pool: ThreadPoolExecutor | None = None
         self._pool_process = 0
         self._pad()
-        self._checked = _checked_inertias(settings)
+        try:
+            self._checked = _checked_inertias(settings)
+        except TypeError:
+            # A case of lists instead of tuples has no hash: nothing is shared with other simulators of it.
+            self._checked = {}
         self._check_nominal_step()
 
     def _check_nominal_step(self) -> None:
