@@ -35,40 +35,33 @@ def largest_step(simulator: Simulator) -> float:
     return float(largest_stable_steps(np.linalg.eigvals(matrix[np.ix_(keep, keep)])).min())
 
 
-def after_steps(matrix: Floats, h: float, n_steps: int) -> Floats:
+def after_steps(matrix: Floats, h: float, n_steps: int) -> float:
     """Return |x| of ẋ = A x after Runge-Kutta steps from an arbitrary start."""
     x = np.ones(matrix.shape[0])
-    sizes = []
     for _ in range(n_steps):
         k1 = matrix @ x
         k2 = matrix @ (x + 0.5 * h * k1)
         k3 = matrix @ (x + 0.5 * h * k2)
         k4 = matrix @ (x + h * k3)
         x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-        sizes.append(float(np.abs(x).max()))
-    return np.array(sizes)
+    return float(np.abs(x).max())
 
 
 def test_stable_steps_end_where_the_stability_region_does() -> None:
-    found = largest_stable_steps(np.array([-1.0, -200.0, 1j, -0.0 - 2j], dtype=np.complex128))
+    found = largest_stable_steps([-1.0, -200.0, 1j, -2j])
     assert found == pytest.approx([2.785293563405282, 2.785293563405282 / 200.0, 8.0**0.5, 2.0**0.5], rel=1e-6)
 
 
 def test_a_mode_that_grows_by_itself_is_not_the_integrations_fault() -> None:
-    assert largest_stable_steps(np.array([0.0, 0.3, 1.0 + 2.0j], dtype=np.complex128)).min() > 0.4
+    assert largest_stable_steps([0.0, 0.3, 1.0 + 2.0j]).min() > 0.4
 
 
-@pytest.mark.parametrize("eigenvalues", [(-3.0, -40.0), (-8.9 + 46j, -8.9 - 46j), (-0.2 + 17j, -0.2 - 17j)])
-def test_a_linear_system_grows_just_beyond_its_largest_step_and_not_just_below(
-    eigenvalues: tuple[complex, ...],
-) -> None:
-    value = complex(eigenvalues[-1])
-    matrix = np.diag(np.real(eigenvalues)).astype(np.float64)
-    if value.imag:
-        matrix = np.array([[value.real, value.imag], [-value.imag, value.real]])
-    limit = float(largest_stable_steps(np.array(eigenvalues, dtype=np.complex128)).min())
-    assert after_steps(matrix, 0.999 * limit, 20_000)[-1] < 1e-6
-    assert after_steps(matrix, 1.001 * limit, 20_000)[-1] > 1e6
+@pytest.mark.parametrize("value", [-40.0 + 0j, -8.9 + 46j, -0.2 + 17j])
+def test_a_linear_system_grows_just_beyond_its_largest_step_and_not_just_below(value: complex) -> None:
+    matrix = np.array([[value.real, value.imag], [-value.imag, value.real]])
+    limit = float(largest_stable_steps(np.linalg.eigvals(matrix)).min())
+    assert after_steps(matrix, 0.999 * limit, 20_000) < 1e-6
+    assert after_steps(matrix, 1.001 * limit, 20_000) > 1e6
 
 
 def test_a_subtransient_time_constant_that_the_step_cannot_follow_is_refused_when_the_plant_is_built() -> None:

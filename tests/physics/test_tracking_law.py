@@ -108,7 +108,9 @@ def test_unknown_strategy_lists_the_known_ones() -> None:
         get_law("nowhere/law.toml")
 
 
-@pytest.mark.parametrize(("strategy", "deloading"), [("mppt", 0.0), ("deloaded-10", 0.1), ("coordinated-linear", 0.05)])
+@pytest.mark.parametrize(
+    ("strategy", "deloading"), [("mppt", 0.0), ("deloaded-10", 0.1), ("coordinated-piecewise", 0.05)]
+)
 def test_a_strategy_keeps_its_meaning_on_another_turbine(strategy: str, deloading: float) -> None:
     optimum = tracking_point(0.0, LONG_BLADES)
     scenario = Scenario(name="x", wind_speed=np.full((2, 1), 8.0), duration_s=1.0)

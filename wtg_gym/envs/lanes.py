@@ -174,7 +174,7 @@ class TaskLanes:
     def _check_time_constants(self) -> None:
         """Refuse a law whose damping the actions can make faster than the integration step follows."""
         fastest = TIME_CONSTANT_RATIO * max(law.inverse_time_constant for law in self.laws)
-        allowed = float(largest_stable_steps(np.array([-fastest + 0j]))[0]) / STEP_MARGIN
+        allowed = float(largest_stable_steps(-fastest)) / STEP_MARGIN
         if self.task.modulates_tau and self.settings.simulation_dt > allowed:
             raise ValueError(
                 f"simulation_dt = {self.settings.simulation_dt:g} s is too long for the damping time constant of "

@@ -64,17 +64,18 @@ def moving_states(matrix: Floats, rows: Floats, layout: Layout) -> npt.NDArray[n
         keep = kept
 
 
-def largest_stable_steps(eigenvalues: npt.NDArray[np.complex128]) -> Floats:
+def largest_stable_steps(eigenvalues: npt.ArrayLike) -> Floats:
     """Return the largest step at which each mode neither grows nor grows faster than it does itself, (n,) [s].
 
     |R(hλ)| ≤ max(1, e^(h Re λ)), R(z) = 1 + z + z²/2 + z³/6 + z⁴/24 of the classical fourth-order method. Source:
     E. Hairer, G. Wanner: Solving Ordinary Differential Equations II, section IV.2.
     """
     # No ray from zero stays in the region, or comes back to it, beyond |z| = 4.
-    low, high = np.zeros(eigenvalues.shape), 4.0 / np.maximum(np.abs(eigenvalues), 1e-9)
+    values = np.asarray(eigenvalues, dtype=np.complex128)
+    low, high = np.zeros(values.shape), 4.0 / np.maximum(np.abs(values), 1e-9)
     for _ in range(40):
         middle = 0.5 * (low + high)
-        z = middle * eigenvalues
+        z = middle * values
         growth = np.abs(1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0))))
         stable = growth <= np.maximum(1.0, np.exp(z.real)) * (1.0 + 1e-12)
         low, high = np.where(stable, middle, low), np.where(stable, high, middle)
