@@ -130,7 +130,7 @@ SCENARIOS = [
     ({"inertia_scale": NAN}, ["inertia_scale", "nan"]),
     ({"load_noise_bus": 99}, ["bus 99"]),
     ({"load_noise_mw": [1.0]}, ["load_noise_mw", "1 MW"]),
-    ({"load_noise_mw": [0.0, NAN]}, ["load_noise_mw", "finite"]),
+    ({"load_noise_mw": [0.0, NAN]}, ["load_noise_mw", "nan MW", "-10000 … 10000 MW"]),
     ({"load_noise_mw": "x"}, ["load_noise_mw"]),
     ({"events": 3}, ["event"]),
     ({"events": [3]}, ["event", "3", "load_step"]),

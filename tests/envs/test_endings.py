@@ -1,4 +1,4 @@
-"""Facts about the ends of episodes: stall, over-speed, frequency limit and the end of time."""
+"""Facts about the ends of episodes: what the protections see, when they look, and the end of time."""
 
 from __future__ import annotations
 
@@ -7,10 +7,26 @@ import pytest
 
 from tests.envs.rollouts import calm, episode, eventful, rising, sagging
 from wtg_gym.envs import CostWeights, GFMWTGEnv
-from wtg_gym.physics.layout import WtgRow
-from wtg_gym.physics.scenario import LoadStep, Scenario
+from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.physics.layout import LaneRow, Status, WtgRow
+from wtg_gym.physics.parameters import ProtectionParameters
+from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.scenario import LineTrip, LoadStep, Scenario
+from wtg_gym.physics.tracking_law import TrackingLaw
+from wtg_gym.physics.trajectory import simulate
 
-GONE = calm(duration_s=20.0, inertia_scale=0.05, events=(LoadStep(time_s=1.025, bus=2, power_mw=1000.0),))
+GONE = calm(duration_s=20.0, events=(LoadStep(time_s=1.025, bus=2, power_mw=600.0),))
+TORN = calm(
+    duration_s=20.0,
+    events=(
+        LineTrip(time_s=1.0, from_bus=1, to_bus=2),
+        LineTrip(time_s=1.2, from_bus=2, to_bus=5),
+        LineTrip(time_s=1.2, from_bus=2, to_bus=4),
+        LoadStep(time_s=2.0, bus=3, power_mw=75.0),
+    ),
+)
+SAGGED = calm(duration_s=20.0, events=(LoadStep(time_s=1.0, bus=2, power_mw=0.0, reactive_mvar=800.0),))
 
 
 def play(scenario: Scenario, action=0.0, **settings):
@@ -94,6 +110,85 @@ def test_lost_frequency_ends_the_episode_either_way(on_failure: str):
     rewards, (_, terminated, truncated, info), _ = play(GONE, on_failure=on_failure)
     assert terminated and not truncated and info["termination_reason"] == "frequency limit"
     assert info["frequency_hz"] < 47.5 and rewards[-1] < -CostWeights().cap * (20.0 - 0.1 * rewards.size)
+
+
+@pytest.mark.parametrize("on_failure", ["terminate", "trip"])
+@pytest.mark.parametrize(("scenario", "reason"), [(TORN, "loss of synchronism"), (SAGGED, "voltage collapse")])
+def test_lost_grid_ends_the_episode_under_its_own_name(scenario: Scenario, reason: str, on_failure: str):
+    rewards, (_, terminated, truncated, info), _ = play(scenario, on_failure=on_failure)
+    assert terminated and not truncated and info["termination_reason"] == reason
+    assert 49.0 < info["frequency_hz"] < 51.0, "the frequency would have told nothing"
+    assert rewards[-1] < -CostWeights().cap * (20.0 - 0.1 * rewards.size)
+
+
+def test_units_are_torn_apart_when_their_angles_differ_by_half_a_turn():
+    env = GFMWTGEnv(scenario=TORN.to_dict())
+    spread = []
+    for _ in episode(env, 0.0, seed=0):
+        least, largest = (
+            env.lanes.simulator.lane_values(row)[0] for row in (LaneRow.LEAST_ANGLE, LaneRow.LARGEST_ANGLE)
+        )
+        spread.append(np.degrees(largest - least))
+    assert max(spread[:-1]) <= 180.0 < spread[-1] < 270.0
+
+
+def test_low_voltage_may_last_three_seconds():
+    _, (*_, info), env = play(SAGGED)
+    assert env.lanes.simulator.lane_values(LaneRow.LEAST_VOLTAGE)[0] < 0.85**2
+    assert info["time_s"] == pytest.approx(1.0 + 3.0 + 0.1)
+    longer = PlantSettings(protection=ProtectionParameters(low_voltage_time_s=10.0))
+    assert simulate(SAGGED, "coordinated-piecewise", longer).time_s[-1] == pytest.approx(1.0 + 10.0 + 0.1)
+
+
+@pytest.mark.parametrize("strategy", ["coordinated-undamped", "mppt"])
+@pytest.mark.parametrize("suite", ["standard", "low-wind", "gust", "weak-grid"])
+def test_no_scenario_of_a_suite_comes_near_the_grids_failures(suite: str, strategy: str):
+    lanes = TaskLanes(EnvSettings(suite=suite, split="validation", strategy=strategy), 16, 1)
+    lanes.start(range(16), lanes.scenarios(lanes.suite.validation[:16]))
+    rng = np.random.default_rng(0)
+    for _ in range(600):
+        lanes.step(np.sign(rng.uniform(-1.0, 1.0, (16, lanes.n_action))))
+        least, largest, squared = (
+            lanes.simulator.lane_values(row)
+            for row in (LaneRow.LEAST_ANGLE, LaneRow.LARGEST_ANGLE, LaneRow.LEAST_VOLTAGE)
+        )
+        assert np.degrees(largest - least).max() < 90.0 and squared.min() > 0.9**2
+    assert set(lanes.statuses().tolist()) <= {Status.RUNNING, Status.STALL}
+
+
+@pytest.mark.parametrize("control_dt", [0.05, 0.5, 2.0, 10.0])
+@pytest.mark.parametrize(("scenario", "status"), [(sagging(), Status.STALL), (SAGGED, Status.VOLTAGE_COLLAPSE)])
+def test_run_ends_when_it_does_whatever_the_control_interval(scenario: Scenario, status: Status, control_dt: float):
+    usual = simulate(scenario, "mppt")
+    run = simulate(scenario, "mppt", PlantSettings(control_dt=control_dt))
+    assert run.status == usual.status == status
+    assert run.time_s[-1] == pytest.approx(usual.time_s[-1], abs=0.051)
+    assert run.tip_speed_ratio[-1] == pytest.approx(usual.tip_speed_ratio[-1], rel=1e-3)
+
+
+def test_episode_with_long_steps_ends_within_one():
+    rewards, (_, terminated, _, info), _ = play(sagging(), strategy="mppt", control_dt=10.0)
+    usual, (*_, told), _ = play(sagging(), strategy="mppt")
+    assert terminated and info["termination_reason"] == "stall" and info["time_s"] == pytest.approx(told["time_s"])
+    assert rewards.size == np.ceil(info["time_s"] / 10.0) and usual.size == round(told["time_s"] / 0.1)
+    assert rewards[-1] < -CostWeights().cap * (60.0 - info["time_s"])
+
+
+def test_group_that_trips_within_a_long_step_is_off_from_then_on():
+    usual, rare = (simulate(sagging(), "mppt", PlantSettings(control_dt=dt, trips_groups=True)) for dt in (0.1, 10.0))
+    assert rare.frequency_hz[-1] == pytest.approx(usual.frequency_hz[-1], abs=1e-9)
+    assert not rare.power_pu[-1].any() and not usual.power_pu[-1].any()
+
+
+def test_damping_that_actions_make_too_fast_for_the_step_is_refused():
+    law = TrackingLaw(name="quick", k_min=0.7, k_nominal=0.6, k_max=0.5, damping_time_constant_s=0.05)
+    steps = {"control_dt": 0.2, "simulation_dt": 0.04, "scenario": calm().to_dict()}
+    with pytest.raises(
+        ValueError, match=r"simulation_dt = 0.04 s .* of 0.05 s, .* 0.0125 s; allowed: at most 0.0317 s"
+    ):
+        GFMWTGEnv(strategy=law, **steps)
+    GFMWTGEnv(strategy=law, action_mode="k", **steps)
+    GFMWTGEnv(strategy=law)
 
 
 def test_scenario_shorter_than_the_episode_is_cut_at_its_end():

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import pickle
 from typing import Any
 
 import numpy as np
 import pytest
 
+from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.layout import SyncRow
-from wtg_gym.physics.parameters import WtgGroup
+from wtg_gym.physics.parameters import ProtectionParameters, WtgGroup
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import LineTrip, LoadStep, LoadTrip, Scenario
 from wtg_gym.physics.simulator import Simulator
@@ -36,6 +38,31 @@ WIND = np.array([[11.4], [8.0]])
 def test_impossible_plants_are_named(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         PlantSettings(**settings)
+
+
+@pytest.mark.parametrize(("n_turbines", "voltage"), [(0.01, "631"), (1.0, "7.2")])
+def test_internal_voltages_that_nobody_builds_are_refused_with_the_numbers(n_turbines: float, voltage: str) -> None:
+    message = (
+        rf"WTG group 0 at bus 2 needs an internal voltage of {voltage}.* p.u. to hold 1.045 p.u. .* at most 2 p.u."
+    )
+    with pytest.raises(ValueError, match=message):
+        Simulator(PlantSettings(groups=(WtgGroup(bus=2, n_turbines=n_turbines),)))
+
+
+def test_internal_voltages_of_machines_are_refused_too() -> None:
+    case = modified_ieee14(classical=True)
+    small = (*case.machines[:3], dataclasses.replace(case.machines[3], rating_mva=3.0))
+    with pytest.raises(ValueError, match=r"the synchronous machine at bus 8 needs an internal voltage of .* at most 2"):
+        Simulator(PlantSettings(case=dataclasses.replace(case, machines=small)))
+
+
+def test_a_start_beyond_the_allowed_internal_voltage_names_its_scenario() -> None:
+    simulator = Simulator(PlantSettings(protection=ProtectionParameters(internal_voltage_max_pu=1.45)))
+    laws = (LAW, LAW)
+    simulator.prepare([Scenario(name="x", wind_speed=WIND)], laws)
+    loaded = Scenario(name="loaded", wind_speed=np.full((2, 1), 11.4), load_level=1.5)
+    with pytest.raises(ValueError, match=r"scenario 'loaded' cannot start: WTG group 0 at bus 2 needs .* at most 1.45"):
+        simulator.prepare([Scenario(name="x", wind_speed=WIND), loaded], laws)
 
 
 @pytest.mark.parametrize(

@@ -3,15 +3,31 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from wtg_gym.physics.aerodynamics import tracking_point
-from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw, get_law, read_law, tracking_coefficient
+from wtg_gym.physics.parameters import TurbineParameters
+from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.scenario import Scenario
+from wtg_gym.physics.statics import stable_equilibrium
+from wtg_gym.physics.tracking_law import (
+    STRATEGIES,
+    TrackingLaw,
+    get_law,
+    group_laws,
+    read_law,
+    tracking_coefficient,
+)
+from wtg_gym.physics.trajectory import simulate
 
+LONG_BLADES = TurbineParameters(blade_radius_m=70.0)
 K_OPT, K_N, K_PR = (tracking_point(d).coefficient for d in (0.0, 0.05, 0.10))
 
 
@@ -90,3 +106,54 @@ def test_unknown_strategy_lists_the_known_ones() -> None:
         get_law("magic")
     with pytest.raises(ValueError, match=r"cannot read the law file"):
         get_law("nowhere/law.toml")
+
+
+@pytest.mark.parametrize(
+    ("strategy", "deloading"), [("mppt", 0.0), ("deloaded-10", 0.1), ("coordinated-piecewise", 0.05)]
+)
+def test_a_strategy_keeps_its_meaning_on_another_turbine(strategy: str, deloading: float) -> None:
+    optimum = tracking_point(0.0, LONG_BLADES)
+    scenario = Scenario(name="x", wind_speed=np.full((2, 1), 8.0), duration_s=1.0)
+    start = simulate(scenario, strategy, PlantSettings(turbine=LONG_BLADES))
+    point = stable_equilibrium(1.0, strategy, 8.0, LONG_BLADES)
+    assert point is not None
+    assert start.tip_speed_ratio[0] == pytest.approx([point.tip_speed_ratio] * 2, rel=1e-6)
+    captured = start.captured_power_pu[0] / (LONG_BLADES.wind_power_pu_per_cubic_wind * 8.0**3)
+    assert captured == pytest.approx([(1.0 - deloading) * optimum.power_coefficient] * 2, rel=5e-3)
+
+
+def test_maximum_power_point_tracking_starts_at_the_optimum_of_its_own_turbine() -> None:
+    point = stable_equilibrium(1.0, "mppt", 8.0, LONG_BLADES)
+    assert point is not None
+    assert point.tip_speed_ratio == pytest.approx(tracking_point(0.0, LONG_BLADES).tip_speed_ratio, rel=1e-5)
+    assert get_law("mppt", LONG_BLADES).k_min == pytest.approx(K_OPT * (70.0 / 63.0) ** 5, rel=1e-12)
+
+
+def test_deloadings_in_a_file_are_those_of_the_turbine(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text("deloading_min = 0\ndeloading_nominal = 5\ndeloading_max = 10\ntau_s = 0.8\n")
+    mine, reference = get_law(str(path), LONG_BLADES), get_law("coordinated-piecewise", LONG_BLADES)
+    assert (mine.k_min, mine.k_nominal, mine.k_max) == (reference.k_min, reference.k_nominal, reference.k_max)
+    assert mine.k_min != K_OPT
+
+
+def test_paper_strategies_are_those_of_the_papers_turbine() -> None:
+    assert dict(STRATEGIES) == {name: get_law(name, TurbineParameters()) for name in STRATEGIES}
+    assert "magic" not in STRATEGIES and len(STRATEGIES) == 6
+    with pytest.raises(KeyError):
+        STRATEGIES["magic"]
+
+
+def test_laws_of_groups_are_one_for_all_or_one_for_each() -> None:
+    mppt = STRATEGIES["mppt"]
+    assert group_laws("mppt", 2) == group_laws(["mppt", mppt], 2) == (mppt, mppt)
+    with pytest.raises(ValueError, match=r"one for each of the 2 groups, got 3"):
+        group_laws(["mppt"] * 3, 2)
+
+
+def test_importing_the_laws_compiles_nothing() -> None:
+    code = (
+        "from wtg_gym.physics import aerodynamics, tracking_law;"
+        "assert not aerodynamics.power_coefficient_at.signatures and 'mppt' in tracking_law.STRATEGIES"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -14,6 +14,7 @@ from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
 from wtg_gym.envs.task import (
     COST_TERMS,
     N_INFO,
+    TIME_CONSTANT_RATIO,
     Outputs,
     Task,
     TaskRow,
@@ -26,6 +27,7 @@ from wtg_gym.envs.task import (
 )
 from wtg_gym.physics.compiled import compiled
 from wtg_gym.physics.layout import LaneData, LaneRow, Lanes, Plant, Status
+from wtg_gym.physics.linearisation import STEP_MARGIN, largest_stable_steps
 from wtg_gym.physics.plant import whole_steps
 from wtg_gym.physics.scenario import Event, Scenario
 from wtg_gym.physics.simulator import PreparedLanes, Simulator
@@ -41,6 +43,8 @@ TERMINATION_REASONS = {
     Status.OVER_SPEED: "over-speed",
     Status.FREQUENCY_LIMIT: "frequency limit",
     Status.NUMERICAL_FAILURE: "numerical failure",
+    Status.LOSS_OF_SYNCHRONISM: "loss of synchronism",
+    Status.VOLTAGE_COLLAPSE: "voltage collapse",
 }
 #: Keys of `info`, with their units, besides `termination_reason`.
 INFO_UNITS = {
@@ -142,6 +146,7 @@ class TaskLanes:
             n_threads=n_threads,
         )
         self.task = build_task(settings, plant.case.frequency_hz, self.simulator.layout.extra)
+        self._check_time_constants()
         self.observation_names = observation_names(
             self.n_wtg, self.simulator.layout.n_sync, settings.action_mode, privileged=self.task.privileged
         )
@@ -165,6 +170,17 @@ class TaskLanes:
         if self._fixed is not None:
             # What cannot be played is refused here rather than at the first reset.
             self.prepare([self._fixed])
+
+    def _check_time_constants(self) -> None:
+        """Refuse a law whose damping the actions can make faster than the integration step follows."""
+        fastest = TIME_CONSTANT_RATIO * max(law.inverse_time_constant for law in self.laws)
+        allowed = float(largest_stable_steps(-fastest)) / STEP_MARGIN
+        if self.task.modulates_tau and self.settings.simulation_dt > allowed:
+            raise ValueError(
+                f"simulation_dt = {self.settings.simulation_dt:g} s is too long for the damping time constant of "
+                f"{TIME_CONSTANT_RATIO / fastest:g} s, which actions make {1.0 / fastest:g} s; "
+                f"allowed: at most {allowed:.3g} s"
+            )
 
     @property
     def observations(self) -> npt.NDArray[np.float32]:

@@ -11,7 +11,7 @@ from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.parameters import WtgGroup, default_groups, parameter
 from wtg_gym.physics.plant import SIMULATION_DT_RANGE, PlantSettings, whole_steps
 from wtg_gym.physics.scenario import SERIES_DT, Scenario, require_range
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, get_law
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
 from wtg_gym.scenarios import SPLITS, SUITES, VERIFICATION, get_suite
 
 #: Action modes and which of (k, τ) each of them modulates.
@@ -163,14 +163,8 @@ class EnvSettings:
 
     def laws(self) -> tuple[TrackingLaw, ...]:
         """Return one law per WTG group; a ValueError lists the known strategies."""
-        n = len(self.wtg_groups())
-        if isinstance(self.strategy, (str, TrackingLaw)):
-            return (get_law(self.strategy),) * n
-        if not isinstance(self.strategy, Sequence):
-            raise ValueError(f"strategy must be a name or a list of names, got {self.strategy!r}")
-        if len(self.strategy) != n:
-            raise ValueError(f"strategy must name one law, or one for each of the {n} groups, got {len(self.strategy)}")
-        return tuple(get_law(name) for name in self.strategy)
+        plant = self.plant()
+        return group_laws(self.strategy, len(plant.groups), plant.turbine)
 
     def plant(self) -> PlantSettings:
         """Return the plant and its time steps."""

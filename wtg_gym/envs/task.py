@@ -17,7 +17,7 @@ from wtg_gym.physics.compiled import compiled, inlined
 from wtg_gym.physics.integration import advance_interval
 from wtg_gym.physics.layout import Floats, LaneData, LaneRow, Lanes, Plant, SyncRow, WtgRow, lane_row
 from wtg_gym.physics.synchronous_machine import MachineConstant, SyncState
-from wtg_gym.physics.tracking_law import STRATEGIES, tracking_coefficient
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law, tracking_coefficient
 from wtg_gym.physics.wind_turbine import TurbineConstant, WtgState
 
 Observations = npt.NDArray[np.float32]
@@ -115,10 +115,11 @@ def rocof_window(control_dt: float) -> int:
 
 def build_task(settings: EnvSettings, nominal_hz: float, extra: int) -> Task:
     """Return the task's constants; `extra` is the row at which its rows start."""
-    reference = STRATEGIES["coordinated-piecewise"]
+    plant = settings.plant()
+    reference = get_law(REFERENCE_STRATEGY, plant.turbine)
     weights = settings.cost_weights()
     modulates_k, modulates_tau = ACTION_MODES[settings.action_mode]
-    control = settings.plant().control
+    control = plant.control
     return Task(
         modulates_k=modulates_k,
         modulates_tau=modulates_tau,

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.compiled import compiled
-from wtg_gym.physics.dynamics import derivatives
+from wtg_gym.physics.dynamics import evaluate_rates
 from wtg_gym.physics.integration import track_extremes
 from wtg_gym.physics.layout import (
     N_SYNC_STATES,
@@ -313,7 +313,7 @@ def _start_rows(block: Floats, lane: int, plant: Plant, data: LaneData, magnitud
     block[own + LaneRow.STEP] = 0.0
     one_lane = (0,)
     combine_load_noise(block, plant, np.zeros(1), one_lane)
-    derivatives(block, plant, 0.0, one_lane)
+    evaluate_rates(block.reshape((1, block.shape[0])), plant, one_lane)
     block[own + LaneRow.COI_MIN] = math.inf
     block[own + LaneRow.COI_MAX] = -math.inf
     for j in range(len(plant.wtgs)):
@@ -323,5 +323,6 @@ def _start_rows(block: Floats, lane: int, plant: Plant, data: LaneData, magnitud
         block[o + WtgRow.LARGEST_TSR] = -math.inf
     track_extremes(block, plant, one_lane)
     block[own + LaneRow.STEP] = 0.0
+    block[own + LaneRow.HEALTHY_STEP] = 0.0
     for j in range(len(plant.wtgs)):
         block[n_sync * SyncRow.N_ROWS + j * WtgRow.N_ROWS + WtgRow.OVERLOAD_TIME] = 0.0

@@ -21,10 +21,14 @@ from wtg_gym.physics.layout import (
     SyncRow,
     WtgRow,
     lane_row,
+    network_row,
 )
 from wtg_gym.physics.reduction import combine_load_noise, refresh_network
 from wtg_gym.physics.synchronous_machine import MachineConstant, SyncState
 from wtg_gym.physics.wind_turbine import TurbineConstant, WtgState
+
+#: Protections look at the end of every control interval, and at least this often within a longer one [s].
+PROTECTION_INTERVAL_S = 0.1
 
 
 @inlined
@@ -216,19 +220,63 @@ def advance_interval(
     The control inputs (K_OFFSET, INV_TAU) are rows of the block and hold over the interval. On return the rows hold
     powers, coefficients and rates at the interval's end; `noise_y` (width) is scratch.
     """
-    width = len(lanes)
     enter_interval(block, first_lane, plant, data, noise_y, lanes)
+    between_looks = max(1, int(PROTECTION_INTERVAL_S / plant.simulation_dt + 1e-6))
     for step in range(plant.n_substeps):
         apply_network_changes(block, first_lane, plant, data, noise_y, lanes)
         runge_kutta_step(block, plant, step, lanes)
         track_extremes(block, plant, lanes)
-    update_status(block, plant, width)
+        if (step + 1) % between_looks == 0 or step + 1 == plant.n_substeps:
+            look_at_grid(block, plant, lanes)
+            update_status(block, plant, len(lanes))
     derivatives(block, plant, 1.0, lanes)
 
 
 @inlined
+def look_at_grid(block: Floats, plant: Plant, lanes: Lanes) -> None:
+    """Find how far the angles of connected units lie apart and the lowest of their terminal voltages, in every lane.
+
+    A condenser's or turbine's terminal is a bus of the network; buses without a unit are not looked at.
+    """
+    width = len(lanes)
+    n_sync, n = len(plant.syncs), len(plant.syncs) + len(plant.wtgs)
+    lane = lane_row(plant) * width
+    least_angle, largest_angle = lane + LaneRow.LEAST_ANGLE * width, lane + LaneRow.LARGEST_ANGLE * width
+    least_voltage = lane + LaneRow.LEAST_VOLTAGE * width
+    for x in range(width):
+        block[least_angle + x] = block[largest_angle + x] = 0.0
+        block[least_voltage + x] = math.inf
+    for i in range(n_sync):
+        o = i * SyncRow.N_ROWS * width
+        for x in range(width):
+            angle, voltage = block[o + SyncState.ANGLE * width + x], block[o + SyncRow.VOLTAGE * width + x]
+            block[least_angle + x] = min(block[least_angle + x], angle)
+            block[largest_angle + x] = max(block[largest_angle + x], angle)
+            block[least_voltage + x] = min(block[least_voltage + x], voltage * voltage)
+    e_re = network_row(plant) * width
+    e_im, i_re, i_im = e_re + n * width, e_re + 2 * n * width, e_re + 3 * n * width
+    for j in range(len(plant.wtgs)):
+        o = (n_sync * SyncRow.N_ROWS + j * WtgRow.N_ROWS) * width
+        at = (n_sync + j) * width
+        reactance = plant.turbine[TurbineConstant.REACTANCE] / plant.share[j]
+        for x in range(width):
+            connected = block[o + WtgRow.CONNECTED * width + x] > 0.5
+            angle = block[o + WtgState.ANGLE * width + x] if connected else 0.0
+            v_re = block[e_re + at + x] + reactance * block[i_im + at + x]
+            v_im = block[e_im + at + x] - reactance * block[i_re + at + x]
+            voltage = v_re * v_re + v_im * v_im if connected else math.inf
+            block[least_angle + x] = min(block[least_angle + x], angle)
+            block[largest_angle + x] = max(block[largest_angle + x], angle)
+            block[least_voltage + x] = min(block[least_voltage + x], voltage)
+
+
+@inlined
 def update_status(block: Floats, plant: Plant, width: int) -> None:
-    """End lanes that stalled, over-sped, left the frequency limits or are no longer finite; or trip their groups."""
+    """End lanes that a protection ends or that are no longer finite; or trip groups that stalled or over-sped.
+
+    What is worse counts: a stall or an over-speed goes before the grid's failures, lost synchronism before a low
+    voltage, and that before the frequency, which all of them drag along.
+    """
     n_sync = len(plant.syncs)
     own = lane_row(plant) * width
     t = plant.turbine
@@ -239,6 +287,15 @@ def update_status(block: Floats, plant: Plant, width: int) -> None:
         status = 0
         if coi < t[TurbineConstant.COI_MIN] or coi > t[TurbineConstant.COI_MAX]:
             status = Status.FREQUENCY_LIMIT
+        step = block[own + LaneRow.STEP * width + x]
+        if block[own + LaneRow.LEAST_VOLTAGE * width + x] >= t[TurbineConstant.LOW_VOLTAGE] ** 2:
+            block[own + LaneRow.HEALTHY_STEP * width + x] = step
+        low_steps = step - block[own + LaneRow.HEALTHY_STEP * width + x]
+        if low_steps * plant.simulation_dt > t[TurbineConstant.LOW_VOLTAGE_TIME]:
+            status = Status.VOLTAGE_COLLAPSE
+        spread = block[own + LaneRow.LARGEST_ANGLE * width + x] - block[own + LaneRow.LEAST_ANGLE * width + x]
+        if spread > t[TurbineConstant.ANGLE_SPREAD]:
+            status = Status.LOSS_OF_SYNCHRONISM
         total = coi
         for j in range(len(plant.wtgs)):
             o = (n_sync * SyncRow.N_ROWS + j * WtgRow.N_ROWS) * width + x
@@ -262,6 +319,11 @@ def update_status(block: Floats, plant: Plant, width: int) -> None:
         if status != 0:
             block[own + LaneRow.STATUS * width + x] = status
             block[own + LaneRow.ACTIVE * width + x] = 0.0
+            for j in range(len(plant.wtgs)):
+                # What is left of the control interval adds nothing, no wind either.
+                o = (n_sync * SyncRow.N_ROWS + j * WtgRow.N_ROWS) * width + x
+                wind = block[o + WtgRow.WIND * width]
+                block[o + WtgRow.WIND_START * width] = block[o + WtgRow.WIND_END * width] = wind
 
 
 @compiled

@@ -93,7 +93,11 @@ class LaneRow(IntEnum):
     NOISE_Z_IM = 12
     NOISE_PER_MW = 13  # admittance per MW of load noise [p.u.]
     LAST_CHANGE = 14  # simulation step at which the network was last reduced
-    N_ROWS = 15
+    LEAST_ANGLE = 15  # of all connected units, when the protections last looked [rad]
+    LARGEST_ANGLE = 16
+    LEAST_VOLTAGE = 17  # at the terminals of all connected units, squared [p.u.²]
+    HEALTHY_STEP = 18  # last simulation step at which the protections found no low voltage
+    N_ROWS = 19
 
 
 class Status(IntEnum):
@@ -104,6 +108,8 @@ class Status(IntEnum):
     OVER_SPEED = 2
     FREQUENCY_LIMIT = 3
     NUMERICAL_FAILURE = 4
+    LOSS_OF_SYNCHRONISM = 5
+    VOLTAGE_COLLAPSE = 6
 
 
 class EventColumn(IntEnum):

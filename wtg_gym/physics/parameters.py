@@ -23,7 +23,8 @@ SOURCES = {
     "NREL 5 MW": "J. Jonkman et al.: Definition of a 5-MW Reference Wind Turbine, NREL/TP-500-38060 (2009)",
     "calibrated": "chosen so that the paper's settled frequency (0.996 p.u.) and the final power of WTG 2 below 0.3 "
     "p.u. both come out",
-    "ENTSO-E": "Commission Regulation (EU) 2016/631 (requirements for generators), article 13, continental Europe",
+    "ENTSO-E": "Commission Regulation (EU) 2016/631 (requirements for generators), article 13, continental Europe; "
+    "voltages: article 16",
     "design": "a design value of this benchmark",
 }
 
@@ -129,7 +130,7 @@ class GridFormingParameters:
 
 @dataclass(frozen=True, kw_only=True)
 class ProtectionParameters:
-    """What ends a run, or trips a group."""
+    """What refuses a start, ends a run, or trips a group."""
 
     stall_tip_speed_ratio: float = parameter(3.5, "-", "design", "below it, at fine pitch, a rotor has stalled")
     stall_pitch_deg: float = parameter(0.5, "deg", "design", "above it a low tip-speed ratio is the pitch's doing")
@@ -139,6 +140,25 @@ class ProtectionParameters:
     )
     frequency_max_pu: float = parameter(
         1.03, "p.u.", "ENTSO-E", "upper end of the range units must ride through, 51.5 Hz"
+    )
+    angle_spread_max_deg: float = parameter(
+        180.0,
+        "deg",
+        "design",
+        "largest difference of two units' angles; beyond, nothing pulls them together again: synchronism is lost",
+    )
+    low_voltage_pu: float = parameter(
+        0.85, "p.u.", "ENTSO-E", "terminal voltage that a unit must ride through for low_voltage_time_s only"
+    )
+    low_voltage_time_s: float = parameter(
+        3.0, "s", "ENTSO-E", "time below low_voltage_pu after which the voltage has collapsed (article 16, type D)"
+    )
+    internal_voltage_max_pu: float = parameter(
+        2.0,
+        "p.u.",
+        "design",
+        "largest voltage behind the internal reactance that a unit may start with: through X_g = 0.55 p.u. it drives "
+        "1.6 p.u. of reactive current at 1.1 p.u. of terminal voltage, and converters end at about 1.2",
     )
 
 

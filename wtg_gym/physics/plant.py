@@ -46,9 +46,10 @@ class PlantSettings:
     Args:
         case: the network with its synchronous machines.
         groups: the WTG groups; may be empty where the network has machines.
-        turbine, pitch, control, protection: parameters of every WTG.
+        turbine, pitch, control, protection: parameters of every WTG, and what ends a run.
         control_dt: control interval [s], a whole number of simulation steps.
-        simulation_dt: step of the integration, 0.05 … 40 ms [s].
+        simulation_dt: step of the integration, 0.05 … 40 ms [s]; a simulator refuses one that is too long for the
+            plant's fastest mode.
         trips_groups: a stalled or over-speeding group is disconnected instead of ending the run.
 
     Raises:

@@ -17,6 +17,10 @@ import numpy.typing as npt
 
 #: Wind speeds the turbine model covers: cut-in and cut-out of the NREL 5 MW machine [m/s].
 WIND_SPEED_RANGE = (3.0, 25.0)
+#: Changes of load that one event or the load noise may bring, in MW or Mvar.
+LOAD_CHANGE_RANGE = (-1e4, 1e4)
+#: Latest instant of an event, and longest run: a day [s].
+LONGEST_RUN_S = 86400.0
 #: Step of every random wind and load-noise series [s].
 SERIES_DT = 0.1
 
@@ -67,10 +71,10 @@ class LoadStep:
     reactive_mvar: float = 0.0
 
     def __post_init__(self) -> None:
-        require_range("event time", self.time_s, 0.0, math.inf, "s")
+        require_range("event time", self.time_s, 0.0, LONGEST_RUN_S, "s")
         _require_bus("bus", self.bus)
-        require_range("load step", self.power_mw, -1e4, 1e4, "MW")
-        require_range("load step", self.reactive_mvar, -1e4, 1e4, "Mvar")
+        require_range("load step", self.power_mw, *LOAD_CHANGE_RANGE, "MW")
+        require_range("load step", self.reactive_mvar, *LOAD_CHANGE_RANGE, "Mvar")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +96,7 @@ class LoadTrip:
     bus: int
 
     def __post_init__(self) -> None:
-        require_range("event time", self.time_s, 0.0, math.inf, "s")
+        require_range("event time", self.time_s, 0.0, LONGEST_RUN_S, "s")
         _require_bus("bus", self.bus)
 
 
@@ -105,7 +109,7 @@ class LineTrip:
     to_bus: int
 
     def __post_init__(self) -> None:
-        require_range("event time", self.time_s, 0.0, math.inf, "s")
+        require_range("event time", self.time_s, 0.0, LONGEST_RUN_S, "s")
         _require_bus("from_bus", self.from_bus)
         _require_bus("to_bus", self.to_bus)
 
@@ -156,6 +160,8 @@ class Scenario:
     seed: int | None = None
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            raise ValueError(f"name of a scenario must be text, got {self.name!r}")
         wind = _series("wind_speed", self.wind_speed)
         if wind.ndim != 2 or wind.shape[1] < 1:
             raise ValueError(f"wind_speed must have shape (n_wtg, n_samples), got shape {wind.shape}")
@@ -167,15 +173,22 @@ class Scenario:
                 f"outside the allowed range {low:g} … {high:g} m/s"
             )
         noise = _series("load_noise_mw", self.load_noise_mw)
-        if noise.ndim != 1 or not np.isfinite(noise).all():
-            raise ValueError(f"load_noise_mw must be a finite series [MW], got shape {noise.shape}")
+        if noise.ndim != 1:
+            raise ValueError(f"load_noise_mw must have shape (n_samples,), got shape {noise.shape}")
+        low, high = LOAD_CHANGE_RANGE
+        if noise.size and not (noise.min() >= low and noise.max() <= high):
+            sample = np.argwhere(~((noise >= low) & (noise <= high)))[0, 0]
+            raise ValueError(
+                f"load_noise_mw at t = {sample * SERIES_DT:g} s is {noise[sample]:g} MW, outside the allowed range "
+                f"{low:g} … {high:g} MW"
+            )
         if noise.size and noise[0] != 0.0:
             raise ValueError(f"load_noise_mw must start at 0 MW, got {noise[0]:g} MW")
         for event in self.events:
             if type(event) not in _KIND_OF:
                 raise ValueError(f"unknown event {event!r}; known kinds: {', '.join(EVENT_KINDS)}")
         require_range("wind_dt_s", self.wind_dt_s, 1e-3, 3600.0, "s")
-        require_range("duration_s", self.duration_s, 0.1, 86400.0, "s")
+        require_range("duration_s", self.duration_s, 0.1, LONGEST_RUN_S, "s")
         _require_bus("load_noise_bus", self.load_noise_bus)
         require_range("load_level", self.load_level, 0.3, 1.5, "")
         if self.governor_droop is not None:

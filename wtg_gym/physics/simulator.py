@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 from collections.abc import Callable, Sequence
@@ -15,14 +16,18 @@ from wtg_gym.physics.dynamics import evaluate_rates
 from wtg_gym.physics.equilibrium import StartFailure, start_lanes
 from wtg_gym.physics.integration import advance_blocks
 from wtg_gym.physics.layout import EventColumn, Floats, LaneData, LaneRow, Layout, SyncRow, WtgRow
+from wtg_gym.physics.linearisation import check_step
 from wtg_gym.physics.plant import PlantSettings, build_plant, whole_steps
 from wtg_gym.physics.reduction import bus_voltages
 from wtg_gym.physics.scenario import SERIES_DT, Event, LineTrip, LoadRamp, LoadTrip, Scenario
 from wtg_gym.physics.synchronous_machine import MachineConstant
-from wtg_gym.physics.tracking_law import TrackingLaw
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, get_law
 
 #: Lanes per block of a batched simulator; a single run uses a block of one.
 BLOCK_WIDTH = 16
+#: Winds at which the integration step is checked when a simulator is built: blades at rest, and turned by the pitch
+#: protection [m/s].
+_CHECKED_WINDS = (8.0, 16.0)
 #: A thread is worth its start only for this many blocks.
 _BLOCKS_PER_THREAD = 4
 
@@ -43,6 +48,12 @@ def _clear_events(table: Floats) -> None:
     table[..., EventColumn.START] = table[..., EventColumn.END] = math.inf
 
 
+@functools.lru_cache(maxsize=64)
+def _checked_inertias(settings: PlantSettings) -> dict[tuple[TrackingLaw, ...], float]:
+    """Return, for the laws of a plant, the smallest inertia scale at which its integration step was checked."""
+    return {}
+
+
 class PreparedLanes(NamedTuple):
     """Runs that are ready to start: the rows of each, (n, n_rows), and the data they read."""
 
@@ -61,6 +72,11 @@ def _aligned_zeros(n_rows: int, n_columns: int) -> Floats:
 class Simulator:
     """Runs of one plant, in lanes.
 
+    The integration step must suit the plant's fastest mode (:func:`~wtg_gym.physics.linearisation.check_step`). That is
+    checked here at 8 and 16 m/s with nominal load and inertia under the reference law, and by :meth:`prepare` for every
+    new law and for every machine inertia below those checked before: a lighter machine swings faster. Load level, line
+    trips, wind and governor droop hardly matter.
+
     Args:
         settings: the plant and its time steps.
         n_lanes: number of runs side by side.
@@ -69,7 +85,8 @@ class Simulator:
         n_threads: threads that advance blocks; None for one per processor. Results do not depend on it.
 
     Raises:
-        ValueError: a setting is outside its range; the message names value, unit and range.
+        ValueError: a setting is outside its range, or the step is too long for the plant; the message names value, unit
+            and range.
     """
 
     def __init__(
@@ -101,6 +118,40 @@ class Simulator:
         self._pool: ThreadPoolExecutor | None = None
         self._pool_process = 0
         self._pad()
+        try:
+            self._checked = _checked_inertias(settings)
+        except TypeError:
+            # A case of lists instead of tuples has no hash: nothing is shared with other simulators of it.
+            self._checked = {}
+        self._check_nominal_step()
+
+    def _check_nominal_step(self) -> None:
+        laws = (get_law(REFERENCE_STRATEGY, self.settings.turbine),) * self.layout.n_wtg
+        if laws in self._checked:
+            return
+        for wind in _CHECKED_WINDS:
+            nominal = Scenario(
+                name=f"nominal at {wind:g} m/s",
+                wind_speed=np.full((self.layout.n_wtg, 1), wind),
+                duration_s=self.n_intervals * self.settings.control_dt,
+                load_noise_bus=self.settings.case.slack_bus,
+            )
+            try:
+                rows = self._equilibria([nominal], laws).rows
+            except ValueError:
+                # Some plants have no equilibrium there: the first that they do have is checked instead.
+                continue
+            self._check_internal_voltages(rows, [nominal])
+            self._check_step(rows[0], nominal)
+            self._checked[laws] = nominal.inertia_scale
+
+    def _check_step(self, rows: Floats, scenario: Scenario) -> None:
+        try:
+            check_step(rows, self.plant, self.layout)
+        except ValueError as error:
+            raise ValueError(
+                f"scenario {scenario.name!r}, inertia_scale = {scenario.inertia_scale:g}: {error}"
+            ) from None
 
     def _allocate_data(self, n: int, n_events: int) -> LaneData:
         n_bus, n_wtg = self.plant.shunt_y.shape[0], self.layout.n_wtg
@@ -152,8 +203,37 @@ class Simulator:
             laws: one law per WTG group.
 
         Raises:
-            ValueError: a scenario does not fit the plant, or has no equilibrium.
+            ValueError: a scenario does not fit the plant, has no equilibrium, or one that the integration step is too
+                long for or that no machine or converter is built for.
         """
+        prepared = self._equilibria(scenarios, laws)
+        self._check_internal_voltages(prepared.rows, scenarios)
+        scales = ((scenario.inertia_scale, lane) for lane, scenario in enumerate(scenarios))
+        (scale, lightest), of_laws = min(scales, default=(math.inf, 0)), tuple(laws)
+        if scale < self._checked.get(of_laws, math.inf):
+            self._check_step(prepared.rows[lightest], scenarios[lightest])
+            self._checked[of_laws] = scale
+        return prepared
+
+    def _check_internal_voltages(self, rows: Floats, scenarios: Sequence[Scenario]) -> None:
+        """Refuse a start that needs a larger voltage behind a reactance than anybody builds."""
+        n_sync, n_wtg = self.layout.n_sync, self.layout.n_wtg
+        syncs, wtgs = np.arange(n_sync) * SyncRow.N_ROWS, self.wtg_row(0, 0) + np.arange(n_wtg) * WtgRow.N_ROWS
+        of_syncs = np.hypot(rows[:, syncs + SyncRow.E_D], rows[:, syncs + SyncRow.E_Q])
+        voltages = np.concatenate([of_syncs, rows[:, wtgs + WtgRow.EMF]], axis=1)
+        limit = self.settings.protection.internal_voltage_max_pu
+        if (voltages <= limit).all():
+            return
+        lane, unit = np.argwhere(~(voltages <= limit))[0]
+        bus = self.settings.case.buses[self.plant.unit_bus[unit]]
+        name = "the synchronous machine" if unit < n_sync else f"WTG group {unit - n_sync}"
+        task = "for its share of the power" if bus.voltage_pu is None else f"to hold {bus.voltage_pu:g} p.u. there"
+        raise ValueError(
+            f"scenario {scenarios[lane].name!r} cannot start: {name} at bus {bus.number} needs an internal voltage of "
+            f"{voltages[lane, unit]:.3g} p.u. {task}; allowed: at most {limit:g} p.u., which takes a larger rating"
+        )
+
+    def _equilibria(self, scenarios: Sequence[Scenario], laws: Sequence[TrackingLaw]) -> PreparedLanes:
         for scenario in scenarios:
             if scenario.n_wtg != self.layout.n_wtg or len(laws) != self.layout.n_wtg:
                 raise ValueError(

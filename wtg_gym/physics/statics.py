@@ -19,7 +19,7 @@ from scipy.optimize import brentq, minimize_scalar
 from wtg_gym.physics.aerodynamics import available_power_pu, power_coefficient, tracking_point
 from wtg_gym.physics.parameters import GridFormingParameters, PitchParameters, TurbineParameters
 from wtg_gym.physics.scenario import WIND_SPEED_RANGE, require_range
-from wtg_gym.physics.tracking_law import TrackingLaw, tracking_coefficient
+from wtg_gym.physics.tracking_law import TrackingLaw, get_law, tracking_coefficient
 
 Floats = npt.NDArray[np.float64]
 
@@ -157,7 +157,7 @@ def coefficient_pu(frequency_pu: float, law: TrackingLaw, control: GridFormingPa
 
 def _balance(
     frequency_pu: float,
-    law: TrackingLaw,
+    law: str | TrackingLaw,
     wind_m_s: float,
     turbine: TurbineParameters | None,
     control: GridFormingParameters | None,
@@ -167,14 +167,13 @@ def _balance(
     require_range("frequency", frequency_pu, *FREQUENCY_RANGE, "p.u.")
     require_range("wind", wind_m_s, *WIND_SPEED_RANGE, "m/s")
     held = None if fine_pitch else pitch or PitchParameters()
-    return _Balance(
-        frequency_pu, law, wind_m_s, turbine or TurbineParameters(), control or GridFormingParameters(), held
-    )
+    turbine = turbine or TurbineParameters()
+    return _Balance(frequency_pu, get_law(law, turbine), wind_m_s, turbine, control or GridFormingParameters(), held)
 
 
 def power_margin_pu(
     frequency_pu: float,
-    law: TrackingLaw,
+    law: str | TrackingLaw,
     wind_m_s: float,
     turbine: TurbineParameters | None = None,
     control: GridFormingParameters | None = None,
@@ -189,7 +188,7 @@ def power_margin_pu(
 
     Args:
         frequency_pu: grid frequency ω, 0.5 … 1.5 [p.u.].
-        law: the strategy.
+        law: the strategy; a name is the turbine's law of that name.
         wind_m_s: wind speed, 3 … 25 [m/s].
         turbine, control, pitch: parameters; the paper's and the benchmark's by default.
         fine_pitch: leave the pitch protection out and hold β = 0.
@@ -203,7 +202,7 @@ def power_margin_pu(
 
 def equilibria(
     frequency_pu: float,
-    law: TrackingLaw,
+    law: str | TrackingLaw,
     wind_m_s: float,
     turbine: TurbineParameters | None = None,
     control: GridFormingParameters | None = None,
@@ -252,7 +251,7 @@ def _operating_point(balance: _Balance, frequency_pu: float, speed: float, *, st
 
 def stable_equilibrium(
     frequency_pu: float,
-    law: TrackingLaw,
+    law: str | TrackingLaw,
     wind_m_s: float,
     turbine: TurbineParameters | None = None,
     control: GridFormingParameters | None = None,
@@ -269,7 +268,7 @@ def stable_equilibrium(
 
 
 def characteristic(
-    law: TrackingLaw,
+    law: str | TrackingLaw,
     wind_m_s: float,
     frequency_pu: npt.ArrayLike,
     turbine: TurbineParameters | None = None,
@@ -283,7 +282,7 @@ def characteristic(
     Source: paper, figures `MPPTDroop` … `Proposed`.
 
     Args:
-        law: the strategy.
+        law: the strategy; a name is the turbine's law of that name.
         wind_m_s: wind speed, 3 … 25 [m/s].
         frequency_pu: frequencies, shape (n,), 0.5 … 1.5 [p.u.].
         turbine, control, pitch, fine_pitch: as for :func:`power_margin_pu`.
@@ -301,7 +300,7 @@ def characteristic(
 
 
 def critical_frequency_pu(
-    law: TrackingLaw,
+    law: str | TrackingLaw,
     wind_m_s: float,
     turbine: TurbineParameters | None = None,
     control: GridFormingParameters | None = None,
@@ -316,7 +315,7 @@ def critical_frequency_pu(
     at the set-point either has its critical frequency above: the lowest one at which it has.
 
     Args:
-        law: the strategy.
+        law: the strategy; a name is the turbine's law of that name.
         wind_m_s: wind speed, 3 … 25 [m/s].
         turbine, control, pitch, fine_pitch: as for :func:`power_margin_pu`.
         lowest_pu: lowest frequency looked at, 0.5 p.u. … the set-point [p.u.].
@@ -338,7 +337,8 @@ def critical_frequency_pu(
         for low, high in ((setpoint, control.frequency_max_pu), (control.frequency_max_pu, FREQUENCY_RANGE[1])):
             if margin(high) >= 0.0:
                 return float(brentq(margin, low, high, xtol=1e-13))
-        raise ValueError(f"law {law.name!r} has no equilibrium at {wind_m_s:g} m/s from the set-point on upwards")
+        name = get_law(law, turbine).name
+        raise ValueError(f"law {name!r} has no equilibrium at {wind_m_s:g} m/s from the set-point on upwards")
     corner = max(control.frequency_min_pu, lowest_pu)
     return _first_loss(margin, corner, setpoint) or _first_loss(margin, lowest_pu, corner)
 
@@ -356,7 +356,7 @@ def _first_loss(margin: Callable[[float], float], low: float, high: float) -> fl
 
 
 def named_points(
-    law: TrackingLaw,
+    law: str | TrackingLaw,
     wind_m_s: float,
     turbine: TurbineParameters | None = None,
     control: GridFormingParameters | None = None,
@@ -387,7 +387,7 @@ def named_points(
 
 
 def _maximum_power_crossing(
-    law: TrackingLaw, wind_m_s: float, turbine: TurbineParameters, control: GridFormingParameters, lowest: float
+    law: str | TrackingLaw, wind_m_s: float, turbine: TurbineParameters, control: GridFormingParameters, lowest: float
 ) -> OperatingPoint | None:
     """Return the point between ω_st and ω_min at which the rotor stands at λ_opt and has come from above it."""
     optimum = tracking_point(0.0, turbine)

@@ -3,13 +3,17 @@
     P_st = k ω_m³ + D_p x,    τ ẋ = (ω - ω_st) - x,    2H ω̇ = P_st - p - D_p (ω - ω_st),    k = g(ω)
 
 g is piecewise linear through (ω_min, k_min), (ω_st, k_nominal), (ω_max, k_max) and saturated outside. τ = ∞ leaves the
-plain droop (x ≡ 0); τ = 0 cancels it (x = ω - ω_st).
+plain droop (x ≡ 0); τ = 0 cancels it (x = ω - ω_st). A strategy's coefficients are those of a turbine: K_opt belongs to
+its rotor. Wherever a function takes a `turbine`, None is the paper's.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 import math
 import tomllib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +21,7 @@ from typing import Any
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.compiled import compiled
 from wtg_gym.physics.elementary import fma
-from wtg_gym.physics.parameters import GridFormingParameters
+from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.physics.scenario import require_range
 
 #: Largest tracking coefficient a law may ask for [p.u.]: three times K_opt.
@@ -89,36 +93,38 @@ class TrackingLaw:
         return 1.0 if self.damping_time_constant_s == 0.0 else 0.0
 
 
-def mppt() -> TrackingLaw:
+def mppt(turbine: TurbineParameters | None = None) -> TrackingLaw:
     """Return maximum power point tracking: K_opt at every frequency, plain droop (paper, equation `fomegam_mppt`)."""
-    k = tracking_point(0.0).coefficient
+    k = tracking_point(0.0, turbine).coefficient
     return TrackingLaw(name="mppt", k_min=k, k_nominal=k, k_max=k)
 
 
-def deloaded(deloading: float) -> TrackingLaw:
+def deloaded(deloading: float, turbine: TurbineParameters | None = None) -> TrackingLaw:
     """Return the fixed deloaded law K_d with plain droop (paper, equation `fomegam_deload`); `deloading` is d [-]."""
-    k = tracking_point(deloading).coefficient
+    k = tracking_point(deloading, turbine).coefficient
     return TrackingLaw(name=f"deloaded-{100.0 * deloading:g}", k_min=k, k_nominal=k, k_max=k)
 
 
 def coordinated_piecewise(
-    name: str = "coordinated-piecewise", parameters: GridFormingParameters | None = None
+    name: str = "coordinated-piecewise",
+    parameters: GridFormingParameters | None = None,
+    turbine: TurbineParameters | None = None,
 ) -> TrackingLaw:
     """Return the reference: K_opt / K_n / K_pr with transient damping (paper, equation `gomega_augement`)."""
     p = parameters or GridFormingParameters()
     return TrackingLaw(
         name=name,
-        k_min=tracking_point(0.0).coefficient,
-        k_nominal=tracking_point(p.deloading_nominal).coefficient,
-        k_max=tracking_point(p.deloading_limit).coefficient,
+        k_min=tracking_point(0.0, turbine).coefficient,
+        k_nominal=tracking_point(p.deloading_nominal, turbine).coefficient,
+        k_max=tracking_point(p.deloading_limit, turbine).coefficient,
         damping_time_constant_s=p.damping_time_constant_s,
     )
 
 
-def coordinated_linear(name: str = "coordinated-linear") -> TrackingLaw:
+def coordinated_linear(name: str = "coordinated-linear", turbine: TurbineParameters | None = None) -> TrackingLaw:
     """Return the straight g(ω) from K_opt to K_pr with transient damping (paper, equation `gomega`)."""
     p = GridFormingParameters()
-    k_min, k_max = tracking_point(0.0).coefficient, tracking_point(p.deloading_limit).coefficient
+    k_min, k_max = (tracking_point(d, turbine).coefficient for d in (0.0, p.deloading_limit))
     share = (p.frequency_setpoint_pu - p.frequency_min_pu) / (p.frequency_max_pu - p.frequency_min_pu)
     return TrackingLaw(
         name=name,
@@ -129,32 +135,52 @@ def coordinated_linear(name: str = "coordinated-linear") -> TrackingLaw:
     )
 
 
-def coordinated_undamped() -> TrackingLaw:
+def coordinated_undamped(turbine: TurbineParameters | None = None) -> TrackingLaw:
     """Return the piecewise law without transient damping: the droop is cancelled (paper, equation `Gproposed`)."""
-    law = coordinated_piecewise("coordinated-undamped")
-    return TrackingLaw(
-        name=law.name, k_min=law.k_min, k_nominal=law.k_nominal, k_max=law.k_max, damping_time_constant_s=0.0
-    )
+    law = coordinated_piecewise("coordinated-undamped", turbine=turbine)
+    return dataclasses.replace(law, damping_time_constant_s=0.0)
 
 
 #: The reference policy's strategy: zero action is exactly this.
 REFERENCE_STRATEGY = "coordinated-piecewise"
 
-STRATEGIES: dict[str, TrackingLaw] = {
-    law.name: law
-    for law in (
-        mppt(),
-        deloaded(0.05),
-        deloaded(0.10),
-        coordinated_linear(),
-        coordinated_piecewise(),
-        coordinated_undamped(),
-    )
+#: How each strategy's law is made for a turbine.
+_BUILDERS: dict[str, Callable[[TurbineParameters | None], TrackingLaw]] = {
+    "mppt": mppt,
+    "deloaded-5": functools.partial(deloaded, 0.05),
+    "deloaded-10": functools.partial(deloaded, 0.10),
+    "coordinated-linear": lambda turbine: coordinated_linear(turbine=turbine),
+    "coordinated-piecewise": lambda turbine: coordinated_piecewise(turbine=turbine),
+    "coordinated-undamped": coordinated_undamped,
 }
 
 
-def get_law(strategy: str | Path | TrackingLaw) -> TrackingLaw:
-    """Return a law by strategy name, from a TOML file, or as given.
+@functools.lru_cache(maxsize=64)
+def _strategy(name: str, turbine: TurbineParameters | None) -> TrackingLaw:
+    return _BUILDERS[name](turbine)
+
+
+class _PaperStrategies(Mapping[str, TrackingLaw]):
+    """Laws by name, worked out when they are first asked for: importing this module compiles nothing."""
+
+    def __getitem__(self, name: str) -> TrackingLaw:
+        if name not in _BUILDERS:
+            raise KeyError(name)
+        return _strategy(name, None)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_BUILDERS)
+
+    def __len__(self) -> int:
+        return len(_BUILDERS)
+
+
+#: The strategies for the paper's turbine; :func:`get_law` makes them for another one.
+STRATEGIES: Mapping[str, TrackingLaw] = _PaperStrategies()
+
+
+def get_law(strategy: str | Path | TrackingLaw, turbine: TurbineParameters | None = None) -> TrackingLaw:
+    """Return a turbine's law by strategy name or from a TOML file, or a law as given.
 
     Raises:
         ValueError: no strategy of that name; the message lists the known ones.
@@ -162,16 +188,37 @@ def get_law(strategy: str | Path | TrackingLaw) -> TrackingLaw:
     if isinstance(strategy, TrackingLaw):
         return strategy
     if str(strategy).endswith(".toml"):
-        return read_law(Path(strategy))
+        return read_law(Path(strategy), turbine)
     if not isinstance(strategy, str) or strategy not in STRATEGIES:
         raise ValueError(
             f"unknown strategy {str(strategy)!r}; known strategies: {', '.join(STRATEGIES)}, or a .toml file with a law"
         )
-    return STRATEGIES[str(strategy)]
+    return _strategy(strategy, turbine)
 
 
-def read_law(path: Path) -> TrackingLaw:
+def group_laws(
+    strategies: str | Path | TrackingLaw | Sequence[str | Path | TrackingLaw],
+    n_groups: int,
+    turbine: TurbineParameters | None = None,
+) -> tuple[TrackingLaw, ...]:
+    """Return one law per WTG group, (n_groups,): the given one for all, or the one given for each.
+
+    Raises:
+        ValueError: a strategy is unknown, or there are not as many as groups.
+    """
+    if isinstance(strategies, (str, Path, TrackingLaw)):
+        return (get_law(strategies, turbine),) * n_groups
+    if not isinstance(strategies, Sequence):
+        raise ValueError(f"strategy must be a name or a list of names, got {strategies!r}")
+    if len(strategies) != n_groups:
+        raise ValueError(f"strategy must name one law, or one for each of the {n_groups} groups, got {len(strategies)}")
+    return tuple(get_law(strategy, turbine) for strategy in strategies)
+
+
+def read_law(path: Path, turbine: TurbineParameters | None = None) -> TrackingLaw:
     """Read a law from TOML: `name`, then either k_min, k_nominal, k_max [p.u.] or deloading_min, … [%], and tau_s [s].
+
+    Deloadings are those of the turbine.
 
     Raises:
         ValueError: the file is missing, not TOML, or a key or value is not allowed; the message names it.
@@ -198,7 +245,7 @@ def read_law(path: Path) -> TrackingLaw:
         value = data[given[0]]
         if given[0].startswith("deloading"):
             percent = require_range(f"{given[0]} in {path}", value, 0.0, 90.0, "%")
-            coefficients[f"k_{corner}"] = tracking_point(percent / 100.0).coefficient
+            coefficients[f"k_{corner}"] = tracking_point(percent / 100.0, turbine).coefficient
         else:
             coefficients[f"k_{corner}"] = require_range(
                 f"{given[0]} in {path}", value, 1e-3, LARGEST_COEFFICIENT, "p.u."
@@ -223,6 +270,7 @@ __all__ = [
     "coordinated_undamped",
     "deloaded",
     "get_law",
+    "group_laws",
     "mppt",
     "read_law",
     "tracking_coefficient",

@@ -12,7 +12,7 @@ from wtg_gym.physics.layout import LaneRow, Status, WtgRow
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.tracking_law import TrackingLaw
+from wtg_gym.physics.tracking_law import TrackingLaw, group_laws
 from wtg_gym.physics.wind_turbine import WtgState
 
 Floats = npt.NDArray[np.float64]
@@ -64,7 +64,7 @@ class Trajectory:
 
 def simulate(
     scenario: Scenario,
-    laws: TrackingLaw | Sequence[TrackingLaw],
+    laws: str | TrackingLaw | Sequence[str | TrackingLaw],
     settings: PlantSettings | None = None,
     *,
     on_progress: Callable[[int, int], None] | None = None,
@@ -73,21 +73,19 @@ def simulate(
 
     Args:
         scenario: what happens.
-        laws: one law for all WTG groups, or one per group.
+        laws: one law or strategy name for all WTG groups, or one per group; a name is the law of the plant's turbine.
         settings: plant and time steps; the paper's by default.
         on_progress: called with (intervals done, intervals in all).
 
     Returns:
-        the recorded run; it ends early where the run ended (stall, over-speed, frequency limit).
+        the recorded run; it ends early where a protection ended the run; its last sample is then of that instant.
 
     Raises:
         ValueError: scenario, laws and plant do not fit, or there is no equilibrium to start from.
     """
     settings = settings or PlantSettings()
     simulator = Simulator(settings, duration_s=scenario.duration_s)
-    if isinstance(laws, TrackingLaw):
-        laws = (laws,) * len(settings.groups)
-    simulator.start(0, scenario, laws)
+    simulator.start(0, scenario, group_laws(laws, len(settings.groups), settings.turbine))
     nominal = settings.case.frequency_hz
     rows = (
         WtgState.SPEED,
@@ -109,9 +107,14 @@ def simulate(
         if on_progress is not None:
             on_progress(step + 1, simulator.n_intervals)
     table = np.array(samples)
+    time = np.arange(len(frequency), dtype=np.float64) * settings.control_dt
+    status = Status(int(simulator.lane_values(LaneRow.STATUS)[0]))
+    if status != Status.RUNNING:
+        # A protection may act within a control interval.
+        time[-1] = min(time[-1], simulator.lane_values(LaneRow.STEP)[0] * settings.simulation_dt)
     tip_speed = settings.turbine.tip_speed_ratio_per_speed_m_s
     return Trajectory(
-        time_s=np.arange(len(frequency), dtype=np.float64) * settings.control_dt,
+        time_s=time,
         frequency_hz=np.array(frequency),
         wtg_frequency_hz=nominal * table[:, 0],
         rotor_speed_pu=table[:, 1],
@@ -122,6 +125,6 @@ def simulate(
         filter_pu=table[:, 5],
         pitch_deg=table[:, 6],
         wind_m_s=table[:, 7],
-        status=Status(int(simulator.lane_values(LaneRow.STATUS)[0])),
+        status=status,
         nominal_frequency_hz=nominal,
     )

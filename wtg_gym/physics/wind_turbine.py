@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from enum import IntEnum
 
 import numpy as np
@@ -70,6 +71,9 @@ class TurbineConstant(IntEnum):
     OVER_SPEED = 33
     COI_MIN = 34  # frequency limits [p.u.]
     COI_MAX = 35
+    ANGLE_SPREAD = 36  # largest difference of the units' angles [rad]
+    LOW_VOLTAGE = 37  # [p.u.]
+    LOW_VOLTAGE_TIME = 38  # [s]
 
 
 @compiled
@@ -160,5 +164,8 @@ def turbine_constants(
         c.OVER_SPEED: protection.over_speed_pu,
         c.COI_MIN: protection.frequency_min_pu,
         c.COI_MAX: protection.frequency_max_pu,
+        c.ANGLE_SPREAD: math.radians(protection.angle_spread_max_deg),
+        c.LOW_VOLTAGE: protection.low_voltage_pu,
+        c.LOW_VOLTAGE_TIME: protection.low_voltage_time_s,
     }
     return np.array([values[key] for key in TurbineConstant])

@@ -14,16 +14,17 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.layout import N_SYNC_STATES, N_WTG_STATES, WtgRow
+from wtg_gym.physics.linearisation import moving_states, state_matrix
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.tracking_law import TrackingLaw
+from wtg_gym.physics.tracking_law import TrackingLaw, group_laws
 from wtg_gym.physics.wind_turbine import WtgState
 from wtg_gym.small_signal.single_machine import Side
 
 Floats = npt.NDArray[np.float64]
 
-#: Step of the finite differences [p.u., rad]; truncation and rounding are both near 1e-9 of a rate.
+#: Step of the finite differences in angle [rad]; truncation and rounding are both near 1e-9 of a power.
 _STEP = 2e-6
 
 
@@ -76,7 +77,7 @@ class Mode:
 
 def linearise(
     scenario: Scenario,
-    laws: TrackingLaw | Sequence[TrackingLaw],
+    laws: str | TrackingLaw | Sequence[str | TrackingLaw],
     settings: PlantSettings | None = None,
     *,
     side: Side = "under",
@@ -88,7 +89,7 @@ def linearise(
 
     Args:
         scenario: wind, load level, governor droop and inertia.
-        laws: one law for all WTG groups, or one per group.
+        laws: one law or strategy name for all WTG groups, or one per group; a name is the law of the plant's turbine.
         settings: the plant; the paper's by default.
         side: which slope of g(ω) counts at ω_st.
 
@@ -98,34 +99,9 @@ def linearise(
     if side not in ("under", "over"):
         raise ValueError(f"side must be 'under' or 'over', got {side!r}")
     simulator = _at_rest(scenario, laws, settings or PlantSettings())
-    names = simulator.layout.state_names
-    here = simulator.state()
-    direction = np.zeros(here.size)
-    for j in range(simulator.layout.n_wtg):
-        at = simulator.layout.n_sync * N_SYNC_STATES + j * N_WTG_STATES
-        direction[at + WtgState.SPEED] = -1.0 if side == "under" else 1.0
-
-    def rates(state: Floats) -> Floats:
-        simulator.set_state(state)
-        simulator.evaluate()
-        return simulator.rates()
-
-    matrix = np.empty((here.size, here.size))
-    for column in range(here.size):
-        step = np.zeros(here.size)
-        step[column] = _STEP
-        if direction[column]:
-            step *= direction[column]
-            change = -3.0 * rates(here) + 4.0 * rates(here + step) - rates(here + 2.0 * step)
-            matrix[:, column] = direction[column] * change / (2.0 * _STEP)
-        else:
-            matrix[:, column] = (rates(here + step) - rates(here - step)) / (2.0 * _STEP)
-    keep = np.ones(here.size, dtype=bool)
-    for j in range(simulator.layout.n_wtg):
-        if simulator.wtg_values(WtgState.PITCH)[0, j] == 0.0:
-            at = simulator.layout.n_sync * N_SYNC_STATES + j * N_WTG_STATES
-            keep[[at + WtgState.PITCH_INTEGRAL, at + WtgState.PITCH]] = False
-    keep = _with_part_in_the_dynamics(matrix, keep)
+    rows, layout = simulator.blocks[0], simulator.layout
+    matrix = state_matrix(rows, simulator.plant, layout, -1.0 if side == "under" else 1.0)
+    keep, names = moving_states(matrix, rows, layout), layout.state_names
     return LinearModel(
         matrix=matrix[np.ix_(keep, keep)],
         state_names=tuple(name for name, kept in zip(names, keep, strict=True) if kept),
@@ -133,24 +109,15 @@ def linearise(
     )
 
 
-def _at_rest(scenario: Scenario, laws: TrackingLaw | Sequence[TrackingLaw], settings: PlantSettings) -> Simulator:
+def _at_rest(
+    scenario: Scenario, laws: str | TrackingLaw | Sequence[str | TrackingLaw], settings: PlantSettings
+) -> Simulator:
     """Return a simulator in the equilibrium that a scenario starts from; its events do not matter."""
     duration_s = settings.control_dt * max(1, round(1.0 / settings.control_dt))
     simulator = Simulator(settings, duration_s=duration_s)
-    if isinstance(laws, TrackingLaw):
-        laws = (laws,) * len(settings.groups)
+    laws = group_laws(laws, len(settings.groups), settings.turbine)
     simulator.start(0, dataclasses.replace(scenario, events=(), duration_s=duration_s), laws)
     return simulator
-
-
-def _with_part_in_the_dynamics(matrix: Floats, keep: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Leave out states that never change and states that nothing depends on, until none is left."""
-    while True:
-        rest = np.where(np.outer(keep, keep), matrix, 0.0)
-        kept = keep & rest.any(axis=0) & rest.any(axis=1)
-        if (kept == keep).all():
-            return kept
-        keep = kept
 
 
 def modes(model: LinearModel) -> tuple[Mode, ...]:
@@ -178,7 +145,7 @@ def modes(model: LinearModel) -> tuple[Mode, ...]:
 
 
 def synchronising_coefficients(
-    scenario: Scenario, laws: TrackingLaw | Sequence[TrackingLaw], settings: PlantSettings | None = None
+    scenario: Scenario, laws: str | TrackingLaw | Sequence[str | TrackingLaw], settings: PlantSettings | None = None
 ) -> Floats:
     """Return ∂p_i/∂δ_j between WTG groups, on the base of group i, shape (n_wtg, n_wtg) [p.u./rad].
 

@@ -1,0 +1,120 @@
+"""The plant linearised around an equilibrium, and the largest step that its integration takes.
+
+A Runge-Kutta method multiplies the mode of an eigenvalue λ by R(hλ) in every step h. Where a decaying mode lies outside
+the method's stability region, |R(hλ)| > 1, the run grows without bound: that is the method's doing, not the plant's.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from wtg_gym.physics.dynamics import evaluate_rates
+from wtg_gym.physics.layout import N_SYNC_STATES, N_WTG_STATES, Floats, Layout, Plant, WtgRow
+from wtg_gym.physics.wind_turbine import TurbineConstant, WtgState
+
+#: Step of the finite differences [p.u., rad]; truncation and rounding are both near 1e-9 of a rate.
+_DIFFERENCE = 2e-6
+#: The largest stable step must exceed the chosen one by this factor. Load, line trips, wind and governor droop move it
+#: by less than 1 % over the runs of the suites; the rest is for what lies beyond them.
+STEP_MARGIN = 1.1
+
+
+def state_matrix(rows: Floats, plant: Plant, layout: Layout, side: float) -> Floats:
+    """Return A of ẋ = A x around the state that one lane's rows hold, shape (n, n) [1/s, with p.u. and rad].
+
+    Central differences of the simulator's right-hand side; one-sided ones of the same order for the frequencies of the
+    WTGs, where g(ω) has a corner.
+
+    Args:
+        rows: a block of one lane, flat (n_rows,).
+        plant, layout: of that lane.
+        side: -1 for the slope of g(ω) below ω_st, +1 for the one above.
+    """
+    states, n = layout.state_rows, layout.state_rows.size
+    speeds = layout.n_sync * N_SYNC_STATES + np.arange(layout.n_wtg) * N_WTG_STATES + WtgState.SPEED
+    first, second = np.full(n, 1.0), np.full(n, -1.0)
+    first[speeds], second[speeds] = side, 2.0 * side
+    blocks = np.repeat(rows[np.newaxis, :], 2 * n + 1, axis=0)
+    blocks[np.arange(n), states] += _DIFFERENCE * first
+    blocks[n + np.arange(n), states] += _DIFFERENCE * second
+    evaluate_rates(blocks, plant, (0,))
+    rates = blocks[:, layout.rate_rows]
+    change = rates[:n] - rates[n : 2 * n]
+    change[speeds] = side * (-3.0 * rates[2 * n] + 4.0 * rates[speeds] - rates[n + speeds])
+    matrix: Floats = change.T / (2.0 * _DIFFERENCE)
+    return matrix
+
+
+def moving_states(matrix: Floats, rows: Floats, layout: Layout) -> npt.NDArray[np.bool_]:
+    """Return which states have a part in the dynamics, (n,): neither constants nor integrals nothing depends on.
+
+    The pitch protection at rest has none, since it only acts upwards: a difference across that limit is no slope.
+    """
+    keep = np.ones(matrix.shape[0], dtype=np.bool_)
+    for j in range(layout.n_wtg):
+        for state in (WtgState.PITCH_INTEGRAL, WtgState.PITCH):
+            at_rest = rows[layout.wtg + j * WtgRow.N_ROWS + state] < 4.0 * _DIFFERENCE
+            keep[layout.n_sync * N_SYNC_STATES + j * N_WTG_STATES + state] = not at_rest
+    while True:
+        rest = np.where(np.outer(keep, keep), matrix, 0.0)
+        kept = keep & rest.any(axis=0) & rest.any(axis=1)
+        if (kept == keep).all():
+            return kept
+        keep = kept
+
+
+def largest_stable_steps(eigenvalues: npt.ArrayLike) -> Floats:
+    """Return the largest step at which each mode neither grows nor grows faster than it does itself, (n,) [s].
+
+    |R(hλ)| ≤ max(1, e^(h Re λ)), R(z) = 1 + z + z²/2 + z³/6 + z⁴/24 of the classical fourth-order method. Source:
+    E. Hairer, G. Wanner: Solving Ordinary Differential Equations II, section IV.2.
+    """
+    # No ray from zero stays in the region, or comes back to it, beyond |z| = 4.
+    values = np.asarray(eigenvalues, dtype=np.complex128)
+    low, high = np.zeros(values.shape), 4.0 / np.maximum(np.abs(values), 1e-9)
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        z = middle * values
+        growth = np.abs(1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0))))
+        stable = growth <= np.maximum(1.0, np.exp(z.real)) * (1.0 + 1e-12)
+        low, high = np.where(stable, middle, low), np.where(stable, high, middle)
+    return low
+
+
+def check_step(rows: Floats, plant: Plant, layout: Layout) -> None:
+    """Refuse a plant whose modes are too fast for its integration step at the state of one lane's rows (n_rows,).
+
+    The steeper side of each law counts. Limits that bind take feedback away and are left out: what holds for small
+    deviations is checked, no more.
+
+    Raises:
+        ValueError: the message names the eigenvalue, the state it mainly belongs to, the step and the largest allowed.
+    """
+    t = plant.turbine
+    k_min, k_nominal, k_max = (
+        rows[layout.wtg + np.arange(layout.n_wtg) * WtgRow.N_ROWS + row]
+        for row in (WtgRow.K_MIN, WtgRow.K_NOMINAL, WtgRow.K_MAX)
+    )
+    below = np.abs(k_min - k_nominal).sum() / (t[TurbineConstant.SPEED_SETPOINT] - t[TurbineConstant.SPEED_MIN])
+    above = np.abs(k_max - k_nominal).sum() / (t[TurbineConstant.SPEED_MAX] - t[TurbineConstant.SPEED_SETPOINT])
+    matrix = state_matrix(rows, plant, layout, -1.0 if below >= above else 1.0)
+    keep = moving_states(matrix, rows, layout)
+    matrix = matrix[np.ix_(keep, keep)]
+    steps = largest_stable_steps(np.linalg.eigvals(matrix))
+    if steps.min(initial=np.inf) >= STEP_MARGIN * plant.simulation_dt:
+        return
+    values, right = np.linalg.eig(matrix)
+    steps = largest_stable_steps(values)
+    at = int(np.argmin(steps))
+    # Participation: the part of each state in the mode, whatever its unit.
+    share = np.abs(np.linalg.pinv(right)[at] * right[:, at])
+    state = np.array(layout.state_names)[keep][int(np.argmax(share))]
+    raise ValueError(
+        f"simulation_dt = {plant.simulation_dt:g} s is too long for this plant: its mode with the eigenvalue "
+        f"{values[at]:.4g} 1/s (mainly {state}) would grow without bound in the integration; "
+        f"allowed: at most {steps[at] / STEP_MARGIN:.3g} s"
+    )
+
+
+__all__ = ["STEP_MARGIN", "check_step", "largest_stable_steps", "moving_states", "state_matrix"]
