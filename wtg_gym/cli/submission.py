@@ -26,8 +26,9 @@ _LIMITS = (
 )
 _GATE = f"""\
 A submission is a folder with entry.toml and policy.onnx, and a README.md if you like. Nothing in it is run but the
-network in policy.onnx, at most {_MB} MB with all weights in it. onnxruntime plays it one scenario at a time, in a process
-that can only compute and answer, here and wherever it is played later. Random numbers start alike in every scenario."""
+network in policy.onnx, at most {_MB} MB with all weights in it. onnxruntime plays it one scenario at a time, in a
+process that can only compute and answer, here and wherever it is played later. Random numbers start alike in every
+scenario."""
 
 WEAK_OPTION = "--weak-isolation"
 

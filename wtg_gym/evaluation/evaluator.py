@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import os
 import traceback
 from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
@@ -37,6 +38,8 @@ Progress = Callable[[str, int, int], None]
 _Part = tuple[Entry, list[int]]
 #: Settings that an entry or an argument of its own decides.
 _TAKEN = ("strategy", "action_mode", "observation_mode", "suite", "split", "scenario", "duration_s")
+#: To start a process for fewer lanes takes longer than to play them.
+_LANES_PER_PROCESS = 64
 #: More scenarios than this must be asked for by their seeds.
 _LARGEST_SPLIT = 100_000
 
@@ -294,8 +297,12 @@ def play(entry: Entry, lanes: TaskLanes) -> Iterator[npt.NDArray[np.bool_]]:
     """
     actions = _Actions(entry, lanes)
     running = np.ones(lanes.n_lanes, dtype=np.bool_)
-    process = entry.policy if isinstance(entry.policy, OnnxPolicy) else contextlib.nullcontext()
-    with process:
+    playing: contextlib.AbstractContextManager[Any] = contextlib.nullcontext()
+    if isinstance(entry.policy, OnnxPolicy):
+        playing = entry.policy
+        n_processes = lanes.simulator.n_threads or os.cpu_count() or 1
+        entry.policy.n_processes = min(n_processes, 1 + lanes.n_lanes // _LANES_PER_PROCESS)
+    with playing:
         while running.any():
             lanes.step(actions.next(running))
             yield running

@@ -9,6 +9,7 @@ can take an action from what it sees of another scenario, whatever its operators
 from __future__ import annotations
 
 import importlib.util
+import itertools
 import weakref
 from pathlib import Path
 from typing import Any
@@ -55,7 +56,10 @@ class OnnxPolicy:
         self._content, self._isolated = state
         #: sha256 of the file.
         self.sha256 = sha256(self._content)
-        self._process: PolicyProcess | None = None
+        #: Processes that share the lanes; looked at where the first of them starts. No answer depends on it.
+        self.n_processes = 1
+        self._processes: list[PolicyProcess] = []
+        weakref.finalize(self, _close_all, self._processes)
 
     def predict(
         self, observation: Any, state: States | None = None, episode_start: Any = None, deterministic: bool = True
@@ -65,8 +69,8 @@ class OnnxPolicy:
         Args:
             observation: one row per lane.
             state: what the last call returned; None at the beginning.
-            episode_start: lanes where an episode starts, (n_lanes,) bool; their state is zero, and their session a new
-                one. None for none, or for all where there is no state.
+            episode_start: lanes where an episode starts, (n_lanes,) bool: their state is zero, and their session a new
+                one; None for none.
             deterministic: the file holds the deterministic action only; the argument is there for the protocol.
 
         Raises:
@@ -74,8 +78,7 @@ class OnnxPolicy:
             PolicyError: the file is no policy, the observations or states are of another shape, the process ended or
                 took too long, or the policy gives something else than its file says.
         """
-        process = self._running()
-        n_observation, n_action, *widths = process.widths
+        n_observation, n_action, *widths = self.widths
         observations = np.ascontiguousarray(observation, dtype=np.float32)
         if observations.ndim != 2 or observations.shape[1] != n_observation:
             raise PolicyError(
@@ -87,43 +90,49 @@ class OnnxPolicy:
         states = tuple(np.zeros(shape, dtype=np.float32) for shape in expected) if state is None else state
         if [values.shape for values in states] != expected:
             raise PolicyError(f"the policy has states of shapes {expected}, got {[values.shape for values in states]}")
-        starts = np.full(n_lanes, state is None) if episode_start is None else np.asarray(episode_start, dtype=np.bool_)
+        starts = np.zeros(n_lanes, np.bool_) if episode_start is None else np.asarray(episode_start, dtype=np.bool_)
         states = tuple(np.where(starts[:, None], np.float32(0.0), values) for values in states)
-        given = [LENGTH.pack(n_lanes), starts.tobytes(), observations.tobytes(), *(s.tobytes() for s in states)]
-        shapes = [(n_lanes, n_action), *expected]
         try:
-            answers = process.ask(b"".join(given), [4 * n_lanes * width for _, width in shapes])
+            action, *following = self._answers([starts, observations, *states], [n_action, *widths])
         except BaseException:
             # An answer that was not read to its end leaves nothing to go on with.
             self.close()
             raise
-        action, *following = (
-            np.frombuffer(data, dtype=np.float32).reshape(shape).copy()
-            for data, shape in zip(answers, shapes, strict=True)
-        )
         return action, tuple(following) if following else None
 
-    def _running(self) -> PolicyProcess:
-        if self._process is None:
-            self._process = PolicyProcess(self._content, isolated=self._isolated)
-            weakref.finalize(self, self._process.close)
-        return self._process
+    def _answers(self, given: list[npt.NDArray[Any]], widths: list[int]) -> list[Floats]:
+        """Return arrays (n_lanes, width) for the arrays given; every process has a share of the lanes."""
+        processes = self._running()
+        answers = [np.empty((len(given[0]), width), dtype=np.float32) for width in widths]
+        edges = np.linspace(0, len(given[0]), 1 + len(processes)).astype(int)
+        shares = [slice(first, last) for first, last in itertools.pairwise(edges) if first < last]
+        for process, share in zip(processes, shares, strict=False):
+            size = LENGTH.pack(share.stop - share.start)
+            process.send(b"".join((size, *(values[share].tobytes() for values in given))))
+        for process, share in zip(processes, shares, strict=False):
+            parts = [values[share] for values in answers]
+            for part, data in zip(parts, process.receive([part.nbytes for part in parts]), strict=True):
+                part[:] = np.frombuffer(data, dtype=np.float32).reshape(part.shape)
+        return answers
+
+    def _running(self) -> list[PolicyProcess]:
+        while len(self._processes) < self.n_processes:
+            self._processes.append(PolicyProcess(self._content, isolated=self._isolated))
+        return self._processes
 
     @property
     def widths(self) -> tuple[int, ...]:
         """Widths of the observations, the actions, and each state; errors as those of :meth:`predict`."""
-        return tuple(self._running().widths)
+        return tuple(self._running()[0].widths)
 
     @property
     def not_isolated(self) -> tuple[str, ...]:
         """What this system cannot take away from the process; empty where it can. Errors as of :meth:`predict`."""
-        return tuple(self._running().missing)
+        return tuple(self._running()[0].missing)
 
     def close(self) -> None:
-        """End the process; the next observation starts another one."""
-        if self._process is not None:
-            self._process.close()
-            self._process = None
+        """End the processes; the next observation starts others."""
+        _close_all(self._processes)
 
     def __enter__(self) -> OnnxPolicy:
         self.close()
@@ -131,6 +140,11 @@ class OnnxPolicy:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def _close_all(processes: list[PolicyProcess]) -> None:
+    while processes:
+        processes.pop().close()
 
 
 __all__ = ["Floats", "OnnxPolicy", "States"]

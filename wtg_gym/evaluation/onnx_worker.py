@@ -44,7 +44,10 @@ def main() -> None:
     _send(sink, {"missing": missing})
     if missing and not wanted["weak"]:
         return
-    content = _read(source, LENGTH.unpack(_read(source, LENGTH.size))[0])
+    _serve(_read(source, LENGTH.unpack(_read(source, LENGTH.size))[0]), source, sink)
+
+
+def _serve(content: bytes, source: BinaryIO, sink: BinaryIO) -> None:
     try:
         served = _Served(content)
     # onnxruntime's exceptions share no other base.
@@ -69,8 +72,6 @@ def _open_session(content: bytes) -> Any:
     """Return onnxruntime's session of an .onnx file's content: one thread, no log, nothing kept between calls."""
     import onnxruntime
 
-    # Random numbers then start alike in every session.
-    onnxruntime.set_seed(0)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4
@@ -106,6 +107,7 @@ class _Served:
     def answer(self, n_scenarios: int, source: BinaryIO) -> None:
         """Read the observations and states of all scenarios, and ask each one's session; `outputs` hold the answers."""
         import numpy as np
+        from onnxruntime import set_seed
 
         if len(self._bound) != n_scenarios:
             observation, action, *states = self.widths
@@ -121,12 +123,17 @@ class _Served:
             if start or self._bound[index] is None:
                 self._bound[index] = self._bind(index)
             run, binding = self._bound[index]
+            # All sessions share one generator of random numbers: no scenario sees how many another one drew.
+            set_seed(0)
             run(binding, None)
 
     def _bind(self, index: int) -> tuple[Any, Any]:
         """Return what runs a new session on one scenario's rows, and its argument; onnxruntime checks the shapes."""
         import numpy as np
+        import onnxruntime
 
+        # A session's own generators begin alike.
+        onnxruntime.set_seed(0)
         session = _open_session(self._content)
         binding = session.io_binding()
         for bind, names, arrays in (

@@ -14,7 +14,6 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Iterator
 from typing import IO, Any, cast
 
 from wtg_gym.evaluation import onnx_worker
@@ -29,6 +28,7 @@ STEP_S = 10.0
 TOTAL_S = 1800.0
 #: How often the waiting is looked at [s].
 _WATCH_S = 0.2
+_SCRIPT = onnx_worker.__file__
 #: Longest message that the process may send [bytes].
 _LONGEST_MESSAGE = 65_536
 #: Without its caches and with a byte that fills memory, what malloc gives is always the same: none of what was there.
@@ -64,8 +64,7 @@ class PolicyProcess:
         self.missing: list[str] = []
         #: Widths of the observations, the actions, and each state.
         self.widths: list[int] = []
-        self._deadline = float("inf")
-        self._waited_s = 0.0
+        self._began, self._deadline, self._waited_s = 0.0, float("inf"), 0.0
         self._timed_out = False
         self._process = _start(weak=not isolated)
         threading.Thread(target=self._watch, daemon=True).start()
@@ -76,12 +75,13 @@ class PolicyProcess:
             raise
 
     def _open(self, content: bytes, isolated: bool) -> None:
-        with self._wait(LOAD_S):
-            self.missing = [_plain(text) for text in self._message().get("missing", [])]
-            if self.missing and isolated:
-                raise NotIsolatedError(f"this system cannot isolate the policy's process: {'; '.join(self.missing)}")
-            self._write(LENGTH.pack(len(content)) + content)
-            message = self._message()
+        self._begin(LOAD_S)
+        self.missing = [_plain(text) for text in self._message().get("missing", [])]
+        if self.missing and isolated:
+            raise NotIsolatedError(f"this system cannot isolate the policy's process: {'; '.join(self.missing)}")
+        self._write(LENGTH.pack(len(content)) + content)
+        message = self._message()
+        self._end()
         if self.missing:
             warnings.warn(f"policies are not isolated on this system: {'; '.join(self.missing)}", stacklevel=2)
         if "widths" not in message:
@@ -97,17 +97,26 @@ class PolicyProcess:
             )
         self.widths = widths
 
-    def ask(self, request: bytes, sizes: list[int]) -> list[bytes]:
-        """Send observations and states, and return as many bytes of actions and next states as `sizes` say.
+    def send(self, request: bytes) -> None:
+        """Send observations and states; :meth:`receive` must follow.
+
+        Raises:
+            PolicyError: the process has ended or takes too long.
+        """
+        self._begin(STEP_S)
+        self._write(request)
+
+    def receive(self, sizes: list[int]) -> list[bytes]:
+        """Return as many bytes of actions and next states as `sizes` say.
 
         Raises:
             PolicyError: the process ended, took too long, or the policy cannot answer.
         """
-        with self._wait(STEP_S):
-            self._write(request)
-            if self._read(1) != ACTIONS:
-                raise PolicyError(f"the policy cannot answer: {_plain(self._message().get('error'))}")
-            return [self._read(size) for size in sizes]
+        if self._read(1) != ACTIONS:
+            raise PolicyError(f"the policy cannot answer: {_plain(self._message().get('error'))}")
+        data = [self._read(size) for size in sizes]
+        self._end()
+        return data
 
     def _message(self) -> dict[str, Any]:
         size = LENGTH.unpack(self._read(LENGTH.size))[0]
@@ -135,16 +144,14 @@ class PolicyProcess:
         except OSError as error:
             raise self._ended() from error
 
-    @contextlib.contextmanager
-    def _wait(self, seconds: float) -> Iterator[None]:
-        """Have the process killed if what is done within takes too long [s]; only this time counts for the whole."""
-        began = time.monotonic()
-        self._deadline = began + min(seconds, max(0.0, TOTAL_S - self._waited_s))
-        try:
-            yield
-        finally:
-            self._deadline = float("inf")
-            self._waited_s += time.monotonic() - began
+    def _begin(self, seconds: float) -> None:
+        """Have the process killed if what it is asked now takes too long [s]; only this time counts for the whole."""
+        self._began = time.monotonic()
+        self._deadline = self._began + min(seconds, max(0.0, TOTAL_S - self._waited_s))
+
+    def _end(self) -> None:
+        self._deadline = float("inf")
+        self._waited_s += time.monotonic() - self._began
 
     def _watch(self) -> None:
         while self._process.poll() is None:
@@ -194,7 +201,7 @@ def _start(*, weak: bool) -> subprocess.Popen[bytes]:
         environment["SYSTEMROOT"] = os.environ.get("SYSTEMROOT", "")
     # -P: nothing is imported from the script's folder or the working one; -B: nothing is written beside the sources.
     return subprocess.Popen(
-        [sys.executable, "-P", "-B", onnx_worker.__file__, json.dumps(wanted)],
+        [sys.executable, "-P", "-B", _SCRIPT, json.dumps(wanted)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
