@@ -175,9 +175,8 @@ def test_what_onnxruntime_cannot_load_is_refused(tmp_path: Path) -> None:
 
 def test_policy_of_other_modes_is_refused(tmp_path: Path) -> None:
     check, reason = refusal(check_submission(folder(tmp_path / "a", models.privileged())))
-    assert (
-        check == "loading" and "it takes 35 observations and gives 4 actions; in its modes there are 20 and 4" in reason
-    )
+    assert check == "loading"
+    assert "it takes 35 observations and gives 4 actions; in its modes there are 20 and 4" in reason
 
 
 def test_policy_that_is_slow_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
