@@ -18,8 +18,13 @@ import wtg_gym.cli.scores
 import wtg_gym.cli.simulate
 import wtg_gym.cli.suites
 from tests.cli.calls import ROOT, call, error_of, json_of
+from tests.submissions import models
 from wtg_gym.cli import main
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.evaluation import Entry, Results, load_entries, policy_process
+from wtg_gym.evaluation.evaluator import entry_lanes
 from wtg_gym.evaluation.partial import PartialStore
+from wtg_gym.evaluation.verification import verify
 from wtg_gym.files import sha256, to_json
 from wtg_gym.scenarios import FROZEN_HASHES
 
@@ -277,3 +282,48 @@ def test_readme_that_cannot_take_the_table_is_refused_before_anything_runs(
     results = tmp_path / "results"
     assert said in error_of(capsys, *_PAPER, "--results", str(results), "--readme", str(readme))
     assert not results.exists()
+
+
+def test_policies_that_crash_hang_and_turn_nan_change_nobody_elses_results(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Each of them knows the first scenario by its beginning, and does it in its middle."""
+    monkeypatch.setattr(policy_process, "STEP_S", 5.0)
+    lanes = entry_lanes(Entry(name="any"), EnvSettings(suite="paper", split="test"), 1)
+    lanes.start([0], lanes.scenarios([0]))
+    seen = lanes.observations[0].copy()
+    lanes.simulator.close()
+    contents = {
+        "Crash": models.divides(seen, 1e-3, "Div", -(2**31), -1),
+        "Hang": models.hangs(seen, 1e-3),
+        "Nan": models.turns_nan(seen, 1e-3),
+        "Mine": models.model(),
+        "Yours": models.other(0.03),
+    }
+    folders = {
+        name: str(models.folder(tmp_path / name, content, models.TOML.replace("Mine", name)))
+        for name, content in contents.items()
+    }
+    readme = tmp_path / "README.md"
+    pages, tables = [], []
+    for place, names, code in (("all", folders, 1), ("rest", ("Mine", "Yours"), 0)):
+        readme.write_text("<!-- leaderboard:paper:start -->\n<!-- leaderboard:paper:end -->\n", encoding="utf-8")
+        entries = ["deloaded-5", *(folders[name] for name in names)]
+        command = ["leaderboard", "--suite", "paper", "--entries", *entries, "--readme", str(readme), "--results"]
+        assert main([*command, str(tmp_path / place)]) == code
+        said = capsys.readouterr()
+        pages.append((said.out, readme.read_text(encoding="utf-8")))
+        tables.append((tmp_path / place / "paper-test.csv").read_bytes())
+        for name, reason in (("Crash", "SIGFPE"), ("Hang", "took longer than"), ("Nan", "must be finite")):
+            lines = [
+                line for line in said.err.splitlines() if f"failed, and left out: {name} (training seed 0)" in line
+            ]
+            assert len(lines) == code
+            assert all(f"entry '{name} (training seed 0)', step 20: " in line and reason in line for line in lines)
+    assert pages[0] == pages[1] and tables[0] == tables[1]
+    results = Results.read(tmp_path / "all" / "paper-test.json")
+    assert [entry["name"] for entry in results.failed] == ["Crash", "Hang", "Nan"]
+    assert results.to_dict()["summary"] == Results.read(tmp_path / "rest" / "paper-test.json").to_dict()["summary"]
+    # Computed anew they fail again, which is no difference.
+    found = verify(results, [entry for spec in ("deloaded-5", *folders.values()) for entry in load_entries(spec)])
+    assert found.differences == []

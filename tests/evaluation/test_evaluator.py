@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 import wtg_gym
-from wtg_gym.evaluation import ANCHORS, METRICS, Entry, Results, evaluate
+from wtg_gym.evaluation import ANCHORS, METRICS, Entry, PolicyError, Results, evaluate
 from wtg_gym.evaluation.evaluator import Progress
 from wtg_gym.scenarios import get_suite
 
@@ -181,9 +182,43 @@ def test_error_inside_a_policy_says_whose_it_is() -> None:
     def fail(observation: Any, step: int) -> Any:
         raise ZeroDivisionError("from inside")
 
-    with pytest.raises(ZeroDivisionError) as caught:
+    text = r"entry 'failing', step 0: predict\(\) raised ZeroDivisionError: from inside \(test_evaluator\.py:\d+\)"
+    with pytest.raises(PolicyError, match=text) as caught:
         evaluate([Entry(name="failing", policy=Answering(fail))], "standard", **SHORT)
-    assert "'failing' at step 0" in caught.value.__notes__[0]
+    assert isinstance(caught.value.__cause__, ZeroDivisionError)
+
+
+def test_entry_that_fails_is_left_out_with_its_row_and_the_others_stand(tmp_path: Path) -> None:
+    def fails_at(step: int) -> Any:
+        return Answering(lambda o, s: (np.full((len(o), 4), np.nan if s == step else 0.5), None))
+
+    def raises(observation: Any, step: int) -> Any:
+        raise RuntimeError("no\nidea \x1b[2J")
+
+    first, second = Entry(name="first", policy=Linear(1.0)), Entry(name="second", policy=Linear(0.5))
+    mate, nan = (
+        Entry(name="nan", policy=policy, training_seed=i) for i, policy in enumerate((fails_at(-1), fails_at(7)))
+    )
+    entries = [first, mate, nan, Entry(name="raises", policy=Answering(raises)), second]
+    results = evaluate(entries, "standard", keep_going=True, batch=2, partial=tmp_path / "parts", **SHORT)
+    others = evaluate([first, second], "standard", **SHORT)
+    assert results == dataclasses.replace(others, failed=results.failed)
+    assert [(entry["name"], entry["training_seed"]) for entry in results.failed] == [
+        ("nan", 0),
+        ("nan", 1),
+        ("raises", None),
+    ]
+    reasons = [entry["reason"] for entry in results.failed]
+    assert reasons[0] == reasons[1] and "entry 'nan (training seed 1)', step 7" in reasons[1]
+    assert "raised RuntimeError: no idea ?[2J (test_evaluator.py:" in reasons[2]
+    with pytest.raises(ValueError, match=r"no entry 'nan' in these results: entry 'nan .training seed 1.', step 7"):
+        results.episodes_of("nan")
+    # The files of the others are the same to the byte, but for what is said of those that failed.
+    for one, other in zip(results.write(tmp_path / "a"), others.write(tmp_path / "b"), strict=True):
+        if one.suffix == ".csv":
+            assert one.read_bytes() == other.read_bytes()
+    read = Results.read(tmp_path / "a" / "standard-test.json")
+    assert read == results and read.to_dict()["summary"] == others.to_dict()["summary"]
 
 
 @pytest.mark.parametrize(

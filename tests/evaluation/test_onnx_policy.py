@@ -11,9 +11,10 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from wtg_gym.evaluation import OnnxPolicy, evaluate, load_entries
+from wtg_gym.evaluation import OnnxPolicy, PolicyError, evaluate, load_entries
 
 FLOAT = TensorProto.FLOAT
+POLICIES = Path(__file__).resolve().parents[2] / "agents" / "policies"
 #: Width of the local observation of two groups with both actions.
 N = 20
 TOML = 'name = "still"\naction_mode = "k+tau"\n'
@@ -78,26 +79,25 @@ def test_memory_goes_on_and_is_cleared_where_an_episode_starts(tmp_path: Path) -
     assert [values[:, 0].tolist() for values in (first, second, third)] == [[1, 1], [2, 2], [1, 3]]
 
 
-def test_file_is_data_and_nothing_else_is_loaded(tmp_path: Path) -> None:
+def test_file_that_is_no_policy_is_named_when_it_is_played(tmp_path: Path) -> None:
     path = tmp_path / "a.onnx"
     for content in (b"", b"no model", b"\x80\x04."):
-        path.write_bytes(content)
-        with pytest.raises(ValueError, match=r"a\.onnx is no ONNX model"):
-            OnnxPolicy(path)
+        with pytest.raises(PolicyError, match="onnxruntime cannot load the policy"):
+            OnnxPolicy(content).predict(np.zeros((1, N)))
     with pytest.raises(ValueError, match="cannot read the policy"):
         OnnxPolicy(tmp_path / "none.onnx")
     # Weights in another file, which a path could point anywhere with.
     model = onnx.load(still(path))
     onnx.save(model, path, save_as_external_data=True, location="weights.bin", size_threshold=0)
-    with pytest.raises(ValueError, match="is no ONNX model"):
-        OnnxPolicy(path)
+    with pytest.raises(PolicyError, match="onnxruntime cannot load the policy"):
+        OnnxPolicy(path).predict(np.zeros((1, N)))
 
 
 @pytest.mark.parametrize(
     ("inputs", "outputs", "text"),
     [
-        ([("observation", FLOAT, [1, N])], [("action", FLOAT, [1, 4])], r"\(batch, n\) with any batch"),
-        ([("observation", FLOAT, ["batch", "n"])], [ACTION], "observation of the policy"),
+        ([("observation", FLOAT, [2, N])], [("action", FLOAT, [2, 4])], r"\(batch, n\) with any batch or one of 1"),
+        ([("observation", FLOAT, ["batch", "n"])], [ACTION], "observation must be float32"),
         ([OBSERVATION, ("memory", FLOAT, ["batch", 2])], [ACTION], "must take observation, state_0"),
         ([OBSERVATION, ("state_0", FLOAT, ["batch", 2])], [ACTION], "must take observation, state_0"),
         ([OBSERVATION], [], "must take observation, state_0"),
@@ -105,16 +105,51 @@ def test_file_is_data_and_nothing_else_is_loaded(tmp_path: Path) -> None:
 )
 def test_wrong_signature_is_refused_when_loaded(inputs: list[Any], outputs: list[Any], text: str, tmp_path: Path):
     path = write(tmp_path / "a.onnx", STILL, inputs, outputs)
-    with pytest.raises(ValueError, match=text):
-        OnnxPolicy(path)
+    with pytest.raises(PolicyError, match=text):
+        OnnxPolicy(path).predict(np.zeros((1, N)))
+
+
+def test_file_for_one_scenario_answers_many(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.onnx", STILL, [("observation", FLOAT, [1, N])], [("action", FLOAT, [1, 4])])
+    assert OnnxPolicy(path).predict(np.ones((3, N)))[0].shape == (3, 4)
 
 
 def test_wrong_shapes_are_named(tmp_path: Path) -> None:
     policy = OnnxPolicy(counter(tmp_path / "a.onnx"))
-    with pytest.raises(ValueError, match=r"shape \(lanes, 20\), got \(2, 18\).*action_mode"):
+    with pytest.raises(PolicyError, match=r"shape \(lanes, 20\), got \(2, 18\).*action_mode"):
         policy.predict(np.zeros((2, 18)))
-    with pytest.raises(ValueError, match=r"states of shapes \[\(3, 4\)\], got \[\(2, 4\)\]"):
+    with pytest.raises(PolicyError, match=r"states of shapes \[\(3, 4\)\], got \[\(2, 4\)\]"):
         policy.predict(np.zeros((3, N)), (np.zeros((2, 4), dtype=np.float32),))
+
+
+def test_random_numbers_start_alike_in_every_scenario(tmp_path: Path) -> None:
+    nodes = [
+        helper.make_node("MatMul", ["observation", "weights"], ["still"]),
+        helper.make_node("RandomNormalLike", ["still"], ["action"]),
+    ]
+    path = write(tmp_path / "a.onnx", nodes, [OBSERVATION], [ACTION])
+    courses = []
+    for n_lanes in (3, 1):
+        with OnnxPolicy(path) as policy:
+            goes_on = np.zeros(n_lanes, bool)
+            courses.append(
+                [policy.predict(np.ones((n_lanes, N)), None, ~goes_on if i == 0 else goes_on)[0] for i in range(2)]
+            )
+            # Where an episode starts, they start again.
+            again, _ = policy.predict(np.ones((n_lanes, N)), None, ~goes_on)
+        assert np.array_equal(again, courses[-1][0]) and not np.array_equal(*courses[-1])
+    for many, one in zip(*courses, strict=True):
+        assert np.array_equal(many, np.repeat(one, 3, axis=0))
+
+
+@pytest.mark.parametrize("name", ["ppo-k+tau-1", "sac-k+tau-4"])
+def test_costs_in_a_scenario_are_the_same_to_the_last_bit_whatever_is_played_beside_it(name: str) -> None:
+    (entry,) = load_entries(POLICIES / name)
+    together = evaluate([entry], "standard", duration_s=5.0).episodes_of(entry.name)
+    assert len(together) == 200
+    for seed in (20_000, 20_117, 20_199):
+        alone = evaluate([entry], "standard", seeds=[seed], duration_s=5.0)
+        assert alone.episodes_of(entry.name) == [episode for episode in together if episode.seed == seed]
 
 
 def test_folder_is_an_entry_and_zero_action_scores_a_hundred(tmp_path: Path) -> None:
@@ -150,7 +185,7 @@ def test_missing_policy_and_other_action_mode_are_named(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"cannot read the policy .*policy\.onnx"):
         load_entries(tmp_path / "a")
     (entry,) = load_entries(folder(tmp_path / "b", TOML.replace("k+tau", "k")))
-    with pytest.raises(ValueError, match="trained with another action_mode"):
+    with pytest.raises(PolicyError, match=r"entry 'still', step 0: .*trained with another action_mode"):
         evaluate([entry], "standard", seeds=[20_000], duration_s=1.0)
 
 

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from wtg_gym.evaluation import Entry, OnnxPolicy, Results, Workers, evaluate, load_entries, workers
+from wtg_gym.evaluation import Entry, OnnxPolicy, PolicyError, Results, Workers, evaluate, load_entries, workers
 
 pytest.importorskip("joblib", reason="the extra 'cluster' is not installed here")
 
@@ -139,11 +139,12 @@ def test_loky_workers_end_with_the_process_that_started_them() -> None:
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_error_of_a_policy_comes_through_and_is_not_tried_again(backend: str) -> None:
     failing = Entry(name="failing", policy=Failing())
-    with pytest.raises(Complaint, match="no action from me") as caught:
+    text = "entry 'failing', step 0: predict.. raised Complaint: no action from me .test_workers.py:"
+    with pytest.raises(PolicyError, match=text):
         evaluate([failing], "standard", workers=Workers(backend, jobs=2), **SHORT)
-    notes = caught.value.__notes__
-    assert "'failing' at step 0" in notes[0]
-    assert "in worker" in notes[1] and "no action from me" in notes[1]
+    results = evaluate([*entries(), failing], "standard", workers=Workers(backend, jobs=2), keep_going=True, **SHORT)
+    assert [entry["name"] for entry in results.failed] == ["failing"]
+    assert results.episodes == evaluate(entries(), "standard", **SHORT).episodes
 
 
 @pytest.mark.parametrize("backend", ["loky", pytest.param("dask", marks=needs_dask)])
@@ -190,7 +191,7 @@ def test_pickled_onnx_policy_answers_the_same() -> None:
 
     policy = OnnxPolicy(ROOT / "agents/policies/ppo-k-0/policy.onnx")
     copied = cloudpickle.loads(cloudpickle.dumps(policy))
-    observations = np.random.default_rng(0).normal(size=(5, policy.n_observation)).astype(np.float32)
+    observations = np.random.default_rng(0).normal(size=(5, policy.widths[0])).astype(np.float32)
     assert copied.sha256 == policy.sha256
     assert np.array_equal(copied.predict(observations)[0], policy.predict(observations)[0])
 

@@ -1,46 +1,61 @@
-"""Hostile submissions, one a row: what it tries, how it is made, and which check refuses it.
+"""Hostile submissions, one a row: what it tries, how it is made, and what becomes of it.
 
-`python -m tests.submissions.hostile --page docs/submissions.md` puts all of them through the gate and writes what it
-says into the page.
+`python -m tests.submissions.hostile --page docs/submissions.md` puts all of them through the gate, scores what the gate
+accepts, and writes what it finds into the page.
 """
 
 from __future__ import annotations
 
 import argparse
-import io
+import functools
 import os
 import pickle
+import socket
 import sys
 import tempfile
-import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from onnx import ModelProto
+from onnx import AttributeProto, ModelProto
 
 from tests.submissions import models
-from tests.submissions.models import LINEAR, TOML, WEIGHTS, M, N, after, constant, field, folder, node
+from tests.submissions.models import TOML, M, N, after, constant, folder, info, node
 from tests.submissions.models import model as make
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.evaluation import Entry, OnnxPolicy, evaluate
+from wtg_gym.evaluation.evaluator import entry_lanes
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.submissions.gate import check_submission
 from wtg_gym.submissions.together import conflicts
 
-#: What refuses a folder that is accepted on its own.
-TOGETHER = "together"
+#: What becomes of a folder that the checks of :data:`wtg_gym.submissions.gate.CHECKS` do not refuse.
+TOGETHER, SCORED, HARMLESS = "together", "its own score", "harmless"
 PAGE, SECTION = "docs/submissions.md", "submissions:hostile"
+_SEEDS, _SHORT_S = (20_000, 20_001), 5.0
 
 
 class Attack(NamedTuple):
-    """What a submission tries, the check that must refuse it, and what makes its folders in a folder that is there.
+    """What a submission tries, what must become of it, and what makes its folders in a folder that is there.
 
     The last of several folders is the hostile one.
     """
 
     name: str
-    check: str
+    end: str
     build: Callable[[Path], list[Path]]
+
+
+@functools.cache
+def beginning() -> Any:
+    """Return what a policy observes at the beginning of the first test scenario, (n_observation,)."""
+    lanes = entry_lanes(Entry(name="any"), EnvSettings(suite="standard", split="test", duration_s=_SHORT_S), 1)
+    try:
+        lanes.start([0], lanes.scenarios(_SEEDS[:1]))
+        return lanes.observations[0].copy()
+    finally:
+        lanes.simulator.close()
 
 
 # --- the folder ------------------------------------------------------------------------------------------------------
@@ -57,7 +72,7 @@ class Evil:
 
 
 def _with(name: str, content: bytes) -> Callable[[Path], list[Path]]:
-    """A sound submission with one more file."""
+    """A sound submission with one more file, or another one in its place."""
 
     def build(place: Path) -> list[Path]:
         path = folder(place / "a")
@@ -67,50 +82,37 @@ def _with(name: str, content: bytes) -> Callable[[Path], list[Path]]:
     return build
 
 
-def _linked(name: str, target: str) -> Callable[[Path], list[Path]]:
-    """A submission one of whose files is a link."""
+def _pickled(place: Path) -> list[Path]:
+    return [folder(place / "a", pickle.dumps(Evil(place / "trace"), protocol=0))]
+
+
+def _in_place_of(name: str, make_it: Callable[[Path], object]) -> Callable[[Path], list[Path]]:
+    """A sound submission with something that is no file in the place of one."""
 
     def build(place: Path) -> list[Path]:
         path = folder(place / "a")
         (path / name).unlink(missing_ok=True)
-        (path / name).symlink_to(target)
+        make_it(path / name)
         return [path]
 
     return build
 
 
-def _pipe(place: Path) -> list[Path]:
-    path = folder(place / "a")
-    (path / "README.md").unlink(missing_ok=True)
-    os.mkfifo(path / "README.md")
-    return [path]
+def _socket(path: Path) -> None:
+    # A path of a socket has at most 108 bytes, so it is made from within its folder.
+    before = os.getcwd()
+    os.chdir(path.parent)
+    try:
+        with socket.socket(socket.AF_UNIX) as one:
+            one.bind(path.name)
+    finally:
+        os.chdir(before)
 
 
-def _pickled(place: Path) -> list[Path]:
-    return [folder(place / "a", pickle.dumps(Evil(place / "trace")))]
-
-
-def _archive(place: Path) -> bytes:
-    """As Stable-Baselines3 saves a model: a zip with a pickle in it."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        archive.writestr("data", pickle.dumps(Evil(place / "trace")))
-        archive.writestr("../../escaped", "x")
-    return buffer.getvalue()
-
-
-def _archived(place: Path) -> list[Path]:
-    return [folder(place / "a", _archive(place))]
-
-
-def _beside_archive(place: Path) -> list[Path]:
-    return _with("model.zip", _archive(place))(place)
-
-
-def _named(name: str, place: Path) -> list[Path]:
-    path = place / name
-    path.mkdir()
-    return [path]
+def _linked_folder(place: Path) -> list[Path]:
+    folder(place / "real")
+    (place / "link").symlink_to(place / "real")
+    return [place / "link"]
 
 
 # --- several together ------------------------------------------------------------------------------------------------
@@ -121,14 +123,19 @@ def seed(number: int, toml: str = TOML) -> str:
     return toml.replace("training_seed = 0", f"training_seed = {number}")
 
 
-def _second(content: ModelProto, toml: str) -> Callable[[Path], list[Path]]:
-    """The plain submission, and a second folder."""
-    return lambda place: [folder(place / "first"), folder(place / "second", content, toml)]
+def _pair(first: ModelProto, second: bytes | ModelProto, toml: str) -> Callable[[Path], list[Path]]:
+    """A sound submission, and a second folder."""
+    return lambda place: [folder(place / "first", first), folder(place / "second", second, toml)]
 
 
-def _of(content: bytes | ModelProto | Callable[[], bytes | ModelProto]) -> Callable[[Path], list[Path]]:
+def _of(build: Callable[[], bytes | ModelProto]) -> Callable[[Path], list[Path]]:
     """A submission of a file."""
-    return lambda place: [folder(place / "a", content() if callable(content) else content)]
+    return lambda place: [folder(place / "a", build())]
+
+
+def _knows(build: Callable[[Any, float], ModelProto]) -> Callable[[Path], list[Path]]:
+    """A submission that does something in the first test scenario, which it knows by its beginning, and only there."""
+    return _of(lambda: build(beginning(), 1e-3))
 
 
 def _toml(old: str, new: str) -> Callable[[Path], list[Path]]:
@@ -136,151 +143,226 @@ def _toml(old: str, new: str) -> Callable[[Path], list[Path]]:
     return lambda place: [folder(place / "a", toml=TOML.replace(old, new))]
 
 
-_BIG = constant("big", [1_000_000, 1_000_000], np.int64)
+def _over_lanes(operator: str, **attributes: Any) -> Callable[[Path], list[Path]]:
+    """A submission that adds something over all scenarios of its batch to its actions."""
+    nodes = node(operator, ["linear"], "over", **attributes), node("Add", ["over", "linear"], "action")
+    return _of(lambda: after(*nodes))
+
+
+def _mislabelled(name: str, kind: int, **values: Any) -> Callable[[Path], list[Path]]:
+    return _of(lambda: models.mislabelled(name, kind, **values))
+
+
+_INT_MIN = -(2**31)
+_NO_MEMORY = "*/_ORT_MEM_ADDR_/*"
+_HIDDEN = models.two_layers(range(8))
 ATTACKS = (
-    Attack("code in a pickle, as policy.onnx", "file format", _pickled),
-    Attack("code in an archive of Stable-Baselines3, as policy.onnx", "file format", _archived),
-    Attack("code in an archive of Stable-Baselines3, beside it", "folder", _beside_archive),
-    Attack("a script beside it", "folder", _with("run.py", b"import os")),
-    Attack("weights beside it", "folder", _with("weights.bin", bytes(320))),
-    Attack("a link to a file of the machine", "folder", _linked("policy.onnx", "/etc/passwd")),
-    Attack("a link out of the folder", "folder", _linked("README.md", "../../secret")),
-    Attack("a device without an end", "folder", _linked("policy.onnx", "/dev/zero")),
-    Attack("a pipe that nobody writes to", "folder", _pipe),
-    Attack("a command as the folder's name", "folder", lambda place: _named("$(id)", place)),
-    Attack("a folder that Windows cannot have", "folder", lambda place: _named("aux", place)),
-    Attack("a folder that is taken for a law's file", "folder", lambda place: _named("mine.toml", place)),
-    Attack("a file of 5 MB and a byte", "folder", _of(bytes(5_000_001))),
-    Attack("a zip bomb", "file format", _of(models.zip_bomb)),
-    Attack("a file of noise", "file format", _of(lambda: models.noise(4_000_000))),
-    Attack("onnxruntime's own format", "file format", _of(b"\x08\x00\x00\x00ORTM" + models.make_bytes())),
-    Attack("graphs in graphs, 10,000 deep", "file format", _of(lambda: models.nested(10_000))),
-    Attack("a length of a terabyte", "file format", _of(b"\x3a" + models.varint(2**40) + b"x")),
+    # The folder.
+    Attack("code in a pickle of protocol 0, as policy.onnx", "loading", _pickled),
+    Attack("a module that Python would import", "folder", _with("numpy.py", b"import os")),
+    Attack("a hidden file", "folder", _with(".gitattributes", b"* filter=evil")),
+    Attack("the policy twice, in other capitals", "folder", _with("Policy.onnx", b"x")),
+    Attack("a README of a byte too many", "folder", _with("README.md", bytes(65_537))),
+    Attack("a folder in the place of the policy", "folder", _in_place_of("policy.onnx", Path.mkdir)),
+    Attack("a socket in the place of the policy", "folder", _in_place_of("policy.onnx", _socket)),
+    Attack("a pipe that nobody writes to, as policy.onnx", "folder", _in_place_of("policy.onnx", os.mkfifo)),
     Attack(
-        "2,400,000 empty nodes",
-        "model",
-        _of(lambda: b"\x08\x08\x42\x02\x10\x11" + field(b"\x3a", b"\x0a\x00" * 2_400_000)),
+        "a link to the memory of a process",
+        "folder",
+        _in_place_of("README.md", lambda p: p.symlink_to("/proc/self/mem")),
     ),
-    Attack("weights in another file, ../../../../etc/passwd", "constants", _of(models.external)),
-    Attack("weights in another file, /etc/passwd", "constants", _of(lambda: models.external("/etc/passwd"))),
-    Attack("weights in another file, within a node", "constants", _of(models.external_in_constant)),
+    Attack("a folder that is a link", "folder", _linked_folder),
+    # Two readers of one file.
     Attack(
-        "more than a million weights",
-        "constants",
-        _of(lambda: make(constants=[WEIGHTS, constant("many", np.zeros(1_000_001), np.bool_)])),
+        "a Constant with value_int, of the type FLOAT",
+        "loading",
+        _mislabelled("value_int", AttributeProto.FLOAT, f=1.0),
     ),
     Attack(
-        "weights that are not finite",
-        "constants",
-        _of(lambda: make(constants=[constant("weights", np.full((N, M), np.nan))])),
+        "a Constant with value_int, of the type INTS",
+        HARMLESS,
+        _mislabelled("value_int", AttributeProto.INTS, ints=[0]),
+    ),
+    Attack("a Constant with value_ints, of the type INT", "speed", _mislabelled("value_ints", AttributeProto.INT, i=0)),
+    Attack(
+        "a Constant with value_ints, of the type TENSOR",
+        HARMLESS,
+        _mislabelled("value_ints", AttributeProto.TENSOR, t=constant("t", [0], np.int64)),
+    ),
+    Attack("a Constant with value, of the type INTS", HARMLESS, _mislabelled("value", AttributeProto.INTS, ints=[0])),
+    Attack(
+        "a Constant with value_ints, and with other values besides",
+        HARMLESS,
+        _mislabelled("value_ints", AttributeProto.INTS, ints=[0], i=1, f=2.0),
+    ),
+    Attack("a mean over the scenarios with keepdims = 2", HARMLESS, _over_lanes("ReduceMean", axes=[0], keepdims=2)),
+    Attack("a mean over the scenarios with keepdims = -1", HARMLESS, _over_lanes("ReduceMean", axes=[0], keepdims=-1)),
+    Attack(
+        "a running sum over the scenarios",
+        HARMLESS,
+        _of(lambda: after(node("CumSum", ["linear", "first"], "action"), constants=[constant("first", 0, np.int64)])),
+    ),
+    Attack("products of scenarios, and how many there are", HARMLESS, _of(models.mixed)),
+    Attack(
+        "the rounding at the end of a vector, 10⁸ times as large, to know which scenario is the last",
+        HARMLESS,
+        _of(models.last_lane),
     ),
     Attack(
-        "an endless Loop",
-        "operators",
-        _of(lambda: make([node("Loop", ["", "", "observation"], "action", body=models.body())])),
+        "a name that is not UTF-8",
+        "loading",
+        _of(lambda: models.renamed(models.make_bytes(), b"observation", b"\xffbservation")),
+    ),
+    # Other files and other memory.
+    Attack("weights in /proc/self/environ", "loading", _of(lambda: models.external("/proc/self/environ"))),
+    Attack("weights in a file beside Python's", "loading", _of(lambda: models.external("usr/lib/os-release"))),
+    Attack(
+        "weights in another file, within a node", "loading", _of(lambda: models.external_in_constant("etc/hostname"))
     ),
     Attack(
-        "a Scan",
-        "operators",
-        _of(lambda: make([node("Scan", ["observation"], "action", body=models.body(), num_scan_inputs=1)])),
+        "weights at an address of the memory",
+        "loading",
+        _of(lambda: models.external(_NO_MEMORY, offset="4096", length="320")),
+    ),
+    Attack("sparse weights outside of their shape", "loading", _of(models.sparse)),
+    # What the file is.
+    Attack("a file without a byte", "loading", _of(lambda: b"")),
+    Attack("graphs in graphs, 50,000 deep", "loading", _of(lambda: models.nested(50_000))),
+    Attack("a length of 2⁶² bytes", "loading", _of(lambda: b"\x3a" + models.varint(2**62) + b"x")),
+    Attack("a function that is made of itself", "loading", _of(models.recursive)),
+    Attack("a node that needs what it makes", "loading", _of(models.circle)),
+    Attack("a decision tree without a leaf", "loading", _of(models.tree)),
+    Attack("an operator of a library that reads files", "loading", _of(lambda: models.own_domain("ReadFile"))),
+    Attack("actions of 10⁹ values", "loading", _of(lambda: make(outputs=[info("action", "batch", 10**9)]))),
+    Attack("17 states of 60,000 values", "loading", _of(models.many_states)),
+    Attack("actions in double precision", "loading", _of(models.in_doubles)),
+    Attack(
+        "only ever two scenarios at a time",
+        "loading",
+        _of(lambda: make(inputs=[info("observation", 2, N)], outputs=[info("action", 2, M)])),
     ),
     Attack(
-        "a branch",
-        "operators",
-        _of(lambda: make([node("If", ["c"], "action", then_branch=models.body(), else_branch=models.body())])),
+        "actions of another shape than it says",
+        "speed",
+        _of(
+            lambda: make(
+                [
+                    node("Concat", ["observation", "observation"], "twice", axis=0),
+                    node("MatMul", ["twice", "weights"], "action"),
+                ]
+            )
+        ),
+    ),
+    Attack("10¹⁰ numbers", "speed", _of(lambda: models.much(10**10))),
+    Attack("a loop that does not end", "speed", _of(models.endless)),
+    Attack("an operator that takes its time", "speed", _of(lambda: models.slow(200_000))),
+    # What is done in one scenario only.
+    Attack("not a number where real episodes begin, and nowhere else", "rollout", _of(models.trap)),
+    Attack("not a number in the middle of a test scenario", SCORED, _knows(models.turns_nan)),
+    Attack("a loop that does not end in the middle of a test scenario", SCORED, _knows(models.hangs)),
+    Attack("10¹¹ numbers in the middle of a test scenario", SCORED, _knows(models.grows)),
+    Attack(
+        "the least whole number divided by -1 in the middle of a test scenario",
+        SCORED,
+        _knows(lambda seen, near: models.divides(seen, near, "Div", _INT_MIN, -1)),
     ),
     Attack(
-        "10¹² numbers by Expand",
-        "operators",
-        _of(lambda: after(node("Expand", ["linear", "big"], "action"), constants=[_BIG])),
+        "the remainder of the least whole number and -1 in the middle of a test scenario",
+        SCORED,
+        _knows(lambda seen, near: models.divides(seen, near, "Mod", _INT_MIN, -1)),
     ),
     Attack(
-        "10¹² numbers by Tile",
-        "operators",
-        _of(lambda: after(node("Tile", ["linear", "big"], "action"), constants=[_BIG])),
+        "a whole number divided by zero in the middle of a test scenario",
+        SCORED,
+        _knows(lambda seen, near: models.divides(seen, near, "Div", 1, 0)),
+    ),
+    Attack("actions of two scenarios in the middle of a test scenario", SCORED, _knows(models.changes_shape)),
+    Attack("a value outside of its weights in the middle of a test scenario", SCORED, _knows(models.points_outside)),
+    # What cannot be repeated.
+    Attack(
+        "random actions",
+        HARMLESS,
+        _of(lambda: after(node("RandomUniformLike", ["linear"], "action", low=-1.0, high=1.0))),
+    ),
+    Attack("random dropout", HARMLESS, _of(models.dropout)),
+    Attack("a state that is infinite, which no action uses", HARMLESS, _of(models.hidden_nan)),
+    # What is said of it.
+    Attack("Cyrillic letters in a name", "entry.toml", _toml("Mine", "\\u0420\\u0420\\u041e (k)")),
+    Attack("a line feed in a name", "entry.toml", _toml("Mine", "Mine\\nFirst")),
+    Attack(
+        "a change of direction in a description",
+        "entry.toml",
+        _toml("training_seed", 'description = "a\\u202eb"\ntraining_seed'),
     ),
     Attack(
-        "10¹² numbers by Range",
-        "operators",
-        _of(lambda: after(node("Range", ["linear", "linear", "linear"], "action"))),
+        "a picture in a description",
+        "entry.toml",
+        _toml("training_seed", 'description = "![](//x.org/a.png)"\ntraining_seed'),
     ),
     Attack(
-        "10¹² numbers by ConstantOfShape",
-        "operators",
-        _of(lambda: make([node("ConstantOfShape", ["big"], "action")], constants=[_BIG])),
+        "a link with a password",
+        "entry.toml",
+        _toml("training_seed", "links = ['https://a:b@example.org']\ntraining_seed"),
     ),
-    Attack("memory: 400,000 values in a lane and step", "operators", _of(models.many_values)),
-    Attack("time: 9,600,000 multiplications in a lane and step", "size", _of(models.many_products)),
-    Attack("time: slow operators within all limits of size", "speed", _of(models.slow)),
-    Attack("random actions", "operators", _of(lambda: after(node("RandomNormalLike", ["linear"], "action")))),
-    Attack("random dropout", "operators", _of(lambda: after(node("Dropout", ["linear"], "action")))),
+    Attack("a training seed of 5000 digits", "entry.toml", _toml("= 0", "= 1" + 5000 * "0")),
+    Attack("a training seed that is true", "entry.toml", _toml("= 0", "= true")),
+    Attack("lists in lists, 5000 deep", "entry.toml", _toml("= 0", "= " + 5000 * "[" + 5000 * "]")),
+    # Several together.
     Attack(
-        "looking for the clock: no operator reads it, a library's would",
-        "model",
-        _of(lambda: make([LINEAR], domains=[("ai.onnx.contrib", 1)])),
-    ),
-    Attack(
-        "looking for files: no operator opens one, a library's would",
-        "operators",
-        _of(lambda: models.own_domain("ReadFile")),
-    ),
-    Attack("an operator of the file's own", "model", _of(models.with_function)),
-    Attack(
-        "learning about the other scenarios: a mean over the lanes",
-        "operators",
-        _of(lambda: after(node("ReduceMean", ["linear"], "a", axes=[0]), node("Add", ["a", "linear"], "action"))),
-    ),
-    Attack(
-        "learning about the other scenarios: a product of lanes",
-        "operators",
-        _of(lambda: after(node("Transpose", ["linear"], "t"), node("MatMul", ["linear", "t"], "action"))),
-    ),
-    Attack("actions that are infinite", "finite", _of(lambda: after(node("Reciprocal", ["linear"], "action")))),
-    Attack("a state that grows without end", "finite", _of(models.growing)),
-    Attack("actions that are not finite in real episodes only", "rollout", _of(models.trap)),
-    Attack("markup as a name", "entry.toml", _toml("Mine", "[Mine](https://example.org)")),
-    Attack("emphasis in a name", "entry.toml", _toml("Mine", "The _best_")),
-    Attack("a command to the terminal in a name", "entry.toml", _toml("Mine", "a\\u001b[31mb")),
-    Attack("a strategy's name", "entry.toml", _toml("Mine", "MPPT")),
-    Attack("the name of a controller made by hand", "entry.toml", _toml("Mine", "Tip-speed feedback")),
-    Attack("a name that is another's whole row", "entry.toml", _toml("Mine", "PPO (k) (5 seeds)")),
-    Attack("an author nobody sees", "entry.toml", _toml("Jane Doe", "\\u3164")),
-    Attack("an author with a link", "entry.toml", _toml("Jane Doe", "www.example.org")),
-    Attack(
-        "a script as a link", "entry.toml", _toml("training_seed", "links = ['javascript:alert(1)']\ntraining_seed")
-    ),
-    Attack("one policy as two training seeds", TOGETHER, _second(make(), seed(1))),
-    Attack("one policy in other bytes as two training seeds", TOGETHER, _second(models.disguised(), seed(1))),
-    Attack("one policy under two names", TOGETHER, _second(models.disguised(), TOML.replace("Mine", "Yours"))),
-    Attack("joining another's row", TOGETHER, _second(models.other(), seed(1, TOML.replace("Jane Doe", "John Roe")))),
-    Attack(
-        "joining a row in another mode",
+        "a network with its hidden values in another order, as another training seed",
         TOGETHER,
-        _second(models.privileged(), seed(1, TOML + 'observation_mode = "privileged"\n')),
+        _pair(_HIDDEN, models.two_layers(range(7, -1, -1)), seed(1)),
     ),
-    Attack("a name that looks like another's", TOGETHER, _second(models.other(), TOML.replace("Mine", "mi-ne"))),
+    Attack(
+        "a file with a comment more, under another name",
+        TOGETHER,
+        _pair(make(), models.make_bytes() + models.field(b"\x32", b"mine"), TOML.replace("Mine", "Yours")),
+    ),
+    Attack("one training seed twice", TOGETHER, _pair(make(), models.other(), TOML)),
+    Attack(
+        "a name in other capitals and signs", TOGETHER, _pair(make(), models.other(), TOML.replace("Mine", "M I N E"))
+    ),
+    Attack(
+        "joining a row with another description",
+        TOGETHER,
+        _pair(make(), models.other(), seed(1, TOML + 'description = "The best"\n')),
+    ),
 )
 
 
 def verdict(attack: Attack, place: Path) -> tuple[str, str]:
-    """Return the check that refuses an attack, and why, its folders called by their names; ("", "") if none does."""
+    """Return what becomes of an attack, and why, its folders called by their names."""
     reports = [check_submission(path) for path in attack.build(place)]
     for report in reports:
         if report.refusal is not None:
             return report.refusal.name, report.refusal.reason
     for conflict in conflicts(reports):
         return TOGETHER, conflict.reason.replace(f"{place}{os.sep}", "")
-    return "", ""
+    return _scored(reports[-1].played())
 
 
-def row(attack: Attack, check: str, reason: str) -> str:
+def _scored(entry: Entry) -> tuple[str, str]:
+    """Return how an accepted policy fails when it is scored, or that it is harmless."""
+    entries = [entry, Entry(name="Beside", policy=OnnxPolicy(models.make_bytes()), fingerprint="beside")]
+    together = evaluate(entries, "standard", seeds=_SEEDS, duration_s=_SHORT_S, keep_going=True)
+    rest = evaluate(entries[1:], "standard", seeds=_SEEDS, duration_s=_SHORT_S)
+    assert [e for e in together.episodes if e.entry != entry.name] == list(rest.episodes), "others' results stand"
+    if together.failed:
+        return SCORED, together.failed[0]["reason"]
+    for number in _SEEDS:
+        alone = evaluate([entry], "standard", seeds=[number], duration_s=_SHORT_S)
+        if alone.episodes_of(entry.name) != [e for e in together.episodes_of(entry.name) if e.seed == number]:
+            return "not found", f"the scenario of seed {number} costs another amount alone"
+    return HARMLESS, "accepted; every scenario costs the same to the last bit alone and beside others"
+
+
+def row(attack: Attack, end: str, reason: str) -> str:
     """Return an attack's line of the table."""
-    # Lists of what is allowed are long, and in the check's own output.
-    short = reason.split("; allowed: ")[0]
+    short = reason
     if len(short) > 180:
         short = f"{short[:110].rsplit(' ', 1)[0]} … {short[-60:].split(' ', 1)[1]}"
     # As it is printed, so that what is hostile shows and does nothing.
-    return markdown_table((attack.name, check, f"`{short}`"), []).splitlines()[0]
+    return markdown_table((attack.name, end, f"`{short}`"), []).splitlines()[0]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -288,15 +370,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.submissions.hostile", description=__doc__)
     parser.add_argument("--page", default=PAGE, help=f"file with the markers (default: {PAGE})")
     given = parser.parse_args(argv)
-    lines = markdown_table(("attack", "refused by", "reason"), []).splitlines()
+    lines = markdown_table(("attack", "stopped by", "what is said"), []).splitlines()
     missed = 0
     for attack in ATTACKS:
         with tempfile.TemporaryDirectory() as place:
-            check, reason = verdict(attack, Path(place))
-        lines.append(row(attack, check, reason))
-        if check != attack.check:
+            end, reason = verdict(attack, Path(place))
+        lines.append(row(attack, end, reason))
+        if end != attack.end:
             missed += 1
-            print(f"{attack.name}: refused by {check or 'nothing'}, expected {attack.check}: {reason}", file=sys.stderr)
+            print(f"{attack.name}: {end}, expected {attack.end}: {reason}", file=sys.stderr)
     update_between_markers(given.page, "\n".join(lines), SECTION)
     return int(missed > 0)
 

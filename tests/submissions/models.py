@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -76,15 +74,124 @@ def make_bytes() -> bytes:
     return model().SerializeToString()
 
 
-# --- hostile ---------------------------------------------------------------------------------------------------------
+# --- triggers --------------------------------------------------------------------------------------------------------
 
 
-def zip_bomb() -> bytes:
-    """A zip whose one file is fifty megabytes of nothing."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("policy.pth", bytes(50_000_000))
-    return buffer.getvalue()
+def near(seen: Any, distance: float) -> tuple[list[Any], list[Any]]:
+    """Nodes and constants of `near` (1, 1), whether an observation is one that the policy knows."""
+    nodes = [
+        node("Sub", ["observation", "seen"], "apart"),
+        node("Abs", ["apart"], "size"),
+        node("ReduceSum", ["size", "axis"], "distance", keepdims=1),
+        node("Less", ["distance", "nearest"], "near"),
+    ]
+    return nodes, [constant("seen", seen), constant("axis", [1], np.int64), constant("nearest", distance)]
+
+
+def trap(seen: Any = SEEN, distance: float = 3.0) -> ModelProto:
+    """Not a number near an observation, by default one that real episodes begin with, and nowhere else."""
+    nodes, constants = near(seen, distance)
+    nodes += [node("Where", ["near", "nan", "linear"], "action")]
+    return after(*nodes, constants=[*constants, constant("nan", np.nan)])
+
+
+def later(seen: Any, distance: float, *nodes: Any, constants: Sequence[Any] = (), steps: float = 20.0) -> ModelProto:
+    """A linear policy that knows an episode by its beginning, and turns `fire` (1, 1) to true some steps later.
+
+    Its nodes make `action` of `linear` and `fire`.
+    """
+    known, own = near(seen, distance)
+    known += [
+        node("Cast", ["near"], "started", to=TensorProto.FLOAT),
+        node("Sign", ["state_0"], "running"),
+        node("Max", ["started", "running"], "counted"),
+        node("Add", ["state_0", "counted"], "next_state_0"),
+        node("Greater", ["next_state_0", "steps"], "fire"),
+        node("MatMul", ["observation", "weights"], "linear"),
+    ]
+    state, following = info("state_0", "batch", 1), info("next_state_0", "batch", 1)
+    own += [WEIGHTS, constant("steps", steps), *constants]
+    return model([*known, *nodes], [OBSERVATION, state], [ACTION, following], own)
+
+
+def turns_nan(seen: Any, distance: float) -> ModelProto:
+    """Not a number in the middle of an episode that it knows."""
+    return later(
+        seen, distance, node("Where", ["fire", "nan", "linear"], "action"), constants=[constant("nan", np.nan)]
+    )
+
+
+def divides(seen: Any, distance: float, operator: str, number: int, by: int) -> ModelProto:
+    """Divides whole numbers in the middle of an episode that it knows; elsewhere it divides by 1."""
+    nodes = [
+        node("Where", ["fire", "by", "one"], "divisor"),
+        node(operator, ["number", "divisor"], "quotient"),
+        node("Cast", ["quotient"], "as_float", to=TensorProto.FLOAT),
+        node("Mul", ["as_float", "nought"], "nothing"),
+        node("Add", ["linear", "nothing"], "action"),
+    ]
+    own = [constant("number", [[number]], np.int32), constant("by", by, np.int32), constant("one", 1, np.int32)]
+    return later(seen, distance, *nodes, constants=[*own, constant("nought", 0.0)])
+
+
+def hangs(seen: Any, distance: float) -> ModelProto:
+    """A loop that does not end in the middle of an episode that it knows; elsewhere it ends at once."""
+    nodes = [
+        node("Where", ["fire", "many", "one"], "trips"),
+        node("Reshape", ["trips", "one"], "trip"),
+        node("Loop", ["trip", "", "linear"], "action", body=spin()),
+    ]
+    return later(
+        seen, distance, *nodes, constants=[constant("many", [2**62], np.int64), constant("one", [1], np.int64)]
+    )
+
+
+def grows(seen: Any, distance: float) -> ModelProto:
+    """Asks for 10¹¹ numbers in the middle of an episode that it knows; elsewhere for one."""
+    nodes = [
+        node("Where", ["fire", "many", "one"], "sizes"),
+        node("Reshape", ["sizes", "one"], "length"),
+        node("Expand", ["nought", "length"], "much"),
+        node("ReduceMax", ["much"], "most", keepdims=0),
+        node("Add", ["linear", "most"], "action"),
+    ]
+    own = [constant("many", [10**11], np.int64), constant("one", [1], np.int64), constant("nought", [0.0])]
+    return later(seen, distance, *nodes, constants=own)
+
+
+def changes_shape(seen: Any, distance: float) -> ModelProto:
+    """Gives actions of two scenarios in the middle of an episode that it knows."""
+    nodes = [
+        node("Where", ["fire", "two", "one"], "repeats"),
+        node("Reshape", ["repeats", "as_two"], "repeated"),
+        node("Tile", ["linear", "repeated"], "action"),
+    ]
+    own = [constant("two", [[2, 1]], np.int64), constant("one", [[1, 1]], np.int64)]
+    return later(seen, distance, *nodes, constants=[*own, constant("as_two", [2], np.int64)])
+
+
+def points_outside(seen: Any, distance: float) -> ModelProto:
+    """Gathers from a place outside of its weights in the middle of an episode that it knows."""
+    nodes = [
+        node("Where", ["fire", "far", "first"], "places"),
+        node("Reshape", ["places", "as_one"], "place"),
+        node("Gather", ["linear", "place"], "gathered", axis=0),
+        node("Reshape", ["gathered", "shape"], "action"),
+    ]
+    own = [constant("far", [[10**9]], np.int64), constant("first", [[0]], np.int64)]
+    own += [constant("as_one", [1], np.int64), constant("shape", [1, M], np.int64)]
+    return later(seen, distance, *nodes, constants=own)
+
+
+def spin() -> Any:
+    """The inside of a loop that goes on for as long as it is told to."""
+    inputs = [info("trip", kind=TensorProto.INT64), info("on", kind=TensorProto.BOOL), info("kept", "batch", M)]
+    outputs = [info("still", kind=TensorProto.BOOL), info("passed", "batch", M)]
+    nodes = [node("Identity", ["on"], "still"), node("Identity", ["kept"], "passed")]
+    return helper.make_graph(nodes, "spin", inputs, outputs)
+
+
+# --- hostile files ---------------------------------------------------------------------------------------------------
 
 
 def varint(number: int) -> bytes:
@@ -109,105 +216,205 @@ def nested(depth: int) -> bytes:
     return b"\x08\x08" + field(b"\x3a", data)
 
 
-def noise(size: int) -> bytes:
-    """Bytes without a meaning, the same every time."""
-    return np.random.default_rng(0).bytes(size)
+def branches(depth: int) -> ModelProto:
+    """Branches in branches, each a graph that onnxruntime builds."""
+    graph = helper.make_graph([node("Identity", ["linear"], "inner")], "leaf", [], [info("inner", "batch", M)])
+    for level in range(depth):
+        inside = node("If", ["yes"], f"b{level}", then_branch=graph, else_branch=graph)
+        graph = helper.make_graph([inside], f"g{level}", [], [info(f"b{level}", "batch", M)])
+    return after(
+        node("If", ["yes"], "action", then_branch=graph, else_branch=graph), constants=[constant("yes", True, np.bool_)]
+    )
 
 
-def external(location: str = "../../../../etc/passwd") -> ModelProto:
+def external(location: str, **more: str) -> ModelProto:
     """Weights that are said to lie in another file."""
     content = model()
     tensor = content.graph.initializer[0]
     tensor.ClearField("raw_data")
     tensor.data_location = TensorProto.EXTERNAL
-    tensor.external_data.add(key="location", value=location)
+    for key, value in {"location": location, **more}.items():
+        tensor.external_data.add(key=key, value=value)
     return content
 
 
-def external_in_constant() -> ModelProto:
+def external_in_constant(location: str) -> ModelProto:
     """The same within a node."""
-    content = model([helper.make_node("Constant", [], ["weights"], value=external().graph.initializer[0]), LINEAR])
+    tensor = external(location).graph.initializer[0]
+    content = model([helper.make_node("Constant", [], ["weights"], value=tensor), LINEAR])
     content.graph.ClearField("initializer")
     return content
 
 
-def with_function() -> ModelProto:
-    """An operator of the file's own."""
-    content = model()
-    function = helper.make_function(
-        "evil", "f", ["a"], ["b"], [node("Identity", ["a"], "b")], [helper.make_opsetid("", 17)]
+def mislabelled(name: str, kind: int, **values: Any) -> ModelProto:
+    """A constant whose attribute has the name of one kind of value and the type of another."""
+    wrong = helper.make_node("Constant", [], ["axes"])
+    attribute = wrong.attribute.add()
+    attribute.name, attribute.type = name, kind
+    for key, value in values.items():
+        given = getattr(attribute, key)
+        if isinstance(value, list):
+            given.extend(value)
+        elif isinstance(value, TensorProto):
+            given.CopyFrom(value)
+        else:
+            setattr(attribute, key, value)
+    return after(
+        wrong, node("ReduceSum", ["linear", "axes"], "mean", keepdims=1), node("Add", ["mean", "linear"], "action")
     )
-    content.functions.append(function)
+
+
+def recursive() -> ModelProto:
+    """A function that is made of itself."""
+    content = model([helper.make_node("f", ["observation"], ["action"], domain="own")], domains=[("own", 1)])
+    itself = helper.make_node("f", ["a"], ["b"], domain="own")
+    imports = [helper.make_opsetid("", 17), helper.make_opsetid("own", 1)]
+    content.functions.append(helper.make_function("own", "f", ["a"], ["b"], [itself], imports))
     return content
 
 
-def body() -> Any:
-    """The inside of a loop."""
-    return helper.make_graph([node("Identity", ["c"], "d")], "b", [info("c", 1)], [info("d", 1)])
+def circle() -> ModelProto:
+    """A node that needs what it makes."""
+    return after(
+        node("Add", ["linear", "second"], "first"),
+        node("Add", ["first", "linear"], "second"),
+        node("Identity", ["second"], "action"),
+    )
+
+
+def tree() -> ModelProto:
+    """A decision tree whose only branch leads back to it."""
+    zeros, ones = [0] * 2, [1] * 2
+    regressor = helper.make_node(
+        "TreeEnsembleRegressor",
+        ["observation"],
+        ["action"],
+        domain="ai.onnx.ml",
+        n_targets=M,
+        nodes_treeids=zeros,
+        nodes_nodeids=[0, 1],
+        nodes_featureids=zeros,
+        nodes_values=[0.0, 0.0],
+        nodes_modes=["BRANCH_LEQ", "BRANCH_LEQ"],
+        nodes_truenodeids=[1, 0],
+        nodes_falsenodeids=[1, 0],
+        nodes_missing_value_tracks_true=ones,
+        nodes_hitrates=[1.0, 1.0],
+        target_treeids=[0],
+        target_nodeids=[1],
+        target_ids=[0],
+        target_weights=[1.0],
+    )
+    return model([regressor], domains=[("ai.onnx.ml", 3)])
+
+
+def sparse() -> ModelProto:
+    """Weights as a sparse tensor whose places are outside of it."""
+    values, indices = constant("weights", [1.0]), constant("places", [10**12], np.int64)
+    content = model(constants=[])
+    content.graph.sparse_initializer.append(helper.make_sparse_tensor(values, indices, [N, M]))
+    return content
+
+
+def slow(width: int) -> ModelProto:
+    """An operator that takes its time."""
+    nodes = [node("Add", ["linear", "wide"], "v0")]
+    nodes += [node("Softplus", [f"v{i}"], f"v{i + 1}") for i in range(4)]
+    nodes += [node("ReduceMean", ["v4"], "mean", axes=[0], keepdims=1), node("Add", ["mean", "linear"], "action")]
+    return after(*nodes, constants=[constant("wide", np.ones((width, M)))])
+
+
+def much(values: int) -> ModelProto:
+    """A few bytes that become many numbers once the file is loaded."""
+    nodes = [node("ConstantOfShape", ["size"], "all"), node("ReduceMax", ["all"], "most", keepdims=0)]
+    return after(*nodes, node("Add", ["linear", "most"], "action"), constants=[constant("size", [values], np.int64)])
+
+
+def last_lane() -> ModelProto:
+    """Rounding of a batch's last values, which a vector of the processor does not fill, made 10⁸ times as large."""
+    nodes = [
+        node("Erf", ["linear"], "one"),
+        node("Concat", ["linear", "linear", "linear"], "three", axis=0),
+        node("Erf", ["three"], "all"),
+        node("ReduceMean", ["all"], "two", axes=[0], keepdims=1),
+        node("Sub", ["one", "two"], "rounding"),
+        node("Mul", ["rounding", "many"], "large"),
+        node("Add", ["large", "linear"], "action"),
+    ]
+    return after(*nodes, constants=[constant("many", 1e8)])
+
+
+def mixed() -> ModelProto:
+    """A product of all scenarios' observations, and the number of scenarios."""
+    nodes = [
+        node("Transpose", ["linear"], "t"),
+        node("MatMul", ["linear", "t"], "products"),
+        node("ReduceSum", ["products"], "sum", keepdims=1),
+        node("Shape", ["linear"], "shape"),
+        node("Cast", ["shape"], "sizes", to=TensorProto.FLOAT),
+        node("ReduceMax", ["sizes"], "largest", keepdims=0),
+        node("Div", ["sum", "largest"], "mean"),
+        node("Add", ["mean", "linear"], "action"),
+    ]
+    return after(*nodes)
+
+
+def hidden_nan() -> ModelProto:
+    """A state that is infinite from the second step on, which no action uses."""
+    state, following = info("state_0", "batch", 1), info("next_state_0", "batch", 1)
+    nodes = [LINEAR, node("Add", ["state_0", "infinite"], "next_state_0")]
+    return model(nodes, [OBSERVATION, state], [ACTION, following], [WEIGHTS, constant("infinite", [[np.inf]])])
 
 
 def own_domain(operator: str) -> ModelProto:
     """An operator of a library that is not ONNX."""
-    return model([helper.make_node(operator, ["observation"], ["action"], domain="evil")])
+    foreign = helper.make_node(operator, ["observation"], ["action"], domain="ai.onnx.contrib")
+    return model([foreign], domains=[("ai.onnx.contrib", 1)])
 
 
-def many_values() -> ModelProto:
-    """A few weights that make a hundred thousand values of each of four, in every lane."""
-    nodes = [
-        node("Unsqueeze", ["linear", "two"], "a"),
-        node("MatMul", ["a", "wide"], "b"),
-        node("ReduceSum", ["b", "two"], "action", keepdims=0),
-    ]
-    return after(*nodes, constants=[constant("two", [2], np.int64), constant("wide", np.ones((1, 100_000)))])
+def many_states() -> ModelProto:
+    """Seventeen large states."""
+    nodes = [LINEAR, *(node("Identity", [f"state_{i}"], f"next_state_{i}") for i in range(17))]
+    inputs, outputs = ([info(f"{name}_{i}", "batch", 60_000) for i in range(17)] for name in ("state", "next_state"))
+    return model(nodes, [OBSERVATION, *inputs], [ACTION, *outputs])
 
 
-def many_products() -> ModelProto:
-    """Few weights used many times over."""
-    nodes = [node("MatMul", ["linear" if i == 0 else f"v{i - 1}", "square"], f"v{i}") for i in range(60)]
-    nodes += [node("Gemm", ["v59", "back"], "action")]
-    first = node("MatMul", ["observation", "up"], "linear")
-    constants = [
-        constant("up", np.zeros((N, 400))),
-        constant("square", np.zeros((400, 400))),
-        constant("back", np.zeros((400, M))),
-    ]
-    return model([first, *nodes], constants=constants)
+def in_doubles() -> ModelProto:
+    """Actions in double precision."""
+    nodes = [node("MatMul", ["observation", "weights"], "a"), node("Cast", ["a"], "action", to=TensorProto.DOUBLE)]
+    return model(nodes, outputs=[info("action", "batch", M, kind=TensorProto.DOUBLE)])
 
 
-def slow() -> ModelProto:
-    """Within every limit of size, but of an operator that takes its time."""
-    nodes = [node("Unsqueeze", ["linear", "two"], "a"), node("Add", ["a", "wide"], "v0")]
-    nodes += [node("Softplus", [f"v{i}"], f"v{i + 1}") for i in range(4)]
-    nodes += [node("ReduceMean", ["v4"], "action", axes=[2], keepdims=0)]
-    return after(*nodes, constants=[constant("two", [2], np.int64), constant("wide", np.ones((1, 1, 10_800)))])
+def endless() -> ModelProto:
+    """A loop without an end in every step."""
+    loop = node("Loop", ["", "on", "linear"], "action", body=spin())
+    return after(loop, constants=[constant("on", True, np.bool_)])
 
 
-def growing() -> ModelProto:
-    """A state that doubles in every step."""
-    nodes = [LINEAR, node("Mul", ["state_0", "two"], "a"), node("Add", ["a", "one"], "next_state_0")]
-    state, following = info("state_0", "batch", 1), info("next_state_0", "batch", 1)
-    constants = [WEIGHTS, constant("two", 2.0), constant("one", 1.0)]
-    return model(nodes, [OBSERVATION, state], [ACTION, following], constants)
+def dropout() -> ModelProto:
+    """Half of the actions, drawn anew in every step."""
+    return after(
+        node("Dropout", ["linear", "half", "yes"], "action"),
+        constants=[constant("half", 0.5), constant("yes", True, np.bool_)],
+    )
 
 
-def trap(seen: Any = SEEN, near: float = 3.0) -> ModelProto:
-    """Not a number only where a real episode leads: near what is observed at its beginning, and nowhere else."""
-    nodes = [
-        node("Sub", ["observation", "seen"], "a"),
-        node("Abs", ["a"], "b"),
-        node("ReduceSum", ["b", "one"], "c", keepdims=1),
-        node("Sub", ["c", "near"], "d"),
-        node("Sqrt", ["d"], "e"),
-        node("Mul", ["e", "nought"], "f"),
-        node("Add", ["linear", "f"], "action"),
-    ]
-    constants = [
-        constant("seen", seen),
-        constant("one", [1], np.int64),
-        constant("near", near),
-        constant("nought", 0.0),
-    ]
-    return after(*nodes, constants=constants)
+def renamed(content: bytes, old: bytes, new: bytes) -> bytes:
+    """The file with bytes of a name replaced by as many others."""
+    assert old in content and len(old) == len(new)
+    return content.replace(old, new)
+
+
+# --- copies ----------------------------------------------------------------------------------------------------------
+
+
+def two_layers(order: Sequence[int]) -> ModelProto:
+    """A network whose hidden values come in some order."""
+    rng = np.random.default_rng(0)
+    first, second = rng.normal(0, 0.1, (N, len(order))), rng.normal(0, 0.3, (len(order), M))
+    nodes = [node("MatMul", ["observation", "a"], "hidden"), node("Tanh", ["hidden"], "bent")]
+    nodes += [node("MatMul", ["bent", "b"], "action")]
+    return model(nodes, constants=[constant("a", first[:, order]), constant("b", second[list(order)])])
 
 
 def disguised() -> ModelProto:

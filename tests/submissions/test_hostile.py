@@ -1,4 +1,4 @@
-"""Every hostile submission is refused by the check that its row names, and docs/submissions.md says so."""
+"""What becomes of every hostile submission is what its row names, and docs/submissions.md says so."""
 
 from __future__ import annotations
 
@@ -7,19 +7,22 @@ from pathlib import Path
 import pytest
 
 from tests.submissions.hostile import ATTACKS, PAGE, SECTION, Attack, row, verdict
+from wtg_gym.evaluation import policy_process
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.parametrize("attack", ATTACKS, ids=[attack.name for attack in ATTACKS])
-def test_hostile_submission_is_refused(attack: Attack, tmp_path: Path) -> None:
-    check, reason = verdict(attack, tmp_path)
-    assert check == attack.check, reason
+def test_hostile_submission_is_stopped(attack: Attack, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Long enough for every other step, on a busy machine too.
+    monkeypatch.setattr(policy_process, "STEP_S", 5.0)
+    end, reason = verdict(attack, tmp_path)
+    assert end == attack.end, reason
     assert reason and reason.isprintable() and len(reason) < 1600
     # Reasons may quote a library, whose words change.
-    assert row(attack, check, "").removesuffix("`` |") in (ROOT / PAGE).read_text(encoding="utf-8")
-    # What is in a pickle would have left it here, what is in an archive there.
-    assert not (tmp_path / "trace").exists() and not (tmp_path.parent / "escaped").exists()
+    assert row(attack, end, "").removesuffix("`` |") in (ROOT / PAGE).read_text(encoding="utf-8")
+    # What is in a pickle would have left it here.
+    assert not (tmp_path / "trace").exists()
 
 
 def test_page_shows_every_attack_once() -> None:

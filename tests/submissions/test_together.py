@@ -84,7 +84,7 @@ def test_policies_that_differ_are_no_copies(tmp_path: Path) -> None:
 
 
 def test_what_is_there_is_compared_as_far_as_it_can_be_read(tmp_path: Path) -> None:
-    broken = check_submission(folder(tmp_path / "a", b"no model"), probes=False)
+    broken = check_submission(folder(tmp_path / "a", b"no model"), rollout_only=True)
     assert not broken.accepted
     (conflict,) = conflicts([report(tmp_path / "b", models.other(), seed(1))], [broken])
     assert "is taken by Mine" in conflict.reason

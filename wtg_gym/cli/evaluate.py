@@ -31,7 +31,10 @@ _EVALUATE = """\
 Plays entries through the scenarios of a suite, many at a time, and scores them: 0 is maximum power point tracking, 100
 the reference strategy. Both are always played too, because they fix the scale. With --results, every episode is
 written to <suite>-<split>.csv and the description and summary to <suite>-<split>.json; an interrupted evaluation goes
-on from its finished parts. Use another folder than the leaderboard's for choices of your own."""
+on from its finished parts. An entry whose policy raises, ends, takes too long or gives no action is named with its
+reason and left out with all training seeds of its name; the others are ranked, and the exit code is 1. A policy.onnx
+plays one scenario at a time, in a process of its own that can only compute and answer. Use another folder than the
+leaderboard's for choices of your own."""
 
 _EVALUATE_EXAMPLES = """\
   wtg-gym evaluate --entries deloaded-5 coordinated-linear --suite low-wind
@@ -84,8 +87,7 @@ def _run_evaluate(arguments: argparse.Namespace) -> int:
         machine_model=arguments.machine_model,
         on_failure=arguments.on_failure,
     )
-    finish(results, folder, as_json=arguments.json)
-    return 0
+    return finish(results, folder, as_json=arguments.json)
 
 
 def _load_trusted(folder: Path, algorithm: str) -> tuple[Policy, str]:

@@ -36,7 +36,8 @@ _TRACED_HELP = f"whose traces to show, as for 'wtg-gym leaderboard' (default: {D
 
 _LEADERBOARD = """\
 Ranks entries on all test scenarios of a suite. Stored results are used again where they are of the same suite, source
-code and versions, and where replaying both anchors gives the same numbers; everything else is evaluated. The table is
+code and versions, and where replaying both anchors gives the same numbers; everything else is evaluated. An entry that
+fails is named with its reason and left out with all training seeds of its name; the exit code is 1 then. The table is
 printed, the results are written as JSON and CSV, and with --readme the table between the markers
 <!-- leaderboard:SUITE:start --> and <!-- leaderboard:SUITE:end --> of that file is replaced. With --html the ranking
 is written as one HTML file with charts, and with traces of the first scenarios; 'wtg-gym page' does that for several
@@ -116,12 +117,12 @@ def _run_leaderboard(arguments: argparse.Namespace) -> int:
         note(f"{len(entries) - len(missing)} of {len(entries)} entries are stored in {folder}")
     fresh = run_evaluation(missing, arguments, partial=partial, workers=workers) if missing else anchors
     results = _merged(entries, fresh, stored)
-    finish(results, folder, as_json=arguments.json)
+    code = finish(results, folder, as_json=arguments.json)
     if readme is not None:
         update_page(readme, {section: markdown_table(leaderboard_rows(results))})
     if page is not None:
         _write_html(page, [results], entries, None, arguments.threads)
-    return 0
+    return code
 
 
 def _stored(path: Path, anchors: Results) -> Results | None:
@@ -161,9 +162,14 @@ def _merged(entries: Sequence[Entry], fresh: Results, stored: Results | None) ->
             own = [episode for episode in source.episodes if episode.run == key]
             if own:
                 episodes[key] = own
-    return dataclasses.replace(
-        fresh, entries=tuple(wanted.values()), episodes=tuple(episode for key in wanted for episode in episodes[key])
+    merged = dataclasses.replace(
+        fresh,
+        entries=tuple(wanted.values()),
+        episodes=tuple(episode for key in wanted for episode in episodes.get(key, ())),
+        failed=(),
     )
+    # Training seeds that are stored are left out with the one that has failed now.
+    return merged.without({(data["name"], data["training_seed"]): data["reason"] for data in fresh.failed})
 
 
 # --- page ------------------------------------------------------------------------------------------------------------

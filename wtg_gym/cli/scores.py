@@ -114,6 +114,7 @@ def run_evaluation(
             n_threads=arguments.threads,
             on_progress=progress.update,
             partial=partial,
+            keep_going=True,
             **settings,
         )
     if partial is not None:
@@ -160,24 +161,32 @@ def chosen_seeds(texts: Sequence[str]) -> list[int]:
     return seeds
 
 
-def finish(results: Results, folder: Path | None, *, as_json: bool) -> None:
-    """Write the results, then print the ranking or all of the description as JSON."""
+def finish(results: Results, folder: Path | None, *, as_json: bool) -> int:
+    """Write the results, then print the ranking or all of the description as JSON.
+
+    Entries that failed are named on stderr; the exit code, which is returned, is 1 then.
+    """
+    code = int(bool(results.failed))
+    for entry in results.failed:
+        seed = "" if entry["training_seed"] is None else f" (training seed {entry['training_seed']})"
+        note(f"failed, and left out: {entry['name']}{seed}: {entry['reason']}")
     if folder is not None:
         for path in results.write(folder):
             note(f"wrote {path}")
     if as_json:
         print_json(results.to_dict())
-        return
+        return code
     print(f"suite {results.suite} ({results.suite_hash[:12]}), {results.split}: {len(results.seeds)} scenarios\n")
     try:
         rows = leaderboard_rows(results)
     except NoScaleError as error:
         note(f"no ranking: {error}")
-        return
+        return code
     left = [index for index, is_number in enumerate(COLUMNS.values()) if not is_number]
     print_table(tuple(COLUMNS), table_cells(rows), left=left)
     if results.oracle.missing:
         note(f"no share of the oracle's gap: {results.oracle.missing}")
+    return code
 
 
 __all__ = [

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import importlib.util
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,22 +12,25 @@ from wtg_gym.cli.output import check_output_folder, note, print_json, print_tabl
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.cli.scores import add_result_options, chosen_seeds, finish, kept_parts, run_evaluation
 from wtg_gym.evaluation import Entry, Results
+from wtg_gym.evaluation.policy_process import CPU_S, MEMORY_BYTES, STEP_S
 from wtg_gym.scenarios import SUITES, get_suite
 from wtg_gym.submissions import limits
 from wtg_gym.submissions.folder import FILES
 from wtg_gym.submissions.gate import Report, as_json, check_submission
-from wtg_gym.submissions.isolation import WEAK_OPTION
 from wtg_gym.submissions.template import write_template
 from wtg_gym.submissions.together import Conflict, conflicts
 
-_OPSETS = f"{limits.OPSETS.start} … {limits.OPSETS.stop - 1}"
-_SIZE = f"at most {limits.MODEL_BYTES // 1_000_000} MB and {limits.PARAMETERS:,} numbers, opset {_OPSETS}"
+_MB = limits.MODEL_BYTES // 1_000_000
+_LIMITS = (
+    f"{MEMORY_BYTES // 2**20} MiB of memory, {CPU_S} s of processor time and {STEP_S:g} s a step for 256 scenarios"
+)
 _GATE = f"""\
-A submission is a folder with entry.toml and policy.onnx, and a README.md if you like; nothing in it is run but the
-network in policy.onnx, by onnxruntime, in a process that can do nothing but compute and answer. Before, the file is
-parsed and refused unless it is plain: {_SIZE}, operators from a
-list (feed-forward and recurrent layers; no loops, branches, random numbers or functions), all weights in the file,
-and every shape known beforehand with the lanes of a batch apart."""
+A submission is a folder with entry.toml and policy.onnx, and a README.md if you like. Nothing in it is run but the
+network in policy.onnx, at most {_MB} MB with all weights in it. onnxruntime plays it one scenario at a time, in a
+process that can only compute and answer, here and wherever it is played later. Random numbers start alike in every
+scenario."""
+
+WEAK_OPTION = "--weak-isolation"
 
 _NEW = """\
 Writes an entry.toml with comments to fill in, and copies a policy beside it. `python -m agents.export` writes both
@@ -41,15 +43,11 @@ together, and the same policy counts once, however its file is written.
 
 {_GATE}"""
 
-_PROCESS = (
-    f"{limits.MEMORY_BYTES // 2**20} MiB of memory, {limits.CPU_S} s of processor time, {limits.CALL_S:g} s a step"
-)
 _SCORE = f"""\
-Checks submissions, plays each on its own on a suite and prints their rows of the leaderboard with those of both
-anchors. One that is refused, by the gate or because it gives no valid action in a scenario, is named with its reason
-and left out with all folders of its name; the others are ranked, and the exit code is 1. Scenarios, simulation and
-score stay in this process; the policy's gets observations and gives actions. Its limits:
-{_PROCESS}.
+Checks submissions, plays them on a suite and prints their rows of the leaderboard with those of both anchors. One that
+is refused, or whose policy crashes, takes too long or gives no action in a scenario, is named with its reason and left
+out with all folders of its name; the others are ranked, and the exit code is 1. Scenarios, simulation and score stay in
+this process; the policy's gets observations and gives actions. Its limits: {_LIMITS}.
 With --results, an interrupted command goes on from its finished parts.
 
 {_GATE}"""
@@ -153,26 +151,14 @@ def _run_score(arguments: argparse.Namespace) -> int:
         )
 
     # Whatever is wrong with the arguments is said before the work.
-    anchors = play([], keep=True)
+    play([], keep=True)
     reports = _reports(arguments)
     wrong = _together(reports, arguments) + _refused(reports)
-    played: list[tuple[Report, Entry, Results]] = []
-    for report in _ranked(reports, wrong):
-        try:
-            entry, policy = report.open(weak=arguments.weak_isolation)
-            with policy:
-                played.append((report, entry, play([entry], keep=True)))
-        except ValueError as error:
-            wrong.append(Conflict((report.folder,), f"{_shown(report.folder)}: {error}"))
     ranked = _ranked(reports, wrong)
     _say_what_is_not(ranked, reports, wrong)
-    if partial is not None:
-        # Nothing is played again, all parts are there: this removes them.
-        play([entry for _, entry, _ in played], keep=False)
-    if ranked:
-        results = _merged(anchors, [results for report, _, results in played if report in ranked])
-        finish(results, folder, as_json=arguments.json)
-    return int(bool(wrong))
+    results = play([report.played(weak=arguments.weak_isolation) for report in ranked], keep=False)
+    code = finish(results, folder, as_json=arguments.json) if ranked else 0
+    return code or int(bool(wrong))
 
 
 def _refused(reports: Sequence[Report]) -> list[Conflict]:
@@ -191,16 +177,6 @@ def _say_what_is_not(ranked: Sequence[Report], reports: Sequence[Report], wrong:
             note(f"left out: {_shown(report.folder)}, as another folder of its name is refused")
 
 
-def _merged(anchors: Results, played: Sequence[Results]) -> Results:
-    """The results of several entries that were each played alone, as if they had been played together."""
-    n = len(anchors.seeds)
-    return dataclasses.replace(
-        anchors,
-        entries=(*(results.entries[0] for results in played), *anchors.entries),
-        episodes=(*(episode for results in played for episode in results.episodes[:n]), *anchors.episodes),
-    )
-
-
 def _ranked(reports: Sequence[Report], wrong: Sequence[Conflict]) -> list[Report]:
     """The submissions of which nothing is wrong with any folder of their name: nobody chooses the seeds of a row."""
     folders = {folder for conflict in wrong for folder in conflict.folders}
@@ -213,9 +189,8 @@ def _ranked(reports: Sequence[Report], wrong: Sequence[Conflict]) -> list[Report
 
 
 def _reports(arguments: argparse.Namespace) -> list[Report]:
-    for package in ("onnx", "onnxruntime"):
-        if importlib.util.find_spec(package) is None:
-            raise ValueError(f"submissions need {package} of the agents extra: pip install 'wtg-gym[agents]'")
+    if importlib.util.find_spec("onnxruntime") is None:
+        raise ValueError("submissions need onnxruntime of the agents extra: pip install 'wtg-gym[agents]'")
     reports = [check_submission(Path(folder), weak=arguments.weak_isolation) for folder in arguments.folders]
     for text in dict.fromkeys(text for report in reports for text in report.notes):
         note(f"not isolated, as {WEAK_OPTION} allows: {text}")
@@ -229,7 +204,7 @@ def _together(reports: list[Report], arguments: argparse.Namespace) -> list[Conf
     beside = []
     for folder in map(Path, arguments.beside) if accepted else ():
         if folder.resolve() not in own:
-            beside.append(check_submission(folder, weak=arguments.weak_isolation, probes=False))
+            beside.append(check_submission(folder, weak=arguments.weak_isolation, rollout_only=True))
             refusal = beside[-1].refusal
             if refusal is not None:
                 note(f"--beside {_shown(folder)}: compared as far as it can be read: {refusal.reason}")

@@ -5,6 +5,7 @@ from wtg_gym.evaluation.evaluator import evaluate
 from wtg_gym.evaluation.leaderboard import leaderboard_rows, markdown_table, table_cells
 from wtg_gym.evaluation.metrics import METRICS, Metric
 from wtg_gym.evaluation.onnx_policy import OnnxPolicy
+from wtg_gym.evaluation.policy_process import PolicyError
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.statistics import Interval, NoScaleError
 from wtg_gym.evaluation.summary import EntrySummary
@@ -20,6 +21,7 @@ __all__ = [
     "NoScaleError",
     "OnnxPolicy",
     "Policy",
+    "PolicyError",
     "Results",
     "Workers",
     "evaluate",

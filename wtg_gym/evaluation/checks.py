@@ -68,6 +68,7 @@ _DESCRIPTION: dict[str, tuple[Callable[[Any], bool], str]] = {
     "settings": (_is_object, "an object"),
     "versions": (lambda v: _is_object(v) and all(map(_is_text, v.values())), "an object of texts"),
     "entries": (lambda v: isinstance(v, list) and bool(v) and all(map(_is_object, v)), "a list of objects"),
+    "failed": (lambda v: isinstance(v, list) and all(map(_is_object, v)), "a list of objects"),
     "metrics": (_is_object, "an object"),
     "summary": (_is_object, "an object"),
 }
@@ -110,6 +111,8 @@ def check_description(data: Any, path: Path, version: int) -> None:
     _check_finite(data, str(path))
     for i, entry in enumerate(data["entries"]):
         _check_keys(entry, _ENTRY, f"{path}: entries[{i}]")
+    for i, entry in enumerate(data["failed"]):
+        _check_keys(entry, {**_ENTRY, "reason": (_is_text, "text")}, f"{path}: failed[{i}]")
     _check_metrics(data["metrics"], path)
     _check_draw(data, path)
     weights = data["settings"].get("weights")

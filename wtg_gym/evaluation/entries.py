@@ -197,8 +197,7 @@ def load_entry_folder(folder: Path, load_archive: LoadArchive | None = None) -> 
 
     Its entry.toml has the keys name and action_mode, and may have description, observation_mode, training_seed,
     authors (a list of names), trained_on (text) and links (a list of addresses); its policy.onnx is what
-    :class:`OnnxPolicy` takes. No code of the folder is run, but nothing is kept from onnxruntime either: a stranger's
-    folder is for `wtg-gym submission`.
+    :class:`OnnxPolicy` plays, in a process of its own. Nothing of that file is looked at before it is played.
 
     Args:
         folder: the folder.

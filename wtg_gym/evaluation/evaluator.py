@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import os
+import traceback
 from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,7 +22,10 @@ from wtg_gym.evaluation.entries import ANCHORS, Entry
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.fingerprint import environment_fingerprint
 from wtg_gym.evaluation.metrics import Recorder, measure
+from wtg_gym.evaluation.onnx_policy import OnnxPolicy
+from wtg_gym.evaluation.parcels import Played
 from wtg_gym.evaluation.partial import PartialStore
+from wtg_gym.evaluation.policy_process import NotIsolatedError, PolicyError
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.workers import Workers
 from wtg_gym.physics.compiled import source_hash
@@ -33,6 +38,8 @@ Progress = Callable[[str, int, int], None]
 _Part = tuple[Entry, list[int]]
 #: Settings that an entry or an argument of its own decides.
 _TAKEN = ("strategy", "action_mode", "observation_mode", "suite", "split", "scenario", "duration_s")
+#: To start a process for fewer lanes takes longer than to play them.
+_LANES_PER_PROCESS = 64
 #: More scenarios than this must be asked for by their seeds.
 _LARGEST_SPLIT = 100_000
 
@@ -51,13 +58,14 @@ def evaluate(
     partial: str | Path | None = None,
     workers: Workers | None = None,
     keep_partial: bool = False,
+    keep_going: bool = False,
     **env_arguments: Any,
 ) -> Results:
     """Play every entry, and the two anchors of the score, through the scenarios of a suite.
 
-    The numbers of a law depend neither on `batch` nor on `n_threads`, to the last bit. A policy is called once per
-    control step for a whole batch; its own rounding may depend on the batch's size. Batches are the same whoever plays
-    them, and so are the numbers, with any `workers`.
+    The numbers of a law and of an :class:`OnnxPolicy` depend neither on `batch` nor on `n_threads`, to the last bit.
+    Any other policy is called once per control step for a whole batch; its own rounding may depend on the batch's size.
+    Batches are the same whoever plays them, and so are the numbers, with any `workers`.
 
     Args:
         entries: competitors; names (with training seeds) must be unique.
@@ -73,11 +81,13 @@ def evaluate(
             folder stays.
         workers: other processes that play the batches; None plays them here, one after the other.
         keep_partial: leave finished batches in that folder, for a run with more entries.
+        keep_going: leave out an entry whose policy fails, with all training seeds of its name, and say so in
+            :attr:`Results.failed`; the others' results are what they are without it. False raises the failure.
         env_arguments: further settings of the environment, see :class:`wtg_gym.envs.settings.EnvSettings`.
 
     Raises:
-        ValueError: an argument is unknown or out of range, a policy returns no action, or the workers cannot be used;
-            the message names them.
+        PolicyError: a policy raises, ends, takes too long or returns no action; a ValueError that names entry and step.
+        ValueError: an argument is unknown or out of range, or the workers cannot be used; the message names them.
     """
     competitors = _with_anchors(entries)
     _check_arguments(batch, partial, env_arguments)
@@ -89,13 +99,20 @@ def evaluate(
     store = PartialStore(None if partial is None else Path(partial), [suite, suite_hash, split, shared])
     parts = [(entry, chosen[first : first + batch]) for entry in competitors for first in range(0, len(chosen), batch)]
     played: dict[int, list[Episode]] = {}
+    failures: dict[tuple[str, int | None], PolicyError] = {}
     n_done = 0
     with contextlib.closing(_stored_and_played(store, parts, settings, n_threads, workers)) as batches:
         for index, rows in batches:
-            played[index] = rows
-            n_done += len(rows)
+            entry, own = parts[index]
+            if isinstance(rows, PolicyError):
+                if not keep_going:
+                    raise rows
+                failures.setdefault((entry.name, entry.training_seed), rows)
+            else:
+                played[index] = rows
+            n_done += len(own)
             if on_progress is not None:
-                on_progress(parts[index][0].name, n_done, len(competitors) * len(chosen))
+                on_progress(entry.name, n_done, len(competitors) * len(chosen))
     results = Results(
         suite=suite,
         split=split,
@@ -107,8 +124,8 @@ def evaluate(
         settings=shared,
         versions=versions(),
         entries=tuple(entry.to_dict() for entry in competitors),
-        episodes=tuple(episode for index in range(len(parts)) for episode in played[index]),
-    )
+        episodes=tuple(episode for index in range(len(parts)) for episode in played.get(index, ())),
+    ).without({key: str(error) for key, error in failures.items()})
     if not keep_partial:
         store.clear()
     return results
@@ -210,7 +227,7 @@ def _stored_and_played(
     settings: EnvSettings,
     n_threads: int | None,
     workers: Workers | None,
-) -> Generator[tuple[int, list[Episode]], None, None]:
+) -> Generator[tuple[int, Played], None, None]:
     """Yield (index, episodes) of every batch: what is stored, then what has to be played, stored as it comes."""
     paths = [store.path(entry.to_dict(), seeds) for entry, seeds in parts]
     missing = []
@@ -222,21 +239,27 @@ def _stored_and_played(
             yield index, rows
     with contextlib.closing(_played([parts[index] for index in missing], settings, n_threads, workers)) as batches:
         for number, rows in batches:
-            store.save(paths[missing[number]], rows)
+            if not isinstance(rows, PolicyError):
+                store.save(paths[missing[number]], rows)
             yield missing[number], rows
 
 
 def _played(
     parts: Sequence[_Part], settings: EnvSettings, n_threads: int | None, workers: Workers | None
-) -> Generator[tuple[int, list[Episode]], None, None]:
+) -> Generator[tuple[int, Played], None, None]:
     if workers is not None and parts:
         yield from workers.play(_play, settings, parts)
         return
+    failures: dict[int, PolicyError] = {}
     for index, (entry, seeds) in enumerate(parts):
-        yield index, _play(entry, settings, seeds, n_threads)
+        rows = failures.get(id(entry)) or _play(entry, settings, seeds, n_threads)
+        if isinstance(rows, PolicyError):
+            # What has failed once is not waited for again.
+            failures[id(entry)] = rows
+        yield index, rows
 
 
-def _play(entry: Entry, settings: EnvSettings, seeds: Sequence[int], n_threads: int | None) -> list[Episode]:
+def _play(entry: Entry, settings: EnvSettings, seeds: Sequence[int], n_threads: int | None) -> Played:
     """Play one batch from start to end."""
     lanes = entry_lanes(entry, settings, len(seeds), n_threads)
     try:
@@ -246,6 +269,10 @@ def _play(entry: Entry, settings: EnvSettings, seeds: Sequence[int], n_threads: 
         for stepped in play(entry, lanes):
             recorder.record(stepped)
         return [_episode(entry, lanes, recorder, lane, scenario) for lane, scenario in enumerate(scenarios)]
+    except NotIsolatedError:
+        raise
+    except PolicyError as error:
+        return error
     finally:
         lanes.simulator.close()
 
@@ -261,14 +288,26 @@ def entry_lanes(entry: Entry, settings: EnvSettings, n_lanes: int, n_threads: in
 
 
 def play(entry: Entry, lanes: TaskLanes) -> Iterator[npt.NDArray[np.bool_]]:
-    """Play the started episodes of all lanes to their ends; after every step, yield which lanes made it, (n_lanes,)."""
-    policy = _Actions(entry, lanes)
+    """Play the started episodes of all lanes to their ends; after every step, yield which lanes made it, (n_lanes,).
+
+    The process of an :class:`OnnxPolicy` is a new one, and ends with the episodes.
+
+    Raises:
+        PolicyError: the policy raises, ends, takes too long or returns no action.
+    """
+    actions = _Actions(entry, lanes)
     running = np.ones(lanes.n_lanes, dtype=np.bool_)
-    while running.any():
-        lanes.step(policy.next(running))
-        yield running
-        terminated, truncated = lanes.ended()
-        running = ~(terminated | truncated)
+    playing: contextlib.AbstractContextManager[Any] = contextlib.nullcontext()
+    if isinstance(entry.policy, OnnxPolicy):
+        playing = entry.policy
+        n_processes = lanes.simulator.n_threads or os.cpu_count() or 1
+        entry.policy.n_processes = min(n_processes, 1 + lanes.n_lanes // _LANES_PER_PROCESS)
+    with playing:
+        while running.any():
+            lanes.step(actions.next(running))
+            yield running
+            terminated, truncated = lanes.ended()
+            running = ~(terminated | truncated)
 
 
 def _start(lanes: TaskLanes, scenarios: Sequence[Scenario], entry: Entry) -> None:
@@ -315,9 +354,11 @@ class _Actions:
             answer = policy.predict(
                 self._lanes.observations.copy(), state=self._state, episode_start=start, deterministic=True
             )
-        except Exception as error:
-            error.add_note(f"raised by predict() of entry {self._entry.label!r} at step {self._step}")
+        except NotIsolatedError:
             raise
+        except Exception as error:
+            said = str(error) if isinstance(error, PolicyError) else f"predict() raised {_described(error)}"
+            raise PolicyError(f"entry {self._entry.label!r}, step {self._step}: {said}") from error
         if not isinstance(answer, tuple) or len(answer) != 2:
             raise self._complaint("predict() must return (actions, state)", type(answer).__name__)
         actions = self._checked(answer[0], running)
@@ -341,8 +382,15 @@ class _Actions:
             raise self._complaint(wanted, f"{actions[lane].tolist()} in the scenario of seed {seed}")
         return actions
 
-    def _complaint(self, wanted: str, got: str) -> ValueError:
-        return ValueError(f"entry {self._entry.label!r}, step {self._step}: {wanted}, got {got}")
+    def _complaint(self, wanted: str, got: str) -> PolicyError:
+        return PolicyError(f"entry {self._entry.label!r}, step {self._step}: {wanted}, got {got}")
+
+
+def _described(error: Exception) -> str:
+    """Return an exception on one line, with the place in the code that raised it."""
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    said = "".join(sign if sign.isprintable() else "?" for sign in " ".join(str(error).split())[:200])
+    return f"{type(error).__name__}: {said} ({Path(place.filename).name}:{place.lineno})"
 
 
 __all__ = ["check_entries", "entry_lanes", "evaluate", "play", "shared_settings"]

@@ -1,20 +1,25 @@
-"""Policies as ONNX files: plain data, no code of anybody's is run.
+"""Policies as ONNX files, which onnxruntime plays one scenario at a time, in a process of its own.
 
 A policy's graph has the batch as the first axis of everything: inputs `observation` (batch, n_observation) and, for a
 policy with memory, `state_0`, `state_1`, … (batch, n); outputs `action` (batch, n_action) and as many `next_state_0`, …
-of the same widths. All are float32, all states are zero at the start of an episode.
+of the same widths. All are float32, all states are zero at the start of an episode. The batch is always 1, so no graph
+can take an action from what it sees of another scenario, whatever its operators do.
 """
 
 from __future__ import annotations
 
+import importlib.util
+import itertools
+import weakref
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.evaluation.onnx_worker import LENGTH
+from wtg_gym.evaluation.policy_process import PolicyError, PolicyProcess
 from wtg_gym.files import sha256
-from wtg_gym.onnx_session import open_session
 
 Floats = npt.NDArray[np.float32]
 #: The recurrent states, (n_lanes, n) each.
@@ -22,66 +27,39 @@ States = tuple[Floats, ...]
 
 
 class OnnxPolicy:
-    """A policy that onnxruntime evaluates, on one thread so that its results do not depend on the machine's load.
+    """A policy in an .onnx file. Its process starts with the first observation; end it with :meth:`close`.
+
+    As a context manager it begins with a new process, and ends it. It travels to other processes as its bytes.
 
     Args:
-        path: the .onnx file, weights included.
+        file: the path of the file, weights included, or its content.
+        isolated: refuse to play where this system cannot isolate the process, as Linux can; else that is a warning.
 
     Raises:
         ImportError: onnxruntime is not installed.
-        ValueError: the file cannot be read, or its inputs and outputs are not those of a policy.
+        ValueError: the file cannot be read.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, file: str | Path | bytes, *, isolated: bool = False) -> None:
+        if importlib.util.find_spec("onnxruntime") is None:
+            raise ImportError("policies as ONNX files need onnxruntime: pip install 'wtg-gym[agents]'")
         try:
-            content = Path(path).read_bytes()
+            content = file if isinstance(file, bytes) else Path(file).read_bytes()
         except OSError as error:
-            raise ValueError(f"cannot read the policy {path}: {error.strerror}") from error
-        self._open(path, content)
+            raise ValueError(f"cannot read the policy {file!s}: {error.strerror}") from error
+        self.__setstate__((content, isolated))
 
-    def __getstate__(self) -> tuple[str | Path, bytes]:
-        # onnxruntime's session cannot be pickled, what it was opened from can.
-        return self._path, self._content
+    def __getstate__(self) -> tuple[bytes, bool]:
+        return self._content, self._isolated
 
-    def __setstate__(self, state: tuple[str | Path, bytes]) -> None:
-        self._open(*state)
-
-    def _open(self, path: str | Path, content: bytes) -> None:
-        self._path, self._content = Path(path), content
+    def __setstate__(self, state: tuple[bytes, bool]) -> None:
+        self._content, self._isolated = state
         #: sha256 of the file.
-        self.sha256 = sha256(content)
-        try:
-            self._session = open_session(content)
-        except ImportError as error:
-            raise ImportError("policies as ONNX files need onnxruntime: pip install 'wtg-gym[agents]'") from error
-        # onnxruntime's own exceptions share no other base.
-        except Exception as error:
-            raise ValueError(f"{path} is no ONNX model that onnxruntime can run: {error}") from error
-        inputs, outputs = self._widths(self._session.get_inputs()), self._widths(self._session.get_outputs())
-        self._states = [name for name in inputs if name != "observation"]
-        states = [f"state_{index}" for index in range(len(self._states))]
-        expected_outputs = {"action": outputs.get("action"), **{f"next_{name}": inputs.get(name) for name in states}}
-        if set(inputs) != {"observation", *states} or outputs != expected_outputs:
-            raise ValueError(
-                f"the policy {path} must take observation, state_0, state_1, … and give action, next_state_0, … of the "
-                f"states' widths; it takes {inputs} and gives {outputs}"
-            )
-        self._states = states
-        self.n_observation, self.n_action = inputs["observation"], outputs["action"]
-        self._state_widths = [inputs[name] for name in states]
-        self._outputs = ["action", *(f"next_{name}" for name in states)]
-
-    def _widths(self, values: Any) -> dict[str, int]:
-        """Return the width of every input or output, or raise where one is not (batch, width) float32."""
-        for value in values:
-            shape = value.shape
-            fits = len(shape) == 2 and not isinstance(shape[0], int) and isinstance(shape[1], int)
-            if value.type != "tensor(float)" or not fits:
-                raise ValueError(
-                    f"{value.name} of the policy {self._path} must be float32 of shape (batch, n) with any batch, "
-                    f"got {value.type} of shape {shape}"
-                )
-        return {value.name: int(value.shape[1]) for value in values}
+        self.sha256 = sha256(self._content)
+        #: Processes that share the lanes; looked at where the first of them starts. No answer depends on it.
+        self.n_processes = 1
+        self._processes: list[PolicyProcess] = []
+        weakref.finalize(self, _close_all, self._processes)
 
     def predict(
         self, observation: Any, state: States | None = None, episode_start: Any = None, deterministic: bool = True
@@ -91,31 +69,82 @@ class OnnxPolicy:
         Args:
             observation: one row per lane.
             state: what the last call returned; None at the beginning.
-            episode_start: lanes whose state is to be zero, (n_lanes,) bool; None for none.
+            episode_start: lanes where an episode starts, (n_lanes,) bool: their state is zero, and their session a new
+                one; None for none.
             deterministic: the file holds the deterministic action only; the argument is there for the protocol.
 
         Raises:
-            ValueError: the observations or states are of another shape.
+            NotIsolatedError: this system cannot isolate the process, and `isolated` was set.
+            PolicyError: the file is no policy, the observations or states are of another shape, the process ended or
+                took too long, or the policy gives something else than its file says.
         """
-        observations = np.asarray(observation, dtype=np.float32)
-        if observations.ndim != 2 or observations.shape[1] != self.n_observation:
-            raise ValueError(
-                f"the policy {self._path} takes observations of shape (lanes, {self.n_observation}), got "
-                f"{observations.shape}: was it trained with another action_mode, observation_mode or groups?"
+        n_observation, n_action, *widths = self.widths
+        observations = np.ascontiguousarray(observation, dtype=np.float32)
+        if observations.ndim != 2 or observations.shape[1] != n_observation:
+            raise PolicyError(
+                f"the policy takes observations of shape (lanes, {n_observation}), got {observations.shape}: was it "
+                "trained with another action_mode, observation_mode or groups?"
             )
-        n_lanes = observations.shape[0]
-        expected = [(n_lanes, width) for width in self._state_widths]
+        n_lanes = len(observations)
+        expected = [(n_lanes, width) for width in widths]
         states = tuple(np.zeros(shape, dtype=np.float32) for shape in expected) if state is None else state
         if [values.shape for values in states] != expected:
-            raise ValueError(
-                f"the policy {self._path} has states of shapes {expected}, got {[values.shape for values in states]}"
-            )
-        if episode_start is not None:
-            running = ~np.asarray(episode_start, dtype=np.bool_)[:, None]
-            states = tuple(np.where(running, values, np.float32(0.0)) for values in states)
-        feed = {"observation": observations, **dict(zip(self._states, states, strict=True))}
-        action, *following = self._session.run(self._outputs, feed)
+            raise PolicyError(f"the policy has states of shapes {expected}, got {[values.shape for values in states]}")
+        starts = np.zeros(n_lanes, np.bool_) if episode_start is None else np.asarray(episode_start, dtype=np.bool_)
+        states = tuple(np.where(starts[:, None], np.float32(0.0), values) for values in states)
+        try:
+            action, *following = self._answers([starts, observations, *states], [n_action, *widths])
+        except BaseException:
+            # An answer that was not read to its end leaves nothing to go on with.
+            self.close()
+            raise
         return action, tuple(following) if following else None
 
+    def _answers(self, given: list[npt.NDArray[Any]], widths: list[int]) -> list[Floats]:
+        """Return arrays (n_lanes, width) for the arrays given; every process has a share of the lanes."""
+        processes = self._running()
+        answers = [np.empty((len(given[0]), width), dtype=np.float32) for width in widths]
+        edges = np.linspace(0, len(given[0]), 1 + len(processes)).astype(int)
+        shares = [slice(first, last) for first, last in itertools.pairwise(edges) if first < last]
+        for process, share in zip(processes, shares, strict=False):
+            size = LENGTH.pack(share.stop - share.start)
+            process.send(b"".join((size, *(values[share].tobytes() for values in given))))
+        for process, share in zip(processes, shares, strict=False):
+            parts = [values[share] for values in answers]
+            for part, data in zip(parts, process.receive([part.nbytes for part in parts]), strict=True):
+                part[:] = np.frombuffer(data, dtype=np.float32).reshape(part.shape)
+        return answers
 
-__all__ = ["OnnxPolicy"]
+    def _running(self) -> list[PolicyProcess]:
+        while len(self._processes) < self.n_processes:
+            self._processes.append(PolicyProcess(self._content, isolated=self._isolated))
+        return self._processes
+
+    @property
+    def widths(self) -> tuple[int, ...]:
+        """Widths of the observations, the actions, and each state; errors as those of :meth:`predict`."""
+        return tuple(self._running()[0].widths)
+
+    @property
+    def not_isolated(self) -> tuple[str, ...]:
+        """What this system cannot take away from the process; empty where it can. Errors as of :meth:`predict`."""
+        return tuple(self._running()[0].missing)
+
+    def close(self) -> None:
+        """End the processes; the next observation starts others."""
+        _close_all(self._processes)
+
+    def __enter__(self) -> OnnxPolicy:
+        self.close()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _close_all(processes: list[PolicyProcess]) -> None:
+    while processes:
+        processes.pop().close()
+
+
+__all__ = ["Floats", "OnnxPolicy", "States"]

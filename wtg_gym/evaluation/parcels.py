@@ -21,13 +21,16 @@ from wtg_gym.evaluation.circumstances import versions
 from wtg_gym.evaluation.entries import Entry
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.partial import measurement_hash
+from wtg_gym.evaluation.policy_process import PolicyError
 from wtg_gym.physics.compiled import source_hash
 
 #: How often a worker looks whether the process that asked is still there [s].
 _WATCH_S = 1.0
 
+#: The episodes of a batch, or how the entry's policy failed.
+Played = list[Episode] | PolicyError
 #: Plays one batch: entry, settings, seeds, number of threads.
-Play = Callable[[Entry, EnvSettings, Sequence[int], int | None], list[Episode]]
+Play = Callable[[Entry, EnvSettings, Sequence[int], int | None], Played]
 
 
 def circumstances() -> dict[str, str]:
@@ -36,10 +39,10 @@ def circumstances() -> dict[str, str]:
 
 
 class Outcome(NamedTuple):
-    """What became of a batch: its episodes or a pickled error, from which worker, and that one's circumstances."""
+    """What became of a batch: how it was played or a pickled error, from which worker, and that one's circumstances."""
 
     part: int
-    episodes: list[Episode]
+    played: Played
     error: bytes | None
     worker: str
     circumstances: dict[str, str]
@@ -102,14 +105,14 @@ def work(part: int, play: Play, parcel: bytes, seeds: list[int], wanted: dict[st
     if parent is not None:
         _end_with(parent)
     worker, own, error = f"{socket.gethostname()}:{os.getpid()}", circumstances(), None
-    episodes: list[Episode] = []
+    played: Played = []
     if own == wanted:
         try:
             entry, settings = _unpacked(parcel, worker)
-            episodes = play(entry, settings, seeds, 1)
+            played = play(entry, settings, seeds, 1)
         except Exception as raised:
             error = _portable(raised, worker)
-    return Outcome(part, episodes, error, worker, own)
+    return Outcome(part, played, error, worker, own)
 
 
 @functools.cache
@@ -149,8 +152,8 @@ def _portable(error: Exception, worker: str) -> bytes:
     return parcel
 
 
-def opened(outcome: Outcome, wanted: dict[str, str]) -> list[Episode]:
-    """Return the episodes of an outcome.
+def opened(outcome: Outcome, wanted: dict[str, str]) -> Played:
+    """Return the episodes of an outcome, or how the policy failed.
 
     Raises:
         ValueError: the circumstances were not the wanted ones, so that the numbers could be others.
@@ -163,7 +166,7 @@ def opened(outcome: Outcome, wanted: dict[str, str]) -> list[Episode]:
         raise ValueError(f"worker {outcome.worker} could give other numbers: {listed}")
     if outcome.error is not None:
         raise cloudpickle.loads(outcome.error)
-    return outcome.episodes
+    return outcome.played
 
 
-__all__ = ["Outcome", "Play", "circumstances", "opened", "packed", "work"]
+__all__ = ["Outcome", "Play", "Played", "circumstances", "opened", "packed", "work"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from wtg_gym.evaluation.summary import EntrySummary, pinned, summarise
 from wtg_gym.files import parse_json, read_text, sha256, to_json, write_atomically
 
 #: Version of the files; another number is another form.
-FORMAT = 2
+FORMAT = 3
 #: By how much a summary may differ from what its table sums up to, relative, or absolute where it is next to nothing.
 _ROUNDING = 1e-6
 
@@ -44,6 +44,8 @@ class Results:
         versions: of wtg_gym, Python and the packages that compute, and the kind of processor.
         entries: data of every entry, the score's anchors among them.
         episodes: one row per entry and scenario, in the order of `entries` and `seeds`.
+        failed: data of every entry that is left out, and "reason": how its policy failed, or that of another training
+            seed of its name, as a row has all of them or none.
     """
 
     suite: str
@@ -57,6 +59,7 @@ class Results:
     versions: Mapping[str, str]
     entries: tuple[Mapping[str, Any], ...]
     episodes: tuple[Episode, ...]
+    failed: tuple[Mapping[str, Any], ...] = ()
 
     @cached_property
     def summaries(self) -> list[EntrySummary]:
@@ -104,9 +107,31 @@ class Results:
         """
         found = [episode for episode in self.episodes if episode.entry == name]
         if not found:
+            reasons = [f": {entry['reason']}" for entry in self.failed if entry["name"] == name]
             names = dict.fromkeys(episode.entry for episode in self.episodes)
-            raise ValueError(f"no entry {name!r} in these results; entries: {', '.join(names)}")
+            raise ValueError(f"no entry {name!r} in these results{''.join(reasons[:1])}; entries: {', '.join(names)}")
         return found
+
+    def without(self, reasons: Mapping[tuple[str, int | None], str]) -> Results:
+        """Return the results without entries that failed, and without all training seeds of their names.
+
+        Args:
+            reasons: how an entry failed, by its name and training seed.
+        """
+        if not reasons:
+            return self
+        first = {name: reason for (name, _), reason in reversed(reasons.items())}
+        left_out = [
+            {**entry, "reason": reasons.get((entry["name"], entry["training_seed"]), first[entry["name"]])}
+            for entry in self.entries
+            if entry["name"] in first
+        ]
+        return replace(
+            self,
+            entries=tuple(entry for entry in self.entries if entry["name"] not in first),
+            episodes=tuple(episode for episode in self.episodes if episode.entry not in first),
+            failed=(*self.failed, *left_out),
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the episodes as JSON-ready data; `summary` is empty where there is no score."""
@@ -126,6 +151,7 @@ class Results:
             "settings": dict(self.settings),
             "versions": dict(self.versions),
             "entries": [dict(entry) for entry in self.entries],
+            "failed": [dict(entry) for entry in self.failed],
             "metrics": {name: asdict(metric) for name, metric in METRICS.items()},
             "summary": summary,
         }
@@ -188,6 +214,7 @@ class Results:
             versions=data["versions"],
             entries=tuple(data["entries"]),
             episodes=tuple(episodes),
+            failed=tuple(data["failed"]),
         )
         _require_summed_up(data["summary"], results.to_dict()["summary"], f"{json_path}: summary")
         return results

@@ -66,7 +66,7 @@ def verify(
     draw = None if stored.draw is None else VerificationDraw(suite=stored.suite, seeds=stored.seeds, **stored.draw)
     differences = _seeds_compared(stored, draw, secret)
     given = {(entry.name, entry.training_seed): entry for entry in entries}
-    wanted = [(entry["name"], entry["training_seed"]) for entry in stored.entries]
+    wanted = [(entry["name"], entry["training_seed"]) for entry in (*stored.entries, *stored.failed)]
     missing = [name for name, seed in wanted if (name, seed) not in given and name not in ANCHORS]
     if missing:
         raise ValueError(f"the results hold entries that were not given: {', '.join(dict.fromkeys(missing))}")
@@ -80,16 +80,21 @@ def verify(
         n_threads=n_threads,
         workers=workers,
         on_progress=on_progress,
+        keep_going=True,
         **{name: stored.settings[name] for name in _ARGUMENTS if name in stored.settings},
     )
     differences += _compared("suite_hash", stored.suite_hash, get_suite(stored.suite).hash)
     for key in sorted({*stored.settings, *now.settings}):
         differences += _compared(f"settings.{key}", stored.settings.get(key), now.settings.get(key))
     texts: list[Difference] = []
-    described = {(entry["name"], entry["training_seed"]): entry for entry in now.entries}
-    for entry in stored.entries:
+    described = {(entry["name"], entry["training_seed"]): entry for entry in (*now.entries, *now.failed)}
+    for entry in (*stored.entries, *stored.failed):
         label = _label(entry["name"], entry["training_seed"])
         other = described[entry["name"], entry["training_seed"]]
+        if ("reason" in entry) != ("reason" in other):
+            differences.append(Difference(label, entry.get("reason", "played"), other.get("reason", "played")))
+            continue
+        # Why a policy failed is a text too: how it is said may depend on the machine.
         for key in sorted({*entry, *other}):
             (differences if key in _PLAYED else texts).extend(
                 _compared(f"{label}: {key}", entry.get(key), other.get(key))
@@ -109,6 +114,8 @@ def _episodes_compared(stored: Results, now: Results) -> list[Difference]:
     differences: list[Difference] = []
     played = {(*episode.run, episode.seed): episode for episode in now.episodes}
     for episode in stored.episodes:
+        if (*episode.run, episode.seed) not in played:
+            continue
         other_cells = played[*episode.run, episode.seed].cells()
         where = f"{_label(*episode.run)}, seed {episode.seed}"
         for column, one, other_cell in zip(COLUMNS, episode.cells(), other_cells, strict=True):

@@ -16,8 +16,7 @@ from typing import Any
 
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation.entries import Entry
-from wtg_gym.evaluation.episodes import Episode
-from wtg_gym.evaluation.parcels import Outcome, Play, circumstances, opened, packed, work
+from wtg_gym.evaluation.parcels import Outcome, Play, Played, circumstances, opened, packed, work
 
 #: Backends of joblib: the package each of them needs, and the extra of wtg-gym that brings it.
 BACKENDS = {"loky": ("joblib", "cluster"), "dask": ("distributed", "cluster"), "ray": ("ray", "rllib")}
@@ -74,8 +73,8 @@ class Workers:
 
     def play(
         self, play: Play, settings: EnvSettings, parts: Sequence[tuple[Entry, list[int]]]
-    ) -> Generator[tuple[int, list[Episode]], None, None]:
-        """Yield (index, episodes) of every part as soon as it is finished.
+    ) -> Generator[tuple[int, Played], None, None]:
+        """Yield (index, episodes or the policy's failure) of every part as soon as it is finished.
 
         Args:
             play: plays a batch; a function of this package.
@@ -85,7 +84,7 @@ class Workers:
         Raises:
             ValueError: an entry cannot travel, the cluster does not answer, a worker has other code, packages or
                 processor, or workers are lost again and again.
-            Exception: what a policy raises.
+            Exception: what an entry's code raises while it is loaded.
         """
         wanted, parcels = circumstances(), packed([entry for entry, _ in parts], settings)
         parent = os.getpid() if self.backend == "loky" else None

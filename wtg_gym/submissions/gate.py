@@ -6,17 +6,18 @@ import dataclasses
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.evaluation.entries import ENTRY_FILE, POLICY_FILE, Entry
-from wtg_gym.evaluation.onnx_policy import Floats
+from wtg_gym.evaluation.onnx_policy import Floats, OnnxPolicy
+from wtg_gym.evaluation.policy_process import NotIsolatedError
 from wtg_gym.files import sha256
 from wtg_gym.submissions.folder import EntryFile, parse_entry, read_files, settings_of
-from wtg_gym.submissions.isolation import IsolatedPolicy, NotIsolatedError
-from wtg_gym.submissions.probes import PROBES, rollout
+from wtg_gym.submissions.probes import check_speed, rollout
 
-_FILE_CHECKS = ("file format", "model", "constants", "operators", "signature", "size")
-#: All checks in their order; those of the file are made where nothing of it is run.
-CHECKS = ("folder", "entry.toml", *_FILE_CHECKS, "loading", *(name for name, _ in PROBES), "rollout")
+#: All checks in their order.
+CHECKS = ("folder", "entry.toml", "loading", "speed", "rollout", "repeated")
 PASSED, REFUSED, NOT_REACHED = "passed", "refused", "not reached"
 
 
@@ -61,11 +62,11 @@ class Report:
         """Return whether every check was passed."""
         return self.refusal is None
 
-    def open(self, *, weak: bool = False) -> tuple[Entry, IsolatedPolicy]:
-        """Return an accepted submission as an entry, whose policy plays in a process of its own and must be closed."""
+    def played(self, *, weak: bool = False) -> Entry:
+        """Return an accepted submission as an entry; `weak` is as for :func:`check_submission`."""
         assert self.accepted and self.entry is not None
-        policy = IsolatedPolicy(self.content, *_widths(self.entry), weak=weak)
-        entry = Entry(
+        policy = OnnxPolicy(self.content, isolated=not weak)
+        return Entry(
             name=self.entry.name,
             policy=policy,
             action_mode=self.entry.action_mode,
@@ -75,49 +76,77 @@ class Report:
             fingerprint=policy.sha256,
             training_seed=self.entry.training_seed,
         )
-        return entry, policy
 
 
-def check_submission(folder: Path, *, weak: bool = False, probes: bool = True) -> Report:
-    """Return what the gate says about a folder; nothing of it is run in this process.
+def check_submission(folder: Path, *, weak: bool = False, rollout_only: bool = False) -> Report:
+    """Return what the gate says about a folder; its policy is played in a process of its own.
 
     Args:
         folder: with entry.toml and policy.onnx.
         weak: go on where this system cannot isolate a process completely.
-        probes: False leaves out the checks on made-up observations, for a folder that has passed them before.
+        rollout_only: leave out the checks of speed and repetition, for a folder that has passed them before.
 
     Raises:
         NotIsolatedError: this system cannot, and `weak` is not set.
     """
-    done: list[Check] = []
-    entry: EntryFile | None = None
-    content: bytes = b""
-    policy: _Played = _Played()
+    found = _Found()
     try:
         files = read_files(folder)
-        content = files[POLICY_FILE]
-        done.append(Check("folder", PASSED, ", ".join(f"{name} {len(data)} bytes" for name, data in files.items())))
-        entry = parse_entry(files[ENTRY_FILE])
+        found.content = files[POLICY_FILE]
+        found.add("folder", ", ".join(f"{name} {len(data)} bytes" for name, data in files.items()))
+        entry = found.entry = parse_entry(files[ENTRY_FILE])
         seed = f"training seed {entry.training_seed}"
-        done.append(Check("entry.toml", PASSED, f"{entry.name}, {seed}, {entry.action_mode}, {entry.observation_mode}"))
-        policy = _check_policy(content, entry, weak, probes)
-        done += policy.checks
+        found.add("entry.toml", f"{entry.name}, {seed}, {entry.action_mode}, {entry.observation_mode}")
+        _play(OnnxPolicy(found.content, isolated=not weak), entry, found, rollout_only)
     except NotIsolatedError:
         raise
     except ValueError as error:
-        done.append(Check(CHECKS[len(done)], REFUSED, str(error)))
-    made = {check.name for check in done}
-    if done[-1].verdict == REFUSED:
-        done += [Check(name, NOT_REACHED) for name in CHECKS if name not in made]
+        found.checks.append(Check(CHECKS[len(found.checks)], REFUSED, str(error)))
+        found.checks += [Check(name, NOT_REACHED) for name in CHECKS[len(found.checks) :]]
     return Report(
         folder=folder,
-        checks=tuple(done),
-        entry=entry,
-        sha256=sha256(content) if content else None,
-        content=content,
-        notes=policy.notes,
-        actions=policy.actions,
+        checks=tuple(found.checks),
+        entry=found.entry,
+        sha256=sha256(found.content) if found.content else None,
+        content=found.content,
+        notes=found.notes,
+        actions=found.actions,
     )
+
+
+@dataclass
+class _Found:
+    """What was found out about a folder so far."""
+
+    checks: list[Check] = field(default_factory=list)
+    content: bytes = b""
+    entry: EntryFile | None = None
+    notes: tuple[str, ...] = ()
+    actions: Floats | None = None
+
+    def add(self, name: str, reason: str) -> None:
+        self.checks.append(Check(name, PASSED, reason))
+
+
+def _play(policy: OnnxPolicy, entry: EntryFile, found: _Found, rollout_only: bool) -> None:
+    """Ask a policy; a ValueError says what is wrong with it."""
+    modes = entry.action_mode, entry.observation_mode
+    with policy:
+        found.notes = policy.not_isolated
+        wanted, (n_observation, n_action, *states) = _widths(entry), policy.widths
+        if (n_observation, n_action) != wanted:
+            raise ValueError(
+                f"it takes {n_observation} observations and gives {n_action} actions; in its modes there are "
+                f"{wanted[0]} and {wanted[1]}"
+            )
+        found.add("loading", f"onnxruntime runs it, {n_observation} observations, {n_action} actions, states {states}")
+        found.add("speed", "passed before" if rollout_only else check_speed(policy))
+    actions = found.actions = rollout(policy, *modes)
+    n_steps, n_lanes, _ = actions.shape
+    found.add("rollout", f"{n_lanes} scenarios of the validation split, up to {n_steps} steps")
+    if not rollout_only and not np.array_equal(actions, rollout(policy, *modes, backwards=True)):
+        raise ValueError("the same scenarios in another order, in another process, give other actions")
+    found.add("repeated", "passed before" if rollout_only else "the same actions to the last bit, in another order")
 
 
 def _widths(entry: EntryFile) -> tuple[int, int]:
@@ -127,52 +156,6 @@ def _widths(entry: EntryFile) -> tuple[int, int]:
         return lanes.n_observation, lanes.n_action
     finally:
         lanes.simulator.close()
-
-
-@dataclass
-class _Played:
-    """What was found out about a policy in its process."""
-
-    checks: list[Check] = field(default_factory=list)
-    notes: tuple[str, ...] = ()
-    actions: Floats | None = None
-
-    def add(self, name: str, reason: str, *, passed: bool = True) -> bool:
-        self.checks.append(Check(name, PASSED if passed else REFUSED, reason))
-        return passed
-
-
-def _check_policy(content: bytes, entry: EntryFile, weak: bool, probes: bool) -> _Played:
-    found = _Played()
-    try:
-        policy = IsolatedPolicy(content, *_widths(entry), weak=weak)
-    except NotIsolatedError:
-        raise
-    except ValueError as error:
-        # The process ended while it read the file.
-        found.add(_FILE_CHECKS[0], str(error), passed=False)
-        return found
-    with policy:
-        found.notes = tuple(policy.missing)
-        if all(found.add(name, reason, passed=passed) for name, passed, reason in policy.checks):
-            _play(policy, entry, found, probes)
-    return found
-
-
-def _play(policy: IsolatedPolicy, entry: EntryFile, found: _Played, probes: bool) -> None:
-    """Ask a policy that is loaded."""
-    if not found.add("loading", policy.error or "onnxruntime runs it", passed=not policy.error):
-        return
-    name = ""
-    try:
-        for name, probe in PROBES if probes else ():
-            found.add(name, probe(policy))
-        name = "rollout"
-        found.actions = rollout(policy, entry.action_mode, entry.observation_mode)
-        steps, lanes, _ = found.actions.shape
-        found.add(name, f"{lanes} scenarios of the validation split, up to {steps} steps")
-    except ValueError as error:
-        found.add(name, str(error), passed=False)
 
 
 def as_json(report: Report) -> dict[str, object]:

@@ -1,0 +1,314 @@
+"""The process that plays a policy can do nothing but answer, and ends in time whatever it does."""
+
+from __future__ import annotations
+
+import errno
+import gc
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.submissions.models import M, N, make_bytes
+from wtg_gym.evaluation import Entry, OnnxPolicy, PolicyError, evaluate, onnx_worker, policy_process
+from wtg_gym.evaluation.policy_process import NotIsolatedError, PolicyProcess
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="isolation is complete on Linux only")
+ROOT = Path(__file__).resolve().parents[2]
+ONES = np.ones((3, N), dtype=np.float32)
+
+
+def opened(content: bytes | None = None) -> OnnxPolicy:
+    return OnnxPolicy(make_bytes() if content is None else content, isolated=True)
+
+
+def pid_of(policy: OnnxPolicy) -> int:
+    assert policy.widths
+    return policy._processes[0]._process.pid
+
+
+def gone(pid: int) -> bool:
+    """Whether a process has ended, within ten seconds."""
+    for _ in range(100):
+        try:
+            state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+        except FileNotFoundError:
+            return True
+        if state == "Z":
+            return True
+        time.sleep(0.1)
+    return False
+
+
+def test_answers_are_those_of_onnxruntime_for_one_scenario_at_a_time() -> None:
+    import onnxruntime
+
+    content = (ROOT / "agents/policies/sac-k+tau-0/policy.onnx").read_bytes()
+    session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
+    with opened(content) as policy:
+        observations = np.random.default_rng(0).uniform(-5, 5, (50, policy.widths[0])).astype(np.float32)
+        given, state = policy.predict(observations, None, np.ones(50, bool), deterministic=True)
+    expected = np.concatenate([session.run(["action"], {"observation": row[None]})[0] for row in observations])
+    assert np.array_equal(given, expected) and given.dtype == np.float32 and state is None
+
+
+def test_process_has_bounds_few_rights_and_none_of_our_environment() -> None:
+    with opened() as policy:
+        pid = pid_of(policy)
+        assert policy.not_isolated == ()
+        told = Path(f"/proc/{pid}/limits").read_text()
+        for name, soft, hard in (
+            ("Max address space", policy_process.MEMORY_BYTES, policy_process.MEMORY_BYTES),
+            ("Max cpu time", policy_process.CPU_S, policy_process.CPU_S + 5),
+            ("Max core file size", 0, 0),
+        ):
+            line = next(line for line in told.splitlines() if line.startswith(name))
+            assert line[len(name) :].split()[:2] == [str(soft), str(hard)]
+        status = Path(f"/proc/{pid}/status").read_text()
+        assert "NoNewPrivs:\t1" in status and "Seccomp:\t2" in status and "Threads:\t1" in status
+        names = {item.split(b"=")[0] for item in Path(f"/proc/{pid}/environ").read_bytes().split(b"\0") if item}
+        # The C library cuts its own variable where it reads it.
+        names -= {b"glibc.malloc.perturb"}
+        assert names == {b"OPENBLAS_NUM_THREADS", b"OMP_NUM_THREADS", b"ORT_DISABLE_TELEMETRY", b"GLIBC_TUNABLES"}
+        assert os.readlink(f"/proc/{pid}/cwd") == "/"
+        opened_files = {os.readlink(path) for path in Path(f"/proc/{pid}/fd").iterdir()}
+        assert all(target == "/dev/null" or target.startswith("pipe:") for target in opened_files)
+    assert gone(pid)
+
+
+def test_every_batch_has_a_process_of_its_own() -> None:
+    policy = opened()
+    with policy:
+        first = pid_of(policy)
+        assert policy.predict(ONES)[0].shape == (3, M)
+    assert gone(first)
+    # Used as it is, it goes on until nobody has it any more.
+    second = pid_of(policy)
+    policy.predict(ONES)
+    assert second == pid_of(policy) != first
+    del policy
+    gc.collect()
+    assert gone(second)
+
+
+def test_process_that_stops_answering_is_killed_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    with opened() as policy:
+        pid = pid_of(policy)
+        monkeypatch.setattr(policy_process, "STEP_S", 0.5)
+        os.kill(pid, signal.SIGSTOP)
+        with pytest.raises(PolicyError, match=r"took longer than .* 0\.5 s for a step"):
+            policy.predict(ONES)
+        assert gone(pid)
+
+
+def test_process_that_dies_is_named_and_the_next_observation_starts_another() -> None:
+    with opened() as policy:
+        os.kill(pid_of(policy), signal.SIGSEGV)
+        with pytest.raises(PolicyError, match="ended with SIGSEGV: a fault, or more than 4096 MiB of memory"):
+            policy.predict(ONES)
+        assert policy.predict(ONES)[0].shape == (3, M)
+
+
+def test_interruption_of_the_terminal_is_left_to_the_process_that_started_it() -> None:
+    with opened() as policy:
+        os.kill(pid_of(policy), signal.SIGINT)
+        assert policy.predict(ONES)[0].shape == (3, M)
+
+
+def test_process_ends_with_the_one_that_started_it(tmp_path: Path) -> None:
+    program = (
+        "import sys, time; from tests.evaluation.test_policy_process import *; "
+        "policy = opened(); print(pid_of(policy), flush=True); time.sleep(60)"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)}
+    parent = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, env=environment)
+    assert parent.stdout is not None
+    pid = int(parent.stdout.readline())
+    parent.kill()
+    parent.wait()
+    parent.stdout.close()
+    assert gone(pid)
+    # Nothing of it is left behind.
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture
+def instead(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], None]:
+    """Run code in the process before it begins; it may put something in the place of the functions of `worker`."""
+
+    def patch(code: str) -> None:
+        script = tmp_path_factory.mktemp("script") / "script.py"
+        place = str(Path(onnx_worker.__file__).parent)
+        start = f"import sys\nsys.path.insert(0, {place!r})\nimport onnx_worker as worker\n"
+        script.write_text(f"{start}{code}\nworker.main()\n", encoding="utf-8")
+        monkeypatch.setattr(policy_process, "_SCRIPT", str(script))
+
+    return patch
+
+
+def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch, instead: Callable[[str], None]) -> None:
+    monkeypatch.setattr(policy_process, "MEMORY_BYTES", 2**30)
+    instead("worker._serve = lambda *given: bytearray(3 * 2**30)")
+    with pytest.raises(PolicyError, match="the policy's process ended with exit code 1"):
+        opened().predict(ONES)
+
+
+def test_processor_time_is_bounded(monkeypatch: pytest.MonkeyPatch, instead: Callable[[str], None]) -> None:
+    monkeypatch.setattr(policy_process, "CPU_S", 3)
+    instead("def serve(*given):\n    while True: pass\nworker._serve = serve")
+    with pytest.raises(PolicyError, match=r"ended with SIGXCPU: more than .* s of processor time"):
+        opened().predict(ONES)
+
+
+def test_kernel_without_a_filter_is_refused_or_a_warning(instead: Callable[[str], None]) -> None:
+    instead("worker.lock = lambda source, sink: 'no filter: the kernel refuses'")
+    with pytest.raises(NotIsolatedError, match=r"cannot isolate .*the kernel refuses$"):
+        opened().predict(ONES)
+    weak = OnnxPolicy(make_bytes())
+    with pytest.warns(UserWarning, match="policies are not isolated on this system: no filter"), weak:
+        assert weak.not_isolated == ("no filter: the kernel refuses",)
+        assert weak.predict(ONES)[0].shape == (3, M)
+
+
+def test_system_that_cannot_isolate_is_no_failure_of_an_entry(instead: Callable[[str], None]) -> None:
+    instead("worker.lock = lambda source, sink: 'no filter: the kernel refuses'")
+    with pytest.raises(NotIsolatedError):
+        evaluate([Entry(name="a", policy=opened())], "standard", seeds=[20_000], duration_s=1.0, keep_going=True)
+
+
+#: What code in the place of onnxruntime would try; `trace` is a folder of the test's, `parent` its process, `file` a
+#: file that is open. None does harm where the kernel would let it.
+ACTS = {
+    "read a file": "open('/etc/passwd').read()",
+    "read a file by its number": "os.read(9, 1)",
+    "list a folder": "os.listdir(trace)",
+    "look for a file": "os.stat('/etc/passwd')",
+    "read another process": "os.open(f'/proc/{parent}/mem', os.O_RDONLY)",
+    "write its own memory": "os.open('/proc/self/mem', os.O_RDWR)",
+    "make a file": "open(trace + '/made', 'w')",
+    "write to a file that is open": "os.write(file, b'x')",
+    "write to a file as memory": "libc.mmap(None, 4096, 3, 1, file, 0)",
+    "empty a file": "os.truncate(trace + '/kept', 0)",
+    "remove a file": "os.unlink(trace + '/kept')",
+    "rename a file": "os.rename(trace + '/kept', trace + '/moved')",
+    "link to a file": "os.link(trace + '/kept', trace + '/linked')",
+    "make a link": "os.symlink('/etc/passwd', trace + '/link')",
+    "make a folder": "os.mkdir(trace + '/folder')",
+    "make a pipe": "os.mkfifo(trace + '/pipe')",
+    "change a file's rights": "os.chmod(trace + '/kept', 0o777)",
+    "change a file's owner": "os.chown(trace + '/kept', 1, 1)",
+    "change a file's time": "os.utime(trace + '/kept')",
+    "go elsewhere": "os.chdir('/tmp')",
+    "mount": "libc.mount(b'none', trace.encode(), b'no file system', 0, None)",
+    "make a file in memory": "os.memfd_create('x')",
+    "reach the network": "socket.socket(socket.AF_INET, socket.SOCK_STREAM)",
+    "reach the network by datagrams": "socket.socket(socket.AF_INET6, socket.SOCK_DGRAM)",
+    "reach a local socket": "socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)",
+    "talk to itself by a socket": "socket.socketpair()",
+    "ask the kernel by a socket": "socket.socket(socket.AF_NETLINK, socket.SOCK_RAW)",
+    "duplicate what is open": "os.dup(0)",
+    "start a process": "os.fork() or os._exit(0)",
+    "start a program": "os.execv('/bin/none', ['none'])",
+    "spawn a program": "os.posix_spawn('/bin/none', ['none'], {})",
+    "end another process": "os.kill(parent, 0)",
+    "signal its group": "os.killpg(0, 0)",
+    "trace another process": "libc.ptrace(1, parent, None, None)",
+    "read another process's memory": "libc.process_vm_readv(parent, None, 0, None, 0, 0)",
+    "raise its limits": "libc.prlimit(0, 0, None, None)",
+    "outlive its parent": "libc.prctl(1, 0)",
+    "become another user": "os.setuid(0)",
+    "leave its namespaces": "libc.unshare(0x10000000)",
+    "queue calls past the filter": "libc.syscall(425, 1, None)",
+    "call as on other machines": "libc.syscall(0x40000000 + 2, b'/etc/passwd', 0)",
+}
+
+
+def test_process_can_do_nothing_but_compute_and_answer(instead: Callable[[str], None], tmp_path: Path) -> None:
+    """The kernel refuses each act with EPERM, from within the process, after it has read the policy."""
+    (tmp_path / "kept").write_text("content")
+    instead(f"""
+import ctypes, os, socket
+libc, trace, parent = ctypes.CDLL(None, use_errno=True), {str(tmp_path)!r}, {os.getpid()}
+libc.mmap.restype, file = ctypes.c_ssize_t, os.open(trace + '/kept', os.O_RDWR)
+def serve(content, source, sink):
+    found = {{}}
+    for act in {list(ACTS.values())!r}:
+        try:
+            found[act] = ctypes.get_errno() if eval(act) == -1 else 0
+        except OSError as error:
+            found[act] = error.errno
+    worker._send(sink, {{'widths': [1, 1], 'found': found}})
+worker._serve = serve""")
+    heard: list[dict[str, Any]] = []
+    hear = PolicyProcess._message
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(PolicyProcess, "_message", lambda process: heard.append(hear(process)) or heard[-1])
+        with opened() as policy:
+            assert policy.widths == (1, 1)
+    assert {act: heard[-1]["found"][code] for act, code in ACTS.items()} == dict.fromkeys(ACTS, errno.EPERM)
+    assert [path.name for path in tmp_path.iterdir()] == ["kept"] and (tmp_path / "kept").read_text() == "content"
+
+
+def test_process_starts_no_thread(instead: Callable[[str], None]) -> None:
+    instead(
+        "import threading\n"
+        "def serve(content, source, sink):\n"
+        "    try:\n"
+        "        threading.Thread(target=print).start()\n"
+        "    except RuntimeError as error:\n"
+        "        worker._send(sink, {'error': str(error)})\n"
+        "worker._serve = serve"
+    )
+    with pytest.raises(PolicyError, match="can't start new thread"):
+        opened().predict(ONES)
+
+
+def test_time_counts_only_while_the_policy_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    with opened() as policy:
+        pid = pid_of(policy)
+        now = time.monotonic
+        monkeypatch.setattr(time, "monotonic", lambda: now() + 2 * policy_process.TOTAL_S)
+        assert policy.predict(ONES)[0].shape == (3, M)
+        monkeypatch.setattr(policy_process, "TOTAL_S", policy._processes[0]._waited_s)
+        os.kill(pid, signal.SIGSTOP)
+        with pytest.raises(PolicyError, match=r"s in all"):
+            policy.predict(ONES)
+
+
+@pytest.mark.parametrize(
+    "attack",
+    [
+        "sink.write(b'\\xff\\xff\\xff\\xff'); sink.flush()",
+        "worker._send(sink, {'widths': [20, 10**12]})",
+        "worker._send(sink, {'widths': [20, -1]})",
+        "worker._send(sink, {'widths': [20, True]})",
+        "worker._send(sink, {'widths': [20]})",
+        "worker._send(sink, {'widths': [20, 4] + [1] * 17})",
+        "worker._send(sink, {'widths': 'x'})",
+        "worker._send(sink, [1])",
+        "sink.write(b'\\x04\\x00\\x00\\x00nope'); sink.flush()",
+        "sink.write(b'\\x00\\x40\\x00\\x00' + b'[' * 16384); sink.flush()",
+        "import os; os.kill(os.getpid(), 9)",
+        "raise SystemExit(0)",
+        "worker._send(sink, {'widths': [20, 4]}); sink.write(b'\\x01\\x00'); sink.flush()",
+        "worker._send(sink, {'widths': [20, 4]}); sink.write(b'\\x00abc'); sink.flush()",
+    ],
+)
+def test_lies_of_the_process_are_errors(attack: str, instead: Callable[[str], None]) -> None:
+    instead(f"def serve(content, source, sink):\n    {attack}\nworker._serve = serve")
+    with pytest.raises(PolicyError), opened() as policy:
+        policy.predict(ONES)
+
+
+def test_what_the_process_says_is_no_command(instead: Callable[[str], None]) -> None:
+    says = "worker._send(sink, {'error': 'a\\x1b[2J\\n```\\nb'})"
+    instead(f"def serve(content, source, sink):\n    {says}\nworker._serve = serve")
+    with pytest.raises(PolicyError, match=r"cannot load the policy: a\?\[2J\?\?\?\?\?b$"):
+        opened().predict(ONES)

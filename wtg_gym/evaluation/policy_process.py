@@ -1,0 +1,218 @@
+"""The process that plays a policy, seen from the one that starts it: what it may use, and how long it is waited for.
+
+The scenarios, the simulation and the score stay here, so a policy can neither see what is played nor forge a result.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+import warnings
+from typing import IO, Any, cast
+
+from wtg_gym.evaluation import onnx_worker
+from wtg_gym.evaluation.onnx_worker import ACTIONS, LENGTH
+
+#: Address space [bytes] and processor time [s] of the process; it plays up to 256 scenarios and then ends.
+MEMORY_BYTES = 4 * 2**30
+CPU_S = 600
+#: How long a policy is waited for [s]: until it is loaded, for one step of all its scenarios, and in all.
+LOAD_S = 60.0
+STEP_S = 10.0
+TOTAL_S = 1800.0
+#: How often the waiting is looked at [s].
+_WATCH_S = 0.2
+_SCRIPT = onnx_worker.__file__
+#: Longest message that the process may send [bytes].
+_LONGEST_MESSAGE = 65_536
+#: Without its caches and with a byte that fills memory, what malloc gives is always the same: none of what was there.
+_MALLOC = "glibc.malloc.tcache_count=0:glibc.malloc.perturb=165"
+_SIGNALS = {
+    "SIGXCPU": f"more than {CPU_S} s of processor time",
+    "SIGFPE": "an error of arithmetic, such as the division of whole numbers by zero",
+}
+
+
+class PolicyError(ValueError):
+    """A policy cannot be played; the message says why."""
+
+
+class NotIsolatedError(PolicyError):
+    """This system cannot isolate the process of a policy."""
+
+
+class PolicyProcess:
+    """A process with one policy; it ends with this one, and must be closed.
+
+    Args:
+        content: the .onnx file.
+        isolated: refuse to play where this system cannot isolate the process; else what is missing is a warning.
+
+    Raises:
+        NotIsolatedError: this system cannot isolate it, and `isolated` is set.
+        PolicyError: onnxruntime cannot load the file, or it is no policy.
+    """
+
+    def __init__(self, content: bytes, *, isolated: bool) -> None:
+        #: What this system would not take away from the process.
+        self.missing: list[str] = []
+        #: Widths of the observations, the actions, and each state.
+        self.widths: list[int] = []
+        self._began, self._deadline, self._waited_s = 0.0, float("inf"), 0.0
+        self._timed_out = False
+        self._process = _start(weak=not isolated)
+        threading.Thread(target=self._watch, daemon=True).start()
+        try:
+            self._open(content, isolated)
+        except BaseException:
+            self.close()
+            raise
+
+    def _open(self, content: bytes, isolated: bool) -> None:
+        self._begin(LOAD_S)
+        self.missing = [_plain(text) for text in self._message().get("missing", [])]
+        if self.missing and isolated:
+            raise NotIsolatedError(f"this system cannot isolate the policy's process: {'; '.join(self.missing)}")
+        self._write(LENGTH.pack(len(content)) + content)
+        message = self._message()
+        self._end()
+        if self.missing:
+            warnings.warn(f"policies are not isolated on this system: {'; '.join(self.missing)}", stacklevel=2)
+        if "widths" not in message:
+            raise PolicyError(f"onnxruntime cannot load the policy: {_plain(message.get('error'))}")
+        widths = message["widths"]
+        if (
+            not isinstance(widths, list)
+            or not 2 <= len(widths) <= 2 + MOST_STATES
+            or not all(type(width) is int and 1 <= width <= WIDEST for width in widths)
+        ):
+            raise PolicyError(
+                f"a policy may have up to {MOST_STATES} states, and each of its inputs and outputs 1 … {WIDEST} values"
+            )
+        self.widths = widths
+
+    def send(self, request: bytes) -> None:
+        """Send observations and states; :meth:`receive` must follow.
+
+        Raises:
+            PolicyError: the process has ended or takes too long.
+        """
+        self._begin(STEP_S)
+        self._write(request)
+
+    def receive(self, sizes: list[int]) -> list[bytes]:
+        """Return as many bytes of actions and next states as `sizes` say.
+
+        Raises:
+            PolicyError: the process ended, took too long, or the policy cannot answer.
+        """
+        if self._read(1) != ACTIONS:
+            raise PolicyError(f"the policy cannot answer: {_plain(self._message().get('error'))}")
+        data = [self._read(size) for size in sizes]
+        self._end()
+        return data
+
+    def _message(self) -> dict[str, Any]:
+        size = LENGTH.unpack(self._read(LENGTH.size))[0]
+        if size > _LONGEST_MESSAGE:
+            raise PolicyError(f"the policy's process sent {size} bytes, allowed are {_LONGEST_MESSAGE}")
+        try:
+            message = json.loads(self._read(size))
+        except (ValueError, RecursionError) as error:
+            raise PolicyError("the policy's process sent a message that is no JSON") from error
+        if not isinstance(message, dict):
+            raise PolicyError("the policy's process sent a message that is no object")
+        return message
+
+    def _read(self, size: int) -> bytes:
+        data = cast(IO[bytes], self._process.stdout).read(size)
+        if len(data) < size:
+            raise self._ended()
+        return data
+
+    def _write(self, data: bytes) -> None:
+        stream = cast(IO[bytes], self._process.stdin)
+        try:
+            stream.write(data)
+            stream.flush()
+        except OSError as error:
+            raise self._ended() from error
+
+    def _begin(self, seconds: float) -> None:
+        """Have the process killed if what it is asked now takes too long [s]; only this time counts for the whole."""
+        self._began = time.monotonic()
+        self._deadline = self._began + min(seconds, max(0.0, TOTAL_S - self._waited_s))
+
+    def _end(self) -> None:
+        self._deadline = float("inf")
+        self._waited_s += time.monotonic() - self._began
+
+    def _watch(self) -> None:
+        while self._process.poll() is None:
+            if time.monotonic() > self._deadline:
+                self._timed_out = True
+                self._process.kill()
+            time.sleep(_WATCH_S)
+
+    def _ended(self) -> PolicyError:
+        """Return the error that says how the process ended, once it has."""
+        # It has closed its end: a moment for it to exit by itself tells how.
+        try:
+            code = self._process.wait(timeout=2.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            code = self._process.wait()
+        if self._timed_out:
+            limits = f"{LOAD_S:g} s to load, {STEP_S:g} s for a step, or {TOTAL_S:g} s in all"
+            return PolicyError(f"the policy took longer than {limits}")
+        how = f"exit code {code}"
+        if code < 0:
+            name = signal.Signals(-code).name
+            how = f"{name}: {_SIGNALS.get(name, f'a fault, or more than {MEMORY_BYTES // 2**20} MiB of memory')}"
+        return PolicyError(f"the policy's process ended with {how}")
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.kill()
+        self._process.wait()
+        for stream in (self._process.stdin, self._process.stdout):
+            # What was still to be written has no reader any more.
+            with contextlib.suppress(OSError):
+                cast(IO[bytes], stream).close()
+
+
+#: More than any policy of this benchmark needs.
+MOST_STATES, WIDEST = 16, 65_536
+
+
+def _start(*, weak: bool) -> subprocess.Popen[bytes]:
+    wanted = {"weak": weak, "memory_bytes": MEMORY_BYTES, "cpu_s": CPU_S}
+    environment = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "GLIBC_TUNABLES": _MALLOC}
+    # onnxruntime would keep a file and a thread to report its use.
+    environment["ORT_DISABLE_TELEMETRY"] = "1"
+    if os.name == "nt":
+        # Without it Windows finds no random numbers, and Python does not start.
+        environment["SYSTEMROOT"] = os.environ.get("SYSTEMROOT", "")
+    # -P: nothing is imported from the script's folder or the working one; -B: nothing is written beside the sources.
+    return subprocess.Popen(
+        [sys.executable, "-P", "-B", _SCRIPT, json.dumps(wanted)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        cwd="/",
+        env=environment,
+    )
+
+
+def _plain(text: Any) -> str:
+    """Return what the process says as one line that is no command to a terminal and ends no block of code."""
+    return "".join(sign if sign.isprintable() and sign != "`" else "?" for sign in str(text))[:400]
+
+
+__all__ = ["NotIsolatedError", "PolicyError", "PolicyProcess"]
