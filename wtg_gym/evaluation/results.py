@@ -22,7 +22,7 @@ from wtg_gym.evaluation.summary import EntrySummary, pinned, summarise
 from wtg_gym.files import parse_json, read_text, sha256, to_json, write_atomically
 
 #: Version of the files; another number is another form.
-FORMAT = 2
+FORMAT = 3
 #: By how much a summary may differ from what its table sums up to, relative, or absolute where it is next to nothing.
 _ROUNDING = 1e-6
 
