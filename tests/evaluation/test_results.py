@@ -63,7 +63,7 @@ def test_json_is_strict_sorted_and_without_time_or_place(written: tuple[Path, Pa
 def test_summary_scores_the_anchors_exactly(results: Results) -> None:
     scores = {summary.name: summary.score for summary in results.summaries}
     mppt, reference = (scores[name] for name in ANCHORS)
-    assert mppt.value == 0.0 and mppt.low < 0.0 < mppt.high
+    assert (mppt.value, mppt.low, mppt.high) == (0.0, 0.0, 0.0)
     assert (reference.value, reference.low, reference.high) == (100.0, 100.0, 100.0)
     summary = next(s for s in results.summaries if s.name == ANCHORS[1])
     assert summary.difference.value == 0.0 and summary.probability_of_improvement.value == 0.5
