@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.cli.calls import error_of
 from wtg_gym.cli import main
 from wtg_gym.evaluation import verification
 
@@ -43,6 +44,23 @@ def test_gap_is_printed_and_put_on_a_page(folder: Path, capsys: pytest.CaptureFi
     assert main(["gap", *files, "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert [gap["name"] for gap in said["gaps"]] == ["deloaded-5"] and said["draw"]["commit"] == COMMIT
+
+
+@pytest.mark.parametrize("command", ["gap", "page", "verify"])
+def test_results_of_an_older_version_are_one_line(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    data = json.loads((folder / "standard-test.json").read_text())
+    old = tmp_path / "standard-test.json"
+    del data["metrics"]["largest_power_change_pu"]
+    old.write_text(json.dumps({**data, "format": 2}))
+    rest = {
+        "gap": [str(folder / "standard-verification.json")],
+        "page": ["--output", str(tmp_path / "page.html")],
+        "verify": ["--entries", "deloaded-5"],
+    }[command]
+    said = error_of(capsys, command, str(old), *rest)
+    assert said.endswith("format must be 3, that of this version, got 2; evaluate again")
 
 
 def test_verify_checks_the_seeds_against_the_secret(

@@ -12,7 +12,14 @@ from baselines import tip_speed_feedback
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, Results, evaluate, load_entries
 from wtg_gym.evaluation.evaluator import entry_lanes
-from wtg_gym.evaluation.generalisation import gap_cells, gap_page, generalisation_gaps, left_out
+from wtg_gym.evaluation.generalisation import (
+    excess_gap,
+    gap_cells,
+    gap_page,
+    generalisation_gaps,
+    left_out,
+    score_gap,
+)
 from wtg_gym.scenarios import draw_seeds
 
 PUBLIC = range(20_000, 20_040)
@@ -112,3 +119,73 @@ def test_results_that_cannot_be_compared_are_refused(
 ) -> None:
     with pytest.raises(ValueError, match=text):
         generalisation_gaps(both[0], dataclasses.replace(both[1], **change))
+
+
+def test_gap_interval_agrees_with_a_bootstrap_written_out() -> None:
+    rng = np.random.default_rng(8)
+    sides = []
+    for n in (120, 90):
+        mppt = -rng.uniform(0.5, 2.0, n)
+        sides.append((0.2 * rng.normal(size=(1, n)) - 0.1 * mppt, mppt))
+    (a, m), (b, k) = sides
+
+    def gap(x: np.ndarray, y: np.ndarray, axis: int) -> np.ndarray:
+        # Two columns at once: the entry's gains, and MPPT's.
+        one, other = (100.0 * z[0].mean(axis=axis) / -z[1].mean(axis=axis) for z in (x, y))
+        return one - other
+
+    resampled = []
+    for _ in range(20_000):
+        i, j = rng.integers(0, 120, 120), rng.integers(0, 90, 90)
+        resampled.append(gap(np.stack([a[0, i], m[i]]), np.stack([b[0, j], k[j]]), axis=-1))
+    low, high = np.percentile(resampled, [2.5, 97.5])
+    interval = score_gap(*sides)
+    assert interval.value == pytest.approx(100.0 * (a.mean() / -m.mean() - b.mean() / -k.mean()))
+    assert interval.low == pytest.approx(low, abs=0.06 * (high - low))
+    assert interval.high == pytest.approx(high, abs=0.06 * (high - low))
+
+
+def _two_sets(rng: np.random.Generator, fitted: float) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Gains of two seeds and of two controls on lucky public scenarios and on fresh ones; `fitted` on the public."""
+    sides = []
+    mppt = np.full(100, -1.0)
+    for luck, extra in ((0.5, fitted), (0.0, 0.0)):
+        shared = rng.normal(size=100) + luck
+        controls = np.stack([shared + 0.1 * rng.normal(size=100), rng.normal(size=100)])
+        sides.append((0.8 * shared + 0.1 * rng.normal(size=(2, 100)) + extra, controls, mppt))
+    return sides
+
+
+def test_excess_is_what_the_controls_do_not_share() -> None:
+    rng = np.random.default_rng(9)
+    honest = [excess_gap(*_two_sets(rng, 0.0)) for _ in range(200)]
+    assert 0.89 <= np.mean([interval.low <= 0.0 <= interval.high for interval in honest]) <= 0.99
+    # The luck of half a standard deviation, 40 points here, is none of theirs.
+    assert abs(np.mean([interval.value for interval in honest])) < 1.0
+    fitted = [excess_gap(*_two_sets(rng, 0.1)) for _ in range(50)]
+    assert np.mean([interval.value for interval in fitted]) == pytest.approx(10.0, abs=1.0)
+    assert all(interval.low > 0.0 for interval in fitted)
+
+
+def test_excess_of_a_row_shows_though_only_one_of_its_seeds_has_any() -> None:
+    rng = np.random.default_rng(9)
+    public, fresh = (0.2 * rng.normal(size=(1, 200)) for _ in range(2))
+    # Two seeds that do what the control does; one of them a little better where the scenarios are public.
+    sides = [np.concatenate([own, own]) + 0.005 * rng.normal(size=(2, 200)) for own in (public, fresh)]
+    mppt = np.full(200, -0.5)
+    honest = excess_gap((sides[0], public, mppt), (sides[1], fresh, mppt))
+    assert honest.low < 0.0 < honest.high
+    sides[0][1] += 0.02
+    mixed = excess_gap((sides[0], public, mppt), (sides[1], fresh, mppt))
+    assert mixed.value == pytest.approx(honest.value + 2.0) and mixed.low > 1.5
+
+
+def test_excess_is_the_gap_minus_that_of_a_control_that_moves_alike() -> None:
+    # On public scenarios MPPT loses half as much, so that every gain counts twice there: Λ is each side's own.
+    rng = np.random.default_rng(14)
+    control = rng.normal(size=(1, 100))
+    sides = [(0.8 * control, control, np.full(100, -scale)) for scale in (0.5, 1.0)]
+    excess = excess_gap(*sides)
+    assert (excess.value, excess.low, excess.high) == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+    gap = score_gap(*((own, mppt) for own, _, mppt in sides))
+    assert gap.value == pytest.approx(100.0 * 0.8 * control.mean())

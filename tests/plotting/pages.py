@@ -7,8 +7,10 @@ import functools
 
 import numpy as np
 
-from wtg_gym.evaluation import Entry, Results, evaluate
+from baselines import tip_speed_feedback
+from wtg_gym.evaluation import Entry, Results, evaluate, load_entries
 from wtg_gym.plotting.page import leaderboard_page
+from wtg_gym.scenarios import draw_seeds
 
 #: What would run or load something where it is taken for HTML, and what a chart would take for mathematics.
 HOSTILE = '</script><script>window.hacked=1</script><img src="https://example.org/x" onerror="window.hacked=1">$$x$$'
@@ -52,3 +54,18 @@ def small_page() -> str:
     """Return their page, the policy under a hostile name."""
     entries, (standard, paper) = small_results()
     return leaderboard_page([renamed(standard, "full", HOSTILE), paper], entries, n_scenarios=3).text
+
+
+@functools.cache
+def wide_page() -> str:
+    """Return a page whose ranking has every column, without traces: fresh scenarios, an oracle, and a learned entry."""
+    feedback = tip_speed_feedback.ENTRY
+    learned = [
+        dataclasses.replace(feedback, name="PPO (k, τ)", learned=True, training_seed=seed, fingerprint=f"own {seed}")
+        for seed in range(2)
+    ]
+    entries = [*load_entries("baselines"), *learned]
+    public = evaluate(entries, "standard", seeds=range(20_000, 20_030))
+    draw = draw_seeds("standard", "a" * 40, b"a secret for these tests", 30)
+    fresh = evaluate(entries, "standard", "verification", draw=draw)
+    return leaderboard_page([public, fresh], [], n_scenarios=0).text

@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from tests.plotting.pages import DURATION_S, HOSTILE, small_page, small_results
+from tests.plotting.pages import DURATION_S, HOSTILE, small_page, small_results, wide_page
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, leaderboard_rows
 from wtg_gym.evaluation.leaderboard import COLUMNS
@@ -26,6 +26,8 @@ from wtg_gym.scenarios import get_suite
 pytest.importorskip("bokeh", reason="the page's charts are Bokeh's")
 playwright = pytest.importorskip("playwright.sync_api", reason="a browser is driven by playwright")
 
+#: Width of a scroll bar, which a page in a window has less [px].
+SCROLL_BAR = 15
 LAPTOP, PHONE = {"width": 1440, "height": 900}, {"width": 390, "height": 844}
 
 
@@ -162,6 +164,35 @@ def test_page_fits_and_follows_the_colour_scheme(open_page: Any, viewport: dict[
         assert box["width"] > 0.3 * min(viewport["width"], 1500) and box["height"] > 80
     page.emulate_media(color_scheme="dark" if scheme == "light" else "light")
     opened.wait_until(f"!getComputedStyle(document.body).backgroundColor.startsWith('rgb({red},')")
+
+
+def test_no_column_of_the_ranking_is_clipped_on_a_small_laptop(browser: Any, tmp_path: Path) -> None:
+    # With every column that there can be, those of fresh scenarios too, and names and numbers as long as real ones.
+    path = tmp_path / "wide.html"
+    path.write_text(wide_page(), encoding="utf-8")
+    page = Opened(browser, path, viewport={"width": 1366 - SCROLL_BAR, "height": 768}).page
+    heads = page.locator("table[data-suite]:visible thead th")
+    assert heads.count() == len(COLUMNS) + 2
+    edge = heads.last.evaluate("(head) => head.getBoundingClientRect().right")
+    assert edge <= page.locator(".scroll:has(table[data-suite])").evaluate("(box) => box.getBoundingClientRect().right")
+    page.context.close()
+
+
+def test_a_phone_shows_name_and_score_without_scrolling_sideways(open_page: Any) -> None:
+    page = open_page(viewport=PHONE).page
+    heads = page.locator("table[data-suite]:visible thead th")
+    seen = heads.evaluate_all(
+        "(heads, width) => heads.filter((head) => head.getBoundingClientRect().right <= width)"
+        ".map((head) => head.textContent)",
+        PHONE["width"],
+    )
+    assert seen[:3] == ["rank", "entry", "score"]
+    scores = page.locator("table[data-suite]:visible tbody tr > :nth-child(3)")
+    assert scores.evaluate_all(
+        "(cells, width) => cells.every((cell) => cell.scrollWidth <= cell.clientWidth &&"
+        " cell.getBoundingClientRect().right <= width)",
+        PHONE["width"],
+    )
 
 
 def test_filters_leave_out_entries(open_page: Any) -> None:

@@ -24,12 +24,14 @@ from wtg_gym.evaluation import (
 )
 from wtg_gym.evaluation.entries import LoadArchive
 from wtg_gym.evaluation.evaluator import check_entries
-from wtg_gym.evaluation.leaderboard import COLUMNS
+from wtg_gym.evaluation.leaderboard import COLUMNS, SHORT_COLUMNS
 from wtg_gym.evaluation.workers import BACKENDS, Workers
 from wtg_gym.scenarios import SUITES
 
 #: The package with the entries of a checkout.
 DEFAULT_ENTRIES = "baselines"
+#: Unit of the columns of points.
+_POINTS = " [points]"
 #: Of finished parts, in the folder of the results.
 _PARTIAL_FOLDER = "partial"
 _LARGEST_SEED_RANGE = 100_000
@@ -182,8 +184,12 @@ def finish(results: Results, folder: Path | None, *, as_json: bool) -> int:
     except NoScaleError as error:
         note(f"no ranking: {error}")
         return code
-    left = [index for index, is_number in enumerate(COLUMNS.values()) if not is_number]
-    print_table(tuple(COLUMNS), table_cells(rows), left=left)
+    left = [index for index, column in enumerate(SHORT_COLUMNS) if not COLUMNS[column]]
+    # Without their unit, which the line below gives, the heads fit into 120 columns.
+    heads = [column.removesuffix(_POINTS) for column in SHORT_COLUMNS]
+    print_table(heads, table_cells(rows, SHORT_COLUMNS), left=left)
+    terms = ", ".join(head for head, column in zip(heads, SHORT_COLUMNS, strict=True) if column != head)
+    print(f"\n{terms}: points by terms of the cost, which add up to score - 100; --json prints more")
     if results.oracle.missing:
         note(f"no share of the oracle's gap: {results.oracle.missing}")
     return code

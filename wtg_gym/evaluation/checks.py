@@ -87,8 +87,8 @@ _ENTRY: dict[str, tuple[Callable[[Any], bool], str]] = {
 }
 #: Fields of an entry's summary that are an interval.
 _INTERVALS = ("score", "interquartile_mean", "difference", "probability_of_improvement")
-#: One that only entries on scenarios with an oracle have.
-_OPTIONAL_INTERVAL = "gap_closed_percent"
+#: Those that are null for some entries.
+_OPTIONAL_INTERVALS = ("difference_to_above", "gap_closed_percent")
 
 
 def check_description(data: Any, path: Path, version: int) -> None:
@@ -106,7 +106,9 @@ def check_description(data: Any, path: Path, version: int) -> None:
     if not isinstance(data, dict):
         raise ValueError(f"{path}: expected an object with results, got {type(data).__name__}")
     if data.get("format") != version or isinstance(data["format"], bool):
-        raise ValueError(f"{path}: format must be {version}, that of this version, got {data.get('format')!r}")
+        raise ValueError(
+            f"{path}: format must be {version}, that of this version, got {_short(data.get('format'))}; evaluate again"
+        )
     _check_keys({key: value for key, value in data.items() if key != "format"}, _DESCRIPTION, str(path))
     _check_finite(data, str(path))
     for i, entry in enumerate(data["entries"]):
@@ -122,9 +124,9 @@ def check_description(data: Any, path: Path, version: int) -> None:
     if data["summary"] and set(data["summary"]) != {entry["name"] for entry in data["entries"]}:
         raise ValueError(f"{path}: summary must have one object per entry, got {sorted(data['summary'])}")
     for name, summary in data["summary"].items():
-        for key in (*_INTERVALS, _OPTIONAL_INTERVAL):
+        for key in (*_INTERVALS, *_OPTIONAL_INTERVALS):
             interval = summary.get(key) if isinstance(summary, dict) else None
-            if key == _OPTIONAL_INTERVAL and interval is None:
+            if key in _OPTIONAL_INTERVALS and interval is None:
                 continue
             if not isinstance(interval, dict) or not all(_is_number(interval.get(k)) for k in ("value", "low", "high")):
                 raise ValueError(f"{path}: summary.{name}.{key} must give value, low and high, got {interval!r}")

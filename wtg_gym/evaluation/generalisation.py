@@ -11,7 +11,7 @@ import numpy as np
 from wtg_gym import files
 from wtg_gym.evaluation import statistics
 from wtg_gym.evaluation.entries import ANCHORS
-from wtg_gym.evaluation.leaderboard import leaderboard_rows
+from wtg_gym.evaluation.leaderboard import leaderboard_rows, signed_interval
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.statistics import Floats, Interval
 from wtg_gym.scenarios import VERIFICATION
@@ -31,7 +31,7 @@ class GeneralisationGap:
         public, fresh: its scores.
         gap: public minus fresh.
         excess: the part of the gap that the controllers made by hand do not share, see
-            :func:`wtg_gym.evaluation.statistics.excess_gap`; None for these, and with fewer than 30 fresh scenarios.
+            :func:`excess_gap`; None for these, and with fewer than 30 fresh scenarios.
     """
 
     name: str
@@ -79,7 +79,7 @@ def generalisation_gaps(public: Results, fresh: Results) -> list[GeneralisationG
             name=row.name,
             public=row.score,
             fresh=scores[row.name],
-            gap=statistics.score_gap(*((own[row.name], own[ANCHORS[0]][0]) for own in gains)),
+            gap=score_gap(*((own[row.name], own[ANCHORS[0]][0]) for own in gains)),
             excess=None if row.kind != "learned" else _excess(row.name, controls, *gains),
         )
         for row in rows
@@ -88,10 +88,66 @@ def generalisation_gaps(public: Results, fresh: Results) -> list[GeneralisationG
 
 
 def _excess(name: str, controls: Sequence[str], public: dict[str, Floats], fresh: dict[str, Floats]) -> Interval | None:
-    one, other = ((own[name], np.concatenate([own[control] for control in controls])) for own in (public, fresh))
-    if other[0].shape[1] < _FEWEST_FRESH:
-        return None
-    return statistics.excess_gap(one, other, -statistics.mean(fresh[ANCHORS[0]]))
+    one, other = (
+        (own[name], np.concatenate([own[control] for control in controls]), own[ANCHORS[0]][0])
+        for own in (public, fresh)
+    )
+    return excess_gap(one, other) if other[2].size >= _FEWEST_FRESH else None
+
+
+def score_gap(public: tuple[Floats, Floats], fresh: tuple[Floats, Floats]) -> Interval:
+    """Return the score on public scenarios minus that on fresh ones, with its bootstrap interval.
+
+    The training seeds of a resample are the same on both sides, the scenarios are drawn on each side by themselves, and
+    Λ is computed anew from those that were drawn: between two sets of scenarios it is not the same.
+
+    Args:
+        public, fresh: log gains of the entry (n_runs, n_scenarios) and of MPPT (n_scenarios,), see
+            :func:`wtg_gym.evaluation.statistics.log_gains`.
+    """
+    value = 100.0 * (
+        statistics.mean(public[0]) / -statistics.mean(public[1])
+        - statistics.mean(fresh[0]) / -statistics.mean(fresh[1])
+    )
+    return statistics.percentile_interval(value, _resampled_gap(public, fresh))
+
+
+def excess_gap(public: tuple[Floats, Floats, Floats], fresh: tuple[Floats, Floats, Floats]) -> Interval:
+    """Return the part of the gap that controls do not share, in points of the score, with its bootstrap interval.
+
+    A set of scenarios that suits one good controller suits the others too. So the mean gain over the training seeds is
+    regressed on the gains of controls, over the fresh scenarios; what this predicts is taken off the gains on both
+    sides, and the excess is the gap of the remainder: the entry's gap minus the weighted gaps of the controls. It has
+    the resamples of :func:`score_gap`, with Λ computed anew in each. The coefficients are taken as known, and so are
+    the training seeds: asked is what these policies are, not what others trained alike would be. A row of which only
+    some seeds know the public scenarios is seen as sharply as any other.
+
+    Source: control variates, e.g. P. Glasserman, "Monte Carlo Methods in Financial Engineering", 2003, section 4.1.
+
+    Args:
+        public, fresh: log gains of the entry (n_runs, n_scenarios), of the controls (n_controls, n_scenarios) and of
+            MPPT (n_scenarios,).
+    """
+    gains, controls, _ = fresh
+    centred = controls - controls.mean(axis=1, keepdims=True)
+    weights = np.linalg.lstsq(centred.T, gains.mean(axis=0), rcond=None)[0]
+    one, other = (((own.mean(axis=0) - weights @ those)[np.newaxis], mppt) for own, those, mppt in (public, fresh))
+    return score_gap(one, other)
+
+
+def _resampled_gap(public: tuple[Floats, Floats], fresh: tuple[Floats, Floats]) -> Floats:
+    """Return the gap in every resample in which both sides have a positive Λ, see :func:`score_gap`."""
+    n_runs = public[0].shape[0]
+    streams = [np.random.default_rng(seed) for seed in np.random.SeedSequence(statistics.BOOTSTRAP_SEED).spawn(3)]
+    runs = streams[0].integers(0, n_runs, size=(statistics.N_RESAMPLES, n_runs))
+    means, scales = [], []
+    for stream, (gains, mppt) in zip(streams[1:], (public, fresh), strict=True):
+        scenarios = stream.integers(0, mppt.size, size=(statistics.N_RESAMPLES, mppt.size))
+        means.append(np.take_along_axis(gains[:, scenarios].mean(axis=2).T, runs, axis=1).mean(axis=1))
+        scales.append(-mppt[scenarios].mean(axis=1))
+    scored = (scales[0] > 0.0) & (scales[1] > 0.0)
+    one, other = (100.0 * each[scored] / scale[scored] for each, scale in zip(means, scales, strict=True))
+    return one - other
 
 
 def left_out(public: Results, fresh: Results) -> list[str]:
@@ -130,12 +186,6 @@ def gap_cells(gaps: Sequence[GeneralisationGap]) -> list[list[str]]:
     ]
 
 
-def signed_interval(interval: Interval) -> str:
-    """Return a difference of scores and its interval, with their signs."""
-    value, low, high = (round(x, 1) + 0.0 for x in (interval.value, interval.low, interval.high))
-    return f"{value:+.1f} ({low:+.1f} … {high:+.1f})"
-
-
 def gap_page(public: Results, fresh: Results, gaps: Sequence[GeneralisationGap]) -> str:
     """Return what was compared, and the table, as Markdown without a line feed at the end."""
     numbers = [index for index, is_number in enumerate(COLUMNS.values()) if is_number]
@@ -156,9 +206,10 @@ __all__ = [
     "COLUMNS",
     "GeneralisationGap",
     "describe",
+    "excess_gap",
     "gap_cells",
     "gap_page",
     "generalisation_gaps",
     "left_out",
-    "signed_interval",
+    "score_gap",
 ]

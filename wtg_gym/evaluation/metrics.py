@@ -25,6 +25,8 @@ Floats = npt.NDArray[np.float64]
 STEADY_WINDOW_S = 5.0
 #: Half-width of the band a settled frequency stays in [Hz].
 SETTLING_BAND_HZ = 0.05
+#: Time over which a change of power is taken [s].
+POWER_CHANGE_WINDOW_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,8 @@ class Metric:
     optional: bool = False
 
 
-#: Every metric of an episode. Extremes are taken at every simulation step, rotor speeds at every control step.
+#: Every metric of an episode. Extremes are taken at every simulation step, rotor speeds and changes of power at every
+#: control step.
 METRICS: Mapping[str, Metric] = MappingProxyType(
     {
         "cost": Metric("-", "total cost, minus the return"),
@@ -66,6 +69,9 @@ METRICS: Mapping[str, Metric] = MappingProxyType(
         "largest_rotor_speed_pu": Metric("p.u.", "highest rotor speed of any group"),
         "overload_time_s": Metric("s", "time above the converter's overload limit, of the group with most of it"),
         "peak_power_pu": Metric("p.u.", "largest delivered power of any group, on its own base"),
+        "largest_power_change_pu": Metric(
+            "p.u.", "largest absolute change of the delivered power of any group over 1 s, on its own base"
+        ),
         "constraint_time_s": Metric("s", "control steps with a constraint violated"),
         "tripped_groups": Metric("-", "groups disconnected by their protection, where a failure trips instead of ends"),
         "survived_s": Metric("s", "simulated time until the end or the failure"),
@@ -88,6 +94,9 @@ class Recorder:
         #: Control steps each lane has made, shape (n_lanes,).
         self.n_steps = np.zeros(lanes.n_lanes, dtype=np.int64)
         self.frequency_hz[:, 0] = lanes.task.nominal_hz * lanes.simulator.lane_values(LaneRow.COI)
+        #: Delivered power of every group on its own base [p.u.], shape (n_lanes, n_steps + 1, n_wtg).
+        self.power_pu = np.zeros((lanes.n_lanes, n_steps + 1, lanes.n_wtg))
+        self.power_pu[:, 0] = lanes.simulator.wtg_values(WtgRow.POWER)
         self.least_rotor = self.largest_rotor = lanes.simulator.wtg_values(WtgState.ROTOR_SPEED)
 
     def record(self, stepped: npt.NDArray[np.bool_]) -> None:
@@ -95,6 +104,8 @@ class Recorder:
         self.n_steps[stepped] += 1
         frequency = self._lanes.task.nominal_hz * self._lanes.simulator.lane_values(LaneRow.COI)
         self.frequency_hz[stepped, self.n_steps[stepped]] = frequency[stepped]
+        power = self._lanes.simulator.wtg_values(WtgRow.POWER)
+        self.power_pu[stepped, self.n_steps[stepped]] = power[stepped]
         # The rotors of a lane that is over stand still and add nothing.
         rotor = self._lanes.simulator.wtg_values(WtgState.ROTOR_SPEED)
         self.least_rotor = np.minimum(self.least_rotor, rotor)
@@ -127,6 +138,19 @@ def steady_metrics(
     if settled_at > frequency_hz.size - n_window:
         return final - nominal_hz, None
     return final - nominal_hz, max(0.0, settled_at * control_dt - event_s)
+
+
+def largest_power_change(power_pu: Floats, control_dt: float) -> float:
+    """Return the largest absolute change of any group's power over :data:`POWER_CHANGE_WINDOW_S` [p.u.].
+
+    Args:
+        power_pu: one row per control step, the start first, shape (n_steps + 1, n_wtg) [p.u.]. Before the start the
+            groups are taken to have delivered what they deliver there.
+        control_dt: control interval [s].
+    """
+    n_window = max(1, round(POWER_CHANGE_WINDOW_S / control_dt))
+    before = np.concatenate([np.repeat(power_pu[:1], n_window, axis=0), power_pu])[: len(power_pu)]
+    return float(np.abs(power_pu - before).max())
 
 
 def measure(lanes: TaskLanes, recorder: Recorder, lane: int, scenario: Scenario) -> tuple[dict[str, float | None], str]:
@@ -164,6 +188,7 @@ def measure(lanes: TaskLanes, recorder: Recorder, lane: int, scenario: Scenario)
         "largest_rotor_speed_pu": float(recorder.largest_rotor[lane].max()),
         "overload_time_s": max(groups(WtgRow.OVERLOAD_TIME)),
         "peak_power_pu": max(groups(WtgRow.PEAK_POWER)),
+        "largest_power_change_pu": largest_power_change(recorder.power_pu[lane, : n_steps + 1], dt),
         "constraint_time_s": float(lanes.task_values(TaskRow.CONSTRAINT_SUM)[lane]) * dt,
         "tripped_groups": float(sum(connected < 0.5 for connected in groups(WtgRow.CONNECTED))),
         "survived_s": float(simulator.lane_values(LaneRow.STEP)[lane]) * simulator.plant.simulation_dt,
@@ -171,4 +196,4 @@ def measure(lanes: TaskLanes, recorder: Recorder, lane: int, scenario: Scenario)
     return metrics, TERMINATION_REASONS[status]
 
 
-__all__ = ["METRICS", "Metric", "Recorder", "last_event_s", "measure", "steady_metrics"]
+__all__ = ["METRICS", "Metric", "Recorder", "largest_power_change", "last_event_s", "measure", "steady_metrics"]

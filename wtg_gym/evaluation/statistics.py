@@ -7,13 +7,16 @@ Score of scenario i: s_i = 100 · (1 + ln((J_ref,i + J0) / (J_i + J0)) / Λ), wh
 ln((J_mppt,i + J0) / (J_ref,i + J0)). On the same scenarios MPPT has the mean score 0 and the reference 100 in each. J0
 bounds what a scenario that happens to be nearly free of cost can bring.
 
+The mean score holds a ratio of two means over the same scenarios, 100 · (1 + mean gain / Λ).
+The bootstrap resamples both.
+
 Arrays of one entry have the shape (n_runs, n_scenarios): one run per training seed, a single one for a law.
 """
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -122,53 +125,122 @@ def improvement(costs: Floats, reference: Floats) -> Floats:
     return better
 
 
-def bootstrap(values: Floats, statistic: Callable[[Floats], Floats]) -> tuple[float, float]:
-    """Return the bounds of the percentile bootstrap interval.
+@functools.lru_cache(maxsize=1)
+def _drawn_scenarios(n: int) -> Indices:
+    """Return the scenarios of every resample, (N_RESAMPLES, n)."""
+    drawn = np.random.default_rng(BOOTSTRAP_SEED).integers(0, n, size=(N_RESAMPLES, n))
+    drawn.setflags(write=False)
+    return drawn
+
+
+def _drawn_runs(n_runs: int, side: int) -> Indices:
+    """Return the training seeds of every resample, (N_RESAMPLES, n_runs); each side has draws of its own."""
+    return np.random.default_rng([BOOTSTRAP_SEED, side]).integers(0, n_runs, size=(N_RESAMPLES, n_runs))
+
+
+def _resampled_means(values: Floats, side: int = 0) -> Floats:
+    """Return the mean of (n_runs, n_scenarios) in every resample of the bootstrap, (N_RESAMPLES,).
 
     Scenarios and training seeds are both drawn with replacement, and every drawn seed plays the same drawn scenarios,
     as all seeds do in truth (A. B. Owen, "The pigeonhole bootstrap", 2007): what a hard scenario costs all seeds alike
-    does not average out over them. The score's Λ is taken as known.
-
-    Args:
-        values: (n_runs, n_scenarios).
-        statistic: takes (n_resamples, n_runs · n_scenarios) to (n_resamples,).
+    does not average out over them. The drawn scenarios are the same in every call, so that means can be subtracted as
+    a paired difference, and divided by one another.
     """
-    return _bounds(statistic(_resampled(values).reshape(N_RESAMPLES, values.size)))
-
-
-def resampled_means(values: Floats) -> Floats:
-    """Return the mean of (n_runs, n_scenarios) in every resample of the bootstrap, (n_resamples,).
-
-    Every call draws the same scenarios, so that two entries' means can be subtracted as a paired difference.
-    """
-    means: Floats = _resampled(values).mean(axis=(1, 2))
-    return means
-
-
-def _resampled(values: Floats) -> Floats:
-    """Return the values (n_runs, n_scenarios) of every resample, (N_RESAMPLES, n_runs, n_scenarios)."""
-    n_runs, n = values.shape
-    rng = np.random.default_rng(BOOTSTRAP_SEED)
-    scenarios = rng.integers(0, n, size=(N_RESAMPLES, 1, n))
-    runs = rng.integers(0, n_runs, size=(N_RESAMPLES, n_runs, 1))
-    resampled: Floats = values[runs, scenarios]
+    means = values[:, _drawn_scenarios(values.shape[1])].mean(axis=2)
+    resampled: Floats = np.take_along_axis(means.T, _drawn_runs(values.shape[0], side), axis=1).mean(axis=1)
     return resampled
 
 
-def _bounds(samples: Floats) -> tuple[float, float]:
+def percentile_interval(value: float, samples: Floats) -> Interval:
+    """Return a value with the percentile interval of its bootstrap samples (n,)."""
     tail = 50.0 * (1.0 - CONFIDENCE)
     low, high = np.percentile(samples, [tail, 100.0 - tail])
-    return float(low), float(high)
+    return Interval(value, float(low), float(high))
 
 
 def mean_interval(values: Floats) -> Interval:
     """Return the mean of (n_runs, n_scenarios) with its bootstrap interval."""
-    return Interval(mean(values), *bootstrap(values, lambda samples: samples.mean(axis=-1)))
+    return percentile_interval(mean(values), _resampled_means(values))
 
 
-def interquartile_interval(values: Floats) -> Interval:
-    """Return the interquartile mean of (n_runs, n_scenarios) with its bootstrap interval."""
-    return Interval(float(interquartile_mean(values.ravel())), *bootstrap(values, interquartile_mean))
+def resampled_scores(gains: Floats, mppt: Floats, side: int = 0) -> Floats:
+    """Return the mean score in every resample of the bootstrap.
+
+    Λ is a mean over the same scenarios as the gains, so it is computed anew from the scenarios of each resample: with a
+    fixed Λ the intervals have the wrong width. A resample whose Λ is not positive has no score and is left out; these
+    are the same for every entry.
+
+    Args:
+        gains: :func:`log_gains` of the entry (n_runs, n_scenarios).
+        mppt: log gains of MPPT (n_scenarios,).
+        side: 0 or 1. The training seeds of two different entries are drawn independently if their sides differ.
+    """
+    scale = -_resampled_means(mppt[np.newaxis])
+    scored = scale > 0.0
+    scores: Floats = 100.0 * (1.0 + _resampled_means(gains, side)[scored] / scale[scored])
+    return scores
+
+
+def score_interval(gains: Floats, mppt: Floats) -> Interval:
+    """Return the mean score with its bootstrap interval, see :func:`resampled_scores`."""
+    return percentile_interval(mean_score(gains, -mean(mppt)), resampled_scores(gains, mppt))
+
+
+def score_difference(gains: Floats, other: Floats, mppt: Floats) -> Interval:
+    """Return the mean score of one entry minus that of another, with the interval of the paired difference.
+
+    Args:
+        gains, other: log gains of the two entries, (n_runs, n_scenarios) each.
+        mppt: log gains of MPPT (n_scenarios,).
+    """
+    value = 100.0 * (mean(gains) - mean(other)) / -mean(mppt)
+    return percentile_interval(value, resampled_scores(gains, mppt) - resampled_scores(other, mppt, side=1))
+
+
+def interquartile_interval(gains: Floats, mppt: Floats) -> Interval:
+    """Return the interquartile mean of the scenarios' scores with its bootstrap interval, Λ resampled too.
+
+    Args:
+        gains: log gains of the entry (n_runs, n_scenarios).
+        mppt: log gains of MPPT (n_scenarios,).
+    """
+    runs, scenarios = _drawn_runs(gains.shape[0], 0), _drawn_scenarios(mppt.size)
+    means = interquartile_mean(gains[runs[:, :, np.newaxis], scenarios[:, np.newaxis]].reshape(N_RESAMPLES, gains.size))
+    scale = -_resampled_means(mppt[np.newaxis])
+    scored = scale > 0.0
+    value = 100.0 * (1.0 + float(interquartile_mean(gains.ravel())) / -mean(mppt))
+    return percentile_interval(value, 100.0 * (1.0 + means[scored] / scale[scored]))
+
+
+def points_by_term(costs: Floats, reference: Floats, terms: Floats, reference_terms: Floats, scale: float) -> Floats:
+    """Return how many points of the score above 100 come from each term of the cost, (n_terms,).
+
+    A logarithm of a ratio is a difference divided by its logarithmic mean, ln(A / B) = (A - B) / L(A, B), and the
+    difference of two costs is the sum of the differences of their terms. So each term gets the share
+    100 · (J_ref,term - J_term) / L(J_ref + J0, J + J0) / Λ of its scenario. Shares of terms that add up to the pinned
+    costs add up to the score minus 100, without a remainder.
+
+    Source: the logarithmic mean Divisia index (LMDI) of B. W. Ang, Energy Policy 32 (2004) 1131-1139 and 33 (2005)
+    867-871.
+
+    Args:
+        costs: pinned costs (n_runs, n_scenarios).
+        reference: pinned costs of the reference (n_scenarios,).
+        terms: parts of `costs` (n_terms, n_runs, n_scenarios).
+        reference_terms: parts of `reference` (n_terms, n_scenarios).
+        scale: Λ.
+    """
+    inverse_means = np.array(
+        [[_inverse_log_mean(r, c) for r, c in zip(reference.tolist(), run, strict=True)] for run in costs.tolist()]
+    )
+    shares = (reference_terms[:, np.newaxis] - terms) * inverse_means
+    return np.array([100.0 * mean(share) / scale for share in shares])
+
+
+def _inverse_log_mean(reference: float, cost: float) -> float:
+    """Return 1 / L(J_ref + J0, J + J0)."""
+    ratio = (reference - cost) / (cost + COST_OFFSET)
+    return (math.log1p(ratio) / ratio if ratio else 1.0) / (cost + COST_OFFSET)
 
 
 def gap_closed(costs: Floats, reference: Floats, oracle: Floats) -> Interval | None:
@@ -182,69 +254,14 @@ def gap_closed(costs: Floats, reference: Floats, oracle: Floats) -> Interval | N
         reference, oracle: pinned costs of the two, (n_scenarios,).
 
     Returns:
-        None where the oracle is not cheaper than the reference.
+        None where the mean cost is not below the reference's, which closes no part of the gap, and where the oracle's
+        is not.
     """
     gains, gaps = reference - costs, reference - oracle
-    if not mean(gaps) > 0.0:
+    if not mean(gaps) > 0.0 or not mean(gains) > 0.0:
         return None
-    gained = _resampled(gains).sum(axis=(1, 2))
-    # The same draws, for as many runs.
-    gap = _resampled(np.broadcast_to(gaps, costs.shape)).sum(axis=(1, 2))
-    return Interval(100.0 * mean(gains) / mean(gaps), *_bounds(100.0 * gained[gap > 0.0] / gap[gap > 0.0]))
-
-
-def score_gap(public: tuple[Floats, Floats], fresh: tuple[Floats, Floats]) -> Interval:
-    """Return the score on public scenarios minus that on fresh ones, with its bootstrap interval.
-
-    The training seeds of a resample are the same on both sides, the scenarios are drawn on each side by themselves, and
-    Λ is made anew from those that were drawn: between two sets of scenarios it is not the same.
-
-    Args:
-        public, fresh: log gains of the entry (n_runs, n_scenarios) and of MPPT (n_scenarios,), see :func:`log_gains`.
-    """
-    n_runs = public[0].shape[0]
-    values = [mean_score(gains, -mean(mppt)) for gains, mppt in (public, fresh)]
-    one, other = (
-        100.0 * gains[runs, scenarios].mean(axis=(1, 2)) / -mppt[scenarios[:, 0]].mean(axis=1)
-        for (gains, mppt), (runs, scenarios) in zip(
-            (public, fresh), _two_sides(n_runs, public[1].size, fresh[1].size), strict=True
-        )
-    )
-    return Interval(values[0] - values[1], *_bounds(one - other))
-
-
-def excess_gap(public: tuple[Floats, Floats], fresh: tuple[Floats, Floats], scale: float) -> Interval:
-    """Return the part of the gap that controls do not share, in points of the score, with its bootstrap interval.
-
-    A set of scenarios that suits one good controller suits the others too. So the mean gain over the training seeds is
-    regressed on the gains of controls, over the fresh scenarios; what this predicts for the public ones is taken off
-    their gains. In the resamples, whose scenarios are those of :func:`score_gap`, the coefficients are taken as known,
-    and so are the training seeds: asked is what these policies are, not what others trained alike would be. A row of
-    which only some seeds know the public scenarios is seen as sharply as any other.
-
-    Source: control variates, e.g. P. Glasserman, "Monte Carlo Methods in Financial Engineering", 2003, section 4.1.
-
-    Args:
-        public, fresh: log gains of the entry (n_runs, n_scenarios) and of the controls (n_controls, n_scenarios).
-        scale: Λ of the fresh scenarios.
-    """
-    gains, controls = fresh
-    centred = controls - controls.mean(axis=1, keepdims=True)
-    weights = np.linalg.lstsq(centred.T, gains.mean(axis=0), rcond=None)[0]
-    one, other = (100.0 * (own.mean(axis=0) - weights @ those) / scale for own, those in (public, fresh))
-    sides = _two_sides(1, one.size, other.size)
-    drawn = [own[scenarios[:, 0]].mean(axis=1) for own, (_, scenarios) in zip((one, other), sides, strict=True)]
-    return Interval(mean(one) - mean(other), *_bounds(drawn[0] - drawn[1]))
-
-
-def _two_sides(n_runs: int, n_public: int, n_fresh: int) -> list[tuple[Indices, Indices]]:
-    """Return what two sets of scenarios are resampled by: the same runs for both, scenarios of each by themselves."""
-    streams = [np.random.default_rng(seed) for seed in np.random.SeedSequence(BOOTSTRAP_SEED).spawn(3)]
-    runs = streams[0].integers(0, n_runs, size=(N_RESAMPLES, n_runs, 1))
-    return [
-        (runs, stream.integers(0, n, size=(N_RESAMPLES, 1, n)))
-        for stream, n in zip(streams[1:], (n_public, n_fresh), strict=True)
-    ]
+    gained, gap = _resampled_means(gains), _resampled_means(gaps[np.newaxis])
+    return percentile_interval(100.0 * mean(gains) / mean(gaps), 100.0 * gained[gap > 0.0] / gap[gap > 0.0])
 
 
 __all__ = [
@@ -254,8 +271,6 @@ __all__ = [
     "N_RESAMPLES",
     "Interval",
     "NoScaleError",
-    "bootstrap",
-    "excess_gap",
     "gap_closed",
     "improvement",
     "interquartile_interval",
@@ -264,9 +279,12 @@ __all__ = [
     "mean",
     "mean_interval",
     "mean_score",
+    "percentile_interval",
     "pinned_cost",
-    "resampled_means",
+    "points_by_term",
+    "resampled_scores",
     "scenario_scores",
-    "score_gap",
+    "score_difference",
+    "score_interval",
     "score_scale",
 ]

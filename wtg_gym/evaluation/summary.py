@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,12 @@ from wtg_gym.evaluation import statistics
 from wtg_gym.evaluation.entries import ANCHORS
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.statistics import Interval
+
+#: The cost's terms that the points of a score are counted by; the others, and what failures cost, are "rest".
+POINTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {"frequency_rocof": ("frequency", "rocof"), "duty": ("duty",), "overload": ("overload",)}
+)
+REST = "rest"
 
 Floats = npt.NDArray[np.float64]
 
@@ -31,15 +39,21 @@ class EntrySummary:
         score: mean of the scenarios' scores: 0 is MPPT, 100 the reference.
         interquartile_mean: of the scenarios' scores.
         difference: mean of the scenarios' scores minus the reference's on the same scenario.
+        difference_to_above: the same, minus that of the entry above in the ranking; None for the first.
+        points_by_term: points above 100 by the cost terms they come from, by the names in :data:`POINTS` and
+            :data:`REST`; they add up to the score minus 100, see
+            :func:`wtg_gym.evaluation.statistics.points_by_term`.
         probability_of_improvement: P(J < J_ref) + ½ P(J = J_ref) of the pinned costs [-].
         gap_closed_percent: (mean J_ref - mean J) / (mean J_ref - mean J_oracle) of the pinned costs, all means over the
-            scenarios that have an oracle [%]; None where none has.
+            scenarios that have an oracle [%]; None where none has, or the mean cost is not below the reference's.
         n_oracle: number of scenarios that have an oracle.
         failures_percent: episodes that failed [%].
         mean_cost: mean pinned cost [-].
         mean_cost_terms: mean of every term of the cost as it was paid [-].
         median_nadir_hz: median of the lowest frequencies [Hz].
         p95_rocof_hz_s: 95th percentile of the largest rates of change of frequency [Hz/s].
+        p95_peak_power_pu: 95th percentile of the largest powers of any group [p.u.].
+        p95_power_change_pu: 95th percentile of the largest changes of any group's power over 1 s [p.u.].
         mean_duty_error_percent: mean of the duty errors [%].
         mean_energy_share_percent: mean of the shares of the available energy [%].
     """
@@ -52,6 +66,8 @@ class EntrySummary:
     score: Interval
     interquartile_mean: Interval
     difference: Interval
+    difference_to_above: Interval | None
+    points_by_term: Mapping[str, float]
     probability_of_improvement: Interval
     gap_closed_percent: Interval | None
     n_oracle: int
@@ -60,6 +76,8 @@ class EntrySummary:
     mean_cost_terms: Mapping[str, float]
     median_nadir_hz: float
     p95_rocof_hz_s: float
+    p95_peak_power_pu: float
+    p95_power_change_pu: float
     mean_duty_error_percent: float
     mean_energy_share_percent: float
 
@@ -87,12 +105,23 @@ def summarise(
         runs.setdefault(episode.entry, {}).setdefault(episode.training_seed, []).append(episode)
     described = {entry["name"]: entry for entry in entries}
     mppt, reference = (_costs(list(runs[name].values()), cap)[0] for name in ANCHORS)
-    scale = statistics.score_scale(mppt, reference)
-    seeds = [episode.seed for episode in next(iter(runs[ANCHORS[1]].values()))]
-    known = np.array([oracle.get(seed, np.nan) for seed in seeds])
-    return [
-        _summary(entry, list(runs[name].values()), reference, known, scale, cap) for name, entry in described.items()
-    ]
+    statistics.score_scale(mppt, reference)
+    anchor = next(iter(runs[ANCHORS[1]].values()))
+    known = np.array([oracle.get(episode.seed, np.nan) for episode in anchor])
+    gains = {name: statistics.log_gains(_costs(list(runs[name].values()), cap), reference) for name in described}
+    against = _Anchors(gains[ANCHORS[0]][0], reference, _terms([anchor])[:, 0], known)
+    rows = [_summary(entry, list(runs[name].values()), gains[name], against, cap) for name, entry in described.items()]
+    order = ranked(rows)
+    above = {
+        row.name: statistics.score_difference(gains[row.name], gains[better.name], against.mppt_gains)
+        for better, row in itertools.pairwise(order)
+    }
+    return [replace(row, difference_to_above=above.get(row.name)) for row in rows]
+
+
+def ranked(rows: Iterable[EntrySummary]) -> list[EntrySummary]:
+    """Return the rows in the order of the ranking: the best score first, equal ones by name."""
+    return sorted(rows, key=lambda row: (-row.score.value, row.name))
 
 
 def _costs(runs: Sequence[Sequence[Episode]], cap: float) -> Floats:
@@ -111,41 +140,71 @@ def _values(runs: Sequence[Sequence[Episode]], metric: str) -> Floats:
     return np.array([episode.metrics[metric] for run in runs for episode in run], dtype=np.float64)
 
 
+def _terms(runs: Sequence[Sequence[Episode]]) -> Floats:
+    """The terms of the cost as they were paid, in the order of :data:`POINTS`, shape (n_terms, n_runs, n_scenarios)."""
+    return np.array([sum(_values(runs, f"cost_{term}") for term in terms) for terms in POINTS.values()]).reshape(
+        len(POINTS), len(runs), -1
+    )
+
+
+@dataclass(frozen=True)
+class _Anchors:
+    """What every entry is compared with: arrays over the scenarios."""
+
+    mppt_gains: Floats
+    reference: Floats
+    reference_terms: Floats
+    oracle: Floats
+
+
 def _summary(
-    entry: Mapping[str, Any],
-    runs: Sequence[Sequence[Episode]],
-    reference: Floats,
-    oracle: Floats,
-    scale: float,
-    cap: float,
+    entry: Mapping[str, Any], runs: Sequence[Sequence[Episode]], gains: Floats, against: _Anchors, cap: float
 ) -> EntrySummary:
-    costs = _costs(runs, cap)
-    gains = statistics.log_gains(costs, reference)
-    scores = statistics.scenario_scores(gains, scale)
-    # The plain mean of the scores misses the anchors' 0 and 100 by a rounding.
-    value = statistics.mean_score(gains, scale)
-    low, high = statistics.bootstrap(scores, lambda samples: samples.mean(axis=-1))
-    has = np.isfinite(oracle)
+    costs, reference, mppt = _costs(runs, cap), against.reference, against.mppt_gains
+    score = statistics.score_interval(gains, mppt)
+    has = np.isfinite(against.oracle)
     return EntrySummary(
         name=entry["name"],
         kind=str(entry["kind"]),
         privileged=entry["observation_mode"] == "privileged",
         n_runs=costs.shape[0],
         n_episodes=costs.size,
-        score=Interval(value, low, high),
-        interquartile_mean=statistics.interquartile_interval(scores),
-        difference=Interval(value - 100.0, low - 100.0, high - 100.0),
+        score=score,
+        interquartile_mean=statistics.interquartile_interval(gains, mppt),
+        difference=Interval(score.value - 100.0, score.low - 100.0, score.high - 100.0),
+        difference_to_above=None,
+        points_by_term=_points(costs, runs, against),
         probability_of_improvement=statistics.mean_interval(statistics.improvement(costs, reference)),
-        gap_closed_percent=(statistics.gap_closed(costs[:, has], reference[has], oracle[has]) if has.any() else None),
+        gap_closed_percent=(
+            statistics.gap_closed(costs[:, has], reference[has], against.oracle[has]) if has.any() else None
+        ),
         n_oracle=int(has.sum()),
         failures_percent=100.0 * float(np.mean([episode.failed for run in runs for episode in run])),
         mean_cost=statistics.mean(costs),
         mean_cost_terms={term: statistics.mean(_values(runs, f"cost_{term}")) for term in COST_TERMS},
         median_nadir_hz=float(np.median(_values(runs, "nadir_hz"))),
         p95_rocof_hz_s=float(np.percentile(_values(runs, "largest_rocof_hz_s"), 95.0)),
+        p95_peak_power_pu=float(np.percentile(_values(runs, "peak_power_pu"), 95.0)),
+        p95_power_change_pu=float(np.percentile(_values(runs, "largest_power_change_pu"), 95.0)),
         mean_duty_error_percent=statistics.mean(_values(runs, "duty_error_percent")),
         mean_energy_share_percent=statistics.mean(_values(runs, "energy_share_percent")),
     )
 
 
-__all__ = ["EntrySummary", "pinned", "summarise"]
+def _points(costs: Floats, runs: Sequence[Sequence[Episode]], against: _Anchors) -> dict[str, float]:
+    """The points above 100 by the names in :data:`POINTS` and :data:`REST`."""
+    terms = _terms(runs)
+    # Of a failed episode the rest is the pinned cost without what was paid for the named terms.
+    every = np.concatenate([terms, (costs - terms.sum(axis=0))[np.newaxis]])
+    rest = against.reference - against.reference_terms.sum(axis=0)
+    points = statistics.points_by_term(
+        costs,
+        against.reference,
+        every,
+        np.concatenate([against.reference_terms, rest[np.newaxis]]),
+        -statistics.mean(against.mppt_gains),
+    )
+    return dict(zip((*POINTS, REST), points.tolist(), strict=True))
+
+
+__all__ = ["POINTS", "REST", "EntrySummary", "pinned", "ranked", "summarise"]

@@ -48,6 +48,8 @@ PHYSICAL_METRICS = (
     ("mean_cost", "mean\ncost", False),
     ("median_nadir_hz", "nadir\n[Hz]", True),
     ("p95_rocof_hz_s", "RoCoF\n[Hz/s]", False),
+    ("p95_peak_power_pu", "peak P\n[p.u.]", False),
+    ("p95_power_change_pu", "ΔP in 1 s\n[p.u.]", False),
     ("mean_duty_error_percent", "duty err.\n[%]", False),
     ("mean_energy_share_percent", "energy\n[%]", True),
 )
@@ -153,10 +155,9 @@ def _suite(
     results: Results, scenarios: Sequence[Scenario], played: Sequence[Entry], recordings: Mapping[str, Recording]
 ) -> dict[str, Any]:
     rows = leaderboard_rows(results)
-    scores = _scores(results)
+    scores, gains = _scores(results), results.log_gains
     order = [row.name for row in rows if row.name in recordings]
     seeds = {entry.name: entry.training_seed for entry in played}
-    means = np.array([statistics.resampled_means(scores[row.name]) for row in rows])
     return {
         "name": results.suite if results.split == "test" else f"{results.suite}, {results.split}",
         "split": results.split,
@@ -171,7 +172,9 @@ def _suite(
         ],
         # Rows of every entry's runs, in the order of the entries.
         "scores": packed(quantised(np.vstack([scores[row.name] for row in rows]), SCORE_RESOLUTION)),
-        "differences": packed(quantised(_lower_bounds(means), SCORE_RESOLUTION)),
+        "differences": packed(
+            quantised(_lower_bounds([gains[row.name] for row in rows], gains[ANCHORS[0]][0]), SCORE_RESOLUTION)
+        ),
         "traced": order,
         "scenarios": [
             _scenario(results, scenario, place, seeds, [recordings[name] for name in order])
@@ -180,16 +183,23 @@ def _suite(
     }
 
 
-def _lower_bounds(means: Floats) -> Floats:
+def _lower_bounds(gains: Sequence[Floats], mppt: Floats) -> Floats:
     """Return lower ends of the intervals of the differences of mean scores, (n, n): row minus column.
 
-    The upper end is minus the lower one the other way round. Every entry is resampled on the same drawn scenarios.
+    The upper end is minus the lower one the other way round.
 
     Args:
-        means: resampled mean scores of the entries (n, n_resamples).
+        gains: log gains of the entries in the order of the ranking, (n_runs, n_scenarios) each.
+        mppt: log gains of MPPT (n_scenarios,).
     """
-    tail = 50.0 * (1.0 - statistics.CONFIDENCE)
-    return np.array([np.percentile(own - means, tail, axis=1) for own in means])
+    bounds = np.zeros((len(gains), len(gains)))
+    above = [statistics.resampled_scores(own, mppt, side=1) for own in gains]
+    for row, own in enumerate(gains):
+        samples = statistics.resampled_scores(own, mppt)
+        for column in range(row):
+            interval = statistics.percentile_interval(0.0, samples - above[column])
+            bounds[row, column], bounds[column, row] = interval.low, -interval.high
+    return bounds
 
 
 def _scores(results: Results) -> dict[str, Floats]:
@@ -218,6 +228,8 @@ def _entry(results: Results, row: EntrySummary, rank: int, training_seeds: Mappi
         "traced_run": every.index(seed),
         "training_seed": seed,
         "score": _interval(row.score),
+        "above": None if row.difference_to_above is None else _interval(row.difference_to_above),
+        "points": {term: round(value, 2) + 0.0 for term, value in row.points_by_term.items()},
         "iqm": _interval(row.interquartile_mean),
         "improvement": _interval(row.probability_of_improvement, 3),
         "gap": None if row.gap_closed_percent is None else _interval(row.gap_closed_percent),

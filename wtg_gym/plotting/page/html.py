@@ -15,8 +15,8 @@ from typing import Any
 
 from wtg_gym import __version__
 from wtg_gym.evaluation import Entry, EntrySummary, Results, leaderboard_rows, table_cells
-from wtg_gym.evaluation.generalisation import GeneralisationGap, generalisation_gaps, signed_interval
-from wtg_gym.evaluation.leaderboard import COLUMNS
+from wtg_gym.evaluation.generalisation import GeneralisationGap, generalisation_gaps
+from wtg_gym.evaluation.leaderboard import COLUMNS, signed_interval
 from wtg_gym.plotting.page.data import Progress, page_data
 from wtg_gym.scenarios import VERIFICATION
 
@@ -204,15 +204,21 @@ def _cell(name: str, text: str, row: EntrySummary) -> str:
     if name == "entry":
         return f'<th scope="row">{html.escape(text)}</th>'
     if name == _GAP and row.gap_closed_percent is not None:
-        share = min(max(row.gap_closed_percent.value, 0.0), 100.0)
-        return f'<td class="number share" style="--share: {share:.1f}%">{html.escape(text)}</td>'
-    return f"<td{' class=number' if COLUMNS[name] else ''}>{html.escape(text)}</td>"
+        share = min(row.gap_closed_percent.value, 100.0)
+        return f'<td class="number share" style="--share: {share:.1f}%">{_number(text)}</td>'
+    return f'<td class="number">{_number(text)}</td>' if COLUMNS[name] else f"<td>{html.escape(text)}</td>"
+
+
+def _number(text: str) -> str:
+    """Return a number, and what follows it in brackets as an element of its own, which gets a line of its own."""
+    value, space, brackets = text.partition(" ")
+    return value if not space else f"{value} <small>{html.escape(brackets)}</small>"
 
 
 def _fresh_cells(gap: GeneralisationGap | None) -> str:
     fresh = "" if gap is None else f"{gap.fresh.value:.1f}"
     excess = "" if gap is None or gap.excess is None else signed_interval(gap.excess)
-    return f'<td class="number">{fresh}</td><td class="number">{excess}</td>'
+    return f'<td class="number">{fresh}</td><td class="number">{_number(excess)}</td>'
 
 
 __all__ = ["N_SCENARIOS", "SIZE_LIMIT", "Page", "leaderboard_page"]

@@ -158,7 +158,11 @@ const fillRanking = () => {
 const described = () =>
   shown().map((entry) => ({
     rank: entry.rank, name: entry.name, kind: entry.kind, action: entry.action, n_runs: entry.n_runs,
-    score: entry.score[0], score_low: entry.score[1], score_high: entry.score[2], iqm: entry.iqm[0],
+    score: entry.score[0], score_low: entry.score[1], score_high: entry.score[2],
+    difference_to_above: entry.above?.[0] ?? null, difference_to_above_low: entry.above?.[1] ?? null,
+    difference_to_above_high: entry.above?.[2] ?? null,
+    ...Object.fromEntries(Object.entries(entry.points).map(([term, points]) => [`points_${term}`, points])),
+    iqm: entry.iqm[0],
     probability_of_improvement: entry.improvement[0], gap_closed_percent: entry.gap?.[0] ?? null,
     ...Object.fromEntries(data.metrics.map((metric, i) => [metric.name, entry.physical[i]])), sha256: entry.sha256,
   }));
