@@ -19,6 +19,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize, unwrap_vec_wrapper
 
 from agents.hyperparameters import ALGORITHMS
+from agents.runs import loading
 from wtg_gym.evaluation.entries import ARCHIVE_FILE
 from wtg_gym.sb3_archive import CUSTOM_OBJECTS
 
@@ -63,25 +64,34 @@ def save_checkpoint(folder: Path, model: BaseAlgorithm, extra: Any) -> None:
 
 
 def load_checkpoint(folder: Path, algo: str, device: str) -> tuple[BaseAlgorithm, Any]:
-    """Return the learner, in its environments and with every generator as it was, and the caller's extra."""
-    state = pickle.loads((folder / _STATE).read_bytes())
-    monitor = VecMonitor(state["environments"])
-    monitor.episode_returns, monitor.episode_lengths, monitor.episode_count = state["monitor"]
+    """Return the learner, in its environments and with every generator as it was, and the caller's extra.
+
+    Raises:
+        ValueError: a file is missing or damaged; the message names it.
+    """
+    with loading(folder / _STATE):
+        state = pickle.loads((folder / _STATE).read_bytes())
+        monitor = VecMonitor(state["environments"])
+        monitor.episode_returns, monitor.episode_lengths, monitor.episode_count = state["monitor"]
     env: VecEnv = monitor
-    if (folder / _NORMALIZE).exists():
-        normalize = VecNormalize.load(str(folder / _NORMALIZE), monitor)
-        normalize.returns = state["discounted_returns"]
-        env = normalize
-    model = ALGORITHMS[algo].load(
-        folder / ARCHIVE_FILE, env=env, device=device, custom_objects=CUSTOM_OBJECTS, force_reset=False
-    )
+    if state["discounted_returns"] is not None:
+        with loading(folder / _NORMALIZE):
+            normalize = VecNormalize.load(str(folder / _NORMALIZE), monitor)
+            normalize.returns = state["discounted_returns"]
+            env = normalize
+    with loading(folder / ARCHIVE_FILE):
+        model = ALGORITHMS[algo].load(
+            folder / ARCHIVE_FILE, env=env, device=device, custom_objects=CUSTOM_OBJECTS, force_reset=False
+        )
     if isinstance(model, OffPolicyAlgorithm):
-        model.load_replay_buffer(folder / _REPLAY_BUFFER)
-    if state["lstm_states"] is not None:
-        model._last_lstm_states = state["lstm_states"]  # type: ignore[attr-defined]
-    # Last, because making the learner seeds the generators anew.
-    _set_random_states(model, state["random"])
-    return model, state["extra"]
+        with loading(folder / _REPLAY_BUFFER):
+            model.load_replay_buffer(folder / _REPLAY_BUFFER)
+    with loading(folder / _STATE):
+        if state["lstm_states"] is not None:
+            model._last_lstm_states = state["lstm_states"]  # type: ignore[attr-defined]
+        # Last, because making the learner seeds the generators anew.
+        _set_random_states(model, state["random"])
+        return model, state["extra"]
 
 
 def _random_states(model: BaseAlgorithm) -> dict[str, Any]:

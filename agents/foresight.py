@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -21,7 +20,7 @@ from wtg_gym.envs.settings import ACTION_MODES
 from wtg_gym.envs.task import N_LOCAL
 from wtg_gym.evaluation import ANCHORS, Entry, Results, evaluate
 from wtg_gym.evaluation.oracle import OracleCosts
-from wtg_gym.files import parse_json, read_text, sha256, to_json, write_atomically
+from wtg_gym.files import read_json, sha256, to_json, write_atomically
 from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[np.float64]
@@ -86,7 +85,7 @@ def read_gains(path: Path, action_mode: str) -> tuple[tuple[float, ...], ...]:
     Raises:
         ValueError: the file cannot be read, or its gains are not those of this action mode.
     """
-    data = parse_json(read_text(path, "gains"), path, "gains")
+    data = read_json(path, "gains")
     shape = sum(ACTION_MODES[action_mode]), N_LOCAL + 1
     try:
         mode, gains = data["action_mode"], np.array(data["gains"], dtype=np.float64)
@@ -118,17 +117,20 @@ class _Parts:
     def path(self, gains: Any, seeds: Sequence[int]) -> Path:
         """Return the file of a chunk."""
         key = to_json([self._context, gains, list(seeds)])
-        return self._folder / f"{sha256(key.encode())}.json"
+        path = self._folder / f"{sha256(key.encode())}.json"
+        if path.exists() and not path.is_file():
+            raise ValueError(f"{path} must be the file of a finished chunk, it is something else; remove it")
+        return path
 
     @staticmethod
     def load(path: Path, n_scenarios: int) -> tuple[float, ...] | None:
         """Return a stored chunk's costs; None where there is none, or it is damaged and has to be searched again."""
         try:
-            data = json.loads(path.read_text(encoding="utf-8"))
+            data = read_json(path, "finished chunk")
             costs = tuple(float(cost) for cost in data["costs"])
             intact = sha256(to_json(data["costs"]).encode()) == data["sha256"] and len(costs) == n_scenarios
             return costs if intact and np.isfinite(costs).all() else None
-        except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        except (ValueError, KeyError, TypeError, OverflowError):
             return None
 
     @staticmethod

@@ -15,7 +15,7 @@ from agents.command import run_command
 from agents.foresight import Search, find_oracle, read_gains
 from agents.linear import make_linear_feedback
 from agents.simple_policies import simple_policies
-from wtg_gym.cli.output import check_output_file, check_output_folder, note, print_json, print_table
+from wtg_gym.cli.output import check_output_file, check_output_folder, note, print_json, print_table, say
 from wtg_gym.cli.parser import Parser
 from wtg_gym.envs.settings import ACTION_MODES
 from wtg_gym.evaluation import load_entries
@@ -156,8 +156,9 @@ def _simple(given: argparse.Namespace) -> None:
         row for family in ("constant", "bang-bang", "relay") for row in [p for p in policies if p.family == family][:3]
     ]
     counts = Counter(policy.family for policy in policies)
-    print(
-        f"suite {given.suite}, {given.split}: mean cost of the reference {reference:.2f}; the best three of each kind\n"
+    say(
+        f"suite {given.suite}, {given.split}: mean cost of the reference {reference:.2f}; the best three of each kind",
+        "",
     )
     print_table(
         ("kind", "tried", "policy", "mean cost", "difference [%]"),
@@ -189,7 +190,7 @@ def _foresight(given: argparse.Namespace) -> None:
     if given.json:
         print_json([{"costs": name, "mean_cost": mean, "cheapest_in": count} for name, mean, count in rows])
         return
-    print(f"suite {costs.suite} ({costs.suite_hash[:12]}), {costs.split}: {len(costs.seeds)} scenarios\n")
+    say(f"suite {costs.suite} ({costs.suite_hash[:12]}), {costs.split}: {len(costs.seeds)} scenarios", "")
     reference = rows[0][1]
     print_table(
         ("costs", "mean", "difference [%]", "cheapest in"),

@@ -29,7 +29,7 @@ from tensorboardX import SummaryWriter
 from agents import single_file_ppo
 from agents.rllib_envs import Scales, make_envs, measure_scales
 from agents.rllib_ppo import Hyperparameters
-from agents.runs import BEST, CHECKPOINTS, Run, RunSettings, folders, put_back, save_folder
+from agents.runs import BEST, CHECKPOINTS, Run, RunSettings, folders, loading, put_back, save_folder
 from agents.validation import validate
 from wtg_gym.cli.output import Progress
 
@@ -214,7 +214,8 @@ def _train(run: Run, folder: Path, algorithm: Algorithm) -> None:
         put_back(folder / name)
     checkpoints = folders(folder / CHECKPOINTS)
     if checkpoints:
-        algorithm.restore_from_path(str(checkpoints[-1].resolve()))
+        with loading(checkpoints[-1]):
+            algorithm.restore_from_path(str(checkpoints[-1].resolve()))
     steps = first = _steps_of(algorithm)
     # Rows after the checkpoint are of a policy that is lost.
     run.curve = [row for row in run.curve if row["timesteps"] <= steps]

@@ -18,7 +18,7 @@ from typing import Any
 
 from wtg_gym import __version__
 from wtg_gym.envs import EnvSettings
-from wtg_gym.files import parse_json, read_text, to_json, write_atomically
+from wtg_gym.files import read_json, to_json, write_atomically
 from wtg_gym.physics.compiled import source_hash
 from wtg_gym.scenarios import get_suite
 
@@ -31,6 +31,8 @@ except ImportError:  # Windows: two processes in one folder are not noticed ther
 RUN_FILE, CHECKPOINTS, BEST = "run.json", "checkpoints", "best"
 _LOCK_FILE = ".lock"
 _ASIDE = ".aside"
+#: What decides the weights besides the packages.
+_HASHES = ("source_hash", "suite_hash")
 _PACKAGES = ("gymnasium", "numba", "numpy", "ray", "stable-baselines3", "sb3-contrib", "torch")
 
 
@@ -151,11 +153,40 @@ class Run:
             ValueError: there is none, or it is damaged.
         """
         path = folder / RUN_FILE
-        data = parse_json(read_text(path, "description of the run"), path, "description of the run")
+        data = read_json(path, "description of the run")
         try:
-            return cls(**{**data, "settings": RunSettings(**data["settings"])})
-        except (KeyError, TypeError) as error:
-            raise ValueError(f"{path} is no description of a training run: {error!r}") from error
+            run = cls(**{**data, "settings": RunSettings(**data["settings"])})
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{path} is no description of a training run: {error}") from error
+        run._check(path)
+        return run
+
+    def _check(self, path: Path) -> None:
+        """Raise a ValueError where a value is not of the type that :meth:`write` writes."""
+        right = {
+            "curve": isinstance(self.curve, list) and all(map(_is_row, self.curve)),
+            "hyperparameters": isinstance(self.settings.hyperparameters, dict),
+            "provenance": _is_provenance(self.provenance),
+            "resumptions": isinstance(self.resumptions, list) and all(map(_is_provenance, self.resumptions)),
+            "resumed": type(self.resumed) is int,
+            "finished": type(self.finished) is bool,
+        }
+        wrong = [name for name, is_right in right.items() if not is_right]
+        if wrong:
+            raise ValueError(f"{path} is no description of a training run: wrong values of {', '.join(wrong)}")
+
+
+@contextlib.contextmanager
+def loading(path: Path) -> Iterator[None]:
+    """Name the file or folder of a run that cannot be loaded, in a ValueError.
+
+    Pickles and archives raise anything when they are damaged.
+    """
+    try:
+        yield
+    except Exception as error:
+        reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
+        raise ValueError(f"{path} is missing, damaged or of another kind: {reason}") from error
 
 
 @contextlib.contextmanager
@@ -246,6 +277,19 @@ def folders(parent: Path) -> list[Path]:
     return sorted(path for path in parent.glob("*") if path.name.isdigit())
 
 
+def _is_row(value: Any) -> bool:
+    numbers = [value.get(key) for key in ("timesteps", "wall_time_s", "score")] if isinstance(value, dict) else [None]
+    return all(isinstance(number, (int, float)) and not isinstance(number, bool) for number in numbers)
+
+
+def _is_provenance(value: Any) -> bool:
+    return (
+        isinstance(value, dict)
+        and isinstance(value.get("versions", {}), dict)
+        and all(isinstance(value.get(key, ""), str) for key in _HASHES)
+    )
+
+
 def _provenance(settings: RunSettings) -> dict[str, Any]:
     return {
         "command": shlex.join([Path(sys.executable).name, *sys.orig_argv[1:]]),
@@ -264,8 +308,7 @@ def _provenance(settings: RunSettings) -> dict[str, Any]:
 
 def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     """Return what decides the weights and is not the same, in words; packages that only one side has do not count."""
-    pairs = {"source hash": "source_hash", "suite hash": "suite_hash"}
-    values = [(name, before[key][:12], now[key][:12]) for name, key in pairs.items() if key in before]
+    values = [(key.replace("_", " "), before[key][:12], now[key][:12]) for key in _HASHES if key in before]
     versions = before.get("versions", {}), now["versions"]
     values += [(name, versions[0][name], versions[1][name]) for name in sorted(versions[0].keys() & versions[1].keys())]
     return [f"{name} was {old} and is {new}" for name, old, new in values if old != new]
@@ -295,6 +338,7 @@ __all__ = [
     "RunSettings",
     "folders",
     "held",
+    "loading",
     "new_folder",
     "put_back",
     "save_folder",

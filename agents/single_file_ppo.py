@@ -21,7 +21,7 @@ from torch import Tensor, nn
 from agents.command import run_command
 from agents.gains import Gains
 from agents.networks import Normalization, PolicyNetwork, flat_layers
-from agents.runs import BEST, Run, RunSettings, new_folder, save_folder
+from agents.runs import BEST, Run, RunSettings, loading, new_folder, save_folder
 from agents.staggering import stagger
 from agents.validation import validate
 from wtg_gym import ENV_ID
@@ -291,8 +291,13 @@ def save(folder: Path, agent: Agent) -> None:
 
 
 def load(folder: Path) -> Agent:
-    """Return the agent of a folder that :func:`save` wrote; no code in it is run."""
-    return agent_of(torch.load(folder / _WEIGHTS, weights_only=True))
+    """Return the agent of a folder that :func:`save` wrote; no code in it is run.
+
+    Raises:
+        ValueError: the file is missing or damaged; the message names it.
+    """
+    with loading(folder / _WEIGHTS):
+        return agent_of(torch.load(folder / _WEIGHTS, weights_only=True))
 
 
 def agent_of(weights: Mapping[str, Tensor]) -> Agent:

@@ -1,14 +1,23 @@
-"""Writing files so that nobody ever sees half of one, and JSON that is the same bytes every time."""
+"""Files: written whole or not at all, JSON with the same bytes every time, and one guarded reader of JSON and TOML."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import shutil
+import tomllib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
+
+#: Largest text and largest TOML file that is read [B]; results of a hundred entries are some 10 MB, laws 1 kB.
+LARGEST_BYTES, LARGEST_TOML_BYTES = 2**28, 2**14
+#: Deepest nest of objects and lists that is read; results have five levels.
+_DEEPEST = 20
+#: Whole numbers from here on are refused; nothing that is read counts further.
+_LARGEST_WHOLE = 2**64
 
 
 def sha256(data: bytes) -> str:
@@ -89,44 +98,103 @@ def _with_markers(path: Path, name: str) -> tuple[str, str, str]:
     return text, start, end
 
 
-def read_text(path: Path, what: str) -> str:
+def read_text(path: Path, what: str, *, encoding: str = "utf-8", largest: int = LARGEST_BYTES) -> str:
     """Return a file's text.
 
     Args:
         path: the file.
         what: what it is, for the message.
+        encoding: "utf-8", or "utf-8-sig" to skip a byte order mark.
+        largest: size that is still read [B].
 
     Raises:
-        ValueError: the file cannot be read or is not UTF-8; the message names it.
+        ValueError: the file cannot be read, is larger, or is not UTF-8; the message names it.
     """
     try:
-        return path.read_bytes().decode("utf-8")
-    except OSError as error:
-        raise ValueError(f"cannot read the {what} {path}: {error.strerror}") from error
+        with path.open("rb") as file:
+            content = file.read(largest + 1)
+    except (OSError, ValueError) as error:
+        # A path with a null byte is a ValueError.
+        raise ValueError(f"cannot read the {what} {path}: {getattr(error, 'strerror', None) or error}") from error
+    if len(content) > largest:
+        raise ValueError(f"the {what} {path} is larger than {largest} bytes, the most that is read")
+    try:
+        return content.decode(encoding)
     except UnicodeDecodeError as error:
         raise ValueError(f"the {what} {path} is not UTF-8 text: {error}") from error
 
 
-def parse_json(text: str, path: Path, what: str) -> Any:
+def read_json(path: Path, what: str, *, encoding: str = "utf-8") -> Any:
+    """Return the data of a JSON file; a ValueError of :func:`read_text` or :func:`parse_json` names the file."""
+    return parse_json(read_text(path, what, encoding=encoding), f"the {what} {path}")
+
+
+def parse_json(text: str, where: str) -> Any:
     """Return the data of a JSON text.
 
+    Args:
+        text: the text.
+        where: where it is from, for the message.
+
     Raises:
-        ValueError: it is not JSON, is cut short, or holds NaN or Infinity; the message names the file.
+        ValueError: it is not JSON, is cut short, is nested deeper than 20 levels, or holds a number that is not finite
+            or a whole number of 2^64 or more.
     """
 
     def refuse(name: str) -> Any:
         raise ValueError(f"{name} is not a finite number")
 
     try:
-        return json.loads(text, parse_constant=refuse)
+        data = json.loads(text, parse_constant=refuse)
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"the {what} {path} is not JSON, or was cut short: {error}") from error
+        raise ValueError(f"{where} is not JSON, or was cut short: {error}") from error
+    _require_plain(data, where, infinite=False)
+    return data
+
+
+def read_toml(path: Path, what: str) -> dict[str, Any]:
+    """Return the data of a small TOML file.
+
+    Raises:
+        ValueError: the file cannot be read, is larger than 16 KiB, is not TOML, is nested deeper than 20 levels, or
+            holds a whole number of 2^64 or more; the message names the file.
+    """
+    # The time to read dotted keys grows with the square of their length: a minute for 100 KiB.
+    text = read_text(path, what, largest=LARGEST_TOML_BYTES)
+    try:
+        data = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"the {what} {path} is not TOML: {error}") from error
+    _require_plain(data, f"the {what} {path}", infinite=True)
+    return data
+
+
+def _require_plain(data: Any, where: str, *, infinite: bool) -> None:
+    """Refuse what the code after the reader could not convert or print: deep nests and numbers without end."""
+    level: list[Any] = [data]
+    for _ in range(_DEEPEST + 1):
+        inner: list[Any] = []
+        for value in level:
+            if isinstance(value, dict):
+                inner += value.values()
+            elif isinstance(value, list):
+                inner += value
+            elif isinstance(value, float) and not infinite and not math.isfinite(value):
+                raise ValueError(f"{where} holds a number that is not a finite number in floating point")
+            elif isinstance(value, int) and abs(value) >= _LARGEST_WHOLE:
+                raise ValueError(f"{where} holds a whole number outside the allowed range -2^64 … 2^64")
+        if not inner:
+            return
+        level = inner
+    raise ValueError(f"{where} is nested deeper than {_DEEPEST} levels")
 
 
 __all__ = [
     "markdown_table",
     "parse_json",
+    "read_json",
     "read_text",
+    "read_toml",
     "require_markers",
     "sha256",
     "to_json",

@@ -28,8 +28,9 @@ from wtg_gym.cli import (
     suites,
     validate,
     verify,
+    warmup,
 )
-from wtg_gym.cli.output import harmless
+from wtg_gym.cli.output import note, one_line
 from wtg_gym.cli.parser import Parser
 
 _DESCRIPTION = """\
@@ -54,7 +55,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser = Parser(prog="wtg-gym", description=_DESCRIPTION, epilog=_EPILOG)
     parser.add_argument("--version", action="version", version=f"wtg-gym {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    analysis = (statics, small_signal, reproduce, validate, accuracy, parameters, bench)
+    analysis = (statics, small_signal, reproduce, validate, accuracy, parameters, bench, warmup)
     for module in (simulate, evaluate, leaderboard, verify, gap, submission, sensitivity, suites, *analysis):
         module.add_commands(commands)
     return parser
@@ -76,22 +77,20 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return code
     except KeyboardInterrupt:
-        print(f"\nwtg-gym: interrupted; {arguments.after_interrupt}", file=sys.stderr)
+        # Below the ^C of a terminal.
+        print(file=sys.stderr)
+        note(f"wtg-gym: interrupted; {arguments.after_interrupt}")
         return 130
     except BrokenPipeError:
         # The reader of a pipe has seen enough; the interpreter must not complain when it flushes at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except (ValueError, OSError) as error:
-        print(f"wtg-gym: error: {_one_line(error)}", file=sys.stderr)
+        note(f"wtg-gym: error: {one_line(error)}")
         return 2
-
-
-def _one_line(error: ValueError | OSError) -> str:
-    if isinstance(error, OSError) and error.strerror:
-        where = f"{error.filename}: " if error.filename else ""
-        return f"{where}{error.strerror}"
-    return harmless(" ".join(str(error).split()))
+    except MemoryError:
+        note("wtg-gym: error: there is not enough memory for this")
+        return 2
 
 
 __all__ = ["build_parser", "main"]

@@ -19,6 +19,7 @@ from wtg_gym.cli.output import (
     print_json,
     print_table,
     require_extra,
+    say,
     update_page,
 )
 from wtg_gym.cli.parser import Commands, add_command
@@ -147,4 +148,4 @@ def _print(study: AccuracyStudy) -> None:
         for row in study.rows
     ]
     print_table(header, rows)
-    print(f"\nerrors: median / worst of {len(study.seeds)} scenarios; {_summary(study)}")
+    say("", f"errors: median / worst of {len(study.seeds)} scenarios; {_summary(study)}")

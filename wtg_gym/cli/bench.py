@@ -34,6 +34,7 @@ from wtg_gym.cli.output import (
     print_json,
     print_table,
     require_extra,
+    say,
     update_page,
 )
 from wtg_gym.cli.parser import Commands, add_command
@@ -214,7 +215,7 @@ def _markdown(part: str, results: Results) -> str:
 
 
 def _print(results: Results) -> None:
-    print(machine(), end="\n\n")
+    say(machine(), "")
     pieces: list[Table | str] = [rate_table(results, results.rates)]
     if _of_part(results, "training"):
         pieces.append(describe_training())
@@ -224,8 +225,8 @@ def _print(results: Results) -> None:
         pieces += _tables("roofline", results)
     for index, piece in enumerate(pieces):
         if index:
-            print()
+            say("")
         if isinstance(piece, Table):
             print_table(piece.header, piece.rows, left=piece.text)
         else:
-            print(piece)
+            say(piece)

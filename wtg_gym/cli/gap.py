@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from wtg_gym.cli.output import check_page, note, print_json, print_table, update_page
+from wtg_gym.cli.output import check_page, note, print_json, print_table, say, update_page
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.evaluation import Results
 from wtg_gym.evaluation.generalisation import COLUMNS, describe, gap_cells, gap_page, generalisation_gaps, left_out
@@ -56,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print_json({"draw": fresh.draw, "gaps": [gap.to_dict() for gap in gaps], "left_out": missing})
     else:
-        print(f"{describe(public, fresh)}\n")
+        say(describe(public, fresh), "")
         left = [index for index, is_number in enumerate(COLUMNS.values()) if not is_number]
         print_table(tuple(COLUMNS), gap_cells(gaps), left=left)
     if missing:

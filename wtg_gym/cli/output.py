@@ -20,6 +20,8 @@ from wtg_gym.files import require_markers, update_between_markers, write_atomica
 FIGURE_FORMATS = ("svg", "png", "pdf")
 #: What the file of a figure may end with.
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
+#: Most characters of an error's message.
+_LONGEST_ERROR = 1500
 #: Lines of progress come this far apart, the first one after as long [s].
 _PROGRESS_INTERVAL_S = 5.0
 
@@ -29,11 +31,30 @@ def note(text: str) -> None:
     print(harmless(text), file=sys.stderr)
 
 
+def say(*lines: str) -> None:
+    """Write lines to stdout. Whatever is printed goes through here, :func:`note` or :func:`print_table`."""
+    for line in lines:
+        print(harmless(line))
+
+
 def harmless(text: str) -> str:
-    """Return a text, which may come from anybody's file, without commands to a terminal."""
+    """Return a line of text, which may come from anybody's file, without commands to a terminal.
+
+    Control characters, line feeds, changes of direction and the like appear as escapes such as ``\\x1b``.
+    """
     if text.isprintable():
         return text
     return "".join(sign if sign.isprintable() else ascii(sign)[1:-1] for sign in text)
+
+
+def one_line(error: Exception) -> str:
+    """Return the message of an error in one line, shortened where it quotes a whole file."""
+    if isinstance(error, OSError) and error.strerror:
+        text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    else:
+        text = " ".join(str(error).split()) or type(error).__name__
+    text = harmless(text)
+    return text if len(text) <= _LONGEST_ERROR else f"{text[:_LONGEST_ERROR]} …"
 
 
 def require_extra(package: str, purpose: str) -> None:
@@ -135,8 +156,13 @@ def plain_json(value: Any) -> Any:
 
 
 def print_json(data: Any) -> None:
-    """Print data as JSON, the only thing on stdout."""
-    print(json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False))
+    """Print data as JSON, the only thing on stdout; what a terminal would take for commands is escaped as in JSON."""
+    text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
+    print("\n".join(line if line.isprintable() else _escaped(line) for line in text.split("\n")))
+
+
+def _escaped(text: str) -> str:
+    return "".join(sign if sign.isprintable() else json.dumps(sign)[1:-1] for sign in text)
 
 
 def print_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, left: Sequence[int] = (0,)) -> None:
@@ -147,7 +173,7 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, left: S
         rows: cells.
         left: columns of text; the others are aligned right.
     """
-    cells = [[harmless(cell) for cell in row] for row in rows]
+    header, *cells = [[harmless(cell) for cell in row] for row in (header, *rows)]
     widths = [max(map(len, column)) for column in zip(header, *cells, strict=True)]
     if sys.stdout.isatty() and importlib.util.find_spec("rich") is not None:
         from rich import box
@@ -166,7 +192,7 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, left: S
                 table.add_row(*map(escape, row))
             console.print(table)
             return
-    print(text_table(header, cells, left=left))
+    say(*text_table(header, cells, left=left).split("\n"))
 
 
 def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], *, left: Sequence[int] = (0,)) -> str:
@@ -220,7 +246,9 @@ class Progress:
         """Say that `done` of `total` are done, and the name of what is under way."""
         count = f"{round(done, 1):g} of {total} {self._unit}"
         if self._bar is not None:
-            self._bar.update(self._task, description=name, completed=done, total=total, count=count)
+            from rich.markup import escape
+
+            self._bar.update(self._task, description=escape(harmless(name)), completed=done, total=total, count=count)
             return
         now = time.monotonic()
         if now - self._last_line >= _PROGRESS_INTERVAL_S:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
+from wtg_gym.files import read_json
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.rendering import describe_event
 
@@ -16,12 +16,9 @@ def read_scenario(path: Path) -> Scenario:
     Raises:
         ValueError: the file cannot be read or is not a scenario; the message names the file and what is wrong.
     """
+    data = read_json(path, "scenario file")
     try:
-        return Scenario.from_json(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ValueError(f"cannot read the scenario file {path}: {error.strerror}") from error
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise ValueError(f"the scenario file {path} is not JSON: {error}") from error
+        return Scenario.from_dict(data)
     except ValueError as error:
         raise ValueError(f"scenario file {path}: {error}") from error
 

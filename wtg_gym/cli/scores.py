@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from wtg_gym.cli.output import Progress, note, print_json, print_table
+from wtg_gym.cli.output import Progress, note, print_json, print_table, say
 from wtg_gym.evaluation import (
     Entry,
     NoScaleError,
@@ -178,7 +178,7 @@ def finish(results: Results, folder: Path | None, *, as_json: bool) -> int:
     if as_json:
         print_json(results.to_dict())
         return code
-    print(f"suite {results.suite} ({results.suite_hash[:12]}), {results.split}: {len(results.seeds)} scenarios\n")
+    say(f"suite {results.suite} ({results.suite_hash[:12]}), {results.split}: {len(results.seeds)} scenarios", "")
     try:
         rows = leaderboard_rows(results)
     except NoScaleError as error:

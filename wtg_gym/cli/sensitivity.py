@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping
 
-from wtg_gym.cli.output import Progress, check_page, print_json, print_table, update_page
+from wtg_gym.cli.output import Progress, check_page, print_json, print_table, say, update_page
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.cli.scores import add_score_options, chosen_entries
 from wtg_gym.evaluation.sensitivity import (
@@ -78,11 +78,11 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print_json(study.to_dict())
         return 0
-    print(f"suite {study.suite} ({study.suite_hash[:12]}), {study.split}: {study.n_scenarios} scenarios\n")
+    say(f"suite {study.suite} ({study.suite_hash[:12]}), {study.split}: {study.n_scenarios} scenarios", "")
     print_table(("rank", "entry", "score"), _ranking(study.scores), left=(1,))
-    print()
+    say("")
     print_table(COLUMNS, sensitivity_cells(study), left=(0, 2, 3))
-    print(f"\n{describe_idle(study)}")
+    say("", describe_idle(study))
     return 0
 
 

@@ -19,6 +19,7 @@ from wtg_gym.cli.output import (
     check_output_file,
     check_plot_file,
     print_json,
+    say,
     write_and_say,
 )
 from wtg_gym.cli.parser import Commands, add_command, add_plant_options
@@ -120,7 +121,7 @@ def run(arguments: argparse.Namespace) -> int:
             {"scenario": scenario_summary(scenario), "plant": _plant_summary(arguments, groups), "runs": figures}
         )
     else:
-        print("\n".join(describe_scenario(scenario)), end="\n\n")
+        say(*describe_scenario(scenario), "")
         print_key_figures(figures)
     return int(any(trajectory.status == Status.NUMERICAL_FAILURE for trajectory in runs.values()))
 

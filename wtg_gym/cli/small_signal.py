@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from wtg_gym.cli.laws import add_law_option, chosen_laws
-from wtg_gym.cli.output import PLOT_SUFFIXES, check_plot_file, plain_json, print_json, print_table, write_and_say
+from wtg_gym.cli.output import PLOT_SUFFIXES, check_plot_file, plain_json, print_json, print_table, say, write_and_say
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.parameters import default_groups
@@ -140,7 +140,7 @@ def run_margins(arguments: argparse.Namespace) -> int:
         )
     print_table(header, rows, left=(0, 2, 6))
     if any(loop.pitch_deg > 0.0 for _, loop in loops):
-        print("\n* held by the pitch protection, whose angle counts as constant here; `wtg-gym modes` includes it")
+        say("", "* held by the pitch protection, whose angle counts as constant here; `wtg-gym modes` includes it")
     return 0
 
 
@@ -183,7 +183,7 @@ def run_modes(arguments: argparse.Namespace) -> int:
         )
     else:
         for number, (name, table) in enumerate(found.items()):
-            print(f"{chr(10) if number else ''}{name}")
+            say(*[""] * bool(number), name)
             _print_modes(table)
     return int(any(mode.eigenvalue.real > 0.0 for table in found.values() for mode in table))
 

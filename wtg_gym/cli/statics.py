@@ -18,6 +18,7 @@ from wtg_gym.cli.output import (
     check_plot_file,
     print_json,
     print_table,
+    say,
     write_and_say,
 )
 from wtg_gym.cli.parser import Commands, add_command
@@ -190,7 +191,7 @@ def _print(found: list[dict[str, Any]]) -> None:
         for frequency in (control.frequency_min_pu, control.frequency_setpoint_pu, control.frequency_max_pu)
     )
     print_table(("law", "wind [m/s]", "available", *heads, "no equilibrium below"), rows)
-    print("\npowers and speeds in p.u.; – : no stable equilibrium; * : held by the pitch protection")
+    say("", "powers and speeds in p.u.; – : no stable equilibrium; * : held by the pitch protection")
 
 
 def _short(point: dict[str, Any] | None) -> str:

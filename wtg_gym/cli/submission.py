@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from wtg_gym.cli.draw import add_split_options, chosen_draw
-from wtg_gym.cli.output import check_output_folder, note, print_json, print_table
+from wtg_gym.cli.output import check_output_folder, note, print_json, print_table, say
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.cli.scores import add_result_options, chosen_seeds, finish, kept_parts, run_evaluation
 from wtg_gym.evaluation import Entry, Results
@@ -134,7 +134,7 @@ def _run_check(arguments: argparse.Namespace) -> int:
         for report in reports:
             _print(report)
         for conflict in wrong:
-            print(f"refused: {conflict.reason}")
+            say(f"refused: {conflict.reason}")
     return int(bool(wrong) or not all(report.accepted for report in reports))
 
 
@@ -223,4 +223,4 @@ def _print(report: Report) -> None:
         left=(0, 1, 2),
     )
     accepted = f"accepted, sha256 {report.sha256}" if report.accepted else "refused"
-    print(f"{_shown(report.folder)}: {accepted}\n")
+    say(f"{_shown(report.folder)}: {accepted}", "")

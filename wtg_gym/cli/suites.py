@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from wtg_gym.cli.output import note, print_json, print_table
+from wtg_gym.cli.output import note, print_json, print_table, say
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.cli.scenario import describe_scenario
 from wtg_gym.scenarios import FROZEN_HASHES, SPLITS, SUITES, Suite, get_suite
@@ -65,7 +65,7 @@ def _show_scenario(suite: Suite, seed: int, *, as_json: bool) -> int:
     if as_json:
         print_json(scenario.to_dict())
     else:
-        print("\n".join(describe_scenario(scenario)))
+        say(*describe_scenario(scenario))
     return 0
 
 
@@ -117,20 +117,20 @@ def _print_suites(suites: list[Suite]) -> None:
         for suite in suites
     ]
     print_table(header, rows, left=(0, 1))
-    print()
+    say("")
     for suite in suites:
-        print(f"{suite.name:<10} {suite.description}")
+        say(f"{suite.name:<10} {suite.description}")
 
 
 def _print_suite(suite: Suite) -> None:
-    print(f"suite {suite.name}: {suite.description}")
-    print(f"  hash         {suite.hash}")
-    print(f"  length       {suite.duration_s:g} s")
+    say(f"suite {suite.name}: {suite.description}")
+    say(f"  hash         {suite.hash}")
+    say(f"  length       {suite.duration_s:g} s")
     for split in SPLITS:
-        print(f"  {split:<12} {len(suite.seeds(split))} scenarios, seeds {_seeds(suite, split)}")
+        say(f"  {split:<12} {len(suite.seeds(split))} scenarios, seeds {_seeds(suite, split)}")
     for seed, case in enumerate(suite.cases):
-        print(f"  case {seed:<7} {case.name}")
+        say(f"  case {seed:<7} {case.name}")
     if suite.distribution is not None:
-        print("drawn from:")
+        say("drawn from:")
         for key, value in suite.distribution.to_dict().items():
-            print(f"  {key:<26} {value}")
+            say(f"  {key:<26} {value}")

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from wtg_gym.cli.output import check_page, note, plain_json, print_json, print_table, update_page
+from wtg_gym.cli.output import check_page, note, plain_json, print_json, print_table, say, update_page
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.files import markdown_table
 from wtg_gym.physics.plant import SIMULATION_DT_RANGE, PlantSettings
@@ -134,7 +134,7 @@ def run(arguments: argparse.Namespace) -> int:
         print_json(results[0] if len(results) == 1 else results)
     else:
         for number, comparison in enumerate(found):
-            print(end="\n" if number else "")
+            say(*[""] * bool(number))
             _print(comparison)
     return 0 if all(comparison.all_agree for comparison in found) else 1
 
@@ -194,10 +194,11 @@ def _tolerance(arguments: argparse.Namespace, case: ReferenceCase) -> dict[str, 
 
 def _print(comparison: _Comparison) -> None:
     network = comparison.case.network
-    print(
+    say(
         f"{comparison.parameters}, {comparison.trace.name}: {len(network.buses)} buses, "
         f"{len(network.machines)} machines, {len(comparison.events)} events, {comparison.n_rows} rows to "
-        f"{comparison.end_s:g} s\n"
+        f"{comparison.end_s:g} s",
+        "",
     )
     default_ms = 1e3 * PlantSettings().simulation_dt
     header = (

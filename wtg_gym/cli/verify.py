@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from wtg_gym.cli.draw import read_secret
-from wtg_gym.cli.output import Progress, note, print_json, print_table
+from wtg_gym.cli.output import Progress, note, print_json, print_table, say
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.cli.scores import DEFAULT_ENTRIES, add_worker_options, chosen_entries, chosen_workers
 from wtg_gym.evaluation import Results
@@ -80,9 +80,9 @@ def run(arguments: argparse.Namespace) -> int:
     if stored.draw is not None and secret is None:
         note("whether these seeds were drawn or chosen is not known: check them with --secret-file")
     if not found.differences:
-        print(f"identical: {found.n_numbers} values of {len(stored.episodes)} episodes")
+        say(f"identical: {found.n_numbers} values of {len(stored.episodes)} episodes")
         return 0
-    print(f"not identical: {len(found.differences)} differences, the first {min(_SHOWN, len(found.differences))}\n")
+    say(f"not identical: {len(found.differences)} differences, the first {min(_SHOWN, len(found.differences))}", "")
     print_table(("where", "stored", "now"), found.differences[:_SHOWN], left=(0, 1, 2))
     return 1
 

@@ -14,6 +14,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from wtg_gym.envs.lanes import NextEpisodes, TaskLanes, as_actions
+from wtg_gym.envs.one_thread import Use, in_use, one_thread
 from wtg_gym.envs.rendering import Frame, LaneFrames
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task import OBSERVATION_BOUND, TaskRow
@@ -138,6 +139,7 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
         self.render_mode = render_mode
         self.settings = _settings(arguments)
         self._lanes = TaskLanes(self.settings, 1)
+        self._use = Use()
         self.metadata = _in_real_time(self.metadata, self.settings)
         self._frames: LaneFrames | None = None
         if render_mode is not None:
@@ -157,6 +159,7 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
         """Names and units of the observation's entries."""
         return self._lanes.observation_names
 
+    @one_thread
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
@@ -189,19 +192,26 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
 
         Raises:
             ValueError: wrong shape, or a value that is not finite.
-            RuntimeError: the episode is over; call reset().
+            RuntimeError: the episode is over, call reset(); or another thread is in this environment.
         """
         if not self._running:
             raise RuntimeError("the episode is over or was never started; call reset() before step()")
-        lanes = self._lanes
-        lanes.step(as_actions(action, self._action_shape)[None, :])
-        outputs = lanes.outputs
-        terminated, truncated = bool(outputs.terminated[0]), bool(outputs.truncated[0])
-        self._running = not (terminated or truncated)
-        if self._frames is not None:
-            self._frames.sample()
-            self._frames.show()
-        return outputs.observations[0].copy(), float(outputs.rewards[0]), terminated, truncated, lanes.info()
+        # As one_thread does; a decorator would add a fiftieth to the shortest step.
+        use = self._use
+        if not use.take(False):
+            raise in_use(self, "step")
+        try:
+            lanes = self._lanes
+            lanes.step(as_actions(action, self._action_shape)[None, :])
+            outputs = lanes.outputs
+            terminated, truncated = bool(outputs.terminated[0]), bool(outputs.truncated[0])
+            self._running = not (terminated or truncated)
+            if self._frames is not None:
+                self._frames.sample()
+                self._frames.show()
+            return outputs.observations[0].copy(), float(outputs.rewards[0]), terminated, truncated, lanes.info()
+        finally:
+            use.give_back()
 
     def render(self) -> Frame | None:
         """Draw the episode up to now.
@@ -221,6 +231,7 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
             return None
         return self._frames.paint()[0]
 
+    @one_thread
     def snapshot(self) -> Any:
         """Return a copy of the episode's complete state, for :meth:`restore`; the generator is not part of it.
 
@@ -228,6 +239,7 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
         """
         return self._lanes.snapshot(), self._running, None if self._frames is None else self._frames.snapshot()
 
+    @one_thread
     def restore(self, snapshot: Any) -> None:
         """Go back to a :meth:`snapshot`: what follows is then the same, bit for bit."""
         lanes, running, frames = snapshot
@@ -290,6 +302,7 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         self.settings = _settings(arguments)
         self.num_envs = num_envs
         self._lanes = TaskLanes(self.settings, num_envs, n_threads)
+        self._use = Use()
         self.metadata = {**_in_real_time(self.metadata, self.settings), "autoreset_mode": self.autoreset_mode}
         self._frames = None if render_mode is None else LaneFrames(self._lanes)
         self.single_observation_space, self.single_action_space = _spaces(self._lanes)
@@ -311,6 +324,7 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         """Names and units of one lane's observation."""
         return self._lanes.observation_names
 
+    @one_thread
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
@@ -374,6 +388,7 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         self._needs_reset[lanes] = False
         self._n_steps[lanes] = 0
 
+    @one_thread
     def step(
         self, actions: Action
     ) -> tuple[Observation, npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], dict[str, Any]]:
@@ -385,7 +400,8 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         Raises:
             ValueError: wrong shape, or a value that is not finite; nothing has been stepped then. Or a drawn scenario
                 cannot start; every running lane has been stepped then, and that one still waits for its reset.
-            RuntimeError: a lane was never started, or is over and resets are disabled.
+            RuntimeError: a lane was never started, or is over and resets are disabled; or another thread is in this
+                environment.
         """
         waiting = self._needs_reset.copy()
         if waiting.any() and (self.autoreset_mode != AutoresetMode.NEXT_STEP or not self._started()):
@@ -455,11 +471,13 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
             return None
         return self._frames.paint()
 
+    @one_thread
     def snapshot(self) -> Any:
         """Return a copy of every episode's complete state, for :meth:`restore`; the generators are not part of it."""
         frames = None if self._frames is None else self._frames.snapshot()
         return self._lanes.snapshot(), self._needs_reset.copy(), self._n_steps.copy(), frames
 
+    @one_thread
     def restore(self, snapshot: Any) -> None:
         """Go back to a :meth:`snapshot`."""
         lanes, needs_reset, n_steps, frames = snapshot

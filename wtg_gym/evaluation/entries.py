@@ -7,7 +7,6 @@ import importlib
 import json
 import os
 import pkgutil
-import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,7 +15,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation.onnx_policy import OnnxPolicy
-from wtg_gym.files import read_text, sha256
+from wtg_gym.files import read_toml, sha256
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, TrackingLaw, get_law
 
 #: Names of the two entries that fix the score's 0 and 100.
@@ -234,10 +233,7 @@ def load_entry_folder(folder: Path, load_archive: LoadArchive | None = None) -> 
 
 def _entry_data(path: Path, further: tuple[str, ...]) -> dict[str, Any]:
     """Return the arguments of :class:`Entry` that an entry.toml gives, and its `further` keys, which it must have."""
-    try:
-        data = tomllib.loads(read_text(path, "entry file"))
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"the entry file {path} is not TOML: {error}") from error
+    data = read_toml(path, "entry file")
     required, known = ("name", "action_mode", *further), (*_ENTRY_KEYS, *further)
     unknown, missing = sorted(set(data) - set(known)), sorted(set(required) - set(data))
     if unknown or missing:

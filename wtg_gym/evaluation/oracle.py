@@ -144,7 +144,7 @@ class OracleCosts:
         """
         json_path, csv_path = Path(path), Path(path).with_suffix(".csv")
         text = read_text(json_path, "description of the oracle")
-        data = parse_json(text, json_path, "description of the oracle")
+        data = parse_json(text, f"the description of the oracle {json_path}")
         _check(data, text, json_path)
         table = read_text(csv_path, "table of the oracle")
         if sha256(table.encode()) != data["csv_sha256"]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from wtg_gym import __version__
 from wtg_gym.evaluation.episodes import Episode, episode_from_cells
-from wtg_gym.files import parse_json, read_text, sha256, to_json, write_atomically
+from wtg_gym.files import read_json, sha256, to_json, write_atomically
 from wtg_gym.physics.compiled import source_hash
 
 
@@ -38,11 +38,17 @@ class PartialStore:
         Args:
             entry: the entry's data, with its identity as "sha256".
             seeds: seeds of the batch's scenarios.
+
+        Raises:
+            ValueError: something that is not a file stands in its place, so that the batch could not be stored.
         """
         if self._folder is None or entry["sha256"] is None:
             return None
         key = json.dumps([self._context, entry, seeds], sort_keys=True, allow_nan=False)
-        return self._folder / f"{sha256(key.encode())}.json"
+        path = self._folder / f"{sha256(key.encode())}.json"
+        if path.exists() and not path.is_file():
+            raise ValueError(f"{path} must be the file of a finished part, it is something else; remove it")
+        return path
 
     def load(self, path: Path | None, n_episodes: int) -> list[Episode] | None:
         """Return a stored batch; None where there is none, or it is damaged."""
@@ -50,7 +56,7 @@ class PartialStore:
             return None
         self._used.append(path)
         try:
-            data = parse_json(read_text(path, "partial result"), path, "partial result")
+            data = read_json(path, "partial result")
             if sha256(to_json(data["rows"]).encode()) != data["sha256"] or len(data["rows"]) != n_episodes:
                 return None
             return [episode_from_cells(cells, str(path)) for cells in data["rows"]]

@@ -191,7 +191,7 @@ class Results:
         json_path = Path(path)
         csv_path = json_path.with_suffix(".csv")
         text = read_text(json_path, "results file")
-        data = parse_json(text, json_path, "results file")
+        data = parse_json(text, f"the results file {json_path}")
         check_description(data, json_path, FORMAT)
         _require_intact(text, data, json_path)
         table = read_text(csv_path, "table of episodes")

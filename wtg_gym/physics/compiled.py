@@ -2,7 +2,8 @@
 
 Numba's own cache looks at the file of the decorated function alone: editing a callee in another file leaves a
 stale caller. Here the cache folder is named after a hash of every file that holds compiled code, so an edit
-anywhere starts a new folder and an unchanged package starts quickly.
+anywhere starts a new folder and an unchanged package starts quickly. The files in it are those of
+:mod:`wtg_gym.physics.machine_code`.
 """
 
 from __future__ import annotations
@@ -17,6 +18,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
+from numba.core import event
+
+from wtg_gym.physics.machine_code import Compilation, DiskCache
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -42,10 +46,21 @@ def _base_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 
 
+def _temporary_folder() -> Path:
+    folder = Path(tempfile.gettempdir())
+    if hasattr(os, "getuid"):
+        # Everybody can write there, and the code is run: another user's folder is not taken.
+        folder /= f"wtg_gym-{os.getuid()}"
+        folder.mkdir(mode=0o700, exist_ok=True)
+        if folder.lstat().st_uid != os.getuid():
+            raise PermissionError(f"{folder} is another user's")
+    return folder
+
+
 @functools.cache
 def cache_folder() -> Path | None:
     """Return the folder of this source version's machine code, or None where nothing can be written."""
-    for base in (_base_folder, lambda: Path(tempfile.gettempdir())):
+    for base in (_base_folder, _temporary_folder):
         try:
             folder = base() / "wtg_gym" / source_hash()[:16]
             folder.mkdir(parents=True, exist_ok=True)
@@ -74,16 +89,17 @@ def inlined(function: F) -> F:
 
 
 def _compile(function: F, *, forceinline: bool) -> F:
-    options = {"nogil": True, "error_model": "numpy", "forceinline": forceinline}
-    folder = cache_folder()
-    if folder is None:
-        result: F = numba.njit(**options)(function)
-        return result
-    before = numba.config.CACHE_DIR
-    try:
-        # Read by numba while it decorates; put back so that other packages' caches stay where they are.
-        numba.config.CACHE_DIR = str(folder)
-        cached: F = numba.njit(cache=True, **options)(function)
-        return cached
-    finally:
-        numba.config.CACHE_DIR = before
+    compilation()
+    result: F = numba.njit(nogil=True, error_model="numpy", forceinline=forceinline)(function)
+    # With NUMBA_DISABLE_JIT it is the function itself.
+    if result is not function:
+        result._cache = DiskCache(function, cache_folder(), source_hash())  # type: ignore[attr-defined]
+    return result
+
+
+@functools.cache
+def compilation() -> Compilation:
+    """Return what this process has compiled so far."""
+    listener = Compilation(cache_folder())
+    event.register("numba:compile", listener)
+    return listener

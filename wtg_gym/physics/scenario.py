@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.files import parse_json
+
 #: Wind speeds the turbine model covers: cut-in and cut-out of the NREL 5 MW machine [m/s].
 WIND_SPEED_RANGE = (3.0, 25.0)
 #: Changes of load that one event or the load noise may bring, in MW or Mvar.
@@ -32,7 +34,10 @@ def require_range(name: str, value: float, low: float, high: float, unit: str) -
         return value
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
         raise ValueError(f"{name} must be a number in {low:g} … {high:g} {unit}, got {value!r}".rstrip())
-    number = float(value)
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
     if not math.isfinite(number) or not low <= number <= high:
         raise ValueError(
             f"{name} = {number:g} {unit}".rstrip() + f" is outside the allowed range {low:g} … {high:g} {unit}".rstrip()
@@ -43,7 +48,7 @@ def require_range(name: str, value: float, low: float, high: float, unit: str) -
 def _series(name: str, values: Any) -> npt.NDArray[np.float64]:
     try:
         return np.array(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (OverflowError, TypeError, ValueError) as error:
         raise ValueError(f"{name} must be numbers in a regular array: {error}") from error
 
 
@@ -162,6 +167,7 @@ class Scenario:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
             raise ValueError(f"name of a scenario must be text, got {self.name!r}")
+        require_range("wind_dt_s", self.wind_dt_s, 1e-3, 3600.0, "s")
         wind = _series("wind_speed", self.wind_speed)
         if wind.ndim != 2 or wind.shape[1] < 1:
             raise ValueError(f"wind_speed must have shape (n_wtg, n_samples), got shape {wind.shape}")
@@ -187,7 +193,6 @@ class Scenario:
         for event in self.events:
             if type(event) not in _KIND_OF:
                 raise ValueError(f"unknown event {event!r}; known kinds: {', '.join(EVENT_KINDS)}")
-        require_range("wind_dt_s", self.wind_dt_s, 1e-3, 3600.0, "s")
         require_range("duration_s", self.duration_s, 0.1, LONGEST_RUN_S, "s")
         _require_bus("load_noise_bus", self.load_noise_bus)
         require_range("load_level", self.load_level, 0.3, 1.5, "")
@@ -246,7 +251,7 @@ class Scenario:
     @classmethod
     def from_json(cls, text: str) -> Scenario:
         """Read :meth:`to_json`'s form; a ValueError says what is wrong with the text."""
-        return cls.from_dict(json.loads(text))
+        return cls.from_dict(parse_json(text, "the text"))
 
 
 def _event_from_dict(data: Any) -> Event:

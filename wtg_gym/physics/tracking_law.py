@@ -12,12 +12,11 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+from wtg_gym.files import read_toml
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.compiled import compiled
 from wtg_gym.physics.elementary import fma
@@ -223,12 +222,7 @@ def read_law(path: Path, turbine: TurbineParameters | None = None) -> TrackingLa
     Raises:
         ValueError: the file is missing, not TOML, or a key or value is not allowed; the message names it.
     """
-    try:
-        data: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ValueError(f"cannot read the law file {path}: {error.strerror}") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ValueError(f"the law file {path} is not TOML: {error}") from error
+    data = read_toml(path, "law file")
     corners = ("min", "nominal", "max")
     allowed = {"name", "tau_s", *(f"k_{c}" for c in corners), *(f"deloading_{c}" for c in corners)}
     unknown = sorted(set(data) - allowed)

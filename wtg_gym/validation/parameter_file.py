@@ -6,13 +6,13 @@ machines and events, all in p.u. of `Sbase` except machine data, which are on th
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from wtg_gym.files import read_json
 from wtg_gym.physics.network import Branch, Bus, NetworkCase
 from wtg_gym.physics.parameters import (
     ExciterParameters,
@@ -120,12 +120,7 @@ def read_parameters(path: str | Path) -> ReferenceCase:
     Raises:
         ValueError: the file is missing, not JSON, or not of the form; the message names the place and the value.
     """
-    try:
-        data = json.loads(Path(path).read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise ValueError(f"cannot read the parameter file {path}: {error.strerror}") from error
-    except ValueError as error:
-        raise ValueError(f"the parameter file {path} is not JSON: {error}") from error
+    data = read_json(Path(path), "parameter file", encoding="utf-8-sig")
     root = _Reader(data, f"the parameter file {path}")
     base = root.number("Sbase", positive=True)
     voltage: dict[int, tuple[float, float]] = {}

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.files import read_text
 from wtg_gym.physics.dynamics import derivatives
 from wtg_gym.physics.integration import runge_kutta_step
 from wtg_gym.physics.layout import LaneRow, SyncRow
@@ -72,12 +73,7 @@ def read_trace(path: str | Path, case: ReferenceCase) -> tuple[Trace, tuple[str,
     Raises:
         ValueError: the file is missing, not such a table, or not of this case; the message names column and row.
     """
-    try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise ValueError(f"cannot read the trace {path}: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise ValueError(f"the trace {path} is not text: {error}") from error
+    text = read_text(Path(path), "trace", encoding="utf-8-sig")
     # Comments may come before the names, too.
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     text = "\n".join(lines[1:])

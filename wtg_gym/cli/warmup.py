@@ -1,0 +1,59 @@
+"""`wtg-gym warmup`: compiles before the first use."""
+
+from __future__ import annotations
+
+import argparse
+
+from wtg_gym.cli.output import say
+from wtg_gym.cli.parser import Commands, add_command
+from wtg_gym.envs.gfm_wtg import GFMWTGEnv, GFMWTGVectorEnv
+from wtg_gym.evaluation import Entry, evaluate
+from wtg_gym.physics.compiled import cache_folder, compilation
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law
+from wtg_gym.physics.trajectory import simulate
+from wtg_gym.scenarios import get_suite
+from wtg_gym.small_signal import linearise
+
+_DESCRIPTION = """\
+Compiles the simulator to machine code, which the first use of a version does otherwise: the single environment, the
+vector environment, simulate, evaluate and modes. It takes about half a minute. The machine code is kept, so that
+every later start is quick; running the command again compiles nothing."""
+_EXAMPLES = """\
+  wtg-gym warmup
+  XDG_CACHE_HOME=/opt/cache wtg-gym warmup            keep the machine code in /opt/cache/wtg_gym, as for an image"""
+
+
+def add_commands(commands: Commands) -> None:
+    """Add `wtg-gym warmup`."""
+    add_command(
+        commands,
+        "warmup",
+        run,
+        summary="compile the simulator before its first use",
+        description=_DESCRIPTION,
+        examples=_EXAMPLES,
+        after_interrupt="the functions compiled so far are kept",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Carry out `wtg-gym warmup`."""
+    environment: GFMWTGEnv | GFMWTGVectorEnv
+    for environment in (GFMWTGEnv(), GFMWTGVectorEnv(2)):
+        environment.reset(seed=0)
+        environment.step(environment.action_space.sample())
+        environment.close()
+    scenario = get_suite("paper").scenario(0)
+    simulate(scenario)
+    linearise(scenario, get_law(REFERENCE_STRATEGY))
+    evaluate([Entry(name="mppt", strategy="mppt")], "standard", seeds=(20_000,), duration_s=1.0)
+    done, folder = compilation(), cache_folder()
+    where = "not kept, since no folder can be written to" if folder is None else f"kept in {folder}"
+    if done.n_functions == 0:
+        say(f"nothing to compile: all machine code is in {folder}")
+    else:
+        say(f"compiled {done.n_functions} functions in {done.seconds:.0f} s; {where}")
+    return 0
+
+
+__all__ = ["add_commands", "run"]

@@ -1,0 +1,157 @@
+"""Machine code on disk that heals itself: one file for each function and types of arguments.
+
+Numba's own cache trusts its files: a damaged one ends in a traceback or in code that was made for something else, and
+two processes that compile at once can mix up its index. Here every file begins with a checksum over its key and its
+content. A file that is missing, damaged or of something else counts as missing: numba compiles again, and the file is
+replaced.
+
+Compiling everything takes half a minute, so it is reported: the logger "wtg_gym" warns once when it begins, with the
+folder, and once for each long part, with its time. Python writes warnings to stderr unless the program has set up
+logging. `logging.getLogger("wtg_gym").setLevel(logging.ERROR)` silences them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import logging
+import os
+import pickle
+import sys
+import time
+import uuid
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import llvmlite
+import numba
+from numba.core.caching import NullCache
+from numba.core.compiler import CompileResult
+from numba.core.event import Listener
+from numba.core.serialize import dumps
+
+_log = logging.getLogger("wtg_gym")
+#: What numba's machine code depends on besides the sources and the processor.
+_VERSIONS = (numba.__version__, llvmlite.__version__, sys.implementation.cache_tag)
+#: Numba compiles this many functions before anything is reported: so few take a second.
+_SILENT_FUNCTIONS = 20
+#: Parts that take less are not reported [s].
+_SHORT_S = 1.0
+
+
+class DiskCache(NullCache):  # type: ignore[misc]
+    """The cache of one numba dispatcher.
+
+    Args:
+        function: the function that is compiled.
+        folder: folder of the files; None keeps nothing.
+        source_hash: hash of the source code that the function may call.
+    """
+
+    def __init__(self, function: Callable[..., Any], folder: Path | None, source_hash: str) -> None:
+        self._name = f"{function.__module__}.{function.__qualname__}"
+        self._folder = folder
+        self._source = (self._name, source_hash, _file_hash(function.__code__.co_filename), _VERSIONS)
+
+    @property
+    def cache_path(self) -> str | None:
+        """The folder, for numba's statistics."""
+        return None if self._folder is None else str(self._folder)
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the machine code for a signature; None makes numba compile."""
+        if self._folder is None:
+            return None
+        target_context.refresh()
+        key = self._key(sig, target_context.codegen())
+        # What is wrong with a file decides what is raised.
+        with contextlib.suppress(Exception):
+            content = self._path(self._folder, key).read_bytes()
+            checksum, code = content[: len(key)], content[len(key) :]
+            if checksum == _digest(key, code):
+                return CompileResult._rebuild(target_context, *pickle.loads(code))
+        return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep what numba has compiled."""
+        if self._folder is None or data.library.has_dynamic_globals:
+            return
+        key = self._key(sig, data.codegen)
+        code = dumps(data._reduce())
+        path = self._path(self._folder, key)
+        temporary = path.with_name(f"{path.name}.{uuid.uuid4().hex[:8]}.tmp")
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            temporary.write_bytes(_digest(key, code) + code)
+            os.replace(temporary, path)
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                temporary.unlink()
+            _warn_that_nothing_is_kept(self._folder, error.strerror)
+
+    def _key(self, sig: Any, codegen: Any) -> bytes:
+        return _digest(repr((self._source, sig, codegen.magic_tuple())).encode())
+
+    def _path(self, folder: Path, key: bytes) -> Path:
+        return folder / f"{self._name.removeprefix('wtg_gym.')}-{key.hex()[:16]}.nbc"
+
+
+def _digest(*parts: bytes) -> bytes:
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(part)
+    return digest.digest()
+
+
+@functools.cache
+def _file_hash(path: str) -> bytes:
+    return _digest(Path(path).read_bytes())
+
+
+@functools.cache
+def _warn_that_nothing_is_kept(folder: Path, reason: str) -> None:
+    _log.warning("wtg_gym cannot keep machine code in %s (%s): the next start compiles again", folder, reason)
+
+
+class Compilation(Listener):  # type: ignore[misc]
+    """What this process has compiled of functions with a :class:`DiskCache`; numba's lock guards it.
+
+    Args:
+        folder: folder of the machine code, for the report; None keeps nothing.
+    """
+
+    def __init__(self, folder: Path | None) -> None:
+        self._folder = folder
+        #: When the functions that are being compiled were begun [s]; one may be within another.
+        self._began: list[float] = []
+        #: Functions compiled, and the time it took [s].
+        self.n_functions, self.seconds = 0, 0.0
+
+    def on_start(self, event: Any) -> None:
+        """Numba begins to compile a function."""
+        if not self._is_ours(event):
+            return
+        self._began.append(time.perf_counter())
+        self.n_functions += 1
+        if self.n_functions == _SILENT_FUNCTIONS:
+            kept = "not kept: no folder can be written to" if self._folder is None else f"kept in {self._folder}"
+            _log.warning("wtg_gym compiles its simulator to machine code: about half a minute, %s", kept)
+
+    def on_end(self, event: Any) -> None:
+        """Numba has compiled a function, or failed to."""
+        if not self._is_ours(event):
+            return
+        took = time.perf_counter() - self._began.pop()
+        if not self._began:
+            self.seconds += took
+            if self.n_functions >= _SILENT_FUNCTIONS and took >= _SHORT_S:
+                _log.warning("wtg_gym compiled %s in %.1f s", event.data["dispatcher"].py_func.__name__, took)
+
+    @staticmethod
+    def _is_ours(event: Any) -> bool:
+        return isinstance(getattr((event.data or {}).get("dispatcher"), "_cache", None), DiskCache)
+
+
+__all__ = ["Compilation", "DiskCache"]
