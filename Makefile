@@ -31,7 +31,7 @@ help: ## Show this list
 	@echo
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-12s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
 	@echo
-	@echo 'PYTHON is the interpreter that makes the environments: 3.11, 3.12 or 3.13 (now: $(PYTHON), $(or $(PYTHON_VERSION),not found)).'
+	@echo 'PYTHON is the interpreter that makes the environments: 3.11, 3.12, 3.13 or 3.14 (now: $(PYTHON), $(or $(PYTHON_VERSION),not found)).'
 
 .PHONY: leaderboard
 leaderboard: $(LEADERBOARD_READY) ## Score every entry on the standard suite and write the ranking to the README
@@ -81,7 +81,7 @@ docs: $(LEADERBOARD_READY) ## Measure everything that docs/ shows again, but for
 
 .PHONY: performance
 performance: $(TEST_READY) ## Measure speed, growth and arithmetic again; on a machine that does nothing else (a quarter of an hour)
-	$(TEST_VENV)/bin/wtg-gym bench --only environments rendering training peers --page README.md
+	$(TEST_VENV)/bin/wtg-gym bench --only environments rendering training peers --page docs/performance.md
 	$(TEST_VENV)/bin/wtg-gym bench --only growth roofline --full --output docs/performance --formats svg --page docs/performance.md
 
 .PHONY: golden
@@ -144,8 +144,8 @@ $(RLLIB_READY): constraints-rllib.txt
 # An environment whose stamp is merely out of date is brought up to date; any other is started over. The two
 # variables hold the build of the package itself to the constraints too, by either pip's way of saying so.
 $(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY) $(RLLIB_READY): pyproject.toml
-	@case '$(PYTHON_VERSION)' in 3.11|3.12|3.13) ;; *) \
-	    echo 'wtg_gym needs Python 3.11, 3.12 or 3.13, but $(PYTHON) is $(or $(PYTHON_VERSION),not found).' >&2; \
+	@case '$(PYTHON_VERSION)' in 3.11|3.12|3.13|3.14) ;; *) \
+	    echo 'wtg_gym needs Python 3.11, 3.12, 3.13 or 3.14, but $(PYTHON) is $(or $(PYTHON_VERSION),not found).' >&2; \
 	    echo 'Name another one: make $(MAKECMDGOALS) PYTHON=python3.12' >&2; exit 1;; esac
 	@echo 'Preparing $(@D) for Python $(PYTHON_VERSION) with the "$(EXTRA)" extra; the first time takes a few minutes.'
 	$(PYTHON) -m venv $(@D)$(if $(wildcard $@),, --clear)

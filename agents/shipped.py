@@ -1,4 +1,4 @@
-"""`python -m agents.shipped`: trains and exports the policies of `agents/policies` again."""
+"""`python -m agents.shipped`: trains the policies of `agents/policies` again and exports them to a folder of choice."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ _AUTHORS = "The wtg_gym authors"
 
 _DESCRIPTION = """\
 Trains the policies of agents/policies, five seeds each, and exports them. A run that is there already goes on from its
-last checkpoint, or is exported at once. What a run says goes to the file NAME.log beside its folder."""
+last checkpoint, or is exported at once. What a run says goes to the file NAME.log beside its folder. Nothing in
+agents/policies changes, unless --policies names it."""
 _EXAMPLES = """\
 examples:
   python -m agents.shipped --only ppo-k+tau-0         the first PPO alone
@@ -90,7 +91,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="trainings at a time, 1 … 64 (default: 1)")
     parser.add_argument("--runs", default="runs", metavar="FOLDER", help="of the runs (default: runs)")
     parser.add_argument(
-        "--policies", default="agents/policies", metavar="FOLDER", help="of the exports (default: agents/policies)"
+        "--policies", default="runs/policies", metavar="FOLDER", help="of the exports (default: runs/policies)"
     )
     return run_command(lambda: _shipped(parser.parse_args(argv)), "the same command goes on")
 

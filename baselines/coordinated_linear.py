@@ -9,9 +9,10 @@ it holds at ω_st follows from the line and is not prescribed. The droop acts on
 Source: Chen et al., equation `eq_gomega`.
 """
 
-from baselines import COORDINATED_SOURCE
 from wtg_gym.evaluation import Entry
 from wtg_gym.physics.tracking_law import coordinated_linear
+
+from . import COORDINATED_SOURCE
 
 ENTRY = Entry(
     name="coordinated-linear",

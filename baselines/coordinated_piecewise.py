@@ -9,9 +9,10 @@ Zero action of the environment is exactly this law.
 Source: Chen et al., equation `eq_gomega_augement`.
 """
 
-from baselines import COORDINATED_SOURCE
 from wtg_gym.evaluation import Entry
 from wtg_gym.physics.tracking_law import coordinated_piecewise
+
+from . import COORDINATED_SOURCE
 
 ENTRY = Entry(
     name="coordinated-piecewise",

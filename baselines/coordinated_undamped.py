@@ -8,9 +8,10 @@ the filter in the reference.
 Source: Chen et al., the loop of equation `eq_Gproposed`.
 """
 
-from baselines import COORDINATED_SOURCE
 from wtg_gym.evaluation import Entry
 from wtg_gym.physics.tracking_law import coordinated_undamped
+
+from . import COORDINATED_SOURCE
 
 ENTRY = Entry(
     name="coordinated-undamped",

@@ -9,9 +9,10 @@ power curve, where it behaves as with maximum power point tracking.
 Source: Chen et al., equation `eq_fomegam_deload`, after X. Lyu, D. Groß, IEEE Trans. Sustain. Energy 15(1), 2024.
 """
 
-from baselines import COORDINATED_SOURCE, DELOADED_SOURCE
 from wtg_gym.evaluation import Entry
 from wtg_gym.physics.tracking_law import deloaded
+
+from . import COORDINATED_SOURCE, DELOADED_SOURCE
 
 ENTRY = Entry(
     name="deloaded-5",

@@ -8,9 +8,10 @@ energy from the rotor, the slower rotor captures less, and in the end the turbin
 Source: Chen et al., equation `eq_fomegam_mppt`.
 """
 
-from baselines import COORDINATED_SOURCE
 from wtg_gym.evaluation import Entry
 from wtg_gym.physics.tracking_law import mppt
+
+from . import COORDINATED_SOURCE
 
 ENTRY = Entry(
     name="mppt",

@@ -18,12 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from baselines import COORDINATED_SOURCE
 from wtg_gym.envs.task import N_LOCAL
 from wtg_gym.evaluation import Entry
 from wtg_gym.files import sha256
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.parameters import GridFormingParameters
+
+from . import COORDINATED_SOURCE
 
 #: Action per (λ - λ_opt)/(λ_pr - λ_opt): the whole authority at a sixth of that range.
 GAIN = 6.0

@@ -32,6 +32,13 @@ def test_importing_the_package_loads_nothing_heavy() -> None:
     }
 
 
+def test_public_names_are_those_of_their_modules_and_no_others() -> None:
+    assert all(getattr(wtg_gym, name) is not None and name in dir(wtg_gym) for name in wtg_gym.__all__)
+    assert wtg_gym.GFMWTGEnv is wtg_gym.envs.GFMWTGEnv and wtg_gym.evaluate is wtg_gym.evaluation.evaluate
+    with pytest.raises(AttributeError, match="no attribute 'evaluat'"):
+        wtg_gym.evaluat  # noqa: B018
+
+
 def test_package_is_typed() -> None:
     assert (Path(wtg_gym.__file__).parent / "py.typed").exists()
 

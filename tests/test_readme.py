@@ -1,7 +1,12 @@
-"""The README's examples run as printed, and the links of every page lead somewhere."""
+"""The examples of the README and of docs/usage.md run as printed, and the links of every page lead somewhere.
+
+The README's first program and all commands run on what `pip install .` installs: a wheel that is built here, in an
+empty folder, without the extras' packages. The other programs run with everything that the tests need.
+"""
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -10,19 +15,74 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-README = (ROOT / "README.md").read_text(encoding="utf-8")
-PROGRAMS = re.findall(r"^```python\n(.*?)^```", README, flags=re.MULTILINE | re.DOTALL)
+#: Packages that extras bring and `pip install .` does not.
+EXTRAS = ("bokeh", "joblib", "matplotlib", "onnx", "PIL", "pygame", "rich", "stable_baselines3", "torch")
 
 
-def test_there_are_programs_to_run() -> None:
-    assert len(PROGRAMS) >= 3
+def blocks(page: str, language: str) -> list[str]:
+    text = (ROOT / page).read_text(encoding="utf-8")
+    return re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
 
 
-def test_every_program_runs_as_printed(tmp_path: Path) -> None:
-    # In the printed order and in one folder: a later one may load what an earlier one saved.
-    for program in PROGRAMS:
-        done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True)
-        assert done.returncode == 0, f"{program}\n{done.stderr}"
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the package as a wheel installs it, and nothing of the checkout."""
+    folder = tmp_path_factory.mktemp("installed")
+    pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
+    build = [*pip, "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), str(ROOT)]
+    subprocess.run(build, check=True, capture_output=True)
+    (built,) = folder.glob("*.whl")
+    target = folder / "target"
+    subprocess.run([*pip, "install", "--no-deps", "--target", str(target), str(built)], check=True, capture_output=True)
+    return target
+
+
+@pytest.fixture(scope="module")
+def plain(wheel: Path) -> dict[str, str]:
+    """Environment variables under which Python finds the installed package, and none of the extras' packages."""
+    names = ", ".join(repr(name) for name in EXTRAS)
+    (wheel / "sitecustomize.py").write_text(f"import sys\nsys.modules.update(dict.fromkeys(({names})))\n")
+    path = f"{wheel / 'bin'}{os.pathsep}{os.environ['PATH']}"
+    return {**os.environ, "PYTHONPATH": str(wheel), "PATH": path, "PYTHONIOENCODING": "utf-8"}
+
+
+def run(command: list[str], folder: Path, environment: dict[str, str] | None = None) -> str:
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, encoding="utf-8")
+    assert done.returncode == 0, f"{command[-1]}\n{done.stderr}"
+    return done.stdout
+
+
+def test_readme_is_short_and_has_programs_and_commands() -> None:
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
+    assert [len(blocks("README.md", "python")), len(blocks("README.md", "sh"))] == [2, 1]
+    assert len(blocks("docs/usage.md", "python")) >= 3 and len(blocks("docs/usage.md", "sh")) >= 2
+
+
+def test_wheel_is_what_runs_and_holds_no_package_of_another_name(plain: dict[str, str], tmp_path: Path) -> None:
+    wheel = Path(plain["PYTHONPATH"])
+    said = run([sys.executable, "-c", "import wtg_gym; print(wtg_gym.__file__)"], tmp_path, plain)
+    assert Path(said.strip()) == wheel / "wtg_gym" / "__init__.py"
+    assert not (wheel / "baselines").exists() and not (wheel / "agents").exists()
+
+
+def test_first_program_runs_after_a_plain_install_in_an_empty_folder_and_prints(
+    plain: dict[str, str], tmp_path: Path
+) -> None:
+    said = run([sys.executable, "-c", blocks("README.md", "python")[0]], tmp_path, plain)
+    assert re.fullmatch(r"cost \d+\.\d, \d\d\.\d\d … \d\d\.\d\d Hz, no failure\n", said)
+
+
+def test_commands_run_after_a_plain_install_in_an_empty_folder(plain: dict[str, str], tmp_path: Path) -> None:
+    for page in ("README.md", "docs/usage.md"):
+        for block in blocks(page, "sh"):
+            said = run(["bash", "-euc", block], tmp_path, plain)
+            assert "coordinated-piecewise" in said, said
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/usage.md"])
+def test_every_program_runs_as_printed(page: str, tmp_path: Path) -> None:
+    for program in blocks(page, "python"):
+        run([sys.executable, "-c", program], tmp_path)
 
 
 PAGES = [

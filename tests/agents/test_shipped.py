@@ -29,6 +29,14 @@ def test_every_shipped_policy_is_there_and_comes_from_the_command() -> None:
         assert sha256((POLICIES / name / "policy.onnx").read_bytes()) in card
 
 
+def test_nothing_in_agents_is_written_unless_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[tuple[str, Path, Path]] = []
+    monkeypatch.setattr(shipped, "_make", lambda *given: made.append(given))
+    monkeypatch.chdir(tmp_path)
+    assert shipped.main(["--only", "ppo-k-0"]) == 0
+    assert made == [("ppo-k-0", Path("runs"), Path("runs/policies"))]
+
+
 def test_command_trains_exports_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tiny = shipped.Shipped("tiny", "Tiny", "A test.", tuple(options(tmp_path, "ppo")))
     monkeypatch.setattr(shipped, "SHIPPED", (tiny,))

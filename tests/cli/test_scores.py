@@ -79,6 +79,7 @@ def test_share_of_the_oracles_gap_is_shown_or_why_not(capsys: pytest.CaptureFixt
     [
         (("--entries", "turbo"), "'turbo'"),
         (("--entries", "mppt", "mppt"), "mppt more than once"),
+        (("--entries", "best"), "the folder best holds no entry.toml, but 2 folders with one: write best/* for all"),
         (("--suite", "storm"), "unknown suite 'storm'"),
         (("--seeds", "3"), "the test seeds of suite 'standard' are 20000 … 20199"),
         (("--seeds", "20000-20010"), "expected a seed such as 20003, or a range such as 20000:20010"),
@@ -104,10 +105,13 @@ def test_evaluate_refuses_bad_input(
     said: str,
 ) -> None:
     (tmp_path / "file.txt").write_text("not a folder", encoding="utf-8")
+    for step in ("1000", "2000"):
+        (tmp_path / "best" / step).mkdir(parents=True)
+        (tmp_path / "best" / step / "entry.toml").write_text('name = "mine"\naction_mode = "k"\n', encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     entries = () if "--entries" in arguments else ("--entries", "mppt")
     assert said in error_of(capsys, "evaluate", *entries, *arguments)
-    assert [path.name for path in tmp_path.iterdir()] == ["file.txt"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["best", "file.txt"]
 
 
 _KILLS_ITS_CALLER = """\
@@ -153,14 +157,6 @@ def test_leaderboard_with_workers_is_the_same(capsys: pytest.CaptureFixture[str]
     for ending in ("json", "csv"):
         here, there = (tmp_path / name / f"paper-test.{ending}" for name in ("here", "there"))
         assert here.read_bytes() == there.read_bytes()
-
-
-def test_missing_baselines_say_how_to_go_on(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(wtg_gym.cli.scores, "DEFAULT_ENTRIES", "no_such_package")
-    line = error_of(capsys, "leaderboard", "--entries", "no_such_package")
-    assert "run the command in the root of a checkout, or say what to score with --entries" in line
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals are another thing there")

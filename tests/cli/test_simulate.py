@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tests.cli.calls import error_of, json_of
+from tests.cli.calls import ROOT, error_of, json_of
 from wtg_gym.cli import main
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.scenarios import get_suite
@@ -94,6 +94,17 @@ def test_missing_matplotlib_is_said_before_anything_runs(
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     line = error_of(capsys, "simulate", "--plot", str(tmp_path / "run.png"))
     assert "--plot needs matplotlib of the leaderboard extra: pip install 'wtg-gym[leaderboard]'" in line
+
+
+def test_example_of_a_law_is_printed_and_can_be_simulated(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["simulate", "--example-law"])
+    assert end.value.code == 0
+    law = tmp_path / "my_law.toml"
+    law.write_text(capsys.readouterr().out, encoding="utf-8")
+    assert law.read_bytes() == (ROOT / "baselines/example_law.toml").read_bytes()
+    data = json_of(capsys, "simulate", "--duration", "1", "--strategy", str(law), "--json")
+    assert [run["strategy"] for run in data["runs"]] == ["reserve-7"]
 
 
 def test_law_file_is_simulated_under_its_own_name(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

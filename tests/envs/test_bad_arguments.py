@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
-from typing import Any
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, get_type_hints
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
 from tests.envs.rollouts import calm
-from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
+from wtg_gym.envs import EnvArguments, EnvSettings, GFMWTGEnv, GFMWTGVectorEnv
 
+ROOT = Path(__file__).resolve().parents[2]
 NAN = math.nan
 SCENARIO = calm().to_dict()
 
@@ -191,11 +196,35 @@ def test_scenario_longer_than_the_episode_is_refused():
 
 
 @pytest.mark.parametrize("make", [GFMWTGEnv, GFMWTGVectorEnv, lambda **given: gym.make("GFMWTG-14bus-v0", **given)])
-def test_unknown_keyword_is_a_type_error_that_names_it(make: Any):
-    with pytest.raises(TypeError, match="stratgy"):
+def test_unknown_keyword_is_a_type_error_in_the_words_of_python_that_lists_the_known_ones(make: Any):
+    with pytest.raises(TypeError, match=r"__init__\(\) got an unexpected keyword argument 'stratgy'") as caught:
         make(stratgy="mppt")
+    assert all(field.name in str(caught.value) for field in dataclasses.fields(EnvSettings))
     with pytest.raises(TypeError):
         GFMWTGEnv("mppt")
+
+
+def test_type_checkers_know_exactly_the_settings_with_their_types():
+    settings, keywords = get_type_hints(EnvSettings), get_type_hints(EnvArguments)
+    assert {field.name: settings[field.name] for field in dataclasses.fields(EnvSettings)} == keywords
+    assert EnvArguments.__required_keys__ == frozenset()
+
+
+def test_misspelled_setting_does_not_pass_mypy(tmp_path: Path):
+    program = tmp_path / "program.py"
+    program.write_text("from wtg_gym import GFMWTGEnv\n\nGFMWTGEnv(suite='gust')\nGFMWTGEnv(suit='gust')\n")
+    command = [
+        sys.executable,
+        "-m",
+        "mypy",
+        "--cache-dir",
+        str(tmp_path),
+        "--config-file",
+        str(ROOT / "pyproject.toml"),
+    ]
+    done = subprocess.run([*command, str(program)], cwd=ROOT, capture_output=True, text=True)
+    errors = [line for line in done.stdout.splitlines() if "error:" in line]
+    assert len(errors) == 1 and 'program.py:4: error: Unexpected keyword argument "suit"' in errors[0], done.stdout
 
 
 BATCH = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
@@ -50,6 +51,12 @@ def test_info_has_the_same_keys_and_types_in_reset_and_step(name: str, on_failur
     for *_, info in episode(env, -1.0):
         assert set(info) == set(first) == KEYS
         assert {key: type(value) for key, value in info.items()} == {key: type(v) for key, v in first.items()}
+
+
+def test_info_has_numpys_floats_which_json_takes_as_well():
+    _, info = GFMWTGEnv().reset(seed=0)
+    assert {type(info[key]) for key in KEYS - {"scenario_seed", "termination_reason"}} == {np.float64}
+    assert json.loads(json.dumps(info)) == info
 
 
 def test_batch_info_has_one_value_and_one_flag_per_lane_for_every_key():

@@ -157,6 +157,36 @@ def test_max_episode_steps_cuts_a_batch_as_it_cuts_a_single_environment(n_steps:
         assert rewards[1] == reward
 
 
+def test_spec_tells_the_steps_of_an_episode():
+    for arguments, n_steps in (({}, 600), ({"duration_s": 30.0}, 300), ({"duration_s": 4, "control_dt": 0.2}, 20)):
+        assert gym.make(ENV_ID, **arguments).spec.max_episode_steps == n_steps
+        assert gym.make_vec(ENV_ID, num_envs=2, **arguments).spec.max_episode_steps == n_steps
+    assert gym.make(ENV_ID, max_episode_steps=50).spec.max_episode_steps == 50
+    assert gym.make_vec(ENV_ID, num_envs=2, max_episode_steps=50).spec.max_episode_steps == 50
+    assert gym.spec(ENV_ID).max_episode_steps is None
+
+
+def test_environment_itself_ends_an_episode_and_a_copy_from_its_spec_ends_it_at_the_same_step():
+    env = gym.make(ENV_ID, duration_s=2.0)
+    assert env.has_wrapper_attr("_max_episode_steps") is False
+    copied = gym.make(env.spec)
+    env.reset(seed=3), copied.reset(seed=3)
+    for action in actions_of(4, 20).astype(np.float32)[:, 0]:
+        a, b = env.step(action), copied.step(action)
+        assert a[0].tobytes() == b[0].tobytes() and a[1:] == b[1:]
+    assert a[2:4] == (False, True)
+
+
+def test_time_aware_observation_counts_to_the_end_of_the_episode():
+    env = gym.wrappers.TimeAwareObservation(gym.make(ENV_ID, duration_s=2.0), flatten=True)
+    times = [env.reset(seed=0)[0][-1]]
+    truncated = False
+    while not truncated:
+        observation, _, _, truncated, _ = env.step(np.zeros(4, dtype=np.float32))
+        times.append(observation[-1])
+    assert times == pytest.approx([step / 20 for step in range(21)])
+
+
 @pytest.mark.filterwarnings("error")
 def test_statistics_wrappers_see_the_ends_of_a_batch():
     env = gym.wrappers.vector.RecordEpisodeStatistics(gym.make_vec(ENV_ID, num_envs=2, duration_s=2.0))

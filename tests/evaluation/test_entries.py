@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 import sys
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 from wtg_gym.evaluation import Entry, load_entries
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw
 
+POLICIES = Path(__file__).resolve().parents[2] / "agents" / "policies"
 MODULE = """
 from wtg_gym.evaluation import Entry
 
@@ -44,6 +46,28 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 def test_built_in_strategy_is_an_entry() -> None:
     (entry,) = load_entries("mppt")
     assert (entry.name, entry.kind, entry.policy, entry.law) == ("mppt", "law", None, STRATEGIES["mppt"])
+
+
+def test_names_of_the_table_stand_for_baselines_and_for_all_seeds_of_a_policy() -> None:
+    def found(name: str) -> list[tuple[str, int | None]]:
+        return [(entry.name, entry.training_seed) for entry in load_entries(name)]
+
+    assert found("tip-speed-feedback") == [("tip-speed-feedback", None)]
+    assert found("linear-feedback") == [("linear-feedback", 0)]
+    assert found("PPO (k)") == [("PPO (k)", seed) for seed in range(5)]
+    assert found("ppo-k-3") == [("PPO (k)", 3)]
+    assert {name for name, _ in found("policies")} >= {"linear-feedback", "PPO (k, τ)", "PPO (τ)", "SAC (k, τ)"}
+
+
+def test_policy_by_its_name_is_the_one_in_its_folder() -> None:
+    (named,), (given,) = load_entries("ppo-k-3"), load_entries(POLICIES / "ppo-k-3")
+    assert named.identity == given.identity != load_entries("ppo-k-2")[0].identity
+
+
+def test_folder_of_ones_own_comes_before_a_policy_of_that_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shutil.copytree(POLICIES / "ppo-k-2", tmp_path / "ppo-k-3")
+    monkeypatch.chdir(tmp_path)
+    assert [entry.training_seed for entry in load_entries("ppo-k-3")] == [2]
 
 
 def test_toml_law_is_an_entry(tmp_path: Path) -> None:

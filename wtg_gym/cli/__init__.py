@@ -42,7 +42,7 @@ first steps:
   wtg-gym simulate                                   the paper's load increase under the reference strategy
   wtg-gym simulate --strategy all --plot run.png     under every strategy, with a figure
   wtg-gym suites                                     which suites of scenarios there are
-  wtg-gym leaderboard --suite paper                  rank every entry of a checkout
+  wtg-gym leaderboard --suite paper                  rank the baselines on the paper's cases
   wtg-gym reproduce                                  the paper's figures and claims, measured
 
 'wtg-gym COMMAND --help' explains a command and gives examples.

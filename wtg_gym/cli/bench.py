@@ -67,7 +67,7 @@ def add_commands(commands: Commands) -> None:
         description=_DESCRIPTION,
         examples="  wtg-gym bench --only environments\n"
         "  wtg-gym bench --only environments training --seconds 0.5 --repeats 3 --json\n"
-        "  wtg-gym bench --only environments training peers --page README.md\n"
+        "  wtg-gym bench --only environments training peers --page docs/performance.md\n"
         "  wtg-gym bench --only growth roofline --full --output docs/performance --page docs/performance.md",
     )
     parser.add_argument(

@@ -41,7 +41,7 @@ _EVALUATE_EXAMPLES = """\
   wtg-gym evaluate --entries my_law.toml --suite standard --seeds 20000:20010 --results my_results
   wtg-gym evaluate --entries my_package.controller:make_policy --split validation --json
   wtg-gym evaluate --entries runs/mine/best/* --trust-pickle
-  wtg-gym evaluate --entries agents/policies/* --backend dask --address tcp://head:8786 --results my_results"""
+  wtg-gym evaluate --entries policies --backend dask --address tcp://head:8786 --results my_results"""
 
 
 def add_commands(commands: Commands) -> None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NoReturn
 
+from wtg_gym.evaluation.shipped import example_law
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw, get_law
 
 
@@ -23,8 +24,19 @@ class _FirstReplacesDefault(argparse.Action):
         setattr(namespace, self.dest, [*([] if before is self.default else before), *values])
 
 
+class _PrintExample(argparse.Action):
+    """Print the example of a law file, and end the command."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any, **__: Any) -> NoReturn:
+        print(example_law(), end="")
+        parser.exit()
+
+
 def add_law_option(parser: argparse.ArgumentParser, default: str) -> None:
-    """Add the option `--law` (or `--strategy`): names of strategies, law files, or all; may be repeated."""
+    """Add the option `--law` (or `--strategy`): names of strategies, law files, or all; may be repeated.
+
+    And `--example-law`, which prints a law file to start from.
+    """
     parser.add_argument(
         "--law",
         "--strategy",
@@ -33,6 +45,12 @@ def add_law_option(parser: argparse.ArgumentParser, default: str) -> None:
         default=[default],
         metavar="NAME",
         help=f"strategies by name, 'all', or .toml files with a law; may be repeated (default: {default})",
+    )
+    parser.add_argument(
+        "--example-law",
+        nargs=0,
+        action=_PrintExample,
+        help="print a law file to start from, and do nothing else: --example-law > my_law.toml",
     )
 
 

@@ -57,7 +57,7 @@ those of the results; both anchors are always there."""
 
 _PAGE_EXAMPLES = """\
   wtg-gym page results/standard-test.json --output leaderboard.html
-  wtg-gym page results/*.json --entries baselines agents/policies/* --output leaderboard.html
+  wtg-gym page results/*.json --entries baselines policies --output leaderboard.html
   wtg-gym page results/standard-test.json --scenarios 0 --output small.html"""
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import importlib.util
 import os
 import re
 import sys
@@ -25,20 +24,21 @@ from wtg_gym.evaluation import (
 from wtg_gym.evaluation.entries import LoadArchive
 from wtg_gym.evaluation.evaluator import check_entries
 from wtg_gym.evaluation.leaderboard import COLUMNS, SHORT_COLUMNS
+from wtg_gym.evaluation.shipped import BASELINES
 from wtg_gym.evaluation.workers import BACKENDS, Workers
 from wtg_gym.scenarios import SUITES
 
-#: The package with the entries of a checkout.
-DEFAULT_ENTRIES = "baselines"
+DEFAULT_ENTRIES = BASELINES
 #: Unit of the columns of points.
 _POINTS = " [points]"
 #: Of finished parts, in the folder of the results.
 _PARTIAL_FOLDER = "partial"
 _LARGEST_SEED_RANGE = 100_000
 _ENTRIES_HELP = (
-    "what to score, several allowed: a strategy by name, a .toml file with a law, a folder with entry.toml and "
-    "policy.onnx, a package with entries, or "
-    f"module:ATTRIBUTE, whose code is run (default: {DEFAULT_ENTRIES}, the package in a checkout)"
+    "what to score, several allowed: 'baselines'; 'policies', the trained ones that come with the package; one of "
+    "either by its name in the leaderboard, such as linear-feedback or 'PPO (k)'; a .toml file with a law; a folder "
+    "with entry.toml and policy.onnx; a package with entries, or module:ATTRIBUTE, whose code is run "
+    f"(default: {DEFAULT_ENTRIES})"
 )
 
 
@@ -134,11 +134,6 @@ def chosen_entries(specs: Sequence[str], load_archive: LoadArchive | None = None
     # A console script, unlike `python -m`, does not look into the working folder: a checkout's packages are there.
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())
-    if DEFAULT_ENTRIES in specs and importlib.util.find_spec(DEFAULT_ENTRIES) is None:
-        raise ValueError(
-            f"there is no package {DEFAULT_ENTRIES!r} here: run the command in the root of a checkout, "
-            "or say what to score with --entries"
-        )
     entries = [entry for spec in specs for entry in load_entries(spec, load_archive)]
     names = [(entry.name, entry.training_seed) for entry in entries]
     doubled = sorted({name for name, seed in names if names.count((name, seed)) > 1})

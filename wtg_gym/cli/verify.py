@@ -22,7 +22,7 @@ digits may depend on onnxruntime. The environment's fingerprint says whether thi
 before. Where the results are not those of the benchmark, with fewer scenarios, shorter episodes or weights of one's
 own, that is named too."""
 _EXAMPLES = """\
-  wtg-gym verify results/standard-test.json --entries baselines agents/policies/*
+  wtg-gym verify results/standard-test.json --entries baselines policies
   wtg-gym verify results/paper-test.json --json"""
 
 

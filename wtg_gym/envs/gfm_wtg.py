@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Unpack
 
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
@@ -16,7 +17,7 @@ from gymnasium.vector.utils import batch_space
 from wtg_gym.envs.lanes import NextEpisodes, TaskLanes, as_actions
 from wtg_gym.envs.one_thread import Use, in_use, one_thread
 from wtg_gym.envs.rendering import Frame, LaneFrames
-from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.envs.settings import EnvArguments, EnvSettings
 from wtg_gym.envs.task import OBSERVATION_BOUND, TaskRow
 from wtg_gym.physics.scenario import Scenario
 
@@ -30,12 +31,27 @@ def _spaces(lanes: TaskLanes) -> tuple[gym.spaces.Box[np.float32], gym.spaces.Bo
     return gym.spaces.Box(-bound, bound, dtype=np.float32), gym.spaces.Box(-one, one, dtype=np.float32)
 
 
-def _settings(arguments: dict[str, Any]) -> EnvSettings:
+def _settings(owner: str, arguments: EnvArguments) -> EnvSettings:
     known = [field.name for field in dataclasses.fields(EnvSettings)]
-    unknown = sorted(set(arguments) - set(known))
+    unknown = [name for name in arguments if name not in known]
     if unknown:
-        raise TypeError(f"unknown arguments {unknown}; known arguments: {', '.join(known)}")
+        # Python's own words come first: TorchRL looks for them to find out which arguments an environment takes.
+        raise TypeError(
+            f"{owner}.__init__() got an unexpected keyword argument {unknown[0]!r}; "
+            f"known settings: {', '.join(known)}, render_mode"
+        )
     return EnvSettings(**arguments)
+
+
+def _with_episode_steps(spec: EnvSpec | None, lanes: TaskLanes, limit: int | None = None) -> EnvSpec | None:
+    """Return a spec that says how many steps an episode has at most.
+
+    Gymnasium leaves this empty because the environment is registered without a time limit: it ends episodes itself.
+    """
+    if spec is None or spec.max_episode_steps is not None:
+        return spec
+    n_steps = round(lanes.duration_s / lanes.settings.control_dt)
+    return dataclasses.replace(spec, max_episode_steps=n_steps if limit is None else min(limit, n_steps))
 
 
 def _check_render_mode(render_mode: Any, metadata: Mapping[str, Any]) -> None:
@@ -133,11 +149,12 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
         "render_modes": ["human", "rgb_array"],
         "render_fps": 10,
     }
+    _spec: EnvSpec | None = None
 
-    def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
+    def __init__(self, *, render_mode: str | None = None, **arguments: Unpack[EnvArguments]) -> None:
         _check_render_mode(render_mode, self.metadata)
         self.render_mode = render_mode
-        self.settings = _settings(arguments)
+        self.settings = _settings(type(self).__name__, arguments)
         self._lanes = TaskLanes(self.settings, 1)
         self._use = Use()
         self.metadata = _in_real_time(self.metadata, self.settings)
@@ -148,6 +165,15 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
         self.observation_space, self.action_space = _spaces(self._lanes)
         self._action_shape = (self._lanes.n_action,)
         self._running = False
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Gymnasium's description of this environment; its `max_episode_steps` follows `duration_s`."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = _with_episode_steps(spec, self._lanes)
 
     @property
     def lanes(self) -> TaskLanes:
@@ -275,6 +301,7 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         "render_fps": 10,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
+    _spec: EnvSpec | None = None
 
     def __init__(
         self,
@@ -284,7 +311,7 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         max_episode_steps: int | None = None,
         n_threads: int | None = None,
         render_mode: str | None = None,
-        **arguments: Any,
+        **arguments: Unpack[EnvArguments],
     ) -> None:
         _check_render_mode(render_mode, self.metadata)
         self.render_mode = render_mode
@@ -299,7 +326,7 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         if autoreset_mode not in modes and autoreset_mode not in list(AutoresetMode):
             raise ValueError(f"unknown autoreset_mode {autoreset_mode!r}; choose one of {', '.join(modes)}")
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.settings = _settings(arguments)
+        self.settings = _settings(type(self).__name__, arguments)
         self.num_envs = num_envs
         self._lanes = TaskLanes(self.settings, num_envs, n_threads)
         self._use = Use()
@@ -313,6 +340,15 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         self._n_steps = np.zeros(num_envs, dtype=np.int64)
         self._all_lanes = np.ones(num_envs, dtype=np.bool_)
         self._all_lanes.setflags(write=False)
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Gymnasium's description of this environment; its `max_episode_steps` follows `duration_s`."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = _with_episode_steps(spec, self._lanes, self._max_episode_steps)
 
     @property
     def lanes(self) -> TaskLanes:

@@ -312,8 +312,9 @@ class TaskLanes:
         return arrays
 
     def info(self) -> dict[str, Any]:
-        """Return `info` of the first lane as plain numbers and text."""
-        info: dict[str, Any] = dict(zip(_INFO_KEYS, self.outputs.infos[0].tolist(), strict=True))
+        """Return `info` of the first lane as numpy's floats, a whole number and text."""
+        # numpy's floats are Python's too, and have the dtype that TorchRL asks for.
+        info: dict[str, Any] = dict(zip(_INFO_KEYS, self.outputs.infos[0].copy(), strict=True))
         info["scenario_seed"] = int(self.scenario_seeds[0])
         failed = self.outputs.terminated[0]
         info["termination_reason"] = TERMINATION_REASONS[Status(int(self.statuses()[0]))] if failed else ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypedDict
 
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.parameters import WtgGroup, default_groups, parameter
@@ -82,6 +82,24 @@ class CostWeights:
         for field in dataclasses.fields(self):
             low = 1e-3 if field.name == "cap" else 0.0
             require_range(f"weight {field.name!r}", getattr(self, field.name), low, 1e6, "1/s")
+
+
+class EnvArguments(TypedDict, total=False):
+    """Types of the environment's keyword arguments, for editors and type checkers; see :class:`EnvSettings`."""
+
+    strategy: str | TrackingLaw | Sequence[str | TrackingLaw]
+    action_mode: str
+    observation_mode: str
+    suite: str
+    split: str
+    scenario: Mapping[str, Any] | None
+    groups: int | Sequence[Mapping[str, Any]]
+    duration_s: float | None
+    control_dt: float
+    simulation_dt: float
+    weights: Mapping[str, float] | None
+    machine_model: str
+    on_failure: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,4 +217,4 @@ def _require_choice(name: str, value: Any, choices: Sequence[str]) -> None:
         raise ValueError(f"unknown {name} {value!r}; choose one of {', '.join(choices)}")
 
 
-__all__ = ["ACTION_MODES", "CostWeights", "EnvSettings"]
+__all__ = ["ACTION_MODES", "CostWeights", "EnvArguments", "EnvSettings"]

@@ -15,6 +15,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation.onnx_policy import OnnxPolicy
+from wtg_gym.evaluation.shipped import BASELINES, POLICIES, importable, policy_folders, policy_names
 from wtg_gym.files import read_toml, sha256
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, TrackingLaw, get_law
 
@@ -169,10 +170,12 @@ def load_entries(spec: str | Path, load_archive: LoadArchive | None = None) -> l
     """Return the entries that a text names.
 
     Args:
-        spec: the name of a built-in strategy; a .toml file with a law; a folder with an entry.toml and a policy.onnx,
-            see :func:`load_entry_folder`; a package such as "baselines", of which every module with an `ENTRY` counts,
-            in the order of the package's `ORDER` and then by name; or "module:ATTRIBUTE", an entry, a policy, or a
-            callable that returns one. Importing runs the module's code.
+        spec: the name of a built-in strategy, of a baseline, or of a trained policy that comes with the package ("PPO
+            (k)" stands for all of its seeds, "ppo-k-0" for one of them, "policies" for all policies); a .toml file with
+            a law; a folder with an entry.toml and a policy.onnx, see :func:`load_entry_folder`; a package such as
+            "baselines", of which every module with an `ENTRY` counts, in the order of the package's `ORDER` and then by
+            name; or "module:ATTRIBUTE", an entry, a policy, or a callable that returns one. Importing runs the module's
+            code.
         load_archive: as for :func:`load_entry_folder`.
 
     Raises:
@@ -186,9 +189,27 @@ def load_entries(spec: str | Path, load_archive: LoadArchive | None = None) -> l
         return [Entry(name=law.name, strategy=law, description="A law read from a file.")]
     if (Path(text) / ENTRY_FILE).is_file() or os.path.lexists(Path(text) / ARCHIVE_FILE):
         return [load_entry_folder(Path(text), load_archive)]
+    _refuse_folder_of_folders(text)
+    if shipped := [load_entry_folder(folder) for folder in policy_folders(text)] or _baseline(text):
+        return shipped
     module_name, colon, attribute = text.partition(":")
-    module = _import(module_name, text)
+    module = _import(importable(module_name), text)
     return [_entry_of(module, attribute, text)] if colon else _entries_of(module, text)
+
+
+def _baseline(name: str) -> list[Entry]:
+    """Return the baseline of a name; an empty list if there is none."""
+    baselines = _entries_of(_import(importable(BASELINES), BASELINES), BASELINES)
+    return [entry for entry in baselines if entry.name == name]
+
+
+def _refuse_folder_of_folders(text: str) -> None:
+    folders = sorted(path.parent.name for path in Path(text).glob(f"*/{ENTRY_FILE}")) if text else []
+    if folders:
+        raise ValueError(
+            f"the folder {text} holds no {ENTRY_FILE}, but {len(folders)} folders with one: "
+            f"write {text.rstrip('/')}/* for all of them, or name one, such as {text.rstrip('/')}/{folders[0]}"
+        )
 
 
 def load_entry_folder(folder: Path, load_archive: LoadArchive | None = None) -> Entry:
@@ -252,8 +273,9 @@ def _entry_data(path: Path, further: tuple[str, ...]) -> dict[str, Any]:
 
 
 def _import(name: str, spec: str) -> ModuleType:
+    shipped = ", ".join(repr(known) for known in (*STRATEGIES, BASELINES, *policy_names(), POLICIES))
     allowed = (
-        f"allowed are a built-in strategy ({', '.join(STRATEGIES)}), a .toml file with a law, "
+        f"allowed are {shipped}, a .toml file with a law, "
         f'a folder with {ENTRY_FILE}, an importable package or module with entries, or "module:ATTRIBUTE"'
     )
     if not name or not all(part.isidentifier() for part in name.split(".")):
