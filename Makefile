@@ -76,6 +76,7 @@ docs: $(LEADERBOARD_READY) ## Measure everything that docs/ shows again, but for
 	$(LEADERBOARD_VENV)/bin/wtg-gym reproduce --output docs/validation --formats svg --page docs/validation.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym accuracy --output docs/validation --formats svg --page docs/validation.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym sensitivity --entries baselines $(POLICIES) agents.probes:CHATTER agents.probes:PUSH --page docs/benchmark.md
+	$(LEADERBOARD_VENV)/bin/python -m agents.incentives --entries $(filter %/linear-feedback,$(POLICIES)) $(filter agents/policies/ppo-k-%,$(POLICIES)) deloaded-5 --page docs/benchmark.md
 	$(LEADERBOARD_VENV)/bin/python -m tests.submissions.hostile --page docs/submissions.md
 	$(LEADERBOARD_VENV)/bin/python -m agents.behaviour --entries $(POLICIES) --output docs/agents --page docs/agents.md
 

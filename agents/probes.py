@@ -6,6 +6,7 @@ wtg-gym evaluate --split validation --entries agents.probes:STATIC baselines.tip
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -13,13 +14,14 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.task import COEFFICIENT_AUTHORITY, N_LOCAL
-from wtg_gym.evaluation import Entry
+from wtg_gym.evaluation import Entry, Policy
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 
 Floats = npt.NDArray[np.float64]
-#: Observations (n_lanes, n_wtg, n) and number of steps so far to actions on k (n_lanes, n_wtg).
+#: Observations (n_lanes, n_wtg, n) and number of steps so far to actions on k (n_lanes, n_wtg), or to those of every
+#: group one after the other (n_lanes, n_action).
 Rule = Callable[[Floats, int], Floats]
 
 #: Columns of a group's observation (wtg_gym.envs.task).
@@ -27,18 +29,47 @@ _FREQUENCY, _ROCOF = 0, 1
 
 
 class Probe:
-    """A rule for k as a policy, the same in every group."""
+    """A rule as a policy, the same in every group; `n_action` is the number of actions of a group."""
 
-    def __init__(self, rule: Rule) -> None:
+    def __init__(self, rule: Rule, n_action: int = 1) -> None:
         self._rule = rule
+        self._n_action = n_action
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[Any, Any]:
-        """Return (actions (n_lanes, n_wtg), number of steps so far)."""
+        """Return (actions (n_lanes, n_action), number of steps so far)."""
         step = 0 if state is None else state
-        own = np.asarray(observation, dtype=np.float64).reshape(len(observation), -1, N_LOCAL + 1)
+        own = np.asarray(observation, dtype=np.float64).reshape(len(observation), -1, N_LOCAL + self._n_action)
         return np.clip(self._rule(own, step), -1.0, 1.0), step + 1
+
+
+class Delayed:
+    """A policy that sees every observation one control step late, and the first one twice."""
+
+    def __init__(self, policy: Policy) -> None:
+        self._policy = policy
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> tuple[Any, Any]:
+        """Return (the policy's actions (n_lanes, n_action), last observation and the policy's own state)."""
+        last, own = (observation, None) if state is None else state
+        action, own = self._policy.predict(last, state=own, episode_start=episode_start, deterministic=deterministic)
+        return action, (observation, own)
+
+
+def delayed(entry: Entry) -> Entry:
+    """Return an entry whose policy sees every observation one control step late.
+
+    Raises:
+        ValueError: the entry is a law, which has no policy.
+    """
+    if entry.policy is None:
+        raise ValueError(f"{entry.name} has no policy that could see its observations late")
+    return dataclasses.replace(
+        entry, name=f"{entry.name}, one step late", policy=Delayed(entry.policy), fingerprint=None
+    )
 
 
 def _chatter(own: Floats, step: int) -> Floats:
@@ -67,8 +98,22 @@ def _entry(name: str, rule: Rule, description: str) -> Entry:
     return Entry(name=name, policy=Probe(rule), action_mode="k", learned=False, description=description)
 
 
+#: Actions on k and τ that never change.
+_CONSTANT = (0.1, 0.3)
+
+
+def _constant(own: Floats, _step: int) -> Floats:
+    return np.tile(_CONSTANT, (own.shape[0], own.shape[1]))
+
+
+CONSTANT = Entry(
+    name="constant",
+    policy=Probe(_constant, n_action=2),
+    learned=False,
+    description=f"Keeps the actions at k {_CONSTANT[0]:+g} and τ {_CONSTANT[1]:+g}.",
+)
 CHATTER = _entry("chatter", _chatter, "Alternates k by ± 0.3 of its authority at every step.")
 PUSH = _entry("push", _push, "Spends k on frequency and RoCoF alone, whatever the rotor does.")
 STATIC = _entry("static", _static(), "Adds to g(ω) what makes the captured power linear in frequency, at rest.")
 
-__all__ = ["CHATTER", "PUSH", "STATIC", "Probe"]
+__all__ = ["CHATTER", "CONSTANT", "PUSH", "STATIC", "Delayed", "Probe", "delayed"]

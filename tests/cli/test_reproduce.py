@@ -10,7 +10,17 @@ import pytest
 from tests.cli.calls import error_of, json_of
 from wtg_gym.cli import main
 
-SECTIONS = ("claims", "figures", "studies", "agreement", "system-margins", "modes")
+SECTIONS = (
+    "claims",
+    "figures",
+    "studies",
+    "rotor-energy",
+    "voltages",
+    "limits",
+    "agreement",
+    "system-margins",
+    "modes",
+)
 
 
 def _page(path: Path, *sections: str) -> Path:
@@ -26,7 +36,7 @@ def test_reproduce_writes_claims_and_every_figure(capsys: pytest.CaptureFixture[
     assert main(["reproduce", "--output", str(folder), "--formats", "svg", "--page", str(page)]) == 0
     said = capsys.readouterr().out
     data = json.loads((folder / "claims.json").read_text(encoding="utf-8"))
-    assert len(data["claims"]) == said.count(" holds\n") + said.count("DOES NOT HOLD\n") >= 28
+    assert len(data["claims"]) == said.count(" holds\n") + said.count("DOES NOT HOLD\n") >= 30
     assert len(data["agreement"]) >= 18
     figures = sorted(path.stem for path in (folder / "figures").iterdir())
     assert figures == sorted(
@@ -49,6 +59,7 @@ def test_reproduce_writes_claims_and_every_figure(capsys: pytest.CaptureFixture[
     assert text.startswith("# Page\n") and text.endswith("\nend\n") and text.count("text") >= 4
     for name in figures:
         assert f"(out/figures/{name}.svg)" in text
+    assert "| stall, H_m ω_m² |" in text and "| runs with p < 0 |" in text
     assert "| the paper says |" in text and "**does not hold**" in text
     assert (folder / "claims.md").read_text(encoding="utf-8").strip() in text
 

@@ -251,7 +251,7 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
             ),
             _drawn(
                 "weak-grid",
-                "Little inertia and flat governors: the wind turbines decide the frequency.",
+                "Half the inertia and governors with a high droop: the frequency falls fast and far.",
                 governor_droop=(0.04, 0.05),
                 inertia_scale=(0.5, 0.6),
                 load_level=(0.9, 1.1),

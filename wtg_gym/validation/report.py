@@ -8,10 +8,13 @@ from collections.abc import Iterable
 import numpy as np
 
 from wtg_gym.files import markdown_table
+from wtg_gym.physics.layout import Status
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.small_signal import Mode, SingleMachine
 from wtg_gym.validation.accuracy import AccuracyStudy
 from wtg_gym.validation.agreement import Agreement
 from wtg_gym.validation.claims import Claim
+from wtg_gym.validation.omissions import REACTIVE_LIMIT_PU, VOLTAGE_LIMIT_PU, Omissions, RotorRun
 
 
 def claims_table(claims: Iterable[Claim]) -> str:
@@ -25,15 +28,125 @@ def claims_table(claims: Iterable[Claim]) -> str:
             claim.source,
             claim.expected,
             claim.measured,
+            claim.fitted,
             ("holds" if claim.holds else "**does not hold**")
             + (f" ({number[claim.key]})" if claim.key in number else ""),
         )
         for claim in claims
     ]
-    table = markdown_table(("the paper says", "where", "expected", "measured", "verdict"), rows)
+    table = markdown_table(("the paper says", "where", "expected", "measured", "fitted", "verdict"), rows)
     notes = "\n".join(f"({number[claim.key]}) {claim.remark}  " for claim in remarks)
     held = sum(claim.holds for claim in claims)
-    return f"{held} of {len(claims)} claims hold.\n\n{table}\n\n{notes}".strip()
+    fitted = [claim.fitted for claim in claims if claim.fitted and claim.holds]
+    by = ", ".join(f"{name} to {fitted.count(name)}" for name in dict.fromkeys(fitted))
+    count = (
+        f"{held} of {len(claims)} claims hold; {len(fitted)} of them are numbers that a parameter of this model was "
+        f"fitted to ({by}), so that {held - len(fitted)} hold without a fit."
+    )
+    return f"{count}\n\n{table}\n\n{notes}".strip()
+
+
+def omissions_sections(found: Omissions) -> tuple[str, str, str]:
+    """Return what is measured about rotor energy, about voltages, and about powers and rotor speeds without limits."""
+    return _rotor_energy(found), _voltages(found), _limits(found)
+
+
+def _rotor_energy(found: Omissions) -> str:
+    """Return the energy balance of a rotor over wind, and the paper's load increase under both rotor equations."""
+    frequency_hz = found.paper_runs[REFERENCE_STRATEGY].final_hz
+    balance = markdown_table(
+        (
+            "wind [m/s]",
+            "ω_m at ω_st [p.u.]",
+            f"ω_m at {frequency_hz:.2f} Hz [p.u.]",
+            "2H_m Δω_m [p.u. s]",
+            "H_m Δ(ω_m²) [p.u. s]",
+            "credited too much",
+        ),
+        [
+            (
+                f"{row.wind_m_s:g}",
+                f"{row.before_pu:.3f}",
+                f"{row.after_pu:.3f}",
+                f"{row.credited_s:.3f}",
+                f"{row.stored_s:.3f}",
+                f"{100 * (row.credited_s / row.stored_s - 1):+.0f} %",
+            )
+            for row in found.energy
+        ],
+        right=range(6),
+    )
+
+    def ends(run: RotorRun) -> str:
+        return f"{run.end_s:.1f} s" if run.status == Status.STALL else "none"
+
+    runs = markdown_table(
+        ("strategy", "stall, the paper's rotor", "stall, H_m ω_m²", "nadir, the paper's rotor [Hz]", "H_m ω_m² [Hz]"),
+        [
+            (name, ends(run), ends(other), f"{run.nadir_hz:.4f}", f"{other.nadir_hz:.4f}")
+            for (name, run), other in zip(found.paper_runs.items(), found.energy_runs.values(), strict=True)
+        ],
+        right=range(1, 5),
+    )
+    counts = markdown_table(
+        ("suite", "strategy", "runs", "stalls, the paper's rotor", "stalls, H_m ω_m²", "nadir, median shift [mHz]"),
+        [
+            (
+                row.suite,
+                row.strategy,
+                str(row.n_scenarios),
+                str(row.stalls),
+                str(row.energy_stalls),
+                f"{1e3 * row.nadir_shift_hz:+.1f}",
+            )
+            for row in found.counts
+        ],
+        right=range(2, 6),
+    )
+    return f"{balance}\n\nThe paper's load increase:\n\n{runs}\n\nValidation scenarios of the suites:\n\n{counts}"
+
+
+def _voltages(found: Omissions) -> str:
+    """Return internal voltages and K_p with bus 2 held where it is, and where no internal voltage is too high."""
+
+    def pair(values: np.ndarray, digits: int) -> str:
+        return " / ".join(f"{value:.{digits}f}" for value in values)
+
+    rows = [
+        (
+            f"{case.bus_voltage_pu:.3f}",
+            pair(case.voltage_pu, 2),
+            pair(case.reactive_pu, 2),
+            pair(case.synchronising_coefficient, 2),
+            pair(case.phase_margin_deg, 0),
+        )
+        for case in (found.held, found.limited)
+    ]
+    header = ("V at bus 2 [p.u.]", "E [p.u.]", "Q [p.u.]", "K_p [p.u./rad]", "margin of the reference [°]")
+    lowest, highest = (pick(row.voltage_pu[i] for row in found.counts) for i, pick in enumerate((min, max)))
+    over, n = sum(row.over_reactive for row in found.counts), sum(row.n_scenarios for row in found.counts)
+    return (
+        f"{markdown_table(header, rows, right=range(5))}\n\n"
+        f"The second row is the voltage of bus 2 at which no E exceeds {VOLTAGE_LIMIT_PU:g} p.u. In the suites E is "
+        f"{lowest:.2f} … {highest:.2f} p.u., and {over} of {n} runs (four strategies) start with a group that feeds "
+        f"more than {REACTIVE_LIMIT_PU:.2f} p.u. of reactive power, a power factor of 0.95 at rated power."
+    )
+
+
+def _limits(found: Omissions) -> str:
+    """Return how far powers and rotors go where the model has no limit, by suite and strategy."""
+    rows = [
+        (
+            row.suite,
+            row.strategy,
+            f"{row.motoring} of {row.n_scenarios}",
+            f"{row.peak_power_pu:.2f}",
+            f"{row.least_rotor_pu:.2f}",
+        )
+        for row in found.counts
+    ]
+    header = ("suite", "strategy", "runs with p < 0", "largest p [p.u.]", "smallest ω_m [p.u.]")
+    return markdown_table(header, rows, right=(2, 3, 4))
 
 
 def agreement_table(found: Iterable[Agreement]) -> str:
@@ -158,6 +271,7 @@ __all__ = [
     "claims_table",
     "mode_cells",
     "modes_table",
+    "omissions_sections",
     "order_table",
     "system_margins_table",
 ]
