@@ -1,0 +1,112 @@
+"""`python -m tests.pictures COMMITTED MADE`: which pictures of a folder are not those that their commands drew.
+
+`make docs-check` draws the pictures into MADE first. Machines differ in the last digits of a number and in the shade of
+a pixel, which is no difference here.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+#: Pictures that no second run repeats: two show the time that this machine took, one is a browser's.
+NOT_REPEATED = ("performance/growth.svg", "validation/accuracy.svg", "images/leaderboard-page.png")
+SUFFIXES = (".gif", ".png", ".svg")
+
+#: How far coordinates in an SVG may lie apart [pt]: a tenth of a line's width.
+_LARGEST_SHIFT_PT = 0.1
+#: A pixel differs if one of its colours does by more than this, of 255; and so many pixels may.
+_LARGEST_SHADE, _N_PIXELS = 32, 20
+#: Not the digits of a colour or of a name.
+_NUMBER = re.compile(r"(?<![#\w.])(-?\d+(?:\.\d+)?(?:e[-+]?\d+)?)")
+#: Names that matplotlib makes of a hash of coordinates.
+_HASHED = re.compile(r"\b[a-z][0-9a-f]{10}\b")
+
+
+def differences(committed: Path, made: Path) -> list[str]:
+    """Return a line for every picture of one folder that is missing in the other one, or that looks different there."""
+    there, drawn = ({_place(path, folder) for path in _pictures(folder)} for folder in (committed, made))
+    lines = [f"{name}: no command draws it" for name in there - drawn - {*NOT_REPEATED}]
+    lines += [f"{name}: its command draws it, but it is not there" for name in drawn - there]
+    for name in there & drawn:
+        found = difference(committed / name, made / name)
+        if found:
+            lines.append(f"{name}: {found}")
+    return sorted(lines)
+
+
+def _pictures(folder: Path) -> list[Path]:
+    return [path for path in folder.rglob("*") if path.suffix in SUFFIXES]
+
+
+def _place(path: Path, folder: Path) -> str:
+    return path.relative_to(folder).as_posix()
+
+
+def difference(committed: Path, made: Path) -> str:
+    """Return how two pictures of one kind differ; an empty text if they look the same."""
+    if committed.read_bytes() == made.read_bytes():
+        return ""
+    if committed.suffix == ".svg":
+        return _difference_of_drawings(committed.read_text(encoding="utf-8"), made.read_text(encoding="utf-8"))
+    return _difference_of_pixels(committed, made)
+
+
+def _difference_of_drawings(committed: str, made: str) -> str:
+    old, new = (_NUMBER.split(_without_hashes(text)) for text in (committed, made))
+    # Between the numbers, at even places, stands everything else.
+    if old[::2] != new[::2]:
+        return "other shapes, texts or styles"
+    shift = max((abs(float(a) - float(b)) for a, b in zip(old[1::2], new[1::2], strict=True)), default=0.0)
+    return f"a coordinate or number is {shift:g} off" if shift > _LARGEST_SHIFT_PT else ""
+
+
+def _without_hashes(text: str) -> str:
+    """Return an SVG with its hashed names by the order in which they come."""
+    order: dict[str, str] = {}
+    return _HASHED.sub(lambda match: order.setdefault(match[0], f"name_{'i' * (len(order) + 1)}"), text)
+
+
+def _difference_of_pixels(committed: Path, made: Path) -> str:
+    old, new = _frames(committed), _frames(made)
+    if len(old) != len(new) or any(a[0] != b[0] for a, b in zip(old, new, strict=True)):
+        return "other frames or other times of theirs"
+    if old[0][1].shape != new[0][1].shape:
+        return "another size"
+    n = max(int((np.abs(a - b).max(axis=2) > _LARGEST_SHADE).sum()) for (_, a), (_, b) in zip(old, new, strict=True))
+    return f"{n} pixels of a frame have another colour" if n > _N_PIXELS else ""
+
+
+def _frames(path: Path) -> list[tuple[Any, npt.NDArray[np.int16]]]:
+    """Return how long each frame is shown, and its pixels (height, width, 3)."""
+    frames = []
+    with Image.open(path) as picture:
+        for index in range(getattr(picture, "n_frames", 1)):
+            picture.seek(index)
+            pixels = np.asarray(picture.convert("RGB"), dtype=np.int16)
+            frames.append((picture.info.get("duration"), pixels))
+    return frames
+
+
+def main(arguments: list[str]) -> int:
+    """Print what differs; return 1 if something does."""
+    committed, made = map(Path, arguments)
+    lines = differences(committed, made)
+    for line in lines:
+        print(f"{committed}/{line}")
+    if lines:
+        print(f"\n{len(lines)} pictures are stale: `make pictures` draws them, then look at them and commit them.")
+        return 1
+    print(f"{len(_pictures(made))} pictures in {committed} are what their commands draw.")
+    print(f"Not compared: {', '.join(NOT_REPEATED)}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
