@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import sys
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +22,13 @@ SUFFIXES = (".gif", ".png", ".svg")
 
 #: How far coordinates in an SVG may lie apart [pt]: a tenth of a line's width.
 _LARGEST_SHIFT_PT = 0.1
+#: How far lines may: points that nobody would miss are left out of long ones, not the same ones on every machine.
+_LARGEST_DISTANCE_PT = 0.5
 #: A pixel differs if one of its colours does by more than this, of 255; and so many pixels may.
 _LARGEST_SHADE, _N_PIXELS = 32, 20
 #: Not the digits of a colour or of a name.
 _NUMBER = re.compile(r"(?<![#\w.])(-?\d+(?:\.\d+)?(?:e[-+]?\d+)?)")
+_PATH = re.compile(r'\bd="([^"]*)"')
 #: Names that matplotlib makes of a hash of coordinates.
 _HASHED = re.compile(r"\b[a-z][0-9a-f]{10}\b")
 
@@ -59,12 +63,42 @@ def difference(committed: Path, made: Path) -> str:
 
 
 def _difference_of_drawings(committed: str, made: str) -> str:
-    old, new = (_NUMBER.split(_without_hashes(text)) for text in (committed, made))
-    # Between the numbers, at even places, stands everything else.
-    if old[::2] != new[::2]:
+    old, new = (_PATH.split(_without_hashes(text)) for text in (committed, made))
+    # Between the paths, at even places, stands everything else.
+    pairs = list(zip_longest(map(_NUMBER.split, old[::2]), map(_NUMBER.split, new[::2]), fillvalue=[]))
+    if any(a[::2] != b[::2] for a, b in pairs):
         return "other shapes, texts or styles"
-    shift = max((abs(float(a) - float(b)) for a, b in zip(old[1::2], new[1::2], strict=True)), default=0.0)
-    return f"a coordinate or number is {shift:g} off" if shift > _LARGEST_SHIFT_PT else ""
+    shift = max(
+        abs(float(x) - float(y)) for a, b in pairs for x, y in zip(["0", *a[1::2]], ["0", *b[1::2]], strict=True)
+    )
+    if shift > _LARGEST_SHIFT_PT:
+        return f"a coordinate or number is {shift:.2g} off"
+    shift = max((_distance(a, b) for a, b in zip(old[1::2], new[1::2], strict=True)), default=0.0)
+    return f"a line is {shift:.2g} pt off" if shift > _LARGEST_DISTANCE_PT else ""
+
+
+def _distance(old: str, new: str) -> float:
+    """Return how far two paths lie apart [pt], which may have different points on the same course."""
+    a, b = (np.array(_NUMBER.findall(path), dtype=np.float64).reshape(-1, 2) for path in (old, new))
+    letters = [_NUMBER.sub("", path).split() for path in (old, new)]
+    if a.size and b.size and {*letters[0], *letters[1]} == {"M", "L"}:
+        return max(_farthest(a, _segments(new)), _farthest(b, _segments(old)))
+    return float(np.abs(a - b).max(initial=0.0)) if letters[0] == letters[1] else np.inf
+
+
+def _segments(path: str) -> npt.NDArray[np.float64]:
+    """Return the ends of the straight pieces of a path (n, 2, 2); a single point is a piece of no length."""
+    courses = [np.array(_NUMBER.findall(part), dtype=np.float64).reshape(-1, 2) for part in path.split("M")[1:]]
+    return np.concatenate([np.stack([course[[0, *range(len(course) - 1)]], course], axis=1) for course in courses])
+
+
+def _farthest(points: npt.NDArray[np.float64], segments: npt.NDArray[np.float64]) -> float:
+    """Return the largest distance of any of the points from the piece next to it."""
+    start, along = segments[:, 0], segments[:, 1] - segments[:, 0]
+    from_start = points[:, None] - start
+    share = (from_start * along).sum(axis=2) / np.maximum((along**2).sum(axis=1), 1e-12)
+    nearest = from_start - np.clip(share, 0.0, 1.0)[:, :, None] * along
+    return float(np.sqrt((nearest**2).sum(axis=2).min(axis=1).max()))
 
 
 def _without_hashes(text: str) -> str:

@@ -74,6 +74,15 @@ def test_the_last_digits_and_hashed_names_of_a_drawing_do_not_matter(made: Path)
     assert differences(DOCS, made) == []
 
 
+def test_a_line_through_other_points_on_the_same_course_is_the_same_line(made: Path) -> None:
+    path = made / DRAWING
+    change(path, r'd="M (\S+) (\S+) \nL (\S+) (\S+) \nL ', r'd="M \1 \2 \nL ')
+    assert differences(DOCS, made) == []
+    change(path, r"(\d+\.\d+) \nL (\S+) (\d+)\.\d+ \n", r"\1 \nL \2 200.0 \nL \2 \3.0 \n")
+    (line,) = differences(DOCS, made)
+    assert re.fullmatch(rf"{DRAWING}: a line is \d+ pt off", line)
+
+
 def test_a_picture_with_a_moved_line_is_named_and_a_shade_is_not(made: Path) -> None:
     name = "images/render.png"
     with Image.open(DOCS / name) as picture:
