@@ -72,9 +72,9 @@ def _difference_of_drawings(committed: str, made: str) -> str:
         abs(float(x) - float(y)) for a, b in pairs for x, y in zip(["0", *a[1::2]], ["0", *b[1::2]], strict=True)
     )
     if shift > _LARGEST_SHIFT_PT:
-        return f"a coordinate or number is {shift:.2g} off"
+        return f"a coordinate or number is {shift:.1f} off"
     shift = max((_distance(a, b) for a, b in zip(old[1::2], new[1::2], strict=True)), default=0.0)
-    return f"a line is {shift:.2g} pt off" if shift > _LARGEST_DISTANCE_PT else ""
+    return f"a line is {shift:.1f} pt off" if shift > _LARGEST_DISTANCE_PT else ""
 
 
 def _distance(old: str, new: str) -> float:

@@ -76,11 +76,12 @@ def test_the_last_digits_and_hashed_names_of_a_drawing_do_not_matter(made: Path)
 
 def test_a_line_through_other_points_on_the_same_course_is_the_same_line(made: Path) -> None:
     path = made / DRAWING
-    change(path, r'd="M (\S+) (\S+) \nL (\S+) (\S+) \nL ', r'd="M \1 \2 \nL ')
+    # Of a path with many points the second one: a frame has four.
+    change(path, r'(d="M \S+ \S+ )\nL \S+ \S+ ((?:\nL \S+ \S+ ){5})', r"\1\2")
     assert differences(DOCS, made) == []
-    change(path, r"(\d+\.\d+) \nL (\S+) (\d+)\.\d+ \n", r"\1 \nL \2 200.0 \nL \2 \3.0 \n")
+    change(path, r'(d="M \S+ \S+ )\nL (\S+) \S+ ((?:\nL \S+ \S+ ){5})', r"\1\nL \2 200 \3")
     (line,) = differences(DOCS, made)
-    assert re.fullmatch(rf"{DRAWING}: a line is \d+ pt off", line)
+    assert re.fullmatch(rf"{DRAWING}: a line is \d+\.\d pt off", line)
 
 
 def test_a_picture_with_a_moved_line_is_named_and_a_shade_is_not(made: Path) -> None:
@@ -97,8 +98,8 @@ def test_a_picture_with_a_moved_line_is_named_and_a_shade_is_not(made: Path) -> 
 
 def test_a_moving_picture_of_another_run_is_named(made: Path) -> None:
     name = "images/episode.gif"
-    arguments = ["simulate", "--case", "load-decrease", "--duration", "2", "--plot", str(made / name)]
-    assert wtg_gym(arguments) == 0
+    laws = ["--strategy", "deloaded-5", "coordinated-piecewise"]
+    assert wtg_gym(["simulate", "--case", "load-increase", *laws, "--duration", "60", "--plot", str(made / name)]) == 0
     (line,) = differences(DOCS, made)
     assert re.fullmatch(rf"{name}: \d+ pixels of a frame have another colour", line)
 

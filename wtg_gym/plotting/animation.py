@@ -34,7 +34,7 @@ N_PICTURES, PICTURE_MS, LAST_PICTURE_MS = 120, 80, 3000
 _N_COLOURS = 127
 #: A point is a pixel.
 _MM_PER_INCH, _DPI = 25.4, 72
-_FONT_SIZES = {
+_FONT_SIZES: dict[Any, Any] = {
     "font.size": 12,
     "axes.labelsize": 12,
     "xtick.labelsize": 11,
@@ -120,7 +120,12 @@ class _MovingPicture:
             low, high = axes.get_ylim()
             if label.startswith("power") and low < control.overload_limit_pu < high:
                 axes.axhline(control.overload_limit_pu, color=REFERENCE_GREY, linewidth=0.8, linestyle=":")
-                above = {"xytext": (-2.0, 2.0), "textcoords": "offset points", "ha": "right", "color": REFERENCE_GREY}
+                above: dict[str, Any] = {
+                    "xytext": (-2.0, 2.0),
+                    "textcoords": "offset points",
+                    "ha": "right",
+                    "color": REFERENCE_GREY,
+                }
                 axes.annotate("overload", (self._scenario.duration_s, control.overload_limit_pu), **above)
             # The limits are those of the whole runs, whatever is seen of them.
             axes.set_ylim(axes.get_ylim())
@@ -152,7 +157,7 @@ class _MovingPicture:
         ended = {run.status.name.lower().replace("_", " ") for run in self._runs.values()} - {"running"}
         if ended:
             label = f"run ended: {' or '.join(sorted(ended))}"
-            cross = {"marker": "x", "markersize": 9, "markeredgewidth": 2.5, "linestyle": "none"}
+            cross: dict[str, Any] = {"marker": "x", "markersize": 9, "markeredgewidth": 2.5, "linestyle": "none"}
             handles.append(Line2D([], [], color=INK, label=label, **cross))
         self._figure.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.008, 0.005), handlelength=2.6)
 
@@ -181,7 +186,7 @@ class _MovingPicture:
         for line, time, values in self._lines:
             seen = time <= end
             line.set_data(time[seen], values[seen])
-            line.axes.draw_artist(line)
+            self._figure.draw_artist(line)
         return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
 
 
