@@ -195,7 +195,8 @@ def _gif(frames: Sequence[Any]) -> bytes:
     from PIL import Image
 
     colours = frames[-1].quantize(_N_COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
-    palette = colours.getpalette()[: 3 * _N_COLOURS]
+    # A picture of few colours has fewer in its palette.
+    palette = [*colours.getpalette(), *[0] * (3 * _N_COLOURS)][: 3 * _N_COLOURS]
     pictures, before = [], None
     for frame in frames:
         pixels = np.asarray(frame.quantize(palette=colours, dither=Image.Dither.NONE))
