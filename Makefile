@@ -69,16 +69,42 @@ page: verification ## Rank every entry on all suites and on fresh scenarios, and
 	$(LEADERBOARD_VENV)/bin/wtg-gym page $(PAGE_SUITES:%=results/%-test.json) results/standard-verification.json \
 	    --entries baselines $(POLICIES) --output docs/leaderboard.html
 
+# Its fonts and its browser are those of the machine: `make docs-check` leaves this picture out.
+CHROMIUM ?= $(firstword $(foreach name,chromium chromium-browser google-chrome,$(shell command -v $(name))) chromium)
+
+.PHONY: page-picture
+page-picture: page ## Take the picture of docs/leaderboard.html that the README shows; needs Chromium
+	$(CHROMIUM) --headless $(if $(filter 0,$(shell id -u)),--no-sandbox) --hide-scrollbars --window-size=1080,1815 \
+	    --virtual-time-budget=20000 --screenshot=$(CURDIR)/docs/images/leaderboard-page.png file://$(CURDIR)/docs/leaderboard.html
+
+# Which folder `make pictures` renews; `make docs-check` lets it renew a copy.
+DOCS := docs
+
+.PHONY: pictures
+pictures: $(LEADERBOARD_READY) ## Draw every picture of the README and of docs/ that is not a measurement of time, and renew the tables beside them
+	$(LEADERBOARD_VENV)/bin/wtg-gym simulate --case load-increase --strategy mppt --strategy deloaded-5 --strategy deloaded-10 --strategy coordinated-piecewise --plot $(DOCS)/images/load-increase.png
+	$(LEADERBOARD_VENV)/bin/wtg-gym simulate --case load-increase --strategy mppt --strategy coordinated-piecewise --duration 60 --plot $(DOCS)/images/episode.gif
+	$(LEADERBOARD_VENV)/bin/python docs/images/render.py $(DOCS)/images/render.png
+	$(LEADERBOARD_VENV)/bin/wtg-gym reproduce --output $(DOCS)/validation --formats svg --page $(DOCS)/validation.md
+	$(LEADERBOARD_VENV)/bin/python -m agents.behaviour --entries $(POLICIES) --output $(DOCS)/agents --page $(DOCS)/agents.md
+
 .PHONY: docs
-docs: $(LEADERBOARD_READY) ## Measure everything that docs/ shows again, but for performance, and renew its tables and figures
+docs: pictures ## Measure everything that docs/ shows again, but for performance and the page, and renew its tables and pictures
 	$(LEADERBOARD_VENV)/bin/wtg-gym parameters --page docs/parameters.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym validate tests/golden/*/ --page docs/validation.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym reproduce --output docs/validation --formats svg --page docs/validation.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym accuracy --output docs/validation --formats svg --page docs/validation.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym sensitivity --entries baselines $(POLICIES) agents.probes:CHATTER agents.probes:PUSH --page docs/benchmark.md
 	$(LEADERBOARD_VENV)/bin/python -m agents.incentives --entries $(filter %/linear-feedback,$(POLICIES)) $(filter agents/policies/ppo-k-%,$(POLICIES)) deloaded-5 --page docs/benchmark.md
 	$(LEADERBOARD_VENV)/bin/python -m tests.submissions.hostile --page docs/submissions.md
-	$(LEADERBOARD_VENV)/bin/python -m agents.behaviour --entries $(POLICIES) --output docs/agents --page docs/agents.md
+
+.PHONY: docs-check
+docs-check: $(LEADERBOARD_READY) ## Draw the pictures into a copy of docs/ and name those that differ from the ones in docs/
+	rm -rf build/docs
+	mkdir -p build
+	cp -R docs build/docs
+	find build/docs '(' -name '*.gif' -o -name '*.png' -o -name '*.svg' ')' -delete
+	$(MAKE) --no-print-directory pictures DOCS=build/docs
+	$(LEADERBOARD_VENV)/bin/python -m tests.pictures docs build/docs
 
 .PHONY: performance
 performance: $(TEST_READY) ## Measure speed, growth and arithmetic again; on a machine that does nothing else (a quarter of an hour)

@@ -6,7 +6,7 @@
 At ω_min the turbine reaches its best point, at ω_max the deloading limit of 10 %, whatever the wind. How much reserve
 it holds at ω_st follows from the line and is not prescribed. The droop acts on fast changes only (transient damping).
 
-Source: Chen et al., equation `eq_gomega`.
+Source: Chen et al., equation of the linear g(ω).
 """
 
 from wtg_gym.evaluation import Entry
@@ -19,5 +19,5 @@ ENTRY = Entry(
     strategy=coordinated_linear(),
     description="k falls on a straight line from K_opt at ω_min to K_pr at ω_max; transient damping.",
     equation="P_st = g(ω) ω_m³ + D_p x, g linear in ω",
-    source=f"{COORDINATED_SOURCE}, equation eq_gomega",
+    source=f"{COORDINATED_SOURCE}, equation of the linear g(ω)",
 )

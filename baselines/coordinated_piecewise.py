@@ -6,7 +6,7 @@
 K_n is the coefficient of 5 % deloading, K_pr that of 10 %: 5 % of the available power are ready upwards and downwards.
 Zero action of the environment is exactly this law.
 
-Source: Chen et al., equation `eq_gomega_augement`.
+Source: Chen et al., equation of the augmented g(ω).
 """
 
 from wtg_gym.evaluation import Entry
@@ -19,5 +19,5 @@ ENTRY = Entry(
     strategy=coordinated_piecewise(),
     description="The reference: k passes through K_opt, K_n and K_pr; transient damping.",
     equation="P_st = g(ω) ω_m³ + D_p x, g piecewise linear in ω",
-    source=f"{COORDINATED_SOURCE}, equation eq_gomega_augement",
+    source=f"{COORDINATED_SOURCE}, equation of the augmented g(ω)",
 )

@@ -5,7 +5,7 @@
 The droop cancels altogether, so that only g(ω) regulates. That leaves little damping of fast swings: the reason for
 the filter in the reference.
 
-Source: Chen et al., the loop of equation `eq_Gproposed`.
+Source: Chen et al., open loop of the proposed law.
 """
 
 from wtg_gym.evaluation import Entry
@@ -18,5 +18,5 @@ ENTRY = Entry(
     strategy=coordinated_undamped(),
     description="The reference's g(ω) without any droop: fast swings are hardly damped.",
     equation="P_st = g(ω) ω_m³ + D_p (ω - ω_st), g piecewise linear in ω",
-    source=f"{COORDINATED_SOURCE}, equation eq_Gproposed",
+    source=f"{COORDINATED_SOURCE}, open loop of the proposed law",
 )

@@ -6,7 +6,7 @@
 The reserve lasts longer than with 5 %, at the price of energy: in calm operation twice as much is given up, and a rise
 of the frequency drives the rotor faster than need be.
 
-Source: Chen et al., equation `eq_fomegam_deload`, after X. Lyu, D. Groß, IEEE Trans. Sustain. Energy 15(1), 2024.
+Source: Chen et al., frequency dynamics with deloading, after X. Lyu, D. Groß, IEEE Trans. Sustain. Energy 15(1), 2024.
 """
 
 from wtg_gym.evaluation import Entry
@@ -19,5 +19,5 @@ ENTRY = Entry(
     strategy=deloaded(0.10),
     description="10 % below the available power at nominal frequency, with plain droop.",
     equation="P_st = K_d ω_m³, K_d = K_opt (λ_opt/λ_d)³ (1 - 0.10)",
-    source=f"{DELOADED_SOURCE}; {COORDINATED_SOURCE}, equation eq_fomegam_deload",
+    source=f"{DELOADED_SOURCE}; {COORDINATED_SOURCE}, frequency dynamics with deloading",
 )

@@ -6,7 +6,7 @@
 Little power is given up, and little is in reserve: a large fall of the frequency takes the rotor past the top of the
 power curve, where it behaves as with maximum power point tracking.
 
-Source: Chen et al., equation `eq_fomegam_deload`, after X. Lyu, D. Groß, IEEE Trans. Sustain. Energy 15(1), 2024.
+Source: Chen et al., frequency dynamics with deloading, after X. Lyu, D. Groß, IEEE Trans. Sustain. Energy 15(1), 2024.
 """
 
 from wtg_gym.evaluation import Entry
@@ -19,5 +19,5 @@ ENTRY = Entry(
     strategy=deloaded(0.05),
     description="5 % below the available power at nominal frequency, with plain droop.",
     equation="P_st = K_d ω_m³, K_d = K_opt (λ_opt/λ_d)³ (1 - 0.05)",
-    source=f"{DELOADED_SOURCE}; {COORDINATED_SOURCE}, equation eq_fomegam_deload",
+    source=f"{DELOADED_SOURCE}; {COORDINATED_SOURCE}, frequency dynamics with deloading",
 )

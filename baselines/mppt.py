@@ -5,7 +5,7 @@
 At K_opt the rotor sits on the top of the power curve and holds no reserve. When the frequency falls, the droop takes
 energy from the rotor, the slower rotor captures less, and in the end the turbine gives less than before, or stalls.
 
-Source: Chen et al., equation `eq_fomegam_mppt`.
+Source: Chen et al., frequency dynamics with maximum power point tracking.
 """
 
 from wtg_gym.evaluation import Entry
@@ -18,5 +18,5 @@ ENTRY = Entry(
     strategy=mppt(),
     description="Maximum power point tracking with plain droop; no reserve.",
     equation="P_st = K_opt ω_m³",
-    source=f"{COORDINATED_SOURCE}, equation eq_fomegam_mppt",
+    source=f"{COORDINATED_SOURCE}, frequency dynamics with maximum power point tracking",
 )

@@ -14,6 +14,7 @@ from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.plotting import plot_costs, plot_responses, plot_runs
 from wtg_gym.plotting.behaviour import binned, needed_points
+from wtg_gym.plotting.style import Look
 from wtg_gym.scenarios import get_suite
 
 REFERENCE = "coordinated-piecewise"
@@ -48,6 +49,13 @@ def test_bins_hold_the_quantiles_of_their_samples() -> None:
     bins = binned(x, y, np.array([0.0, 1.0, 2.0, 3.0]))
     assert bins.centre.tolist() == [0.5, 1.5, 2.5] and np.isfinite(bins.median).tolist() == [True, True, False]
     assert (bins.low[1], bins.median[1], bins.high[1]) == pytest.approx((100.0, 500.0, 900.0))
+
+
+def test_the_legend_of_responses_has_the_dashes_of_their_curves(runs: dict[str, Recording]) -> None:
+    looks = {REFERENCE: Look("#0072B2"), "both True": Look("#009E73", (0.0, (1.2, 1.2)))}
+    figure = plot_responses("both True", runs["both True"], runs[REFERENCE], looks)
+    drawn = {(line.get_color(), line.get_linestyle()) for axes in figure.axes for line in axes.lines}
+    assert {(line.get_color(), line.get_linestyle()) for line in figure.legends[0].get_lines()} == drawn
 
 
 def test_responses_show_k_tau_and_samples_over_everything_seen(runs: dict[str, Recording]) -> None:

@@ -122,8 +122,8 @@ def loops() -> dict[str, SingleMachine]:
 def test_bode_states_the_papers_margins(loops: dict[str, SingleMachine]) -> None:
     figure = plot_bode(loops)
     legend = _legend(figure)
-    assert any(text.startswith("coordinated-linear: PM 55.4°") for text in legend)
-    assert any(text.startswith("ideal-source: PM 48.8°") for text in legend)
+    assert any(text.startswith("coordinated-linear: 55.4° at ") for text in legend)
+    assert any(text.startswith("ideal-source: 48.8° at ") for text in legend)
     phase = figure.axes[1]
     ((crossover, top),) = _line(phase, "margin coordinated-linear").get_xydata()
     assert top + 180.0 == pytest.approx(55.4, abs=0.05)

@@ -89,9 +89,9 @@ def check_output_file(option: str, text: str | None, suffixes: Sequence[str]) ->
     return path
 
 
-def check_plot_file(text: str | None) -> Path | None:
+def check_plot_file(text: str | None, suffixes: Sequence[str] = PLOT_SUFFIXES) -> Path | None:
     """Return the path of `--plot`, or raise a ValueError now rather than after the work; None for no figure."""
-    path = check_output_file("--plot", text, PLOT_SUFFIXES)
+    path = check_output_file("--plot", text, suffixes)
     if path is not None:
         require_extra("matplotlib", "--plot")
     return path

@@ -50,6 +50,9 @@ _EXAMPLES = """\
   wtg-gym suites weak-grid --seed 20010 --json > mine.json     write a scenario, edit it, then
   wtg-gym simulate --scenario mine.json --json                 simulate it"""
 
+#: A figure whose file ends like this is a moving one.
+_MOVING = ".gif"
+
 
 def add_commands(commands: Commands) -> None:
     """Add `wtg-gym simulate`."""
@@ -87,14 +90,18 @@ def add_commands(commands: Commands) -> None:
     add_plant_options(parser, default_groups="2, or one per given wind")
     add_law_option(parser, REFERENCE_STRATEGY)
     out = parser.add_argument_group("output")
-    out.add_argument("--plot", metavar="FILE", help=f"write a figure of the runs: {', '.join(PLOT_SUFFIXES)}")
+    out.add_argument(
+        "--plot",
+        metavar="FILE",
+        help=f"write a figure of the runs: {', '.join(PLOT_SUFFIXES)}; or a moving picture: {_MOVING}",
+    )
     out.add_argument("--csv", metavar="FILE", help="write every sample of every run, units in the header: .csv")
     out.add_argument("--json", action="store_true", help="print the key figures as JSON, and nothing else, on stdout")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym simulate`; return 1 if a run failed numerically."""
-    plot = check_plot_file(arguments.plot)
+    plot = check_plot_file(arguments.plot, (*PLOT_SUFFIXES, _MOVING))
     table = check_output_file("--csv", arguments.csv, (".csv",))
     laws = {law.name: law for law in chosen_laws(arguments.law)}
     scenario, groups = _scenario_and_groups(arguments)
@@ -112,7 +119,7 @@ def run(arguments: argparse.Namespace) -> int:
                 scenario, law, settings, on_progress=partial(progress.update_part, name, done, len(laws))
             )
     if plot is not None:
-        _write_plot(plot, runs, scenario)
+        _write_plot(plot, runs, scenario, groups)
     if table is not None:
         write_and_say(table, traces_csv(runs))
     figures = [key_figures(name, trajectory) for name, trajectory in runs.items()]
@@ -184,9 +191,12 @@ def _plant_summary(arguments: argparse.Namespace, groups: tuple[WtgGroup, ...]) 
     }
 
 
-def _write_plot(path: Path, runs: Mapping[str, Trajectory], scenario: Scenario) -> None:
-    from wtg_gym.plotting import plot_trajectories
+def _write_plot(path: Path, runs: Mapping[str, Trajectory], scenario: Scenario, groups: tuple[WtgGroup, ...]) -> None:
+    from wtg_gym.plotting import animate_trajectories, plot_trajectories
 
+    if path.suffix.lower() == _MOVING:
+        write_and_say(path, animate_trajectories(runs, scenario, [group.bus for group in groups]))
+        return
     picture = io.BytesIO()
     plot_trajectories(runs, scenario).savefig(picture, format=path.suffix[1:].lower(), dpi=150)
     write_and_say(path, picture.getvalue())

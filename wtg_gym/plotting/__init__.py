@@ -5,6 +5,7 @@ not. Every function returns a matplotlib figure, built without pyplot; :func:`fi
 """
 
 from wtg_gym.plotting.accuracy import plot_accuracy
+from wtg_gym.plotting.animation import animate_trajectories
 from wtg_gym.plotting.behaviour import plot_costs, plot_responses, plot_runs
 from wtg_gym.plotting.characteristics import plot_characteristic
 from wtg_gym.plotting.growth import plot_growth
@@ -39,6 +40,7 @@ __all__ = [
     "SINGLE_COLUMN_MM",
     "STRATEGY_LOOKS",
     "LearningCurve",
+    "animate_trajectories",
     "figure_bytes",
     "new_figure",
     "plot_accuracy",

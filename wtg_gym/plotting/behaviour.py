@@ -136,7 +136,9 @@ def plot_responses(
     grid[3, 0].set_ylim(bottom=0.0)
     _scale_time_constant(grid[2, 0], [policy.time_constant_s, reference.time_constant_s])
     figure.align_ylabels(grid[:, 0])
-    _draw_legend(figure, runs, looks, policy.n_wtg if apart else 1)
+    # Dashes tell groups apart here, so that the legend shows colours only.
+    solid = {own: Look(looks[own].colour) for own in runs}
+    _draw_legend(figure, runs, solid, policy.n_wtg if apart else 1)
     return figure
 
 

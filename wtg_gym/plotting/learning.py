@@ -137,6 +137,7 @@ def _scale(axes: Axes, ends: Sequence[float]) -> None:
         axes.set_xscale("log")
     else:
         axes.set_xlim(left=0.0)
+        axes.locator_params(axis="x", nbins=7)
 
 
 __all__ = ["LearningCurve", "plot_learning_curves"]

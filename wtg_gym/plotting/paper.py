@@ -28,7 +28,7 @@ from wtg_gym.plotting.style import (
     printed,
     strategy_looks,
 )
-from wtg_gym.plotting.trajectories import event_lines, numbered_events
+from wtg_gym.plotting.trajectories import event_lines, instant_labels, numbered_events
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -148,7 +148,7 @@ def plot_bode(loops: Mapping[str, SingleMachine], title: str | None = None) -> F
         look, margins = looks[label], loop.margins()
         response = loop.response(angular)
         text = (
-            f"{label}: PM {margins.phase_margin_deg:.1f}° at {margins.crossover_rad_s:.2f} rad/s"
+            f"{label}: {margins.phase_margin_deg:.1f}° at {margins.crossover_rad_s:.2f} rad/s"
             if math.isfinite(margins.phase_margin_deg)
             else f"{label}: no crossover"
         )
@@ -172,7 +172,7 @@ def plot_bode(loops: Mapping[str, SingleMachine], title: str | None = None) -> F
     phase.set_yticks(np.arange(-270.0, -89.0, 30.0))
     phase.set_ylim(bottom, -85.0)
     phase.set_xlabel(r"angular frequency $\Omega$ [rad/s]")
-    figure.legend(loc="outside lower left", ncols=1)
+    figure.legend(loc="outside lower left", ncols=1, title="phase margin at gain crossover", alignment="left")
     if title is not None:
         figure.suptitle(title, x=0.01, ha="left")
     return figure
@@ -324,15 +324,13 @@ def _draw_references(column: Sequence[Axes], run: Trajectory, group: int, window
 
 def mark_instants(axes: Axes, scenario: Scenario, window_s: tuple[float, float], *, numbered: bool) -> None:
     """Draw a dotted line at every instant with an event, with its number above where `numbered`."""
-    for number, events in numbered_events(scenario):
-        instant = events[0].time_s
-        if not window_s[0] <= instant <= window_s[1]:
-            continue
-        axes.axvline(instant, color=REFERENCE_GREY, linewidth=0.7, linestyle=(0.0, (1.0, 1.5)), zorder=1)
-        if numbered:
-            axes.text(
-                instant, 1.01, f"({number})", transform=axes.get_xaxis_transform(), fontsize=SMALL_PT, ha="center"
-            )
+    for _, events in numbered_events(scenario):
+        if window_s[0] <= events[0].time_s <= window_s[1]:
+            axes.axvline(events[0].time_s, color=REFERENCE_GREY, linewidth=0.7, linestyle=(0.0, (1.0, 1.5)), zorder=1)
+    if numbered:
+        above = axes.get_xaxis_transform()
+        for place, text in instant_labels(scenario, window_s):
+            axes.text(place, 1.01, text, transform=above, fontsize=SMALL_PT, ha="center")
 
 
 def share_limits(row: Sequence[Axes]) -> None:

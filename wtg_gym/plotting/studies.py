@@ -179,7 +179,7 @@ def plot_damping(study: DampingStudy, title: str | None = None) -> Figure:
         speed = study.lowest_rotor_speed_pu[:, group]
         _draw_over_tau(rotor, tau, speed, PALETTE[group % 6], MARKERS[group % 8], f"GFM-WTG {group + 1}")
     rotor.set_ylabel("lowest rotor speed [p.u.]")
-    rotor.legend(loc="center left", handlelength=1.8)
+    rotor.legend(loc="center right", handlelength=1.8)
     slowest = int(np.argmin(study.lowest_rotor_speed_pu.min(axis=0)))
     speed = study.lowest_rotor_speed_pu[:, slowest]
     colour = PALETTE[slowest % 6]

@@ -25,6 +25,8 @@ _GREY = "0.45"
 _FONT = {"title": 12.0, "label": 10.0, "small": 8.5}
 #: A reference line this far outside the data, in shares of their span, is still brought into view.
 _REACH = 0.25
+#: Instants closer than this, as a share of the time axis, share a label, for theirs would overprint.
+_LABEL_WIDTH = 0.05
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,7 @@ def _draw_panel(axes: Axes, panel: _Panel, trajectories: Mapping[str, Trajectory
         run, colour = trajectories[label], colours[label]
         columns = values[:, None] if values.ndim == 1 else values
         for group, column in enumerate(columns.T):
-            style, width = _line(group, columns.shape[1])
+            style, width = line_of_group(group, columns.shape[1])
             axes.plot(run.time_s, column, style, color=colour, linewidth=width)
             if run.status != Status.RUNNING:
                 axes.plot(run.time_s[-1], column[-1], "x", color=colour, markersize=7, markeredgewidth=1.8, zorder=5)
@@ -161,13 +163,14 @@ def _draw_wind(axes: Axes, trajectories: Mapping[str, Trajectory]) -> None:
     run = max(trajectories.values(), key=lambda run: run.time_s.size)
     n_groups = run.wind_m_s.shape[1]
     for group in range(n_groups):
-        style, width = _line(group, n_groups)
+        style, width = line_of_group(group, n_groups)
         axes.plot(run.time_s, run.wind_m_s[:, group], style, color="0.25", linewidth=width)
     axes.autoscale(axis="y")
     axes.margins(y=0.15)
 
 
-def _line(group: int, n_groups: int) -> tuple[LineStyle, float]:
+def line_of_group(group: int, n_groups: int) -> tuple[LineStyle, float]:
+    """Return dashes and width of a group's lines [pt]; more groups than dash patterns get thin plain lines."""
     return (GROUP_STYLES[group], 1.5) if n_groups <= len(GROUP_STYLES) else ("-", 0.7)
 
 
@@ -180,6 +183,29 @@ def numbered_events(scenario: Scenario) -> list[tuple[str, list[Event]]]:
     ]
 
 
+def instant_labels(scenario: Scenario, window_s: tuple[float, float]) -> list[tuple[float, str]]:
+    """Return where numbers of instants stand on a time axis, and the numbers: "(1)", or "(1, 2)" for close ones.
+
+    Args:
+        scenario: what happens.
+        window_s: first and last instant of the axis; instants outside have no number [s].
+    """
+    start, end = window_s
+    close: list[list[tuple[float, str]]] = []
+    for number, events in numbered_events(scenario):
+        instant = events[0].time_s
+        if not start <= instant <= end:
+            continue
+        if close and instant - close[-1][-1][0] < _LABEL_WIDTH * (end - start):
+            close[-1].append((instant, number))
+        else:
+            close.append([(instant, number)])
+    return [
+        (sum(instant for instant, _ in group) / len(group), f"({', '.join(number for _, number in group)})")
+        for group in close
+    ]
+
+
 def event_lines(scenario: Scenario, width: int = 130) -> list[str]:
     """Return the numbered events in words, as many per line as `width` characters hold."""
     texts = [
@@ -189,22 +215,24 @@ def event_lines(scenario: Scenario, width: int = 130) -> list[str]:
     lines: list[str] = []
     for text in texts:
         if lines and len(lines[-1]) + len(text) < width:
-            lines[-1] += "    " + text
+            # SVG shows several blanks in a row as one.
+            lines[-1] += ";  " + text
         else:
             lines.append(text)
     return lines
 
 
 def _mark_events(axes: Axes, scenario: Scenario, *, numbered: bool) -> None:
-    for number, events in numbered_events(scenario):
+    for _, events in numbered_events(scenario):
         start = events[0].time_s
         axes.axvline(start, color=_GREY, linewidth=0.8, linestyle=":", zorder=1)
         for event in events:
             if isinstance(event, LoadRamp):
                 axes.axvspan(start, start + event.duration_s, color="0.5", alpha=0.08, linewidth=0, zorder=0)
-        if numbered:
-            where = axes.get_xaxis_transform()
-            axes.text(start, 1.02, f"({number})", transform=where, fontsize=_FONT["small"], ha="center", va="bottom")
+    if numbered:
+        where = axes.get_xaxis_transform()
+        for place, text in instant_labels(scenario, (0.0, scenario.duration_s)):
+            axes.text(place, 1.02, text, transform=where, fontsize=_FONT["small"], ha="center", va="bottom")
 
 
 def _draw_legend(
@@ -240,4 +268,4 @@ def _draw_legend(
     return -(-len(handles) // n_columns)
 
 
-__all__ = ["event_lines", "numbered_events", "plot_trajectories"]
+__all__ = ["event_lines", "instant_labels", "line_of_group", "numbered_events", "plot_trajectories"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from wtg_gym.physics.ieee14 import modified_ieee14
@@ -33,15 +33,20 @@ BUS_PLACES: Mapping[int, tuple[float, float]] = {
 EXTENT = ((-0.6, 9.8), (-0.9, 6.1))
 #: The groups of one bus stand within this; many of them overlap.
 _GROUPS_WIDTH = 4.4
+#: Behind numbers, for a line may run there.
+_PLATE: Mapping[str, Any] = {"facecolor": PAGE, "edgecolor": "none", "pad": 0.8}
 
 
-def draw_diagram(axes: Axes, group_buses: Sequence[int], events: Sequence[Event]) -> None:
+def draw_diagram(
+    axes: Axes, group_buses: Sequence[int], events: Sequence[Event], colour_of: Callable[[int], str] = group_colour
+) -> None:
     """Draw the diagram.
 
     Args:
         axes: empty; its limits become :data:`EXTENT`.
         group_buses: bus of each WTG group.
         events: those that have struck; they are numbered in this order.
+        colour_of: colour of each WTG group.
     """
     axes.set_axis_off()
     axes.set_xlim(*EXTENT[0])
@@ -62,9 +67,9 @@ def draw_diagram(axes: Axes, group_buses: Sequence[int], events: Sequence[Event]
         gap = min(0.8, _GROUPS_WIDTH / max(1, len(groups) - 1))
         half = max(0.45, 0.5 * gap * (len(groups) - 1) + 0.15)
         for place, group in enumerate(groups):
-            _draw_unit(axes, number, gap * (place - (len(groups) - 1) / 2), f"W{group + 1}", group_colour(group))
+            _draw_unit(axes, number, gap * (place - (len(groups) - 1) / 2), f"W{group + 1}", colour_of(group))
         axes.plot([x - half, x + half], [y, y], color=INK, linewidth=3.0, solid_capstyle="butt")
-        axes.text(x + half - 0.03, y + 0.08, str(number), fontsize=10, color=INK, va="bottom")
+        axes.text(x + half - 0.03, y + 0.08, str(number), fontsize=10, color=INK, va="bottom", bbox=_PLATE)
     _draw_strikes(axes, events)
 
 
@@ -84,7 +89,6 @@ def _draw_strikes(axes: Axes, events: Sequence[Event]) -> None:
     for bus, numbers in struck.items():
         x, y = BUS_PLACES[bus]
         axes.plot([x], [y], "o", markersize=20, markerfacecolor="none", markeredgecolor=EVENT, markeredgewidth=2.0)
-        # On a plate, for a line may run behind it.
         style: dict[str, Any] = {
             "fontsize": 10,
             "fontweight": "bold",
@@ -93,8 +97,7 @@ def _draw_strikes(axes: Axes, events: Sequence[Event]) -> None:
             "va": "bottom",
             "zorder": 5,
         }
-        plate = {"facecolor": PAGE, "edgecolor": "none", "pad": 0.8}
-        axes.text(x - 0.35, y + 0.25, ", ".join(numbers), bbox=plate, **style)
+        axes.text(x - 0.35, y + 0.25, ", ".join(numbers), bbox=_PLATE, **style)
 
 
 __all__ = ["BUS_PLACES", "EXTENT", "draw_diagram"]
