@@ -1,7 +1,7 @@
 """`python -m tests.pictures COMMITTED MADE`: which pictures of a folder are not those that their commands drew.
 
-`make docs-check` draws the pictures into MADE first. Machines differ in the last digits of a number and in the shade of
-a pixel, which is no difference here.
+`make docs-check` draws the pictures into MADE first. The last digits of a number and the shade of a pixel depend on the
+machine, so that they are compared within a tolerance.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SUFFIXES = (".gif", ".png", ".svg")
 
 #: How far coordinates in an SVG may lie apart [pt]: a tenth of a line's width.
 _LARGEST_SHIFT_PT = 0.1
-#: How far lines may: points that nobody would miss are left out of long ones, not the same ones on every machine.
+#: The same for lines. Long lines are drawn with fewer points than they have, and which ones depends on the machine.
 _LARGEST_DISTANCE_PT = 0.5
 #: A pixel differs if one of its colours does by more than this, of 255; and so many pixels may.
 _LARGEST_SHADE, _N_PIXELS = 32, 20

@@ -1,4 +1,4 @@
-"""A picture that is not what its command draws is named; one that differs in what nobody sees is not."""
+"""The check of pictures names stale ones, and passes those that differ within its tolerance only."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ def animate_trajectories(
         title: headline; None takes the scenario's name.
 
     Raises:
-        ValueError: there is no run, or the WTG groups are not as many as there are buses.
+        ValueError: there is no run, or the number of WTG groups is not the number of buses.
         ImportError: matplotlib is not installed.
     """
     if not runs:
