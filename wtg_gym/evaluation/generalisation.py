@@ -147,7 +147,8 @@ def _resampled_gap(public: tuple[Floats, Floats], fresh: tuple[Floats, Floats]) 
         scales.append(-mppt[scenarios].mean(axis=1))
     scored = (scales[0] > 0.0) & (scales[1] > 0.0)
     one, other = (100.0 * each[scored] / scale[scored] for each, scale in zip(means, scales, strict=True))
-    return one - other
+    gaps: Floats = one - other
+    return gaps
 
 
 def left_out(public: Results, fresh: Results) -> list[str]:
