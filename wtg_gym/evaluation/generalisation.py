@@ -116,11 +116,11 @@ def excess_gap(public: tuple[Floats, Floats, Floats], fresh: tuple[Floats, Float
     """Return the part of the gap that controls do not share, in points of the score, with its bootstrap interval.
 
     A set of scenarios that suits one good controller suits the others too. So the mean gain over the training seeds is
-    regressed on the gains of controls, over the fresh scenarios; what this predicts is taken off the gains on both
-    sides, and the excess is the gap of the remainder: the entry's gap minus the weighted gaps of the controls. It has
-    the resamples of :func:`score_gap`, with Λ computed anew in each. The coefficients are taken as known, and so are
-    the training seeds: asked is what these policies are, not what others trained alike would be. A row of which only
-    some seeds know the public scenarios is seen as sharply as any other.
+    regressed on the gains of controls, over the fresh scenarios, and the prediction is subtracted from the gains on
+    both sides. The excess is the gap of the remainder: the entry's gap minus the weighted gaps of the controls. It has
+    the resamples of :func:`score_gap`, with Λ computed anew in each. The coefficients and the training seeds are taken
+    as known: the question is about these policies, not about others trained alike. A row of which only some seeds know
+    the public scenarios is seen as sharply as any other.
 
     Source: control variates, e.g. P. Glasserman, "Monte Carlo Methods in Financial Engineering", 2003, section 4.1.
 
@@ -147,7 +147,8 @@ def _resampled_gap(public: tuple[Floats, Floats], fresh: tuple[Floats, Floats]) 
         scales.append(-mppt[scenarios].mean(axis=1))
     scored = (scales[0] > 0.0) & (scales[1] > 0.0)
     one, other = (100.0 * each[scored] / scale[scored] for each, scale in zip(means, scales, strict=True))
-    return one - other
+    gaps: Floats = one - other
+    return gaps
 
 
 def left_out(public: Results, fresh: Results) -> list[str]:

@@ -49,7 +49,7 @@ PHYSICAL_METRICS = (
     ("median_nadir_hz", "nadir\n[Hz]", True),
     ("p95_rocof_hz_s", "RoCoF\n[Hz/s]", False),
     ("p95_peak_power_pu", "peak P\n[p.u.]", False),
-    ("p95_power_change_pu", "ΔP in 1 s\n[p.u.]", False),
+    ("p95_power_change_pu", "ΔP(1 s)\n[p.u.]", False),
     ("mean_duty_error_percent", "duty err.\n[%]", False),
     ("mean_energy_share_percent", "energy\n[%]", True),
 )
