@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from agents.command import run_command
-from agents.probes import CONSTANT, delayed
+from agents.probes import CONSTANT, delayed, late_name
 from wtg_gym.cli.output import Progress, check_page, update_page
 from wtg_gym.cli.parser import Parser
 from wtg_gym.cli.scores import chosen_entries
@@ -29,6 +29,8 @@ from wtg_gym.scenarios import SPLITS, get_suite
 #: The suites with drawn scenarios.
 SUITES = ("standard", "weak-grid", "low-wind", "gust")
 _SECTION = "incentives"
+_COST_COLUMNS = ("suite", "entry", "score", "frequency", "RoCoF", "duty", "overload", "rotor, effort, failure")
+_RESPONSE_COLUMNS = ("suite", "governors [MW/Hz]", "wind [MW/Hz]", "wind's share", "wind's share of the inertia")
 _DESCRIPTION = f"""\
 Plays entries, each policy among them once more with observations that are one control step late, and a constant action
 through scenarios of the drawn suites. Prints scores and mean cost terms, and how much of the frequency response comes
@@ -111,6 +113,14 @@ def cost_row(suite: str, row: EntrySummary) -> tuple[str, ...]:
     return (suite, name, f"{row.score.value:.1f}", *(f"{value:.2f}" for value in shown))
 
 
+def delays(suite: str, rows: Sequence[EntrySummary]) -> str:
+    """Return the scores of a suite with exact observations and one control step late, as text."""
+    scores = {row.name: row.score.value for row in rows}
+    pairs = [(name, value, scores.get(late_name(name))) for name, value in scores.items()]
+    found = [f"{name} {value:.1f} → {late:.1f}" for name, value, late in pairs if late is not None]
+    return f"`{suite}`: {', '.join(found) or 'none'}"
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     parser = Parser(prog="python -m agents.incentives", description=_DESCRIPTION, epilog=_EXAMPLES)
@@ -146,7 +156,7 @@ def incentives(
     Raises:
         ValueError: there are not that many scenarios.
     """
-    costs, responses, played = [], [], 0
+    costs, responses, late, shares, played = [], [], [], [], 0
     with Progress("episodes") as progress:
         for done, suite in enumerate(SUITES):
             seeds = list(get_suite(suite).seeds(split))
@@ -161,12 +171,15 @@ def incentives(
             results = evaluate(entries, suite, split, seeds=seeds, n_threads=n_threads, on_progress=tell)
             rows = leaderboard_rows(results)
             costs += [cost_row(suite, row) for row in rows if row.name != ANCHORS[0]]
-            responses.append(response_row(suite, mean_response(get_suite(suite).scenarios(seeds))))
-    header = ("suite", "entry", "score", "frequency", "RoCoF", "duty", "overload", "rotor, effort, failure")
-    first = markdown_table(header, costs, right=range(2, len(header)))
-    header = ("suite", "governors [MW/Hz]", "wind [MW/Hz]", "wind's share", "wind's share of the inertia")
-    second = markdown_table(header, responses, right=range(1, len(header)))
+            late.append(delays(suite, rows))
+            found = mean_response(get_suite(suite).scenarios(seeds))
+            responses.append(response_row(suite, found))
+            shares.append(f"{found.wind_mw_hz:.0f} of {found.governor_mw_hz + found.wind_mw_hz:.0f} on `{suite}`")
+    first = markdown_table(_COST_COLUMNS, costs, right=range(2, len(_COST_COLUMNS)))
+    second = markdown_table(_RESPONSE_COLUMNS, responses, right=range(1, len(_RESPONSE_COLUMNS)))
     return (
+        f"Score with exact observations → one control step late. {'; '.join(late)}.\n\n"
+        f"Regulating power of the wind in MW/Hz: {', '.join(shares)}.\n\n"
         f"Mean cost of an episode by term, {played} {split} scenarios of each suite:\n\n{first}\n\n"
         f"Regulating power between 50 and 49.6 Hz and inertia in the same scenarios, means:\n\n{second}"
     )

@@ -59,6 +59,11 @@ class Delayed:
         return action, (observation, own)
 
 
+def late_name(name: str) -> str:
+    """Return the name of an entry's delayed twin."""
+    return f"{name}, one step late"
+
+
 def delayed(entry: Entry) -> Entry:
     """Return an entry whose policy sees every observation one control step late.
 
@@ -67,9 +72,7 @@ def delayed(entry: Entry) -> Entry:
     """
     if entry.policy is None:
         raise ValueError(f"{entry.name} has no policy that could see its observations late")
-    return dataclasses.replace(
-        entry, name=f"{entry.name}, one step late", policy=Delayed(entry.policy), fingerprint=None
-    )
+    return dataclasses.replace(entry, name=late_name(entry.name), policy=Delayed(entry.policy), fingerprint=None)
 
 
 def _chatter(own: Floats, step: int) -> Floats:
@@ -116,4 +119,4 @@ CHATTER = _entry("chatter", _chatter, "Alternates k by ± 0.3 of its authority a
 PUSH = _entry("push", _push, "Spends k on frequency and RoCoF alone, whatever the rotor does.")
 STATIC = _entry("static", _static(), "Adds to g(ω) what makes the captured power linear in frequency, at rest.")
 
-__all__ = ["CHATTER", "CONSTANT", "PUSH", "STATIC", "Delayed", "Probe", "delayed"]
+__all__ = ["CHATTER", "CONSTANT", "PUSH", "STATIC", "Delayed", "Probe", "delayed", "late_name"]
