@@ -178,7 +178,7 @@ def test_environment_itself_ends_an_episode_and_a_copy_from_its_spec_ends_it_at_
 
 
 def test_time_aware_observation_counts_to_the_end_of_the_episode():
-    env = gym.wrappers.TimeAwareObservation(gym.make(ENV_ID, duration_s=2.0), flatten=True)
+    env = gym.wrappers.TimeAwareObservation(gym.make(ENV_ID, duration_s=2.0), normalize_time=True)
     times = [env.reset(seed=0)[0][-1]]
     truncated = False
     while not truncated:
