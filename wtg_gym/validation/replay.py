@@ -144,11 +144,12 @@ def replay(case: ReferenceCase, events: Sequence[LoadStep], time_s: npt.ArrayLik
         step_s: integration step, 0.05 … 40 ms [s].
 
     Raises:
-        ValueError: the step is out of range, the case has no equilibrium, or it is not the one its file tells.
+        ValueError: the step is out of range or too long for the case, the case has no equilibrium, or it is not the
+            one its file tells.
     """
     require_range("integration step", step_s, *SIMULATION_DT_RANGE, "s")
     times = np.asarray(time_s, dtype=np.float64)
-    run = _Run(case, events)
+    run = _Run(case, events, step_s)
     names = list(_known_columns(case))
     table = np.empty((times.size, len(names)))
     row, clock = 0, 0.0
@@ -218,20 +219,22 @@ def _steps(start: float, end: float, step_s: float) -> Iterator[tuple[float, flo
 class _Run:
     """A case under way: the simulator's own kernels, with steps of any length."""
 
-    def __init__(self, case: ReferenceCase, events: Sequence[LoadStep]) -> None:
+    def __init__(self, case: ReferenceCase, events: Sequence[LoadStep], step_s: float) -> None:
         self.instants = sorted({event.time_s for event in events})
-        settings = PlantSettings(case=case.network, groups=())
+        settings = PlantSettings(case=case.network, groups=(), control_dt=step_s, simulation_dt=step_s)
+        # Nothing is played here: this is the shortest run that a scenario may have.
+        duration_s = step_s * math.ceil(0.1 / step_s)
         # The rank of an event's instant stands for its time: strike() sets the clock.
         ranked = tuple(
             dataclasses.replace(event, time_s=settings.simulation_dt * (1 + self.instants.index(event.time_s)))
             for event in events
         )
-        self.simulator = Simulator(settings, duration_s=0.1)
+        self.simulator = Simulator(settings, duration_s=duration_s)
         scenario = Scenario(
             name=case.network.name,
             wind_speed=np.zeros((0, 1)),
             events=ranked,
-            duration_s=0.1,
+            duration_s=duration_s,
             load_noise_bus=case.network.bus_numbers[0],
         )
         self.simulator.start(0, scenario, ())
