@@ -22,7 +22,8 @@ from wtg_gym.evaluation.onnx_worker import ACTIONS, LENGTH
 #: Address space [bytes] and processor time [s] of the process; it plays up to 256 scenarios and then ends.
 MEMORY_BYTES = 4 * 2**30
 CPU_S = 600
-#: How long a policy is waited for [s]: until it is loaded, for one step of all its scenarios, and in all.
+#: How long a policy is waited for [s]: until it is loaded and for the first step, which opens the sessions of its
+#: scenarios; for any other step of all of them; and in all.
 LOAD_S = 60.0
 STEP_S = 10.0
 TOTAL_S = 1800.0
@@ -97,13 +98,13 @@ class PolicyProcess:
             )
         self.widths = widths
 
-    def send(self, request: bytes) -> None:
-        """Send observations and states; :meth:`receive` must follow.
+    def send(self, request: bytes, *, starts: bool) -> None:
+        """Send observations and states; :meth:`receive` must follow. Where episodes start, sessions are opened first.
 
         Raises:
             PolicyError: the process has ended or takes too long.
         """
-        self._begin(STEP_S)
+        self._begin(LOAD_S if starts else STEP_S)
         self._write(request)
 
     def receive(self, sizes: list[int]) -> list[bytes]:
@@ -169,7 +170,7 @@ class PolicyProcess:
             self._process.kill()
             code = self._process.wait()
         if self._timed_out:
-            limits = f"{LOAD_S:g} s to load, {STEP_S:g} s for a step, or {TOTAL_S:g} s in all"
+            limits = f"{LOAD_S:g} s to load or for the first step, {STEP_S:g} s for a step, or {TOTAL_S:g} s in all"
             return PolicyError(f"the policy took longer than {limits}")
         how = f"exit code {code}"
         if code < 0:
