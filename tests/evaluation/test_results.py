@@ -150,7 +150,7 @@ EDITS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "wrong seeds": (lambda d: d.update(seeds=[1.5]), "seeds must be a list of whole numbers"),
     "unknown suite": (lambda d: d.update(suite="easy"), "suite must be one of paper"),
     "short hash": (lambda d: d.update(suite_hash="abc"), "suite_hash must be 64 hexadecimal"),
-    "other format": (lambda d: d.update(format=1), "format must be 2"),
+    "other format": (lambda d: d.update(format=1), "format must be 3"),
     "seeds of no draw": (
         lambda d: d.update(split="verification"),
         "draw must be given for the split 'verification' alone",
