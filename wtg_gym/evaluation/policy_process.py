@@ -1,4 +1,4 @@
-"""The process that plays a policy, seen from the one that starts it: what it may use, and how long it is waited for.
+"""Starts the process that plays a policy, and holds it to limits of memory and time.
 
 The scenarios, the simulation and the score stay here, so a policy can neither see what is played nor forge a result.
 """
@@ -32,7 +32,7 @@ _WATCH_S = 0.2
 _SCRIPT = onnx_worker.__file__
 #: Longest message that the process may send [bytes].
 _LONGEST_MESSAGE = 65_536
-#: Without its caches and with a byte that fills memory, what malloc gives is always the same: none of what was there.
+#: Has malloc fill memory with one byte and keep no caches, so that no call finds what another one left there.
 _MALLOC = "glibc.malloc.tcache_count=0:glibc.malloc.perturb=165"
 _SIGNALS = {
     "SIGXCPU": f"more than {CPU_S} s of processor time",
@@ -183,7 +183,7 @@ class PolicyProcess:
         self._process.kill()
         self._process.wait()
         for stream in (self._process.stdin, self._process.stdout):
-            # What was still to be written has no reader any more.
+            # Closing the stream writes what is left in its buffer, and nobody reads that any more.
             with contextlib.suppress(OSError):
                 cast(IO[bytes], stream).close()
 
