@@ -52,7 +52,7 @@ def test_template_with_a_policy_is_accepted_once_it_is_filled_in(
 def test_check_prints_every_check_and_why_one_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     good, bad = (
         folder(tmp_path / "good"),
-        folder(tmp_path / "bad", after(node("Reciprocal", ["linear"], "action"))),
+        folder(tmp_path / "bad", models.trap()),
     )
     data = json_of(capsys, "submission", "check", str(good), str(bad), "--json", code=1)
     first, second = data["submissions"]

@@ -238,10 +238,10 @@ def _stored_and_played(
         else:
             yield index, rows
     with contextlib.closing(_played([parts[index] for index in missing], settings, n_threads, workers)) as batches:
-        for number, rows in batches:
-            if not isinstance(rows, PolicyError):
-                store.save(paths[missing[number]], rows)
-            yield missing[number], rows
+        for number, played in batches:
+            if not isinstance(played, PolicyError):
+                store.save(paths[missing[number]], played)
+            yield missing[number], played
 
 
 def _played(

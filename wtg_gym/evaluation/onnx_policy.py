@@ -107,8 +107,8 @@ class OnnxPolicy:
         edges = np.linspace(0, len(given[0]), 1 + len(processes)).astype(int)
         shares = [slice(first, last) for first, last in itertools.pairwise(edges) if first < last]
         for process, share in zip(processes, shares, strict=False):
-            size = LENGTH.pack(share.stop - share.start)
-            process.send(b"".join((size, *(values[share].tobytes() for values in given))))
+            size, starts = LENGTH.pack(share.stop - share.start), bool(given[0][share].any())
+            process.send(b"".join((size, *(values[share].tobytes() for values in given))), starts=starts)
         for process, share in zip(processes, shares, strict=False):
             parts = [values[share] for values in answers]
             for part, data in zip(parts, process.receive([part.nbytes for part in parts]), strict=True):

@@ -1,4 +1,4 @@
-"""The process that plays a policy, seen from the one that starts it: what it may use, and how long it is waited for.
+"""Starts the process that plays a policy, and holds it to limits of memory and time.
 
 The scenarios, the simulation and the score stay here, so a policy can neither see what is played nor forge a result.
 """
@@ -22,7 +22,8 @@ from wtg_gym.evaluation.onnx_worker import ACTIONS, LENGTH
 #: Address space [bytes] and processor time [s] of the process; it plays up to 256 scenarios and then ends.
 MEMORY_BYTES = 4 * 2**30
 CPU_S = 600
-#: How long a policy is waited for [s]: until it is loaded, for one step of all its scenarios, and in all.
+#: How long a policy is waited for [s]: until it is loaded and for the first step, which opens the sessions of its
+#: scenarios; for any other step of all of them; and in all.
 LOAD_S = 60.0
 STEP_S = 10.0
 TOTAL_S = 1800.0
@@ -31,7 +32,7 @@ _WATCH_S = 0.2
 _SCRIPT = onnx_worker.__file__
 #: Longest message that the process may send [bytes].
 _LONGEST_MESSAGE = 65_536
-#: Without its caches and with a byte that fills memory, what malloc gives is always the same: none of what was there.
+#: Has malloc fill memory with one byte and keep no caches, so that no call finds what another one left there.
 _MALLOC = "glibc.malloc.tcache_count=0:glibc.malloc.perturb=165"
 _SIGNALS = {
     "SIGXCPU": f"more than {CPU_S} s of processor time",
@@ -97,13 +98,13 @@ class PolicyProcess:
             )
         self.widths = widths
 
-    def send(self, request: bytes) -> None:
-        """Send observations and states; :meth:`receive` must follow.
+    def send(self, request: bytes, *, starts: bool) -> None:
+        """Send observations and states; :meth:`receive` must follow. Where episodes start, sessions are opened first.
 
         Raises:
             PolicyError: the process has ended or takes too long.
         """
-        self._begin(STEP_S)
+        self._begin(LOAD_S if starts else STEP_S)
         self._write(request)
 
     def receive(self, sizes: list[int]) -> list[bytes]:
@@ -169,7 +170,7 @@ class PolicyProcess:
             self._process.kill()
             code = self._process.wait()
         if self._timed_out:
-            limits = f"{LOAD_S:g} s to load, {STEP_S:g} s for a step, or {TOTAL_S:g} s in all"
+            limits = f"{LOAD_S:g} s to load or for the first step, {STEP_S:g} s for a step, or {TOTAL_S:g} s in all"
             return PolicyError(f"the policy took longer than {limits}")
         how = f"exit code {code}"
         if code < 0:
@@ -182,7 +183,7 @@ class PolicyProcess:
         self._process.kill()
         self._process.wait()
         for stream in (self._process.stdin, self._process.stdout):
-            # What was still to be written has no reader any more.
+            # Closing the stream writes what is left in its buffer, and nobody reads that any more.
             with contextlib.suppress(OSError):
                 cast(IO[bytes], stream).close()
 

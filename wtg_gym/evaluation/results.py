@@ -120,7 +120,7 @@ class Results:
         """
         if not reasons:
             return self
-        first = {name: reason for (name, _), reason in reversed(reasons.items())}
+        first = {name: reason for (name, _), reason in reversed(list(reasons.items()))}
         left_out = [
             {**entry, "reason": reasons.get((entry["name"], entry["training_seed"]), first[entry["name"]])}
             for entry in self.entries
