@@ -16,8 +16,9 @@ from wtg_gym.small_signal import linearise
 
 _DESCRIPTION = """\
 Compiles the simulator to machine code, which the first use of a version does otherwise: the single environment, the
-vector environment, simulate, evaluate and modes. It takes about half a minute. The machine code is kept, so that
-every later start is quick; running the command again compiles nothing."""
+vector environment, simulate, evaluate and modes, for two groups of turbines. It takes about half a minute. The machine
+code is kept, so that every later start is quick; running the command again compiles nothing. Another number of groups
+or machines is compiled at its own first use."""
 _EXAMPLES = """\
   wtg-gym warmup
   XDG_CACHE_HOME=/opt/cache wtg-gym warmup            keep the machine code in /opt/cache/wtg_gym, as for an image"""
