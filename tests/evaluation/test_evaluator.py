@@ -363,3 +363,20 @@ def test_partial_must_be_a_folder(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(ValueError, match="must be a folder"):
         evaluate([], "standard", partial=tmp_path / "file", **SHORT)
+
+
+def test_a_folder_in_the_place_of_a_finished_part_is_refused_before_anything_is_played(tmp_path: Path) -> None:
+    entries, seeds = [Entry(name="mppt", strategy="mppt")], (20_000, 20_001)
+    played: list[str] = []
+
+    def note(name: str, done: int, total: int) -> None:
+        played.append(name)
+
+    evaluate(entries, "standard", seeds=seeds, duration_s=1.0, partial=tmp_path, keep_partial=True)
+    last = sorted(tmp_path.iterdir(), key=lambda path: path.stat().st_mtime_ns)[-1]
+    for path in tmp_path.iterdir():
+        path.unlink()
+    last.mkdir()
+    with pytest.raises(ValueError, match=f"{last} must be the file of a finished part"):
+        evaluate(entries, "standard", seeds=seeds, duration_s=1.0, partial=tmp_path, on_progress=note)
+    assert played == []

@@ -16,8 +16,9 @@ from wtg_gym.small_signal import linearise
 
 _DESCRIPTION = """\
 Compiles the simulator to machine code, which the first use of a version does otherwise: the single environment, the
-vector environment, simulate, evaluate and modes. It takes about half a minute. The machine code is kept, so that
-every later start is quick; running the command again compiles nothing."""
+vector environment, simulate, evaluate and modes, for two groups of turbines. It takes about half a minute. The machine
+code is kept, so that every later start is quick; running the command again compiles nothing. Another number of groups
+or machines is compiled at its own first use."""
 _EXAMPLES = """\
   wtg-gym warmup
   XDG_CACHE_HOME=/opt/cache wtg-gym warmup            keep the machine code in /opt/cache/wtg_gym, as for an image"""
@@ -43,16 +44,16 @@ def run(arguments: argparse.Namespace) -> int:
         environment.reset(seed=0)
         environment.step(environment.action_space.sample())
         environment.close()
-    scenario = get_suite("paper").scenario(0)
-    simulate(scenario)
-    linearise(scenario, get_law(REFERENCE_STRATEGY))
+    scenario, law = get_suite("paper").scenario(0), get_law(REFERENCE_STRATEGY)
+    simulate(scenario, law)
+    linearise(scenario, law)
     evaluate([Entry(name="mppt", strategy="mppt")], "standard", seeds=(20_000,), duration_s=1.0)
     done, folder = compilation(), cache_folder()
     where = "not kept, since no folder can be written to" if folder is None else f"kept in {folder}"
     if done.n_functions == 0:
         say(f"nothing to compile: all machine code is in {folder}")
     else:
-        say(f"compiled {done.n_functions} functions in {done.seconds:.0f} s; {where}")
+        say(f"functions compiled: {done.n_functions}, in {done.seconds:.0f} s; {where}")
     return 0
 
 
