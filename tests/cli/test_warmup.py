@@ -32,17 +32,18 @@ def test_a_command_over_damaged_machine_code_gives_the_same_and_mends_it(tmp_pat
     assert intact.returncode == 0 and folder is not None
     own = tmp_path / "wtg_gym" / folder.name
     shutil.copytree(folder, own)
-    # The one that steps gets the bytes of another function, the others lose some.
-    step, *others = [*own.glob("physics.integration.advance_blocks-*"), *own.glob("physics.aerodynamics.*")]
-    step.write_bytes(others[0].read_bytes())
+    # Those that step, one for each number of groups, get the bytes of another function; the others lose some.
+    steps, others = (list(own.glob(f"physics.{name}-*")) for name in ("integration.advance_blocks", "aerodynamics.*"))
+    for path in steps:
+        path.write_bytes(others[0].read_bytes())
     for path in others:
         content = path.read_bytes()
         path.write_bytes(content[: len(content) // 2])
-    damaged = {path: path.read_bytes() for path in (step, *others)}
+    damaged = {path: path.read_bytes() for path in steps}
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "utf-8", "XDG_CACHE_HOME": str(tmp_path)}
     environment.pop("NUMBA_CACHE_DIR", None)
     command = [sys.executable, "-m", "wtg_gym.cli", "simulate", "--duration", "3"]
     done = subprocess.run(command, env=environment, capture_output=True, encoding="utf-8", timeout=600)
     assert (done.returncode, done.stdout) == (0, intact.stdout)
     assert "Traceback" not in done.stderr
-    assert step.read_bytes() != damaged[step]
+    assert sum(path.read_bytes() != content for path, content in damaged.items()) == 1

@@ -61,6 +61,7 @@ BAD = {
     "time goes back": (GOOD.replace("\n2,", "\n1,"), ["line 6", "does not increase", "1.5 to 1 s"]),
     "time stands still": ("time_s,w\n1,8\n1,8\n1,8\n", ["line 3", "does not increase"]),
     "step too small": ("time_s,w\n0,8\n0.0001,8\n0.0002,8\n", ["line 3", "0.001"]),
+    "times too far apart": ("time_s,w\n1e308,8\n-1e308,8\n", ["line 3", "does not increase"]),
     "empty wind cell": (GOOD.replace("2,8.4,8.6", "2,,8.6"), ["line 6", "wind_1_m_s", "empty", "3 … 25 m/s"]),
     "empty time cell": (GOOD.replace("2,8.4,8.6", ",8.4,8.6"), ["line 6", "time_s", "empty"]),
     "nan": (GOOD.replace("8.4", "nan"), ["line 6", "wind_1_m_s", "'nan'", "3 … 25 m/s"]),

@@ -114,10 +114,12 @@ def _number(where: str, text: str, is_wind: bool) -> float:
 
 def _uniform_step(path: str | os.PathLike[str], lines: list[int], time_s: FloatArray) -> float:
     """Mean time step, or a ValueError that names the first line where the step is another one."""
-    steps = np.diff(time_s)
-    usual = float(np.median(steps))
+    # Times such as 1e308 give steps that are not finite, which are refused below.
+    with np.errstate(over="ignore", invalid="ignore"):
+        steps = np.diff(time_s)
+        usual = float(np.median(steps))
+        wrong = np.flatnonzero(~(np.abs(steps - usual) <= _STEP_TOLERANCE * abs(usual)))
     low, high = _STEP_RANGE_S
-    wrong = np.flatnonzero(~(np.abs(steps - usual) <= _STEP_TOLERANCE * abs(usual)))
     if not low <= usual <= high and not wrong.size:
         wrong = np.array([0])
     if wrong.size:
