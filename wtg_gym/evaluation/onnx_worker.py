@@ -95,7 +95,7 @@ class _Served:
         states = {f"next_{name}": inputs.get(name) for name in self._inputs[1:]}
         if set(inputs) != set(self._inputs) or outputs != {"action": outputs.get("action"), **states}:
             raise ValueError(
-                "it must take observation, state_0, state_1, ... and give action, next_state_0, ... of the states' widths; "
+                "it must take observation, state_0, state_1, ... and give action, next_state_0, ... of like widths; "
                 f"it takes {inputs} and gives {outputs}"
             )
         #: Of the observation, the action, and every state.
