@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -160,6 +161,13 @@ def test_failed_episode_is_kept_and_its_lane_ignores_actions() -> None:
         assert episode.metrics["quasi_steady_deviation_hz"] is None and episode.metrics["settling_time_s"] is None
 
 
+class NoArray:
+    """Cannot be made an array, as a tensor with a gradient."""
+
+    def __array__(self, *_: Any, **__: Any) -> Any:
+        raise RuntimeError("has a gradient")
+
+
 BAD = {
     "nan": (lambda o, s: (np.full((3, 4), np.nan if s == 7 else 0.0), None), r"step 7: .*\(3, 4\) must be finite"),
     "inf": (lambda o, s: (np.full((3, 4), np.inf), None), "step 0: .*finite"),
@@ -167,6 +175,10 @@ BAD = {
     "flat": (lambda o, s: (np.zeros(4), None), r"shape \(3, 4\) .*got shape \(4,\)"),
     "text": (lambda o, s: ("up", None), "numbers"),
     "ragged": (lambda o, s: ([[1.0], [1.0, 2.0]], None), "numbers"),
+    "numbers-as-text": (lambda o, s: (np.zeros((3, 4)).astype(str), None), "an array of numbers, got one of <U32"),
+    "complex": (lambda o, s: (np.zeros((3, 4), dtype=complex), None), "an array of numbers, got one of complex128"),
+    "no-array": (lambda o, s: (NoArray(), None), "an array of numbers, got RuntimeError: has a gradient"),
+    "exit": (lambda o, s: sys.exit(3), r"step 0: predict\(\) raised SystemExit: 3"),
     "no-state": (lambda o, s: np.zeros((3, 4)), r"\(actions, state\)"),
 }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from pathlib import Path
 from typing import Any
 
@@ -91,6 +92,14 @@ def test_file_that_is_no_policy_is_named_when_it_is_played(tmp_path: Path) -> No
     onnx.save(model, path, save_as_external_data=True, location="weights.bin", size_threshold=0)
     with pytest.raises(PolicyError, match="onnxruntime cannot load the policy"):
         OnnxPolicy(path).predict(np.zeros((1, N)))
+
+
+def test_file_that_may_have_no_end_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to("/dev/zero")
+    for name in ("pipe", "link"):
+        with pytest.raises(ValueError, match=f"cannot read the policy .*{name}: it is no plain file"):
+            OnnxPolicy(tmp_path / name)
 
 
 @pytest.mark.parametrize(

@@ -209,6 +209,11 @@ ATTACKS = (
         _of(models.last_lane),
     ),
     Attack(
+        "the rounding of a sum of states, which depends on their address, 10⁸ times as large",
+        HARMLESS,
+        _of(models.sums_of_a_state),
+    ),
+    Attack(
         "a name that is not UTF-8",
         "loading",
         _of(lambda: models.renamed(models.make_bytes(), b"observation", b"\xffbservation")),

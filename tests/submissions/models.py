@@ -344,6 +344,23 @@ def last_lane() -> ModelProto:
     return after(*nodes, constants=[constant("many", 1e8)])
 
 
+def sums_of_a_state() -> ModelProto:
+    """The rounding of a sum of 33 states, which depends on the address of the first, made 10⁸ times as large."""
+    nodes = [
+        node("Identity", ["numbers"], "next_state_0"),
+        node("ReduceSum", ["state_0", "all"], "read", keepdims=0),
+        node("ReduceSum", ["numbers", "all"], "known", keepdims=0),
+        node("Sub", ["read", "known"], "rounding"),
+        node("Mul", ["rounding", "many"], "large"),
+        node("MatMul", ["observation", "weights"], "linear"),
+        node("Add", ["large", "linear"], "action"),
+    ]
+    numbers = np.random.default_rng(0).uniform(0.1, 10.0, (1, 33))
+    own = [constant("numbers", numbers), constant("all", [0, 1], np.int64), constant("many", 1e8), WEIGHTS]
+    state, following = info("state_0", "batch", 33), info("next_state_0", "batch", 33)
+    return model(nodes, [OBSERVATION, state], [ACTION, following], own)
+
+
 def mixed() -> ModelProto:
     """A product of all scenarios' observations, and the number of scenarios."""
     nodes = [

@@ -356,7 +356,7 @@ class _Actions:
             )
         except NotIsolatedError:
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             said = str(error) if isinstance(error, PolicyError) else f"predict() raised {_described(error)}"
             raise PolicyError(f"entry {self._entry.label!r}, step {self._step}: {said}") from error
         if not isinstance(answer, tuple) or len(answer) != 2:
@@ -368,9 +368,13 @@ class _Actions:
 
     def _checked(self, given: Any, running: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
         try:
-            actions = np.array(given, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise self._complaint("actions must be numbers", repr(given)[:80]) from error
+            raw = np.asarray(given)
+        # A tensor with gradients raises a RuntimeError, other libraries' arrays what they like.
+        except Exception as error:
+            raise self._complaint("actions must be an array of numbers", _described(error)) from error
+        if raw.dtype.kind not in "biuf":
+            raise self._complaint("actions must be an array of numbers", f"one of {raw.dtype}")
+        actions = raw.astype(np.float64)
         if actions.shape != self._shape:
             raise self._complaint(f"actions must have shape {self._shape} (lanes, values)", f"shape {actions.shape}")
         # What a policy answers to an episode that is over has no effect.
@@ -386,7 +390,7 @@ class _Actions:
         return PolicyError(f"entry {self._entry.label!r}, step {self._step}: {wanted}, got {got}")
 
 
-def _described(error: Exception) -> str:
+def _described(error: BaseException) -> str:
     """Return an exception on one line, with the place in the code that raised it."""
     place = traceback.extract_tb(error.__traceback__)[-1]
     said = "".join(sign if sign.isprintable() else "?" for sign in " ".join(str(error).split())[:200])

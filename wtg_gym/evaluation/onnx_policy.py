@@ -43,11 +43,7 @@ class OnnxPolicy:
     def __init__(self, file: str | Path | bytes, *, isolated: bool = False) -> None:
         if importlib.util.find_spec("onnxruntime") is None:
             raise ImportError("policies as ONNX files need onnxruntime: pip install 'wtg-gym[agents]'")
-        try:
-            content = file if isinstance(file, bytes) else Path(file).read_bytes()
-        except OSError as error:
-            raise ValueError(f"cannot read the policy {file!s}: {error.strerror}") from error
-        self.__setstate__((content, isolated))
+        self.__setstate__((file if isinstance(file, bytes) else _content(Path(file)), isolated))
 
     def __getstate__(self) -> tuple[bytes, bool]:
         return self._content, self._isolated
@@ -140,6 +136,16 @@ class OnnxPolicy:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def _content(path: Path) -> bytes:
+    # A pipe may never give anything, and a device never ends.
+    if path.exists() and not path.is_file():
+        raise ValueError(f"cannot read the policy {path}: it is no plain file")
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ValueError(f"cannot read the policy {path}: {error.strerror}") from error
 
 
 def _close_all(processes: list[PolicyProcess]) -> None:
