@@ -80,7 +80,9 @@ def test_share_of_the_oracles_gap_is_shown_or_why_not(capsys: pytest.CaptureFixt
         (("--entries", "turbo"), "'turbo'"),
         (("--entries", "mppt", "mppt"), "mppt more than once"),
         (("--entries", "best"), "the folder best holds no entry.toml, but 2 folders with one: write best/* for all"),
+        (("--entries", "best/empty"), "the folder best/empty holds no entry.toml"),
         (("--suite", "storm"), "unknown suite 'storm'"),
+        (("--seeds", "20000", "20000"), "every seed may be given once; given more often: 20000"),
         (("--seeds", "3"), "the test seeds of suite 'standard' are 20000 … 20199"),
         (("--seeds", "20000-20010"), "expected a seed such as 20003, or a range such as 20000:20010"),
         (("--seeds", "20010:20000"), "0 seeds, a range must hold 1 … 100000"),
@@ -108,6 +110,7 @@ def test_evaluate_refuses_bad_input(
     for step in ("1000", "2000"):
         (tmp_path / "best" / step).mkdir(parents=True)
         (tmp_path / "best" / step / "entry.toml").write_text('name = "mine"\naction_mode = "k"\n', encoding="utf-8")
+    (tmp_path / "best" / "empty").mkdir()
     monkeypatch.chdir(tmp_path)
     entries = () if "--entries" in arguments else ("--entries", "mppt")
     assert said in error_of(capsys, "evaluate", *entries, *arguments)

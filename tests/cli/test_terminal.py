@@ -6,13 +6,14 @@ import ast
 import dataclasses
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 import wtg_gym.cli
 from tests.cli.calls import error_of
-from wtg_gym.cli import main
-from wtg_gym.cli.output import note, print_json, print_table, say
+from wtg_gym.cli import main, output
+from wtg_gym.cli.output import Progress, note, print_json, print_table, say
 from wtg_gym.scenarios import get_suite
 
 #: Colours, the title of a window, C1 controls, a changed direction, a line of its own, half a surrogate pair.
@@ -31,6 +32,17 @@ def test_lines_tables_and_notes_show_escapes(capsys: pytest.CaptureFixture[str])
     assert is_harmless(said.out) and is_harmless(said.err)
     assert (said.out.count("\n"), said.err.count("\n")) == (4, 1)
     assert r"a\x1b[31mred" in said.err and r"\u202eabc" in said.out
+
+
+def test_remaining_time_counts_from_the_first_call_since_compiling_comes_before_it(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = iter((0.0, 60.0, 70.0))
+    monkeypatch.setattr(output, "time", SimpleNamespace(monotonic=lambda: next(clock)))
+    with Progress("episodes") as progress:
+        progress.update("mppt", 10, 80)
+        progress.update("mppt", 20, 80)
+    assert capsys.readouterr().err == "mppt: 10 of 80 episodes\nmppt: 20 of 80 episodes, about 60 s left\n"
 
 
 def test_json_shows_escapes_and_means_the_same(capsys: pytest.CaptureFixture[str]) -> None:

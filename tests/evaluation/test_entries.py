@@ -105,7 +105,7 @@ def test_module_with_an_entry_counts_alone(package: str) -> None:
         ("no-such-file.toml", "cannot read the law file"),
         ("my_entries:nothing", "has no 'nothing'"),
         ("my_entries.early:number", "an Entry, an object with predict"),
-        ("my_entries.helper", "ENTRY"),
+        ("my_entries.helper", "a package or module an ENTRY"),
     ],
 )
 def test_unknown_entry_names_what_is_allowed(package: str, spec: str, text: str) -> None:

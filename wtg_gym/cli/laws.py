@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
+from wtg_gym.cli.output import say
 from wtg_gym.evaluation.shipped import example_law
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw, get_law
 
@@ -28,7 +29,7 @@ class _PrintExample(argparse.Action):
     """Print the example of a law file, and end the command."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any, **__: Any) -> NoReturn:
-        print(example_law(), end="")
+        say(*example_law().splitlines())
         parser.exit()
 
 

@@ -221,7 +221,8 @@ class Progress:
         self._unit = unit
         self._bar: Any = None
         self._task: Any = None
-        self._began = self._last_line = time.monotonic()
+        self._last_line = time.monotonic()
+        self._first: tuple[float, float] | None = None
 
     def __enter__(self) -> Progress:
         if sys.stderr.isatty() and importlib.util.find_spec("rich") is not None:
@@ -251,10 +252,13 @@ class Progress:
             self._bar.update(self._task, description=escape(harmless(name)), completed=done, total=total, count=count)
             return
         now = time.monotonic()
+        # Compiling and reading stored results come before it, and say nothing about the pace after it.
+        self._first = self._first or (now, done)
         if now - self._last_line >= _PROGRESS_INTERVAL_S:
             self._last_line = now
-            # The first of it says little: compiling takes longer than playing.
-            left = f", about {(now - self._began) / done * (total - done):.0f} s left" if done > 0.02 * total else ""
+            began, before = self._first
+            new = done - before
+            left = f", about {(now - began) / new * (total - done):.0f} s left" if new > 0.02 * total else ""
             note(f"{name}: {count}{left}")
 
     def update_part(self, name: str, done: int, total: int, steps_done: int, n_steps: int) -> None:

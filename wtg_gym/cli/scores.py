@@ -184,7 +184,7 @@ def finish(results: Results, folder: Path | None, *, as_json: bool) -> int:
     heads = [column.removesuffix(_POINTS) for column in SHORT_COLUMNS]
     print_table(heads, table_cells(rows, SHORT_COLUMNS), left=left)
     terms = ", ".join(head for head, column in zip(heads, SHORT_COLUMNS, strict=True) if column != head)
-    print(f"\n{terms}: points by terms of the cost, which add up to score - 100; --json prints more")
+    say("", f"{terms}: points by terms of the cost, which add up to score - 100; --json prints more")
     if results.oracle.missing:
         note(f"no share of the oracle's gap: {results.oracle.missing}")
     return code

@@ -16,7 +16,7 @@ from wtg_gym.small_signal import linearise
 
 _DESCRIPTION = """\
 Compiles the simulator to machine code, which the first use of a version does otherwise: the single environment, the
-vector environment, simulate, evaluate and modes, for two groups of turbines. It takes about half a minute. The machine
+vector environment, simulate, evaluate and modes, for two groups of turbines. It takes about a minute. The machine
 code is kept, so that every later start is quick; running the command again compiles nothing. Another number of groups
 or machines is compiled at its own first use."""
 _EXAMPLES = """\

@@ -279,6 +279,8 @@ def _import(name: str, spec: str) -> ModuleType:
         f'a folder with {ENTRY_FILE}, an importable package or module with entries, or "module:ATTRIBUTE"'
     )
     if not name or not all(part.isidentifier() for part in name.split(".")):
+        if name and Path(spec).is_dir():
+            raise ValueError(f"the folder {spec} holds no {ENTRY_FILE}")
         raise ValueError(f"unknown entry {spec!r}; {allowed}")
     try:
         return importlib.import_module(name)
@@ -321,8 +323,10 @@ def _entries_of(module: ModuleType, spec: str) -> list[Entry]:
         modules = [_import(f"{module.__name__}.{name}", spec) for name in names]
     entries = [vars(m)["ENTRY"] for m in modules if "ENTRY" in vars(m)]
     wrong = [type(entry).__name__ for entry in entries if not isinstance(entry, Entry)]
-    if wrong or not entries:
-        raise ValueError(f"no module of {spec!r} may hold an ENTRY but an Entry, and one must; found {wrong or 'none'}")
+    if wrong:
+        raise ValueError(f"every ENTRY in {spec!r} must be an Entry, got {', '.join(wrong)}")
+    if not entries:
+        raise ValueError(f"{spec!r} has no entry: a folder needs an {ENTRY_FILE}, a package or module an ENTRY")
     return entries
 
 

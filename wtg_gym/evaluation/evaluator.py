@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import os
 import traceback
+from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -202,8 +203,12 @@ def _seeds(suite: str, split: str, seeds: Sequence[int] | None, draw: Verificati
             raise ValueError(f"{text}: too many to play them all; choose some with seeds=")
         return list(allowed)
     wrong = [s for s in seeds if isinstance(s, bool) or not isinstance(s, (int, np.integer)) or s not in allowed]
-    if wrong or len(seeds) == 0 or len(set(seeds)) < len(seeds):
-        raise ValueError(f"seeds must be at least one, all different, of the split: {text}; got {wrong or list(seeds)}")
+    if wrong:
+        raise ValueError(f"{text}; got {', '.join(map(repr, wrong[:5]))}{' …' if len(wrong) > 5 else ''}")
+    if len(seeds) == 0:
+        raise ValueError(f"no seeds were given; {text}")
+    if twice := [seed for seed, times in Counter(seeds).items() if times > 1]:
+        raise ValueError(f"every seed may be given once; given more often: {', '.join(map(str, twice[:5]))}")
     return [int(seed) for seed in seeds]
 
 
