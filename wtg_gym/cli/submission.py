@@ -190,7 +190,7 @@ def _ranked(reports: Sequence[Report], wrong: Sequence[Conflict]) -> list[Report
 
 def _reports(arguments: argparse.Namespace) -> list[Report]:
     if importlib.util.find_spec("onnxruntime") is None:
-        raise ValueError("submissions need onnxruntime of the agents extra: pip install 'wtg-gym[agents]'")
+        raise ValueError("submissions need onnxruntime: pip install onnxruntime")
     reports = [check_submission(Path(folder), weak=arguments.weak_isolation) for folder in arguments.folders]
     for text in dict.fromkeys(text for report in reports for text in report.notes):
         note(f"not isolated, as {WEAK_OPTION} allows: {text}")

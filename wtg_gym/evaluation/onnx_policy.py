@@ -42,7 +42,7 @@ class OnnxPolicy:
 
     def __init__(self, file: str | Path | bytes, *, isolated: bool = False) -> None:
         if importlib.util.find_spec("onnxruntime") is None:
-            raise ImportError("policies as ONNX files need onnxruntime: pip install 'wtg-gym[agents]'")
+            raise ImportError("policies as ONNX files need onnxruntime: pip install onnxruntime")
         self.__setstate__((file if isinstance(file, bytes) else _content(Path(file)), isolated))
 
     def __getstate__(self) -> tuple[bytes, bool]:
