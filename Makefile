@@ -73,8 +73,8 @@ page: verification ## Rank every entry on all suites and on fresh scenarios, and
 CHROMIUM ?= $(firstword $(foreach name,chromium chromium-browser google-chrome,$(shell command -v $(name))) chromium)
 
 .PHONY: page-picture
-page-picture: page ## Take the picture of docs/leaderboard.html that the README shows; needs Chromium
-	$(CHROMIUM) --headless $(if $(filter 0,$(shell id -u)),--no-sandbox) --hide-scrollbars --window-size=1080,1815 \
+page-picture: page ## Take the picture of docs/leaderboard.html that docs/usage.md shows; needs Chromium
+	$(CHROMIUM) --headless $(if $(filter 0,$(shell id -u)),--no-sandbox) --hide-scrollbars --window-size=1440,2420 \
 	    --virtual-time-budget=20000 --screenshot=$(CURDIR)/docs/images/leaderboard-page.png file://$(CURDIR)/docs/leaderboard.html
 
 # Which folder `make pictures` renews; `make docs-check` lets it renew a copy.

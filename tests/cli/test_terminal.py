@@ -37,12 +37,17 @@ def test_lines_tables_and_notes_show_escapes(capsys: pytest.CaptureFixture[str])
 def test_remaining_time_counts_from_the_first_call_since_compiling_comes_before_it(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    clock = iter((0.0, 60.0, 70.0))
+    clock = iter((0.0, 60.0, 70.0, 130.0))
     monkeypatch.setattr(output, "time", SimpleNamespace(monotonic=lambda: next(clock)))
     with Progress("episodes") as progress:
         progress.update("mppt", 10, 80)
         progress.update("mppt", 20, 80)
-    assert capsys.readouterr().err == "mppt: 10 of 80 episodes\nmppt: 20 of 80 episodes, about 60 s left\n"
+        progress.update("mppt", 90, 80)
+    assert capsys.readouterr().err.splitlines() == [
+        "mppt: 10 of 80 episodes",
+        "mppt: 20 of 80 episodes, about 60 s left",
+        "mppt: 90 of 80 episodes",
+    ]
 
 
 def test_json_shows_escapes_and_means_the_same(capsys: pytest.CaptureFixture[str]) -> None:

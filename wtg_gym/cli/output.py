@@ -258,7 +258,9 @@ class Progress:
             self._last_line = now
             began, before = self._first
             new = done - before
-            left = f", about {(now - began) / new * (total - done):.0f} s left" if new > 0.02 * total else ""
+            # Training ends with a whole rollout, beyond its total.
+            paced = new > 0.02 * total and done < total
+            left = f", about {(now - began) / new * (total - done):.0f} s left" if paced else ""
             note(f"{name}: {count}{left}")
 
     def update_part(self, name: str, done: int, total: int, steps_done: int, n_steps: int) -> None:
