@@ -211,18 +211,22 @@ def test_entry_that_fails_is_left_out_with_its_row_and_the_others_stand(tmp_path
     mate, nan = (
         Entry(name="nan", policy=policy, training_seed=i) for i, policy in enumerate((fails_at(-1), fails_at(7)))
     )
-    entries = [first, mate, nan, Entry(name="raises", policy=Answering(raises)), second]
+    never = Answering(raises)
+    another = Entry(name="nan", policy=never, training_seed=2)
+    entries = [first, mate, nan, another, Entry(name="raises", policy=Answering(raises)), second]
     results = evaluate(entries, "standard", keep_going=True, batch=2, partial=tmp_path / "parts", **SHORT)
     others = evaluate([first, second], "standard", **SHORT)
     assert results == dataclasses.replace(others, failed=results.failed)
     assert [(entry["name"], entry["training_seed"]) for entry in results.failed] == [
         ("nan", 0),
         ("nan", 1),
+        ("nan", 2),
         ("raises", None),
     ]
+    assert never.step == -1, "a seed of a row that has failed already is not played"
     reasons = [entry["reason"] for entry in results.failed]
-    assert reasons[0] == reasons[1] and "entry 'nan (training seed 1)', step 7" in reasons[1]
-    assert "raised RuntimeError: no idea ?[2J (test_evaluator.py:" in reasons[2]
+    assert reasons[0] == reasons[1] == reasons[2] and "entry 'nan (training seed 1)', step 7" in reasons[1]
+    assert "raised RuntimeError: no idea ?[2J (test_evaluator.py:" in reasons[3]
     with pytest.raises(ValueError, match=r"no entry 'nan' in these results: entry 'nan .training seed 1.', step 7"):
         results.episodes_of("nan")
     # The files of the others are the same to the byte, but for what is said of those that failed.

@@ -101,11 +101,23 @@ def test_every_batch_has_a_process_of_its_own() -> None:
 def test_process_that_stops_answering_is_killed_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
     with opened() as policy:
         pid = pid_of(policy)
+        policy.predict(ONES)
         monkeypatch.setattr(policy_process, "STEP_S", 0.5)
         os.kill(pid, signal.SIGSTOP)
         with pytest.raises(PolicyError, match=r"took longer than .* 0\.5 s for a step"):
             policy.predict(ONES)
         assert gone(pid)
+
+
+def test_steps_that_open_sessions_may_take_longer(monkeypatch: pytest.MonkeyPatch) -> None:
+    allowed: list[float] = []
+    begin = PolicyProcess._begin
+    monkeypatch.setattr(PolicyProcess, "_begin", lambda process, s: allowed.append(s) or begin(process, s))
+    with opened() as policy:
+        for starts in (None, None, [False, True, False]):
+            policy.predict(ONES, None, starts)
+    load, step = policy_process.LOAD_S, policy_process.STEP_S
+    assert allowed == [load, load, step, load] and load > step
 
 
 def test_process_that_dies_is_named_and_the_next_observation_starts_another() -> None:
@@ -180,6 +192,12 @@ def test_kernel_without_a_filter_is_refused_or_a_warning(instead: Callable[[str]
 def test_system_that_cannot_isolate_is_no_failure_of_an_entry(instead: Callable[[str], None]) -> None:
     instead("worker.lock = lambda source, sink: 'no filter: the kernel refuses'")
     with pytest.raises(NotIsolatedError):
+        evaluate([Entry(name="a", policy=opened())], "standard", seeds=[20_000], duration_s=1.0, keep_going=True)
+
+
+def test_process_that_ends_before_it_reads_the_policy_is_no_failure_of_an_entry(instead: Callable[[str], None]) -> None:
+    instead("sys.exit(1)")
+    with pytest.raises(NotIsolatedError, match=r"cannot start the process of a policy: .* ended with exit code 1"):
         evaluate([Entry(name="a", policy=opened())], "standard", seeds=[20_000], duration_s=1.0, keep_going=True)
 
 

@@ -259,6 +259,7 @@ ATTACKS = (
         ),
     ),
     Attack("10¹⁰ numbers", "speed", _of(lambda: models.much(10**10))),
+    Attack("5 million numbers for each of the scenarios", "speed", _of(lambda: models.in_every_session(5_000_000))),
     Attack("a loop that does not end", "speed", _of(models.endless)),
     Attack("an operator that takes its time", "speed", _of(lambda: models.slow(200_000))),
     # What is done in one scenario only.

@@ -330,6 +330,17 @@ def much(values: int) -> ModelProto:
     return after(*nodes, node("Add", ["linear", "most"], "action"), constants=[constant("size", [values], np.int64)])
 
 
+def in_every_session(values: int) -> ModelProto:
+    """A few bytes that become many numbers in the session of every scenario."""
+    nodes = [
+        node("Expand", ["nought", "size"], "all"),
+        node("Cast", ["linear"], "whole", to=TensorProto.INT64),
+        node("Gather", ["all", "whole"], "nothing"),
+    ]
+    own = [constant("nought", [0.0]), constant("size", [values], np.int64)]
+    return after(*nodes, node("Add", ["linear", "nothing"], "action"), constants=own)
+
+
 def last_lane() -> ModelProto:
     """Rounding of a batch's last values, which a vector of the processor does not fill, made 10⁸ times as large."""
     nodes = [

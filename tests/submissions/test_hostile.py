@@ -16,6 +16,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def test_hostile_submission_is_stopped(attack: Attack, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # Long enough for every other step, on a busy machine too.
     monkeypatch.setattr(policy_process, "STEP_S", 5.0)
+    monkeypatch.setattr(policy_process, "LOAD_S", 20.0)
     end, reason = verdict(attack, tmp_path)
     assert end == attack.end, reason
     assert reason and reason.isprintable() and len(reason) < 1600

@@ -255,12 +255,12 @@ def _played(
     if workers is not None and parts:
         yield from workers.play(_play, settings, parts)
         return
-    failures: dict[int, PolicyError] = {}
+    failures: dict[str, PolicyError] = {}
     for index, (entry, seeds) in enumerate(parts):
-        rows = failures.get(id(entry)) or _play(entry, settings, seeds, n_threads)
+        rows = failures.get(entry.name) or _play(entry, settings, seeds, n_threads)
         if isinstance(rows, PolicyError):
-            # What has failed once is not waited for again.
-            failures[id(entry)] = rows
+            # The row is left out whatever its other training seeds do, so nobody waits for them.
+            failures[entry.name] = rows
         yield index, rows
 
 

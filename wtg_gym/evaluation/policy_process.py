@@ -45,7 +45,7 @@ class PolicyError(ValueError):
 
 
 class NotIsolatedError(PolicyError):
-    """This system cannot isolate the process of a policy."""
+    """This system cannot start or isolate the process of a policy, which is no failure of the policy."""
 
 
 class PolicyProcess:
@@ -56,7 +56,7 @@ class PolicyProcess:
         isolated: refuse to play where this system cannot isolate the process; else what is missing is a warning.
 
     Raises:
-        NotIsolatedError: this system cannot isolate it, and `isolated` is set.
+        NotIsolatedError: this system cannot start the process, or cannot isolate it and `isolated` is set.
         PolicyError: onnxruntime cannot load the file, or it is no policy.
     """
 
@@ -66,7 +66,7 @@ class PolicyProcess:
         #: Widths of the observations, the actions, and each state.
         self.widths: list[int] = []
         self._began, self._deadline, self._waited_s = 0.0, float("inf"), 0.0
-        self._timed_out = False
+        self._timed_out = self._has_answered = False
         self._process = _start(weak=not isolated)
         threading.Thread(target=self._watch, daemon=True).start()
         try:
@@ -77,7 +77,11 @@ class PolicyProcess:
 
     def _open(self, content: bytes, isolated: bool) -> None:
         self._begin(LOAD_S)
-        self.missing = [_plain(text) for text in self._message().get("missing", [])]
+        try:
+            self.missing = [_plain(text) for text in self._message().get("missing", [])]
+        except PolicyError as error:
+            # It has not seen the policy yet.
+            raise NotIsolatedError(f"this system cannot start the process of a policy: {error}") from error
         if self.missing and isolated:
             raise NotIsolatedError(f"this system cannot isolate the policy's process: {'; '.join(self.missing)}")
         self._write(LENGTH.pack(len(content)) + content)
@@ -99,12 +103,14 @@ class PolicyProcess:
         self.widths = widths
 
     def send(self, request: bytes, *, starts: bool) -> None:
-        """Send observations and states; :meth:`receive` must follow. Where episodes start, sessions are opened first.
+        """Send observations and states; :meth:`receive` must follow.
+
+        Sessions are opened first in the first step, and where episodes start.
 
         Raises:
             PolicyError: the process has ended or takes too long.
         """
-        self._begin(LOAD_S if starts else STEP_S)
+        self._begin(LOAD_S if starts or not self._has_answered else STEP_S)
         self._write(request)
 
     def receive(self, sizes: list[int]) -> list[bytes]:
@@ -117,6 +123,7 @@ class PolicyProcess:
             raise PolicyError(f"the policy cannot answer: {_plain(self._message().get('error'))}")
         data = [self._read(size) for size in sizes]
         self._end()
+        self._has_answered = True
         return data
 
     def _message(self) -> dict[str, Any]:
