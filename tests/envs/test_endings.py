@@ -9,6 +9,7 @@ from tests.envs.rollouts import calm, episode, eventful, rising, sagging
 from wtg_gym.envs import CostWeights, GFMWTGEnv
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.envs.task import TaskRow
 from wtg_gym.physics.layout import LaneRow, Status, WtgRow
 from wtg_gym.physics.parameters import ProtectionParameters
 from wtg_gym.physics.plant import PlantSettings
@@ -172,6 +173,15 @@ def test_episode_with_long_steps_ends_within_one():
     assert terminated and info["termination_reason"] == "stall" and info["time_s"] == pytest.approx(told["time_s"])
     assert rewards.size == np.ceil(info["time_s"] / 10.0) and usual.size == round(told["time_s"] / 0.1)
     assert rewards[-1] < -CostWeights().cap * (60.0 - info["time_s"])
+
+
+@pytest.mark.parametrize("control_dt", [0.1, 2.0, 10.0])
+def test_no_run_costs_more_than_one_that_fails_at_once_even_if_it_ends_within_a_long_step(control_dt: float):
+    for scenario in (GONE, TORN):
+        rewards, (_, terminated, *_), env = play(scenario, 1.0, control_dt=control_dt, weights={"cap": 1e-3})
+        assert terminated and -rewards.sum() <= 1e-3 * (20.0 + 1.0) * (1.0 + 1e-9)
+        error = env.lanes.task_values(TaskRow.DUTY_ERROR)[0]
+        assert 0.0 < error < env.lanes.simulator.lane_values(LaneRow.STEP)[0] * 0.025
 
 
 def test_group_that_trips_within_a_long_step_is_off_from_then_on():

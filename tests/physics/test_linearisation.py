@@ -11,10 +11,11 @@ import pytest
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.linearisation import STEP_MARGIN, largest_stable_steps, moving_states, state_matrix
+from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.tracking_law import get_law
+from wtg_gym.physics.tracking_law import TrackingLaw, get_law
 from wtg_gym.scenarios import get_suite
 
 LAWS = (get_law("coordinated-piecewise"),) * 2
@@ -53,7 +54,7 @@ def test_stable_steps_end_where_the_stability_region_does() -> None:
 
 
 def test_a_mode_that_grows_by_itself_is_not_the_integrations_fault() -> None:
-    assert largest_stable_steps([0.0, 0.3, 1.0 + 2.0j]).min() > 0.4
+    assert largest_stable_steps([0.0, 0.3, 1.0 + 2.0j, 3.8 + 3.5j]).min() > 0.4
 
 
 @pytest.mark.parametrize("value", [-40.0 + 0j, -8.9 + 46j, -0.2 + 17j])
@@ -80,6 +81,26 @@ def test_an_inertia_that_is_too_small_for_the_step_is_refused_with_its_scenario(
         with pytest.raises(ValueError, match=r"scenario 'light', inertia_scale = 0.05: simulation_dt = 0.025 s"):
             simulator.prepare([scenario, lighter], LAWS)
     simulator.prepare([scenario], LAWS)
+
+
+@pytest.mark.parametrize(
+    ("inertia_s", "k_min", "k_nominal", "k_max", "wind_m_s"),
+    [
+        # The slope below ω_st is what is fast, but only once the wind has risen: it acts on the cube of the speed.
+        (2.0, 3.0, 0.6, 0.55, 5.0),
+        # The steeper slope takes power away while the frequency falls; the other one is what is fast.
+        (0.7, 0.05, 0.9, 0.2, 16.0),
+    ],
+)
+def test_a_law_that_is_too_steep_for_the_step_is_refused(
+    inertia_s: float, k_min: float, k_nominal: float, k_max: float, wind_m_s: float
+) -> None:
+    law = TrackingLaw(name="steep", k_min=k_min, k_nominal=k_nominal, k_max=k_max)
+    scenario = Scenario(name="x", wind_speed=np.full((2, 1), wind_m_s))
+    light = PlantSettings(control=GridFormingParameters(inertia_constant_s=inertia_s))
+    with pytest.raises(ValueError, match=r"\(mainly wtg[01].speed\) would grow without bound"):
+        Simulator(light).prepare([scenario], (law,) * 2)
+    Simulator(dataclasses.replace(light, simulation_dt=0.01)).prepare([scenario], (law,) * 2)
 
 
 @pytest.mark.parametrize("settings", [{}, {"simulation_dt": 0.04, "control_dt": 0.2}, {"groups": ()}])

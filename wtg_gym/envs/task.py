@@ -260,6 +260,9 @@ def apply_action(block: Floats, x: int, plant: Plant, task: Task, action: Floats
 def charge(block: Floats, x: int, plant: Plant, task: Task, action: Floats, width: int) -> float:
     """Return a lane's cost of the last control interval, and keep its terms, sums and extremes."""
     own, extra = lane_row(plant) * width + x, task.extra * width + x
+    # A run can end within the interval: the time after that is the failure's.
+    unspent = -int(block[own + LaneRow.STEP * width]) % plant.n_substeps
+    elapsed = task.control_dt - unspent * plant.simulation_dt
     terms = np.zeros(7)
     coi = block[own + LaneRow.COI * width]
     deviation = abs(coi - 1.0) * task.nominal_hz
@@ -278,7 +281,7 @@ def charge(block: Floats, x: int, plant: Plant, task: Task, action: Floats, widt
         terms[4] += task.weights[4] * overload * overload / n_wtg
         violated = violated or rotor > 0.0 or overload > 0.0
         error += 0.05 * duty / n_wtg
-        block[extra + TaskRow.AVAILABLE_ENERGY * width] += plant.share[j] * share * task.control_dt
+        block[extra + TaskRow.AVAILABLE_ENERGY * width] += plant.share[j] * share * elapsed
         g = _group_row(j, task) * width + x
         speed = block[o + WtgState.SPEED * width]
         change = (speed - block[g + GroupRow.LAST_SPEED * width]) / task.control_dt
@@ -289,7 +292,7 @@ def charge(block: Floats, x: int, plant: Plant, task: Task, action: Floats, widt
     for term in range(6):
         total += terms[term]
     # The cap scales all terms alike, so that they still add up to the cost.
-    factor = task.control_dt * (min(total, task.weights[6]) / total if total > 0.0 else 1.0)
+    factor = elapsed * (min(total, task.weights[6]) / total if total > 0.0 else 1.0)
     status = block[own + LaneRow.STATUS * width]
     if status != 0.0:
         left = block[extra + TaskRow.END_STEP * width] - block[own + LaneRow.STEP * width]
@@ -304,7 +307,7 @@ def charge(block: Floats, x: int, plant: Plant, task: Task, action: Floats, widt
     block[extra + TaskRow.COST * width] = cost
     block[extra + TaskRow.CONSTRAINT * width] = 1.0 if violated else 0.0
     block[extra + TaskRow.CONSTRAINT_SUM * width] += 1.0 if violated else 0.0
-    block[extra + TaskRow.DUTY_ERROR * width] += error * task.control_dt
+    block[extra + TaskRow.DUTY_ERROR * width] += error * elapsed
     return cost
 
 

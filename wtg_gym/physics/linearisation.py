@@ -20,7 +20,7 @@ _DIFFERENCE = 2e-6
 STEP_MARGIN = 1.1
 
 
-def state_matrix(rows: Floats, plant: Plant, layout: Layout, side: float) -> Floats:
+def state_matrix(rows: Floats, plant: Plant, layout: Layout, side: npt.ArrayLike) -> Floats:
     """Return A of ẋ = A x around the state that one lane's rows hold, shape (n, n) [1/s, with p.u. and rad].
 
     Central differences of the simulator's right-hand side; one-sided ones of the same order for the frequencies of the
@@ -29,19 +29,20 @@ def state_matrix(rows: Floats, plant: Plant, layout: Layout, side: float) -> Flo
     Args:
         rows: a block of one lane, flat (n_rows,).
         plant, layout: of that lane.
-        side: -1 for the slope of g(ω) below ω_st, +1 for the one above.
+        side: -1 for the slope of g(ω) below ω_st, +1 for the one above; for all groups or each, (n_wtg,).
     """
     states, n = layout.state_rows, layout.state_rows.size
+    sides = np.broadcast_to(np.asarray(side, dtype=np.float64), (layout.n_wtg,))
     speeds = layout.n_sync * N_SYNC_STATES + np.arange(layout.n_wtg) * N_WTG_STATES + WtgState.SPEED
     first, second = np.full(n, 1.0), np.full(n, -1.0)
-    first[speeds], second[speeds] = side, 2.0 * side
+    first[speeds], second[speeds] = sides, 2.0 * sides
     blocks = np.repeat(rows[np.newaxis, :], 2 * n + 1, axis=0)
     blocks[np.arange(n), states] += _DIFFERENCE * first
     blocks[n + np.arange(n), states] += _DIFFERENCE * second
     evaluate_rates(blocks, plant, (0,))
     rates = blocks[:, layout.rate_rows]
     change = rates[:n] - rates[n : 2 * n]
-    change[speeds] = side * (-3.0 * rates[2 * n] + 4.0 * rates[speeds] - rates[n + speeds])
+    change[speeds] = sides[:, np.newaxis] * (-3.0 * rates[2 * n] + 4.0 * rates[speeds] - rates[n + speeds])
     matrix: Floats = change.T / (2.0 * _DIFFERENCE)
     return matrix
 
@@ -65,19 +66,21 @@ def moving_states(matrix: Floats, rows: Floats, layout: Layout) -> npt.NDArray[n
 
 
 def largest_stable_steps(eigenvalues: npt.ArrayLike) -> Floats:
-    """Return the largest step at which each mode neither grows nor grows faster than it does itself, (n,) [s].
+    """Return the largest step at which the integration does not let each mode grow, (n,) [s].
 
-    |R(hλ)| ≤ max(1, e^(h Re λ)), R(z) = 1 + z + z²/2 + z³/6 + z⁴/24 of the classical fourth-order method. Source:
-    E. Hairer, G. Wanner: Solving Ordinary Differential Equations II, section IV.2.
+    |R(hλ)| ≤ 1, R(z) = 1 + z + z²/2 + z³/6 + z⁴/24 of the classical fourth-order method. A mode that grows by itself
+    gets the step of one that decays as fast: such a step follows it too. Source: E. Hairer, G. Wanner: Solving Ordinary
+    Differential Equations II, section IV.2.
     """
     # No ray from zero stays in the region, or comes back to it, beyond |z| = 4.
-    values = np.asarray(eigenvalues, dtype=np.complex128)
+    given = np.asarray(eigenvalues, dtype=np.complex128)
+    values = -np.abs(given.real) + 1j * given.imag
     low, high = np.zeros(values.shape), 4.0 / np.maximum(np.abs(values), 1e-9)
     for _ in range(40):
         middle = 0.5 * (low + high)
         z = middle * values
         growth = np.abs(1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0))))
-        stable = growth <= np.maximum(1.0, np.exp(z.real)) * (1.0 + 1e-12)
+        stable = growth <= 1.0 + 1e-12
         low, high = np.where(stable, middle, low), np.where(stable, high, middle)
     return low
 
@@ -85,8 +88,8 @@ def largest_stable_steps(eigenvalues: npt.ArrayLike) -> Floats:
 def check_step(rows: Floats, plant: Plant, layout: Layout) -> None:
     """Refuse a plant whose modes are too fast for its integration step at the state of one lane's rows (n_rows,).
 
-    The steeper side of each law counts. Limits that bind take feedback away and are left out: what holds for small
-    deviations is checked, no more.
+    Of each law the side counts that lets the power rise more steeply while the frequency falls: there the modes are
+    faster. Limits that bind take feedback away and are left out: what holds for small deviations is checked, no more.
 
     Raises:
         ValueError: the message names the eigenvalue, the state it mainly belongs to, the step and the largest allowed.
@@ -96,9 +99,9 @@ def check_step(rows: Floats, plant: Plant, layout: Layout) -> None:
         rows[layout.wtg + np.arange(layout.n_wtg) * WtgRow.N_ROWS + row]
         for row in (WtgRow.K_MIN, WtgRow.K_NOMINAL, WtgRow.K_MAX)
     )
-    below = np.abs(k_min - k_nominal).sum() / (t[TurbineConstant.SPEED_SETPOINT] - t[TurbineConstant.SPEED_MIN])
-    above = np.abs(k_max - k_nominal).sum() / (t[TurbineConstant.SPEED_MAX] - t[TurbineConstant.SPEED_SETPOINT])
-    matrix = state_matrix(rows, plant, layout, -1.0 if below >= above else 1.0)
+    below = (k_min - k_nominal) / (t[TurbineConstant.SPEED_SETPOINT] - t[TurbineConstant.SPEED_MIN])
+    above = (k_nominal - k_max) / (t[TurbineConstant.SPEED_MAX] - t[TurbineConstant.SPEED_SETPOINT])
+    matrix = state_matrix(rows, plant, layout, np.where(below >= above, -1.0, 1.0))
     keep = moving_states(matrix, rows, layout)
     matrix = matrix[np.ix_(keep, keep)]
     steps = largest_stable_steps(np.linalg.eigvals(matrix))

@@ -73,9 +73,9 @@ class Simulator:
     """Runs of one plant, in lanes.
 
     The integration step must suit the plant's fastest mode (:func:`~wtg_gym.physics.linearisation.check_step`). That is
-    checked here at 8 and 16 m/s with nominal load and inertia under the reference law, and by :meth:`prepare` for every
-    new law and for every machine inertia below those checked before: a lighter machine swings faster. Load level, line
-    trips, wind and governor droop hardly matter.
+    checked at 8 and 16 m/s with nominal load: here with nominal inertia under the reference law, and by :meth:`prepare`
+    for every new law and for every machine inertia below those checked before, since a lighter machine swings faster.
+    Load level, line trips and governor droop hardly matter.
 
     Args:
         settings: the plant and its time steps.
@@ -123,27 +123,29 @@ class Simulator:
         except TypeError:
             # A case of lists instead of tuples has no hash: nothing is shared with other simulators of it.
             self._checked = {}
-        self._check_nominal_step()
+        reference = (get_law(REFERENCE_STRATEGY, settings.turbine),) * self.layout.n_wtg
+        if reference not in self._checked and self._check_nominal(reference, 1.0):
+            self._checked[reference] = 1.0
 
-    def _check_nominal_step(self) -> None:
-        laws = (get_law(REFERENCE_STRATEGY, self.settings.turbine),) * self.layout.n_wtg
-        if laws in self._checked:
-            return
+    def _check_nominal(self, laws: tuple[TrackingLaw, ...], inertia_scale: float) -> bool:
+        """Check laws at nominal operating points; return whether the plant has an equilibrium at any of them."""
+        found = False
         for wind in _CHECKED_WINDS:
             nominal = Scenario(
                 name=f"nominal at {wind:g} m/s",
                 wind_speed=np.full((self.layout.n_wtg, 1), wind),
                 duration_s=self.n_intervals * self.settings.control_dt,
                 load_noise_bus=self.settings.case.slack_bus,
+                inertia_scale=inertia_scale,
             )
             try:
                 rows = self._equilibria([nominal], laws).rows
             except ValueError:
-                # Some plants have no equilibrium there: the first that they do have is checked instead.
                 continue
             self._check_internal_voltages(rows, [nominal])
             self._check_step(rows[0], nominal)
-            self._checked[laws] = nominal.inertia_scale
+            found = True
+        return found
 
     def _check_step(self, rows: Floats, scenario: Scenario) -> None:
         try:
@@ -212,6 +214,8 @@ class Simulator:
         (scale, lightest), of_laws = min(scales, default=(math.inf, 0)), tuple(laws)
         if scale < self._checked.get(of_laws, math.inf):
             self._check_step(prepared.rows[lightest], scenarios[lightest])
+            # The wind may rise: under a steep law the step suits a slow rotor and not a fast one.
+            self._check_nominal(of_laws, scale)
             self._checked[of_laws] = scale
         return prepared
 

@@ -25,6 +25,8 @@ from wtg_gym.physics.scenario import require_range
 
 #: Largest tracking coefficient a law may ask for [p.u.]: three times K_opt.
 LARGEST_COEFFICIENT = 3.0
+#: Damping time constants of a law besides 0 and ∞ [s]; a slower filter is plain droop for as long as an episode takes.
+TIME_CONSTANT_RANGE = (0.05, 3600.0)
 
 
 @compiled
@@ -56,10 +58,10 @@ class TrackingLaw:
         k_min: tracking coefficient at ω_min and below [p.u.].
         k_nominal: at ω_st [p.u.].
         k_max: at ω_max and above [p.u.].
-        damping_time_constant_s: τ [s]; 0 cancels the droop, infinity keeps it.
+        damping_time_constant_s: τ [s], 0.05 … 3600; 0 cancels the droop, infinity keeps it.
 
     Raises:
-        ValueError: a coefficient is outside 0 … 3 p.u., or τ is negative.
+        ValueError: a coefficient or τ is outside its range.
     """
 
     name: str
@@ -72,12 +74,12 @@ class TrackingLaw:
         for key in ("k_min", "k_nominal", "k_max"):
             require_range(f"{key} of law {self.name!r}", getattr(self, key), 1e-3, LARGEST_COEFFICIENT, "p.u.")
         tau = self.damping_time_constant_s
-        if isinstance(tau, bool) or not isinstance(tau, (int, float)) or math.isnan(tau) or tau < 0.0:
-            raise ValueError(f"damping_time_constant_s of law {self.name!r} must be 0 … ∞ s, got {tau!r} s")
-        if 0.0 < tau < 0.05:
+        low, high = TIME_CONSTANT_RANGE
+        is_number = isinstance(tau, (int, float)) and not isinstance(tau, bool)
+        if not is_number or not (tau in (0.0, math.inf) or low <= tau <= high):
             raise ValueError(
-                f"damping_time_constant_s of law {self.name!r} = {tau:g} s is outside the allowed range 0.05 … ∞ s; "
-                "use 0 s to cancel the droop altogether"
+                f"damping_time_constant_s of law {self.name!r} must be {low:g} … {high:g} s, 0 s (cancels the droop) "
+                f"or infinite (keeps it), got {tau!r} s"
             )
 
     @property

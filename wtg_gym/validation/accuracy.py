@@ -233,7 +233,7 @@ class _Integration:
         self.block, self.plant, self.data = self.simulator.blocks[0], self.simulator.plant, self.simulator.data
         layout = self.simulator.layout
         self.states, self.rates = layout.state_rows, layout.rate_rows
-        self.low, self.high = state_bounds(self.plant, self.states.size)
+        self.low, self.high = _state_bounds(self.plant, self.states.size)
         self.step_s = step_s
         self.n_intervals = whole_steps("duration_s", scenario.duration_s, CONTROL_DT, "control step")
 
@@ -296,7 +296,7 @@ def _cost(scenario: Scenario, law: TrackingLaw, method: Method, step_s: float, r
     return 1e6 * best / scenario.duration_s
 
 
-def state_bounds(plant: Plant, n: int) -> tuple[Floats, Floats]:
+def _state_bounds(plant: Plant, n: int) -> tuple[Floats, Floats]:
     """Return the non-windup limits of every state, (n,) each."""
     low, high = np.full(n, -np.inf), np.full(n, np.inf)
     for i, machine in enumerate(plant.machines):
@@ -380,4 +380,4 @@ def _advance_interval(
         block[own] += 1.0
 
 
-__all__ = ["METHODS", "STEPS", "Accuracy", "AccuracyStudy", "Method", "state_bounds", "study_accuracy"]
+__all__ = ["METHODS", "STEPS", "Accuracy", "AccuracyStudy", "Method", "study_accuracy"]

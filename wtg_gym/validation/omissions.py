@@ -1,25 +1,21 @@
 """The physics that the paper's model leaves out, as numbers: rotor energy, and limits of voltage, power and speed.
 
-The energy-consistent rotor is a measurement here and no setting of the plant: its rate is the paper's divided by ω_m.
-Everything else in such a run is the simulator's own.
+The energy-consistent rotor is a measurement here and no setting of the plant: after every simulation step a rotor gets
+the speed at which its energy has changed by what went in. Everything else in such a run is the simulator's own.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import brentq
 
-from wtg_gym.physics.compiled import compiled
-from wtg_gym.physics.dynamics import derivatives
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.integration import apply_network_changes, enter_interval, track_extremes, update_status
-from wtg_gym.physics.layout import Floats, LaneData, LaneRow, Plant, Status, SyncRow, WtgRow, lane_row
+from wtg_gym.physics.layout import Floats, LaneRow, Status, WtgRow
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
@@ -30,7 +26,6 @@ from wtg_gym.physics.wind_turbine import WtgState
 from wtg_gym.scenarios import get_suite
 from wtg_gym.small_signal import single_machine
 from wtg_gym.small_signal.modes import synchronising_coefficients
-from wtg_gym.validation.accuracy import state_bounds
 
 #: Winds of the energy balance [m/s].
 WINDS = (6.0, 8.0, 10.0, 11.4)
@@ -168,7 +163,8 @@ def study_omissions(on_progress: Callable[[str, float, int], None] | None = None
         counts.append(count_suite(suite, strategy))
     held, limited = voltage_limits(case)
     paper_runs, energy_runs = (
-        {name: run_rotor(case, STRATEGIES[name], energy=energy) for name in _STRATEGIES} for energy in (False, True)
+        {name: run_rotors([case], STRATEGIES[name], energy=energy)[0] for name in _STRATEGIES}
+        for energy in (False, True)
     )
     settled_pu = paper_runs[REFERENCE_STRATEGY].final_hz / modified_ieee14().frequency_hz
     return Omissions(
@@ -200,65 +196,72 @@ def rotor_energy(wind_m_s: float, frequency_pu: float) -> RotorEnergy:
     )
 
 
-def run_rotor(scenario: Scenario, law: TrackingLaw, *, energy: bool, settings: PlantSettings | None = None) -> RotorRun:
-    """Run a scenario with 2H_m ω̇_m = p_w - p, or with 2H_m ω_m ω̇_m = p_w - p.
+def run_rotors(scenarios: Sequence[Scenario], law: TrackingLaw, *, energy: bool) -> list[RotorRun]:
+    """Run scenarios with 2H_m ω̇_m = p_w - p, or with 2H_m ω_m ω̇_m = p_w - p, in the paper's plant.
 
     Args:
-        scenario: what happens.
+        scenarios: what happens, side by side; all as long as the first.
         law: of all groups.
         energy: whether the rotor's energy is H_m ω_m².
-        settings: the plant; the paper's by default.
     """
-    settings = settings or PlantSettings()
-    simulator = Simulator(settings, duration_s=scenario.duration_s)
-    simulator.start(0, scenario, (law,) * len(settings.groups))
-    reactive, rotor = _reactive_power(simulator), simulator.wtg_values(WtgState.ROTOR_SPEED)[0]
-    low, high = state_bounds(simulator.plant, simulator.layout.state_rows.size)
-    least_rotor, least_power = _run(
-        simulator.blocks[0],
-        simulator.plant,
-        simulator.data,
-        simulator.n_intervals,
-        energy,
-        simulator.layout.state_rows,
-        simulator.layout.rate_rows,
-        low,
-        high,
-    )
-    return RotorRun(
-        status=Status(int(simulator.lane_values(LaneRow.STATUS)[0])),
-        end_s=float(simulator.lane_values(LaneRow.STEP)[0]) * settings.simulation_dt,
-        nadir_hz=settings.case.frequency_hz * float(simulator.lane_values(LaneRow.COI_MIN)[0]),
-        final_hz=settings.case.frequency_hz * float(simulator.lane_values(LaneRow.COI)[0]),
-        rotor_pu=np.stack([rotor, simulator.wtg_values(WtgState.ROTOR_SPEED)[0]]),
-        released_s=simulator.wtg_values(WtgState.ENERGY_DELIVERED)[0]
-        - simulator.wtg_values(WtgState.ENERGY_CAPTURED)[0],
-        least_rotor_pu=least_rotor,
-        least_power_pu=least_power,
-        peak_power_pu=simulator.wtg_values(WtgRow.PEAK_POWER)[0],
-        voltage_pu=simulator.wtg_values(WtgRow.EMF)[0],
-        reactive_pu=reactive,
-    )
+    # A control step as short as the simulation step: the rotors are set, and looked at, after each of them.
+    settings = PlantSettings(control_dt=PlantSettings().simulation_dt)
+    simulator = Simulator(settings, n_lanes=len(scenarios), duration_s=scenarios[0].duration_s)
+    laws = (law,) * len(settings.groups)
+    simulator.commit(range(len(scenarios)), simulator.prepare(scenarios, laws))
+    reactive = np.array([_reactive_power(simulator, lane) for lane in range(len(scenarios))])
+    rotors = [simulator.wtg_row(group, WtgState.ROTOR_SPEED) for group in range(len(laws))]
+    blocks = simulator.blocks.reshape(-1, simulator.layout.n_rows, simulator.width)
+    start = least_rotor = simulator.wtg_values(WtgState.ROTOR_SPEED)
+    least_power = simulator.wtg_values(WtgRow.POWER)
+    for _ in range(simulator.n_intervals):
+        before = blocks[:, rotors]
+        simulator.advance()
+        if energy:
+            # H_m (ω² - ω_before²) = 2H_m (ω_paper - ω_before): both are the energy that went in.
+            blocks[:, rotors] = np.sqrt(before**2 + 2.0 * (blocks[:, rotors] - before))
+        least_rotor = np.minimum(least_rotor, simulator.wtg_values(WtgState.ROTOR_SPEED))
+        least_power = np.minimum(least_power, simulator.wtg_values(WtgRow.POWER))
+    hertz = settings.case.frequency_hz
+    statuses, steps = simulator.lane_values(LaneRow.STATUS), simulator.lane_values(LaneRow.STEP)
+    nadirs, frequencies = simulator.lane_values(LaneRow.COI_MIN), simulator.lane_values(LaneRow.COI)
+    rotor, peak = simulator.wtg_values(WtgState.ROTOR_SPEED), simulator.wtg_values(WtgRow.PEAK_POWER)
+    released = simulator.wtg_values(WtgState.ENERGY_DELIVERED) - simulator.wtg_values(WtgState.ENERGY_CAPTURED)
+    voltage = simulator.wtg_values(WtgRow.EMF)
+    return [
+        RotorRun(
+            status=Status(int(statuses[lane])),
+            end_s=float(steps[lane]) * settings.simulation_dt,
+            nadir_hz=hertz * float(nadirs[lane]),
+            final_hz=hertz * float(frequencies[lane]),
+            rotor_pu=np.stack([start[lane], rotor[lane]]),
+            released_s=released[lane],
+            least_rotor_pu=least_rotor[lane],
+            least_power_pu=least_power[lane],
+            peak_power_pu=peak[lane],
+            voltage_pu=voltage[lane],
+            reactive_pu=reactive[lane],
+        )
+        for lane in range(len(scenarios))
+    ]
 
 
-def _reactive_power(simulator: Simulator) -> Floats:
+def _reactive_power(simulator: Simulator, lane: int = 0) -> Floats:
     """Return what every group feeds into its bus where a lane stands, on its own base (n_wtg,) [p.u.]."""
     settings = simulator.settings
     buses = [settings.case.bus_index(group.bus) for group in settings.groups]
-    voltage = np.abs(simulator.bus_voltages())[buses]
+    voltage = np.abs(simulator.bus_voltages(lane))[buses]
     reactance = settings.control.reactance_pu
-    across = reactance * simulator.wtg_values(WtgRow.POWER)[0] / voltage
-    along = np.sqrt(simulator.wtg_values(WtgRow.EMF)[0] ** 2 - across**2)
+    across = reactance * simulator.wtg_values(WtgRow.POWER)[lane] / voltage
+    along = np.sqrt(simulator.wtg_values(WtgRow.EMF)[lane] ** 2 - across**2)
     return np.asarray(voltage * (along - voltage) / reactance)
 
 
 def count_suite(suite: str, strategy: str, n_scenarios: int | None = None) -> SuiteCounts:
     """Return what a strategy does in the first `n_scenarios` validation scenarios of a suite; None for all."""
     seeds = list(get_suite(suite).validation[:n_scenarios])
-    law = STRATEGIES[strategy]
     scenarios = get_suite(suite).scenarios(seeds)
-    runs = [run_rotor(scenario, law, energy=False) for scenario in scenarios]
-    others = [run_rotor(scenario, law, energy=True) for scenario in scenarios]
+    runs, others = (run_rotors(scenarios, STRATEGIES[strategy], energy=energy) for energy in (False, True))
     shifts = [
         other.nadir_hz - run.nadir_hz
         for run, other in zip(runs, others, strict=True)
@@ -326,59 +329,6 @@ def _voltage_for(scenario: Scenario, limit_pu: float, highest_pu: float) -> floa
     return float(brentq(excess, 1.0, highest_pu, xtol=1e-6))
 
 
-@compiled
-def _run(
-    block: Floats,
-    plant: Plant,
-    data: LaneData,
-    n_intervals: int,
-    energy: bool,
-    states: npt.NDArray[np.int64],
-    rates: npt.NDArray[np.int64],
-    low: Floats,
-    high: Floats,
-) -> tuple[Floats, Floats]:
-    """Advance a one-lane block to its end as the simulator does, and return every group's least ω_m and power."""
-    n_wtg, own = len(plant.wtgs), lane_row(plant)
-    first = len(plant.syncs) * SyncRow.N_ROWS
-    noise_y, h = np.empty(1), plant.simulation_dt
-    base, total = np.empty(states.size), np.empty(states.size)
-    least_rotor, least_power = np.empty(n_wtg), np.empty(n_wtg)
-    for j in range(n_wtg):
-        o = first + j * WtgRow.N_ROWS
-        least_rotor[j], least_power[j] = block[o + WtgState.ROTOR_SPEED], block[o + WtgRow.POWER]
-    for _ in range(n_intervals):
-        if block[own + LaneRow.ACTIVE] < 0.5:
-            break
-        enter_interval(block, 0, plant, data, noise_y, (0,))
-        for step in range(plant.n_substeps):
-            apply_network_changes(block, 0, plant, data, noise_y, (0,))
-            for r in range(states.size):
-                base[r] = block[states[r]]
-            total[:] = 0.0
-            for stage in range(4):
-                offset = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
-                derivatives(block, plant, (step + offset) / plant.n_substeps, (0,))
-                if energy:
-                    for j in range(n_wtg):
-                        rotor = first + j * WtgRow.N_ROWS + WtgState.ROTOR_SPEED
-                        block[rotor + WtgRow.RATE] /= block[rotor]
-                ahead = h if stage == 2 else 0.5 * h
-                for r in range(states.size):
-                    rate = block[rates[r]]
-                    total[r] += rate if stage == 0 or stage == 3 else 2.0 * rate
-                    block[states[r]] = base[r] + ahead * rate
-            for r in range(states.size):
-                block[states[r]] = min(max(base[r] + h / 6.0 * total[r], low[r]), high[r])
-            track_extremes(block, plant, (0,))
-            for j in range(n_wtg):
-                o = first + j * WtgRow.N_ROWS
-                least_rotor[j] = min(least_rotor[j], block[o + WtgState.ROTOR_SPEED])
-                least_power[j] = min(least_power[j], block[o + WtgRow.POWER])
-        update_status(block, plant, 1)
-    return least_rotor, least_power
-
-
 __all__ = [
     "REACTIVE_LIMIT_PU",
     "VOLTAGE_LIMIT_PU",
@@ -389,7 +339,7 @@ __all__ = [
     "VoltageLimit",
     "count_suite",
     "rotor_energy",
-    "run_rotor",
+    "run_rotors",
     "study_omissions",
     "voltage_limits",
 ]
