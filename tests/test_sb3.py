@@ -308,7 +308,7 @@ def test_what_a_lane_has_not_of_its_own_is_refused():
 def test_bad_arguments_are_refused_when_it_is_made():
     with pytest.raises(TypeError, match="autoreset_mode cannot be chosen"):
         SB3VecEnv(2, autoreset_mode="NextStep")
-    with pytest.raises(TypeError, match="unknown arguments"):
+    with pytest.raises(TypeError, match="unexpected keyword argument"):
         make_sb3_vec_env(2, durations=3.0)
     with pytest.raises(ValueError, match="number of lanes"):
         SB3VecEnv(0)

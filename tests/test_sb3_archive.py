@@ -229,13 +229,21 @@ def test_damaged_archive_is_named(
         (TOML.replace("PPO", "SAC"), "model.zip is no archive of SAC that can be loaded"),
         (TOML.replace('algorithm = "PPO"\n', ""), "missing: ['algorithm']"),
         (TOML + "training_seed = -1\n", "training_seed"),
-        (TOML.replace("k+tau", "k"), "shape (lanes, 20), got (3, 18): was it trained with another action_mode"),
     ],
 )
 def test_wrong_entry_file_says_what_is_allowed(
     toml: str, text: str, archive: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert text in refusal(capsys, folder(tmp_path / "entry", archive, toml))
+
+
+def test_archive_that_was_trained_with_another_action_mode_fails_and_says_so(
+    archive: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    entry = folder(tmp_path / "entry", archive, TOML.replace("k+tau", "k"))
+    assert main(["evaluate", "--entries", str(entry), "--trust-pickle", *SHORT]) == 1
+    text = "shape (lanes, 20), got (3, 18): was it trained with another action_mode"
+    assert any(text in line for line in capsys.readouterr().err.splitlines())
 
 
 def test_algorithm_is_unknown_beside_an_onnx_file(tmp_path: Path) -> None:

@@ -31,9 +31,13 @@ def _columns(infos: Info) -> Info:
     return {key: value for key, value in infos.items() if not key.startswith(("_", "final_"))}
 
 
+def _values(column: npt.NDArray[Any]) -> list[Any]:
+    """Return one value per lane, of the types that the single environment gives: numpy's floats, else Python's own."""
+    return list(column) if column.dtype.kind == "f" else column.tolist()
+
+
 def _lane_info(columns: Info, lane: int) -> Info:
-    """Return one lane's info as plain numbers and text, as the single environment gives it."""
-    return {key: values.item(lane) for key, values in columns.items()}
+    return {key: _values(column[lane : lane + 1])[0] for key, column in columns.items()}
 
 
 class SB3VecEnv(VecEnv):
@@ -150,7 +154,7 @@ class SB3VecEnv(VecEnv):
         dones = terminated | truncated
         infos: list[Info] = [{"TimeLimit.truncated": False} for _ in range(self.num_envs)]
         for key in self.info_keys:
-            for info, value in zip(infos, batch[key].tolist(), strict=True):
+            for info, value in zip(infos, _values(batch[key]), strict=True):
                 info[key] = value
         if dones.any():
             self._end_episodes(infos, batch, dones, truncated & ~terminated)
