@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import dataclasses
 import os
 import traceback
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -39,8 +41,6 @@ Progress = Callable[[str, int, int], None]
 _Part = tuple[Entry, list[int]]
 #: Settings that an entry or an argument of its own decides.
 _TAKEN = ("strategy", "action_mode", "observation_mode", "suite", "split", "scenario", "duration_s")
-#: To start a process for fewer lanes takes longer than to play them.
-_LANES_PER_PROCESS = 64
 #: More scenarios than this must be asked for by their seeds.
 _LARGEST_SPLIT = 100_000
 
@@ -76,7 +76,8 @@ def evaluate(
         draw: the seeds of the split "verification".
         duration_s: length of the episodes [s]; None for the suite's own.
         batch: scenarios that run side by side.
-        n_threads: threads to step with; None for one per processor. Workers have one each.
+        n_threads: threads to step with, and ONNX policies that play side by side; None for one per processor. Workers
+            have one each.
         on_progress: called with (name of the entry, episodes done, episodes in all) after every batch.
         partial: folder for finished batches: a run that was killed goes on from them; in the end they are removed, the
             folder stays.
@@ -256,12 +257,33 @@ def _played(
         yield from workers.play(_play, settings, parts)
         return
     failures: dict[str, PolicyError] = {}
-    for index, (entry, seeds) in enumerate(parts):
+    playing: list[OnnxPolicy] = []
+
+    def played(index: int, n_threads: int | None) -> tuple[int, Played]:
+        entry, seeds = parts[index]
+        if isinstance(entry.policy, OnnxPolicy):
+            # A process of its own for every part, also of one entry.
+            entry = dataclasses.replace(entry, policy=copy.copy(entry.policy))
+            playing.append(entry.policy)
         rows = failures.get(entry.name) or _play(entry, settings, seeds, n_threads)
         if isinstance(rows, PolicyError):
             # The row is left out whatever its other training seeds do, so nobody waits for them.
             failures[entry.name] = rows
-        yield index, rows
+        return index, rows
+
+    # Laws share all threads by themselves, and a policy in Python is called by one thread only.
+    apart = [index for index, (entry, _) in enumerate(parts) if isinstance(entry.policy, OnnxPolicy)]
+    for index in sorted(set(range(len(parts))) - set(apart)):
+        yield played(index, n_threads)
+    pool = ThreadPoolExecutor(n_threads or os.cpu_count())
+    try:
+        for future in [pool.submit(played, index, 1) for index in apart]:
+            yield future.result()
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for policy in playing:
+            policy.close()
+        pool.shutdown()
 
 
 def _play(entry: Entry, settings: EnvSettings, seeds: Sequence[int], n_threads: int | None) -> Played:
@@ -305,8 +327,6 @@ def play(entry: Entry, lanes: TaskLanes) -> Iterator[npt.NDArray[np.bool_]]:
     playing: contextlib.AbstractContextManager[Any] = contextlib.nullcontext()
     if isinstance(entry.policy, OnnxPolicy):
         playing = entry.policy
-        n_processes = lanes.simulator.n_threads or os.cpu_count() or 1
-        entry.policy.n_processes = min(n_processes, 1 + lanes.n_lanes // _LANES_PER_PROCESS)
     with playing:
         while running.any():
             lanes.step(actions.next(running))

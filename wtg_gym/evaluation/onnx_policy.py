@@ -9,7 +9,6 @@ can take an action from what it sees of another scenario, whatever its operators
 from __future__ import annotations
 
 import importlib.util
-import itertools
 import weakref
 from pathlib import Path
 from typing import Any
@@ -52,8 +51,7 @@ class OnnxPolicy:
         self._content, self._isolated = state
         #: sha256 of the file.
         self.sha256 = sha256(self._content)
-        #: Processes that share the lanes; looked at where the first of them starts. No answer depends on it.
-        self.n_processes = 1
+        #: The process that plays it, while there is one.
         self._processes: list[PolicyProcess] = []
         weakref.finalize(self, _close_all, self._processes)
 
@@ -97,37 +95,32 @@ class OnnxPolicy:
         return action, tuple(following) if following else None
 
     def _answers(self, given: list[npt.NDArray[Any]], widths: list[int]) -> list[Floats]:
-        """Return arrays (n_lanes, width) for the arrays given; every process has a share of the lanes."""
-        processes = self._running()
-        answers = [np.empty((len(given[0]), width), dtype=np.float32) for width in widths]
-        edges = np.linspace(0, len(given[0]), 1 + len(processes)).astype(int)
-        shares = [slice(first, last) for first, last in itertools.pairwise(edges) if first < last]
-        for process, share in zip(processes, shares, strict=False):
-            size, starts = LENGTH.pack(share.stop - share.start), bool(given[0][share].any())
-            process.send(b"".join((size, *(values[share].tobytes() for values in given))), starts=starts)
-        for process, share in zip(processes, shares, strict=False):
-            parts = [values[share] for values in answers]
-            for part, data in zip(parts, process.receive([part.nbytes for part in parts]), strict=True):
-                part[:] = np.frombuffer(data, dtype=np.float32).reshape(part.shape)
-        return answers
+        """Return arrays (n_lanes, width) for the arrays given, the starts first."""
+        process, n_lanes = self._running(), len(given[0])
+        request = b"".join((LENGTH.pack(n_lanes), *(values.tobytes() for values in given)))
+        answers = process.ask(request, [4 * n_lanes * width for width in widths], starts=bool(given[0].any()))
+        return [
+            np.frombuffer(data, dtype=np.float32).reshape(n_lanes, width).copy()
+            for data, width in zip(answers, widths, strict=True)
+        ]
 
-    def _running(self) -> list[PolicyProcess]:
-        while len(self._processes) < self.n_processes:
+    def _running(self) -> PolicyProcess:
+        if not self._processes:
             self._processes.append(PolicyProcess(self._content, isolated=self._isolated))
-        return self._processes
+        return self._processes[0]
 
     @property
     def widths(self) -> tuple[int, ...]:
         """Widths of the observations, the actions, and each state; errors as those of :meth:`predict`."""
-        return tuple(self._running()[0].widths)
+        return tuple(self._running().widths)
 
     @property
     def not_isolated(self) -> tuple[str, ...]:
         """What this system cannot take away from the process; empty where it can. Errors as of :meth:`predict`."""
-        return tuple(self._running()[0].missing)
+        return tuple(self._running().missing)
 
     def close(self) -> None:
-        """End the processes; the next observation starts others."""
+        """End the process; the next observation starts another one."""
         _close_all(self._processes)
 
     def __enter__(self) -> OnnxPolicy:

@@ -102,23 +102,16 @@ class PolicyProcess:
             )
         self.widths = widths
 
-    def send(self, request: bytes, *, starts: bool) -> None:
-        """Send observations and states; :meth:`receive` must follow.
+    def ask(self, request: bytes, sizes: list[int], *, starts: bool) -> list[bytes]:
+        """Send observations and states; return as many bytes of actions and next states as `sizes` say.
 
         Sessions are opened first in the first step, and where episodes start.
 
         Raises:
-            PolicyError: the process has ended or takes too long.
+            PolicyError: the process ended, took too long, or the policy cannot answer.
         """
         self._begin(LOAD_S if starts or not self._has_answered else STEP_S)
         self._write(request)
-
-    def receive(self, sizes: list[int]) -> list[bytes]:
-        """Return as many bytes of actions and next states as `sizes` say.
-
-        Raises:
-            PolicyError: the process ended, took too long, or the policy cannot answer.
-        """
         if self._read(1) != ACTIONS:
             raise PolicyError(f"the policy cannot answer: {_plain(self._message().get('error'))}")
         data = [self._read(size) for size in sizes]
