@@ -263,8 +263,9 @@ def _played(
         entry, seeds = parts[index]
         if isinstance(entry.policy, OnnxPolicy):
             # A process of its own for every part, also of one entry.
-            entry = dataclasses.replace(entry, policy=copy.copy(entry.policy))
-            playing.append(entry.policy)
+            policy = copy.copy(entry.policy)
+            entry = dataclasses.replace(entry, policy=policy)
+            playing.append(policy)
         rows = failures.get(entry.name) or _play(entry, settings, seeds, n_threads)
         if isinstance(rows, PolicyError):
             # The row is left out whatever its other training seeds do, so nobody waits for them.
