@@ -26,7 +26,7 @@ from wtg_gym.physics.scenario import require_range
 #: Largest tracking coefficient a law may ask for [p.u.]: three times K_opt.
 LARGEST_COEFFICIENT = 3.0
 #: Damping time constants of a law besides 0 and ∞ [s]; a slower filter is plain droop for as long as an episode takes.
-TIME_CONSTANT_RANGE = (0.05, 3600.0)
+TIME_CONSTANT_RANGE = (0.05, 1e5)
 
 
 @compiled
@@ -58,7 +58,7 @@ class TrackingLaw:
         k_min: tracking coefficient at ω_min and below [p.u.].
         k_nominal: at ω_st [p.u.].
         k_max: at ω_max and above [p.u.].
-        damping_time_constant_s: τ [s], 0.05 … 3600; 0 cancels the droop, infinity keeps it.
+        damping_time_constant_s: τ [s], 0.05 … 100000; 0 cancels the droop, infinity keeps it.
 
     Raises:
         ValueError: a coefficient or τ is outside its range.
