@@ -6,8 +6,9 @@ A checkout has them in its folders `baselines` and `agents/policies`. An install
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
+
+from wtg_gym.files import read_toml
 
 #: Name of the package with the baselines.
 BASELINES = "baselines"
@@ -57,8 +58,8 @@ def example_law() -> str:
 def _entry_name(folder: Path) -> str | None:
     """Return the name in a folder's entry.toml; None if there is none, which loading the folder explains."""
     try:
-        name = tomllib.loads((folder / "entry.toml").read_text(encoding="utf-8")).get("name")
-    except (OSError, ValueError):
+        name = read_toml(folder / "entry.toml", "entry file").get("name")
+    except ValueError:
         return None
     return name if isinstance(name, str) else None
 
