@@ -17,6 +17,7 @@ from wtg_gym.physics.layout import (
     Floats,
     LaneData,
     LaneRow,
+    Lanes,
     Plant,
     SyncRow,
     WtgRow,
@@ -110,19 +111,19 @@ def _bisect_pitch(low: float, high: float, rotor: float, wind: float, target: fl
 
 @compiled
 def start_lanes(
-    rows: Floats, plant: Plant, data: LaneData, load_levels: Floats, failures: npt.NDArray[np.int64]
+    rows: Floats, plant: Plant, data: LaneData, load_levels: Floats, failures: npt.NDArray[np.int64], lanes: Lanes
 ) -> None:
     """Call :func:`start_lane` for every lane of rows (n, n_rows), and write what it returns into failures (n,)."""
     for lane in range(rows.shape[0]):
-        failures[lane] = start_lane(rows[lane], lane, plant, data, load_levels[lane])
+        failures[lane] = start_lane(rows[lane], lane, plant, data, load_levels[lane], lanes)
 
 
 @compiled
-def start_lane(block: Floats, lane: int, plant: Plant, data: LaneData, load_level: float) -> int:
+def start_lane(block: Floats, lane: int, plant: Plant, data: LaneData, load_level: float, lanes: Lanes) -> int:
     """Put a one-lane block into the equilibrium of its wind, law and load, at nominal frequency.
 
     The law's rows (K_MIN … DROOP_CANCELLED) and the machines' INV_TWO_H and INV_DROOP must be set; `data.events` holds
-    load events as P, Q [p.u.] and is turned into admittances here; `data.load_y` is filled.
+    load events as P, Q [p.u.] and is turned into admittances here; `data.load_y` is filled. `lanes` has length one.
 
     Returns:
         a :class:`StartFailure`.
@@ -159,7 +160,7 @@ def start_lane(block: Floats, lane: int, plant: Plant, data: LaneData, load_leve
         voltage[k] = magnitude[k] * complex(math.cos(angle[k]), math.sin(angle[k]))
     _start_loads(lane, plant, data, load_level, magnitude)
     failure = _start_units(block, plant, load_level, y, voltage)
-    _start_rows(block, lane, plant, data, magnitude)
+    _start_rows(block, lane, plant, data, magnitude, lanes)
     return failure
 
 
@@ -299,7 +300,7 @@ def _start_machine(block: Floats, i: int, plant: Plant, power: complex, voltage:
 
 
 @compiled
-def _start_rows(block: Floats, lane: int, plant: Plant, data: LaneData, magnitude: Floats) -> None:
+def _start_rows(block: Floats, lane: int, plant: Plant, data: LaneData, magnitude: Floats, lanes: Lanes) -> None:
     """Set clock, network and statistics of a lane, and evaluate its first rates and powers."""
     n_sync = len(plant.syncs)
     own = lane_row(plant)
@@ -309,11 +310,10 @@ def _start_rows(block: Floats, lane: int, plant: Plant, data: LaneData, magnitud
     block[own + LaneRow.NOISE_PER_MW] = 1.0 / (plant.base_mva * noise_voltage * noise_voltage)
     # An event at t = 0 strikes in the first step, not before the equilibrium.
     block[own + LaneRow.STEP] = -1.0
-    refresh_network(block, 0, lane, plant, data, 1)
+    refresh_network(block, 0, lane, plant, data, len(lanes))
     block[own + LaneRow.STEP] = 0.0
-    one_lane = (0,)
-    combine_load_noise(block, plant, np.zeros(1), one_lane)
-    evaluate_rates(block.reshape((1, block.shape[0])), plant, one_lane)
+    combine_load_noise(block, plant, np.zeros(1), lanes)
+    evaluate_rates(block.reshape((1, block.shape[0])), plant, lanes)
     block[own + LaneRow.COI_MIN] = math.inf
     block[own + LaneRow.COI_MAX] = -math.inf
     for j in range(len(plant.wtgs)):
@@ -321,7 +321,7 @@ def _start_rows(block: Floats, lane: int, plant: Plant, data: LaneData, magnitud
         block[o + WtgRow.PEAK_POWER] = -math.inf
         block[o + WtgRow.LEAST_TSR] = math.inf
         block[o + WtgRow.LARGEST_TSR] = -math.inf
-    track_extremes(block, plant, one_lane)
+    track_extremes(block, plant, lanes)
     block[own + LaneRow.STEP] = 0.0
     block[own + LaneRow.HEALTHY_STEP] = 0.0
     for j in range(len(plant.wtgs)):

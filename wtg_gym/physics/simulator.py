@@ -256,7 +256,9 @@ class Simulator:
             own[:, WtgRow.K_MIN], own[:, WtgRow.K_NOMINAL], own[:, WtgRow.K_MAX] = law.k_min, law.k_nominal, law.k_max
             own[:, WtgRow.INV_TAU], own[:, WtgRow.DROOP_CANCELLED] = law.inverse_time_constant, law.droop_cancelled
         failures = np.zeros(n, dtype=np.int64)
-        start_lanes(rows, self.plant, data, np.array([scenario.load_level for scenario in scenarios]), failures)
+        levels = np.array([scenario.load_level for scenario in scenarios])
+        # A literal (0,) within compiled code would be a type of its own, and compile the right-hand side again.
+        start_lanes(rows, self.plant, data, levels, failures, (0,))
         for scenario, failure in zip(scenarios, failures.tolist(), strict=True):
             if failure:
                 raise ValueError(f"scenario {scenario.name!r} cannot start: {_FAILURE_TEXT[StartFailure(failure)]}")
