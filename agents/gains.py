@@ -9,7 +9,6 @@ import numpy.typing as npt
 
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.evaluation.statistics import COST_OFFSET
-from wtg_gym.physics.layout import LaneRow
 
 Floats = npt.NDArray[np.float64]
 
@@ -57,7 +56,7 @@ class Gains:
     def reference_costs(self) -> Floats:
         """Return what the reference pays in the step that each lane takes next, (n_lanes,)."""
         simulator = self._lanes.simulator
-        steps = np.rint(simulator.lane_values(LaneRow.STEP) / simulator.plant.n_substeps).astype(np.int64)
+        steps = np.rint(simulator.lane_values("step") / simulator.plant.n_substeps).astype(np.int64)
         # An episode that is over takes no more.
         costs: Floats = self._costs[np.arange(self._lanes.n_lanes), np.minimum(steps, self.n_steps - 1)]
         return costs

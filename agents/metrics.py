@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.envs.task import COST_TERMS, TaskRow
+from wtg_gym.envs.task import COST_TERMS
 
 _COSTS = tuple(f"cost_{term}" for term in COST_TERMS)
 
@@ -41,7 +41,7 @@ class EpisodeMetrics:
         np.minimum(self._nadir_hz, now["frequency_hz"], out=self._nadir_hz)
         np.maximum(self._rocof_hz_s, np.abs(now["rocof_hz_s"]), out=self._rocof_hz_s)
         self._costs += np.stack([now[key] for key in _COSTS], axis=1)
-        self._duty_error_s = lanes.task_values(TaskRow.DUTY_ERROR)
+        self._duty_error_s = lanes.task_values("duty_error")
         return ended
 
     def _finish(self, lane: int, info: dict[str, Any]) -> dict[str, float]:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.envs.task import COST_TERMS, N_LOCAL, TaskRow
+from wtg_gym.envs.task import COST_TERMS, N_LOCAL
 from wtg_gym.evaluation.statistics import pinned_cost
 
 Floats = npt.NDArray[np.float64]
@@ -63,7 +63,7 @@ class Rollouts:
             own = lanes.observations.reshape(*shape, self.n_wtg, -1).astype(np.float64)
             actions = np.clip(candidates(step, own), -1.0, 1.0)
             lanes.step(np.ascontiguousarray(actions.reshape(lanes.n_lanes, -1)))
-        sums = np.stack([lanes.task_values(TaskRow.SUM + i) for i in range(len(COST_TERMS))], axis=-1)
+        sums = lanes.cost_sums()
         return sums.reshape(*shape, -1)
 
     def reference(self) -> Floats:

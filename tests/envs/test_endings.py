@@ -9,8 +9,7 @@ from tests.envs.rollouts import calm, episode, eventful, rising, sagging
 from wtg_gym.envs import CostWeights, GFMWTGEnv
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.envs.task import TaskRow
-from wtg_gym.physics.layout import LaneRow, Status, WtgRow
+from wtg_gym.physics.layout import LaneRow, Status
 from wtg_gym.physics.parameters import ProtectionParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import LineTrip, LoadStep, Scenario
@@ -86,7 +85,7 @@ def test_stall_in_the_very_last_step_still_costs():
 def test_trip_disconnects_the_group_and_goes_on():
     rewards, (_, terminated, truncated, info), env = play(sagging(), strategy="mppt", on_failure="trip")
     assert truncated and not terminated and rewards.size == 600 and info["termination_reason"] == ""
-    assert env.lanes.simulator.wtg_values(WtgRow.CONNECTED).tolist() == [[0.0, 0.0]]
+    assert env.lanes.simulator.wtg_values("connected").tolist() == [[0.0, 0.0]]
     assert np.isfinite(rewards).all() and np.isfinite(env.lanes.observations).all()
     assert rewards[-1] < -0.1 * CostWeights().duty, "a group that captures nothing is charged for it"
 
@@ -95,8 +94,8 @@ def test_one_tripped_group_leaves_the_other_running():
     wind = np.array([[8.0], [12.0]])
     scenario = Scenario(name="half", wind_speed=wind, duration_s=60.0, events=sagging().events)
     _, (*_, truncated, _), env = play(scenario, strategy=["mppt", "coordinated-piecewise"], on_failure="trip")
-    assert truncated and env.lanes.simulator.wtg_values(WtgRow.CONNECTED).tolist() == [[0.0, 1.0]]
-    assert env.lanes.simulator.wtg_values(WtgRow.POWER)[0].tolist()[0] == pytest.approx(0.0, abs=1e-12)
+    assert truncated and env.lanes.simulator.wtg_values("connected").tolist() == [[0.0, 1.0]]
+    assert env.lanes.simulator.wtg_values("power")[0].tolist()[0] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_rising_wind_ends_in_an_over_speed():
@@ -135,7 +134,7 @@ def test_units_are_torn_apart_when_their_angles_differ_by_half_a_turn():
 
 def test_low_voltage_may_last_three_seconds():
     _, (*_, info), env = play(SAGGED)
-    assert env.lanes.simulator.lane_values(LaneRow.LEAST_VOLTAGE)[0] < 0.85**2
+    assert env.lanes.simulator.lane_values("least_voltage")[0] < 0.85**2
     assert info["time_s"] == pytest.approx(1.0 + 3.0 + 0.1)
     longer = PlantSettings(protection=ProtectionParameters(low_voltage_time_s=10.0))
     assert simulate(SAGGED, "coordinated-piecewise", longer).time_s[-1] == pytest.approx(1.0 + 10.0 + 0.1)
@@ -180,8 +179,8 @@ def test_no_run_costs_more_than_one_that_fails_at_once_even_if_it_ends_within_a_
     for scenario in (GONE, TORN):
         rewards, (_, terminated, *_), env = play(scenario, 1.0, control_dt=control_dt, weights={"cap": 1e-3})
         assert terminated and -rewards.sum() <= 1e-3 * (20.0 + 1.0) * (1.0 + 1e-9)
-        error = env.lanes.task_values(TaskRow.DUTY_ERROR)[0]
-        assert 0.0 < error < env.lanes.simulator.lane_values(LaneRow.STEP)[0] * 0.025
+        error = env.lanes.task_values("duty_error")[0]
+        assert 0.0 < error < env.lanes.simulator.lane_values("step")[0] * 0.025
 
 
 def test_group_that_trips_within_a_long_step_is_off_from_then_on():

@@ -7,11 +7,9 @@ import pytest
 
 from tests.envs.rollouts import ACTION_MODES, eventful
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
-from wtg_gym.physics.layout import WtgRow
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.physics.trajectory import simulate
-from wtg_gym.physics.wind_turbine import WtgState
 from wtg_gym.scenarios import get_suite
 
 EVENTFUL = get_suite("standard").scenario(20_003)
@@ -27,8 +25,8 @@ def follow(scenario: Scenario, **settings) -> tuple[np.ndarray, np.ndarray, np.n
     over, zero = False, 0.0
     while True:
         frequency.append(info["frequency_hz"])
-        speed.append(simulator.wtg_values(WtgState.ROTOR_SPEED)[0])
-        coefficient.append(simulator.wtg_values(WtgRow.COEFFICIENT)[0])
+        speed.append(simulator.wtg_values("rotor_speed")[0])
+        coefficient.append(simulator.wtg_values("coefficient")[0])
         if over:
             return np.array(frequency), np.array(speed), np.array(coefficient)
         zero = -zero
@@ -88,7 +86,7 @@ def test_every_single_action_changes_the_run(at: int):
     env.reset(seed=0), twin.reset(seed=0)
     for _ in range(30):
         env.step(action), twin.step(np.zeros(4))
-    speed, other = (e.lanes.simulator.wtg_values(WtgState.ROTOR_SPEED)[0] for e in (env, twin))
+    speed, other = (e.lanes.simulator.wtg_values("rotor_speed")[0] for e in (env, twin))
     change = np.abs(speed - other)
     assert change[at // 2] > 1e-7 and change[at // 2] > change[1 - at // 2]
 
@@ -98,8 +96,8 @@ def test_action_on_k_moves_power_up_and_on_tau_only_the_transient():
     for mode, value in (("k", 1.0), ("k", -1.0), ("tau", 1.0), ("tau", -1.0)):
         env = GFMWTGEnv(scenario=eventful(events=(), load_noise_mw=np.zeros(0)).to_dict(), action_mode=mode)
         env.reset(seed=0)
-        before = env.lanes.simulator.wtg_values(WtgRow.POWER)[0]
+        before = env.lanes.simulator.wtg_values("power")[0]
         env.step(np.full(2, value))
-        start[mode, value] = env.lanes.simulator.wtg_values(WtgRow.POWER)[0] - before
+        start[mode, value] = env.lanes.simulator.wtg_values("power")[0] - before
     assert (start["k", 1.0] > 1e-4).all() and (start["k", -1.0] < -1e-4).all()
     assert np.abs(start["tau", 1.0]).max() < 1e-9 and np.abs(start["tau", -1.0]).max() < 1e-9

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from wtg_gym.envs.gfm_wtg import GFMWTGVectorEnv
-from wtg_gym.physics.layout import LaneRow
 
 N = 1024
 
@@ -44,7 +43,7 @@ def test_a_preparation_that_fails_leaves_no_lane_behind(monkeypatch: pytest.Monk
     simulator, actions = env.lanes.simulator, np.zeros((N, 4), dtype=np.float32)
     # Nothing is ready: what the waiting lane needs is drawn in the next step.
     env._next._ready.clear()
-    before = simulator.lane_values(LaneRow.STEP)
+    before = simulator.lane_values("step")
 
     def refuse(scenarios: object) -> None:
         raise ValueError("scenario 'x' cannot start")
@@ -53,10 +52,10 @@ def test_a_preparation_that_fails_leaves_no_lane_behind(monkeypatch: pytest.Monk
         patch.setattr(env.lanes, "prepare", refuse)
         with pytest.raises(ValueError, match="cannot start"):
             env.step(actions)
-    assert (simulator.lane_values(LaneRow.STEP)[1:] == before[1:] + simulator.plant.n_substeps).all()
+    assert (simulator.lane_values("step")[1:] == before[1:] + simulator.plant.n_substeps).all()
     # The lane that could not start has moved on to the scenario after it.
     env.step(actions)
-    assert simulator.lane_values(LaneRow.STEP)[0] == 0.0
+    assert simulator.lane_values("step")[0] == 0.0
     env.close()
 
 

@@ -9,13 +9,11 @@ import pytest
 
 from tests.physics.cases import classical_machine
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.layout import WtgRow
 from wtg_gym.physics.parameters import WtgGroup, default_groups
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw
-from wtg_gym.physics.wind_turbine import WtgState
 from wtg_gym.scenarios import SUITES
 
 LIMIT = 1e-8
@@ -48,15 +46,15 @@ def test_above_rated_the_pitch_holds_the_captured_power_at_its_limit(simulator: 
     law = STRATEGIES["coordinated-piecewise"]
     simulator.start(0, Scenario(name="x", wind_speed=np.full((2, 1), wind)), (law, law))
     assert rates_without_energies(simulator) <= LIMIT
-    assert simulator.wtg_values(WtgRow.CAPTURED)[0] == pytest.approx([1.05, 1.05], abs=1e-9)
-    assert (simulator.wtg_values(WtgState.PITCH)[0] > 0.0).all()
+    assert simulator.wtg_values("captured")[0] == pytest.approx([1.05, 1.05], abs=1e-9)
+    assert (simulator.wtg_values("pitch")[0] > 0.0).all()
 
 
 @pytest.mark.parametrize("wind", [3.0, 8.0, 11.4])
 def test_below_rated_the_pitch_is_exactly_at_rest(simulator: Simulator, wind: float) -> None:
     law = STRATEGIES["coordinated-piecewise"]
     simulator.start(0, Scenario(name="x", wind_speed=np.full((2, 1), wind)), (law, law))
-    assert (simulator.wtg_values(WtgState.PITCH)[0] == 0.0).all()
+    assert (simulator.wtg_values("pitch")[0] == 0.0).all()
 
 
 @pytest.mark.parametrize("model", ["genrou", "classical"])

@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wtg_gym.physics.layout import LaneRow, Status, WtgRow
+from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import TurbineParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.physics.trajectory import simulate
-from wtg_gym.physics.wind_turbine import WtgState
 from wtg_gym.scenarios import get_suite
 from wtg_gym.validation.omissions import VOLTAGE_LIMIT_PU, count_suite, rotor_energy, run_rotors, voltage_limits
 
@@ -28,15 +27,15 @@ def test_run_with_the_papers_rotor_is_the_simulators(suite: str, seed: int, stra
     run = run_rotors([scenario], law, energy=False)[0]
     simulator = Simulator(PlantSettings(control_dt=0.025), duration_s=scenario.duration_s)
     simulator.start(0, scenario, (law, law))
-    least = simulator.wtg_values(WtgState.ROTOR_SPEED)[0]
+    least = simulator.wtg_values("rotor_speed")[0]
     for _ in range(simulator.n_intervals):
         simulator.advance()
-        least = np.minimum(least, simulator.wtg_values(WtgState.ROTOR_SPEED)[0])
-    assert run.status == simulator.lane_values(LaneRow.STATUS)[0]
-    assert run.end_s == pytest.approx(0.025 * simulator.lane_values(LaneRow.STEP)[0])
-    assert run.nadir_hz == pytest.approx(50.0 * simulator.lane_values(LaneRow.COI_MIN)[0], abs=1e-9)
-    assert run.rotor_pu[1] == pytest.approx(simulator.wtg_values(WtgState.ROTOR_SPEED)[0], abs=1e-9)
-    assert run.peak_power_pu == pytest.approx(simulator.wtg_values(WtgRow.PEAK_POWER)[0], abs=1e-9)
+        least = np.minimum(least, simulator.wtg_values("rotor_speed")[0])
+    assert run.status == simulator.lane_values("status")[0]
+    assert run.end_s == pytest.approx(0.025 * simulator.lane_values("step")[0])
+    assert run.nadir_hz == pytest.approx(50.0 * simulator.lane_values("coi_min")[0], abs=1e-9)
+    assert run.rotor_pu[1] == pytest.approx(simulator.wtg_values("rotor_speed")[0], abs=1e-9)
+    assert run.peak_power_pu == pytest.approx(simulator.wtg_values("peak_power")[0], abs=1e-9)
     assert run.least_rotor_pu == pytest.approx(least, abs=1e-9)
 
 

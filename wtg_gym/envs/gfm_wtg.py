@@ -18,7 +18,7 @@ from wtg_gym.envs.lanes import NextEpisodes, TaskLanes, as_actions
 from wtg_gym.envs.one_thread import Use, in_use, one_thread
 from wtg_gym.envs.rendering import Frame, LaneFrames
 from wtg_gym.envs.settings import EnvArguments, EnvSettings
-from wtg_gym.envs.task import OBSERVATION_BOUND, TaskRow
+from wtg_gym.envs.task import OBSERVATION_BOUND
 from wtg_gym.physics.scenario import Scenario
 
 Observation = npt.NDArray[np.float32]
@@ -474,7 +474,7 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         return self._lanes.observations.copy(), rewards, terminated, truncated, infos
 
     def _started(self) -> bool:
-        return bool((self._lanes.task_values(TaskRow.END_STEP) > 0.0).all())
+        return bool((self._lanes.task_values("end_step") > 0.0).all())
 
     def _infos(self, mask: npt.NDArray[np.bool_]) -> dict[str, Any]:
         """Every key of `info` as an array, and as `_key` the lanes that it holds for: one array for all keys."""

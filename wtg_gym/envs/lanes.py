@@ -4,31 +4,29 @@ from __future__ import annotations
 
 import numbers
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs.bound import BoundStep, can_bind
+from wtg_gym.envs.bound import Bound, can_bind, step_bound
 from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
 from wtg_gym.envs.task import (
-    COST_TERMS,
     N_INFO,
     TIME_CONSTANT_RATIO,
     Outputs,
-    Task,
-    TaskRow,
     build_task,
     first_invalid_action,
     n_extra_rows,
     observation_names,
-    start_task,
+    start_tasks,
     step_blocks,
 )
-from wtg_gym.physics.compiled import compiled
-from wtg_gym.physics.layout import LaneData, LaneRow, Lanes, Plant, Status
+from wtg_gym.envs.task_records import CostTerms, Info, TaskRows
+from wtg_gym.physics.layout import LaneData, Status
 from wtg_gym.physics.linearisation import STEP_MARGIN, largest_stable_steps
 from wtg_gym.physics.plant import whole_steps
+from wtg_gym.physics.records import leaves
 from wtg_gym.physics.scenario import Event, Scenario
 from wtg_gym.physics.simulator import PreparedLanes, Simulator
 from wtg_gym.scenarios import get_suite
@@ -48,17 +46,9 @@ TERMINATION_REASONS = {
 }
 #: Keys of `info`, with their units, besides `termination_reason`.
 INFO_UNITS = {
-    "time_s": "s",
-    "frequency_hz": "Hz",
-    "rocof_hz_s": "Hz/s",
-    "cost": "-",
-    **{f"cost_{name}": "-" for name in COST_TERMS},
+    **{name: hint.__metadata__[0] for name, hint in get_type_hints(Info, include_extras=True).items()},
     "scenario_seed": "-",
 }
-
-
-#: Those of them that the kernels write, in the order of their columns.
-_INFO_KEYS = tuple(key for key in INFO_UNITS if key != "scenario_seed")
 #: Lanes whose episodes are drawn and prepared together: their series fit a processor's cache.
 _LANES_AT_ONCE = 8
 #: An episode takes as long to prepare (120 µs) as this many blocks to step (20 µs each).
@@ -85,21 +75,6 @@ def as_actions(given: Any, shape: tuple[int, ...]) -> Floats:
     if array.shape != shape:
         raise ValueError(f"{allowed}, got shape {array.shape}")
     return np.ascontiguousarray(array, dtype=np.float64)
-
-
-@compiled
-def _start_tasks(
-    blocks: Floats,
-    starting: npt.NDArray[np.int64],
-    plant: Plant,
-    task: Task,
-    end_steps: Floats,
-    outputs: Outputs,
-    lanes: Lanes,
-) -> None:
-    """Call :func:`start_task` for every lane of starting (n,), with the last step of each in end_steps (n,)."""
-    for i in range(starting.shape[0]):
-        start_task(blocks, starting[i], plant, task, end_steps[i], outputs, lanes)
 
 
 class PreparedEpisodes(NamedTuple):
@@ -138,19 +113,23 @@ class TaskLanes:
         self.n_wtg = len(plant.groups)
         self.n_turbines = [group.n_turbines for group in plant.groups]
         self.duration_s = settings.episode_duration_s()
+        self.observation_names = observation_names(
+            self.n_wtg,
+            len(plant.case.machines),
+            settings.action_mode,
+            privileged=settings.observation_mode == "privileged",
+        )
+        self.n_observation = len(self.observation_names)
         self.simulator = Simulator(
             plant,
             n_lanes=n_lanes,
             duration_s=self.duration_s,
-            n_extra=n_extra_rows(self.n_wtg, settings.control_dt),
+            n_extra=n_extra_rows(self.n_wtg, settings.control_dt, self.n_observation),
             n_threads=n_threads,
         )
-        self.task = build_task(settings, plant.case.frequency_hz, self.simulator.layout.extra)
+        self.nominal_hz = plant.case.frequency_hz
+        self.task = build_task(settings, self.nominal_hz)
         self._check_time_constants()
-        self.observation_names = observation_names(
-            self.n_wtg, self.simulator.layout.n_sync, settings.action_mode, privileged=self.task.privileged
-        )
-        self.n_observation = len(self.observation_names)
         self.n_action = self.n_wtg * sum(ACTION_MODES[settings.action_mode])
         self.outputs = Outputs(
             observations=np.zeros((n_lanes, self.n_observation), dtype=np.float32),
@@ -162,7 +141,7 @@ class TaskLanes:
         self.scenario_seeds = np.full(n_lanes, -1, dtype=np.int64)
         #: What happens in each lane's episode, in its order.
         self.events: list[tuple[Event, ...]] = [()] * n_lanes
-        self._bound: BoundStep | None = None
+        self._bound: Any = None
         self._no_reasons = np.full(n_lanes, "", dtype=object)
         self._no_reasons.setflags(write=False)
         self._seeds = self.suite.seeds(settings.split)
@@ -175,7 +154,7 @@ class TaskLanes:
         """Refuse a law whose damping the actions can make faster than the integration step follows."""
         fastest = TIME_CONSTANT_RATIO * max(law.inverse_time_constant for law in self.laws)
         allowed = float(largest_stable_steps(-fastest)) / STEP_MARGIN
-        if self.task.modulates_tau and self.settings.simulation_dt > allowed:
+        if ACTION_MODES[self.settings.action_mode][1] and self.settings.simulation_dt > allowed:
             raise ValueError(
                 f"simulation_dt = {self.settings.simulation_dt:g} s is too long for the damping time constant of "
                 f"{TIME_CONSTANT_RATIO / fastest:g} s, which actions make {1.0 / fastest:g} s; "
@@ -235,7 +214,7 @@ class TaskLanes:
             first += index.size
             simulator.commit(index, episodes.lanes)
             end_steps = (episodes.n_intervals * simulator.plant.n_substeps).astype(np.float64)
-            _start_tasks(simulator.blocks, index, simulator.plant, self.task, end_steps, self.outputs, simulator.lanes)
+            start_tasks(simulator.blocks, index, simulator.plant, self.task, end_steps, self.outputs, simulator.lanes)
             self.scenario_seeds[index] = episodes.scenario_seeds
             for lane, events in zip(index.tolist(), episodes.events, strict=True):
                 self.events[lane] = events
@@ -263,10 +242,11 @@ class TaskLanes:
         """
         simulator = self.simulator
         if self._bound is None and self.n_lanes == 1 and can_bind():
-            self._bound = BoundStep(
-                simulator.blocks, simulator.plant, simulator.data, self.task, self.outputs, simulator.lanes
-            )
-        invalid = first_invalid_action(actions) if self._bound is None else self._bound(actions)
+            self._bound = Bound(simulator.blocks, simulator.plant, simulator.data, self.task, self.outputs)
+        if self._bound is None:
+            invalid = first_invalid_action(actions)
+        else:
+            invalid = step_bound(self._bound, actions, simulator.lanes)
         if invalid >= 0:
             raise ValueError(f"action {actions[invalid].tolist()} of lane {invalid} is not finite; allowed: -1 … 1")
         if self._bound is not None:
@@ -291,19 +271,23 @@ class TaskLanes:
 
     def statuses(self) -> npt.NDArray[np.int64]:
         """Return why each lane ended (:class:`Status`), RUNNING (0) where it did not or its time was over."""
-        return self.simulator.lane_values(LaneRow.STATUS).astype(np.int64)
+        return self.simulator.lane_values("status").astype(np.int64)
 
     def ended(self) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
         """Return (terminated, truncated) per lane: copies."""
         return self.outputs.terminated.copy(), self.outputs.truncated.copy()
 
-    def task_values(self, row: int) -> Floats:
-        """Return a :class:`TaskRow` of every lane (n_lanes,)."""
-        return self.simulator.values(self.simulator.layout.extra + row)
+    def task_values(self, name: str) -> Floats:
+        """Return a number of the task of every lane by its name in :class:`TaskRows`, (n_lanes,)."""
+        return self.simulator.values(self.simulator.layout.rows.extra + leaves(TaskRows).index(name))
+
+    def cost_sums(self) -> Floats:
+        """Return each lane's costs of the episode so far, (n_lanes, n_terms), in the order of `COST_TERMS`."""
+        return np.stack([self.task_values(f"sums.{term}") for term in CostTerms._fields], axis=1)
 
     def info_arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Return every key of `info` as an array over lanes: copies, but for the reasons while no lane has failed."""
-        arrays: dict[str, npt.NDArray[Any]] = dict(zip(_INFO_KEYS, self.outputs.infos.T.copy(), strict=True))
+        arrays: dict[str, npt.NDArray[Any]] = dict(zip(Info._fields, self.outputs.infos.T.copy(), strict=True))
         arrays["scenario_seed"] = self.scenario_seeds.copy()
         arrays["termination_reason"] = self._no_reasons
         if self.outputs.terminated.any():
@@ -314,7 +298,7 @@ class TaskLanes:
     def info(self) -> dict[str, Any]:
         """Return `info` of the first lane as numpy's floats, a whole number and text."""
         # numpy's floats are Python's too, and have the dtype that TorchRL asks for.
-        info: dict[str, Any] = dict(zip(_INFO_KEYS, self.outputs.infos[0].copy(), strict=True))
+        info: dict[str, Any] = dict(zip(Info._fields, self.outputs.infos[0].copy(), strict=True))
         info["scenario_seed"] = int(self.scenario_seeds[0])
         failed = self.outputs.terminated[0]
         info["termination_reason"] = TERMINATION_REASONS[Status(int(self.statuses()[0]))] if failed else ""
@@ -370,7 +354,7 @@ class NextEpisodes:
         n_more = min(-len(missing) % _LANES_AT_ONCE, self._lanes.n_lanes - len(missing))
         if not missing or n_more == 0:
             return missing
-        left = self._lanes.task_values(TaskRow.END_STEP) - self._lanes.simulator.lane_values(LaneRow.STEP)
+        left = self._lanes.task_values("end_step") - self._lanes.simulator.lane_values("step")
         left[[*missing, *self._ready, *self._refused]] = np.inf
         soonest = np.argpartition(left, n_more - 1)[:n_more]
         return [*missing, *(int(lane) for lane in soonest if np.isfinite(left[lane]))]

@@ -8,10 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.lanes import TERMINATION_REASONS, TaskLanes
-from wtg_gym.envs.task import COST_TERMS, TaskRow
-from wtg_gym.physics.layout import LaneRow, Status, WtgRow
+from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import TurbineParameters
-from wtg_gym.physics.wind_turbine import WtgState
 from wtg_gym.rendering import Episode, FramePainter, Window, n_traces
 
 #: A frame, (height, width, 3).
@@ -54,16 +52,16 @@ class LaneFrames:
     def sample(self) -> None:
         """Write down where every lane stands: after a reset and after every step."""
         lanes, simulator = self._lanes, self._lanes.simulator
-        rotor, wind = simulator.wtg_values(WtgState.ROTOR_SPEED), simulator.wtg_values(WtgRow.WIND)
-        rate = simulator.wtg_values(WtgRow.INV_TAU)
+        rotor, wind = simulator.wtg_values("rotor_speed"), simulator.wtg_values("wind")
+        rate = simulator.wtg_values("inv_tau")
         columns = [
-            simulator.lane_values(LaneRow.STEP)[:, None] * simulator.plant.simulation_dt,
-            lanes.task.nominal_hz * simulator.lane_values(LaneRow.COI)[:, None],
-            lanes.task_values(TaskRow.ROCOF)[:, None],
+            simulator.lane_values("step")[:, None] * simulator.plant.simulation_dt,
+            lanes.nominal_hz * simulator.lane_values("coi")[:, None],
+            lanes.task_values("rocof")[:, None],
             rotor,
             TurbineParameters().tip_speed_ratio_per_speed_m_s * _quotients(rotor, wind),
-            simulator.wtg_values(WtgRow.POWER),
-            simulator.wtg_values(WtgRow.COEFFICIENT),
+            simulator.wtg_values("power"),
+            simulator.wtg_values("coefficient"),
             _quotients(np.ones_like(rate), rate),
             wind,
         ]
@@ -71,7 +69,7 @@ class LaneFrames:
 
     def _places(self) -> npt.NDArray[np.int64]:
         """Return the control step at which each lane stands (n_lanes,); an end within one counts as its end."""
-        steps = self._lanes.simulator.lane_values(LaneRow.STEP) / self._lanes.simulator.plant.n_substeps
+        steps = self._lanes.simulator.lane_values("step") / self._lanes.simulator.plant.n_substeps
         return np.ceil(steps).astype(np.int64)
 
     def paint(self) -> tuple[Frame, ...]:
@@ -80,7 +78,7 @@ class LaneFrames:
         Raises:
             RuntimeError: an episode was never started.
         """
-        if not (self._lanes.task_values(TaskRow.END_STEP) > 0.0).all():
+        if not (self._lanes.task_values("end_step") > 0.0).all():
             raise RuntimeError("there is no episode to render; call reset() before render()")
         return tuple(self._painter.paint(self._episode(lane)) for lane in range(self._lanes.n_lanes))
 
@@ -106,19 +104,19 @@ class LaneFrames:
     def _episode(self, lane: int) -> Episode:
         lanes = self._lanes
         samples = self._samples[lane, : int(self._places()[lane]) + 1].astype(np.float64)
-        terms = [lanes.task_values(TaskRow.SUM + term)[lane] for term in range(len(COST_TERMS))]
+        terms = lanes.cost_sums()[lane].tolist()
         failed, over = bool(lanes.outputs.terminated[lane]), bool(lanes.outputs.truncated[lane])
         reason = TERMINATION_REASONS[Status(int(lanes.statuses()[lane]))]
         seed = int(lanes.scenario_seeds[lane])
         return Episode(
             heading="scenario of one's own" if seed < 0 else f"scenario {seed}",
-            duration_s=float(lanes.task_values(TaskRow.END_STEP)[lane]) * lanes.simulator.plant.simulation_dt,
+            duration_s=float(lanes.task_values("end_step")[lane]) * lanes.simulator.plant.simulation_dt,
             time_s=samples[:, 0],
             traces=samples[:, 1:],
             events=lanes.events[lane],
             group_buses=tuple(group.bus for group in lanes.simulator.settings.groups),
             total_reward=-float(sum(terms)),
-            n_violated=round(float(lanes.task_values(TaskRow.CONSTRAINT_SUM)[lane])),
+            n_violated=round(float(lanes.task_values("constraint_sum")[lane])),
             outcome=reason if failed else "time over" if over else "",
             failed=failed,
         )

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from wtg_gym import ENV_ID
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.envs.task import COEFFICIENT_AUTHORITY, TIME_CONSTANT_RATIO, TaskRow
+from wtg_gym.envs.task import COEFFICIENT_AUTHORITY, TIME_CONSTANT_RATIO
 from wtg_gym.evaluation.circumstances import versions
 from wtg_gym.evaluation.entries import ANCHORS, Entry
 from wtg_gym.evaluation.episodes import Episode
@@ -344,7 +344,7 @@ def _start(lanes: TaskLanes, scenarios: Sequence[Scenario], entry: Entry) -> Non
 
 
 def _n_steps(lanes: TaskLanes) -> int:
-    return int(lanes.task_values(TaskRow.END_STEP).max()) // lanes.simulator.plant.n_substeps
+    return int(lanes.task_values("end_step").max()) // lanes.simulator.plant.n_substeps
 
 
 def _episode(entry: Entry, lanes: TaskLanes, recorder: Recorder, lane: int, scenario: Scenario) -> Episode:

@@ -14,10 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.lanes import TERMINATION_REASONS, TaskLanes
-from wtg_gym.envs.task import COST_TERMS, TaskRow
-from wtg_gym.physics.layout import LaneRow, Status, WtgRow
+from wtg_gym.envs.task import COST_TERMS
+from wtg_gym.physics.layout import Status
 from wtg_gym.physics.scenario import LoadRamp, Scenario
-from wtg_gym.physics.wind_turbine import WtgState
 
 Floats = npt.NDArray[np.float64]
 
@@ -93,21 +92,21 @@ class Recorder:
         self.frequency_hz = np.zeros((lanes.n_lanes, n_steps + 1))
         #: Control steps each lane has made, shape (n_lanes,).
         self.n_steps = np.zeros(lanes.n_lanes, dtype=np.int64)
-        self.frequency_hz[:, 0] = lanes.task.nominal_hz * lanes.simulator.lane_values(LaneRow.COI)
+        self.frequency_hz[:, 0] = lanes.nominal_hz * lanes.simulator.lane_values("coi")
         #: Delivered power of every group on its own base [p.u.], shape (n_lanes, n_steps + 1, n_wtg).
         self.power_pu = np.zeros((lanes.n_lanes, n_steps + 1, lanes.n_wtg))
-        self.power_pu[:, 0] = lanes.simulator.wtg_values(WtgRow.POWER)
-        self.least_rotor = self.largest_rotor = lanes.simulator.wtg_values(WtgState.ROTOR_SPEED)
+        self.power_pu[:, 0] = lanes.simulator.wtg_values("power")
+        self.least_rotor = self.largest_rotor = lanes.simulator.wtg_values("rotor_speed")
 
     def record(self, stepped: npt.NDArray[np.bool_]) -> None:
         """Take a sample of the lanes that made the last step, shape (n_lanes,)."""
         self.n_steps[stepped] += 1
-        frequency = self._lanes.task.nominal_hz * self._lanes.simulator.lane_values(LaneRow.COI)
+        frequency = self._lanes.nominal_hz * self._lanes.simulator.lane_values("coi")
         self.frequency_hz[stepped, self.n_steps[stepped]] = frequency[stepped]
-        power = self._lanes.simulator.wtg_values(WtgRow.POWER)
+        power = self._lanes.simulator.wtg_values("power")
         self.power_pu[stepped, self.n_steps[stepped]] = power[stepped]
         # The rotors of a lane that is over stand still and add nothing.
-        rotor = self._lanes.simulator.wtg_values(WtgState.ROTOR_SPEED)
+        rotor = self._lanes.simulator.wtg_values("rotor_speed")
         self.least_rotor = np.minimum(self.least_rotor, rotor)
         self.largest_rotor = np.maximum(self.largest_rotor, rotor)
 
@@ -157,41 +156,41 @@ def measure(lanes: TaskLanes, recorder: Recorder, lane: int, scenario: Scenario)
     """Return the metrics of a lane that is over, by the names in :data:`METRICS`, and its failure ("": none)."""
     simulator = lanes.simulator
     status = Status(int(lanes.statuses()[lane]))
-    terms = {f"cost_{t}": float(lanes.task_values(TaskRow.SUM + i)[lane]) for i, t in enumerate(COST_TERMS)}
+    terms = {f"cost_{t}": float(lanes.task_values(f"sums.{t}")[lane]) for t in COST_TERMS}
     n_steps, dt = int(recorder.n_steps[lane]), lanes.settings.control_dt
     steady: tuple[float | None, float | None] = (None, None)
     if status == Status.RUNNING:
         event = last_event_s(scenario, n_steps * dt)
-        steady = steady_metrics(recorder.frequency_hz[lane, : n_steps + 1], dt, lanes.task.nominal_hz, event)
+        steady = steady_metrics(recorder.frequency_hz[lane, : n_steps + 1], dt, lanes.nominal_hz, event)
 
     def groups(row: int) -> list[float]:
         values: list[float] = simulator.wtg_values(row)[lane].tolist()
         return values
 
     captured = math.fsum(
-        share * energy for share, energy in zip(simulator.plant.share, groups(WtgState.ENERGY_CAPTURED), strict=True)
+        share * energy for share, energy in zip(simulator.plant.share, groups("energy_captured"), strict=True)
     )
     metrics: dict[str, float | None] = {
         "cost": math.fsum(terms.values()),
         **terms,
-        "nadir_hz": lanes.task.nominal_hz * float(simulator.lane_values(LaneRow.COI_MIN)[lane]),
-        "zenith_hz": lanes.task.nominal_hz * float(simulator.lane_values(LaneRow.COI_MAX)[lane]),
-        "largest_rocof_hz_s": float(lanes.task_values(TaskRow.LARGEST_ROCOF)[lane]),
+        "nadir_hz": lanes.nominal_hz * float(simulator.lane_values("coi_min")[lane]),
+        "zenith_hz": lanes.nominal_hz * float(simulator.lane_values("coi_max")[lane]),
+        "largest_rocof_hz_s": float(lanes.task_values("largest_rocof")[lane]),
         "quasi_steady_deviation_hz": steady[0],
         "settling_time_s": steady[1],
         "energy_mwh": captured * simulator.plant.base_mva / 3600.0,
-        "energy_share_percent": 100.0 * captured / float(lanes.task_values(TaskRow.AVAILABLE_ENERGY)[lane]),
-        "duty_error_percent": 100.0 * float(lanes.task_values(TaskRow.DUTY_ERROR)[lane]) / (n_steps * dt),
-        "least_tip_speed_ratio": min(groups(WtgRow.LEAST_TSR)),
-        "largest_tip_speed_ratio": max(groups(WtgRow.LARGEST_TSR)),
+        "energy_share_percent": 100.0 * captured / float(lanes.task_values("available_energy")[lane]),
+        "duty_error_percent": 100.0 * float(lanes.task_values("duty_error")[lane]) / (n_steps * dt),
+        "least_tip_speed_ratio": min(groups("least_tsr")),
+        "largest_tip_speed_ratio": max(groups("largest_tsr")),
         "least_rotor_speed_pu": float(recorder.least_rotor[lane].min()),
         "largest_rotor_speed_pu": float(recorder.largest_rotor[lane].max()),
-        "overload_time_s": max(groups(WtgRow.OVERLOAD_TIME)),
-        "peak_power_pu": max(groups(WtgRow.PEAK_POWER)),
+        "overload_time_s": max(groups("overload_time")),
+        "peak_power_pu": max(groups("peak_power")),
         "largest_power_change_pu": largest_power_change(recorder.power_pu[lane, : n_steps + 1], dt),
-        "constraint_time_s": float(lanes.task_values(TaskRow.CONSTRAINT_SUM)[lane]) * dt,
-        "tripped_groups": float(sum(connected < 0.5 for connected in groups(WtgRow.CONNECTED))),
-        "survived_s": float(simulator.lane_values(LaneRow.STEP)[lane]) * simulator.plant.simulation_dt,
+        "constraint_time_s": float(lanes.task_values("constraint_sum")[lane]) * dt,
+        "tripped_groups": float(sum(connected < 0.5 for connected in groups("connected"))),
+        "survived_s": float(simulator.lane_values("step")[lane]) * simulator.plant.simulation_dt,
     }
     return metrics, TERMINATION_REASONS[status]
 

@@ -12,15 +12,13 @@ import numpy.typing as npt
 
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.envs.task import COST_TERMS, TaskRow
+from wtg_gym.envs.task import COST_TERMS
 from wtg_gym.evaluation.entries import Entry
 from wtg_gym.evaluation.evaluator import entry_lanes, play
-from wtg_gym.physics.layout import LaneRow, WtgRow
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.statics import characteristic
 from wtg_gym.physics.tracking_law import coordinated_piecewise
-from wtg_gym.physics.wind_turbine import WtgState
 
 Floats = npt.NDArray[np.float64]
 
@@ -105,15 +103,15 @@ def record(
             samples.append(_sample(lanes))
             for values in samples[-1].values():
                 values[~stepped] = np.nan
-        costs = np.stack([lanes.task_values(TaskRow.SUM + i) for i in range(len(COST_TERMS))], axis=1)
+        costs = lanes.cost_sums()
     finally:
         lanes.simulator.close()
-    n = 1 + int(lanes.task_values(TaskRow.END_STEP).max()) // lanes.simulator.plant.n_substeps
+    n = 1 + int(lanes.task_values("end_step").max()) // lanes.simulator.plant.n_substeps
     samples += [{key: np.full_like(values, np.nan) for key, values in samples[0].items()}] * (n - len(samples))
     table = {key: np.stack([sample[key] for sample in samples], axis=1) for key in samples[0]}
     names = tuple(lanes.observation_names)
     rocof = [names.index(f"wtg{j}.rocof [Hz/s]") for j in range(lanes.n_wtg)]
-    nominal_hz = lanes.task.nominal_hz
+    nominal_hz = lanes.nominal_hz
     tip_speed = TurbineParameters().tip_speed_ratio_per_speed_m_s
     wind, rate = table["wind"], table["inverse_time_constant"]
     return Recording(
@@ -140,17 +138,17 @@ def _sample(lanes: TaskLanes) -> dict[str, Floats]:
     """Return where the lanes stand, a row each."""
     simulator = lanes.simulator
     groups = {
-        "speed": WtgState.SPEED,
-        "rotor_speed": WtgState.ROTOR_SPEED,
-        "filter": WtgState.FILTER,
-        "wind": WtgRow.WIND,
-        "power": WtgRow.POWER,
-        "coefficient": WtgRow.COEFFICIENT,
-        "offset": WtgRow.K_OFFSET,
-        "inverse_time_constant": WtgRow.INV_TAU,
+        "speed": "speed",
+        "rotor_speed": "rotor_speed",
+        "filter": "filter",
+        "wind": "wind",
+        "power": "power",
+        "coefficient": "coefficient",
+        "offset": "k_offset",
+        "inverse_time_constant": "inv_tau",
     }
     return {
-        "frequency": simulator.lane_values(LaneRow.COI),
+        "frequency": simulator.lane_values("coi"),
         "observation": lanes.observations.astype(np.float64),
         **{name: simulator.wtg_values(row) for name, row in groups.items()},
     }

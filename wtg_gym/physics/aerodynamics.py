@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -14,28 +15,34 @@ from wtg_gym.physics.elementary import exponential, fma
 from wtg_gym.physics.parameters import PowerCoefficientParameters, TurbineParameters
 
 
+class CurveConstants(NamedTuple):
+    """Constants of C_p(λ, β); see :class:`~wtg_gym.physics.parameters.PowerCoefficientParameters`."""
+
+    c1: float
+    c2: float
+    c3: float
+    c5: float
+    c6: float
+    c7: float
+    c8: float
+
+
+def curve_constants(parameters: PowerCoefficientParameters) -> CurveConstants:
+    """Return the constants of a C_p curve."""
+    return CurveConstants(*(getattr(parameters, name) for name in CurveConstants._fields))
+
+
 @compiled
-def power_coefficient_at(
-    tip_speed: float,
-    wind: float,
-    pitch_deg: float,
-    c1: float,
-    c2: float,
-    c3: float,
-    c5: float,
-    c6: float,
-    c7: float,
-    c8: float,
-) -> float:
+def power_coefficient_at(tip_speed: float, wind: float, pitch_deg: float, c: CurveConstants) -> float:
     """Return C_p, given the speed of the blade tip and the wind [m/s] and the pitch angle β [deg]; λ is at least 0.2.
 
     1/λ_i = 1/(λ + c7 β) - c8/(β³ + 1), with λ = tip speed / wind, is brought to a common denominator: one division
     instead of three. Source: paper, equation `cp`.
     """
-    speed = fma(c7 * pitch_deg, wind, max(tip_speed, 0.2 * wind))
+    speed = fma(c.c7 * pitch_deg, wind, max(tip_speed, 0.2 * wind))
     cubic = fma(pitch_deg * pitch_deg, pitch_deg, 1.0)
-    inverse_i = fma(wind, cubic, -c8 * speed) / (speed * cubic)
-    return c1 * (fma(c2, inverse_i, -c3 * pitch_deg) - c5) * exponential(-c6 * inverse_i)
+    inverse_i = fma(wind, cubic, -c.c8 * speed) / (speed * cubic)
+    return c.c1 * (fma(c.c2, inverse_i, -c.c3 * pitch_deg) - c.c5) * exponential(-c.c6 * inverse_i)
 
 
 def power_coefficient(
@@ -53,15 +60,13 @@ def power_coefficient(
     Raises:
         ValueError: λ is not positive or β is negative.
     """
-    p = parameters or PowerCoefficientParameters()
+    curve = curve_constants(parameters or PowerCoefficientParameters())
     ratio = np.asarray(tip_speed_ratio, dtype=np.float64)
     if not (ratio > 0.0).all():
         raise ValueError(f"tip-speed ratio must be positive, got {ratio.min():g}")
     if not pitch_deg >= 0.0:
         raise ValueError(f"pitch angle must be 0 deg or more, got {pitch_deg:g} deg")
-    flat = [
-        power_coefficient_at(x, 1.0, float(pitch_deg), p.c1, p.c2, p.c3, p.c5, p.c6, p.c7, p.c8) for x in ratio.ravel()
-    ]
+    flat = [power_coefficient_at(x, 1.0, float(pitch_deg), curve) for x in ratio.ravel()]
     return np.array(flat).reshape(ratio.shape)
 
 

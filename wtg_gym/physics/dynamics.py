@@ -1,298 +1,240 @@
-"""The right-hand side, written once.
+"""The right-hand side and its integration: loops over units and lanes around the equations of each model.
 
-The same functions serve the single environment (one lane), the batched one (blocks of lanes), the linearisation and the
-cross-checks: they are compiled once per lane width, which arrives as a tuple whose length the compiler knows.
+The same functions serve one lane and blocks of lanes; they are compiled once per lane width, which arrives as a tuple
+whose length the compiler knows.
 """
 
 from __future__ import annotations
 
-import math
+from typing import Any
 
 from wtg_gym.physics.compiled import compiled, inlined
-from wtg_gym.physics.elementary import fma, sine_cosine
-from wtg_gym.physics.layout import Floats, LaneRow, Lanes, Plant, SyncRow, WtgRow, lane_row, network_row
-from wtg_gym.physics.synchronous_machine import (
-    MachineConstant,
-    SyncState,
-    exciter_rates,
-    flux_rates,
-    governor_rates,
-    subtransient_voltage,
+from wtg_gym.physics.elementary import fma, select
+from wtg_gym.physics.layout import (
+    LANE,
+    MACHINE,
+    N_MACHINE_ROWS,
+    N_MACHINE_STATES,
+    N_WTG_ROWS,
+    N_WTG_STATES,
+    WTG,
+    Floats,
+    Lanes,
+    Plant,
+    load_machine_emf,
+    load_machine_input,
+    load_machine_state,
+    load_wtg_input,
+    load_wtg_state,
+    read_machine,
+    read_turbine,
+    rows_of,
+    store_machine_emf,
+    store_machine_output,
+    store_machine_state,
+    store_wtg_output,
+    store_wtg_state,
 )
-from wtg_gym.physics.tracking_law import tracking_coefficient
-from wtg_gym.physics.wind_turbine import TurbineConstant, WtgState, captured_power, pitch_rates
+from wtg_gym.physics.machine import MachineState, machine_limited, machine_rates, machine_voltage
+from wtg_gym.physics.records import elementwise
+from wtg_gym.physics.wind_turbine import WtgState, wtg_limited, wtg_rates, wtg_voltage
 
 
 @inlined
-def derivatives(block: Floats, plant: Plant, fraction: float, lanes: Lanes) -> None:
-    """Evaluate the time derivatives of every lane of a block, in place.
+def unit_voltages(block: Floats, c: Any, lanes: Lanes) -> None:
+    """Find the voltages behind the internal impedances, in the network's frame, for every lane of a block."""
+    width, rows = len(lanes), rows_of(c)
+    n_sync = c["machines"].shape[0]
+    for x in range(width):
+        block[(rows.lane + LANE.reference_speed) * width + x] = load_machine_state(block, x, width).speed
+    for i in range(n_sync):
+        machine = read_machine(c["machines"][i])
+        o, voltage = i * N_MACHINE_ROWS * width, (rows.voltage + 2 * i) * width
+        for x in range(width):
+            emf, re, im = machine_voltage(load_machine_state(block, o + x, width), machine)
+            store_machine_emf(emf, block, o + MACHINE.emf * width + x, width)
+            block[voltage + x] = re
+            block[voltage + width + x] = im
+    for j in range(c["share"].shape[0]):
+        o, voltage = (rows.wtg + j * N_WTG_ROWS) * width, (rows.voltage + 2 * (n_sync + j)) * width
+        for x in range(width):
+            state, given = load_wtg_state(block, o + x, width), load_wtg_input(block, o + WTG.input * width + x, width)
+            re, im = wtg_voltage(state, given)
+            block[voltage + x] = re
+            block[voltage + width + x] = im
+
+
+@inlined
+def unit_currents(block: Floats, c: Any, lanes: Lanes) -> None:
+    """Find the units' currents I = Y E with the reduced admittance of each lane's network."""
+    width, rows = len(lanes), rows_of(c)
+    n = c["unit_bus"].shape[0]
+    for i in range(n):
+        current = (rows.current + 2 * i) * width
+        for x in range(2 * width):
+            block[current + x] = 0.0
+        for j in range(n):
+            voltage, y = (rows.voltage + 2 * j) * width, (rows.admittance + 2 * (i * n + j)) * width
+            for x in range(width):
+                re, im = block[voltage + x], block[voltage + width + x]
+                y_re, y_im = block[y + x], block[y + width + x]
+                block[current + x] += fma(y_re, re, -(y_im * im))
+                block[current + width + x] += fma(y_re, im, y_im * re)
+
+
+@inlined
+def _base(state: float, base: float, first: bool) -> float:
+    return select(first, state, base)
+
+
+@inlined
+def _sum(rate: float, total: float, first: bool) -> float:
+    return select(first, rate, fma(2.0, rate, total))
+
+
+@inlined
+def _moved(base: float, rate: float, total: float, ahead: float, last: bool) -> float:
+    # The last stage goes along the sum of all rates, k1 + 2 k2 + 2 k3 + k4.
+    return fma(ahead, select(last, total + rate, rate), base)
+
+
+@inlined
+def _kept(moved: float, limited: float, base: float, last: bool, active: float) -> float:
+    # An ended lane keeps its base exactly: nothing, not even a rounding, is added to it.
+    return select(active > 0.5, select(last, limited, moved), base)
+
+
+_machine_base = elementwise(MachineState, _base, "base", "state, base", "first")
+_machine_sum = elementwise(MachineState, _sum, "sum", "rate, total", "first")
+_machine_moved = elementwise(MachineState, _moved, "moved", "base, rate, total", "ahead, last")
+_machine_kept = elementwise(MachineState, _kept, "kept", "moved, limited, base", "last, active")
+_wtg_base = elementwise(WtgState, _base, "base", "state, base", "first")
+_wtg_sum = elementwise(WtgState, _sum, "sum", "rate, total", "first")
+_wtg_moved = elementwise(WtgState, _moved, "moved", "base, rate, total", "ahead, last")
+_wtg_kept = elementwise(WtgState, _kept, "kept", "moved, limited, base", "last, active")
+
+
+@inlined
+def unit_rates(
+    block: Floats, c: Any, fraction: float, moves: bool, stage: int, ahead: float, lanes: Lanes
+) -> None:
+    """Evaluate the units' rates and outputs, and move their states by one stage of the Runge-Kutta method.
+
+    Args:
+        block, lanes: as for :func:`advance_step`.
+        c: constants of the plant.
+        fraction: of the control interval that has passed, 0 … 1.
+        moves: False leaves the states and stores the rates; a literal, so that the compiler leaves the other half out.
+        stage: 0 … 3 of the method.
+        ahead: how far the stage moves the states from their base [s]; a sixth of the step for the last.
+    """
+    width, rows = len(lanes), rows_of(c)
+    n_sync = c["machines"].shape[0]
+    omega_n = c["omega_n"]
+    first, last = stage == 0, stage == 3
+    lane = rows.lane * width
+    for i in range(n_sync):
+        machine = read_machine(c["machines"][i])
+        o, current = i * N_MACHINE_ROWS * width, (rows.current + 2 * i) * width
+        for x in range(width):
+            state = load_machine_state(block, o + x, width)
+            rates, output = machine_rates(
+                state,
+                load_machine_emf(block, o + MACHINE.emf * width + x, width),
+                block[current + x],
+                block[current + width + x],
+                load_machine_input(block, o + MACHINE.input * width + x, width),
+                machine,
+                block[lane + LANE.reference_speed * width + x],
+                omega_n,
+            )
+            store_machine_output(output, block, o + MACHINE.output * width + x, width)
+            if moves:
+                base = _machine_base(state, load_machine_state(block, o + MACHINE.base * width + x, width), first)
+                total = load_machine_state(block, o + MACHINE.sum * width + x, width)
+                moved = _machine_moved(base, rates, total, ahead, last)
+                limited = machine_limited(moved, machine)
+                moved = _machine_kept(moved, limited, base, last, block[lane + LANE.active * width + x])
+                store_machine_state(base, block, o + MACHINE.base * width + x, width)
+                store_machine_state(_machine_sum(rates, total, first), block, o + MACHINE.sum * width + x, width)
+                store_machine_state(moved, block, o + x, width)
+            else:
+                store_machine_state(rates, block, (rows.machine_rate + i * N_MACHINE_STATES) * width + x, width)
+    turbine = read_turbine(c["turbine"])
+    for j in range(c["share"].shape[0]):
+        o = (rows.wtg + j * N_WTG_ROWS) * width
+        voltage, current = (rows.voltage + 2 * (n_sync + j)) * width, (rows.current + 2 * (n_sync + j)) * width
+        inv_share = 1.0 / c["share"][j]
+        for x in range(width):
+            state = load_wtg_state(block, o + x, width)
+            power = inv_share * (
+                block[voltage + x] * block[current + x] + block[voltage + width + x] * block[current + width + x]
+            )
+            rates, output = wtg_rates(
+                state,
+                power,
+                load_wtg_input(block, o + WTG.input * width + x, width),
+                turbine,
+                fraction,
+                block[lane + LANE.reference_speed * width + x],
+                omega_n,
+            )
+            store_wtg_output(output, block, o + WTG.output * width + x, width)
+            if moves:
+                base = _wtg_base(state, load_wtg_state(block, o + WTG.base * width + x, width), first)
+                total = load_wtg_state(block, o + WTG.sum * width + x, width)
+                moved = _wtg_moved(base, rates, total, ahead, last)
+                limited = wtg_limited(moved, turbine)
+                moved = _wtg_kept(moved, limited, base, last, block[lane + LANE.active * width + x])
+                store_wtg_state(base, block, o + WTG.base * width + x, width)
+                store_wtg_state(_wtg_sum(rates, total, first), block, o + WTG.sum * width + x, width)
+                store_wtg_state(moved, block, o + x, width)
+            else:
+                store_wtg_state(rates, block, (rows.wtg_rate + j * N_WTG_STATES) * width + x, width)
+    for x in range(width):
+        rate = omega_n * (block[lane + LANE.reference_speed * width + x] - 1.0)
+        if moves:
+            base = _base(block[lane + LANE.angle * width + x], block[lane + LANE.base * width + x], first)
+            total = block[lane + LANE.sum * width + x]
+            moved = _moved(base, rate, total, ahead, last)
+            moved = _kept(moved, moved, base, last, block[lane + LANE.active * width + x])
+            block[lane + LANE.base * width + x] = base
+            block[lane + LANE.sum * width + x] = _sum(rate, total, first)
+            block[lane + LANE.angle * width + x] = moved
+        else:
+            block[lane + LANE.rate * width + x] = rate
+
+
+@inlined
+def derivatives(block: Floats, c: Any, fraction: float, lanes: Lanes) -> None:
+    """Evaluate rates and outputs of every lane of a block where it stands."""
+    unit_voltages(block, c, lanes)
+    unit_currents(block, c, lanes)
+    unit_rates(block, c, fraction, False, 0, 0.0, lanes)
+
+
+@inlined
+def advance_step(block: Floats, c: Any, step: int, lanes: Lanes) -> None:
+    """Advance every running lane of a block by one simulation step with the classical Runge-Kutta method.
 
     Args:
         block: one block's rows, flat (see :mod:`wtg_gym.physics.layout`).
-        plant: constants.
-        fraction: where in the control interval, 0 … 1 [-]; the wind is linear between its ends.
+        c: constants of the plant.
+        step: number of the step within the control interval, for the wind's interpolation.
         lanes: a tuple as long as the block is wide.
     """
-    _internal_voltages(block, plant, lanes)
-    _unit_currents(block, plant, lanes)
-    _machine_rates(block, plant, lanes)
-    _wtg_rates(block, plant, fraction, lanes)
-    width = len(lanes)
-    lane = lane_row(plant) * width
-    for x in range(width):
-        block[lane + LaneRow.RATE * width + x] = plant.angular_frequency * (block[SyncState.SPEED * width + x] - 1.0)
-
-
-@inlined
-def _internal_voltages(block: Floats, plant: Plant, lanes: Lanes) -> None:
-    """Voltages behind the internal impedances, in the network frame."""
-    width = len(lanes)
-    n_sync, n_wtg = len(plant.syncs), len(plant.wtgs)
-    n = n_sync + n_wtg
-    e_re = network_row(plant) * width
-    e_im = e_re + n * width
-    for i in range(n_sync):
-        o = i * SyncRow.N_ROWS * width
-        gamma_d = plant.machines[i, MachineConstant.GAMMA_D]
-        gamma_q = plant.machines[i, MachineConstant.GAMMA_Q]
-        for x in range(width):
-            sine, cosine = sine_cosine(block[o + SyncState.ANGLE * width + x])
-            e_d, e_q = subtransient_voltage(
-                block[o + SyncState.FIELD_FLUX * width + x],
-                block[o + SyncState.DAMPER_FLUX * width + x],
-                block[o + SyncState.FLUX_D * width + x],
-                block[o + SyncState.FLUX_Q * width + x],
-                gamma_d,
-                gamma_q,
-            )
-            block[o + SyncRow.SINE * width + x] = sine
-            block[o + SyncRow.COSINE * width + x] = cosine
-            block[o + SyncRow.E_D * width + x] = e_d
-            block[o + SyncRow.E_Q * width + x] = e_q
-            block[e_re + i * width + x] = e_d * sine + e_q * cosine
-            block[e_im + i * width + x] = e_q * sine - e_d * cosine
-    for j in range(n_wtg):
-        o = (n_sync * SyncRow.N_ROWS + j * WtgRow.N_ROWS) * width
-        at = (n_sync + j) * width
-        for x in range(width):
-            sine, cosine = sine_cosine(block[o + WtgState.ANGLE * width + x])
-            emf = block[o + WtgRow.EMF * width + x]
-            block[e_re + at + x] = emf * cosine
-            block[e_im + at + x] = emf * sine
-
-
-@inlined
-def _unit_currents(block: Floats, plant: Plant, lanes: Lanes) -> None:
-    """I = Y E with the reduced admittance of the lane's topology."""
-    width = len(lanes)
-    n = len(plant.syncs) + len(plant.wtgs)
-    e_re = network_row(plant) * width
-    e_im = e_re + n * width
-    i_re = e_im + n * width
-    i_im = i_re + n * width
-    g = e_re + 6 * n * width
-    b = g + n * n * width
-    for i in range(n):
-        for x in range(width):
-            block[i_re + i * width + x] = 0.0
-            block[i_im + i * width + x] = 0.0
-        for j in range(n):
-            at = (i * n + j) * width
-            for x in range(width):
-                re, im = block[e_re + j * width + x], block[e_im + j * width + x]
-                y_re, y_im = block[g + at + x], block[b + at + x]
-                block[i_re + i * width + x] += fma(y_re, re, -(y_im * im))
-                block[i_im + i * width + x] += fma(y_re, im, y_im * re)
-
-
-@inlined
-def _machine_rates(block: Floats, plant: Plant, lanes: Lanes) -> None:
-    """Swing, fluxes, exciter and governor of the synchronous machines."""
-    width = len(lanes)
-    n = len(plant.syncs) + len(plant.wtgs)
-    i_re = (network_row(plant) + 2 * n) * width
-    i_im = i_re + n * width
-    for i in range(len(plant.syncs)):
-        m = plant.machines[i]
-        o = i * SyncRow.N_ROWS * width
-        rate = o + SyncRow.RATE * width
-        reactance, resistance = m[MachineConstant.INTERNAL_REACTANCE], m[MachineConstant.RESISTANCE]
-        gamma_d2, gamma_q2 = m[MachineConstant.GAMMA_D2], m[MachineConstant.GAMMA_Q2]
-        x_d_field, x_d_leak = m[MachineConstant.X_D_FIELD], m[MachineConstant.X_D_LEAK]
-        x_q_field, x_q_leak = m[MachineConstant.X_Q_FIELD], m[MachineConstant.X_Q_LEAK]
-        inv_t_d, inv_t_dd = m[MachineConstant.INV_T_D0_TRANSIENT], m[MachineConstant.INV_T_D0_SUBTRANSIENT]
-        inv_t_q, inv_t_qq = m[MachineConstant.INV_T_Q0_TRANSIENT], m[MachineConstant.INV_T_Q0_SUBTRANSIENT]
-        damping, rating = m[MachineConstant.DAMPING], m[MachineConstant.RATING]
-        gain, lead_lag_ratio = m[MachineConstant.EXCITER_GAIN], m[MachineConstant.LEAD_LAG_RATIO]
-        inv_lag, inv_exciter = m[MachineConstant.INV_LAG_TIME], m[MachineConstant.INV_EXCITER_TIME]
-        field_min, field_max = m[MachineConstant.FIELD_MIN], m[MachineConstant.FIELD_MAX]
-        inv_gate, inv_reheat = m[MachineConstant.INV_GATE_TIME], m[MachineConstant.INV_REHEAT_TIME]
-        lead_reheat, turbine_damping = m[MachineConstant.LEAD_REHEAT_RATIO], m[MachineConstant.TURBINE_DAMPING]
-        gate_min, gate_max = m[MachineConstant.GATE_MIN], m[MachineConstant.GATE_MAX]
-        for x in range(width):
-            sine, cosine = block[o + SyncRow.SINE * width + x], block[o + SyncRow.COSINE * width + x]
-            re, im = block[i_re + i * width + x], block[i_im + i * width + x]
-            i_d, i_q = re * sine - im * cosine, re * cosine + im * sine
-            e_d, e_q = block[o + SyncRow.E_D * width + x], block[o + SyncRow.E_Q * width + x]
-            v_d = e_d - resistance * i_d + reactance * i_q
-            v_q = e_q - resistance * i_q - reactance * i_d
-            voltage = math.sqrt(v_d * v_d + v_q * v_q)
-            power = e_d * i_d + e_q * i_q
-            speed = block[o + SyncState.SPEED * width + x]
-            field_voltage = block[o + SyncState.FIELD_VOLTAGE * width + x]
-            gate, reheat = block[o + SyncState.GATE * width + x], block[o + SyncState.REHEAT * width + x]
-            field_rate, damper_rate, d_rate, q_rate = flux_rates(
-                block[o + SyncState.FIELD_FLUX * width + x],
-                block[o + SyncState.DAMPER_FLUX * width + x],
-                block[o + SyncState.FLUX_D * width + x],
-                block[o + SyncState.FLUX_Q * width + x],
-                field_voltage,
-                i_d,
-                i_q,
-                gamma_d2,
-                gamma_q2,
-                x_d_field,
-                x_d_leak,
-                x_q_field,
-                x_q_leak,
-                inv_t_d,
-                inv_t_dd,
-                inv_t_q,
-                inv_t_qq,
-            )
-            lead_lag_rate, exciter_rate = exciter_rates(
-                block[o + SyncState.LEAD_LAG * width + x],
-                field_voltage,
-                block[o + SyncRow.VOLTAGE_REFERENCE * width + x] - voltage,
-                gain,
-                lead_lag_ratio,
-                inv_lag,
-                inv_exciter,
-                field_min,
-                field_max,
-            )
-            gate_rate, reheat_rate = governor_rates(
-                gate,
-                reheat,
-                speed,
-                block[o + SyncRow.GATE_REFERENCE * width + x],
-                block[o + SyncRow.INV_DROOP * width + x],
-                inv_gate,
-                inv_reheat,
-                gate_min,
-                gate_max,
-            )
-            held = min(max(gate, gate_min), gate_max)
-            torque = rating * (reheat + lead_reheat * (held - reheat) - turbine_damping * (speed - 1.0))
-            block[o + SyncRow.POWER * width + x] = power
-            block[o + SyncRow.VOLTAGE * width + x] = voltage
-            block[o + SyncRow.TORQUE * width + x] = torque
-            block[rate + SyncState.ANGLE * width + x] = plant.angular_frequency * (
-                speed - block[SyncState.SPEED * width + x]
-            )
-            block[rate + SyncState.SPEED * width + x] = block[o + SyncRow.INV_TWO_H * width + x] * (
-                torque - power - damping * (speed - 1.0)
-            )
-            block[rate + SyncState.FIELD_FLUX * width + x] = field_rate
-            block[rate + SyncState.DAMPER_FLUX * width + x] = damper_rate
-            block[rate + SyncState.FLUX_D * width + x] = d_rate
-            block[rate + SyncState.FLUX_Q * width + x] = q_rate
-            block[rate + SyncState.LEAD_LAG * width + x] = lead_lag_rate
-            block[rate + SyncState.FIELD_VOLTAGE * width + x] = exciter_rate
-            block[rate + SyncState.GATE * width + x] = gate_rate
-            block[rate + SyncState.REHEAT * width + x] = reheat_rate
-
-
-@inlined
-def _wtg_rates(block: Floats, plant: Plant, fraction: float, lanes: Lanes) -> None:
-    """Rotor, pitch, tracking law and grid-forming swing of the WTG groups."""
-    width = len(lanes)
-    n_sync, n = len(plant.syncs), len(plant.syncs) + len(plant.wtgs)
-    e_re = network_row(plant) * width
-    e_im = e_re + n * width
-    i_re = e_im + n * width
-    i_im = i_re + n * width
-    t = plant.turbine
-    tip_speed, wind_power = t[TurbineConstant.TIP_SPEED], t[TurbineConstant.WIND_POWER]
-    c1, c2, c3 = t[TurbineConstant.C1], t[TurbineConstant.C2], t[TurbineConstant.C3]
-    c5, c6, c7, c8 = (
-        t[TurbineConstant.C5],
-        t[TurbineConstant.C6],
-        t[TurbineConstant.C7],
-        t[TurbineConstant.C8],
-    )
-    inv_two_h_rotor, inv_two_h = t[TurbineConstant.INV_TWO_H_ROTOR], t[TurbineConstant.INV_TWO_H]
-    droop_gain, setpoint = t[TurbineConstant.DROOP_GAIN], t[TurbineConstant.SPEED_SETPOINT]
-    speed_min, speed_max = t[TurbineConstant.SPEED_MIN], t[TurbineConstant.SPEED_MAX]
-    power_limit, rotor_limit = t[TurbineConstant.POWER_LIMIT], t[TurbineConstant.ROTOR_LIMIT]
-    speed_weight, pitch_kp = t[TurbineConstant.SPEED_WEIGHT], t[TurbineConstant.PITCH_KP]
-    pitch_ki, inv_schedule = t[TurbineConstant.PITCH_KI], t[TurbineConstant.INV_SCHEDULE]
-    inv_actuator, pitch_rate_limit = t[TurbineConstant.INV_ACTUATOR], t[TurbineConstant.PITCH_RATE]
-    pitch_max = t[TurbineConstant.PITCH_MAX]
-    for j in range(len(plant.wtgs)):
-        o = (n_sync * SyncRow.N_ROWS + j * WtgRow.N_ROWS) * width
-        rate = o + WtgRow.RATE * width
-        at = (n_sync + j) * width
-        inv_share = 1.0 / plant.share[j]
-        for x in range(width):
-            power = inv_share * (
-                block[e_re + at + x] * block[i_re + at + x] + block[e_im + at + x] * block[i_im + at + x]
-            )
-            wind = block[o + WtgRow.WIND_START * width + x] + fraction * (
-                block[o + WtgRow.WIND_END * width + x] - block[o + WtgRow.WIND_START * width + x]
-            )
-            speed = block[o + WtgState.SPEED * width + x]
-            rotor = block[o + WtgState.ROTOR_SPEED * width + x]
-            pitch = block[o + WtgState.PITCH * width + x]
-            captured = captured_power(rotor, wind, pitch, tip_speed, wind_power, c1, c2, c3, c5, c6, c7, c8)
-            integral_rate, pitch_rate = pitch_rates(
-                block[o + WtgState.PITCH_INTEGRAL * width + x],
-                pitch,
-                max(captured - power_limit, speed_weight * (rotor - rotor_limit)),
-                pitch_kp,
-                pitch_ki,
-                inv_schedule,
-                inv_actuator,
-                pitch_rate_limit,
-                pitch_max,
-            )
-            k = tracking_coefficient(
-                speed,
-                block[o + WtgRow.K_MIN * width + x],
-                block[o + WtgRow.K_NOMINAL * width + x],
-                block[o + WtgRow.K_MAX * width + x],
-                speed_min,
-                setpoint,
-                speed_max,
-            )
-            k = max(k + block[o + WtgRow.K_OFFSET * width + x], 0.0)
-            deviation = speed - setpoint
-            filtered = block[o + WtgState.FILTER * width + x]
-            damping = filtered + block[o + WtgRow.DROOP_CANCELLED * width + x] * (deviation - filtered)
-            tracked = k * rotor * rotor * rotor
-            connected = block[o + WtgRow.CONNECTED * width + x]
-            block[o + WtgRow.WIND * width + x] = wind
-            block[o + WtgRow.POWER * width + x] = power
-            block[o + WtgRow.CAPTURED * width + x] = connected * captured
-            block[o + WtgRow.COEFFICIENT * width + x] = k
-            block[rate + WtgState.ANGLE * width + x] = (
-                connected * plant.angular_frequency * (speed - block[SyncState.SPEED * width + x])
-            )
-            block[rate + WtgState.SPEED * width + x] = (
-                connected * inv_two_h * (tracked - power + droop_gain * (damping - deviation))
-            )
-            block[rate + WtgState.ROTOR_SPEED * width + x] = connected * inv_two_h_rotor * (captured - power)
-            block[rate + WtgState.FILTER * width + x] = (
-                connected * block[o + WtgRow.INV_TAU * width + x] * (deviation - filtered)
-            )
-            block[rate + WtgState.PITCH_INTEGRAL * width + x] = connected * integral_rate
-            block[rate + WtgState.PITCH * width + x] = connected * pitch_rate
-            block[rate + WtgState.ENERGY_CAPTURED * width + x] = connected * captured
-            block[rate + WtgState.ENERGY_DELIVERED * width + x] = connected * power
+    h = c["simulation_dt"]
+    part = 1.0 / c["n_substeps"]
+    for stage in range(4):
+        offset = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
+        ahead = h / 6.0 if stage == 3 else (h if stage == 2 else 0.5 * h)
+        unit_voltages(block, c, lanes)
+        unit_currents(block, c, lanes)
+        unit_rates(block, c, (step + offset) * part, True, stage, ahead, lanes)
 
 
 @compiled
 def evaluate_rates(blocks: Floats, plant: Plant, lanes: Lanes) -> None:
     """Evaluate the time derivatives of all blocks at the start of their wind interval, in place."""
     for b in range(blocks.shape[0]):
-        derivatives(blocks[b], plant, 0.0, lanes)
+        derivatives(blocks[b], plant.constants[0], 0.0, lanes)

@@ -1,4 +1,4 @@
-"""Fused multiply-add, sine, cosine, exponential and a limited rate as plain arithmetic.
+"""Elementary functions without branches: multiply-add, select, sine, cosine, exponential, limits.
 
 Numba's wheels carry no vector mathematics library, so a call into libm keeps a loop over lanes scalar. These
 are polynomials on a reduced argument: branch-free, the same bits in every lane, and as close to libm as the tests say.
@@ -14,7 +14,7 @@ from typing import Any
 from numba import types
 from numba.extending import intrinsic, overload
 
-from wtg_gym.physics.compiled import compiled
+from wtg_gym.physics.compiled import compiled, inlined
 
 
 def fma(a: float, b: float, c: float) -> float:
@@ -48,6 +48,15 @@ def _compiled_fma(a: Any, b: Any, c: Any) -> Callable[[float, float, float], flo
     return lambda a, b, c: _fused(a, b, c)
 
 
+@inlined
+def select(condition: bool, value: float, other: float) -> float:
+    """Return one of two numbers.
+
+    Equations say it by name, and so need no branch: a tool that traces them replaces this one function.
+    """
+    return value if condition else other
+
+
 _TWO_OVER_PI = 0.6366197723675814
 # π/2 in two parts: the first product is exact before it is rounded once.
 _HALF_PI_HIGH = 1.5707963267948966
@@ -77,11 +86,10 @@ def sine_cosine(angle: float) -> tuple[float, float]:
     c = fma(c, y, 0.041666666666666664)
     c = fma(fma(c, y, -0.5), y, 1.0)
     quadrant = fma(math.floor(0.25 * quarters), -4.0, quarters)
-    swapped = quadrant == 1.0 or quadrant == 3.0
-    sine, cosine = (c, s) if swapped else (s, c)
-    sine = -sine if quadrant >= 2.0 else sine
-    cosine = -cosine if quadrant == 1.0 or quadrant == 2.0 else cosine
-    return sine, cosine
+    swapped = (quadrant == 1.0) | (quadrant == 3.0)
+    sine, cosine = select(swapped, c, s), select(swapped, s, c)
+    negative = (quadrant == 1.0) | (quadrant == 2.0)
+    return select(quadrant >= 2.0, -sine, sine), select(negative, -cosine, cosine)
 
 
 @compiled
@@ -113,5 +121,11 @@ def exponential(x: float) -> float:
 @compiled
 def limited_rate(rate: float, value: float, low: float, high: float) -> float:
     """Return the rate of a state with non-windup limits: zero where it would leave [low, high]."""
-    upward = rate if value < high else min(rate, 0.0)
-    return upward if value > low else max(upward, 0.0)
+    upward = select(value < high, rate, min(rate, 0.0))
+    return select(value > low, upward, max(upward, 0.0))
+
+
+@inlined
+def clip(value: float, low: float, high: float) -> float:
+    """Return the value, held within [low, high]."""
+    return min(max(value, low), high)

@@ -1,103 +1,112 @@
-"""Where every quantity of a simulation lies in its buffer.
+"""Where every number of a simulation lies.
 
-A block holds the complete state of `width` lanes (environments) as one flat array of rows; each row has one value per
-lane, so that inner loops run over lanes with unit stride. The rows of one machine or WTG group are neighbours at
-fixed distances, which lets the compiler see that they do not overlap.
+A block holds the complete state of `width` lanes (runs side by side) as one flat array of rows; each row has one number
+per lane, so that loops over lanes have unit stride. A record takes neighbouring rows. What the right-hand side touches
+lies together at the beginning, small enough for a processor's first cache:
 
-    sync 0 | sync 1 | … | wtg 0 | wtg 1 | … | network | lane | extra
+    machines | WTG groups | voltages | currents | admittances | lane || rates | extremes | reduction | caller's own rows
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics.compiled import compiled
-from wtg_gym.physics.synchronous_machine import SyncState
-from wtg_gym.physics.wind_turbine import WtgState
+from wtg_gym.physics.compiled import inlined
+from wtg_gym.physics.machine import Machine, MachineInput, MachineOutput, MachineState, MachineVoltage
+from wtg_gym.physics.records import dtype, loader, offsets, reader, short_names, size, storer
+from wtg_gym.physics.wind_turbine import Turbine, WtgExtremes, WtgInput, WtgOutput, WtgState
 
 Floats = npt.NDArray[np.float64]
 #: A tuple of zeros as long as a block is wide; its length is known to the compiler.
 Lanes = tuple[int, ...]
 
-N_SYNC_STATES = len(SyncState)
-N_WTG_STATES = len(WtgState)
+
+class MachineRows(NamedTuple):
+    """Rows of a synchronous machine; `base` and `sum` belong to the integration."""
+
+    state: MachineState
+    base: MachineState
+    sum: MachineState
+    input: MachineInput
+    emf: MachineVoltage
+    output: MachineOutput
 
 
-class SyncRow(IntEnum):
-    """Rows of a synchronous machine after its states."""
+class WtgRows(NamedTuple):
+    """Rows of a WTG group; `base` and `sum` belong to the integration."""
 
-    RATE = 10
-    BASE = 20
-    SUM = 30
-    VOLTAGE_REFERENCE = 40
-    GATE_REFERENCE = 41
-    INV_TWO_H = 42
-    INV_DROOP = 43
-    SINE = 44
-    COSINE = 45
-    E_D = 46
-    E_Q = 47
-    POWER = 48  # air-gap power [p.u. of the system base]
-    VOLTAGE = 49  # terminal voltage [p.u.]
-    TORQUE = 50  # mechanical torque [p.u. of the system base]
-    N_ROWS = 51
+    state: WtgState
+    base: WtgState
+    sum: WtgState
+    input: WtgInput
+    output: WtgOutput
 
 
-class WtgRow(IntEnum):
-    """Rows of a WTG group after its states; powers on its own base."""
+class Phasor(NamedTuple):
+    """A voltage, a current or an admittance [p.u.]."""
 
-    RATE = 8
-    BASE = 16
-    SUM = 24
-    EMF = 32  # voltage magnitude behind the reactance [p.u.]
-    K_MIN = 33
-    K_NOMINAL = 34
-    K_MAX = 35
-    K_OFFSET = 36  # what a policy adds to g(ω) [p.u.]
-    INV_TAU = 37  # [1/s]
-    DROOP_CANCELLED = 38
-    CONNECTED = 39  # 1 or, after a trip, 0
-    WIND_START = 40  # [m/s]
-    WIND_END = 41
-    WIND = 42
-    POWER = 43
-    CAPTURED = 44
-    COEFFICIENT = 45  # k in use [p.u.]
-    PEAK_POWER = 46
-    LEAST_TSR = 47
-    LARGEST_TSR = 48
-    OVERLOAD_TIME = 49  # [s]
-    N_ROWS = 50
+    re: float
+    im: float
 
 
-class LaneRow(IntEnum):
+class LaneRows(NamedTuple):
     """Rows of a lane."""
 
-    ANGLE = 0  # of the first unit against a frame at nominal frequency [rad]
-    RATE = 1
-    BASE = 2
-    SUM = 3
-    ACTIVE = 4  # 1 while it runs, 0 once it has ended
-    STEP = 5  # simulation steps since the reset
-    NEXT_CHANGE = 6  # simulation step of the next network change
-    STATUS = 7
-    COI = 8  # frequency of the centre of inertia [p.u.]
-    COI_MIN = 9
-    COI_MAX = 10
-    NOISE_Z_RE = 11
-    NOISE_Z_IM = 12
-    NOISE_PER_MW = 13  # admittance per MW of load noise [p.u.]
-    LAST_CHANGE = 14  # simulation step at which the network was last reduced
-    LEAST_ANGLE = 15  # of all connected units, when the protections last looked [rad]
-    LARGEST_ANGLE = 16
-    LEAST_VOLTAGE = 17  # at the terminals of all connected units, squared [p.u.²]
-    HEALTHY_STEP = 18  # last simulation step at which the protections found no low voltage
-    N_ROWS = 19
+    angle: float  # of the first unit against a frame at nominal frequency [rad]
+    base: float
+    sum: float
+    rate: float
+    reference_speed: float  # of the first unit [p.u.]
+    active: float  # 1 while it runs, 0 once it has ended
+    step: float  # simulation steps since the reset
+    next_change: float  # simulation step of the next network change
+    last_change: float  # simulation step at which the network was last reduced
+    status: float
+    coi: float  # frequency of the centre of inertia [p.u.]
+    coi_min: float
+    coi_max: float
+    noise_z: Phasor  # impedance that the load noise sees
+    noise_per_mw: float  # admittance per MW of load noise [p.u.]
+    least_angle: float  # of all connected units, when the protections last looked [rad]
+    largest_angle: float
+    least_voltage: float  # at the terminals of all connected units, squared [p.u.²]
+    healthy_step: float  # last simulation step at which the protections found no low voltage
+
+
+MACHINE, WTG, LANE = offsets(MachineRows), offsets(WtgRows), offsets(LaneRows)
+N_MACHINE_ROWS, N_WTG_ROWS, N_LANE_ROWS = size(MachineRows), size(WtgRows), size(LaneRows)
+N_MACHINE_STATES, N_WTG_STATES, N_EXTREMES = size(MachineState), size(WtgState), size(WtgExtremes)
+
+
+
+def row_of(record: type, name: str) -> int:
+    """Return the row of a record's number; of a state's three copies, the state itself."""
+    names = short_names(record)
+    if name not in names:
+        raise KeyError(f"{name!r} is no number of {record.__name__}; it has {', '.join(dict.fromkeys(names))}")
+    return names.index(name)
+
+
+MACHINE_ANGLE, WTG_ANGLE = row_of(MachineRows, "angle"), row_of(WtgRows, "angle")
+WTG_EMF, OVERLOAD_TIME = row_of(WtgRows, "emf"), row_of(WtgExtremes, "overload_time")
+WTG_K_OFFSET, WTG_INV_TAU = row_of(WtgRows, "k_offset"), row_of(WtgRows, "inv_tau")
+
+load_machine_state, store_machine_state = loader(MachineState), storer(MachineState)
+load_machine_input, store_machine_input = loader(MachineInput), storer(MachineInput)
+load_machine_emf, store_machine_emf = loader(MachineVoltage), storer(MachineVoltage)
+load_machine_output, store_machine_output = loader(MachineOutput), storer(MachineOutput)
+load_wtg_state, store_wtg_state = loader(WtgState), storer(WtgState)
+load_wtg_input, store_wtg_input = loader(WtgInput), storer(WtgInput)
+load_wtg_output, store_wtg_output = loader(WtgOutput), storer(WtgOutput)
+load_extremes, store_extremes = loader(WtgExtremes), storer(WtgExtremes)
+load_phasor, store_phasor = loader(Phasor), storer(Phasor)
+read_machine, read_turbine = reader(Machine), reader(Turbine)
 
 
 class Status(IntEnum):
@@ -112,41 +121,83 @@ class Status(IntEnum):
     VOLTAGE_COLLAPSE = 6
 
 
-class EventColumn(IntEnum):
-    """Columns of a lane's table of network events; times in simulation steps, admittances in p.u."""
+class NetworkEvent(NamedTuple):
+    """A change of the network; times in simulation steps."""
 
-    START = 0
-    END = 1
-    BUS = 2
-    CONDUCTANCE = 3
-    SUSCEPTANCE = 4
-    BRANCH = 5  # index of a branch that opens, or -1
+    start: float
+    end: float  # later than start for a ramp
+    bus: int  # index, or -1
+    admittance: complex  # [p.u.]; power P + jQ until the lane's start turns it into an admittance
+    branch: int  # index of a branch that opens, or -1
+
+
+EVENT_DTYPE = dtype(NetworkEvent)
+NO_EVENT = np.array((np.inf, np.inf, -1, 0j, -1), dtype=EVENT_DTYPE)
+
+
+class BranchConstants(NamedTuple):
+    """A branch of the network: buses at its ends, and its admittances [p.u.]."""
+
+    start: int
+    end: int
+    y_ff: complex
+    y_ft: complex
+    y_tf: complex
+    y_tt: complex
+
+
+class BusConstants(NamedTuple):
+    """A bus of the network."""
+
+    shunt: complex  # admittance [p.u.]
+    load: complex  # P + jQ of the case [p.u.]
+    voltage: float  # held, or where the power flow starts [p.u.]
+    holds_voltage: bool
 
 
 class Plant(NamedTuple):
-    """What all lanes share: constants of machines, turbine and network (see :mod:`wtg_gym.physics.simulator`)."""
+    """Constants that all lanes share."""
 
-    syncs: tuple[int, ...]  # as long as there are synchronous machines: a length the compiler knows
-    wtgs: tuple[int, ...]  # as long as there are WTG groups
-    machines: npt.NDArray[np.float64]  # (n_sync, n_constants)
-    turbine: npt.NDArray[np.float64]  # (n_constants,)
-    share: npt.NDArray[np.float64]  # rating of each WTG group on the system base (n_wtg,)
-    unit_bus: npt.NDArray[np.int64]  # bus index of each unit, machines first (n_unit,)
-    unit_y: npt.NDArray[np.complex128]  # internal admittance of each unit (n_unit,)
-    branch_from: npt.NDArray[np.int64]
-    branch_to: npt.NDArray[np.int64]
-    branch_y: npt.NDArray[np.complex128]  # (n_branch, 4)
-    shunt_y: npt.NDArray[np.complex128]  # (n_bus,)
-    load: npt.NDArray[np.complex128]  # P + jQ of the case [p.u.] (n_bus,)
-    voltage: npt.NDArray[np.float64]  # held or starting voltage (n_bus,)
-    holds_voltage: npt.NDArray[np.bool_]
-    dispatch: npt.NDArray[np.float64]  # power of each machine before the slack's share [p.u.] (n_sync,)
-    slack: int
-    angular_frequency: float  # ω_n [rad/s]
-    base_mva: float
-    simulation_dt: float  # [s]
-    n_substeps: int  # simulation steps per control interval
-    trips_groups: bool  # a stalled or over-speeding group is disconnected instead of ending the run
+    constants: npt.NDArray[np.void]  # (1,), of constants_dtype
+    buses: npt.NDArray[np.void]  # (n_bus,), of BusConstants
+    branches: npt.NDArray[np.void]  # (n_branch,), of BranchConstants
+
+    @property
+    def share(self) -> Floats:
+        """Rating of each WTG group on the system base (n_wtg,)."""
+        return np.asarray(self.constants["share"][0])
+
+    @property
+    def n_substeps(self) -> int:
+        """Simulation steps per control interval."""
+        return int(self.constants["n_substeps"][0])
+
+    @property
+    def simulation_dt(self) -> float:
+        """Step of the integration [s]."""
+        return float(self.constants["simulation_dt"][0])
+
+
+def constants_dtype(n_sync: int, n_wtg: int) -> np.dtype[Any]:
+    """Return the data type of a plant's constants: sizes that the compiler knows."""
+    n_unit = n_sync + n_wtg
+    return np.dtype(
+        [
+            ("machines", dtype(Machine), (n_sync,)),
+            ("turbine", dtype(Turbine)),
+            ("share", np.float64, (n_wtg,)),  # rating of each WTG group on the system base
+            ("unit_bus", np.int64, (n_unit,)),  # bus index of each unit, machines first
+            ("unit_y", np.complex128, (n_unit,)),  # internal admittance of each unit
+            ("dispatch", np.float64, (n_sync,)),  # power of each machine before the slack's share [p.u.]
+            ("slack", np.int64),
+            ("omega_n", np.float64),  # ω_n [rad/s]
+            ("base_mva", np.float64),
+            ("simulation_dt", np.float64),  # [s]
+            ("n_substeps", np.int64),  # simulation steps per control interval
+            ("trips_groups", np.bool_),  # a stalled or over-speeding group is disconnected instead of ending the run
+        ],
+        align=True,
+    )
 
 
 class LaneData(NamedTuple):
@@ -156,16 +207,74 @@ class LaneData(NamedTuple):
     noise: npt.NDArray[np.float64]  # load noise per control interval (n_lanes, n_intervals) [MW]
     noise_bus: npt.NDArray[np.int64]  # (n_lanes,)
     load_y: npt.NDArray[np.complex128]  # load admittance per bus (n_lanes, n_bus)
-    events: npt.NDArray[np.float64]  # (n_lanes, n_events, n_columns)
+    events: npt.NDArray[np.void]  # (n_lanes, n_events), of NetworkEvent
+
+
+class Rows(NamedTuple):
+    """First row of each part of a block."""
+
+    wtg: int
+    voltage: int
+    current: int
+    admittance: int
+    lane: int
+    machine_rate: int
+    wtg_rate: int
+    extremes: int
+    transfer: int  # y_i Z_in of each unit to the bus of the load noise
+    fixed_admittance: int  # without load noise
+    extra: int
+
+
+@inlined
+def block_rows(n_sync: int, n_wtg: int) -> Rows:
+    """Return where the parts of a block begin."""
+    n = n_sync + n_wtg
+    voltage = n_sync * N_MACHINE_ROWS + n_wtg * N_WTG_ROWS
+    lane = voltage + 4 * n + 2 * n * n
+    machine_rate = lane + N_LANE_ROWS
+    wtg_rate = machine_rate + n_sync * N_MACHINE_STATES
+    extremes = wtg_rate + n_wtg * N_WTG_STATES
+    transfer = extremes + n_wtg * N_EXTREMES
+    fixed = transfer + 2 * n
+    return Rows(
+        wtg=n_sync * N_MACHINE_ROWS,
+        voltage=voltage,
+        current=voltage + 2 * n,
+        admittance=voltage + 4 * n,
+        lane=lane,
+        machine_rate=machine_rate,
+        wtg_rate=wtg_rate,
+        extremes=extremes,
+        transfer=transfer,
+        fixed_admittance=fixed,
+        extra=fixed + 2 * n * n,
+    )
+
+
+@inlined
+def rows_of(c: Any) -> Rows:
+    """Return where the parts of a block begin, for a plant's constants."""
+    return block_rows(c["machines"].shape[0], c["share"].shape[0])
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Sizes and row offsets of a block."""
+    """Rows of a block by name.
+
+    A machine's or group's number is named as in its records without those around it ("speed", "power", "k_offset",
+    "peak_power"); a lane's as in :class:`LaneRows`.
+    """
 
     n_sync: int
     n_wtg: int
     n_extra: int = 0
+
+    @cached_property
+    def rows(self) -> Rows:
+        """First row of each part."""
+        rows: Rows = getattr(block_rows, "py_func", block_rows)(self.n_sync, self.n_wtg)
+        return rows
 
     @property
     def n_unit(self) -> int:
@@ -173,65 +282,41 @@ class Layout:
         return self.n_sync + self.n_wtg
 
     @property
-    def wtg(self) -> int:
-        """Row at which the WTG groups start."""
-        return self.n_sync * SyncRow.N_ROWS
-
-    @property
-    def network(self) -> int:
-        """Row at which the network starts."""
-        return self.wtg + self.n_wtg * WtgRow.N_ROWS
-
-    @property
-    def lane(self) -> int:
-        """Row at which the lane's own rows start."""
-        return self.network + network_rows(self.n_unit)
-
-    @property
-    def extra(self) -> int:
-        """Row at which rows of the caller's own start."""
-        return self.lane + LaneRow.N_ROWS
-
-    @property
     def n_rows(self) -> int:
         """Number of rows of a block."""
-        return self.extra + self.n_extra
+        return self.rows.extra + self.n_extra
 
-    @property
+    def machine(self, name: str) -> npt.NDArray[np.int64]:
+        """Return the row of each machine's number of this name (n_sync,)."""
+        return row_of(MachineRows, name) + np.arange(self.n_sync) * N_MACHINE_ROWS
+
+    def wtg(self, name: str) -> npt.NDArray[np.int64]:
+        """Return the row of each WTG group's number of this name (n_wtg,)."""
+        groups = np.arange(self.n_wtg)
+        if name in WtgExtremes._fields:
+            return self.rows.extremes + row_of(WtgExtremes, name) + groups * N_EXTREMES
+        return self.rows.wtg + row_of(WtgRows, name) + groups * N_WTG_ROWS
+
+    def lane(self, name: str) -> int:
+        """Return the row of the lane's number of this name."""
+        return self.rows.lane + row_of(LaneRows, name)
+
+    @cached_property
     def state_rows(self) -> npt.NDArray[np.int64]:
         """Rows of the state vector: machines, WTG groups, reference angle."""
-        rows = [i * SyncRow.N_ROWS + s for i in range(self.n_sync) for s in range(N_SYNC_STATES)]
-        rows += [self.wtg + j * WtgRow.N_ROWS + s for j in range(self.n_wtg) for s in range(N_WTG_STATES)]
-        return np.array([*rows, self.lane + LaneRow.ANGLE], dtype=np.int64)
+        machines = np.arange(self.n_sync)[:, None] * N_MACHINE_ROWS + np.arange(N_MACHINE_STATES)
+        groups = self.rows.wtg + np.arange(self.n_wtg)[:, None] * N_WTG_ROWS + np.arange(N_WTG_STATES)
+        return np.concatenate([machines.ravel(), groups.ravel(), [self.lane("angle")]])
 
-    @property
+    @cached_property
     def rate_rows(self) -> npt.NDArray[np.int64]:
         """Rows of the time derivatives, in the order of :attr:`state_rows`."""
-        rows = [i * SyncRow.N_ROWS + SyncRow.RATE + s for i in range(self.n_sync) for s in range(N_SYNC_STATES)]
-        rows += [self.wtg + j * WtgRow.N_ROWS + WtgRow.RATE + s for j in range(self.n_wtg) for s in range(N_WTG_STATES)]
-        return np.array([*rows, self.lane + LaneRow.RATE], dtype=np.int64)
+        return np.append(np.arange(self.rows.machine_rate, self.rows.extremes), self.lane("rate"))
 
     @property
     def state_names(self) -> tuple[str, ...]:
         """Names of the state vector's entries."""
-        names = [f"sync{i}.{s.name.lower()}" for i in range(self.n_sync) for s in SyncState]
-        names += [f"wtg{j}.{s.name.lower()}" for j in range(self.n_wtg) for s in WtgState]
+        names = [f"sync{i}.{name}" for i in range(self.n_sync) for name in short_names(MachineState)]
+        names += [f"wtg{j}.{name}" for j in range(self.n_wtg) for name in short_names(WtgState)]
         return (*names, "reference_angle")
 
-
-@compiled
-def network_rows(n_unit: int) -> int:
-    """Number of network rows: voltages, currents, noise transfer (6 n) and four matrices (4 n²)."""
-    return 6 * n_unit + 4 * n_unit * n_unit
-
-
-@compiled
-def network_row(plant: Plant) -> int:
-    """Return the row at which the network starts."""
-    return len(plant.syncs) * SyncRow.N_ROWS + len(plant.wtgs) * WtgRow.N_ROWS
-
-
-@compiled
-def lane_row(plant: Plant) -> int:
-    """Return the row at which the lane's own rows start."""
-    return network_row(plant) + network_rows(len(plant.syncs) + len(plant.wtgs))

@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.physics.converter import Corners
 from wtg_gym.physics.dynamics import evaluate_rates
-from wtg_gym.physics.layout import N_SYNC_STATES, N_WTG_STATES, Floats, Layout, Plant, WtgRow
-from wtg_gym.physics.wind_turbine import TurbineConstant, WtgState
+from wtg_gym.physics.layout import Floats, Layout, Plant
 
 #: Step of the finite differences [p.u., rad]; truncation and rounding are both near 1e-9 of a rate.
 _DIFFERENCE = 2e-6
@@ -33,7 +33,7 @@ def state_matrix(rows: Floats, plant: Plant, layout: Layout, side: npt.ArrayLike
     """
     states, n = layout.state_rows, layout.state_rows.size
     sides = np.broadcast_to(np.asarray(side, dtype=np.float64), (layout.n_wtg,))
-    speeds = layout.n_sync * N_SYNC_STATES + np.arange(layout.n_wtg) * N_WTG_STATES + WtgState.SPEED
+    speeds = np.flatnonzero(np.isin(states, layout.wtg("speed")))
     first, second = np.full(n, 1.0), np.full(n, -1.0)
     first[speeds], second[speeds] = sides, 2.0 * sides
     blocks = np.repeat(rows[np.newaxis, :], 2 * n + 1, axis=0)
@@ -53,10 +53,9 @@ def moving_states(matrix: Floats, rows: Floats, layout: Layout) -> npt.NDArray[n
     The pitch protection at rest has none, since it only acts upwards: a difference across that limit is no slope.
     """
     keep = np.ones(matrix.shape[0], dtype=np.bool_)
-    for j in range(layout.n_wtg):
-        for state in (WtgState.PITCH_INTEGRAL, WtgState.PITCH):
-            at_rest = rows[layout.wtg + j * WtgRow.N_ROWS + state] < 4.0 * _DIFFERENCE
-            keep[layout.n_sync * N_SYNC_STATES + j * N_WTG_STATES + state] = not at_rest
+    for name in ("pitch_integral", "pitch"):
+        wtgs = layout.wtg(name)
+        keep[np.isin(layout.state_rows, wtgs[rows[wtgs] < 4.0 * _DIFFERENCE])] = False
     while True:
         rest = np.where(np.outer(keep, keep), matrix, 0.0)
         kept = keep & rest.any(axis=0) & rest.any(axis=1)
@@ -94,13 +93,10 @@ def check_step(rows: Floats, plant: Plant, layout: Layout) -> None:
     Raises:
         ValueError: the message names the eigenvalue, the state it mainly belongs to, the step and the largest allowed.
     """
-    t = plant.turbine
-    k_min, k_nominal, k_max = (
-        rows[layout.wtg + np.arange(layout.n_wtg) * WtgRow.N_ROWS + row]
-        for row in (WtgRow.K_MIN, WtgRow.K_NOMINAL, WtgRow.K_MAX)
-    )
-    below = (k_min - k_nominal) / (t[TurbineConstant.SPEED_SETPOINT] - t[TurbineConstant.SPEED_MIN])
-    above = (k_nominal - k_max) / (t[TurbineConstant.SPEED_MAX] - t[TurbineConstant.SPEED_SETPOINT])
+    t = plant.constants["turbine"][0]
+    low, setpoint, high = (t[f"converter.corners.{name}"] for name in Corners._fields)
+    k_min, k_nominal, k_max = (rows[layout.wtg(name)] for name in ("k_min", "k_nominal", "k_max"))
+    below, above = (k_min - k_nominal) / (setpoint - low), (k_nominal - k_max) / (high - setpoint)
     matrix = state_matrix(rows, plant, layout, np.where(below >= above, -1.0, 1.0))
     keep = moving_states(matrix, rows, layout)
     matrix = matrix[np.ix_(keep, keep)]

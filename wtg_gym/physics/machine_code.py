@@ -15,6 +15,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
+import linecache
 import logging
 import os
 import pickle
@@ -107,7 +108,8 @@ def _digest(*parts: bytes) -> bytes:
 
 @functools.cache
 def _file_hash(path: str) -> bytes:
-    return _digest(Path(path).read_bytes())
+    # Generated functions have no file; their lines are registered with linecache.
+    return _digest("".join(linecache.getlines(path)).encode())
 
 
 @functools.cache

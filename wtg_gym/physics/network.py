@@ -192,24 +192,24 @@ def solve_in_place(a: npt.NDArray, b: npt.NDArray) -> bool:  # type: ignore[type
 
 @compiled
 def assemble_admittance(
-    branch_from: npt.NDArray[np.int64],
-    branch_to: npt.NDArray[np.int64],
-    branch_y: npt.NDArray[np.complex128],
-    open_branch: npt.NDArray[np.bool_],
-    bus_y: npt.NDArray[np.complex128],
+    branches: npt.NDArray[np.void], open_branch: npt.NDArray[np.bool_], bus_y: npt.NDArray[np.complex128]
 ) -> npt.NDArray[np.complex128]:
-    """Return the bus admittance matrix (n_bus, n_bus) [p.u.] of the closed branches plus `bus_y` on the diagonal."""
+    """Return the bus admittance matrix (n_bus, n_bus) [p.u.] of the closed branches plus `bus_y` on the diagonal.
+
+    `branches` (n_branch,) are of :class:`~wtg_gym.physics.layout.BranchConstants`.
+    """
     n = bus_y.shape[0]
     y = np.zeros((n, n), dtype=np.complex128)
     for k in range(n):
         y[k, k] = bus_y[k]
-    for b in range(branch_from.shape[0]):
+    for b in range(branches.shape[0]):
         if not open_branch[b]:
-            i, j = branch_from[b], branch_to[b]
-            y[i, i] += branch_y[b, 0]
-            y[i, j] += branch_y[b, 1]
-            y[j, i] += branch_y[b, 2]
-            y[j, j] += branch_y[b, 3]
+            branch = branches[b]
+            i, j = branch["start"], branch["end"]
+            y[i, i] += branch["y_ff"]
+            y[i, j] += branch["y_ft"]
+            y[j, i] += branch["y_tf"]
+            y[j, j] += branch["y_tt"]
     return y
 
 

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.layout import Plant
+from wtg_gym.physics.layout import BranchConstants, BusConstants, Plant, constants_dtype
+from wtg_gym.physics.machine import machine_constants
 from wtg_gym.physics.network import NetworkCase, branch_admittances
 from wtg_gym.physics.parameters import (
     GridFormingParameters,
@@ -19,9 +20,9 @@ from wtg_gym.physics.parameters import (
     WtgGroup,
     default_groups,
 )
+from wtg_gym.physics.records import dtype, flatten
 from wtg_gym.physics.scenario import require_range
-from wtg_gym.physics.synchronous_machine import MachineConstant, machine_constants
-from wtg_gym.physics.wind_turbine import TurbineConstant, turbine_constants
+from wtg_gym.physics.wind_turbine import turbine_constants
 
 #: Integration steps that are accepted [s].
 SIMULATION_DT_RANGE = (5e-5, 0.04)
@@ -76,38 +77,35 @@ class PlantSettings:
 
 
 def build_plant(settings: PlantSettings) -> Plant:
-    """Return the tables of a plant for the kernels."""
-    case = settings.case
-    machines = [machine_constants(m, case.base_mva) for m in case.machines]
+    """Return the constants of a plant for the kernels."""
+    case, base = settings.case, settings.case.base_mva
+    machines = [machine_constants(m, base) for m in case.machines]
     turbine = turbine_constants(settings.turbine, settings.pitch, settings.control, settings.protection)
-    share = np.array([g.n_turbines * settings.turbine.rated_power_mw / case.base_mva for g in settings.groups])
-    buses = [m.bus for m in case.machines] + [g.bus for g in settings.groups]
-    unit_bus = np.array([case.bus_index(b) for b in buses], dtype=np.int64)
-    internal = [complex(m[MachineConstant.RESISTANCE], m[MachineConstant.INTERNAL_REACTANCE]) for m in machines]
-    internal += [1j * turbine[TurbineConstant.REACTANCE] / s for s in share]
-    has_unit = np.zeros(len(case.buses), dtype=np.bool_)
-    has_unit[unit_bus] = True
-    held = np.array([bus.voltage_pu is not None for bus in case.buses])
-    return Plant(
-        syncs=(0,) * len(machines),
-        wtgs=(0,) * len(share),
-        machines=np.array(machines).reshape(len(machines), len(MachineConstant)),
-        turbine=turbine,
-        share=share,
-        unit_bus=unit_bus,
-        unit_y=1.0 / np.array(internal, dtype=np.complex128),
-        branch_from=np.array([case.bus_index(b.from_bus) for b in case.branches], dtype=np.int64),
-        branch_to=np.array([case.bus_index(b.to_bus) for b in case.branches], dtype=np.int64),
-        branch_y=branch_admittances(case.branches),
-        shunt_y=np.array([complex(b.shunt_mw, b.shunt_mvar) / case.base_mva for b in case.buses]),
-        load=np.array([complex(b.load_mw, b.load_mvar) / case.base_mva for b in case.buses]),
-        voltage=np.array([bus.voltage_pu or 1.0 for bus in case.buses]),
-        holds_voltage=held & has_unit,
-        dispatch=np.array([m.dispatch_mw / case.base_mva for m in case.machines]),
-        slack=case.bus_index(case.slack_bus),
-        angular_frequency=2.0 * math.pi * case.frequency_hz,
-        base_mva=case.base_mva,
-        simulation_dt=settings.simulation_dt,
-        n_substeps=whole_steps("control_dt", settings.control_dt, settings.simulation_dt, "simulation step"),
-        trips_groups=settings.trips_groups,
-    )
+    share = [g.n_turbines * settings.turbine.rated_power_mw / base for g in settings.groups]
+    unit_bus = [case.bus_index(unit.bus) for unit in (*case.machines, *settings.groups)]
+    impedances = [complex(m.resistance, m.internal_reactance) for m in machines]
+    impedances += [1j * turbine.converter.reactance / s for s in share]
+    constants = np.zeros(1, dtype=constants_dtype(len(machines), len(share)))
+    constants["machines"] = [flatten(m) for m in machines]
+    constants["turbine"] = flatten(turbine)
+    constants["share"], constants["unit_bus"] = share, unit_bus
+    constants["unit_y"] = 1.0 / np.array(impedances, dtype=np.complex128)
+    constants["dispatch"] = [m.dispatch_mw / base for m in case.machines]
+    constants["slack"], constants["omega_n"] = case.bus_index(case.slack_bus), 2.0 * math.pi * case.frequency_hz
+    constants["base_mva"], constants["simulation_dt"] = base, settings.simulation_dt
+    constants["n_substeps"] = whole_steps("control_dt", settings.control_dt, settings.simulation_dt, "simulation step")
+    constants["trips_groups"] = settings.trips_groups
+    buses = [
+        BusConstants(
+            shunt=complex(bus.shunt_mw, bus.shunt_mvar) / base,
+            load=complex(bus.load_mw, bus.load_mvar) / base,
+            voltage=bus.voltage_pu or 1.0,
+            holds_voltage=bus.voltage_pu is not None and index in unit_bus,
+        )
+        for index, bus in enumerate(case.buses)
+    ]
+    branches = [
+        (case.bus_index(branch.from_bus), case.bus_index(branch.to_bus), *y)
+        for branch, y in zip(case.branches, branch_admittances(case.branches), strict=True)
+    ]
+    return Plant(constants, np.array(buses, dtype=dtype(BusConstants)), np.array(branches, dtype=dtype(BranchConstants)))

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.compiled import compiled, inlined
 from wtg_gym.physics.layout import (
-    EventColumn,
+    LANE,
+    N_WTG_ROWS,
+    WTG,
     Floats,
     LaneData,
-    LaneRow,
     Lanes,
+    Phasor,
     Plant,
-    SyncRow,
-    WtgRow,
-    lane_row,
-    network_row,
+    load_phasor,
+    load_wtg_input,
+    rows_of,
+    store_phasor,
 )
 from wtg_gym.physics.network import assemble_admittance, solve_in_place, transfer_impedances
 
@@ -29,34 +32,33 @@ def refresh_network(block: Floats, x: int, lane: int, plant: Plant, data: LaneDa
 
     Load ramps are staircases: constant over a control interval at the value of its middle.
     """
-    own = lane_row(plant) * width
-    step = block[own + LaneRow.STEP * width + x]
-    events = data.events[lane]
+    c = plant.constants[0]
+    own = rows_of(c).lane * width + x
+    step = block[own + LANE.step * width]
     following = math.inf
-    for e in range(events.shape[0]):
-        start, end = events[e, EventColumn.START], events[e, EventColumn.END]
-        if step < start:
-            following = min(following, start)
-        elif step < end:
-            boundary = (math.floor(step / plant.n_substeps) + 1.0) * plant.n_substeps
-            following = min(following, min(boundary, end))
-    block[own + LaneRow.LAST_CHANGE * width + x] = step
-    block[own + LaneRow.NEXT_CHANGE * width + x] = following
-    unit_y = _connected_units(block, x, plant, width)
+    for event in data.events[lane]:
+        if step < event["start"]:
+            following = min(following, event["start"])
+        elif step < event["end"]:
+            boundary = (math.floor(step / c["n_substeps"]) + 1.0) * c["n_substeps"]
+            following = min(following, min(boundary, event["end"]))
+    block[own + LANE.last_change * width] = step
+    block[own + LANE.next_change * width] = following
+    unit_y = _connected_units(block, x, c, width)
     y = _full_admittance(step, 0.5 * (step + following), lane, plant, data, unit_y)
     noise_bus = data.noise_bus[lane]
-    z = transfer_impedances(y, plant.unit_bus, noise_bus)
-    _store_reduction(block, x, plant, unit_y, z, noise_bus, width)
+    z = transfer_impedances(y, c["unit_bus"], noise_bus)
+    _store_reduction(block, x, c, unit_y, z, noise_bus, width)
 
 
 @compiled
-def _connected_units(block: Floats, x: int, plant: Plant, width: int) -> npt.NDArray[np.complex128]:
+def _connected_units(block: Floats, x: int, c: Any, width: int) -> npt.NDArray[np.complex128]:
     """Return the internal admittance of every unit, zero for a group that has tripped [p.u.]."""
-    n_sync = len(plant.syncs)
-    unit_y = plant.unit_y.copy()
-    for j in range(len(plant.wtgs)):
-        connected = block[(n_sync * SyncRow.N_ROWS + j * WtgRow.N_ROWS + WtgRow.CONNECTED) * width + x]
-        unit_y[n_sync + j] *= connected
+    n_sync = c["machines"].shape[0]
+    unit_y = c["unit_y"].copy()
+    for j in range(c["share"].shape[0]):
+        at = (rows_of(c).wtg + j * N_WTG_ROWS + WTG.input) * width + x
+        unit_y[n_sync + j] *= load_wtg_input(block, at, width).connected
     return unit_y
 
 
@@ -68,26 +70,21 @@ def _full_admittance(
 
     `step` decides which events have struck, `ramp_step` how far a ramp has come.
     """
-    n_bus = plant.shunt_y.shape[0]
-    events = data.events[lane]
-    bus_y = np.empty(n_bus, dtype=np.complex128)
-    for k in range(n_bus):
-        bus_y[k] = plant.shunt_y[k] + data.load_y[lane, k]
-    open_branch = np.zeros(plant.branch_from.shape[0], dtype=np.bool_)
-    for e in range(events.shape[0]):
-        start, end = events[e, EventColumn.START], events[e, EventColumn.END]
-        if step >= start:
-            level = 1.0 if step >= end else (ramp_step - start) / (end - start)
-            branch = int(events[e, EventColumn.BRANCH])
-            if branch >= 0:
-                open_branch[branch] = True
+    c = plant.constants[0]
+    bus_y = np.empty(plant.buses.shape[0], dtype=np.complex128)
+    for k in range(bus_y.shape[0]):
+        bus_y[k] = plant.buses[k]["shunt"] + data.load_y[lane, k]
+    open_branch = np.zeros(plant.branches.shape[0], dtype=np.bool_)
+    for event in data.events[lane]:
+        if step >= event["start"]:
+            level = 1.0 if step >= event["end"] else (ramp_step - event["start"]) / (event["end"] - event["start"])
+            if event["branch"] >= 0:
+                open_branch[event["branch"]] = True
             else:
-                bus_y[int(events[e, EventColumn.BUS])] += level * complex(
-                    events[e, EventColumn.CONDUCTANCE], events[e, EventColumn.SUSCEPTANCE]
-                )
+                bus_y[event["bus"]] += level * event["admittance"]
     for i in range(unit_y.shape[0]):
-        bus_y[plant.unit_bus[i]] += unit_y[i]
-    return assemble_admittance(plant.branch_from, plant.branch_to, plant.branch_y, open_branch, bus_y)
+        bus_y[c["unit_bus"][i]] += unit_y[i]
+    return assemble_admittance(plant.branches, open_branch, bus_y)
 
 
 @compiled
@@ -104,85 +101,74 @@ def bus_voltages(
         noise_mw: load noise that acts [MW].
         width: lanes of the block.
     """
-    own = lane_row(plant) * width
-    last = block[own + LaneRow.LAST_CHANGE * width + x]
-    following = block[own + LaneRow.NEXT_CHANGE * width + x]
-    unit_y = _connected_units(block, x, plant, width)
+    c, rows = plant.constants[0], rows_of(plant.constants[0])
+    own = rows.lane * width + x
+    last, following = block[own + LANE.last_change * width], block[own + LANE.next_change * width]
+    unit_y = _connected_units(block, x, c, width)
     # The network as it was last reduced: an event that strikes just now is seen by the next step.
     y = _full_admittance(last, 0.5 * (last + following), lane, plant, data, unit_y)
     noise_bus = data.noise_bus[lane]
-    y[noise_bus, noise_bus] += noise_mw * block[own + LaneRow.NOISE_PER_MW * width + x]
-    n = unit_y.shape[0]
-    e_re = network_row(plant) * width + x
+    y[noise_bus, noise_bus] += noise_mw * block[own + LANE.noise_per_mw * width]
     injected = np.zeros((y.shape[0], 1), dtype=np.complex128)
-    for i in range(n):
-        emf = complex(block[e_re + i * width], block[e_re + (n + i) * width])
-        injected[plant.unit_bus[i], 0] += unit_y[i] * emf
+    for i in range(unit_y.shape[0]):
+        emf = load_phasor(block, (rows.voltage + 2 * i) * width + x, width)
+        injected[c["unit_bus"][i], 0] += unit_y[i] * complex(emf.re, emf.im)
     solve_in_place(y, injected)
     return injected[:, 0]
+
+
+@inlined
+def _phasor(value: complex) -> Phasor:
+    return Phasor(value.real, value.imag)
 
 
 @compiled
 def _store_reduction(
     block: Floats,
     x: int,
-    plant: Plant,
+    c: Any,
     unit_y: npt.NDArray[np.complex128],
     z: npt.NDArray[np.complex128],
     noise_bus: int,
     width: int,
 ) -> None:
     """Write Y_red = diag(y) - diag(y) Z diag(y), the noise bus's transfer u = diag(y) Z e and its impedance."""
-    n = len(plant.syncs) + len(plant.wtgs)
-    u_re = (network_row(plant) + 4 * n) * width
-    u_im = u_re + n * width
-    g0 = u_im + n * width + 2 * n * n * width
-    b0 = g0 + n * n * width
+    rows, n = rows_of(c), unit_y.shape[0]
     for i in range(n):
+        bus = c["unit_bus"][i]
         for j in range(n):
-            value = -unit_y[i] * z[plant.unit_bus[i], j] * unit_y[j]
+            value = -unit_y[i] * z[bus, j] * unit_y[j]
             if i == j:
                 value += unit_y[i]
-            block[g0 + (i * n + j) * width + x] = value.real
-            block[b0 + (i * n + j) * width + x] = value.imag
-        transfer = unit_y[i] * z[plant.unit_bus[i], n]
-        block[u_re + i * width + x] = transfer.real
-        block[u_im + i * width + x] = transfer.imag
-    own = lane_row(plant) * width
-    block[own + LaneRow.NOISE_Z_RE * width + x] = z[noise_bus, n].real
-    block[own + LaneRow.NOISE_Z_IM * width + x] = z[noise_bus, n].imag
+            store_phasor(_phasor(value), block, (rows.fixed_admittance + 2 * (i * n + j)) * width + x, width)
+        store_phasor(_phasor(unit_y[i] * z[bus, n]), block, (rows.transfer + 2 * i) * width + x, width)
+    store_phasor(_phasor(z[noise_bus, n]), block, (rows.lane + LANE.noise_z) * width + x, width)
 
 
 @inlined
-def combine_load_noise(block: Floats, plant: Plant, noise_y: Floats, lanes: Lanes) -> None:
+def combine_load_noise(block: Floats, c: Any, noise_y: Floats, lanes: Lanes) -> None:
     """Put the load noise into the reduced admittance of every lane of a block by a rank-one update.
 
     Y = Y0 + Δy/(1 + Δy z) u uᵀ (Sherman-Morrison); exact for one bus, and cheap enough for every control interval.
     `noise_y` (width) is Δy, a conductance [p.u.].
     """
-    width = len(lanes)
-    n = len(plant.syncs) + len(plant.wtgs)
-    own = lane_row(plant) * width
-    u_re = (network_row(plant) + 4 * n) * width
-    u_im = u_re + n * width
-    g = u_im + n * width
-    b = g + n * n * width
-    g0 = b + n * n * width
-    b0 = g0 + n * n * width
+    width, rows = len(lanes), rows_of(c)
+    n = c["unit_bus"].shape[0]
     f_re, f_im = np.empty(width), np.empty(width)
     for x in range(width):
         dy = noise_y[x]
-        d_re = 1.0 + dy * block[own + LaneRow.NOISE_Z_RE * width + x]
-        d_im = dy * block[own + LaneRow.NOISE_Z_IM * width + x]
+        z = load_phasor(block, (rows.lane + LANE.noise_z) * width + x, width)
+        d_re, d_im = 1.0 + dy * z.re, dy * z.im
         size = dy / (d_re * d_re + d_im * d_im)
         f_re[x], f_im[x] = size * d_re, -size * d_im
     for i in range(n):
         for j in range(n):
-            at = (i * n + j) * width
+            at = 2 * (i * n + j) * width
             for x in range(width):
-                u_i_re, u_i_im = block[u_re + i * width + x], block[u_im + i * width + x]
-                u_j_re, u_j_im = block[u_re + j * width + x], block[u_im + j * width + x]
-                v_re = u_i_re * u_j_re - u_i_im * u_j_im
-                v_im = u_i_re * u_j_im + u_i_im * u_j_re
-                block[g + at + x] = block[g0 + at + x] + f_re[x] * v_re - f_im[x] * v_im
-                block[b + at + x] = block[b0 + at + x] + f_re[x] * v_im + f_im[x] * v_re
+                u_i = load_phasor(block, (rows.transfer + 2 * i) * width + x, width)
+                u_j = load_phasor(block, (rows.transfer + 2 * j) * width + x, width)
+                y0 = load_phasor(block, rows.fixed_admittance * width + at + x, width)
+                v_re = u_i.re * u_j.re - u_i.im * u_j.im
+                v_im = u_i.re * u_j.im + u_i.im * u_j.re
+                y = Phasor(y0.re + f_re[x] * v_re - f_im[x] * v_im, y0.im + f_re[x] * v_im + f_im[x] * v_re)
+                store_phasor(y, block, rows.admittance * width + at + x, width)

@@ -15,12 +15,11 @@ import numpy.typing as npt
 from wtg_gym.physics.dynamics import evaluate_rates
 from wtg_gym.physics.equilibrium import StartFailure, start_lanes
 from wtg_gym.physics.integration import advance_blocks
-from wtg_gym.physics.layout import EventColumn, Floats, LaneData, LaneRow, Layout, SyncRow, WtgRow
+from wtg_gym.physics.layout import EVENT_DTYPE, NO_EVENT, Floats, LaneData, Layout, NetworkEvent
 from wtg_gym.physics.linearisation import check_step
 from wtg_gym.physics.plant import PlantSettings, build_plant, whole_steps
 from wtg_gym.physics.reduction import bus_voltages
 from wtg_gym.physics.scenario import SERIES_DT, Event, LineTrip, LoadRamp, LoadTrip, Scenario
-from wtg_gym.physics.synchronous_machine import MachineConstant
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, get_law
 
 #: Lanes per block of a batched simulator; a single run uses a block of one.
@@ -41,11 +40,6 @@ _FAILURE_TEXT = {
 
 def _copy(data: LaneData) -> LaneData:
     return LaneData._make(array.copy() for array in data)
-
-
-def _clear_events(table: Floats) -> None:
-    table[...] = -1.0
-    table[..., EventColumn.START] = table[..., EventColumn.END] = math.inf
 
 
 @functools.lru_cache(maxsize=64)
@@ -106,7 +100,7 @@ class Simulator:
         self.plant = build_plant(settings)
         self.n_lanes = int(n_lanes)
         self.n_intervals = whole_steps("duration_s", duration_s, settings.control_dt, "control step")
-        self.layout = Layout(self.plant.machines.shape[0], self.plant.share.shape[0], n_extra)
+        self.layout = Layout(len(settings.case.machines), len(settings.groups), n_extra)
         self.width = 1 if n_lanes == 1 else BLOCK_WIDTH
         self.lanes = (0,) * self.width
         n_blocks = -(-self.n_lanes // self.width)
@@ -156,15 +150,13 @@ class Simulator:
             ) from None
 
     def _allocate_data(self, n: int, n_events: int) -> LaneData:
-        n_bus, n_wtg = self.plant.shunt_y.shape[0], self.layout.n_wtg
-        events = np.empty((n, n_events, len(EventColumn)))
-        _clear_events(events)
+        n_bus, n_wtg = self.plant.buses.size, self.layout.n_wtg
         return LaneData(
             wind=np.full((n, n_wtg, self.n_intervals + 1), 8.0),
             noise=np.zeros((n, self.n_intervals)),
             noise_bus=np.zeros(n, dtype=np.int64),
             load_y=np.zeros((n, n_bus), dtype=np.complex128),
-            events=events,
+            events=np.full((n, n_events), NO_EVENT, dtype=EVENT_DTYPE),
         )
 
     def _pad(self) -> None:
@@ -173,29 +165,29 @@ class Simulator:
             rows[:] = 0.0
             padding = Scenario(name="padding", wind_speed=np.full((self.layout.n_wtg, 1), 8.0))
             self._write_constants(rows[None, :], [padding])
-            for j in range(self.layout.n_wtg):
-                rows[self.wtg_row(j, WtgRow.WIND)] = rows[self.wtg_row(j, WtgRow.WIND_START)] = 8.0
-            rows[self.layout.lane + LaneRow.NEXT_CHANGE] = math.inf
+            for name in ("wind", "wind_start"):
+                rows[self.layout.wtg(name)] = 8.0
+            rows[self.layout.lane("next_change")] = math.inf
 
     def _lane_view(self, lane: int) -> Floats:
         view: Floats = self._view[lane // self.width, :, lane % self.width]
         return view
 
-    def wtg_row(self, group: int, row: int) -> int:
-        """Return the buffer row of a :class:`WtgRow` or :class:`WtgState` of a group."""
-        return self.layout.wtg + group * WtgRow.N_ROWS + int(row)
-
-    def values(self, row: int) -> Floats:
+    def values(self, row: int | np.int64) -> Floats:
         """Return one row for every lane, shape (n_lanes,): a copy."""
         return self._view[:, row, :].ravel()[: self.n_lanes].copy()
 
-    def wtg_values(self, row: int) -> Floats:
-        """Return a :class:`WtgRow` or :class:`WtgState` of every lane and group, shape (n_lanes, n_wtg)."""
-        return np.stack([self.values(self.wtg_row(j, row)) for j in range(self.layout.n_wtg)], axis=1)
+    def machine_values(self, name: str) -> Floats:
+        """Return a number of every lane and synchronous machine by its name, shape (n_lanes, n_sync)."""
+        return np.stack([self.values(row) for row in self.layout.machine(name)], axis=1)
 
-    def lane_values(self, row: LaneRow) -> Floats:
-        """Return a :class:`LaneRow` of every lane, shape (n_lanes,)."""
-        return self.values(self.layout.lane + row)
+    def wtg_values(self, name: str) -> Floats:
+        """Return a number of every lane and WTG group by its name, shape (n_lanes, n_wtg)."""
+        return np.stack([self.values(row) for row in self.layout.wtg(name)], axis=1)
+
+    def lane_values(self, name: str) -> Floats:
+        """Return a number of every lane by its name, shape (n_lanes,)."""
+        return self.values(self.layout.lane(name))
 
     def prepare(self, scenarios: Sequence[Scenario], laws: Sequence[TrackingLaw]) -> PreparedLanes:
         """Find the exact equilibria that scenarios start from; no running lane is touched.
@@ -221,16 +213,15 @@ class Simulator:
 
     def _check_internal_voltages(self, rows: Floats, scenarios: Sequence[Scenario]) -> None:
         """Refuse a start that needs a larger voltage behind a reactance than anybody builds."""
-        n_sync, n_wtg = self.layout.n_sync, self.layout.n_wtg
-        syncs, wtgs = np.arange(n_sync) * SyncRow.N_ROWS, self.wtg_row(0, 0) + np.arange(n_wtg) * WtgRow.N_ROWS
-        of_syncs = np.hypot(rows[:, syncs + SyncRow.E_D], rows[:, syncs + SyncRow.E_Q])
-        voltages = np.concatenate([of_syncs, rows[:, wtgs + WtgRow.EMF]], axis=1)
+        layout = self.layout
+        of_machines = np.hypot(rows[:, layout.machine("e_d")], rows[:, layout.machine("e_q")])
+        voltages = np.concatenate([of_machines, rows[:, layout.wtg("emf")]], axis=1)
         limit = self.settings.protection.internal_voltage_max_pu
         if (voltages <= limit).all():
             return
         lane, unit = np.argwhere(~(voltages <= limit))[0]
-        bus = self.settings.case.buses[self.plant.unit_bus[unit]]
-        name = "the synchronous machine" if unit < n_sync else f"WTG group {unit - n_sync}"
+        bus = self.settings.case.buses[self.plant.constants["unit_bus"][0, unit]]
+        name = "the synchronous machine" if unit < layout.n_sync else f"WTG group {unit - layout.n_sync}"
         task = "for its share of the power" if bus.voltage_pu is None else f"to hold {bus.voltage_pu:g} p.u. there"
         raise ValueError(
             f"scenario {scenarios[lane].name!r} cannot start: {name} at bus {bus.number} needs an internal voltage of "
@@ -251,10 +242,11 @@ class Simulator:
             self._write_events(data.events[lane], scenario)
         rows = np.zeros((n, self.layout.n_rows))
         self._write_constants(rows, scenarios)
-        for j, law in enumerate(laws):
-            own = rows[:, self.wtg_row(j, 0) :]
-            own[:, WtgRow.K_MIN], own[:, WtgRow.K_NOMINAL], own[:, WtgRow.K_MAX] = law.k_min, law.k_nominal, law.k_max
-            own[:, WtgRow.INV_TAU], own[:, WtgRow.DROOP_CANCELLED] = law.inverse_time_constant, law.droop_cancelled
+        rows[:, self.layout.wtg("k_min")] = [law.k_min for law in laws]
+        rows[:, self.layout.wtg("k_nominal")] = [law.k_nominal for law in laws]
+        rows[:, self.layout.wtg("k_max")] = [law.k_max for law in laws]
+        rows[:, self.layout.wtg("inv_tau")] = [law.inverse_time_constant for law in laws]
+        rows[:, self.layout.wtg("droop_cancelled")] = [law.droop_cancelled for law in laws]
         failures = np.zeros(n, dtype=np.int64)
         levels = np.array([scenario.load_level for scenario in scenarios])
         # A literal (0,) within compiled code would be a type of its own, and compile the right-hand side again.
@@ -274,10 +266,8 @@ class Simulator:
         index = np.array(lanes, dtype=np.int64)
         for own, given in zip(self.data[:-1], prepared.data[:-1], strict=True):
             own[index] = given
-        events = np.empty((index.size, *self.data.events.shape[1:]))
-        _clear_events(events)
-        events[:, :n_events] = prepared.data.events
-        self.data.events[index] = events
+        self.data.events[index] = NO_EVENT
+        self.data.events[index, :n_events] = prepared.data.events
         self._view[index // self.width, :, index % self.width] = prepared.rows
 
     def start(self, lane: int, scenario: Scenario, laws: Sequence[TrackingLaw]) -> None:
@@ -309,47 +299,46 @@ class Simulator:
                 index = np.minimum((np.arange(n) * dt / SERIES_DT + 1e-9).astype(np.int64), noise.size - 1)
                 data.noise[lane] = noise[index]
 
-    def _write_events(self, table: Floats, scenario: Scenario) -> None:
+    def _write_events(self, table: npt.NDArray[np.void], scenario: Scenario) -> None:
         lost = [event.bus for event in scenario.events if isinstance(event, LoadTrip)]
         if len(set(lost)) < len(lost):
             raise ValueError(f"scenario {scenario.name!r} disconnects a load twice; load trips at buses {lost}")
         case, opened = self.settings.case, []
         for row, event in enumerate(scenario.events):
-            values = table[row] = self._event_row(event, scenario.load_level)
-            if values[-1] >= 0:
-                opened.append(int(values[-1]))
+            values = self._network_event(event, scenario.load_level)
+            table[row] = values
+            if values.branch >= 0:
+                opened.append(values.branch)
         if not case.bridges.isdisjoint(opened) or (len(opened) > 1 and not case.connected_without(tuple(opened))):
             raise ValueError(f"scenario {scenario.name!r}: its line trips would split the network")
 
-    def _event_row(self, event: Event, load_level: float) -> tuple[float, ...]:
-        """The columns of :class:`EventColumn`; load as power [p.u.]."""
+    def _network_event(self, event: Event, load_level: float) -> NetworkEvent:
+        """Return an event with its times in steps and its load as power [p.u.]."""
         case, dt = self.settings.case, self.settings.simulation_dt
-        start = whole_steps("event time", event.time_s, dt, "simulation step")
+        start = end = float(whole_steps("event time", event.time_s, dt, "simulation step"))
         if isinstance(event, LineTrip):
-            return start, start, -1.0, -1.0, -1.0, case.branch_index(event.from_bus, event.to_bus)
-        bus, end = case.bus_index(event.bus), start
+            return NetworkEvent(start, end, -1, 0j, case.branch_index(event.from_bus, event.to_bus))
+        bus = case.bus_index(event.bus)
         if isinstance(event, LoadTrip):
-            power = -load_level * complex(self.plant.load[bus])
+            power = -load_level * complex(self.plant.buses["load"][bus])
         else:
             power = complex(event.power_mw, event.reactive_mvar) / case.base_mva
         if isinstance(event, LoadRamp):
             end = start + whole_steps("ramp duration", event.duration_s, dt, "simulation step")
-        return start, end, bus, power.real, power.imag, -1.0
+        return NetworkEvent(start, end, bus, power, -1)
 
     def _write_constants(self, rows: Floats, scenarios: Sequence[Scenario]) -> None:
-        scale = np.array([scenario.inertia_scale for scenario in scenarios])
-        for i, machine in enumerate(self.plant.machines):
-            own = rows[:, i * SyncRow.N_ROWS :]
-            own[:, SyncRow.INV_TWO_H] = 1.0 / (machine[MachineConstant.TWO_H] * scale)
-            droop = machine[MachineConstant.INV_DROOP]
-            own[:, SyncRow.INV_DROOP] = droop
-            if droop > 0.0:
-                given = [droop if s.governor_droop is None else 1.0 / s.governor_droop for s in scenarios]
-                own[:, SyncRow.INV_DROOP] = given
+        machines = self.plant.constants["machines"][0]
+        scale = np.array([[scenario.inertia_scale] for scenario in scenarios])
+        rows[:, self.layout.machine("inv_two_h")] = 1.0 / (machines["two_h"] * scale)
+        given = np.array([[np.nan if s.governor_droop is None else 1.0 / s.governor_droop] for s in scenarios])
+        nominal = machines["governor.inv_droop"]
+        # A scenario's droop is that of the machines with a governor.
+        rows[:, self.layout.machine("inv_droop")] = np.where(np.isnan(given) | (nominal <= 0.0), nominal, given)
 
     def stop(self, lane: int) -> None:
         """Let a lane stand still from now on."""
-        self._lane_view(lane)[self.layout.lane + LaneRow.ACTIVE] = 0.0
+        self._lane_view(lane)[self.layout.lane("active")] = 0.0
 
     def advance(self) -> None:
         """Advance every running lane by one control interval."""
@@ -405,7 +394,7 @@ class Simulator:
         Angles count from the rotor of the first machine; evaluated with the state as of the last step or
         :meth:`evaluate`.
         """
-        interval = max(0, math.ceil(self._lane_view(lane)[self.layout.lane + LaneRow.STEP] / self.plant.n_substeps) - 1)
+        interval = max(0, math.ceil(self._lane_view(lane)[self.layout.lane("step")] / self.plant.n_substeps) - 1)
         noise_mw = self.data.noise[lane, min(interval, self.n_intervals - 1)]
         block, x = self.blocks[lane // self.width], lane % self.width
         return bus_voltages(block, x, lane, self.plant, self.data, noise_mw, self.width)

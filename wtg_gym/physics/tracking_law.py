@@ -1,10 +1,7 @@
-"""The one control law of every strategy, and the strategies as its numbers.
+"""Strategies: the tracking law of :mod:`wtg_gym.physics.converter` with their numbers.
 
-    P_st = k ω_m³ + D_p x,    τ ẋ = (ω - ω_st) - x,    2H ω̇ = P_st - p - D_p (ω - ω_st),    k = g(ω)
-
-g is piecewise linear through (ω_min, k_min), (ω_st, k_nominal), (ω_max, k_max) and saturated outside. τ = ∞ leaves the
-plain droop (x ≡ 0); τ = 0 cancels it (x = ω - ω_st). A strategy's coefficients are those of a turbine: K_opt belongs to
-its rotor. Wherever a function takes a `turbine`, None is the paper's.
+A strategy's coefficients are those of a turbine: K_opt belongs to its rotor. Wherever a function takes a `turbine`, None
+is the paper's.
 """
 
 from __future__ import annotations
@@ -18,8 +15,6 @@ from pathlib import Path
 
 from wtg_gym.files import read_toml
 from wtg_gym.physics.aerodynamics import tracking_point
-from wtg_gym.physics.compiled import compiled
-from wtg_gym.physics.elementary import fma
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.physics.scenario import require_range
 
@@ -27,26 +22,6 @@ from wtg_gym.physics.scenario import require_range
 LARGEST_COEFFICIENT = 3.0
 #: Damping time constants of a law besides 0 and ∞ [s]; a slower filter is plain droop for as long as an episode takes.
 TIME_CONSTANT_RANGE = (0.05, 1e5)
-
-
-@compiled
-def tracking_coefficient(
-    speed: float,
-    k_min: float,
-    k_nominal: float,
-    k_max: float,
-    speed_min: float,
-    speed_setpoint: float,
-    speed_max: float,
-) -> float:
-    """Return g(ω) [p.u.]: coefficients at the three corner frequencies, frequencies in p.u.
-
-    Source: paper, equation `gomega_augement`; the linear g of equation `gomega` has its middle corner on the line.
-    """
-    # The spans are the same for all lanes: a factor is worked out once, a quotient in every lane.
-    below = min(max((speed_setpoint - speed) * (1.0 / (speed_setpoint - speed_min)), 0.0), 1.0)
-    above = min(max((speed - speed_setpoint) * (1.0 / (speed_max - speed_setpoint)), 0.0), 1.0)
-    return fma(below, k_min - k_nominal, fma(above, k_max - k_nominal, k_nominal))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -269,5 +244,4 @@ __all__ = [
     "group_laws",
     "mppt",
     "read_law",
-    "tracking_coefficient",
 ]

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics.layout import LaneRow, Status, WtgRow
+from wtg_gym.physics.layout import Status
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import TrackingLaw, group_laws
-from wtg_gym.physics.wind_turbine import WtgState
 
 Floats = npt.NDArray[np.float64]
 
@@ -87,31 +86,22 @@ def simulate(
     simulator = Simulator(settings, duration_s=scenario.duration_s)
     simulator.start(0, scenario, group_laws(laws, len(settings.groups), settings.turbine))
     nominal = settings.case.frequency_hz
-    rows = (
-        WtgState.SPEED,
-        WtgState.ROTOR_SPEED,
-        WtgRow.POWER,
-        WtgRow.CAPTURED,
-        WtgRow.COEFFICIENT,
-        WtgState.FILTER,
-        WtgState.PITCH,
-        WtgRow.WIND,
-    )
+    names = ("speed", "rotor_speed", "power", "captured", "coefficient", "filter", "pitch", "wind")
     frequency, samples = [], []
     for step in range(simulator.n_intervals + 1):
-        frequency.append(nominal * simulator.lane_values(LaneRow.COI)[0])
-        samples.append([simulator.wtg_values(row)[0] for row in rows])
-        if step == simulator.n_intervals or simulator.lane_values(LaneRow.ACTIVE)[0] < 0.5:
+        frequency.append(nominal * simulator.lane_values("coi")[0])
+        samples.append([simulator.wtg_values(name)[0] for name in names])
+        if step == simulator.n_intervals or simulator.lane_values("active")[0] < 0.5:
             break
         simulator.advance()
         if on_progress is not None:
             on_progress(step + 1, simulator.n_intervals)
     table = np.array(samples)
     time = np.arange(len(frequency), dtype=np.float64) * settings.control_dt
-    status = Status(int(simulator.lane_values(LaneRow.STATUS)[0]))
+    status = Status(int(simulator.lane_values("status")[0]))
     if status != Status.RUNNING:
         # A protection may act within a control interval.
-        time[-1] = min(time[-1], simulator.lane_values(LaneRow.STEP)[0] * settings.simulation_dt)
+        time[-1] = min(time[-1], simulator.lane_values("step")[0] * settings.simulation_dt)
     tip_speed = settings.turbine.tip_speed_ratio_per_speed_m_s
     return Trajectory(
         time_s=time,

@@ -1,121 +1,196 @@
-"""Rotor, pitch protection and grid-forming swing equation of one WTG, as plain-float functions on its own base."""
+"""A group of equal wind turbine generators: rotor, pitch protection and grid-forming converter, on its own base.
+
+    2H_m ω̇_m = p_w - p,    p_w = ρ π R² v³ C_p(λ, β) / (2 S_n),    λ = ω_tn R ω_m / v
+
+Source: the paper's equations of the turbine, `pw` and `cp`. A group that has tripped stands still.
+"""
 
 from __future__ import annotations
 
 import math
-from enum import IntEnum
+from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
-from wtg_gym.physics.aerodynamics import power_coefficient_at, tracking_point
-from wtg_gym.physics.compiled import compiled
-from wtg_gym.physics.elementary import limited_rate
+from wtg_gym.physics.aerodynamics import CurveConstants, curve_constants, power_coefficient_at, tracking_point
+from wtg_gym.physics.compiled import compiled, inlined
+from wtg_gym.physics.converter import Converter, ConverterState, Law, converter_constants, converter_rates
+from wtg_gym.physics.elementary import sine_cosine
 from wtg_gym.physics.parameters import (
     GridFormingParameters,
     PitchParameters,
     ProtectionParameters,
     TurbineParameters,
 )
+from wtg_gym.physics.pitch import Pitch, PitchState, pitch_constants, pitch_limited, pitch_rates
 
 
-class WtgState(IntEnum):
-    """State columns of a WTG group."""
+class Rotor(NamedTuple):
+    """Constants of the rotor."""
 
-    ANGLE = 0  # angle of its voltage against the first unit's [rad]
-    SPEED = 1  # frequency ω of the grid-forming control [p.u.]
-    ROTOR_SPEED = 2  # ω_m [p.u.]
-    FILTER = 3  # x of the tracking law [p.u.]
-    PITCH_INTEGRAL = 4  # [deg]
-    PITCH = 5  # β [deg]
-    ENERGY_CAPTURED = 6  # ∫ p_w dt [p.u. s]
-    ENERGY_DELIVERED = 7  # ∫ p dt [p.u. s]
-
-
-class TurbineConstant(IntEnum):
-    """Entries of the table of turbine and control constants (own base)."""
-
-    C1 = 0
-    C2 = 1
-    C3 = 2
-    C5 = 3
-    C6 = 4
-    C7 = 5
-    C8 = 6
-    TIP_SPEED = 7  # ω_tn R [m/s]
-    WIND_POWER = 8  # ρ π R² / (2 S_n) [p.u. s³/m³]
-    INV_TWO_H_ROTOR = 9
-    INV_TWO_H = 10
-    DROOP_GAIN = 11
-    SPEED_SETPOINT = 12
-    SPEED_MIN = 13
-    SPEED_MAX = 14
-    POWER_LIMIT = 15
-    ROTOR_LIMIT = 16
-    SPEED_WEIGHT = 17
-    PITCH_KP = 18
-    PITCH_KI = 19
-    INV_SCHEDULE = 20
-    INV_ACTUATOR = 21
-    PITCH_RATE = 22
-    PITCH_MAX = 23
-    OVERLOAD = 24
-    TIP_SPEED_RATIO_OPT = 25
-    TIP_SPEED_RATIO_LIMIT = 26  # λ_pr
-    AVAILABLE_PER_CUBIC_WIND = 27  # available power / v³ at β = 0 [p.u. s³/m³]
-    REACTANCE = 28  # X_g on the own base [p.u.]
-    TWO_H = 29  # 2H of the grid-forming control [s]
-    RATED_MW = 30
-    STALL_TIP_SPEED_RATIO = 31
-    STALL_PITCH = 32
-    OVER_SPEED = 33
-    COI_MIN = 34  # frequency limits [p.u.]
-    COI_MAX = 35
-    ANGLE_SPREAD = 36  # largest difference of the units' angles [rad]
-    LOW_VOLTAGE = 37  # [p.u.]
-    LOW_VOLTAGE_TIME = 38  # [s]
+    curve: CurveConstants
+    tip_speed: float  # ω_tn R [m/s]
+    wind_power: float  # ρ π R² / (2 S_n) [p.u. s³/m³]
+    inv_two_h: float  # 1/(2 H_m) [1/s]
+    tip_speed_ratio_opt: float  # λ_opt
+    tip_speed_ratio_limit: float  # λ_pr
+    available_per_cubic_wind: float  # available power / v³ at β = 0 [p.u. s³/m³]
 
 
-@compiled
-def captured_power(
-    rotor_speed: float,
-    wind: float,
-    pitch_deg: float,
-    tip_speed: float,
-    wind_power: float,
-    c1: float,
-    c2: float,
-    c3: float,
-    c5: float,
-    c6: float,
-    c7: float,
-    c8: float,
-) -> float:
-    """Return p_w [p.u.] at rotor speed ω_m [p.u.], wind [m/s] and pitch [deg]. Source: paper, equation `pw`."""
-    tip = tip_speed * max(rotor_speed, 1e-3)
-    return wind_power * wind * wind * wind * power_coefficient_at(tip, wind, pitch_deg, c1, c2, c3, c5, c6, c7, c8)
+class Limits(NamedTuple):
+    """Limits of the protections."""
+
+    stall_tip_speed_ratio: float
+    stall_pitch: float  # [deg]
+    over_speed: float  # [p.u.]
+    coi_min: float  # frequency of the centre of inertia [p.u.]
+    coi_max: float
+    angle_spread: float  # largest difference of the units' angles [rad]
+    low_voltage: float  # [p.u.]
+    low_voltage_time: float  # [s]
 
 
-@compiled
-def pitch_rates(
-    integral: float,
-    pitch: float,
-    excess: float,
-    gain_p: float,
-    gain_i: float,
-    inv_schedule: float,
-    inv_actuator: float,
-    rate_limit: float,
-    angle_max: float,
-) -> tuple[float, float]:
-    """Return the rates of (integral, pitch angle) [deg/s] for an excess of power or speed [p.u.].
+class Turbine(NamedTuple):
+    """Constants."""
 
-    The integral has non-windup limits, so that pitch and integral stay exactly at zero while the excess is negative.
+    rotor: Rotor
+    pitch: Pitch
+    converter: Converter
+    limits: Limits
+
+
+class WtgState(NamedTuple):
+    """States."""
+
+    converter: ConverterState
+    rotor_speed: float  # ω_m [p.u.]
+    pitch: PitchState
+    energy_captured: float  # ∫ p_w dt [p.u. s]
+    energy_delivered: float  # ∫ p dt [p.u. s]
+
+
+class WtgInput(NamedTuple):
+    """Constant over a control interval."""
+
+    emf: float  # voltage behind the reactance [p.u.]
+    law: Law
+    connected: float  # 1, or 0 after a trip
+    wind_start: float  # at the ends of the interval [m/s]
+    wind_end: float
+
+
+class WtgOutput(NamedTuple):
+    """Outputs."""
+
+    wind: float  # v [m/s]
+    power: float  # p into the grid [p.u.]
+    captured: float  # p_w [p.u.]
+    coefficient: float  # k in use [p.u.]
+
+
+class WtgExtremes(NamedTuple):
+    """Extremes since the start of a run."""
+
+    peak_power: float  # [p.u.]
+    least_tsr: float
+    largest_tsr: float
+    overload_time: float  # [s]
+
+
+@inlined
+def wtg_voltage(s: WtgState, u: WtgInput) -> tuple[float, float]:
+    """Return the real and imaginary part of the voltage behind the reactance, in the network's frame [p.u.]."""
+    sine, cosine = sine_cosine(s.converter.angle)
+    return u.emf * cosine, u.emf * sine
+
+
+@inlined
+def captured_power(rotor_speed: float, wind: float, pitch: float, c: Rotor) -> float:
+    """Return p_w [p.u.] at a rotor speed [p.u.], a wind speed [m/s] and a pitch angle [deg]."""
+    tip = c.tip_speed * max(rotor_speed, 1e-3)
+    return c.wind_power * wind * wind * wind * power_coefficient_at(tip, wind, pitch, c.curve)
+
+
+@inlined
+def wtg_rates(
+    s: WtgState, power: float, u: WtgInput, c: Turbine, fraction: float, reference_speed: float, omega_n: float
+) -> tuple[WtgState, WtgOutput]:
+    """Return rates and outputs.
+
+    Args:
+        s, u, c: states, inputs, constants.
+        power: p into the grid [p.u.].
+        fraction: of the control interval that has passed, 0 … 1; the wind is linear between the interval's ends.
+        reference_speed: of the first unit [p.u.].
+        omega_n: nominal angular frequency ω_n [rad/s].
     """
-    scheduled = excess / (1.0 + pitch * inv_schedule)
-    integral_rate = limited_rate(gain_i * scheduled, integral, 0.0, angle_max)
-    demand = min(max(integral + gain_p * scheduled, 0.0), angle_max)
-    return integral_rate, min(max((demand - pitch) * inv_actuator, -rate_limit), rate_limit)
+    wind = u.wind_start + fraction * (u.wind_end - u.wind_start)
+    captured = captured_power(s.rotor_speed, wind, s.pitch.pitch, c.rotor)
+    converter, k = converter_rates(s.converter, s.rotor_speed, power, u.law, c.converter, reference_speed, omega_n)
+    pitch = pitch_rates(s.pitch, captured, s.rotor_speed, c.pitch)
+    rates = WtgState(
+        converter=ConverterState(
+            u.connected * converter.angle, u.connected * converter.speed, u.connected * converter.filter
+        ),
+        rotor_speed=u.connected * c.rotor.inv_two_h * (captured - power),
+        pitch=PitchState(u.connected * pitch.pitch_integral, u.connected * pitch.pitch),
+        energy_captured=u.connected * captured,
+        energy_delivered=u.connected * power,
+    )
+    return rates, WtgOutput(wind, power, u.connected * captured, k)
+
+
+@inlined
+def wtg_limited(s: WtgState, c: Turbine) -> WtgState:
+    """Return the states, held within their limits."""
+    pitch = pitch_limited(s.pitch, c.pitch)
+    return WtgState(s.converter, s.rotor_speed, pitch, s.energy_captured, s.energy_delivered)
+
+
+@compiled
+def turbine_equilibrium(wind: float, k: float, c: Turbine) -> tuple[float, float, bool]:
+    """Return (rotor speed [p.u.], pitch [deg], found) at which the captured power equals k ω_m³, right of the maximum.
+
+    The over-speed root of p_w(ω_m) = k ω_m³ at β = 0, unless captured power or rotor speed would exceed the pitch
+    protection's limits: then the limit, and the smallest pitch angle that holds it on a falling branch of C_p.
+    """
+    scale = wind / c.rotor.tip_speed
+    low, high = 3.5 * scale, 20.0 * scale
+    surplus_low = captured_power(low, wind, 0.0, c.rotor) - k * low**3
+    surplus_high = captured_power(high, wind, 0.0, c.rotor) - k * high**3
+    if not (surplus_low > 0.0 and surplus_high < 0.0):
+        return 0.0, 0.0, False
+    for _ in range(80):
+        middle = 0.5 * (low + high)
+        if middle in (low, high):
+            break
+        if captured_power(middle, wind, 0.0, c.rotor) > k * middle**3:
+            low = middle
+        else:
+            high = middle
+    rotor = 0.5 * (low + high)
+    limit = min((c.pitch.power_limit / k) ** (1.0 / 3.0), c.pitch.rotor_limit)
+    if rotor <= limit:
+        return rotor, 0.0, True
+    target = k * limit**3
+    before = 0.0
+    while before < c.pitch.angle_max:
+        after = before + 0.02
+        if captured_power(limit, wind, before, c.rotor) > target >= captured_power(limit, wind, after, c.rotor):
+            return limit, _pitch_that_captures(target, before, after, limit, wind, c), True
+        before = after
+    return 0.0, 0.0, False
+
+
+@compiled
+def _pitch_that_captures(target: float, low: float, high: float, rotor: float, wind: float, c: Turbine) -> float:
+    for _ in range(80):
+        middle = 0.5 * (low + high)
+        if middle in (low, high):
+            break
+        if captured_power(rotor, wind, middle, c.rotor) > target:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
 
 
 def turbine_constants(
@@ -123,49 +198,26 @@ def turbine_constants(
     pitch: PitchParameters,
     control: GridFormingParameters,
     protection: ProtectionParameters,
-) -> npt.NDArray[np.float64]:
-    """Return the table of :class:`TurbineConstant` values."""
-    c, cp = TurbineConstant, turbine.power_coefficient
+) -> Turbine:
+    """Return the constants of a turbine, its controls and its protections."""
     best = tracking_point(0.0, turbine)
-    values = {
-        c.C1: cp.c1,
-        c.C2: cp.c2,
-        c.C3: cp.c3,
-        c.C5: cp.c5,
-        c.C6: cp.c6,
-        c.C7: cp.c7,
-        c.C8: cp.c8,
-        c.TIP_SPEED: turbine.tip_speed_ratio_per_speed_m_s,
-        c.WIND_POWER: turbine.wind_power_pu_per_cubic_wind,
-        c.INV_TWO_H_ROTOR: 0.5 / turbine.inertia_constant_s,
-        c.INV_TWO_H: 0.5 / control.inertia_constant_s,
-        c.DROOP_GAIN: control.droop_gain_pu,
-        c.SPEED_SETPOINT: control.frequency_setpoint_pu,
-        c.SPEED_MIN: control.frequency_min_pu,
-        c.SPEED_MAX: control.frequency_max_pu,
-        c.POWER_LIMIT: pitch.captured_power_limit_pu,
-        c.ROTOR_LIMIT: pitch.rotor_speed_limit_pu,
-        c.SPEED_WEIGHT: pitch.speed_weight,
-        c.PITCH_KP: pitch.proportional_gain_deg,
-        c.PITCH_KI: pitch.integral_gain_deg_s,
-        c.INV_SCHEDULE: 1.0 / pitch.gain_schedule_deg,
-        c.INV_ACTUATOR: 1.0 / pitch.actuator_time_s,
-        c.PITCH_RATE: pitch.rate_limit_deg_s,
-        c.PITCH_MAX: pitch.largest_angle_deg,
-        c.OVERLOAD: control.overload_limit_pu,
-        c.TIP_SPEED_RATIO_OPT: best.tip_speed_ratio,
-        c.TIP_SPEED_RATIO_LIMIT: tracking_point(control.deloading_limit, turbine).tip_speed_ratio,
-        c.AVAILABLE_PER_CUBIC_WIND: turbine.wind_power_pu_per_cubic_wind * best.power_coefficient,
-        c.REACTANCE: control.reactance_pu,
-        c.TWO_H: 2.0 * control.inertia_constant_s,
-        c.RATED_MW: turbine.rated_power_mw,
-        c.STALL_TIP_SPEED_RATIO: protection.stall_tip_speed_ratio,
-        c.STALL_PITCH: protection.stall_pitch_deg,
-        c.OVER_SPEED: protection.over_speed_pu,
-        c.COI_MIN: protection.frequency_min_pu,
-        c.COI_MAX: protection.frequency_max_pu,
-        c.ANGLE_SPREAD: math.radians(protection.angle_spread_max_deg),
-        c.LOW_VOLTAGE: protection.low_voltage_pu,
-        c.LOW_VOLTAGE_TIME: protection.low_voltage_time_s,
-    }
-    return np.array([values[key] for key in TurbineConstant])
+    rotor = Rotor(
+        curve=curve_constants(turbine.power_coefficient),
+        tip_speed=turbine.tip_speed_ratio_per_speed_m_s,
+        wind_power=turbine.wind_power_pu_per_cubic_wind,
+        inv_two_h=0.5 / turbine.inertia_constant_s,
+        tip_speed_ratio_opt=best.tip_speed_ratio,
+        tip_speed_ratio_limit=tracking_point(control.deloading_limit, turbine).tip_speed_ratio,
+        available_per_cubic_wind=turbine.wind_power_pu_per_cubic_wind * best.power_coefficient,
+    )
+    limits = Limits(
+        stall_tip_speed_ratio=protection.stall_tip_speed_ratio,
+        stall_pitch=protection.stall_pitch_deg,
+        over_speed=protection.over_speed_pu,
+        coi_min=protection.frequency_min_pu,
+        coi_max=protection.frequency_max_pu,
+        angle_spread=math.radians(protection.angle_spread_max_deg),
+        low_voltage=protection.low_voltage_pu,
+        low_voltage_time=protection.low_voltage_time_s,
+    )
+    return Turbine(rotor, pitch_constants(pitch), converter_constants(control), limits)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics.layout import N_SYNC_STATES, N_WTG_STATES, WtgRow
+from wtg_gym.physics.layout import N_SYNC_STATES, N_WTG_STATES
 from wtg_gym.physics.linearisation import moving_states, state_matrix
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
@@ -165,7 +165,7 @@ def synchronising_coefficients(
             state[simulator.layout.n_sync * N_SYNC_STATES + j * N_WTG_STATES + WtgState.ANGLE] += sign * _STEP
             simulator.set_state(state)
             simulator.evaluate()
-            powers.append(simulator.wtg_values(WtgRow.POWER)[0])
+            powers.append(simulator.wtg_values("power")[0])
         result[:, j] = (powers[1] - powers[0]) / (2.0 * _STEP)
     return result
 

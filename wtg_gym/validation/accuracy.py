@@ -19,16 +19,7 @@ from scipy.integrate import solve_ivp
 from wtg_gym.physics.compiled import compiled
 from wtg_gym.physics.dynamics import derivatives
 from wtg_gym.physics.integration import apply_network_changes, enter_interval
-from wtg_gym.physics.layout import (
-    N_SYNC_STATES,
-    N_WTG_STATES,
-    Floats,
-    LaneData,
-    LaneRow,
-    Plant,
-    WtgRow,
-    lane_row,
-)
+from wtg_gym.physics.layout import N_SYNC_STATES, N_WTG_STATES, Floats, LaneData, LaneRow, Plant, WtgRow, lane_row
 from wtg_gym.physics.plant import PlantSettings, whole_steps
 from wtg_gym.physics.scenario import LoadRamp, Scenario
 from wtg_gym.physics.simulator import Simulator

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.layout import Floats, LaneRow, Status, WtgRow
+from wtg_gym.physics.layout import Floats, Status
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
@@ -212,22 +212,22 @@ def run_rotors(scenarios: Sequence[Scenario], law: TrackingLaw, *, energy: bool)
     reactive = np.array([_reactive_power(simulator, lane) for lane in range(len(scenarios))])
     rotors = [simulator.wtg_row(group, WtgState.ROTOR_SPEED) for group in range(len(laws))]
     blocks = simulator.blocks.reshape(-1, simulator.layout.n_rows, simulator.width)
-    start = least_rotor = simulator.wtg_values(WtgState.ROTOR_SPEED)
-    least_power = simulator.wtg_values(WtgRow.POWER)
+    start = least_rotor = simulator.wtg_values("rotor_speed")
+    least_power = simulator.wtg_values("power")
     for _ in range(simulator.n_intervals):
         before = blocks[:, rotors]
         simulator.advance()
         if energy:
             # H_m (ω² - ω_before²) = 2H_m (ω_paper - ω_before): both are the energy that went in.
             blocks[:, rotors] = np.sqrt(before**2 + 2.0 * (blocks[:, rotors] - before))
-        least_rotor = np.minimum(least_rotor, simulator.wtg_values(WtgState.ROTOR_SPEED))
-        least_power = np.minimum(least_power, simulator.wtg_values(WtgRow.POWER))
+        least_rotor = np.minimum(least_rotor, simulator.wtg_values("rotor_speed"))
+        least_power = np.minimum(least_power, simulator.wtg_values("power"))
     hertz = settings.case.frequency_hz
-    statuses, steps = simulator.lane_values(LaneRow.STATUS), simulator.lane_values(LaneRow.STEP)
-    nadirs, frequencies = simulator.lane_values(LaneRow.COI_MIN), simulator.lane_values(LaneRow.COI)
-    rotor, peak = simulator.wtg_values(WtgState.ROTOR_SPEED), simulator.wtg_values(WtgRow.PEAK_POWER)
-    released = simulator.wtg_values(WtgState.ENERGY_DELIVERED) - simulator.wtg_values(WtgState.ENERGY_CAPTURED)
-    voltage = simulator.wtg_values(WtgRow.EMF)
+    statuses, steps = simulator.lane_values("status"), simulator.lane_values("step")
+    nadirs, frequencies = simulator.lane_values("coi_min"), simulator.lane_values("coi")
+    rotor, peak = simulator.wtg_values("rotor_speed"), simulator.wtg_values("peak_power")
+    released = simulator.wtg_values("energy_delivered") - simulator.wtg_values("energy_captured")
+    voltage = simulator.wtg_values("emf")
     return [
         RotorRun(
             status=Status(int(statuses[lane])),
@@ -252,8 +252,8 @@ def _reactive_power(simulator: Simulator, lane: int = 0) -> Floats:
     buses = [settings.case.bus_index(group.bus) for group in settings.groups]
     voltage = np.abs(simulator.bus_voltages(lane))[buses]
     reactance = settings.control.reactance_pu
-    across = reactance * simulator.wtg_values(WtgRow.POWER)[lane] / voltage
-    along = np.sqrt(simulator.wtg_values(WtgRow.EMF)[lane] ** 2 - across**2)
+    across = reactance * simulator.wtg_values("power")[lane] / voltage
+    along = np.sqrt(simulator.wtg_values("emf")[lane] ** 2 - across**2)
     return np.asarray(voltage * (along - voltage) / reactance)
 
 
@@ -313,7 +313,7 @@ def _start_at(scenario: Scenario, bus_voltage_pu: float) -> VoltageLimit:
     ]
     return VoltageLimit(
         bus_voltage_pu=bus_voltage_pu,
-        voltage_pu=simulator.wtg_values(WtgRow.EMF)[0],
+        voltage_pu=simulator.wtg_values("emf")[0],
         reactive_pu=_reactive_power(simulator),
         synchronising_coefficient=k_p,
         phase_margin_deg=np.array(margins),

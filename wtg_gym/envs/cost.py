@@ -1,0 +1,131 @@
+"""What the agent pays: the cost of one control interval, term by term.
+
+The cost is a rate [1/s] times the time that passed; the terms' weights and the cap are those of
+:class:`~wtg_gym.envs.settings.CostWeights`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from wtg_gym.envs.task_records import CostTerms, GroupRows, Task
+from wtg_gym.physics.compiled import inlined
+from wtg_gym.physics.converter import tracking_coefficient
+from wtg_gym.physics.elementary import select
+from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState
+
+#: Frequency deviation beyond which the constraint cost counts [Hz]: ENTSO-E's steady-state limit is 0.2, its
+#: instantaneous limit 0.8 Hz.
+CONSTRAINT_FREQUENCY_HZ = 0.8
+
+
+class GroupCosts(NamedTuple):
+    """Deviations of one WTG group in the units that its costs count in, and its available power [p.u.]."""
+
+    duty: float  # error of the captured power, 0.05 of the available power
+    rotor: float  # tip-speed ratio outside its band, 0.1 λ_opt
+    overload: float  # power beyond the converter's limit, 0.1 p.u.
+    available: float
+
+
+@inlined
+def frequency_cost(deviation_hz: float) -> float:
+    """Return the cost of a frequency deviation [Hz]: quadratic within 0.2 Hz, linear and steeper outside."""
+    ratio = deviation_hz / 0.2
+    return select(ratio < 1.0, ratio * ratio, 1.0 + 8.0 * (ratio - 1.0))
+
+
+@inlined
+def rocof_cost(rocof_hz_s: float) -> float:
+    """Return the cost of a rate of change of frequency [Hz/s]."""
+    ratio = rocof_hz_s / 0.2
+    return ratio * ratio
+
+
+@inlined
+def duty_cost(duty: float) -> float:
+    """Return the cost of a duty error: quadratic within one unit, linear outside (Huber)."""
+    return select(duty < 1.0, duty * duty, 2.0 * duty - 1.0)
+
+
+@inlined
+def group_costs(s: WtgState, output: WtgOutput, t: Turbine, task: Task) -> GroupCosts:
+    """Return the deviations of one WTG group.
+
+    The duty is a share of the usable power: the available one, up to what the pitch protection lets a rotor that holds
+    its nominal reserve capture. A disconnected group captures nothing and is charged for it.
+    """
+    wind = output.wind
+    available = t.rotor.available_per_cubic_wind * wind * wind * wind
+    usable = min(available, t.pitch.power_limit / task.share_nominal)
+    prescribed = usable * tracking_coefficient(
+        s.converter.speed, task.share_min, task.share_nominal, task.share_max, t.converter.corners
+    )
+    ratio = t.rotor.tip_speed * s.rotor_speed / wind
+    best = t.rotor.tip_speed_ratio_opt
+    low, high = 0.9 * best - ratio, ratio - 1.1 * t.rotor.tip_speed_ratio_limit
+    # Above rated the pitch, not the rotor, keeps the tip-speed ratio low.
+    low = select(s.pitch.pitch > t.limits.stall_pitch, 0.0, low)
+    return GroupCosts(
+        duty=abs(output.captured - prescribed) / (0.05 * available),
+        rotor=max(0.0, max(low, high)) / (0.1 * best),
+        overload=max(0.0, output.power - t.converter.overload) / 0.1,
+        available=available,
+    )
+
+
+@inlined
+def effort(action: float, last: float) -> float:
+    """Return the cost of an action and of its change."""
+    change = action - last
+    return action * action + 4.0 * change * change
+
+
+@inlined
+def with_group(terms: CostTerms, costs: GroupCosts, group: GroupRows, task: Task, n_wtg: int) -> CostTerms:
+    """Return the terms with those of one WTG group added."""
+    w = task.weights
+    n_actions = n_wtg * (int(task.modulates_k) + int(task.modulates_tau))
+    on_k = w.effort * effort(group.action_k, group.last_action_k) / n_actions
+    on_tau = w.effort * effort(group.action_tau, group.last_action_tau) / n_actions
+    acted = terms.effort + select(task.modulates_k, on_k, 0.0)
+    return CostTerms(
+        frequency=terms.frequency,
+        rocof=terms.rocof,
+        duty=terms.duty + w.duty * duty_cost(costs.duty) / n_wtg,
+        rotor=terms.rotor + w.rotor * costs.rotor * costs.rotor / n_wtg,
+        overload=terms.overload + w.overload * costs.overload * costs.overload / n_wtg,
+        effort=acted + select(task.modulates_tau, on_tau, 0.0),
+        failure=terms.failure,
+    )
+
+
+@inlined
+def charged(terms: CostTerms, elapsed: float, unserved: float, failed: bool, task: Task) -> CostTerms:
+    """Return what the terms cost.
+
+    Args:
+        terms: rates of all terms but failure [1/s].
+        elapsed: time that passed [s].
+        unserved: time that a failed episode leaves [s].
+        failed: whether the episode has failed.
+        task: constants. The cap scales all terms alike, so that they still add up to the cost.
+    """
+    total = terms.frequency + terms.rocof + terms.duty + terms.rotor + terms.overload + terms.effort
+    factor = elapsed * select(total > 0.0, min(total, task.weights.cap) / total, 1.0)
+    return CostTerms(
+        frequency=terms.frequency * factor,
+        rocof=terms.rocof * factor,
+        duty=terms.duty * factor,
+        rotor=terms.rotor * factor,
+        overload=terms.overload * factor,
+        effort=terms.effort * factor,
+        failure=select(failed, task.weights.cap * (unserved + 1.0), 0.0),
+    )
+
+
+@inlined
+def total_cost(terms: CostTerms) -> float:
+    """Return the sum of all terms."""
+    rates = terms.frequency + terms.rocof + terms.duty + terms.rotor + terms.overload + terms.effort
+    return rates + terms.failure

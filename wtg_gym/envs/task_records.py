@@ -1,0 +1,109 @@
+"""Records of the task: its constants, and what it keeps per lane and per WTG group."""
+
+from __future__ import annotations
+
+from typing import Annotated, NamedTuple
+
+from wtg_gym.physics.records import loader, offsets, reader, size, storer
+
+
+class Weights(NamedTuple):
+    """Weights of the cost's terms and the cap on their sum [1/s]; see :class:`~wtg_gym.envs.settings.CostWeights`."""
+
+    frequency: float
+    rocof: float
+    duty: float
+    rotor: float
+    overload: float
+    effort: float
+    cap: float
+
+
+class Task(NamedTuple):
+    """Constants."""
+
+    modulates_k: bool
+    modulates_tau: bool
+    privileged: bool
+    k_authority: float  # offset on k at full action [p.u.]
+    k_low: float  # K_pr
+    k_span: float  # K_opt - K_pr
+    share_min: float  # share of the available power to capture at ω_min, ω_st, ω_max
+    share_nominal: float
+    share_max: float
+    weights: Weights
+    control_dt: float  # [s]
+    nominal_hz: float
+    n_window: int  # of the RoCoF, in control intervals
+
+
+class CostTerms(NamedTuple):
+    """Terms of the cost."""
+
+    frequency: float
+    rocof: float
+    duty: float
+    rotor: float
+    overload: float
+    effort: float
+    failure: float
+
+
+class TaskRows(NamedTuple):
+    """What the task keeps per lane; the frequency's history and the groups' rows follow."""
+
+    was_active: float  # before the last step
+    end_step: float  # simulation step at which the episode is over
+    interval: float  # control interval of the newest frequency in the history
+    begins: float  # 1 where that interval is a new one
+    rocof: float  # over the window [Hz/s]
+    largest_rocof: float
+    terms: CostTerms  # of the last step
+    sums: CostTerms  # over the episode
+    cost: float  # of the last step
+    constraint: float  # 1 where the last step violated a constraint
+    constraint_sum: float
+    available_energy: float  # of all groups [p.u. s of the system base]
+    duty_error: float  # ∫ |captured - prescribed| / available dt, mean over groups [s]
+    rates: CostTerms  # of the step that is being charged [1/s], and how long it lasted [s]
+    elapsed: float
+    violated: float
+    error: float
+
+
+class GroupRows(NamedTuple):
+    """What the task keeps per WTG group."""
+
+    base_inv_tau: float  # of its law [1/s]
+    last_speed: float  # its frequency at the last observation [p.u.]
+    rocof: float  # of its own frequency over the last control interval [Hz/s]
+    last_action_k: float
+    last_action_tau: float
+    action_k: float  # that acts now
+    action_tau: float
+
+
+class Info(NamedTuple):
+    """The numbers of `info`."""
+
+    time_s: Annotated[float, "s"]
+    frequency_hz: Annotated[float, "Hz"]
+    rocof_hz_s: Annotated[float, "Hz/s"]
+    cost: Annotated[float, "-"]
+    cost_frequency: Annotated[float, "-"]
+    cost_rocof: Annotated[float, "-"]
+    cost_duty: Annotated[float, "-"]
+    cost_rotor: Annotated[float, "-"]
+    cost_overload: Annotated[float, "-"]
+    cost_effort: Annotated[float, "-"]
+    cost_failure: Annotated[float, "-"]
+
+
+COST_TERMS = CostTerms._fields
+TASK, GROUP = offsets(TaskRows), offsets(GroupRows)
+N_TASK_ROWS, N_GROUP_ROWS = size(TaskRows), size(GroupRows)
+
+read_task = reader(Task)
+load_task_rows, store_task_rows = loader(TaskRows), storer(TaskRows)
+load_terms, store_terms = loader(CostTerms), storer(CostTerms)
+load_group, store_group = loader(GroupRows), storer(GroupRows)

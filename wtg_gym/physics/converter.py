@@ -1,0 +1,110 @@
+"""The grid-forming converter: tracking law, transient damping and swing equation, on the base of its turbine.
+
+    δ̇ = ω_n (ω - ω_ref),    2H ω̇ = P_st + D_p x - p - D_p (ω - ω_st),    τ ẋ = (ω - ω_st) - x
+    P_st = max(g(ω) + Δk, 0) ω_m³
+
+g is piecewise linear through (ω_min, k_min), (ω_st, k_nominal), (ω_max, k_max) and constant outside. Δk is what a policy
+adds. 1/τ = 0 leaves the plain droop (x ≡ 0); τ = 0 cancels the droop (x = ω - ω_st). Source: the paper's equations of
+the converter, `gomega` and `gomega_augement`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from wtg_gym.physics.compiled import compiled, inlined
+from wtg_gym.physics.elementary import clip, fma
+from wtg_gym.physics.parameters import GridFormingParameters
+
+
+class Corners(NamedTuple):
+    """Frequencies at the corners of g [p.u.]."""
+
+    speed_min: float  # ω_min
+    speed_setpoint: float  # ω_st
+    speed_max: float  # ω_max
+
+
+class Converter(NamedTuple):
+    """Constants."""
+
+    two_h: float  # 2H [s]
+    inv_two_h: float  # [1/s]
+    droop_gain: float  # D_p [p.u./p.u.]
+    corners: Corners
+    reactance: float  # X_g between its voltage and the bus [p.u.]
+    overload: float  # power above which it is overloaded [p.u.]
+
+
+class ConverterState(NamedTuple):
+    """States."""
+
+    angle: float  # δ of its voltage against the first unit's rotor [rad]
+    speed: float  # ω [p.u.]
+    filter: float  # x [p.u.]
+
+
+class Law(NamedTuple):
+    """The tracking law in use: its coefficients [p.u.], and what a policy makes of it."""
+
+    k_min: float
+    k_nominal: float
+    k_max: float
+    k_offset: float  # Δk [p.u.]
+    inv_tau: float  # 1/τ [1/s]
+    droop_cancelled: float  # 1 where τ = 0, else 0
+
+
+def converter_constants(p: GridFormingParameters) -> Converter:
+    """Return the constants."""
+    return Converter(
+        two_h=2.0 * p.inertia_constant_s,
+        inv_two_h=0.5 / p.inertia_constant_s,
+        droop_gain=p.droop_gain_pu,
+        corners=Corners(p.frequency_min_pu, p.frequency_setpoint_pu, p.frequency_max_pu),
+        reactance=p.reactance_pu,
+        overload=p.overload_limit_pu,
+    )
+
+
+@compiled
+def tracking_coefficient(speed: float, k_min: float, k_nominal: float, k_max: float, c: Corners) -> float:
+    """Return g(ω) [p.u.]: coefficients at the three corner frequencies, frequency in p.u.
+
+    Source: paper, equation `gomega_augement`; the linear g of equation `gomega` has its middle corner on the line.
+    """
+    # The spans are the same for all lanes: a factor is worked out once, a quotient in every lane.
+    below = clip((c.speed_setpoint - speed) * (1.0 / (c.speed_setpoint - c.speed_min)), 0.0, 1.0)
+    above = clip((speed - c.speed_setpoint) * (1.0 / (c.speed_max - c.speed_setpoint)), 0.0, 1.0)
+    return fma(below, k_min - k_nominal, fma(above, k_max - k_nominal, k_nominal))
+
+
+@inlined
+def converter_rates(
+    s: ConverterState,
+    rotor_speed: float,
+    power: float,
+    law: Law,
+    c: Converter,
+    reference_speed: float,
+    omega_n: float,
+) -> tuple[ConverterState, float]:
+    """Return the rates, and the tracking coefficient k in use [p.u.].
+
+    Args:
+        s, law, c: states, law, constants.
+        rotor_speed: ω_m [p.u.].
+        power: p into the grid [p.u.].
+        reference_speed: of the first unit [p.u.].
+        omega_n: nominal angular frequency ω_n [rad/s].
+    """
+    deviation = s.speed - c.corners.speed_setpoint
+    k = max(tracking_coefficient(s.speed, law.k_min, law.k_nominal, law.k_max, c.corners) + law.k_offset, 0.0)
+    damping = s.filter + law.droop_cancelled * (deviation - s.filter)
+    tracked = k * rotor_speed * rotor_speed * rotor_speed
+    rates = ConverterState(
+        angle=omega_n * (s.speed - reference_speed),
+        speed=c.inv_two_h * (tracked - power + c.droop_gain * (damping - deviation)),
+        filter=law.inv_tau * (deviation - s.filter),
+    )
+    return rates, k

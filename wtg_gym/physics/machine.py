@@ -1,0 +1,235 @@
+"""The synchronous machine: swing equation and GENROU's fluxes, with its exciter and its governor.
+
+    δ̇ = ω_n (ω - ω_ref),    2H ω̇ = T_m - p - D (ω - 1)
+    T'_d0 Ė'_q = E_fd - E'_q - (x_d - x'_d)(i_d - γ_d2 (ψ_1d + (x'_d - x_l) i_d - E'_q))
+    T'_q0 Ė'_d = -E'_d + (x_q - x'_q)(i_q - γ_q2 (ψ_2q + (x'_q - x_l) i_q + E'_d))
+    T''_d0 ψ̇_1d = -(ψ_1d + (x'_d - x_l) i_d - E'_q),    T''_q0 ψ̇_2q = -(ψ_2q + (x'_q - x_l) i_q + E'_d)
+
+without saturation, stator transients and the speed's effect on voltages, x''_q = x''_d. All values are on the system
+base, those of the governor on the machine's. Source: P. Sauer, M. Pai: Power System Dynamics and Stability, chapter 3
+(subtransient model); P. Kundur: Power System Stability and Control, chapter 3.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from wtg_gym.physics.compiled import inlined
+from wtg_gym.physics.elementary import sine_cosine
+from wtg_gym.physics.exciter import Exciter, ExciterState, exciter_constants, exciter_limited, exciter_rates, exciter_start
+from wtg_gym.physics.governor import Governor, GovernorState, governor_constants, governor_limited, governor_rates
+from wtg_gym.physics.parameters import SynchronousMachineParameters
+
+
+class Machine(NamedTuple):
+    """Constants."""
+
+    internal_reactance: float  # x'', or x'_d of a classical machine [p.u.]
+    resistance: float
+    gamma_d: float  # (x'' - x_l) / (x'_d - x_l)
+    gamma_d2: float  # (x'_d - x'') / (x'_d - x_l)²
+    gamma_q: float
+    gamma_q2: float
+    x_d_field: float  # x_d - x'_d
+    x_d_leak: float  # x'_d - x_l
+    x_q_field: float
+    x_q_leak: float
+    inv_t_d0_transient: float  # [1/s]
+    inv_t_d0_subtransient: float
+    inv_t_q0_transient: float
+    inv_t_q0_subtransient: float
+    damping: float  # D [p.u./p.u.]
+    rating: float  # S_n / system base
+    two_h: float  # [s]
+    reactive_weight: float  # rating, or what shares the reactive power of its bus instead [p.u.]
+    exciter: Exciter
+    governor: Governor
+
+
+class MachineState(NamedTuple):
+    """States."""
+
+    angle: float  # δ of the rotor against the first unit's [rad]
+    speed: float  # ω [p.u.]
+    field_flux: float  # E'_q
+    damper_flux: float  # E'_d
+    flux_d: float  # ψ_1d
+    flux_q: float  # ψ_2q
+    exciter: ExciterState
+    governor: GovernorState
+
+
+class MachineInput(NamedTuple):
+    """Constant over a run."""
+
+    voltage_reference: float  # V_ref [p.u.]
+    gate_reference: float  # g_ref [p.u. of the machine]
+    inv_two_h: float  # [1/s]
+    inv_droop: float  # 1/R [p.u. of the machine]
+
+
+class MachineVoltage(NamedTuple):
+    """The voltage behind x'' in the rotor's frame, and the frame's angle."""
+
+    sine: float
+    cosine: float
+    e_d: float  # E''_d [p.u.]
+    e_q: float  # E''_q [p.u.]
+
+
+class MachineOutput(NamedTuple):
+    """Outputs."""
+
+    power: float  # of the air gap [p.u.]
+    voltage: float  # at the terminal [p.u.]
+    torque: float  # mechanical [p.u.]
+
+
+@inlined
+def machine_voltage(s: MachineState, c: Machine) -> tuple[MachineVoltage, float, float]:
+    """Return the voltage behind x'', and its real and imaginary part in the network's frame [p.u.]."""
+    sine, cosine = sine_cosine(s.angle)
+    e_d = c.gamma_q * s.damper_flux - (1.0 - c.gamma_q) * s.flux_q
+    e_q = c.gamma_d * s.field_flux + (1.0 - c.gamma_d) * s.flux_d
+    return MachineVoltage(sine, cosine, e_d, e_q), e_d * sine + e_q * cosine, e_q * sine - e_d * cosine
+
+
+@inlined
+def machine_rates(
+    s: MachineState,
+    e: MachineVoltage,
+    i_re: float,
+    i_im: float,
+    u: MachineInput,
+    c: Machine,
+    reference_speed: float,
+    omega_n: float,
+) -> tuple[MachineState, MachineOutput]:
+    """Return rates and outputs.
+
+    Args:
+        s, e, u, c: states, voltage behind x'', inputs, constants.
+        i_re, i_im: current into the network, in its frame [p.u.].
+        reference_speed: of the first unit [p.u.].
+        omega_n: nominal angular frequency ω_n [rad/s].
+    """
+    i_d, i_q = i_re * e.sine - i_im * e.cosine, i_re * e.cosine + i_im * e.sine
+    v_d = e.e_d - c.resistance * i_d + c.internal_reactance * i_q
+    v_q = e.e_q - c.resistance * i_q - c.internal_reactance * i_d
+    voltage = math.sqrt(v_d * v_d + v_q * v_q)
+    power = e.e_d * i_d + e.e_q * i_q
+
+    governor, turbine_torque = governor_rates(s.governor, s.speed, u.gate_reference, u.inv_droop, c.governor)
+    torque = c.rating * turbine_torque
+    damper_d = s.flux_d + c.x_d_leak * i_d - s.field_flux
+    damper_q = s.flux_q + c.x_q_leak * i_q + s.damper_flux
+    field = s.exciter.field_voltage - s.field_flux - c.x_d_field * (i_d - c.gamma_d2 * damper_d)
+    rates = MachineState(
+        angle=omega_n * (s.speed - reference_speed),
+        speed=u.inv_two_h * (torque - power - c.damping * (s.speed - 1.0)),
+        field_flux=c.inv_t_d0_transient * field,
+        damper_flux=c.inv_t_q0_transient * (-s.damper_flux + c.x_q_field * (i_q - c.gamma_q2 * damper_q)),
+        flux_d=-c.inv_t_d0_subtransient * damper_d,
+        flux_q=-c.inv_t_q0_subtransient * damper_q,
+        exciter=exciter_rates(s.exciter, u.voltage_reference - voltage, c.exciter),
+        governor=governor,
+    )
+    return rates, MachineOutput(power, voltage, torque)
+
+
+@inlined
+def machine_limited(s: MachineState, c: Machine) -> MachineState:
+    """Return the states, held within their limits."""
+    return MachineState(
+        s.angle,
+        s.speed,
+        s.field_flux,
+        s.damper_flux,
+        s.flux_d,
+        s.flux_q,
+        exciter_limited(s.exciter, c.exciter),
+        governor_limited(s.governor, c.governor),
+    )
+
+
+@inlined
+def machine_start(power: complex, voltage: complex, c: Machine) -> tuple[MachineState, float, float]:
+    """Return the equilibrium at a terminal power and voltage [p.u.], its V_ref and its gate reference.
+
+    The rotor's angle counts from the network's frame. Source: Kundur, section 3.6.
+    """
+    x_q = c.internal_reactance + c.x_q_field
+    x_q_transient, x_d_transient = c.internal_reactance, c.internal_reactance
+    if c.x_d_leak > 0.0:
+        # x'_d - x'' = (x'_d - x_l)(1 - γ_d), and likewise on the q axis.
+        x_d_transient += c.x_d_leak * (1.0 - c.gamma_d)
+        x_q_transient += c.x_q_leak * (1.0 - c.gamma_q)
+        x_q = x_q_transient + c.x_q_field
+    current = (power / voltage).conjugate()
+    axis = voltage + complex(c.resistance, x_q) * current
+    delta = math.atan2(axis.imag, axis.real)
+    sine, cosine = math.sin(delta), math.cos(delta)
+    i_d, i_q = current.real * sine - current.imag * cosine, current.real * cosine + current.imag * sine
+    v_q = voltage.real * cosine + voltage.imag * sine
+    field_flux = v_q + c.resistance * i_q + x_d_transient * i_d
+    damper_flux = c.x_q_field * i_q
+    exciter, error = exciter_start(field_flux + c.x_d_field * i_d, c.exciter)
+    torque = power.real + c.resistance * (i_d * i_d + i_q * i_q)
+    gate = torque / c.rating
+    state = MachineState(
+        angle=delta,
+        speed=1.0,
+        field_flux=field_flux,
+        damper_flux=damper_flux,
+        flux_d=field_flux - c.x_d_leak * i_d,
+        flux_q=-damper_flux - c.x_q_leak * i_q,
+        exciter=exciter,
+        governor=GovernorState(gate, gate),
+    )
+    return state, abs(voltage) + error, gate
+
+
+def machine_constants(m: SynchronousMachineParameters, base_mva: float) -> Machine:
+    """Return the constants of a machine on the system base `base_mva` [MVA].
+
+    Raises:
+        ValueError: the reactances are not ordered x_d ≥ x'_d ≥ x'' > x_l, as the model needs.
+    """
+    scale = base_mva / m.rating_mva
+    classical = {"internal_reactance": m.x_d_transient * scale, "gamma_d": 1.0, "gamma_q": 1.0}
+    rotor = dict.fromkeys(Machine._fields, 0.0) | (classical if m.classical else _genrou(m, scale))
+    shared = {
+        "resistance": m.resistance * scale,
+        "damping": m.damping_pu / scale,
+        "rating": 1.0 / scale,
+        "two_h": m.two_h_s / scale,
+        "reactive_weight": 1.0 / scale if m.reactive_weight is None else m.reactive_weight / base_mva,
+    }
+    exciter = exciter_constants(None if m.classical else m.exciter)
+    return Machine(**{**rotor, **shared, "exciter": exciter, "governor": governor_constants(m.governor)})  # type: ignore[arg-type]
+
+
+def _genrou(m: SynchronousMachineParameters, scale: float) -> dict[str, float]:
+    for axis, x, x_transient in (("d", m.x_d, m.x_d_transient), ("q", m.x_q, m.x_q_transient)):
+        if not x >= x_transient >= m.x_subtransient > m.x_leakage >= 0.0:
+            raise ValueError(
+                f"machine at bus {m.bus}: reactances of the {axis} axis must satisfy x ≥ x' ≥ x'' > x_l ≥ 0, "
+                f"got {x:g}, {x_transient:g}, {m.x_subtransient:g}, {m.x_leakage:g} p.u."
+            )
+    span_d, span_q = m.x_d_transient - m.x_leakage, m.x_q_transient - m.x_leakage
+    return {
+        "internal_reactance": m.x_subtransient * scale,
+        "gamma_d": (m.x_subtransient - m.x_leakage) / span_d,
+        "gamma_q": (m.x_subtransient - m.x_leakage) / span_q,
+        "gamma_d2": (m.x_d_transient - m.x_subtransient) / (span_d * span_d * scale),
+        "gamma_q2": (m.x_q_transient - m.x_subtransient) / (span_q * span_q * scale),
+        "x_d_field": (m.x_d - m.x_d_transient) * scale,
+        "x_q_field": (m.x_q - m.x_q_transient) * scale,
+        "x_d_leak": span_d * scale,
+        "x_q_leak": span_q * scale,
+        "inv_t_d0_transient": 1.0 / m.t_d0_transient_s,
+        "inv_t_d0_subtransient": 1.0 / m.t_d0_subtransient_s,
+        "inv_t_q0_transient": 1.0 / m.t_q0_transient_s,
+        "inv_t_q0_subtransient": 1.0 / m.t_q0_subtransient_s,
+    }

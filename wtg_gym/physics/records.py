@@ -1,0 +1,137 @@
+"""Records: quantities that belong together, by name.
+
+A record is a NamedTuple class whose fields are floats or other records. Equations are written with records. In memory
+the numbers of a record are neighbours: rows of a block (see :mod:`wtg_gym.physics.layout`), or entries of a structured
+array of constants. Everything about that order is made from the class here: row numbers, names, and the compiled
+functions that load, store and combine records. A new field needs no other line.
+"""
+
+from __future__ import annotations
+
+import functools
+import linecache
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple, TypeVar, get_type_hints
+
+import numpy as np
+import numpy.typing as npt
+
+from wtg_gym.physics.compiled import inlined
+
+R = TypeVar("R")
+_DTYPES = {float: np.float64, int: np.int64, bool: np.bool_, complex: np.complex128}
+
+
+def _is_record(kind: Any) -> bool:
+    return isinstance(kind, type) and hasattr(kind, "_fields")
+
+
+@functools.cache
+def leaves(record: type) -> tuple[str, ...]:
+    """Return the dotted names of a record's numbers, in their order: ("angle", …, "exciter.lead_lag", …)."""
+    names: list[str] = []
+    for name, kind in get_type_hints(record).items():
+        names += [f"{name}.{leaf}" for leaf in leaves(kind)] if _is_record(kind) else [name]
+    return tuple(names)
+
+
+def size(record: type) -> int:
+    """Return how many numbers a record has."""
+    return len(leaves(record))
+
+
+@functools.cache
+def short_names(record: type) -> tuple[str, ...]:
+    """Return the names of a record's numbers without those of the records within it."""
+    return tuple(leaf.rpartition(".")[2] for leaf in leaves(record))
+
+
+def offsets(record: type) -> Any:
+    """Return the row at which each field of a record begins, as a NamedTuple of whole numbers with its field names."""
+    rows, row = {}, 0
+    for name, kind in get_type_hints(record).items():
+        rows[name] = row
+        row += size(kind) if _is_record(kind) else 1
+    return NamedTuple(f"{record.__name__}Rows", [(name, int) for name in rows])(**rows)  # type: ignore[misc]
+
+
+def dtype(record: type) -> np.dtype[Any]:
+    """Return the data type of a record of constants, with :func:`leaves` as names; floats, whole numbers and flags."""
+    return np.dtype([(leaf, _DTYPES[kind]) for leaf, kind in zip(leaves(record), _kinds(record), strict=True)], align=True)
+
+
+def _kinds(record: type) -> Iterator[Any]:
+    for kind in get_type_hints(record).values():
+        if _is_record(kind):
+            yield from _kinds(kind)
+        else:
+            yield kind
+
+
+def flatten(values: Any) -> tuple[Any, ...]:
+    """Return the numbers of a record's values, in the order of :func:`leaves`."""
+    flat: list[Any] = []
+    for value in values:
+        flat += flatten(value) if _is_record(type(value)) else [value]
+    return tuple(flat)
+
+
+def loader(record: type[R]) -> Callable[[npt.NDArray[np.float64], int, int], R]:
+    """Return `load(block, at, width)`: the record whose first number is block[at], and whose next ones follow at width."""
+    body = _construct(record, iter(f"block[at + {row} * width]" for row in range(size(record))))
+    return _function("load", record, "block, at, width", f"return {body}")
+
+
+def storer(record: type[R]) -> Callable[[R, npt.NDArray[np.float64], int, int], None]:
+    """Return `store(values, block, at, width)`, which writes what :func:`loader`'s function reads."""
+    lines = [f"block[at + {row} * width] = values.{leaf}" for row, leaf in enumerate(leaves(record))]
+    return _function("store", record, "values, block, at, width", "\n    ".join(lines))
+
+
+def reader(record: type[R]) -> Callable[[Any], R]:
+    """Return `read(entry)`: the record of an entry of a structured array of :func:`dtype`."""
+    body = _construct(record, iter(f"entry[{leaf!r}]" for leaf in leaves(record)))
+    return _function("read", record, "entry", f"return {body}")
+
+
+def elementwise(record: type[R], function: Callable[..., float], name: str, given: str, shared: str) -> Callable[..., R]:
+    """Return a function that applies another one to every number of records, and returns the record of the results.
+
+    Args:
+        record: of arguments and result.
+        function: compiled, of numbers: first one of each record, then the shared ones.
+        name: of the result, for error messages.
+        given: names of the arguments that are records, with commas between.
+        shared: names of the numbers that are the same for all, with commas between.
+    """
+    records = [argument.strip() for argument in given.split(",")]
+    calls = (f"function({', '.join(f'{argument}.{leaf}' for argument in records)}, {shared})" for leaf in leaves(record))
+    return _function(name, record, f"{given}, {shared}", f"return {_construct(record, calls)}", function=function)
+
+
+def _construct(record: type, values: Iterator[str]) -> str:
+    parts = [_construct(kind, values) if _is_record(kind) else next(values) for kind in get_type_hints(record).values()]
+    return f"{record.__name__}({', '.join(parts)})"
+
+
+def _function(name: str, record: type, arguments: str, body: str, **names: Any) -> Callable[..., Any]:
+    """Compile a function of the given source, in which the record's classes are known by their names."""
+    own = f"{name}_{record.__name__}"
+    source = f"def {own}({arguments}):\n    {body}\n"
+    file = f"<{record.__module__}.{own}>"
+    linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
+    space = {**{kind.__name__: kind for kind in _records(record)}, **names, "__name__": record.__module__}
+    exec(compile(source, file, "exec"), space)
+    return inlined(space[own])
+
+
+def _records(record: type) -> Iterator[type]:
+    yield record
+    for kind in get_type_hints(record).values():
+        if _is_record(kind):
+            yield from _records(kind)
+
+
+__all__ = [
+    "dtype", "elementwise", "flatten", "leaves", "loader", "offsets", "reader", "short_names", "size", "storer",
+]
