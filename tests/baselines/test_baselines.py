@@ -12,7 +12,8 @@ import baselines
 from baselines.tip_speed_feedback import TipSpeedFeedback
 from wtg_gym.evaluation import evaluate, leaderboard_rows, load_entries
 from wtg_gym.physics.aerodynamics import tracking_point
-from wtg_gym.physics.tracking_law import STRATEGIES, tracking_coefficient
+from wtg_gym.physics.converter import Corners, tracking_coefficient
+from wtg_gym.physics.tracking_law import STRATEGIES
 
 FOLDER = Path(baselines.__file__).parent
 
@@ -44,7 +45,7 @@ def test_order_names_every_module() -> None:
 def test_linear_law_is_the_straight_line_of_its_docstring() -> None:
     law, low, high = STRATEGIES["coordinated-linear"], 0.992, 1.008
     for speed in (low, 0.997, 1.0, 1.004, high):
-        k = tracking_coefficient(speed, law.k_min, law.k_nominal, law.k_max, low, 1.0, high)
+        k = tracking_coefficient(speed, law.k_min, law.k_nominal, law.k_max, Corners(low, 1.0, high))
         assert k == pytest.approx(law.k_max + (law.k_min - law.k_max) * (high - speed) / (high - low))
 
 

@@ -9,7 +9,7 @@ from tests.envs.rollouts import calm, episode, eventful, rising, sagging
 from wtg_gym.envs import CostWeights, GFMWTGEnv
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.physics.layout import LaneRow, Status
+from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import ProtectionParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import LineTrip, LoadStep, Scenario
@@ -125,9 +125,7 @@ def test_units_are_torn_apart_when_their_angles_differ_by_half_a_turn():
     env = GFMWTGEnv(scenario=TORN.to_dict())
     spread = []
     for _ in episode(env, 0.0, seed=0):
-        least, largest = (
-            env.lanes.simulator.lane_values(row)[0] for row in (LaneRow.LEAST_ANGLE, LaneRow.LARGEST_ANGLE)
-        )
+        least, largest = (env.lanes.simulator.lane_values(name)[0] for name in ("least_angle", "largest_angle"))
         spread.append(np.degrees(largest - least))
     assert max(spread[:-1]) <= 180.0 < spread[-1] < 270.0
 
@@ -149,8 +147,7 @@ def test_no_scenario_of_a_suite_comes_near_the_grids_failures(suite: str, strate
     for _ in range(600):
         lanes.step(np.sign(rng.uniform(-1.0, 1.0, (16, lanes.n_action))))
         least, largest, squared = (
-            lanes.simulator.lane_values(row)
-            for row in (LaneRow.LEAST_ANGLE, LaneRow.LARGEST_ANGLE, LaneRow.LEAST_VOLTAGE)
+            lanes.simulator.lane_values(name) for name in ("least_angle", "largest_angle", "least_voltage")
         )
         assert np.degrees(largest - least).max() < 90.0 and squared.min() > 0.9**2
     assert set(lanes.statuses().tolist()) <= {Status.RUNNING, Status.STALL}

@@ -15,9 +15,11 @@ PROGRAM = """
 import sys
 sys.path.insert(0, {root!r})
 from wtg_gym.physics.compiled import cache_folder
-from wtg_gym.physics.equilibrium import turbine_equilibrium
-from wtg_gym.physics.plant import PlantSettings, build_plant
-print(cache_folder().name, repr(turbine_equilibrium(8.0, 0.67, build_plant(PlantSettings()).turbine)[0]))
+from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.wind_turbine import turbine_constants, turbine_equilibrium
+s = PlantSettings()
+constants = turbine_constants(s.turbine, s.pitch, s.control, s.protection)
+print(cache_folder().name, repr(turbine_equilibrium(8.0, 0.67, constants)[0]))
 """
 
 

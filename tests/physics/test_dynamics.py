@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from wtg_gym.physics.layout import LaneRow, SyncRow
 from wtg_gym.physics.network import assemble_admittance
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import LineTrip, LoadRamp, LoadStep, LoadTrip, Scenario
@@ -33,21 +32,19 @@ def test_kinetic_energy_is_what_was_captured_and_not_delivered(simulator: Simula
 def network_power(simulator: Simulator, extra: complex = 0j, bus: int = 2) -> tuple[float, float]:
     """Power into the network from its units, and what loads and branches take, from the bus voltages [p.u.]."""
     plant, data, view = simulator.plant, simulator.data, simulator.blocks[0]
-    n = len(plant.unit_bus)
-    e_row = simulator.layout.network
-    emf = view[e_row : e_row + n] + 1j * view[e_row + n : e_row + 2 * n]
-    bus_y = plant.shunt_y + data.load_y[0]
+    c, first = plant.constants[0], simulator.layout.rows.voltage
+    emf = view[first : first + 2 * len(c["unit_bus"])].reshape(-1, 2) @ [1.0, 1j]
+    bus_y = plant.buses["shunt"] + data.load_y[0]
     bus_y[simulator.settings.case.bus_index(bus)] += extra
-    closed = np.zeros(len(plant.branch_from), dtype=bool)
-    passive = assemble_admittance(plant.branch_from, plant.branch_to, plant.branch_y, closed, bus_y)
+    passive = assemble_admittance(plant.branches, np.zeros(len(plant.branches), dtype=bool), bus_y)
     full = passive.copy()
     injected = np.zeros(len(bus_y), dtype=np.complex128)
-    for unit, at in enumerate(plant.unit_bus):
-        full[at, at] += plant.unit_y[unit]
-        injected[at] += plant.unit_y[unit] * emf[unit]
+    for unit, at in enumerate(c["unit_bus"]):
+        full[at, at] += c["unit_y"][unit]
+        injected[at] += c["unit_y"][unit] * emf[unit]
     voltage = np.linalg.solve(full, injected)
     consumed = (voltage * np.conj(passive @ voltage)).sum().real
-    machines = sum(simulator.values(i * SyncRow.N_ROWS + SyncRow.POWER)[0] for i in range(simulator.layout.n_sync))
+    machines = simulator.machine_values("power")[0].sum()
     return float(machines + (simulator.wtg_values("power")[0] * plant.share).sum()), float(consumed)
 
 
@@ -99,16 +96,16 @@ def reference_run(scenario: Scenario, until_s: float, method: str) -> tuple[np.n
         simulator.evaluate()
         return simulator.rates()
 
-    own = simulator.layout.lane
+    next_change, clock = simulator.layout.lane("next_change"), simulator.layout.lane("step")
     step = 0
     while step < round(until_s / 0.02):
-        following = min(simulator.blocks[0, own + LaneRow.NEXT_CHANGE], round(until_s / 0.02))
+        following = min(simulator.blocks[0, next_change], round(until_s / 0.02))
         if following > step:
             done = solve_ivp(rates, (step * 0.02, following * 0.02), state, method=method, rtol=1e-10, atol=1e-12)
             state, step = done.y[:, -1], int(following)
-        simulator.blocks[0, own + LaneRow.STEP] = step
+        simulator.blocks[0, clock] = step
         refresh_network(simulator.blocks[0], 0, 0, simulator.plant, simulator.data, 1)
-        combine_load_noise(simulator.blocks[0], simulator.plant, np.zeros(1), simulator.lanes)
+        combine_load_noise(simulator.blocks[0], simulator.plant.constants[0], np.zeros(1), simulator.lanes)
     return state, simulator
 
 

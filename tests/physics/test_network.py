@@ -42,11 +42,11 @@ PUBLISHED = (
 
 def solve(case: NetworkCase, power: np.ndarray[Any, np.dtype[np.complex128]]) -> tuple[Any, Any, int]:
     plant = build_plant(PlantSettings(case=case, groups=()))
-    y = assemble_admittance(
-        plant.branch_from, plant.branch_to, plant.branch_y, np.zeros(len(case.branches), bool), plant.shunt_y
-    )
-    magnitude, angle = plant.voltage.copy(), np.zeros(len(case.buses))
-    iterations = solve_power_flow(y, plant.slack, plant.holds_voltage, power - plant.load, magnitude, angle)
+    shunt, load, voltage, holds_voltage = (plant.buses[name].copy() for name in plant.buses.dtype.names)
+    y = assemble_admittance(plant.branches, np.zeros(len(case.branches), bool), shunt)
+    magnitude, angle = voltage, np.zeros(len(case.buses))
+    slack = case.bus_index(case.slack_bus)
+    iterations = solve_power_flow(y, slack, holds_voltage, power - load, magnitude, angle)
     return magnitude, angle, iterations
 
 

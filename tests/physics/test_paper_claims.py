@@ -127,12 +127,13 @@ def test_coordinated_law_captures_its_share_of_the_available_power(
     frequency_pu: float, share: float, wind: float
 ) -> None:
     from wtg_gym.physics.aerodynamics import available_power_pu
-    from wtg_gym.physics.equilibrium import turbine_equilibrium
-    from wtg_gym.physics.plant import build_plant
-    from wtg_gym.physics.tracking_law import tracking_coefficient
+    from wtg_gym.physics.converter import Corners, tracking_coefficient
+    from wtg_gym.physics.wind_turbine import turbine_constants, turbine_equilibrium
 
     law = STRATEGIES["coordinated-piecewise"]
-    k = tracking_coefficient(frequency_pu, law.k_min, law.k_nominal, law.k_max, 0.992, 1.0, 1.008)
-    rotor, pitch, found = turbine_equilibrium(wind, k, build_plant(PlantSettings()).turbine)
+    k = tracking_coefficient(frequency_pu, law.k_min, law.k_nominal, law.k_max, Corners(0.992, 1.0, 1.008))
+    s = PlantSettings()
+    constants = turbine_constants(s.turbine, s.pitch, s.control, s.protection)
+    rotor, pitch, found = turbine_equilibrium(wind, k, constants)
     assert found and pitch == 0.0
     assert k * rotor**3 == pytest.approx(share * float(available_power_pu(wind)), rel=1e-6)

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.layout import SyncRow
 from wtg_gym.physics.parameters import ProtectionParameters, WtgGroup
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import LineTrip, LoadStep, LoadTrip, Scenario
@@ -141,7 +140,7 @@ def test_bus_voltages_are_those_at_the_machines_terminals() -> None:
     for _ in range(simulator.n_intervals):
         magnitude = np.abs(simulator.bus_voltages())
         for i, machine in enumerate(case.machines):
-            own = simulator.values(i * SyncRow.N_ROWS + SyncRow.VOLTAGE)[0]
+            own = simulator.machine_values("voltage")[0, i]
             assert magnitude[case.bus_index(machine.bus)] == pytest.approx(own, abs=1e-12)
         simulator.advance()
 

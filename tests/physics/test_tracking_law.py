@@ -17,13 +17,13 @@ from wtg_gym.physics.parameters import TurbineParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.statics import stable_equilibrium
+from wtg_gym.physics.converter import Corners, tracking_coefficient
 from wtg_gym.physics.tracking_law import (
     STRATEGIES,
     TrackingLaw,
     get_law,
     group_laws,
     read_law,
-    tracking_coefficient,
 )
 from wtg_gym.physics.trajectory import simulate
 
@@ -32,7 +32,7 @@ K_OPT, K_N, K_PR = (tracking_point(d).coefficient for d in (0.0, 0.05, 0.10))
 
 
 def g(speed: float, law: TrackingLaw) -> float:
-    return float(tracking_coefficient(speed, law.k_min, law.k_nominal, law.k_max, 0.992, 1.0, 1.008))
+    return float(tracking_coefficient(speed, law.k_min, law.k_nominal, law.k_max, Corners(0.992, 1.0, 1.008)))
 
 
 def test_piecewise_law_meets_its_three_corners() -> None:

@@ -96,7 +96,9 @@ def observe_grid(coi: float, rocof: float, torque: float, task: Task) -> GridObs
 
 def observation_names(n_wtg: int, n_sync: int, action_mode: str, *, privileged: bool) -> list[str]:
     """Return the names of the observation's entries, with the unit each is counted in."""
-    actions = [f"last_action_{name}" for name, used in zip(("k", "tau"), ACTION_MODES[action_mode], strict=True) if used]
+    actions = [
+        f"last_action_{name}" for name, used in zip(("k", "tau"), ACTION_MODES[action_mode], strict=True) if used
+    ]
     names = []
     for j in range(n_wtg):
         names += [*_names(f"wtg{j}", WtgObservation), *(f"wtg{j}.{action}" for action in actions)]

@@ -290,9 +290,13 @@ def charge(block: Floats, c: Any, task: Task, lanes: Lanes) -> None:
         store_terms(_chosen(new, terms, ran), block, of_task + TASK.terms * width + x, width)
         store_terms(_added(new, sums, ran), block, of_task + TASK.sums * width + x, width)
         block[of_task + TASK.cost * width + x] = total_cost(new)
-        block[of_task + TASK.constraint * width + x] = select(ran, violated, block[of_task + TASK.constraint * width + x])
+        block[of_task + TASK.constraint * width + x] = select(
+            ran, violated, block[of_task + TASK.constraint * width + x]
+        )
         block[of_task + TASK.constraint_sum * width + x] += select(ran, violated, 0.0)
-        block[of_task + TASK.duty_error * width + x] += select(ran, block[of_task + TASK.error * width + x] * elapsed, 0.0)
+        block[of_task + TASK.duty_error * width + x] += select(
+            ran, block[of_task + TASK.error * width + x] * elapsed, 0.0
+        )
 
 
 @inlined

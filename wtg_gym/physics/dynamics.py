@@ -115,9 +115,7 @@ _wtg_kept = elementwise(WtgState, _kept, "kept", "moved, limited, base", "last, 
 
 
 @inlined
-def unit_rates(
-    block: Floats, c: Any, fraction: float, moves: bool, stage: int, ahead: float, lanes: Lanes
-) -> None:
+def unit_rates(block: Floats, c: Any, fraction: float, moves: bool, stage: int, ahead: float, lanes: Lanes) -> None:
     """Evaluate the units' rates and outputs, and move their states by one stage of the Runge-Kutta method.
 
     Args:

@@ -84,7 +84,6 @@ N_MACHINE_ROWS, N_WTG_ROWS, N_LANE_ROWS = size(MachineRows), size(WtgRows), size
 N_MACHINE_STATES, N_WTG_STATES, N_EXTREMES = size(MachineState), size(WtgState), size(WtgExtremes)
 
 
-
 def row_of(record: type, name: str) -> int:
     """Return the row of a record's number; of a state's three copies, the state itself."""
     names = short_names(record)
@@ -319,4 +318,3 @@ class Layout:
         names = [f"sync{i}.{name}" for i in range(self.n_sync) for name in short_names(MachineState)]
         names += [f"wtg{j}.{name}" for j in range(self.n_wtg) for name in short_names(WtgState)]
         return (*names, "reference_angle")
-

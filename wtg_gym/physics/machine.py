@@ -17,7 +17,14 @@ from typing import NamedTuple
 
 from wtg_gym.physics.compiled import inlined
 from wtg_gym.physics.elementary import sine_cosine
-from wtg_gym.physics.exciter import Exciter, ExciterState, exciter_constants, exciter_limited, exciter_rates, exciter_start
+from wtg_gym.physics.exciter import (
+    Exciter,
+    ExciterState,
+    exciter_constants,
+    exciter_limited,
+    exciter_rates,
+    exciter_start,
+)
 from wtg_gym.physics.governor import Governor, GovernorState, governor_constants, governor_limited, governor_rates
 from wtg_gym.physics.parameters import SynchronousMachineParameters
 

@@ -108,4 +108,6 @@ def build_plant(settings: PlantSettings) -> Plant:
         (case.bus_index(branch.from_bus), case.bus_index(branch.to_bus), *y)
         for branch, y in zip(case.branches, branch_admittances(case.branches), strict=True)
     ]
-    return Plant(constants, np.array(buses, dtype=dtype(BusConstants)), np.array(branches, dtype=dtype(BranchConstants)))
+    return Plant(
+        constants, np.array(buses, dtype=dtype(BusConstants)), np.array(branches, dtype=dtype(BranchConstants))
+    )

@@ -149,7 +149,9 @@ def update_status(block: Floats, c: Any, width: int) -> None:
             o = (rows.wtg + j * N_WTG_ROWS) * width + x
             state = load_wtg_state(block, o, width)
             given = load_wtg_input(block, o + WTG.input * width, width)
-            ratio = turbine.rotor.tip_speed * state.rotor_speed / load_wtg_output(block, o + WTG.output * width, width).wind
+            ratio = (
+                turbine.rotor.tip_speed * state.rotor_speed / load_wtg_output(block, o + WTG.output * width, width).wind
+            )
             total += state.rotor_speed + state.converter.speed
             failure = 0
             if ratio < limits.stall_tip_speed_ratio:

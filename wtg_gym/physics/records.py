@@ -57,7 +57,9 @@ def offsets(record: type) -> Any:
 
 def dtype(record: type) -> np.dtype[Any]:
     """Return the data type of a record of constants, with :func:`leaves` as names; floats, whole numbers and flags."""
-    return np.dtype([(leaf, _DTYPES[kind]) for leaf, kind in zip(leaves(record), _kinds(record), strict=True)], align=True)
+    return np.dtype(
+        [(leaf, _DTYPES[kind]) for leaf, kind in zip(leaves(record), _kinds(record), strict=True)], align=True
+    )
 
 
 def _kinds(record: type) -> Iterator[Any]:
@@ -94,7 +96,9 @@ def reader(record: type[R]) -> Callable[[Any], R]:
     return _function("read", record, "entry", f"return {body}")
 
 
-def elementwise(record: type[R], function: Callable[..., float], name: str, given: str, shared: str) -> Callable[..., R]:
+def elementwise(
+    record: type[R], function: Callable[..., float], name: str, given: str, shared: str
+) -> Callable[..., R]:
     """Return a function that applies another one to every number of records, and returns the record of the results.
 
     Args:
@@ -105,7 +109,9 @@ def elementwise(record: type[R], function: Callable[..., float], name: str, give
         shared: names of the numbers that are the same for all, with commas between.
     """
     records = [argument.strip() for argument in given.split(",")]
-    calls = (f"function({', '.join(f'{argument}.{leaf}' for argument in records)}, {shared})" for leaf in leaves(record))
+    calls = (
+        f"function({', '.join(f'{argument}.{leaf}' for argument in records)}, {shared})" for leaf in leaves(record)
+    )
     return _function(name, record, f"{given}, {shared}", f"return {_construct(record, calls)}", function=function)
 
 
@@ -133,5 +139,14 @@ def _records(record: type) -> Iterator[type]:
 
 
 __all__ = [
-    "dtype", "elementwise", "flatten", "leaves", "loader", "offsets", "reader", "short_names", "size", "storer",
+    "dtype",
+    "elementwise",
+    "flatten",
+    "leaves",
+    "loader",
+    "offsets",
+    "reader",
+    "short_names",
+    "size",
+    "storer",
 ]

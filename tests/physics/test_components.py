@@ -1,0 +1,175 @@
+"""The equations of the models and of the task: free of branches, the same in every back end, and easy to extend."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import shutil
+import subprocess
+import sys
+import types
+import typing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import wtg_gym
+from wtg_gym.physics.records import flatten, leaves, offsets, short_names, size
+
+MODULES = {
+    "wtg_gym.physics": (
+        "elementary",
+        "aerodynamics",
+        "exciter",
+        "governor",
+        "machine",
+        "pitch",
+        "converter",
+        "wind_turbine",
+    ),
+    "wtg_gym.envs": ("cost", "observation"),
+}
+#: They look for an equilibrium, once per run: with loops and branches.
+SEARCHES = {"exciter_start", "machine_start", "turbine_equilibrium", "_pitch_that_captures"}
+LANES = 7
+
+
+def is_compiled(value: Any) -> bool:
+    return hasattr(value, "py_func")
+
+
+def equations() -> dict[str, Any]:
+    """Every compiled function of the modules that hold equations."""
+    found = {}
+    for package, names in MODULES.items():
+        for name in names:
+            module = importlib.import_module(f"{package}.{name}")
+            found |= {
+                key: value
+                for key, value in vars(module).items()
+                if is_compiled(value) and value.py_func.__module__ == module.__name__ and key not in SEARCHES
+            }
+    return {name: function for name, function in found.items() if not name.startswith(("load_", "store_", "read_"))}
+
+
+EQUATIONS = equations()
+NUMPY = {
+    "min": np.minimum,
+    "max": np.maximum,
+    "select": np.where,
+    "fma": lambda a, b, c: a * b + c,
+    "math": types.SimpleNamespace(sqrt=np.sqrt, floor=np.floor),
+}
+
+
+def over_arrays(function: Any) -> Any:
+    """The same source over arrays: an `if` on a state raises, as in any tool that traces a function."""
+    source = function.py_func if is_compiled(function) else function
+    used = {key: source.__globals__[key] for key in source.__code__.co_names if key in source.__globals__}
+    names = {key: over_arrays(value) if is_compiled(value) else value for key, value in used.items()}
+    return types.FunctionType(source.__code__, {**names, **NUMPY})
+
+
+def draw(kind: Any, rng: np.random.Generator, shape: tuple[int, ...]) -> Any:
+    """Numbers for an argument of an annotated type: those of records positive and small."""
+    if hasattr(kind, "_fields"):
+        return kind(*(draw(k, rng, shape) for k in typing.get_type_hints(kind).values()))
+    if kind is bool:
+        return bool(rng.integers(2))
+    if kind is int:
+        return int(rng.integers(1, 9))
+    return rng.uniform(0.1, 1.5, shape)
+
+
+def lane(value: Any, x: int) -> Any:
+    if hasattr(value, "_fields"):
+        return type(value)(*(lane(v, x) for v in value))
+    return float(value[x]) if isinstance(value, np.ndarray) and value.ndim else value
+
+
+def numbers(result: Any) -> list[Any]:
+    if isinstance(result, tuple):
+        return [number for part in result for number in numbers(part)]
+    return [result]
+
+
+@pytest.mark.parametrize("name", sorted(EQUATIONS))
+def test_an_equation_can_be_traced_and_gives_the_compiled_numbers(name: str) -> None:
+    function = EQUATIONS[name]
+    kinds = typing.get_type_hints(function.py_func)
+    kinds.pop("return", None)
+    rng = np.random.default_rng(0)
+    # Constants are the same for all lanes, and so are flags and counts.
+    arguments = [draw(kind, rng, (LANES,)) for kind in kinds.values()]
+    traced = numbers(over_arrays(function)(*arguments))
+    for x in range(LANES):
+        compiled = numbers(function(*(lane(argument, x) for argument in arguments)))
+        seen = [float(value[x]) if np.ndim(value) else float(value) for value in traced]
+        assert seen == pytest.approx([float(value) for value in compiled], rel=1e-10, abs=1e-10)
+
+
+def test_rows_and_names_follow_from_the_records() -> None:
+    from wtg_gym.physics.layout import MACHINE, Layout, MachineRows
+    from wtg_gym.physics.machine import MachineState
+
+    assert leaves(MachineState)[-4:] == (
+        "exciter.lead_lag",
+        "exciter.field_voltage",
+        "governor.gate",
+        "governor.reheat",
+    )
+    assert short_names(MachineState)[-1] == "reheat" and offsets(MachineRows).base == MACHINE.base == size(MachineState)
+    layout = Layout(4, 2)
+    assert layout.state_names[0] == "sync0.angle" and len(layout.state_names) == layout.state_rows.size == 57
+    assert np.unique(np.concatenate([layout.state_rows, layout.rate_rows])).size == 114
+    with pytest.raises(KeyError, match="'spede' is no number of WtgRows; it has angle, speed"):
+        layout.wtg("spede")
+    assert flatten(offsets(MachineRows))[0] == 0
+
+
+TRANSDUCER = {
+    "lead_lag: float  # x [p.u.]": "lead_lag: float  # x [p.u.]\n    measured: float  # voltage error behind a lag of 20 ms",
+    "error = voltage_error - s.lead_lag": "error = s.measured - s.lead_lag",
+    "lead_lag=c.inv_lag_time * error,": "lead_lag=c.inv_lag_time * error,\n        measured=50.0 * (voltage_error - s.measured),",
+    "return ExciterState(s.lead_lag, clip": "return ExciterState(s.lead_lag, s.measured, clip",
+    "return ExciterState(error, field_voltage), error": "return ExciterState(error, error, field_voltage), error",
+}
+SENSOR = {
+    "coefficient: Annotated": 'pitch: Annotated[float, "10 deg"]\n    coefficient: Annotated',
+    "coefficient=(output": "pitch=s.pitch.pitch / 10.0,\n        coefficient=(output",
+}
+PROGRAM = """
+import numpy as np
+from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.settings import EnvSettings
+lanes = TaskLanes(EnvSettings(simulation_dt=0.01))
+lanes.start([0], [lanes.suite.scenario(20000)])
+print(sum(name.endswith(".measured") for name in lanes.simulator.layout.state_names))
+print(np.abs(lanes.simulator.rates()[:-1][lanes.simulator.layout.state_rows[:-1] < lanes.simulator.layout.rows.wtg]).max() < 1e-8)
+lanes.step(np.zeros((1, lanes.n_action)))
+print(sum(".pitch [10 deg]" in name for name in lanes.observation_names), lanes.observations.shape[1])
+"""
+
+
+@pytest.mark.parametrize(
+    ("file", "changes", "printed"),
+    [("exciter.py", TRANSDUCER, "4 True 0 20"), ("observation.py", SENSOR, "0 True 2 22")],
+)
+def test_a_new_state_and_a_new_sensor_touch_one_file(
+    tmp_path: Path, file: str, changes: dict[str, str], printed: str
+) -> None:
+    source = Path(wtg_gym.__file__).parent
+    shutil.copytree(source, tmp_path / "wtg_gym", ignore=shutil.ignore_patterns("__pycache__", "shipped"))
+    (changed,) = (tmp_path / "wtg_gym").rglob(file)
+    text = changed.read_text()
+    for old, new in changes.items():
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    changed.write_text(text)
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path), "NUMBA_DISABLE_JIT": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM], env=environment, capture_output=True, text=True, cwd=tmp_path
+    )
+    assert done.stdout.split() == printed.split(), done.stderr
