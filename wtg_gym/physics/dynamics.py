@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from wtg_gym.physics.compiled import compiled, inlined
 from wtg_gym.physics.elementary import fma, select
 from wtg_gym.physics.layout import (
@@ -20,10 +22,12 @@ from wtg_gym.physics.layout import (
     WTG,
     Floats,
     Lanes,
+    Phasor,
     Plant,
     load_machine_emf,
     load_machine_input,
     load_machine_state,
+    load_phasor,
     load_wtg_input,
     load_wtg_state,
     read_machine,
@@ -32,12 +36,17 @@ from wtg_gym.physics.layout import (
     store_machine_emf,
     store_machine_output,
     store_machine_state,
+    store_phasor,
     store_wtg_output,
     store_wtg_state,
 )
 from wtg_gym.physics.machine import MachineState, machine_limited, machine_rates, machine_voltage
 from wtg_gym.physics.records import elementwise
 from wtg_gym.physics.wind_turbine import WtgState, wtg_limited, wtg_rates, wtg_voltage
+
+
+#: Stages of :func:`unit_rates`.
+EVALUATE, FIRST, MIDDLE, LAST = -1, 0, 1, 2
 
 
 @inlined
@@ -70,16 +79,29 @@ def unit_currents(block: Floats, c: Any, lanes: Lanes) -> None:
     width, rows = len(lanes), rows_of(c)
     n = c["unit_bus"].shape[0]
     for i in range(n):
-        current = (rows.current + 2 * i) * width
+        at, y = (rows.current + 2 * i) * width, (rows.admittance + 2 * i * n) * width
         for x in range(2 * width):
-            block[current + x] = 0.0
-        for j in range(n):
-            voltage, y = (rows.voltage + 2 * j) * width, (rows.admittance + 2 * (i * n + j)) * width
+            block[at + x] = 0.0
+        # Three at a time: sums in registers save half of the memory's traffic.
+        for j in range(0, n - n % 3, 3):
+            e_j, y_j = (rows.voltage + 2 * j) * width, y + 2 * j * width
             for x in range(width):
-                re, im = block[voltage + x], block[voltage + width + x]
-                y_re, y_im = block[y + x], block[y + width + x]
-                block[current + x] += fma(y_re, re, -(y_im * im))
-                block[current + width + x] += fma(y_re, im, y_im * re)
+                current = load_phasor(block, at + x, width)
+                current = _plus_product(current, block, y_j + x, e_j + x, width)
+                current = _plus_product(current, block, y_j + 2 * width + x, e_j + 2 * width + x, width)
+                current = _plus_product(current, block, y_j + 4 * width + x, e_j + 4 * width + x, width)
+                store_phasor(current, block, at + x, width)
+        for j in range(n - n % 3, n):
+            e_j, y_j = (rows.voltage + 2 * j) * width, y + 2 * j * width
+            for x in range(width):
+                current = load_phasor(block, at + x, width)
+                store_phasor(_plus_product(current, block, y_j + x, e_j + x, width), block, at + x, width)
+
+
+@inlined
+def _plus_product(total: Phasor, block: Floats, admittance: int, voltage: int, width: int) -> Phasor:
+    y, e = load_phasor(block, admittance, width), load_phasor(block, voltage, width)
+    return Phasor(total.re + fma(y.re, e.re, -(y.im * e.im)), total.im + fma(y.re, e.im, y.im * e.re))
 
 
 @inlined
@@ -115,21 +137,21 @@ _wtg_kept = elementwise(WtgState, _kept, "kept", "moved, limited, base", "last, 
 
 
 @inlined
-def unit_rates(block: Floats, c: Any, fraction: float, moves: bool, stage: int, ahead: float, lanes: Lanes) -> None:
+def unit_rates(block: Floats, c: Any, fraction: float, stage: np.int64, ahead: float, lanes: Lanes) -> None:
     """Evaluate the units' rates and outputs, and move their states by one stage of the Runge-Kutta method.
 
     Args:
         block, lanes: as for :func:`advance_step`.
         c: constants of the plant.
         fraction: of the control interval that has passed, 0 … 1.
-        moves: False leaves the states and stores the rates; a literal, so that the compiler leaves the other half out.
-        stage: 0 … 3 of the method.
+        stage: one of FIRST, MIDDLE and LAST of the method; EVALUATE leaves the states and stores the rates. A constant
+            where it is called: each stage is compiled for itself, without what it does not need.
         ahead: how far the stage moves the states from their base [s]; a sixth of the step for the last.
     """
     width, rows = len(lanes), rows_of(c)
     n_sync = c["machines"].shape[0]
     omega_n = c["omega_n"]
-    first, last = stage == 0, stage == 3
+    first, last = stage == FIRST, stage == LAST
     lane = rows.lane * width
     for i in range(n_sync):
         machine = read_machine(c["machines"][i])
@@ -147,14 +169,17 @@ def unit_rates(block: Floats, c: Any, fraction: float, moves: bool, stage: int, 
                 omega_n,
             )
             store_machine_output(output, block, o + MACHINE.output * width + x, width)
-            if moves:
+            if stage != EVALUATE:
                 base = _machine_base(state, load_machine_state(block, o + MACHINE.base * width + x, width), first)
                 total = load_machine_state(block, o + MACHINE.sum * width + x, width)
                 moved = _machine_moved(base, rates, total, ahead, last)
                 limited = machine_limited(moved, machine)
                 moved = _machine_kept(moved, limited, base, last, block[lane + LANE.active * width + x])
-                store_machine_state(base, block, o + MACHINE.base * width + x, width)
-                store_machine_state(_machine_sum(rates, total, first), block, o + MACHINE.sum * width + x, width)
+                if first:
+                    store_machine_state(base, block, o + MACHINE.base * width + x, width)
+                if not last:
+                    total = _machine_sum(rates, total, first)
+                    store_machine_state(total, block, o + MACHINE.sum * width + x, width)
                 store_machine_state(moved, block, o + x, width)
             else:
                 store_machine_state(rates, block, (rows.machine_rate + i * N_MACHINE_STATES) * width + x, width)
@@ -178,20 +203,22 @@ def unit_rates(block: Floats, c: Any, fraction: float, moves: bool, stage: int, 
                 omega_n,
             )
             store_wtg_output(output, block, o + WTG.output * width + x, width)
-            if moves:
+            if stage != EVALUATE:
                 base = _wtg_base(state, load_wtg_state(block, o + WTG.base * width + x, width), first)
                 total = load_wtg_state(block, o + WTG.sum * width + x, width)
                 moved = _wtg_moved(base, rates, total, ahead, last)
                 limited = wtg_limited(moved, turbine)
                 moved = _wtg_kept(moved, limited, base, last, block[lane + LANE.active * width + x])
-                store_wtg_state(base, block, o + WTG.base * width + x, width)
-                store_wtg_state(_wtg_sum(rates, total, first), block, o + WTG.sum * width + x, width)
+                if first:
+                    store_wtg_state(base, block, o + WTG.base * width + x, width)
+                if not last:
+                    store_wtg_state(_wtg_sum(rates, total, first), block, o + WTG.sum * width + x, width)
                 store_wtg_state(moved, block, o + x, width)
             else:
                 store_wtg_state(rates, block, (rows.wtg_rate + j * N_WTG_STATES) * width + x, width)
     for x in range(width):
         rate = omega_n * (block[lane + LANE.reference_speed * width + x] - 1.0)
-        if moves:
+        if stage != EVALUATE:
             base = _base(block[lane + LANE.angle * width + x], block[lane + LANE.base * width + x], first)
             total = block[lane + LANE.sum * width + x]
             moved = _moved(base, rate, total, ahead, last)
@@ -208,7 +235,7 @@ def derivatives(block: Floats, c: Any, fraction: float, lanes: Lanes) -> None:
     """Evaluate rates and outputs of every lane of a block where it stands."""
     unit_voltages(block, c, lanes)
     unit_currents(block, c, lanes)
-    unit_rates(block, c, fraction, False, 0, 0.0, lanes)
+    unit_rates(block, c, fraction, np.int64(EVALUATE), 0.0, lanes)
 
 
 @inlined
@@ -223,12 +250,17 @@ def advance_step(block: Floats, c: Any, step: int, lanes: Lanes) -> None:
     """
     h = c["simulation_dt"]
     part = 1.0 / c["n_substeps"]
-    for stage in range(4):
-        offset = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
-        ahead = h / 6.0 if stage == 3 else (h if stage == 2 else 0.5 * h)
-        unit_voltages(block, c, lanes)
-        unit_currents(block, c, lanes)
-        unit_rates(block, c, (step + offset) * part, True, stage, ahead, lanes)
+    _stage(block, c, step * part, np.int64(FIRST), 0.5 * h, lanes)
+    for middle in range(2):
+        _stage(block, c, (step + 0.5) * part, np.int64(MIDDLE), h if middle == 1 else 0.5 * h, lanes)
+    _stage(block, c, (step + 1.0) * part, np.int64(LAST), h / 6.0, lanes)
+
+
+@inlined
+def _stage(block: Floats, c: Any, fraction: float, stage: np.int64, ahead: float, lanes: Lanes) -> None:
+    unit_voltages(block, c, lanes)
+    unit_currents(block, c, lanes)
+    unit_rates(block, c, fraction, stage, ahead, lanes)
 
 
 @compiled
