@@ -28,7 +28,7 @@ from tests.cli.calls import ROOT, error_of, json_of
 from wtg_gym import ENV_ID
 from wtg_gym.cli import main
 from wtg_gym.evaluation import OnnxPolicy, load_entries
-from wtg_gym.sb3_archive import ALGORITHMS, NormalizedPolicy, load_archive
+from wtg_gym.policies.sb3_archive import ALGORITHMS, NormalizedPolicy, load_archive
 
 TOML = 'name = "mine"\naction_mode = "k+tau"\nalgorithm = "PPO"\n'
 SHORT = ("--seeds", "20000:20003", "--duration", "10")
@@ -293,5 +293,5 @@ def test_missing_package_names_the_extra(
     package: str, archive: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
-    monkeypatch.delitem(sys.modules, "wtg_gym.sb3_archive")
+    monkeypatch.delitem(sys.modules, "wtg_gym.policies.sb3_archive")
     assert "pip install 'wtg-gym[train]'" in refusal(capsys, folder(tmp_path / "entry", archive))

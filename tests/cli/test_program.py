@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 
 import wtg_gym
-import wtg_gym.cli.scores
+import wtg_gym.cli.scenarios
+import wtg_gym.cli.scoring
 import wtg_gym.cli.simulate
-import wtg_gym.cli.suites
 from tests.cli.calls import ROOT, call, error_of
 from wtg_gym.cli import main
 

@@ -14,17 +14,15 @@ from typing import Any
 import pytest
 
 import wtg_gym
-import wtg_gym.cli.scores
+import wtg_gym.cli.scenarios
+import wtg_gym.cli.scoring
 import wtg_gym.cli.simulate
-import wtg_gym.cli.suites
 from tests.cli.calls import ROOT, call, error_of, json_of
 from tests.submissions import models
 from wtg_gym.cli import main
-from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import Entry, Results, load_entries, policy_process
-from wtg_gym.evaluation.evaluator import entry_lanes
+from wtg_gym.evaluation import Results, load_entries, policy_process
 from wtg_gym.evaluation.partial import PartialStore
-from wtg_gym.evaluation.verification import verify
+from wtg_gym.evaluation.recompute import recompute
 from wtg_gym.files import sha256, to_json
 from wtg_gym.scenarios import FROZEN_HASHES
 
@@ -35,13 +33,13 @@ _PAPER = ("leaderboard", "--suite", "paper", "--entries", "mppt", "deloaded-5", 
 def _count_played(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
     """Names of the entries of every evaluation from now on."""
     played: list[list[str]] = []
-    real = wtg_gym.cli.scores.evaluate
+    real = wtg_gym.cli.scoring.evaluate
 
     def counting(entries: Any, *arguments: Any, **named: Any) -> Any:
         played.append([entry.name for entry in entries])
         return real(entries, *arguments, **named)
 
-    monkeypatch.setattr(wtg_gym.cli.scores, "evaluate", counting)
+    monkeypatch.setattr(wtg_gym.cli.scoring, "evaluate", counting)
     return played
 
 
@@ -289,10 +287,7 @@ def test_policies_that_crash_hang_and_turn_nan_change_nobody_elses_results(
 ) -> None:
     """Each of them knows the first scenario by its beginning, and does it in its middle."""
     monkeypatch.setattr(policy_process, "STEP_S", 5.0)
-    lanes = entry_lanes(Entry(name="any"), EnvSettings(suite="paper", split="test"), 1)
-    lanes.start([0], lanes.scenarios([0]))
-    seen = lanes.observations[0].copy()
-    lanes.simulator.close()
+    seen = models.first_observation("paper", 0)
     contents = {
         "Crash": models.divides(seen, 1e-3, "Div", -(2**31), -1),
         "Hang": models.hangs(seen, 1e-3),
@@ -325,5 +320,5 @@ def test_policies_that_crash_hang_and_turn_nan_change_nobody_elses_results(
     assert [entry["name"] for entry in results.failed] == ["Crash", "Hang", "Nan"]
     assert results.to_dict()["summary"] == Results.read(tmp_path / "rest" / "paper-test.json").to_dict()["summary"]
     # Computed anew they fail again, which is no difference.
-    found = verify(results, [entry for spec in ("deloaded-5", *folders.values()) for entry in load_entries(spec)])
+    found = recompute(results, [entry for spec in ("deloaded-5", *folders.values()) for entry in load_entries(spec)])
     assert found.differences == []

@@ -1,4 +1,4 @@
-"""`wtg-gym margins` and `wtg-gym modes` as a user calls them."""
+"""`wtg-gym analyse margins` and `wtg-gym analyse modes` as a user calls them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`wtg-gym statics` as a user calls it."""
+"""`wtg-gym analyse statics` as a user calls it."""
 
 from __future__ import annotations
 

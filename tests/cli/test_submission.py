@@ -17,9 +17,7 @@ from tests.submissions import models
 from tests.submissions.models import TOML, after, folder, node
 from tests.submissions.models import model as make
 from wtg_gym.cli import main
-from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import ANCHORS, Entry, Results, evaluate, load_entries
-from wtg_gym.evaluation.evaluator import entry_lanes
+from wtg_gym.evaluation import ANCHORS, Results, evaluate, load_entries
 
 ROOT = Path(__file__).resolve().parents[2]
 OTHER = TOML.replace("Mine", "Other")
@@ -72,7 +70,7 @@ def test_score_is_that_of_evaluate(capsys: pytest.CaptureFixture[str], tmp_path:
     said = capsys.readouterr().out
     assert "Mine (2 seeds)" in said and "mppt" in said
     stored = Results.read(results / "standard-test.json")
-    again = evaluate([load_entries(seed)[0] for seed in seeds], "standard", seeds=[20_000, 20_001])
+    again = evaluate([load_entries(seed)[0] for seed in seeds], "standard", "test", seeds=[20_000, 20_001])
     assert stored.episodes == again.episodes and stored.entries == again.entries
 
 
@@ -98,10 +96,7 @@ def test_policy_that_fails_in_a_scored_scenario_stops_nobody_else(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     """It knows the first scenario by what it sees there, and passes the gate."""
-    lanes = entry_lanes(Entry(name="any"), EnvSettings(suite="standard", split="test"), 1)
-    lanes.start([0], lanes.scenarios([20_000]))
-    trap = models.trap(lanes.observations[0], 1e-3)
-    lanes.simulator.close()
+    trap = models.trap(models.first_observation("standard", 20_000), 1e-3)
     good = folder(tmp_path / "good", models.other(0.03))
     bad = folder(tmp_path / "bad", trap, OTHER)
     mate = folder(tmp_path / "mate", models.other(), OTHER.replace("seed = 0", "seed = 1"))

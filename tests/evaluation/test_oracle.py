@@ -13,7 +13,8 @@ import pytest
 
 from wtg_gym.evaluation import Results, evaluate, leaderboard_rows, oracle, table_cells
 from wtg_gym.evaluation.oracle import FOLDER, OracleCosts
-from wtg_gym.evaluation.summary import EntrySummary, pinned
+from wtg_gym.evaluation.score import pinned
+from wtg_gym.evaluation.summary import EntrySummary
 from wtg_gym.files import sha256, to_json
 from wtg_gym.scenarios import FROZEN_HASHES, get_suite
 

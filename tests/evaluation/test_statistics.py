@@ -13,7 +13,7 @@ from scipy import stats
 
 from baselines import tip_speed_feedback
 from wtg_gym.evaluation import Entry, evaluate, statistics
-from wtg_gym.evaluation.statistics import COST_OFFSET
+from wtg_gym.evaluation.score import COST_OFFSET
 
 COSTS = arrays(np.float64, 7, elements=st.floats(0.0, 3050.0))
 

@@ -24,10 +24,9 @@ from tests.submissions.models import (
     node,
 )
 from tests.submissions.models import model as make
-from wtg_gym.evaluation import onnx_worker, policy_process
-from wtg_gym.submissions import limits
-from wtg_gym.submissions.folder import parse_entry, read_files
-from wtg_gym.submissions.gate import CHECKS, Report, check_submission
+from wtg_gym.policies import gate, onnx_worker, policy_process
+from wtg_gym.policies.gate import CHECKS, Report, check_submission
+from wtg_gym.policies.submission_folder import parse_entry, read_files
 
 POLICIES = Path(baselines.__file__).parent.parent / "agents" / "policies"
 
@@ -180,7 +179,7 @@ def test_policy_of_other_modes_is_refused(tmp_path: Path) -> None:
 
 
 def test_policy_that_is_slow_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(limits, "ANSWER_S", 1e-9)
+    monkeypatch.setattr(gate, "ANSWER_S", 1e-9)
     check, reason = refusal(check_submission(folder(tmp_path / "a")))
     assert check == "speed" and "ms for an action" in reason
 

@@ -16,10 +16,8 @@ from tests.submissions.hostile import seed
 from tests.submissions.models import TOML, M, N, constant, folder
 from tests.submissions.models import model as make
 from wtg_gym.evaluation import load_entries
-from wtg_gym.submissions import limits
-from wtg_gym.submissions.gate import Report, check_submission
-from wtg_gym.submissions.probes import rollout
-from wtg_gym.submissions.together import action_difference, conflicts
+from wtg_gym.policies.conflicts import COPY_TOLERANCE, action_difference, conflicts
+from wtg_gym.policies.gate import Report, check_submission, rollout
 
 
 def report(path: Path, content: ModelProto | None = None, toml: str = TOML) -> Report:
@@ -98,4 +96,4 @@ def test_shipped_policies_are_far_from_being_copies() -> None:
         by_mode.setdefault(entry.action_mode, []).append(rollout(entry.policy, entry.action_mode, "local"))
     pairs = [pair for actions in by_mode.values() for pair in itertools.combinations(actions, 2)]
     assert len(pairs) == 55 + 10 + 10
-    assert min(itertools.starmap(action_difference, pairs)) > 7 * limits.COPY_TOLERANCE
+    assert min(itertools.starmap(action_difference, pairs)) > 7 * COPY_TOLERANCE

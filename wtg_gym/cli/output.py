@@ -14,7 +14,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal
 
-from wtg_gym.files import require_markers, update_between_markers, write_atomically
+from wtg_gym.files import printable, require_markers, update_between_markers, write_atomically
 
 #: Formats that figures are written in.
 FIGURE_FORMATS = ("svg", "png", "pdf")
@@ -28,23 +28,13 @@ _PROGRESS_INTERVAL_S = 5.0
 
 def note(text: str) -> None:
     """Write a line to stderr, so that stdout carries results only."""
-    print(harmless(text), file=sys.stderr)
+    print(printable(text), file=sys.stderr)
 
 
 def say(*lines: str) -> None:
     """Write lines to stdout. Whatever is printed goes through here, :func:`note` or :func:`print_table`."""
     for line in lines:
-        print(harmless(line))
-
-
-def harmless(text: str) -> str:
-    """Return a line of text, which may come from anybody's file, without commands to a terminal.
-
-    Control characters, line feeds, changes of direction and the like appear as escapes such as ``\\x1b``.
-    """
-    if text.isprintable():
-        return text
-    return "".join(sign if sign.isprintable() else ascii(sign)[1:-1] for sign in text)
+        print(printable(line))
 
 
 def one_line(error: Exception) -> str:
@@ -53,7 +43,7 @@ def one_line(error: Exception) -> str:
         text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     else:
         text = " ".join(str(error).split()) or type(error).__name__
-    text = harmless(text)
+    text = printable(text)
     return text if len(text) <= _LONGEST_ERROR else f"{text[:_LONGEST_ERROR]} …"
 
 
@@ -173,7 +163,7 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, left: S
         rows: cells.
         left: columns of text; the others are aligned right.
     """
-    header, *cells = [[harmless(cell) for cell in row] for row in (header, *rows)]
+    header, *cells = [[printable(cell) for cell in row] for row in (header, *rows)]
     widths = [max(map(len, column)) for column in zip(header, *cells, strict=True)]
     if sys.stdout.isatty() and importlib.util.find_spec("rich") is not None:
         from rich import box
@@ -249,7 +239,7 @@ class Progress:
         if self._bar is not None:
             from rich.markup import escape
 
-            self._bar.update(self._task, description=escape(harmless(name)), completed=done, total=total, count=count)
+            self._bar.update(self._task, description=escape(printable(name)), completed=done, total=total, count=count)
             return
         now = time.monotonic()
         # Compiling and reading stored results come before it, and say nothing about the pace after it.

@@ -1,4 +1,4 @@
-"""The generalisation gap: what an entry scores on the public test scenarios more than on fresh ones."""
+"""The generalisation gap: the score on the public test scenarios minus the score on fresh ones."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 
 from wtg_gym import files
 from wtg_gym.evaluation import statistics
-from wtg_gym.evaluation.entries import ANCHORS
 from wtg_gym.evaluation.leaderboard import leaderboard_rows, signed_interval
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.statistics import Floats, Interval
-from wtg_gym.scenarios import VERIFICATION
+from wtg_gym.policies import ANCHORS
+from wtg_gym.scenarios import FRESH
 
 #: With fewer the regression on the controls fits noise.
 _FEWEST_FRESH = 30
@@ -55,15 +55,15 @@ def generalisation_gaps(public: Results, fresh: Results) -> list[GeneralisationG
 
     Args:
         public: results on the split "test".
-        fresh: results on the split "verification" of the same suite, with the same settings.
+        fresh: results on the split "fresh" of the same suite, with the same settings.
 
     Raises:
         ValueError: the results are not of these splits, or of different suites, settings or source code.
         NoScaleError: there is no score, see :attr:`Results.summaries`.
     """
-    if (public.split, fresh.split) != ("test", VERIFICATION):
+    if (public.split, fresh.split) != ("test", FRESH):
         raise ValueError(
-            f"a gap is between results on the splits 'test' and {VERIFICATION!r}, in this order; "
+            f"a gap is between results on the splits 'test' and {FRESH!r}, in this order; "
             f"got {public.split!r} and {fresh.split!r}"
         )
     for key in ("suite", "suite_hash", "source_hash", "settings"):
@@ -103,7 +103,7 @@ def score_gap(public: tuple[Floats, Floats], fresh: tuple[Floats, Floats]) -> In
 
     Args:
         public, fresh: log gains of the entry (n_runs, n_scenarios) and of MPPT (n_scenarios,), see
-            :func:`wtg_gym.evaluation.statistics.log_gains`.
+            :func:`wtg_gym.evaluation.score.log_gains`.
     """
     value = 100.0 * (
         statistics.mean(public[0]) / -statistics.mean(public[1])
@@ -153,23 +153,22 @@ def _resampled_gap(public: tuple[Floats, Floats], fresh: tuple[Floats, Floats]) 
 
 def left_out(public: Results, fresh: Results) -> list[str]:
     """Return the entries that only one of the results holds, or whose policies differ."""
-    names = {entry["name"]: None for each in (public, fresh) for entry in each.entries}
     shared = _shared(public, fresh)
-    return [name for name in names if name not in shared]
+    return [name for name in {**_policies(public), **_policies(fresh)} if name not in shared]
 
 
 def _shared(public: Results, fresh: Results) -> list[str]:
     """Return the names that stand for the same policies, known by their sha256, in both results."""
-    first, second = ({name: _policies(each, name) for name in _names(each)} for each in (public, fresh))
-    return [name for name, own in first.items() if second.get(name) == own and None not in [key for _, key in own]]
+    one, other = _policies(public), _policies(fresh)
+    return [name for name, own in one.items() if other.get(name) == own and None not in own.values()]
 
 
-def _names(results: Results) -> list[str]:
-    return list(dict.fromkeys(entry["name"] for entry in results.entries))
-
-
-def _policies(results: Results, name: str) -> list[tuple[int | None, str | None]]:
-    return [(entry["training_seed"], entry["sha256"]) for entry in results.entries if entry["name"] == name]
+def _policies(results: Results) -> dict[str, dict[int | None, str | None]]:
+    """Return the policies' sha256 by name and training seed."""
+    found: dict[str, dict[int | None, str | None]] = {}
+    for entry in results.entries:
+        found.setdefault(entry["name"], {})[entry["training_seed"]] = entry["sha256"]
+    return found
 
 
 def gap_cells(gaps: Sequence[GeneralisationGap]) -> list[list[str]]:
@@ -188,14 +187,14 @@ def gap_cells(gaps: Sequence[GeneralisationGap]) -> list[list[str]]:
 
 
 def gap_page(public: Results, fresh: Results, gaps: Sequence[GeneralisationGap]) -> str:
-    """Return what was compared, and the table, as Markdown without a line feed at the end."""
+    """Return the comparison in a sentence and its table, as Markdown without a line feed at the end."""
     numbers = [index for index, is_number in enumerate(COLUMNS.values()) if is_number]
     table = files.markdown_table(list(COLUMNS), gap_cells(gaps), right=numbers)
     return f"{describe(public, fresh)}\n\n{table}"
 
 
 def describe(public: Results, fresh: Results) -> str:
-    """Return one sentence on what is compared."""
+    """Return one sentence on the scenarios that are compared."""
     assert fresh.draw is not None
     return (
         f"{len(public.seeds)} public and {len(fresh.seeds)} fresh scenarios of `{public.suite}`, the fresh ones drawn "

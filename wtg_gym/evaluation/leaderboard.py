@@ -63,17 +63,17 @@ def table_cells(rows: Sequence[EntrySummary], columns: Sequence[str] = tuple(COL
 
 
 def _cells(row: EntrySummary) -> dict[str, str]:
-    """The texts of a row by the headings, all but its rank."""
+    """Return the texts of a row by the headings, all but its rank."""
     above = row.difference_to_above
     return {
         "entry": row.name if row.n_runs == 1 else f"{row.name} ({row.n_runs} seeds)",
         "kind": f"{row.kind}, privileged" if row.privileged else row.kind,
         "score": _interval(row.score),
         "to the entry above": "" if above is None else signed_interval(above),
-        "frequency, RoCoF [points]": _points(row, "frequency_rocof"),
-        "duty [points]": _points(row, "duty"),
-        "overload [points]": _points(row, "overload"),
-        "rest [points]": _points(row, REST),
+        "frequency, RoCoF [points]": _signed(row.points_by_term["frequency_rocof"]),
+        "duty [points]": _signed(row.points_by_term["duty"]),
+        "overload [points]": _signed(row.points_by_term["overload"]),
+        "rest [points]": _signed(row.points_by_term[REST]),
         "IQM": _plain(row.interquartile_mean.value, 1),
         "P(improvement)": f"{row.probability_of_improvement.value:.2f}",
         "gap closed [%]": _gap_closed(row),
@@ -88,10 +88,6 @@ def _cells(row: EntrySummary) -> dict[str, str]:
     }
 
 
-def _points(row: EntrySummary, term: str) -> str:
-    return _signed(row.points_by_term[term])
-
-
 def signed_interval(interval: Interval) -> str:
     """Return a difference of scores and its interval, with their signs."""
     return f"{_signed(interval.value)} ({_signed(interval.low)} … {_signed(interval.high)})"
@@ -102,19 +98,19 @@ def _signed(value: float) -> str:
 
 
 def _plain(value: float, digits: int) -> str:
-    # The zero takes the sign off a negative number that rounds to nought.
+    # Adding 0.0 turns -0.0 into 0.0.
     return f"{round(value, digits) + 0.0:.{digits}f}"
 
 
 def _interval(interval: Interval) -> str:
     if interval.low == interval.high:
-        # The score of an anchor, which is what it is by definition.
+        # The score of an anchor, which is fixed.
         return _plain(interval.value, 1)
     return f"{_plain(interval.value, 1)} ({_plain(interval.low, 1)} … {_plain(interval.high, 1)})"
 
 
 def _gap_closed(row: EntrySummary) -> str:
-    """The share of the oracle's gap, and of how many scenarios where not all have an oracle."""
+    """Return the share of the oracle's gap, and the number of scenarios with an oracle if not all have one."""
     if row.gap_closed_percent is None:
         return ""
     every = row.n_oracle * row.n_runs == row.n_episodes

@@ -17,12 +17,9 @@ from typing import NamedTuple
 import cloudpickle
 
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation.circumstances import versions
-from wtg_gym.evaluation.entries import Entry
+from wtg_gym.evaluation.circumstances import circumstances
 from wtg_gym.evaluation.episodes import Episode
-from wtg_gym.evaluation.partial import measurement_hash
-from wtg_gym.evaluation.policy_process import PolicyError
-from wtg_gym.physics.compiled import source_hash
+from wtg_gym.policies import Entry, PolicyError
 
 #: How often a worker looks whether the process that asked is still there [s].
 _WATCH_S = 1.0
@@ -31,11 +28,6 @@ _WATCH_S = 1.0
 Played = list[Episode] | PolicyError
 #: Plays one batch: entry, settings, seeds, number of threads.
 Play = Callable[[Entry, EnvSettings, Sequence[int], int | None], Played]
-
-
-def circumstances() -> dict[str, str]:
-    """Return what decides the last bits of a result, as it is in this process: code, packages and processor."""
-    return {"source code": source_hash()[:16], "evaluation code": measurement_hash()[:16], **versions()}
 
 
 class Outcome(NamedTuple):
@@ -169,4 +161,4 @@ def opened(outcome: Outcome, wanted: dict[str, str]) -> Played:
     return outcome.played
 
 
-__all__ = ["Outcome", "Play", "Played", "circumstances", "opened", "packed", "work"]
+__all__ = ["Outcome", "Play", "Played", "opened", "packed", "work"]

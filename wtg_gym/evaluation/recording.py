@@ -1,4 +1,4 @@
-"""What an entry does in scenarios, sample by sample: the grid, the rotors, and the k and τ in use."""
+"""The courses of episodes, sample by sample: the grid, the rotors, and the k and τ in use."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ import numpy.typing as npt
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task import COST_TERMS, TaskRow
-from wtg_gym.evaluation.entries import Entry
-from wtg_gym.evaluation.evaluator import entry_lanes, play
 from wtg_gym.physics.layout import LaneRow, WtgRow
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.statics import characteristic
 from wtg_gym.physics.tracking_law import coordinated_piecewise
 from wtg_gym.physics.wind_turbine import WtgState
+from wtg_gym.policies import Entry
+from wtg_gym.policies.play import play, started_lanes
 
 Floats = npt.NDArray[np.float64]
 
@@ -94,21 +94,14 @@ def record(
     Raises:
         ValueError: a scenario has no equilibrium under the entry's law, or its policy returns no action.
     """
-    lanes = entry_lanes(entry, settings, len(scenarios), n_threads)
-    try:
-        try:
-            lanes.start(range(len(scenarios)), scenarios)
-        except ValueError as error:
-            raise ValueError(f"entry {entry.label!r}: {error}") from error
+    with started_lanes(entry, settings, scenarios, n_threads) as (lanes, _):
         samples = [_sample(lanes)]
         for stepped in play(entry, lanes):
             samples.append(_sample(lanes))
             for values in samples[-1].values():
                 values[~stepped] = np.nan
         costs = np.stack([lanes.task_values(TaskRow.SUM + i) for i in range(len(COST_TERMS))], axis=1)
-    finally:
-        lanes.simulator.close()
-    n = 1 + int(lanes.task_values(TaskRow.END_STEP).max()) // lanes.simulator.plant.n_substeps
+        n = 1 + int(lanes.task_values(TaskRow.END_STEP).max()) // lanes.simulator.plant.n_substeps
     samples += [{key: np.full_like(values, np.nan) for key, values in samples[0].items()}] * (n - len(samples))
     table = {key: np.stack([sample[key] for sample in samples], axis=1) for key in samples[0]}
     names = tuple(lanes.observation_names)

@@ -15,8 +15,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation.entries import Entry
-from wtg_gym.evaluation.parcels import Outcome, Play, Played, circumstances, opened, packed, work
+from wtg_gym.evaluation.circumstances import circumstances
+from wtg_gym.evaluation.parcels import Outcome, Play, Played, opened, packed, work
+from wtg_gym.policies import Entry
 
 #: Backends of joblib: the package each of them needs, and the extra of wtg-gym that brings it.
 BACKENDS = {"loky": ("joblib", "cluster"), "dask": ("distributed", "cluster"), "ray": ("ray", "rllib")}

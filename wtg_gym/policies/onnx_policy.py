@@ -8,7 +8,6 @@ can take an action from what it sees of another scenario, whatever its operators
 
 from __future__ import annotations
 
-import importlib.util
 import weakref
 from pathlib import Path
 from typing import Any
@@ -16,9 +15,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.evaluation.onnx_worker import LENGTH
-from wtg_gym.evaluation.policy_process import PolicyError, PolicyProcess
 from wtg_gym.files import sha256
+from wtg_gym.policies.onnx_worker import LENGTH
+from wtg_gym.policies.policy_process import PolicyError, PolicyProcess
 
 Floats = npt.NDArray[np.float32]
 #: The recurrent states, (n_lanes, n) each.
@@ -35,13 +34,10 @@ class OnnxPolicy:
         isolated: refuse to play where this system cannot isolate the process, as Linux can; else that is a warning.
 
     Raises:
-        ImportError: onnxruntime is not installed.
         ValueError: the file cannot be read.
     """
 
     def __init__(self, file: str | Path | bytes, *, isolated: bool = False) -> None:
-        if importlib.util.find_spec("onnxruntime") is None:
-            raise ImportError("policies as ONNX files need onnxruntime: pip install onnxruntime")
         self.__setstate__((file if isinstance(file, bytes) else _content(Path(file)), isolated))
 
     def __getstate__(self) -> tuple[bytes, bool]:

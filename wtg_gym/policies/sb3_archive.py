@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box
 
-from wtg_gym.evaluation.entries import ARCHIVE_FILE
 from wtg_gym.files import sha256
+from wtg_gym.policies.load import ARCHIVE_FILE
 
 try:
     import torch

@@ -16,8 +16,9 @@ import time
 import warnings
 from typing import IO, Any, cast
 
-from wtg_gym.evaluation import onnx_worker
-from wtg_gym.evaluation.onnx_worker import ACTIONS, LENGTH
+from wtg_gym.files import printable
+from wtg_gym.policies import onnx_worker
+from wtg_gym.policies.onnx_worker import ACTIONS, LENGTH
 
 #: Address space [bytes] and processor time [s] of the process; it plays up to 256 scenarios and then ends.
 MEMORY_BYTES = 4 * 2**30
@@ -212,8 +213,8 @@ def _start(*, weak: bool) -> subprocess.Popen[bytes]:
 
 
 def _plain(text: Any) -> str:
-    """Return what the process says as one line that is no command to a terminal and ends no block of code."""
-    return "".join(sign if sign.isprintable() and sign != "`" else "?" for sign in str(text))[:400]
+    """Return a text of the process as one line that is no command to a terminal and ends no block of code."""
+    return printable(str(text)[:400]).replace("`", "'")
 
 
 __all__ = ["NotIsolatedError", "PolicyError", "PolicyProcess"]

@@ -1,9 +1,9 @@
 """The process in which a policy is played: it gets observations and gives actions, and can do nothing else.
 
-:mod:`wtg_gym.evaluation.policy_process` runs this file as a script, so it imports nothing of the package. It loads its
-libraries, has the kernel take everything else away, and only then reads the policy and hands it to onnxruntime. It
-plays one scenario at a time: every scenario has an onnxruntime session of its own, which gets a batch of one. The
-process never learns which scenario is played, and its answers are all that comes out of it.
+:mod:`wtg_gym.policies.policy_process` runs this file as a script, so it imports nothing of the package. It loads its
+libraries, has the kernel take everything else away, and only then reads the policy and hands it to onnxruntime. Every
+scenario has an onnxruntime session of its own, which gets a batch of one. The process never learns which scenario is
+played, and its answers are all that comes out of it.
 """
 
 from __future__ import annotations
