@@ -1,4 +1,4 @@
-"""Fresh scenarios as a user plays them: `evaluate --split fresh`, `gap`, and `verify` with the secret."""
+"""Fresh scenarios as a user plays them: `evaluate --split fresh`, and the commands of `results`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from tests.cli.calls import error_of
 from wtg_gym.cli import main
-from wtg_gym.evaluation import verification
+from wtg_gym.evaluation import recompute
 
 COMMIT = "0123456789abcdef0123456789abcdef01234567"
 SECRET = "a secret for these tests\n"
@@ -46,7 +46,7 @@ def test_gap_is_printed_and_put_on_a_page(folder: Path, capsys: pytest.CaptureFi
     assert [gap["name"] for gap in said["gaps"]] == ["deloaded-5"] and said["draw"]["commit"] == COMMIT
 
 
-@pytest.mark.parametrize("command", ["gap", "page", "verify"])
+@pytest.mark.parametrize("command", ["gap", "page", "recompute"])
 def test_results_of_an_older_version_are_one_line(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
 ) -> None:
@@ -57,9 +57,9 @@ def test_results_of_an_older_version_are_one_line(
     rest = {
         "gap": [str(folder / "standard-fresh.json")],
         "page": ["--output", str(tmp_path / "page.html")],
-        "verify": ["--entries", "deloaded-5"],
+        "recompute": ["--entries", "deloaded-5"],
     }[command]
-    said = error_of(capsys, command, str(old), *rest)
+    said = error_of(capsys, "results", command, str(old), *rest)
     assert said.endswith("format must be 3, that of this version, got 2; evaluate again")
 
 
@@ -79,7 +79,7 @@ def test_verify_checks_the_seeds_against_the_secret(
     def play(*_: object, **__: object) -> None:
         raise AssertionError("a secret that cannot be one is refused before anything is played")
 
-    monkeypatch.setattr(verification, "evaluate", play)
+    monkeypatch.setattr(recompute, "evaluate", play)
     assert main(["results", "recompute", *stored, "--secret-file", str(folder / "short.txt")]) == 2
     assert "the secret must have 16 bytes or more, got 5" in capsys.readouterr().err
 

@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-import wtg_gym
-import wtg_gym.cli.scenarios
 import wtg_gym.cli.scoring
-import wtg_gym.cli.simulate
-from tests.cli.calls import ROOT, call, error_of, json_of
+from tests.cli.calls import end_with_parts, error_of, json_of, start
 from tests.submissions import models
 from wtg_gym.cli import main
-from wtg_gym.evaluation import Results, load_entries, policy_process
+from wtg_gym.evaluation import Results, Workers, load_entries
 from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.evaluation.recompute import recompute
 from wtg_gym.files import sha256, to_json
+from wtg_gym.policies import policy_process
 from wtg_gym.scenarios import FROZEN_HASHES
 
 _FEW = ("--suite", "low-wind", "--seeds", "20000:20003", "20005")
@@ -115,63 +111,26 @@ def test_evaluate_refuses_bad_input(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["best", "file.txt"]
 
 
-_KILLS_ITS_CALLER = """\
-import os, pathlib, signal, time
-
-class Policy:
-    def predict(self, observation, state=None, episode_start=None, deterministic=False):
-        folder = pathlib.Path(FOLDER)
-        if not (folder / "killed").exists():
-            # Something has to be finished by then.
-            while not list(folder.glob("results/partial/*.json")):
-                time.sleep(0.01)
-            (folder / "killed").touch()
-            os.kill(os.getppid(), signal.SIGKILL)
-        return 0.0 * observation[:, :4], state
-"""
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="signals are another thing there")
-def test_killed_evaluation_with_workers_goes_on_and_gives_the_same_files(tmp_path: Path) -> None:
+def test_workers_of_the_options_play(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("joblib")
-    # Imported from the working folder, as a checkout's packages are.
-    text = _KILLS_ITS_CALLER.replace("FOLDER", repr(str(tmp_path)))
-    (tmp_path / "dangerous.py").write_text(text, encoding="utf-8")
-    arguments = ["evaluate", *_FEW, "--duration", "2", "--entries", "dangerous:Policy", "deloaded-5", "deloaded-10"]
-    workers = ["--backend", "loky", "--jobs", "2"]
-    killed = call(*arguments, *workers, "--results", "results", cwd=tmp_path)
-    assert killed.returncode == -signal.SIGKILL
-    assert list((tmp_path / "results").iterdir()) == [tmp_path / "results/partial"]
-    for options in ([*workers, "--results", "results"], ["--results", "expected"]):
-        done = call(*arguments, *options, cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
-    for ending in ("json", "csv"):
-        found, expected = (tmp_path / name / f"low-wind-test.{ending}" for name in ("results", "expected"))
-        assert found.read_bytes() == expected.read_bytes()
-    assert not (tmp_path / "results/partial").exists()
+    asked: list[Any] = []
+    real = wtg_gym.cli.scoring.evaluate
 
+    def here(*arguments: Any, workers: Any = None, **named: Any) -> Any:
+        asked.append(workers)
+        return real(*arguments, **named)
 
-def test_leaderboard_with_workers_is_the_same(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    pytest.importorskip("joblib")
-    for name, options in (("here", ()), ("there", ("--backend", "loky", "--jobs", "2"))):
-        assert main([*_PAPER, "--results", str(tmp_path / name), *options]) == 0
-    for ending in ("json", "csv"):
-        here, there = (tmp_path / name / f"paper-test.{ending}" for name in ("here", "there"))
-        assert here.read_bytes() == there.read_bytes()
+    monkeypatch.setattr(wtg_gym.cli.scoring, "evaluate", here)
+    assert main(["evaluate", "--suite", "paper", "--entries", "mppt", "--backend", "loky", "--jobs", "3"]) == 0
+    assert asked == [Workers("loky", jobs=3)]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals are another thing there")
 def test_interrupted_leaderboard_keeps_its_finished_parts(tmp_path: Path) -> None:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-m", "wtg_gym.cli", "leaderboard", "--entries"]
-    command += ["deloaded-5", "deloaded-10", "coordinated-linear", "coordinated-undamped", "--threads", "1"]
-    process = subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True)
+    entries = ("deloaded-5", "deloaded-10", "coordinated-linear", "coordinated-undamped")
+    process = start("leaderboard", "--entries", *entries, "--threads", "1", cwd=tmp_path, stderr=subprocess.PIPE)
     partial = tmp_path / "results" / "partial"
-    until = time.monotonic() + 200.0
-    while not list(partial.glob("*.json")) and process.poll() is None and time.monotonic() < until:
-        time.sleep(0.01)
-    process.send_signal(signal.SIGINT)
-    said = process.communicate(timeout=100)[1]
+    said = end_with_parts(process, signal.SIGINT, partial)
     assert process.returncode == 130
     assert f"finished parts are kept in {Path('results') / 'partial'}: run the same command again to go on" in said
     assert "Traceback" not in said

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 import signal
-import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 
-from tests.cli.calls import error_of, json_of
+from tests.cli.calls import end_with_parts, error_of, json_of, start
 from tests.submissions import models
 from tests.submissions.models import TOML, after, folder, node
 from tests.submissions.models import model as make
@@ -130,13 +127,8 @@ def test_killed_score_goes_on_to_the_same_files(capsys: pytest.CaptureFixture[st
     given = [str(folder(tmp_path / f"f{i}", models.other(0.01 * (i + 1)), toml)) for i, toml in enumerate(names)]
     killed, whole = tmp_path / "killed", tmp_path / "whole"
     command = ["submission", "score", *given, *_FEW, "--results"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    process = subprocess.Popen([sys.executable, "-m", "wtg_gym.cli", *command, str(killed)], env=environment)
     # The anchors and the first of three.
-    while len(list((killed / "partial").glob("*.json"))) < 3 and process.poll() is None:
-        time.sleep(0.001)
-    process.kill()
-    assert process.wait() == -signal.SIGKILL
+    end_with_parts(start(*command, str(killed)), signal.SIGKILL, killed / "partial", 3)
     parts = set((killed / "partial").glob("*.json"))
     assert 3 <= len(parts) < 5 and not (killed / "standard-test.json").exists()
     assert main([*command, str(killed)]) == 0 and main([*command, str(whole)]) == 0

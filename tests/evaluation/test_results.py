@@ -141,7 +141,10 @@ def test_missing_file_is_named(copies: tuple[Path, Path]) -> None:
 
 
 EDITS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
-    "number as text": (lambda d: d["settings"]["weights"].update(cap="much"), "settings must be an object in which weights.cap is a number"),
+    "number as text": (
+        lambda d: d["settings"]["weights"].update(cap="much"),
+        "settings must be an object in which weights.cap is a number",
+    ),
     "unknown metric": (lambda d: d["metrics"].update(beauty={"unit": "-"}), "metrics.beauty must be left out"),
     "missing metric": (lambda d: d["metrics"].pop("cost"), "metrics.cost must be .*got None"),
     "other unit": (lambda d: d["metrics"]["cost"].update(unit="EUR"), "metrics.cost must be"),

@@ -127,7 +127,7 @@ class Policy:
         threading.Event().wait()
 
 if __name__ == "__main__":
-    evaluate([Entry(name="a", policy=Policy())], "standard", seeds=[20000], workers=Workers("loky", jobs=2))
+    evaluate([Entry(name="a", policy=Policy())], "standard", "test", seeds=[20000], workers=Workers("loky", jobs=2))
 """
 
 

@@ -84,6 +84,3 @@ def _actions(step: int, n_lanes: int, n_action: int) -> npt.NDArray[np.float64]:
     count = (step * n_lanes + np.arange(n_lanes)[:, np.newaxis]) * n_action + np.arange(n_action)
     actions: npt.NDArray[np.float64] = (count * 7919 % 2049 - 1024) / 1024.0
     return actions
-
-
-__all__ = ["circumstances", "environment_fingerprint", "measurement_hash", "versions"]

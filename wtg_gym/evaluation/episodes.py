@@ -124,6 +124,3 @@ def episode_from_cells(cells: Sequence[str], where: str) -> Episode:
             for name, metric in METRICS.items()
         },
     )
-
-
-__all__ = ["COLUMNS", "FAILURES", "Episode", "episode_from_cells", "from_csv", "to_csv"]

@@ -292,6 +292,3 @@ def _play(entry: Entry, settings: EnvSettings, seeds: Sequence[int], n_threads: 
         raise
     except PolicyError as error:
         return error
-
-
-__all__ = ["Progress", "evaluate", "shared_settings"]

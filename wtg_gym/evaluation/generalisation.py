@@ -200,16 +200,3 @@ def describe(public: Results, fresh: Results) -> str:
         f"{len(public.seeds)} public and {len(fresh.seeds)} fresh scenarios of `{public.suite}`, the fresh ones drawn "
         f"from commit {fresh.draw['commit'][:12]} and a secret of sha256 {fresh.draw['secret_sha256'][:12]}…"
     )
-
-
-__all__ = [
-    "COLUMNS",
-    "GeneralisationGap",
-    "describe",
-    "excess_gap",
-    "gap_cells",
-    "gap_page",
-    "generalisation_gaps",
-    "left_out",
-    "score_gap",
-]

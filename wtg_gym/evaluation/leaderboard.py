@@ -121,6 +121,3 @@ def markdown_table(rows: Sequence[EntrySummary]) -> str:
     """Return the ranking as a Markdown table of the :data:`SHORT_COLUMNS`, without a line feed at the end."""
     numbers = [index for index, column in enumerate(SHORT_COLUMNS) if COLUMNS[column]]
     return files.markdown_table(list(SHORT_COLUMNS), table_cells(rows, SHORT_COLUMNS), right=numbers)
-
-
-__all__ = ["COLUMNS", "SHORT_COLUMNS", "leaderboard_rows", "markdown_table", "signed_interval", "table_cells"]

@@ -191,6 +191,3 @@ def measure(lanes: TaskLanes, recorder: Recorder, lane: int, scenario: Scenario)
         "survived_s": float(simulator.lane_values(LaneRow.STEP)[lane]) * simulator.plant.simulation_dt,
     }
     return {"metrics": metrics, "failure": TERMINATION_REASONS[status]}
-
-
-__all__ = ["METRICS", "Metric", "Recorder", "largest_power_change", "last_event_s", "measure", "steady_metrics"]

@@ -67,6 +67,3 @@ class PartialStore:
         """Remove the batches this run has used."""
         for path in self._used:
             path.unlink(missing_ok=True)
-
-
-__all__ = ["PartialStore"]

@@ -150,6 +150,3 @@ def _key(entry: Mapping[str, Any]) -> tuple[str, int | None]:
 
 def _label(name: str, training_seed: int | None) -> str:
     return name if training_seed is None else f"{name} (training seed {training_seed})"
-
-
-__all__ = ["Difference", "Recomputed", "departures", "recompute"]

@@ -184,6 +184,3 @@ def _each(make: Callable[[str], Floats], like: Recording) -> Recording:
     names = [field.name for field in fields(Recording) if field.name not in ("time_s", "observation_names")]
     arrays: dict[str, Any] = {name: make(name) for name in names}
     return replace(like, **arrays)
-
-
-__all__ = ["Recording", "one_scenario", "pooled", "record", "target_rotor_speed_pu"]

@@ -183,6 +183,3 @@ class Results:
         )
         results_file.check_summary(data["summary"], results.to_dict()["summary"], f"{path}: summary")
         return results
-
-
-__all__ = ["Results"]

@@ -181,6 +181,3 @@ def _check_keys(data: dict[str, Any], expected: dict[str, _Test], where: str) ->
 def _short(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 80 else text[:77] + "..."
-
-
-__all__ = ["FORMAT", "TEXTS", "check_summary", "read", "write"]

@@ -120,16 +120,3 @@ def _inverse_log_mean(reference: float, cost: float) -> float:
     """Return 1 / L(J_ref + J0, J + J0)."""
     ratio = (reference - cost) / (cost + COST_OFFSET)
     return (math.log1p(ratio) / ratio if ratio else 1.0) / (cost + COST_OFFSET)
-
-
-__all__ = [
-    "COST_OFFSET",
-    "NoScaleError",
-    "log_gains",
-    "mean_score",
-    "pinned",
-    "pinned_cost",
-    "points_by_term",
-    "scenario_scores",
-    "score_scale",
-]

@@ -192,6 +192,3 @@ def _variant(weight: str, factor: float, before: Mapping[str, float], after: Map
         changes={name: after[name] - before[name] for name in after if name not in ANCHORS},
         ranks={name: places for name, places in ranks.items() if places[0] != places[1]},
     )
-
-
-__all__ = ["COLUMNS", "FACTORS", "WEIGHTS", "Sensitivity", "Variant", "study_sensitivity"]

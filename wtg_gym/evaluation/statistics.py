@@ -159,21 +159,3 @@ def gap_closed(costs: Floats, reference: Floats, oracle: Floats) -> Interval | N
         return None
     gained, gap = _resampled_means(gains), _resampled_means(gaps[np.newaxis])
     return percentile_interval(100.0 * mean(gains) / mean(gaps), 100.0 * gained[gap > 0.0] / gap[gap > 0.0])
-
-
-__all__ = [
-    "BOOTSTRAP_SEED",
-    "CONFIDENCE",
-    "N_RESAMPLES",
-    "Interval",
-    "gap_closed",
-    "improvement",
-    "interquartile_interval",
-    "interquartile_mean",
-    "mean",
-    "mean_interval",
-    "percentile_interval",
-    "resampled_scores",
-    "score_difference",
-    "score_interval",
-]

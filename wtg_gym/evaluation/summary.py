@@ -180,6 +180,3 @@ def _summary(
         mean_duty_error_percent=statistics.mean(_values(runs, "duty_error_percent")),
         mean_energy_share_percent=statistics.mean(_values(runs, "energy_share_percent")),
     )
-
-
-__all__ = ["POINTS", "REST", "EntrySummary", "ranked", "summarise"]

@@ -108,6 +108,3 @@ def _copies(one: Report, other: Report) -> str:
         f"the policies are one policy, their actions in {one.actions.shape[1]} scenarios differ by less than "
         f"{COPY_TOLERANCE:g} (root mean square): {folders}"
     )
-
-
-__all__ = ["Conflict", "action_difference", "conflicts"]

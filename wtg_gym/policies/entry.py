@@ -167,6 +167,3 @@ def _check_row(first: Entry, other: Entry) -> None:
             raise ValueError(
                 f"entries named {first.name!r} share a row and must agree on {key}, got {one[key]!r} and {two[key]!r}"
             )
-
-
-__all__ = ["ANCHORS", "Entry", "Policy", "check_entries", "is_name", "is_policy"]

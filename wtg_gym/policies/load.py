@@ -228,15 +228,3 @@ def _entries_of(module: ModuleType, spec: str) -> list[Entry]:
             f"{spec!r} has no entry: a folder needs an {ENTRY_FILE}, a package or module an ENTRY, which is an Entry"
         )
     return entries
-
-
-__all__ = [
-    "ARCHIVE_FILE",
-    "BASELINES",
-    "ENTRY_FILE",
-    "POLICY_FILE",
-    "LoadArchive",
-    "example_law",
-    "load_entries",
-    "load_entry_folder",
-]

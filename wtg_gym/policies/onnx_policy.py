@@ -140,6 +140,3 @@ def _content(path: Path) -> bytes:
 def _close_all(processes: list[PolicyProcess]) -> None:
     while processes:
         processes.pop().close()
-
-
-__all__ = ["Floats", "OnnxPolicy", "States"]

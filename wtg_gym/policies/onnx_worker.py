@@ -298,7 +298,5 @@ def _filter(kind: int, column: int, source: int, sink: int) -> list[tuple[int, i
     return [*lines, (_RETURN, 0, 0, _REFUSE)]
 
 
-__all__ = ["ACTIONS", "COMPLAINT", "LENGTH", "lock", "main"]
-
 if __name__ == "__main__":
     main()

@@ -122,6 +122,3 @@ def _described(error: BaseException) -> str:
     place = traceback.extract_tb(error.__traceback__)[-1]
     said = printable(" ".join(str(error).split())[:200])
     return f"{type(error).__name__}: {said} ({Path(place.filename).name}:{place.lineno})"
-
-
-__all__ = ["play", "started_lanes"]

@@ -215,6 +215,3 @@ def _start(*, weak: bool) -> subprocess.Popen[bytes]:
 def _plain(text: Any) -> str:
     """Return a text of the process as one line that is no command to a terminal and ends no block of code."""
     return printable(str(text)[:400]).replace("`", "'")
-
-
-__all__ = ["NotIsolatedError", "PolicyError", "PolicyProcess"]

@@ -177,6 +177,3 @@ def write_template(folder: Path, policy: Path | None = None) -> list[Path]:
     for name, data in wanted.items():
         write_atomically(folder / name, data)
     return [folder / name for name in wanted]
-
-
-__all__ = ["FILES", "EntryFile", "parse_entry", "read_files", "write_template"]

@@ -98,6 +98,3 @@ def short(value: Any) -> str:
     except (ValueError, RecursionError):
         text = f"a very long {type(value).__name__}"
     return text if len(text) <= 80 else text[:77] + "..."
-
-
-__all__ = ["TAKEN", "check_author", "check_link", "check_name", "check_text", "plain_name", "short"]
