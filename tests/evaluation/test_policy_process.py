@@ -17,7 +17,8 @@ import numpy as np
 import pytest
 
 from tests.submissions.models import M, N, make_bytes
-from wtg_gym.evaluation import Entry, OnnxPolicy, PolicyError, evaluate, onnx_worker, policy_process
+from wtg_gym.evaluation import Entry, OnnxPolicy, PolicyError, evaluate
+from wtg_gym.policies import onnx_worker, policy_process
 from wtg_gym.policies.policy_process import NotIsolatedError, PolicyProcess
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="isolation is complete on Linux only")

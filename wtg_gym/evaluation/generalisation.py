@@ -30,8 +30,8 @@ class GeneralisationGap:
         name: name of the entry.
         public, fresh: its scores.
         gap: public minus fresh.
-        excess: the part of the gap that the controllers made by hand do not share, see
-            :func:`excess_gap`; None for these, and with fewer than 30 fresh scenarios.
+        excess: the part of the gap that the controllers made by hand do not share, see :func:`excess_gap`; None for
+            these, and with fewer than 30 fresh scenarios.
     """
 
     name: str
@@ -72,44 +72,46 @@ def generalisation_gaps(public: Results, fresh: Results) -> list[GeneralisationG
     shared = set(_shared(public, fresh)) - {ANCHORS[1]}
     rows = [row for row in leaderboard_rows(public) if row.name in shared]
     controls = [row.name for row in rows if row.kind != "learned"]
-    scores = {row.name: row.score for row in fresh.summaries}
-    gains = public.log_gains, fresh.log_gains
-    return [
-        GeneralisationGap(
-            name=row.name,
-            public=row.score,
-            fresh=scores[row.name],
-            gap=score_gap(*((own[row.name], own[ANCHORS[0]][0]) for own in gains)),
-            excess=None if row.kind != "learned" else _excess(row.name, controls, *gains),
-        )
-        for row in rows
-        if row.name != ANCHORS[0]
-    ]
-
-
-def _excess(name: str, controls: Sequence[str], public: dict[str, Floats], fresh: dict[str, Floats]) -> Interval | None:
-    one, other = (
-        (own[name], np.concatenate([own[control] for control in controls]), own[ANCHORS[0]][0])
-        for own in (public, fresh)
-    )
-    return excess_gap(one, other) if other[2].size >= _FEWEST_FRESH else None
+    scores, gains = fresh.scores, (public.log_gains, fresh.log_gains)
+    mppt = [own[ANCHORS[0]][0] for own in gains]
+    gaps = []
+    for row in rows:
+        if row.name != ANCHORS[0]:
+            own = [each[row.name] for each in gains]
+            excess = None
+            if row.kind == "learned" and mppt[1].size >= _FEWEST_FRESH:
+                others = [np.concatenate([each[name] for name in controls]) for each in gains]
+                excess = excess_gap(*zip(own, others, mppt, strict=True))
+            gap = score_gap(*zip(own, mppt, strict=True))
+            gaps.append(
+                GeneralisationGap(name=row.name, public=row.score, fresh=scores[row.name], gap=gap, excess=excess)
+            )
+    return gaps
 
 
 def score_gap(public: tuple[Floats, Floats], fresh: tuple[Floats, Floats]) -> Interval:
     """Return the score on public scenarios minus that on fresh ones, with its bootstrap interval.
 
-    The training seeds of a resample are the same on both sides, the scenarios are drawn on each side by themselves, and
-    Λ is computed anew from those that were drawn: between two sets of scenarios it is not the same.
+    The training seeds of a resample are the same on both sides. The scenarios are drawn on each side independently, and
+    Λ is computed anew from those that were drawn; a resample counts if both sides have a positive Λ.
 
     Args:
         public, fresh: log gains of the entry (n_runs, n_scenarios) and of MPPT (n_scenarios,), see
             :func:`wtg_gym.evaluation.score.log_gains`.
     """
-    value = 100.0 * (
-        statistics.mean(public[0]) / -statistics.mean(public[1])
-        - statistics.mean(fresh[0]) / -statistics.mean(fresh[1])
-    )
-    return statistics.percentile_interval(value, _resampled_gap(public, fresh))
+    n_runs = public[0].shape[0]
+    streams = [np.random.default_rng(seed) for seed in np.random.SeedSequence(statistics.BOOTSTRAP_SEED).spawn(3)]
+    runs = streams[0].integers(0, n_runs, size=(statistics.N_RESAMPLES, n_runs))
+    value, scored = 0.0, np.ones(statistics.N_RESAMPLES, dtype=np.bool_)
+    resampled = np.zeros(statistics.N_RESAMPLES)
+    for sign, stream, (gains, mppt) in zip((1.0, -1.0), streams[1:], (public, fresh), strict=True):
+        value += sign * statistics.mean(gains) / -statistics.mean(mppt)
+        scenarios = stream.integers(0, mppt.size, size=(statistics.N_RESAMPLES, mppt.size))
+        means = np.take_along_axis(gains[:, scenarios].mean(axis=2).T, runs, axis=1).mean(axis=1)
+        scale = -mppt[scenarios].mean(axis=1)
+        resampled += sign * (100.0 * means / scale)
+        scored &= scale > 0.0
+    return statistics.percentile_interval(100.0 * value, resampled[scored])
 
 
 def excess_gap(public: tuple[Floats, Floats, Floats], fresh: tuple[Floats, Floats, Floats]) -> Interval:
@@ -117,10 +119,9 @@ def excess_gap(public: tuple[Floats, Floats, Floats], fresh: tuple[Floats, Float
 
     A set of scenarios that suits one good controller suits the others too. So the mean gain over the training seeds is
     regressed on the gains of controls, over the fresh scenarios, and the prediction is subtracted from the gains on
-    both sides. The excess is the gap of the remainder: the entry's gap minus the weighted gaps of the controls. It has
-    the resamples of :func:`score_gap`, with Λ computed anew in each. The coefficients and the training seeds are taken
-    as known: the question is about these policies, not about others trained alike. A row of which only some seeds know
-    the public scenarios is seen as sharply as any other.
+    both sides. The excess is the gap of the remainder: the entry's gap minus the weighted gaps of the controls. The
+    coefficients and the training seeds are taken as known: the question is about these policies, not about others
+    trained alike. A row of which only some seeds know the public scenarios is seen as sharply as any other.
 
     Source: control variates, e.g. P. Glasserman, "Monte Carlo Methods in Financial Engineering", 2003, section 4.1.
 
@@ -133,22 +134,6 @@ def excess_gap(public: tuple[Floats, Floats, Floats], fresh: tuple[Floats, Float
     weights = np.linalg.lstsq(centred.T, gains.mean(axis=0), rcond=None)[0]
     one, other = (((own.mean(axis=0) - weights @ those)[np.newaxis], mppt) for own, those, mppt in (public, fresh))
     return score_gap(one, other)
-
-
-def _resampled_gap(public: tuple[Floats, Floats], fresh: tuple[Floats, Floats]) -> Floats:
-    """Return the gap in every resample in which both sides have a positive Λ, see :func:`score_gap`."""
-    n_runs = public[0].shape[0]
-    streams = [np.random.default_rng(seed) for seed in np.random.SeedSequence(statistics.BOOTSTRAP_SEED).spawn(3)]
-    runs = streams[0].integers(0, n_runs, size=(statistics.N_RESAMPLES, n_runs))
-    means, scales = [], []
-    for stream, (gains, mppt) in zip(streams[1:], (public, fresh), strict=True):
-        scenarios = stream.integers(0, mppt.size, size=(statistics.N_RESAMPLES, mppt.size))
-        means.append(np.take_along_axis(gains[:, scenarios].mean(axis=2).T, runs, axis=1).mean(axis=1))
-        scales.append(-mppt[scenarios].mean(axis=1))
-    scored = (scales[0] > 0.0) & (scales[1] > 0.0)
-    one, other = (100.0 * each[scored] / scale[scored] for each, scale in zip(means, scales, strict=True))
-    gaps: Floats = one - other
-    return gaps
 
 
 def left_out(public: Results, fresh: Results) -> list[str]:

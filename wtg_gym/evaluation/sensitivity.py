@@ -164,9 +164,9 @@ def study_sensitivity(
     for number, (name, factor) in enumerate(chosen, start=1):
         other = played(number, f"{name} × {factor:g}", {name: factor * getattr(base, name)})
         try:
-            variants.append(_variant(name, factor, scores, _scores(other)))
+            variants.append(compared(name, factor, scores, _scores(other)))
         except NoScaleError:
-            variants.append(_variant(name, factor, scores, {}))
+            variants.append(compared(name, factor, scores, {}))
     return Sensitivity(
         suite=results.suite,
         split=results.split,
@@ -182,7 +182,8 @@ def _scores(results: Results) -> dict[str, float]:
     return {row.name: row.score.value for row in leaderboard_rows(results)}
 
 
-def _variant(weight: str, factor: float, before: Mapping[str, float], after: Mapping[str, float]) -> Variant:
+def compared(weight: str, factor: float, before: Mapping[str, float], after: Mapping[str, float]) -> Variant:
+    """Return the variant with the scores `after` instead of `before`, each the best first."""
     old, new = list(before), list(after)
     ranks = {name: (old.index(name) + 1, new.index(name) + 1) for name in new}
     return Variant(

@@ -58,7 +58,7 @@ class OnnxPolicy:
 
         Args:
             observation: one row per lane.
-            state: what the last call returned; None at the beginning.
+            state: the states that the last call returned; None at the beginning.
             episode_start: lanes where an episode starts, (n_lanes,) bool: their state is zero, and their session a new
                 one; None for none.
             deterministic: the file holds the deterministic action only; the argument is there for the protocol.
@@ -85,7 +85,7 @@ class OnnxPolicy:
         try:
             action, *following = self._answers([starts, observations, *states], [n_action, *widths])
         except BaseException:
-            # An answer that was not read to its end leaves nothing to go on with.
+            # The rest of an answer that was not read to its end would be taken for the next one.
             self.close()
             raise
         return action, tuple(following) if following else None
@@ -112,7 +112,7 @@ class OnnxPolicy:
 
     @property
     def not_isolated(self) -> tuple[str, ...]:
-        """What this system cannot take away from the process; empty where it can. Errors as of :meth:`predict`."""
+        """Limits that this system does not enforce; empty where it isolates. Errors as of :meth:`predict`."""
         return tuple(self._running().missing)
 
     def close(self) -> None:

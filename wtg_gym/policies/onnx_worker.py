@@ -35,7 +35,7 @@ def main() -> None:
     # Ctrl-C reaches every process of a terminal; the one that started this one ends it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     source, sink = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
-    # Whatever a library prints must not end up among the answers.
+    # The prints of a library must not end up among the answers.
     os.dup2(2, 1)
     missing = [_limit(wanted)]
     # The libraries must have opened their files before.
@@ -190,11 +190,11 @@ def _read(source: BinaryIO, size: int) -> bytes:
     return data
 
 
-# --- what the kernel takes away --------------------------------------------------------------------------------------
+# --- isolation by the kernel -----------------------------------------------------------------------------------------
 
 
 def _limit(wanted: dict[str, Any]) -> str:
-    """Bound memory and time, and end with the process that started this one; return what this system would not do."""
+    """Limit memory and time, and end with the parent process; return the limits that this system does not enforce."""
     if sys.platform != "linux":
         return f"limits of memory and time: {sys.platform} does not enforce them"
     import resource
@@ -256,14 +256,9 @@ class _Program(ctypes.Structure):
 
 
 def lock(source: int, sink: int) -> str:
-    """Take from this process, for good, all but computing, reading `source` and writing `sink`.
+    """Take from this process, for good, all but computing, reading the file descriptor `source` and writing `sink`.
 
-    Args:
-        source: the only file descriptor that may be read.
-        sink: the only one that may be written.
-
-    Returns:
-        what this system would not take away; empty where it did.
+    Returns the limits that this system does not enforce; empty where it enforces all.
     """
     machine = os.uname().machine if sys.platform == "linux" else sys.platform
     if machine not in _MACHINES or sys.maxsize < 2**32:

@@ -1,6 +1,6 @@
 """Starts the process that plays a policy, and holds it to limits of memory and time.
 
-The scenarios, the simulation and the score stay here, so a policy can neither see what is played nor forge a result.
+The scenarios, the simulation and the score stay here, so a policy can neither see the scenario nor forge a result.
 """
 
 from __future__ import annotations
@@ -33,6 +33,8 @@ _WATCH_S = 0.2
 _SCRIPT = onnx_worker.__file__
 #: Longest message that the process may send [bytes].
 _LONGEST_MESSAGE = 65_536
+#: Most states and most values of an input or output, more than any policy of this benchmark needs.
+MOST_STATES, WIDEST = 16, 65_536
 #: Has malloc fill memory with one byte and keep no caches, so that no call finds what another one left there.
 _MALLOC = "glibc.malloc.tcache_count=0:glibc.malloc.perturb=165"
 _SIGNALS = {
@@ -54,7 +56,7 @@ class PolicyProcess:
 
     Args:
         content: the .onnx file.
-        isolated: refuse to play where this system cannot isolate the process; else what is missing is a warning.
+        isolated: refuse to play where this system cannot isolate the process; else that is a warning.
 
     Raises:
         NotIsolatedError: this system cannot start the process, or cannot isolate it and `isolated` is set.
@@ -62,7 +64,7 @@ class PolicyProcess:
     """
 
     def __init__(self, content: bytes, *, isolated: bool) -> None:
-        #: What this system would not take away from the process.
+        #: Limits that this system does not enforce.
         self.missing: list[str] = []
         #: Widths of the observations, the actions, and each state.
         self.widths: list[int] = []
@@ -147,7 +149,7 @@ class PolicyProcess:
             raise self._ended() from error
 
     def _begin(self, seconds: float) -> None:
-        """Have the process killed if what it is asked now takes too long [s]; only this time counts for the whole."""
+        """Have the process killed if its next answer takes too long [s]; only waiting counts for the total."""
         self._began = time.monotonic()
         self._deadline = self._began + min(seconds, max(0.0, TOTAL_S - self._waited_s))
 
@@ -163,8 +165,8 @@ class PolicyProcess:
             time.sleep(_WATCH_S)
 
     def _ended(self) -> PolicyError:
-        """Return the error that says how the process ended, once it has."""
-        # It has closed its end: a moment for it to exit by itself tells how.
+        """Return the error that says how the process ended."""
+        # It has closed its end: its exit code follows in a moment.
         try:
             code = self._process.wait(timeout=2.0)
         except subprocess.TimeoutExpired:
@@ -187,10 +189,6 @@ class PolicyProcess:
             # Closing the stream writes what is left in its buffer, and nobody reads that any more.
             with contextlib.suppress(OSError):
                 cast(IO[bytes], stream).close()
-
-
-#: More than any policy of this benchmark needs.
-MOST_STATES, WIDEST = 16, 65_536
 
 
 def _start(*, weak: bool) -> subprocess.Popen[bytes]:
