@@ -107,7 +107,7 @@ def _help(capsys: pytest.CaptureFixture[str], *command: str) -> str:
 def test_help_of_every_command_teaches(capsys: pytest.CaptureFixture[str]) -> None:
     for name in COMMANDS:
         for command in [(name, own) for own in OWN.get(name, ())] or [(name,)]:
-            assert f"examples:\n  wtg-gym {' '.join(command)}" in _help(capsys, *command) or name == "analyse"
+            assert f"examples:\n  wtg-gym {' '.join(command)}" in _help(capsys, *command)
 
 
 def test_help_lists_the_commands(capsys: pytest.CaptureFixture[str]) -> None:

@@ -60,7 +60,7 @@ def test_table_says_it_in_words(study: Sensitivity) -> None:
     assert page.endswith(study.describe_idle()) and "| duty | 2 | same | none |" in page
 
 
-def testcompareds_are_evaluations_with_that_weight() -> None:
+def test_variants_are_evaluations_with_that_weight() -> None:
     told: list[tuple[int, int]] = []
     study = study_sensitivity(
         ENTRIES,

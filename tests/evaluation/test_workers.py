@@ -26,6 +26,8 @@ import pytest
 from wtg_gym.evaluation import Entry, OnnxPolicy, PolicyError, Results, Workers, evaluate, load_entries, workers
 
 pytest.importorskip("joblib", reason="the extra 'cluster' is not installed here")
+with contextlib.suppress(ImportError):
+    import distributed
 
 ROOT = Path(__file__).resolve().parents[2]
 #: Three batches an entry, two of them of the same size.
@@ -87,6 +89,16 @@ def here() -> Results:
     return evaluate(entries(), "standard", "test", **SHORT)
 
 
+@pytest.fixture(scope="module", params=BACKENDS)
+def two_workers(request: pytest.FixtureRequest) -> Iterator[Workers]:
+    """Two workers, those of Dask in one cluster for all tests."""
+    if request.param != "dask":
+        yield Workers(request.param, jobs=2)
+        return
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster:
+        yield Workers("dask", cluster.scheduler_address)
+
+
 def written(results: Results, folder: Path) -> list[bytes]:
     return [path.read_bytes() for path in results.write(folder)]
 
@@ -107,12 +119,11 @@ def test_workers_give_the_same_bytes(backend: str, here: Results, tmp_path: Path
     assert len(done) == 15 and done == sorted(done) and done[-1] == 25
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_killed_worker_changes_nothing(backend: str, tmp_path: Path) -> None:
+def test_killed_worker_changes_nothing(two_workers: Workers, tmp_path: Path) -> None:
     marker = tmp_path / "killed"
     mortal = Entry(name="mortal", policy=Mortal(os.getpid(), marker))
     everyone = [*entries(), mortal]
-    there = evaluate(everyone, "standard", "test", workers=Workers(backend, jobs=2), **SHORT)
+    there = evaluate(everyone, "standard", "test", workers=two_workers, **SHORT)
     assert marker.exists()
     assert there == evaluate(everyone, "standard", "test", **SHORT)
 
@@ -137,15 +148,12 @@ def test_loky_workers_end_with_the_process_that_started_them() -> None:
     assert done.returncode == -signal.SIGKILL
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_error_of_a_policy_comes_through_and_is_not_tried_again(backend: str) -> None:
+def test_error_of_a_policy_comes_through_and_is_not_tried_again(two_workers: Workers) -> None:
     failing = Entry(name="failing", policy=Failing())
     text = "entry 'failing', step 0: predict.. raised Complaint: no action from me .test_workers.py:"
     with pytest.raises(PolicyError, match=text):
-        evaluate([failing], "standard", "test", workers=Workers(backend, jobs=2), **SHORT)
-    results = evaluate(
-        [*entries(), failing], "standard", "test", workers=Workers(backend, jobs=2), keep_going=True, **SHORT
-    )
+        evaluate([failing], "standard", "test", workers=two_workers, **SHORT)
+    results = evaluate([*entries(), failing], "standard", "test", workers=two_workers, keep_going=True, **SHORT)
     assert [entry["name"] for entry in results.failed] == ["failing"]
     assert results.episodes == evaluate(entries(), "standard", "test", **SHORT).episodes
 

@@ -127,10 +127,7 @@ def add_commands(commands: Commands) -> None:
         _run_gap,
         summary="compare scores on public and on fresh scenarios",
         description=_GAP,
-        examples="  wtg-gym evaluate --entries policies --split fresh --commit $(git rev-parse HEAD) \\\n"
-        "      --secret-file secret.txt --results results\n"
-        "  wtg-gym results gap results/standard-test.json results/standard-fresh.json\n"
-        "  wtg-gym results recompute results/standard-fresh.json --entries policies --secret-file secret.txt",
+        examples="  wtg-gym results gap results/standard-test.json results/standard-fresh.json",
     )
     parser.add_argument("public", metavar="PUBLIC.json", help="results on the test scenarios")
     parser.add_argument("fresh", metavar="FRESH.json", help="results on the split fresh")
