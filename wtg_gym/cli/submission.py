@@ -167,7 +167,7 @@ def _name_left_out(ranked: Sequence[Report], reports: Sequence[Report], wrong: S
 
 
 def _ranked(reports: Sequence[Report], wrong: Sequence[Conflict]) -> list[Report]:
-    """Return the submissions without a fault in any folder of their name, so that nobody chooses the seeds of a row."""
+    """Return the submissions of names without any refused folder: authors cannot choose the seeds of a row."""
     folders = {folder for conflict in wrong for folder in conflict.folders}
     names = {report.entry.name for report in reports if report.folder in folders and report.entry is not None}
     return [
@@ -199,7 +199,7 @@ def _together(reports: list[Report], arguments: argparse.Namespace) -> list[Conf
 
 
 def _shown(folder: Path) -> str:
-    # Whatever it is called, it is one line and no command to a terminal.
+    # One line, and no command to a terminal.
     return ascii(str(folder))[1:-1]
 
 

@@ -215,7 +215,7 @@ def _stored_and_played(
     n_threads: int | None,
     workers: Workers | None,
 ) -> Generator[tuple[int, Played], None, None]:
-    """Yield (index, episodes) of every batch: the stored ones, then the others, which are stored as they come."""
+    """Yield (index, episodes) of every batch: first the stored ones, then the others, which are stored too."""
     paths = [store.path(entry.to_dict(), seeds) for entry, seeds in parts]
     missing = []
     for index, (_, seeds) in enumerate(parts):

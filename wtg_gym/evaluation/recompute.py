@@ -55,7 +55,7 @@ def recompute(
 
     Args:
         stored: the results.
-        entries: all of their entries, but for the anchors; further ones are left out.
+        entries: all of their entries, without the anchors; others are ignored.
         secret: the one that the seeds of the split "fresh" were drawn with; None does not check them.
         n_threads, workers, on_progress: as for :func:`wtg_gym.evaluation.evaluate`.
 

@@ -100,7 +100,7 @@ class Results:
         """Return the episodes of an entry.
 
         Raises:
-            ValueError: there is no such entry; the message lists those there are.
+            ValueError: there is no such entry; the message lists the entries.
         """
         found = [episode for episode in self.episodes if episode.entry == name]
         if not found:
@@ -131,7 +131,7 @@ class Results:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything but the episodes as JSON-ready data; `summary` is empty where there is no score."""
+        """Return the description and the summary as JSON-ready data; without a score the summary is empty."""
         try:
             summary = {row.name: asdict(row) for row in self.summaries}
         except NoScaleError:

@@ -66,7 +66,7 @@ def read(json_path: Path) -> tuple[dict[str, Any], list[Episode]]:
 
 
 def check_summary(stored: Any, summed: Any, where: str) -> None:
-    """Raise a ValueError if a stored summary is not the sum of its table, but for the rounding of another machine."""
+    """Raise a ValueError if a stored summary differs from the sum of its table by more than rounding."""
     if isinstance(stored, dict) and isinstance(summed, dict) and set(stored) == set(summed):
         for key in summed:
             check_summary(stored[key], summed[key], f"{where}.{key}")

@@ -70,8 +70,8 @@ def _resampled_means(values: Floats, side: int = 0) -> Floats:
     """Return the mean of (n_runs, n_scenarios) in every resample of the bootstrap, (N_RESAMPLES,).
 
     Scenarios and training seeds are both drawn with replacement, and every drawn seed plays the same drawn scenarios,
-    as all seeds do in truth (A. B. Owen, "The pigeonhole bootstrap", 2007): what a hard scenario costs all seeds alike
-    does not average out over them. The drawn scenarios are the same in every call, so that means can be subtracted as
+    as all seeds do in truth (A. B. Owen, "The pigeonhole bootstrap", 2007): the cost of a hard scenario
+    to all seeds does not average out over them. The drawn scenarios are the same in every call, so that means can be subtracted as
     a paired difference, and divided by one another.
     """
     means = values[:, _drawn_scenarios(values.shape[1])].mean(axis=2)

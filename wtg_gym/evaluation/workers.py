@@ -182,7 +182,7 @@ def _first_line(error: BaseException) -> str:
 
 
 def _unordered(calls: list[Any], *, backend: Any, n_jobs: int, **options: Any) -> Iterator[Outcome]:
-    """Make the calls, and yield each result as it comes."""
+    """Make the calls, and yield the results in the order of their ends."""
     import joblib
 
     with joblib.parallel_config(backend=backend, **options):

@@ -157,7 +157,7 @@ def check_entries(entries: Sequence[Entry]) -> None:
 
 
 def _check_row(first: Entry, other: Entry) -> None:
-    """Entries of one name are one method, trained with several seeds: nobody joins another's row."""
+    """Refuse an entry that would join the row of another method: one name is one method with several seeds."""
     if None in (first.training_seed, other.training_seed):
         seeds = [first.training_seed, other.training_seed]
         raise ValueError(f"entries named {first.name!r} must all have a training seed, got {seeds}")

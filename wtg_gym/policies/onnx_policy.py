@@ -3,7 +3,7 @@
 A policy's graph has the batch as the first axis of everything: inputs `observation` (batch, n_observation) and, for a
 policy with memory, `state_0`, `state_1`, … (batch, n); outputs `action` (batch, n_action) and as many `next_state_0`, …
 of the same widths. All are float32, all states are zero at the start of an episode. The batch is always 1, so no graph
-can take an action from what it sees of another scenario, whatever its operators do.
+sees two scenarios at once.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class OnnxPolicy:
         Raises:
             NotIsolatedError: this system cannot isolate the process, and `isolated` was set.
             PolicyError: the file is no policy, the observations or states are of another shape, the process ended or
-                took too long, or the policy gives something else than its file says.
+                took too long, or the answer is of another form.
         """
         n_observation, n_action, *widths = self.widths
         observations = np.ascontiguousarray(observation, dtype=np.float32)

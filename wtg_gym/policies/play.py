@@ -36,7 +36,7 @@ def started_lanes(
     Raises:
         ValueError: a scenario has no equilibrium under the entry's law.
     """
-    # The settings' own type is narrower than what they take: a law is no JSON.
+    # The settings accept a law too, which their type does not name.
     changed: dict[str, Any] = {
         "strategy": entry.law,
         "action_mode": entry.action_mode,

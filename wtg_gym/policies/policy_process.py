@@ -48,7 +48,7 @@ class PolicyError(ValueError):
 
 
 class NotIsolatedError(PolicyError):
-    """This system cannot start or isolate the process of a policy, which is no failure of the policy."""
+    """This system cannot start or isolate the process of a policy; the policy did not fail."""
 
 
 class PolicyProcess:
@@ -60,7 +60,7 @@ class PolicyProcess:
 
     Raises:
         NotIsolatedError: this system cannot start the process, or cannot isolate it and `isolated` is set.
-        PolicyError: onnxruntime cannot load the file, or it is no policy.
+        PolicyError: onnxruntime cannot load the file as a policy.
     """
 
     def __init__(self, content: bytes, *, isolated: bool) -> None:
@@ -186,7 +186,7 @@ class PolicyProcess:
         self._process.kill()
         self._process.wait()
         for stream in (self._process.stdin, self._process.stdout):
-            # Closing the stream writes what is left in its buffer, and nobody reads that any more.
+            # Closing the stream writes the rest of its buffer, which has no reader any more.
             with contextlib.suppress(OSError):
                 cast(IO[bytes], stream).close()
 
@@ -211,5 +211,5 @@ def _start(*, weak: bool) -> subprocess.Popen[bytes]:
 
 
 def _plain(text: Any) -> str:
-    """Return a text of the process as one line that is no command to a terminal and ends no block of code."""
+    """Return a text of the process as one printable line without the signs that end a block of code."""
     return printable(str(text)[:400]).replace("`", "'")

@@ -1,7 +1,7 @@
 """Policies as archives of Stable-Baselines3, which run code when they are loaded: for one's own files only.
 
-An archive (model.zip) and the file of a VecNormalize are made of pickles. Loading one runs whatever code its maker put
-in it, with the rights of whoever loads it; no check can tell. Needs `pip install 'wtg-gym[train]'`.
+An archive (model.zip) and the file of a VecNormalize are made of pickles. Loading one runs any code that its maker put
+in it, with the rights of the user; no check can tell. Needs `pip install 'wtg-gym[train]'`.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class NormalizedPolicy:
 
 
 def load_archive(folder: Path, algorithm: str) -> tuple[NormalizedPolicy, str]:
-    """Load a folder's model.zip and, where there is one, its vecnormalize.pkl; runs whatever code they hold.
+    """Load a folder's model.zip and, where there is one, its vecnormalize.pkl; runs any code in them.
 
     The one .pkl with "normalize" in its name is the normalisation, so that none is left out for its name. Torch is left
     on one thread, so that the result does not depend on the machine's load.

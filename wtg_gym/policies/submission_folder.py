@@ -73,7 +73,7 @@ def read_files(folder: Path) -> dict[str, bytes]:
     """Return the contents of a submission's files.
 
     Raises:
-        ValueError: the folder holds something else, a file is no plain file or too large, or one is missing.
+        ValueError: the folder holds another file, or a file is missing, too large or not a plain file.
     """
     # The folder's name goes to shells and terminals, and into checkouts on systems that cannot have every name.
     name = Path(os.path.abspath(folder)).name
@@ -104,7 +104,7 @@ def _status(path: Path) -> os.stat_result:
 
 
 def _read(path: Path, largest: int) -> bytes:
-    """Return the content of a plain file that is no link; the file that is checked is the one that is read."""
+    """Return the content of a plain file; a link, even one put there after the check, is refused."""
     if not stat.S_ISREG(_status(path).st_mode):
         raise ValueError(f"{path.name} is a link or something else that is not a plain file")
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
@@ -124,7 +124,7 @@ def parse_entry(content: bytes) -> EntryFile:
     """Return the content of entry.toml.
 
     Raises:
-        ValueError: it is no TOML, or a key is missing, unknown or out of range; the message names what is allowed.
+        ValueError: it is not TOML, or a key is missing, unknown or out of range; the message names what is allowed.
     """
     try:
         data = parse_toml(content.decode("utf-8"), "it")
@@ -166,7 +166,7 @@ def write_template(folder: Path, policy: Path | None = None) -> list[Path]:
         the files written.
 
     Raises:
-        ValueError: one of the files is there already, or the policy is no plain file or too large.
+        ValueError: one of the files exists, or the policy is not a plain file or too large.
     """
     wanted = {ENTRY_FILE: _TEMPLATE.encode()}
     if policy is not None:

@@ -74,7 +74,7 @@ def _is_plain(text: str) -> bool:
         if sign.isascii():
             allowed = sign.isalnum() or sign in _TEXT_SIGNS
         else:
-            # What Python calls not printable: controls, changes of direction, other blanks, what is no character.
+            # Not printable in Python are controls, changes of direction, other blanks and unassigned signs.
             allowed = sign.isprintable() and sign not in _UNSEEN and not unicodedata.category(sign).startswith("M")
         if not allowed:
             return False
