@@ -333,5 +333,5 @@ def test_lies_of_the_process_are_errors(attack: str, instead: Callable[[str], No
 def test_what_the_process_says_is_no_command(instead: Callable[[str], None]) -> None:
     says = "worker._send(sink, {'error': 'a\\x1b[2J\\n```\\nb'})"
     instead(f"def serve(content, source, sink):\n    {says}\nworker._serve = serve")
-    with pytest.raises(PolicyError, match=r"cannot load the policy: a\?\[2J\?\?\?\?\?b$"):
+    with pytest.raises(PolicyError, match=r"cannot load the policy: a\\x1b\[2J\\n'''\\nb$"):
         opened().predict(ONES)

@@ -69,10 +69,10 @@ def _drawn_runs(n_runs: int, side: int) -> Indices:
 def _resampled_means(values: Floats, side: int = 0) -> Floats:
     """Return the mean of (n_runs, n_scenarios) in every resample of the bootstrap, (N_RESAMPLES,).
 
-    Scenarios and training seeds are both drawn with replacement, and every drawn seed plays the same drawn scenarios,
-    as all seeds do in truth (A. B. Owen, "The pigeonhole bootstrap", 2007): the cost of a hard scenario
-    to all seeds does not average out over them. The drawn scenarios are the same in every call, so that means can be subtracted as
-    a paired difference, and divided by one another.
+    Scenarios and training seeds are both drawn with replacement, and every drawn seed plays the same drawn scenarios
+    (A. B. Owen, "The pigeonhole bootstrap", 2007): the cost of a hard scenario to all seeds does not average out over
+    them. The drawn scenarios are the same in every call, so that means can be subtracted as a paired difference, and
+    divided by one another.
     """
     means = values[:, _drawn_scenarios(values.shape[1])].mean(axis=2)
     resampled: Floats = np.take_along_axis(means.T, _drawn_runs(values.shape[0], side), axis=1).mean(axis=1)

@@ -128,6 +128,8 @@ def parse_entry(content: bytes) -> EntryFile:
     """
     try:
         data = parse_toml(content.decode("utf-8"), "it")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"it is not TOML in UTF-8: {error}") from error
     except ValueError as error:
         raise ValueError(ascii(str(error))[1:-1][:160]) from error
     missing, unknown = [key for key in _REQUIRED if key not in data], sorted(set(data) - {*_REQUIRED, *_OPTIONAL})
