@@ -107,6 +107,14 @@ def test_anchors_are_evaluated_without_being_asked_for() -> None:
     assert all(set(episode.metrics) == set(METRICS) for episode in results.episodes)
 
 
+def test_entries_may_be_names_of_the_table() -> None:
+    results = evaluate("linear-feedback", seeds=(10_000, 10_001), duration_s=10.0)
+    assert (results.suite, results.split) == ("standard", "validation")
+    assert set(results.scores) == {"linear-feedback", *ANCHORS}
+    score = results.scores["linear-feedback"]
+    assert score.low <= score.value <= score.high and results.scores["mppt"].value == 0.0
+
+
 def test_zero_policy_is_the_reference() -> None:
     results = evaluate([Entry(name="zero", policy=Linear(0.0))], "standard", "test", **SHORT)
     zero, reference = results.episodes_of("zero"), results.episodes_of("coordinated-piecewise")

@@ -42,7 +42,7 @@ _LARGEST_SPLIT = 100_000
 
 
 def evaluate(
-    entries: str | Entry | Sequence[str | Entry],
+    entries: str | Path | Entry | Sequence[str | Path | Entry],
     suite: str = "standard",
     split: str = "validation",
     *,
@@ -138,11 +138,11 @@ def evaluate(
 # --- arguments -------------------------------------------------------------------------------------------------------
 
 
-def _with_anchors(given: str | Entry | Sequence[str | Entry]) -> list[Entry]:
+def _with_anchors(given: str | Path | Entry | Sequence[str | Path | Entry]) -> list[Entry]:
     """Return the entries, and the anchors that are not among them."""
     entries: list[Any] = []
-    for each in [given] if isinstance(given, (str, Entry)) else given:
-        entries += load_entries(each) if isinstance(each, str) else [each]
+    for each in [given] if isinstance(given, (str, Path, Entry)) else given:
+        entries += load_entries(each) if isinstance(each, (str, Path)) else [each]
     check_entries(entries)
     missing = [name for name in ANCHORS if name not in {entry.name for entry in entries}]
     return [*entries, *(Entry(name=name, strategy=name, description="Anchor of the score.") for name in missing)]
