@@ -194,9 +194,9 @@ def test_commands_write_the_page(capsys: pytest.CaptureFixture[str], tmp_path: P
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("page", "none.json", "--output", "page.html"), "none.json"),
-        (("page", "none.json", "--output", "page.pdf"), "it must end in .html, .htm"),
-        (("page", "none.json"), "--output"),
+        (("results", "page", "none.json", "--output", "page.html"), "none.json"),
+        (("results", "page", "none.json", "--output", "page.pdf"), "it must end in .html, .htm"),
+        (("results", "page", "none.json"), "--output"),
         (("leaderboard", "--suite", "paper", "--html", "missing/page.html"), "there is no folder missing"),
     ],
 )
@@ -237,7 +237,7 @@ def test_results_on_fresh_scenarios_are_a_suite_of_their_own_and_columns_of_the_
     fresh = evaluate(entries, "standard", "fresh", draw=draw, duration_s=DURATION_S)
     text = leaderboard_page([public, fresh], [], n_scenarios=1).text
     suites = _data(text)["suites"]
-    assert [suite["name"] for suite in suites] == ["standard", "standard, verification"]
+    assert [suite["name"] for suite in suites] == ["standard", "standard, fresh"]
     assert suites[1]["seeds"] == list(draw.seeds)
     tables = re.findall(r"<table data-suite.*?</table>", text, flags=re.DOTALL)
     assert ["fresh score" in table for table in tables] == [True, False]
