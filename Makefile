@@ -57,8 +57,8 @@ verification: $(LEADERBOARD_READY) ## Score every entry of the last round on its
 	    drawn='$(POLICIES)'; \
 	fi; \
 	$(LEADERBOARD_VENV)/bin/wtg-gym evaluate --suite standard --entries baselines $$drawn --results results \
-	    --split verification --commit $(VERIFICATION_COMMIT) --secret-file $(VERIFICATION_SECRET)
-	$(LEADERBOARD_VENV)/bin/wtg-gym gap results/standard-test.json results/standard-verification.json --page docs/benchmark.md
+	    --split fresh --commit $(VERIFICATION_COMMIT) --secret-file $(VERIFICATION_SECRET)
+	$(LEADERBOARD_VENV)/bin/wtg-gym results gap results/standard-test.json results/standard-fresh.json --page docs/benchmark.md
 
 PAGE_SUITES := standard weak-grid low-wind gust paper
 
@@ -66,7 +66,7 @@ PAGE_SUITES := standard weak-grid low-wind gust paper
 page: verification ## Rank every entry on all suites and on fresh scenarios, and show them in docs/leaderboard.html
 	for suite in $(PAGE_SUITES); do \
 	    $(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite $$suite --entries baselines $(POLICIES) --results results || exit; done
-	$(LEADERBOARD_VENV)/bin/wtg-gym page $(PAGE_SUITES:%=results/%-test.json) results/standard-verification.json \
+	$(LEADERBOARD_VENV)/bin/wtg-gym results page $(PAGE_SUITES:%=results/%-test.json) results/standard-fresh.json \
 	    --entries baselines $(POLICIES) --output docs/leaderboard.html
 
 # Its fonts and its browser are those of the machine: `make docs-check` leaves this picture out.
@@ -91,9 +91,9 @@ pictures: $(LEADERBOARD_READY) ## Draw every picture of the README and of docs/ 
 .PHONY: docs
 docs: pictures ## Measure everything that docs/ shows again, but for performance and the page, and renew its tables and pictures
 	$(LEADERBOARD_VENV)/bin/wtg-gym parameters --page docs/parameters.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym validate tests/golden/*/ --page docs/validation.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym accuracy --output docs/validation --formats svg --page docs/validation.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym sensitivity --entries baselines $(POLICIES) agents.probes:CHATTER agents.probes:PUSH --page docs/benchmark.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym compare tests/golden/*/ --page docs/validation.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym analyse accuracy --output docs/validation --formats svg --page docs/validation.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym results sensitivity --entries baselines $(POLICIES) agents.probes:CHATTER agents.probes:PUSH --page docs/benchmark.md
 	$(LEADERBOARD_VENV)/bin/python -m agents.incentives --entries $(filter %/linear-feedback,$(POLICIES)) $(filter agents/policies/ppo-k-%,$(POLICIES)) deloaded-5 --page docs/benchmark.md
 	$(LEADERBOARD_VENV)/bin/python -m tests.submissions.hostile --page docs/submissions.md
 

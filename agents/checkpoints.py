@@ -20,8 +20,8 @@ from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize, u
 
 from agents.hyperparameters import ALGORITHMS
 from agents.runs import loading
-from wtg_gym.evaluation.entries import ARCHIVE_FILE
-from wtg_gym.sb3_archive import CUSTOM_OBJECTS
+from wtg_gym.policies.load import ARCHIVE_FILE
+from wtg_gym.policies.sb3_archive import CUSTOM_OBJECTS
 
 _NORMALIZE = "vec_normalize.pkl"
 _REPLAY_BUFFER = "replay_buffer.pkl"
@@ -29,7 +29,7 @@ _STATE = "state.pkl"
 
 
 def save_policy(folder: Path, model: BaseAlgorithm) -> None:
-    """Write the learner and its normalisation, as :func:`wtg_gym.sb3_archive.load_archive` takes them."""
+    """Write the learner and its normalisation, as :func:`wtg_gym.policies.sb3_archive.load_archive` takes them."""
     model.save(folder / ARCHIVE_FILE)
     normalize = model.get_vec_normalize_env()
     if normalize is not None:

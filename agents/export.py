@@ -21,8 +21,8 @@ from wtg_gym.cli.output import note
 from wtg_gym.cli.parser import Parser
 from wtg_gym.envs import GFMWTGVectorEnv
 from wtg_gym.evaluation import OnnxPolicy, Policy
-from wtg_gym.evaluation.entries import ENTRY_FILE, POLICY_FILE
 from wtg_gym.files import write_atomically
+from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
 
 #: Largest difference between the export's actions and the learner's [full action].
 TOLERANCE = 1e-6
@@ -92,7 +92,7 @@ def _trained(best: Path, algo: str) -> tuple[Policy, PolicyNetwork]:
     # Here, because the policies above are exported where Stable-Baselines3 is not installed.
     from agents.hyperparameters import ALGORITHMS
     from agents.learners import network_of
-    from wtg_gym.sb3_archive import load_archive
+    from wtg_gym.policies.sb3_archive import load_archive
 
     policy, _ = load_archive(best, ALGORITHMS[algo].__name__)
     return policy, network_of(policy.policy, policy.vec_normalize)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.evaluation.statistics import COST_OFFSET
+from wtg_gym.evaluation.score import COST_OFFSET
 
 Floats = npt.NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from agents.command import run_command
 from agents.probes import CONSTANT, delayed, late_name
 from wtg_gym.cli.output import Progress, check_page, update_page
 from wtg_gym.cli.parser import Parser
-from wtg_gym.cli.scores import chosen_entries
+from wtg_gym.cli.scoring import chosen_entries
 from wtg_gym.evaluation import ANCHORS, Entry, EntrySummary, evaluate, leaderboard_rows
 from wtg_gym.files import markdown_table
 from wtg_gym.physics.plant import PlantSettings

@@ -19,9 +19,10 @@ from agents.rollouts import Rollouts, linear_feedback
 from wtg_gym.cli.output import Progress
 from wtg_gym.envs.task import COST_TERMS
 from wtg_gym.evaluation import ANCHORS, NoScaleError, OnnxPolicy, evaluate
-from wtg_gym.evaluation.entries import ENTRY_FILE, POLICY_FILE, Entry
-from wtg_gym.evaluation.summary import pinned
+from wtg_gym.evaluation.score import pinned
 from wtg_gym.files import to_json, write_atomically
+from wtg_gym.policies import Entry
+from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
 from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[np.float64]

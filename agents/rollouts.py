@@ -11,7 +11,7 @@ import numpy.typing as npt
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task import COST_TERMS, N_LOCAL
-from wtg_gym.evaluation.statistics import pinned_cost
+from wtg_gym.evaluation.score import pinned_cost
 
 Floats = npt.NDArray[np.float64]
 #: Observations (n_scenarios, n_candidates, n_wtg, n) of a step to actions (n_scenarios, n_candidates, n_wtg, n_action).

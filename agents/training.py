@@ -24,10 +24,10 @@ from agents.runs import BEST, CHECKPOINTS, Run, folders, put_back, save_folder
 from agents.validation import validate
 from agents.vec_env import GainVecEnv
 from wtg_gym.cli.output import Progress
-from wtg_gym.evaluation.entries import ENTRY_FILE
 from wtg_gym.files import write_atomically
+from wtg_gym.policies.load import ENTRY_FILE
+from wtg_gym.policies.sb3_archive import NormalizedPolicy
 from wtg_gym.sb3 import SB3VecEnv
-from wtg_gym.sb3_archive import NormalizedPolicy
 
 _TENSORBOARD = "tensorboard"
 

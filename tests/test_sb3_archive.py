@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import base64
+import functools
 import io
 import json
 import os
 import pickle
+import shutil
 import subprocess
 import sys
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +31,7 @@ from tests.cli.calls import ROOT, error_of, json_of
 from wtg_gym import ENV_ID
 from wtg_gym.cli import main
 from wtg_gym.evaluation import OnnxPolicy, load_entries
-from wtg_gym.sb3_archive import ALGORITHMS, NormalizedPolicy, load_archive
+from wtg_gym.policies.sb3_archive import ALGORITHMS, NormalizedPolicy, load_archive
 
 TOML = 'name = "mine"\naction_mode = "k+tau"\nalgorithm = "PPO"\n'
 SHORT = ("--seeds", "20000:20003", "--duration", "10")
@@ -47,6 +50,12 @@ def archive() -> bytes:
     content = io.BytesIO()
     model.save(content)
     return content.getvalue()
+
+
+@pytest.fixture(scope="module")
+def run_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """A short run of an algorithm, trained once."""
+    return functools.cache(lambda algo: trained(tmp_path_factory.mktemp(algo), algo, "run"))
 
 
 def folder(path: Path, content: bytes, toml: str = TOML) -> Path:
@@ -93,9 +102,9 @@ def test_archives_are_of_the_algorithms_that_are_trained() -> None:
 
 @pytest.mark.parametrize("algo", TRAINED)
 def test_best_policy_of_a_run_plays_as_its_export(
-    algo: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    algo: str, run_of: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run = trained(tmp_path, algo, "run")
+    run = run_of(algo)
     export(run, tmp_path / "exported", name="exported")
     capsys.readouterr()
     (best,) = folders(run / "best")
@@ -110,8 +119,8 @@ def test_best_policy_of_a_run_plays_as_its_export(
     assert costs[0] == pytest.approx(costs[1], rel=1e-4) and costs[0] != summary["coordinated-piecewise"]["mean_cost"]
 
 
-def test_memory_goes_on_and_is_cleared_where_an_episode_starts(tmp_path: Path) -> None:
-    (best,) = folders(trained(tmp_path, "recurrent_ppo", "run") / "best")
+def test_memory_goes_on_and_is_cleared_where_an_episode_starts(run_of: Callable[[str], Path]) -> None:
+    (best,) = folders(run_of("recurrent_ppo") / "best")
     policy, _ = load_archive(best, "RecurrentPPO")
     observations, nobody = np.full((2, N), 0.5, dtype=np.float32), np.zeros(2, dtype=np.bool_)
     first, state = policy.predict(observations, None, ~nobody, deterministic=True)
@@ -121,8 +130,9 @@ def test_memory_goes_on_and_is_cleared_where_an_episode_starts(tmp_path: Path) -
     assert np.array_equal(again[0], first[0]) and np.array_equal(again[1], second[1])
 
 
-def test_policy_goes_to_another_process_as_it_is(tmp_path: Path) -> None:
-    (best,) = folders(trained(tmp_path, "ppo", "run") / "best")
+def test_policy_goes_to_another_process_as_it_is(run_of: Callable[[str], Path], tmp_path: Path) -> None:
+    (own,) = folders(run_of("ppo") / "best")
+    best = shutil.copytree(own, tmp_path / "best")
     policy, fingerprint = load_archive(best, "PPO")
     content = pickle.dumps(policy)
     torch.set_num_threads(2)
@@ -157,7 +167,8 @@ def test_archive_is_not_opened_without_the_flag(archive: bytes, tmp_path: Path) 
     trap = tmp_path / "trap"
     entry = folder(tmp_path / "entry", changed(archive, "lr_schedule", Creates(trap)))
     (entry / "vecnormalize.pkl").write_bytes(pickle.dumps(Creates(trap)))
-    scoring = [[command, "--entries", str(entry)] for command in ("evaluate", "leaderboard", "sensitivity")]
+    commands = (["evaluate"], ["leaderboard"], ["results", "sensitivity"])
+    scoring = [[*command, "--entries", str(entry)] for command in commands]
     submission = [["submission", command, str(entry)] for command in ("check", "score")]
     call = [sys.executable, "-c", _WATCHED, json.dumps([*scoring, *submission])]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "utf-8"}
@@ -178,10 +189,11 @@ def test_flag_means_what_it_says(archive: bytes, tmp_path: Path, capsys: pytest.
     assert trap.is_dir()
 
 
-@pytest.mark.parametrize("command", ["leaderboard", "sensitivity", "verify", "page"])
+@pytest.mark.parametrize(
+    "command", ["leaderboard", "results sensitivity", "results recompute a.json", "results page a.json --output a.html"]
+)
 def test_no_other_command_has_the_flag(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    needed = {"verify": ["a.json"], "page": ["a.json", "--output", "a.html"]}.get(command, [])
-    assert "unrecognized arguments: --trust-pickle" in error_of(capsys, command, *needed, "--trust-pickle")
+    assert "unrecognized arguments: --trust-pickle" in error_of(capsys, *command.split(), "--trust-pickle")
 
 
 def test_help_says_what_loading_means(capsys: pytest.CaptureFixture[str]) -> None:
@@ -199,7 +211,7 @@ def refusal(capsys: pytest.CaptureFixture[str], entry: Path) -> str:
     return said.err.splitlines()[-1]
 
 
-@pytest.mark.parametrize("damage", ["empty", "no zip", "cut short", "other zip", "pickle", "weights"])
+@pytest.mark.parametrize("damage", ["cut short", "other zip", "pickle", "weights"])
 def test_damaged_archive_is_named(
     damage: str, archive: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -207,8 +219,6 @@ def test_damaged_archive_is_named(
     with zipfile.ZipFile(other, "w") as made:
         made.writestr("letter.txt", "hello")
     content = {
-        "empty": b"",
-        "no zip": b"hello",
         "cut short": archive[: len(archive) // 2],
         "other zip": other.getvalue(),
         "pickle": changed(archive, "policy_class", 3),
@@ -293,5 +303,5 @@ def test_missing_package_names_the_extra(
     package: str, archive: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
-    monkeypatch.delitem(sys.modules, "wtg_gym.sb3_archive")
+    monkeypatch.delitem(sys.modules, "wtg_gym.policies.sb3_archive")
     assert "pip install 'wtg-gym[train]'" in refusal(capsys, folder(tmp_path / "entry", archive))

@@ -34,6 +34,11 @@ def to_json(data: Any) -> str:
     return json.dumps(data, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
+def printable(text: str) -> str:
+    """Return text without commands to a terminal and on one line: other signs appear as escapes such as ``\\x1b``."""
+    return "".join(sign if sign.isprintable() else ascii(sign)[1:-1] for sign in text)
+
+
 def write_atomically(path: Path, content: str | bytes) -> None:
     """Replace the file `path` by bytes, or by text (UTF-8, line feeds as given), in one go, keeping its permissions.
 
@@ -153,19 +158,25 @@ def parse_json(text: str, where: str) -> Any:
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:
-    """Return the data of a small TOML file.
+    """Return the data of a TOML file up to 16 KiB; a ValueError of :func:`read_text` or :func:`parse_toml` names it."""
+    return parse_toml(read_text(path, what, largest=LARGEST_TOML_BYTES), f"the {what} {path}")
+
+
+def parse_toml(text: str, where: str) -> dict[str, Any]:
+    """Return the data of a TOML text.
+
+    Args:
+        text: up to 16 KiB, as the time for dotted keys grows with the square of their length: a minute for 100 KiB.
+        where: where it is from, for the message.
 
     Raises:
-        ValueError: the file cannot be read, is larger than 16 KiB, is not TOML, is nested deeper than 20 levels, or
-            holds a whole number of 2^64 or more; the message names the file.
+        ValueError: it is not TOML, is nested deeper than 20 levels, or holds a whole number of 2^64 or more.
     """
-    # The time to read dotted keys grows with the square of their length: a minute for 100 KiB.
-    text = read_text(path, what, largest=LARGEST_TOML_BYTES)
     try:
         data = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"the {what} {path} is not TOML: {error}") from error
-    _require_plain(data, f"the {what} {path}", infinite=True)
+        raise ValueError(f"{where} is not TOML: {error}") from error
+    _require_plain(data, where, infinite=True)
     return data
 
 
@@ -192,6 +203,8 @@ def _require_plain(data: Any, where: str, *, infinite: bool) -> None:
 __all__ = [
     "markdown_table",
     "parse_json",
+    "parse_toml",
+    "printable",
     "read_json",
     "read_text",
     "read_toml",

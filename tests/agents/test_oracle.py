@@ -26,7 +26,7 @@ from tests.cli.calls import ROOT
 from wtg_gym.envs.task import N_LOCAL
 from wtg_gym.evaluation import Entry, OnnxPolicy, evaluate, load_entries
 from wtg_gym.evaluation.oracle import OracleCosts
-from wtg_gym.evaluation.summary import pinned
+from wtg_gym.evaluation.score import pinned
 from wtg_gym.scenarios import get_suite
 
 SEEDS = [10_000, 10_001, 10_002]
@@ -160,7 +160,7 @@ def test_foresight_writes_the_least_of_all_it_knows(linear: Path, tmp_path: Path
     _foresight(tmp_path, "--gains", str(linear / "gains.json"), "--entries", *entries)
     costs = OracleCosts.read(tmp_path / "paper-test.json")
     assert costs.seeds == (0, 1) and set(costs.found) == {"course", "course_and_feedback", "entries"}
-    results = evaluate([entry for spec in entries for entry in load_entries(spec)], "paper")
+    results = evaluate([entry for spec in entries for entry in load_entries(spec)], "paper", "test")
     known = {name: [pinned(e, 50.0) for e in results.episodes_of(name)] for name in ("mine", "deloaded-5")}
     assert costs.found["entries"] == tuple(map(min, known["mine"], known["deloaded-5"]))
     assert costs.reference == tuple(pinned(e, 50.0) for e in results.episodes_of("coordinated-piecewise"))

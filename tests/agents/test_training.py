@@ -26,7 +26,7 @@ from agents.train import main
 from agents.training import start, train
 from tests.agents.small import CONFIGS, config_file, options, trained
 from wtg_gym.evaluation import evaluate, load_entries
-from wtg_gym.sb3_archive import CUSTOM_OBJECTS
+from wtg_gym.policies.sb3_archive import CUSTOM_OBJECTS
 
 ROOT = Path(__file__).resolve().parents[2]
 #: Large enough for torch to use several threads where it may.
@@ -76,7 +76,7 @@ def test_killed_run_goes_on_to_the_weights_of_an_undisturbed_one_and_its_export_
     assert difference <= 1e-6
     (entry,) = load_entries(tmp_path / "entry")
     assert (entry.name, entry.training_seed, entry.kind, entry.source) == ("mine", 0, "learned", "A. Author")
-    results = evaluate([entry], "standard", seeds=[20_000, 20_001], duration_s=5.0)
+    results = evaluate([entry], "standard", "test", seeds=[20_000, 20_001], duration_s=5.0)
     assert len(results.episodes_of("mine")) == 2
     card = (tmp_path / "entry" / "README.md").read_text()
     assert all(text in card for text in (algo, "A. Author", "python", f"{runs[0].best['score']:.1f}"))

@@ -54,7 +54,7 @@ def test_example_law_can_be_evaluated() -> None:
     assert entry.name == "reserve-7" and entry.law.damping_time_constant_s == 0.8
     nominal = {name: STRATEGIES[name].k_nominal for name in ("deloaded-5", "deloaded-10")}
     assert nominal["deloaded-10"] < entry.law.k_nominal < nominal["deloaded-5"]
-    results = evaluate([entry], "standard", seeds=range(20_000, 20_004), duration_s=10.0)
+    results = evaluate([entry], "standard", "test", seeds=range(20_000, 20_004), duration_s=10.0)
     assert {row.name for row in leaderboard_rows(results)} == {"reserve-7", "mppt", "coordinated-piecewise"}
 
 

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +35,24 @@ def json_of(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 0) 
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def call(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    """Run the command line in a process of its own."""
+def start(*arguments: str, cwd: Path | None = None, **options: Any) -> subprocess.Popen[str]:
+    """Start the command line in a process of its own; `options` are those of Popen."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "utf-8"}
     command = [sys.executable, "-m", "wtg_gym.cli", *arguments]
-    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, encoding="utf-8", timeout=300)
+    return subprocess.Popen(command, cwd=cwd, env=environment, encoding="utf-8", **options)
+
+
+def end_with_parts(process: subprocess.Popen[str], sign: int, partial: Path, n_parts: int = 1) -> str:
+    """Send a signal to a command once that many finished parts are stored; return what it said on stderr."""
+    until = time.monotonic() + 200.0
+    while len(list(partial.glob("*.json"))) < n_parts and process.poll() is None and time.monotonic() < until:
+        time.sleep(0.001)
+    process.send_signal(sign)
+    return process.communicate(timeout=100)[1] or ""
+
+
+def call(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """Run the command line in a process of its own."""
+    process = start(*arguments, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    out, err = process.communicate(timeout=300)
+    return subprocess.CompletedProcess(arguments, process.returncode, out, err)

@@ -1,4 +1,4 @@
-"""Fresh scenarios as a user plays them: `evaluate --split verification`, `gap`, and `verify` with the secret."""
+"""Fresh scenarios as a user plays them: `evaluate --split fresh`, and the commands of `results`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from tests.cli.calls import error_of
 from wtg_gym.cli import main
-from wtg_gym.evaluation import verification
+from wtg_gym.evaluation import recompute
 
 COMMIT = "0123456789abcdef0123456789abcdef01234567"
 SECRET = "a secret for these tests\n"
@@ -22,31 +22,31 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "secret.txt").write_text(SECRET)
     (folder / "page.md").write_text("before\n<!-- gap:standard:start -->\n<!-- gap:standard:end -->\nafter\n")
     assert main(["evaluate", *SHORT, "--seeds", "20000:20004", "--results", str(folder)]) == 0
-    drawn = ["--split", "verification", "--commit", COMMIT, "--secret-file", str(folder / "secret.txt")]
+    drawn = ["--split", "fresh", "--commit", COMMIT, "--secret-file", str(folder / "secret.txt")]
     assert main(["evaluate", *SHORT, *drawn, "--scenarios", "4", "--results", str(folder)]) == 0
     return folder
 
 
 def test_results_say_what_the_seeds_were_drawn_from(folder: Path) -> None:
-    data = json.loads((folder / "standard-verification.json").read_text())
+    data = json.loads((folder / "standard-fresh.json").read_text())
     assert data["draw"]["commit"] == COMMIT and len(data["seeds"]) == 4
     # The secret itself is nowhere.
-    assert SECRET.strip() not in (folder / "standard-verification.json").read_text()
+    assert SECRET.strip() not in (folder / "standard-fresh.json").read_text()
 
 
 def test_gap_is_printed_and_put_on_a_page(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    files = [str(folder / f"standard-{split}.json") for split in ("test", "verification")]
-    assert main(["gap", *files, "--page", str(folder / "page.md")]) == 0
+    files = [str(folder / f"standard-{split}.json") for split in ("test", "fresh")]
+    assert main(["results", "gap", *files, "--page", str(folder / "page.md")]) == 0
     out = capsys.readouterr().out
     assert "4 public and 4 fresh scenarios" in out and "deloaded-5" in out
     page = (folder / "page.md").read_text()
     assert "| deloaded-5 |" in page and page.startswith("before\n") and page.endswith("after\n")
-    assert main(["gap", *files, "--json"]) == 0
+    assert main(["results", "gap", *files, "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert [gap["name"] for gap in said["gaps"]] == ["deloaded-5"] and said["draw"]["commit"] == COMMIT
 
 
-@pytest.mark.parametrize("command", ["gap", "page", "verify"])
+@pytest.mark.parametrize("command", ["gap", "page", "recompute"])
 def test_results_of_an_older_version_are_one_line(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
 ) -> None:
@@ -55,64 +55,64 @@ def test_results_of_an_older_version_are_one_line(
     del data["metrics"]["largest_power_change_pu"]
     old.write_text(json.dumps({**data, "format": 2}))
     rest = {
-        "gap": [str(folder / "standard-verification.json")],
+        "gap": [str(folder / "standard-fresh.json")],
         "page": ["--output", str(tmp_path / "page.html")],
-        "verify": ["--entries", "deloaded-5"],
+        "recompute": ["--entries", "deloaded-5"],
     }[command]
-    said = error_of(capsys, command, str(old), *rest)
+    said = error_of(capsys, "results", command, str(old), *rest)
     assert said.endswith("format must be 3, that of this version, got 2; evaluate again")
 
 
 def test_verify_checks_the_seeds_against_the_secret(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    stored = [str(folder / "standard-verification.json"), "--entries", "deloaded-5"]
-    assert main(["verify", *stored]) == 0
+    stored = [str(folder / "standard-fresh.json"), "--entries", "deloaded-5"]
+    assert main(["results", "recompute", *stored]) == 0
     assert "drawn or chosen is not known: check them with --secret-file" in capsys.readouterr().err
-    assert main(["verify", *stored, "--secret-file", str(folder / "secret.txt")]) == 0
+    assert main(["results", "recompute", *stored, "--secret-file", str(folder / "secret.txt")]) == 0
     capsys.readouterr()
     (folder / "other.txt").write_text("another secret for these tests")
-    assert main(["verify", *stored, "--secret-file", str(folder / "other.txt")]) == 1
+    assert main(["results", "recompute", *stored, "--secret-file", str(folder / "other.txt")]) == 1
     assert "not of this secret" in capsys.readouterr().out
     (folder / "short.txt").write_text("short")
 
     def play(*_: object, **__: object) -> None:
         raise AssertionError("a secret that cannot be one is refused before anything is played")
 
-    monkeypatch.setattr(verification, "evaluate", play)
-    assert main(["verify", *stored, "--secret-file", str(folder / "short.txt")]) == 2
+    monkeypatch.setattr(recompute, "evaluate", play)
+    assert main(["results", "recompute", *stored, "--secret-file", str(folder / "short.txt")]) == 2
     assert "the secret must have 16 bytes or more, got 5" in capsys.readouterr().err
 
 
 BAD = {
-    "no commit": (["--split", "verification"], "missing: --commit, --secret-file"),
+    "no commit": (["--split", "fresh"], "missing: --commit, --secret-file"),
     "short commit": (
-        ["--split", "verification", "--commit", "abc", "--secret-file", "SECRET"],
+        ["--split", "fresh", "--commit", "abc", "--secret-file", "SECRET"],
         "full git hash of 40 or 64 hexadecimal digits, got 'abc'",
     ),
     "seeds of one's own": (
-        ["--split", "verification", "--commit", COMMIT, "--secret-file", "SECRET", "--seeds", "5"],
+        ["--split", "fresh", "--commit", COMMIT, "--secret-file", "SECRET", "--seeds", "5"],
         "without --seeds",
     ),
-    "other split": (["--commit", COMMIT], "--commit: for --split verification only, the split is test"),
+    "other split": (["--commit", COMMIT], "--commit: for --split fresh only, the split is test"),
     "no file": (
-        ["--split", "verification", "--commit", COMMIT, "--secret-file", "nowhere.txt"],
+        ["--split", "fresh", "--commit", COMMIT, "--secret-file", "nowhere.txt"],
         "--secret-file nowhere.txt: No such file",
     ),
     "fixed cases": (
-        ["--suite", "paper", "--split", "verification", "--commit", COMMIT, "--secret-file", "SECRET"],
+        ["--suite", "paper", "--split", "fresh", "--commit", COMMIT, "--secret-file", "SECRET"],
         "suite 'paper' has fixed cases",
     ),
     "too few": (
-        ["--split", "verification", "--commit", COMMIT, "--secret-file", "SECRET", "--scenarios", "0"],
+        ["--split", "fresh", "--commit", COMMIT, "--secret-file", "SECRET", "--scenarios", "0"],
         "must be 1 … 100000, got 0",
     ),
     "short secret": (
-        ["--split", "verification", "--commit", COMMIT, "--secret-file", "SHORT"],
+        ["--split", "fresh", "--commit", COMMIT, "--secret-file", "SHORT"],
         "must have 16 bytes or more, got 5",
     ),
     "large secret": (
-        ["--split", "verification", "--commit", COMMIT, "--secret-file", "LARGE"],
+        ["--split", "fresh", "--commit", COMMIT, "--secret-file", "LARGE"],
         "larger than 4096 bytes",
     ),
 }
@@ -131,11 +131,11 @@ def test_bad_draw_is_one_line(case: str, folder: Path, tmp_path: Path, capsys: p
 
 def test_gap_wants_both_kinds_of_results(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     same = str(folder / "standard-test.json")
-    assert main(["gap", same, same]) == 2
+    assert main(["results", "gap", same, same]) == 2
     assert "in this order; got 'test' and 'test'" in capsys.readouterr().err
 
 
 def test_secret_for_seeds_that_were_not_drawn_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = [str(folder / "standard-test.json"), "--entries", "deloaded-5", "--secret-file"]
-    assert main(["verify", *arguments, str(folder / "secret.txt")]) == 2
+    assert main(["results", "recompute", *arguments, str(folder / "secret.txt")]) == 2
     assert "were not drawn" in capsys.readouterr().err

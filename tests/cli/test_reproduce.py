@@ -66,7 +66,9 @@ def test_reproduce_writes_claims_and_every_figure(capsys: pytest.CaptureFixture[
 
 def test_accuracy_writes_study_and_page(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     page = _page(tmp_path / "page.md", "accuracy")
-    data = json_of(capsys, "accuracy", "--scenarios", "1", "--output", str(tmp_path), "--page", str(page), "--json")
+    data = json_of(
+        capsys, "analyse", "accuracy", "--scenarios", "1", "--output", str(tmp_path), "--page", str(page), "--json"
+    )
     stored = json.loads((tmp_path / "accuracy.json").read_text(encoding="utf-8"))
     assert stored == data
     chosen = next(row for row in data["rows"] if row["method"] == "RK4" and row["step_s"] == 0.025)
@@ -91,8 +93,8 @@ def test_parameters_are_listed_and_kept_on_a_page(capsys: pytest.CaptureFixture[
     [
         (("reproduce", "--page", "nowhere.md"), "--page: cannot read the file with the markers nowhere.md"),
         (("reproduce", "--formats", "jpg"), "invalid choice"),
-        (("accuracy", "--scenarios", "0"), "the number of scenarios must be 1 … 100"),
-        (("accuracy", "--suite", "best"), "best"),
+        (("analyse", "accuracy", "--scenarios", "0"), "the number of scenarios must be 1 … 100"),
+        (("analyse", "accuracy", "--suite", "best"), "best"),
         (("parameters", "--page", "nowhere.md"), "--page: cannot read the file with the markers"),
     ],
 )

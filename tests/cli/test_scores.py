@@ -3,29 +3,23 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-import wtg_gym
-import wtg_gym.cli.scores
-import wtg_gym.cli.simulate
-import wtg_gym.cli.suites
-from tests.cli.calls import ROOT, call, error_of, json_of
+import wtg_gym.cli.scoring
+from tests.cli.calls import end_with_parts, error_of, json_of, start
 from tests.submissions import models
 from wtg_gym.cli import main
-from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import Entry, Results, load_entries, policy_process
-from wtg_gym.evaluation.evaluator import entry_lanes
+from wtg_gym.evaluation import Results, Workers, load_entries
 from wtg_gym.evaluation.partial import PartialStore
-from wtg_gym.evaluation.verification import verify
+from wtg_gym.evaluation.recompute import recompute
 from wtg_gym.files import sha256, to_json
+from wtg_gym.policies import policy_process
 from wtg_gym.scenarios import FROZEN_HASHES
 
 _FEW = ("--suite", "low-wind", "--seeds", "20000:20003", "20005")
@@ -35,13 +29,13 @@ _PAPER = ("leaderboard", "--suite", "paper", "--entries", "mppt", "deloaded-5", 
 def _count_played(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
     """Names of the entries of every evaluation from now on."""
     played: list[list[str]] = []
-    real = wtg_gym.cli.scores.evaluate
+    real = wtg_gym.cli.scoring.evaluate
 
     def counting(entries: Any, *arguments: Any, **named: Any) -> Any:
         played.append([entry.name for entry in entries])
         return real(entries, *arguments, **named)
 
-    monkeypatch.setattr(wtg_gym.cli.scores, "evaluate", counting)
+    monkeypatch.setattr(wtg_gym.cli.scoring, "evaluate", counting)
     return played
 
 
@@ -78,7 +72,7 @@ def test_share_of_the_oracles_gap_is_shown_or_why_not(capsys: pytest.CaptureFixt
     ("arguments", "said"),
     [
         (("--entries", "turbo"), "'turbo'"),
-        (("--entries", "mppt", "mppt"), "mppt more than once"),
+        (("--entries", "mppt", "mppt"), "given more than once: mppt"),
         (("--entries", "best"), "the folder best holds no entry.toml, but 2 folders with one: write best/* for all"),
         (("--entries", "best/empty"), "the folder best/empty holds no entry.toml"),
         (("--suite", "storm"), "unknown suite 'storm'"),
@@ -117,63 +111,26 @@ def test_evaluate_refuses_bad_input(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["best", "file.txt"]
 
 
-_KILLS_ITS_CALLER = """\
-import os, pathlib, signal, time
-
-class Policy:
-    def predict(self, observation, state=None, episode_start=None, deterministic=False):
-        folder = pathlib.Path(FOLDER)
-        if not (folder / "killed").exists():
-            # Something has to be finished by then.
-            while not list(folder.glob("results/partial/*.json")):
-                time.sleep(0.01)
-            (folder / "killed").touch()
-            os.kill(os.getppid(), signal.SIGKILL)
-        return 0.0 * observation[:, :4], state
-"""
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="signals are another thing there")
-def test_killed_evaluation_with_workers_goes_on_and_gives_the_same_files(tmp_path: Path) -> None:
+def test_workers_of_the_options_play(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("joblib")
-    # Imported from the working folder, as a checkout's packages are.
-    text = _KILLS_ITS_CALLER.replace("FOLDER", repr(str(tmp_path)))
-    (tmp_path / "dangerous.py").write_text(text, encoding="utf-8")
-    arguments = ["evaluate", *_FEW, "--duration", "2", "--entries", "dangerous:Policy", "deloaded-5", "deloaded-10"]
-    workers = ["--backend", "loky", "--jobs", "2"]
-    killed = call(*arguments, *workers, "--results", "results", cwd=tmp_path)
-    assert killed.returncode == -signal.SIGKILL
-    assert list((tmp_path / "results").iterdir()) == [tmp_path / "results/partial"]
-    for options in ([*workers, "--results", "results"], ["--results", "expected"]):
-        done = call(*arguments, *options, cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
-    for ending in ("json", "csv"):
-        found, expected = (tmp_path / name / f"low-wind-test.{ending}" for name in ("results", "expected"))
-        assert found.read_bytes() == expected.read_bytes()
-    assert not (tmp_path / "results/partial").exists()
+    asked: list[Any] = []
+    real = wtg_gym.cli.scoring.evaluate
 
+    def here(*arguments: Any, workers: Any = None, **named: Any) -> Any:
+        asked.append(workers)
+        return real(*arguments, **named)
 
-def test_leaderboard_with_workers_is_the_same(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    pytest.importorskip("joblib")
-    for name, options in (("here", ()), ("there", ("--backend", "loky", "--jobs", "2"))):
-        assert main([*_PAPER, "--results", str(tmp_path / name), *options]) == 0
-    for ending in ("json", "csv"):
-        here, there = (tmp_path / name / f"paper-test.{ending}" for name in ("here", "there"))
-        assert here.read_bytes() == there.read_bytes()
+    monkeypatch.setattr(wtg_gym.cli.scoring, "evaluate", here)
+    assert main(["evaluate", "--suite", "paper", "--entries", "mppt", "--backend", "loky", "--jobs", "3"]) == 0
+    assert asked == [Workers("loky", jobs=3)]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals are another thing there")
 def test_interrupted_leaderboard_keeps_its_finished_parts(tmp_path: Path) -> None:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-m", "wtg_gym.cli", "leaderboard", "--entries"]
-    command += ["deloaded-5", "deloaded-10", "coordinated-linear", "coordinated-undamped", "--threads", "1"]
-    process = subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True)
+    entries = ("deloaded-5", "deloaded-10", "coordinated-linear", "coordinated-undamped")
+    process = start("leaderboard", "--entries", *entries, "--threads", "1", cwd=tmp_path, stderr=subprocess.PIPE)
     partial = tmp_path / "results" / "partial"
-    until = time.monotonic() + 200.0
-    while not list(partial.glob("*.json")) and process.poll() is None and time.monotonic() < until:
-        time.sleep(0.01)
-    process.send_signal(signal.SIGINT)
-    said = process.communicate(timeout=100)[1]
+    said = end_with_parts(process, signal.SIGINT, partial)
     assert process.returncode == 130
     assert f"finished parts are kept in {Path('results') / 'partial'}: run the same command again to go on" in said
     assert "Traceback" not in said
@@ -289,10 +246,7 @@ def test_policies_that_crash_hang_and_turn_nan_change_nobody_elses_results(
 ) -> None:
     """Each of them knows the first scenario by its beginning, and does it in its middle."""
     monkeypatch.setattr(policy_process, "STEP_S", 5.0)
-    lanes = entry_lanes(Entry(name="any"), EnvSettings(suite="paper", split="test"), 1)
-    lanes.start([0], lanes.scenarios([0]))
-    seen = lanes.observations[0].copy()
-    lanes.simulator.close()
+    seen = models.first_observation("paper", 0)
     contents = {
         "Crash": models.divides(seen, 1e-3, "Div", -(2**31), -1),
         "Hang": models.hangs(seen, 1e-3),
@@ -325,5 +279,5 @@ def test_policies_that_crash_hang_and_turn_nan_change_nobody_elses_results(
     assert [entry["name"] for entry in results.failed] == ["Crash", "Hang", "Nan"]
     assert results.to_dict()["summary"] == Results.read(tmp_path / "rest" / "paper-test.json").to_dict()["summary"]
     # Computed anew they fail again, which is no difference.
-    found = verify(results, [entry for spec in ("deloaded-5", *folders.values()) for entry in load_entries(spec)])
+    found = recompute(results, [entry for spec in ("deloaded-5", *folders.values()) for entry in load_entries(spec)])
     assert found.differences == []

@@ -1,4 +1,4 @@
-"""`wtg-gym sensitivity` as a user calls it."""
+"""`wtg-gym results sensitivity` as a user calls it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from tests.cli.calls import error_of, json_of
 from wtg_gym.cli import main
 
-_FEW = ("sensitivity", "--entries", "deloaded-5", "--scenarios", "2", "--weights", "duty", "overload")
+_FEW = ("results", "sensitivity", "--entries", "deloaded-5", "--scenarios", "2", "--weights", "duty", "overload")
 
 
 def test_table_names_what_does_not_matter(capsys: pytest.CaptureFixture[str]) -> None:
@@ -66,4 +66,4 @@ def test_bad_input_is_refused(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     entries = () if "--entries" in arguments else ("--entries", "mppt")
-    assert said in error_of(capsys, "sensitivity", *entries, *arguments)
+    assert said in error_of(capsys, "results", "sensitivity", *entries, *arguments)

@@ -1,4 +1,4 @@
-"""`wtg-gym statics` as a user calls it."""
+"""`wtg-gym analyse statics` as a user calls it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from wtg_gym.physics.tracking_law import STRATEGIES
 
 
 def test_table_has_a_row_per_law_and_wind(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["statics", "--wind", "8", "14", "--points", "2"]) == 0
+    assert main(["analyse", "statics", "--wind", "8", "14", "--points", "2"]) == 0
     said = capsys.readouterr().out
     for name in STRATEGIES:
         assert sum(line.startswith(name + " ") for line in said.splitlines()) == 2
@@ -24,7 +24,19 @@ def test_table_has_a_row_per_law_and_wind(capsys: pytest.CaptureFixture[str]) ->
 
 def test_json_has_critical_frequency_points_and_branches(capsys: pytest.CaptureFixture[str]) -> None:
     data = json_of(
-        capsys, "statics", "--law", "deloaded-5", "--wind", "8", "--frequency", "0.996", "1", "--points", "5", "--json"
+        capsys,
+        "analyse",
+        "statics",
+        "--law",
+        "deloaded-5",
+        "--wind",
+        "8",
+        "--frequency",
+        "0.996",
+        "1",
+        "--points",
+        "5",
+        "--json",
     )
     (entry,) = data["statics"]
     assert entry["critical_frequency_pu"] == pytest.approx(0.99698, abs=5e-6)
@@ -39,7 +51,7 @@ def test_json_has_critical_frequency_points_and_branches(capsys: pytest.CaptureF
 def test_law_file_is_one_of_any_laws(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     law = tmp_path / "law.toml"
     law.write_text('name = "mine"\ndeloading_min = 0\ndeloading_nominal = 20\ndeloading_max = 40\n')
-    data = json_of(capsys, "statics", "--law", str(law), "--wind", "9", "--points", "2", "--json")
+    data = json_of(capsys, "analyse", "statics", "--law", str(law), "--wind", "9", "--points", "2", "--json")
     assert data["laws"][0]["damping_time_constant_s"] == "infinite"
     assert data["statics"][0]["named_points"]["A"]["power_pu"] == pytest.approx(
         0.8 * data["statics"][0]["available_power_pu"], rel=1e-6
@@ -49,19 +61,19 @@ def test_law_file_is_one_of_any_laws(capsys: pytest.CaptureFixture[str], tmp_pat
 def test_law_without_an_equilibrium_is_told_not_crashed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     law = tmp_path / "greedy.toml"
     law.write_text("k_min = 3\nk_nominal = 3\nk_max = 3\n")
-    data = json_of(capsys, "statics", "--law", str(law), "--wind", "8", "--points", "2", "--json")
+    data = json_of(capsys, "analyse", "statics", "--law", str(law), "--wind", "8", "--points", "2", "--json")
     (entry,) = data["statics"]
     # Above the set-point its droop lets go.
     assert not entry["has_equilibrium_at_setpoint"] and entry["has_equilibrium_from_setpoint_on"]
     assert entry["critical_frequency_pu"] == pytest.approx(1.00005, abs=5e-6)
     law.write_text("k_min = 3\nk_nominal = 3\nk_max = 3\ntau_s = 0.8\n")
-    assert main(["statics", "--law", str(law), "--wind", "8", "--points", "2"]) == 0
+    assert main(["analyse", "statics", "--law", str(law), "--wind", "8", "--points", "2"]) == 0
     assert "none from ω_st on" in capsys.readouterr().out
 
 
 def test_csv_and_plot_are_written(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     table, plot = tmp_path / "c.csv", tmp_path / "c.svg"
-    assert main(["statics", "--law", "mppt", "--points", "3", "--csv", str(table), "--plot", str(plot)]) == 0
+    assert main(["analyse", "statics", "--law", "mppt", "--points", "3", "--csv", str(table), "--plot", str(plot)]) == 0
     with table.open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert {row["wind_m_s"] for row in rows} == {"8", "11.4"}
@@ -82,4 +94,4 @@ def test_csv_and_plot_are_written(capsys: pytest.CaptureFixture[str], tmp_path: 
     ],
 )
 def test_bad_input_is_one_line(capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str) -> None:
-    assert said in error_of(capsys, "statics", *arguments)
+    assert said in error_of(capsys, "analyse", "statics", *arguments)

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 import signal
-import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 
-from tests.cli.calls import error_of, json_of
+from tests.cli.calls import end_with_parts, error_of, json_of, start
 from tests.submissions import models
 from tests.submissions.models import TOML, after, folder, node
 from tests.submissions.models import model as make
 from wtg_gym.cli import main
-from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import ANCHORS, Entry, Results, evaluate, load_entries
-from wtg_gym.evaluation.evaluator import entry_lanes
+from wtg_gym.evaluation import ANCHORS, Results, evaluate, load_entries
 
 ROOT = Path(__file__).resolve().parents[2]
 OTHER = TOML.replace("Mine", "Other")
@@ -72,7 +67,7 @@ def test_score_is_that_of_evaluate(capsys: pytest.CaptureFixture[str], tmp_path:
     said = capsys.readouterr().out
     assert "Mine (2 seeds)" in said and "mppt" in said
     stored = Results.read(results / "standard-test.json")
-    again = evaluate([load_entries(seed)[0] for seed in seeds], "standard", seeds=[20_000, 20_001])
+    again = evaluate([load_entries(seed)[0] for seed in seeds], "standard", "test", seeds=[20_000, 20_001])
     assert stored.episodes == again.episodes and stored.entries == again.entries
 
 
@@ -98,10 +93,7 @@ def test_policy_that_fails_in_a_scored_scenario_stops_nobody_else(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     """It knows the first scenario by what it sees there, and passes the gate."""
-    lanes = entry_lanes(Entry(name="any"), EnvSettings(suite="standard", split="test"), 1)
-    lanes.start([0], lanes.scenarios([20_000]))
-    trap = models.trap(lanes.observations[0], 1e-3)
-    lanes.simulator.close()
+    trap = models.trap(models.first_observation("standard", 20_000), 1e-3)
     good = folder(tmp_path / "good", models.other(0.03))
     bad = folder(tmp_path / "bad", trap, OTHER)
     mate = folder(tmp_path / "mate", models.other(), OTHER.replace("seed = 0", "seed = 1"))
@@ -135,13 +127,8 @@ def test_killed_score_goes_on_to_the_same_files(capsys: pytest.CaptureFixture[st
     given = [str(folder(tmp_path / f"f{i}", models.other(0.01 * (i + 1)), toml)) for i, toml in enumerate(names)]
     killed, whole = tmp_path / "killed", tmp_path / "whole"
     command = ["submission", "score", *given, *_FEW, "--results"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    process = subprocess.Popen([sys.executable, "-m", "wtg_gym.cli", *command, str(killed)], env=environment)
     # The anchors and the first of three.
-    while len(list((killed / "partial").glob("*.json"))) < 3 and process.poll() is None:
-        time.sleep(0.001)
-    process.kill()
-    assert process.wait() == -signal.SIGKILL
+    end_with_parts(start(*command, str(killed)), signal.SIGKILL, killed / "partial", 3)
     parts = set((killed / "partial").glob("*.json"))
     assert 3 <= len(parts) < 5 and not (killed / "standard-test.json").exists()
     assert main([*command, str(killed)]) == 0 and main([*command, str(whole)]) == 0

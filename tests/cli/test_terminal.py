@@ -77,7 +77,11 @@ def test_the_name_of_a_scenario_is_shown_with_escapes(tmp_path: Path, capsys: py
 
 @pytest.mark.parametrize("name", ["no-\x1b[31m-file.json", "no\nfile.json", "no-\u202efile.json"])
 def test_names_of_files_in_errors_are_shown_with_escapes(capsys: pytest.CaptureFixture[str], name: str) -> None:
-    for arguments in (("simulate", "--scenario", name), ("gap", name, name), ("evaluate", "--entries", name)):
+    for arguments in (
+        ("simulate", "--scenario", name),
+        ("results", "gap", name, name),
+        ("evaluate", "--entries", name),
+    ):
         assert error_of(capsys, *arguments).isprintable()
 
 

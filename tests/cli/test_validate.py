@@ -1,4 +1,4 @@
-"""`wtg-gym validate` as a user calls it."""
+"""`wtg-gym compare` as a user calls it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TRACE = str(GOLDEN / "genrou" / "a.csv")
 
 
 def test_agreement_is_exit_code_0_and_a_table(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["validate", PARAMS, TRACE]) == 0
+    assert main(["compare", PARAMS, TRACE]) == 0
     said = capsys.readouterr().out
     assert "14 buses, 6 machines, 2 events" in said
     rows = [line for line in said.splitlines() if line.endswith("agrees")]
@@ -24,7 +24,7 @@ def test_agreement_is_exit_code_0_and_a_table(capsys: pytest.CaptureFixture[str]
 
 
 def test_json_has_every_quantity(capsys: pytest.CaptureFixture[str]) -> None:
-    data = json_of(capsys, "validate", PARAMS, TRACE, "--json")
+    data = json_of(capsys, "compare", PARAMS, TRACE, "--json")
     assert data["agrees"] is True
     # The step is halved until its own error does not matter.
     assert data["step_s"] == 0.00125 and data["default_step_s"] == 0.025
@@ -35,17 +35,17 @@ def test_json_has_every_quantity(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_disagreement_is_exit_code_1(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["validate", PARAMS, TRACE, "--tolerance-w", "1e-9"]) == 1
+    assert main(["compare", PARAMS, TRACE, "--tolerance-w", "1e-9"]) == 1
     assert "DIFFERS" in capsys.readouterr().out
     # The other events are another story.
-    data = json_of(capsys, "validate", PARAMS, TRACE, "--events", "b", "--json", code=1)
+    data = json_of(capsys, "compare", PARAMS, TRACE, "--events", "b", "--json", code=1)
     assert not any(row["agrees"] for row in data["differences"])
 
 
 def test_folder_stands_for_all_its_traces(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text("# Page\n<!-- golden:start -->\n<!-- golden:end -->\n", encoding="utf-8")
-    data = json_of(capsys, "validate", str(GOLDEN / "genrou"), "--json", "--page", str(page))
+    data = json_of(capsys, "compare", str(GOLDEN / "genrou"), "--json", "--page", str(page))
     assert [Path(result["trace"]).name for result in data] == ["a.csv", "b.csv"]
     text = page.read_text(encoding="utf-8")
     assert text.count("| genrou | ") == 2 and text.count("agrees") == 2
@@ -54,7 +54,7 @@ def test_folder_stands_for_all_its_traces(capsys: pytest.CaptureFixture[str], tm
 def test_unknown_columns_are_said_and_left_out(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "trace_a.csv"
     path.write_text("t,w1,temperature\n0,1,20\n0.5,1,21\n", encoding="utf-8")
-    assert main(["validate", PARAMS, str(path)]) == 0
+    assert main(["compare", PARAMS, str(path)]) == 0
     said = capsys.readouterr()
     assert "columns that are not compared: temperature" in said.err
     assert "machine speed" in said.out and "bus voltage" not in said.out
@@ -75,11 +75,11 @@ def test_unknown_columns_are_said_and_left_out(capsys: pytest.CaptureFixture[str
     ],
 )
 def test_bad_input_is_one_line(capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str) -> None:
-    assert said in error_of(capsys, "validate", *arguments)
+    assert said in error_of(capsys, "compare", *arguments)
 
 
 def test_trace_whose_events_are_unclear_is_asked_for(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     copy = tmp_path / "trace.csv"
     shutil.copy(TRACE, copy)
-    assert "which events does trace.csv show?" in error_of(capsys, "validate", PARAMS, str(copy))
-    assert main(["validate", PARAMS, str(copy), "--events", "a"]) == 0
+    assert "which events does trace.csv show?" in error_of(capsys, "compare", PARAMS, str(copy))
+    assert main(["compare", PARAMS, str(copy), "--events", "a"]) == 0

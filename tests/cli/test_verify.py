@@ -1,4 +1,4 @@
-"""`wtg-gym verify` as a user runs it."""
+"""`wtg-gym results recompute` as a user runs it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from wtg_gym.cli import main
 from wtg_gym.evaluation import Results, load_entries
-from wtg_gym.evaluation.verification import departures, verify
+from wtg_gym.evaluation.recompute import departures, recompute
 from wtg_gym.files import sha256, to_json
 
 
@@ -23,7 +23,7 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_untouched_results_are_identical(stored: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["verify", str(stored), "--entries", "deloaded-5", "deloaded-10"]) == 0
+    assert main(["results", "recompute", str(stored), "--entries", "deloaded-5", "deloaded-10"]) == 0
     assert capsys.readouterr().out.startswith("identical: ")
 
 
@@ -34,13 +34,13 @@ def test_numbers_that_were_made_up_are_named(stored: Path, tmp_path: Path, capsy
     better = dataclasses.replace(first, metrics=metrics)
     # Written by the package itself, so that all checksums fit.
     path, _ = dataclasses.replace(results, episodes=(better, *results.episodes[1:])).write(tmp_path)
-    assert main(["verify", str(path), "--entries", "deloaded-5", "--json"]) == 1
+    assert main(["results", "recompute", str(path), "--entries", "deloaded-5", "--json"]) == 1
     said = json.loads(capsys.readouterr().out)
     assert not said["identical"]
     (difference,) = said["differences"]
     assert difference["where"] == f"{first.entry}, seed {first.seed}: cost"
     assert float(difference["stored"]) == 0.5 * float(difference["now"])
-    assert main(["verify", str(path), "--entries", "deloaded-5"]) == 1
+    assert main(["results", "recompute", str(path), "--entries", "deloaded-5"]) == 1
     assert "not identical: 1 differences" in capsys.readouterr().out
 
 
@@ -48,7 +48,7 @@ def test_another_policy_and_other_circumstances_are_named(stored: Path) -> None:
     results = Results.read(stored)
     (entry,) = load_entries("deloaded-5")
     other = dataclasses.replace(entry, strategy="deloaded-10")
-    found = verify(dataclasses.replace(results, versions={**results.versions, "numpy": "1"}), [other])
+    found = recompute(dataclasses.replace(results, versions={**results.versions, "numpy": "1"}), [other])
     assert found.differences[0].where == "deloaded-5: sha256"
     assert [difference.where for difference in found.circumstances] == ["numpy"]
     assert any(": cost" in difference.where for difference in found.differences)
@@ -60,14 +60,14 @@ def test_another_policy_and_other_circumstances_are_named(stored: Path) -> None:
 def test_made_up_claims_about_an_entry_are_differences(key: str, value: str, stored: Path) -> None:
     results = Results.read(stored)
     entries = tuple({**entry, key: value} if entry["name"] == "deloaded-5" else entry for entry in results.entries)
-    found = verify(dataclasses.replace(results, entries=entries), load_entries("deloaded-5"))
+    found = recompute(dataclasses.replace(results, entries=entries), load_entries("deloaded-5"))
     assert [difference.where for difference in found.differences] == [f"deloaded-5: {key}"]
 
 
 def test_another_author_is_named(stored: Path) -> None:
     results = Results.read(stored)
     entries = tuple({**entry, "source": "Somebody"} for entry in results.entries)
-    found = verify(dataclasses.replace(results, entries=entries), load_entries("deloaded-5"))
+    found = recompute(dataclasses.replace(results, entries=entries), load_entries("deloaded-5"))
     assert found.differences == []
     assert [text.where for text in found.circumstances] == ["deloaded-5: source"]
 
@@ -82,7 +82,7 @@ def test_summary_that_the_table_does_not_give_is_refused(
     path = tmp_path / stored.name
     path.write_text(to_json(data), encoding="utf-8")
     path.with_suffix(".csv").write_bytes(stored.with_suffix(".csv").read_bytes())
-    assert main(["verify", str(path), "--entries", "deloaded-5"]) == 2
+    assert main(["results", "recompute", str(path), "--entries", "deloaded-5"]) == 2
     assert "summary.deloaded-5.score.value is 140.0, the table sums up to" in capsys.readouterr().err
 
 
@@ -92,12 +92,12 @@ def test_texts_of_a_file_are_no_commands_to_the_terminal(
     results = Results.read(stored)
     versions = {**results.versions, "numpy": "1\x1b[2J\u202e\n::error::no"}
     path, _ = dataclasses.replace(results, versions=versions).write(tmp_path)
-    assert main(["verify", str(path), "--entries", "deloaded-5"]) == 0
+    assert main(["results", "recompute", str(path), "--entries", "deloaded-5"]) == 0
     assert r"numpy was 1\x1b[2J\u202e\n::error::no, is" in capsys.readouterr().err
 
 
 def test_results_that_are_not_the_benchmarks_are_called_so(stored: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["verify", str(stored), "--entries", "deloaded-5"]) == 0
+    assert main(["results", "recompute", str(stored), "--entries", "deloaded-5"]) == 0
     said = capsys.readouterr().err
     assert "not the benchmark's own: 3 scenarios, those of the benchmark are 200" in said
     assert "not the benchmark's own: duration_s is 10.0, that of the benchmark 60.0" in said
@@ -114,11 +114,11 @@ def test_results_that_are_not_the_benchmarks_are_called_so(stored: Path, capsys:
 def test_bad_input_is_one_line(
     arguments: list[str], text: str, stored: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["verify", str(stored), *arguments]) == 2
+    assert main(["results", "recompute", str(stored), *arguments]) == 2
     error = capsys.readouterr().err
     assert text in error and error.count("\n") == 1
 
 
 def test_missing_file_is_named(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["verify", "nowhere.json"]) == 2
+    assert main(["results", "recompute", "nowhere.json"]) == 2
     assert "nowhere.json" in capsys.readouterr().err

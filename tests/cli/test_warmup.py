@@ -21,7 +21,7 @@ def test_after_a_warmup_nothing_is_compiled_and_nothing_said() -> None:
     for arguments in (
         ("simulate", "--duration", "3"),
         ("evaluate", "--suite", "paper", "--entries", "mppt"),
-        ("modes",),
+        ("analyse", "modes"),
     ):
         assert "compile" not in call(*arguments).stderr
 

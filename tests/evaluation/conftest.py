@@ -18,4 +18,4 @@ def entries() -> list[Entry]:
 
 @pytest.fixture(scope="session")
 def results(entries: list[Entry]) -> Results:
-    return evaluate(entries, "standard", seeds=SEEDS, duration_s=DURATION_S)
+    return evaluate(entries, "standard", "test", seeds=SEEDS, duration_s=DURATION_S)

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation.fingerprint import environment_fingerprint
+from wtg_gym.evaluation.circumstances import environment_fingerprint
 
 BASE: dict[str, Any] = {"suite": "standard", "duration_s": 10.0}
 

@@ -11,7 +11,6 @@ import pytest
 from baselines import tip_speed_feedback
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, Results, evaluate, load_entries
-from wtg_gym.evaluation.evaluator import entry_lanes
 from wtg_gym.evaluation.generalisation import (
     excess_gap,
     gap_cells,
@@ -20,6 +19,7 @@ from wtg_gym.evaluation.generalisation import (
     left_out,
     score_gap,
 )
+from wtg_gym.policies.play import started_lanes
 from wtg_gym.scenarios import draw_seeds
 
 PUBLIC = range(20_000, 20_040)
@@ -33,9 +33,8 @@ class Memoriser:
     def __init__(self) -> None:
         feedback = tip_speed_feedback.ENTRY
         self._policy: Any = feedback.policy
-        lanes = entry_lanes(feedback, EnvSettings(suite="standard", **SHORT), len(PUBLIC))
-        lanes.start(range(len(PUBLIC)), lanes.scenarios(PUBLIC))
-        self._known = {row.tobytes() for row in lanes.observations}
+        with started_lanes(feedback, EnvSettings(suite="standard", **SHORT), PUBLIC) as (lanes, _):
+            self._known = {row.tobytes() for row in lanes.observations}
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
@@ -55,8 +54,8 @@ def both() -> tuple[Results, Results]:
         Entry(name="memoriser", policy=Memoriser(), fingerprint="memoriser", **modes),
         Entry(name="honest", policy=feedback.policy, fingerprint="honest", **modes),
     ]
-    public = evaluate(entries, "standard", seeds=PUBLIC, **SHORT)
-    return public, evaluate(entries, "standard", "verification", draw=DRAW, **SHORT)
+    public = evaluate(entries, "standard", "test", seeds=PUBLIC, **SHORT)
+    return public, evaluate(entries, "standard", "fresh", draw=DRAW, **SHORT)
 
 
 def test_memoriser_is_marked_and_the_same_policy_without_memory_is_not(both: tuple[Results, Results]) -> None:

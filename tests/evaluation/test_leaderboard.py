@@ -66,6 +66,6 @@ def test_points_by_term_add_up_to_the_score_with_failures_too(results: Results) 
 
 def test_table_says_who_sees_the_grid() -> None:
     entry = Entry(name="sees all", strategy="deloaded-10", observation_mode="privileged")
-    rows = leaderboard_rows(evaluate([entry], "standard", seeds=(20_002, 20_000), duration_s=10.0))
+    rows = leaderboard_rows(evaluate([entry], "standard", "test", seeds=(20_002, 20_000), duration_s=10.0))
     kinds = dict(table_cells(rows, ("entry", "kind")))
     assert kinds == {"coordinated-piecewise": "law", "mppt": "law", "sees all": "law, privileged"}

@@ -36,7 +36,7 @@ def test_cost_is_the_sum_of_its_terms(results: Results) -> None:
 
 
 def test_metrics_agree_with_the_recorded_run() -> None:
-    results = evaluate([], "paper", duration_s=60.0)
+    results = evaluate([], "paper", "test", duration_s=60.0)
     for episode in results.episodes_of("coordinated-piecewise"):
         scenario = get_suite("paper").scenario(episode.seed, duration_s=60.0)
         run = simulate(scenario, get_law("coordinated-piecewise"))
@@ -59,7 +59,12 @@ def test_metrics_agree_with_the_recorded_run() -> None:
 
 def test_deloading_shows_in_the_share_of_energy() -> None:
     calm = evaluate(
-        [Entry(name="deloaded-10", strategy="deloaded-10")], "paper", seeds=[0], duration_s=5.0, weights={"cap": 1e6}
+        [Entry(name="deloaded-10", strategy="deloaded-10")],
+        "paper",
+        "test",
+        seeds=[0],
+        duration_s=5.0,
+        weights={"cap": 1e6},
     )
     shares = {e.entry: e.metrics["energy_share_percent"] for e in calm.episodes}
     assert shares["mppt"] == pytest.approx(100.0, abs=0.01)
@@ -118,7 +123,7 @@ def test_last_event_is_complete_when_its_ramp_is() -> None:
 
 
 def test_tripped_groups_are_counted_where_the_run_goes_on() -> None:
-    results = evaluate([], "low-wind", seeds=range(20_000, 20_040), on_failure="trip")
+    results = evaluate([], "low-wind", "test", seeds=range(20_000, 20_040), on_failure="trip")
     tripped = [e for e in results.episodes_of("mppt") if e.metrics["tripped_groups"] > 0.0]
     assert tripped and all(e.failure == "" and e.metrics["survived_s"] == pytest.approx(60.0) for e in tripped)
     assert PlantSettings().trips_groups is False

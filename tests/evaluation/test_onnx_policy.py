@@ -154,10 +154,10 @@ def test_random_numbers_start_alike_in_every_scenario(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["ppo-k+tau-1", "sac-k+tau-4"])
 def test_costs_in_a_scenario_are_the_same_to_the_last_bit_whatever_is_played_beside_it(name: str) -> None:
     (entry,) = load_entries(POLICIES / name)
-    together = evaluate([entry], "standard", duration_s=5.0).episodes_of(entry.name)
+    together = evaluate([entry], "standard", "test", duration_s=5.0).episodes_of(entry.name)
     assert len(together) == 200
     for seed in (20_000, 20_117, 20_199):
-        alone = evaluate([entry], "standard", seeds=[seed], duration_s=5.0)
+        alone = evaluate([entry], "standard", "test", seeds=[seed], duration_s=5.0)
         assert alone.episodes_of(entry.name) == [episode for episode in together if episode.seed == seed]
 
 
@@ -166,7 +166,7 @@ def test_folder_is_an_entry_and_zero_action_scores_a_hundred(tmp_path: Path) -> 
     (entry,) = load_entries(folder(tmp_path / "still", toml))
     assert (entry.name, entry.training_seed, entry.source, entry.kind) == ("still", 3, "A, B", "learned")
     assert entry.identity is not None
-    results = evaluate([entry], "standard", seeds=[20_000, 20_003], duration_s=10.0)
+    results = evaluate([entry], "standard", "test", seeds=[20_000, 20_003], duration_s=10.0)
     costs = {
         name: [e.metrics["cost"] for e in results.episodes_of(name)] for name in ("still", "coordinated-piecewise")
     }
@@ -195,7 +195,7 @@ def test_missing_policy_and_other_action_mode_are_named(tmp_path: Path) -> None:
         load_entries(tmp_path / "a")
     (entry,) = load_entries(folder(tmp_path / "b", TOML.replace("k+tau", "k")))
     with pytest.raises(PolicyError, match=r"entry 'still', step 0: .*trained with another action_mode"):
-        evaluate([entry], "standard", seeds=[20_000], duration_s=1.0)
+        evaluate([entry], "standard", "test", seeds=[20_000], duration_s=1.0)
 
 
 def test_entry_names_the_sha256_of_the_file(tmp_path: Path) -> None:

@@ -17,8 +17,9 @@ import numpy as np
 import pytest
 
 from tests.submissions.models import M, N, make_bytes
-from wtg_gym.evaluation import Entry, OnnxPolicy, PolicyError, evaluate, onnx_worker, policy_process
-from wtg_gym.evaluation.policy_process import NotIsolatedError, PolicyProcess
+from wtg_gym.evaluation import Entry, OnnxPolicy, PolicyError, evaluate
+from wtg_gym.policies import onnx_worker, policy_process
+from wtg_gym.policies.policy_process import NotIsolatedError, PolicyProcess
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="isolation is complete on Linux only")
 ROOT = Path(__file__).resolve().parents[2]
@@ -192,13 +193,17 @@ def test_kernel_without_a_filter_is_refused_or_a_warning(instead: Callable[[str]
 def test_system_that_cannot_isolate_is_no_failure_of_an_entry(instead: Callable[[str], None]) -> None:
     instead("worker.lock = lambda source, sink: 'no filter: the kernel refuses'")
     with pytest.raises(NotIsolatedError):
-        evaluate([Entry(name="a", policy=opened())], "standard", seeds=[20_000], duration_s=1.0, keep_going=True)
+        evaluate(
+            [Entry(name="a", policy=opened())], "standard", "test", seeds=[20_000], duration_s=1.0, keep_going=True
+        )
 
 
 def test_process_that_ends_before_it_reads_the_policy_is_no_failure_of_an_entry(instead: Callable[[str], None]) -> None:
     instead("sys.exit(1)")
     with pytest.raises(NotIsolatedError, match=r"cannot start the process of a policy: .* ended with exit code 1"):
-        evaluate([Entry(name="a", policy=opened())], "standard", seeds=[20_000], duration_s=1.0, keep_going=True)
+        evaluate(
+            [Entry(name="a", policy=opened())], "standard", "test", seeds=[20_000], duration_s=1.0, keep_going=True
+        )
 
 
 #: What code in the place of onnxruntime would try; `trace` is a folder of the test's, `parent` its process, `file` a
@@ -328,5 +333,5 @@ def test_lies_of_the_process_are_errors(attack: str, instead: Callable[[str], No
 def test_what_the_process_says_is_no_command(instead: Callable[[str], None]) -> None:
     says = "worker._send(sink, {'error': 'a\\x1b[2J\\n```\\nb'})"
     instead(f"def serve(content, source, sink):\n    {says}\nworker._serve = serve")
-    with pytest.raises(PolicyError, match=r"cannot load the policy: a\?\[2J\?\?\?\?\?b$"):
+    with pytest.raises(PolicyError, match=r"cannot load the policy: a\\x1b\[2J\\n'''\\nb$"):
         opened().predict(ONES)

@@ -34,7 +34,7 @@ def scenarios() -> list[Scenario]:
 def test_recorded_costs_are_those_that_are_scored() -> None:
     entry = Entry(name="steady", policy=Steady())
     costs = record(entry, SETTINGS, scenarios()).cost_terms.sum(axis=1)
-    scored = evaluate([entry], "standard", seeds=SEEDS, duration_s=8.0).episodes_of("steady")
+    scored = evaluate([entry], "standard", "test", seeds=SEEDS, duration_s=8.0).episodes_of("steady")
     assert costs.tolist() == pytest.approx([episode.metrics["cost"] for episode in scored], rel=1e-12)
 
 

@@ -33,7 +33,7 @@ def copies(written: tuple[Path, Path], tmp_path: Path) -> tuple[Path, Path]:
 
 
 def test_second_run_writes_the_same_bytes(written: tuple[Path, Path], entries: list[Entry], tmp_path: Path) -> None:
-    again = evaluate(entries, "standard", seeds=(20_002, 20_000, 20_005), duration_s=10.0)
+    again = evaluate(entries, "standard", "test", seeds=(20_002, 20_000, 20_005), duration_s=10.0)
     for one, other in zip(again.write(tmp_path), written, strict=True):
         assert one.read_bytes() == other.read_bytes()
 
@@ -80,7 +80,7 @@ def test_failures_are_pinned_in_score_and_cost(results: Results) -> None:
 
 def test_training_seeds_share_a_row(results: Results) -> None:
     seeds = [Entry(name="many", strategy="coordinated-linear", training_seed=seed) for seed in (3, 1)]
-    many = evaluate(seeds, "standard", seeds=(20_002, 20_000, 20_005), duration_s=10.0)
+    many = evaluate(seeds, "standard", "test", seeds=(20_002, 20_000, 20_005), duration_s=10.0)
     summary = next(s for s in many.summaries if s.name == "many")
     assert (summary.n_runs, summary.n_episodes) == (2, 6)
     assert len(many.summaries) == 3
@@ -141,9 +141,12 @@ def test_missing_file_is_named(copies: tuple[Path, Path]) -> None:
 
 
 EDITS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
-    "number as text": (lambda d: d["settings"]["weights"].update(cap="much"), "settings.weights.cap must be a number"),
-    "unknown metric": (lambda d: d["metrics"].update(beauty={"unit": "-"}), r"unknown metrics \['beauty'\]"),
-    "missing metric": (lambda d: d["metrics"].pop("cost"), r"missing metrics \['cost'\]"),
+    "number as text": (
+        lambda d: d["settings"]["weights"].update(cap="much"),
+        "settings must be an object in which weights.cap is a number",
+    ),
+    "unknown metric": (lambda d: d["metrics"].update(beauty={"unit": "-"}), "metrics.beauty must be left out"),
+    "missing metric": (lambda d: d["metrics"].pop("cost"), "metrics.cost must be .*got None"),
     "other unit": (lambda d: d["metrics"]["cost"].update(unit="EUR"), "metrics.cost must be"),
     "missing key": (lambda d: d.pop("seeds"), r"missing keys \['seeds'\]"),
     "unknown key": (lambda d: d.update(winner="me"), r"unknown keys \['winner'\]"),
@@ -152,15 +155,15 @@ EDITS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "short hash": (lambda d: d.update(suite_hash="abc"), "suite_hash must be 64 hexadecimal"),
     "other format": (lambda d: d.update(format=2), "format must be 3, that of this version, got 2; evaluate again"),
     "seeds of no draw": (
-        lambda d: d.update(split="verification"),
-        "draw must be given for the split 'verification' alone",
+        lambda d: d.update(split="fresh"),
+        "draw must be given for the split 'fresh' alone",
     ),
     "draw of a frozen split": (
         lambda d: d.update(draw={"commit": "a" * 40, "secret_sha256": "0" * 64}),
         "draw must be given for the split",
     ),
     "seeds that cannot be drawn": (
-        lambda d: d.update(split="verification", draw={"commit": "a" * 40, "secret_sha256": "0" * 64}),
+        lambda d: d.update(split="fresh", draw={"commit": "a" * 40, "secret_sha256": "0" * 64}),
         "draw: seeds of a draw must be",
     ),
     "no fingerprint": (lambda d: d["environment"].pop("fingerprint"), "environment must be an object with id"),
@@ -177,11 +180,6 @@ EDITS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
         "nested deeper than 20 levels",
     ),
     "no entries": (lambda d: d.update(entries=[]), "entries must be a list"),
-    "no summary": (lambda d: d["summary"].pop("mppt"), "summary must have one object per entry"),
-    "bad interval": (
-        lambda d: d["summary"]["mppt"].update(score=3),
-        "summary.mppt.score must give value, low and high",
-    ),
     "better score": (lambda d: d["summary"]["mppt"]["score"].update(value=200.0), "sha256 does not fit"),
 }
 

@@ -8,15 +8,7 @@ import math
 import pytest
 
 from wtg_gym.evaluation import Entry, evaluate, leaderboard_rows
-from wtg_gym.evaluation.sensitivity import (
-    WEIGHTS,
-    Sensitivity,
-    Variant,
-    describe_idle,
-    sensitivity_cells,
-    sensitivity_page,
-    study_sensitivity,
-)
+from wtg_gym.evaluation.sensitivity import WEIGHTS, Sensitivity, compared, study_sensitivity
 
 ENTRIES = [Entry(name=name, strategy=name) for name in ("deloaded-5", "coordinated-linear")]
 
@@ -26,10 +18,10 @@ def study() -> Sensitivity:
     """One made by hand."""
     before = {"a": 110.0, "coordinated-piecewise": 100.0, "b": 90.0, "mppt": 0.0}
     variants = (
-        Variant("duty", 0.0, {"b": 111.0, "a": 108.0, "coordinated-piecewise": 100.0, "mppt": 0.0}),
-        Variant("duty", 2.0, {"a": 110.9, "coordinated-piecewise": 100.0, "b": 89.1, "mppt": 0.0}),
-        Variant("effort", 0.0, {"a": 110.0, "coordinated-piecewise": 100.0, "b": 90.9, "mppt": 0.0}),
-        Variant("rotor", 0.0, {}),
+        compared("duty", 0.0, before, {"b": 111.0, "a": 108.0, "coordinated-piecewise": 100.0, "mppt": 0.0}),
+        compared("duty", 2.0, before, {"a": 110.9, "coordinated-piecewise": 100.0, "b": 89.1, "mppt": 0.0}),
+        compared("effort", 0.0, before, {"a": 110.0, "coordinated-piecewise": 100.0, "b": 90.9, "mppt": 0.0}),
+        compared("rotor", 0.0, before, {}),
     )
     return Sensitivity(
         suite="standard",
@@ -44,28 +36,28 @@ def study() -> Sensitivity:
 
 def test_changes_ranks_and_idle_weights_are_those_counted_by_hand(study: Sensitivity) -> None:
     without, twice, _, rotor = study.variants
-    assert study.changes(without) == {"b": 21.0, "a": -2.0}
-    assert study.changes(twice) == {"a": pytest.approx(0.9), "b": pytest.approx(-0.9)}
-    assert study.moves(without) == {"b": (3, 1), "a": (1, 2), "coordinated-piecewise": (2, 3)}
-    assert study.moves(twice) == {}
-    assert [study.matters(variant) for variant in study.variants] == [True, False, False, True]
-    assert study.changes(rotor) == {} and study.moves(rotor) == {}
+    assert without.changes == {"b": 21.0, "a": -2.0}
+    assert twice.changes == {"a": pytest.approx(0.9), "b": pytest.approx(-0.9)}
+    assert without.ranks == {"b": (3, 1), "a": (1, 2), "coordinated-piecewise": (2, 3)}
+    assert twice.ranks == {}
+    assert [variant.matters for variant in study.variants] == [True, False, False, True]
+    assert rotor.changes == {} and rotor.ranks == {}
     assert study.idle == ["effort"]
 
 
 def test_table_says_it_in_words(study: Sensitivity) -> None:
-    assert sensitivity_cells(study) == [
+    assert [variant.cells() for variant in study.variants] == [
         ["duty", "0", "changes: b 3 → 1, a 1 → 2, coordinated-piecewise 2 → 3", "b +21.0, a -2.0"],
         ["duty", "2", "same", "none"],
         ["effort", "0", "same", "none"],
         ["rotor", "0", "no score: MPPT is not worse than the reference", ""],
     ]
     all_matter = dataclasses.replace(study, variants=study.variants[:1])
-    assert describe_idle(all_matter).startswith("Each of these weights moves a score by a point")
-    assert describe_idle(study) == "Neither a point of any score nor the order depends on: effort."
-    page = sensitivity_page(study)
+    assert all_matter.describe_idle().startswith("Each of these weights moves a score by a point")
+    assert study.describe_idle() == "Neither a point of any score nor the order depends on: effort."
+    page = study.page()
     assert page.startswith("7 validation scenarios of `standard`. Scores with the weights as they are: a 110.0, ")
-    assert page.endswith(describe_idle(study)) and "| duty | 2 | same | none |" in page
+    assert page.endswith(study.describe_idle()) and "| duty | 2 | same | none |" in page
 
 
 def test_variants_are_evaluations_with_that_weight() -> None:
@@ -85,7 +77,7 @@ def test_variants_are_evaluations_with_that_weight() -> None:
     ):
         rows = leaderboard_rows(evaluate(ENTRIES, "standard", "validation", seeds=seeds, weights=weights))
         assert list(scores.items()) == [(row.name, row.score.value) for row in rows]
-    assert study.idle == ["overload"] and study.matters(study.variants[0])
+    assert study.idle == ["overload"] and study.variants[0].matters
     # Four entries on three scenarios, three times.
     assert told == [(3 * n, 36) for n in range(1, 13)]
 

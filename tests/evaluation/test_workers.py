@@ -26,6 +26,8 @@ import pytest
 from wtg_gym.evaluation import Entry, OnnxPolicy, PolicyError, Results, Workers, evaluate, load_entries, workers
 
 pytest.importorskip("joblib", reason="the extra 'cluster' is not installed here")
+with contextlib.suppress(ImportError):
+    import distributed
 
 ROOT = Path(__file__).resolve().parents[2]
 #: Three batches an entry, two of them of the same size.
@@ -84,7 +86,17 @@ def entries() -> list[Entry]:
 
 @pytest.fixture(scope="module")
 def here() -> Results:
-    return evaluate(entries(), "standard", **SHORT)
+    return evaluate(entries(), "standard", "test", **SHORT)
+
+
+@pytest.fixture(scope="module", params=BACKENDS)
+def two_workers(request: pytest.FixtureRequest) -> Iterator[Workers]:
+    """Two workers, those of Dask in one cluster for all tests."""
+    if request.param != "dask":
+        yield Workers(request.param, jobs=2)
+        return
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster:
+        yield Workers("dask", cluster.scheduler_address)
 
 
 def written(results: Results, folder: Path) -> list[bytes]:
@@ -97,6 +109,7 @@ def test_workers_give_the_same_bytes(backend: str, here: Results, tmp_path: Path
     there = evaluate(
         entries(),
         "standard",
+        "test",
         workers=Workers(backend, jobs=2),
         on_progress=lambda name, count, total: done.append(count),
         **SHORT,
@@ -106,14 +119,13 @@ def test_workers_give_the_same_bytes(backend: str, here: Results, tmp_path: Path
     assert len(done) == 15 and done == sorted(done) and done[-1] == 25
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_killed_worker_changes_nothing(backend: str, tmp_path: Path) -> None:
+def test_killed_worker_changes_nothing(two_workers: Workers, tmp_path: Path) -> None:
     marker = tmp_path / "killed"
     mortal = Entry(name="mortal", policy=Mortal(os.getpid(), marker))
     everyone = [*entries(), mortal]
-    there = evaluate(everyone, "standard", workers=Workers(backend, jobs=2), **SHORT)
+    there = evaluate(everyone, "standard", "test", workers=two_workers, **SHORT)
     assert marker.exists()
-    assert there == evaluate(everyone, "standard", **SHORT)
+    assert there == evaluate(everyone, "standard", "test", **SHORT)
 
 
 _KILLS_ITS_PARENT = """
@@ -126,7 +138,7 @@ class Policy:
         threading.Event().wait()
 
 if __name__ == "__main__":
-    evaluate([Entry(name="a", policy=Policy())], "standard", seeds=[20000], workers=Workers("loky", jobs=2))
+    evaluate([Entry(name="a", policy=Policy())], "standard", "test", seeds=[20000], workers=Workers("loky", jobs=2))
 """
 
 
@@ -136,15 +148,14 @@ def test_loky_workers_end_with_the_process_that_started_them() -> None:
     assert done.returncode == -signal.SIGKILL
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_error_of_a_policy_comes_through_and_is_not_tried_again(backend: str) -> None:
+def test_error_of_a_policy_comes_through_and_is_not_tried_again(two_workers: Workers) -> None:
     failing = Entry(name="failing", policy=Failing())
     text = "entry 'failing', step 0: predict.. raised Complaint: no action from me .test_workers.py:"
     with pytest.raises(PolicyError, match=text):
-        evaluate([failing], "standard", workers=Workers(backend, jobs=2), **SHORT)
-    results = evaluate([*entries(), failing], "standard", workers=Workers(backend, jobs=2), keep_going=True, **SHORT)
+        evaluate([failing], "standard", "test", workers=two_workers, **SHORT)
+    results = evaluate([*entries(), failing], "standard", "test", workers=two_workers, keep_going=True, **SHORT)
     assert [entry["name"] for entry in results.failed] == ["failing"]
-    assert results.episodes == evaluate(entries(), "standard", **SHORT).episodes
+    assert results.episodes == evaluate(entries(), "standard", "test", **SHORT).episodes
 
 
 @pytest.mark.parametrize("backend", ["loky", pytest.param("dask", marks=needs_dask)])
@@ -158,7 +169,7 @@ def test_workers_that_always_die_are_given_up(backend: str) -> None:
                 importlib.import_module("dask").config.set({"distributed.scheduler.allowed-failures": 0})
             )
         stack.enter_context(pytest.raises(ValueError, match=text))
-        evaluate([mortal], "standard", workers=Workers(backend, jobs=2), **SHORT)
+        evaluate([mortal], "standard", "test", workers=Workers(backend, jobs=2), **SHORT)
 
 
 def test_finished_batches_are_kept_and_not_played_again(tmp_path: Path) -> None:
@@ -171,11 +182,11 @@ def test_finished_batches_are_kept_and_not_played_again(tmp_path: Path) -> None:
 
     arguments: dict[str, Any] = {"workers": Workers("loky", jobs=2), "partial": tmp_path, **SHORT}
     with pytest.raises(Stopped):
-        evaluate([Entry(name="a", policy=Linear(), fingerprint="1")], "standard", on_progress=stop, **arguments)
+        evaluate([Entry(name="a", policy=Linear(), fingerprint="1")], "standard", "test", on_progress=stop, **arguments)
     assert len(list(tmp_path.iterdir())) == 9
     # It passes for the same policy, and would complain if it were asked.
-    again = evaluate([Entry(name="a", policy=Failing(), fingerprint="1")], "standard", **arguments)
-    assert again == evaluate([Entry(name="a", policy=Linear(), fingerprint="1")], "standard", **SHORT)
+    again = evaluate([Entry(name="a", policy=Failing(), fingerprint="1")], "standard", "test", **arguments)
+    assert again == evaluate([Entry(name="a", policy=Linear(), fingerprint="1")], "standard", "test", **SHORT)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -183,7 +194,7 @@ def test_policy_that_cannot_travel_is_named_before_anything_runs() -> None:
     policy = Linear()
     policy.lock = threading.Lock()  # type: ignore[attr-defined]
     with pytest.raises(ValueError, match=r"entry 'tied' cannot be sent to other processes: .*pickle"):
-        evaluate([Entry(name="tied", policy=policy)], "standard", workers=Workers("loky", jobs=2), **SHORT)
+        evaluate([Entry(name="tied", policy=policy)], "standard", "test", workers=Workers("loky", jobs=2), **SHORT)
 
 
 def test_pickled_onnx_policy_answers_the_same() -> None:
@@ -213,7 +224,7 @@ def test_wrong_workers_are_refused(arguments: Any, text: str) -> None:
 
 def test_threads_and_workers_exclude_each_other() -> None:
     with pytest.raises(ValueError, match="one thread"):
-        evaluate([], "standard", workers=Workers("loky"), n_threads=2, **SHORT)
+        evaluate([], "standard", "test", workers=Workers("loky"), n_threads=2, **SHORT)
 
 
 def test_missing_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -229,13 +240,13 @@ def test_missing_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -
 def test_scheduler_that_does_not_answer_is_named(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workers, "_CONNECT_S", 1)
     with pytest.raises(ValueError, match=f"no Dask scheduler answers at {address}"):
-        evaluate([], "standard", workers=Workers("dask", address), **SHORT)
+        evaluate([], "standard", "test", workers=Workers("dask", address), **SHORT)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="ray is missing")
 def test_ray_cluster_that_does_not_answer_is_named() -> None:
     with pytest.raises(ValueError, match="no Ray cluster answers at auto"):
-        evaluate([], "standard", workers=Workers("ray", "auto"), **SHORT)
+        evaluate([], "standard", "test", workers=Workers("ray", "auto"), **SHORT)
 
 
 @contextlib.contextmanager
@@ -264,7 +275,7 @@ def dask_cluster(folder: Path, path: Path) -> Iterator[str]:
 @needs_dask
 def test_cluster_at_an_address_gives_the_same_bytes(here: Results, tmp_path: Path) -> None:
     with dask_cluster(tmp_path, ROOT) as address:
-        assert evaluate(entries(), "standard", workers=Workers("dask", address), **SHORT) == here
+        assert evaluate(entries(), "standard", "test", workers=Workers("dask", address), **SHORT) == here
 
 
 @needs_dask
@@ -276,4 +287,4 @@ def test_worker_with_other_code_is_refused(tmp_path: Path) -> None:
         dask_cluster(tmp_path, tmp_path / "other") as address,
         pytest.raises(ValueError, match=r"worker \S+:\d+ could give other numbers: source code is \w+, here \w+$"),
     ):
-        evaluate(entries(), "standard", workers=Workers("dask", address), **SHORT)
+        evaluate(entries(), "standard", "test", workers=Workers("dask", address), **SHORT)

@@ -34,8 +34,8 @@ def small_results() -> tuple[list[Entry], list[Results]]:
     laws = [Entry(name=name, strategy=name) for name in TRACED]
     policy = Entry(name="full", policy=_Full(), description=HOSTILE, source=HOSTILE, fingerprint="full")
     entries = [*laws, policy]
-    standard = evaluate(entries, "standard", seeds=SEEDS, duration_s=DURATION_S)
-    return entries, [standard, evaluate(laws, "paper")]
+    standard = evaluate(entries, "standard", "test", seeds=SEEDS, duration_s=DURATION_S)
+    return entries, [standard, evaluate(laws, "paper", "test")]
 
 
 def renamed(results: Results, old: str, new: str) -> Results:
@@ -65,7 +65,7 @@ def wide_page() -> str:
         for seed in range(2)
     ]
     entries = [*load_entries("baselines"), *learned]
-    public = evaluate(entries, "standard", seeds=range(20_000, 20_030))
+    public = evaluate(entries, "standard", "test", seeds=range(20_000, 20_030))
     draw = draw_seeds("standard", "a" * 40, b"a secret for these tests", 30)
-    fresh = evaluate(entries, "standard", "verification", draw=draw)
+    fresh = evaluate(entries, "standard", "fresh", draw=draw)
     return leaderboard_page([public, fresh], [], n_scenarios=0).text

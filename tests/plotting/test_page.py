@@ -183,18 +183,20 @@ def test_commands_write_the_page(capsys: pytest.CaptureFixture[str], tmp_path: P
     assert main(["leaderboard", "--suite", "paper", *laws, "--results", str(tmp_path), "--html", str(page)]) == 0
     said = capsys.readouterr().err
     assert f"wrote {page}" in said and "MB; scenarios with traces: paper 2" in said
-    assert main(["page", str(tmp_path / "paper-test.json"), *laws, "--output", str(again)]) == 0
+    assert main(["results", "page", str(tmp_path / "paper-test.json"), *laws, "--output", str(again)]) == 0
     assert again.read_bytes() == page.read_bytes()
-    assert main(["page", str(tmp_path / "paper-test.json"), "--entries", "mppt", "--output", str(again)]) == 0
+    assert (
+        main(["results", "page", str(tmp_path / "paper-test.json"), "--entries", "mppt", "--output", str(again)]) == 0
+    )
     assert "no traces of deloaded-5" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("page", "none.json", "--output", "page.html"), "none.json"),
-        (("page", "none.json", "--output", "page.pdf"), "it must end in .html, .htm"),
-        (("page", "none.json"), "--output"),
+        (("results", "page", "none.json", "--output", "page.html"), "none.json"),
+        (("results", "page", "none.json", "--output", "page.pdf"), "it must end in .html, .htm"),
+        (("results", "page", "none.json"), "--output"),
         (("leaderboard", "--suite", "paper", "--html", "missing/page.html"), "there is no folder missing"),
     ],
 )
@@ -231,11 +233,11 @@ def test_colours_have_the_contrast_of_wcag_aa(scheme: str) -> None:
 def test_results_on_fresh_scenarios_are_a_suite_of_their_own_and_columns_of_the_public_ones() -> None:
     entries = [Entry(name=name, strategy=name) for name in ("mppt", "coordinated-linear", "coordinated-piecewise")]
     draw = draw_seeds("standard", "a" * 40, b"a secret for this test", 3)
-    public = evaluate(entries, "standard", seeds=SEEDS, duration_s=DURATION_S)
-    fresh = evaluate(entries, "standard", "verification", draw=draw, duration_s=DURATION_S)
+    public = evaluate(entries, "standard", "test", seeds=SEEDS, duration_s=DURATION_S)
+    fresh = evaluate(entries, "standard", "fresh", draw=draw, duration_s=DURATION_S)
     text = leaderboard_page([public, fresh], [], n_scenarios=1).text
     suites = _data(text)["suites"]
-    assert [suite["name"] for suite in suites] == ["standard", "standard, verification"]
+    assert [suite["name"] for suite in suites] == ["standard", "standard, fresh"]
     assert suites[1]["seeds"] == list(draw.seeds)
     tables = re.findall(r"<table data-suite.*?</table>", text, flags=re.DOTALL)
     assert ["fresh score" in table for table in tables] == [True, False]

@@ -23,14 +23,12 @@ from onnx import AttributeProto, ModelProto
 from tests.submissions import models
 from tests.submissions.models import TOML, M, N, after, constant, folder, info, node
 from tests.submissions.models import model as make
-from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, OnnxPolicy, evaluate
-from wtg_gym.evaluation.evaluator import entry_lanes
 from wtg_gym.files import markdown_table, update_between_markers
-from wtg_gym.submissions.gate import check_submission
-from wtg_gym.submissions.together import conflicts
+from wtg_gym.policies.conflicts import conflicts
+from wtg_gym.policies.gate import check_submission
 
-#: What becomes of a folder that the checks of :data:`wtg_gym.submissions.gate.CHECKS` do not refuse.
+#: What becomes of a folder that the checks of :data:`wtg_gym.policies.gate.CHECKS` do not refuse.
 TOGETHER, SCORED, HARMLESS = "together", "its own score", "harmless"
 PAGE, SECTION = "docs/submissions.md", "submissions:hostile"
 _SEEDS, _SHORT_S = (20_000, 20_001), 5.0
@@ -50,12 +48,7 @@ class Attack(NamedTuple):
 @functools.cache
 def beginning() -> Any:
     """Return what a policy observes at the beginning of the first test scenario, (n_observation,)."""
-    lanes = entry_lanes(Entry(name="any"), EnvSettings(suite="standard", split="test", duration_s=_SHORT_S), 1)
-    try:
-        lanes.start([0], lanes.scenarios(_SEEDS[:1]))
-        return lanes.observations[0].copy()
-    finally:
-        lanes.simulator.close()
+    return models.first_observation("standard", _SEEDS[0], _SHORT_S)
 
 
 # --- the folder ------------------------------------------------------------------------------------------------------
@@ -350,13 +343,13 @@ def verdict(attack: Attack, place: Path) -> tuple[str, str]:
 def _scored(entry: Entry) -> tuple[str, str]:
     """Return how an accepted policy fails when it is scored, or that it is harmless."""
     entries = [entry, Entry(name="Beside", policy=OnnxPolicy(models.make_bytes()), fingerprint="beside")]
-    together = evaluate(entries, "standard", seeds=_SEEDS, duration_s=_SHORT_S, keep_going=True)
-    rest = evaluate(entries[1:], "standard", seeds=_SEEDS, duration_s=_SHORT_S)
+    together = evaluate(entries, "standard", "test", seeds=_SEEDS, duration_s=_SHORT_S, keep_going=True)
+    rest = evaluate(entries[1:], "standard", "test", seeds=_SEEDS, duration_s=_SHORT_S)
     assert [e for e in together.episodes if e.entry != entry.name] == list(rest.episodes), "others' results stand"
     if together.failed:
         return SCORED, together.failed[0]["reason"]
     for number in _SEEDS:
-        alone = evaluate([entry], "standard", seeds=[number], duration_s=_SHORT_S)
+        alone = evaluate([entry], "standard", "test", seeds=[number], duration_s=_SHORT_S)
         if alone.episodes_of(entry.name) != [e for e in together.episodes_of(entry.name) if e.seed == number]:
             return "not found", f"the scenario of seed {number} costs another amount alone"
     return HARMLESS, "accepted; every scenario costs the same to the last bit alone and beside others"

@@ -9,6 +9,10 @@ from typing import Any
 import numpy as np
 from onnx import ModelProto, TensorProto, helper, numpy_helper
 
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.policies import Entry
+from wtg_gym.policies.play import started_lanes
+
 #: Widths of the local observation of two groups, and of both actions.
 N, M = 20, 4
 #: What is observed at the beginning of an episode, about.
@@ -19,6 +23,13 @@ authors = ["Jane Doe"]
 training_seed = 0
 action_mode = "k+tau"
 """
+
+
+def first_observation(suite: str, seed: int, duration_s: float | None = None) -> Any:
+    """What a policy observes at the beginning of a test scenario, (N,)."""
+    settings = EnvSettings(suite=suite, split="test", duration_s=duration_s)
+    with started_lanes(Entry(name="any"), settings, [seed]) as (lanes, _):
+        return lanes.observations[0].copy()
 
 
 def info(name: str, *shape: Any, kind: int = TensorProto.FLOAT) -> Any:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.submissions.hostile import ATTACKS, PAGE, SECTION, Attack, row, verdict
-from wtg_gym.evaluation import policy_process
+from wtg_gym.policies import policy_process
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -9,8 +9,8 @@ import pytest
 
 from tests.submissions.models import TOML, folder
 from wtg_gym.evaluation import load_entries
-from wtg_gym.submissions.gate import check_submission
-from wtg_gym.submissions.texts import check_author, check_name, check_text, plain_name
+from wtg_gym.policies.gate import check_submission
+from wtg_gym.policies.submission_texts import check_author, check_name, check_text, plain_name
 
 
 @pytest.mark.parametrize(

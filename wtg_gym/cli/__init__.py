@@ -1,4 +1,4 @@
-"""The command `wtg-gym`: one module a command or family of commands.
+"""The command `wtg-gym`: one module a command or group of commands.
 
 Exit codes: 0 fine, 1 a check failed, 2 bad input, 130 interrupted. Results go to stdout; progress, notes and errors
 go to stderr.
@@ -16,22 +16,19 @@ from wtg_gym.cli import (
     accuracy,
     bench,
     evaluate,
-    gap,
-    leaderboard,
     parameters,
     reproduce,
-    sensitivity,
+    scenarios,
     simulate,
     small_signal,
     statics,
+    stored,
     submission,
-    suites,
     validate,
-    verify,
     warmup,
 )
 from wtg_gym.cli.output import note, one_line
-from wtg_gym.cli.parser import Parser
+from wtg_gym.cli.parser import Parser, add_group
 
 _DESCRIPTION = """\
 Primary frequency regulation with grid-forming wind turbine generators on the modified IEEE 14-bus system: simulate
@@ -41,7 +38,7 @@ _EPILOG = """\
 first steps:
   wtg-gym simulate                                   the paper's load increase under the reference strategy
   wtg-gym simulate --strategy all --plot run.png     under every strategy, with a figure
-  wtg-gym suites                                     which suites of scenarios there are
+  wtg-gym suites                                     the suites of scenarios
   wtg-gym leaderboard --suite paper                  rank the baselines on the paper's cases
   wtg-gym reproduce                                  the paper's figures and claims, measured
 
@@ -55,8 +52,17 @@ def build_parser() -> argparse.ArgumentParser:
     parser = Parser(prog="wtg-gym", description=_DESCRIPTION, epilog=_EPILOG)
     parser.add_argument("--version", action="version", version=f"wtg-gym {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    analysis = (statics, small_signal, reproduce, validate, accuracy, parameters, bench, warmup)
-    for module in (simulate, evaluate, leaderboard, verify, gap, submission, sensitivity, suites, *analysis):
+    for module in (simulate, evaluate, stored, submission, scenarios):
+        module.add_commands(commands)
+    analyse = add_group(
+        commands,
+        "analyse",
+        summary="equilibria, margins and modes of the system, and the error of the time step",
+        description="Analyses the system without simulating scenarios, and measures the error of the time step.",
+    )
+    for module in (statics, small_signal, accuracy):
+        module.add_commands(analyse)
+    for module in (reproduce, validate, parameters, bench, warmup):
         module.add_commands(commands)
     return parser
 

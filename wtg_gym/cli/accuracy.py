@@ -1,4 +1,4 @@
-"""`wtg-gym accuracy`: what an integration step costs and what it is worth."""
+"""`wtg-gym analyse accuracy`: what an integration step costs and what it is worth."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ methods: {", ".join(method.name for method in METHODS)}; steps: {", ".join(f"{1e
 
 
 def add_commands(commands: Commands) -> None:
-    """Add `wtg-gym accuracy`."""
+    """Add `wtg-gym analyse accuracy`."""
     parser = add_command(
         commands,
         "accuracy",
         run,
         summary="error of the integration step against its cost",
         description=_DESCRIPTION,
-        examples="  wtg-gym accuracy --scenarios 5\n  wtg-gym accuracy --suite gust --json\n"
-        "  wtg-gym accuracy --output docs/validation --page docs/validation.md",
+        examples="  wtg-gym analyse accuracy --scenarios 5\n  wtg-gym analyse accuracy --suite gust --json\n"
+        "  wtg-gym analyse accuracy --output docs/validation --page docs/validation.md",
     )
     parser.add_argument("--scenarios", type=int, default=100, metavar="N", help="validation scenarios (default: 100)")
     drawn = [name for name, suite in SUITES.items() if suite.distribution is not None]
@@ -64,7 +64,7 @@ def add_commands(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Carry out `wtg-gym accuracy`; return 1 if the default step did not stay finite."""
+    """Carry out `wtg-gym analyse accuracy`; return 1 if the default step did not stay finite."""
     page = check_page("--page", arguments.page, "accuracy")
     folder = None if arguments.output is None else check_output_folder("--output", arguments.output)
     if folder is not None:

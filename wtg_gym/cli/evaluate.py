@@ -1,25 +1,31 @@
-"""`wtg-gym evaluate`: entries scored on scenarios of a suite."""
+"""`wtg-gym evaluate` and `wtg-gym leaderboard`: entries scored on scenarios of a suite, and ranked."""
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 
-from wtg_gym.cli.draw import add_split_options, chosen_draw
-from wtg_gym.cli.output import check_output_folder, note
+from wtg_gym.cli.output import check_output_folder, check_page, note, update_page
 from wtg_gym.cli.parser import Commands, add_command, add_plant_options
-from wtg_gym.cli.scores import (
+from wtg_gym.cli.scoring import (
+    add_entries_option,
     add_result_options,
-    add_score_options,
+    add_run_options,
+    add_split_options,
+    add_suite_option,
     add_worker_options,
     chosen_entries,
-    chosen_seeds,
+    chosen_scenarios,
     chosen_workers,
     finish,
     kept_parts,
     run_evaluation,
 )
-from wtg_gym.evaluation import Policy
+from wtg_gym.cli.stored import check_html, write_html
+from wtg_gym.evaluation import ANCHORS, Entry, Policy, Results, leaderboard_rows, markdown_table
+from wtg_gym.scenarios import get_suite
 
 _TRUST_HELP = (
     "also take folders with model.zip, an archive of Stable-Baselines3, in the place of policy.onnx, and the key "
@@ -43,9 +49,24 @@ _EVALUATE_EXAMPLES = """\
   wtg-gym evaluate --entries runs/mine/best/* --trust-pickle
   wtg-gym evaluate --entries policies --backend dask --address tcp://head:8786 --results my_results"""
 
+_LEADERBOARD = """\
+Ranks entries on all test scenarios of a suite. Stored results are used again where they are of the same suite, source
+code and versions, and where replaying both anchors gives the same numbers; everything else is evaluated. An entry that
+fails is named with its reason and left out with all training seeds of its name; the exit code is 1 then. The table is
+printed, the results are written as JSON and CSV, and with --readme the table between the markers
+<!-- leaderboard:SUITE:start --> and <!-- leaderboard:SUITE:end --> of that file is replaced. With --html the ranking
+is written as one HTML file with charts, and with traces of the first scenarios; 'wtg-gym results page' does that for
+several suites at once."""
+
+_LEADERBOARD_EXAMPLES = """\
+  wtg-gym leaderboard --suite standard --results results --readme README.md
+  wtg-gym leaderboard --suite weak-grid --entries baselines my_law.toml
+  wtg-gym leaderboard --suite low-wind --html leaderboard.html
+  wtg-gym leaderboard --suite paper --entries mppt deloaded-10 coordinated-piecewise --json"""
+
 
 def add_commands(commands: Commands) -> None:
-    """Add `wtg-gym evaluate`."""
+    """Add `wtg-gym evaluate` and `wtg-gym leaderboard`."""
     parser = add_command(
         commands,
         "evaluate",
@@ -55,31 +76,48 @@ def add_commands(commands: Commands) -> None:
         examples=_EVALUATE_EXAMPLES,
         after_interrupt="nothing was written; with --results DIR the finished parts are kept",
     )
-    add_score_options(parser)
+    add_entries_option(parser)
+    add_suite_option(parser)
+    add_run_options(parser)
     add_worker_options(parser)
     add_split_options(parser)
     parser.add_argument("--duration", type=float, metavar="S", help="length of an episode [s] (default: the suite's)")
     add_result_options(parser)
     parser.add_argument("--trust-pickle", action="store_true", help=_TRUST_HELP)
     add_plant_options(parser)
+    parser = add_command(
+        commands,
+        "leaderboard",
+        _run_leaderboard,
+        summary="rank entries on a suite and write the table to a README",
+        description=_LEADERBOARD,
+        examples=_LEADERBOARD_EXAMPLES,
+    )
+    add_entries_option(parser)
+    add_suite_option(parser)
+    add_run_options(parser)
+    add_worker_options(parser)
+    parser.add_argument(
+        "--results", metavar="DIR", default="results", help="folder of the results; made if missing (default: results)"
+    )
+    parser.add_argument("--readme", metavar="FILE", help="file with the markers to put the table between")
+    parser.add_argument("--html", metavar="FILE", help="write the ranking as one HTML file with charts and traces")
+    parser.add_argument("--fresh", action="store_true", help="evaluate everything, whatever is stored, from the start")
 
 
 def _run_evaluate(arguments: argparse.Namespace) -> int:
     folder = None if arguments.results is None else check_output_folder("--results", arguments.results)
-    partial = kept_parts(folder, arguments)
+    partial = kept_parts(folder, arguments) if folder is not None and arguments.resume else None
     workers = chosen_workers(arguments)
-    seeds = None if arguments.seeds is None else chosen_seeds(arguments.seeds)
-    draw = chosen_draw(arguments)
+    scenarios = chosen_scenarios(arguments)
     # Last, because it takes longest, and may run code.
     entries = chosen_entries(arguments.entries, _load_trusted if arguments.trust_pickle else None)
     results = run_evaluation(
         entries,
-        arguments,
-        split=arguments.split,
+        **scenarios,
         partial=partial,
+        n_threads=arguments.threads,
         workers=workers,
-        seeds=seeds,
-        draw=draw,
         duration_s=arguments.duration,
         groups=2 if arguments.groups is None else arguments.groups,
         control_dt=arguments.control_dt,
@@ -92,10 +130,83 @@ def _run_evaluate(arguments: argparse.Namespace) -> int:
 
 def _load_trusted(folder: Path, algorithm: str) -> tuple[Policy, str]:
     # Here, because Stable-Baselines3 is another extra, and takes seconds to import.
-    from wtg_gym.sb3_archive import load_archive
+    from wtg_gym.policies.sb3_archive import load_archive
 
     note(f"running the code in the archive of {folder}, as --trust-pickle says")
     return load_archive(folder, algorithm)
 
 
-__all__ = ["add_commands"]
+# --- leaderboard -----------------------------------------------------------------------------------------------------
+
+
+def _run_leaderboard(arguments: argparse.Namespace) -> int:
+    get_suite(arguments.suite)
+    folder = check_output_folder("--results", arguments.results)
+    section = f"leaderboard:{arguments.suite}"
+    readme = check_page("--readme", arguments.readme, section)
+    page = None if arguments.html is None else check_html("--html", arguments.html)
+    # Finished parts are stored results too.
+    partial = None if arguments.fresh else kept_parts(folder, arguments)
+    workers = chosen_workers(arguments)
+    entries = chosen_entries(arguments.entries)
+    scenarios = {"suite": arguments.suite, "split": "test", "n_threads": arguments.threads}
+    anchors = run_evaluation([], **scenarios)
+    stored = None if arguments.fresh else _stored(folder / f"{anchors.name}.json", anchors)
+    missing = [entry for entry in entries if stored is None or not _is_in(entry, stored)]
+    if stored is not None:
+        note(f"{len(entries) - len(missing)} of {len(entries)} entries are stored in {folder}")
+    new = run_evaluation(missing, partial=partial, workers=workers, **scenarios) if missing else anchors
+    results = _merged(entries, new, stored)
+    code = finish(results, folder, as_json=arguments.json)
+    if readme is not None:
+        update_page(readme, {section: markdown_table(leaderboard_rows(results))})
+    if page is not None:
+        write_html(page, [results], entries, None, arguments.threads)
+    return code
+
+
+def _stored(path: Path, anchors: Results) -> Results | None:
+    """Return stored results if they would come out the same today, else None with a note why not."""
+    if not path.exists():
+        return None
+    try:
+        stored = Results.read(path)
+    except ValueError as error:
+        note(f"not used: {error}")
+        return None
+    for key in ("suite_hash", "source_hash", "environment", "split", "seeds", "settings", "versions"):
+        if getattr(stored, key) != getattr(anchors, key):
+            note(f"not used: {path} is of another {key.replace('_', ' ')}; evaluating everything")
+            return None
+    if any(stored.episodes_of(name) != anchors.episodes_of(name) for name in ANCHORS):
+        note(f"not used: {path} is not reproduced by a replay of {' and '.join(ANCHORS)}; evaluating everything")
+        return None
+    return stored
+
+
+def _is_in(entry: Entry, stored: Results) -> bool:
+    # Without an identity the policy may have changed.
+    return entry.identity is not None and entry.to_dict() in stored.entries
+
+
+def _merged(entries: Sequence[Entry], new: Results, stored: Results | None) -> Results:
+    """Return the entries' results, and the anchors', out of new and stored ones."""
+    sources = [new] if stored is None else [stored, new]
+    described = {(data["name"], data["training_seed"]): data for source in sources for data in source.entries}
+    wanted = {(entry.name, entry.training_seed): entry.to_dict() for entry in entries}
+    for name in ANCHORS:
+        wanted.setdefault((name, None), dict(described[name, None]))
+    episodes = {}
+    for source in sources:
+        for key in wanted:
+            own = [episode for episode in source.episodes if episode.run == key]
+            if own:
+                episodes[key] = own
+    merged = dataclasses.replace(
+        new,
+        entries=tuple(wanted.values()),
+        episodes=tuple(episode for key in wanted for episode in episodes.get(key, ())),
+        failed=(),
+    )
+    # Stored training seeds of a name are left out with the one that has failed now.
+    return merged.without({(data["name"], data["training_seed"]): data["reason"] for data in new.failed})

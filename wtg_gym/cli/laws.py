@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from wtg_gym.cli.output import say
-from wtg_gym.evaluation.shipped import example_law
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw, get_law
+from wtg_gym.policies.load import example_law
 
 
 class _FirstReplacesDefault(argparse.Action):

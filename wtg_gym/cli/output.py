@@ -1,4 +1,4 @@
-"""Tables, progress and files: everything the commands let out."""
+"""Output of commands: lines, tables, JSON, progress and files."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal
+from typing import Any
 
-from wtg_gym.files import require_markers, update_between_markers, write_atomically
+from wtg_gym.files import printable, require_markers, update_between_markers, write_atomically
 
 #: Formats that figures are written in.
 FIGURE_FORMATS = ("svg", "png", "pdf")
@@ -28,23 +28,13 @@ _PROGRESS_INTERVAL_S = 5.0
 
 def note(text: str) -> None:
     """Write a line to stderr, so that stdout carries results only."""
-    print(harmless(text), file=sys.stderr)
+    print(printable(text), file=sys.stderr)
 
 
 def say(*lines: str) -> None:
-    """Write lines to stdout. Whatever is printed goes through here, :func:`note` or :func:`print_table`."""
+    """Write lines to stdout; no command prints past this, :func:`note` and :func:`print_json`."""
     for line in lines:
-        print(harmless(line))
-
-
-def harmless(text: str) -> str:
-    """Return a line of text, which may come from anybody's file, without commands to a terminal.
-
-    Control characters, line feeds, changes of direction and the like appear as escapes such as ``\\x1b``.
-    """
-    if text.isprintable():
-        return text
-    return "".join(sign if sign.isprintable() else ascii(sign)[1:-1] for sign in text)
+        print(printable(line))
 
 
 def one_line(error: Exception) -> str:
@@ -53,7 +43,7 @@ def one_line(error: Exception) -> str:
         text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     else:
         text = " ".join(str(error).split()) or type(error).__name__
-    text = harmless(text)
+    text = printable(text)
     return text if len(text) <= _LONGEST_ERROR else f"{text[:_LONGEST_ERROR]} …"
 
 
@@ -68,12 +58,12 @@ def require_extra(package: str, purpose: str) -> None:
 
 
 def check_output_file(option: str, text: str | None, suffixes: Sequence[str]) -> Path | None:
-    """Return the path of a file to be written, or raise a ValueError now rather than after the work.
+    """Return the path of a file to write, or raise a ValueError now rather than after the work.
 
     Args:
-        option: what the user called it.
+        option: name of the option.
         text: the path; None for no file.
-        suffixes: those it may end with.
+        suffixes: allowed endings.
     """
     if text is None:
         return None
@@ -118,7 +108,7 @@ def check_page(option: str, text: str | None, *sections: str) -> Path | None:
     """Return the path of a file whose sections between markers are to be renewed, or raise a ValueError now.
 
     Args:
-        option: what the user called it.
+        option: name of the option.
         text: the path; None for no file.
         sections: names in the markers, see :func:`wtg_gym.files.update_between_markers`.
     """
@@ -156,58 +146,27 @@ def plain_json(value: Any) -> Any:
 
 
 def print_json(data: Any) -> None:
-    """Print data as JSON, the only thing on stdout; what a terminal would take for commands is escaped as in JSON."""
+    """Print data as JSON, with nothing in it that a terminal takes for a command."""
     text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
-    print("\n".join(line if line.isprintable() else _escaped(line) for line in text.split("\n")))
-
-
-def _escaped(text: str) -> str:
-    return "".join(sign if sign.isprintable() else json.dumps(sign)[1:-1] for sign in text)
+    print("".join(sign if sign.isprintable() or sign == "\n" else json.dumps(sign)[1:-1] for sign in text))
 
 
 def print_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, left: Sequence[int] = (0,)) -> None:
-    """Print a table: with rules and colour in a terminal that rich can draw on, as plain text elsewhere.
+    """Print a table with aligned columns.
 
     Args:
         header: column heads, with units.
         rows: cells.
         left: columns of text; the others are aligned right.
     """
-    header, *cells = [[harmless(cell) for cell in row] for row in (header, *rows)]
-    widths = [max(map(len, column)) for column in zip(header, *cells, strict=True)]
-    if sys.stdout.isatty() and importlib.util.find_spec("rich") is not None:
-        from rich import box
-        from rich.console import Console
-        from rich.markup import escape
-        from rich.table import Table
-
-        console = Console()
-        # In a narrower terminal rich would leave out columns; the lines of plain text only wrap.
-        if sum(widths) + 3 * len(header) <= console.width:
-            table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-            for index, head in enumerate(header):
-                side: Literal["left", "right"] = "left" if index in left else "right"
-                table.add_column(escape(head), justify=side, no_wrap=True)
-            for row in cells:
-                table.add_row(*map(escape, row))
-            console.print(table)
-            return
-    say(*text_table(header, cells, left=left).split("\n"))
-
-
-def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], *, left: Sequence[int] = (0,)) -> str:
-    """Return a table as lines of text with aligned columns."""
-    widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]
-    lines = [header, ["-" * width for width in widths], *rows]
-
-    def line(row: Sequence[str]) -> str:
+    cells = [[printable(cell) for cell in row] for row in (header, *rows)]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    for row in (cells[0], ["-" * width for width in widths], *cells[1:]):
         aligned = (
             cell.ljust(width) if index in left else cell.rjust(width)
             for index, (cell, width) in enumerate(zip(row, widths, strict=True))
         )
-        return "  ".join(aligned).rstrip()
-
-    return "\n".join(line(row) for row in lines)
+        say("  ".join(aligned).rstrip())
 
 
 class Progress:
@@ -249,7 +208,7 @@ class Progress:
         if self._bar is not None:
             from rich.markup import escape
 
-            self._bar.update(self._task, description=escape(harmless(name)), completed=done, total=total, count=count)
+            self._bar.update(self._task, description=escape(printable(name)), completed=done, total=total, count=count)
             return
         now = time.monotonic()
         # Compiling and reading stored results come before it, and say nothing about the pace after it.

@@ -1,4 +1,4 @@
-"""What the commands' parsers have in common."""
+"""Parsers of commands, and options that several commands share."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Callable
 from typing import Any, NoReturn
 
-#: What `add_subparsers` returns and the commands are added to.
+#: The return value of `add_subparsers`, to which commands are added.
 Commands = Any
 
 
@@ -22,6 +22,12 @@ class Parser(argparse.ArgumentParser):
         raise ValueError(f"{message} (see: {self.prog} --help)")
 
 
+def add_group(commands: Commands, name: str, *, summary: str, description: str) -> Commands:
+    """Add a command with sub-commands; return the object that these are added to."""
+    parser = commands.add_parser(name, help=summary, description=description)
+    return parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+
+
 def add_command(
     commands: Commands,
     name: str,
@@ -35,13 +41,13 @@ def add_command(
     """Add a command.
 
     Args:
-        commands: what `add_subparsers` returned.
+        commands: the return value of `add_subparsers`.
         name: of the command.
         run: carries it out and returns the exit code.
         summary: one line for the list of commands.
         description: a paragraph for its own help.
         examples: command lines for its own help.
-        after_interrupt: what to say after Ctrl-C: what is left and how to go on.
+        after_interrupt: printed after Ctrl-C: the files that are left, and how to go on.
 
     Returns:
         The command's parser, for its options.
@@ -54,12 +60,7 @@ def add_command(
 
 
 def add_plant_options(parser: argparse.ArgumentParser, *, default_groups: str = "2") -> None:
-    """Add the options of the plant and of the time steps, the same for every command that simulates.
-
-    Args:
-        parser: of the command.
-        default_groups: how many WTG groups there are without `--groups`, in words.
-    """
+    """Add the options of the plant and of the time steps; `default_groups` describes the default of `--groups`."""
     plant = parser.add_argument_group("plant and time steps")
     plant.add_argument(
         "--groups",

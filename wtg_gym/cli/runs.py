@@ -17,7 +17,7 @@ _ROCOF_WINDOW_S = 0.5
 
 
 def key_figures(name: str, run: Trajectory) -> dict[str, Any]:
-    """Return what a run is judged by at a glance, as JSON-ready data with units in the keys; groups count from 1."""
+    """Return the key figures of a run as JSON-ready data with units in the keys; groups count from 1."""
     step = float(run.time_s[1] - run.time_s[0]) if run.time_s.size > 1 else _ROCOF_WINDOW_S
     rocof = run.rocof_hz_s(_ROCOF_WINDOW_S)
     failed = None

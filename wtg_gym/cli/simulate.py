@@ -24,7 +24,7 @@ from wtg_gym.cli.output import (
 )
 from wtg_gym.cli.parser import Commands, add_command, add_plant_options
 from wtg_gym.cli.runs import key_figures, print_key_figures, traces_csv
-from wtg_gym.cli.scenario import describe_scenario, read_scenario, scenario_summary
+from wtg_gym.cli.scenarios import describe_scenario, read_scenario, scenario_summary
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import WtgGroup, default_groups

@@ -1,4 +1,4 @@
-"""`wtg-gym margins` and `wtg-gym modes`: small-signal stability of one machine and of the whole system."""
+"""`wtg-gym analyse margins` and `analyse modes`: small-signal stability of one machine and of the whole system."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ exit codes: 0 stable, 1 an eigenvalue has a positive real part, 2 bad input"""
 
 
 def add_commands(commands: Commands) -> None:
-    """Add `wtg-gym margins` and `wtg-gym modes`."""
+    """Add `wtg-gym analyse margins` and `wtg-gym analyse modes`."""
     parser = add_command(
         commands,
         "margins",
         run_margins,
         summary="stability margins of the single-machine loops",
         description=_MARGINS,
-        examples="  wtg-gym margins --wind 8 11.4\n  wtg-gym margins --law my_law.toml --kp 2.0 --json",
+        examples="  wtg-gym analyse margins --wind 8 11.4\n  wtg-gym analyse margins --law my_law.toml --kp 2.0 --json",
     )
     add_law_option(parser, "all")
     parser.add_argument(
@@ -73,8 +73,8 @@ def _add_modes(commands: Commands) -> None:
         summary="eigenvalues, damping ratios and participation factors of the whole system",
         description=_MODES,
         examples=(
-            "  wtg-gym modes\n  wtg-gym modes --law mppt deloaded-10 --wind 9 7 --plot modes.svg\n"
-            "  wtg-gym modes --law my_law.toml --side over --machine-model classical --json"
+            "  wtg-gym analyse modes\n  wtg-gym analyse modes --law mppt deloaded-10 --wind 9 7 --plot modes.svg\n"
+            "  wtg-gym analyse modes --law my_law.toml --side over --machine-model classical --json"
         ),
     )
     add_law_option(parser, REFERENCE_STRATEGY)
@@ -103,7 +103,7 @@ def _add_modes(commands: Commands) -> None:
 
 
 def run_margins(arguments: argparse.Namespace) -> int:
-    """Carry out `wtg-gym margins`."""
+    """Carry out `wtg-gym analyse margins`."""
     plot = check_plot_file(arguments.plot)
     if plot is not None and len(arguments.wind) != 1:
         raise ValueError(f"--plot draws one wind speed, {len(arguments.wind)} are given")
@@ -140,7 +140,10 @@ def run_margins(arguments: argparse.Namespace) -> int:
         )
     print_table(header, rows, left=(0, 2, 6))
     if any(loop.pitch_deg > 0.0 for _, loop in loops):
-        say("", "* held by the pitch protection, whose angle counts as constant here; `wtg-gym modes` includes it")
+        say(
+            "",
+            "* held by the pitch protection, whose angle counts as constant here; `analyse modes` includes it",
+        )
     return 0
 
 
@@ -151,7 +154,7 @@ def _loop(side: str, loop: SingleMachine) -> dict[str, Any]:
 
 
 def run_modes(arguments: argparse.Namespace) -> int:
-    """Carry out `wtg-gym modes`; return 1 if an equilibrium is unstable."""
+    """Carry out `wtg-gym analyse modes`; return 1 if an equilibrium is unstable."""
     plot = check_plot_file(arguments.plot)
     settings = PlantSettings(
         case=modified_ieee14(classical=arguments.machine_model == "classical"),

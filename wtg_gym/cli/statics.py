@@ -1,4 +1,4 @@
-"""`wtg-gym statics`: equilibria, power-frequency characteristics and critical frequencies of any law at any wind."""
+"""`analyse statics`: equilibria, power-frequency characteristics and critical frequencies of any law at any wind."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ the equilibrium is lost, C at ω_max, M where the rotor passes the maximum power
 strategies: {", ".join(STRATEGIES)}"""
 
 _EXAMPLES = """\
-  wtg-gym statics                                          every strategy at 8 and 11.4 m/s
-  wtg-gym statics --law deloaded-5 my_law.toml --wind 6 8 10 --json
-  wtg-gym statics --law mppt --wind 8 --frequency 0.995 1.005 --points 201 --csv characteristic.csv
-  wtg-gym statics --law deloaded-10 --plot characteristic.svg"""
+  wtg-gym analyse statics                                          every strategy at 8 and 11.4 m/s
+  wtg-gym analyse statics --law deloaded-5 my_law.toml --wind 6 8 10 --json
+  wtg-gym analyse statics --law mppt --wind 8 --frequency 0.995 1.005 --points 201 --csv characteristic.csv
+  wtg-gym analyse statics --law deloaded-10 --plot characteristic.svg"""
 
 
 def add_commands(commands: Commands) -> None:
-    """Add `wtg-gym statics`."""
+    """Add `wtg-gym analyse statics`."""
     parser = add_command(
         commands,
         "statics",
@@ -92,7 +92,7 @@ def add_commands(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Carry out `wtg-gym statics`."""
+    """Carry out `wtg-gym analyse statics`."""
     plot = check_plot_file(arguments.plot)
     table = check_output_file("--csv", arguments.csv, (".csv",))
     laws = chosen_laws(arguments.law)

@@ -3,32 +3,35 @@
 from __future__ import annotations
 
 import argparse
-import importlib.util
 from collections.abc import Sequence
 from pathlib import Path
 
-from wtg_gym.cli.draw import add_split_options, chosen_draw
 from wtg_gym.cli.output import check_output_folder, note, print_json, print_table, say
-from wtg_gym.cli.parser import Commands, add_command
-from wtg_gym.cli.scores import add_result_options, chosen_seeds, finish, kept_parts, run_evaluation
-from wtg_gym.evaluation import Entry, Results
-from wtg_gym.evaluation.policy_process import CPU_S, MEMORY_BYTES, STEP_S
-from wtg_gym.scenarios import SUITES, get_suite
-from wtg_gym.submissions import limits
-from wtg_gym.submissions.folder import FILES
-from wtg_gym.submissions.gate import Report, as_json, check_submission
-from wtg_gym.submissions.template import write_template
-from wtg_gym.submissions.together import Conflict, conflicts
+from wtg_gym.cli.parser import Commands, add_command, add_group
+from wtg_gym.cli.scoring import (
+    add_result_options,
+    add_run_options,
+    add_split_options,
+    add_suite_option,
+    chosen_scenarios,
+    finish,
+    kept_parts,
+    run_evaluation,
+)
+from wtg_gym.policies.conflicts import Conflict, conflicts
+from wtg_gym.policies.gate import Report, check_submission
+from wtg_gym.policies.load import POLICY_FILE
+from wtg_gym.policies.policy_process import CPU_S, MEMORY_BYTES, STEP_S
+from wtg_gym.policies.submission_folder import FILES, write_template
 
-_MB = limits.MODEL_BYTES // 1_000_000
 _LIMITS = (
     f"{MEMORY_BYTES // 2**20} MiB of memory, {CPU_S} s of processor time and {STEP_S:g} s a step for 256 scenarios"
 )
 _GATE = f"""\
 A submission is a folder with entry.toml and policy.onnx, and a README.md if you like. Nothing in it is run but the
-network in policy.onnx, at most {_MB} MB with all weights in it. onnxruntime plays it one scenario at a time, in a
-process that can only compute and answer, here and wherever it is played later. Random numbers start alike in every
-scenario."""
+network in policy.onnx, at most {FILES[POLICY_FILE] // 1_000_000} MB with all weights in it. onnxruntime plays it one
+scenario at a time, in a process that can only compute and answer, here and wherever it is played later. Random numbers
+start alike in every scenario."""
 
 WEAK_OPTION = "--weak-isolation"
 
@@ -55,12 +58,8 @@ With --results, an interrupted command goes on from its finished parts.
 
 def add_commands(commands: Commands) -> None:
     """Add `wtg-gym submission` with its three commands."""
-    parser = commands.add_parser(
-        "submission",
-        help="policies of others: write a template, check a folder, score it in isolation",
-        description=_GATE,
-    )
-    own = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    summary = "policies of others: write a template, check a folder, score it in isolation"
+    own = add_group(commands, "submission", summary=summary, description=_GATE)
     parser = add_command(
         own,
         "new",
@@ -81,6 +80,7 @@ def add_commands(commands: Commands) -> None:
         "  wtg-gym submission check my-policy-* --json",
     )
     _add_common(parser)
+    parser.add_argument("--json", action="store_true", help="print JSON, and nothing else, on stdout")
     parser = add_command(
         own,
         "score",
@@ -91,11 +91,9 @@ def add_commands(commands: Commands) -> None:
         "  wtg-gym submission score my-policy-* --suite low-wind --results my_results",
     )
     _add_common(parser)
-    parser.add_argument(
-        "--suite", default="standard", metavar="NAME", help=f"suite: {', '.join(SUITES)} (default: standard)"
-    )
+    add_suite_option(parser)
     add_split_options(parser)
-    parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
+    add_run_options(parser)
     add_result_options(parser)
 
 
@@ -114,7 +112,6 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
         help="go on where this system cannot take files, network, other processes, memory or time from a process; for "
         "policies of people you trust",
     )
-    parser.add_argument("--json", action="store_true", help="print JSON, and nothing else, on stdout")
 
 
 def _run_new(arguments: argparse.Namespace) -> int:
@@ -129,7 +126,7 @@ def _run_check(arguments: argparse.Namespace) -> int:
     wrong = _together(reports, arguments)
     if arguments.json:
         together = [conflict.reason for conflict in wrong]
-        print_json({"submissions": [as_json(report) for report in reports], "together": together})
+        print_json({"submissions": [report.to_dict() for report in reports], "together": together})
     else:
         for report in reports:
             _print(report)
@@ -140,23 +137,15 @@ def _run_check(arguments: argparse.Namespace) -> int:
 
 def _run_score(arguments: argparse.Namespace) -> int:
     folder = None if arguments.results is None else check_output_folder("--results", arguments.results)
-    get_suite(arguments.suite)
-    seeds = None if arguments.seeds is None else chosen_seeds(arguments.seeds)
-    draw = chosen_draw(arguments)
-    partial = kept_parts(folder, arguments)
-
-    def play(entries: Sequence[Entry], *, keep: bool) -> Results:
-        return run_evaluation(
-            entries, arguments, split=arguments.split, partial=partial, seeds=seeds, draw=draw, keep_partial=keep
-        )
-
-    # Whatever is wrong with the arguments is said before the work.
-    play([], keep=True)
+    partial = kept_parts(folder, arguments) if folder is not None and arguments.resume else None
+    scenarios = {**chosen_scenarios(arguments), "n_threads": arguments.threads, "partial": partial}
+    # Anchors first: errors of the arguments come before the work of the gate.
+    run_evaluation([], keep_partial=True, **scenarios)
     reports = _reports(arguments)
     wrong = _together(reports, arguments) + _refused(reports)
     ranked = _ranked(reports, wrong)
-    _say_what_is_not(ranked, reports, wrong)
-    results = play([report.played(weak=arguments.weak_isolation) for report in ranked], keep=False)
+    _name_left_out(ranked, reports, wrong)
+    results = run_evaluation([report.played(weak=arguments.weak_isolation) for report in ranked], **scenarios)
     code = finish(results, folder, as_json=arguments.json) if ranked else 0
     return code or int(bool(wrong))
 
@@ -169,7 +158,7 @@ def _refused(reports: Sequence[Report]) -> list[Conflict]:
     ]
 
 
-def _say_what_is_not(ranked: Sequence[Report], reports: Sequence[Report], wrong: Sequence[Conflict]) -> None:
+def _name_left_out(ranked: Sequence[Report], reports: Sequence[Report], wrong: Sequence[Conflict]) -> None:
     for conflict in wrong:
         note(f"refused: {conflict.reason}")
     for report in reports:
@@ -178,7 +167,7 @@ def _say_what_is_not(ranked: Sequence[Report], reports: Sequence[Report], wrong:
 
 
 def _ranked(reports: Sequence[Report], wrong: Sequence[Conflict]) -> list[Report]:
-    """The submissions of which nothing is wrong with any folder of their name: nobody chooses the seeds of a row."""
+    """Return the submissions of names without any refused folder: authors cannot choose the seeds of a row."""
     folders = {folder for conflict in wrong for folder in conflict.folders}
     names = {report.entry.name for report in reports if report.folder in folders and report.entry is not None}
     return [
@@ -189,8 +178,6 @@ def _ranked(reports: Sequence[Report], wrong: Sequence[Conflict]) -> list[Report
 
 
 def _reports(arguments: argparse.Namespace) -> list[Report]:
-    if importlib.util.find_spec("onnxruntime") is None:
-        raise ValueError("submissions need onnxruntime: pip install onnxruntime")
     reports = [check_submission(Path(folder), weak=arguments.weak_isolation) for folder in arguments.folders]
     for text in dict.fromkeys(text for report in reports for text in report.notes):
         note(f"not isolated, as {WEAK_OPTION} allows: {text}")
@@ -198,7 +185,7 @@ def _reports(arguments: argparse.Namespace) -> list[Report]:
 
 
 def _together(reports: list[Report], arguments: argparse.Namespace) -> list[Conflict]:
-    """What is wrong with the accepted submissions together, and beside those that are there."""
+    """Return the conflicts of accepted submissions with each other and with those that are there."""
     accepted = [report for report in reports if report.accepted]
     own = {report.folder.resolve() for report in reports}
     beside = []
@@ -212,7 +199,7 @@ def _together(reports: list[Report], arguments: argparse.Namespace) -> list[Conf
 
 
 def _shown(folder: Path) -> str:
-    # Whatever it is called, it is one line and no command to a terminal.
+    # One line, and no command to a terminal.
     return ascii(str(folder))[1:-1]
 
 

@@ -1,4 +1,4 @@
-"""`wtg-gym validate`: a case of another simulator, run here and compared with its trace."""
+"""`wtg-gym compare`: a case of another simulator, run here and compared with its trace."""
 
 from __future__ import annotations
 
@@ -52,16 +52,16 @@ A folder stands for its params.json and every trace beside it.
 exit codes: 0 within tolerance, 1 above it, 2 bad input"""
 
 _EXAMPLES = """\
-  wtg-gym validate params.json trace.csv --events b --step 0.001 --tolerance-w 1e-7
-  wtg-gym validate params.json trace_a.csv trace_b.csv --json
-  wtg-gym validate tests/golden/*/ --page docs/validation.md"""
+  wtg-gym compare params.json trace.csv --events b --step 0.001 --tolerance-w 1e-7
+  wtg-gym compare params.json trace_a.csv trace_b.csv --json
+  wtg-gym compare tests/golden/*/ --page docs/validation.md"""
 
 
 def add_commands(commands: Commands) -> None:
-    """Add `wtg-gym validate`."""
+    """Add `wtg-gym compare`."""
     parser = add_command(
         commands,
-        "validate",
+        "compare",
         run,
         summary="cases of another simulator against its traces; exit code 1 above a tolerance",
         description=_DESCRIPTION,
@@ -122,7 +122,7 @@ class _Comparison:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Carry out `wtg-gym validate`; return 1 if a difference is above its tolerance."""
+    """Carry out `wtg-gym compare`; return 1 if a difference is above its tolerance."""
     require_range("--step", arguments.step, *SIMULATION_DT_RANGE, "s")
     page = check_page("--page", arguments.page, "golden")
     pairs = _pairs([Path(path) for path in arguments.paths])

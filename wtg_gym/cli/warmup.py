@@ -1,4 +1,4 @@
-"""`wtg-gym warmup`: compiles before the first use."""
+"""`wtg-gym warmup`: compile before the first use."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import argparse
 from wtg_gym.cli.output import say
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.envs.gfm_wtg import GFMWTGEnv, GFMWTGVectorEnv
-from wtg_gym.evaluation import Entry, evaluate
+from wtg_gym.evaluation import evaluate
 from wtg_gym.physics.compiled import cache_folder, compilation
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law
 from wtg_gym.physics.trajectory import simulate
@@ -16,9 +16,9 @@ from wtg_gym.small_signal import linearise
 
 _DESCRIPTION = """\
 Compiles the simulator to machine code, which the first use of a version does otherwise: the single environment, the
-vector environment, simulate, evaluate and modes, for two groups of turbines. It takes about a minute. The machine
-code is kept, so that every later start is quick; running the command again compiles nothing. Another number of groups
-or machines is compiled at its own first use."""
+vector environment, simulate, evaluate and analyse modes, for two groups of turbines. It takes about a minute. The
+machine code is kept, so that every later start is quick; running the command again compiles nothing. Another number of
+groups or machines is compiled at its own first use."""
 _EXAMPLES = """\
   wtg-gym warmup
   XDG_CACHE_HOME=/opt/cache wtg-gym warmup            keep the machine code in /opt/cache/wtg_gym, as for an image"""
@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     scenario, law = get_suite("paper").scenario(0), get_law(REFERENCE_STRATEGY)
     simulate(scenario, law)
     linearise(scenario, law)
-    evaluate([Entry(name="mppt", strategy="mppt")], "standard", seeds=(20_000,), duration_s=1.0)
+    evaluate("mppt", seeds=(10_000,), duration_s=1.0)
     done, folder = compilation(), cache_folder()
     where = "not kept, since no folder can be written to" if folder is None else f"kept in {folder}"
     if done.n_functions == 0:
@@ -55,6 +55,3 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         say(f"functions compiled: {done.n_functions}, in {done.seconds:.0f} s; {where}")
     return 0
-
-
-__all__ = ["add_commands", "run"]

@@ -12,7 +12,7 @@ from wtg_gym.physics.parameters import WtgGroup, default_groups, parameter
 from wtg_gym.physics.plant import SIMULATION_DT_RANGE, PlantSettings, whole_steps
 from wtg_gym.physics.scenario import SERIES_DT, Scenario, require_range
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
-from wtg_gym.scenarios import SPLITS, SUITES, VERIFICATION, get_suite
+from wtg_gym.scenarios import FRESH, SPLITS, SUITES, get_suite
 
 #: Action modes and which of (k, τ) each of them modulates.
 ACTION_MODES: dict[str, tuple[bool, bool]] = {"k": (True, False), "tau": (False, True), "k+tau": (True, True)}
@@ -144,7 +144,7 @@ class EnvSettings:
         _require_choice("observation_mode", self.observation_mode, OBSERVATION_MODES)
         _require_choice("machine_model", self.machine_model, MACHINE_MODELS)
         _require_choice("on_failure", self.on_failure, FAILURE_MODES)
-        _require_choice("split", self.split, (*SPLITS, VERIFICATION))
+        _require_choice("split", self.split, (*SPLITS, FRESH))
         _require_choice("suite", self.suite, tuple(SUITES))
         if self.duration_s is not None:
             require_range("duration_s", self.duration_s, 1.0, 3600.0, "s")

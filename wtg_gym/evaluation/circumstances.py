@@ -1,28 +1,34 @@
-"""What decides the last bits of a result beside this package's own code: other packages, Python and the processor."""
+"""Everything beside the entries that decides the last bits of a result: code, packages, Python and the processor."""
 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import functools
+import hashlib
 import importlib.metadata
 import platform
+from pathlib import Path
 
+import numpy as np
+import numpy.typing as npt
 from llvmlite.binding import get_host_cpu_name
 
 from wtg_gym import __version__
+from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.files import sha256
+from wtg_gym.physics.compiled import source_hash
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
+from wtg_gym.scenarios import get_suite
 
 _PACKAGES = ("numpy", "scipy", "numba", "onnxruntime")
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of wtg_gym, Python and the packages that compute, as far as they are installed, and the kind
-    of processor.
-    """
-    return dict(_versions())
+_N_SCENARIOS, _N_STEPS = 4, 150
 
 
 @functools.cache
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
+    """Return the versions of wtg_gym, Python and the installed packages that compute, and the kind of processor."""
     found = {"wtg_gym": __version__, "python": platform.python_version()}
     for package in _PACKAGES:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
@@ -30,4 +36,51 @@ def _versions() -> dict[str, str]:
     return {**found, "processor": f"{platform.machine()} {get_host_cpu_name()}"}
 
 
-__all__ = ["versions"]
+@functools.cache
+def measurement_hash() -> str:
+    """Return the sha256 of the code that plays and measures: old batches of other code are stale."""
+    package = Path(__file__).parents[1]
+    folders = (package / "evaluation", package / "policies")
+    return sha256(b"".join(path.read_bytes() for folder in folders for path in sorted(folder.glob("*.py"))))
+
+
+def circumstances() -> dict[str, str]:
+    """Return the code, packages and processor of this process."""
+    return {"source code": source_hash()[:16], "evaluation code": measurement_hash()[:16], **versions()}
+
+
+def environment_fingerprint(settings: EnvSettings) -> str:
+    """Return a sha256 over everything that the environment answers to a fixed course of actions.
+
+    Machines with the same fingerprint compute the same benchmark, bit for bit. The first validation scenarios are
+    played for 15 s at control steps of 0.1 s, under the reference strategy with all actions and observations. The hash
+    covers the names of the observations and every bit of observations, rewards, terms of the cost and ends.
+
+    Args:
+        settings: of the environment; strategy and modes are replaced.
+    """
+    probed = dataclasses.replace(
+        settings, strategy=REFERENCE_STRATEGY, action_mode="k+tau", observation_mode="privileged"
+    )
+    seeds = get_suite(settings.suite).seeds("validation")[:_N_SCENARIOS]
+    lanes = TaskLanes(probed, len(seeds), 1)
+    try:
+        lanes.start(range(len(seeds)), lanes.scenarios(seeds))
+        found = hashlib.sha256("\n".join(lanes.observation_names).encode())
+        found.update(lanes.observations.tobytes())
+        for step in range(_N_STEPS):
+            if np.logical_or(*lanes.ended()).all():
+                break
+            lanes.step(_actions(step, len(seeds), lanes.n_action))
+            for values in lanes.outputs:
+                found.update(values.tobytes())
+        return found.hexdigest()
+    finally:
+        lanes.simulator.close()
+
+
+def _actions(step: int, n_lanes: int, n_action: int) -> npt.NDArray[np.float64]:
+    """Return actions in [-1, 1], (n_lanes, n_action), from whole numbers: no generator and no rounding."""
+    count = (step * n_lanes + np.arange(n_lanes)[:, np.newaxis]) * n_action + np.arange(n_action)
+    actions: npt.NDArray[np.float64] = (count * 7919 % 2049 - 1024) / 1024.0
+    return actions

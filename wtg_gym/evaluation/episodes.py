@@ -1,4 +1,4 @@
-"""One row per entry and scenario, and the table of them as CSV."""
+"""Episodes: one row per entry and scenario, and the table of them as CSV."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FAILURES = tuple(TERMINATION_REASONS.values())
 
 @dataclass(frozen=True, kw_only=True)
 class Episode:
-    """What an entry did in a scenario.
+    """One entry in one scenario.
 
     Args:
         entry: name of the entry.
@@ -74,7 +74,7 @@ def from_csv(text: str, path: Path) -> list[Episode]:
         path: where it was read, for messages.
 
     Raises:
-        ValueError: a column, row or value is not what it should be; the message names file, line and column.
+        ValueError: a column, row or value is wrong; the message names file, line and column.
     """
     try:
         rows = list(csv.reader(io.StringIO(text), strict=True))
@@ -95,37 +95,32 @@ def episode_from_cells(cells: Sequence[str], where: str) -> Episode:
     if len(cells) != len(COLUMNS):
         raise ValueError(f"{where}: expected {len(COLUMNS)} values, got {len(cells)}")
     row = dict(zip(COLUMNS, cells, strict=True))
+
+    def whole(column: str) -> int:
+        if not (row[column].isascii() and row[column].isdigit()):
+            raise ValueError(f"{where}: {column} must be a whole number from 0 on, got {row[column]!r}")
+        return int(row[column])
+
+    def number(column: str, unit: str) -> float:
+        try:
+            value = float(row[column])
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise ValueError(f"{where}: {column} must be a finite number [{unit}], got {row[column]!r}")
+        return value
+
     if row["failure"] not in FAILURES:
         raise ValueError(f"{where}: failure must be empty or one of {', '.join(FAILURES[1:])}, got {row['failure']!r}")
     return Episode(
         entry=row["entry"],
-        training_seed=None if row["training_seed"] == "" else _whole(row, "training_seed", where),
-        seed=_whole(row, "seed", where),
+        training_seed=None if row["training_seed"] == "" else whole("training_seed"),
+        seed=whole("seed"),
         scenario=row["scenario"],
-        duration_s=_number(row, "duration_s", where),
+        duration_s=number("duration_s", "s"),
         failure=row["failure"],
         metrics={
-            name: None if metric.optional and row[name] == "" else _number(row, name, where)
+            name: None if metric.optional and row[name] == "" else number(name, metric.unit)
             for name, metric in METRICS.items()
         },
     )
-
-
-def _whole(row: Mapping[str, str], column: str, where: str) -> int:
-    if not (row[column].isascii() and row[column].isdigit()):
-        raise ValueError(f"{where}: {column} must be a whole number from 0 on, got {row[column]!r}")
-    return int(row[column])
-
-
-def _number(row: Mapping[str, str], column: str, where: str) -> float:
-    unit = METRICS[column].unit if column in METRICS else "s"
-    try:
-        value = float(row[column])
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise ValueError(f"{where}: {column} must be a finite number [{unit}], got {row[column]!r}")
-    return value
-
-
-__all__ = ["COLUMNS", "FAILURES", "Episode", "episode_from_cells", "from_csv", "to_csv"]

@@ -1,4 +1,4 @@
-"""Playing entries through the scenarios of a suite, many at a time."""
+"""Evaluating entries: every one is played through the scenarios of a suite, many at a time."""
 
 from __future__ import annotations
 
@@ -6,38 +6,34 @@ import contextlib
 import copy
 import dataclasses
 import os
-import traceback
 from collections import Counter
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym import ENV_ID
-from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task import COEFFICIENT_AUTHORITY, TIME_CONSTANT_RATIO
-from wtg_gym.evaluation.circumstances import versions
-from wtg_gym.evaluation.entries import ANCHORS, Entry
+from wtg_gym.evaluation.circumstances import environment_fingerprint, versions
 from wtg_gym.evaluation.episodes import Episode
-from wtg_gym.evaluation.fingerprint import environment_fingerprint
 from wtg_gym.evaluation.metrics import Recorder, measure
-from wtg_gym.evaluation.onnx_policy import OnnxPolicy
 from wtg_gym.evaluation.parcels import Played
 from wtg_gym.evaluation.partial import PartialStore
-from wtg_gym.evaluation.policy_process import NotIsolatedError, PolicyError
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.workers import Workers
 from wtg_gym.physics.compiled import source_hash
-from wtg_gym.physics.scenario import Scenario
-from wtg_gym.physics.tracking_law import STRATEGIES
-from wtg_gym.scenarios import VERIFICATION, VerificationDraw, get_suite
+from wtg_gym.policies import ANCHORS, Entry, OnnxPolicy, PolicyError
+from wtg_gym.policies.entry import check_entries
+from wtg_gym.policies.load import load_entries
+from wtg_gym.policies.play import play, started_lanes
+from wtg_gym.policies.policy_process import NotIsolatedError
+from wtg_gym.scenarios import FRESH, FreshDraw, get_suite
 
 Progress = Callable[[str, int, int], None]
-#: What is played at once: an entry, and seeds of scenarios.
+#: A batch: an entry, and the seeds of the scenarios that it plays at once.
 _Part = tuple[Entry, list[int]]
 #: Settings that an entry or an argument of its own decides.
 _TAKEN = ("strategy", "action_mode", "observation_mode", "suite", "split", "scenario", "duration_s")
@@ -46,12 +42,12 @@ _LARGEST_SPLIT = 100_000
 
 
 def evaluate(
-    entries: Sequence[Entry],
-    suite: str,
-    split: str = "test",
+    entries: str | Path | Entry | Sequence[str | Path | Entry],
+    suite: str = "standard",
+    split: str = "validation",
     *,
     seeds: Sequence[int] | None = None,
-    draw: VerificationDraw | None = None,
+    draw: FreshDraw | None = None,
     duration_s: float | None = None,
     batch: int = 256,
     n_threads: int | None = None,
@@ -62,18 +58,21 @@ def evaluate(
     keep_going: bool = False,
     **env_arguments: Any,
 ) -> Results:
-    """Play every entry, and the two anchors of the score, through the scenarios of a suite.
+    """Play entries, and the two anchors of the score, through scenarios of a suite, and score them.
+
+    `evaluate("linear-feedback").scores["linear-feedback"]` is a score with its 95 % interval.
 
     The numbers of a law and of an :class:`OnnxPolicy` depend neither on `batch` nor on `n_threads`, to the last bit.
     Any other policy is called once per control step for a whole batch; its own rounding may depend on the batch's size.
-    Batches are the same whoever plays them, and so are the numbers, with any `workers`.
+    The batches, and so the numbers, are the same with any `workers`.
 
     Args:
-        entries: competitors; names (with training seeds) must be unique.
+        entries: competitors, each an :class:`Entry` or a name or path that :func:`load_entries` takes; names (with
+            training seeds) must be unique.
         suite: name of the suite.
-        split: "train", "validation", "test" or "verification".
+        split: "train", "validation", "test" or "fresh".
         seeds: some of the split's seeds; None for all.
-        draw: the seeds of the split "verification".
+        draw: the seeds of the split "fresh".
         duration_s: length of the episodes [s]; None for the suite's own.
         batch: scenarios that run side by side.
         n_threads: threads to step with, and ONNX policies that play side by side; None for one per processor. Workers
@@ -83,9 +82,12 @@ def evaluate(
             folder stays.
         workers: other processes that play the batches; None plays them here, one after the other.
         keep_partial: leave finished batches in that folder, for a run with more entries.
-        keep_going: leave out an entry whose policy fails, with all training seeds of its name, and say so in
-            :attr:`Results.failed`; the others' results are what they are without it. False raises the failure.
+        keep_going: leave out an entry whose policy fails, with all training seeds of its name, and name it in
+            :attr:`Results.failed`; the others' results do not change. False raises the failure.
         env_arguments: further settings of the environment, see :class:`wtg_gym.envs.settings.EnvSettings`.
+
+    Returns:
+        every episode with its metrics; :attr:`Results.scores` are the scores, :attr:`Results.summaries` whole rows.
 
     Raises:
         PolicyError: a policy raises, ends, takes too long or returns no action; a ValueError that names entry and step.
@@ -124,13 +126,26 @@ def evaluate(
         draw=None if draw is None else {"commit": draw.commit, "secret_sha256": draw.secret_sha256},
         environment={"id": ENV_ID, "fingerprint": environment_fingerprint(settings)},
         settings=shared,
-        versions=versions(),
+        versions=dict(versions()),
         entries=tuple(entry.to_dict() for entry in competitors),
         episodes=tuple(episode for index in range(len(parts)) for episode in played.get(index, ())),
     ).without({key: str(error) for key, error in failures.items()})
     if not keep_partial:
         store.clear()
     return results
+
+
+# --- arguments -------------------------------------------------------------------------------------------------------
+
+
+def _with_anchors(given: str | Path | Entry | Sequence[str | Path | Entry]) -> list[Entry]:
+    """Return the entries, and the anchors that are not among them."""
+    entries: list[Any] = []
+    for each in [given] if isinstance(given, (str, Path, Entry)) else given:
+        entries += load_entries(each) if isinstance(each, (str, Path)) else [each]
+    check_entries(entries)
+    missing = [name for name in ANCHORS if name not in {entry.name for entry in entries}]
+    return [*entries, *(Entry(name=name, strategy=name, description="Anchor of the score.") for name in missing)]
 
 
 def _check_arguments(batch: int, partial: str | Path | None, env_arguments: dict[str, Any]) -> None:
@@ -147,47 +162,10 @@ def _check_arguments(batch: int, partial: str | Path | None, env_arguments: dict
         raise ValueError(f"partial must be a folder for finished batches, got the file {partial}")
 
 
-def check_entries(entries: Sequence[Entry]) -> None:
-    """Raise a ValueError if entries cannot stand in one table: names, training seeds and rows must fit."""
-    if isinstance(entries, (str, Entry)) or not all(isinstance(entry, Entry) for entry in entries):
-        raise ValueError(f"entries must be a list of Entry, see load_entries(), got {entries!r}")
-    names = [(entry.name, entry.training_seed) for entry in entries]
-    doubled = sorted({name for name, seed in names if names.count((name, seed)) > 1})
-    if doubled:
-        raise ValueError(f"entries must have different names or training seeds; given more than once: {doubled}")
-    rows: dict[str, Entry] = {}
-    for entry in entries:
-        first = rows.setdefault(entry.name, entry)
-        if first is not entry:
-            _check_row(first, entry)
-        if entry.name in ANCHORS and (entry.policy is not None or entry.law != STRATEGIES[entry.name]):
-            raise ValueError(f"the name {entry.name!r} is reserved for the strategy itself, which fixes the score")
-
-
-def _check_row(first: Entry, other: Entry) -> None:
-    """Entries of one name are one method, trained with several seeds: nobody joins another's row."""
-    if None in (first.training_seed, other.training_seed):
-        seeds = [first.training_seed, other.training_seed]
-        raise ValueError(f"entries named {first.name!r} must all have a training seed, got {seeds}")
-    one, two = first.to_dict(), other.to_dict()
-    for key in ("kind", "strategy", "action_mode", "observation_mode", "source"):
-        if one[key] != two[key]:
-            raise ValueError(
-                f"entries named {first.name!r} share a row and must agree on {key}, got {one[key]!r} and {two[key]!r}"
-            )
-
-
-def _with_anchors(entries: Sequence[Entry]) -> list[Entry]:
-    """The entries with the anchors that are not among them, anchors of one's own making refused."""
-    check_entries(entries)
-    missing = [name for name in ANCHORS if name not in {entry.name for entry in entries}]
-    return [*entries, *(Entry(name=name, strategy=name, description="Anchor of the score.") for name in missing)]
-
-
-def _seeds(suite: str, split: str, seeds: Sequence[int] | None, draw: VerificationDraw | None) -> list[int]:
-    if (split == VERIFICATION) != (draw is not None):
+def _seeds(suite: str, split: str, seeds: Sequence[int] | None, draw: FreshDraw | None) -> list[int]:
+    if (split == FRESH) != (draw is not None):
         raise ValueError(
-            f"the split {VERIFICATION!r}, and no other, is played on the seeds of a draw, see draw_seeds(); got the "
+            f"the split {FRESH!r}, and no other, is played on the seeds of a draw, see draw_seeds(); got the "
             f"split {split!r} and {'no draw' if draw is None else 'a draw'}"
         )
     if draw is not None:
@@ -214,7 +192,7 @@ def _seeds(suite: str, split: str, seeds: Sequence[int] | None, draw: Verificati
 
 
 def shared_settings(settings: EnvSettings) -> dict[str, Any]:
-    """Return what is the same for all entries, defaults filled in, as JSON-ready data."""
+    """Return the settings that all entries share, defaults filled in, as JSON-ready data."""
     return {
         "duration_s": settings.episode_duration_s(),
         "control_dt": float(settings.control_dt),
@@ -227,6 +205,9 @@ def shared_settings(settings: EnvSettings) -> dict[str, Any]:
     }
 
 
+# --- batches ---------------------------------------------------------------------------------------------------------
+
+
 def _stored_and_played(
     store: PartialStore,
     parts: Sequence[_Part],
@@ -234,7 +215,7 @@ def _stored_and_played(
     n_threads: int | None,
     workers: Workers | None,
 ) -> Generator[tuple[int, Played], None, None]:
-    """Yield (index, episodes) of every batch: what is stored, then what has to be played, stored as it comes."""
+    """Yield (index, episodes) of every batch: first the stored ones, then the others, which are stored too."""
     paths = [store.path(entry.to_dict(), seeds) for entry, seeds in parts]
     missing = []
     for index, (_, seeds) in enumerate(parts):
@@ -243,19 +224,21 @@ def _stored_and_played(
             missing.append(index)
         else:
             yield index, rows
-    with contextlib.closing(_played([parts[index] for index in missing], settings, n_threads, workers)) as batches:
+    remaining = [parts[index] for index in missing]
+    if workers is not None and remaining:
+        playing = workers.play(_play, settings, remaining)
+    else:
+        playing = _played_here(remaining, settings, n_threads)
+    with contextlib.closing(playing) as batches:
         for number, played in batches:
             if not isinstance(played, PolicyError):
                 store.save(paths[missing[number]], played)
             yield missing[number], played
 
 
-def _played(
-    parts: Sequence[_Part], settings: EnvSettings, n_threads: int | None, workers: Workers | None
+def _played_here(
+    parts: Sequence[_Part], settings: EnvSettings, n_threads: int | None
 ) -> Generator[tuple[int, Played], None, None]:
-    if workers is not None and parts:
-        yield from workers.play(_play, settings, parts)
-        return
     failures: dict[str, PolicyError] = {}
     playing: list[OnnxPolicy] = []
 
@@ -268,7 +251,7 @@ def _played(
             playing.append(policy)
         rows = failures.get(entry.name) or _play(entry, settings, seeds, n_threads)
         if isinstance(rows, PolicyError):
-            # The row is left out whatever its other training seeds do, so nobody waits for them.
+            # Its row is left out, so its other training seeds need not be played.
             failures[entry.name] = rows
         return index, rows
 
@@ -288,139 +271,24 @@ def _played(
 
 
 def _play(entry: Entry, settings: EnvSettings, seeds: Sequence[int], n_threads: int | None) -> Played:
-    """Play one batch from start to end."""
-    lanes = entry_lanes(entry, settings, len(seeds), n_threads)
+    """Play and measure one batch from start to end."""
     try:
-        scenarios = lanes.scenarios(seeds)
-        _start(lanes, scenarios, entry)
-        recorder = Recorder(lanes, _n_steps(lanes))
-        for stepped in play(entry, lanes):
-            recorder.record(stepped)
-        return [_episode(entry, lanes, recorder, lane, scenario) for lane, scenario in enumerate(scenarios)]
+        with started_lanes(entry, settings, seeds, n_threads) as (lanes, scenarios):
+            recorder = Recorder(lanes)
+            for stepped in play(entry, lanes):
+                recorder.record(stepped)
+            return [
+                Episode(
+                    entry=entry.name,
+                    training_seed=entry.training_seed,
+                    seed=int(lanes.scenario_seeds[lane]),
+                    scenario=scenario.name,
+                    duration_s=min(scenario.duration_s, lanes.duration_s),
+                    **measure(lanes, recorder, lane, scenario),
+                )
+                for lane, scenario in enumerate(scenarios)
+            ]
     except NotIsolatedError:
         raise
     except PolicyError as error:
         return error
-    finally:
-        lanes.simulator.close()
-
-
-def entry_lanes(entry: Entry, settings: EnvSettings, n_lanes: int, n_threads: int | None = None) -> TaskLanes:
-    """Return lanes with an entry's own law and modes, everything else as in `settings`."""
-    # A law is no JSON, which is why the settings' own type is narrower than what they take.
-    law: Any = entry.law
-    own = dataclasses.replace(
-        settings, strategy=law, action_mode=entry.action_mode, observation_mode=entry.observation_mode
-    )
-    return TaskLanes(own, n_lanes, n_threads)
-
-
-def play(entry: Entry, lanes: TaskLanes) -> Iterator[npt.NDArray[np.bool_]]:
-    """Play the started episodes of all lanes to their ends; after every step, yield which lanes made it, (n_lanes,).
-
-    The process of an :class:`OnnxPolicy` is a new one, and ends with the episodes.
-
-    Raises:
-        PolicyError: the policy raises, ends, takes too long or returns no action.
-    """
-    actions = _Actions(entry, lanes)
-    running = np.ones(lanes.n_lanes, dtype=np.bool_)
-    playing: contextlib.AbstractContextManager[Any] = contextlib.nullcontext()
-    if isinstance(entry.policy, OnnxPolicy):
-        playing = entry.policy
-    with playing:
-        while running.any():
-            lanes.step(actions.next(running))
-            yield running
-            terminated, truncated = lanes.ended()
-            running = ~(terminated | truncated)
-
-
-def _start(lanes: TaskLanes, scenarios: Sequence[Scenario], entry: Entry) -> None:
-    try:
-        lanes.start(range(len(scenarios)), scenarios)
-    except ValueError as error:
-        raise ValueError(f"entry {entry.label!r}: {error}") from error
-
-
-def _n_steps(lanes: TaskLanes) -> int:
-    return int(lanes.task_values("end_step").max()) // lanes.simulator.plant.n_substeps
-
-
-def _episode(entry: Entry, lanes: TaskLanes, recorder: Recorder, lane: int, scenario: Scenario) -> Episode:
-    metrics, failure = measure(lanes, recorder, lane, scenario)
-    return Episode(
-        entry=entry.name,
-        training_seed=entry.training_seed,
-        seed=int(lanes.scenario_seeds[lane]),
-        scenario=scenario.name,
-        duration_s=min(scenario.duration_s, lanes.duration_s),
-        failure=failure,
-        metrics=metrics,
-    )
-
-
-class _Actions:
-    """Asks a policy for the actions of a batch, step by step, with its recurrent state."""
-
-    def __init__(self, entry: Entry, lanes: TaskLanes) -> None:
-        self._entry = entry
-        self._lanes = lanes
-        self._state: Any = None
-        self._step = 0
-        self._shape = (lanes.n_lanes, lanes.n_action)
-
-    def next(self, running: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
-        """Return the actions (n_lanes, n_action) of the next step; zero for lanes that are over, (n_lanes,) bool."""
-        policy = self._entry.policy
-        if policy is None:
-            return np.zeros(self._shape)
-        start = np.full(self._shape[0], self._step == 0)
-        try:
-            answer = policy.predict(
-                self._lanes.observations.copy(), state=self._state, episode_start=start, deterministic=True
-            )
-        except NotIsolatedError:
-            raise
-        except (Exception, SystemExit) as error:
-            said = str(error) if isinstance(error, PolicyError) else f"predict() raised {_described(error)}"
-            raise PolicyError(f"entry {self._entry.label!r}, step {self._step}: {said}") from error
-        if not isinstance(answer, tuple) or len(answer) != 2:
-            raise self._complaint("predict() must return (actions, state)", type(answer).__name__)
-        actions = self._checked(answer[0], running)
-        self._state = answer[1]
-        self._step += 1
-        return actions
-
-    def _checked(self, given: Any, running: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
-        try:
-            raw = np.asarray(given)
-        # A tensor with gradients raises a RuntimeError, other libraries' arrays what they like.
-        except Exception as error:
-            raise self._complaint("actions must be an array of numbers", _described(error)) from error
-        if raw.dtype.kind not in "biuf":
-            raise self._complaint("actions must be an array of numbers", f"one of {raw.dtype}")
-        actions = raw.astype(np.float64)
-        if actions.shape != self._shape:
-            raise self._complaint(f"actions must have shape {self._shape} (lanes, values)", f"shape {actions.shape}")
-        # What a policy answers to an episode that is over has no effect.
-        actions[~running] = 0.0
-        if not np.isfinite(actions).all():
-            lane = int(np.flatnonzero(~np.isfinite(actions).all(axis=1))[0])
-            seed = self._lanes.scenario_seeds[lane]
-            wanted = f"actions of shape {actions.shape} must be finite, -1 … 1"
-            raise self._complaint(wanted, f"{actions[lane].tolist()} in the scenario of seed {seed}")
-        return actions
-
-    def _complaint(self, wanted: str, got: str) -> PolicyError:
-        return PolicyError(f"entry {self._entry.label!r}, step {self._step}: {wanted}, got {got}")
-
-
-def _described(error: BaseException) -> str:
-    """Return an exception on one line, with the place in the code that raised it."""
-    place = traceback.extract_tb(error.__traceback__)[-1]
-    said = "".join(sign if sign.isprintable() else "?" for sign in " ".join(str(error).split())[:200])
-    return f"{type(error).__name__}: {said} ({Path(place.filename).name}:{place.lineno})"
-
-
-__all__ = ["check_entries", "entry_lanes", "evaluate", "play", "shared_settings"]

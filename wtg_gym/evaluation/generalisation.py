@@ -1,4 +1,4 @@
-"""The generalisation gap: what an entry scores on the public test scenarios more than on fresh ones."""
+"""The generalisation gap: the score on the public test scenarios minus the score on fresh ones."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 
 from wtg_gym import files
 from wtg_gym.evaluation import statistics
-from wtg_gym.evaluation.entries import ANCHORS
 from wtg_gym.evaluation.leaderboard import leaderboard_rows, signed_interval
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.statistics import Floats, Interval
-from wtg_gym.scenarios import VERIFICATION
+from wtg_gym.policies import ANCHORS
+from wtg_gym.scenarios import FRESH
 
 #: With fewer the regression on the controls fits noise.
 _FEWEST_FRESH = 30
@@ -30,8 +30,8 @@ class GeneralisationGap:
         name: name of the entry.
         public, fresh: its scores.
         gap: public minus fresh.
-        excess: the part of the gap that the controllers made by hand do not share, see
-            :func:`excess_gap`; None for these, and with fewer than 30 fresh scenarios.
+        excess: the part of the gap that the controllers made by hand do not share, see :func:`excess_gap`; None for
+            these, and with fewer than 30 fresh scenarios.
     """
 
     name: str
@@ -55,15 +55,15 @@ def generalisation_gaps(public: Results, fresh: Results) -> list[GeneralisationG
 
     Args:
         public: results on the split "test".
-        fresh: results on the split "verification" of the same suite, with the same settings.
+        fresh: results on the split "fresh" of the same suite, with the same settings.
 
     Raises:
         ValueError: the results are not of these splits, or of different suites, settings or source code.
         NoScaleError: there is no score, see :attr:`Results.summaries`.
     """
-    if (public.split, fresh.split) != ("test", VERIFICATION):
+    if (public.split, fresh.split) != ("test", FRESH):
         raise ValueError(
-            f"a gap is between results on the splits 'test' and {VERIFICATION!r}, in this order; "
+            f"a gap is between results on the splits 'test' and {FRESH!r}, in this order; "
             f"got {public.split!r} and {fresh.split!r}"
         )
     for key in ("suite", "suite_hash", "source_hash", "settings"):
@@ -72,44 +72,46 @@ def generalisation_gaps(public: Results, fresh: Results) -> list[GeneralisationG
     shared = set(_shared(public, fresh)) - {ANCHORS[1]}
     rows = [row for row in leaderboard_rows(public) if row.name in shared]
     controls = [row.name for row in rows if row.kind != "learned"]
-    scores = {row.name: row.score for row in fresh.summaries}
-    gains = public.log_gains, fresh.log_gains
-    return [
-        GeneralisationGap(
-            name=row.name,
-            public=row.score,
-            fresh=scores[row.name],
-            gap=score_gap(*((own[row.name], own[ANCHORS[0]][0]) for own in gains)),
-            excess=None if row.kind != "learned" else _excess(row.name, controls, *gains),
-        )
-        for row in rows
-        if row.name != ANCHORS[0]
-    ]
-
-
-def _excess(name: str, controls: Sequence[str], public: dict[str, Floats], fresh: dict[str, Floats]) -> Interval | None:
-    one, other = (
-        (own[name], np.concatenate([own[control] for control in controls]), own[ANCHORS[0]][0])
-        for own in (public, fresh)
-    )
-    return excess_gap(one, other) if other[2].size >= _FEWEST_FRESH else None
+    scores, gains = fresh.scores, (public.log_gains, fresh.log_gains)
+    mppt = [own[ANCHORS[0]][0] for own in gains]
+    gaps = []
+    for row in rows:
+        if row.name != ANCHORS[0]:
+            own = [each[row.name] for each in gains]
+            excess = None
+            if row.kind == "learned" and mppt[1].size >= _FEWEST_FRESH:
+                others = [np.concatenate([each[name] for name in controls]) for each in gains]
+                excess = excess_gap(*zip(own, others, mppt, strict=True))
+            gap = score_gap(*zip(own, mppt, strict=True))
+            gaps.append(
+                GeneralisationGap(name=row.name, public=row.score, fresh=scores[row.name], gap=gap, excess=excess)
+            )
+    return gaps
 
 
 def score_gap(public: tuple[Floats, Floats], fresh: tuple[Floats, Floats]) -> Interval:
     """Return the score on public scenarios minus that on fresh ones, with its bootstrap interval.
 
-    The training seeds of a resample are the same on both sides, the scenarios are drawn on each side by themselves, and
-    Λ is computed anew from those that were drawn: between two sets of scenarios it is not the same.
+    The training seeds of a resample are the same on both sides. The scenarios are drawn on each side independently, and
+    Λ is computed anew from those that were drawn; a resample counts if both sides have a positive Λ.
 
     Args:
         public, fresh: log gains of the entry (n_runs, n_scenarios) and of MPPT (n_scenarios,), see
-            :func:`wtg_gym.evaluation.statistics.log_gains`.
+            :func:`wtg_gym.evaluation.score.log_gains`.
     """
-    value = 100.0 * (
-        statistics.mean(public[0]) / -statistics.mean(public[1])
-        - statistics.mean(fresh[0]) / -statistics.mean(fresh[1])
-    )
-    return statistics.percentile_interval(value, _resampled_gap(public, fresh))
+    n_runs = public[0].shape[0]
+    streams = [np.random.default_rng(seed) for seed in np.random.SeedSequence(statistics.BOOTSTRAP_SEED).spawn(3)]
+    runs = streams[0].integers(0, n_runs, size=(statistics.N_RESAMPLES, n_runs))
+    value, scored = 0.0, np.ones(statistics.N_RESAMPLES, dtype=np.bool_)
+    resampled = np.zeros(statistics.N_RESAMPLES)
+    for sign, stream, (gains, mppt) in zip((1.0, -1.0), streams[1:], (public, fresh), strict=True):
+        value += sign * statistics.mean(gains) / -statistics.mean(mppt)
+        scenarios = stream.integers(0, mppt.size, size=(statistics.N_RESAMPLES, mppt.size))
+        means = np.take_along_axis(gains[:, scenarios].mean(axis=2).T, runs, axis=1).mean(axis=1)
+        scale = -mppt[scenarios].mean(axis=1)
+        resampled += sign * (100.0 * means / scale)
+        scored &= scale > 0.0
+    return statistics.percentile_interval(100.0 * value, resampled[scored])
 
 
 def excess_gap(public: tuple[Floats, Floats, Floats], fresh: tuple[Floats, Floats, Floats]) -> Interval:
@@ -117,10 +119,9 @@ def excess_gap(public: tuple[Floats, Floats, Floats], fresh: tuple[Floats, Float
 
     A set of scenarios that suits one good controller suits the others too. So the mean gain over the training seeds is
     regressed on the gains of controls, over the fresh scenarios, and the prediction is subtracted from the gains on
-    both sides. The excess is the gap of the remainder: the entry's gap minus the weighted gaps of the controls. It has
-    the resamples of :func:`score_gap`, with Λ computed anew in each. The coefficients and the training seeds are taken
-    as known: the question is about these policies, not about others trained alike. A row of which only some seeds know
-    the public scenarios is seen as sharply as any other.
+    both sides. The excess is the gap of the remainder: the entry's gap minus the weighted gaps of the controls. The
+    coefficients and the training seeds are taken as known: the question is about these policies, not about others
+    trained alike. A row of which only some seeds know the public scenarios is seen as sharply as any other.
 
     Source: control variates, e.g. P. Glasserman, "Monte Carlo Methods in Financial Engineering", 2003, section 4.1.
 
@@ -135,41 +136,24 @@ def excess_gap(public: tuple[Floats, Floats, Floats], fresh: tuple[Floats, Float
     return score_gap(one, other)
 
 
-def _resampled_gap(public: tuple[Floats, Floats], fresh: tuple[Floats, Floats]) -> Floats:
-    """Return the gap in every resample in which both sides have a positive Λ, see :func:`score_gap`."""
-    n_runs = public[0].shape[0]
-    streams = [np.random.default_rng(seed) for seed in np.random.SeedSequence(statistics.BOOTSTRAP_SEED).spawn(3)]
-    runs = streams[0].integers(0, n_runs, size=(statistics.N_RESAMPLES, n_runs))
-    means, scales = [], []
-    for stream, (gains, mppt) in zip(streams[1:], (public, fresh), strict=True):
-        scenarios = stream.integers(0, mppt.size, size=(statistics.N_RESAMPLES, mppt.size))
-        means.append(np.take_along_axis(gains[:, scenarios].mean(axis=2).T, runs, axis=1).mean(axis=1))
-        scales.append(-mppt[scenarios].mean(axis=1))
-    scored = (scales[0] > 0.0) & (scales[1] > 0.0)
-    one, other = (100.0 * each[scored] / scale[scored] for each, scale in zip(means, scales, strict=True))
-    gaps: Floats = one - other
-    return gaps
-
-
 def left_out(public: Results, fresh: Results) -> list[str]:
     """Return the entries that only one of the results holds, or whose policies differ."""
-    names = {entry["name"]: None for each in (public, fresh) for entry in each.entries}
     shared = _shared(public, fresh)
-    return [name for name in names if name not in shared]
+    return [name for name in {**_policies(public), **_policies(fresh)} if name not in shared]
 
 
 def _shared(public: Results, fresh: Results) -> list[str]:
     """Return the names that stand for the same policies, known by their sha256, in both results."""
-    first, second = ({name: _policies(each, name) for name in _names(each)} for each in (public, fresh))
-    return [name for name, own in first.items() if second.get(name) == own and None not in [key for _, key in own]]
+    one, other = _policies(public), _policies(fresh)
+    return [name for name, own in one.items() if other.get(name) == own and None not in own.values()]
 
 
-def _names(results: Results) -> list[str]:
-    return list(dict.fromkeys(entry["name"] for entry in results.entries))
-
-
-def _policies(results: Results, name: str) -> list[tuple[int | None, str | None]]:
-    return [(entry["training_seed"], entry["sha256"]) for entry in results.entries if entry["name"] == name]
+def _policies(results: Results) -> dict[str, dict[int | None, str | None]]:
+    """Return the policies' sha256 by name and training seed."""
+    found: dict[str, dict[int | None, str | None]] = {}
+    for entry in results.entries:
+        found.setdefault(entry["name"], {})[entry["training_seed"]] = entry["sha256"]
+    return found
 
 
 def gap_cells(gaps: Sequence[GeneralisationGap]) -> list[list[str]]:
@@ -188,29 +172,16 @@ def gap_cells(gaps: Sequence[GeneralisationGap]) -> list[list[str]]:
 
 
 def gap_page(public: Results, fresh: Results, gaps: Sequence[GeneralisationGap]) -> str:
-    """Return what was compared, and the table, as Markdown without a line feed at the end."""
+    """Return the comparison in a sentence and its table, as Markdown without a line feed at the end."""
     numbers = [index for index, is_number in enumerate(COLUMNS.values()) if is_number]
     table = files.markdown_table(list(COLUMNS), gap_cells(gaps), right=numbers)
     return f"{describe(public, fresh)}\n\n{table}"
 
 
 def describe(public: Results, fresh: Results) -> str:
-    """Return one sentence on what is compared."""
+    """Return one sentence on the scenarios that are compared."""
     assert fresh.draw is not None
     return (
         f"{len(public.seeds)} public and {len(fresh.seeds)} fresh scenarios of `{public.suite}`, the fresh ones drawn "
         f"from commit {fresh.draw['commit'][:12]} and a secret of sha256 {fresh.draw['secret_sha256'][:12]}…"
     )
-
-
-__all__ = [
-    "COLUMNS",
-    "GeneralisationGap",
-    "describe",
-    "excess_gap",
-    "gap_cells",
-    "gap_page",
-    "generalisation_gaps",
-    "left_out",
-    "score_gap",
-]

@@ -2,36 +2,71 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from wtg_gym import files
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.statistics import Interval
 from wtg_gym.evaluation.summary import REST, EntrySummary, ranked
 
-#: Headings of the whole table, and whether the column holds numbers.
-COLUMNS: dict[str, bool] = {
-    "rank": True,
-    "entry": False,
-    "score": True,
-    "to the entry above": True,
-    "frequency, RoCoF [points]": True,
-    "duty [points]": True,
-    "overload [points]": True,
-    "rest [points]": True,
-    "kind": False,
-    "IQM": True,
-    "P(improvement)": True,
-    "gap closed [%]": True,
-    "failures [%]": True,
-    "mean cost": True,
-    "nadir [Hz]": True,
-    "p95 RoCoF [Hz/s]": True,
-    "p95 peak power [p.u.]": True,
-    "p95 power change in 1 s [p.u.]": True,
-    "duty error [%]": True,
-    "energy share [%]": True,
+
+def signed_interval(interval: Interval) -> str:
+    """Return a difference of scores and its interval, with their signs."""
+    return f"{_signed(interval.value)} ({_signed(interval.low)} … {_signed(interval.high)})"
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.1f}" if round(value, 1) else "0.0"
+
+
+def _plain(value: float, digits: int) -> str:
+    # Adding 0.0 turns -0.0 into 0.0.
+    return f"{round(value, digits) + 0.0:.{digits}f}"
+
+
+def _interval(interval: Interval) -> str:
+    if interval.low == interval.high:
+        # The score of an anchor, which is fixed.
+        return _plain(interval.value, 1)
+    return f"{_plain(interval.value, 1)} ({_plain(interval.low, 1)} … {_plain(interval.high, 1)})"
+
+
+def _gap_closed(row: EntrySummary) -> str:
+    """Return the share of the oracle's gap, and the number of scenarios with an oracle if not all have one."""
+    if row.gap_closed_percent is None:
+        return ""
+    every = row.n_oracle * row.n_runs == row.n_episodes
+    return _plain(row.gap_closed_percent.value, 1) + ("" if every else f" (n = {row.n_oracle})")
+
+
+def _kind(row: EntrySummary) -> str:
+    return f"{row.kind}, privileged" if row.privileged else row.kind
+
+
+#: The cells of a row by the headings of their columns; the rank stands before them.
+_CELLS: dict[str, Callable[[EntrySummary], str]] = {
+    "entry": lambda row: row.name if row.n_runs == 1 else f"{row.name} ({row.n_runs} seeds)",
+    "score": lambda row: _interval(row.score),
+    "to the entry above": lambda row: signed_interval(row.difference_to_above) if row.difference_to_above else "",
+    "frequency, RoCoF [points]": lambda row: _signed(row.points_by_term["frequency_rocof"]),
+    "duty [points]": lambda row: _signed(row.points_by_term["duty"]),
+    "overload [points]": lambda row: _signed(row.points_by_term["overload"]),
+    "rest [points]": lambda row: _signed(row.points_by_term[REST]),
+    "kind": _kind,
+    "IQM": lambda row: _plain(row.interquartile_mean.value, 1),
+    "P(improvement)": lambda row: f"{row.probability_of_improvement.value:.2f}",
+    "gap closed [%]": _gap_closed,
+    "failures [%]": lambda row: f"{row.failures_percent:.1f}",
+    "mean cost": lambda row: f"{row.mean_cost:.1f}",
+    "nadir [Hz]": lambda row: f"{row.median_nadir_hz:.3f}",
+    "p95 RoCoF [Hz/s]": lambda row: f"{row.p95_rocof_hz_s:.3f}",
+    "p95 peak power [p.u.]": lambda row: f"{row.p95_peak_power_pu:.2f}",
+    "p95 power change in 1 s [p.u.]": lambda row: f"{row.p95_power_change_pu:.2f}",
+    "duty error [%]": lambda row: f"{row.mean_duty_error_percent:.2f}",
+    "energy share [%]": lambda row: f"{row.mean_energy_share_percent:.1f}",
 }
+#: Headings of the whole table, and whether the column holds numbers.
+COLUMNS = {column: column not in ("entry", "kind") for column in ("rank", *_CELLS)}
 #: Columns of the table in a README and in a terminal.
 SHORT_COLUMNS = (
     "rank",
@@ -58,73 +93,14 @@ def leaderboard_rows(results: Results) -> list[EntrySummary]:
 def table_cells(rows: Sequence[EntrySummary], columns: Sequence[str] = tuple(COLUMNS)) -> list[list[str]]:
     """Return the texts of the table, one list per row, in the order of the columns; equal scores share a rank."""
     scores = [row.score.value for row in rows]
-    cells = [{"rank": str(1 + sum(other > row.score.value for other in scores)), **_cells(row)} for row in rows]
-    return [[own[column] for column in columns] for own in cells]
-
-
-def _cells(row: EntrySummary) -> dict[str, str]:
-    """The texts of a row by the headings, all but its rank."""
-    above = row.difference_to_above
-    return {
-        "entry": row.name if row.n_runs == 1 else f"{row.name} ({row.n_runs} seeds)",
-        "kind": f"{row.kind}, privileged" if row.privileged else row.kind,
-        "score": _interval(row.score),
-        "to the entry above": "" if above is None else signed_interval(above),
-        "frequency, RoCoF [points]": _points(row, "frequency_rocof"),
-        "duty [points]": _points(row, "duty"),
-        "overload [points]": _points(row, "overload"),
-        "rest [points]": _points(row, REST),
-        "IQM": _plain(row.interquartile_mean.value, 1),
-        "P(improvement)": f"{row.probability_of_improvement.value:.2f}",
-        "gap closed [%]": _gap_closed(row),
-        "failures [%]": f"{row.failures_percent:.1f}",
-        "mean cost": f"{row.mean_cost:.1f}",
-        "nadir [Hz]": f"{row.median_nadir_hz:.3f}",
-        "p95 RoCoF [Hz/s]": f"{row.p95_rocof_hz_s:.3f}",
-        "p95 peak power [p.u.]": f"{row.p95_peak_power_pu:.2f}",
-        "p95 power change in 1 s [p.u.]": f"{row.p95_power_change_pu:.2f}",
-        "duty error [%]": f"{row.mean_duty_error_percent:.2f}",
-        "energy share [%]": f"{row.mean_energy_share_percent:.1f}",
-    }
-
-
-def _points(row: EntrySummary, term: str) -> str:
-    return _signed(row.points_by_term[term])
-
-
-def signed_interval(interval: Interval) -> str:
-    """Return a difference of scores and its interval, with their signs."""
-    return f"{_signed(interval.value)} ({_signed(interval.low)} … {_signed(interval.high)})"
-
-
-def _signed(value: float) -> str:
-    return f"{value:+.1f}" if round(value, 1) else "0.0"
-
-
-def _plain(value: float, digits: int) -> str:
-    # The zero takes the sign off a negative number that rounds to nought.
-    return f"{round(value, digits) + 0.0:.{digits}f}"
-
-
-def _interval(interval: Interval) -> str:
-    if interval.low == interval.high:
-        # The score of an anchor, which is what it is by definition.
-        return _plain(interval.value, 1)
-    return f"{_plain(interval.value, 1)} ({_plain(interval.low, 1)} … {_plain(interval.high, 1)})"
-
-
-def _gap_closed(row: EntrySummary) -> str:
-    """The share of the oracle's gap, and of how many scenarios where not all have an oracle."""
-    if row.gap_closed_percent is None:
-        return ""
-    every = row.n_oracle * row.n_runs == row.n_episodes
-    return _plain(row.gap_closed_percent.value, 1) + ("" if every else f" (n = {row.n_oracle})")
+    ranks = [str(1 + sum(other > score for other in scores)) for score in scores]
+    return [
+        [rank if column == "rank" else _CELLS[column](row) for column in columns]
+        for rank, row in zip(ranks, rows, strict=True)
+    ]
 
 
 def markdown_table(rows: Sequence[EntrySummary]) -> str:
     """Return the ranking as a Markdown table of the :data:`SHORT_COLUMNS`, without a line feed at the end."""
     numbers = [index for index, column in enumerate(SHORT_COLUMNS) if COLUMNS[column]]
     return files.markdown_table(list(SHORT_COLUMNS), table_cells(rows, SHORT_COLUMNS), right=numbers)
-
-
-__all__ = ["COLUMNS", "SHORT_COLUMNS", "leaderboard_rows", "markdown_table", "signed_interval", "table_cells"]

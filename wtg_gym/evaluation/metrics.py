@@ -1,6 +1,6 @@
-"""What is measured in an episode, each quantity with its unit and definition, and its measurement.
+"""The metrics of an episode: unit, definition and measurement.
 
-Everything is taken per lane from that lane's values alone, so that no number depends on the batch it was run in.
+Every lane is measured from its own values alone, so that no number depends on the batch it was played in.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -30,7 +31,7 @@ POWER_CHANGE_WINDOW_S = 1.0
 
 @dataclass(frozen=True)
 class Metric:
-    """What a metric is: unit, definition, and whether it may be missing (None, an empty cell)."""
+    """Unit and definition of a metric, and whether it may be missing (None, an empty cell)."""
 
     unit: str
     doc: str
@@ -79,15 +80,11 @@ METRICS: Mapping[str, Metric] = MappingProxyType(
 
 
 class Recorder:
-    """Records what the simulator's buffer does not keep.
+    """Records the courses that the simulator does not keep, from started episodes."""
 
-    Args:
-        lanes: the started episodes.
-        n_steps: number of control steps of the longest of them.
-    """
-
-    def __init__(self, lanes: TaskLanes, n_steps: int) -> None:
+    def __init__(self, lanes: TaskLanes) -> None:
         self._lanes = lanes
+        n_steps = int(lanes.task_values("end_step").max()) // lanes.simulator.plant.n_substeps
         #: Frequency of the centre of inertia [Hz], shape (n_lanes, n_steps + 1).
         self.frequency_hz = np.zeros((lanes.n_lanes, n_steps + 1))
         #: Control steps each lane has made, shape (n_lanes,).
@@ -152,8 +149,8 @@ def largest_power_change(power_pu: Floats, control_dt: float) -> float:
     return float(np.abs(power_pu - before).max())
 
 
-def measure(lanes: TaskLanes, recorder: Recorder, lane: int, scenario: Scenario) -> tuple[dict[str, float | None], str]:
-    """Return the metrics of a lane that is over, by the names in :data:`METRICS`, and its failure ("": none)."""
+def measure(lanes: TaskLanes, recorder: Recorder, lane: int, scenario: Scenario) -> dict[str, Any]:
+    """Return "metrics" of a lane that is over, by the names in :data:`METRICS`, and its "failure" (empty: none)."""
     simulator = lanes.simulator
     status = Status(int(lanes.statuses()[lane]))
     terms = {f"cost_{t}": float(lanes.task_values(f"sums.{t}")[lane]) for t in COST_TERMS}
@@ -192,7 +189,4 @@ def measure(lanes: TaskLanes, recorder: Recorder, lane: int, scenario: Scenario)
         "tripped_groups": float(sum(connected < 0.5 for connected in groups("connected"))),
         "survived_s": float(simulator.lane_values("step")[lane]) * simulator.plant.simulation_dt,
     }
-    return metrics, TERMINATION_REASONS[status]
-
-
-__all__ = ["METRICS", "Metric", "Recorder", "largest_power_change", "last_event_s", "measure", "steady_metrics"]
+    return {"metrics": metrics, "failure": TERMINATION_REASONS[status]}

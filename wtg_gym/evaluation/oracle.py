@@ -1,7 +1,7 @@
-"""The cheapest that is known of every scenario: what was found with foresight, frozen in files of the package.
+"""The oracle: the lowest cost known for each scenario, found with foresight and frozen in files of the package.
 
-Two files for a split of a suite: `<suite>-<split>.csv` has a row per scenario, `<suite>-<split>.json` says what it was
-found for and how. All costs are pinned ones, see :mod:`wtg_gym.evaluation.statistics`.
+Two files for a split of a suite: `<suite>-<split>.csv` has a row per scenario, `<suite>-<split>.json` describes the
+search. All costs are pinned ones, see :mod:`wtg_gym.evaluation.score`.
 """
 
 from __future__ import annotations
@@ -20,38 +20,27 @@ from wtg_gym.files import parse_json, read_text, sha256, to_json, write_atomical
 FORMAT = 1
 #: Where the frozen files lie.
 FOLDER = Path(__file__).parent / "oracle_costs"
-#: Columns of the table: the reference's cost, the cheapest that each form of search found, that of the cheapest known
-#: entry (empty: there was no such search or entry), and the least of them all, the oracle's.
+#: Columns of the table: the reference's cost, the lowest cost that each form of search found, that of the cheapest
+#: entry (empty: there was no such search or entry), and the lowest of them all, the oracle's.
 FORMS = ("course", "course_and_feedback", "entries")
 COLUMNS = ("seed", "reference", *FORMS, "oracle")
 #: How far the reference's costs may be from those that the oracle was found beside, relative: other processors round
 #: otherwise.
 REFERENCE_TOLERANCE = 1e-6
-
-_KEYS: dict[str, type] = {
-    "format": int,
-    "suite": str,
-    "split": str,
-    "suite_hash": str,
-    "source_hash": str,
-    "settings": dict,
-    "search": dict,
-    "entries": list,
-    "csv_sha256": str,
-    "sha256": str,
-}
+#: Keys of the description that are arguments of :class:`OracleCosts`.
+_DESCRIBED = ("suite", "split", "suite_hash", "source_hash", "settings", "search", "entries")
 
 
 @dataclass(frozen=True, kw_only=True)
 class OracleCosts:
-    """The cheapest that is known of some scenarios of a split.
+    """The lowest costs that are known of some scenarios of a split.
 
     Args:
         suite, split: which scenarios.
         suite_hash: the suite's hash.
         source_hash: hash of the physics and environment that were searched.
         settings: settings of the environment, as in :class:`wtg_gym.evaluation.Results`.
-        search: what the search was asked for.
+        search: options of the search.
         entries: name, training seed and sha256 of the entries that were tried as well.
         seeds: seeds of the scenarios.
         reference: the reference's costs, one per seed.
@@ -90,11 +79,6 @@ class OracleCosts:
         """The least cost of each scenario, the reference's included."""
         return tuple(min(costs) for costs in zip(self.reference, *self.found.values(), strict=True))
 
-    @property
-    def name(self) -> str:
-        """Return the files' name without ending."""
-        return f"{self.suite}-{self.split}"
-
     def write(self, folder: str | Path) -> tuple[Path, Path]:
         """Write `<suite>-<split>.csv` and `.json`, each in one go; the same costs give the same bytes.
 
@@ -104,17 +88,11 @@ class OracleCosts:
         Raises:
             OSError: the folder cannot be written to.
         """
-        json_path, csv_path = (Path(folder) / f"{self.name}.{ending}" for ending in ("json", "csv"))
+        json_path, csv_path = (Path(folder) / f"{self.suite}-{self.split}.{ending}" for ending in ("json", "csv"))
         table = self._to_csv()
         data = {
             "format": FORMAT,
-            "suite": self.suite,
-            "split": self.split,
-            "suite_hash": self.suite_hash,
-            "source_hash": self.source_hash,
-            "settings": dict(self.settings),
-            "search": dict(self.search),
-            "entries": [dict(entry) for entry in self.entries],
+            **{key: getattr(self, key) for key in _DESCRIBED},
             "csv_sha256": sha256(table.encode()),
         }
         data["sha256"] = sha256(to_json(data).encode())
@@ -134,7 +112,7 @@ class OracleCosts:
 
     @classmethod
     def read(cls, path: str | Path) -> OracleCosts:
-        """Read what :meth:`write` wrote; the CSV lies beside the JSON.
+        """Read the files of :meth:`write`; the CSV lies beside the JSON.
 
         Args:
             path: the JSON file.
@@ -145,19 +123,50 @@ class OracleCosts:
         json_path, csv_path = Path(path), Path(path).with_suffix(".csv")
         text = read_text(json_path, "description of the oracle")
         data = parse_json(text, f"the description of the oracle {json_path}")
-        _check(data, text, json_path)
+        keys = {"format", *_DESCRIBED, "csv_sha256", "sha256"}
+        if not isinstance(data, dict) or set(data) != keys:
+            got = sorted(data) if isinstance(data, dict) else type(data).__name__
+            raise ValueError(f"{json_path}: expected an object with the keys {', '.join(sorted(keys))}, got {got}")
+        if data["format"] != FORMAT:
+            raise ValueError(f"{json_path}: format must be {FORMAT}, that of this version, got {data['format']}")
+        content = {key: value for key, value in data.items() if key != "sha256"}
+        if sha256(to_json(content).encode()) != data["sha256"] or to_json(data) != text:
+            raise ValueError(f"{json_path} was edited or damaged: its sha256 does not fit its content; search again")
         table = read_text(csv_path, "table of the oracle")
         if sha256(table.encode()) != data["csv_sha256"]:
             raise ValueError(f"{csv_path} is not the table that {json_path} describes: it was edited; search again")
-        seeds, columns = _from_csv(table, csv_path)
-        described = {key: data[key] for key in _KEYS if key not in ("format", "csv_sha256", "sha256")}
         try:
-            costs = cls(**described, seeds=seeds, reference=columns["reference"], found=_forms(columns))
+            seeds, columns = _from_csv(table)
+            forms = {form: columns[form] for form in FORMS if not all(map(math.isnan, columns[form]))}
+            described = {key: data[key] for key in _DESCRIBED}
+            costs = cls(**described, seeds=seeds, reference=columns["reference"], found=forms)
+            if costs.oracle != columns["oracle"]:
+                raise ValueError("the oracle's costs are not the least of each row")
         except ValueError as error:
             raise ValueError(f"{csv_path}: {error}") from error
-        if costs.oracle != columns["oracle"]:
-            raise ValueError(f"{csv_path}: the oracle's costs are not the least of each row")
         return costs
+
+
+def _from_csv(table: str) -> tuple[tuple[int, ...], dict[str, tuple[float, ...]]]:
+    """Return the seeds and the columns of costs; an empty cell is NaN."""
+    try:
+        header, *rows = csv.reader(io.StringIO(table), strict=True)
+    except csv.Error as error:
+        raise ValueError(f"not CSV with a header: {error}") from error
+    if tuple(header) != COLUMNS:
+        raise ValueError(f"the header must be {','.join(COLUMNS)}, got {','.join(header)}")
+    seeds: list[int] = []
+    costs: list[list[float]] = []
+    for line, row in enumerate(rows, start=2):
+        try:
+            seeds.append(int(row[0]))
+            costs.append([float(cell) if cell else math.nan for cell in row[1:]])
+            if len(row) != len(COLUMNS):
+                raise ValueError(f"{len(row)} cells")
+        except (ValueError, IndexError) as error:
+            raise ValueError(f"line {line}: expected a seed and {len(COLUMNS) - 1} costs: {error}") from error
+    columns = zip(*costs, strict=True) if costs else ((),) * (len(COLUMNS) - 1)
+    return tuple(seeds), dict(zip(COLUMNS[1:], columns, strict=True))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,81 +185,38 @@ class KnownOracle:
 def known_oracle(
     suite: str, split: str, suite_hash: str, settings: Mapping[str, Any], reference: Mapping[int, float]
 ) -> KnownOracle:
-    """Return what the package knows of an evaluation's scenarios, if it is of the same problem.
+    """Return the oracle of an evaluation's scenarios, if it was found for the same problem.
 
     Args:
         suite, split, suite_hash, settings: of the evaluation.
-        reference: the reference's pinned costs in it, by the scenarios' seeds. They tell whether physics and cost are
+        reference: the reference's pinned costs in it, by the scenarios' seeds. They show whether physics and cost are
             still those that were searched.
     """
+    try:
+        return KnownOracle(costs=_oracle_of(suite, split, suite_hash, settings, reference), missing="")
+    except ValueError as error:
+        return KnownOracle(costs={}, missing=str(error))
+
+
+def _oracle_of(
+    suite: str, split: str, suite_hash: str, settings: Mapping[str, Any], reference: Mapping[int, float]
+) -> dict[int, float]:
     path = FOLDER / f"{suite}-{split}.json"
     if not path.exists():
-        return _none(f"there is no oracle for the {split} scenarios of {suite}")
-    try:
-        known = OracleCosts.read(path)
-    except ValueError as error:
-        return _none(str(error))
+        raise ValueError(f"there is no oracle for the {split} scenarios of {suite}")
+    known = OracleCosts.read(path)
     if (known.suite, known.split, known.suite_hash) != (suite, split, suite_hash):
-        return _none(f"the oracle in {path.name} is of another suite, of hash {known.suite_hash[:12]}")
+        raise ValueError(f"the oracle in {path.name} is of another suite, of hash {known.suite_hash[:12]}")
     if known.settings != settings:
         different = sorted(key for key in settings if known.settings.get(key) != settings[key])
-        return _none(f"the oracle was found for other settings: {', '.join(different)}")
+        raise ValueError(f"the oracle was found for other settings: {', '.join(different)}")
     shared = [row for row in zip(known.seeds, known.reference, known.oracle, strict=True) if row[0] in reference]
     if not shared:
-        return _none("none of these scenarios has an oracle")
+        raise ValueError("none of these scenarios has an oracle")
     for seed, cost, _ in shared:
         if not math.isclose(cost, reference[seed], rel_tol=REFERENCE_TOLERANCE):
-            return _none(
+            raise ValueError(
                 f"the oracle was found for another physics or cost: in the scenario of seed {seed} the reference cost "
                 f"{cost:.6g}, now {reference[seed]:.6g}"
             )
-    return KnownOracle(costs={seed: oracle for seed, _, oracle in shared}, missing="")
-
-
-def _none(why: str) -> KnownOracle:
-    return KnownOracle(costs={}, missing=why)
-
-
-def _check(data: Any, text: str, path: Path) -> None:
-    if not isinstance(data, dict) or set(data) != set(_KEYS):
-        got = sorted(data) if isinstance(data, dict) else type(data).__name__
-        raise ValueError(f"{path}: expected an object with the keys {', '.join(_KEYS)}, got {got}")
-    for key, kind in _KEYS.items():
-        if type(data[key]) is not kind:
-            raise ValueError(f"{path}: {key} must be of type {kind.__name__}, got {type(data[key]).__name__}")
-    if data["format"] != FORMAT:
-        raise ValueError(f"{path}: format must be {FORMAT}, that of this version, got {data['format']}")
-    content = {key: value for key, value in data.items() if key != "sha256"}
-    if sha256(to_json(content).encode()) != data["sha256"] or to_json(data) != text:
-        raise ValueError(f"{path} was edited or damaged: its sha256 does not fit its content; search again")
-
-
-def _from_csv(table: str, path: Path) -> tuple[tuple[int, ...], dict[str, tuple[float, ...]]]:
-    """Return the seeds and the columns of costs; an empty cell is NaN."""
-    try:
-        header, *rows = csv.reader(io.StringIO(table), strict=True)
-    except (csv.Error, ValueError) as error:
-        raise ValueError(f"{path} is not CSV with a header: {error}") from error
-    if tuple(header) != COLUMNS:
-        raise ValueError(f"{path}: the header must be {','.join(COLUMNS)}, got {','.join(header)}")
-    seeds: list[int] = []
-    costs: list[list[float]] = []
-    for line, row in enumerate(rows, start=2):
-        try:
-            first, *others = row
-            seeds.append(int(first))
-            costs.append([float(cell) if cell else math.nan for cell in others])
-            if len(others) != len(COLUMNS) - 1:
-                raise ValueError(f"{len(row)} cells")
-        except ValueError as error:
-            raise ValueError(f"{path}, line {line}: expected a seed and {len(COLUMNS) - 1} costs: {error}") from error
-    columns = zip(*costs, strict=True) if costs else ((),) * (len(COLUMNS) - 1)
-    return tuple(seeds), dict(zip(COLUMNS[1:], columns, strict=True))
-
-
-def _forms(columns: Mapping[str, tuple[float, ...]]) -> dict[str, tuple[float, ...]]:
-    """The columns of the forms that were tried, those that are not wholly empty."""
-    return {form: columns[form] for form in FORMS if not all(map(math.isnan, columns[form]))}
-
-
-__all__ = ["COLUMNS", "FOLDER", "FORMS", "REFERENCE_TOLERANCE", "KnownOracle", "OracleCosts", "known_oracle"]
+    return {seed: oracle for seed, _, oracle in shared}

@@ -1,4 +1,4 @@
-"""What travels to a worker and back: an entry, the batch's episodes or its error, and what could change a number."""
+"""The traffic between an evaluation and its workers: an entry goes there, a batch's episodes or an error come back."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import socket
 import sys
 import threading
 import time
-import traceback
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -17,14 +16,11 @@ from typing import NamedTuple
 import cloudpickle
 
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation.circumstances import versions
-from wtg_gym.evaluation.entries import Entry
+from wtg_gym.evaluation.circumstances import circumstances
 from wtg_gym.evaluation.episodes import Episode
-from wtg_gym.evaluation.partial import measurement_hash
-from wtg_gym.evaluation.policy_process import PolicyError
-from wtg_gym.physics.compiled import source_hash
+from wtg_gym.policies import Entry, PolicyError
 
-#: How often a worker looks whether the process that asked is still there [s].
+#: How often a worker looks whether its parent process is still there [s].
 _WATCH_S = 1.0
 
 #: The episodes of a batch, or how the entry's policy failed.
@@ -33,17 +29,12 @@ Played = list[Episode] | PolicyError
 Play = Callable[[Entry, EnvSettings, Sequence[int], int | None], Played]
 
 
-def circumstances() -> dict[str, str]:
-    """Return what decides the last bits of a result, as it is in this process: code, packages and processor."""
-    return {"source code": source_hash()[:16], "evaluation code": measurement_hash()[:16], **versions()}
-
-
 class Outcome(NamedTuple):
-    """What became of a batch: how it was played or a pickled error, from which worker, and that one's circumstances."""
+    """The outcome of a batch: episodes or an error, from which worker, and the circumstances there."""
 
     part: int
     played: Played
-    error: bytes | None
+    error: str
     worker: str
     circumstances: dict[str, str]
 
@@ -51,7 +42,7 @@ class Outcome(NamedTuple):
 def packed(entries: Sequence[Entry], settings: EnvSettings) -> dict[int, bytes]:
     """Return each entry, together with the settings, as bytes, by the entry's id.
 
-    Bytes, because what Dask would spread out by itself is lost with the worker that holds it.
+    Bytes, because objects that Dask spreads out by itself are lost with the worker that holds them.
 
     Raises:
         ValueError: an entry cannot be pickled.
@@ -62,7 +53,7 @@ def packed(entries: Sequence[Entry], settings: EnvSettings) -> dict[int, bytes]:
             if id(entry) not in found:
                 try:
                     found[id(entry)] = cloudpickle.dumps((entry, settings))
-                # Pickling calls whatever the policy's parts have for it.
+                # Pickling runs code of the policy.
                 except Exception as error:
                     raise ValueError(f"entry {entry.label!r} cannot be sent to other processes: {error}") from error
     return found
@@ -104,15 +95,19 @@ def work(part: int, play: Play, parcel: bytes, seeds: list[int], wanted: dict[st
     """
     if parent is not None:
         _end_with(parent)
-    worker, own, error = f"{socket.gethostname()}:{os.getpid()}", circumstances(), None
-    played: Played = []
+    own, played, error = circumstances(), list[Episode](), ""
     if own == wanted:
         try:
-            entry, settings = _unpacked(parcel, worker)
-            played = play(entry, settings, seeds, 1)
+            entry, settings = cloudpickle.loads(parcel)
+            return Outcome(part, play(entry, settings, seeds, 1), "", _worker(), own)
+        # Loading and playing run code of the policy.
         except Exception as raised:
-            error = _portable(raised, worker)
-    return Outcome(part, played, error, worker, own)
+            error = f"{type(raised).__name__}: {raised}"
+    return Outcome(part, played, error, _worker(), own)
+
+
+def _worker() -> str:
+    return f"{socket.gethostname()}:{os.getpid()}"
 
 
 @functools.cache
@@ -127,46 +122,17 @@ def _end_with(parent: int) -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def _unpacked(parcel: bytes, worker: str) -> tuple[Entry, EnvSettings]:
-    try:
-        entry, settings = cloudpickle.loads(parcel)
-    except Exception as error:
-        raise ValueError(f"worker {worker} cannot load an entry: {type(error).__name__}: {error}") from error
-    return entry, settings
-
-
-def _portable(error: Exception, worker: str) -> bytes:
-    """Return a pickled error with a note where it was raised, or one of the same text where it cannot be pickled.
-
-    Pickled by cloudpickle itself, like the policy: to Ray's own copy of it an error's class would be another one.
-    """
-    error.add_note(f"in worker {worker}:\n{''.join(traceback.format_tb(error.__traceback__))}")
-    try:
-        parcel: bytes = cloudpickle.dumps(error)
-        cloudpickle.loads(parcel)
-    except Exception:
-        plain = RuntimeError(f"{type(error).__name__}: {error}")
-        for text in error.__notes__:
-            plain.add_note(text)
-        return bytes(cloudpickle.dumps(plain))
-    return parcel
-
-
 def opened(outcome: Outcome, wanted: dict[str, str]) -> Played:
     """Return the episodes of an outcome, or how the policy failed.
 
     Raises:
-        ValueError: the circumstances were not the wanted ones, so that the numbers could be others.
-        Exception: what was raised while the batch was played.
+        ValueError: the circumstances were others, so that the numbers could be others, or the batch was not played.
     """
     theirs = outcome.circumstances
     differing = [key for key in sorted({*wanted, *theirs}) if wanted.get(key) != theirs.get(key)]
     if differing:
         listed = "; ".join(f"{key} is {theirs.get(key, 'unknown')}, here {wanted.get(key)}" for key in differing)
         raise ValueError(f"worker {outcome.worker} could give other numbers: {listed}")
-    if outcome.error is not None:
-        raise cloudpickle.loads(outcome.error)
+    if outcome.error:
+        raise ValueError(f"worker {outcome.worker} cannot play an entry: {outcome.error}")
     return outcome.played
-
-
-__all__ = ["Outcome", "Play", "Played", "circumstances", "opened", "packed", "work"]

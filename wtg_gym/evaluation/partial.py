@@ -1,22 +1,16 @@
-"""Finished batches on disk, so that a run that was killed goes on where it was."""
+"""Finished batches on disk, from which an interrupted evaluation goes on."""
 
 from __future__ import annotations
 
-import functools
 import json
 from pathlib import Path
 from typing import Any
 
 from wtg_gym import __version__
+from wtg_gym.evaluation.circumstances import measurement_hash
 from wtg_gym.evaluation.episodes import Episode, episode_from_cells
 from wtg_gym.files import read_json, sha256, to_json, write_atomically
 from wtg_gym.physics.compiled import source_hash
-
-
-@functools.cache
-def measurement_hash() -> str:
-    """Return the sha256 of what is measured: its change makes old batches stale, as a change of the physics does."""
-    return sha256(b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py"))))
 
 
 class PartialStore:
@@ -24,7 +18,7 @@ class PartialStore:
 
     Args:
         folder: where they lie; None stores nothing.
-        context: what is the same for all batches, as JSON-ready data; a batch of another context is not found.
+        context: data that all batches share, JSON-ready; a batch of another context is not found.
     """
 
     def __init__(self, folder: Path | None, context: Any) -> None:
@@ -48,20 +42,19 @@ class PartialStore:
         path = self._folder / f"{sha256(key.encode())}.json"
         if path.exists() and not path.is_file():
             raise ValueError(f"{path} must be the file of a finished part, it is something else; remove it")
+        self._used.append(path)
         return path
 
     def load(self, path: Path | None, n_episodes: int) -> list[Episode] | None:
-        """Return a stored batch; None where there is none, or it is damaged."""
+        """Return a stored batch; None where there is none, or it is damaged, which costs the time to play it again."""
         if path is None:
             return None
-        self._used.append(path)
         try:
             data = read_json(path, "partial result")
             if sha256(to_json(data["rows"]).encode()) != data["sha256"] or len(data["rows"]) != n_episodes:
                 return None
             return [episode_from_cells(cells, str(path)) for cells in data["rows"]]
         except (ValueError, KeyError, TypeError, AttributeError):
-            # A damaged file costs the time to compute its batch again, nothing more.
             return None
 
     def save(self, path: Path | None, episodes: list[Episode]) -> None:
@@ -74,6 +67,3 @@ class PartialStore:
         """Remove the batches this run has used."""
         for path in self._used:
             path.unlink(missing_ok=True)
-
-
-__all__ = ["PartialStore", "measurement_hash"]

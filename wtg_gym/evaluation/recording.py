@@ -1,4 +1,4 @@
-"""What an entry does in scenarios, sample by sample: the grid, the rotors, and the k and τ in use."""
+"""The courses of episodes, sample by sample: the grid, the rotors, and the k and τ in use."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ import numpy.typing as npt
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task import COST_TERMS
-from wtg_gym.evaluation.entries import Entry
-from wtg_gym.evaluation.evaluator import entry_lanes, play
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.statics import characteristic
 from wtg_gym.physics.tracking_law import coordinated_piecewise
+from wtg_gym.policies import Entry
+from wtg_gym.policies.play import play, started_lanes
 
 Floats = npt.NDArray[np.float64]
 
@@ -92,21 +92,14 @@ def record(
     Raises:
         ValueError: a scenario has no equilibrium under the entry's law, or its policy returns no action.
     """
-    lanes = entry_lanes(entry, settings, len(scenarios), n_threads)
-    try:
-        try:
-            lanes.start(range(len(scenarios)), scenarios)
-        except ValueError as error:
-            raise ValueError(f"entry {entry.label!r}: {error}") from error
+    with started_lanes(entry, settings, scenarios, n_threads) as (lanes, _):
         samples = [_sample(lanes)]
         for stepped in play(entry, lanes):
             samples.append(_sample(lanes))
             for values in samples[-1].values():
                 values[~stepped] = np.nan
         costs = lanes.cost_sums()
-    finally:
-        lanes.simulator.close()
-    n = 1 + int(lanes.task_values("end_step").max()) // lanes.simulator.plant.n_substeps
+        n = 1 + int(lanes.task_values("end_step").max()) // lanes.simulator.plant.n_substeps
     samples += [{key: np.full_like(values, np.nan) for key, values in samples[0].items()}] * (n - len(samples))
     table = {key: np.stack([sample[key] for sample in samples], axis=1) for key in samples[0]}
     names = tuple(lanes.observation_names)
@@ -189,6 +182,3 @@ def _each(make: Callable[[str], Floats], like: Recording) -> Recording:
     names = [field.name for field in fields(Recording) if field.name not in ("time_s", "observation_names")]
     arrays: dict[str, Any] = {name: make(name) for name in names}
     return replace(like, **arrays)
-
-
-__all__ = ["Recording", "one_scenario", "pooled", "record", "target_rotor_speed_pu"]

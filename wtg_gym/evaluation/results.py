@@ -1,8 +1,7 @@
-"""The outcome of an evaluation, and its two files: a JSON that describes and sums up, a CSV of the episodes."""
+"""The results of an evaluation: every episode, the scores, and what is needed to repeat it."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -11,20 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.evaluation import statistics
-from wtg_gym.evaluation.checks import check_description
-from wtg_gym.evaluation.entries import ANCHORS
-from wtg_gym.evaluation.episodes import Episode, from_csv, to_csv
+from wtg_gym.evaluation import results_file
+from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.evaluation.oracle import KnownOracle, known_oracle
-from wtg_gym.evaluation.statistics import Floats, NoScaleError
-from wtg_gym.evaluation.summary import EntrySummary, pinned, summarise
-from wtg_gym.files import parse_json, read_text, sha256, to_json, write_atomically
-
-#: Version of the files; another number is another form.
-FORMAT = 3
-#: By how much a summary may differ from what its table sums up to, relative, or absolute where it is next to nothing.
-_ROUNDING = 1e-6
+from wtg_gym.evaluation.score import NoScaleError, log_gains, pinned
+from wtg_gym.evaluation.statistics import Floats, Interval
+from wtg_gym.evaluation.summary import EntrySummary, summarise
+from wtg_gym.policies import ANCHORS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,8 +30,7 @@ class Results:
         suite_hash: the suite's own hash.
         source_hash: hash of the physics and environment that were run.
         seeds: seeds of the scenarios.
-        draw: commit and sha256 of the secret that the seeds of the split "verification" were drawn from; None for the
-            others.
+        draw: commit and sha256 of the secret that the seeds of the split "fresh" were drawn from; None for the others.
         environment: its id, and the fingerprint of what it answers on this machine.
         settings: settings of the environment that all entries share.
         versions: of wtg_gym, Python and the packages that compute, and the kind of processor.
@@ -61,6 +53,11 @@ class Results:
     episodes: tuple[Episode, ...]
     failed: tuple[Mapping[str, Any], ...] = ()
 
+    @property
+    def scores(self) -> dict[str, Interval]:
+        """Mean score of every entry with its 95 % interval, by its name; errors as of :attr:`summaries`."""
+        return {row.name: row.score for row in self.summaries}
+
     @cached_property
     def summaries(self) -> list[EntrySummary]:
         """Summary of every entry, in the order of the entries.
@@ -72,7 +69,7 @@ class Results:
 
     @cached_property
     def oracle(self) -> KnownOracle:
-        """What is known to be the cheapest in these scenarios, if anything is, and why not."""
+        """The lowest costs that are known for these scenarios, or why there are none."""
         reference = {episode.seed: pinned(episode, self._cap) for episode in self.episodes_of(ANCHORS[1])}
         return known_oracle(self.suite, self.split, self.suite_hash, self.settings, reference)
 
@@ -88,7 +85,7 @@ class Results:
     def log_gains(self) -> dict[str, Floats]:
         """Log gains over the reference by the entry's name, (n_runs, n_scenarios)."""
         reference = self.pinned_costs[ANCHORS[1]][0]
-        return {name: statistics.log_gains(costs, reference) for name, costs in self.pinned_costs.items()}
+        return {name: log_gains(costs, reference) for name, costs in self.pinned_costs.items()}
 
     @property
     def _cap(self) -> float:
@@ -103,7 +100,7 @@ class Results:
         """Return the episodes of an entry.
 
         Raises:
-            ValueError: there is no such entry; the message lists those there are.
+            ValueError: there is no such entry; the message lists the entries.
         """
         found = [episode for episode in self.episodes if episode.entry == name]
         if not found:
@@ -134,22 +131,17 @@ class Results:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything but the episodes as JSON-ready data; `summary` is empty where there is no score."""
+        """Return the description and the summary as JSON-ready data; without a score the summary is empty."""
         try:
-            summary = {row.name: row.to_dict() for row in self.summaries}
+            summary = {row.name: asdict(row) for row in self.summaries}
         except NoScaleError:
             summary = {}
         return {
-            "format": FORMAT,
-            "suite": self.suite,
-            "split": self.split,
-            "suite_hash": self.suite_hash,
-            "source_hash": self.source_hash,
+            "format": results_file.FORMAT,
+            **{key: getattr(self, key) for key in results_file.TEXTS},
             "seeds": list(self.seeds),
             "draw": None if self.draw is None else dict(self.draw),
-            "environment": dict(self.environment),
-            "settings": dict(self.settings),
-            "versions": dict(self.versions),
+            **{key: dict(getattr(self, key)) for key in ("environment", "settings", "versions")},
             "entries": [dict(entry) for entry in self.entries],
             "failed": [dict(entry) for entry in self.failed],
             "metrics": {name: asdict(metric) for name, metric in METRICS.items()},
@@ -168,18 +160,11 @@ class Results:
         Raises:
             OSError: the folder cannot be written to.
         """
-        json_path, csv_path = (Path(folder) / f"{self.name}.{ending}" for ending in ("json", "csv"))
-        table = to_csv(self.episodes)
-        data = {**self.to_dict(), "csv_sha256": sha256(table.encode())}
-        data["sha256"] = sha256(to_json(data).encode())
-        write_atomically(csv_path, table)
-        # Last, so that a JSON never describes a table that is not there yet.
-        write_atomically(json_path, to_json(data))
-        return json_path, csv_path
+        return results_file.write(Path(folder) / self.name, self.to_dict(), self.episodes)
 
     @classmethod
     def read(cls, path: str | Path) -> Results:
-        """Read what :meth:`write` wrote; the CSV lies beside the JSON.
+        """Read the files of :meth:`write`; the CSV lies beside the JSON.
 
         Args:
             path: the JSON file.
@@ -188,67 +173,13 @@ class Results:
             ValueError: a file is missing, cut short, of another version, or was edited; the message names file, key
                 and what is expected.
         """
-        json_path = Path(path)
-        csv_path = json_path.with_suffix(".csv")
-        text = read_text(json_path, "results file")
-        data = parse_json(text, f"the results file {json_path}")
-        check_description(data, json_path, FORMAT)
-        _require_intact(text, data, json_path)
-        table = read_text(csv_path, "table of episodes")
-        episodes = from_csv(table, csv_path)
-        if sha256(table.encode()) != data["csv_sha256"]:
-            raise ValueError(
-                f"{csv_path} is not the table that {json_path} describes (csv_sha256): it was edited or belongs to "
-                "another run; evaluate again"
-            )
-        _require_complete(data, episodes, csv_path)
+        data, episodes = results_file.read(Path(path))
         results = cls(
-            suite=data["suite"],
-            split=data["split"],
-            suite_hash=data["suite_hash"],
-            source_hash=data["source_hash"],
+            **{key: data[key] for key in (*results_file.TEXTS, "draw", "environment", "settings", "versions")},
             seeds=tuple(data["seeds"]),
-            draw=data["draw"],
-            environment=data["environment"],
-            settings=data["settings"],
-            versions=data["versions"],
             entries=tuple(data["entries"]),
             episodes=tuple(episodes),
             failed=tuple(data["failed"]),
         )
-        _require_summed_up(data["summary"], results.to_dict()["summary"], f"{json_path}: summary")
+        results_file.check_summary(data["summary"], results.to_dict()["summary"], f"{path}: summary")
         return results
-
-
-def _require_intact(text: str, data: dict[str, Any], path: Path) -> None:
-    """The checksum holds for the data, and the text is the one way of writing them."""
-    content = {key: value for key, value in data.items() if key != "sha256"}
-    if sha256(to_json(content).encode()) != data["sha256"] or to_json(data) != text:
-        raise ValueError(f"{path} was edited or damaged: its sha256 does not fit its content; evaluate again")
-
-
-def _require_summed_up(stored: Any, summed: Any, where: str) -> None:
-    """What the summary says is what the table sums up to, but for the rounding of another machine."""
-    if isinstance(stored, dict) and isinstance(summed, dict) and set(stored) == set(summed):
-        for key in summed:
-            _require_summed_up(stored[key], summed[key], f"{where}.{key}")
-        return
-    numbers = all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in (stored, summed))
-    if not (math.isclose(stored, summed, rel_tol=_ROUNDING, abs_tol=_ROUNDING) if numbers else stored == summed):
-        raise ValueError(f"{where} is {str(stored)[:80]}, the table sums up to {str(summed)[:80]}; evaluate again")
-
-
-def _require_complete(data: dict[str, Any], episodes: list[Episode], path: Path) -> None:
-    names = [entry["name"] for entry in data["entries"]]
-    missing = [name for name in ANCHORS if name not in names]
-    if missing:
-        raise ValueError(f"{path}: the score's anchors {missing} are missing from the entries {names}")
-    expected = [(entry["name"], entry["training_seed"], seed) for entry in data["entries"] for seed in data["seeds"]]
-    if [(*episode.run, episode.seed) for episode in episodes] != expected:
-        raise ValueError(
-            f"{path}: expected one row per entry and seed, in the order of the JSON's entries and seeds "
-            f"({len(expected)} rows), got {len(episodes)} rows that differ"
-        )
-
-
-__all__ = ["FORMAT", "Results"]

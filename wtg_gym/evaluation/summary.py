@@ -1,29 +1,27 @@
-"""What is said about an entry as a whole."""
+"""The summary of an entry: its row in a ranking."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.envs.task import COST_TERMS
 from wtg_gym.evaluation import statistics
-from wtg_gym.evaluation.entries import ANCHORS
 from wtg_gym.evaluation.episodes import Episode
-from wtg_gym.evaluation.statistics import Interval
+from wtg_gym.evaluation.score import log_gains, pinned, points_by_term, score_scale
+from wtg_gym.evaluation.statistics import Floats, Interval
+from wtg_gym.policies import ANCHORS
 
-#: The cost's terms that the points of a score are counted by; the others, and what failures cost, are "rest".
+#: The cost's terms that the points of a score are counted by; the others, and the cost of failures, are "rest".
 POINTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"frequency_rocof": ("frequency", "rocof"), "duty": ("duty",), "overload": ("overload",)}
 )
 REST = "rest"
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +40,7 @@ class EntrySummary:
         difference_to_above: the same, minus that of the entry above in the ranking; None for the first.
         points_by_term: points above 100 by the cost terms they come from, by the names in :data:`POINTS` and
             :data:`REST`; they add up to the score minus 100, see
-            :func:`wtg_gym.evaluation.statistics.points_by_term`.
+            :func:`points_by_term`.
         probability_of_improvement: P(J < J_ref) + ½ P(J = J_ref) of the pinned costs [-].
         gap_closed_percent: (mean J_ref - mean J) / (mean J_ref - mean J_oracle) of the pinned costs, all means over the
             scenarios that have an oracle [%]; None where none has, or the mean cost is not below the reference's.
@@ -81,10 +79,6 @@ class EntrySummary:
     mean_duty_error_percent: float
     mean_energy_share_percent: float
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the summary as JSON-ready data."""
-        return asdict(self)
-
 
 def summarise(
     entries: Sequence[Mapping[str, Any]], episodes: Sequence[Episode], cap: float, oracle: Mapping[int, float]
@@ -105,11 +99,11 @@ def summarise(
         runs.setdefault(episode.entry, {}).setdefault(episode.training_seed, []).append(episode)
     described = {entry["name"]: entry for entry in entries}
     mppt, reference = (_costs(list(runs[name].values()), cap)[0] for name in ANCHORS)
-    statistics.score_scale(mppt, reference)
+    score_scale(mppt, reference)
     anchor = next(iter(runs[ANCHORS[1]].values()))
     known = np.array([oracle.get(episode.seed, np.nan) for episode in anchor])
-    gains = {name: statistics.log_gains(_costs(list(runs[name].values()), cap), reference) for name in described}
-    against = _Anchors(gains[ANCHORS[0]][0], reference, _terms([anchor])[:, 0], known)
+    gains = {name: log_gains(_costs(list(runs[name].values()), cap), reference) for name in described}
+    against = _Anchors(gains[ANCHORS[0]][0], reference, _terms([anchor], reference[np.newaxis])[:, 0], known)
     rows = [_summary(entry, list(runs[name].values()), gains[name], against, cap) for name, entry in described.items()]
     order = ranked(rows)
     above = {
@@ -129,27 +123,23 @@ def _costs(runs: Sequence[Sequence[Episode]], cap: float) -> Floats:
     return np.array([[pinned(episode, cap) for episode in run] for run in runs])
 
 
-def pinned(episode: Episode, cap: float) -> float:
-    """Return the pinned cost of an episode, with the largest cost rate `cap` [1/s]."""
-    cost = episode.metrics["cost"]
-    assert cost is not None
-    return statistics.pinned_cost(cost, failed=episode.failed, duration_s=episode.duration_s, cap=cap)
-
-
 def _values(runs: Sequence[Sequence[Episode]], metric: str) -> Floats:
     return np.array([episode.metrics[metric] for run in runs for episode in run], dtype=np.float64)
 
 
-def _terms(runs: Sequence[Sequence[Episode]]) -> Floats:
-    """The terms of the cost as they were paid, in the order of :data:`POINTS`, shape (n_terms, n_runs, n_scenarios)."""
-    return np.array([sum(_values(runs, f"cost_{term}") for term in terms) for terms in POINTS.values()]).reshape(
-        len(POINTS), len(runs), -1
-    )
+def _terms(runs: Sequence[Sequence[Episode]], costs: Floats) -> Floats:
+    """Return the terms of the cost as paid, in the order of :data:`POINTS`, and the rest of the pinned costs.
+
+    The shape is (n_terms, n_runs, n_scenarios).
+    """
+    terms = np.array([sum(_values(runs, f"cost_{term}") for term in terms) for terms in POINTS.values()])
+    terms = terms.reshape(len(POINTS), *costs.shape)
+    return np.concatenate([terms, (costs - terms.sum(axis=0))[np.newaxis]])
 
 
 @dataclass(frozen=True)
 class _Anchors:
-    """What every entry is compared with: arrays over the scenarios."""
+    """The arrays over the scenarios that every entry is compared with."""
 
     mppt_gains: Floats
     reference: Floats
@@ -162,6 +152,7 @@ def _summary(
 ) -> EntrySummary:
     costs, reference, mppt = _costs(runs, cap), against.reference, against.mppt_gains
     score = statistics.score_interval(gains, mppt)
+    points = points_by_term(costs, reference, _terms(runs, costs), against.reference_terms, -statistics.mean(mppt))
     has = np.isfinite(against.oracle)
     return EntrySummary(
         name=entry["name"],
@@ -173,7 +164,7 @@ def _summary(
         interquartile_mean=statistics.interquartile_interval(gains, mppt),
         difference=Interval(score.value - 100.0, score.low - 100.0, score.high - 100.0),
         difference_to_above=None,
-        points_by_term=_points(costs, runs, against),
+        points_by_term=dict(zip((*POINTS, REST), points.tolist(), strict=True)),
         probability_of_improvement=statistics.mean_interval(statistics.improvement(costs, reference)),
         gap_closed_percent=(
             statistics.gap_closed(costs[:, has], reference[has], against.oracle[has]) if has.any() else None
@@ -189,22 +180,3 @@ def _summary(
         mean_duty_error_percent=statistics.mean(_values(runs, "duty_error_percent")),
         mean_energy_share_percent=statistics.mean(_values(runs, "energy_share_percent")),
     )
-
-
-def _points(costs: Floats, runs: Sequence[Sequence[Episode]], against: _Anchors) -> dict[str, float]:
-    """The points above 100 by the names in :data:`POINTS` and :data:`REST`."""
-    terms = _terms(runs)
-    # Of a failed episode the rest is the pinned cost without what was paid for the named terms.
-    every = np.concatenate([terms, (costs - terms.sum(axis=0))[np.newaxis]])
-    rest = against.reference - against.reference_terms.sum(axis=0)
-    points = statistics.points_by_term(
-        costs,
-        against.reference,
-        every,
-        np.concatenate([against.reference_terms, rest[np.newaxis]]),
-        -statistics.mean(against.mppt_gains),
-    )
-    return dict(zip((*POINTS, REST), points.tolist(), strict=True))
-
-
-__all__ = ["POINTS", "REST", "EntrySummary", "pinned", "ranked", "summarise"]

@@ -15,8 +15,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation.entries import Entry
-from wtg_gym.evaluation.parcels import Outcome, Play, Played, circumstances, opened, packed, work
+from wtg_gym.evaluation.circumstances import circumstances
+from wtg_gym.evaluation.parcels import Outcome, Play, Played, opened, packed, work
+from wtg_gym.policies import Entry
 
 #: Backends of joblib: the package each of them needs, and the extra of wtg-gym that brings it.
 BACKENDS = {"loky": ("joblib", "cluster"), "dask": ("distributed", "cluster"), "ray": ("ray", "rllib")}
@@ -59,8 +60,6 @@ class Workers:
             raise ValueError(
                 f"an address is for dask and ray, loky has workers on this machine only; got {self.address!r}"
             )
-        if self.address is not None and (not isinstance(self.address, str) or not self.address.strip()):
-            raise ValueError(f"the address of a cluster must be text such as tcp://host:8786, got {self.address!r}")
         jobs = self.jobs
         if jobs is not None and (isinstance(jobs, bool) or not isinstance(jobs, int) or not 2 <= jobs <= _LARGEST_JOBS):
             raise ValueError(f"jobs must be 2 … {_LARGEST_JOBS} (a single one needs no backend), got {jobs!r}")
@@ -82,9 +81,8 @@ class Workers:
             parts: (entry, seeds) of the batches.
 
         Raises:
-            ValueError: an entry cannot travel, the cluster does not answer, a worker has other code, packages or
-                processor, or workers are lost again and again.
-            Exception: what an entry's code raises while it is loaded.
+            ValueError: an entry cannot travel or be played there, the cluster does not answer, a worker has other code,
+                packages or processor, or workers are lost again and again.
         """
         wanted, parcels = circumstances(), packed([entry for entry, _ in parts], settings)
         parent = os.getpid() if self.backend == "loky" else None
@@ -98,7 +96,7 @@ class Workers:
                 yield outcome.part, opened(outcome, wanted)
 
     def _outcomes(self, calls: dict[int, Any], labels: Sequence[str]) -> Generator[Outcome, None, None]:
-        """Yield what comes of the calls, in any order; calls that are lost with a worker are made again."""
+        """Yield the outcomes of the calls, in any order; calls that are lost with a worker are made again."""
         n_lost = 0
         with self._started() as made:
             while calls:
@@ -107,7 +105,7 @@ class Workers:
                         n_lost = 0
                         del calls[outcome.part]
                         yield outcome
-                # A policy's error comes as an outcome: what is raised here is that of a worker that is no more.
+                # Errors of a policy come as outcomes; this is the error of a lost worker.
                 except Exception as error:
                     n_lost += 1
                     if n_lost == _ATTEMPTS:
@@ -119,7 +117,7 @@ class Workers:
 
     @contextlib.contextmanager
     def _started(self) -> Iterator[Callable[[list[Any]], Iterable[Outcome]]]:
-        """Start or reach the workers; yield what makes calls there, as joblib's `delayed` writes them."""
+        """Start or reach the workers; yield a function that makes calls there, written as joblib's `delayed` does."""
         if self.backend == "loky":
             yield lambda calls: _unordered(calls, backend="loky", n_jobs=self.jobs or -1, idle_worker_timeout=_IDLE_S)
         elif self.backend == "dask":
@@ -184,25 +182,25 @@ def _first_line(error: BaseException) -> str:
 
 
 def _unordered(calls: list[Any], *, backend: Any, n_jobs: int, **options: Any) -> Iterator[Outcome]:
-    """Make the calls, and yield each result as it comes."""
+    """Make the calls, and yield the results in the order of their ends."""
     import joblib
 
     with joblib.parallel_config(backend=backend, **options):
         parallel = joblib.Parallel(n_jobs=n_jobs, batch_size=1, return_as="generator_unordered")
     results = parallel(calls)
     try:
-        # Not `yield from`, which would close the results itself, outside of what is below.
+        # Not `yield from`, which would close the results itself, and warn.
         for result in results:  # noqa: UP028
             yield result
     finally:
         with warnings.catch_warnings():
-            # That there are unfinished calls: whoever stops knows it.
+            # The warning of unfinished calls, which are unfinished on purpose.
             warnings.simplefilter("ignore")
             results.close()
 
 
 def _in_rounds(calls: list[Any], n_jobs: int) -> Iterator[Outcome]:
-    """Make the calls on Ray, whose backend gives results back together only: with a lost worker a round is lost."""
+    """Make the calls on Ray in rounds, as its backend gives results back together only: a lost worker costs a round."""
     import joblib
 
     with joblib.parallel_config(backend="ray", ray_remote_args={"num_cpus": 1}):
@@ -233,6 +231,3 @@ def _dask_backend(client: Any) -> Any:
             return super().retrieve_result_callback(out)
 
     return Backend(client=client)
-
-
-__all__ = ["BACKENDS", "Workers"]

@@ -21,13 +21,13 @@ from wtg_gym.scenarios.distribution import ScenarioDistribution
 
 #: Names of the frozen splits, in the order of the seeds' use.
 SPLITS = ("train", "validation", "test")
-#: The split of seeds that are drawn after a submission, see :mod:`wtg_gym.scenarios.verification`.
-VERIFICATION = "verification"
+#: The split of seeds that are drawn after a submission, see :mod:`wtg_gym.scenarios.fresh`.
+FRESH = "fresh"
 _TRAIN_SEEDS = range(1_000_000, 2**31)
 _VALIDATION_SEEDS = range(10_000, 10_100)
 _TEST_SEEDS = range(20_000, 20_200)
 #: Far beyond the other splits, and whole numbers in JavaScript too.
-_VERIFICATION_SEEDS = range(2**32, 2**53)
+_FRESH_SEEDS = range(2**32, 2**53)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,15 +91,15 @@ class Suite:
         """Return the seeds of a split.
 
         Args:
-            split: "train", "validation", "test" or "verification".
+            split: "train", "validation", "test" or "fresh".
 
         Raises:
             ValueError: there is no such split; the message lists them.
         """
-        if split == VERIFICATION and self.distribution is not None:
-            return _VERIFICATION_SEEDS
+        if split == FRESH and self.distribution is not None:
+            return _FRESH_SEEDS
         if split not in SPLITS:
-            fixed = f"; suite {self.name!r} has fixed cases, there is nothing to draw" if split == VERIFICATION else ""
+            fixed = f"; suite {self.name!r} has fixed cases, there is nothing to draw" if split == FRESH else ""
             raise ValueError(f"unknown split {split!r}; known splits: {', '.join(SPLITS)}{fixed}")
         seeds: range = getattr(self, split)
         return seeds
@@ -137,7 +137,7 @@ class Suite:
         """Return the scenarios of several seeds; everything else as for :meth:`scenario`."""
         splits = [self.seeds(split) for split in SPLITS]
         if self.distribution is not None:
-            splits.append(_VERIFICATION_SEEDS)
+            splits.append(_FRESH_SEEDS)
         for seed in seeds:
             is_whole = isinstance(seed, (int, np.integer)) and not isinstance(seed, bool)
             if not is_whole or not any(int(seed) in split for split in splits):

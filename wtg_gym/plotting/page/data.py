@@ -20,6 +20,7 @@ from wtg_gym.evaluation import (
     table_cells,
 )
 from wtg_gym.evaluation.recording import Recording, record
+from wtg_gym.evaluation.score import scenario_scores, score_scale
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.compiled import source_hash
 from wtg_gym.physics.ieee14 import modified_ieee14
@@ -205,8 +206,8 @@ def _lower_bounds(gains: Sequence[Floats], mppt: Floats) -> Floats:
 def _scores(results: Results) -> dict[str, Floats]:
     """Return the scenarios' scores of every entry, (n_runs, n_scenarios)."""
     mppt, reference = (results.pinned_costs[name][0] for name in ANCHORS)
-    scale = statistics.score_scale(mppt, reference)
-    return {name: statistics.scenario_scores(gains, scale) for name, gains in results.log_gains.items()}
+    scale = score_scale(mppt, reference)
+    return {name: scenario_scores(gains, scale) for name, gains in results.log_gains.items()}
 
 
 def _entry(results: Results, row: EntrySummary, rank: int, training_seeds: Mapping[str, int | None]) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from wtg_gym.evaluation import Entry, EntrySummary, Results, leaderboard_rows, t
 from wtg_gym.evaluation.generalisation import GeneralisationGap, generalisation_gaps
 from wtg_gym.evaluation.leaderboard import COLUMNS, signed_interval
 from wtg_gym.plotting.page.data import Progress, page_data
-from wtg_gym.scenarios import VERIFICATION
+from wtg_gym.scenarios import FRESH
 
 #: What the file should not grow beyond [B]: more than that is slow to open from a mail or over a network.
 SIZE_LIMIT = 3_000_000
@@ -170,7 +170,7 @@ def _gaps(public: Results, results: Sequence[Results]) -> dict[str, Generalisati
     """Return the gaps to fresh scenarios, by the entry's name, where there are results on these."""
     if public.split != "test":
         return {}
-    fresh = [each for each in results if (each.suite, each.split) == (public.suite, VERIFICATION)]
+    fresh = [each for each in results if (each.suite, each.split) == (public.suite, FRESH)]
     return {gap.name: gap for each in fresh for gap in generalisation_gaps(public, each)}
 
 

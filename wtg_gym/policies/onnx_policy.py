@@ -3,12 +3,11 @@
 A policy's graph has the batch as the first axis of everything: inputs `observation` (batch, n_observation) and, for a
 policy with memory, `state_0`, `state_1`, … (batch, n); outputs `action` (batch, n_action) and as many `next_state_0`, …
 of the same widths. All are float32, all states are zero at the start of an episode. The batch is always 1, so no graph
-can take an action from what it sees of another scenario, whatever its operators do.
+sees two scenarios at once.
 """
 
 from __future__ import annotations
 
-import importlib.util
 import weakref
 from pathlib import Path
 from typing import Any
@@ -16,9 +15,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.evaluation.onnx_worker import LENGTH
-from wtg_gym.evaluation.policy_process import PolicyError, PolicyProcess
 from wtg_gym.files import sha256
+from wtg_gym.policies.onnx_worker import LENGTH
+from wtg_gym.policies.policy_process import PolicyError, PolicyProcess
 
 Floats = npt.NDArray[np.float32]
 #: The recurrent states, (n_lanes, n) each.
@@ -35,13 +34,10 @@ class OnnxPolicy:
         isolated: refuse to play where this system cannot isolate the process, as Linux can; else that is a warning.
 
     Raises:
-        ImportError: onnxruntime is not installed.
         ValueError: the file cannot be read.
     """
 
     def __init__(self, file: str | Path | bytes, *, isolated: bool = False) -> None:
-        if importlib.util.find_spec("onnxruntime") is None:
-            raise ImportError("policies as ONNX files need onnxruntime: pip install onnxruntime")
         self.__setstate__((file if isinstance(file, bytes) else _content(Path(file)), isolated))
 
     def __getstate__(self) -> tuple[bytes, bool]:
@@ -62,7 +58,7 @@ class OnnxPolicy:
 
         Args:
             observation: one row per lane.
-            state: what the last call returned; None at the beginning.
+            state: the states that the last call returned; None at the beginning.
             episode_start: lanes where an episode starts, (n_lanes,) bool: their state is zero, and their session a new
                 one; None for none.
             deterministic: the file holds the deterministic action only; the argument is there for the protocol.
@@ -70,7 +66,7 @@ class OnnxPolicy:
         Raises:
             NotIsolatedError: this system cannot isolate the process, and `isolated` was set.
             PolicyError: the file is no policy, the observations or states are of another shape, the process ended or
-                took too long, or the policy gives something else than its file says.
+                took too long, or the answer is of another form.
         """
         n_observation, n_action, *widths = self.widths
         observations = np.ascontiguousarray(observation, dtype=np.float32)
@@ -89,7 +85,7 @@ class OnnxPolicy:
         try:
             action, *following = self._answers([starts, observations, *states], [n_action, *widths])
         except BaseException:
-            # An answer that was not read to its end leaves nothing to go on with.
+            # The rest of an answer that was not read to its end would be taken for the next one.
             self.close()
             raise
         return action, tuple(following) if following else None
@@ -116,7 +112,7 @@ class OnnxPolicy:
 
     @property
     def not_isolated(self) -> tuple[str, ...]:
-        """What this system cannot take away from the process; empty where it can. Errors as of :meth:`predict`."""
+        """Limits that this system does not enforce; empty where it isolates. Errors as of :meth:`predict`."""
         return tuple(self._running().missing)
 
     def close(self) -> None:
@@ -144,6 +140,3 @@ def _content(path: Path) -> bytes:
 def _close_all(processes: list[PolicyProcess]) -> None:
     while processes:
         processes.pop().close()
-
-
-__all__ = ["Floats", "OnnxPolicy", "States"]

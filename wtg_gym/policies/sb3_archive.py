@@ -1,7 +1,7 @@
 """Policies as archives of Stable-Baselines3, which run code when they are loaded: for one's own files only.
 
-An archive (model.zip) and the file of a VecNormalize are made of pickles. Loading one runs whatever code its maker put
-in it, with the rights of whoever loads it; no check can tell. Needs `pip install 'wtg-gym[train]'`.
+An archive (model.zip) and the file of a VecNormalize are made of pickles. Loading one runs any code that its maker put
+in it, with the rights of the user; no check can tell. Needs `pip install 'wtg-gym[train]'`.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box
 
-from wtg_gym.evaluation.entries import ARCHIVE_FILE
 from wtg_gym.files import sha256
+from wtg_gym.policies.load import ARCHIVE_FILE
 
 try:
     import torch
@@ -32,7 +32,7 @@ except ImportError as error:
 
 #: The algorithms whose archives can be loaded, by the name of their class.
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {each.__name__: each for each in (PPO, SAC, TD3, TQC, RecurrentPPO)}
-#: What a learner chose by itself for its n_steps would be taken for a choice of the user's, with a warning.
+#: Without it, a class that the learner chose for its n_steps counts as the user's choice, with a warning.
 CUSTOM_OBJECTS = {"replay_buffer_class": None}
 
 
@@ -73,7 +73,7 @@ class NormalizedPolicy:
 
 
 def load_archive(folder: Path, algorithm: str) -> tuple[NormalizedPolicy, str]:
-    """Load a folder's model.zip and, where there is one, its vecnormalize.pkl; runs whatever code they hold.
+    """Load a folder's model.zip and, where there is one, its vecnormalize.pkl; runs any code in them.
 
     The one .pkl with "normalize" in its name is the normalisation, so that none is left out for its name. Torch is left
     on one thread, so that the result does not depend on the machine's load.
@@ -91,47 +91,40 @@ def load_archive(folder: Path, algorithm: str) -> tuple[NormalizedPolicy, str]:
     """
     if not isinstance(algorithm, str) or algorithm not in ALGORITHMS:
         raise ValueError(f"algorithm must be one of {', '.join(ALGORITHMS)}, got {algorithm!r}")
-    path = folder / ARCHIVE_FILE
-    statistics = sorted(each for each in folder.glob("*.pkl") if "normalize" in each.name.lower())
-    if len(statistics) > 1:
-        names = ", ".join(each.name for each in statistics)
+    paths = [folder / ARCHIVE_FILE, *sorted(path for path in folder.glob("*.pkl") if "normalize" in path.name.lower())]
+    if len(paths) > 2:
+        names = ", ".join(path.name for path in paths[1:])
         raise ValueError(f"{folder} must have one file with a normalisation at most, vecnormalize.pkl; it has {names}")
-    # What is hashed is what is loaded.
-    contents = [_read(each) for each in (path, *statistics)]
+    try:
+        # The bytes that are hashed are those that are loaded.
+        contents = [path.read_bytes() for path in paths]
+    except OSError as error:
+        raise ValueError(f"cannot read {error.filename}: {error.strerror}") from error
     torch.set_num_threads(1)
     try:
         model = ALGORITHMS[algorithm].load(io.BytesIO(contents[0]), device="cpu", custom_objects=CUSTOM_OBJECTS)
-    # Whatever is in it decides what is raised.
+    # A file of something else can raise anything.
     except Exception as error:
-        raise ValueError(f"{path} is no archive of {algorithm} that can be loaded: {_text(error)}") from error
-    _check_spaces(model, path)
-    normalize = _normalization(contents[1], statistics[0], model) if statistics else None
-    parts = [algorithm, *(sha256(content) for content in contents)]
-    return NormalizedPolicy(model.policy, normalize), sha256(" ".join(parts).encode())
-
-
-def _read(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise ValueError(f"cannot read {path}: {error.strerror}") from error
-
-
-def _check_spaces(model: BaseAlgorithm, path: Path) -> None:
+        raise ValueError(
+            f"{paths[0]} is no archive of {algorithm} that can be loaded: {type(error).__name__}: {error}"
+        ) from error
     observation, action = getattr(model, "observation_space", None), getattr(model, "action_space", None)
     fits = all(isinstance(space, Box) and len(space.shape) == 1 for space in (observation, action))
     if not fits or not (np.all(action.low == -1.0) and np.all(action.high == 1.0)):  # type: ignore[union-attr]
         raise ValueError(
-            f"the policy in {path} must take a list of observations and give a list of actions, -1 … 1; "
+            f"the policy in {paths[0]} must take a list of observations and give a list of actions, -1 … 1; "
             f"its spaces are {observation!s:.80} and {action!s:.80}"
         )
+    normalize = _normalization(contents[1], paths[1], model) if len(paths) == 2 else None
+    parts = [algorithm, *(sha256(content) for content in contents)]
+    return NormalizedPolicy(model.policy, normalize), sha256(" ".join(parts).encode())
 
 
 def _normalization(content: bytes, path: Path, model: BaseAlgorithm) -> VecNormalize:
     try:
         found = pickle.loads(content)
     except Exception as error:
-        raise ValueError(f"{path} is no VecNormalize that can be loaded: {_text(error)}") from error
+        raise ValueError(f"{path} is no VecNormalize that can be loaded: {type(error).__name__}: {error}") from error
     if not isinstance(found, VecNormalize) or found.observation_space.shape != model.observation_space.shape:
         raise ValueError(
             f"{path} must be the VecNormalize that the policy was trained with, for observations of shape "
@@ -142,10 +135,3 @@ def _normalization(content: bytes, path: Path, model: BaseAlgorithm) -> VecNorma
     # Without an environment it has none of these, but pickles only with them.
     found.class_attributes, found.returns = {}, np.zeros(0)
     return found
-
-
-def _text(error: Exception) -> str:
-    return f"{type(error).__name__}: {error}"
-
-
-__all__ = ["ALGORITHMS", "CUSTOM_OBJECTS", "NormalizedPolicy", "load_archive"]

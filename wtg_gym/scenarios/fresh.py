@@ -1,9 +1,9 @@
-"""Scenarios that nobody has seen: seeds drawn after a submission, from its commit and a secret.
+"""Fresh scenarios: seeds drawn after a submission, from its commit and a secret.
 
 The test scenarios are public, so a policy can be fitted to them, by mistake or on purpose. Seeds that depend on the
 commit cannot be known before the submission is made; that they also depend on a secret keeps its authors from trying
-commits until the draw suits them. Whoever draws publishes the secret's sha256 beforehand and the secret afterwards:
-then everybody can see that the seeds are those of commit and secret.
+commits until the draw suits them. The secret's sha256 is published beforehand and the secret afterwards: then everybody
+can see that the seeds are those of commit and secret.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import hmac
 import re
 from dataclasses import dataclass
 
-from wtg_gym.scenarios.suites import VERIFICATION, get_suite
+from wtg_gym.scenarios.suites import FRESH, get_suite
 
 #: Scenarios of a draw, as many as the test split has.
 N_DRAWN = 200
@@ -24,8 +24,8 @@ _SHA256 = re.compile("[0-9a-f]{64}")
 
 
 @dataclass(frozen=True, kw_only=True)
-class VerificationDraw:
-    """Seeds of the split "verification", and what they were drawn from.
+class FreshDraw:
+    """Seeds of the split "fresh", with the commit and the secret's sha256 that they were drawn from.
 
     Args:
         suite: name of the suite.
@@ -43,7 +43,7 @@ class VerificationDraw:
     seeds: tuple[int, ...]
 
     def __post_init__(self) -> None:
-        allowed = get_suite(self.suite).seeds(VERIFICATION)
+        allowed = get_suite(self.suite).seeds(FRESH)
         _check_commit(self.commit)
         if not isinstance(self.secret_sha256, str) or _SHA256.fullmatch(self.secret_sha256) is None:
             raise ValueError(f"secret_sha256 must be 64 hexadecimal digits, got {self.secret_sha256!r}")
@@ -59,7 +59,7 @@ class VerificationDraw:
         return self == draw_seeds(self.suite, self.commit, secret, len(self.seeds))
 
 
-def draw_seeds(suite: str, commit: str, secret: bytes, n: int = N_DRAWN) -> VerificationDraw:
+def draw_seeds(suite: str, commit: str, secret: bytes, n: int = N_DRAWN) -> FreshDraw:
     """Draw seeds: HMAC-SHA256 of suite, its hash, commit and a counter under the secret, 8 bytes of each digest.
 
     Args:
@@ -72,7 +72,7 @@ def draw_seeds(suite: str, commit: str, secret: bytes, n: int = N_DRAWN) -> Veri
         ValueError: an argument is out of range, or the suite has fixed cases only.
     """
     drawn = get_suite(suite)
-    allowed = drawn.seeds(VERIFICATION)
+    allowed = drawn.seeds(FRESH)
     _check_commit(commit)
     if len(secret) < _SHORTEST_SECRET:
         raise ValueError(f"the secret must have {_SHORTEST_SECRET} bytes or more, got {len(secret)}")
@@ -81,13 +81,12 @@ def draw_seeds(suite: str, commit: str, secret: bytes, n: int = N_DRAWN) -> Veri
     seeds: dict[int, None] = {}
     counter = 0
     while len(seeds) < n:
+        # The word is part of the rounds that are published.
         message = f"wtg_gym verification\n{suite}\n{drawn.hash}\n{commit}\n{counter}"
         digest = hmac.digest(secret, message.encode(), "sha256")
         seeds[allowed.start + int.from_bytes(digest[:8], "big") % len(allowed)] = None
         counter += 1
-    return VerificationDraw(
-        suite=suite, commit=commit, secret_sha256=hashlib.sha256(secret).hexdigest(), seeds=tuple(seeds)
-    )
+    return FreshDraw(suite=suite, commit=commit, secret_sha256=hashlib.sha256(secret).hexdigest(), seeds=tuple(seeds))
 
 
 def _check_commit(commit: str) -> None:
@@ -95,4 +94,4 @@ def _check_commit(commit: str) -> None:
         raise ValueError(f"commit must be a full git hash of 40 or 64 hexadecimal digits, got {commit!r}")
 
 
-__all__ = ["N_DRAWN", "VerificationDraw", "draw_seeds"]
+__all__ = ["N_DRAWN", "FreshDraw", "draw_seeds"]

@@ -1,6 +1,6 @@
 """Starts the process that plays a policy, and holds it to limits of memory and time.
 
-The scenarios, the simulation and the score stay here, so a policy can neither see what is played nor forge a result.
+The scenarios, the simulation and the score stay here, so a policy can neither see the scenario nor forge a result.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ import time
 import warnings
 from typing import IO, Any, cast
 
-from wtg_gym.evaluation import onnx_worker
-from wtg_gym.evaluation.onnx_worker import ACTIONS, LENGTH
+from wtg_gym.files import printable
+from wtg_gym.policies import onnx_worker
+from wtg_gym.policies.onnx_worker import ACTIONS, LENGTH
 
 #: Address space [bytes] and processor time [s] of the process; it plays up to 256 scenarios and then ends.
 MEMORY_BYTES = 4 * 2**30
@@ -32,6 +33,8 @@ _WATCH_S = 0.2
 _SCRIPT = onnx_worker.__file__
 #: Longest message that the process may send [bytes].
 _LONGEST_MESSAGE = 65_536
+#: Most states and most values of an input or output, more than any policy of this benchmark needs.
+MOST_STATES, WIDEST = 16, 65_536
 #: Has malloc fill memory with one byte and keep no caches, so that no call finds what another one left there.
 _MALLOC = "glibc.malloc.tcache_count=0:glibc.malloc.perturb=165"
 _SIGNALS = {
@@ -45,7 +48,7 @@ class PolicyError(ValueError):
 
 
 class NotIsolatedError(PolicyError):
-    """This system cannot start or isolate the process of a policy, which is no failure of the policy."""
+    """This system cannot start or isolate the process of a policy; the policy did not fail."""
 
 
 class PolicyProcess:
@@ -53,15 +56,15 @@ class PolicyProcess:
 
     Args:
         content: the .onnx file.
-        isolated: refuse to play where this system cannot isolate the process; else what is missing is a warning.
+        isolated: refuse to play where this system cannot isolate the process; else that is a warning.
 
     Raises:
         NotIsolatedError: this system cannot start the process, or cannot isolate it and `isolated` is set.
-        PolicyError: onnxruntime cannot load the file, or it is no policy.
+        PolicyError: onnxruntime cannot load the file as a policy.
     """
 
     def __init__(self, content: bytes, *, isolated: bool) -> None:
-        #: What this system would not take away from the process.
+        #: Limits that this system does not enforce.
         self.missing: list[str] = []
         #: Widths of the observations, the actions, and each state.
         self.widths: list[int] = []
@@ -146,7 +149,7 @@ class PolicyProcess:
             raise self._ended() from error
 
     def _begin(self, seconds: float) -> None:
-        """Have the process killed if what it is asked now takes too long [s]; only this time counts for the whole."""
+        """Have the process killed if its next answer takes too long [s]; only waiting counts for the total."""
         self._began = time.monotonic()
         self._deadline = self._began + min(seconds, max(0.0, TOTAL_S - self._waited_s))
 
@@ -162,8 +165,8 @@ class PolicyProcess:
             time.sleep(_WATCH_S)
 
     def _ended(self) -> PolicyError:
-        """Return the error that says how the process ended, once it has."""
-        # It has closed its end: a moment for it to exit by itself tells how.
+        """Return the error that says how the process ended."""
+        # It has closed its end: its exit code follows in a moment.
         try:
             code = self._process.wait(timeout=2.0)
         except subprocess.TimeoutExpired:
@@ -183,13 +186,9 @@ class PolicyProcess:
         self._process.kill()
         self._process.wait()
         for stream in (self._process.stdin, self._process.stdout):
-            # Closing the stream writes what is left in its buffer, and nobody reads that any more.
+            # Closing the stream writes the rest of its buffer, which has no reader any more.
             with contextlib.suppress(OSError):
                 cast(IO[bytes], stream).close()
-
-
-#: More than any policy of this benchmark needs.
-MOST_STATES, WIDEST = 16, 65_536
 
 
 def _start(*, weak: bool) -> subprocess.Popen[bytes]:
@@ -212,8 +211,5 @@ def _start(*, weak: bool) -> subprocess.Popen[bytes]:
 
 
 def _plain(text: Any) -> str:
-    """Return what the process says as one line that is no command to a terminal and ends no block of code."""
-    return "".join(sign if sign.isprintable() and sign != "`" else "?" for sign in str(text))[:400]
-
-
-__all__ = ["NotIsolatedError", "PolicyError", "PolicyProcess"]
+    """Return a text of the process as one printable line without the signs that end a block of code."""
+    return printable(str(text)[:400]).replace("`", "'")

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wtg_gym.scenarios import SPLITS, SUITES, VERIFICATION, VerificationDraw, draw_seeds, get_suite
+from wtg_gym.scenarios import FRESH, SPLITS, SUITES, FreshDraw, draw_seeds, get_suite
 
 COMMIT = "0123456789abcdef0123456789abcdef01234567"
 SECRET = b"sixteen bytes or more"
@@ -100,10 +100,10 @@ def test_bad_draws_are_refused(change: dict[str, Any], text: str) -> None:
 @pytest.mark.parametrize("seeds", [(), (2**40, 2**40), (20_000,), (2**53,), (True,), (2.0**40,)])
 def test_draw_holds_seeds_of_the_split_only(seeds: Any) -> None:
     with pytest.raises(ValueError, match="seeds of a draw"):
-        VerificationDraw(suite="standard", commit=COMMIT, secret_sha256="0" * 64, seeds=seeds)
+        FreshDraw(suite="standard", commit=COMMIT, secret_sha256="0" * 64, seeds=seeds)
 
 
 def test_frozen_suites_know_nothing_of_the_split() -> None:
-    assert VERIFICATION not in SPLITS
+    assert FRESH not in SPLITS
     with pytest.raises(ValueError, match="there is nothing to draw"):
-        get_suite("paper").seeds(VERIFICATION)
+        get_suite("paper").seeds(FRESH)

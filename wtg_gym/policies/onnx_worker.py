@@ -1,9 +1,9 @@
 """The process in which a policy is played: it gets observations and gives actions, and can do nothing else.
 
-:mod:`wtg_gym.evaluation.policy_process` runs this file as a script, so it imports nothing of the package. It loads its
-libraries, has the kernel take everything else away, and only then reads the policy and hands it to onnxruntime. It
-plays one scenario at a time: every scenario has an onnxruntime session of its own, which gets a batch of one. The
-process never learns which scenario is played, and its answers are all that comes out of it.
+:mod:`wtg_gym.policies.policy_process` runs this file as a script, so it imports nothing of the package. It loads its
+libraries, has the kernel take everything else away, and only then reads the policy and hands it to onnxruntime. Every
+scenario has an onnxruntime session of its own, which gets a batch of one. The process never learns which scenario is
+played, and its answers are all that comes out of it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def main() -> None:
     # Ctrl-C reaches every process of a terminal; the one that started this one ends it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     source, sink = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
-    # Whatever a library prints must not end up among the answers.
+    # The prints of a library must not end up among the answers.
     os.dup2(2, 1)
     missing = [_limit(wanted)]
     # The libraries must have opened their files before.
@@ -190,11 +190,11 @@ def _read(source: BinaryIO, size: int) -> bytes:
     return data
 
 
-# --- what the kernel takes away --------------------------------------------------------------------------------------
+# --- isolation by the kernel -----------------------------------------------------------------------------------------
 
 
 def _limit(wanted: dict[str, Any]) -> str:
-    """Bound memory and time, and end with the process that started this one; return what this system would not do."""
+    """Limit memory and time, and end with the parent process; return the limits that this system does not enforce."""
     if sys.platform != "linux":
         return f"limits of memory and time: {sys.platform} does not enforce them"
     import resource
@@ -256,14 +256,9 @@ class _Program(ctypes.Structure):
 
 
 def lock(source: int, sink: int) -> str:
-    """Take from this process, for good, all but computing, reading `source` and writing `sink`.
+    """Take from this process, for good, all but computing, reading the file descriptor `source` and writing `sink`.
 
-    Args:
-        source: the only file descriptor that may be read.
-        sink: the only one that may be written.
-
-    Returns:
-        what this system would not take away; empty where it did.
+    Returns the limits that this system does not enforce; empty where it enforces all.
     """
     machine = os.uname().machine if sys.platform == "linux" else sys.platform
     if machine not in _MACHINES or sys.maxsize < 2**32:
@@ -297,8 +292,6 @@ def _filter(kind: int, column: int, source: int, sink: int) -> list[tuple[int, i
         lines += [(_EQUAL, 0, 1, numbers[column]), (_RETURN, 0, 0, _ALLOW)]
     return [*lines, (_RETURN, 0, 0, _REFUSE)]
 
-
-__all__ = ["ACTIONS", "COMPLAINT", "LENGTH", "lock", "main"]
 
 if __name__ == "__main__":
     main()

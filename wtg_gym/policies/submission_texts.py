@@ -74,7 +74,7 @@ def _is_plain(text: str) -> bool:
         if sign.isascii():
             allowed = sign.isalnum() or sign in _TEXT_SIGNS
         else:
-            # What Python calls not printable: controls, changes of direction, other blanks, what is no character.
+            # Not printable in Python are controls, changes of direction, other blanks and unassigned signs.
             allowed = sign.isprintable() and sign not in _UNSEEN and not unicodedata.category(sign).startswith("M")
         if not allowed:
             return False
@@ -98,6 +98,3 @@ def short(value: Any) -> str:
     except (ValueError, RecursionError):
         text = f"a very long {type(value).__name__}"
     return text if len(text) <= 80 else text[:77] + "..."
-
-
-__all__ = ["TAKEN", "check_author", "check_link", "check_name", "check_text", "plain_name", "short"]

@@ -1,23 +1,20 @@
-"""The folder of a submission: which files it may hold, and what entry.toml may say."""
+"""The folder of a submission: its files, the keys of entry.toml, and a template to fill in."""
 
 from __future__ import annotations
 
 import os
 import re
 import stat
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation.entries import ENTRY_FILE, POLICY_FILE
-from wtg_gym.submissions import limits
-from wtg_gym.submissions.texts import check_author, check_link, check_name, check_text, short
+from wtg_gym.files import LARGEST_TOML_BYTES, parse_toml, write_atomically
+from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
+from wtg_gym.policies.submission_texts import check_author, check_link, check_name, check_text, short
 
-README_FILE = "README.md"
-#: The files of a folder and their largest sizes [bytes].
-FILES = {ENTRY_FILE: limits.ENTRY_BYTES, POLICY_FILE: limits.MODEL_BYTES, README_FILE: limits.README_BYTES}
+#: The files of a folder and their largest sizes [bytes]; every limit is far above what a policy here needs.
+FILES = {ENTRY_FILE: LARGEST_TOML_BYTES, POLICY_FILE: 5_000_000, "README.md": 65_536}
 _FOLDER = re.compile(r"(?!.*(\.|\.toml)$)[A-Za-z0-9][A-Za-z0-9+._-]{0,79}", re.IGNORECASE)
 #: Names, with any ending, that Windows keeps for devices: a repository with one cannot be checked out there.
 _DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
@@ -27,21 +24,40 @@ _MODES = {"action_mode": ("k", "tau", "k+tau"), "observation_mode": ("local", "p
 _LARGEST_SEED = 2**32 - 1
 _MOST_AUTHORS, _MOST_LINKS = 40, 5
 
+_TEMPLATE = """\
+# A submission: this file, policy.onnx and, if you like, a README.md, in a folder of their own. Nothing in it is code.
+# `wtg-gym submission check FOLDER` says whether it is accepted, and why not.
+
+# Stands in the table, must be filled in: letters, digits, blanks and ( ) + - . , = _. Policies trained with several
+# seeds are several folders of one name, each with its own training_seed; they share a row, whose interval covers them.
+name = ""
+
+# One sentence on what it is.
+description = ""
+
+# Who made it, at least one name, such as ["Jane Doe", "John Roe"].
+authors = []
+
+# Seed it was trained with.
+training_seed = 0
+
+# What its actions mean: "k", "tau" or "k+tau".
+action_mode = "k+tau"
+
+# What it sees: "local", what a group's own controller measures, or "privileged", the state of the grid as well.
+observation_mode = "local"
+
+# What it was trained on: suite, split, steps. Test scenarios are for scoring only.
+trained_on = "standard, split train"
+
+# https addresses of a paper or of the training code.
+links = []
+"""
+
 
 @dataclass(frozen=True, kw_only=True)
 class EntryFile:
-    """What entry.toml says.
-
-    Args:
-        name: of the entry; folders of one name and different training seeds are one entry.
-        authors: who made it.
-        training_seed: 0 … 2³² - 1.
-        action_mode: "k", "tau" or "k+tau".
-        observation_mode: "local" or "privileged".
-        description: one sentence on what it is.
-        trained_on: what it was trained on.
-        links: https addresses of a paper or of the training code.
-    """
+    """The content of entry.toml, see CONTRIBUTING.md; folders of one name and several seeds are one entry."""
 
     name: str
     authors: tuple[str, ...]
@@ -57,7 +73,7 @@ def read_files(folder: Path) -> dict[str, bytes]:
     """Return the contents of a submission's files.
 
     Raises:
-        ValueError: the folder holds something else, a file is no plain file or too large, or one is missing.
+        ValueError: the folder holds another file, or a file is missing, too large or not a plain file.
     """
     # The folder's name goes to shells and terminals, and into checkouts on systems that cannot have every name.
     name = Path(os.path.abspath(folder)).name
@@ -80,11 +96,6 @@ def read_files(folder: Path) -> dict[str, bytes]:
     return {name: _read(folder / name, FILES[name]) for name in FILES if name in names}
 
 
-def read_policy(path: Path) -> bytes:
-    """Return the content of one policy file; a ValueError if it is no plain file or too large."""
-    return _read(path, limits.MODEL_BYTES)
-
-
 def _status(path: Path) -> os.stat_result:
     try:
         return os.lstat(path)
@@ -93,7 +104,7 @@ def _status(path: Path) -> os.stat_result:
 
 
 def _read(path: Path, largest: int) -> bytes:
-    """Return the content of a plain file that is no link; what is looked at is what is read."""
+    """Return the content of a plain file; a link, even one put there after the check, is refused."""
     if not stat.S_ISREG(_status(path).st_mode):
         raise ValueError(f"{path.name} is a link or something else that is not a plain file")
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
@@ -110,15 +121,17 @@ def _read(path: Path, largest: int) -> bytes:
 
 
 def parse_entry(content: bytes) -> EntryFile:
-    """Return what entry.toml says.
+    """Return the content of entry.toml.
 
     Raises:
-        ValueError: it is no TOML, or a key is missing, unknown or out of range; the message names what is allowed.
+        ValueError: it is not TOML, or a key is missing, unknown or out of range; the message names what is allowed.
     """
     try:
-        data = tomllib.loads(content.decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"it is not TOML in UTF-8: {ascii(str(error))[:120]}") from error
+        data = parse_toml(content.decode("utf-8"), "it")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"it is not TOML in UTF-8: {error}") from error
+    except ValueError as error:
+        raise ValueError(ascii(str(error))[1:-1][:160]) from error
     missing, unknown = [key for key in _REQUIRED if key not in data], sorted(set(data) - {*_REQUIRED, *_OPTIONAL})
     if missing or unknown:
         raise ValueError(
@@ -144,11 +157,25 @@ def _list(key: str, value: Any, fewest: int, most: int) -> list[Any]:
     return value
 
 
-def settings_of(entry: EntryFile) -> EnvSettings:
-    """Return the environment that an entry acts in."""
-    # The check of the modes was made when the file was read.
-    modes: Any = {"action_mode": entry.action_mode, "observation_mode": entry.observation_mode}
-    return EnvSettings(**modes)
+def write_template(folder: Path, policy: Path | None = None) -> list[Path]:
+    """Write an entry.toml to fill in, and a copy of a policy beside it.
 
+    Args:
+        folder: where to; made if missing.
+        policy: an .onnx file to copy; None for none.
 
-__all__ = ["FILES", "README_FILE", "EntryFile", "parse_entry", "read_files", "read_policy", "settings_of"]
+    Returns:
+        the files written.
+
+    Raises:
+        ValueError: one of the files exists, or the policy is not a plain file or too large.
+    """
+    wanted = {ENTRY_FILE: _TEMPLATE.encode()}
+    if policy is not None:
+        wanted[POLICY_FILE] = _read(policy, FILES[POLICY_FILE])
+    there = [name for name in wanted if (folder / name).exists()]
+    if there:
+        raise ValueError(f"{folder} has {' and '.join(there)} already; choose another folder")
+    for name, data in wanted.items():
+        write_atomically(folder / name, data)
+    return [folder / name for name in wanted]

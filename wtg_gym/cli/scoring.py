@@ -1,0 +1,217 @@
+"""Scoring on the command line: the options, one evaluation, and the printed ranking."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import re
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from wtg_gym.cli.output import Progress, note, print_json, print_table, say
+from wtg_gym.evaluation import Entry, NoScaleError, Results, evaluate, leaderboard_rows, load_entries, table_cells
+from wtg_gym.evaluation.leaderboard import COLUMNS, SHORT_COLUMNS
+from wtg_gym.evaluation.workers import BACKENDS, Workers
+from wtg_gym.policies.entry import check_entries
+from wtg_gym.policies.load import BASELINES, LoadArchive
+from wtg_gym.scenarios import FRESH, N_DRAWN, SPLITS, SUITES, FreshDraw, draw_seeds, get_suite
+
+#: Unit of the columns of points.
+_POINTS = " [points]"
+_LARGEST_SEED_RANGE = 100_000
+_LARGEST_SECRET = 4096
+_ENTRIES_HELP = (
+    "entries, several allowed: 'baselines'; 'policies', the trained ones that come with the package; one of "
+    "either by its name in the leaderboard, such as linear-feedback or 'PPO (k)'; a .toml file with a law; a folder "
+    "with entry.toml and policy.onnx; a package with entries, or module:ATTRIBUTE, whose code is run "
+    f"(default: {BASELINES})"
+)
+
+
+# --- options ---------------------------------------------------------------------------------------------------------
+
+
+def add_entries_option(parser: argparse.ArgumentParser, text: str = _ENTRIES_HELP) -> None:
+    """Add `--entries`."""
+    parser.add_argument("--entries", nargs="+", default=[BASELINES], metavar="SPEC", help=text)
+
+
+def add_suite_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--suite`."""
+    suites = ", ".join(SUITES)
+    parser.add_argument("--suite", default="standard", metavar="NAME", help=f"suite: {suites} (default: standard)")
+
+
+def add_run_options(parser: argparse.ArgumentParser) -> None:
+    """Add `--threads` and `--json`."""
+    parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
+    parser.add_argument("--json", action="store_true", help="print JSON, and nothing else, on stdout")
+
+
+def add_split_options(parser: argparse.ArgumentParser) -> None:
+    """Add `--split` and `--seeds`, and the options that the split "fresh" needs."""
+    parser.add_argument(
+        "--split",
+        choices=(*SPLITS, FRESH),
+        default="test",
+        help="which seeds of the suite; fresh: seeds drawn from a commit and a secret (default: test)",
+    )
+    parser.add_argument(
+        "--seeds", nargs="+", metavar="A:B", help="seeds of the split, N or A:B with B left out (default: all)"
+    )
+    group = parser.add_argument_group("fresh scenarios", f"for --split {FRESH}")
+    group.add_argument("--commit", metavar="HASH", help="full hash of the git commit with the entries")
+    group.add_argument("--secret-file", metavar="FILE", help="file with the secret, 16 bytes or more")
+    group.add_argument("--scenarios", type=int, metavar="N", help=f"how many to draw (default: {N_DRAWN})")
+
+
+def add_result_options(parser: argparse.ArgumentParser) -> None:
+    """Add `--results` and `--resume`."""
+    parser.add_argument("--results", metavar="DIR", help="folder to write results to; made if missing (default: none)")
+    parser.add_argument(
+        "--resume",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="go on from the finished parts of an interrupted run in DIR, and keep them (default: --resume)",
+    )
+
+
+def add_worker_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that have other processes play."""
+    group = parser.add_argument_group("workers, see docs/performance.md")
+    group.add_argument(
+        "--backend",
+        choices=BACKENDS,
+        help="other processes play: loky's on this machine, or those of Dask or Ray (default: this process)",
+    )
+    group.add_argument(
+        "--address",
+        metavar="ADDRESS",
+        help="of a cluster: tcp://host:8786 for dask, host:6379 or auto for ray (default: workers on this machine)",
+    )
+    group.add_argument("--jobs", type=int, metavar="N", help="number of workers (default: one per processor)")
+
+
+# --- values of options: a ValueError says what is wrong with one -----------------------------------------------------
+
+
+def chosen_entries(specs: Sequence[str], load_archive: LoadArchive | None = None) -> list[Entry]:
+    """Return the entries of `--entries`; `load_archive` is as for :func:`load_entries`."""
+    # A console script, unlike `python -m`, does not look into the working folder: a checkout's packages are there.
+    if os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())
+    entries = [entry for spec in specs for entry in load_entries(spec, load_archive)]
+    # Stored ones among them are not evaluated, but stand in the same table.
+    check_entries(entries)
+    return entries
+
+
+def chosen_scenarios(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return the suite, the split, and the seeds or the draw of fresh ones, as arguments of `evaluate`."""
+    get_suite(arguments.suite)
+    chosen = {"suite": arguments.suite, "split": arguments.split}
+    options = {"--commit": arguments.commit, "--secret-file": arguments.secret_file, "--scenarios": arguments.scenarios}
+    given = [option for option, value in options.items() if value is not None]
+    if arguments.split != FRESH:
+        if given:
+            raise ValueError(f"{', '.join(given)}: for --split {FRESH} only, the split is {arguments.split}")
+        return {**chosen, "seeds": None if arguments.seeds is None else _seeds(arguments.seeds)}
+    missing = [option for option in ("--commit", "--secret-file") if option not in given]
+    if missing or arguments.seeds is not None:
+        raise ValueError(
+            f"--split {FRESH} draws its seeds from --commit and --secret-file, without --seeds; "
+            f"missing: {', '.join(missing) or 'none'}"
+        )
+    n = N_DRAWN if arguments.scenarios is None else arguments.scenarios
+    draw: FreshDraw = draw_seeds(arguments.suite, arguments.commit, read_secret(arguments.secret_file), n)
+    return {**chosen, "draw": draw}
+
+
+def _seeds(texts: Sequence[str]) -> list[int]:
+    seeds: list[int] = []
+    for text in texts:
+        if re.fullmatch(r"\d{1,12}(:\d{1,12})?", text) is None:
+            raise ValueError(f"--seeds {text}: expected a seed such as 20003, or a range such as 20000:20010")
+        first, _, stop = text.partition(":")
+        part = range(int(first), int(stop) if stop else int(first) + 1)
+        if not 0 < len(part) <= _LARGEST_SEED_RANGE:
+            raise ValueError(f"--seeds {text}: {len(part)} seeds, a range must hold 1 … {_LARGEST_SEED_RANGE}")
+        seeds += part
+    return seeds
+
+
+def read_secret(path: str) -> bytes:
+    """Return the secret of `--secret-file`, without blanks around it."""
+    try:
+        with Path(path).open("rb") as file:
+            content = file.read(_LARGEST_SECRET + 1)
+    except OSError as error:
+        raise ValueError(f"--secret-file {path}: {error.strerror}") from error
+    if len(content) > _LARGEST_SECRET:
+        raise ValueError(f"--secret-file {path}: larger than {_LARGEST_SECRET} bytes")
+    return content.strip()
+
+
+def chosen_workers(arguments: argparse.Namespace) -> Workers | None:
+    """Return the workers of `--backend`."""
+    if arguments.backend is not None:
+        if arguments.threads not in (None, 1):
+            raise ValueError(f"--threads {arguments.threads}: a worker steps with one thread; say how many with --jobs")
+        return Workers(arguments.backend, arguments.address, arguments.jobs)
+    for option in ("address", "jobs"):
+        if getattr(arguments, option) is not None:
+            raise ValueError(f"--{option} is for workers: say which with --backend {', '.join(BACKENDS)}")
+    return None
+
+
+# --- evaluation ------------------------------------------------------------------------------------------------------
+
+
+def kept_parts(folder: Path, arguments: argparse.Namespace) -> Path:
+    """Return the folder of finished parts in that of the results; after Ctrl-C it is named."""
+    partial = folder / "partial"
+    arguments.after_interrupt = f"finished parts are kept in {partial}: run the same command again to go on"
+    return partial
+
+
+def run_evaluation(entries: Sequence[Entry], *, partial: Path | None = None, **options: Any) -> Results:
+    """Evaluate with progress on stderr; a policy that fails is left out; `options` are arguments of `evaluate`."""
+    with Progress("episodes") as progress:
+        results = evaluate(entries, on_progress=progress.update, partial=partial, keep_going=True, **options)
+    if partial is not None:
+        # Parts of other runs may still be in it.
+        with contextlib.suppress(OSError):
+            partial.rmdir()
+    return results
+
+
+def finish(results: Results, folder: Path | None, *, as_json: bool) -> int:
+    """Write the results, print the ranking or the description as JSON; return 1 if an entry failed, else 0."""
+    code = int(bool(results.failed))
+    for entry in results.failed:
+        seed = "" if entry["training_seed"] is None else f" (training seed {entry['training_seed']})"
+        note(f"failed, and left out: {entry['name']}{seed}: {entry['reason']}")
+    if folder is not None:
+        for path in results.write(folder):
+            note(f"wrote {path}")
+    if as_json:
+        print_json(results.to_dict())
+        return code
+    say(f"suite {results.suite} ({results.suite_hash[:12]}), {results.split}: {len(results.seeds)} scenarios", "")
+    try:
+        rows = leaderboard_rows(results)
+    except NoScaleError as error:
+        note(f"no ranking: {error}")
+        return code
+    left = [index for index, column in enumerate(SHORT_COLUMNS) if not COLUMNS[column]]
+    # Without their unit, which the line below gives, the heads fit into 120 columns.
+    heads = [column.removesuffix(_POINTS) for column in SHORT_COLUMNS]
+    print_table(heads, table_cells(rows, SHORT_COLUMNS), left=left)
+    terms = ", ".join(head for head, column in zip(heads, SHORT_COLUMNS, strict=True) if column != head)
+    say("", f"{terms}: points by terms of the cost, which add up to score - 100; --json prints more")
+    if results.oracle.missing:
+        note(f"no share of the oracle's gap: {results.oracle.missing}")
+    return code

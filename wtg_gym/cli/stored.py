@@ -1,0 +1,288 @@
+"""`wtg-gym results`: stored results shown, computed again, compared with fresh scenarios; and other weights."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from wtg_gym.cli.output import (
+    Progress,
+    check_output_file,
+    check_page,
+    note,
+    print_json,
+    print_table,
+    require_extra,
+    say,
+    update_page,
+    write_and_say,
+)
+from wtg_gym.cli.parser import Commands, add_command, add_group
+from wtg_gym.cli.scoring import (
+    add_entries_option,
+    add_run_options,
+    add_suite_option,
+    add_worker_options,
+    chosen_entries,
+    chosen_workers,
+    read_secret,
+)
+from wtg_gym.evaluation import Entry, Results, generalisation
+from wtg_gym.evaluation.recompute import departures, recompute
+from wtg_gym.evaluation.sensitivity import COLUMNS, FACTORS, WEIGHTS, study_sensitivity
+from wtg_gym.plotting.page import N_SCENARIOS, SIZE_LIMIT, leaderboard_page, untraced
+from wtg_gym.policies.load import BASELINES
+from wtg_gym.scenarios import SPLITS
+
+#: Differences that are printed.
+_SHOWN = 20
+
+_PAGE = """\
+Shows stored results as one HTML file that needs nothing but a browser, offline too: the ranking with its intervals,
+performance profiles, physical metrics, and two entries side by side in one scenario, frequency, rotors, power, k, τ
+and wind over one time axis. The traces are recorded anew from the entries given with --entries, as far as they are
+those of the results; both anchors are always there."""
+
+_RECOMPUTE = """\
+Evaluates the entries of a results file again, on the same scenarios with the same settings, and compares every number
+of every episode to the last bit, the policies' sha256, kinds and laws, and the suite's hash. Says that the results are
+identical, or what differs; the exit code is then 1. Other versions of source code or packages, and other texts about an
+entry, are named, but are no difference by themselves: laws give the same bits on one kind of processor, a policy's last
+digits may depend on onnxruntime. The environment's fingerprint says whether this machine computes the same as the one
+before. Where the results are not those of the benchmark, with fewer scenarios, shorter episodes or weights of one's
+own, that is named too."""
+
+_GAP = """\
+Compares the scores of entries on the public test scenarios with those on fresh ones, which were drawn after the entries
+were submitted. An entry that was fitted to the public scenarios, by mistake or on purpose, is better there. All entries
+are a little better or worse by the luck of the draw: a set of scenarios that suits one good controller suits the
+others. So beside the gap, public minus fresh, stands for every learned entry the excess: the part of its gap that the
+controllers made by hand in the same results do not share (a regression on their gains). Both have a bootstrap 95 %
+interval over scenarios; that of the gap is over training seeds too. An excess whose interval lies above zero is marked;
+of forty honest entries one is, by chance.
+
+Fresh scenarios are played by 'wtg-gym evaluate' or 'wtg-gym submission score' with --split fresh, --commit, the full
+hash of the commit with the entries, and --secret-file. Publish the sha256 of the secret before anybody submits and the
+secret afterwards: then 'wtg-gym results recompute --secret-file' shows that the seeds were not chosen."""
+
+_SENSITIVITY = f"""\
+Evaluates entries with the weights of the cost as they are, and with each one multiplied by each factor, all others as
+they are. Shown are the ranks that change, and the scores that change by a point or more. The scale is made anew each
+time: maximum power point tracking has 0 and the reference strategy 100 with any weights, and a score that rises says
+that the entry gains on these two, not that it does anything else. Policies are not trained again.
+
+A weight whose change moves the ranking decides what the benchmark asks for. One that moves no score by a point and no
+rank is named at the end: among these entries it decides nothing; it may still keep others from something.
+
+weights: {", ".join(WEIGHTS)}"""
+
+
+def add_commands(commands: Commands) -> None:
+    """Add `wtg-gym results` with its four commands."""
+    own = add_group(
+        commands,
+        "results",
+        summary="stored results: show them, compute them again, compare with fresh scenarios; other weights",
+        description="Works with the stored results of 'wtg-gym evaluate' and 'wtg-gym leaderboard'.",
+    )
+    parser = add_command(
+        own,
+        "page",
+        _run_page,
+        summary="show stored results as one HTML file with charts and traces",
+        description=_PAGE,
+        examples="  wtg-gym results page results/standard-test.json --output leaderboard.html\n"
+        "  wtg-gym results page results/*.json --entries baselines policies --output leaderboard.html\n"
+        "  wtg-gym results page results/standard-test.json --scenarios 0 --output small.html",
+    )
+    parser.add_argument("results", nargs="+", metavar="RESULTS", help="JSON file of results, one of each suite")
+    add_entries_option(parser, f"whose traces to show, as for 'wtg-gym leaderboard' (default: {BASELINES})")
+    parser.add_argument("--output", required=True, metavar="FILE", help="the HTML file to write")
+    parser.add_argument(
+        "--scenarios",
+        type=int,
+        metavar="N",
+        help="traces of the first N scenarios of each suite; 0 for none "
+        f"(default: as many of the first {N_SCENARIOS} as keep the file below {SIZE_LIMIT / 1e6:g} MB)",
+    )
+    parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
+    parser = add_command(
+        own,
+        "recompute",
+        _run_recompute,
+        summary="compute results again, and say whether they are identical",
+        description=_RECOMPUTE,
+        examples="  wtg-gym results recompute results/standard-test.json --entries baselines policies\n"
+        "  wtg-gym results recompute results/paper-test.json --json",
+    )
+    parser.add_argument("results", metavar="RESULTS.json", help="results of evaluate or leaderboard, the CSV beside it")
+    add_entries_option(parser, f"as for evaluate, without archives of Stable-Baselines3 (default: {BASELINES})")
+    parser.add_argument("--secret-file", metavar="FILE", help="also check that fresh seeds were drawn with this secret")
+    add_run_options(parser)
+    add_worker_options(parser)
+    parser = add_command(
+        own,
+        "gap",
+        _run_gap,
+        summary="compare scores on public and on fresh scenarios",
+        description=_GAP,
+        examples="  wtg-gym results gap results/standard-test.json results/standard-fresh.json",
+    )
+    parser.add_argument("public", metavar="PUBLIC.json", help="results on the test scenarios")
+    parser.add_argument("fresh", metavar="FRESH.json", help="results on the split fresh")
+    parser.add_argument(
+        "--page", metavar="FILE", help="Markdown file with markers 'gap:SUITE' to put the table between"
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON, and nothing else, on stdout")
+    parser = add_command(
+        own,
+        "sensitivity",
+        _run_sensitivity,
+        summary="how scores and ranking depend on each weight of the cost",
+        description=_SENSITIVITY,
+        examples="  wtg-gym results sensitivity --entries baselines\n"
+        "  wtg-gym results sensitivity --entries deloaded-5 --weights duty --factors 0.5 2 4 --scenarios 20\n"
+        "  wtg-gym results sensitivity --entries baselines agents/policies/ppo-0 --page docs/benchmark.md",
+    )
+    add_entries_option(parser)
+    add_suite_option(parser)
+    add_run_options(parser)
+    parser.add_argument("--split", choices=SPLITS, default="validation", help="(default: validation)")
+    parser.add_argument("--scenarios", type=int, metavar="N", help="the first N of the split (default: all)")
+    parser.add_argument("--weights", nargs="+", choices=WEIGHTS, default=WEIGHTS, metavar="NAME", help="(default: all)")
+    parser.add_argument(
+        "--factors", nargs="+", type=float, default=FACTORS, metavar="X", help="0 … 1000, but 1 (default: 0 2)"
+    )
+    parser.add_argument(
+        "--page", metavar="FILE", help="Markdown file with markers 'sensitivity' to put the table between"
+    )
+
+
+# --- page ------------------------------------------------------------------------------------------------------------
+
+
+def _run_page(arguments: argparse.Namespace) -> int:
+    page = check_html("--output", arguments.output)
+    results = [Results.read(path) for path in arguments.results]
+    entries = [] if arguments.scenarios == 0 else chosen_entries(arguments.entries)
+    write_html(page, results, entries, arguments.scenarios, arguments.threads)
+    return 0
+
+
+def check_html(option: str, text: str) -> Path:
+    """Return the path of an HTML file to write, or raise a ValueError now rather than after the work."""
+    path = check_output_file(option, text, (".html", ".htm"))
+    assert path is not None
+    require_extra("bokeh", option)
+    return path
+
+
+def write_html(
+    path: Path, results: Sequence[Results], entries: Sequence[Entry], n_scenarios: int | None, n_threads: int | None
+) -> None:
+    """Write results as one HTML file; None shows as many scenarios as the size allows."""
+    with Progress("entries") as progress:
+        page = leaderboard_page(
+            results, entries, n_scenarios=n_scenarios, n_threads=n_threads, on_progress=progress.update
+        )
+    missing = [] if n_scenarios == 0 else untraced(results, entries)
+    if missing:
+        note(f"no traces of {', '.join(missing)}: not among the entries given, or changed since the results")
+    write_and_say(path, page.text)
+    traced = ", ".join(f"{name} {number}" for name, number in page.n_traced.items())
+    note(f"{page.size / 1e6:.2f} MB; scenarios with traces: {traced}")
+    if page.size > SIZE_LIMIT:
+        note(f"that is more than {SIZE_LIMIT / 1e6:g} MB: show fewer suites or entries, or fewer --scenarios")
+
+
+# --- recompute -------------------------------------------------------------------------------------------------------
+
+
+def _run_recompute(arguments: argparse.Namespace) -> int:
+    stored = Results.read(arguments.results)
+    secret = None if arguments.secret_file is None else read_secret(arguments.secret_file)
+    workers = chosen_workers(arguments)
+    entries = chosen_entries(arguments.entries)
+    with Progress("episodes") as progress:
+        found = recompute(
+            stored, entries, secret=secret, n_threads=arguments.threads, workers=workers, on_progress=progress.update
+        )
+    if arguments.json:
+        print_json(
+            {
+                "identical": not found.differences,
+                "differences": [difference._asdict() for difference in found.differences],
+                "circumstances": [difference._asdict() for difference in found.circumstances],
+                "departures": departures(stored),
+                "numbers": found.n_numbers,
+            }
+        )
+        return int(bool(found.differences))
+    for difference in found.circumstances:
+        note(f"{difference.where} was {difference.stored}, is {difference.now}")
+    for text in departures(stored):
+        note(f"not the benchmark's own: {text}")
+    if stored.draw is not None and secret is None:
+        note("whether these seeds were drawn or chosen is not known: check them with --secret-file")
+    if not found.differences:
+        say(f"identical: {found.n_numbers} values of {len(stored.episodes)} episodes")
+        return 0
+    say(f"not identical: {len(found.differences)} differences, the first {min(_SHOWN, len(found.differences))}", "")
+    print_table(("where", "stored", "now"), found.differences[:_SHOWN], left=(0, 1, 2))
+    return 1
+
+
+# --- gap -------------------------------------------------------------------------------------------------------------
+
+
+def _run_gap(arguments: argparse.Namespace) -> int:
+    public, fresh = Results.read(arguments.public), Results.read(arguments.fresh)
+    section = f"gap:{public.suite}"
+    page = check_page("--page", arguments.page, section)
+    gaps = generalisation.generalisation_gaps(public, fresh)
+    missing = generalisation.left_out(public, fresh)
+    if arguments.json:
+        print_json({"draw": fresh.draw, "gaps": [gap.to_dict() for gap in gaps], "left_out": missing})
+    else:
+        say(generalisation.describe(public, fresh), "")
+        left = [index for index, is_number in enumerate(generalisation.COLUMNS.values()) if not is_number]
+        print_table(tuple(generalisation.COLUMNS), generalisation.gap_cells(gaps), left=left)
+    if missing:
+        note(f"left out, not the same policy in both results: {', '.join(missing)}")
+    if page is not None:
+        update_page(page, {section: generalisation.gap_page(public, fresh, gaps)})
+    return 0
+
+
+# --- sensitivity -----------------------------------------------------------------------------------------------------
+
+
+def _run_sensitivity(arguments: argparse.Namespace) -> int:
+    page = check_page("--page", arguments.page, "sensitivity")
+    entries = chosen_entries(arguments.entries)
+    with Progress("episodes") as progress:
+        study = study_sensitivity(
+            entries,
+            arguments.suite,
+            arguments.split,
+            n_scenarios=arguments.scenarios,
+            weights=arguments.weights,
+            factors=arguments.factors,
+            n_threads=arguments.threads,
+            on_progress=progress.update,
+        )
+    if page is not None:
+        update_page(page, {"sensitivity": study.page()})
+    if arguments.json:
+        print_json(study.to_dict())
+        return 0
+    say(f"suite {study.suite} ({study.suite_hash[:12]}), {study.split}: {study.n_scenarios} scenarios", "")
+    ranking = [
+        (str(i), name, f"{round(score, 1) + 0.0:.1f}") for i, (name, score) in enumerate(study.scores.items(), 1)
+    ]
+    print_table(("rank", "entry", "score"), ranking, left=(1,))
+    say("")
+    print_table(COLUMNS, [variant.cells() for variant in study.variants], left=(0, 2, 3))
+    say("", study.describe_idle())
+    return 0

@@ -1,0 +1,169 @@
+"""An entry: a strategy, and the policy that modulates it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.files import sha256
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, TrackingLaw, get_law
+
+#: Names of the two entries that fix the score's 0 and 100.
+ANCHORS = ("mppt", REFERENCE_STRATEGY)
+_NOT_IN_NAMES = "|<>`*\\"
+
+
+@runtime_checkable
+class Policy(Protocol):
+    """An object with the `predict` of Stable-Baselines3."""
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> tuple[Any, Any]:
+        """Return (actions (n_lanes, n_action) in [-1, 1], next recurrent state) for observations (n_lanes, n)."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """One competitor.
+
+    Args:
+        name: name in tables, 1 … 60 printable characters; with `training_seed` it is unique among the entries.
+        strategy: the law that actions modulate: a built-in name, a .toml file, or a law.
+        policy: gives the actions; None is the zero action, which is the strategy itself.
+        action_mode: "k", "tau" or "k+tau".
+        observation_mode: "local" or "privileged".
+        description: one sentence on what it is.
+        equation: the control law in short.
+        source: citation.
+        fingerprint: text that identifies the policy's content, such as its file's sha256; None: unknown, so that an
+            interrupted evaluation starts this entry again. A law needs none: its numbers identify it.
+        training_seed: seed the policy was trained with; entries of one name and several seeds share a table row.
+        learned: False for a policy that was made by hand.
+
+    Raises:
+        ValueError: a value is unknown or of the wrong type; the message says what is allowed.
+    """
+
+    name: str
+    strategy: str | Path | TrackingLaw = REFERENCE_STRATEGY
+    policy: Policy | None = None
+    action_mode: str = "k+tau"
+    observation_mode: str = "local"
+    description: str = ""
+    equation: str = ""
+    source: str = ""
+    fingerprint: str | None = None
+    training_seed: int | None = None
+    learned: bool = True
+    law: TrackingLaw = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        name, seed = self.name, self.training_seed
+        if not is_name(name):
+            raise ValueError(
+                f"an entry's name must be 1 … 60 printable characters without {' '.join(_NOT_IN_NAMES)}, got {name!r}"
+            )
+        object.__setattr__(self, "law", get_law(self.strategy))
+        # Checks the two modes.
+        EnvSettings(action_mode=self.action_mode, observation_mode=self.observation_mode)
+        if self.policy is not None and not is_policy(self.policy):
+            raise ValueError(
+                f"the policy of entry {name!r} must have predict(observation, state, episode_start, deterministic), "
+                f"got {type(self.policy).__name__}"
+            )
+        for key in ("description", "equation", "source"):
+            if not isinstance(getattr(self, key), str):
+                raise ValueError(f"{key} of entry {name!r} must be text, got {getattr(self, key)!r}")
+        if seed is not None and (isinstance(seed, bool) or not isinstance(seed, int) or seed < 0):
+            raise ValueError(f"training_seed of entry {name!r} must be a whole number from 0 on, got {seed!r}")
+
+    @property
+    def kind(self) -> str:
+        """Return "law" without a policy, "learned" for a trained policy, or "feedback" for one made by hand."""
+        return "law" if self.policy is None else "learned" if self.learned else "feedback"
+
+    @property
+    def label(self) -> str:
+        """Return the name with the training seed, for messages."""
+        return self.name if self.training_seed is None else f"{self.name} (training seed {self.training_seed})"
+
+    @property
+    def identity(self) -> str | None:
+        """Return a sha256 over everything that decides the actions; None for a policy without fingerprint."""
+        if self.policy is not None and self.fingerprint is None:
+            return None
+        policy = None if self.policy is None else self.fingerprint
+        data = [_law_numbers(self.law), policy, self.action_mode, self.observation_mode]
+        return sha256(json.dumps(data, sort_keys=True).encode())
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry as JSON-ready data; an infinite time constant is the text "inf".
+
+        "sha256" is the :attr:`identity`; "policy_sha256" that of the policy's file, as sha256sum gives it, or None.
+        """
+        own = getattr(self.policy, "sha256", None)
+        texts = ("name", "action_mode", "observation_mode", "description", "equation", "source", "training_seed")
+        return {
+            **{key: getattr(self, key) for key in texts},
+            "kind": self.kind,
+            "strategy": _law_numbers(self.law),
+            "sha256": self.identity,
+            "policy_sha256": own if isinstance(own, str) else None,
+        }
+
+
+def is_name(value: Any) -> bool:
+    """Return whether a value can be the name of an entry, which stands in tables."""
+    printable = isinstance(value, str) and value.isprintable() and not set(value) & set(_NOT_IN_NAMES)
+    return printable and 1 <= len(value) <= 60 and value == value.strip()
+
+
+def is_policy(value: Any) -> bool:
+    """Return whether a value has `predict` and is an instance, not a class."""
+    return isinstance(value, Policy) and not isinstance(value, type) and callable(value.predict)
+
+
+def _law_numbers(law: TrackingLaw) -> dict[str, Any]:
+    numbers = dataclasses.asdict(law)
+    if numbers["damping_time_constant_s"] == float("inf"):
+        numbers["damping_time_constant_s"] = "inf"
+    return numbers
+
+
+def check_entries(entries: Sequence[Entry]) -> None:
+    """Raise a ValueError if entries cannot stand in one table: names, training seeds and rows must fit."""
+    if isinstance(entries, (str, Entry)) or not all(isinstance(entry, Entry) for entry in entries):
+        raise ValueError(f"entries must be a list of Entry, see load_entries(), got {entries!r}")
+    names = [(entry.name, entry.training_seed) for entry in entries]
+    doubled = sorted({name for name, seed in names if names.count((name, seed)) > 1})
+    if doubled:
+        raise ValueError(
+            f"entries must have different names or training seeds; given more than once: {', '.join(doubled)}"
+        )
+    rows: dict[str, Entry] = {}
+    for entry in entries:
+        first = rows.setdefault(entry.name, entry)
+        if first is not entry:
+            _check_row(first, entry)
+        if entry.name in ANCHORS and (entry.policy is not None or entry.law != STRATEGIES[entry.name]):
+            raise ValueError(f"the name {entry.name!r} is reserved for the strategy itself, which fixes the score")
+
+
+def _check_row(first: Entry, other: Entry) -> None:
+    """Refuse an entry that would join the row of another method: one name is one method with several seeds."""
+    if None in (first.training_seed, other.training_seed):
+        seeds = [first.training_seed, other.training_seed]
+        raise ValueError(f"entries named {first.name!r} must all have a training seed, got {seeds}")
+    one, two = first.to_dict(), other.to_dict()
+    for key in ("kind", "strategy", "action_mode", "observation_mode", "source"):
+        if one[key] != two[key]:
+            raise ValueError(
+                f"entries named {first.name!r} share a row and must agree on {key}, got {one[key]!r} and {two[key]!r}"
+            )

@@ -1,0 +1,230 @@
+"""Entries by name: built-in strategies, laws in files, folders with a policy, and Python modules.
+
+A checkout has the baselines in its folder `baselines` and the trained policies in `agents/policies`. An installed
+package has copies of both in `wtg_gym/shipped`, because those two names could collide with other packages.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import os
+import pkgutil
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from wtg_gym.files import read_toml
+from wtg_gym.physics.tracking_law import STRATEGIES, get_law
+from wtg_gym.policies.entry import Entry, Policy, is_policy
+from wtg_gym.policies.onnx_policy import OnnxPolicy
+
+#: The package with the baselines, and the name of all trained policies together.
+BASELINES, POLICIES = "baselines", "policies"
+#: The files of a folder with a trained policy.
+ENTRY_FILE, POLICY_FILE = "entry.toml", "policy.onnx"
+#: An archive of Stable-Baselines3 can stand in the place of the policy; entry.toml then names its class.
+ARCHIVE_FILE, _ALGORITHM = "model.zip", "algorithm"
+_ENTRY_KEYS = (
+    "name",
+    "description",
+    "action_mode",
+    "observation_mode",
+    "training_seed",
+    "authors",
+    "trained_on",
+    "links",
+)
+_PACKAGE = Path(__file__).resolve().parents[1]
+_INSTALLED = (_PACKAGE / "shipped").is_dir()
+_ROOT = _PACKAGE / "shipped" if _INSTALLED else _PACKAGE.parent
+
+#: Returns the policy of a folder's archive and a sha256 of it, given folder and algorithm; runs the archive's code.
+LoadArchive = Callable[[Path, str], tuple[Policy, str]]
+
+
+def load_entries(spec: str | Path, load_archive: LoadArchive | None = None) -> list[Entry]:
+    """Return the entries that a text names.
+
+    Args:
+        spec: the name of a built-in strategy, of a baseline, or of a trained policy that comes with the package ("PPO
+            (k)" stands for all of its seeds, "ppo-k-0" for one of them, "policies" for all policies); a .toml file with
+            a law; a folder with an entry.toml and a policy.onnx, see :func:`load_entry_folder`; a package such as
+            "baselines", of which every module with an `ENTRY` counts, in the order of the package's `ORDER` and then by
+            name; or "module:ATTRIBUTE", an entry, a policy, or a callable that returns one. Importing runs the module's
+            code.
+        load_archive: as for :func:`load_entry_folder`.
+
+    Raises:
+        ValueError: nothing of that name, or it holds no entry; the message says what is allowed.
+    """
+    text = str(spec)
+    if text in STRATEGIES:
+        return [Entry(name=text, strategy=text, description="A built-in strategy.")]
+    if text.endswith(".toml"):
+        law = get_law(text)
+        return [Entry(name=law.name, strategy=law, description="A law read from a file.")]
+    if (Path(text) / ENTRY_FILE).is_file() or os.path.lexists(Path(text) / ARCHIVE_FILE):
+        return [load_entry_folder(Path(text), load_archive)]
+    folders = sorted(path.parent.name for path in Path(text).glob(f"*/{ENTRY_FILE}")) if text else []
+    if folders:
+        raise ValueError(
+            f"the folder {text} holds no {ENTRY_FILE}, but {len(folders)} folders with one: "
+            f"write {text.rstrip('/')}/* for all of them, or name one, such as {text.rstrip('/')}/{folders[0]}"
+        )
+    if shipped := [load_entry_folder(folder) for folder in _policy_folders(text)]:
+        return shipped
+    baselines = _entries_of(_import(BASELINES, BASELINES), BASELINES)
+    if named := [entry for entry in baselines if entry.name == text]:
+        return named
+    module_name, colon, attribute = text.partition(":")
+    module = _import(module_name, text)
+    return [_entry_of(module, attribute, text)] if colon else _entries_of(module, text)
+
+
+def example_law() -> str:
+    """Return the text of a file with a law, for users to change."""
+    return (_ROOT / BASELINES / "example_law.toml").read_text(encoding="utf-8")
+
+
+# --- trained policies ------------------------------------------------------------------------------------------------
+
+
+def _policy_folders(name: str) -> list[Path]:
+    """Return the folders of the trained policies that an entry's name, a folder's name or "policies" stands for."""
+    folders = sorted((_ROOT / "agents" / "policies").glob("*/"))
+    return [folder for folder in folders if name in (POLICIES, folder.name, _entry_name(folder))]
+
+
+def _entry_name(folder: Path) -> str | None:
+    try:
+        name = read_toml(folder / ENTRY_FILE, "entry file").get("name")
+    except ValueError:
+        # Loading the folder says what is wrong with it.
+        return None
+    return name if isinstance(name, str) else None
+
+
+def load_entry_folder(folder: Path, load_archive: LoadArchive | None = None) -> Entry:
+    """Return the entry of a folder with a policy that modulates the reference strategy.
+
+    Its entry.toml has the keys name and action_mode, and may have description, observation_mode, training_seed,
+    authors (a list of names), trained_on (text) and links (a list of addresses). An :class:`OnnxPolicy` plays its
+    policy.onnx in a process of its own; nothing of that file is looked at before.
+
+    Args:
+        folder: the folder.
+        load_archive: loads a model.zip in the place of policy.onnx, whose entry.toml then has the key algorithm too;
+            None refuses it without opening it, because loading one runs the code in it.
+
+    Raises:
+        ValueError: a file is missing, damaged or not allowed, a key is unknown or of the wrong type, or a package is
+            missing.
+    """
+    is_archive = os.path.lexists(folder / ARCHIVE_FILE)
+    if is_archive and os.path.lexists(folder / POLICY_FILE):
+        raise ValueError(f"entry {folder} has both {POLICY_FILE} and {ARCHIVE_FILE}: which one plays? Remove the other")
+    if is_archive and load_archive is None:
+        raise ValueError(
+            f"entry {folder}: {ARCHIVE_FILE} is an archive of Stable-Baselines3 and was not opened, because loading it "
+            f"would run whatever code its maker put in it, with your rights. The leaderboard takes {POLICY_FILE}, "
+            "an ONNX file that 'python -m agents.export' writes; a file that you made yourself, and only that, can be "
+            "scored as it is with 'wtg-gym evaluate --trust-pickle'"
+        )
+    data = _entry_data(folder / ENTRY_FILE, (_ALGORITHM,) if is_archive else ())
+    algorithm = data.pop(_ALGORITHM, "")
+    try:
+        # Errors of entry.toml come before the policy is loaded.
+        entry = Entry(**data)
+        if is_archive and load_archive is not None:
+            policy, fingerprint = load_archive(folder, algorithm)
+            return dataclasses.replace(entry, policy=policy, fingerprint=fingerprint)
+        onnx_policy = OnnxPolicy(folder / POLICY_FILE)
+        return dataclasses.replace(entry, policy=onnx_policy, fingerprint=onnx_policy.sha256)
+    except (ImportError, ValueError) as error:
+        raise ValueError(f"entry {folder}: {error}") from error
+
+
+def _entry_data(path: Path, further: tuple[str, ...]) -> dict[str, Any]:
+    """Return the arguments of :class:`Entry` that an entry.toml gives, and its `further` keys, which it must have."""
+    data = read_toml(path, "entry file")
+    required, known = ("name", "action_mode", *further), (*_ENTRY_KEYS, *further)
+    unknown, missing = sorted(set(data) - set(known)), sorted(set(required) - set(data))
+    if unknown or missing:
+        raise ValueError(
+            f"the entry file {path} must have the keys {' and '.join(required)} and may have others out of "
+            f"{', '.join(known)}; unknown: {unknown}, missing: {missing}"
+        )
+    authors, links, trained_on = data.pop("authors", []), data.pop("links", []), data.pop("trained_on", "")
+    for key, value in (("authors", authors), ("links", links)):
+        if not isinstance(value, list) or not all(isinstance(each, str) and each for each in value):
+            raise ValueError(f"{key} in {path} must be a list of texts, got {value!r}")
+    if not isinstance(trained_on, str):
+        raise ValueError(f"trained_on in {path} must be text, got {trained_on!r}")
+    return {**data, "source": ", ".join(authors)}
+
+
+# --- modules ---------------------------------------------------------------------------------------------------------
+
+
+def _import(name: str, spec: str) -> ModuleType:
+    if name.partition(".")[0] == BASELINES and _INSTALLED:
+        name = f"wtg_gym.shipped.{name}"
+    if not name or not all(part.isidentifier() for part in name.split(".")):
+        if name and Path(spec).is_dir():
+            raise ValueError(f"the folder {spec} holds no {ENTRY_FILE}")
+        raise ValueError(f"unknown entry {spec!r}; {_allowed()}")
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        missing = error.name if isinstance(error, ModuleNotFoundError) else None
+        if missing is not None and (name == missing or name.startswith(missing + ".")):
+            raise ValueError(f"unknown entry {spec!r}: there is no module {missing!r}; {_allowed()}") from error
+        raise ValueError(f"entry {spec!r} cannot be imported: {error}") from error
+
+
+def _allowed() -> str:
+    names = [name for folder in _policy_folders(POLICIES) if (name := _entry_name(folder))]
+    shipped = ", ".join(repr(known) for known in dict.fromkeys((*STRATEGIES, BASELINES, *names, POLICIES)))
+    return (
+        f"allowed are {shipped}, a .toml file with a law, "
+        f'a folder with {ENTRY_FILE}, an importable package or module with entries, or "module:ATTRIBUTE"'
+    )
+
+
+def _entry_of(module: ModuleType, attribute: str, spec: str) -> Entry:
+    if not hasattr(module, attribute):
+        names = ", ".join(sorted(name for name in vars(module) if not name.startswith("_")))
+        raise ValueError(f"entry {spec!r}: module {module.__name__!r} has no {attribute!r}; it has {names}")
+    found = getattr(module, attribute)
+    if callable(found) and not is_policy(found):
+        found = found()
+    if isinstance(found, Entry):
+        return found
+    if is_policy(found):
+        return Entry(name=attribute, policy=found)
+    raise ValueError(
+        f"entry {spec!r} must be an Entry, an object with predict(), or a callable that returns one, "
+        f"got {type(found).__name__}"
+    )
+
+
+def _entries_of(module: ModuleType, spec: str) -> list[Entry]:
+    path = getattr(module, "__path__", None)
+    if path is None:
+        modules = [module]
+    else:
+        names = sorted(info.name for info in pkgutil.iter_modules(path))
+        order: Sequence[str] = getattr(module, "ORDER", ())
+        missing = [name for name in order if name not in names]
+        if missing:
+            raise ValueError(f"ORDER of package {spec!r} names modules {missing} that it has not; it has {names}")
+        names = [*order, *(name for name in names if name not in order)]
+        modules = [_import(f"{module.__name__}.{name}", spec) for name in names]
+    entries = [vars(each)["ENTRY"] for each in modules if "ENTRY" in vars(each)]
+    if not entries or not all(isinstance(entry, Entry) for entry in entries):
+        raise ValueError(
+            f"{spec!r} has no entry: a folder needs an {ENTRY_FILE}, a package or module an ENTRY, which is an Entry"
+        )
+    return entries

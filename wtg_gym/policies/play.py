@@ -1,0 +1,124 @@
+"""Playing a policy: its actions are asked for and checked step by step, for many scenarios side by side."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import traceback
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.files import printable
+from wtg_gym.physics.scenario import Scenario
+from wtg_gym.policies.entry import Entry, Policy
+from wtg_gym.policies.onnx_policy import OnnxPolicy
+from wtg_gym.policies.policy_process import NotIsolatedError, PolicyError
+
+
+@contextlib.contextmanager
+def started_lanes(
+    entry: Entry, settings: EnvSettings, given: Sequence[Scenario] | Sequence[int], n_threads: int | None = None
+) -> Iterator[tuple[TaskLanes, Sequence[Scenario]]]:
+    """Start one lane per scenario with an entry's own law and modes; yield the lanes and their scenarios.
+
+    Args:
+        entry: gives law and modes.
+        settings: everything else.
+        given: scenarios, or seeds of scenarios in the settings' suite.
+        n_threads: threads to step with; None for one per processor.
+
+    Raises:
+        ValueError: a scenario has no equilibrium under the entry's law.
+    """
+    # The settings accept a law too, which their type does not name.
+    changed: dict[str, Any] = {
+        "strategy": entry.law,
+        "action_mode": entry.action_mode,
+        "observation_mode": entry.observation_mode,
+    }
+    lanes = TaskLanes(dataclasses.replace(settings, **changed), len(given), n_threads)
+    try:
+        scenarios: Any = given if isinstance(given[0], Scenario) else lanes.scenarios(cast(Sequence[int], given))
+        try:
+            lanes.start(range(len(given)), scenarios)
+        except ValueError as error:
+            raise ValueError(f"entry {entry.label!r}: {error}") from error
+        yield lanes, scenarios
+    finally:
+        lanes.simulator.close()
+
+
+def play(entry: Entry, lanes: TaskLanes) -> Iterator[npt.NDArray[np.bool_]]:
+    """Play the started episodes of all lanes to their ends; after every step, yield which lanes made it, (n_lanes,).
+
+    The process of an :class:`OnnxPolicy` is a new one, and ends with the episodes.
+
+    Raises:
+        PolicyError: the policy raises, ends, takes too long or returns no action.
+    """
+    running = np.ones(lanes.n_lanes, dtype=np.bool_)
+    state: Any = None
+    step = 0
+    with entry.policy if isinstance(entry.policy, OnnxPolicy) else contextlib.nullcontext():
+        while running.any():
+            actions = np.zeros((lanes.n_lanes, lanes.n_action))
+            if entry.policy is not None:
+                actions, state = _answer(entry, lanes, state, step)
+                # The action of an episode that is over has no effect.
+                actions[~running] = 0.0
+                _check_finite(actions, entry, lanes, step)
+            lanes.step(actions)
+            yield running
+            terminated, truncated = lanes.ended()
+            running = ~(terminated | truncated)
+            step += 1
+
+
+def _answer(entry: Entry, lanes: TaskLanes, state: Any, step: int) -> tuple[npt.NDArray[np.float64], Any]:
+    """Return the policy's actions (n_lanes, n_action) in a step, and its next recurrent state."""
+    policy, shape = cast(Policy, entry.policy), (lanes.n_lanes, lanes.n_action)
+    start = np.full(lanes.n_lanes, step == 0)
+    try:
+        answer = policy.predict(lanes.observations.copy(), state=state, episode_start=start, deterministic=True)
+    except NotIsolatedError:
+        raise
+    except (Exception, SystemExit) as error:
+        said = str(error) if isinstance(error, PolicyError) else f"predict() raised {_described(error)}"
+        raise PolicyError(f"entry {entry.label!r}, step {step}: {said}") from error
+    if not isinstance(answer, tuple) or len(answer) != 2:
+        raise _complaint(entry, step, "predict() must return (actions, state)", type(answer).__name__)
+    try:
+        actions = np.asarray(answer[0])
+    # A tensor with gradients raises a RuntimeError, other libraries' arrays raise other errors.
+    except Exception as error:
+        raise _complaint(entry, step, "actions must be an array of numbers", _described(error)) from error
+    if actions.dtype.kind not in "biuf":
+        raise _complaint(entry, step, "actions must be an array of numbers", f"one of {actions.dtype}")
+    if actions.shape != shape:
+        raise _complaint(entry, step, f"actions must have shape {shape} (lanes, values)", f"shape {actions.shape}")
+    return actions.astype(np.float64), answer[1]
+
+
+def _check_finite(actions: npt.NDArray[np.float64], entry: Entry, lanes: TaskLanes, step: int) -> None:
+    if not np.isfinite(actions).all():
+        lane = int(np.flatnonzero(~np.isfinite(actions).all(axis=1))[0])
+        wanted = f"actions of shape {actions.shape} must be finite, -1 … 1"
+        got = f"{actions[lane].tolist()} in the scenario of seed {lanes.scenario_seeds[lane]}"
+        raise _complaint(entry, step, wanted, got)
+
+
+def _complaint(entry: Entry, step: int, wanted: str, got: str) -> PolicyError:
+    return PolicyError(f"entry {entry.label!r}, step {step}: {wanted}, got {got}")
+
+
+def _described(error: BaseException) -> str:
+    """Return an exception on one line, with the place in the code that raised it."""
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    said = printable(" ".join(str(error).split())[:200])
+    return f"{type(error).__name__}: {said} ({Path(place.filename).name}:{place.lineno})"
