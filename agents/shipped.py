@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import subprocess
 import sys
@@ -11,10 +10,8 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 
-from agents.command import run_command
+from agents.command import Parser, Progress, note, run_command
 from agents.runs import RUN_FILE
-from wtg_gym.cli.output import Progress, note
-from wtg_gym.cli.parser import Parser
 
 #: Training seeds of each of them.
 SEEDS = range(5)
@@ -93,25 +90,26 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--policies", default="runs/policies", metavar="FOLDER", help="of the exports (default: runs/policies)"
     )
-    return run_command(lambda: _shipped(parser.parse_args(argv)), "the same command goes on")
 
+    def work() -> None:
+        given = parser.parse_args(argv)
+        chosen = list(dict.fromkeys(given.only or names()))
+        unknown = [name for name in chosen if name not in names()]
+        if unknown:
+            raise ValueError(f"--only: unknown {', '.join(unknown)}; known: {', '.join(names())}")
+        if not 1 <= given.jobs <= 64:
+            raise ValueError(f"--jobs = {given.jobs} is outside the allowed range 1 … 64")
+        runs, policies = Path(given.runs), Path(given.policies)
+        runs.mkdir(parents=True, exist_ok=True)
+        with Progress("policies") as progress, ThreadPoolExecutor(given.jobs) as pool:
+            progress.update("training", 0, len(chosen))
+            made = {pool.submit(_make, name, runs, policies): name for name in chosen}
+            for done, future in enumerate(as_completed(made), start=1):
+                future.result()
+                progress.update(f"made {made[future]}", done, len(chosen))
+        note(f"wrote {len(chosen)} policies to {policies}")
 
-def _shipped(given: argparse.Namespace) -> None:
-    chosen = list(dict.fromkeys(given.only or names()))
-    unknown = [name for name in chosen if name not in names()]
-    if unknown:
-        raise ValueError(f"--only: unknown {', '.join(unknown)}; known: {', '.join(names())}")
-    if not 1 <= given.jobs <= 64:
-        raise ValueError(f"--jobs = {given.jobs} is outside the allowed range 1 … 64")
-    runs, policies = Path(given.runs), Path(given.policies)
-    runs.mkdir(parents=True, exist_ok=True)
-    with Progress("policies") as progress, ThreadPoolExecutor(given.jobs) as pool:
-        progress.update("training", 0, len(chosen))
-        made = {pool.submit(_make, name, runs, policies): name for name in chosen}
-        for done, future in enumerate(as_completed(made), start=1):
-            future.result()
-            progress.update(f"made {made[future]}", done, len(chosen))
-    note(f"wrote {len(chosen)} policies to {policies}")
+    return run_command(work, "the same command goes on")
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -13,13 +12,10 @@ import optuna
 import yaml
 from optuna.trial import Trial, TrialState
 
-from agents.command import run_command
+from agents.command import Parser, given_options, note, run_command
 from agents.runs import Run, RunSettings
-from agents.train import add_run_options, run_settings
-from agents.training import start, train
+from agents.train import add_sb3_options, sb3_settings, train
 from wtg_gym import ENV_ID
-from wtg_gym.cli.output import note
-from wtg_gym.cli.parser import Parser
 from wtg_gym.files import to_json, write_atomically
 
 STUDY_FILE, BEST_FILE = "study.sqlite3", "best.yml"
@@ -186,8 +182,7 @@ def _objective(trial: Trial, settings: RunSettings) -> float:
         if trial.should_prune():
             raise optuna.TrialPruned
 
-    model, metrics = start(run)
-    train(run, model, metrics, on_score=report)
+    train(run, on_score=report)
     trial.set_user_attr("hyperparameters", hyperparameters)
     return run.curve[-1]["score"]
 
@@ -207,19 +202,20 @@ def _write_best(study: optuna.Study, settings: RunSettings, folder: Path) -> Non
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     parser = Parser(prog="python -m agents.tune", description=_DESCRIPTION, epilog=_EXAMPLES)
-    add_run_options(parser)
+    add_sb3_options(parser)
     parser.add_argument("--trials", type=int, default=30, metavar="N", help="trials in all (default: 30)")
     parser.add_argument("--output", required=True, metavar="FOLDER", help="folder of the study")
-    return run_command(lambda: _tune(parser.parse_args(argv)), "the same command goes on")
 
+    def work() -> None:
+        given = given_options(parser.parse_args(argv))
+        if given["trials"] < 1:
+            raise ValueError(f"--trials must be 1 or more, got {given['trials']}")
+        folder = Path(given["output"])
+        study = search(sb3_settings(given), given["trials"], folder)
+        n_complete = len(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)))
+        note(f"{n_complete} of {len(study.trials)} trials complete; wrote {folder / BEST_FILE}")
 
-def _tune(given: argparse.Namespace) -> None:
-    if given.trials < 1:
-        raise ValueError(f"--trials must be 1 or more, got {given.trials}")
-    settings = run_settings(given)
-    study = search(settings, given.trials, Path(given.output))
-    n_complete = len(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)))
-    note(f"{n_complete} of {len(study.trials)} trials complete; wrote {Path(given.output) / BEST_FILE}")
+    return run_command(work, "the same command goes on")
 
 
 if __name__ == "__main__":

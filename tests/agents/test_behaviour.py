@@ -1,4 +1,4 @@
-"""Facts about `agents.behaviour`: its numbers find what a policy does, its files repeat, bad input ends in one line."""
+"""Facts about `agents.research.behaviour`: slopes are those of the policy, files repeat, bad input is refused."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from agents.behaviour import CURVE_SECTION, ENTRY_SECTIONS, main
-from agents.curves import curves_by_setup, read_csv, read_runs, to_csv
+from agents.research.behaviour import CURVE_SECTION, ENTRY_SECTIONS, main
+from agents.research.learning_curves import curves_by_setup, read_csv, read_runs, to_csv
+from agents.research.slopes import policy_slopes
 from agents.runs import Run, RunSettings
-from agents.slopes import policy_slopes
 from wtg_gym.envs import EnvSettings, GFMWTGEnv
 from wtg_gym.evaluation import load_entries
 from wtg_gym.evaluation.recording import record

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from agents.runs import folders
+from agents.folders import folders
 from agents.train import main
 from tests.agents.small import trained
 

@@ -9,7 +9,7 @@ import yaml
 from torch import nn
 
 from agents.hyperparameters import ALGORITHMS, CONFIG_FOLDER, parse, parse_literal, read_config
-from agents.networks import ACTIVATIONS
+from agents.onnx_graph import ACTIVATIONS
 from tests.agents.small import CONFIGS, ON_POLICY
 from wtg_gym import ENV_ID
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from agents.incentives import incentives, mean_response
-from agents.probes import CHATTER, CONSTANT, PUSH, STATIC, delayed
+from agents.research.incentives import incentives, mean_response
+from agents.research.probes import CHATTER, CONSTANT, PUSH, STATIC, delayed
 from wtg_gym.envs.task import COEFFICIENT_AUTHORITY
 from wtg_gym.evaluation import evaluate, load_entries
 from wtg_gym.physics.aerodynamics import available_power_pu, tracking_point

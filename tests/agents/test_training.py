@@ -20,10 +20,10 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from agents.export import export, largest_difference
 from agents.export import main as export_command
+from agents.folders import folders, held, new_folder, save_folder
 from agents.hyperparameters import ALGORITHMS
-from agents.runs import Run, RunSettings, folders, held, new_folder, put_back, save_folder
-from agents.train import main
-from agents.training import start, train
+from agents.runs import Run, RunSettings
+from agents.train import main, train
 from tests.agents.small import CONFIGS, config_file, options, trained
 from wtg_gym.evaluation import evaluate, load_entries
 from wtg_gym.sb3_archive import CUSTOM_OBJECTS
@@ -85,13 +85,12 @@ def test_killed_run_goes_on_to_the_weights_of_an_undisturbed_one_and_its_export_
 def test_run_stopped_at_its_first_checkpoint_goes_on_to_the_same_weights(tmp_path: Path) -> None:
     whole, stopped = trained(tmp_path, "ppo", "whole"), tmp_path / "stopped"
     run = Run.new(Run.read(whole).settings)
-    model, metrics = start(run)
 
     def stop(timesteps: int, score: float) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train(run, model, metrics, stopped, stop)
+        train(run, stopped, stop)
     assert [int(path.name) for path in folders(stopped / "checkpoints")] == [0]
     assert main(["--resume", str(stopped)]) == 0
     assert same(weights(stopped, "ppo"), weights(whole, "ppo"))
@@ -124,9 +123,9 @@ def test_kill_between_two_files_is_mended(missing: str, tmp_path: Path) -> None:
 _FIRST_WEIGHTS = """
 import hashlib, sys
 from agents.runs import Run
-from agents.training import start
+from agents.train import start
 from pathlib import Path
-model, _ = start(Run.read(Path(sys.argv[1])))
+model = start(Run.read(Path(sys.argv[1])))
 weights = b"".join(value.numpy().tobytes() for value in model.policy.state_dict().values())
 print(hashlib.sha256(weights).hexdigest())
 """
@@ -236,35 +235,11 @@ def test_folder_is_of_one_process_and_refuses_what_cannot_go_on(
     assert "no checkpoint to go on from" in error and error.count("\n") == 1
 
 
-def test_folder_of_the_same_name_is_replaced_without_a_gap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def content() -> list[str]:
-        return [(path / "a").read_text() for path in folders(tmp_path)]
-
-    save_folder(tmp_path, 1, lambda path: (path / "a").write_text("old"))
-    save_folder(tmp_path, 1, lambda path: (path / "a").write_text("new"))
-    assert content() == ["new"] and len(list(tmp_path.iterdir())) == 1
-
-    # Killed between the two renamings.
-    rename = Path.rename
-
-    def killed(path: Path, target: Path) -> Path:
-        if path.name == "incomplete":
-            raise KeyboardInterrupt
-        return rename(path, target)
-
-    monkeypatch.setattr(Path, "rename", killed)
-    with pytest.raises(KeyboardInterrupt):
-        save_folder(tmp_path, 1, lambda path: (path / "a").write_text("newer"))
-    monkeypatch.undo()
-    put_back(tmp_path)
-    assert content() == ["new"]
-
-
 def test_description_is_the_first_file_of_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def killed(*_: Any) -> Any:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("agents.training.configure", killed)
+    monkeypatch.setattr("agents.train.configure", killed)
     assert main([*options(tmp_path, "ppo"), "--output", str(tmp_path / "run")]) == 130
     assert {path.name for path in (tmp_path / "run").iterdir()} == {"run.json", ".lock"}
     monkeypatch.undo()
@@ -318,6 +293,9 @@ def test_folder_is_complete_or_not_there(tmp_path: Path) -> None:
     save_folder(tmp_path, 3, lambda path: (path / "a").write_text("3"))
     assert [path.name for path in folders(tmp_path)] == [f"{3:012d}"]
     assert {path.name for path in tmp_path.iterdir()} == {f"{3:012d}"}
+    # A second one of the same step is the same policy.
+    save_folder(tmp_path, 3, fails)
+    assert [(path / "a").read_text() for path in folders(tmp_path)] == ["3"]
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import optuna
 import pytest
@@ -12,8 +11,8 @@ from optuna.trial import FixedTrial, TrialState
 from agents import tune
 from agents.hyperparameters import ALGORITHMS, CONFIG_FOLDER, parse, read_config
 from agents.runs import Run, RunSettings
+from agents.train import OnScore
 from agents.train import main as train
-from agents.training import OnScore
 from agents.tune import SPACES, main
 from tests.agents.small import config_file
 
@@ -64,13 +63,12 @@ def test_trials_of_unequal_rollouts_are_compared() -> None:
     def play(length: int, score: float, monkeypatch: pytest.MonkeyPatch) -> TrialState:
         """Validate after every interval, at the end of a rollout of this length."""
 
-        def train(run: Run, model: Any, metrics: Any, on_score: OnScore) -> None:
+        def train(run: Run, on_score: OnScore) -> None:
             for timesteps in range(0, 1001, length):
                 if timesteps // 50 > (timesteps - length) // 50:
                     on_score(timesteps, score)
             run.curve.append({"score": score})
 
-        monkeypatch.setattr(tune, "start", lambda run: (None, None))
         monkeypatch.setattr(tune, "train", train)
         study.optimize(lambda trial: tune._objective(trial, settings), n_trials=1)
         return study.trials[-1].state

@@ -1,7 +1,7 @@
 """Policies that do one thing alone: to see that the cost has a term against it, or what that thing is worth.
 
-wtg-gym sensitivity --entries baselines agents.probes:CHATTER agents.probes:PUSH
-wtg-gym evaluate --split validation --entries agents.probes:STATIC baselines.tip_speed_feedback
+wtg-gym sensitivity --entries baselines agents.research.probes:CHATTER agents.research.probes:PUSH
+wtg-gym evaluate --split validation --entries agents.research.probes:STATIC baselines.tip_speed_feedback
 """
 
 from __future__ import annotations

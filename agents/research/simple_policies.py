@@ -1,25 +1,27 @@
-"""Policies without any thought: constant actions, and actions that jump with the sign of one observation.
-
-Neither constant ones nor those that jump between the limits (bang-bang) may beat the reference by much, else the
-benchmark would reward a mere change of its settings. Those that jump by a part of that (relays) are the crudest form of
-feedback.
-"""
+"""`python -m agents.research.simple_policies`: constant actions, and actions that jump with one observation's sign."""
 
 from __future__ import annotations
 
 import itertools
+import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from agents.rollouts import Candidates, Rollouts
-from wtg_gym.cli.output import Progress
+from agents.command import Parser, Progress, print_table, run_command, say
+from agents.research.rollouts import Candidates, Rollouts, difference_percent
 from wtg_gym.envs.task import N_LOCAL
 from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[np.float64]
+
+_DESCRIPTION = """\
+Plays policies without any thought: a grid of constant actions, and actions that jump with the sign of one observation
+around its quartiles under the reference, between the limits (bang-bang) or by a part of that (relay). Neither constants
+nor bang-bang may beat the reference by much, else the benchmark would reward a mere change of settings."""
 
 _ACTIONS = ("k", "tau")
 _CONSTANTS = {
@@ -143,4 +145,32 @@ def _costs(rollouts: Rollouts, name: str, n: int, candidates: Any) -> list[float
     return costs
 
 
-__all__ = ["SimplePolicy", "simple_policies"]
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    parser = Parser(prog="python -m agents.research.simple_policies", description=_DESCRIPTION)
+    parser.add_argument("--suite", metavar="NAME", default="standard", help="(default: standard)")
+    parser.add_argument("--split", choices=("validation", "test"), default="validation", help="(default: validation)")
+    parser.add_argument("--scenarios", type=int, metavar="N", help="the first N of the split (default: all)")
+    parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
+
+    def work() -> None:
+        given = parser.parse_args(argv)
+        reference, policies = simple_policies(given.suite, given.split, given.scenarios, given.threads)
+        say(
+            f"suite {given.suite}, {given.split}: mean cost of the reference {reference:.2f}; "
+            "the best three of each kind",
+            "",
+        )
+        rows: list[tuple[str, ...]] = []
+        for family in ("constant", "bang-bang", "relay"):
+            own = [policy for policy in policies if policy.family == family]
+            for policy in own[:3]:
+                difference = difference_percent(policy.cost, reference)
+                rows.append((family, str(len(own)), policy.description, f"{policy.cost:.2f}", difference))
+        print_table(("kind", "tried", "policy", "mean cost", "difference [%]"), rows)
+
+    return run_command(work)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

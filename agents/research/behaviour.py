@@ -1,4 +1,4 @@
-"""`python -m agents.behaviour`: what trained policies do, and how fast they were learned, in figures and tables."""
+"""`python -m agents.research.behaviour`: trained policies in figures and tables, and their learning curves."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from agents.command import run_command
-from agents.curves import curves_by_setup, read_csv, read_runs, to_csv
-from agents.slopes import policy_slopes, slopes_csv, slopes_tables
-from wtg_gym.cli.output import (
+from agents.command import (
     FIGURE_FORMATS,
+    Parser,
     check_output_folder,
     check_page,
     note,
     require_extra,
+    run_command,
     update_page,
     write_and_say,
 )
-from wtg_gym.cli.parser import Parser
+from agents.research.learning_curves import curves_by_setup, read_csv, read_runs, to_csv
+from agents.research.slopes import policy_slopes, slopes_csv, slopes_tables
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.task import COST_TERMS
 from wtg_gym.evaluation import Entry, load_entries
@@ -54,9 +54,9 @@ Entries of one name and several training seeds are one policy. With --page secti
 each between <!-- NAME:start --> and <!-- NAME:end -->: {", ".join((*ENTRY_SECTIONS, CURVE_SECTION))}."""
 _EXAMPLES = """\
 examples:
-  python -m agents.behaviour --entries agents/policies/ppo-0 --output docs/agents --page docs/agents.md
-  python -m agents.behaviour --runs runs/ppo-* --output docs/agents --page docs/agents.md
-  python -m agents.behaviour --entries agents/policies/ppo-0 mppt --suite gust --formats png --output pictures"""
+  python -m agents.research.behaviour --entries agents/policies/ppo-0 --output docs/agents --page docs/agents.md
+  python -m agents.research.behaviour --runs runs/ppo-* --output docs/agents --page docs/agents.md
+  python -m agents.research.behaviour --entries agents/policies/ppo-0 mppt --suite gust --output pictures"""
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class _Played:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    parser = Parser(prog="python -m agents.behaviour", description=_DESCRIPTION, epilog=_EXAMPLES)
+    parser = Parser(prog="python -m agents.research.behaviour", description=_DESCRIPTION, epilog=_EXAMPLES)
     parser.add_argument("--entries", nargs="+", default=[], metavar="ENTRY", help="as for wtg-gym evaluate")
     parser.add_argument("--runs", nargs="+", default=[], metavar="FOLDER", help="folders of training runs")
     parser.add_argument("--output", required=True, metavar="FOLDER", help="folder to write to")
@@ -99,7 +99,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _behaviour(given: argparse.Namespace) -> None:
-    require_extra("matplotlib", "python -m agents.behaviour")
+    require_extra("matplotlib", "python -m agents.research.behaviour")
     folder = check_output_folder("--output", given.output)
     csv_file = folder / CURVES_FILE
     if not given.entries and not given.runs and not csv_file.is_file():

@@ -1,4 +1,4 @@
-"""Many candidates played through many scenarios at once, and what a candidate can be."""
+"""Many candidates played through many scenarios at once, and the forms of candidates."""
 
 from __future__ import annotations
 
@@ -125,4 +125,6 @@ def both(one: Candidates, other: Candidates) -> Candidates:
     return lambda step, own: one(step, own) + other(step, own)
 
 
-__all__ = ["Candidates", "Rollouts", "both", "course", "linear_feedback"]
+def difference_percent(cost: float, reference: float) -> str:
+    """Return a cost's difference from the reference's, as text for a table."""
+    return f"{100.0 * (cost / reference - 1.0):+.1f}"

@@ -1,4 +1,4 @@
-"""`python -m agents.single_file_ppo`: PPO from top to bottom in one file, for changing the algorithm itself.
+"""`python -m agents.ppo`: PPO from top to bottom in one file, for changing the algorithm itself.
 
 The objective is that of Schulman et al., "Proximal Policy Optimization Algorithms", 2017; torch is all it needs.
 """
@@ -18,23 +18,19 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from agents.command import run_command
-from agents.gains import Gains
-from agents.networks import Normalization, PolicyNetwork, flat_layers
-from agents.runs import BEST, Run, RunSettings, loading, new_folder, save_folder
-from agents.staggering import stagger
-from agents.validation import validate
+from agents.command import Parser, Progress, add_training_options, given_options, note, run_command, settings_of
+from agents.folders import BEST, loading, new_folder, save_folder
+from agents.gains import Gains, stagger
+from agents.onnx_graph import Normalization, PolicyNetwork, flat_layers
+from agents.runs import Run
 from wtg_gym import ENV_ID
-from wtg_gym.cli.output import Progress, note
-from wtg_gym.cli.parser import Parser
 from wtg_gym.envs import GFMWTGVectorEnv
-from wtg_gym.envs.settings import ACTION_MODES
 
 #: The algorithm's name in run.json.
 NAME = "single_file_ppo"
 _WEIGHTS = "weights.pt"
-_CLIP_OBSERVATION = 10.0
-_NUMBERS = {"--seed": 0, "--timesteps": 3_000_000, "--n-envs": 512, "--validation-episodes": 50}
+_CLIP = 10.0
+_TIMESTEPS, _N_ENVS = 3_000_000, 512
 
 
 @dataclass(frozen=True)
@@ -117,7 +113,7 @@ class Agent(nn.Module):
     def normalized(self, observations: Any) -> Tensor:
         """Return what the networks see, float32, of raw observations (n, n_observation)."""
         values = (torch.as_tensor(observations, dtype=torch.float64) - self.moments.mean) / self.moments.std
-        return values.clamp(-_CLIP_OBSERVATION, _CLIP_OBSERVATION).float()
+        return values.clamp(-_CLIP, _CLIP).float()
 
     def sample(self, normalized: Tensor) -> Tensor:
         """Return random actions (n, n_action), not clipped."""
@@ -146,7 +142,7 @@ class Agent(nn.Module):
     def network(self) -> PolicyNetwork:
         """Return the deterministic policy for the export."""
         mean, std = self.moments.mean.numpy(), self.moments.std.numpy()
-        seen = Normalization(mean=mean, std=std, bound=_CLIP_OBSERVATION)
+        seen = Normalization(mean=mean, std=std, bound=_CLIP)
         return PolicyNetwork(mean.size, seen, lstm=None, layers=flat_layers([self.actor]))
 
 
@@ -210,7 +206,7 @@ class Collector:
         ended = torch.as_tensor(done)
         self._returns[ended] = 0.0
         scaled = torch.as_tensor(rewards) / self._return_moments.std
-        return scaled.clamp(-10.0, 10.0).float(), ended.float()
+        return scaled.clamp(-_CLIP, _CLIP).float(), ended.float()
 
     def _advantages(self, values: Tensor, rewards: Tensor, done: Tensor, last_value: Tensor) -> Tensor:
         """Return the generalised advantage estimates, (n_steps, n_envs) like the arguments."""
@@ -263,26 +259,20 @@ def train(run: Run, folder: Path, h: Hyperparameters) -> None:
     run.write(folder)
     began = time.monotonic()
     with Progress("rollouts") as progress:
-        for index in range(n_rollouts):
-            steps = index * per_rollout
-            if steps // settings.interval > (steps - per_rollout) // settings.interval:
-                _take_stock(run, folder, agent, steps, time.monotonic() - began)
-            optimizer.param_groups[0]["lr"] = h.learning_rate * (1.0 - index / n_rollouts)
-            batch, gain = collector.rollout()
-            error = update(agent, optimizer, batch, h)
-            name = f"gain {gain:.4f} % per step, value error {error:.2g}, score {run.curve[-1]['score']:.1f}"
-            progress.update(name, index + 1, n_rollouts)
-    run.finished = True
-    _take_stock(run, folder, agent, n_rollouts * per_rollout, time.monotonic() - began)
+        for index in range(n_rollouts + 1):
+            steps, run.finished = index * per_rollout, index == n_rollouts
+            if run.is_due(steps) or run.finished:
+                run.validate(agent, steps, time.monotonic() - began)
+                if run.best is run.curve[-1]:
+                    save_folder(folder / BEST, steps, lambda path: save(path, agent))
+                run.write(folder)
+            if not run.finished:
+                optimizer.param_groups[0]["lr"] = h.learning_rate * (1.0 - index / n_rollouts)
+                batch, gain = collector.rollout()
+                error = update(agent, optimizer, batch, h)
+                name = f"gain {gain:.4f} % per step, value error {error:.2g}, score {run.curve[-1]['score']:.1f}"
+                progress.update(name, index + 1, n_rollouts)
     collector.close()
-
-
-def _take_stock(run: Run, folder: Path, agent: Agent, steps: int, wall_time_s: float) -> None:
-    row = validate(agent, run.settings)
-    run.curve.append({"timesteps": steps, "wall_time_s": round(wall_time_s, 2), **row})
-    if run.best is run.curve[-1]:
-        save_folder(folder / BEST, steps, lambda path: save(path, agent))
-    run.write(folder)
 
 
 def save(folder: Path, agent: Agent) -> None:
@@ -310,21 +300,20 @@ def agent_of(weights: Mapping[str, Tensor]) -> Agent:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    parser = Parser(prog="python -m agents.single_file_ppo", description=__doc__)
+    parser = Parser(prog="python -m agents.ppo", description=__doc__)
     parser.add_argument("--output", required=True, metavar="FOLDER", help="folder of the new run")
-    parser.add_argument("--action-mode", choices=tuple(ACTION_MODES), default="k+tau")
-    for option, default in _NUMBERS.items():
-        parser.add_argument(option, type=int, default=default, metavar="N", help=f"default: {default}")
-    return run_command(lambda: _train(vars(parser.parse_args(argv))))
+    add_training_options(parser, timesteps=str(_TIMESTEPS))
+    parser.add_argument("--n-envs", type=int, metavar="N", help=f"episodes side by side (default: {_N_ENVS})")
 
+    def work() -> None:
+        given, h = given_options(parser.parse_args(argv)), Hyperparameters()
+        n_envs = given.get("n_envs", _N_ENVS)
+        run = Run.new(settings_of(given, NAME, dataclasses.asdict(h), timesteps=_TIMESTEPS, n_envs=n_envs))
+        with new_folder(Path(given["output"])) as folder:
+            train(run, folder, h)
+        note(f"best validation score {run.best['score']:.1f} at step {run.best['timesteps']}; wrote {folder}")
 
-def _train(given: dict[str, Any]) -> None:
-    output, h = Path(given.pop("output")), Hyperparameters()
-    interval = max(1, given["timesteps"] // 20)
-    run = Run.new(RunSettings(algo=NAME, hyperparameters=dataclasses.asdict(h), interval=interval, **given))
-    with new_folder(output) as folder:
-        train(run, folder, h)
-    note(f"best validation score {run.best['score']:.1f} at step {run.best['timesteps']}; wrote {output}")
+    return run_command(work)
 
 
 if __name__ == "__main__":

@@ -11,8 +11,9 @@ import pytest
 import torch
 
 from agents.export import export
-from agents.runs import Run, folders
-from agents.single_file_ppo import Agent, Batch, Collector, Hyperparameters, RunningMoments, load, main, update
+from agents.folders import folders
+from agents.ppo import Agent, Batch, Collector, Hyperparameters, RunningMoments, load, main, update
+from agents.runs import Run
 from wtg_gym.envs import GFMWTGVectorEnv
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -80,6 +81,6 @@ def test_run_is_reproducible_and_exported(tmp_path: Path) -> None:
 
 
 def test_it_needs_no_library_of_algorithms() -> None:
-    program = "import sys, agents.single_file_ppo; print('stable_baselines3' in sys.modules)"
+    program = "import sys, agents.ppo; print('stable_baselines3' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"

@@ -17,9 +17,10 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from agents.export import export
-from agents.rllib_envs import RunnerEnvs, measure_scales
-from agents.rllib_ppo import main
-from agents.runs import Run, RunSettings, folders
+from agents.folders import folders
+from agents.rllib.__main__ import main
+from agents.rllib.environment import RunnerEnvs, measure_scales
+from agents.runs import Run, RunSettings
 from wtg_gym import ENV_ID
 from wtg_gym.envs import GFMWTGVectorEnv
 from wtg_gym.evaluation import load_entries
@@ -154,7 +155,7 @@ def needs_ray() -> None:
 
 def test_killed_run_goes_on_from_its_checkpoint_and_its_export_plays_without_ray(tmp_path: Path) -> None:
     needs_ray()
-    folder, program = tmp_path / "run", [sys.executable, "-m", "agents.rllib_ppo"]
+    folder, program = tmp_path / "run", [sys.executable, "-m", "agents.rllib"]
     process = subprocess.Popen([*program, *SMALL, "--output", str(folder)], cwd=ROOT)
     deadline = time.monotonic() + 240.0
     while not any(int(path.name) > 0 for path in folders(folder / "checkpoints")):
@@ -177,6 +178,7 @@ def test_killed_run_goes_on_from_its_checkpoint_and_its_export_plays_without_ray
     entry = tmp_path / "entry"
     code = f"""import sys; sys.modules.update(ray=None, stable_baselines3=None, sb3_contrib=None)
 from pathlib import Path; from agents.export import export
+from agents.folders import folders
 print(export(Path({str(folder)!r}), Path({str(entry)!r}), name='mine'))"""
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert float(done.stdout) <= 1e-6

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from agents.gains import Gains
-from agents.staggering import stagger
+from agents.gains import Gains, stagger
 from wtg_gym.envs import GFMWTGVectorEnv
 
 #: Rewards are clipped to this many scales, as VecNormalize does.
@@ -24,7 +23,7 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Scales:
-    """What observations and rewards are divided by.
+    """Scales that observations and rewards are divided by.
 
     Args:
         mean, std: of every entry of the observation, (n_observation,).
@@ -70,17 +69,18 @@ def measure_scales(arguments: Mapping[str, Any], *, noise: float, gamma: float, 
 
 
 class RunnerEnvs(GFMWTGVectorEnv):
-    """The lanes of one runner: the native vector environment, with what RLlib does not do itself.
+    """The lanes of one runner: the native vector environment, with the parts that RLlib does not do itself.
 
     Rewards are :class:`agents.gains.Gains`, divided by a scale and clipped to ± 10.
 
-    Lanes start spread over an episode (:mod:`agents.staggering`). A reset's seed means a set of seeds of its own: RLlib
-    gives runner w the seed s + w, with which lane i + 1 of a runner would play the scenarios of lane i of the next one.
-    `info` is left empty, because RLlib takes it apart for every lane and step, which takes longer than all the rest.
+    Lanes start spread over an episode (:func:`agents.gains.stagger`). Every seed of a reset gives a set of seeds of its
+    own: RLlib gives runner w the seed s + w, with which lane i + 1 of a runner would play the scenarios of lane i of
+    the next one. `info` is empty, because RLlib takes it apart for every lane and step, which takes longer than all the
+    rest.
 
     Args:
         num_envs: number of lanes.
-        reward_scale: what rewards are divided by.
+        reward_scale: divisor of the rewards.
         arguments: as for :class:`GFMWTGVectorEnv`.
     """
 
@@ -130,6 +130,3 @@ class RunnerEnvs(GFMWTGVectorEnv):
 def make_envs(config: Mapping[str, Any]) -> RunnerEnvs:
     """Return a runner's lanes; RLlib's configuration names `num_envs` and the arguments of :class:`RunnerEnvs`."""
     return RunnerEnvs(**config)
-
-
-__all__ = ["RunnerEnvs", "Scales", "make_envs", "measure_scales"]

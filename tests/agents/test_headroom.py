@@ -16,12 +16,10 @@ import pytest
 
 pytest.importorskip("cma")
 
-from agents import foresight
-from agents.evolution import N_KNOTS, POPULATION, _Strategy, search_with_foresight
-from agents.linear import linear_policy
-from agents.oracle import main
-from agents.rollouts import Rollouts, course, linear_feedback
-from agents.simple_policies import simple_policies
+from agents.research import foresight, simple_policies
+from agents.research import linear as linear_command
+from agents.research.evolution import N_KNOTS, POPULATION, _Strategy, search_with_foresight
+from agents.research.rollouts import Rollouts, course, linear_feedback
 from tests.cli.calls import ROOT
 from wtg_gym.envs.task import N_LOCAL
 from wtg_gym.evaluation import Entry, OnnxPolicy, evaluate, load_entries
@@ -113,7 +111,7 @@ def test_a_search_draws_from_its_own_generator_to_the_end() -> None:
 def test_exported_feedback_acts_like_the_searched_one(rollouts: Rollouts, tmp_path: Path) -> None:
     gains = np.random.default_rng(1).normal(0.0, 0.8, (2, N_LOCAL + 1))
     path = tmp_path / "policy.onnx"
-    path.write_bytes(linear_policy(gains, 2))
+    path.write_bytes(linear_command.linear_policy(gains, 2))
     entry = Entry(name="linear", policy=OnnxPolicy(path))
     results = evaluate([entry], "standard", "validation", seeds=SEEDS, duration_s=12.0)
     costs = [pinned(episode, 50.0) for episode in results.episodes_of("linear")]
@@ -131,13 +129,13 @@ _QUICK = ("--suite", "paper", "--generations", "2", "--action-mode", "k")
 def linear(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("linear")
     files = ("--output", str(folder / "entry"), "--gains", str(folder / "gains.json"))
-    assert main(["linear", *_QUICK, "--scenarios", "2", *files, "--name", "mine"]) == 0
+    assert linear_command.main([*_QUICK, "--scenarios", "2", *files, "--name", "mine"]) == 0
     return folder
 
 
 def _foresight(folder: Path, *more: str, parts: str = "parts") -> Path:
-    given = ["foresight", *_QUICK, "--chunk", "1", "--output", str(folder), "--parts", str(folder / parts), *more]
-    assert main(given) == 0
+    given = [*_QUICK, "--chunk", "1", "--output", str(folder), "--parts", str(folder / parts), *more]
+    assert foresight.main(given) == 0
     return folder / "paper-test.csv"
 
 
@@ -202,7 +200,7 @@ def test_killed_search_goes_on_to_the_same_files(tmp_path: Path, end: signal.Sig
     # Long enough that the second chunk is still under way when the first one is seen.
     slow = ("--generations", "15")
     options = [*slow, "--output", str(killed), "--parts", str(killed / "parts"), "--threads", "1"]
-    command = [sys.executable, "-m", "agents.oracle", "foresight", *_QUICK, "--chunk", "1", *options]
+    command = [sys.executable, "-m", "agents.research.foresight", *_QUICK, "--chunk", "1", *options]
     process = subprocess.Popen(command, cwd=ROOT, env=environment, stderr=subprocess.PIPE, text=True)
     until = time.monotonic() + 200.0
     while not list((killed / "parts").glob("*.json")) and process.poll() is None and time.monotonic() < until:
@@ -217,7 +215,8 @@ def test_killed_search_goes_on_to_the_same_files(tmp_path: Path, end: signal.Sig
     assert undisturbed.with_suffix(".json").read_bytes() == (killed / "paper-test.json").read_bytes()
 
 
-def _error_of(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+def _error_of(capsys: pytest.CaptureFixture[str], command: str, *arguments: str) -> str:
+    main = {"linear": linear_command.main, "foresight": foresight.main}[command]
     assert main(arguments) == 2
     said = capsys.readouterr()
     assert said.out == "" and len(said.err.splitlines()) == 1
@@ -278,7 +277,7 @@ def test_gains_that_do_not_fit_are_refused(capsys: pytest.CaptureFixture[str], t
 
 
 def test_simple_policies_contain_the_reference_and_what_a_step_of_theirs_says() -> None:
-    reference, policies = simple_policies("standard", "validation", 2, n_threads=1)
+    reference, policies = simple_policies.simple_policies("standard", "validation", 2, n_threads=1)
     costs = {(policy.family, policy.description): policy.cost for policy in policies}
     # Quartiles of what hardly changes are alike when they are rounded.
     assert len(policies) == 77 + 288
@@ -300,8 +299,8 @@ def test_simple_policies_contain_the_reference_and_what_a_step_of_theirs_says() 
 
 
 def test_simple_policies_are_a_command(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["simple", "--scenarios", "1", "--threads", "1"]) == 0
+    assert simple_policies.main(["--scenarios", "1", "--threads", "1"]) == 0
     printed = capsys.readouterr().out
     assert all(text in printed for text in ("constant", "bang-bang", "relay", "sign("))
-    assert main(["simple", "--scenarios", "101"]) == 2
+    assert simple_policies.main(["--scenarios", "101"]) == 2
     assert "outside the allowed range 1 … 100" in capsys.readouterr().err
