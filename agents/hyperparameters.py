@@ -138,7 +138,8 @@ def _normalize(raw: Mapping[str, Any]) -> dict[str, Any] | None:
 
 
 def _noise(raw: Mapping[str, Any]) -> float | None:
-    kind, std = raw.get("noise_type"), raw.get("noise_std")
+    kind: Any = raw.get("noise_type")
+    std: Any = raw.get("noise_std")
     if kind is None:
         return None
     if kind != "normal" or type(std) not in (int, float) or not 0 < std <= 1:

@@ -35,11 +35,10 @@ _TIMESTEPS, _N_ENVS = 3_000_000, 512
 
 @dataclass(frozen=True)
 class Hyperparameters:
-    """What can be turned.
+    """Hyperparameters; sizes are those of configs/ppo.yml.
 
-    Sizes are those of configs/ppo.yml. The noise there is held for seconds; here it is drawn anew at every step, for
-    the sake of a short file, and with that come a discount that looks 7 s ahead and larger steps. A million steps reach
-    a validation score of about 105.
+    The noise there is held for seconds. Here it is drawn anew at every step, which keeps the file short and asks for a
+    discount that looks 7 s ahead and for larger steps. A million steps reach a validation score of about 105.
     """
 
     n_steps: int = 150
@@ -55,11 +54,7 @@ class Hyperparameters:
 
 
 class RunningMoments(nn.Module):
-    """Mean and variance of all rows seen so far, by the parallel formula of Chan et al.; float64.
-
-    Args:
-        width: number of entries of a row.
-    """
+    """Mean and variance of all rows (n, width) seen so far, by the parallel formula of Chan et al.; float64."""
 
     mean: Tensor
     var: Tensor
@@ -72,7 +67,6 @@ class RunningMoments(nn.Module):
         self.register_buffer("count", torch.tensor(1e-4, dtype=torch.float64))
 
     def update(self, rows: Tensor) -> None:
-        """Take in rows (n, width)."""
         n, total = rows.shape[0], self.count + rows.shape[0]
         difference = rows.mean(dim=0) - self.mean
         squares = self.var * self.count + rows.var(dim=0, correction=0) * n + difference**2 * self.count * n / total
@@ -95,12 +89,7 @@ def _network(n_in: int, hidden: int, n_out: int, last_gain: float) -> nn.Sequent
 
 
 class Agent(nn.Module):
-    """Policy and value function, with the normalisation of what they see.
-
-    Args:
-        n_observation, n_action: widths.
-        h: size and initial exploration.
-    """
+    """Policy and value function with the normalisation of their observations; `h` gives size and first exploration."""
 
     def __init__(self, n_observation: int, n_action: int, h: Hyperparameters) -> None:
         super().__init__()
@@ -111,22 +100,19 @@ class Agent(nn.Module):
         self.log_std = nn.Parameter(torch.full((n_action,), h.log_std_init))
 
     def normalized(self, observations: Any) -> Tensor:
-        """Return what the networks see, float32, of raw observations (n, n_observation)."""
         values = (torch.as_tensor(observations, dtype=torch.float64) - self.moments.mean) / self.moments.std
         return values.clamp(-_CLIP, _CLIP).float()
 
     def sample(self, normalized: Tensor) -> Tensor:
-        """Return random actions (n, n_action), not clipped."""
         mean: Tensor = self.actor(normalized)
         return mean + self.log_std.exp() * torch.randn_like(mean)
 
     def log_prob(self, normalized: Tensor, actions: Tensor) -> Tensor:
-        """Return the logarithm of the actions' density (n,), but for a constant."""
+        # But for a constant.
         distance: Tensor = (actions - self.actor(normalized)) / self.log_std.exp()
         return -(0.5 * distance.square() + self.log_std).sum(-1)
 
     def value(self, normalized: Tensor) -> Tensor:
-        """Return the expected scaled return (n,)."""
         values: Tensor = self.critic(normalized)
         return values.squeeze(-1)
 
@@ -157,17 +143,13 @@ class Batch(NamedTuple):
 
 
 class Collector:
-    """Plays the lanes and prepares what is learned from; rewards are :class:`agents.gains.Gains`.
+    """Plays the lanes and prepares batches to learn from; rewards are :class:`agents.gains.Gains`.
 
-    Args:
-        envs: resets within the step in which an episode ends, so that no step to learn from is a mere reset.
-        agent: whose policy is played.
-        hyperparameters: lengths and discounts.
-        seed: lane i starts with seed + i.
+    Lane i starts with seed + i, and resets within the step in which an episode ends, so that no step is a mere reset.
     """
 
-    def __init__(self, envs: GFMWTGVectorEnv, agent: Agent, hyperparameters: Hyperparameters, seed: int) -> None:
-        self._envs, self._agent, self._h = envs, agent, hyperparameters
+    def __init__(self, envs: GFMWTGVectorEnv, agent: Agent, h: Hyperparameters, seed: int) -> None:
+        self._envs, self._agent, self._h = envs, agent, h
         envs.reset(seed=seed)
         self._observations = stagger(envs)
         self._gains = Gains(envs.lanes)
@@ -219,7 +201,6 @@ class Collector:
         return advantages
 
     def close(self) -> None:
-        """Release the worker threads."""
         self._gains.close()
         self._envs.close()
 
@@ -276,7 +257,6 @@ def train(run: Run, folder: Path, h: Hyperparameters) -> None:
 
 
 def save(folder: Path, agent: Agent) -> None:
-    """Write an agent's weights into a folder."""
     torch.save(agent.state_dict(), folder / _WEIGHTS)
 
 

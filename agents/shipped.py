@@ -7,8 +7,8 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from agents.command import Parser, Progress, note, run_command
 from agents.runs import RUN_FILE
@@ -19,7 +19,7 @@ _AUTHORS = "The wtg_gym authors"
 
 _DESCRIPTION = """\
 Trains the policies of agents/policies, five seeds each, and exports them. A run that is there already goes on from its
-last checkpoint, or is exported at once. What a run says goes to the file NAME.log beside its folder. Nothing in
+last checkpoint, or is exported at once. The output of a run goes to the file NAME.log beside its folder. Nothing in
 agents/policies changes, unless --policies names it."""
 _EXAMPLES = """\
 examples:
@@ -27,16 +27,16 @@ examples:
   python -m agents.shipped --jobs 2                   all of them, two at a time"""
 
 
-@dataclass(frozen=True)
-class Shipped:
-    """A set-up that is ranked: the name of its folders and of its row, and the options of its training."""
+class Shipped(NamedTuple):
+    """A set-up that is ranked."""
 
-    key: str
-    name: str
+    key: str  # name of its folders, without the seed
+    name: str  # of its row
     description: str
-    options: tuple[str, ...]
+    options: tuple[str, ...]  # of its training
 
 
+_TAU_CONFIG = "agents/configs/ppo_tau.yml"
 SHIPPED = (
     Shipped("ppo-k+tau", "PPO (k, τ)", "PPO that modulates k and τ.", ("--algo", "ppo", "--action-mode", "k+tau")),
     Shipped("ppo-k", "PPO (k)", "PPO that modulates k alone.", ("--algo", "ppo", "--action-mode", "k")),
@@ -44,7 +44,7 @@ SHIPPED = (
         "ppo-tau",
         "PPO (τ)",
         "PPO that modulates τ alone.",
-        ("--algo", "ppo", "--action-mode", "tau", "--config", "agents/configs/ppo_tau.yml"),
+        ("--algo", "ppo", "--action-mode", "tau", "--config", _TAU_CONFIG),
     ),
     Shipped("sac-k+tau", "SAC (k, τ)", "SAC that modulates k and τ.", ("--algo", "sac", "--action-mode", "k+tau")),
 )
@@ -59,25 +59,22 @@ def _make(name: str, runs: Path, policies: Path) -> None:
     """Train a policy and export it.
 
     Raises:
-        ValueError: one of the two commands failed; the message names the file with its last words.
+        ValueError: one of the two commands failed; the message names the log.
     """
     shipped, seed = names()[name]
-    run = runs / name
-    exists = (run / RUN_FILE).is_file()
-    train = ["--resume", str(run)] if exists else [*shipped.options, "--seed", str(seed), "--output", str(run)]
+    run, log = runs / name, runs / f"{name}.log"
+    new = [*shipped.options, "--seed", str(seed), "--output", str(run)]
     described = ["--name", shipped.name, "--description", shipped.description, "--authors", _AUTHORS]
     commands = (
-        ["agents.train", *train],
+        ["agents.train", *(["--resume", str(run)] if (run / RUN_FILE).is_file() else new)],
         ["agents.export", str(run), "--output", str(policies / name), *described],
     )
-    log = runs / f"{name}.log"
     # Several trainings at a time on one thread each are faster than one after another on all of them.
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     with log.open("a", encoding="utf-8") as stream:
         for command in commands:
-            if subprocess.run(
-                [sys.executable, "-m", *command], stdout=stream, stderr=stream, env=environment
-            ).returncode:
+            done = subprocess.run([sys.executable, "-m", *command], stdout=stream, stderr=stream, env=environment)
+            if done.returncode:
                 raise ValueError(f"{' '.join(command)} failed; its last words are in {log}")
 
 

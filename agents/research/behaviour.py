@@ -7,15 +7,14 @@ import os
 import re
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from agents.command import (
-    FIGURE_FORMATS,
     Parser,
     check_output_folder,
     check_page,
+    chosen_entries,
     note,
     require_extra,
     run_command,
@@ -26,7 +25,7 @@ from agents.research.learning_curves import curves_by_setup, read_csv, read_runs
 from agents.research.slopes import policy_slopes, slopes_csv, slopes_tables
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.task import COST_TERMS
-from wtg_gym.evaluation import Entry, load_entries
+from wtg_gym.evaluation import Entry
 from wtg_gym.evaluation.recording import Recording, one_scenario, pooled, record
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
@@ -38,14 +37,14 @@ if TYPE_CHECKING:
 CURVES_FILE, SLOPES_FILE = "learning_curves.csv", "slopes.csv"
 #: Sections of the page: those that entries fill, and that of the learning curves.
 ENTRY_SECTIONS, CURVE_SECTION = ("responses", "runs", "costs", "slopes"), "learning-curves"
-_DEFAULT_SCENARIOS = 50
+_DEFAULT_SCENARIOS, _MOST_SCENARIOS = 50, 10_000
 
 _DESCRIPTION = f"""\
 Plays entries and the reference through scenarios of a suite and writes, as figures and tables,
 
   responses-NAME            k and τ in use over what the policy sees, beside the reference's
-  run-NAME-SCENARIO         the paper's cases and a scenario of the suite over time, beside the reference
-  costs                     what an episode costs, term by term
+  run-NAME-SCENARIO         the paper's cases and the first scenario over time, beside the reference
+  costs                     cost of an episode, term by term
   {SLOPES_FILE}                how k and τ depend on each observation, by linear regression
   learning-curves           validation score against steps and wall time, and {CURVES_FILE}, which
                             draws them again when no runs are given
@@ -59,26 +58,18 @@ examples:
   python -m agents.research.behaviour --entries agents/policies/ppo-0 mppt --suite gust --output pictures"""
 
 
-@dataclass(frozen=True)
-class _Picture:
-    """A drawn figure: its file's name without suffix, the section it belongs to, and a caption of one sentence."""
-
-    name: str
-    section: str
-    caption: str
+class _Picture(NamedTuple):
+    name: str  # of the file, without suffix
+    section: str  # of the page
+    caption: str  # one sentence
     figure: Figure
 
 
-@dataclass(frozen=True)
-class _Played:
+class _Played(NamedTuple):
     """Scenarios, and the recordings of every entry in them by name, one per training seed; the reference first."""
 
     scenarios: Sequence[Scenario]
     recordings: Mapping[str, Sequence[Recording]]
-
-    def one(self, index: int) -> dict[str, list[Recording]]:
-        """Return the recordings of one scenario."""
-        return {name: [one_scenario(each, index) for each in own] for name, own in self.recordings.items()}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -91,8 +82,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--suite", choices=tuple(SUITES), default="standard", help="default: standard")
     parser.add_argument("--split", choices=SPLITS, default="test", help="its scenarios")
     parser.add_argument("--scenarios", type=int, metavar="N", help="the first N of the split (default: 50, or all)")
-    parser.add_argument("--show", type=int, metavar="SEED", help="which of them to draw over time (default: the first)")
-    parser.add_argument("--formats", nargs="+", choices=FIGURE_FORMATS, default=["svg"], help="default: svg")
     return run_command(
         lambda: _behaviour(parser.parse_args(argv)), "what was written is complete; run the same command again"
     )
@@ -110,47 +99,54 @@ def _behaviour(given: argparse.Namespace) -> None:
     entries = _entries(given.entries) if given.entries else []
     sections = (*(ENTRY_SECTIONS if entries else ()), *((CURVE_SECTION,) if validations else ()))
     page = check_page("--page", given.page, *sections)
-    seeds = _seeds(given)
+    allowed = get_suite(given.suite).seeds(given.split)
+    largest = min(len(allowed), _MOST_SCENARIOS)
+    n = min(_DEFAULT_SCENARIOS, largest) if given.scenarios is None else given.scenarios
+    if not 1 <= n <= largest:
+        raise ValueError(f"--scenarios must be 1 … {largest} for {given.suite}/{given.split}, got {n}")
     texts: dict[str, str] = {}
     pictures: list[_Picture] = []
     if runs:
         write_and_say(csv_file, to_csv(validations))
     if entries:
-        played, cases = _play(entries, given.suite, given.split, seeds), _play(entries, "paper", "test", [0, 1])
-        pictures += _pictures(entries, played, cases, given)
-        learned = dict.fromkeys(entry.name for entry in entries if entry.policy is not None)
-        found = {name: policy_slopes(pooled(played.recordings[name])) for name in learned}
+        played = _play(entries, given.suite, given.split, list(allowed[:n]))
+        cases = _play(entries, "paper", "test", [0, 1])
+        policies = list(dict.fromkeys(entry.name for entry in entries if entry.policy is not None))
+        pictures += _pictures(policies, played, cases, given.suite, given.split)
+        found = {name: policy_slopes(pooled(played.recordings[name])) for name in policies}
         # A policy that never acts has nothing to be explained.
         found = {name: actions for name, actions in found.items() if actions}
         write_and_say(folder / SLOPES_FILE, slopes_csv(found))
         texts["slopes"] = slopes_tables(found)
-    if validations:
-        from wtg_gym.plotting import plot_learning_curves
+    from wtg_gym.plotting import plot_learning_curves, save_figure
 
+    if validations:
         caption = (
             "Validation score against environment steps and wall time: mean over the training seeds, band from the "
             "worst to the best."
         )
         curves = plot_learning_curves(curves_by_setup(validations))
         pictures.append(_Picture("learning-curves", CURVE_SECTION, caption, curves))
-    _write(pictures, folder, given.formats)
+    for picture in pictures:
+        save_figure(picture.figure, folder / picture.name, ["svg"])
+    note(f"wrote {len(pictures)} figures in {folder}")
     if page is not None:
-        update_page(page, {**texts, **_galleries(pictures, sections, folder, page, given.formats)})
+        where = Path(os.path.relpath(folder.resolve(), page.resolve().parent))
+        for section in sections:
+            links = [
+                f"![{each.caption}]({(where / each.name).as_posix()}.svg)\n\n{each.caption}"
+                for each in pictures
+                if each.section == section
+            ]
+            texts.setdefault(section, "\n\n".join(links))
+        update_page(page, texts)
 
 
 def _entries(specs: Sequence[str]) -> list[Entry]:
     """Return the entries with the reference before them."""
-    reference = load_entries(REFERENCE_STRATEGY)[0]
-    found = [entry for spec in specs for entry in load_entries(spec)]
-    for entry in found:
-        if entry.name == REFERENCE_STRATEGY and entry.identity != reference.identity:
-            raise ValueError(f"the name {entry.name!r} is reserved for the strategy itself")
-    entries = [reference, *(entry for entry in found if entry.name != REFERENCE_STRATEGY)]
-    labels = [entry.label for entry in entries]
-    doubled = sorted({label for label in labels if labels.count(label) > 1})
-    if doubled:
-        raise ValueError(f"entries must have different names or training seeds; given more than once: {doubled}")
-    names = dict.fromkeys(entry.name for entry in entries)
+    (reference,) = chosen_entries([REFERENCE_STRATEGY])
+    entries = [reference, *(entry for entry in chosen_entries(specs) if entry.name != REFERENCE_STRATEGY)]
+    names = list(dict.fromkeys(entry.name for entry in entries))
     slugs = [_slug(name) for name in names]
     alike = [name for name, slug in zip(names, slugs, strict=True) if slugs.count(slug) > 1]
     if alike:
@@ -164,19 +160,6 @@ def _slug(name: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", words).strip("-")
 
 
-def _seeds(given: argparse.Namespace) -> list[int]:
-    """Return the seeds of the scenarios to play, the one to draw over time first."""
-    allowed = get_suite(given.suite).seeds(given.split)
-    n = min(_DEFAULT_SCENARIOS, len(allowed)) if given.scenarios is None else given.scenarios
-    largest = min(len(allowed), 10_000)
-    if not 1 <= n <= largest:
-        raise ValueError(f"--scenarios must be 1 … {largest} for {given.suite}/{given.split}, got {n}")
-    seeds = list(allowed[:n])
-    if given.show is not None and given.show not in seeds:
-        raise ValueError(f"--show must be one of the seeds played, {seeds[0]} … {seeds[-1]}, got {given.show}")
-    return seeds
-
-
 def _play(entries: Sequence[Entry], suite: str, split: str, seeds: Sequence[int]) -> _Played:
     note(f"playing {len(entries)} entries in {len(seeds)} scenarios of {suite}")
     settings = EnvSettings(suite=suite, split=split)
@@ -187,70 +170,34 @@ def _play(entries: Sequence[Entry], suite: str, split: str, seeds: Sequence[int]
     return _Played(scenarios, recordings)
 
 
-def _pictures(entries: Sequence[Entry], played: _Played, cases: _Played, given: argparse.Namespace) -> list[_Picture]:
+def _pictures(policies: Sequence[str], played: _Played, cases: _Played, suite: str, split: str) -> list[_Picture]:
     from wtg_gym.plotting import plot_costs, plot_responses, plot_runs, strategy_looks
 
-    names = list(played.recordings)
-    looks = strategy_looks(names)
+    looks = strategy_looks(list(played.recordings))
     reference = played.recordings[REFERENCE_STRATEGY][0]
-    where = f"{len(played.scenarios)} {given.split} scenarios of `{given.suite}`"
+    where = f"{len(played.scenarios)} {split} scenarios of `{suite}`"
     pictures = []
-    for name in dict.fromkeys(entry.name for entry in entries if entry.policy is not None):
-        pictures.append(
-            _Picture(
-                f"responses-{_slug(name)}",
-                "responses",
-                f"{name} in {where}: k and τ in use over what it sees (medians and the middle 80 %) and the "
-                "reference's.",
-                plot_responses(name, pooled(played.recordings[name]), reference, looks),
-            )
+    for name in policies:
+        caption = (
+            f"{name} in {where}: k and τ in use over what it sees (medians and the middle 80 %) and the reference's."
         )
-    shown = 0 if given.show is None else [scenario.seed for scenario in played.scenarios].index(given.show)
-    for name in names:
-        if name == REFERENCE_STRATEGY:
-            continue
-        for group, index in ((cases, 0), (cases, 1), (played, shown)):
+        figure = plot_responses(name, pooled(played.recordings[name]), reference, looks)
+        pictures.append(_Picture(f"responses-{_slug(name)}", "responses", caption, figure))
+    for name in list(played.recordings)[1:]:
+        for group, index in ((cases, 0), (cases, 1), (played, 0)):
             scenario = group.scenarios[index]
-            runs = {key: own for key, own in group.one(index).items() if key in (REFERENCE_STRATEGY, name)}
+            runs = {
+                key: [one_scenario(each, index) for each in group.recordings[key]] for key in (REFERENCE_STRATEGY, name)
+            }
             seeds = f", {len(runs[name])} training seeds" if len(runs[name]) > 1 else ""
-            pictures.append(
-                _Picture(
-                    f"run-{_slug(name)}-{_slug(scenario.name)}",
-                    "runs",
-                    f"{name}{seeds} and the reference in `{scenario.name}`.",
-                    plot_runs(scenario, runs, looks),
-                )
-            )
+            caption = f"{name}{seeds} and the reference in `{scenario.name}`."
+            file = f"run-{_slug(name)}-{_slug(scenario.name)}"
+            pictures.append(_Picture(file, "runs", caption, plot_runs(scenario, runs, looks)))
     means = {name: pooled(own).cost_terms.mean(axis=0).tolist() for name, own in played.recordings.items()}
     costs = {name: dict(zip(COST_TERMS, values, strict=True)) for name, values in means.items()}
     caption = f"Mean cost of an episode, total and term by term, in {where}."
-    pictures.append(_Picture("costs", "costs", caption, plot_costs(costs, looks, f"{given.suite}/{given.split}")))
+    pictures.append(_Picture("costs", "costs", caption, plot_costs(costs, looks, f"{suite}/{split}")))
     return pictures
-
-
-def _write(pictures: Sequence[_Picture], folder: Path, formats: Sequence[str]) -> None:
-    from wtg_gym.plotting import save_figure
-
-    for picture in pictures:
-        save_figure(picture.figure, folder / picture.name, formats)
-    note(f"wrote {len(pictures)} figures in {folder}")
-
-
-def _galleries(
-    pictures: Sequence[_Picture], sections: Sequence[str], folder: Path, page: Path, formats: Sequence[str]
-) -> dict[str, str]:
-    """Return the pictures of each section, with their captions, as Markdown."""
-    suffix = "png" if "png" in formats else formats[0]
-    where = Path(os.path.relpath(folder.resolve(), page.resolve().parent))
-    return {
-        section: "\n\n".join(
-            f"![{picture.caption}]({(where / picture.name).as_posix()}.{suffix})\n\n{picture.caption}"
-            for picture in pictures
-            if picture.section == section
-        )
-        for section in sections
-        if section != "slopes"
-    }
 
 
 if __name__ == "__main__":

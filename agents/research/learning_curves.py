@@ -5,8 +5,8 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterable, Sequence
-from dataclasses import astuple, dataclass, fields
 from pathlib import Path
+from typing import NamedTuple, get_type_hints
 
 import numpy as np
 
@@ -15,8 +15,7 @@ from wtg_gym.files import read_text
 from wtg_gym.plotting import LearningCurve
 
 
-@dataclass(frozen=True, kw_only=True, order=True)
-class Validation:
+class Validation(NamedTuple):
     """A row of the file: one validation of one run, named as in run.json."""
 
     algo: str
@@ -38,41 +37,28 @@ def read_runs(folders: Iterable[Path]) -> list[Validation]:
         ValueError: a folder has no run, the run has no validation yet, or two runs are alike in set-up and seed.
     """
     rows: list[Validation] = []
-    seen: dict[tuple[str, str, str, str, int], Path] = {}
+    seen: dict[tuple[str | int, ...], Path] = {}
     for folder in folders:
         run = Run.read(folder)
         s = run.settings
-        key = s.algo, s.action_mode, s.observation_mode, s.suite, s.seed
-        if key in seen:
-            raise ValueError(f"the runs {seen[key]} and {folder} are both of {', '.join(map(str, key))}; give one")
+        setup = s.algo, s.action_mode, s.observation_mode, s.suite, s.seed
+        if setup in seen:
+            raise ValueError(f"the runs {seen[setup]} and {folder} are both of {', '.join(map(str, setup))}; give one")
         if not run.curve:
             raise ValueError(f"{folder} has no validation yet")
-        seen[key] = folder
+        seen[setup] = folder
         for row in run.curve:
-            rows.append(
-                Validation(
-                    algo=s.algo,
-                    action_mode=s.action_mode,
-                    observation_mode=s.observation_mode,
-                    suite=s.suite,
-                    seed=s.seed,
-                    timesteps=int(row["timesteps"]),
-                    # Digits that say nothing only make the file larger.
-                    wall_time_s=round(row["wall_time_s"], 1),
-                    score=round(row["score"], 3),
-                    cost=round(row["cost"], 4),
-                    failures_percent=round(row["failures_percent"], 2),
-                )
-            )
+            # Digits that say nothing only make the file larger.
+            numbers = (("wall_time_s", 1), ("score", 3), ("cost", 4), ("failures_percent", 2))
+            rounded = (round(row[key], digits) for key, digits in numbers)
+            rows.append(Validation(*setup, int(row["timesteps"]), *rounded))
     return sorted(rows)
 
 
 def to_csv(rows: Iterable[Validation]) -> str:
     """Return validations as CSV."""
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([field.name for field in fields(Validation)])
-    writer.writerows(astuple(row) for row in rows)
+    csv.writer(text, lineterminator="\n").writerows([Validation._fields, *rows])
     return text.getvalue()
 
 
@@ -82,44 +68,35 @@ def read_csv(path: Path) -> list[Validation]:
     Raises:
         ValueError: the file cannot be read, or is none of these.
     """
+    types = get_type_hints(Validation)
     lines = list(csv.reader(io.StringIO(read_text(path, "file of learning curves"))))
-    names = [field.name for field in fields(Validation)]
-    if not lines or lines[0] != names or len(lines) < 2:
-        raise ValueError(f"{path} must have the columns {', '.join(names)} and a row per validation")
+    if not lines or lines[0] != list(types) or len(lines) < 2:
+        raise ValueError(f"{path} must have the columns {', '.join(types)} and a row per validation")
     rows = []
     for number, line in enumerate(lines[1:], start=2):
         try:
-            texts = dict(zip(names, line, strict=True))
-            rows.append(
-                Validation(
-                    **{name: texts[name] for name in names[:4]},  # type: ignore[arg-type]
-                    seed=int(texts["seed"]),
-                    timesteps=int(texts["timesteps"]),
-                    **{name: float(texts[name]) for name in names[6:]},  # type: ignore[arg-type]
-                )
-            )
+            rows.append(Validation(*(kind(text) for kind, text in zip(types.values(), line, strict=True))))
         except ValueError as error:
             raise ValueError(f"{path}, line {number}: {error}") from error
     return sorted(rows)
 
 
 def curves_by_setup(rows: Sequence[Validation]) -> dict[str, list[LearningCurve]]:
-    """Return one curve per run, by set-up: algorithm and action mode, and what else is not as usual."""
+    """Return one curve per run, by set-up: algorithm and action mode, and other settings than the usual ones."""
     runs: dict[str, dict[int, list[Validation]]] = {}
     for row in sorted(rows):
         words = [row.algo, row.action_mode]
         words += [row.observation_mode] if row.observation_mode != "local" else []
         words += [row.suite] if row.suite != "standard" else []
         runs.setdefault(", ".join(words), {}).setdefault(row.seed, []).append(row)
-    return {name: [_curve(own) for own in seeds.values()] for name, seeds in runs.items()}
-
-
-def _curve(rows: Sequence[Validation]) -> LearningCurve:
-    return LearningCurve(
-        timesteps=np.array([float(row.timesteps) for row in rows]),
-        wall_time_s=np.array([row.wall_time_s for row in rows]),
-        score=np.array([row.score for row in rows]),
-    )
-
-
-__all__ = ["Validation", "curves_by_setup", "read_csv", "read_runs", "to_csv"]
+    return {
+        name: [
+            LearningCurve(
+                timesteps=np.array([float(row.timesteps) for row in own]),
+                wall_time_s=np.array([row.wall_time_s for row in own]),
+                score=np.array([row.score for row in own]),
+            )
+            for own in seeds.values()
+        ]
+        for name, seeds in runs.items()
+    }

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import itertools
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,21 +21,19 @@ _DESCRIPTION = """\
 Plays policies without any thought: a grid of constant actions, and actions that jump with the sign of one observation
 around its quartiles under the reference, between the limits (bang-bang) or by a part of that (relay). Neither constants
 nor bang-bang may beat the reference by much, else the benchmark would reward a mere change of settings."""
-
 _ACTIONS = ("k", "tau")
 _CONSTANTS = {
     "k": (-0.5, -0.2, -0.1, -0.05, -0.02, 0.0, 0.02, 0.05, 0.1, 0.2, 0.5),
     "tau": (-1, -0.5, -0.25, 0, 0.25, 0.5, 1),
 }
 _AMPLITUDES = (0.05, 0.2, 1.0)
-#: Quantiles of an observation under the reference at which a bang-bang action jumps.
+#: Quantiles of an observation under the reference at which an action jumps.
 _JUMPS = (0.25, 0.5, 0.75)
 _AT_ONCE = 24
 
 
-@dataclass(frozen=True)
-class SimplePolicy:
-    """What a policy does, and its mean pinned cost."""
+class SimplePolicy(NamedTuple):
+    """A policy in words, and its mean pinned cost."""
 
     family: str
     description: str
@@ -49,7 +46,7 @@ def simple_policies(
     """Return the reference's mean cost on scenarios, and all simple policies, the cheapest first.
 
     Args:
-        suite, split: which scenarios.
+        suite, split: of the scenarios.
         n_scenarios: how many, the first ones; None for all.
         n_threads: threads to step with; None for one per processor.
 
@@ -59,11 +56,10 @@ def simple_policies(
     seeds = list(get_suite(suite).seeds(split))
     if n_scenarios is not None and not 1 <= n_scenarios <= len(seeds):
         raise ValueError(f"--scenarios = {n_scenarios} is outside the allowed range 1 … {len(seeds)}")
-    seeds = seeds[:n_scenarios]
-    rollouts = Rollouts(suite, split, seeds, _AT_ONCE, n_threads)
+    rollouts = Rollouts(suite, split, seeds[:n_scenarios], _AT_ONCE, n_threads)
     try:
         reference = float(rollouts.pinned(rollouts.reference()).mean())
-        found = _constants(rollouts) + _bang_bangs(rollouts)
+        found = _constants(rollouts) + _jumping(rollouts)
     finally:
         rollouts.close()
     return reference, sorted(found, key=lambda policy: policy.cost)
@@ -71,29 +67,23 @@ def simple_policies(
 
 def _constants(rollouts: Rollouts) -> list[SimplePolicy]:
     grid = np.array(list(itertools.product(*_CONSTANTS.values())))
-    costs = _costs(rollouts, "constant actions", len(grid), lambda which: _constant(grid[which]))
-    return [
-        SimplePolicy(
-            "constant", ", ".join(f"{name} {value:+g}" for name, value in zip(_ACTIONS, row, strict=True)), cost
-        )
-        for row, cost in zip(grid.tolist(), costs, strict=True)
-    ]
+
+    def candidates(which: list[int]) -> Candidates:
+        actions = grid[which][:, None, :]
+        return lambda _step, own: np.broadcast_to(actions, (*own.shape[:3], len(_ACTIONS)))
+
+    words = [", ".join(f"{name} {value:+g}" for name, value in zip(_ACTIONS, row, strict=True)) for row in grid]
+    costs = _costs(rollouts, "constant actions", len(grid), candidates)
+    return [SimplePolicy("constant", *each) for each in zip(words, costs, strict=True)]
 
 
-def _constant(actions: Floats) -> Candidates:
-    """The candidates' actions (n_candidates, n_action), at all times."""
-    return lambda _step, own: np.broadcast_to(actions[:, None, :], (*own.shape[:3], actions.shape[1]))
-
-
-def _bang_bangs(rollouts: Rollouts) -> list[SimplePolicy]:
+def _jumping(rollouts: Rollouts) -> list[SimplePolicy]:
     thresholds = np.quantile(_seen(rollouts), _JUMPS, axis=0)
     names = [name.split(".", 1)[1] for name in rollouts.lanes.observation_names[:N_LOCAL]]
     grid = list(itertools.product(range(N_LOCAL), range(len(_JUMPS)), (1.0, -1.0), _AMPLITUDES, range(len(_ACTIONS))))
 
-    def candidates(which: npt.NDArray[np.int64]) -> Candidates:
-        observed, jump, sign, amplitude, action = (
-            np.array(column) for column in zip(*(grid[i] for i in which), strict=True)
-        )
+    def candidates(which: list[int]) -> Candidates:
+        observed, jump, sign, amplitude, action = map(np.array, zip(*(grid[i] for i in which), strict=True))
         limits, each = thresholds[jump, observed], np.arange(len(which))
 
         def act(_step: int, own: Floats) -> Floats:
@@ -116,7 +106,7 @@ def _bang_bangs(rollouts: Rollouts) -> list[SimplePolicy]:
 
 
 def _seen(rollouts: Rollouts) -> Floats:
-    """What a group sees under the reference, every second, (n_samples, N_LOCAL)."""
+    """Return a group's observations under the reference, every second, (n_samples, N_LOCAL)."""
     seen: list[Floats] = []
     alone = rollouts.with_candidates(1)
 
@@ -132,13 +122,13 @@ def _seen(rollouts: Rollouts) -> Floats:
     return np.concatenate(seen)
 
 
-def _costs(rollouts: Rollouts, name: str, n: int, candidates: Any) -> list[float]:
-    """Mean pinned costs of n candidates, as many at a time as the rollouts have room for."""
+def _costs(rollouts: Rollouts, name: str, n: int, candidates: Callable[[list[int]], Candidates]) -> list[float]:
+    """Return the mean pinned costs of n candidates, played as many at a time as the rollouts have room for."""
     costs: list[float] = []
     with Progress("policies") as progress:
         for first in range(0, n, rollouts.n_candidates):
             # The last ones are repeated to fill the room.
-            which = np.minimum(np.arange(first, first + rollouts.n_candidates), n - 1)
+            which = [min(i, n - 1) for i in range(first, first + rollouts.n_candidates)]
             played = rollouts.pinned(rollouts.play(candidates(which))).mean(axis=0)
             costs += played[: n - first].tolist()
             progress.update(name, len(costs), n)
@@ -156,11 +146,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     def work() -> None:
         given = parser.parse_args(argv)
         reference, policies = simple_policies(given.suite, given.split, given.scenarios, given.threads)
-        say(
-            f"suite {given.suite}, {given.split}: mean cost of the reference {reference:.2f}; "
-            "the best three of each kind",
-            "",
-        )
+        head = f"suite {given.suite}, {given.split}: mean cost of the reference {reference:.2f}"
+        say(f"{head}; the best three of each kind", "")
         rows: list[tuple[str, ...]] = []
         for family in ("constant", "bang-bang", "relay"):
             own = [policy for policy in policies if policy.family == family]

@@ -10,49 +10,33 @@ NAME = "rllib_ppo"
 
 @dataclass(frozen=True, kw_only=True)
 class Hyperparameters:
-    """What can be turned. Most values are those of configs/ppo.yml.
+    """Hyperparameters; most values are those of configs/ppo.yml.
 
     The discount looks 7 s ahead; the first exploration is a third of the full action, because zero action is already a
     good controller. Observations and rewards are scaled and clipped as :mod:`agents.rllib.environment` says.
 
-    Args:
-        num_env_runners: processes that play episodes.
-        envs_per_runner: lanes of each.
-        num_learners: processes that learn; 0: this one does.
-        n_steps: steps per lane that an update learns from; half an episode.
-        n_minibatches: parts that the steps are learned from in.
-        n_epochs: times that each of them is learned from.
-        gamma: discount per step of 0.1 s.
-        gae_lambda: decay of the advantage estimate.
-        learning_rate: at the start; it falls linearly to zero at the last step.
-        clip_range: of the ratio of new to old probability.
-        vf_coef: weight of the value function's error; policy and value function share no layer.
-        max_grad_norm: largest norm of a gradient.
-        hidden: width of the two layers of tanh in the policy and in the value function.
-        log_std_init: logarithm of the first exploration's standard deviation [full action].
+    Raises:
+        ValueError: a number of processes or lanes is out of range.
     """
 
-    num_env_runners: int = 2
-    envs_per_runner: int = 128
-    num_learners: int = 0
-    n_steps: int = 300
-    n_minibatches: int = 8
-    n_epochs: int = 5
-    gamma: float = 0.985
-    gae_lambda: float = 0.95
-    learning_rate: float = 1e-3
-    clip_range: float = 0.2
-    vf_coef: float = 0.5
+    num_env_runners: int = 2  # processes that play episodes
+    envs_per_runner: int = 128  # lanes of each
+    num_learners: int = 0  # processes that learn; 0: the command itself does
+    n_steps: int = 300  # steps per lane in an update; half an episode
+    n_minibatches: int = 8  # parts of them, each learned from in turn
+    n_epochs: int = 5  # times that each part is learned from
+    gamma: float = 0.985  # discount per step of 0.1 s
+    gae_lambda: float = 0.95  # decay of the advantage estimate
+    learning_rate: float = 1e-3  # at the start; it falls linearly to zero at the last step
+    clip_range: float = 0.2  # of the ratio of new to old probability
+    vf_coef: float = 0.5  # weight of the value function's error; policy and value function share no layer
     max_grad_norm: float = 0.5
-    hidden: int = 64
-    log_std_init: float = -1.0
+    hidden: int = 64  # width of the two layers of tanh in the policy and in the value function
+    log_std_init: float = -1.0  # logarithm of the first exploration's standard deviation [full action]
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("num_env_runners", 1, 10_000),
-            ("envs_per_runner", 1, 10_000),
-            ("num_learners", 0, 1_000),
-        ):
+        limits = {"num_env_runners": (1, 10_000), "envs_per_runner": (1, 10_000), "num_learners": (0, 1_000)}
+        for name, (low, high) in limits.items():
             value = getattr(self, name)
             if not low <= value <= high:
                 raise ValueError(f"{name} must be a whole number, {low} … {high}, got {value}")

@@ -3,11 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +15,6 @@ from agents.research import foresight, simple_policies
 from agents.research import linear as linear_command
 from agents.research.evolution import N_KNOTS, POPULATION, _Strategy, search_with_foresight
 from agents.research.rollouts import Rollouts, course, linear_feedback
-from tests.cli.calls import ROOT
 from wtg_gym.envs.task import N_LOCAL
 from wtg_gym.evaluation import Entry, OnnxPolicy, evaluate, load_entries
 from wtg_gym.evaluation.oracle import OracleCosts
@@ -192,27 +186,27 @@ def test_finished_chunks_are_not_searched_again(tmp_path: Path, monkeypatch: pyt
     assert _foresight(tmp_path).read_bytes() == whole and len(searched) == 6
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="signals are another thing there")
-@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGKILL])
-def test_killed_search_goes_on_to_the_same_files(tmp_path: Path, end: signal.Signals) -> None:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    killed = tmp_path / "killed"
-    # Long enough that the second chunk is still under way when the first one is seen.
-    slow = ("--generations", "15")
-    options = [*slow, "--output", str(killed), "--parts", str(killed / "parts"), "--threads", "1"]
-    command = [sys.executable, "-m", "agents.research.foresight", *_QUICK, "--chunk", "1", *options]
-    process = subprocess.Popen(command, cwd=ROOT, env=environment, stderr=subprocess.PIPE, text=True)
-    until = time.monotonic() + 200.0
-    while not list((killed / "parts").glob("*.json")) and process.poll() is None and time.monotonic() < until:
-        time.sleep(0.001)
-    process.send_signal(end)
-    said = process.communicate(timeout=100)[1]
-    assert process.returncode == (130 if end == signal.SIGINT else -signal.SIGKILL)
-    assert ("goes on from the searches that are finished" in said) == (end == signal.SIGINT)
-    assert len(list((killed / "parts").glob("*.json"))) == 1 and not (killed / "paper-test.csv").exists()
-    undisturbed = _foresight(tmp_path / "undisturbed", *slow)
-    assert _foresight(killed, *slow).read_bytes() == undisturbed.read_bytes()
-    assert undisturbed.with_suffix(".json").read_bytes() == (killed / "paper-test.json").read_bytes()
+def test_interrupted_search_goes_on_to_the_same_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stopped = tmp_path / "stopped"
+    real, searched = foresight.search_with_foresight, list[Any]()
+
+    def interrupted(rollouts: Any, seeds: Any, *others: Any) -> Any:
+        searched.append(seeds)
+        if len(searched) == 2:
+            raise KeyboardInterrupt
+        return real(rollouts, seeds, *others)
+
+    monkeypatch.setattr(foresight, "search_with_foresight", interrupted)
+    given = [*_QUICK, "--chunk", "1", "--output", str(stopped), "--parts", str(stopped / "parts")]
+    assert foresight.main(given) == 130
+    assert "goes on from the searches that are finished" in capsys.readouterr().err
+    assert len(list((stopped / "parts").glob("*.json"))) == 1 and not (stopped / "paper-test.csv").exists()
+    monkeypatch.undo()
+    undisturbed = _foresight(tmp_path / "undisturbed")
+    assert _foresight(stopped).read_bytes() == undisturbed.read_bytes()
+    assert undisturbed.with_suffix(".json").read_bytes() == (stopped / "paper-test.json").read_bytes()
 
 
 def _error_of(capsys: pytest.CaptureFixture[str], command: str, *arguments: str) -> str:
