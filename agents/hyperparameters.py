@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import inspect
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -103,7 +104,8 @@ def parse(algo: str, raw: Mapping[str, Any]) -> Hyperparameters:
         raise ValueError(f"unknown hyperparameters {unknown} of {algo}; known: {', '.join([*_OF_THE_RUN, *defaults])}")
     if not isinstance(raw.get("policy"), str):
         raise ValueError(f'policy must be the name of one, such as "MlpPolicy", got {raw.get("policy")!r}')
-    _require_finite(raw)
+    for key, value in raw.items():
+        _require_finite(key, value)
     arguments = {key: _value(key, raw[key]) for key in raw if key in defaults}
     for key, value in arguments.items():
         _require_in_range(key, value, defaults[key])
@@ -147,16 +149,12 @@ def _noise(raw: Mapping[str, Any]) -> float | None:
     return float(std)
 
 
-def _require_finite(values: Any, key: str = "") -> None:
+def _require_finite(key: str, value: Any) -> None:
     """Refuse NaN and infinity, in lists and dictionaries as well."""
-    if isinstance(values, Mapping):
-        for name, value in values.items():
-            _require_finite(value, key or str(name))
-    elif isinstance(values, (list, tuple)):
-        for value in values:
-            _require_finite(value, key)
-    elif isinstance(values, float) and not np.isfinite(values):
-        raise ValueError(f"{key} must be finite, got {values}")
+    try:
+        json.dumps(value, allow_nan=False, default=str)
+    except ValueError:
+        raise ValueError(f"{key} must be finite, got {value}") from None
 
 
 def _require_in_range(key: str, value: Any, default: Any, where: str = "") -> None:
@@ -191,7 +189,7 @@ def _number(text: Any) -> float:
 def _value(key: str, value: Any) -> Any:
     if key == "policy_kwargs":
         result = parse_literal(key, value)
-        _require_finite(result, key)
+        _require_finite(key, result)
         return result
     if key == "train_freq" and isinstance(value, list):
         return tuple(value)

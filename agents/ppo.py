@@ -108,7 +108,7 @@ class Agent(nn.Module):
         return mean + self.log_std.exp() * torch.randn_like(mean)
 
     def log_prob(self, normalized: Tensor, actions: Tensor) -> Tensor:
-        # But for a constant.
+        # Without the constant.
         distance: Tensor = (actions - self.actor(normalized)) / self.log_std.exp()
         return -(0.5 * distance.square() + self.log_std).sum(-1)
 
@@ -171,7 +171,7 @@ class Collector:
             self._gains.follow(np.flatnonzero(terminated | truncated).tolist())
             rewards, done = self._scaled(given, terminated | truncated)
             if truncated.any():
-                # Time ran out but the grid lives on: what would have followed is estimated.
+                # Time ran out, the grid goes on: the value function stands for the rest of the episode.
                 last = np.stack(infos["final_obs"][truncated])
                 rewards[torch.as_tensor(truncated)] += self._h.gamma * agent.value(agent.normalized(last))
             rows.append((seen, actions, agent.log_prob(seen, actions), agent.value(seen), rewards, done))

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cma
 import numpy as np
@@ -117,26 +118,16 @@ def find_oracle(
         results = evaluate(
             entries, search.suite, search.split, seeds=seeds, n_threads=n_threads, on_progress=progress.update
         )
-    effort = {
-        "action_mode": search.action_mode,
-        "generations": search.generations,
-        "population": POPULATION,
-        "knots": N_KNOTS,
-        "seed": search.seed,
-        "versions": {"cma": str(cma.__version__), "numpy": np.__version__},
-    }
+    effort = _effort(search)
     code = b"".join(Path(str(module.__file__)).read_bytes() for module in (evolution, rollouts))
     suite = [results.suite, results.split, results.suite_hash, results.source_hash]
     context = [suite, dict(results.settings), effort, sha256(code)]
     forms = {"course": None} if gains is None else {"course": None, "course_and_feedback": gains}
-    chunks = []
-    for first in range(0, len(seeds), chunk):
-        own = seeds[first : first + chunk]
-        for form, start in forms.items():
-            path = parts / f"{sha256(to_json([context, start, own]).encode())}.json"
-            if path.exists() and not path.is_file():
-                raise ValueError(f"{path} must be the file of a finished chunk, it is something else; remove it")
-            chunks.append(_Chunk(form, start, own, path))
+    chunks = [
+        _Chunk(form, start, own, _part(parts, [context, start, own]))
+        for own in (seeds[first : first + chunk] for first in range(0, len(seeds), chunk))
+        for form, start in forms.items()
+    ]
     costs = results.pinned_costs
     found = _searched(search, chunks, n_threads)
     if entries:
@@ -154,6 +145,25 @@ def find_oracle(
         reference=tuple(costs[ANCHORS[1]][0].tolist()),
         found=found,
     )
+
+
+def _effort(search: Search) -> dict[str, Any]:
+    return {
+        "action_mode": search.action_mode,
+        "generations": search.generations,
+        "population": POPULATION,
+        "knots": N_KNOTS,
+        "seed": search.seed,
+        "versions": {"cma": str(cma.__version__), "numpy": np.__version__},
+    }
+
+
+def _part(folder: Path, key: Any) -> Path:
+    """Return the file of a chunk, whose name follows from everything that its costs depend on."""
+    path = folder / f"{sha256(to_json(key).encode())}.json"
+    if path.exists() and not path.is_file():
+        raise ValueError(f"{path} must be the file of a finished chunk, it is something else; remove it")
+    return path
 
 
 def _searched(search: Search, chunks: Sequence[_Chunk], n_threads: int | None) -> dict[str, Costs]:

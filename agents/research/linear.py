@@ -80,22 +80,8 @@ def make_linear_feedback(
     # A name that is refused is refused before the work.
     Entry(name=name)
     seeds = search.scenario_seeds
-    rollouts = search.rollouts(seeds, n_threads)
-    alone = rollouts.with_candidates(1)
-    try:
-        with Progress("generations") as progress:
-            gains = tune_linear(
-                rollouts,
-                search.generations,
-                lambda done, cost: progress.update(f"linear feedback, mean cost {cost:.2f}", done, search.generations),
-                search.seed,
-            )
-        terms = {"policy": alone.play(linear_feedback(gains))[:, 0], "reference": alone.reference()}
-        training = {who: float(alone.pinned(each).mean()) for who, each in terms.items()}
-    finally:
-        alone.close()
-        rollouts.close()
-    write_atomically(output / POLICY_FILE, linear_policy(gains, rollouts.n_wtg))
+    gains, training, n_wtg = _tuned(search, n_threads)
+    write_atomically(output / POLICY_FILE, linear_policy(gains, n_wtg))
     data = {
         "suite": search.suite,
         "suite_hash": get_suite(search.suite).hash,
@@ -123,6 +109,24 @@ def make_linear_feedback(
         },
     )
     return data
+
+
+def _tuned(search: Search, n_threads: int | None) -> tuple[Floats, dict[str, float], int]:
+    """Gains, mean pinned training costs of the feedback and of the reference, and the number of groups."""
+    rollouts = search.rollouts(search.scenario_seeds, n_threads)
+    alone = rollouts.with_candidates(1)
+    try:
+        with Progress("generations") as progress:
+
+            def tell(done: int, cost: float) -> None:
+                progress.update(f"linear feedback, mean cost {cost:.2f}", done, search.generations)
+
+            gains = tune_linear(rollouts, search.generations, tell, search.seed)
+        terms = {"policy": alone.play(linear_feedback(gains))[:, 0], "reference": alone.reference()}
+        return gains, {who: float(alone.pinned(each).mean()) for who, each in terms.items()}, rollouts.n_wtg
+    finally:
+        alone.close()
+        rollouts.close()
 
 
 def _validate(path: Path, search: Search, n_threads: int | None) -> dict[str, Any]:

@@ -125,8 +125,3 @@ class RunnerEnvs(GFMWTGVectorEnv):
         """Release the worker threads."""
         self.gains.close()
         super().close_extras(**kwargs)
-
-
-def make_envs(config: Mapping[str, Any]) -> RunnerEnvs:
-    """Return a runner's lanes; RLlib's configuration names `num_envs` and the arguments of :class:`RunnerEnvs`."""
-    return RunnerEnvs(**config)

@@ -31,7 +31,7 @@ from agents import ppo
 from agents.command import Progress
 from agents.folders import BEST, CHECKPOINTS, folders, loading, save_folder
 from agents.rllib import Hyperparameters
-from agents.rllib.environment import Scales, make_envs, measure_scales
+from agents.rllib.environment import RunnerEnvs, Scales, measure_scales
 from agents.runs import Run, RunSettings
 
 _PREFIX = "agent."
@@ -76,7 +76,7 @@ def ppo_config(settings: RunSettings, scales: Scales, resumed: int = 0) -> PPOCo
     """
     h = Hyperparameters(**settings.hyperparameters)
     per_learner = h.n_steps * h.n_envs // max(1, h.num_learners)
-    register_env(_LANES, make_envs)
+    register_env(_LANES, lambda config: RunnerEnvs(**config))
     seed = int(np.random.SeedSequence((settings.seed, resumed)).generate_state(1)[0] >> 2)
     return (
         PPOConfig()
