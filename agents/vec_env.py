@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,17 +20,12 @@ _COSTS = tuple(f"cost_{term}" for term in COST_TERMS)
 class GainVecEnv(SB3VecEnv):
     """:class:`SB3VecEnv` with the rewards of :class:`agents.gains.Gains` and lanes that every reset spreads.
 
-    Scenarios are drawn, never given. The first episode that a lane reports is what spreading has left of it, and
-    `reset_infos` is empty until its next one. The info of a lane whose episode ends also holds `metrics`, see
-    :class:`EpisodeMetrics`.
-
-    Raises:
-        ValueError: a scenario is given.
+    Scenarios are drawn: spreading starts the lanes anew, so that reset options are lost. The first episode that a lane
+    reports is what spreading has left of it, and `reset_infos` is empty until its next one. The info of a lane whose
+    episode ends also holds `metrics`, see :class:`EpisodeMetrics`.
     """
 
     def __init__(self, num_envs: int = 1, **arguments: Any) -> None:
-        if arguments.get("scenario") is not None:
-            raise ValueError("scenario must be left out: the gain is over the reference in a scenario that is drawn")
         super().__init__(num_envs, **arguments)
         self._gains = Gains(self.vector_env.lanes)
         self._metrics = EpisodeMetrics(num_envs)
@@ -43,16 +37,6 @@ class GainVecEnv(SB3VecEnv):
         observations = stagger(self.vector_env)
         self._gains.follow(range(self.num_envs))
         return observations
-
-    def set_options(self, options: Sequence[dict[str, Any]] | dict[str, Any] | None = None) -> None:
-        """Refuse any: spreading the lanes starts them anew, with scenarios that are drawn.
-
-        Raises:
-            ValueError: there are options.
-        """
-        if options and any(options):
-            raise ValueError(f"a GainVecEnv draws its scenarios and takes no reset options, got {options!r:.80}")
-        super().set_options(options)
 
     def step_wait(self) -> tuple[Observations, npt.NDArray[np.float32], npt.NDArray[np.bool_], list[dict[str, Any]]]:
         """Hold the actions for one control interval in every lane; returns observations, gains, dones and infos."""

@@ -137,18 +137,6 @@ def test_failure_forfeits_what_the_reference_would_still_have_paid() -> None:
     env.close()
 
 
-def test_scenarios_of_ones_own_are_refused() -> None:
-    scenario = get_suite("standard").scenario(10_000, n_turbines=[10.0, 10.0], duration_s=2.0)
-    with pytest.raises(ValueError, match="scenario must be left out"):
-        GainVecEnv(2, duration_s=2.0, scenario=scenario.to_dict())
-    env = GainVecEnv(2, duration_s=2.0)
-    for options in ({"scenario": scenario}, [{"scenario": scenario}, {}]):
-        with pytest.raises(ValueError, match="GainVecEnv draws its scenarios and takes no reset options"):
-            env.set_options(options)
-    env.set_options()
-    env.close()
-
-
 def reference_cost(seed: int) -> float:
     env = gym.make(ENV_ID, duration_s=2.0)
     env.reset(options={"scenario": get_suite("standard").scenario(seed, n_turbines=[10.0, 10.0], duration_s=2.0)})

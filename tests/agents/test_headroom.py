@@ -265,31 +265,31 @@ def test_gains_that_do_not_fit_are_refused(capsys: pytest.CaptureFixture[str], t
     assert str(path) in said
 
 
-def test_simple_policies_contain_the_reference_and_what_a_step_of_theirs_says() -> None:
-    reference, policies = simple_policies.simple_policies("standard", "validation", 2, n_threads=1)
+def test_simple_policies_contain_the_reference_and_are_played_as_their_words_say(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = reference, policies = simple_policies.simple_policies("standard", "validation", 1, n_threads=1)
     costs = {(policy.family, policy.description): policy.cost for policy in policies}
     # Quartiles of what hardly changes are alike when they are rounded.
     assert len(policies) == 77 + 288
     assert costs["constant", "k +0, tau +0"] == reference
-    found = [policy.cost for policy in policies]
-    assert found == sorted(found)
+    assert policies == sorted(policies, key=lambda policy: policy.cost)
 
     class Constant:
         def predict(self, observation: Any, state: Any = None, *_: Any, **__: Any) -> tuple[Any, Any]:
             return np.tile([0.5, -1.0], (len(observation), 2)), state
 
-    seeds = get_suite("standard").seeds("validation")[:2]
-    entry = Entry(name="constant", policy=Constant())
-    played = [
-        episode.metrics["cost"]
-        for episode in evaluate([entry], "standard", "validation", seeds=seeds).episodes_of("constant")
-    ]
-    assert costs["constant", "k +0.5, tau -1"] == pytest.approx(np.mean(played), rel=1e-12)
+    seeds = get_suite("standard").seeds("validation")[:1]
+    results = evaluate([Entry(name="constant", policy=Constant())], "standard", "validation", seeds=seeds)
+    (played,) = results.episodes_of("constant")
+    assert costs["constant", "k +0.5, tau -1"] == pytest.approx(played.metrics["cost"], rel=1e-12)
 
-
-def test_simple_policies_are_a_command(capsys: pytest.CaptureFixture[str]) -> None:
-    assert simple_policies.main(["--scenarios", "1", "--threads", "1"]) == 0
+    monkeypatch.setattr(simple_policies, "simple_policies", lambda *_: found)
+    assert simple_policies.main([]) == 0
     printed = capsys.readouterr().out
     assert all(text in printed for text in ("constant", "bang-bang", "relay", "sign("))
+
+
+def test_too_many_scenarios_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert simple_policies.main(["--scenarios", "101"]) == 2
     assert "outside the allowed range 1 … 100" in capsys.readouterr().err

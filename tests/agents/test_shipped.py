@@ -49,7 +49,7 @@ def test_command_trains_exports_and_goes_on(tmp_path: Path, monkeypatch: pytest.
             main = {"agents.train": train.main, "agents.export": export.main}[command[2]]
             return SimpleNamespace(returncode=main(command[3:]))
 
-    tiny = shipped.Shipped("tiny", "Tiny", "A test.", tuple(options(tmp_path, "ppo")))
+    tiny = shipped.Shipped("tiny", "Tiny", "A test.", (*options(tmp_path, "ppo"), "--timesteps", "256"))
     monkeypatch.setattr(shipped, "SHIPPED", (tiny,))
     monkeypatch.setattr(shipped, "SEEDS", range(2))
     monkeypatch.setattr(shipped, "subprocess", SimpleNamespace(run=run_here))
