@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -115,11 +116,11 @@ def largest_difference(policy: Policy, other: Policy, settings: RunSettings) -> 
 
     The first one acts, with some noise so that the episodes differ; episodes start anew within.
     """
-    env = GFMWTGVectorEnv(_CHECKED_LANES, autoreset_mode="SameStep", duration_s=20.0, **settings.env_arguments)
+    envs = GFMWTGVectorEnv(_CHECKED_LANES, autoreset_mode="SameStep", duration_s=20.0, **settings.env_arguments)
     rng = np.random.default_rng(0)
     largest, states, start = 0.0, (None, None), np.ones(_CHECKED_LANES, dtype=np.bool_)
-    try:
-        observations, _ = env.reset(seed=0)
+    with contextlib.closing(envs):
+        observations, _ = envs.reset(seed=0)
         for _ in range(_CHECKED_STEPS):
             (one, first), (two, second) = (
                 each.predict(observations, state, start, deterministic=True)
@@ -128,10 +129,8 @@ def largest_difference(policy: Policy, other: Policy, settings: RunSettings) -> 
             states = first, second
             largest = max(largest, float(np.abs(one - two).max()))
             noise = rng.normal(0.0, 0.3, one.shape)
-            observations, _, terminated, truncated, _ = env.step((one + noise).astype(np.float32))
+            observations, _, terminated, truncated, _ = envs.step((one + noise).astype(np.float32))
             start = terminated | truncated
-    finally:
-        env.close()
     return largest
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 
 import cma
@@ -187,10 +188,6 @@ def search_with_foresight(
         best = np.minimum(best, rollouts.pinned(terms).min(axis=1))
         on_generation(generation + 1, float(best.mean()))
     # The mean of a search's distribution is often better than any of its samples.
-    alone = rollouts.with_candidates(1)
-    try:
-        means = np.array([[search.mean] for search in searches])
-        best = np.minimum(best, alone.pinned(played(alone, means))[:, 0])
-    finally:
-        alone.close()
-    return best
+    means = np.array([[search.mean] for search in searches])
+    with closing(rollouts.with_candidates(1)) as alone:
+        return np.minimum(best, alone.pinned(played(alone, means))[:, 0])

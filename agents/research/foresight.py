@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -185,12 +186,9 @@ def _searched(search: Search, chunks: Sequence[_Chunk], n_threads: int | None) -
                     name = f"seeds {chunk.seeds[0]} … {chunk.seeds[-1]}, {chunk.form}, mean cost {cost:.2f}"
                     progress.update(name, done + n * generation / search.generations, n_missing)
 
-                played = search.rollouts(chunk.seeds, n_threads)
                 start = None if chunk.gains is None else np.array(chunk.gains)
-                try:
+                with closing(search.rollouts(chunk.seeds, n_threads)) as played:
                     least = search_with_foresight(played, chunk.seeds, start, search.generations, tell, search.seed)
-                finally:
-                    played.close()
                 costs = tuple(least.tolist())
                 chunk.save(costs)
                 done += n

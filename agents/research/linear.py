@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -113,20 +114,18 @@ def make_linear_feedback(
 
 def _tuned(search: Search, n_threads: int | None) -> tuple[Floats, dict[str, float], int]:
     """Gains, mean pinned training costs of the feedback and of the reference, and the number of groups."""
-    rollouts = search.rollouts(search.scenario_seeds, n_threads)
-    alone = rollouts.with_candidates(1)
-    try:
-        with Progress("generations") as progress:
+    with (
+        Progress("generations") as progress,
+        closing(search.rollouts(search.scenario_seeds, n_threads)) as rollouts,
+        closing(rollouts.with_candidates(1)) as alone,
+    ):
 
-            def tell(done: int, cost: float) -> None:
-                progress.update(f"linear feedback, mean cost {cost:.2f}", done, search.generations)
+        def tell(done: int, cost: float) -> None:
+            progress.update(f"linear feedback, mean cost {cost:.2f}", done, search.generations)
 
-            gains = tune_linear(rollouts, search.generations, tell, search.seed)
+        gains = tune_linear(rollouts, search.generations, tell, search.seed)
         terms = {"policy": alone.play(linear_feedback(gains))[:, 0], "reference": alone.reference()}
         return gains, {who: float(alone.pinned(each).mean()) for who, each in terms.items()}, rollouts.n_wtg
-    finally:
-        alone.close()
-        rollouts.close()
 
 
 def _validate(path: Path, search: Search, n_threads: int | None) -> dict[str, Any]:

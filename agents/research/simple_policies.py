@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from typing import NamedTuple
 
 import numpy as np
@@ -56,12 +57,9 @@ def simple_policies(
     seeds = list(get_suite(suite).seeds(split))
     if n_scenarios is not None and not 1 <= n_scenarios <= len(seeds):
         raise ValueError(f"--scenarios = {n_scenarios} is outside the allowed range 1 … {len(seeds)}")
-    rollouts = Rollouts(suite, split, seeds[:n_scenarios], _AT_ONCE, n_threads)
-    try:
+    with closing(Rollouts(suite, split, seeds[:n_scenarios], _AT_ONCE, n_threads)) as rollouts:
         reference = float(rollouts.pinned(rollouts.reference()).mean())
         found = _constants(rollouts) + _jumping(rollouts)
-    finally:
-        rollouts.close()
     return reference, sorted(found, key=lambda policy: policy.cost)
 
 
@@ -108,17 +106,14 @@ def _jumping(rollouts: Rollouts) -> list[SimplePolicy]:
 def _seen(rollouts: Rollouts) -> Floats:
     """Return a group's observations under the reference, every second, (n_samples, N_LOCAL)."""
     seen: list[Floats] = []
-    alone = rollouts.with_candidates(1)
 
     def act(step: int, own: Floats) -> Floats:
         if step % 10 == 0:
             seen.append(own[..., :N_LOCAL].reshape(-1, N_LOCAL))
-        return np.zeros((*own.shape[:3], alone.n_action))
+        return np.zeros((*own.shape[:3], rollouts.n_action))
 
-    try:
+    with closing(rollouts.with_candidates(1)) as alone:
         alone.play(act)
-    finally:
-        alone.close()
     return np.concatenate(seen)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -49,7 +50,7 @@ def measure_scales(arguments: Mapping[str, Any], *, noise: float, gamma: float, 
     envs = RunnerEnvs(_MEASURED_LANES, **arguments)
     rng = np.random.default_rng(seed)
     returns, seen, all_returns = np.zeros(_MEASURED_LANES), [], []
-    try:
+    with contextlib.closing(envs):
         observations, _ = envs.reset(seed=seed)
         for _ in range(envs.gains.n_steps):
             seen.append(observations)
@@ -58,8 +59,6 @@ def measure_scales(arguments: Mapping[str, Any], *, noise: float, gamma: float, 
             returns = gamma * returns + rewards
             all_returns.append(returns)
             returns = np.where(terminated | truncated, 0.0, returns)
-    finally:
-        envs.close()
     rows = np.concatenate(seen).astype(np.float64)
     return Scales(
         mean=rows.mean(axis=0).tolist(),
