@@ -86,15 +86,15 @@ pictures: $(LEADERBOARD_READY) ## Draw every picture of the README and of docs/ 
 	$(LEADERBOARD_VENV)/bin/wtg-gym simulate --case load-increase --strategy mppt --strategy coordinated-piecewise --duration 60 --plot $(DOCS)/images/episode.gif
 	$(LEADERBOARD_VENV)/bin/python docs/images/render.py $(DOCS)/images/render.png
 	$(LEADERBOARD_VENV)/bin/wtg-gym reproduce --output $(DOCS)/validation --formats svg --page $(DOCS)/validation.md
-	$(LEADERBOARD_VENV)/bin/python -m agents.behaviour --entries $(POLICIES) --output $(DOCS)/agents --page $(DOCS)/agents.md
+	$(LEADERBOARD_VENV)/bin/python -m agents.research.behaviour --entries $(POLICIES) --output $(DOCS)/agents --page $(DOCS)/agents.md
 
 .PHONY: docs
 docs: pictures ## Measure everything that docs/ shows again, but for performance and the page, and renew its tables and pictures
 	$(LEADERBOARD_VENV)/bin/wtg-gym parameters --page docs/parameters.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym compare tests/golden/*/ --page docs/validation.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym analyse accuracy --output docs/validation --formats svg --page docs/validation.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym results sensitivity --entries baselines $(POLICIES) agents.probes:CHATTER agents.probes:PUSH --page docs/benchmark.md
-	$(LEADERBOARD_VENV)/bin/python -m agents.incentives --entries $(filter %/linear-feedback,$(POLICIES)) $(filter agents/policies/ppo-k-%,$(POLICIES)) deloaded-5 --page docs/benchmark.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym results sensitivity --entries baselines $(POLICIES) agents.research.probes:CHATTER agents.research.probes:PUSH --page docs/benchmark.md
+	$(LEADERBOARD_VENV)/bin/python -m agents.research.incentives --entries $(filter %/linear-feedback,$(POLICIES)) $(filter agents/policies/ppo-k-%,$(POLICIES)) deloaded-5 --page docs/benchmark.md
 	$(LEADERBOARD_VENV)/bin/python -m tests.submissions.hostile --page docs/submissions.md
 
 .PHONY: docs-check
@@ -118,13 +118,13 @@ golden: $(GOLDEN_READY) ## Make the golden cases of ANDES again, in an environme
 .PHONY: rllib
 rllib: $(RLLIB_READY) ## Train with RLlib for a minute, in an environment of its own, and export the policy; runs/make-rllib is written anew
 	rm -rf runs/make-rllib
-	$(RLLIB_VENV)/bin/python -m agents.rllib_ppo --timesteps 500000 --interval 150000 --output runs/make-rllib
+	$(RLLIB_VENV)/bin/python -m agents.rllib --timesteps 500000 --interval 150000 --output runs/make-rllib
 	$(RLLIB_VENV)/bin/python -m agents.export runs/make-rllib --output runs/make-rllib/entry
 	$(RLLIB_VENV)/bin/wtg-gym evaluate --entries runs/make-rllib/entry --suite standard --split validation --results runs/make-rllib/results
 
 .PHONY: test-rllib
 test-rllib: $(RLLIB_READY) ## Run the tests that need Ray, which `make test` skips
-	$(RLLIB_VENV)/bin/python -m pytest tests/agents/test_rllib_ppo.py tests/evaluation/test_workers.py
+	$(RLLIB_VENV)/bin/python -m pytest tests/agents/test_rllib.py tests/evaluation/test_workers.py
 
 .PHONY: test
 test: lint types contracts pytest ## Check everything, stopping at the first failure: the four targets below, in order

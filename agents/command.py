@@ -1,10 +1,32 @@
-"""What the commands of this folder share: how bad input and an interruption end."""
+"""Parts that the commands of `agents` share; nothing else here imports the command line of wtg_gym."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import argparse
+import contextlib
+from collections.abc import Callable, Container, Iterator, Mapping
+from pathlib import Path
+from typing import Any
 
-from wtg_gym.cli.output import note, one_line
+from agents.folders import held, new_folder
+from agents.runs import Run, RunSettings
+from wtg_gym.cli.output import (
+    FIGURE_FORMATS,
+    Progress,
+    check_output_file,
+    check_output_folder,
+    check_page,
+    note,
+    one_line,
+    print_table,
+    require_extra,
+    say,
+    update_page,
+    write_and_say,
+)
+from wtg_gym.cli.parser import Parser
+from wtg_gym.cli.scoring import chosen_entries
+from wtg_gym.envs.settings import ACTION_MODES, OBSERVATION_MODES
 
 
 def run_command(work: Callable[[], None], after_interrupt: str | None = None) -> int:
@@ -12,7 +34,7 @@ def run_command(work: Callable[[], None], after_interrupt: str | None = None) ->
 
     Args:
         work: raises ValueError or OSError for bad input; the message is shown.
-        after_interrupt: what to say of an interruption; None: it is passed on.
+        after_interrupt: message after an interruption; None to pass the interruption on.
     """
     try:
         work()
@@ -27,4 +49,120 @@ def run_command(work: Callable[[], None], after_interrupt: str | None = None) ->
     return 0
 
 
-__all__ = ["run_command"]
+def add_training_options(parser: argparse.ArgumentParser, *, timesteps: str) -> None:
+    """Add the options that every training shares; all of them are None where they are not given."""
+    parser.add_argument("--action-mode", choices=tuple(ACTION_MODES), help="what the policy modulates (default: k+tau)")
+    parser.add_argument("--observation-mode", choices=OBSERVATION_MODES, help="what it sees (default: local)")
+    parser.add_argument("--suite", metavar="NAME", help="suite to train and validate on (default: standard)")
+    parser.add_argument("--seed", type=int, metavar="N", help="seed of everything random (default: 0)")
+    parser.add_argument("--timesteps", type=int, metavar="N", help=f"environment steps in all (default: {timesteps})")
+    parser.add_argument("--interval", type=int, metavar="N", help="steps between validations (default: a 20th of all)")
+    parser.add_argument("--validation-episodes", type=int, metavar="N", help="scenarios per validation (default: 50)")
+
+
+def add_folder_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that name the folder of a new run or of one to go on with, see :func:`opened_run`."""
+    parser.add_argument("--output", metavar="FOLDER", help="folder of the new run")
+    parser.add_argument("--resume", metavar="FOLDER", help="go on with the run in this folder, with its own settings")
+    parser.add_argument(
+        "--allow-other-versions",
+        action="store_true",
+        default=None,
+        help="resume with other sources, suite or packages than before, which run.json then says",
+    )
+
+
+def given_options(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return the options that are on the command line."""
+    return {key: value for key, value in vars(arguments).items() if value is not None}
+
+
+def settings_of(
+    given: Mapping[str, Any], algo: str, hyperparameters: Mapping[str, Any], *, timesteps: int, n_envs: int
+) -> RunSettings:
+    """Return the settings of a new run.
+
+    Args:
+        given: options on the command line, those of :func:`add_training_options` among them.
+        algo, hyperparameters: as for :class:`agents.runs.RunSettings`.
+        timesteps: environment steps, unless an option says otherwise.
+        n_envs: number of lanes.
+
+    Raises:
+        ValueError: a value is unknown or out of range.
+    """
+    names = ("action_mode", "observation_mode", "suite", "seed", "validation_episodes", "device")
+    timesteps = given.get("timesteps", timesteps)
+    return RunSettings(
+        algo=algo,
+        hyperparameters=hyperparameters,
+        timesteps=timesteps,
+        n_envs=n_envs,
+        interval=given.get("interval", max(1, timesteps // 20)),
+        **{name: given[name] for name in names if name in given},
+    )
+
+
+@contextlib.contextmanager
+def opened_run(
+    given: Mapping[str, Any], algos: Container[str], settings: Callable[[], RunSettings]
+) -> Iterator[tuple[Run, Path]]:
+    """Hold the folder of the run that the options name; after the training, say how it ended.
+
+    Args:
+        given: options on the command line, those of :func:`add_folder_options` among them.
+        algos: the algorithms that the command trains.
+        settings: returns the settings of a new run.
+
+    Yields:
+        the run and its folder.
+
+    Raises:
+        ValueError: options do not go together, or the folder cannot be used.
+    """
+    allow_other_versions = given.get("allow_other_versions", False)
+    if "resume" in given:
+        others = sorted(given.keys() - {"resume", "allow_other_versions"})
+        if others:
+            raise ValueError(f"--resume goes on with the run's own settings; leave out {', '.join(others)}")
+        folder = Path(given["resume"])
+        # Read once before anything is written into the folder, and again when no other process can change it.
+        run = Run.read(folder)
+        if run.settings.algo not in algos:
+            raise ValueError(f"{folder} is a run of {run.settings.algo}: go on with it by the command that began it")
+        with held(folder):
+            run = Run.read(folder)
+            run.go_on(allow_other_versions=allow_other_versions)
+            yield run, folder
+    else:
+        if "output" not in given:
+            raise ValueError("--output FOLDER is needed, or --resume FOLDER")
+        if allow_other_versions:
+            raise ValueError("--allow-other-versions is for --resume")
+        run = Run.new(settings())
+        with new_folder(Path(given["output"])) as folder:
+            yield run, folder
+    note(f"best validation score {run.best['score']:.1f} at step {run.best['timesteps']}; wrote {folder}")
+
+
+__all__ = [
+    "FIGURE_FORMATS",
+    "Parser",
+    "Progress",
+    "add_folder_options",
+    "add_training_options",
+    "check_output_file",
+    "check_output_folder",
+    "check_page",
+    "chosen_entries",
+    "given_options",
+    "note",
+    "opened_run",
+    "print_table",
+    "require_extra",
+    "run_command",
+    "say",
+    "settings_of",
+    "update_page",
+    "write_and_say",
+]

@@ -1,18 +1,22 @@
-"""The entry.toml of what a run has trained."""
+"""The entry.toml that makes a folder with a policy an entry of the leaderboard."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from agents.runs import RunSettings
 from wtg_gym.evaluation import Entry
+from wtg_gym.files import write_atomically
+from wtg_gym.policies.load import ENTRY_FILE
 
-_KEYS = ("name", "description", "action_mode", "observation_mode", "training_seed")
 
-
-def entry_of(settings: RunSettings, timesteps: int, *, name: str | None = None, description: str = "") -> Entry:
-    """Return the entry of a run's policy, without the policy.
+def entry_values(
+    settings: RunSettings, timesteps: int, *, name: str | None = None, description: str = ""
+) -> dict[str, Any]:
+    """Return the keys and values of entry.toml for a run's policy.
 
     Args:
         settings: of the run.
@@ -23,20 +27,19 @@ def entry_of(settings: RunSettings, timesteps: int, *, name: str | None = None, 
     Raises:
         ValueError: the leaderboard would refuse the name.
     """
-    return Entry(
-        name=name or f"{settings.algo} {settings.action_mode}",
-        description=description or f"Trained with {settings.algo} for {timesteps} steps.",
-        action_mode=settings.action_mode,
-        observation_mode=settings.observation_mode,
-        training_seed=settings.seed,
-    )
+    values: dict[str, Any] = {
+        "name": name or f"{settings.algo} {settings.action_mode}",
+        "description": description or f"Trained with {settings.algo} for {timesteps} steps.",
+        "action_mode": settings.action_mode,
+        "observation_mode": settings.observation_mode,
+        "training_seed": settings.seed,
+    }
+    Entry(**values)
+    return values
 
 
-def entry_file(entry: Entry, **further: Any) -> str:
-    """Return the text of the entry's entry.toml; `further` keys hold texts or lists of texts."""
-    values = {**{key: getattr(entry, key) for key in _KEYS}, **further}
-    # Such texts, numbers and lists are written alike in JSON and TOML.
-    return "".join(f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in values.items())
-
-
-__all__ = ["entry_file", "entry_of"]
+def write_entry(folder: Path, values: Mapping[str, Any]) -> None:
+    """Write entry.toml; the values are texts, whole numbers and lists of texts."""
+    # These are written alike in JSON and TOML.
+    lines = [f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in values.items()]
+    write_atomically(folder / ENTRY_FILE, "".join(lines))

@@ -2,31 +2,44 @@
 
 from __future__ import annotations
 
-import argparse
+import contextlib
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from agents import rllib_ppo, single_file_ppo
-from agents.command import run_command
-from agents.entry_file import entry_file, entry_of
-from agents.model_card import model_card
-from agents.networks import PolicyNetwork
-from agents.onnx_graph import to_onnx
-from agents.runs import BEST, Run, RunSettings, folders
-from wtg_gym.cli.output import note
-from wtg_gym.cli.parser import Parser
+from agents import ppo, rllib
+from agents.command import Parser, note, run_command
+from agents.entry_file import entry_values, write_entry
+from agents.folders import BEST, folders
+from agents.onnx_graph import PolicyNetwork, to_onnx
+from agents.runs import Run, RunSettings
+from wtg_gym import ENV_ID
 from wtg_gym.envs import GFMWTGVectorEnv
 from wtg_gym.evaluation import OnnxPolicy, Policy
-from wtg_gym.files import write_atomically
-from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
+from wtg_gym.files import markdown_table, sha256, write_atomically
+from wtg_gym.policies.load import POLICY_FILE
 
 #: Largest difference between the export's actions and the learner's [full action].
 TOLERANCE = 1e-6
 _CHECKED_LANES, _CHECKED_STEPS = 16, 250
+#: Columns of the training curve in the model card and their digits.
+_CURVE = {
+    "timesteps": 0,
+    "wall_time_s": 0,
+    "score": 1,
+    "cost": 1,
+    "failures_percent": 1,
+    "nadir_hz": 3,
+    "rocof_hz_s": 3,
+    "duty_error_percent": 2,
+}
+#: Result of a repetition, in the model card.
+_EXACTLY = "the same versions on the same kind of machine give the same weights"
+_REPEATED = {rllib.NAME: "runners end in any order, so that a repetition may give other weights"}
 
 _DESCRIPTION = """\
 Writes the best policy of a run as policy.onnx, normalisation and clipping included, a model card README.md, and an
@@ -66,8 +79,8 @@ def export(
     row = next((row for row in run.curve if row["timesteps"] == timesteps), None)
     if row is None:
         raise ValueError(f"{run_folder} was interrupted while it wrote the policy of step {timesteps}: resume it first")
-    # What the leaderboard refuses is refused before the work.
-    entry = entry_of(settings, timesteps, name=name, description=description)
+    # A name that the leaderboard refuses is refused before the work.
+    entry = entry_values(settings, timesteps, name=name, description=description)
     policy, network = _trained(best[-1], settings.algo)
     content = to_onnx(network)
     with tempfile.TemporaryDirectory() as folder:
@@ -77,19 +90,19 @@ def export(
     if not difference <= TOLERANCE:
         raise ValueError(f"the actions of the ONNX file differ by {difference:.2g}, allowed are {TOLERANCE:g}")
     write_atomically(output / POLICY_FILE, content)
-    write_atomically(output / "README.md", model_card(run, row, entry.name, authors, content))
+    write_atomically(output / "README.md", _model_card(run, row, entry["name"], authors, content))
     trained_on = f"{settings.suite}, split train, {timesteps} steps; chosen on split validation"
-    # Last, because it is what makes the folder an entry.
-    write_atomically(output / ENTRY_FILE, entry_file(entry, authors=list(authors), trained_on=trained_on))
+    # Last, because it makes the folder an entry.
+    write_entry(output, {**entry, "authors": list(authors), "trained_on": trained_on})
     return difference
 
 
 def _trained(best: Path, algo: str) -> tuple[Policy, PolicyNetwork]:
     """Return the policy in a folder and the network in it."""
-    if algo in (rllib_ppo.NAME, single_file_ppo.NAME):
-        agent = single_file_ppo.load(best)
+    if algo in (rllib.NAME, ppo.NAME):
+        agent = ppo.load(best)
         return agent, agent.network()
-    # Here, because the policies above are exported where Stable-Baselines3 is not installed.
+    # Imported here, because the policies above are exported where Stable-Baselines3 is not installed.
     from agents.hyperparameters import ALGORITHMS
     from agents.learners import network_of
     from wtg_gym.policies.sb3_archive import load_archive
@@ -103,11 +116,11 @@ def largest_difference(policy: Policy, other: Policy, settings: RunSettings) -> 
 
     The first one acts, with some noise so that the episodes differ; episodes start anew within.
     """
-    env = GFMWTGVectorEnv(_CHECKED_LANES, autoreset_mode="SameStep", duration_s=20.0, **settings.env_arguments)
+    envs = GFMWTGVectorEnv(_CHECKED_LANES, autoreset_mode="SameStep", duration_s=20.0, **settings.env_arguments)
     rng = np.random.default_rng(0)
     largest, states, start = 0.0, (None, None), np.ones(_CHECKED_LANES, dtype=np.bool_)
-    try:
-        observations, _ = env.reset(seed=0)
+    with contextlib.closing(envs):
+        observations, _ = envs.reset(seed=0)
         for _ in range(_CHECKED_STEPS):
             (one, first), (two, second) = (
                 each.predict(observations, state, start, deterministic=True)
@@ -116,11 +129,75 @@ def largest_difference(policy: Policy, other: Policy, settings: RunSettings) -> 
             states = first, second
             largest = max(largest, float(np.abs(one - two).max()))
             noise = rng.normal(0.0, 0.3, one.shape)
-            observations, _, terminated, truncated, _ = env.step((one + noise).astype(np.float32))
+            observations, _, terminated, truncated, _ = envs.step((one + noise).astype(np.float32))
             start = terminated | truncated
-    finally:
-        env.close()
     return largest
+
+
+def _model_card(run: Run, best: Mapping[str, float], name: str, authors: Sequence[str], content: bytes) -> str:
+    """Return the README.md of an exported policy; `best` is its row of the run's curve, `content` its policy.onnx."""
+    settings, provenance = run.settings, run.provenance
+    last = run.curve[-1]
+    facts = {
+        "environment": f"`{ENV_ID}`, suite `{settings.suite}`",
+        "actions": f"`{settings.action_mode}`, deterministic",
+        "observations": f"`{settings.observation_mode}`",
+        "algorithm": f"`{settings.algo}`",
+        "training seed": str(settings.seed),
+        "steps": f"{best['timesteps']:,} for this policy, {last['timesteps']:,} of {settings.timesteps:,} in the run",
+        "wall time": f"{last['wall_time_s']:,.0f} s, {run.resumed} interruptions",
+        "validation score": f"{best['score']:.1f} on {settings.validation_episodes} scenarios "
+        "(MPPT 0, reference 100), chosen as the best of the curve: a little optimistic",
+        "authors": ", ".join(authors) or "not given",
+        "sha256 of policy.onnx": f"`{sha256(content)}`",
+    }
+    changes = [change for process in run.resumptions for change in process["differences"]]
+    if changes:
+        facts["changed by a resumption"] = "; ".join(changes)
+    rows = [[f"{row[key]:,.{digits}f}" for key, digits in _CURVE.items()] for row in run.curve]
+    hyperparameters = {key: f"`{value}`" for key, value in sorted(settings.hyperparameters.items())}
+    return f"""\
+# {name}
+
+A policy that modulates the grid-forming control of wind turbines on the IEEE 14-bus system.
+
+{_table(facts)}
+
+## Use
+
+With the checkout's root as the working folder, and this folder in place of `FOLDER`:
+
+```
+wtg-gym evaluate --entries FOLDER --suite standard
+```
+
+## Hyperparameters
+
+{_table(hyperparameters)}
+
+Number of lanes in this run: {settings.n_envs}.
+
+## Training curve
+
+{markdown_table(list(_CURVE), rows, right=range(len(_CURVE)))}
+
+## How to reproduce
+
+In a checkout of commit `{provenance["git_commit"]}`:
+
+```
+{provenance["command"]}
+```
+
+{_table(dict(sorted(provenance["versions"].items())))}
+
+Source hash `{provenance["source_hash"]}`, suite hash `{provenance["suite_hash"]}`, \
+{provenance["machine"]}; {_REPEATED.get(settings.algo, _EXACTLY)}.
+"""
+
+
+def _table(facts: Mapping[str, Any]) -> str:
+    return markdown_table(["", ""], [[key, str(value)] for key, value in facts.items()])
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -131,14 +208,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--name", help="of the entry; runs of one name and several seeds share a row of the table")
     parser.add_argument("--description", default="", help="one sentence on what it is")
     parser.add_argument("--authors", nargs="+", default=[], metavar="NAME", help="who trained it")
-    return run_command(lambda: _export(parser.parse_args(argv)))
 
+    def work() -> None:
+        given = vars(parser.parse_args(argv))
+        output = Path(given.pop("output"))
+        difference = export(Path(given.pop("run")), output, **given)
+        note(f"wrote {output}; its actions agree to {difference:.1g}")
 
-def _export(given: argparse.Namespace) -> None:
-    difference = export(
-        Path(given.run), Path(given.output), name=given.name, description=given.description, authors=given.authors
-    )
-    note(f"wrote {given.output}; its actions agree to {difference:.1g}")
+    return run_command(work)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The reward that policies are trained with: the gain over the reference controller in the same scenario."""
+"""The reward that policies are trained with, and the points of their episodes at which lanes start."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.envs import GFMWTGVectorEnv
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.evaluation.score import COST_OFFSET
 
@@ -14,22 +15,21 @@ Floats = npt.NDArray[np.float64]
 
 
 class Gains:
-    """What lanes gain over the reference, in per cent: 100 (c_ref - c) / (J_ref + J0) in each step.
+    """Gains of lanes over the reference controller, in per cent: 100 (c_ref - c) / (J_ref + J0) in each step.
 
-    c is the step's cost, c_ref what the zero action pays in the same step of the same scenario, J_ref what it pays in
-    the whole of it, and J0 the score's own offset.
+    c is the step's cost, c_ref the cost of the zero action in the same step of the same scenario, J_ref its sum over
+    the episode, and J0 the score's offset.
 
-    - Most of the cost is the doing of loads and wind, and the same for both: it drops out of the difference, and what
-      the actions did stands out of the noise (common random numbers).
+    - Loads and wind cause most of the cost, alike for both: the difference leaves what the actions changed (common
+      random numbers).
     - Scenarios count alike, as in the score; in a sum of costs a few wild ones decide.
 
     This is deliberately another objective than the cost. To first order its sum over an episode is what the score gains
-    at the reference: each scenario weighs 1 / (J_ref + J0). And who fails pays extra: besides the cost of the failure,
-    what c_ref would still have brought is forfeited. The policy that is best by it need not be the one with the least
-    mean cost.
+    at the reference: each scenario weighs 1 / (J_ref + J0). A failure costs extra: besides its own cost it forfeits
+    what c_ref would still have brought. The policy that is best by it need not have the least mean cost.
 
     Args:
-        lanes: the episodes. What the reference pays in one of them is played once, when it begins.
+        lanes: the episodes. The reference plays the scenario of each once, when it begins.
     """
 
     def __init__(self, lanes: TaskLanes) -> None:
@@ -54,7 +54,7 @@ class Gains:
             self._units[lane] = (self._costs[lane].sum() + COST_OFFSET) / 100.0
 
     def reference_costs(self) -> Floats:
-        """Return what the reference pays in the step that each lane takes next, (n_lanes,)."""
+        """Return the reference's costs in the step that each lane takes next, (n_lanes,)."""
         simulator = self._lanes.simulator
         steps = np.rint(simulator.lane_values("step") / simulator.plant.n_substeps).astype(np.int64)
         # An episode that is over takes no more.
@@ -65,7 +65,7 @@ class Gains:
         """Return the gains of a step [%], (n_lanes,).
 
         Args:
-            reference_costs: what :meth:`reference_costs` said before the step.
+            reference_costs: result of :meth:`reference_costs` before the step.
             rewards: of the step.
         """
         gains: Floats = (reference_costs + rewards) / self._units
@@ -76,4 +76,21 @@ class Gains:
         self._reference.simulator.close()
 
 
-__all__ = ["Gains"]
+def stagger(env: GFMWTGVectorEnv) -> npt.NDArray[np.float32]:
+    """Spread lanes that have just been reset evenly over an episode, under the reference controller.
+
+    Lanes that start together stay together as long as episodes are equally long: a rollout would show the same few
+    seconds of all of them, and the learner would swing from one part of an episode to the next.
+
+    Returns:
+        the observations (num_envs, n_observation) to go on from.
+    """
+    n_steps = round(env.settings.episode_duration_s() / env.settings.control_dt)
+    starts = np.arange(env.num_envs) * n_steps // env.num_envs
+    actions = np.zeros(env.action_space.shape or (), dtype=np.float32)
+    for step in range(n_steps):
+        mask = starts == step
+        if mask.any():
+            env.reset(options={"reset_mask": mask})
+        observations, *_ = env.step(actions)
+    return observations

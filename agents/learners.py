@@ -1,19 +1,140 @@
-"""A trained learner of Stable-Baselines3 as a network for the export."""
+"""Learners of Stable-Baselines3: made, saved with everything that they go on from, and as a network for the export.
+
+A checkpoint holds the learner with its optimisers, the replay buffer, the environments in the middle of their episodes,
+the normalisation and every random generator. It is made of pickles, which run code when they are loaded: load your own
+only.
+"""
 
 from __future__ import annotations
 
+import pickle
+import random
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from sb3_contrib.common.recurrent.policies import RecurrentActorCriticPolicy
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.distributions import DiagGaussianDistribution, StateDependentNoiseDistribution
+from stable_baselines3.common.noise import NormalActionNoise
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.torch_layers import FlattenExtractor
-from stable_baselines3.common.vec_env import VecNormalize
+from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize, unwrap_vec_wrapper
 from torch import nn
 
-from agents.networks import Normalization, PolicyNetwork, flat_layers
+from agents.folders import loading
+from agents.hyperparameters import ALGORITHMS, Hyperparameters
+from agents.onnx_graph import Normalization, PolicyNetwork, flat_layers
+from wtg_gym.policies.load import ARCHIVE_FILE
+from wtg_gym.policies.sb3_archive import CUSTOM_OBJECTS
+
+_NORMALIZE = "vec_normalize.pkl"
+_REPLAY_BUFFER = "replay_buffer.pkl"
+_STATE = "state.pkl"
+
+
+def build_model(algo: str, hyperparameters: Hyperparameters, env: VecEnv, *, seed: int, device: str) -> BaseAlgorithm:
+    """Return an untrained learner.
+
+    Args:
+        algo: one of :data:`agents.hyperparameters.ALGORITHMS`.
+        hyperparameters: of the algorithm.
+        env: environment to learn in.
+        seed: seed of the weights, of the exploration and, plus the lane's number, of the lanes' scenarios.
+        device: "cpu" or "cuda".
+
+    Raises:
+        ValueError: the algorithm refuses a hyperparameter, or there is no such device.
+    """
+    if device == "cuda" and not torch.cuda.is_available():
+        raise ValueError("device is cuda, but torch finds no such device; use cpu")
+    # The algorithms write into policy_kwargs.
+    arguments = dict(hyperparameters.arguments)
+    arguments["policy_kwargs"] = dict(arguments.get("policy_kwargs") or {})
+    if hyperparameters.noise_std is not None:
+        shape = env.action_space.shape
+        assert shape is not None
+        arguments["action_noise"] = NormalActionNoise(np.zeros(shape), np.full(shape, hyperparameters.noise_std))
+    try:
+        return ALGORITHMS[algo](env=env, seed=seed, device=device, **arguments)
+    except (AssertionError, AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise ValueError(f"{algo} refuses its hyperparameters {dict(hyperparameters.arguments)}: {reason}") from error
+
+
+def save_policy(folder: Path, model: BaseAlgorithm) -> None:
+    """Write the learner and its normalisation, as :func:`wtg_gym.policies.sb3_archive.load_archive` takes them."""
+    model.save(folder / ARCHIVE_FILE)
+    normalize = model.get_vec_normalize_env()
+    if normalize is not None:
+        normalize.save(str(folder / _NORMALIZE))
+
+
+def save_checkpoint(folder: Path, model: BaseAlgorithm) -> None:
+    """Write everything that training goes on from.
+
+    Args:
+        folder: an empty folder.
+        model: the learner, between two rollouts.
+    """
+    save_policy(folder, model)
+    if isinstance(model, OffPolicyAlgorithm):
+        model.save_replay_buffer(folder / _REPLAY_BUFFER)
+    env, normalize = model.get_env(), model.get_vec_normalize_env()
+    assert env is not None
+    monitor = unwrap_vec_wrapper(env, VecMonitor)
+    assert isinstance(monitor, VecMonitor)
+    state = {
+        "environments": monitor.venv,
+        "monitor": (monitor.episode_returns, monitor.episode_lengths, monitor.episode_count),
+        # VecNormalize leaves it out of its own file.
+        "discounted_returns": None if normalize is None else normalize.returns,
+        "lstm_states": getattr(model, "_last_lstm_states", None),
+        "python": random.getstate(),
+        "numpy": np.random.get_state(),
+        "torch": torch.get_rng_state(),
+        "cuda": torch.cuda.get_rng_state_all(),
+        "action_space": model.action_space.np_random.bit_generator.state,
+    }
+    (folder / _STATE).write_bytes(pickle.dumps(state))
+
+
+def load_checkpoint(folder: Path, algo: str, device: str) -> BaseAlgorithm:
+    """Return the learner, in its environments and with every random generator as it was.
+
+    Raises:
+        ValueError: a file is missing or damaged; the message names it.
+    """
+    with loading(folder / _STATE):
+        state = pickle.loads((folder / _STATE).read_bytes())
+        monitor = VecMonitor(state["environments"])
+        monitor.episode_returns, monitor.episode_lengths, monitor.episode_count = state["monitor"]
+    env: VecEnv = monitor
+    if state["discounted_returns"] is not None:
+        with loading(folder / _NORMALIZE):
+            normalize = VecNormalize.load(str(folder / _NORMALIZE), monitor)
+            normalize.returns = state["discounted_returns"]
+            env = normalize
+    with loading(folder / ARCHIVE_FILE):
+        model = ALGORITHMS[algo].load(
+            folder / ARCHIVE_FILE, env=env, device=device, custom_objects=CUSTOM_OBJECTS, force_reset=False
+        )
+    if isinstance(model, OffPolicyAlgorithm):
+        with loading(folder / _REPLAY_BUFFER):
+            model.load_replay_buffer(folder / _REPLAY_BUFFER)
+    with loading(folder / _STATE):
+        if state["lstm_states"] is not None:
+            model._last_lstm_states = state["lstm_states"]  # type: ignore[attr-defined]
+        # Last, because making the learner seeds the generators anew.
+        random.setstate(state["python"])
+        np.random.set_state(state["numpy"])
+        torch.set_rng_state(state["torch"])
+        torch.cuda.set_rng_state_all(state["cuda"])
+        model.action_space.np_random.bit_generator.state = state["action_space"]
+    return model
 
 
 def network_of(policy: BasePolicy, vec_normalize: VecNormalize | None) -> PolicyNetwork:
@@ -31,33 +152,23 @@ def network_of(policy: BasePolicy, vec_normalize: VecNormalize | None) -> Policy
         extractor = policy.pi_features_extractor
         layers = flat_layers([policy.mlp_extractor.policy_net, policy.action_net])
         if isinstance(policy, RecurrentActorCriticPolicy):
-            lstm = _plain(policy.lstm_actor)
+            lstm = policy.lstm_actor
+            given = {name: getattr(lstm, name) for name in ("bias", "bidirectional", "proj_size")}
+            if given != {"bias": True, "bidirectional": False, "proj_size": 0}:
+                raise ValueError(f"cannot export an LSTM with {given}, only with bias, one direction and no projection")
     else:
         actor: Any = policy.actor
         extractor = actor.features_extractor
-        # TD3's `mu` is the whole network and ends in Tanh; SAC and TQC squash what theirs gives.
+        # TD3's `mu` is the whole network and ends in Tanh; SAC and TQC squash the output of theirs.
         layers = flat_layers([actor.latent_pi, actor.mu, nn.Tanh()] if hasattr(actor, "latent_pi") else [actor.mu])
     if not isinstance(extractor, FlattenExtractor):
         raise ValueError(f"cannot export the features of {type(extractor).__name__}, only plain observations")
     shape = policy.observation_space.shape
     assert shape is not None
-    return PolicyNetwork(n_observation=shape[0], normalization=_normalization(vec_normalize), lstm=lstm, layers=layers)
-
-
-def _plain(lstm: nn.LSTM) -> nn.LSTM:
-    given = {name: getattr(lstm, name) for name in ("bias", "bidirectional", "proj_size")}
-    if given != {"bias": True, "bidirectional": False, "proj_size": 0}:
-        raise ValueError(f"cannot export an LSTM with {given}, only with bias, one direction and no projection")
-    return lstm
-
-
-def _normalization(vec_normalize: VecNormalize | None) -> Normalization | None:
-    if vec_normalize is None or not vec_normalize.norm_obs:
-        return None
-    statistics = vec_normalize.obs_rms
-    assert isinstance(statistics, RunningMeanStd)
-    std = np.sqrt(statistics.var + vec_normalize.epsilon)
-    return Normalization(mean=statistics.mean, std=std, bound=vec_normalize.clip_obs)
-
-
-__all__ = ["network_of"]
+    normalization = None
+    if vec_normalize is not None and vec_normalize.norm_obs:
+        statistics = vec_normalize.obs_rms
+        assert isinstance(statistics, RunningMeanStd)
+        std = np.sqrt(statistics.var + vec_normalize.epsilon)
+        normalization = Normalization(mean=statistics.mean, std=std, bound=vec_normalize.clip_obs)
+    return PolicyNetwork(n_observation=shape[0], normalization=normalization, lstm=lstm, layers=layers)

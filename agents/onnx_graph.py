@@ -10,24 +10,77 @@ A policy without memory has no states. All states are zero at the start of an ep
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import onnx
 import torch
 from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
-from agents.networks import Normalization, PolicyNetwork
-
 #: Old enough for every onnxruntime that is still around.
 OPSET = 17
 IR_VERSION = 8
-_OPERATORS: dict[type[nn.Module], str] = {nn.ReLU: "Relu", nn.Sigmoid: "Sigmoid", nn.Tanh: "Tanh"}
-_OPERATORS_WITH_ALPHA: dict[type[nn.Module], tuple[str, str]] = {
+#: Activations that can be exported: their operators, and the attribute of torch that is the operator's alpha.
+_OPERATORS: dict[type[nn.Module], tuple[str, str | None]] = {
     nn.ELU: ("Elu", "alpha"),
     nn.LeakyReLU: ("LeakyRelu", "negative_slope"),
+    nn.ReLU: ("Relu", None),
+    nn.Sigmoid: ("Sigmoid", None),
+    nn.Tanh: ("Tanh", None),
 }
+#: The same as a configuration file names them.
+ACTIVATIONS = {f"nn.{kind.__name__}": kind for kind in _OPERATORS}
+#: The layers that the export can write, besides nested `nn.Sequential`.
+LAYERS: tuple[type[nn.Module], ...] = (nn.Linear, nn.Hardtanh, *_OPERATORS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Normalization:
+    """clip((observation - mean) / std, ± bound) in double precision.
+
+    Args:
+        mean, std: one value per entry of the observation, (n_observation,) float64.
+        bound: largest magnitude of the result.
+    """
+
+    mean: npt.NDArray[np.float64]
+    std: npt.NDArray[np.float64]
+    bound: float
+
+
+@dataclass(frozen=True)
+class PolicyNetwork:
+    """Observation → normalisation → LSTM → layers → clip to [-1, 1]: the deterministic action.
+
+    Args:
+        n_observation: number of entries of the observation.
+        normalization: None where the network sees raw observations.
+        lstm: None for a policy without memory.
+        layers: applied one after the other, each of :data:`LAYERS`.
+    """
+
+    n_observation: int
+    normalization: Normalization | None
+    lstm: nn.LSTM | None
+    layers: Sequence[nn.Module]
+
+
+def flat_layers(modules: Sequence[nn.Module]) -> list[nn.Module]:
+    """Return the layers in modules one after the other.
+
+    Raises:
+        ValueError: one is none of :data:`LAYERS`.
+    """
+    flat = [layer for module in modules for layer in module.modules() if not isinstance(layer, nn.Sequential)]
+    for layer in flat:
+        if not isinstance(layer, LAYERS):
+            names = ", ".join(each.__name__ for each in LAYERS)
+            raise ValueError(f"cannot export a layer {type(layer).__name__}, only {names}")
+    return flat
 
 
 class _Graph:
@@ -52,9 +105,6 @@ class _Graph:
         self.nodes.append(helper.make_node(operator, list(inputs), outputs, **attributes))
         return outputs
 
-    def name_output(self, value: str, name: str) -> None:
-        self.nodes.append(helper.make_node("Identity", [value], [name]))
-
 
 def to_onnx(network: PolicyNetwork) -> bytes:
     """Return the file of the policy as ONNX."""
@@ -62,21 +112,22 @@ def to_onnx(network: PolicyNetwork) -> bytes:
     value = "observation"
     if network.normalization is not None:
         value = _normalized(graph, value, network.normalization)
-    states: list[tuple[str, int]] = []
+    states: list[str] = []
+    width = 0 if network.lstm is None else network.lstm.hidden_size
     if network.lstm is not None:
         for layer in range(network.lstm.num_layers):
             value, cell = _lstm_layer(graph, value, network.lstm, layer)
-            states += [(value, network.lstm.hidden_size), (cell, network.lstm.hidden_size)]
+            states += [value, cell]
     n_action = 0
     for module in network.layers:
         value = _layer(graph, value, module)
         n_action = module.out_features if isinstance(module, nn.Linear) else n_action
     value = graph.add("Clip", value, graph.constant(-1.0), graph.constant(1.0))
-    graph.name_output(value, "action")
-    for index, (state, _) in enumerate(states):
-        graph.name_output(state, f"next_state_{index}")
-    inputs = {"observation": network.n_observation, **{f"state_{i}": n for i, (_, n) in enumerate(states)}}
-    outputs = {"action": n_action, **{f"next_state_{i}": n for i, (_, n) in enumerate(states)}}
+    named = {"action": value, **{f"next_state_{i}": state for i, state in enumerate(states)}}
+    for name, result in named.items():
+        graph.nodes.append(helper.make_node("Identity", [result], [name]))
+    inputs = {"observation": network.n_observation, **{f"state_{i}": width for i in range(len(states))}}
+    outputs = {"action": n_action, **{f"next_state_{i}": width for i in range(len(states))}}
     model = helper.make_model(
         helper.make_graph(graph.nodes, "policy", _infos(inputs), _infos(outputs), graph.constants),
         opset_imports=[helper.make_opsetid("", OPSET)],
@@ -109,15 +160,12 @@ def _linear(graph: _Graph, value: str, weight: torch.Tensor, bias: torch.Tensor 
 
 
 def _layer(graph: _Graph, value: str, module: nn.Module) -> str:
-    kind = type(module)
     if isinstance(module, nn.Linear):
         return _linear(graph, value, module.weight, module.bias)
     if isinstance(module, nn.Hardtanh):
         return graph.add("Clip", value, graph.constant(module.min_val), graph.constant(module.max_val))
-    if kind in _OPERATORS_WITH_ALPHA:
-        operator, attribute = _OPERATORS_WITH_ALPHA[kind]
-        return graph.add(operator, value, alpha=float(getattr(module, attribute)))
-    return graph.add(_OPERATORS[kind], value)
+    operator, alpha = _OPERATORS[type(module)]
+    return graph.add(operator, value, **({"alpha": float(getattr(module, alpha))} if alpha else {}))
 
 
 def _lstm_layer(graph: _Graph, value: str, lstm: nn.LSTM, layer: int) -> tuple[str, str]:
@@ -130,6 +178,3 @@ def _lstm_layer(graph: _Graph, value: str, lstm: nn.LSTM, layer: int) -> tuple[s
     written = graph.add("Mul", graph.add("Sigmoid", i), graph.add("Tanh", g))
     cell = graph.add("Add", kept, written)
     return graph.add("Mul", graph.add("Sigmoid", o), graph.add("Tanh", cell)), cell
-
-
-__all__ = ["OPSET", "to_onnx"]

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import subprocess
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
-from agents.command import run_command
+from agents.command import Parser, Progress, note, run_command
 from agents.runs import RUN_FILE
-from wtg_gym.cli.output import Progress, note
-from wtg_gym.cli.parser import Parser
 
 #: Training seeds of each of them.
 SEEDS = range(5)
@@ -22,7 +19,7 @@ _AUTHORS = "The wtg_gym authors"
 
 _DESCRIPTION = """\
 Trains the policies of agents/policies, five seeds each, and exports them. A run that is there already goes on from its
-last checkpoint, or is exported at once. What a run says goes to the file NAME.log beside its folder. Nothing in
+last checkpoint, or is exported at once. The output of a run goes to the file NAME.log beside its folder. Nothing in
 agents/policies changes, unless --policies names it."""
 _EXAMPLES = """\
 examples:
@@ -30,16 +27,16 @@ examples:
   python -m agents.shipped --jobs 2                   all of them, two at a time"""
 
 
-@dataclass(frozen=True)
-class Shipped:
-    """A set-up that is ranked: the name of its folders and of its row, and the options of its training."""
+class Shipped(NamedTuple):
+    """A set-up that is ranked."""
 
-    key: str
-    name: str
+    key: str  # name of its folders, without the seed
+    name: str  # of its row
     description: str
-    options: tuple[str, ...]
+    options: tuple[str, ...]  # of its training
 
 
+_TAU_CONFIG = "agents/configs/ppo_tau.yml"
 SHIPPED = (
     Shipped("ppo-k+tau", "PPO (k, τ)", "PPO that modulates k and τ.", ("--algo", "ppo", "--action-mode", "k+tau")),
     Shipped("ppo-k", "PPO (k)", "PPO that modulates k alone.", ("--algo", "ppo", "--action-mode", "k")),
@@ -47,7 +44,7 @@ SHIPPED = (
         "ppo-tau",
         "PPO (τ)",
         "PPO that modulates τ alone.",
-        ("--algo", "ppo", "--action-mode", "tau", "--config", "agents/configs/ppo_tau.yml"),
+        ("--algo", "ppo", "--action-mode", "tau", "--config", _TAU_CONFIG),
     ),
     Shipped("sac-k+tau", "SAC (k, τ)", "SAC that modulates k and τ.", ("--algo", "sac", "--action-mode", "k+tau")),
 )
@@ -62,25 +59,22 @@ def _make(name: str, runs: Path, policies: Path) -> None:
     """Train a policy and export it.
 
     Raises:
-        ValueError: one of the two commands failed; the message names the file with its last words.
+        ValueError: one of the two commands failed; the message names the log.
     """
     shipped, seed = names()[name]
-    run = runs / name
-    exists = (run / RUN_FILE).is_file()
-    train = ["--resume", str(run)] if exists else [*shipped.options, "--seed", str(seed), "--output", str(run)]
+    run, log = runs / name, runs / f"{name}.log"
+    new = [*shipped.options, "--seed", str(seed), "--output", str(run)]
     described = ["--name", shipped.name, "--description", shipped.description, "--authors", _AUTHORS]
     commands = (
-        ["agents.train", *train],
+        ["agents.train", *(["--resume", str(run)] if (run / RUN_FILE).is_file() else new)],
         ["agents.export", str(run), "--output", str(policies / name), *described],
     )
-    log = runs / f"{name}.log"
     # Several trainings at a time on one thread each are faster than one after another on all of them.
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     with log.open("a", encoding="utf-8") as stream:
         for command in commands:
-            if subprocess.run(
-                [sys.executable, "-m", *command], stdout=stream, stderr=stream, env=environment
-            ).returncode:
+            done = subprocess.run([sys.executable, "-m", *command], stdout=stream, stderr=stream, env=environment)
+            if done.returncode:
                 raise ValueError(f"{' '.join(command)} failed; its last words are in {log}")
 
 
@@ -93,25 +87,26 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--policies", default="runs/policies", metavar="FOLDER", help="of the exports (default: runs/policies)"
     )
-    return run_command(lambda: _shipped(parser.parse_args(argv)), "the same command goes on")
 
+    def work() -> None:
+        given = parser.parse_args(argv)
+        chosen = list(dict.fromkeys(given.only or names()))
+        unknown = [name for name in chosen if name not in names()]
+        if unknown:
+            raise ValueError(f"--only: unknown {', '.join(unknown)}; known: {', '.join(names())}")
+        if not 1 <= given.jobs <= 64:
+            raise ValueError(f"--jobs = {given.jobs} is outside the allowed range 1 … 64")
+        runs, policies = Path(given.runs), Path(given.policies)
+        runs.mkdir(parents=True, exist_ok=True)
+        with Progress("policies") as progress, ThreadPoolExecutor(given.jobs) as pool:
+            progress.update("training", 0, len(chosen))
+            made = {pool.submit(_make, name, runs, policies): name for name in chosen}
+            for done, future in enumerate(as_completed(made), start=1):
+                future.result()
+                progress.update(f"made {made[future]}", done, len(chosen))
+        note(f"wrote {len(chosen)} policies to {policies}")
 
-def _shipped(given: argparse.Namespace) -> None:
-    chosen = list(dict.fromkeys(given.only or names()))
-    unknown = [name for name in chosen if name not in names()]
-    if unknown:
-        raise ValueError(f"--only: unknown {', '.join(unknown)}; known: {', '.join(names())}")
-    if not 1 <= given.jobs <= 64:
-        raise ValueError(f"--jobs = {given.jobs} is outside the allowed range 1 … 64")
-    runs, policies = Path(given.runs), Path(given.policies)
-    runs.mkdir(parents=True, exist_ok=True)
-    with Progress("policies") as progress, ThreadPoolExecutor(given.jobs) as pool:
-        progress.update("training", 0, len(chosen))
-        made = {pool.submit(_make, name, runs, policies): name for name in chosen}
-        for done, future in enumerate(as_completed(made), start=1):
-            future.result()
-            progress.update(f"made {made[future]}", done, len(chosen))
-    note(f"wrote {len(chosen)} policies to {policies}")
+    return run_command(work, "the same command goes on")
 
 
 if __name__ == "__main__":

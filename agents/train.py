@@ -3,17 +3,38 @@
 from __future__ import annotations
 
 import argparse
+import functools
+import itertools
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from agents.command import run_command
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import configure
+from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
+
+from agents.command import (
+    Parser,
+    Progress,
+    add_folder_options,
+    add_training_options,
+    given_options,
+    opened_run,
+    run_command,
+    settings_of,
+)
+from agents.entry_file import entry_values, write_entry
+from agents.folders import BEST, CHECKPOINTS, folders, save_folder
 from agents.hyperparameters import ALGORITHMS, CONFIG_FOLDER, parse, read_config
-from agents.runs import Run, RunSettings, held, new_folder
-from agents.training import resume, start, train
-from wtg_gym.cli.output import note
-from wtg_gym.cli.parser import Parser
-from wtg_gym.envs.settings import ACTION_MODES, OBSERVATION_MODES
+from agents.learners import build_model, load_checkpoint, network_of, save_checkpoint, save_policy
+from agents.onnx_graph import to_onnx
+from agents.runs import Run, RunSettings
+from agents.vec_env import GainVecEnv
+from wtg_gym.policies.sb3_archive import NormalizedPolicy
 
 _DESCRIPTION = """\
 Trains a policy and writes everything about it to a folder: run.json, TensorBoard's files, the policy with the best
@@ -25,87 +46,179 @@ examples:
   python -m agents.train --resume runs/ppo-0
   tensorboard --logdir runs"""
 
+#: Called with (timesteps, score) after each validation; an exception that it raises ends the run.
+OnScore = Callable[[int, float], None]
 
-def add_run_options(parser: argparse.ArgumentParser) -> None:
+
+def start(run: Run) -> BaseAlgorithm:
+    """Return a new run's learner.
+
+    Raises:
+        ValueError: a hyperparameter is unknown or out of range, or makes a policy that cannot be exported.
+    """
+    # Sums over several threads depend on which of them ends first, those that draw the first weights among them, and
+    # networks this small gain nothing from them.
+    torch.set_num_threads(1)
+    settings = run.settings
+    hyperparameters = parse(settings.algo, settings.hyperparameters)
+    env: VecEnv = VecMonitor(GainVecEnv(settings.n_envs, **settings.env_arguments))
+    if hyperparameters.normalize is not None:
+        env = VecNormalize(env, **hyperparameters.normalize)
+    try:
+        model = build_model(settings.algo, hyperparameters, env, seed=settings.seed, device=settings.device)
+        # A policy that cannot be written is refused now rather than after the training.
+        to_onnx(network_of(model.policy, model.get_vec_normalize_env()))
+    except ValueError:
+        env.close()
+        raise
+    return model
+
+
+def train(run: Run, folder: Path | None = None, on_score: OnScore | None = None) -> None:
+    """Train until the run's timesteps are done, from its last checkpoint on if there is one.
+
+    Args:
+        run: its curve grows here.
+        folder: for checkpoints, the best policy, TensorBoard's files and run.json; None to write nothing.
+        on_score: called with (timesteps, score) after every validation; an exception that it raises ends the run.
+
+    Raises:
+        ValueError: a hyperparameter is wrong, or the run's checkpoint is gone or damaged.
+    """
+    torch.set_num_threads(1)
+    checkpoints = folders(folder / CHECKPOINTS) if folder is not None else []
+    if run.curve and not checkpoints:
+        raise ValueError(f"{folder} has validations, but no checkpoint to go on from; begin anew in another folder")
+    settings = run.settings
+    model = load_checkpoint(checkpoints[-1], settings.algo, settings.device) if checkpoints else start(run)
+    restored_at = model.num_timesteps if checkpoints else None
+    if folder is not None:
+        # First of all, so that a run can go on whenever it is interrupted.
+        run.write(folder)
+    outputs = (None, []) if folder is None else (str(folder / "tensorboard"), ["tensorboard"])
+    model.set_logger(configure(*outputs))
+    env = model.get_env()
+    assert env is not None
+    try:
+        with Progress("thousand steps") as progress:
+            supervision = _Supervision(run, folder, progress, on_score, restored_at)
+            supervision.init_callback(model)
+            left = settings.timesteps - model.num_timesteps
+            if left > 0:
+                # A new learner starts its environments all the same; one from a checkpoint, be it of step 0, goes on.
+                model.learn(left, callback=supervision, reset_num_timesteps=False)
+            run.finished = True
+            if run.curve[-1]["timesteps"] < model.num_timesteps:
+                supervision.take_stock()
+                model.logger.dump(model.num_timesteps)
+            elif folder is not None:
+                run.write(folder)
+    finally:
+        env.close()
+
+
+class _Supervision(BaseCallback):
+    """Measures, validates and saves while a learner learns.
+
+    Args:
+        run, folder, on_score: as for :func:`train`.
+        progress: shows how far it is.
+        restored_at: timesteps of the checkpoint that the learner is from; None for a new one.
+    """
+
+    def __init__(
+        self, run: Run, folder: Path | None, progress: Progress, on_score: OnScore | None, restored_at: int | None
+    ) -> None:
+        super().__init__()
+        self._run = run
+        self._folder = folder
+        self._progress = progress
+        self._on_score = on_score
+        self._restored_at = restored_at
+        self._first = restored_at or 0
+        self._began = time.monotonic() - (run.curve[-1]["wall_time_s"] if run.curve else 0.0)
+
+    def _on_step(self) -> bool:
+        for info in itertools.compress(self.locals["infos"], self.locals["dones"]):
+            for key, value in info["metrics"].items():
+                self.logger.record_mean(f"episode/{key}", value)
+        run = self._run
+        name = f"{run.settings.algo}, score {run.curve[-1]['score']:.1f}, best {run.best['score']:.1f}"
+        # Counted from where this process began, so that the remaining time follows from its own speed.
+        done, total = self.num_timesteps - self._first, run.settings.timesteps - self._first
+        self._progress.update(name, done / 1000, round(total / 1000))
+        return True
+
+    def _on_rollout_start(self) -> None:
+        # Here, and not in the middle of a rollout, the learner is at rest and can be saved whole.
+        if self._run.is_due(self.num_timesteps):
+            self.take_stock()
+
+    def take_stock(self) -> None:
+        """Validate, keep the best policy, and write a checkpoint."""
+        run, model = self._run, self.model
+        policy = NormalizedPolicy(model.policy, model.get_vec_normalize_env())
+        metrics = run.validate(policy, model.num_timesteps, time.monotonic() - self._began)
+        for key, value in metrics.items():
+            self.logger.record(f"validation/{key}", value)
+        if self._folder is not None:
+            self._save(self._folder)
+        if model.num_timesteps != self._restored_at and getattr(model, "use_sde", False):
+            # A learner draws the noise of its next rollout before it calls us, and once more after a resumption.
+            actor: Any = model.policy
+            actor.reset_noise(model.n_envs)
+        if self._on_score is not None:
+            self._on_score(model.num_timesteps, metrics["score"])
+
+    def _save(self, folder: Path) -> None:
+        # The checkpoint comes first: one whose row is missing in run.json is validated again on resumption.
+        run, steps = self._run, self.model.num_timesteps
+        save_folder(folder / CHECKPOINTS, steps, functools.partial(save_checkpoint, model=self.model))
+        if run.best is run.curve[-1]:
+            save_folder(folder / BEST, steps, self._write_best)
+        run.write(folder)
+
+    def _write_best(self, folder: Path) -> None:
+        """Write the policy as an entry for `wtg-gym evaluate --trust-pickle`."""
+        save_policy(folder, self.model)
+        entry = entry_values(self._run.settings, self.model.num_timesteps)
+        write_entry(folder, {**entry, "algorithm": type(self.model).__name__})
+
+
+def add_sb3_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that training and tuning share."""
     parser.add_argument("--algo", choices=tuple(ALGORITHMS), help="the algorithm")
-    parser.add_argument("--action-mode", choices=tuple(ACTION_MODES), help="what the policy modulates (default: k+tau)")
-    parser.add_argument("--observation-mode", choices=OBSERVATION_MODES, help="what it sees (default: local)")
-    parser.add_argument("--suite", metavar="NAME", help="suite to train and validate on (default: standard)")
-    parser.add_argument("--seed", type=int, metavar="N", help="seed of everything random (default: 0)")
-    parser.add_argument("--timesteps", type=int, metavar="N", help="environment steps in all (default: the file's)")
+    add_training_options(parser, timesteps="the file's")
     parser.add_argument("--n-envs", type=int, metavar="N", help="episodes side by side (default: the file's)")
-    parser.add_argument("--interval", type=int, metavar="N", help="steps between validations (default: a 20th of all)")
-    parser.add_argument("--validation-episodes", type=int, metavar="N", help="scenarios per validation (default: 50)")
     parser.add_argument("--device", choices=("cpu", "cuda"), help="where the networks are (default: cpu)")
     parser.add_argument("--config", metavar="FILE", help="hyperparameters (default: agents/configs/<algo>.yml)")
 
 
-def run_settings(arguments: argparse.Namespace) -> RunSettings:
-    """Return what the options of :func:`add_run_options` and the hyperparameter file ask for.
+def sb3_settings(given: Mapping[str, Any]) -> RunSettings:
+    """Return the settings that the options of :func:`add_sb3_options` and the hyperparameter file ask for.
 
     Raises:
         ValueError: a value is missing, unknown or out of range.
     """
-    if arguments.algo is None:
+    if "algo" not in given:
         raise ValueError(f"--algo is needed: {', '.join(ALGORITHMS)}")
-    raw = read_config(Path(arguments.config or CONFIG_FOLDER / f"{arguments.algo}.yml"))
-    hyperparameters = parse(arguments.algo, raw)
-    names = ("action_mode", "observation_mode", "suite", "seed", "validation_episodes", "device")
-    given = {name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None}
-    timesteps = hyperparameters.n_timesteps if arguments.timesteps is None else arguments.timesteps
-    return RunSettings(
-        algo=arguments.algo,
-        hyperparameters=raw,
-        timesteps=timesteps,
-        n_envs=hyperparameters.n_envs if arguments.n_envs is None else arguments.n_envs,
-        interval=max(1, timesteps // 20) if arguments.interval is None else arguments.interval,
-        **given,
-    )
+    raw = read_config(Path(given.get("config", CONFIG_FOLDER / f"{given['algo']}.yml")))
+    file = parse(given["algo"], raw)
+    return settings_of(given, given["algo"], raw, timesteps=file.n_timesteps, n_envs=given.get("n_envs", file.n_envs))
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     parser = Parser(prog="python -m agents.train", description=_DESCRIPTION, epilog=_EXAMPLES)
-    add_run_options(parser)
-    parser.add_argument("--output", metavar="FOLDER", help="folder of the new run")
-    parser.add_argument(
-        "--resume", metavar="FOLDER", help="go on with the run in this folder; takes only the next option"
-    )
-    parser.add_argument(
-        "--allow-other-versions",
-        action="store_true",
-        default=None,
-        help="resume with other sources, suite or packages than before, which run.json then says",
-    )
-    return run_command(lambda: _train(parser.parse_args(argv)), "go on with --resume")
+    add_sb3_options(parser)
+    add_folder_options(parser)
 
+    def work() -> None:
+        given = given_options(parser.parse_args(argv))
+        with opened_run(given, ALGORITHMS, lambda: sb3_settings(given)) as (run, folder):
+            train(run, folder)
 
-def _train(arguments: argparse.Namespace) -> None:
-    if arguments.resume is not None:
-        allowed = ("resume", "allow_other_versions")
-        others = sorted(key for key, value in vars(arguments).items() if value is not None and key not in allowed)
-        if others:
-            raise ValueError(f"--resume goes on with the run's own settings; leave out {', '.join(others)}")
-        folder = Path(arguments.resume)
-        # Once to see that it is a run's folder, and again when nobody else can change it.
-        Run.read(folder)
-        with held(folder):
-            run = Run.read(folder)
-            model, metrics = resume(run, folder, allow_other_versions=bool(arguments.allow_other_versions))
-            train(run, model, metrics, folder)
-    else:
-        if arguments.output is None:
-            raise ValueError("--output FOLDER is needed, or --resume FOLDER")
-        if arguments.allow_other_versions:
-            raise ValueError("--allow-other-versions is for --resume")
-        run = Run.new(run_settings(arguments))
-        with new_folder(Path(arguments.output)) as folder:
-            model, metrics = start(run)
-            train(run, model, metrics, folder)
-    best, wall_time_s = run.best, run.curve[-1]["wall_time_s"]
-    note(f"best validation score {best['score']:.1f} at step {best['timesteps']}; {wall_time_s:.0f} s in all")
-    note(f"wrote {folder}")
+    return run_command(work, "go on with --resume")
 
 
 if __name__ == "__main__":

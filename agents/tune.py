@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +12,10 @@ import optuna
 import yaml
 from optuna.trial import Trial, TrialState
 
-from agents.command import run_command
+from agents.command import Parser, given_options, note, run_command
 from agents.runs import Run, RunSettings
-from agents.train import add_run_options, run_settings
-from agents.training import start, train
+from agents.train import add_sb3_options, sb3_settings, train
 from wtg_gym import ENV_ID
-from wtg_gym.cli.output import note
-from wtg_gym.cli.parser import Parser
 from wtg_gym.files import to_json, write_atomically
 
 STUDY_FILE, BEST_FILE = "study.sqlite3", "best.yml"
@@ -40,71 +36,46 @@ examples:
 Values = dict[str, Any]
 
 
-def _shared(trial: Trial) -> Values:
-    return {
+def space(algo: str, trial: Trial, n_envs: int) -> Values:
+    """Return the values that a trial tries in place of those of the configuration file.
+
+    Args:
+        algo: name of the algorithm.
+        trial: suggests them.
+        n_envs: number of lanes.
+    """
+    values: Values = {
         "learning_rate": trial.suggest_float("learning_rate", 5e-5, 3e-3, log=True),
         "gamma": trial.suggest_categorical("gamma", (0.98, 0.99, 0.995, 0.998)),
     }
-
-
-def _width(trial: Trial) -> int:
-    return int(trial.suggest_categorical("width", (32, 64, 128)))
-
-
-def _on_policy(trial: Trial, n_envs: int) -> Values:
-    n_steps = int(trial.suggest_categorical("n_steps", (128, 304, 600)))
-    return {
-        **_shared(trial),
-        "n_steps": n_steps,
-        "batch_size": n_steps * n_envs // int(trial.suggest_categorical("n_minibatches", (2, 4, 8))),
-        "n_epochs": trial.suggest_int("n_epochs", 3, 10),
-        "gae_lambda": trial.suggest_categorical("gae_lambda", (0.95, 0.98, 0.99, 1.0)),
-        "clip_range": trial.suggest_categorical("clip_range", (0.1, 0.2, 0.3)),
-        "ent_coef": trial.suggest_float("ent_coef", 1e-6, 1e-2, log=True),
-    }
-
-
-def _ppo(trial: Trial, n_envs: int) -> Values:
-    log_std, n = trial.suggest_float("log_std_init", -3.5, -1.0), _width(trial)
-    kwargs = f"dict(log_std_init={log_std:.3f}, activation_fn=nn.Tanh, net_arch=dict(pi=[{n}, {n}], vf=[{n}, {n}]))"
-    return {**_on_policy(trial, n_envs), "policy_kwargs": kwargs}
-
-
-def _recurrent_ppo(trial: Trial, n_envs: int) -> Values:
-    log_std, n = trial.suggest_float("log_std_init", -3.5, -1.0), _width(trial)
-    kwargs = f"dict(log_std_init={log_std:.3f}, lstm_hidden_size={n}, net_arch=dict(pi=[{n}], vf=[{n}]))"
-    return {**_on_policy(trial, n_envs), "policy_kwargs": kwargs}
-
-
-def _off_policy(trial: Trial, n_envs: int) -> Values:
-    n = _width(trial)
-    return {
-        **_shared(trial),
+    n = int(trial.suggest_categorical("width", (32, 64, 128)))
+    if algo in ("ppo", "recurrent_ppo"):
+        n_steps = int(trial.suggest_categorical("n_steps", (128, 304, 600)))
+        log_std = trial.suggest_float("log_std_init", -3.5, -1.0)
+        nets = {
+            "ppo": f"activation_fn=nn.Tanh, net_arch=dict(pi=[{n}, {n}], vf=[{n}, {n}])",
+            "recurrent_ppo": f"lstm_hidden_size={n}, net_arch=dict(pi=[{n}], vf=[{n}])",
+        }
+        return {
+            **values,
+            "n_steps": n_steps,
+            "batch_size": n_steps * n_envs // int(trial.suggest_categorical("n_minibatches", (2, 4, 8))),
+            "n_epochs": trial.suggest_int("n_epochs", 3, 10),
+            "gae_lambda": trial.suggest_categorical("gae_lambda", (0.95, 0.98, 0.99, 1.0)),
+            "clip_range": trial.suggest_categorical("clip_range", (0.1, 0.2, 0.3)),
+            "ent_coef": trial.suggest_float("ent_coef", 1e-6, 1e-2, log=True),
+            "policy_kwargs": f"dict(log_std_init={log_std:.3f}, {nets[algo]})",
+        }
+    values |= {
         "batch_size": trial.suggest_categorical("batch_size", (128, 256, 512)),
         "gradient_steps": max(1, round(n_envs * trial.suggest_categorical("updates_per_step", (0.125, 0.25, 0.5)))),
         "n_steps": trial.suggest_categorical("n_steps", (1, 10, 30, 60)),
         "tau": trial.suggest_categorical("tau", (0.002, 0.005, 0.01, 0.02)),
         "policy_kwargs": f"dict(net_arch=dict(pi=[{n}, {n}], qf=[{2 * n}, {2 * n}]))",
     }
-
-
-def _with_entropy(trial: Trial, n_envs: int) -> Values:
-    start_at = trial.suggest_categorical("ent_coef", ("auto_0.01", "auto_0.05", "auto_0.2"))
-    return {**_off_policy(trial, n_envs), "ent_coef": start_at}
-
-
-def _td3(trial: Trial, n_envs: int) -> Values:
-    return {**_off_policy(trial, n_envs), "noise_std": trial.suggest_float("noise_std", 0.02, 0.3, log=True)}
-
-
-#: What replaces values of the configuration file, by algorithm, for a number of lanes.
-SPACES: Mapping[str, Callable[[Trial, int], Values]] = {
-    "ppo": _ppo,
-    "recurrent_ppo": _recurrent_ppo,
-    "sac": _with_entropy,
-    "td3": _td3,
-    "tqc": _with_entropy,
-}
+    if algo == "td3":
+        return {**values, "noise_std": trial.suggest_float("noise_std", 0.02, 0.3, log=True)}
+    return {**values, "ent_coef": trial.suggest_categorical("ent_coef", ("auto_0.01", "auto_0.05", "auto_0.2"))}
 
 
 def search(settings: RunSettings, n_trials: int, folder: Path) -> optuna.Study:
@@ -162,9 +133,9 @@ def _pruner(settings: RunSettings) -> optuna.pruners.BasePruner:
 
 
 def _hyperparameters(trial: Trial, settings: RunSettings) -> Values:
-    """Return what a trial trains with: a schedule of the file remains one, and its lengths are those of the trial."""
+    """Return the hyperparameters of a trial: a schedule of the file remains one, the lengths are the trial's."""
     values = dict(settings.hyperparameters)
-    for key, value in SPACES[settings.algo](trial, settings.n_envs).items():
+    for key, value in space(settings.algo, trial, settings.n_envs).items():
         falls = str(values.get(key)).startswith("lin_")
         values[key] = f"lin_{value}" if falls else value
     return {**values, "n_envs": settings.n_envs, "n_timesteps": settings.timesteps}
@@ -186,8 +157,7 @@ def _objective(trial: Trial, settings: RunSettings) -> float:
         if trial.should_prune():
             raise optuna.TrialPruned
 
-    model, metrics = start(run)
-    train(run, model, metrics, on_score=report)
+    train(run, on_score=report)
     trial.set_user_attr("hyperparameters", hyperparameters)
     return run.curve[-1]["score"]
 
@@ -207,19 +177,20 @@ def _write_best(study: optuna.Study, settings: RunSettings, folder: Path) -> Non
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     parser = Parser(prog="python -m agents.tune", description=_DESCRIPTION, epilog=_EXAMPLES)
-    add_run_options(parser)
+    add_sb3_options(parser)
     parser.add_argument("--trials", type=int, default=30, metavar="N", help="trials in all (default: 30)")
     parser.add_argument("--output", required=True, metavar="FOLDER", help="folder of the study")
-    return run_command(lambda: _tune(parser.parse_args(argv)), "the same command goes on")
 
+    def work() -> None:
+        given = given_options(parser.parse_args(argv))
+        if given["trials"] < 1:
+            raise ValueError(f"--trials must be 1 or more, got {given['trials']}")
+        folder = Path(given["output"])
+        study = search(sb3_settings(given), given["trials"], folder)
+        n_complete = len(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)))
+        note(f"{n_complete} of {len(study.trials)} trials complete; wrote {folder / BEST_FILE}")
 
-def _tune(given: argparse.Namespace) -> None:
-    if given.trials < 1:
-        raise ValueError(f"--trials must be 1 or more, got {given.trials}")
-    settings = run_settings(given)
-    study = search(settings, given.trials, Path(given.output))
-    n_complete = len(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)))
-    note(f"{n_complete} of {len(study.trials)} trials complete; wrote {Path(given.output) / BEST_FILE}")
+    return run_command(work, "the same command goes on")
 
 
 if __name__ == "__main__":

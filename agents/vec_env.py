@@ -2,69 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from agents.gains import Gains
-from agents.staggering import stagger
+from agents.gains import Gains, stagger
+from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.task import COST_TERMS
 from wtg_gym.sb3 import SB3VecEnv
 
 Observations = npt.NDArray[np.float32]
 
-
-class StaggeredVecEnv(SB3VecEnv):
-    """:class:`SB3VecEnv` that :func:`agents.staggering.stagger` spreads at every reset; takes the same arguments.
-
-    The first episode that a lane reports is what is left of it. `reset_infos` is empty until a lane's next episode.
-    """
-
-    def reset(self) -> Observations:
-        """Start an episode in every lane and spread the lanes; returns the observations (num_envs, n_observation)."""
-        super().reset()
-        self.reset_infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        return stagger(self.vector_env)
-
-    def set_options(self, options: Sequence[dict[str, Any]] | dict[str, Any] | None = None) -> None:
-        """Refuse any: spreading the lanes starts them anew, with scenarios that are drawn.
-
-        Raises:
-            ValueError: there are options.
-        """
-        if options and any(options):
-            raise ValueError(
-                f"a {type(self).__name__} draws its scenarios and takes no reset options, got {options!r:.80}"
-            )
-        super().set_options(options)
+_COSTS = tuple(f"cost_{term}" for term in COST_TERMS)
 
 
-class GainVecEnv(StaggeredVecEnv):
-    """:class:`StaggeredVecEnv` whose rewards are :class:`agents.gains.Gains`; scenarios are drawn, never given.
+class GainVecEnv(SB3VecEnv):
+    """:class:`SB3VecEnv` with the rewards of :class:`agents.gains.Gains` and lanes that every reset spreads.
 
-    Raises:
-        ValueError: a scenario is given.
+    Scenarios are drawn: spreading starts the lanes anew, so that reset options are lost. The first episode that a lane
+    reports is what spreading has left of it, and `reset_infos` is empty until its next one. The info of a lane whose
+    episode ends also holds `metrics`, see :class:`EpisodeMetrics`.
     """
 
     def __init__(self, num_envs: int = 1, **arguments: Any) -> None:
-        if arguments.get("scenario") is not None:
-            raise ValueError("scenario must be left out: the gain is over the reference in a scenario that is drawn")
         super().__init__(num_envs, **arguments)
         self._gains = Gains(self.vector_env.lanes)
+        self._metrics = EpisodeMetrics(num_envs)
 
     def reset(self) -> Observations:
         """Start and spread the lanes; returns the observations (num_envs, n_observation)."""
-        observations = super().reset()
+        super().reset()
+        self.reset_infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        observations = stagger(self.vector_env)
         self._gains.follow(range(self.num_envs))
         return observations
 
     def step_wait(self) -> tuple[Observations, npt.NDArray[np.float32], npt.NDArray[np.bool_], list[dict[str, Any]]]:
-        """Hold the actions for one control interval in every lane; as in the class above, but for the rewards."""
+        """Hold the actions for one control interval in every lane; returns observations, gains, dones and infos."""
         before = self._gains.reference_costs()
         observations, rewards, dones, infos = super().step_wait()
         gains = self._gains.of(before, rewards.astype(np.float64))
         self._gains.follow(np.flatnonzero(dones).tolist())
+        self._metrics.update(self.vector_env.lanes, dones, infos)
         return observations, gains.astype(np.float32), dones, infos
 
     def close(self) -> None:
@@ -73,4 +53,46 @@ class GainVecEnv(StaggeredVecEnv):
         super().close()
 
 
-__all__ = ["GainVecEnv", "StaggeredVecEnv"]
+class EpisodeMetrics:
+    """Follows the episodes in all lanes, and puts `metrics` in the units of the grid into the info of their ends.
+
+    Args:
+        n_lanes: number of lanes.
+    """
+
+    def __init__(self, n_lanes: int) -> None:
+        self._nadir_hz = np.full(n_lanes, np.inf)
+        self._rocof_hz_s = np.zeros(n_lanes)
+        self._costs = np.zeros((n_lanes, len(_COSTS)))
+        self._duty_error_s = np.zeros(n_lanes)
+
+    def update(self, lanes: TaskLanes, dones: npt.NDArray[np.bool_], infos: list[dict[str, Any]]) -> None:
+        """Take in one step of all lanes.
+
+        Args:
+            lanes: the episodes after the step; a lane that ended has its next episode already.
+            dones: whose episode ended, (n_lanes,).
+            infos: of the step, complete for those whose episode ended.
+        """
+        for lane in np.flatnonzero(dones):
+            infos[lane]["metrics"] = self._finish(int(lane), infos[lane])
+        now = lanes.info_arrays()
+        np.minimum(self._nadir_hz, now["frequency_hz"], out=self._nadir_hz)
+        np.maximum(self._rocof_hz_s, np.abs(now["rocof_hz_s"]), out=self._rocof_hz_s)
+        self._costs += np.stack([now[key] for key in _COSTS], axis=1)
+        self._duty_error_s = lanes.task_values("duty_error")
+
+    def _finish(self, lane: int, info: dict[str, Any]) -> dict[str, float]:
+        """Return a lane's metrics, its last step included, and start it anew."""
+        costs = self._costs[lane] + [info[key] for key in _COSTS]
+        metrics = {
+            "nadir_hz": min(self._nadir_hz[lane], info["frequency_hz"]),
+            "largest_rocof_hz_s": max(self._rocof_hz_s[lane], abs(info["rocof_hz_s"])),
+            # Up to the last step but one: the lane's own sum starts anew within the last one.
+            "duty_error_percent": 100.0 * self._duty_error_s[lane] / info["time_s"],
+            "failure": float(info["termination_reason"] != ""),
+            "length_s": info["time_s"],
+            **dict(zip(_COSTS, costs.tolist(), strict=True)),
+        }
+        self._nadir_hz[lane], self._rocof_hz_s[lane], self._costs[lane] = np.inf, 0.0, 0.0
+        return {key: float(value) for key, value in metrics.items()}

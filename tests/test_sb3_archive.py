@@ -24,8 +24,9 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from agents.export import export, largest_difference
+from agents.folders import folders
 from agents.hyperparameters import ALGORITHMS as TRAINED
-from agents.runs import Run, folders
+from agents.runs import Run
 from tests.agents.small import trained
 from tests.cli.calls import ROOT, error_of, json_of
 from wtg_gym import ENV_ID

@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from agents.runs import folders
+from agents.folders import folders
 from agents.train import main
 from tests.agents.small import trained
 
 #: All that a checkpoint of this learner consists of.
 FILES = ("state.pkl", "vec_normalize.pkl", "model.zip", "replay_buffer.pkl")
-DAMAGES: dict[str, Callable[[bytes], bytes]] = {
-    "truncated": lambda content: content[: len(content) // 2],
-    "empty": lambda content: b"",
-    "random bytes": lambda content: os.urandom(1000),
-}
 
 
 @pytest.fixture(scope="module")
@@ -43,9 +37,8 @@ def test_a_damaged_file_of_a_checkpoint_is_named(
 ) -> None:
     path = folders(run_folder / "checkpoints")[-1] / name
     intact = path.read_bytes()
-    for damage in DAMAGES.values():
-        path.write_bytes(damage(intact))
-        assert str(path) in error_of_resume(run_folder, capsys)
+    path.write_bytes(intact[: len(intact) // 2])
+    assert str(path) in error_of_resume(run_folder, capsys)
     path.unlink()
     assert str(path) in error_of_resume(run_folder, capsys)
     path.write_bytes(intact)

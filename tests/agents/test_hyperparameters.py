@@ -9,7 +9,7 @@ import yaml
 from torch import nn
 
 from agents.hyperparameters import ALGORITHMS, CONFIG_FOLDER, parse, parse_literal, read_config
-from agents.networks import ACTIVATIONS
+from agents.onnx_graph import ACTIVATIONS
 from tests.agents.small import CONFIGS, ON_POLICY
 from wtg_gym import ENV_ID
 
@@ -44,16 +44,7 @@ def test_texts_are_read_as_python_writes_them() -> None:
 
 
 @pytest.mark.parametrize(
-    "text",
-    [
-        "__import__('os').system('true')",
-        "dict(a=open('f'))",
-        "dict(a=nn.Module)",
-        "[1]",
-        "dict(**{})",
-        "dict(a=b)",
-        "(",
-    ],
+    "text", ["__import__('os').system('true')", "dict(a=nn.Module)", "[1]", "dict(**{})", "dict(a=b)", "("]
 )
 def test_texts_that_would_need_evaluation_are_refused(text: str) -> None:
     with pytest.raises(ValueError, match="policy_kwargs must be a dictionary"):
@@ -61,50 +52,31 @@ def test_texts_that_would_need_evaluation_are_refused(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "text"),
-    [
-        ({"frame_stack": 4}, r"unknown hyperparameters \['frame_stack'\]"),
-        ({"policy": None}, "policy must be the name"),
-        ({"n_envs": 0}, "n_envs must be a whole number of 1 or more, got 0"),
-        ({"n_timesteps": 1.5}, "n_timesteps must be"),
-        ({"learning_rate": "lin_x"}, "learning_rate must be a number above 0"),
-        ({"learning_rate": "exp_0.1"}, "learning_rate must be"),
-        ({"noise_type": "normal", "noise_std": -0.1}, "noise_std above 0"),
-        ({"normalize": "exit()"}, "normalize must be a dictionary"),
-        ({"normalize": "dict(norm_actions=True)"}, "normalize takes training, norm_obs"),
-    ],
-)
-def test_bad_values_are_named(changes: dict[str, Any], text: str) -> None:
-    with pytest.raises(ValueError, match=text):
-        parse("ppo", {**ON_POLICY, **changes})
-
-
-@pytest.mark.parametrize(
     ("algo", "changes", "text"),
     [
-        ("ppo", {"learning_rate": float("nan")}, "learning_rate must be finite, got nan"),
-        ("ppo", {"gamma": float("inf")}, "gamma must be finite, got inf"),
-        ("ppo", {"policy_kwargs": "dict(log_std_init=-1e999)"}, "policy_kwargs must be finite, got -inf"),
-        ("ppo", {"normalize": "dict(clip_obs=1e999)"}, "normalize: clip_obs must be finite|clip_obs must be a number"),
-        ("ppo", {"n_epochs": "x"}, "n_epochs must be a whole number of 1 or more, got 'x'"),
-        ("ppo", {"n_epochs": 0}, "n_epochs must be a whole number of 1 or more, got 0"),
-        ("ppo", {"n_epochs": True}, "n_epochs must be"),
-        ("ppo", {"batch_size": 64.0}, "batch_size must be a whole number"),
-        ("ppo", {"ent_coef": "lin_0.1"}, "ent_coef must be a number of 0 or more, got 'lin_0.1'"),
-        ("ppo", {"sde_sample_freq": "x"}, "sde_sample_freq must be a whole number of 1 or more, or -1, got 'x'"),
-        ("ppo", {"sde_sample_freq": 0}, "sde_sample_freq must be"),
-        ("ppo", {"gamma": 2.0}, "gamma must be a number from 0 to 1, got 2.0"),
-        ("ppo", {"target_kl": -1}, "target_kl must be a number above 0, got -1"),
+        ("ppo", {"frame_stack": 4}, r"unknown hyperparameters \['frame_stack'\]"),
+        ("ppo", {"policy": None}, "policy must be the name"),
+        ("ppo", {"n_envs": 0}, "n_envs must be a whole number of 1 or more, got 0"),
+        ("ppo", {"n_timesteps": 1.5}, "n_timesteps must be"),
+        ("ppo", {"learning_rate": "exp_0.1"}, "learning_rate must be a number above 0, or .lin_."),
         ("ppo", {"learning_rate": 0}, "learning_rate must be a number above 0, got 0"),
-        ("ppo", {"use_sde": "yes"}, "use_sde must be true or false, got 'yes'"),
+        ("ppo", {"learning_rate": float("nan")}, "learning_rate must be finite, got nan"),
+        ("ppo", {"policy_kwargs": "dict(log_std_init=-1e999)"}, "policy_kwargs must be finite, got .*-inf"),
+        ("ppo", {"noise_type": "normal", "noise_std": -0.1}, "noise_std above 0"),
+        ("ppo", {"normalize": "exit()"}, "normalize must be a dictionary"),
+        ("ppo", {"normalize": "dict(norm_actions=True)"}, "normalize takes training, norm_obs"),
         ("ppo", {"normalize": "dict(clip_obs=-1)"}, "normalize: clip_obs must be a number above 0, got -1"),
         ("ppo", {"normalize": "dict(norm_obs=2)"}, "normalize: norm_obs must be true or false, got 2"),
+        ("ppo", {"n_epochs": "x"}, "n_epochs must be a whole number of 1 or more, got 'x'"),
+        ("ppo", {"n_epochs": True}, "n_epochs must be"),
+        ("ppo", {"ent_coef": "lin_0.1"}, "ent_coef must be a number of 0 or more, got 'lin_0.1'"),
+        ("ppo", {"sde_sample_freq": 0}, "sde_sample_freq must be a whole number of 1 or more, or -1, got 0"),
+        ("ppo", {"gamma": 2.0}, "gamma must be a number from 0 to 1, got 2.0"),
         ("sac", {"ent_coef": "auto_x"}, "ent_coef must be a number, .auto., or .auto_. with a number above 0"),
         ("sac", {"train_freq": [1, "episode"]}, "train_freq must be a whole number of 1 or more"),
-        ("td3", {"tau": -0.1}, "tau must be a number from 0 to 1, got -0.1"),
     ],
 )
-def test_values_of_the_wrong_type_or_range_are_named(algo: str, changes: dict[str, Any], text: str) -> None:
+def test_bad_values_are_named(algo: str, changes: dict[str, Any], text: str) -> None:
     with pytest.raises(ValueError, match=text) as caught:
         parse(algo, {**CONFIGS[algo], **changes})
     assert "\n" not in str(caught.value)

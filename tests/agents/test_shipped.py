@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import re
+import threading
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
-from agents import shipped
+from agents import export, shipped, train
 from agents.runs import Run
 from tests.agents.small import options
 from wtg_gym.evaluation import load_entries
@@ -38,9 +41,18 @@ def test_nothing_in_agents_is_written_unless_named(tmp_path: Path, monkeypatch: 
 
 
 def test_command_trains_exports_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    tiny = shipped.Shipped("tiny", "Tiny", "A test.", tuple(options(tmp_path, "ppo")))
+    lock = threading.Lock()
+
+    def run_here(command: list[str], **_: Any) -> SimpleNamespace:
+        """Run `python -m MODULE …` in this process, one at a time."""
+        with lock:
+            main = {"agents.train": train.main, "agents.export": export.main}[command[2]]
+            return SimpleNamespace(returncode=main(command[3:]))
+
+    tiny = shipped.Shipped("tiny", "Tiny", "A test.", (*options(tmp_path, "ppo"), "--timesteps", "256"))
     monkeypatch.setattr(shipped, "SHIPPED", (tiny,))
     monkeypatch.setattr(shipped, "SEEDS", range(2))
+    monkeypatch.setattr(shipped, "subprocess", SimpleNamespace(run=run_here))
     folders = ["--runs", str(tmp_path / "runs"), "--policies", str(tmp_path / "policies")]
     assert shipped.main(["--only", "tiny-1", *folders]) == 0
     first = (tmp_path / "policies" / "tiny-1" / "policy.onnx").read_bytes()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import optuna
 import pytest
@@ -12,12 +11,12 @@ from optuna.trial import FixedTrial, TrialState
 from agents import tune
 from agents.hyperparameters import ALGORITHMS, CONFIG_FOLDER, parse, read_config
 from agents.runs import Run, RunSettings
+from agents.train import OnScore
 from agents.train import main as train
-from agents.training import OnScore
-from agents.tune import SPACES, main
+from agents.tune import main, space
 from tests.agents.small import config_file
 
-LENGTH = ["--timesteps", "512", "--n-envs", "16", "--interval", "256", "--validation-episodes", "2"]
+LENGTH = ["--timesteps", "512", "--n-envs", "2", "--interval", "256", "--validation-episodes", "2"]
 
 
 def options(folder: Path) -> list[str]:
@@ -34,25 +33,25 @@ def test_search_space_gives_hyperparameters_that_the_algorithm_takes(algo: str) 
     raw = read_config(CONFIG_FOLDER / f"{algo}.yml")
     for seed in range(3):
         trial = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed)).ask()
-        parse(algo, {**raw, **SPACES[algo](trial, 64)})
-        assert SPACES[algo](FixedTrial(trial.params), 64) == SPACES[algo](trial, 64)
+        parse(algo, {**raw, **space(algo, trial, 64)})
+        assert space(algo, FixedTrial(trial.params), 64) == space(algo, trial, 64)
 
 
 def test_study_goes_on_and_repeats_what_was_interrupted(tmp_path: Path) -> None:
     assert main([*options(tmp_path), "--trials", "1"]) == 0
     interrupted = study(tmp_path).ask()
-    SPACES["ppo"](interrupted, 16)
+    space("ppo", interrupted, 2)
     assert main([*options(tmp_path), "--trials", "2"]) == 0
     trials = study(tmp_path).trials
     assert [trial.state for trial in trials] == [TrialState.COMPLETE, TrialState.FAIL, TrialState.COMPLETE]
     assert trials[2].params == trials[1].params
     # Intervals, not timesteps.
-    assert min(trials[0].intermediate_values) == 0 and 2 <= max(trials[0].intermediate_values) <= 600 * 16 // 256 + 1
+    assert min(trials[0].intermediate_values) == 0 and 2 <= max(trials[0].intermediate_values) <= 600 * 2 // 256 + 1
     best = tmp_path / "study" / "best.yml"
     assert "# is the largest of 2 trials on the scenarios that chose it" in best.read_text()
     found = read_config(best)
     assert found["learning_rate"] == f"lin_{study(tmp_path).best_trial.params['learning_rate']}"
-    assert (found["n_envs"], found["n_timesteps"]) == (16, 512)
+    assert (found["n_envs"], found["n_timesteps"]) == (2, 512)
     assert train(["--algo", "ppo", "--config", str(best), *LENGTH, "--output", str(tmp_path / "run")]) == 0
 
 
@@ -64,13 +63,12 @@ def test_trials_of_unequal_rollouts_are_compared() -> None:
     def play(length: int, score: float, monkeypatch: pytest.MonkeyPatch) -> TrialState:
         """Validate after every interval, at the end of a rollout of this length."""
 
-        def train(run: Run, model: Any, metrics: Any, on_score: OnScore) -> None:
+        def train(run: Run, on_score: OnScore) -> None:
             for timesteps in range(0, 1001, length):
                 if timesteps // 50 > (timesteps - length) // 50:
                     on_score(timesteps, score)
             run.curve.append({"score": score})
 
-        monkeypatch.setattr(tune, "start", lambda run: (None, None))
         monkeypatch.setattr(tune, "train", train)
         study.optimize(lambda trial: tune._objective(trial, settings), n_trials=1)
         return study.trials[-1].state

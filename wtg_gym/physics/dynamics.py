@@ -44,7 +44,6 @@ from wtg_gym.physics.machine import MachineState, machine_limited, machine_rates
 from wtg_gym.physics.records import elementwise
 from wtg_gym.physics.wind_turbine import WtgState, wtg_limited, wtg_rates, wtg_voltage
 
-
 #: Stages of :func:`unit_rates`.
 EVALUATE, FIRST, MIDDLE, LAST = -1, 0, 1, 2
 

@@ -1,4 +1,4 @@
-"""`python -m agents.single_file_ppo`: PPO from top to bottom in one file, for changing the algorithm itself.
+"""`python -m agents.ppo`: PPO from top to bottom in one file, for changing the algorithm itself.
 
 The objective is that of Schulman et al., "Proximal Policy Optimization Algorithms", 2017; torch is all it needs.
 """
@@ -18,32 +18,27 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from agents.command import run_command
-from agents.gains import Gains
-from agents.networks import Normalization, PolicyNetwork, flat_layers
-from agents.runs import BEST, Run, RunSettings, loading, new_folder, save_folder
-from agents.staggering import stagger
-from agents.validation import validate
+from agents.command import Parser, Progress, add_training_options, given_options, note, run_command, settings_of
+from agents.folders import BEST, loading, new_folder, save_folder
+from agents.gains import Gains, stagger
+from agents.onnx_graph import Normalization, PolicyNetwork, flat_layers
+from agents.runs import Run
 from wtg_gym import ENV_ID
-from wtg_gym.cli.output import Progress, note
-from wtg_gym.cli.parser import Parser
 from wtg_gym.envs import GFMWTGVectorEnv
-from wtg_gym.envs.settings import ACTION_MODES
 
 #: The algorithm's name in run.json.
 NAME = "single_file_ppo"
 _WEIGHTS = "weights.pt"
-_CLIP_OBSERVATION = 10.0
-_NUMBERS = {"--seed": 0, "--timesteps": 3_000_000, "--n-envs": 512, "--validation-episodes": 50}
+_CLIP = 10.0
+_TIMESTEPS, _N_ENVS = 3_000_000, 512
 
 
 @dataclass(frozen=True)
 class Hyperparameters:
-    """What can be turned.
+    """Hyperparameters; sizes are those of configs/ppo.yml.
 
-    Sizes are those of configs/ppo.yml. The noise there is held for seconds; here it is drawn anew at every step, for
-    the sake of a short file, and with that come a discount that looks 7 s ahead and larger steps. A million steps reach
-    a validation score of about 105.
+    The noise there is held for seconds. Here it is drawn anew at every step, which keeps the file short and asks for a
+    discount that looks 7 s ahead and for larger steps. A million steps reach a validation score of about 105.
     """
 
     n_steps: int = 150
@@ -59,11 +54,7 @@ class Hyperparameters:
 
 
 class RunningMoments(nn.Module):
-    """Mean and variance of all rows seen so far, by the parallel formula of Chan et al.; float64.
-
-    Args:
-        width: number of entries of a row.
-    """
+    """Mean and variance of all rows (n, width) seen so far, by the parallel formula of Chan et al.; float64."""
 
     mean: Tensor
     var: Tensor
@@ -76,7 +67,6 @@ class RunningMoments(nn.Module):
         self.register_buffer("count", torch.tensor(1e-4, dtype=torch.float64))
 
     def update(self, rows: Tensor) -> None:
-        """Take in rows (n, width)."""
         n, total = rows.shape[0], self.count + rows.shape[0]
         difference = rows.mean(dim=0) - self.mean
         squares = self.var * self.count + rows.var(dim=0, correction=0) * n + difference**2 * self.count * n / total
@@ -99,12 +89,7 @@ def _network(n_in: int, hidden: int, n_out: int, last_gain: float) -> nn.Sequent
 
 
 class Agent(nn.Module):
-    """Policy and value function, with the normalisation of what they see.
-
-    Args:
-        n_observation, n_action: widths.
-        h: size and initial exploration.
-    """
+    """Policy and value function with the normalisation of their observations; `h` gives size and first exploration."""
 
     def __init__(self, n_observation: int, n_action: int, h: Hyperparameters) -> None:
         super().__init__()
@@ -115,22 +100,19 @@ class Agent(nn.Module):
         self.log_std = nn.Parameter(torch.full((n_action,), h.log_std_init))
 
     def normalized(self, observations: Any) -> Tensor:
-        """Return what the networks see, float32, of raw observations (n, n_observation)."""
         values = (torch.as_tensor(observations, dtype=torch.float64) - self.moments.mean) / self.moments.std
-        return values.clamp(-_CLIP_OBSERVATION, _CLIP_OBSERVATION).float()
+        return values.clamp(-_CLIP, _CLIP).float()
 
     def sample(self, normalized: Tensor) -> Tensor:
-        """Return random actions (n, n_action), not clipped."""
         mean: Tensor = self.actor(normalized)
         return mean + self.log_std.exp() * torch.randn_like(mean)
 
     def log_prob(self, normalized: Tensor, actions: Tensor) -> Tensor:
-        """Return the logarithm of the actions' density (n,), but for a constant."""
+        # Without the constant.
         distance: Tensor = (actions - self.actor(normalized)) / self.log_std.exp()
         return -(0.5 * distance.square() + self.log_std).sum(-1)
 
     def value(self, normalized: Tensor) -> Tensor:
-        """Return the expected scaled return (n,)."""
         values: Tensor = self.critic(normalized)
         return values.squeeze(-1)
 
@@ -146,7 +128,7 @@ class Agent(nn.Module):
     def network(self) -> PolicyNetwork:
         """Return the deterministic policy for the export."""
         mean, std = self.moments.mean.numpy(), self.moments.std.numpy()
-        seen = Normalization(mean=mean, std=std, bound=_CLIP_OBSERVATION)
+        seen = Normalization(mean=mean, std=std, bound=_CLIP)
         return PolicyNetwork(mean.size, seen, lstm=None, layers=flat_layers([self.actor]))
 
 
@@ -161,17 +143,13 @@ class Batch(NamedTuple):
 
 
 class Collector:
-    """Plays the lanes and prepares what is learned from; rewards are :class:`agents.gains.Gains`.
+    """Plays the lanes and prepares batches to learn from; rewards are :class:`agents.gains.Gains`.
 
-    Args:
-        envs: resets within the step in which an episode ends, so that no step to learn from is a mere reset.
-        agent: whose policy is played.
-        hyperparameters: lengths and discounts.
-        seed: lane i starts with seed + i.
+    Lane i starts with seed + i, and resets within the step in which an episode ends, so that no step is a mere reset.
     """
 
-    def __init__(self, envs: GFMWTGVectorEnv, agent: Agent, hyperparameters: Hyperparameters, seed: int) -> None:
-        self._envs, self._agent, self._h = envs, agent, hyperparameters
+    def __init__(self, envs: GFMWTGVectorEnv, agent: Agent, h: Hyperparameters, seed: int) -> None:
+        self._envs, self._agent, self._h = envs, agent, h
         envs.reset(seed=seed)
         self._observations = stagger(envs)
         self._gains = Gains(envs.lanes)
@@ -193,7 +171,7 @@ class Collector:
             self._gains.follow(np.flatnonzero(terminated | truncated).tolist())
             rewards, done = self._scaled(given, terminated | truncated)
             if truncated.any():
-                # Time ran out but the grid lives on: what would have followed is estimated.
+                # Time ran out, the grid goes on: the value function stands for the rest of the episode.
                 last = np.stack(infos["final_obs"][truncated])
                 rewards[torch.as_tensor(truncated)] += self._h.gamma * agent.value(agent.normalized(last))
             rows.append((seen, actions, agent.log_prob(seen, actions), agent.value(seen), rewards, done))
@@ -210,7 +188,7 @@ class Collector:
         ended = torch.as_tensor(done)
         self._returns[ended] = 0.0
         scaled = torch.as_tensor(rewards) / self._return_moments.std
-        return scaled.clamp(-10.0, 10.0).float(), ended.float()
+        return scaled.clamp(-_CLIP, _CLIP).float(), ended.float()
 
     def _advantages(self, values: Tensor, rewards: Tensor, done: Tensor, last_value: Tensor) -> Tensor:
         """Return the generalised advantage estimates, (n_steps, n_envs) like the arguments."""
@@ -223,7 +201,6 @@ class Collector:
         return advantages
 
     def close(self) -> None:
-        """Release the worker threads."""
         self._gains.close()
         self._envs.close()
 
@@ -263,30 +240,23 @@ def train(run: Run, folder: Path, h: Hyperparameters) -> None:
     run.write(folder)
     began = time.monotonic()
     with Progress("rollouts") as progress:
-        for index in range(n_rollouts):
-            steps = index * per_rollout
-            if steps // settings.interval > (steps - per_rollout) // settings.interval:
-                _take_stock(run, folder, agent, steps, time.monotonic() - began)
-            optimizer.param_groups[0]["lr"] = h.learning_rate * (1.0 - index / n_rollouts)
-            batch, gain = collector.rollout()
-            error = update(agent, optimizer, batch, h)
-            name = f"gain {gain:.4f} % per step, value error {error:.2g}, score {run.curve[-1]['score']:.1f}"
-            progress.update(name, index + 1, n_rollouts)
-    run.finished = True
-    _take_stock(run, folder, agent, n_rollouts * per_rollout, time.monotonic() - began)
+        for index in range(n_rollouts + 1):
+            steps, run.finished = index * per_rollout, index == n_rollouts
+            if run.is_due(steps) or run.finished:
+                run.validate(agent, steps, time.monotonic() - began)
+                if run.best is run.curve[-1]:
+                    save_folder(folder / BEST, steps, lambda path: save(path, agent))
+                run.write(folder)
+            if not run.finished:
+                optimizer.param_groups[0]["lr"] = h.learning_rate * (1.0 - index / n_rollouts)
+                batch, gain = collector.rollout()
+                error = update(agent, optimizer, batch, h)
+                name = f"gain {gain:.4f} % per step, value error {error:.2g}, score {run.curve[-1]['score']:.1f}"
+                progress.update(name, index + 1, n_rollouts)
     collector.close()
 
 
-def _take_stock(run: Run, folder: Path, agent: Agent, steps: int, wall_time_s: float) -> None:
-    row = validate(agent, run.settings)
-    run.curve.append({"timesteps": steps, "wall_time_s": round(wall_time_s, 2), **row})
-    if run.best is run.curve[-1]:
-        save_folder(folder / BEST, steps, lambda path: save(path, agent))
-    run.write(folder)
-
-
 def save(folder: Path, agent: Agent) -> None:
-    """Write an agent's weights into a folder."""
     torch.save(agent.state_dict(), folder / _WEIGHTS)
 
 
@@ -310,21 +280,20 @@ def agent_of(weights: Mapping[str, Tensor]) -> Agent:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    parser = Parser(prog="python -m agents.single_file_ppo", description=__doc__)
+    parser = Parser(prog="python -m agents.ppo", description=__doc__)
     parser.add_argument("--output", required=True, metavar="FOLDER", help="folder of the new run")
-    parser.add_argument("--action-mode", choices=tuple(ACTION_MODES), default="k+tau")
-    for option, default in _NUMBERS.items():
-        parser.add_argument(option, type=int, default=default, metavar="N", help=f"default: {default}")
-    return run_command(lambda: _train(vars(parser.parse_args(argv))))
+    add_training_options(parser, timesteps=str(_TIMESTEPS))
+    parser.add_argument("--n-envs", type=int, metavar="N", help=f"episodes side by side (default: {_N_ENVS})")
 
+    def work() -> None:
+        given, h = given_options(parser.parse_args(argv)), Hyperparameters()
+        n_envs = given.get("n_envs", _N_ENVS)
+        run = Run.new(settings_of(given, NAME, dataclasses.asdict(h), timesteps=_TIMESTEPS, n_envs=n_envs))
+        with new_folder(Path(given["output"])) as folder:
+            train(run, folder, h)
+        note(f"best validation score {run.best['score']:.1f} at step {run.best['timesteps']}; wrote {folder}")
 
-def _train(given: dict[str, Any]) -> None:
-    output, h = Path(given.pop("output")), Hyperparameters()
-    interval = max(1, given["timesteps"] // 20)
-    run = Run.new(RunSettings(algo=NAME, hyperparameters=dataclasses.asdict(h), interval=interval, **given))
-    with new_folder(output) as folder:
-        train(run, folder, h)
-    note(f"best validation score {run.best['score']:.1f} at step {run.best['timesteps']}; wrote {output}")
+    return run_command(work)
 
 
 if __name__ == "__main__":

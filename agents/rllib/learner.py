@@ -1,4 +1,4 @@
-"""What :mod:`agents.rllib_ppo` runs: PPO of RLlib, with the network of :mod:`agents.single_file_ppo`.
+"""The training of `python -m agents.rllib`: PPO of RLlib, with the network of :mod:`agents.ppo`.
 
 The network holds its own normalisation, so that its weights alone are the policy: the best ones are saved as those of
 the PPO in one file are, and neither scoring nor exporting them needs Ray.
@@ -6,6 +6,7 @@ the PPO in one file are, and neither scoring nor exporting them needs Ray.
 
 from __future__ import annotations
 
+import functools
 import logging
 import os
 import time
@@ -26,19 +27,19 @@ from ray.rllib.utils.metrics import ENV_RUNNER_RESULTS, LEARNER_RESULTS, NUM_ENV
 from ray.tune.registry import register_env
 from tensorboardX import SummaryWriter
 
-from agents import single_file_ppo
-from agents.rllib_envs import Scales, make_envs, measure_scales
-from agents.rllib_ppo import Hyperparameters
-from agents.runs import BEST, CHECKPOINTS, Run, RunSettings, folders, loading, put_back, save_folder
-from agents.validation import validate
-from wtg_gym.cli.output import Progress
+from agents import ppo
+from agents.command import Progress
+from agents.folders import BEST, CHECKPOINTS, folders, loading, save_folder
+from agents.rllib import Hyperparameters
+from agents.rllib.environment import RunnerEnvs, Scales, measure_scales
+from agents.runs import Run, RunSettings
 
 _PREFIX = "agent."
 _LANES = "wtg_gym-lanes"
 
 
 class AgentModule(TorchRLModule, ValueFunctionAPI):  # type: ignore[misc]
-    """The agent of :mod:`agents.single_file_ppo` as RLlib wants to see it.
+    """The agent of :mod:`agents.ppo` as RLlib wants to see it.
 
     Its `model_config` holds `hidden`, `log_std_init`, and `mean` and `std` of the observation.
     """
@@ -46,10 +47,10 @@ class AgentModule(TorchRLModule, ValueFunctionAPI):  # type: ignore[misc]
     def setup(self) -> None:
         """Build the networks."""
         config = self.model_config
-        self.agent = single_file_ppo.Agent(
+        self.agent = ppo.Agent(
             self.observation_space.shape[0],
             self.action_space.shape[0],
-            single_file_ppo.Hyperparameters(hidden=config["hidden"], log_std_init=config["log_std_init"]),
+            ppo.Hyperparameters(hidden=config["hidden"], log_std_init=config["log_std_init"]),
         )
         # Measured beforehand and never updated.
         self.agent.moments.mean.copy_(torch.tensor(config["mean"], dtype=torch.float64))
@@ -75,7 +76,7 @@ def ppo_config(settings: RunSettings, scales: Scales, resumed: int = 0) -> PPOCo
     """
     h = Hyperparameters(**settings.hyperparameters)
     per_learner = h.n_steps * h.n_envs // max(1, h.num_learners)
-    register_env(_LANES, make_envs)
+    register_env(_LANES, lambda config: RunnerEnvs(**config))
     seed = int(np.random.SeedSequence((settings.seed, resumed)).generate_state(1)[0] >> 2)
     return (
         PPOConfig()
@@ -160,22 +161,11 @@ def _steps_of(algorithm: Algorithm) -> int:
     return int(algorithm.metrics.peek((ENV_RUNNER_RESULTS, NUM_ENV_STEPS_SAMPLED_LIFETIME), default=0))
 
 
-def _agent_of(algorithm: Algorithm) -> single_file_ppo.Agent:
+def _agent_of(algorithm: Algorithm) -> ppo.Agent:
     """Return the agent as the learner has it now."""
     state = algorithm.learner_group.get_weights()[DEFAULT_MODULE_ID]
     weights = {key.removeprefix(_PREFIX): torch.as_tensor(np.array(value)) for key, value in state.items()}
-    return single_file_ppo.agent_of(weights)
-
-
-def _take_stock(run: Run, folder: Path, algorithm: Algorithm, steps: int, wall_time_s: float) -> None:
-    """Validate, write a checkpoint, keep the best policy."""
-    agent = _agent_of(algorithm)
-    run.curve.append({"timesteps": steps, "wall_time_s": round(wall_time_s, 2), **validate(agent, run.settings)})
-    # RLlib wants an absolute path. In this order a kill in between is mended on resumption.
-    save_folder(folder.resolve() / CHECKPOINTS, steps, lambda path: algorithm.save_to_path(path))
-    if run.best is run.curve[-1]:
-        save_folder(folder / BEST, steps, lambda path: single_file_ppo.save(path, agent))
-    run.write(folder)
+    return ppo.agent_of(weights)
 
 
 def train(run: Run, folder: Path, address: str | None = None) -> None:
@@ -210,8 +200,6 @@ def train(run: Run, folder: Path, address: str | None = None) -> None:
 def _train(run: Run, folder: Path, algorithm: Algorithm) -> None:
     settings = run.settings
     run.write(folder)
-    for name in (CHECKPOINTS, BEST):
-        put_back(folder / name)
     checkpoints = folders(folder / CHECKPOINTS)
     if checkpoints:
         with loading(checkpoints[-1]):
@@ -219,18 +207,22 @@ def _train(run: Run, folder: Path, algorithm: Algorithm) -> None:
     steps = first = _steps_of(algorithm)
     # Rows after the checkpoint are of a policy that is lost.
     run.curve = [row for row in run.curve if row["timesteps"] <= steps]
-    before_s = run.curve[-1]["wall_time_s"] if run.curve else 0.0
-    began = time.monotonic()
+    began = time.monotonic() - (run.curve[-1]["wall_time_s"] if run.curve else 0.0)
     with Progress("thousand steps") as progress, SummaryWriter(str(folder / "tensorboard")) as writer:
         while True:
-            done = steps >= settings.timesteps
-            rows = run.curve
-            if not rows or steps // settings.interval > int(rows[-1]["timesteps"]) // settings.interval or done:
-                run.finished = done
-                _take_stock(run, folder, algorithm, steps, before_s + time.monotonic() - began)
-            if done:
+            run.finished = steps >= settings.timesteps
+            if run.is_due(steps) or (run.finished and run.curve[-1]["timesteps"] < steps):
+                agent = _agent_of(algorithm)
+                run.validate(agent, steps, time.monotonic() - began)
+                # RLlib wants an absolute path. The checkpoint comes first: one whose row is missing in run.json is
+                # validated again on resumption.
+                save_folder(folder.resolve() / CHECKPOINTS, steps, algorithm.save_to_path)
+                if run.best is run.curve[-1]:
+                    save_folder(folder / BEST, steps, functools.partial(ppo.save, agent=agent))
+            run.write(folder)
+            if run.finished:
                 return
-            name = f"{settings.algo}, score {rows[-1]['score']:.1f}, best {run.best['score']:.1f}"
+            name = f"{settings.algo}, score {run.curve[-1]['score']:.1f}, best {run.best['score']:.1f}"
             progress.update(name, (steps - first) / 1000, round((settings.timesteps - first) / 1000))
             result = algorithm.train()
             steps = _steps_of(algorithm)
@@ -241,6 +233,3 @@ def _train(run: Run, folder: Path, algorithm: Algorithm) -> None:
                 for key, value in values.items():
                     if np.isscalar(value) and np.isfinite(value):
                         writer.add_scalar(f"{group}/{key}", value, steps)
-
-
-__all__ = ["AgentModule", "ppo_config", "train"]

@@ -1,4 +1,4 @@
-"""`python -m agents.incentives`: which terms of the cost the score pays for, and how much the wind regulates.
+"""`python -m agents.research.incentives`: the cost terms that the score pays for, and the wind's share of regulation.
 
 Two questions that a table of scores does not answer. Where do entries save cost: in the frequency, or in how closely
 they follow the prescribed power? And how much of the system's frequency response could the turbines change at all?
@@ -6,18 +6,14 @@ they follow the prescribed power? And how much of the system's frequency respons
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from agents.command import run_command
-from agents.probes import CONSTANT, delayed, late_name
-from wtg_gym.cli.output import Progress, check_page, update_page
-from wtg_gym.cli.parser import Parser
-from wtg_gym.cli.scoring import chosen_entries
+from agents.command import Parser, Progress, check_page, chosen_entries, run_command, update_page
+from agents.research.probes import CONSTANT, delayed, late_name
 from wtg_gym.evaluation import ANCHORS, Entry, EntrySummary, evaluate, leaderboard_rows
 from wtg_gym.files import markdown_table
 from wtg_gym.physics.plant import PlantSettings
@@ -37,63 +33,48 @@ through scenarios of the drawn suites. Prints scores and mean cost terms, and ho
 from the wind. With --page the tables go between <!-- {_SECTION}:start --> and <!-- {_SECTION}:end --> of a file."""
 _EXAMPLES = """\
 examples:
-  python -m agents.incentives --entries agents/policies/linear-feedback agents/policies/ppo-k-?
-  python -m agents.incentives --entries agents/policies/linear-feedback --scenarios 10"""
+  python -m agents.research.incentives --entries agents/policies/linear-feedback agents/policies/ppo-k-?
+  python -m agents.research.incentives --entries agents/policies/linear-feedback --scenarios 10"""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Response:
-    """What answers a falling frequency in the scenarios of a suite, in the mean over them.
+class Response(NamedTuple):
+    """Response to a falling frequency."""
 
-    Args:
-        governor_mw_hz: of the governors, rating/(R f_n) [MW/Hz].
-        wind_mw_hz: of all WTG groups under the reference at rest at their mean winds, from ω_st to ω_min [MW/Hz].
-        machine_energy_mws: kinetic energy of the synchronous machines [MW s].
-        wind_energy_mws: H times the rating of all groups: their virtual inertia [MW s].
-    """
-
-    governor_mw_hz: float
-    wind_mw_hz: float
-    machine_energy_mws: float
-    wind_energy_mws: float
+    governor_mw_hz: float  # of the governors, rating/(R f_n)
+    wind_mw_hz: float  # of all WTG groups under the reference at rest at their mean winds, from ω_st to ω_min
+    machine_energy_mws: float  # kinetic energy of the synchronous machines
+    wind_energy_mws: float  # H times the rating of all groups: their virtual inertia
 
 
-def response(scenario: Scenario) -> Response:
-    """Return what answers a falling frequency in one scenario."""
+def mean_response(scenarios: Sequence[Scenario]) -> Response:
+    """Return the mean response in scenarios."""
+    return Response(*np.mean([_response(scenario) for scenario in scenarios], axis=0).tolist())
+
+
+def _response(scenario: Scenario) -> Response:
     settings = PlantSettings()
     case, control, law = settings.case, settings.control, STRATEGIES[REFERENCE_STRATEGY]
-    span_hz = case.frequency_hz * (control.frequency_setpoint_pu - control.frequency_min_pu)
+    frequencies = control.frequency_setpoint_pu, control.frequency_min_pu
+    span_hz = case.frequency_hz * (frequencies[0] - frequencies[1])
     governor = 0.0
     for machine in case.machines:
         if machine.governor is not None:
             droop = scenario.governor_droop or machine.governor.droop_pu
             governor += machine.rating_mva / (droop * case.frequency_hz)
-    wind = 0.0
+    wind, rated_mw = 0.0, settings.turbine.rated_power_mw
     for group, speed in zip(settings.groups, scenario.wind_speed.mean(axis=1).tolist(), strict=True):
-        points = [
-            stable_equilibrium(frequency, law, speed)
-            for frequency in (control.frequency_setpoint_pu, control.frequency_min_pu)
-        ]
+        points = [stable_equilibrium(frequency, law, speed) for frequency in frequencies]
         powers = [0.0 if point is None else point.power_pu for point in points]
-        wind += group.n_turbines * settings.turbine.rated_power_mw * (powers[1] - powers[0]) / span_hz
-    rated_mw = settings.turbine.rated_power_mw * sum(group.n_turbines for group in settings.groups)
+        wind += group.n_turbines * rated_mw * (powers[1] - powers[0]) / span_hz
     return Response(
         governor_mw_hz=governor,
         wind_mw_hz=wind,
         machine_energy_mws=scenario.inertia_scale * sum(0.5 * m.two_h_s * m.rating_mva for m in case.machines),
-        wind_energy_mws=control.inertia_constant_s * rated_mw,
+        wind_energy_mws=control.inertia_constant_s * rated_mw * sum(group.n_turbines for group in settings.groups),
     )
 
 
-def mean_response(scenarios: Sequence[Scenario]) -> Response:
-    """Return the means over scenarios."""
-    found = [response(scenario) for scenario in scenarios]
-    names = ("governor_mw_hz", "wind_mw_hz", "machine_energy_mws", "wind_energy_mws")
-    return Response(**{name: float(np.mean([getattr(row, name) for row in found])) for name in names})
-
-
-def response_row(suite: str, found: Response) -> tuple[str, ...]:
-    """Return a suite's row of the second table."""
+def _response_row(suite: str, found: Response) -> tuple[str, ...]:
     total, energy = found.governor_mw_hz + found.wind_mw_hz, found.machine_energy_mws + found.wind_energy_mws
     return (
         suite,
@@ -104,8 +85,7 @@ def response_row(suite: str, found: Response) -> tuple[str, ...]:
     )
 
 
-def cost_row(suite: str, row: EntrySummary) -> tuple[str, ...]:
-    """Return an entry's row of the first table."""
+def _cost_row(suite: str, row: EntrySummary) -> tuple[str, ...]:
     terms = row.mean_cost_terms
     rest = terms["rotor"] + terms["effort"] + terms["failure"]
     shown = (terms["frequency"], terms["rocof"], terms["duty"], terms["overload"], rest)
@@ -113,33 +93,12 @@ def cost_row(suite: str, row: EntrySummary) -> tuple[str, ...]:
     return (suite, name, f"{row.score.value:.1f}", *(f"{value:.2f}" for value in shown))
 
 
-def delays(suite: str, rows: Sequence[EntrySummary]) -> str:
+def _delays(suite: str, rows: Sequence[EntrySummary]) -> str:
     """Return the scores of a suite with exact observations and one control step late, as text."""
     scores = {row.name: row.score.value for row in rows}
     pairs = [(name, value, scores.get(late_name(name))) for name, value in scores.items()]
     found = [f"{name} {value:.1f} → {late:.1f}" for name, value, late in pairs if late is not None]
     return f"`{suite}`: {', '.join(found) or 'none'}"
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit code."""
-    parser = Parser(prog="python -m agents.incentives", description=_DESCRIPTION, epilog=_EXAMPLES)
-    parser.add_argument("--entries", nargs="+", required=True, metavar="ENTRY", help="as for wtg-gym evaluate")
-    parser.add_argument("--split", choices=SPLITS, default="validation", help="default: validation")
-    parser.add_argument("--scenarios", type=int, metavar="N", help="the first N of the split (default: all)")
-    parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
-    parser.add_argument("--page", metavar="FILE", help=f"Markdown file with markers '{_SECTION}'")
-    return run_command(lambda: _incentives(parser.parse_args(argv)))
-
-
-def _incentives(given: argparse.Namespace) -> None:
-    page = check_page("--page", given.page, _SECTION)
-    entries = chosen_entries(given.entries)
-    late = [delayed(entry) for entry in entries if entry.policy is not None]
-    text = incentives([*entries, *late, CONSTANT], given.split, given.scenarios, given.threads)
-    if page is not None:
-        update_page(page, {_SECTION: text})
-    print(text)
 
 
 def incentives(
@@ -149,7 +108,7 @@ def incentives(
 
     Args:
         entries: competitors.
-        split: whose scenarios.
+        split: of the scenarios.
         n_scenarios: how many, the first ones; None for all.
         n_threads: threads to step with; None for one per processor.
 
@@ -170,10 +129,10 @@ def incentives(
 
             results = evaluate(entries, suite, split, seeds=seeds, n_threads=n_threads, on_progress=tell)
             rows = leaderboard_rows(results)
-            costs += [cost_row(suite, row) for row in rows if row.name != ANCHORS[0]]
-            late.append(delays(suite, rows))
+            costs += [_cost_row(suite, row) for row in rows if row.name != ANCHORS[0]]
+            late.append(_delays(suite, rows))
             found = mean_response(get_suite(suite).scenarios(seeds))
-            responses.append(response_row(suite, found))
+            responses.append(_response_row(suite, found))
             shares.append(f"{found.wind_mw_hz:.0f} of {found.governor_mw_hz + found.wind_mw_hz:.0f} on `{suite}`")
     first = markdown_table(_COST_COLUMNS, costs, right=range(2, len(_COST_COLUMNS)))
     second = markdown_table(_RESPONSE_COLUMNS, responses, right=range(1, len(_RESPONSE_COLUMNS)))
@@ -185,7 +144,26 @@ def incentives(
     )
 
 
-__all__ = ["Response", "cost_row", "incentives", "main", "mean_response", "response", "response_row"]
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    parser = Parser(prog="python -m agents.research.incentives", description=_DESCRIPTION, epilog=_EXAMPLES)
+    parser.add_argument("--entries", nargs="+", required=True, metavar="ENTRY", help="as for wtg-gym evaluate")
+    parser.add_argument("--split", choices=SPLITS, default="validation", help="default: validation")
+    parser.add_argument("--scenarios", type=int, metavar="N", help="the first N of the split (default: all)")
+    parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
+    parser.add_argument("--page", metavar="FILE", help=f"Markdown file with markers '{_SECTION}'")
+
+    def work() -> None:
+        given = parser.parse_args(argv)
+        page = check_page("--page", given.page, _SECTION)
+        entries = chosen_entries(given.entries)
+        late = [delayed(entry) for entry in entries if entry.policy is not None]
+        text = incentives([*entries, *late, CONSTANT], given.split, given.scenarios, given.threads)
+        if page is not None:
+            update_page(page, {_SECTION: text})
+        print(text)
+
+    return run_command(work)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""Policies that do one thing alone: to see that the cost has a term against it, or what that thing is worth.
+"""Policies that do one thing alone: the cost has a term against it, or its worth is of interest.
 
-wtg-gym results sensitivity --entries baselines agents.probes:CHATTER agents.probes:PUSH
-wtg-gym evaluate --split validation --entries agents.probes:STATIC baselines.tip_speed_feedback
+wtg-gym results sensitivity --entries baselines agents.research.probes:CHATTER agents.research.probes:PUSH
+wtg-gym evaluate --split validation --entries agents.research.probes:STATIC baselines.tip_speed_feedback
 """
 
 from __future__ import annotations
@@ -65,13 +65,8 @@ def late_name(name: str) -> str:
 
 
 def delayed(entry: Entry) -> Entry:
-    """Return an entry whose policy sees every observation one control step late.
-
-    Raises:
-        ValueError: the entry is a law, which has no policy.
-    """
-    if entry.policy is None:
-        raise ValueError(f"{entry.name} has no policy that could see its observations late")
+    """Return an entry with a policy, which sees every observation one control step late."""
+    assert entry.policy is not None
     return dataclasses.replace(entry, name=late_name(entry.name), policy=Delayed(entry.policy), fingerprint=None)
 
 
@@ -85,7 +80,7 @@ def _push(own: Floats, step: int) -> Floats:
 
 
 def _static() -> Rule:
-    """Return the rule that makes up for g(ω) being linear in k, while what is asked for is linear in power."""
+    """Return the rule that makes the captured power linear in frequency at rest, where g(ω) makes k linear."""
     law, control = STRATEGIES[REFERENCE_STRATEGY], GridFormingParameters()
     corners = np.array([control.frequency_min_pu, control.frequency_setpoint_pu, control.frequency_max_pu])
     deloading = np.linspace(0.0, control.deloading_limit, 101)

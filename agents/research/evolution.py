@@ -4,14 +4,19 @@ the best actions of each scenario, known beforehand.
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass
 
 import cma
 import numpy as np
 import numpy.typing as npt
 
-from agents.rollouts import Rollouts, both, course, linear_feedback
+from agents.research.rollouts import Rollouts, both, course, linear_feedback
+from wtg_gym.envs.settings import ACTION_MODES
 from wtg_gym.envs.task import N_LOCAL
+from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[np.float64]
 #: Called with the generations done and the (mean) cost of the best so far.
@@ -20,6 +25,69 @@ OnGeneration = Callable[[int, float], None]
 #: Candidates per generation and knots per action.
 POPULATION = 24
 N_KNOTS = 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class Search:
+    """Scenarios and effort of a search.
+
+    Args:
+        suite, split: of the scenarios.
+        n_scenarios: how many of them, the first ones; None for all.
+        action_mode: what the actions modulate.
+        generations: of the search, or of every scenario's search.
+        seed: of the search.
+
+    Raises:
+        ValueError: a value is unknown or out of range.
+    """
+
+    suite: str
+    split: str
+    n_scenarios: int | None
+    action_mode: str
+    generations: int
+    seed: int
+
+    def __post_init__(self) -> None:
+        largest = min(len(get_suite(self.suite).seeds(self.split)), 10_000)
+        for name, value, low, high in (
+            ("scenarios", self.n_scenarios, 1, largest),
+            ("generations", self.generations, 1, 100_000),
+            ("seed", self.seed, 0, 2**32 - 1),
+        ):
+            if value is not None and not low <= value <= high:
+                raise ValueError(f"--{name} = {value} is outside the allowed range {low} … {high}")
+
+    @property
+    def scenario_seeds(self) -> list[int]:
+        """Seeds of the scenarios."""
+        return list(get_suite(self.suite).seeds(self.split)[: self.n_scenarios])
+
+    def rollouts(self, scenario_seeds: Sequence[int], n_threads: int | None = None) -> Rollouts:
+        """Return rollouts of scenarios with a population in each."""
+        return Rollouts(self.suite, self.split, scenario_seeds, POPULATION, n_threads, action_mode=self.action_mode)
+
+
+def add_search_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that the commands with a search share."""
+    parser.add_argument("--suite", metavar="NAME", default="standard", help="(default: standard)")
+    parser.add_argument("--action-mode", choices=tuple(ACTION_MODES), default="k+tau", help="(default: k+tau)")
+    parser.add_argument("--generations", type=int, default=150, metavar="N", help="of a search (default: 150)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the search (default: 0)")
+    parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
+
+
+def search_of(given: argparse.Namespace, split: str) -> Search:
+    """Return the search that the options of :func:`add_search_options` and `--scenarios` ask for."""
+    return Search(
+        suite=given.suite,
+        split=split,
+        n_scenarios=given.scenarios,
+        action_mode=given.action_mode,
+        generations=given.generations,
+        seed=given.seed,
+    )
 
 
 class _Strategy:
@@ -120,13 +188,6 @@ def search_with_foresight(
         best = np.minimum(best, rollouts.pinned(terms).min(axis=1))
         on_generation(generation + 1, float(best.mean()))
     # The mean of a search's distribution is often better than any of its samples.
-    alone = rollouts.with_candidates(1)
-    try:
-        means = np.array([[search.mean] for search in searches])
-        best = np.minimum(best, alone.pinned(played(alone, means))[:, 0])
-    finally:
-        alone.close()
-    return best
-
-
-__all__ = ["N_KNOTS", "POPULATION", "search_with_foresight", "tune_linear"]
+    means = np.array([[search.mean] for search in searches])
+    with closing(rollouts.with_candidates(1)) as alone:
+        return np.minimum(best, alone.pinned(played(alone, means))[:, 0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -9,8 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from agents.gains import Gains
-from agents.staggering import stagger
+from agents.gains import Gains, stagger
 from wtg_gym.envs import GFMWTGVectorEnv
 
 #: Rewards are clipped to this many scales, as VecNormalize does.
@@ -24,7 +24,7 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Scales:
-    """What observations and rewards are divided by.
+    """Scales that observations and rewards are divided by.
 
     Args:
         mean, std: of every entry of the observation, (n_observation,).
@@ -50,7 +50,7 @@ def measure_scales(arguments: Mapping[str, Any], *, noise: float, gamma: float, 
     envs = RunnerEnvs(_MEASURED_LANES, **arguments)
     rng = np.random.default_rng(seed)
     returns, seen, all_returns = np.zeros(_MEASURED_LANES), [], []
-    try:
+    with contextlib.closing(envs):
         observations, _ = envs.reset(seed=seed)
         for _ in range(envs.gains.n_steps):
             seen.append(observations)
@@ -59,8 +59,6 @@ def measure_scales(arguments: Mapping[str, Any], *, noise: float, gamma: float, 
             returns = gamma * returns + rewards
             all_returns.append(returns)
             returns = np.where(terminated | truncated, 0.0, returns)
-    finally:
-        envs.close()
     rows = np.concatenate(seen).astype(np.float64)
     return Scales(
         mean=rows.mean(axis=0).tolist(),
@@ -70,17 +68,18 @@ def measure_scales(arguments: Mapping[str, Any], *, noise: float, gamma: float, 
 
 
 class RunnerEnvs(GFMWTGVectorEnv):
-    """The lanes of one runner: the native vector environment, with what RLlib does not do itself.
+    """The lanes of one runner: the native vector environment, with the parts that RLlib does not do itself.
 
     Rewards are :class:`agents.gains.Gains`, divided by a scale and clipped to ± 10.
 
-    Lanes start spread over an episode (:mod:`agents.staggering`). A reset's seed means a set of seeds of its own: RLlib
-    gives runner w the seed s + w, with which lane i + 1 of a runner would play the scenarios of lane i of the next one.
-    `info` is left empty, because RLlib takes it apart for every lane and step, which takes longer than all the rest.
+    Lanes start spread over an episode (:func:`agents.gains.stagger`). Every seed of a reset gives a set of seeds of its
+    own: RLlib gives runner w the seed s + w, with which lane i + 1 of a runner would play the scenarios of lane i of
+    the next one. `info` is empty, because RLlib takes it apart for every lane and step, which takes longer than all the
+    rest.
 
     Args:
         num_envs: number of lanes.
-        reward_scale: what rewards are divided by.
+        reward_scale: divisor of the rewards.
         arguments: as for :class:`GFMWTGVectorEnv`.
     """
 
@@ -125,11 +124,3 @@ class RunnerEnvs(GFMWTGVectorEnv):
         """Release the worker threads."""
         self.gains.close()
         super().close_extras(**kwargs)
-
-
-def make_envs(config: Mapping[str, Any]) -> RunnerEnvs:
-    """Return a runner's lanes; RLlib's configuration names `num_envs` and the arguments of :class:`RunnerEnvs`."""
-    return RunnerEnvs(**config)
-
-
-__all__ = ["RunnerEnvs", "Scales", "make_envs", "measure_scales"]

@@ -3,11 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +11,10 @@ import pytest
 
 pytest.importorskip("cma")
 
-from agents import foresight
-from agents.evolution import N_KNOTS, POPULATION, _Strategy, search_with_foresight
-from agents.linear import linear_policy
-from agents.oracle import main
-from agents.rollouts import Rollouts, course, linear_feedback
-from agents.simple_policies import simple_policies
-from tests.cli.calls import ROOT
+from agents.research import foresight, simple_policies
+from agents.research import linear as linear_command
+from agents.research.evolution import N_KNOTS, POPULATION, _Strategy, search_with_foresight
+from agents.research.rollouts import Rollouts, course, linear_feedback
 from wtg_gym.envs.task import N_LOCAL
 from wtg_gym.evaluation import Entry, OnnxPolicy, evaluate, load_entries
 from wtg_gym.evaluation.oracle import OracleCosts
@@ -113,7 +105,7 @@ def test_a_search_draws_from_its_own_generator_to_the_end() -> None:
 def test_exported_feedback_acts_like_the_searched_one(rollouts: Rollouts, tmp_path: Path) -> None:
     gains = np.random.default_rng(1).normal(0.0, 0.8, (2, N_LOCAL + 1))
     path = tmp_path / "policy.onnx"
-    path.write_bytes(linear_policy(gains, 2))
+    path.write_bytes(linear_command.linear_policy(gains, 2))
     entry = Entry(name="linear", policy=OnnxPolicy(path))
     results = evaluate([entry], "standard", "validation", seeds=SEEDS, duration_s=12.0)
     costs = [pinned(episode, 50.0) for episode in results.episodes_of("linear")]
@@ -131,13 +123,13 @@ _QUICK = ("--suite", "paper", "--generations", "2", "--action-mode", "k")
 def linear(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("linear")
     files = ("--output", str(folder / "entry"), "--gains", str(folder / "gains.json"))
-    assert main(["linear", *_QUICK, "--scenarios", "2", *files, "--name", "mine"]) == 0
+    assert linear_command.main([*_QUICK, "--scenarios", "2", *files, "--name", "mine"]) == 0
     return folder
 
 
 def _foresight(folder: Path, *more: str, parts: str = "parts") -> Path:
-    given = ["foresight", *_QUICK, "--chunk", "1", "--output", str(folder), "--parts", str(folder / parts), *more]
-    assert main(given) == 0
+    given = [*_QUICK, "--chunk", "1", "--output", str(folder), "--parts", str(folder / parts), *more]
+    assert foresight.main(given) == 0
     return folder / "paper-test.csv"
 
 
@@ -194,30 +186,31 @@ def test_finished_chunks_are_not_searched_again(tmp_path: Path, monkeypatch: pyt
     assert _foresight(tmp_path).read_bytes() == whole and len(searched) == 6
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="signals are another thing there")
-@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGKILL])
-def test_killed_search_goes_on_to_the_same_files(tmp_path: Path, end: signal.Signals) -> None:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    killed = tmp_path / "killed"
-    # Long enough that the second chunk is still under way when the first one is seen.
-    slow = ("--generations", "15")
-    options = [*slow, "--output", str(killed), "--parts", str(killed / "parts"), "--threads", "1"]
-    command = [sys.executable, "-m", "agents.oracle", "foresight", *_QUICK, "--chunk", "1", *options]
-    process = subprocess.Popen(command, cwd=ROOT, env=environment, stderr=subprocess.PIPE, text=True)
-    until = time.monotonic() + 200.0
-    while not list((killed / "parts").glob("*.json")) and process.poll() is None and time.monotonic() < until:
-        time.sleep(0.001)
-    process.send_signal(end)
-    said = process.communicate(timeout=100)[1]
-    assert process.returncode == (130 if end == signal.SIGINT else -signal.SIGKILL)
-    assert ("goes on from the searches that are finished" in said) == (end == signal.SIGINT)
-    assert len(list((killed / "parts").glob("*.json"))) == 1 and not (killed / "paper-test.csv").exists()
-    undisturbed = _foresight(tmp_path / "undisturbed", *slow)
-    assert _foresight(killed, *slow).read_bytes() == undisturbed.read_bytes()
-    assert undisturbed.with_suffix(".json").read_bytes() == (killed / "paper-test.json").read_bytes()
+def test_interrupted_search_goes_on_to_the_same_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stopped = tmp_path / "stopped"
+    real, searched = foresight.search_with_foresight, list[Any]()
+
+    def interrupted(rollouts: Any, seeds: Any, *others: Any) -> Any:
+        searched.append(seeds)
+        if len(searched) == 2:
+            raise KeyboardInterrupt
+        return real(rollouts, seeds, *others)
+
+    monkeypatch.setattr(foresight, "search_with_foresight", interrupted)
+    given = [*_QUICK, "--chunk", "1", "--output", str(stopped), "--parts", str(stopped / "parts")]
+    assert foresight.main(given) == 130
+    assert "goes on from the searches that are finished" in capsys.readouterr().err
+    assert len(list((stopped / "parts").glob("*.json"))) == 1 and not (stopped / "paper-test.csv").exists()
+    monkeypatch.undo()
+    undisturbed = _foresight(tmp_path / "undisturbed")
+    assert _foresight(stopped).read_bytes() == undisturbed.read_bytes()
+    assert undisturbed.with_suffix(".json").read_bytes() == (stopped / "paper-test.json").read_bytes()
 
 
-def _error_of(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+def _error_of(capsys: pytest.CaptureFixture[str], command: str, *arguments: str) -> str:
+    main = {"linear": linear_command.main, "foresight": foresight.main}[command]
     assert main(arguments) == 2
     said = capsys.readouterr()
     assert said.out == "" and len(said.err.splitlines()) == 1
@@ -231,14 +224,12 @@ def _error_of(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         (("linear", "--generations", "0"), "--generations = 0 is outside the allowed range 1 … 100000"),
         (("linear", "--name", ""), "an entry's name must be 1 … 60 printable characters"),
         (("linear", "--suite", "storm"), "unknown suite 'storm'"),
-        (("foresight", "--scenarios", "201"), "--scenarios = 201 is outside the allowed range 1 … 200"),
         (("foresight", "--chunk", "0"), "--chunk = 0 is outside the allowed range 1 … 1000"),
-        (("foresight", "--seed", "-1"), "--seed = -1 is outside the allowed range 0 … 4294967295"),
+        (("linear", "--seed", "-1"), "--seed = -1 is outside the allowed range 0 … 4294967295"),
         (("foresight", "--split", "train"), "invalid choice: 'train'"),
         (("foresight", "--entries", "turbo"), "unknown entry 'turbo'"),
         (("foresight", "--entries", "mppt", "mppt"), "given more than once: ['mppt']"),
         (("foresight", "--gains", "missing.json"), "cannot read the gains missing.json"),
-        (("foresight", "--parts", "file.txt"), "file.txt is not a folder"),
         (("foresight", "--threads", "0"), "the number of threads must be 1 or more, got 0"),
         (("foresight", "--output", "file.txt"), "file.txt is not a folder"),
     ],
@@ -260,13 +251,10 @@ def test_bad_input_is_one_line_before_anything_runs(
 @pytest.mark.parametrize(
     "content",
     [
-        "",
         "[]",
-        "{}",
         '{"action_mode": "k", "gains": "many"}',
         '{"action_mode": "tau", "gains": [[0, 0, 0, 0, 0, 0, 0, 0, 0]]}',
         '{"action_mode": "k", "gains": [[0, 0]]}',
-        '{"action_mode": "k", "gains": [[0, 0, 0, 0, 0, 0, 0, 0, NaN]]}',
         '{"action_mode": "k", "gains": [[0, 0, 0, 0, 0, 0, 0, 0, 1e999]]}',
     ],
 )
@@ -277,31 +265,31 @@ def test_gains_that_do_not_fit_are_refused(capsys: pytest.CaptureFixture[str], t
     assert str(path) in said
 
 
-def test_simple_policies_contain_the_reference_and_what_a_step_of_theirs_says() -> None:
-    reference, policies = simple_policies("standard", "validation", 2, n_threads=1)
+def test_simple_policies_contain_the_reference_and_are_played_as_their_words_say(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = reference, policies = simple_policies.simple_policies("standard", "validation", 1, n_threads=1)
     costs = {(policy.family, policy.description): policy.cost for policy in policies}
     # Quartiles of what hardly changes are alike when they are rounded.
     assert len(policies) == 77 + 288
     assert costs["constant", "k +0, tau +0"] == reference
-    found = [policy.cost for policy in policies]
-    assert found == sorted(found)
+    assert policies == sorted(policies, key=lambda policy: policy.cost)
 
     class Constant:
         def predict(self, observation: Any, state: Any = None, *_: Any, **__: Any) -> tuple[Any, Any]:
             return np.tile([0.5, -1.0], (len(observation), 2)), state
 
-    seeds = get_suite("standard").seeds("validation")[:2]
-    entry = Entry(name="constant", policy=Constant())
-    played = [
-        episode.metrics["cost"]
-        for episode in evaluate([entry], "standard", "validation", seeds=seeds).episodes_of("constant")
-    ]
-    assert costs["constant", "k +0.5, tau -1"] == pytest.approx(np.mean(played), rel=1e-12)
+    seeds = get_suite("standard").seeds("validation")[:1]
+    results = evaluate([Entry(name="constant", policy=Constant())], "standard", "validation", seeds=seeds)
+    (played,) = results.episodes_of("constant")
+    assert costs["constant", "k +0.5, tau -1"] == pytest.approx(played.metrics["cost"], rel=1e-12)
 
-
-def test_simple_policies_are_a_command(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["simple", "--scenarios", "1", "--threads", "1"]) == 0
+    monkeypatch.setattr(simple_policies, "simple_policies", lambda *_: found)
+    assert simple_policies.main([]) == 0
     printed = capsys.readouterr().out
     assert all(text in printed for text in ("constant", "bang-bang", "relay", "sign("))
-    assert main(["simple", "--scenarios", "101"]) == 2
+
+
+def test_too_many_scenarios_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert simple_policies.main(["--scenarios", "101"]) == 2
     assert "outside the allowed range 1 … 100" in capsys.readouterr().err

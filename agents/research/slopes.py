@@ -1,4 +1,4 @@
-"""What a policy does, in numbers of plain language: how k and τ depend on what it sees, by linear regression.
+"""How k and τ of a policy depend on what it sees, by linear regression.
 
 Every visited state counts once per WTG group; all groups share one regression.
 """
@@ -10,7 +10,7 @@ import io
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,51 +21,29 @@ from wtg_gym.physics.aerodynamics import tracking_point
 
 Floats = npt.NDArray[np.float64]
 
-#: What decides together: none of them is the last action by another name, as k and the power are.
-_TOGETHER = ("frequency deviation", "RoCoF", "tip-speed ratio above its target", "wind", "filter state")
-_COLUMNS = ("entry", "action", "regression", "quantity", "unit", "slope", "share_percent")
-#: Actions: k added by the policy as a share of K_opt, and log2 of what τ is multiplied with.
+#: Actions: k added by the policy as a share of K_opt, and log2 of the factor on τ.
 ACTIONS = ("k", "tau")
 
 
-@dataclass(frozen=True)
-class Slope:
-    """A row of the regression on one action.
+class Slope(NamedTuple):
+    """A row of the regression on one action."""
 
-    Args:
-        quantity: what is seen.
-        unit: what the slope counts it in.
-        slope: of k [K_opt] or log2 τ per unit; not a number where it has none.
-        share: of the action's variance that it explains, 0 … 1.
-    """
-
-    quantity: str
-    unit: str
-    slope: float
-    share: float
+    quantity: str  # that is seen
+    unit: str  # in which the slope counts it
+    slope: float  # of k [K_opt] or log2 τ per unit
+    share: float  # of the action's variance that it explains, 0 … 1
 
 
-@dataclass(frozen=True)
-class Slopes:
-    """How one action depends on what the policy sees.
+class Slopes(NamedTuple):
+    """Dependence of one action on what the policy sees."""
 
-    Args:
-        mean: of the action: k added [K_opt], or log2 of τ's factor.
-        deviation: its standard deviation, in the same unit.
-        alone: each named observation on its own.
-        together: the quantities that decide, in one regression; shares add up to `explained`.
-        explained: share of the variance that these explain, 0 … 1.
-        with_others: the same with those of the other groups beside them.
-        each_group: the same with a regression for each group.
-    """
-
-    mean: float
-    deviation: float
-    alone: tuple[Slope, ...]
-    together: tuple[Slope, ...]
-    explained: float
-    with_others: float
-    each_group: float
+    mean: float  # of the action: k added [K_opt], or log2 of the factor on τ
+    deviation: float  # its standard deviation, in the same unit
+    alone: tuple[Slope, ...]  # each named observation on its own
+    together: tuple[Slope, ...]  # the quantities that decide, in one regression; shares add up to `explained`
+    explained: float  # share of the variance that these explain, 0 … 1
+    with_others: float  # the same with those of the other groups beside them
+    each_group: float  # the same with a regression for each group
 
 
 def policy_slopes(recording: Recording) -> dict[str, Slopes]:
@@ -84,31 +62,29 @@ def policy_slopes(recording: Recording) -> dict[str, Slopes]:
 
 
 def _slopes_of(recording: Recording, action: Floats) -> Slopes:
-    own = [_quantities(recording, group) for group in range(recording.n_wtg)]
-    seen = [_observations(recording, group) for group in range(recording.n_wtg)]
-    rows = [np.isfinite(action[:, :, group]) for group in range(recording.n_wtg)]
+    groups = range(recording.n_wtg)
+    rows = [np.isfinite(action[:, :, group]) for group in groups]
     y = [action[:, :, group][row] for group, row in enumerate(rows)]
-    x = [np.stack([values[row] for values in each.values()], axis=1) for each, row in zip(own, rows, strict=True)]
-    o = [np.stack([values[row] for values in each.values()], axis=1) for each, row in zip(seen, rows, strict=True)]
+    decisive = [_quantities(recording, group) for group in groups]
+    seen = [_observations(recording, group) for group in groups]
+    x, o = (
+        [np.stack([values[row] for values in each.values()], axis=1) for each, row in zip(own, rows, strict=True)]
+        for own in (decisive, seen)
+    )
     all_y, all_x, all_o = np.concatenate(y), np.concatenate(x), np.concatenate(o)
-    # The other groups' mean, at the same instants.
-    total = np.sum([np.stack(list(each.values()), axis=-1) for each in own], axis=0)
+    # The other groups' sum, at the same instants.
+    total = np.sum([np.stack(list(each.values()), axis=-1) for each in decisive], axis=0)
     others = np.concatenate([total[row] - each for row, each in zip(rows, x, strict=True)])
     left = sum(
         float(each.var()) * each.size * (1.0 - _explained(values, each)) for values, each in zip(x, y, strict=True)
     )
-    slopes = _slopes(all_x, all_y)
+    found = zip(decisive[0], _slopes(all_x, all_y), _shares(all_x, all_y), strict=True)
+    columns = [(key, column[:, None]) for key, column in zip(seen[0], all_o.T, strict=True)]
     return Slopes(
         mean=float(all_y.mean()),
         deviation=float(all_y.std()),
-        alone=tuple(
-            Slope(name, unit, float(_slopes(column[:, None], all_y)[0]), _explained(column[:, None], all_y))
-            for (name, unit), column in zip(seen[0], all_o.T, strict=True)
-        ),
-        together=tuple(
-            Slope(name, unit, float(slope), float(share))
-            for (name, unit), slope, share in zip(own[0], slopes, _shares(all_x, all_y), strict=True)
-        ),
+        alone=tuple(Slope(*key, float(_slopes(o, all_y)[0]), _explained(o, all_y)) for key, o in columns),
+        together=tuple(Slope(*key, float(slope), float(share)) for key, slope, share in found),
         explained=_explained(all_x, all_y),
         with_others=_explained(np.hstack([all_x, others]), all_y),
         each_group=1.0 - left / (float(all_y.var()) * all_y.size),
@@ -116,15 +92,18 @@ def _slopes_of(recording: Recording, action: Floats) -> Slopes:
 
 
 def _quantities(recording: Recording, group: int) -> dict[tuple[str, str], Floats]:
-    """Return what decides at each step, by name and unit of the slope, (n_scenarios, n_steps)."""
-    values = (
-        ("0.1 Hz", recording.deviation_hz / 0.1),
-        ("0.1 Hz/s", recording.rocof_hz_s / 0.1),
-        ("0.1", recording.ratio_above_target / 0.1),
-        ("1 m/s", recording.wind_m_s),
-        ("0.1 Hz", recording.filter_hz / 0.1),
-    )
-    return {(name, unit): each[:, :-1, group] for name, (unit, each) in zip(_TOGETHER, values, strict=True)}
+    """Return the quantities that decide at each step, by name and unit of the slope, (n_scenarios, n_steps).
+
+    None of them is the last action by another name, as k and the power are.
+    """
+    values = {
+        ("frequency deviation", "0.1 Hz"): recording.deviation_hz / 0.1,
+        ("RoCoF", "0.1 Hz/s"): recording.rocof_hz_s / 0.1,
+        ("tip-speed ratio above its target", "0.1"): recording.ratio_above_target / 0.1,
+        ("wind", "1 m/s"): recording.wind_m_s,
+        ("filter state", "0.1 Hz"): recording.filter_hz / 0.1,
+    }
+    return {key: each[:, :-1, group] for key, each in values.items()}
 
 
 def _observations(recording: Recording, group: int) -> dict[tuple[str, str], Floats]:
@@ -180,30 +159,33 @@ def _shares(x: Floats, y: Floats) -> Floats:
 
 
 def slopes_tables(found: Mapping[str, Mapping[str, Slopes]]) -> str:
-    """Return two Markdown tables for every entry, with what they are; `found` by entry and action."""
+    """Return two Markdown tables with their explanation for every entry; `found` by entry and action."""
     parts = []
     for name, actions in found.items():
-        parts.append(f"**{name}**")
-        parts.append(
-            "Together, in one regression: what is added to k, in shares of K_opt, and the factor on τ, for every unit "
-            "more; the share of an action's variance that a quantity explains is the mean over all orders of adding "
-            "them."
-        )
-        rows = _rows([actions[a].together if a in actions else None for a in ACTIONS])
+        both = [actions.get(action) for action in ACTIONS]
+        rows = _rows([each and each.together for each in both])
         for words, key in (
             ("all of these", "explained"),
             ("the same of the other groups as well", "with_others"),
             ("a regression for each group", "each_group"),
         ):
-            shares = [_percent(getattr(actions[a], key)) if a in actions else "–" for a in ACTIONS]
+            shares = ["–" if each is None else _percent(getattr(each, key)) for each in both]
             rows.append([words, "", "", shares[0], "", shares[1]])
-        means = [_change(a, actions[a].mean) if a in actions else "–" for a in ACTIONS]
-        rows.append(["mean of the action", "", means[0], "", means[1], ""])
-        spread = [_change(a, actions[a].deviation) if a in actions else "–" for a in ACTIONS]
-        rows.append(["its standard deviation", "", spread[0].removeprefix("+"), "", spread[1], ""])
-        parts.append(_table(rows))
-        parts.append("Each observation of a group on its own, in the unit that it is observed in:")
-        parts.append(_table(_rows([actions[a].alone if a in actions else None for a in ACTIONS])))
+        for words, key in (("mean of the action", "mean"), ("its standard deviation", "deviation")):
+            k, tau = (
+                "–" if each is None else _change(action, getattr(each, key))
+                for action, each in zip(ACTIONS, both, strict=True)
+            )
+            rows.append([words, "", k.removeprefix("+") if key == "deviation" else k, "", tau, ""])
+        parts += [
+            f"**{name}**",
+            "Together, in one regression: what is added to k, in shares of K_opt, and the factor on τ, for every unit "
+            "more; the share of an action's variance that a quantity explains is the mean over all orders of adding "
+            "them.",
+            _table(rows),
+            "Each observation of a group on its own, in the unit that it is observed in:",
+            _table(_rows([each and each.alone for each in both])),
+        ]
     return "\n\n".join(parts)
 
 
@@ -235,14 +217,11 @@ def slopes_csv(found: Mapping[str, Mapping[str, Slopes]]) -> str:
     """Return all slopes as CSV: that of k in K_opt per unit, that of τ in doublings per unit; `found` as above."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(_COLUMNS)
+    writer.writerow(("entry", "action", "regression", "quantity", "unit", "slope", "share_percent"))
     for name, actions in found.items():
         for action, result in actions.items():
-            for regression in ("together", "alone"):
-                for row in getattr(result, regression):
+            for regression, rows in (("together", result.together), ("alone", result.alone)):
+                for row in rows:
                     numbers = f"{row.slope:.6g}", f"{100.0 * row.share:.4g}"
                     writer.writerow([name, action, regression, row.quantity, row.unit, *numbers])
     return text.getvalue()
-
-
-__all__ = ["ACTIONS", "Slope", "Slopes", "policy_slopes", "slopes_csv", "slopes_tables"]

@@ -1,8 +1,9 @@
-"""Many candidates played through many scenarios at once, and what a candidate can be."""
+"""Many candidates played through many scenarios at once, and the forms of candidates."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -69,12 +70,8 @@ class Rollouts:
     def reference(self) -> Floats:
         """Return what :meth:`play` gives for the zero action, (n_scenarios, n_terms)."""
         zero = np.zeros((self.n_scenarios, 1, self.n_wtg, self.n_action))
-        alone = self if self.n_candidates == 1 else self.with_candidates(1)
-        try:
+        with closing(self.with_candidates(1)) as alone:
             return alone.play(lambda _step, _own: zero)[:, 0]
-        finally:
-            if alone is not self:
-                alone.close()
 
     def pinned(self, terms: Floats) -> Floats:
         """Return the costs that the leaderboard counts, (...): a failed episode's is the largest there is.
@@ -125,4 +122,6 @@ def both(one: Candidates, other: Candidates) -> Candidates:
     return lambda step, own: one(step, own) + other(step, own)
 
 
-__all__ = ["Candidates", "Rollouts", "both", "course", "linear_feedback"]
+def difference_percent(cost: float, reference: float) -> str:
+    """Return a cost's difference from the reference's, as text for a table."""
+    return f"{100.0 * (cost / reference - 1.0):+.1f}"

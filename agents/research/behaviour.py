@@ -1,0 +1,204 @@
+"""`python -m agents.research.behaviour`: trained policies in figures and tables, and their learning curves."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from agents.command import (
+    Parser,
+    check_output_folder,
+    check_page,
+    chosen_entries,
+    note,
+    require_extra,
+    run_command,
+    update_page,
+    write_and_say,
+)
+from agents.research.learning_curves import curves_by_setup, read_csv, read_runs, to_csv
+from agents.research.slopes import policy_slopes, slopes_csv, slopes_tables
+from wtg_gym.envs import EnvSettings
+from wtg_gym.envs.task import COST_TERMS
+from wtg_gym.evaluation import Entry
+from wtg_gym.evaluation.recording import Recording, one_scenario, pooled, record
+from wtg_gym.physics.scenario import Scenario
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
+from wtg_gym.scenarios import SPLITS, SUITES, get_suite
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+CURVES_FILE, SLOPES_FILE = "learning_curves.csv", "slopes.csv"
+#: Sections of the page: those that entries fill, and that of the learning curves.
+ENTRY_SECTIONS, CURVE_SECTION = ("responses", "runs", "costs", "slopes"), "learning-curves"
+_DEFAULT_SCENARIOS, _MOST_SCENARIOS = 50, 10_000
+
+_DESCRIPTION = f"""\
+Plays entries and the reference through scenarios of a suite and writes, as figures and tables,
+
+  responses-NAME            k and τ in use over what the policy sees, beside the reference's
+  run-NAME-SCENARIO         the paper's cases and the first scenario over time, beside the reference
+  costs                     cost of an episode, term by term
+  {SLOPES_FILE}                how k and τ depend on each observation, by linear regression
+  learning-curves           validation score against steps and wall time, and {CURVES_FILE}, which
+                            draws them again when no runs are given
+
+Entries of one name and several training seeds are one policy. With --page sections of a Markdown file are renewed,
+each between <!-- NAME:start --> and <!-- NAME:end -->: {", ".join((*ENTRY_SECTIONS, CURVE_SECTION))}."""
+_EXAMPLES = """\
+examples:
+  python -m agents.research.behaviour --entries agents/policies/ppo-0 --output docs/agents --page docs/agents.md
+  python -m agents.research.behaviour --runs runs/ppo-* --output docs/agents --page docs/agents.md
+  python -m agents.research.behaviour --entries agents/policies/ppo-0 mppt --suite gust --output pictures"""
+
+
+class _Picture(NamedTuple):
+    name: str  # of the file, without suffix
+    section: str  # of the page
+    caption: str  # one sentence
+    figure: Figure
+
+
+class _Played(NamedTuple):
+    """Scenarios, and the recordings of every entry in them by name, one per training seed; the reference first."""
+
+    scenarios: Sequence[Scenario]
+    recordings: Mapping[str, Sequence[Recording]]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    parser = Parser(prog="python -m agents.research.behaviour", description=_DESCRIPTION, epilog=_EXAMPLES)
+    parser.add_argument("--entries", nargs="+", default=[], metavar="ENTRY", help="as for wtg-gym evaluate")
+    parser.add_argument("--runs", nargs="+", default=[], metavar="FOLDER", help="folders of training runs")
+    parser.add_argument("--output", required=True, metavar="FOLDER", help="folder to write to")
+    parser.add_argument("--page", metavar="FILE", help="Markdown file whose sections are renewed")
+    parser.add_argument("--suite", choices=tuple(SUITES), default="standard", help="default: standard")
+    parser.add_argument("--split", choices=SPLITS, default="test", help="its scenarios")
+    parser.add_argument("--scenarios", type=int, metavar="N", help="the first N of the split (default: 50, or all)")
+    return run_command(
+        lambda: _behaviour(parser.parse_args(argv)), "what was written is complete; run the same command again"
+    )
+
+
+def _behaviour(given: argparse.Namespace) -> None:
+    require_extra("matplotlib", "python -m agents.research.behaviour")
+    folder = check_output_folder("--output", given.output)
+    csv_file = folder / CURVES_FILE
+    if not given.entries and not given.runs and not csv_file.is_file():
+        raise ValueError(f"nothing to draw: give --entries or --runs, there is no {csv_file} either")
+    # A pattern such as runs/* names logs beside the folders as well.
+    runs = [path for path in map(Path, given.runs) if not path.is_file()]
+    validations = read_runs(runs) if runs else read_csv(csv_file) if csv_file.is_file() else []
+    entries = _entries(given.entries) if given.entries else []
+    sections = (*(ENTRY_SECTIONS if entries else ()), *((CURVE_SECTION,) if validations else ()))
+    page = check_page("--page", given.page, *sections)
+    allowed = get_suite(given.suite).seeds(given.split)
+    largest = min(len(allowed), _MOST_SCENARIOS)
+    n = min(_DEFAULT_SCENARIOS, largest) if given.scenarios is None else given.scenarios
+    if not 1 <= n <= largest:
+        raise ValueError(f"--scenarios must be 1 … {largest} for {given.suite}/{given.split}, got {n}")
+    texts: dict[str, str] = {}
+    pictures: list[_Picture] = []
+    if runs:
+        write_and_say(csv_file, to_csv(validations))
+    if entries:
+        played = _play(entries, given.suite, given.split, list(allowed[:n]))
+        cases = _play(entries, "paper", "test", [0, 1])
+        policies = list(dict.fromkeys(entry.name for entry in entries if entry.policy is not None))
+        pictures += _pictures(policies, played, cases, given.suite, given.split)
+        found = {name: policy_slopes(pooled(played.recordings[name])) for name in policies}
+        # A policy that never acts has nothing to be explained.
+        found = {name: actions for name, actions in found.items() if actions}
+        write_and_say(folder / SLOPES_FILE, slopes_csv(found))
+        texts["slopes"] = slopes_tables(found)
+    from wtg_gym.plotting import plot_learning_curves, save_figure
+
+    if validations:
+        caption = (
+            "Validation score against environment steps and wall time: mean over the training seeds, band from the "
+            "worst to the best."
+        )
+        curves = plot_learning_curves(curves_by_setup(validations))
+        pictures.append(_Picture("learning-curves", CURVE_SECTION, caption, curves))
+    for picture in pictures:
+        save_figure(picture.figure, folder / picture.name, ["svg"])
+    note(f"wrote {len(pictures)} figures in {folder}")
+    if page is not None:
+        where = Path(os.path.relpath(folder.resolve(), page.resolve().parent))
+        for section in sections:
+            links = [
+                f"![{each.caption}]({(where / each.name).as_posix()}.svg)\n\n{each.caption}"
+                for each in pictures
+                if each.section == section
+            ]
+            texts.setdefault(section, "\n\n".join(links))
+        update_page(page, texts)
+
+
+def _entries(specs: Sequence[str]) -> list[Entry]:
+    """Return the entries with the reference before them."""
+    (reference,) = chosen_entries([REFERENCE_STRATEGY])
+    entries = [reference, *(entry for entry in chosen_entries(specs) if entry.name != REFERENCE_STRATEGY)]
+    names = list(dict.fromkeys(entry.name for entry in entries))
+    slugs = [_slug(name) for name in names]
+    alike = [name for name, slug in zip(names, slugs, strict=True) if slugs.count(slug) > 1]
+    if alike:
+        raise ValueError(f"the names {alike} would give files of one name; they must differ in letters or digits")
+    return entries
+
+
+def _slug(name: str) -> str:
+    """Return a name as part of a file name."""
+    words = name.lower().replace("τ", "tau").replace("λ", "lambda").replace("ω", "omega")
+    return re.sub(r"[^a-z0-9]+", "-", words).strip("-")
+
+
+def _play(entries: Sequence[Entry], suite: str, split: str, seeds: Sequence[int]) -> _Played:
+    note(f"playing {len(entries)} entries in {len(seeds)} scenarios of {suite}")
+    settings = EnvSettings(suite=suite, split=split)
+    scenarios = get_suite(suite).scenarios(seeds)
+    recordings: dict[str, list[Recording]] = {}
+    for entry in entries:
+        recordings.setdefault(entry.name, []).append(record(entry, settings, scenarios))
+    return _Played(scenarios, recordings)
+
+
+def _pictures(policies: Sequence[str], played: _Played, cases: _Played, suite: str, split: str) -> list[_Picture]:
+    from wtg_gym.plotting import plot_costs, plot_responses, plot_runs, strategy_looks
+
+    looks = strategy_looks(list(played.recordings))
+    reference = played.recordings[REFERENCE_STRATEGY][0]
+    where = f"{len(played.scenarios)} {split} scenarios of `{suite}`"
+    pictures = []
+    for name in policies:
+        caption = (
+            f"{name} in {where}: k and τ in use over what it sees (medians and the middle 80 %) and the reference's."
+        )
+        figure = plot_responses(name, pooled(played.recordings[name]), reference, looks)
+        pictures.append(_Picture(f"responses-{_slug(name)}", "responses", caption, figure))
+    for name in list(played.recordings)[1:]:
+        for group, index in ((cases, 0), (cases, 1), (played, 0)):
+            scenario = group.scenarios[index]
+            runs = {
+                key: [one_scenario(each, index) for each in group.recordings[key]] for key in (REFERENCE_STRATEGY, name)
+            }
+            seeds = f", {len(runs[name])} training seeds" if len(runs[name]) > 1 else ""
+            caption = f"{name}{seeds} and the reference in `{scenario.name}`."
+            file = f"run-{_slug(name)}-{_slug(scenario.name)}"
+            pictures.append(_Picture(file, "runs", caption, plot_runs(scenario, runs, looks)))
+    means = {name: pooled(own).cost_terms.mean(axis=0).tolist() for name, own in played.recordings.items()}
+    costs = {name: dict(zip(COST_TERMS, values, strict=True)) for name, values in means.items()}
+    caption = f"Mean cost of an episode, total and term by term, in {where}."
+    pictures.append(_Picture("costs", "costs", caption, plot_costs(costs, looks, f"{suite}/{split}")))
+    return pictures
+
+
+if __name__ == "__main__":
+    sys.exit(main())

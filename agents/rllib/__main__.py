@@ -1,0 +1,73 @@
+"""`python -m agents.rllib`: trains a policy with PPO of Ray RLlib, on one machine or on a Ray cluster."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from agents.command import (
+    Parser,
+    add_folder_options,
+    add_training_options,
+    given_options,
+    opened_run,
+    run_command,
+    settings_of,
+)
+from agents.rllib import NAME, Hyperparameters
+from agents.runs import RunSettings
+
+_TIMESTEPS = 10_000_000
+_DESCRIPTION = """\
+Trains a policy with PPO of Ray RLlib: several runners, each with many episodes at once, collect what one or more
+learners learn from. A folder gets run.json, TensorBoard's files, the policy with the best validation score, and RLlib's
+checkpoint to go on from with --resume after an interruption of any kind."""
+_EXAMPLES = """\
+examples:
+  python -m agents.rllib --output runs/rllib-0
+  python -m agents.rllib --address auto --num-env-runners 32 --num-learners 2 --output /shared/runs/rllib-0
+  python -m agents.rllib --resume runs/rllib-0
+  python -m agents.export runs/rllib-0 --output agents/policies/rllib-0 --name 'RLlib PPO'"""
+
+
+def _settings(given: Mapping[str, Any]) -> RunSettings:
+    names = {field.name for field in dataclasses.fields(Hyperparameters)}
+    h = Hyperparameters(**{name: value for name, value in given.items() if name in names})
+    return settings_of(given, NAME, dataclasses.asdict(h), timesteps=_TIMESTEPS, n_envs=h.n_envs)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    default = Hyperparameters()
+    parser = Parser(prog="python -m agents.rllib", description=_DESCRIPTION, epilog=_EXAMPLES)
+    add_folder_options(parser)
+    add_training_options(parser, timesteps=str(_TIMESTEPS))
+    parser.add_argument("--address", help="Ray cluster to join, such as auto or HOST:6379 (default: start Ray here)")
+    for option, text in (
+        ("--num-env-runners", f"processes that play episodes (default: {default.num_env_runners})"),
+        ("--envs-per-runner", f"episodes side by side in each of them (default: {default.envs_per_runner})"),
+        ("--num-learners", "processes that learn; 0: the command's own (default: 0)"),
+    ):
+        parser.add_argument(option, type=int, metavar="N", help=text)
+
+    def work() -> None:
+        given = given_options(parser.parse_args(argv))
+        # The only option that a resumed run takes as well.
+        address = given.pop("address", None)
+        with opened_run(given, (NAME,), lambda: _settings(given)) as (run, folder):
+            if importlib.util.find_spec("ray") is None:
+                raise ValueError(
+                    "ray is not installed: pip install -c constraints-rllib.txt -e '.[rllib]', or make rllib"
+                )
+            from agents.rllib.learner import train
+
+            train(run, folder, address)
+
+    return run_command(work, "go on with --resume")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
