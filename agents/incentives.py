@@ -15,6 +15,7 @@ import numpy as np
 
 from agents.command import run_command
 from agents.probes import CONSTANT, delayed, late_name
+from wtg_gym.analysis.steady_states import stable_equilibrium
 from wtg_gym.cli.output import Progress, check_page, update_page
 from wtg_gym.cli.parser import Parser
 from wtg_gym.cli.scores import chosen_entries
@@ -22,7 +23,6 @@ from wtg_gym.evaluation import ANCHORS, Entry, EntrySummary, evaluate, leaderboa
 from wtg_gym.files import markdown_table
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.physics.statics import stable_equilibrium
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 from wtg_gym.scenarios import SPLITS, get_suite
 

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from tests.cli.calls import error_of, json_of
-from wtg_gym.benchmarks import growth, peers, training
-from wtg_gym.benchmarks.timing import Stepper
+from wtg_gym.analysis.benchmarks import growth, peers, training
+from wtg_gym.analysis.benchmarks.timing import Stepper
 from wtg_gym.cli import main
 
 QUICK = ("--seconds", "0.01", "--repeats", "1")

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from wtg_gym.analysis.loops import SingleMachine, ideal_source_loop, single_machine
+from wtg_gym.analysis.steady_states import critical_frequency_pu, named_points
 from wtg_gym.physics.aerodynamics import available_power_pu, tracking_point
 from wtg_gym.physics.layout import Status
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.physics.statics import critical_frequency_pu, named_points
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.physics.trajectory import Trajectory
 from wtg_gym.plotting import STRATEGY_LOOKS, plot_bode, plot_case_study, plot_characteristic, plot_power_coefficient
-from wtg_gym.small_signal import SingleMachine, ideal_source_loop, single_machine
 
 pytest.importorskip("matplotlib")
 pytestmark = pytest.mark.filterwarnings("error")

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from wtg_gym.analysis.case_studies import DampingStudy, EquilibriumStudy, MachineModelStudy, MarginStudy
+from wtg_gym.analysis.eigenvalues import Mode, linearise, modes
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.physics.trajectory import Trajectory
@@ -20,8 +22,6 @@ from wtg_gym.plotting import (
     plot_modes,
     plot_slopes,
 )
-from wtg_gym.small_signal import Mode, linearise, modes
-from wtg_gym.validation.studies import DampingStudy, EquilibriumStudy, MachineModelStudy, MarginStudy
 
 pytest.importorskip("matplotlib")
 pytestmark = pytest.mark.filterwarnings("error")

@@ -9,12 +9,12 @@ import sys
 import numpy as np
 import pytest
 
+from wtg_gym.envs.rendering.diagram import describe_event
 from wtg_gym.physics.layout import Status
 from wtg_gym.physics.scenario import LineTrip, LoadRamp, LoadStep, LoadTrip, Scenario
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.physics.trajectory import Trajectory, simulate
 from wtg_gym.plotting import GROUP_STYLES, STRATEGY_LOOKS, plot_trajectories
-from wtg_gym.rendering import describe_event
 
 pytest.importorskip("matplotlib")
 

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from wtg_gym.analysis.step_error import METHODS, STEPS, Accuracy, AccuracyStudy, study_accuracy
+from wtg_gym.analysis.tables import accuracy_table, order_table
 from wtg_gym.cli.output import (
     FIGURE_FORMATS,
     Progress,
@@ -25,8 +27,6 @@ from wtg_gym.cli.output import (
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.files import to_json, write_atomically
 from wtg_gym.scenarios import SUITES
-from wtg_gym.validation.accuracy import METHODS, STEPS, Accuracy, AccuracyStudy, study_accuracy
-from wtg_gym.validation.report import accuracy_table, order_table
 
 _DESCRIPTION = f"""\
 Integrates random scenarios with several explicit methods and steps, and compares frequency, rotor speed and power of

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from wtg_gym.benchmarks.environments import YARDSTICK
-from wtg_gym.benchmarks.growth import ALL_GROUPS, ALL_MACHINES, GROUPS, MACHINES, describe_growth
-from wtg_gym.benchmarks.peers import peer_packages
-from wtg_gym.benchmarks.report import (
+from wtg_gym.analysis.benchmarks.environments import YARDSTICK
+from wtg_gym.analysis.benchmarks.growth import ALL_GROUPS, ALL_MACHINES, GROUPS, MACHINES, describe_growth
+from wtg_gym.analysis.benchmarks.peers import peer_packages
+from wtg_gym.analysis.benchmarks.report import (
     Table,
     achieved_table,
     ceiling_table,
@@ -21,9 +21,9 @@ from wtg_gym.benchmarks.report import (
     growth_table,
     rate_table,
 )
-from wtg_gym.benchmarks.suite import PARTS, Benchmark, Results
-from wtg_gym.benchmarks.timing import machine, versions
-from wtg_gym.benchmarks.training import describe_training
+from wtg_gym.analysis.benchmarks.suite import PARTS, Benchmark, Results
+from wtg_gym.analysis.benchmarks.timing import machine, versions
+from wtg_gym.analysis.benchmarks.training import describe_training
 from wtg_gym.cli.output import (
     FIGURE_FORMATS,
     Progress,

@@ -10,6 +10,32 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from wtg_gym.analysis.case_studies import (
+    CaseStudies,
+    DampingStudy,
+    EquilibriumStudy,
+    MachineModelStudy,
+    MarginStudy,
+    linear_undamped,
+    run_case_studies,
+    study_damping,
+    study_equilibria,
+    study_machine_models,
+    study_margins,
+    study_slopes,
+)
+from wtg_gym.analysis.eigenvalues import Mode, linearise, modes
+from wtg_gym.analysis.infinite_bus import Agreement, agreements, system_margins
+from wtg_gym.analysis.loops import SingleMachine, ideal_source_loop, single_machine
+from wtg_gym.analysis.omissions import Omissions, study_omissions
+from wtg_gym.analysis.paper_claims import Claim, paper_claims
+from wtg_gym.analysis.tables import (
+    agreement_table,
+    claims_table,
+    modes_table,
+    omissions_sections,
+    system_margins_table,
+)
 from wtg_gym.cli.output import (
     FIGURE_FORMATS,
     Progress,
@@ -27,31 +53,6 @@ from wtg_gym.files import to_json, write_atomically
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 from wtg_gym.scenarios import get_suite
-from wtg_gym.small_signal import Mode, SingleMachine, ideal_source_loop, linearise, modes, single_machine
-from wtg_gym.validation.agreement import Agreement, agreements, system_margins
-from wtg_gym.validation.claims import Claim, paper_claims
-from wtg_gym.validation.omissions import Omissions, study_omissions
-from wtg_gym.validation.report import (
-    agreement_table,
-    claims_table,
-    modes_table,
-    omissions_sections,
-    system_margins_table,
-)
-from wtg_gym.validation.studies import (
-    CaseStudies,
-    DampingStudy,
-    EquilibriumStudy,
-    MachineModelStudy,
-    MarginStudy,
-    linear_undamped,
-    run_case_studies,
-    study_damping,
-    study_equilibria,
-    study_machine_models,
-    study_margins,
-    study_slopes,
-)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from wtg_gym.envs.rendering.diagram import describe_event
 from wtg_gym.files import read_json
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.rendering import describe_event
 
 
 def read_scenario(path: Path) -> Scenario:

@@ -10,6 +10,15 @@ from typing import Any
 
 import numpy as np
 
+from wtg_gym.analysis.eigenvalues import LinearModel, Mode, linearise, modes, synchronising_coefficients
+from wtg_gym.analysis.loops import (
+    PAPER_SYNCHRONISING_COEFFICIENT,
+    Side,
+    SingleMachine,
+    ideal_source_loop,
+    single_machine,
+)
+from wtg_gym.analysis.tables import mode_cells
 from wtg_gym.cli.laws import add_law_option, chosen_laws
 from wtg_gym.cli.output import PLOT_SUFFIXES, check_plot_file, plain_json, print_json, print_table, say, write_and_say
 from wtg_gym.cli.parser import Commands, add_command
@@ -18,10 +27,6 @@ from wtg_gym.physics.parameters import default_groups
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
-from wtg_gym.small_signal import LinearModel, Mode, SingleMachine, ideal_source_loop, linearise, modes, single_machine
-from wtg_gym.small_signal.modes import synchronising_coefficients
-from wtg_gym.small_signal.single_machine import PAPER_SYNCHRONISING_COEFFICIENT, Side
-from wtg_gym.validation.report import mode_cells
 
 _SIDES: tuple[Side, ...] = ("under", "over")
 

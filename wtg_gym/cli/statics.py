@@ -11,6 +11,15 @@ from typing import Any
 
 import numpy as np
 
+from wtg_gym.analysis.steady_states import (
+    FREQUENCY_RANGE,
+    OperatingPoint,
+    critical_frequency_pu,
+    equilibria,
+    named_points,
+    power_margin_pu,
+    stable_equilibrium,
+)
 from wtg_gym.cli.laws import add_law_option, chosen_laws
 from wtg_gym.cli.output import (
     PLOT_SUFFIXES,
@@ -25,15 +34,6 @@ from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.physics.aerodynamics import available_power_pu
 from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.scenario import WIND_SPEED_RANGE, require_range
-from wtg_gym.physics.statics import (
-    FREQUENCY_RANGE,
-    OperatingPoint,
-    critical_frequency_pu,
-    equilibria,
-    named_points,
-    power_margin_pu,
-    stable_equilibrium,
-)
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw
 
 _NOMINAL_HZ = 50.0

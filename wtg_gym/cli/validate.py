@@ -9,13 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from wtg_gym.cli.output import check_page, note, plain_json, print_json, print_table, say, update_page
-from wtg_gym.cli.parser import Commands, add_command
-from wtg_gym.files import markdown_table
-from wtg_gym.physics.plant import SIMULATION_DT_RANGE, PlantSettings
-from wtg_gym.physics.scenario import LoadStep, require_range
-from wtg_gym.validation.parameter_file import DEFAULT_TOLERANCE, ReferenceCase, read_parameters
-from wtg_gym.validation.replay import (
+from wtg_gym.analysis.case_file import DEFAULT_TOLERANCE, ReferenceCase, read_parameters
+from wtg_gym.analysis.replay import (
     BUS_QUANTITIES,
     MACHINE_QUANTITIES,
     Difference,
@@ -25,6 +20,11 @@ from wtg_gym.validation.replay import (
     replay,
     replay_closely,
 )
+from wtg_gym.cli.output import check_page, note, plain_json, print_json, print_table, say, update_page
+from wtg_gym.cli.parser import Commands, add_command
+from wtg_gym.files import markdown_table
+from wtg_gym.physics.plant import SIMULATION_DT_RANGE, PlantSettings
+from wtg_gym.physics.scenario import LoadStep, require_range
 
 _NAMES = {
     "w": "machine speed",

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.analysis.steady_states import characteristic
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task import COST_TERMS, TaskRow
@@ -18,7 +19,6 @@ from wtg_gym.evaluation.evaluator import entry_lanes, play
 from wtg_gym.physics.layout import LaneRow, WtgRow
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.physics.statics import characteristic
 from wtg_gym.physics.tracking_law import coordinated_piecewise
 from wtg_gym.physics.wind_turbine import WtgState
 

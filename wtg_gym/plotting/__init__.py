@@ -4,15 +4,15 @@ Needs matplotlib, which the `leaderboard` extra brings, from the moment somethin
 not. Every function returns a matplotlib figure, built without pyplot; :func:`figure_bytes` turns one into a file.
 """
 
-from wtg_gym.plotting.accuracy import plot_accuracy
 from wtg_gym.plotting.animation import animate_trajectories
 from wtg_gym.plotting.behaviour import plot_costs, plot_responses, plot_runs
 from wtg_gym.plotting.characteristics import plot_characteristic
-from wtg_gym.plotting.growth import plot_growth
+from wtg_gym.plotting.eigenvalue_plane import plot_modes
+from wtg_gym.plotting.growth_curves import plot_growth
 from wtg_gym.plotting.learning import LearningCurve, plot_learning_curves
-from wtg_gym.plotting.modes import plot_modes
-from wtg_gym.plotting.paper import plot_bode, plot_case_study, plot_power_coefficient
-from wtg_gym.plotting.studies import (
+from wtg_gym.plotting.paper_figures import plot_bode, plot_case_study, plot_power_coefficient
+from wtg_gym.plotting.step_errors import plot_accuracy
+from wtg_gym.plotting.study_figures import (
     plot_damping,
     plot_equilibria,
     plot_machine_models,

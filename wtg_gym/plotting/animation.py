@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.envs.rendering.colours import INK
+from wtg_gym.envs.rendering.diagram import describe_event, draw_diagram
 from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.trajectory import Trajectory
 from wtg_gym.plotting.style import GROUP_STYLES, REFERENCE_GREY, new_figure, print_style, strategy_looks
 from wtg_gym.plotting.trajectories import line_of_group, numbered_events
-from wtg_gym.rendering import describe_event
-from wtg_gym.rendering.diagram import draw_diagram
-from wtg_gym.rendering.style import INK
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

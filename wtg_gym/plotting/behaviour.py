@@ -15,7 +15,7 @@ from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
-from wtg_gym.plotting.paper import mark_instants, share_limits
+from wtg_gym.plotting.paper_figures import mark_instants, share_limits
 from wtg_gym.plotting.style import (
     DOUBLE_COLUMN_MM,
     GROUP_STYLES,

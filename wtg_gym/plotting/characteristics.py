@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.analysis.steady_states import OperatingPoint, characteristic, critical_frequency_pu, named_points
 from wtg_gym.physics.aerodynamics import power_coefficient
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.physics.scenario import WIND_SPEED_RANGE, require_range
-from wtg_gym.physics.statics import OperatingPoint, characteristic, critical_frequency_pu, named_points
 from wtg_gym.physics.tracking_law import TrackingLaw
 from wtg_gym.plotting.style import (
     DOUBLE_COLUMN_MM,

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.envs.rendering.diagram import describe_event
 from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.scenario import Event, LoadRamp, Scenario
 from wtg_gym.physics.tracking_law import coordinated_piecewise
 from wtg_gym.physics.trajectory import Trajectory
 from wtg_gym.plotting.style import GROUP_STYLES, LineStyle, name_at_right, strategy_looks
-from wtg_gym.rendering import describe_event
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.envs.rendering.diagram import BUS_PLACES, describe_event
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import (
     ANCHORS,
@@ -25,7 +26,7 @@ from wtg_gym.physics.compiled import source_hash
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.parameters import GridFormingParameters, PitchParameters, TurbineParameters
 from wtg_gym.physics.scenario import Event, LineTrip, LoadRamp, LoadStep, Scenario
-from wtg_gym.plotting.page.traces import (
+from wtg_gym.plotting.page.packing import (
     MISSING,
     RESOLUTIONS,
     WIND_RESOLUTION,
@@ -33,7 +34,6 @@ from wtg_gym.plotting.page.traces import (
     quantised,
     scenario_traces,
 )
-from wtg_gym.rendering import BUS_PLACES, describe_event
 from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[np.float64]

@@ -1,0 +1,251 @@
+"""Counts the arithmetic of a control interval: the kernels run as plain Python on numbers that count.
+
+`python -m wtg_gym.analysis.benchmarks.counting` prints the counts as JSON. It needs NUMBA_DISABLE_JIT=1, so that the
+functions are those of the source; :func:`count_operations` starts it that way, in a process of its own.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from wtg_gym.physics.elementary import fma
+
+
+@dataclass
+class Counts:
+    """Operations as the source writes them; a compiler may leave out some of them.
+
+    Adds include subtractions; comparisons include minimum, maximum and the choice between two values. Signs, rounding
+    to whole numbers and arithmetic that does not depend on the lane (indices, the step's times) are not counted. A
+    fused multiply-add counts as a multiply and an add.
+    """
+
+    adds: int = 0
+    multiplies: int = 0
+    divisions: int = 0
+    roots: int = 0
+    powers: int = 0
+    comparisons: int = 0
+    loads: int = 0
+    stores: int = 0
+
+    @property
+    def flops(self) -> int:
+        """Floating-point operations: adds, multiplies, divisions, roots and powers; comparisons stay out."""
+        return self.adds + self.multiplies + self.divisions + self.roots + self.powers
+
+    @property
+    def bytes(self) -> int:
+        """Bytes read from and written to the lanes' rows."""
+        return 8 * (self.loads + self.stores)
+
+
+#: Where everything is counted at present.
+_counts = Counts()
+
+
+class Counted:
+    """A floating-point number whose arithmetic is counted."""
+
+    # Numbers of numpy leave mixed arithmetic to this class.
+    __array_ufunc__ = None
+    __slots__ = ("value",)
+
+    def __init__(self, value: float) -> None:
+        self.value = float(value)
+
+    def __float__(self) -> float:
+        return self.value
+
+    def __int__(self) -> int:
+        return int(self.value)
+
+    def __round__(self) -> int:
+        return round(self.value)
+
+    def __floor__(self) -> Counted:
+        return Counted(math.floor(self.value))
+
+    def __neg__(self) -> Counted:
+        return Counted(-self.value)
+
+    def __abs__(self) -> Counted:
+        return Counted(abs(self.value))
+
+    def __pow__(self, exponent: int) -> Counted:
+        _counts.multiplies += exponent - 1
+        return Counted(self.value**exponent)
+
+    def __rpow__(self, base: float) -> Counted:
+        _counts.powers += 1
+        return Counted(base**self.value)
+
+
+def _operation(name: str, kind: str) -> tuple[Callable[[Counted, Any], Any], Callable[[Counted, Any], Any]]:
+    """Return an operator and its reflection, which count as `kind`."""
+    operate = getattr(float, name)
+    gives_number = not name.startswith(("__l", "__g", "__e", "__ne"))
+
+    def forward(self: Counted, other: Any) -> Any:
+        setattr(_counts, kind, getattr(_counts, kind) + 1)
+        result = operate(self.value, float(other))
+        return Counted(result) if gives_number else result
+
+    def reflected(self: Counted, other: Any) -> Any:
+        setattr(_counts, kind, getattr(_counts, kind) + 1)
+        return Counted(operate(float(other), self.value))
+
+    return forward, reflected
+
+
+for _name, _kind in (("add", "adds"), ("sub", "adds"), ("mul", "multiplies"), ("truediv", "divisions")):
+    _forward, _reflected = _operation(f"__{_name}__", _kind)
+    setattr(Counted, f"__{_name}__", _forward)
+    setattr(Counted, f"__r{_name}__", _reflected)
+for _name in ("lt", "le", "gt", "ge", "eq", "ne"):
+    setattr(Counted, f"__{_name}__", _operation(f"__{_name}__", "comparisons")[0])
+
+
+def counted(values: Any) -> Any:
+    """Return an array, or whatever its shape, with its floating-point numbers counted; anything else as it is."""
+    if isinstance(values, (float, np.floating)):
+        return Counted(float(values))
+    if isinstance(values, tuple) and hasattr(values, "_make"):
+        return values._make(counted(value) for value in values)
+    if not isinstance(values, np.ndarray) or values.dtype != np.float64:
+        return values
+    array = np.empty(values.shape, dtype=object)
+    for index, value in np.ndenumerate(values):
+        array[index] = Counted(value)
+    return array
+
+
+class Rows:
+    """The rows of one lane, which count their loads and stores."""
+
+    def __init__(self, values: np.ndarray) -> None:
+        self._values = counted(values)
+        self.shape = values.shape
+
+    def __getitem__(self, index: int) -> Counted:
+        _counts.loads += 1
+        value: Counted = self._values[index]
+        return value
+
+    def __setitem__(self, index: int, value: Any) -> None:
+        _counts.stores += 1
+        self._values[index] = value if isinstance(value, Counted) else Counted(value)
+
+
+def count(work: Callable[[], Any]) -> Counts:
+    """Return what one call of a function costs."""
+    global _counts
+    before, _counts = _counts, Counts()
+    try:
+        work()
+        return _counts
+    finally:
+        _counts = before
+
+
+def _sqrt(value: Any) -> Counted:
+    _counts.roots += 1
+    return Counted(math.sqrt(value))
+
+
+def _fused(a: Any, b: Any, c: Any) -> Any:
+    if not any(isinstance(value, Counted) for value in (a, b, c)):
+        return fma(a, b, c)
+    _counts.multiplies += 1
+    _counts.adds += 1
+    return Counted(fma(float(a), float(b), float(c)))
+
+
+#: What the kernels' modules call by these names, for numbers that count.
+_REPLACED: dict[str, Any] = {
+    "math": SimpleNamespace(**{**vars(math), "sqrt": _sqrt}),
+    "np": SimpleNamespace(
+        **{
+            **vars(np),
+            "zeros": lambda *arguments, **more: counted(np.zeros(*arguments, **more)),
+            "empty": lambda *arguments, **more: counted(np.zeros(*arguments, **more)),
+        }
+    ),
+    "fma": _fused,
+}
+
+
+def _instrument() -> None:
+    """Let the modules of the kernels count what leaves the operators: roots, scratch arrays, conversions."""
+    for name, module in list(sys.modules.items()):
+        if name.startswith(("wtg_gym.physics.", "wtg_gym.envs.")):
+            for replaced, by in _REPLACED.items():
+                if hasattr(module, replaced):
+                    setattr(module, replaced, by)
+    # It would turn a counted number into a plain one.
+    vars(sys.modules["wtg_gym.envs.task"])["float"] = lambda value: value
+
+
+def _count_here() -> dict[str, Counts]:
+    """Count the default plant's right-hand side, control interval and environment step, of one lane."""
+    from wtg_gym.envs.lanes import TaskLanes
+    from wtg_gym.envs.settings import EnvSettings
+    from wtg_gym.envs.task import step_blocks
+    from wtg_gym.physics.dynamics import derivatives
+    from wtg_gym.physics.integration import advance_interval
+    from wtg_gym.physics.scenario import Scenario
+
+    lanes = TaskLanes(EnvSettings(duration_s=2.0))
+    scenario = Scenario(name="calm", wind_speed=np.full((lanes.n_wtg, 1), 10.0), duration_s=2.0)
+    lanes.start([0], [scenario])
+    simulator = lanes.simulator
+    _instrument()
+    plant, data, task = counted(simulator.plant), counted(simulator.data), counted(lanes.task)
+    actions, noise_y = counted(np.full((1, lanes.n_action), 0.1)), counted(np.zeros(1))
+
+    def rows() -> Any:
+        return Rows(simulator.blocks[0])
+
+    def step() -> None:
+        step_blocks([rows()], 0, 1, plant, data, task, actions, lanes.outputs, simulator.lanes)  # type: ignore[arg-type]
+
+    return {
+        "right-hand side": count(lambda: derivatives(rows(), plant, 0.5, simulator.lanes)),
+        "control interval": count(lambda: advance_interval(rows(), 0, plant, data, noise_y, simulator.lanes)),
+        "environment step": count(step),
+    }
+
+
+def count_operations() -> dict[str, Counts]:
+    """Return the counts of the right-hand side, a control interval and an environment step, of one lane.
+
+    Raises:
+        RuntimeError: the process that counts has failed; the message is its last line.
+    """
+    done = subprocess.run(
+        [sys.executable, "-m", __name__],
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        capture_output=True,
+        text=True,
+    )
+    if done.returncode:
+        raise RuntimeError(f"counting failed: {done.stderr.strip().splitlines()[-1]}")
+    return {name: Counts(**values) for name, values in json.loads(done.stdout).items()}
+
+
+if __name__ == "__main__":
+    # The classes of this file under its own name, not those of the program.
+    from wtg_gym.analysis.benchmarks import counting
+
+    print(json.dumps({name: dataclasses.asdict(counts) for name, counts in counting._count_here().items()}))

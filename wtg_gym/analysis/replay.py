@@ -1,0 +1,331 @@
+"""Run the case of a parameter file and compare it with a trace of another simulator.
+
+The trace's rows and the events may come at any time. Whole steps are counted from each event on; the last one before
+an event is shortened to end there, and a row between two steps is reached by a shortened step aside, so that looking
+does not change what is looked at.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from wtg_gym.analysis.case_file import ReferenceCase
+from wtg_gym.files import read_text
+from wtg_gym.physics.dynamics import derivatives
+from wtg_gym.physics.integration import runge_kutta_step
+from wtg_gym.physics.layout import LaneRow, SyncRow
+from wtg_gym.physics.plant import SIMULATION_DT_RANGE, PlantSettings
+from wtg_gym.physics.reduction import bus_voltages, combine_load_noise, refresh_network
+from wtg_gym.physics.scenario import LoadStep, Scenario, require_range
+from wtg_gym.physics.simulator import Simulator
+from wtg_gym.physics.synchronous_machine import MachineConstant, SyncState
+
+Floats = npt.NDArray[np.float64]
+
+#: Quantities of a machine and of a bus that a trace may hold, with their units.
+MACHINE_QUANTITIES = {"w": "p.u.", "Pe": "p.u.", "Qe": "p.u.", "Tm": "p.u.", "delta": "rad"}
+BUS_QUANTITIES = {"V": "p.u.", "th": "rad"}
+#: Largest disagreement of our power flow with the file's own [p.u., rad].
+_POWER_FLOW_TOLERANCE = 1e-5
+#: Largest disagreement of a machine's power with the file's own [p.u.].
+_POWER_TOLERANCE = 1e-4
+#: Instants closer than this are one [s].
+_INSTANT = 1e-9
+_LONGEST_TRACE_S = 3600.0
+
+
+@dataclass(frozen=True)
+class Trace:
+    """What another simulator found: `time_s` (n,) [s] and named columns (n,), such as ``w1`` or ``V14``."""
+
+    time_s: Floats
+    columns: Mapping[str, Floats]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The largest difference of one quantity over a trace.
+
+    `quantity` is "w", "Pe", "V" …; `size` the difference in its unit; `column` and `time_s` where it is.
+    """
+
+    quantity: str
+    size: float
+    column: str
+    time_s: float
+
+
+def read_trace(path: str | Path, case: ReferenceCase) -> tuple[Trace, tuple[str, ...]]:
+    """Read a trace in CSV: a column `t` [s] and columns of the known quantities, such as ``w1``, ``Pe2a`` or ``V14``.
+
+    Returns:
+        the trace, and the names of columns that are not known and were left out.
+
+    Raises:
+        ValueError: the file is missing, not such a table, or not of this case; the message names column and row.
+    """
+    text = read_text(Path(path), "trace", encoding="utf-8-sig")
+    # Comments may come before the names, too.
+    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    text = "\n".join(lines[1:])
+    names = [name.strip().strip("\"'") for name in lines[0].split(",")] if lines else [""]
+    if names[0] != "t" or len(set(names)) != len(names):
+        raise ValueError(f"the trace {path} must begin with a line of different column names, the first one 't'")
+    if not text:
+        raise ValueError(f"the trace {path} has no rows")
+    try:
+        table = np.loadtxt(io.StringIO(text), delimiter=",", ndmin=2)
+    except ValueError as error:
+        raise ValueError(f"the trace {path} is not a table of numbers: {error}") from error
+    if table.shape[1] != len(names):
+        raise ValueError(f"the trace {path} has {len(names)} column names and a table of shape {table.shape}")
+    if not np.isfinite(table).all():
+        row, column = np.argwhere(~np.isfinite(table))[0]
+        raise ValueError(f"the trace {path} has {table[row, column]} in row {row + 1} of column {names[column]}")
+    time_s = table[:, 0]
+    if time_s[0] < 0.0 or (np.diff(time_s) < 0.0).any():
+        raise ValueError(f"the times t of the trace {path} must begin at 0 s or later and not decrease")
+    require_range(f"the last time of the trace {path}", float(time_s[-1]), 0.0, _LONGEST_TRACE_S, "s")
+    known = _known_columns(case)
+    columns = {name: table[:, i] for i, name in enumerate(names) if name in known}
+    if not columns:
+        raise ValueError(f"the trace {path} has none of the columns of this case, such as {', '.join(list(known)[:3])}")
+    return Trace(time_s, columns), tuple(name for name in names[1:] if name not in known)
+
+
+def _known_columns(case: ReferenceCase) -> dict[str, str]:
+    """The quantity of every column a trace of this case may have."""
+    columns = {f"{q}{key}": q for q in MACHINE_QUANTITIES for key in case.machine_keys}
+    columns.update({f"{q}{bus}": q for q in BUS_QUANTITIES for bus in case.network.bus_numbers})
+    return columns
+
+
+def choose_events(case: ReferenceCase, trace_path: str | Path, name: str | None = None) -> tuple[LoadStep, ...]:
+    """Return the event list of a trace: the named one, the only one, or the one its file name ends with (`…_a.csv`).
+
+    A file without events has none to choose.
+
+    Raises:
+        ValueError: there is no such list, or it is not clear which one is meant; the message lists them.
+    """
+    known = ", ".join(case.events) or "none"
+    if name is None and not case.events:
+        return ()
+    if name is not None:
+        if name not in case.events:
+            raise ValueError(f"unknown event list {name!r}; the parameter file has: {known}")
+        return case.events[name]
+    if len(case.events) == 1:
+        return next(iter(case.events.values()))
+    ending = re.split(r"[_\-.]", Path(trace_path).stem)[-1]
+    if ending not in case.events:
+        raise ValueError(f"which events does {Path(trace_path).name} show? Say so with --events; there are: {known}")
+    return case.events[ending]
+
+
+def replay(case: ReferenceCase, events: Sequence[LoadStep], time_s: npt.ArrayLike, step_s: float) -> dict[str, Floats]:
+    """Run a case and return every column of :data:`MACHINE_QUANTITIES` and :data:`BUS_QUANTITIES`, each (n,).
+
+    A value at the instant of an event is the one before it; of several rows at that instant, the first.
+
+    Args:
+        case: network and machines.
+        events: what happens.
+        time_s: when to look, at least once, not decreasing from 0 s on (n,) [s].
+        step_s: integration step, 0.05 … 40 ms [s].
+
+    Raises:
+        ValueError: the step is out of range or too long for the case, the case has no equilibrium, or it is not the
+            one its file tells.
+    """
+    require_range("integration step", step_s, *SIMULATION_DT_RANGE, "s")
+    times = np.asarray(time_s, dtype=np.float64)
+    run = _Run(case, events, step_s)
+    names = list(_known_columns(case))
+    table = np.empty((times.size, len(names)))
+    row, clock = 0, 0.0
+    for rank, end in enumerate((*run.instants, np.inf)):
+        if rank:
+            run.strike(rank)
+        for step, after in _steps(clock, min(end, float(times[-1])), step_s):
+            while times[row] < after - _INSTANT:
+                table[row] = run.look(float(times[row]) - clock)
+                row += 1
+            run.advance(step)
+            clock = after
+        first = True
+        while row < times.size and times[row] <= end + _INSTANT and (first or times[row] < end - _INSTANT):
+            # Of two rows at the instant of an event the second is the one after it.
+            first = times[row] < end - _INSTANT
+            table[row] = run.look(0.0)
+            row += 1
+        if row == times.size:
+            break
+        clock = end
+    return {name: table[:, i] for i, name in enumerate(names)}
+
+
+def replay_closely(
+    case: ReferenceCase,
+    events: Sequence[LoadStep],
+    time_s: npt.ArrayLike,
+    step_s: float,
+    tolerance: Mapping[str, float],
+) -> tuple[dict[str, Floats], float, dict[str, float]]:
+    """Run a case with a step so fine that its own error does not decide a comparison.
+
+    The step is halved, at most down to 0.05 ms, until halving it once more changes every judged quantity by less than
+    a tenth of its tolerance.
+
+    Args:
+        case, events, time_s: as for :func:`replay`.
+        step_s: the coarsest step [s].
+        tolerance: the judged quantities and their tolerances [p.u.].
+
+    Returns:
+        the columns, the step they were found with [s], and what the last halving changed, by quantity [p.u.].
+    """
+    times, finest = np.asarray(time_s, dtype=np.float64), SIMULATION_DT_RANGE[0]
+    coarse = replay(case, events, times, step_s)
+    while True:
+        finer = max(0.5 * step_s, finest)
+        fine = replay(case, events, times, finer)
+        change = {d.quantity: d.size for d in differences(case, Trace(times, coarse), fine)}
+        settled = all(change[quantity] <= 0.1 * limit for quantity, limit in tolerance.items())
+        if settled or finer <= finest:
+            return fine, finer, change
+        coarse, step_s = fine, finer
+
+
+def _steps(start: float, end: float, step_s: float) -> Iterator[tuple[float, float]]:
+    """Whole steps from `start` on and what is left before `end`, each with the time after it."""
+    count = int((end - start) / step_s + 1e-6)
+    for i in range(count):
+        yield step_s, start + (i + 1) * step_s
+    left = end - (start + count * step_s)
+    if left > _INSTANT:
+        yield left, end
+
+
+class _Run:
+    """A case under way: the simulator's own kernels, with steps of any length."""
+
+    def __init__(self, case: ReferenceCase, events: Sequence[LoadStep], step_s: float) -> None:
+        self.instants = sorted({event.time_s for event in events})
+        settings = PlantSettings(case=case.network, groups=(), control_dt=step_s, simulation_dt=step_s)
+        # Nothing is played here: this is the shortest run that a scenario may have.
+        duration_s = step_s * math.ceil(0.1 / step_s)
+        # The rank of an event's instant stands for its time: strike() sets the clock.
+        ranked = tuple(
+            dataclasses.replace(event, time_s=settings.simulation_dt * (1 + self.instants.index(event.time_s)))
+            for event in events
+        )
+        self.simulator = Simulator(settings, duration_s=duration_s)
+        scenario = Scenario(
+            name=case.network.name,
+            wind_speed=np.zeros((0, 1)),
+            events=ranked,
+            duration_s=duration_s,
+            load_noise_bus=case.network.bus_numbers[0],
+        )
+        self.simulator.start(0, scenario, ())
+        self.block, self.plant = self.simulator.blocks[0], self.simulator.plant
+        self._require_power_flow(case)
+
+    def _require_power_flow(self, case: ReferenceCase) -> None:
+        voltage = self._bus_voltages()
+        for number, value in zip(case.network.bus_numbers, voltage, strict=True):
+            magnitude, angle = case.voltage[number]
+            slack = voltage[case.network.bus_index(case.network.slack_bus)]
+            turned = np.angle(value / slack) + case.voltage[case.network.slack_bus][1]
+            off = max(abs(abs(value) - magnitude), abs(math.remainder(turned - angle, 2.0 * math.pi)))
+            if off > _POWER_FLOW_TOLERANCE:
+                raise ValueError(
+                    f"{case.network.name}: the file's V and theta are not a power flow of its own network and powers: "
+                    f"at bus {number} they are {magnitude:.6f} p.u. and {angle:.6f} rad, the solution is "
+                    f"{abs(value):.6f} p.u. and {turned:.6f} rad"
+                )
+        found = dict(zip(_known_columns(case), self.look(0.0), strict=True))
+        for key, power in case.power.items():
+            own = complex(found[f"Pe{key}"], found[f"Qe{key}"])
+            if abs(own - power) > _POWER_TOLERANCE:
+                raise ValueError(
+                    f"{case.network.name}: the power of machine {key} in the file's power flow is {power:.6f} p.u., "
+                    f"the solution at its V and theta is {own:.6f} p.u."
+                )
+
+    def _bus_voltages(self, block: Floats | None = None) -> npt.NDArray[np.complex128]:
+        at = self.block if block is None else block
+        return bus_voltages(at, 0, 0, self.plant, self.simulator.data, 0.0, 1)
+
+    def strike(self, rank: int) -> None:
+        """Let the events of an instant happen."""
+        self.block[self.simulator.layout.lane + LaneRow.STEP] = rank
+        refresh_network(self.block, 0, 0, self.plant, self.simulator.data, 1)
+        combine_load_noise(self.block, self.plant, np.zeros(1), (0,))
+
+    def advance(self, step_s: float) -> None:
+        """Advance by one step of any length [s]."""
+        runge_kutta_step(self.block, self.plant._replace(simulation_dt=step_s), 0, (0,))
+
+    def look(self, ahead_s: float) -> Floats:
+        """Return all columns as they are `ahead_s` from now, without going there."""
+        block = self.block.copy()
+        if ahead_s > _INSTANT:
+            runge_kutta_step(block, self.plant._replace(simulation_dt=ahead_s), 0, (0,))
+        derivatives(block, self.plant, 0.0, (0,))
+        layout = self.simulator.layout
+        n = layout.n_sync
+        machines = block[: layout.wtg].reshape(n, SyncRow.N_ROWS)
+        reference = block[layout.lane + LaneRow.ANGLE]
+        emf, current = (
+            block[layout.network + k * n : layout.network + (k + 1) * n]
+            + 1j * block[layout.network + (k + 1) * n : layout.network + (k + 2) * n]
+            for k in (0, 2)
+        )
+        impedance = (
+            self.plant.machines[:, MachineConstant.RESISTANCE]
+            + 1j * (self.plant.machines[:, MachineConstant.INTERNAL_REACTANCE])
+        )
+        power = (emf - impedance * current) * current.conj()
+        voltage = self._bus_voltages(block)
+        return np.concatenate(
+            [
+                machines[:, SyncState.SPEED],
+                power.real,
+                power.imag,
+                machines[:, SyncRow.TORQUE],
+                machines[:, SyncState.ANGLE] + reference,
+                np.abs(voltage),
+                np.angle(voltage * np.exp(1j * reference)),
+            ]
+        )
+
+
+def differences(case: ReferenceCase, trace: Trace, columns: Mapping[str, Floats]) -> tuple[Difference, ...]:
+    """Return the largest difference of each quantity that a trace holds, between it and our columns."""
+    found: dict[str, Difference] = {}
+    for name, quantity in _known_columns(case).items():
+        if name not in trace.columns:
+            continue
+        gap = np.abs(columns[name] - trace.columns[name])
+        if quantity in ("delta", "th"):
+            # Angles count modulo a turn.
+            gap = np.abs(np.remainder(gap + np.pi, 2.0 * np.pi) - np.pi)
+        at = int(np.argmax(np.where(np.isfinite(gap), gap, np.inf)))
+        size = float(gap[at]) if np.isfinite(gap[at]) else np.inf
+        if quantity not in found or size > found[quantity].size:
+            found[quantity] = Difference(quantity, size, name, float(trace.time_s[at]))
+    return tuple(found.values())
+
+
+__all__ = ["Difference", "Trace", "choose_events", "differences", "read_trace", "replay", "replay_closely"]
