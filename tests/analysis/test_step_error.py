@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wtg_gym.analysis.step_error import CONTROL_DT, METHODS, _Integration, on_the_grid, smooth_order, study_accuracy
+from wtg_gym.analysis.explicit_methods import CONTROL_DT, METHODS, Integration
+from wtg_gym.analysis.step_error import on_the_grid, smooth_order, study_accuracy
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import STRATEGIES
@@ -17,7 +18,7 @@ LAW = STRATEGIES["coordinated-piecewise"]
 @pytest.mark.parametrize("seed", [10_000, 10_007])
 def test_rk4_of_the_study_is_the_simulators_own(seed: int) -> None:
     scenario = on_the_grid(get_suite("standard").scenario(seed))
-    run = _Integration(scenario, LAW, 0.025)
+    run = Integration(scenario, 0.025)
     simulator = Simulator(PlantSettings(control_dt=CONTROL_DT), duration_s=scenario.duration_s)
     simulator.start(0, scenario, (LAW, LAW))
     (method,) = (method for method in METHODS if method.name == "RK4")
@@ -29,7 +30,7 @@ def test_rk4_of_the_study_is_the_simulators_own(seed: int) -> None:
 
 @pytest.mark.parametrize("method", METHODS, ids=lambda method: method.name)
 def test_order_on_a_smooth_case_is_the_methods_own(method: object) -> None:
-    assert smooth_order(method, LAW) == pytest.approx(method.order, abs=0.25)  # type: ignore[arg-type,attr-defined]
+    assert smooth_order(method) == pytest.approx(method.order, abs=0.25)  # type: ignore[arg-type,attr-defined]
 
 
 @pytest.mark.parametrize("method", METHODS, ids=lambda method: method.name)

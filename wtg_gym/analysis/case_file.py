@@ -1,4 +1,4 @@
-"""Networks, machines and events from a parameter file, for cross-checks against other simulators.
+"""Cases of other simulators: network, machines and events from a parameter file.
 
 The form is that of the golden cases (`tests/golden`): one JSON object with the solved power flow, lines, loads,
 machines and events, all in p.u. of `Sbase` except machine data, which are on the machine's own base `Sn`.
@@ -6,12 +6,12 @@ machines and events, all in p.u. of `Sbase` except machine data, which are on th
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from wtg_gym.analysis.json_fields import Fields
 from wtg_gym.files import read_json
 from wtg_gym.physics.network import Branch, Bus, NetworkCase
 from wtg_gym.physics.parameters import (
@@ -24,15 +24,13 @@ from wtg_gym.physics.scenario import LoadStep
 
 #: Largest difference [p.u.] of any quantity at which two simulators agree, where a file does not say.
 DEFAULT_TOLERANCE = {"w": 1e-6, "Pe": 1e-5, "V": 1e-5}
-#: Keys that only describe.
-_DESCRIPTIVE = ("note", "name", "idx", "comment", "Vn", "u")
 #: Largest sum by which shares of a bus may miss 1, and load disconnected twice may exceed the load.
 _SHARE_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceCase:
-    """What a parameter file holds.
+    """The contents of a parameter file.
 
     Args:
         network: the network with its machines, in the order of `machine_keys`.
@@ -41,7 +39,7 @@ class ReferenceCase:
         events: each event list by its name; constant-admittance changes at their instants.
         power: P + jQ of each machine in the file's power flow, by key [p.u. of the system base].
         tolerance: allowed largest difference by quantity: "w", "Pe", "V" [p.u.].
-        unused: places of the file that nothing was made of.
+        unused: places of the file that are not read.
     """
 
     network: NetworkCase
@@ -53,67 +51,6 @@ class ReferenceCase:
     unused: tuple[str, ...]
 
 
-class _Reader:
-    """Values of a nested JSON object; an error names the place, what is wanted and what is there.
-
-    A null counts as missing. `unused` collects the places of keys that nothing has asked for, over all objects of a
-    file.
-    """
-
-    def __init__(self, data: Any, where: str, unused: dict[str, None] | None = None) -> None:
-        if not isinstance(data, dict):
-            raise ValueError(f"{where} must be an object with named values, got {type(data).__name__}")
-        self.data = {key: value for key, value in data.items() if value is not None}
-        self.where = where
-        self.unused: dict[str, None] = {} if unused is None else unused
-        self.unused.update(dict.fromkeys(f"{key} of {where}" for key in self.data if key not in _DESCRIPTIVE))
-        if self.data.get("u", 1) == 0:
-            raise ValueError(f"{where} is switched off (u = 0); leave it out of the file")
-
-    def _use(self, key: str) -> None:
-        self.unused.pop(f"{key} of {self.where}", None)
-
-    def has(self, key: str) -> bool:
-        self._use(key)
-        return key in self.data
-
-    def number(self, key: str, default: float | None = None, *, positive: bool = False) -> float:
-        self._use(key)
-        value = self.data.get(key, default)
-        if (
-            not isinstance(value, (int, float))
-            or isinstance(value, bool)
-            or not math.isfinite(value)
-            or (positive and value <= 0.0)
-        ):
-            raise ValueError(
-                f"{key} of {self.where} must be a finite{' positive' if positive else ''} number, got {value!r}"
-            )
-        return float(value)
-
-    def bus(self, key: str = "bus") -> int:
-        self._use(key)
-        value = self.data.get(key)
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or value != int(value):
-            raise ValueError(f"{key} of {self.where} must be a bus number, got {value!r}")
-        return int(value)
-
-    def list(self, key: str, *, required: bool = True) -> list[_Reader]:
-        self._use(key)
-        value = self.data.get(key)
-        if value is None and not required:
-            return []
-        # A single object stands for a list of one.
-        value = [value] if isinstance(value, dict) else value
-        if not isinstance(value, list):
-            raise ValueError(f"{key} of {self.where} must be a list, got {value!r}")
-        return [_Reader(item, f"{key}[{i}] of {self.where}", self.unused) for i, item in enumerate(value)]
-
-    def object(self, key: str) -> _Reader:
-        self._use(key)
-        return _Reader(self.data.get(key), f"{key} of {self.where}", self.unused)
-
-
 def read_parameters(path: str | Path) -> ReferenceCase:
     """Read a parameter file.
 
@@ -121,7 +58,7 @@ def read_parameters(path: str | Path) -> ReferenceCase:
         ValueError: the file is missing, not JSON, or not of the form; the message names the place and the value.
     """
     data = read_json(Path(path), "parameter file", encoding="utf-8-sig")
-    root = _Reader(data, f"the parameter file {path}")
+    root = Fields(data, f"the parameter file {path}")
     base = root.number("Sbase", positive=True)
     voltage: dict[int, tuple[float, float]] = {}
     for bus in root.list("bus"):
@@ -180,7 +117,7 @@ def read_parameters(path: str | Path) -> ReferenceCase:
 
 
 def _totals(
-    root: _Reader, key: str, names: tuple[str, str], voltage: Mapping[int, tuple[float, float]]
+    root: Fields, key: str, names: tuple[str, str], voltage: Mapping[int, tuple[float, float]]
 ) -> dict[int, tuple[float, float]]:
     """Sums of two values by bus: a bus may have several loads or shunts, or none."""
     totals = dict.fromkeys(voltage, (0.0, 0.0))
@@ -193,7 +130,7 @@ def _totals(
     return totals
 
 
-def _read_machines(root: _Reader, base: float) -> tuple[list[SynchronousMachineParameters], dict[str, complex]]:
+def _read_machines(root: Fields, base: float) -> tuple[list[SynchronousMachineParameters], dict[str, complex]]:
     gens, static = root.object("gens"), root.object("gen_static")
     governors, exciters = _of_machines(root, "tgov1", gens), _of_machines(root, "sexs", gens)
     machines, power = [], {}
@@ -218,14 +155,12 @@ def _read_machines(root: _Reader, base: float) -> tuple[list[SynchronousMachineP
     return machines, power
 
 
-def _of_machines(root: _Reader, kind: str, gens: _Reader) -> dict[str, _Reader]:
+def _of_machines(root: Fields, kind: str, gens: Fields) -> dict[str, Fields]:
     """Governors or exciters by the key of their machine, at most one each."""
-    found: dict[str, _Reader] = {}
+    found: dict[str, Fields] = {}
     for entry in root.list(kind, required=False):
-        if entry.has("gen"):
-            key = str(entry.data["gen"])
-            entry.has("bus")
-        else:
+        key, bus = str(entry.get("gen", "")), entry.get("bus")
+        if not key:
             bus = entry.bus()
             here = [name for name, gen in gens.data.items() if isinstance(gen, dict) and gen.get("bus") == bus]
             if len(here) != 1:
@@ -240,19 +175,16 @@ def _of_machines(root: _Reader, kind: str, gens: _Reader) -> dict[str, _Reader]:
 
 
 def _read_machine(
-    gen: _Reader, base: float, power: float, reactive_share: float, governor: _Reader | None, exciter: _Reader | None
+    gen: Fields, base: float, power: float, reactive_share: float, governor: Fields | None, exciter: Fields | None
 ) -> SynchronousMachineParameters:
-    model = gen.data.get("model", "GENCLS")
-    gen.has("model")
+    model = gen.get("model", "GENCLS")
     if reactive_share < 0.0:
         raise ValueError(f"gammaq of {gen.where} must be 0 or more, got {reactive_share:g}")
     common: dict[str, Any] = {
         "bus": gen.bus(),
-        "rating_mva": gen.number("Sn", positive=True),
-        "two_h_s": gen.number("M", positive=True),
+        **gen.numbers(rating_mva="Sn", two_h_s="M", x_d_transient="xd1"),
         "damping_pu": gen.number("D", 0.0),
         "resistance": gen.number("ra", 0.0),
-        "x_d_transient": gen.number("xd1", positive=True),
         "dispatch_mw": base * power,
         # Only the proportions of the weights count.
         "reactive_weight": base * reactive_share,
@@ -271,23 +203,18 @@ def _read_machine(
         )
     if gen.number("S10", 0.0) != 0.0:
         raise ValueError(f"S10 of {gen.where} = {gen.number('S10'):g}: saturation is not modelled, it must be 0")
-    gen.has("S12")
+    gen.get("S12")
     return SynchronousMachineParameters(
         exciter=None if exciter is None else _read_exciter(exciter),
-        x_d=gen.number("xd", positive=True),
-        x_q=gen.number("xq", positive=True),
-        x_q_transient=gen.number("xq1", positive=True),
-        x_subtransient=gen.number("xd2", positive=True),
         x_leakage=gen.number("xl"),
-        t_d0_transient_s=gen.number("Td10", positive=True),
-        t_d0_subtransient_s=gen.number("Td20", positive=True),
-        t_q0_transient_s=gen.number("Tq10", positive=True),
-        t_q0_subtransient_s=gen.number("Tq20", positive=True),
+        **gen.numbers(x_d="xd", x_q="xq", x_q_transient="xq1", x_subtransient="xd2"),
+        **gen.numbers(t_d0_transient_s="Td10", t_d0_subtransient_s="Td20"),
+        **gen.numbers(t_q0_transient_s="Tq10", t_q0_subtransient_s="Tq20"),
         **common,
     )
 
 
-def _read_governor(entry: _Reader, gen: _Reader, power_mw: float) -> GovernorParameters:
+def _read_governor(entry: Fields, gen: Fields, power_mw: float) -> GovernorParameters:
     low, high, gate = entry.number("VMIN"), entry.number("VMAX"), power_mw / gen.number("Sn")
     # Losses in the armature may add a little; the start itself is exact.
     if not low <= gate + 1e-9 or not gate <= high + 1e-9:
@@ -296,39 +223,33 @@ def _read_governor(entry: _Reader, gen: _Reader, power_mw: float) -> GovernorPar
             f"outside the limits VMIN … VMAX = {low:g} … {high:g}"
         )
     return GovernorParameters(
-        droop_pu=entry.number("R", positive=True),
-        gate_time_s=entry.number("T1", positive=True),
+        **entry.numbers(droop_pu="R", gate_time_s="T1", reheat_time_s="T3"),
         lead_time_s=entry.number("T2"),
-        reheat_time_s=entry.number("T3", positive=True),
-        gate_min_pu=entry.number("VMIN"),
-        gate_max_pu=entry.number("VMAX"),
+        gate_min_pu=low,
+        gate_max_pu=high,
         turbine_damping_pu=entry.number("Dt", 0.0),
     )
 
 
-def _read_exciter(entry: _Reader) -> ExciterParameters:
+def _read_exciter(entry: Fields) -> ExciterParameters:
     return ExciterParameters(
-        gain=entry.number("K", positive=True),
+        **entry.numbers(gain="K", lag_time_s="TB", exciter_time_s="TE"),
         lead_lag_ratio=entry.number("TATB"),
-        lag_time_s=entry.number("TB", positive=True),
-        exciter_time_s=entry.number("TE", positive=True),
         field_min_pu=entry.number("EMIN"),
         field_max_pu=entry.number("EMAX"),
     )
 
 
 def _read_events(
-    root: _Reader,
+    root: Fields,
     base: float,
     voltage: Mapping[int, tuple[float, float]],
     loads: Mapping[int, tuple[float, float]],
 ) -> dict[str, tuple[LoadStep, ...]]:
-    if not root.has("events"):
-        return {}
-    lists = root.data["events"]
+    lists = root.get("events", {})
     # One list needs no name.
     named = {"": lists} if isinstance(lists, list) else lists
-    holder = _Reader(named, f"events of {root.where}", root.unused)
+    holder = Fields(named, f"events of {root.where}", root.unused)
     found = {}
     for name in holder.data:
         events, lost = [], dict.fromkeys(voltage, 0.0)
@@ -345,7 +266,7 @@ def _read_events(
     return found
 
 
-def _tripped_share(entry: _Reader, bus: int, base: float, load: float) -> float:
+def _tripped_share(entry: Fields, bus: int, base: float, load: float) -> float:
     """The share of a bus's load that an event disconnects; a part of a load takes its reactive power along."""
     trip = entry.number("trip_load_MW", 0.0) / base
     if trip == 0.0:
@@ -358,13 +279,13 @@ def _tripped_share(entry: _Reader, bus: int, base: float, load: float) -> float:
 
 
 def _read_event(
-    entry: _Reader, bus: int, base: float, square: float, trip: float, load: tuple[float, float]
+    entry: Fields, bus: int, base: float, square: float, trip: float, load: tuple[float, float]
 ) -> LoadStep:
     """An event as the power its admittance takes at the bus's initial voltage, whose square is given [p.u.]."""
-    if not any([entry.has("trip_load_MW"), entry.has("dG_pu"), entry.has("dB_pu")]):
+    if not {"trip_load_MW", "dG_pu", "dB_pu"} & set(entry.data):
         raise ValueError(f"{entry.where} must give dG_pu, dB_pu or trip_load_MW, got {sorted(entry.data)}")
-    # What dG_pu amounts to, for people.
-    entry.has("MW_at_V0")
+    # dG_pu in MW, for people.
+    entry.get("MW_at_V0")
     return LoadStep(
         time_s=entry.number("t"),
         bus=bus,
@@ -373,15 +294,9 @@ def _read_event(
     )
 
 
-def _read_tolerance(root: _Reader) -> dict[str, float]:
-    tolerance = dict(DEFAULT_TOLERANCE)
-    if root.has("tolerance"):
-        given = root.object("tolerance")
-        unknown = sorted(set(given.data) - set(tolerance))
-        if unknown:
-            raise ValueError(f"{given.where} has unknown quantities {unknown}; known: {sorted(tolerance)}")
-        tolerance.update({key: given.number(key, positive=True) for key in given.data})
-    return tolerance
-
-
-__all__ = ["DEFAULT_TOLERANCE", "ReferenceCase", "read_parameters"]
+def _read_tolerance(root: Fields) -> dict[str, float]:
+    given = Fields(root.get("tolerance", {}), f"tolerance of {root.where}", root.unused)
+    unknown = sorted(set(given.data) - set(DEFAULT_TOLERANCE))
+    if unknown:
+        raise ValueError(f"{given.where} has unknown quantities {unknown}; known: {sorted(DEFAULT_TOLERANCE)}")
+    return {key: given.number(key, default, positive=True) for key, default in DEFAULT_TOLERANCE.items()}

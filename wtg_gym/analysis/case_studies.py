@@ -1,19 +1,19 @@
-"""What the paper shows in its case studies, and what it does not show: margins over wind, lost equilibria, τ, machines.
+"""The paper's case studies, and studies beyond it: margins over wind, lost equilibria, τ, machine models.
 
-Every study is data with one sentence that says what it shows; :mod:`wtg_gym.plotting` draws them.
+Every study is data with a sentence that states its result; :mod:`wtg_gym.plotting` draws them.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
 
-from wtg_gym.analysis.loops import ideal_source_loop, single_machine
+from wtg_gym.analysis.loops import Side, ideal_source_loop, single_machine
 from wtg_gym.analysis.steady_states import critical_frequency_pu
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.layout import Status
@@ -25,9 +25,10 @@ from wtg_gym.physics.trajectory import Trajectory, simulate
 from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[np.float64]
-#: Called with (what is under way, done, total).
+#: Called with (name of the part under way, parts done, parts in all).
 OnProgress = Callable[[str, float, int], None]
 
+_SIDES: tuple[Side, ...] = ("under", "over")
 #: Wind speeds of the small-signal studies [m/s].
 WINDS = np.arange(6.0, 12.0 + 1e-9, 0.25)
 #: τ of the trade-off study [s]: from the cancelled droop to the kept one.
@@ -86,23 +87,16 @@ class MachineModelStudy:
     sentence: str
 
 
-def run_case_studies(on_progress: OnProgress | None = None) -> CaseStudies:
+def run_case_studies(on_progress: OnProgress = lambda *_: None) -> CaseStudies:
     """Run both case studies of the paper under every strategy."""
-    suite = get_suite("paper")
-    scenarios = [suite.scenario(seed) for seed in range(2)]
-    jobs = [(scenario, law) for scenario in scenarios for law in STRATEGIES.values()]
-    runs = []
-    for done, (scenario, law) in enumerate(jobs):
-        if on_progress is not None:
-            on_progress(f"{scenario.name}, {law.name}", done, len(jobs))
-        runs.append(simulate(scenario, law))
-    half = len(STRATEGIES)
-    return CaseStudies(
-        scenarios[0],
-        dict(zip(STRATEGIES, runs[:half], strict=True)),
-        scenarios[1],
-        dict(zip(STRATEGIES, runs[half:], strict=True)),
-    )
+    suite, found = get_suite("paper"), []
+    for seed in range(2):
+        scenario, runs = suite.scenario(seed), {}
+        for name, law in STRATEGIES.items():
+            on_progress(f"{scenario.name}, {name}", len(STRATEGIES) * seed + len(runs), 2 * len(STRATEGIES))
+            runs[name] = simulate(scenario, law)
+        found += [scenario, runs]
+    return CaseStudies(*found)
 
 
 def linear_undamped() -> TrackingLaw:
@@ -114,15 +108,10 @@ def linear_undamped() -> TrackingLaw:
 
 def study_margins() -> MarginStudy:
     """Return the phase margin of every loop of the paper's Bode plots over wind speed."""
-    laws: dict[str, TrackingLaw] = {
-        "mppt": STRATEGIES["mppt"],
-        "deloaded-5": STRATEGIES["deloaded-5"],
-        "deloaded-10": STRATEGIES["deloaded-10"],
-        "coordinated-linear-undamped": linear_undamped(),
-        "coordinated-linear": STRATEGIES["coordinated-linear"],
-    }
+    laws = [STRATEGIES[name] for name in ("mppt", "deloaded-5", "deloaded-10")]
+    laws += [linear_undamped(), STRATEGIES["coordinated-linear"]]
     margins = {"ideal-source": np.full(WINDS.size, ideal_source_loop().margins().phase_margin_deg)}
-    margins.update({name: _margins(law, "under") for name, law in laws.items()})
+    margins.update({law.name: _margins(law, "under") for law in laws})
     undamped, damped = margins["coordinated-linear-undamped"], margins["coordinated-linear"]
     low, high = int(np.argmin(np.abs(WINDS - 6.0))), int(np.argmin(np.abs(WINDS - 11.5)))
     return MarginStudy(
@@ -139,7 +128,7 @@ def study_slopes() -> MarginStudy:
     margins = {
         f"{name}, {side}-frequency": _margins(STRATEGIES[name], side)
         for name in ("coordinated-piecewise", "coordinated-undamped")
-        for side in ("under", "over")
+        for side in _SIDES
     }
     at = int(np.argmin(np.abs(WINDS - 8.0)))
     value = {label: series[at] for label, series in margins.items()}
@@ -154,13 +143,8 @@ def study_slopes() -> MarginStudy:
     )
 
 
-def _margins(law: TrackingLaw, side: str) -> Floats:
-    return np.array(
-        [
-            single_machine(law, float(wind), side="over" if side == "over" else "under").margins().phase_margin_deg
-            for wind in WINDS
-        ]
-    )
+def _margins(law: TrackingLaw, side: Side) -> Floats:
+    return np.array([single_machine(law, float(wind), side=side).margins().phase_margin_deg for wind in WINDS])
 
 
 def study_equilibria() -> EquilibriumStudy:
@@ -192,14 +176,13 @@ def study_equilibria() -> EquilibriumStudy:
     )
 
 
-def study_damping(on_progress: OnProgress | None = None) -> DampingStudy:
+def study_damping(on_progress: OnProgress = lambda *_: None) -> DampingStudy:
     """Return how τ trades the nadir against rotor speed in the first 25 s after the paper's first load step."""
     scenario = dataclasses.replace(get_suite("paper").scenario(0), duration_s=30.0)
     scenario = dataclasses.replace(scenario, events=scenario.events[:1])
     nadir, rotor, peak = [], [], []
     for done, tau in enumerate(TIME_CONSTANTS):
-        if on_progress is not None:
-            on_progress(f"τ = {tau:g} s", done, len(TIME_CONSTANTS))
+        on_progress(f"τ = {tau:g} s", done, len(TIME_CONSTANTS))
         run = simulate(scenario, dataclasses.replace(STRATEGIES[REFERENCE_STRATEGY], damping_time_constant_s=tau))
         nadir.append(run.frequency_hz.min())
         rotor.append(run.rotor_speed_pu.min(axis=0))
@@ -218,7 +201,7 @@ def study_damping(on_progress: OnProgress | None = None) -> DampingStudy:
     )
 
 
-def study_machine_models(strategies: Sequence[str] = (REFERENCE_STRATEGY, "deloaded-5")) -> MachineModelStudy:
+def study_machine_models() -> MachineModelStudy:
     """Return the paper's load increase with classical machines and with GENROU machines and exciters."""
     scenario = get_suite("paper").scenario(0)
     runs = {
@@ -226,15 +209,11 @@ def study_machine_models(strategies: Sequence[str] = (REFERENCE_STRATEGY, "deloa
             scenario, STRATEGIES[name], PlantSettings(case=modified_ieee14(classical=model == "classical"))
         )
         for model in ("genrou", "classical")
-        for name in strategies
+        for name in (REFERENCE_STRATEGY, "deloaded-5")
     }
     full, plain = (runs[model, REFERENCE_STRATEGY] for model in ("genrou", "classical"))
-    stalls = [
-        f"{runs[model, 'deloaded-5'].time_s[-1]:.1f} s"
-        if runs[model, "deloaded-5"].status == Status.STALL
-        else "no stall"
-        for model in ("genrou", "classical")
-    ]
+    ends = [runs[model, "deloaded-5"] for model in ("genrou", "classical")]
+    stalls = [f"{run.time_s[-1]:.1f} s" if run.status == Status.STALL else "no stall" for run in ends]
     return MachineModelStudy(
         scenario,
         runs,
@@ -243,19 +222,3 @@ def study_machine_models(strategies: Sequence[str] = (REFERENCE_STRATEGY, "deloa
         f"classical ones, its nadir is {full.frequency_hz.min():.3f} against {plain.frequency_hz.min():.3f} Hz, and "
         f"deloaded-5 stalls at {stalls[0]} against {stalls[1]}.",
     )
-
-
-__all__ = [
-    "CaseStudies",
-    "DampingStudy",
-    "EquilibriumStudy",
-    "MachineModelStudy",
-    "MarginStudy",
-    "linear_undamped",
-    "run_case_studies",
-    "study_damping",
-    "study_equilibria",
-    "study_machine_models",
-    "study_margins",
-    "study_slopes",
-]

@@ -8,19 +8,19 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class Claim:
-    """One statement of the paper and what came out.
+    """One statement of the paper and its measurement.
 
     Args:
         key: short name.
         source: section, table or figure of the paper.
         says: the statement, in our words.
-        expected: what must come out, with its tolerance, in words.
-        measured: what came out, in words.
+        expected: the result that confirms it, with its tolerance, in words.
+        measured: the result, in words.
         values: the numbers behind `measured`, units in their names.
         holds: the verdict.
-        remark: what a reader should know about it.
-        fitted: the parameter that was chosen so that this comes out; empty where none was.
-        target, tolerance: the number that must come out and how closely, where the claim is one number.
+        remark: a reader's footnote; empty for none.
+        fitted: the parameter that was chosen to meet this number; empty where none was.
+        target, tolerance: the expected number and its tolerance, where the claim is one number.
     """
 
     key: str
@@ -36,33 +36,29 @@ class Claim:
     tolerance: float | None = None
 
 
+_UNITS = {"deg": "°", "pu": " p.u."}
+
+
 def near(
-    key: str,
-    source: str,
-    says: str,
-    name: str,
-    value: float,
-    expected: float,
-    tolerance: float,
-    *,
-    digits: int = 3,
-    fitted: str = "",
+    key: str, source: str, says: str, found: tuple[str, float, int], target: float, tolerance: float, fitted: str
 ) -> Claim:
-    """Return the claim that a value, whose name ends in its unit, is `expected` within `tolerance`."""
-    unit = name.rsplit("_", 1)[-1] if name.endswith(("_deg", "_pu", "_s")) else ""
-    unit = {"deg": "°", "pu": " p.u.", "s": " s"}.get(unit, "")
+    """Return the claim that a fitted value is `target` within `tolerance`.
+
+    Args:
+        found: name of the value, which ends in its unit, the value, and its digits in the text.
+        key, source, says, fitted: as for :class:`Claim`.
+    """
+    name, value, digits = found
+    unit = _UNITS.get(name.rsplit("_", 1)[-1], "")
     return Claim(
         key=key,
         source=source,
         says=says,
-        expected=f"{expected:g}{unit} ± {tolerance:g}{unit}",
+        expected=f"{target:g}{unit} ± {tolerance:g}{unit}",
         measured=f"{value:.{digits}f}{unit}",
         values={name: float(value)},
-        holds=abs(value - expected) <= tolerance,
-        target=expected,
+        holds=abs(value - target) <= tolerance,
+        target=target,
         tolerance=tolerance,
         fitted=fitted,
     )
-
-
-__all__ = ["Claim", "near"]

@@ -168,6 +168,3 @@ def synchronising_coefficients(
             powers.append(simulator.wtg_values(WtgRow.POWER)[0])
         result[:, j] = (powers[1] - powers[0]) / (2.0 * _STEP)
     return result
-
-
-__all__ = ["LinearModel", "Mode", "linearise", "modes", "synchronising_coefficients"]

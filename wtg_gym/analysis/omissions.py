@@ -1,7 +1,7 @@
-"""The physics that the paper's model leaves out, as numbers: rotor energy, and limits of voltage, power and speed.
+"""Measurements of the physics that the paper's model leaves out: rotor energy, limits of voltage, power and speed.
 
-The energy-consistent rotor is a measurement here and no setting of the plant: after every simulation step a rotor gets
-the speed at which its energy has changed by what went in. Everything else in such a run is the simulator's own.
+The energy-consistent rotor is no setting of the plant: after every simulation step a rotor gets the speed at which its
+energy has changed by the energy that went in. Everything else in such a run is the simulator's own.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _WTG_BUS = 2
 
 @dataclass(frozen=True, kw_only=True)
 class RotorEnergy:
-    """Kinetic energy that the reference's rotor gives when the frequency falls, on the base of its rating.
+    """Kinetic energy that the reference's rotor releases when the frequency falls, on the base of its rating.
 
     Args:
         wind_m_s: [m/s].
@@ -133,7 +133,7 @@ class VoltageLimit:
 
 @dataclass(frozen=True, kw_only=True)
 class Omissions:
-    """Everything that is measured about what the paper's model leaves out.
+    """All of these measurements.
 
     Args:
         settled_pu: frequency at which the paper's load increase settles under the reference [p.u.].
@@ -152,14 +152,13 @@ class Omissions:
     limited: VoltageLimit
 
 
-def study_omissions(on_progress: Callable[[str, float, int], None] | None = None) -> Omissions:
-    """Measure them all; `on_progress` is called with (what is under way, done, total)."""
+def study_omissions(on_progress: Callable[[str, float, int], None] = lambda *_: None) -> Omissions:
+    """Measure them all; `on_progress` is called with (name of the part, parts done, parts in all)."""
     case = get_suite("paper").scenario(0)
     counts = []
     jobs = [(suite, strategy) for suite in _SUITES for strategy in _STRATEGIES]
     for done, (suite, strategy) in enumerate(jobs):
-        if on_progress is not None:
-            on_progress(f"omissions, {suite}, {strategy}", done, len(jobs))
+        on_progress(f"omissions, {suite}, {strategy}", done, len(jobs))
         counts.append(count_suite(suite, strategy))
     held, limited = voltage_limits(case)
     paper_runs, energy_runs = (
@@ -179,7 +178,7 @@ def study_omissions(on_progress: Callable[[str, float, int], None] | None = None
 
 
 def rotor_energy(wind_m_s: float, frequency_pu: float) -> RotorEnergy:
-    """Return what the reference's rotor gives at a wind speed [m/s] when ω falls from ω_st to a frequency [p.u.]."""
+    """Return the energy of the reference's rotor at a wind speed [m/s] as ω falls from ω_st to a frequency [p.u.]."""
     law, inertia_s = STRATEGIES[REFERENCE_STRATEGY], TurbineParameters().inertia_constant_s
     speeds = []
     for frequency in (GridFormingParameters().frequency_setpoint_pu, frequency_pu):
@@ -247,7 +246,7 @@ def run_rotors(scenarios: Sequence[Scenario], law: TrackingLaw, *, energy: bool)
 
 
 def _reactive_power(simulator: Simulator, lane: int = 0) -> Floats:
-    """Return what every group feeds into its bus where a lane stands, on its own base (n_wtg,) [p.u.]."""
+    """Return the reactive power that every group feeds into its bus, on its own base (n_wtg,) [p.u.]."""
     settings = simulator.settings
     buses = [settings.case.bus_index(group.bus) for group in settings.groups]
     voltage = np.abs(simulator.bus_voltages(lane))[buses]
@@ -258,7 +257,7 @@ def _reactive_power(simulator: Simulator, lane: int = 0) -> Floats:
 
 
 def count_suite(suite: str, strategy: str, n_scenarios: int | None = None) -> SuiteCounts:
-    """Return what a strategy does in the first `n_scenarios` validation scenarios of a suite; None for all."""
+    """Count over the first `n_scenarios` validation scenarios of a suite; None for all."""
     seeds = list(get_suite(suite).validation[:n_scenarios])
     scenarios = get_suite(suite).scenarios(seeds)
     runs, others = (run_rotors(scenarios, STRATEGIES[strategy], energy=energy) for energy in (False, True))
@@ -289,20 +288,21 @@ def voltage_limits(scenario: Scenario) -> tuple[VoltageLimit, VoltageLimit]:
     """Return the start of a scenario with bus 2 at its scheduled voltage, and where no |E| exceeds 1.1 p.u."""
     scheduled = modified_ieee14().buses[_WTG_BUS - 1].voltage_pu
     assert scheduled is not None
-    return _start_at(scenario, scheduled), _start_at(scenario, _voltage_for(scenario, VOLTAGE_LIMIT_PU, scheduled))
 
+    def excess(bus_voltage_pu: float) -> float:
+        return float(_start_at(scenario, bus_voltage_pu).voltage_pu.max()) - VOLTAGE_LIMIT_PU
 
-def _plant_at(bus_voltage_pu: float) -> PlantSettings:
-    """Return the paper's plant with bus 2 held at another voltage."""
-    case = modified_ieee14()
-    buses = tuple(
-        dataclasses.replace(bus, voltage_pu=bus_voltage_pu) if bus.number == _WTG_BUS else bus for bus in case.buses
-    )
-    return PlantSettings(case=dataclasses.replace(case, buses=buses))
+    limited = float(brentq(excess, 1.0, scheduled, xtol=1e-6))
+    return _start_at(scenario, scheduled), _start_at(scenario, limited)
 
 
 def _start_at(scenario: Scenario, bus_voltage_pu: float) -> VoltageLimit:
-    settings, law = _plant_at(bus_voltage_pu), STRATEGIES[REFERENCE_STRATEGY]
+    """Return the start of a scenario in the paper's plant with bus 2 held at another voltage [p.u.]."""
+    case, law = modified_ieee14(), STRATEGIES[REFERENCE_STRATEGY]
+    buses = tuple(
+        dataclasses.replace(bus, voltage_pu=bus_voltage_pu) if bus.number == _WTG_BUS else bus for bus in case.buses
+    )
+    settings = PlantSettings(case=dataclasses.replace(case, buses=buses))
     simulator = Simulator(settings, duration_s=scenario.duration_s)
     simulator.start(0, scenario, (law,) * len(settings.groups))
     simulator.evaluate()
@@ -318,28 +318,3 @@ def _start_at(scenario: Scenario, bus_voltage_pu: float) -> VoltageLimit:
         synchronising_coefficient=k_p,
         phase_margin_deg=np.array(margins),
     )
-
-
-def _voltage_for(scenario: Scenario, limit_pu: float, highest_pu: float) -> float:
-    """Return the voltage of bus 2 at which the larger |E| is a limit [p.u.]."""
-
-    def excess(bus_voltage_pu: float) -> float:
-        return float(_start_at(scenario, bus_voltage_pu).voltage_pu.max()) - limit_pu
-
-    return float(brentq(excess, 1.0, highest_pu, xtol=1e-6))
-
-
-__all__ = [
-    "REACTIVE_LIMIT_PU",
-    "VOLTAGE_LIMIT_PU",
-    "Omissions",
-    "RotorEnergy",
-    "RotorRun",
-    "SuiteCounts",
-    "VoltageLimit",
-    "count_suite",
-    "rotor_energy",
-    "run_rotors",
-    "study_omissions",
-    "voltage_limits",
-]

@@ -108,6 +108,3 @@ def _transposed(rows: list[Row], prefix: str) -> str:
     lines = [(group.removeprefix(prefix), *(values.get((group, name), "–") for name in names)) for group in groups]
     sources = ", ".join(dict.fromkeys(row[4] for row in rows))
     return markdown_table(header, lines, right=range(1, 1 + len(names))) + f"\n\nSource: {sources}."
-
-
-__all__ = ["COLUMNS", "parameter_classes", "parameter_rows", "parameters_page"]

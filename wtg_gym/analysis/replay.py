@@ -1,8 +1,8 @@
 """Run the case of a parameter file and compare it with a trace of another simulator.
 
 The trace's rows and the events may come at any time. Whole steps are counted from each event on; the last one before
-an event is shortened to end there, and a row between two steps is reached by a shortened step aside, so that looking
-does not change what is looked at.
+an event is shortened to end there, and a row between two steps is reached by a shortened step on a copy, so that rows
+do not change the run.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _LONGEST_TRACE_S = 3600.0
 
 @dataclass(frozen=True)
 class Trace:
-    """What another simulator found: `time_s` (n,) [s] and named columns (n,), such as ``w1`` or ``V14``."""
+    """A run of another simulator: `time_s` (n,) [s] and named columns (n,), such as ``w1`` or ``V14``."""
 
     time_s: Floats
     columns: Mapping[str, Floats]
@@ -112,10 +112,8 @@ def _known_columns(case: ReferenceCase) -> dict[str, str]:
 def choose_events(case: ReferenceCase, trace_path: str | Path, name: str | None = None) -> tuple[LoadStep, ...]:
     """Return the event list of a trace: the named one, the only one, or the one its file name ends with (`…_a.csv`).
 
-    A file without events has none to choose.
-
     Raises:
-        ValueError: there is no such list, or it is not clear which one is meant; the message lists them.
+        ValueError: there is no such list, or several could be meant; the message lists them.
     """
     known = ", ".join(case.events) or "none"
     if name is None and not case.events:
@@ -140,12 +138,12 @@ def replay(case: ReferenceCase, events: Sequence[LoadStep], time_s: npt.ArrayLik
     Args:
         case: network and machines.
         events: what happens.
-        time_s: when to look, at least once, not decreasing from 0 s on (n,) [s].
+        time_s: instants of the rows, at least one, not decreasing from 0 s on (n,) [s].
         step_s: integration step, 0.05 … 40 ms [s].
 
     Raises:
-        ValueError: the step is out of range or too long for the case, the case has no equilibrium, or it is not the
-            one its file tells.
+        ValueError: the step is out of range or too long for the case, or the case has no equilibrium or another one
+            than its file.
     """
     require_range("integration step", step_s, *SIMULATION_DT_RANGE, "s")
     times = np.asarray(time_s, dtype=np.float64)
@@ -181,7 +179,7 @@ def replay_closely(
     step_s: float,
     tolerance: Mapping[str, float],
 ) -> tuple[dict[str, Floats], float, dict[str, float]]:
-    """Run a case with a step so fine that its own error does not decide a comparison.
+    """Run a case with a step so fine that its error is small beside the tolerances.
 
     The step is halved, at most down to 0.05 ms, until halving it once more changes every judged quantity by less than
     a tenth of its tolerance.
@@ -192,7 +190,7 @@ def replay_closely(
         tolerance: the judged quantities and their tolerances [p.u.].
 
     Returns:
-        the columns, the step they were found with [s], and what the last halving changed, by quantity [p.u.].
+        the columns, their step [s], and the change by the last halving, by quantity [p.u.].
     """
     times, finest = np.asarray(time_s, dtype=np.float64), SIMULATION_DT_RANGE[0]
     coarse = replay(case, events, times, step_s)
@@ -326,6 +324,3 @@ def differences(case: ReferenceCase, trace: Trace, columns: Mapping[str, Floats]
         if quantity not in found or size > found[quantity].size:
             found[quantity] = Difference(quantity, size, name, float(trace.time_s[at]))
     return tuple(found.values())
-
-
-__all__ = ["Difference", "Trace", "choose_events", "differences", "read_trace", "replay", "replay_closely"]

@@ -19,7 +19,7 @@ from scipy.optimize import brentq, minimize_scalar
 from wtg_gym.physics.aerodynamics import available_power_pu, power_coefficient, tracking_point
 from wtg_gym.physics.parameters import GridFormingParameters, PitchParameters, TurbineParameters
 from wtg_gym.physics.scenario import WIND_SPEED_RANGE, require_range
-from wtg_gym.physics.tracking_law import TrackingLaw, get_law, tracking_coefficient
+from wtg_gym.physics.tracking_law import TrackingLaw, tracking_coefficient
 
 Floats = npt.NDArray[np.float64]
 
@@ -67,27 +67,44 @@ class Characteristic:
 
 
 class _Balance:
-    """Captured minus delivered power as a function of the rotor speed, at one frequency, law and wind."""
+    """Captured minus delivered power over the rotor speed, at one frequency, law and wind.
+
+    Raises:
+        ValueError: frequency or wind is out of range.
+    """
 
     def __init__(
         self,
         frequency_pu: float,
         law: TrackingLaw,
         wind_m_s: float,
-        turbine: TurbineParameters,
-        control: GridFormingParameters,
-        pitch: PitchParameters | None,
+        *,
+        turbine: TurbineParameters | None = None,
+        control: GridFormingParameters | None = None,
+        fine_pitch: bool = False,
     ) -> None:
-        self.k = coefficient_pu(frequency_pu, law, control)
+        require_range("frequency", frequency_pu, *FREQUENCY_RANGE, "p.u.")
+        require_range("wind", wind_m_s, *WIND_SPEED_RANGE, "m/s")
+        turbine, control = turbine or TurbineParameters(), control or GridFormingParameters()
+        self.frequency_pu = frequency_pu
+        self.k: float = tracking_coefficient(
+            frequency_pu,
+            law.k_min,
+            law.k_nominal,
+            law.k_max,
+            control.frequency_min_pu,
+            control.frequency_setpoint_pu,
+            control.frequency_max_pu,
+        )
         keeps_droop = math.isinf(law.damping_time_constant_s)
         deviation = frequency_pu - control.frequency_setpoint_pu
         self.droop = control.droop_gain_pu * deviation if keeps_droop else 0.0
         self.in_wind = turbine.wind_power_pu_per_cubic_wind * wind_m_s**3
         self.ratio_per_speed = turbine.tip_speed_ratio_per_speed_m_s / wind_m_s
         self.curve = turbine.power_coefficient
-        self.pitch = pitch
-        self.speed_limit = math.inf if pitch is None else pitch.rotor_speed_limit_pu
-        self.power_limit = math.inf if pitch is None else pitch.captured_power_limit_pu
+        pitch = PitchParameters()
+        self.speed_limit = math.inf if fine_pitch else pitch.rotor_speed_limit_pu
+        self.power_limit = math.inf if fine_pitch else pitch.captured_power_limit_pu
         # A rotor so fast that the law takes more than the wind holds leaves a deficit for certain.
         most = (max(self.droop, 0.0) + float(available_power_pu(wind_m_s, turbine))) / self.k
         fastest = min(1.01 * most ** (1.0 / 3.0), self.speed_limit)
@@ -127,98 +144,83 @@ class _Balance:
 
     def holding_pitch(self, speed: float) -> float | None:
         """Return the smallest pitch angle at which the captured power is the delivered one; None if none does [deg]."""
-        assert self.pitch is not None
         target = float(self.delivered(speed))
 
         def excess(pitch_deg: float) -> float:
             return float(self.captured(speed, pitch_deg)) - target
 
-        angles = np.arange(0.0, self.pitch.largest_angle_deg + 0.05, 0.05)
+        angles = np.arange(0.0, PitchParameters().largest_angle_deg + 0.05, 0.05)
         below = [angle for angle in angles if excess(float(angle)) <= 0.0]
         if not below:
             return None
         return float(brentq(excess, max(below[0] - 0.05, 0.0), below[0])) if below[0] > 0.0 else 0.0
 
-
-def coefficient_pu(frequency_pu: float, law: TrackingLaw, control: GridFormingParameters | None = None) -> float:
-    """Return g(ω) of a law at a frequency [p.u.]. Source: paper, equation `gomega_augement`."""
-    control = control or GridFormingParameters()
-    k: float = tracking_coefficient(
-        frequency_pu,
-        law.k_min,
-        law.k_nominal,
-        law.k_max,
-        control.frequency_min_pu,
-        control.frequency_setpoint_pu,
-        control.frequency_max_pu,
-    )
-    return k
-
-
-def _balance(
-    frequency_pu: float,
-    law: str | TrackingLaw,
-    wind_m_s: float,
-    turbine: TurbineParameters | None,
-    control: GridFormingParameters | None,
-    pitch: PitchParameters | None,
-    fine_pitch: bool,
-) -> _Balance:
-    require_range("frequency", frequency_pu, *FREQUENCY_RANGE, "p.u.")
-    require_range("wind", wind_m_s, *WIND_SPEED_RANGE, "m/s")
-    held = None if fine_pitch else pitch or PitchParameters()
-    turbine = turbine or TurbineParameters()
-    return _Balance(frequency_pu, get_law(law, turbine), wind_m_s, turbine, control or GridFormingParameters(), held)
+    def operating_point(self, speed: float, *, stable: bool) -> OperatingPoint | None:
+        """Return the steady state at a rotor speed [p.u.]; None where no pitch angle holds the rotor there."""
+        held = speed >= self.speed_limit or float(self.captured(speed)) > self.power_limit
+        pitch_deg = self.holding_pitch(speed) if held else 0.0
+        if pitch_deg is None:
+            return None
+        return OperatingPoint(
+            frequency_pu=self.frequency_pu,
+            rotor_speed_pu=speed,
+            tip_speed_ratio=self.ratio_per_speed * speed,
+            power_pu=float(self.delivered(speed)),
+            pitch_deg=pitch_deg,
+            stable=stable,
+        )
 
 
 def power_margin_pu(
     frequency_pu: float,
-    law: str | TrackingLaw,
+    law: TrackingLaw,
     wind_m_s: float,
-    turbine: TurbineParameters | None = None,
-    control: GridFormingParameters | None = None,
-    pitch: PitchParameters | None = None,
     *,
+    control: GridFormingParameters | None = None,
     fine_pitch: bool = False,
 ) -> float:
-    """Return how much more than the law demands a rotor could capture in steady state, at best over its speed [p.u.].
+    """Return the largest surplus of captured over demanded power that a steady rotor can have [p.u.].
 
     max over ω_m of p_w(ω_m) - g(ω) ω_m³ + D_p (ω - ω_st), the last term only where the law keeps its droop (τ = ∞).
     Negative: there is no equilibrium. Source: paper, section on MPPT.
 
     Args:
         frequency_pu: grid frequency ω, 0.5 … 1.5 [p.u.].
-        law: the strategy; a name is the turbine's law of that name.
+        law: the strategy.
         wind_m_s: wind speed, 3 … 25 [m/s].
-        turbine, control, pitch: parameters; the paper's and the benchmark's by default.
-        fine_pitch: leave the pitch protection out and hold β = 0.
+        control: parameters; the paper's by default.
+        fine_pitch: hold β = 0, without pitch protection.
 
     Raises:
         ValueError: frequency or wind is out of range.
     """
-    balance = _balance(frequency_pu, law, wind_m_s, turbine, control, pitch, fine_pitch)
+    balance = _Balance(frequency_pu, law, wind_m_s, control=control, fine_pitch=fine_pitch)
     return float(balance(balance.best_speed()))
 
 
 def equilibria(
     frequency_pu: float,
-    law: str | TrackingLaw,
+    law: TrackingLaw,
     wind_m_s: float,
+    *,
     turbine: TurbineParameters | None = None,
     control: GridFormingParameters | None = None,
-    pitch: PitchParameters | None = None,
-    *,
     fine_pitch: bool = False,
 ) -> tuple[OperatingPoint, ...]:
     """Return every steady state of a WTG at a grid frequency, from the slowest rotor to the fastest.
 
-    Stability is that of the rotor at constant frequency; that of the whole system is :mod:`wtg_gym.small_signal`'s
-    business. Where the pitch protection holds the rotor the smallest angle is given: C_p is not monotonic in β close
-    to fine pitch, so that a second angle with the same rotor speed and power may exist.
+    Stability is that of the rotor at constant frequency. Where the pitch protection holds the rotor, the smallest angle
+    is given: C_p is not monotonic in β close to fine pitch, so that a second angle with the same rotor speed and power
+    may exist.
 
-    Args, Raises: as for :func:`power_margin_pu`.
+    Args:
+        turbine: parameters; the paper's by default.
+        frequency_pu, law, wind_m_s, control, fine_pitch: as for :func:`power_margin_pu`.
+
+    Raises:
+        ValueError: frequency or wind is out of range.
     """
-    balance = _balance(frequency_pu, law, wind_m_s, turbine, control, pitch, fine_pitch)
+    balance = _Balance(frequency_pu, law, wind_m_s, turbine=turbine, control=control, fine_pitch=fine_pitch)
     # The surplus is smooth but for the corner at the power limit; its maximum splits a close pair of roots.
     speeds = np.unique(np.append(balance.samples(), balance.best_speed()))
     surplus = balance(speeds)
@@ -227,65 +229,42 @@ def equilibria(
         if (surplus[i] > 0.0) == (surplus[i + 1] > 0.0):
             continue
         root = float(brentq(lambda x: float(balance(x)), speeds[i], speeds[i + 1], xtol=1e-14, rtol=1e-14))
-        points.append(_operating_point(balance, frequency_pu, root, stable=bool(surplus[i] > 0.0)))
+        points.append(balance.operating_point(root, stable=bool(surplus[i] > 0.0)))
     if surplus[-1] > 0.0 and math.isfinite(balance.speed_limit) and balance.range[1] == balance.speed_limit:
         # The rotor would go on accelerating, but the blades turn and hold it at its limit.
-        points.append(_operating_point(balance, frequency_pu, balance.speed_limit, stable=True))
+        points.append(balance.operating_point(balance.speed_limit, stable=True))
     return tuple(point for point in points if point is not None)
-
-
-def _operating_point(balance: _Balance, frequency_pu: float, speed: float, *, stable: bool) -> OperatingPoint | None:
-    held = speed >= balance.speed_limit or float(balance.captured(speed)) > balance.power_limit
-    pitch_deg = balance.holding_pitch(speed) if held else 0.0
-    if pitch_deg is None:
-        return None
-    return OperatingPoint(
-        frequency_pu=frequency_pu,
-        rotor_speed_pu=speed,
-        tip_speed_ratio=balance.ratio_per_speed * speed,
-        power_pu=float(balance.delivered(speed)),
-        pitch_deg=pitch_deg,
-        stable=stable,
-    )
 
 
 def stable_equilibrium(
     frequency_pu: float,
-    law: str | TrackingLaw,
+    law: TrackingLaw,
     wind_m_s: float,
+    *,
     turbine: TurbineParameters | None = None,
     control: GridFormingParameters | None = None,
-    pitch: PitchParameters | None = None,
-    *,
     fine_pitch: bool = False,
 ) -> OperatingPoint | None:
-    """Return the stable steady state with the fastest rotor, the one an operating WTG is in; None if there is none.
+    """Return the stable steady state with the fastest rotor, that of a running WTG; None if there is none.
 
-    Args, Raises: as for :func:`power_margin_pu`.
+    Args, Raises: as for :func:`equilibria`.
     """
-    found = equilibria(frequency_pu, law, wind_m_s, turbine, control, pitch, fine_pitch=fine_pitch)
+    found = equilibria(frequency_pu, law, wind_m_s, turbine=turbine, control=control, fine_pitch=fine_pitch)
     return next((point for point in reversed(found) if point.stable), None)
 
 
 def characteristic(
-    law: str | TrackingLaw,
-    wind_m_s: float,
-    frequency_pu: npt.ArrayLike,
-    turbine: TurbineParameters | None = None,
-    control: GridFormingParameters | None = None,
-    pitch: PitchParameters | None = None,
-    *,
-    fine_pitch: bool = False,
+    law: TrackingLaw, wind_m_s: float, frequency_pu: npt.ArrayLike, *, fine_pitch: bool = False
 ) -> Characteristic:
     """Return the power-frequency characteristic of a law: the stable and the unstable branch over frequency.
 
     Source: paper, figures `MPPTDroop` … `Proposed`.
 
     Args:
-        law: the strategy; a name is the turbine's law of that name.
+        law: the strategy.
         wind_m_s: wind speed, 3 … 25 [m/s].
         frequency_pu: frequencies, shape (n,), 0.5 … 1.5 [p.u.].
-        turbine, control, pitch, fine_pitch: as for :func:`power_margin_pu`.
+        fine_pitch: hold β = 0, without pitch protection.
 
     Raises:
         ValueError: a frequency or the wind is out of range.
@@ -293,32 +272,25 @@ def characteristic(
     frequencies = np.atleast_1d(np.asarray(frequency_pu, dtype=np.float64))
     table = np.full((4, frequencies.size), np.nan)
     for i, frequency in enumerate(frequencies):
-        for point in equilibria(float(frequency), law, wind_m_s, turbine, control, pitch, fine_pitch=fine_pitch):
+        for point in equilibria(float(frequency), law, wind_m_s, fine_pitch=fine_pitch):
             row = 0 if point.stable else 2
             table[row : row + 2, i] = point.rotor_speed_pu, point.power_pu
     return Characteristic(frequencies, *table)
 
 
 def critical_frequency_pu(
-    law: str | TrackingLaw,
-    wind_m_s: float,
-    turbine: TurbineParameters | None = None,
-    control: GridFormingParameters | None = None,
-    pitch: PitchParameters | None = None,
-    *,
-    lowest_pu: float = 0.9,
-    fine_pitch: bool = False,
+    law: TrackingLaw, wind_m_s: float, *, lowest_pu: float = 0.9, fine_pitch: bool = False
 ) -> float | None:
     """Return the frequency below which a strategy has no equilibrium at a wind speed [p.u.].
 
-    Looked for from the set-point downwards: the first frequency at which the equilibrium is lost. A law that has none
-    at the set-point either has its critical frequency above: the lowest one at which it has.
+    From the set-point downwards it is the first frequency at which the equilibrium is lost. Where a law has none at the
+    set-point either, it is the lowest frequency above at which it has one.
 
     Args:
-        law: the strategy; a name is the turbine's law of that name.
+        law: the strategy.
         wind_m_s: wind speed, 3 … 25 [m/s].
-        turbine, control, pitch, fine_pitch: as for :func:`power_margin_pu`.
-        lowest_pu: lowest frequency looked at, 0.5 p.u. … the set-point [p.u.].
+        lowest_pu: lowest frequency tried, 0.5 p.u. … the set-point [p.u.].
+        fine_pitch: hold β = 0, without pitch protection.
 
     Returns:
         the critical frequency, or None where there is an equilibrium down to `lowest_pu`.
@@ -326,19 +298,18 @@ def critical_frequency_pu(
     Raises:
         ValueError: a value is out of range, or there is no equilibrium from the set-point up to 1.5 p.u.
     """
-    control = control or GridFormingParameters()
+    control = GridFormingParameters()
     setpoint = control.frequency_setpoint_pu
     require_range("lowest frequency", lowest_pu, FREQUENCY_RANGE[0], setpoint, "p.u.")
 
     def margin(frequency: float) -> float:
-        return power_margin_pu(frequency, law, wind_m_s, turbine, control, pitch, fine_pitch=fine_pitch)
+        return power_margin_pu(frequency, law, wind_m_s, fine_pitch=fine_pitch)
 
     if margin(setpoint) < 0.0:
         for low, high in ((setpoint, control.frequency_max_pu), (control.frequency_max_pu, FREQUENCY_RANGE[1])):
             if margin(high) >= 0.0:
                 return float(brentq(margin, low, high, xtol=1e-13))
-        name = get_law(law, turbine).name
-        raise ValueError(f"law {name!r} has no equilibrium at {wind_m_s:g} m/s from the set-point on upwards")
+        raise ValueError(f"law {law.name!r} has no equilibrium at {wind_m_s:g} m/s from the set-point on upwards")
     corner = max(control.frequency_min_pu, lowest_pu)
     return _first_loss(margin, corner, setpoint) or _first_loss(margin, lowest_pu, corner)
 
@@ -355,12 +326,7 @@ def _first_loss(margin: Callable[[float], float], low: float, high: float) -> fl
     return float(brentq(margin, lowest, high, xtol=1e-13)) if margin(lowest) < 0.0 else None
 
 
-def named_points(
-    law: str | TrackingLaw,
-    wind_m_s: float,
-    turbine: TurbineParameters | None = None,
-    control: GridFormingParameters | None = None,
-) -> dict[str, OperatingPoint]:
+def named_points(law: TrackingLaw, wind_m_s: float) -> dict[str, OperatingPoint]:
     """Return the points that the paper names on a power-frequency characteristic, blades at fine pitch.
 
     A: at ω_st. B: at ω_min, or where the equilibrium is lost if that comes first. C: at ω_max. M: where the stable
@@ -368,53 +334,28 @@ def named_points(
 
     Args, Raises: as for :func:`critical_frequency_pu`.
     """
-    turbine, control = turbine or TurbineParameters(), control or GridFormingParameters()
+    turbine, control = TurbineParameters(), GridFormingParameters()
+    lowest, nominal = control.frequency_min_pu, control.frequency_setpoint_pu
 
-    def at(frequency: float) -> OperatingPoint | None:
-        return stable_equilibrium(frequency, law, wind_m_s, turbine, control, fine_pitch=True)
+    def balance(frequency: float) -> _Balance:
+        return _Balance(frequency, law, wind_m_s, fine_pitch=True)
 
-    lowest = control.frequency_min_pu
-    critical = critical_frequency_pu(law, wind_m_s, turbine, control, lowest_pu=lowest, fine_pitch=True)
-    if critical is None or critical > control.frequency_setpoint_pu:
-        limit = at(lowest)
-    else:
+    points = {
+        name: stable_equilibrium(frequency, law, wind_m_s, fine_pitch=True)
+        for name, frequency in (("A", nominal), ("B", lowest), ("C", control.frequency_max_pu))
+    }
+    critical = critical_frequency_pu(law, wind_m_s, lowest_pu=lowest, fine_pitch=True)
+    if critical is not None and critical <= nominal:
         # The two branches meet there, so that neither has a root; the surplus has its maximum at that speed.
-        balance = _balance(critical, law, wind_m_s, turbine, control, None, True)
-        limit = _operating_point(balance, critical, balance.best_speed(), stable=True)
-    points = {"A": at(control.frequency_setpoint_pu), "B": limit, "C": at(control.frequency_max_pu)}
-    points["M"] = _maximum_power_crossing(law, wind_m_s, turbine, control, lowest)
-    return {name: point for name, point in points.items() if point is not None}
-
-
-def _maximum_power_crossing(
-    law: str | TrackingLaw, wind_m_s: float, turbine: TurbineParameters, control: GridFormingParameters, lowest: float
-) -> OperatingPoint | None:
-    """Return the point between ω_st and ω_min at which the rotor stands at λ_opt and has come from above it."""
-    optimum = tracking_point(0.0, turbine)
-    speed = optimum.tip_speed_ratio * wind_m_s / turbine.tip_speed_ratio_per_speed_m_s
+        lost = balance(critical)
+        points["B"] = lost.operating_point(lost.best_speed(), stable=True)
+    best_speed = tracking_point().tip_speed_ratio * wind_m_s / turbine.tip_speed_ratio_per_speed_m_s
 
     def surplus(frequency: float) -> float:
-        return float(_balance(frequency, law, wind_m_s, turbine, control, None, True)(speed))
+        return float(balance(frequency)(best_speed))
 
-    nominal = control.frequency_setpoint_pu
-    # With a surplus at λ_opt the rotor stands above it.
-    if not surplus(nominal) > 1e-12 or surplus(lowest) > -1e-12:
-        return None
-    frequency = float(brentq(surplus, lowest, nominal, xtol=1e-14))
-    balance = _balance(frequency, law, wind_m_s, turbine, control, None, True)
-    point = _operating_point(balance, frequency, speed, stable=True)
-    return point
-
-
-__all__ = [
-    "FREQUENCY_RANGE",
-    "Characteristic",
-    "OperatingPoint",
-    "characteristic",
-    "coefficient_pu",
-    "critical_frequency_pu",
-    "equilibria",
-    "named_points",
-    "power_margin_pu",
-    "stable_equilibrium",
-]
+    # A rotor with a surplus at λ_opt stands above it, one with a deficit below.
+    if surplus(nominal) > 1e-12 and surplus(lowest) <= -1e-12:
+        crossing = float(brentq(surplus, lowest, nominal, xtol=1e-14))
+        points["M"] = balance(crossing).operating_point(best_speed, stable=True)
+    return {name: point for name, point in points.items() if point is not None}

@@ -1,4 +1,4 @@
-"""What a fixed step costs and what it is worth: explicit methods against a tight integration of the same equations.
+"""The error and the cost of an integration step: explicit methods against a tight integration of the same equations.
 
 Each scenario is integrated with scipy's DOP853 at rtol 1e-10, restarted wherever wind, noise or network change, and
 then with every method and step. The equations are the simulator's own kernels in all of them.
@@ -7,80 +7,25 @@ then with every method and step. The equations are the simulator's own kernels i
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-from scipy.integrate import solve_ivp
 
-from wtg_gym.physics.compiled import compiled
-from wtg_gym.physics.dynamics import derivatives
-from wtg_gym.physics.integration import apply_network_changes, enter_interval
-from wtg_gym.physics.layout import (
-    N_SYNC_STATES,
-    N_WTG_STATES,
-    Floats,
-    LaneData,
-    LaneRow,
-    Plant,
-    WtgRow,
-    lane_row,
-)
-from wtg_gym.physics.plant import PlantSettings, whole_steps
+from wtg_gym.analysis.explicit_methods import CONTROL_DT, METHODS, Integration, Method
+from wtg_gym.files import markdown_table
+from wtg_gym.physics.layout import Floats
+from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import LoadRamp, Scenario
-from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.synchronous_machine import MachineConstant, SyncState
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, TrackingLaw
-from wtg_gym.physics.wind_turbine import TurbineConstant, WtgState
 from wtg_gym.scenarios import get_suite
 
 #: Steps of the study [s]; each divides the control interval.
 STEPS = (0.0025, 0.005, 0.01, 0.02, 0.025, 0.04)
-#: Control interval of the study: 0.1 s is not a whole number of steps of 40 ms [s].
-CONTROL_DT = 0.2
-RTOL, ATOL = 1e-10, 1e-12
-#: Scenarios over which the reference is held against a tighter one.
+#: Scenarios in which the reference is compared with a tighter one.
 _N_REFERENCE = 10
-
-
-@dataclass(frozen=True)
-class Method:
-    """An explicit Runge-Kutta method by its Butcher tableau: `a` (s, s), `b` (s,), `c` (s,)."""
-
-    name: str
-    order: int
-    a: tuple[tuple[float, ...], ...]
-    b: tuple[float, ...]
-    c: tuple[float, ...]
-
-    @property
-    def n_stages(self) -> int:
-        """Evaluations of the right-hand side per step."""
-        return len(self.b)
-
-
-#: Source: E. Hairer, S. P. Nørsett, G. Wanner: Solving Ordinary Differential Equations I, section II.1.
-METHODS = (
-    Method("Euler", 1, ((0.0,),), (1.0,), (0.0,)),
-    Method("Heun", 2, ((0.0, 0.0), (1.0, 0.0)), (0.5, 0.5), (0.0, 1.0)),
-    Method(
-        "Kutta 3",
-        3,
-        ((0.0, 0.0, 0.0), (0.5, 0.0, 0.0), (-1.0, 2.0, 0.0)),
-        (1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0),
-        (0.0, 0.5, 1.0),
-    ),
-    Method(
-        "RK4",
-        4,
-        ((0.0, 0.0, 0.0, 0.0), (0.5, 0.0, 0.0, 0.0), (0.0, 0.5, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)),
-        (1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0),
-        (0.0, 0.5, 0.5, 1.0),
-    ),
-)
 
 
 @dataclass(frozen=True)
@@ -88,8 +33,7 @@ class Accuracy:
     """Errors and cost of one method at one step.
 
     Args:
-        method: name.
-        order: its order.
+        method, order: its name and order.
         step_s: [s].
         evaluations_per_s: right-hand sides per simulated second.
         microseconds_per_s: measured time per simulated second, one environment [µs].
@@ -109,11 +53,10 @@ class Accuracy:
 
 @dataclass(frozen=True)
 class AccuracyStudy:
-    """The curve: one :class:`Accuracy` per method and step, over the `seeds` of a suite.
+    """One :class:`Accuracy` per method and step, over the `seeds` of a suite.
 
-    `reference_error_hz` is what the frequency of DOP853 changes by when rtol falls a hundredfold, at most over the
-    first scenarios [Hz]. `smooth_order` is each method's order of convergence on a case whose right-hand side is
-    smooth, from 10 to 5 ms.
+    `smooth_order` is each method's order of convergence on a case whose right-hand side is smooth, from 10 to 5 ms.
+    `reference_error_hz` is the largest change of the frequency of DOP853 when rtol falls a hundredfold [Hz].
     """
 
     suite: str
@@ -139,17 +82,15 @@ def study_accuracy(
     suite: str = "standard",
     methods: Sequence[Method] = METHODS,
     steps: Sequence[float] = STEPS,
-    law: TrackingLaw | None = None,
-    on_progress: Callable[[int, int], None] | None = None,
+    on_progress: Callable[[str, int, int], None] = lambda *_: None,
 ) -> AccuracyStudy:
-    """Integrate random scenarios with every method and step, and compare with DOP853.
+    """Integrate random scenarios under the reference strategy with every method and step, and compare with DOP853.
 
     Args:
         n_scenarios: how many validation scenarios of the suite, 1 or more.
         suite: name of the suite.
-        methods, steps: what to try; steps divide 0.2 s [s].
-        law: the strategy; the reference by default.
-        on_progress: called with (scenarios done, scenarios in all).
+        methods, steps: those to try; steps divide 0.2 s [s].
+        on_progress: called with ("integrating", scenarios done, scenarios in all).
 
     Raises:
         ValueError: an argument is out of range.
@@ -160,54 +101,41 @@ def study_accuracy(
             f"the number of scenarios must be 1 … {len(source.validation)} (the validation seeds of {suite}), "
             f"got {n_scenarios}"
         )
-    law = law or STRATEGIES[REFERENCE_STRATEGY]
     seeds = tuple(source.validation[:n_scenarios])
+    scenarios = [on_the_grid(source.scenario(seed)) for seed in seeds]
     errors: dict[tuple[str, float], list[Floats]] = {(m.name, h): [] for m in methods for h in steps}
     reference_error = 0.0
-    for done, seed in enumerate(seeds):
-        if on_progress is not None:
-            on_progress(done, n_scenarios)
-        scenario = on_the_grid(source.scenario(seed))
-        exact = _samples(scenario, law)
+    for done, scenario in enumerate(scenarios):
+        on_progress("integrating", done, n_scenarios)
+        exact = _samples(scenario)
         if done < _N_REFERENCE:
-            tighter = _samples(scenario, law, tightening=0.01)
+            tighter = _samples(scenario, tightening=0.01)
             reference_error = max(reference_error, float(np.abs(tighter - exact)[:, :, 0].max()))
         for method in methods:
             for step in steps:
-                gap = np.abs(_samples(scenario, law, method, step) - exact)
-                largest = np.where(np.isfinite(gap), gap, np.inf).max(axis=(0, 1))
-                errors[method.name, step].append(largest)
+                gap = np.abs(_samples(scenario, method, step) - exact)
+                errors[method.name, step].append(np.where(np.isfinite(gap), gap, np.inf).max(axis=(0, 1)))
     nominal = PlantSettings().case.frequency_hz
     rows = []
-    scenario = on_the_grid(source.scenario(seeds[0]))
     for method in methods:
         for step in steps:
-            table = np.array(errors[method.name, step])
-            rows.append(
-                Accuracy(
-                    method.name,
-                    method.order,
-                    step,
-                    method.n_stages / step,
-                    _cost(scenario, law, method, step),
-                    nominal * table[:, 0],
-                    table[:, 1],
-                    table[:, 2],
-                )
-            )
-    orders = {method.name: smooth_order(method, law) for method in methods}
+            frequency, rotor, power = np.array(errors[method.name, step]).T
+            cost = _cost(scenarios[0], method, step)
+            evaluations = len(method.b) / step
+            rows.append(Accuracy(method.name, method.order, step, evaluations, cost, nominal * frequency, rotor, power))
+    orders = {method.name: smooth_order(method) for method in methods}
     return AccuracyStudy(suite, seeds, tuple(rows), orders, nominal * reference_error, PlantSettings().simulation_dt)
 
 
-def smooth_order(method: Method, law: TrackingLaw, coarse_s: float = 0.01) -> float:
+def smooth_order(method: Method, coarse_s: float = 0.01) -> float:
     """Return the order of convergence of a method after the paper's first load step, from a step to half of it.
 
     The frequency stays on one side of the corner of g(ω) then, and no limit binds: the right-hand side is smooth.
     """
     paper = get_suite("paper").scenario(0)
     scenario = dataclasses.replace(paper, events=paper.events[:1], duration_s=10.0)
-    exact = _samples(scenario, law)[:, :, 0]
-    errors = [np.abs(_samples(scenario, law, method, h)[:, :, 0] - exact).max() for h in (coarse_s, 0.5 * coarse_s)]
+    exact = _samples(scenario)[:, :, 0]
+    errors = [np.abs(_samples(scenario, method, h)[:, :, 0] - exact).max() for h in (coarse_s, 0.5 * coarse_s)]
     return float(np.log2(errors[0] / errors[1]))
 
 
@@ -223,57 +151,11 @@ def on_the_grid(scenario: Scenario) -> Scenario:
     return dataclasses.replace(scenario, events=tuple(events), duration_s=duration_s)
 
 
-class _Integration:
-    """One lane and its scenario, advanced interval by interval."""
-
-    def __init__(self, scenario: Scenario, law: TrackingLaw, step_s: float) -> None:
-        settings = PlantSettings(control_dt=CONTROL_DT, simulation_dt=step_s)
-        self.simulator = Simulator(settings, duration_s=scenario.duration_s)
-        self.simulator.start(0, scenario, (law,) * len(settings.groups))
-        self.block, self.plant, self.data = self.simulator.blocks[0], self.simulator.plant, self.simulator.data
-        layout = self.simulator.layout
-        self.states, self.rates = layout.state_rows, layout.rate_rows
-        self.low, self.high = _state_bounds(self.plant, self.states.size)
-        self.step_s = step_s
-        self.n_intervals = whole_steps("duration_s", scenario.duration_s, CONTROL_DT, "control step")
-
-    def advance_explicit(self, method: Method) -> None:
-        """Advance by one control interval with a fixed step."""
-        tableau = np.array(method.a), np.array(method.b), np.array(method.c)
-        _advance_interval(self.block, self.plant, self.data, *tableau, self.states, self.rates, self.low, self.high)
-
-    def advance_exactly(self, tightening: float) -> None:
-        """Advance by one control interval with DOP853, at a share of its tolerances.
-
-        The network may change at the interval's start alone.
-        """
-        _begin_interval(self.block, self.plant, self.data)
-
-        def rates(at: float, state: Floats) -> Floats:
-            return _evaluate(self.block, self.plant, at / CONTROL_DT, state, self.states, self.rates)
-
-        tolerance = {"rtol": tightening * RTOL, "atol": tightening * ATOL}
-        done = solve_ivp(rates, (0.0, CONTROL_DT), self.block[self.states], method="DOP853", **tolerance)
-        self.block[self.states] = np.clip(done.y[:, -1], self.low, self.high)
-        self.block[self.simulator.layout.lane + LaneRow.STEP] += self.plant.n_substeps
-
-    def sample(self) -> Floats:
-        """Return frequency, rotor speed and power of every group at the interval's end, (n_wtg, 3) [p.u.]."""
-        _evaluate(self.block, self.plant, 1.0, self.block[self.states].copy(), self.states, self.rates)
-        rows = (WtgState.SPEED, WtgState.ROTOR_SPEED, WtgRow.POWER)
-        return np.stack([self.simulator.wtg_values(row)[0] for row in rows], axis=1)
-
-
 def _samples(
-    scenario: Scenario,
-    law: TrackingLaw,
-    method: Method | None = None,
-    step_s: float = 0.025,
-    *,
-    tightening: float = 1.0,
+    scenario: Scenario, method: Method | None = None, step_s: float = 0.025, *, tightening: float = 1.0
 ) -> Floats:
-    """Return what a method finds at the ends of all intervals, (n, n_wtg, 3); None is DOP853."""
-    run = _Integration(scenario, law, step_s)
+    """Return the samples at the ends of all intervals, (n, n_wtg, 3), by a method; None for DOP853."""
+    run = Integration(scenario, step_s)
     found = []
     for _ in range(run.n_intervals):
         if method is None:
@@ -284,11 +166,11 @@ def _samples(
     return np.array(found)
 
 
-def _cost(scenario: Scenario, law: TrackingLaw, method: Method, step_s: float, repeats: int = 5) -> float:
+def _cost(scenario: Scenario, method: Method, step_s: float, repeats: int = 5) -> float:
     """Return the least time per simulated second over some repeats [µs]."""
     best = np.inf
     for _ in range(repeats):
-        run = _Integration(scenario, law, step_s)
+        run = Integration(scenario, step_s)
         begin = time.perf_counter()
         for _ in range(run.n_intervals):
             run.advance_explicit(method)
@@ -296,88 +178,36 @@ def _cost(scenario: Scenario, law: TrackingLaw, method: Method, step_s: float, r
     return 1e6 * best / scenario.duration_s
 
 
-def _state_bounds(plant: Plant, n: int) -> tuple[Floats, Floats]:
-    """Return the non-windup limits of every state, (n,) each."""
-    low, high = np.full(n, -np.inf), np.full(n, np.inf)
-    for i, machine in enumerate(plant.machines):
-        at = i * N_SYNC_STATES
-        low[at + SyncState.FIELD_VOLTAGE] = machine[MachineConstant.FIELD_MIN]
-        high[at + SyncState.FIELD_VOLTAGE] = machine[MachineConstant.FIELD_MAX]
-        low[at + SyncState.GATE], high[at + SyncState.GATE] = (
-            machine[MachineConstant.GATE_MIN],
-            machine[MachineConstant.GATE_MAX],
+def accuracy_table(study: AccuracyStudy) -> str:
+    """Return error and cost of every method and step in Markdown; the default step in bold."""
+    rows = []
+    for row in study.rows:
+        chosen = row.method == "RK4" and math.isclose(row.step_s, study.default_step_s)
+        cells = (
+            row.method,
+            f"{1e3 * row.step_s:g}",
+            f"{row.evaluations_per_s:.0f}",
+            f"{row.microseconds_per_s:.0f}",
+            *(median_and_worst(errors) for errors in (row.frequency_hz, row.rotor_speed_pu, row.power_pu)),
         )
-    for j in range(plant.share.size):
-        for state in (WtgState.PITCH_INTEGRAL, WtgState.PITCH):
-            at = len(plant.syncs) * N_SYNC_STATES + j * N_WTG_STATES + state
-            low[at], high[at] = 0.0, plant.turbine[TurbineConstant.PITCH_MAX]
-    return low, high
+        rows.append(tuple(f"**{cell}**" if chosen else cell for cell in cells))
+    header = "method", "step [ms]", "evaluations per s", "time per s [µs]"
+    return markdown_table((*header, "frequency [Hz]", "rotor speed [p.u.]", "power [p.u.]"), rows, right=(1, 2, 3))
 
 
-@compiled
-def _evaluate(
-    block: Floats,
-    plant: Plant,
-    fraction: float,
-    state: Floats,
-    states: npt.NDArray[np.int64],
-    rates: npt.NDArray[np.int64],
-) -> Floats:
-    """Return the time derivatives of a state at a place in the control interval, 0 … 1."""
-    for r in range(states.size):
-        block[states[r]] = state[r]
-    derivatives(block, plant, fraction, (0,))
-    result = np.empty(rates.size)
-    for r in range(rates.size):
-        result[r] = block[rates[r]]
-    return result
+def median_and_worst(errors: Floats) -> str:
+    """Return median and worst of errors as text."""
+    return " / ".join(
+        f"{value:.1e}" if math.isfinite(value) else "diverges" for value in (float(np.median(errors)), errors.max())
+    )
 
 
-@compiled
-def _begin_interval(block: Floats, plant: Plant, data: LaneData) -> None:
-    """Put wind, noise and network of a one-lane block into force at the beginning of a control interval."""
-    noise_y = np.empty(1)
-    enter_interval(block, 0, plant, data, noise_y, (0,))
-    apply_network_changes(block, 0, plant, data, noise_y, (0,))
-
-
-@compiled
-def _advance_interval(
-    block: Floats,
-    plant: Plant,
-    data: LaneData,
-    a: Floats,
-    b: Floats,
-    c: Floats,
-    states: npt.NDArray[np.int64],
-    rates: npt.NDArray[np.int64],
-    low: Floats,
-    high: Floats,
-) -> None:
-    """Advance a one-lane block by one control interval, at whose start alone the network may change."""
-    own = lane_row(plant) + LaneRow.STEP
-    _begin_interval(block, plant, data)
-    h, part = plant.simulation_dt, 1.0 / plant.n_substeps
-    n, n_stages = states.size, b.size
-    base, slopes = np.empty(n), np.empty((n_stages, n))
-    for step in range(plant.n_substeps):
-        for r in range(n):
-            base[r] = block[states[r]]
-        for stage in range(n_stages):
-            for r in range(n):
-                ahead = 0.0
-                for earlier in range(stage):
-                    ahead += a[stage, earlier] * slopes[earlier, r]
-                block[states[r]] = base[r] + h * ahead
-            derivatives(block, plant, (step + c[stage]) * part, (0,))
-            for r in range(n):
-                slopes[stage, r] = block[rates[r]]
-        for r in range(n):
-            total = 0.0
-            for stage in range(n_stages):
-                total += b[stage] * slopes[stage, r]
-            block[states[r]] = min(max(base[r] + h * total, low[r]), high[r])
-        block[own] += 1.0
-
-
-__all__ = ["METHODS", "STEPS", "Accuracy", "AccuracyStudy", "Method", "study_accuracy"]
+def order_table(study: AccuracyStudy) -> str:
+    """Return the order of convergence of every method in Markdown: its own, on a smooth case, on the random ones."""
+    orders = {row.method: row.order for row in study.rows}
+    rows = [
+        (name, str(order), f"{study.smooth_order[name]:.2f}", f"{study.observed_order(name):.2f}")
+        for name, order in orders.items()
+    ]
+    header = ("method", "order", "observed, smooth case", "observed, random scenarios (median)")
+    return markdown_table(header, rows, right=(1, 2, 3))

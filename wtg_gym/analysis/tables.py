@@ -1,8 +1,7 @@
-"""The evidence as Markdown tables, for a page that the commands keep up to date."""
+"""Claims, omissions and small-signal results as Markdown tables for docs/validation.md."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -12,7 +11,6 @@ from wtg_gym.analysis.infinite_bus import Agreement
 from wtg_gym.analysis.loops import SingleMachine
 from wtg_gym.analysis.omissions import REACTIVE_LIMIT_PU, VOLTAGE_LIMIT_PU, Omissions, RotorRun
 from wtg_gym.analysis.paper_claims import Claim
-from wtg_gym.analysis.step_error import AccuracyStudy
 from wtg_gym.files import markdown_table
 from wtg_gym.physics.layout import Status
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
@@ -21,39 +19,30 @@ from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 def claims_table(claims: Iterable[Claim]) -> str:
     """Return the claims with their verdicts, remarks below the table."""
     claims = list(claims)
-    remarks = [claim for claim in claims if claim.remark]
-    number = {claim.key: str(i) for i, claim in enumerate(remarks, start=1)}
-    rows = [
-        (
-            claim.says,
-            claim.source,
-            claim.expected,
-            claim.measured,
-            claim.fitted,
-            ("holds" if claim.holds else "**does not hold**")
-            + (f" ({number[claim.key]})" if claim.key in number else ""),
-        )
-        for claim in claims
-    ]
-    table = markdown_table(("the paper says", "where", "expected", "measured", "fitted", "verdict"), rows)
-    notes = "\n".join(f"({number[claim.key]}) {claim.remark}  " for claim in remarks)
+    notes: list[str] = []
+    rows = []
+    for claim in claims:
+        verdict = ("holds" if claim.holds else "**does not hold**") + (f", fits {claim.fitted}" if claim.fitted else "")
+        if claim.remark:
+            notes.append(f"({len(notes) + 1}) {claim.remark}  ")
+            verdict += f" ({len(notes)})"
+        rows.append((claim.says, claim.source, claim.expected, claim.measured, verdict))
     held = sum(claim.holds for claim in claims)
-    fitted = [claim.fitted for claim in claims if claim.fitted and claim.holds]
-    by = ", ".join(f"{name} to {fitted.count(name)}" for name in dict.fromkeys(fitted))
+    fitted = sum(claim.holds and bool(claim.fitted) for claim in claims)
     count = (
-        f"{held} of {len(claims)} claims hold; {len(fitted)} of them are numbers that a parameter of this model was "
-        f"fitted to ({by}), so that {held - len(fitted)} hold without a fit."
+        f"{held} of {len(claims)} claims hold; {fitted} of them are numbers that a parameter of this model was fitted "
+        f"to, so that {held - fitted} hold without a fit."
     )
-    return f"{count}\n\n{table}\n\n{notes}".strip()
+    table = markdown_table(("the paper says", "section", "expected", "measured", "verdict"), rows)
+    return "\n\n".join([count, table, "\n".join(notes)]).strip()
 
 
 def omissions_sections(found: Omissions) -> tuple[str, str, str]:
-    """Return what is measured about rotor energy, about voltages, and about powers and rotor speeds without limits."""
+    """Return the sections on rotor energy, on voltages, and on powers and rotor speeds without limits."""
     return _rotor_energy(found), _voltages(found), _limits(found)
 
 
 def _rotor_energy(found: Omissions) -> str:
-    """Return the energy balance of a rotor over wind, and the paper's load increase under both rotor equations."""
     frequency_hz = found.paper_runs[REFERENCE_STRATEGY].final_hz
     balance = markdown_table(
         (
@@ -78,13 +67,10 @@ def _rotor_energy(found: Omissions) -> str:
         right=range(6),
     )
 
-    def ends(run: RotorRun) -> str:
-        return f"{run.end_s:.1f} s" if run.status == Status.STALL else "none"
-
     runs = markdown_table(
         ("strategy", "stall, the paper's rotor", "stall, H_m ω_m²", "nadir, the paper's rotor [Hz]", "H_m ω_m² [Hz]"),
         [
-            (name, ends(run), ends(other), f"{run.nadir_hz:.4f}", f"{other.nadir_hz:.4f}")
+            (name, _stall(run), _stall(other), f"{run.nadir_hz:.4f}", f"{other.nadir_hz:.4f}")
             for (name, run), other in zip(found.paper_runs.items(), found.energy_runs.values(), strict=True)
         ],
         right=range(1, 5),
@@ -107,9 +93,11 @@ def _rotor_energy(found: Omissions) -> str:
     return f"{balance}\n\nThe paper's load increase:\n\n{runs}\n\nValidation scenarios of the suites:\n\n{counts}"
 
 
-def _voltages(found: Omissions) -> str:
-    """Return internal voltages and K_p with bus 2 held where it is, and where no internal voltage is too high."""
+def _stall(run: RotorRun) -> str:
+    return f"{run.end_s:.1f} s" if run.status == Status.STALL else "none"
 
+
+def _voltages(found: Omissions) -> str:
     def pair(values: np.ndarray, digits: int) -> str:
         return " / ".join(f"{value:.{digits}f}" for value in values)
 
@@ -135,7 +123,6 @@ def _voltages(found: Omissions) -> str:
 
 
 def _limits(found: Omissions) -> str:
-    """Return how far powers and rotors go where the model has no limit, by suite and strategy."""
     rows = [
         (
             row.suite,
@@ -213,66 +200,3 @@ def modes_table(found: Iterable[Mode]) -> str:
     header = ("eigenvalue [1/s]", "frequency [Hz]", "damping ratio", "takes part")
     rows = [(*cells[:3], cells[4]) for cells in map(mode_cells, found)]
     return markdown_table(header, rows, right=(1, 2))
-
-
-def accuracy_table(study: AccuracyStudy) -> str:
-    """Return error and cost of every method and step; the default one in bold."""
-    rows = []
-    for row in study.rows:
-        chosen = row.method == "RK4" and math.isclose(row.step_s, study.default_step_s)
-        cells = (
-            row.method,
-            f"{1e3 * row.step_s:g}",
-            f"{row.evaluations_per_s:.0f}",
-            f"{row.microseconds_per_s:.0f}",
-            _median_and_worst(row.frequency_hz),
-            _median_and_worst(row.rotor_speed_pu),
-            _median_and_worst(row.power_pu),
-        )
-        rows.append(tuple(f"**{cell}**" if chosen else cell for cell in cells))
-    header = (
-        "method",
-        "step [ms]",
-        "evaluations per s",
-        "time per s [µs]",
-        "frequency [Hz]",
-        "rotor speed [p.u.]",
-        "power [p.u.]",
-    )
-    return markdown_table(header, rows, right=(1, 2, 3))
-
-
-def _median_and_worst(errors: np.ndarray) -> str:
-    return f"{_error(float(np.median(errors)))} / {_error(float(errors.max()))}"
-
-
-def _error(value: float) -> str:
-    return f"{value:.1e}" if math.isfinite(value) else "diverges"
-
-
-def order_table(study: AccuracyStudy) -> str:
-    """Return the order of convergence of every method: its own, on a smooth case, and on the random ones."""
-    names = list(dict.fromkeys(row.method for row in study.rows))
-    rows = [
-        (
-            name,
-            str(study.row(name, study.default_step_s).order),
-            f"{study.smooth_order[name]:.2f}",
-            f"{study.observed_order(name):.2f}",
-        )
-        for name in names
-    ]
-    header = ("method", "order", "observed, smooth case", "observed, random scenarios (median)")
-    return markdown_table(header, rows, right=(1, 2, 3))
-
-
-__all__ = [
-    "accuracy_table",
-    "agreement_table",
-    "claims_table",
-    "mode_cells",
-    "modes_table",
-    "omissions_sections",
-    "order_table",
-    "system_margins_table",
-]

@@ -15,7 +15,7 @@ from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
-from wtg_gym.plotting.paper_figures import mark_instants, share_limits
+from wtg_gym.plotting.event_marks import explain_events, mark_end, mark_instants
 from wtg_gym.plotting.style import (
     DOUBLE_COLUMN_MM,
     GROUP_STYLES,
@@ -27,9 +27,9 @@ from wtg_gym.plotting.style import (
     name_at_right,
     new_figure,
     printed,
+    share_limits,
     strategy_looks,
 )
-from wtg_gym.plotting.trajectories import event_lines
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -101,9 +101,6 @@ def plot_responses(
         policy: its recording.
         reference: that of the reference in the same scenarios.
         looks: of policy and reference by name; None for ones of their own.
-
-    Raises:
-        ImportError: matplotlib is not installed.
     """
     looks = looks or strategy_looks([REFERENCE_STRATEGY, name])
     runs = {REFERENCE_STRATEGY: reference, name: policy}
@@ -240,7 +237,6 @@ def plot_runs(
 
     Raises:
         ValueError: there is no run, or there are more than four groups.
-        ImportError: matplotlib is not installed.
     """
     if not any(runs.values()):
         raise ValueError("there is no run to plot")
@@ -254,7 +250,6 @@ def plot_runs(
     width = DOUBLE_COLUMN_MM if first.n_wtg > 1 else SINGLE_COLUMN_MM
     figure = new_figure(width, 30.0 + 32.0 * n_rows)
     grid = figure.subplots(n_rows, first.n_wtg, sharex=True, sharey="row", squeeze=False)
-    window = 0.0, float(first.time_s[-1])
     for group in range(first.n_wtg):
         wind = float(np.nanmean(longest.wind_m_s[0, :, group]))
         letter_panel(grid[0, group], "abcd"[group], f"GFM-WTG {group + 1} (mean wind {wind:.3g} m/s)")
@@ -268,18 +263,16 @@ def plot_runs(
             grid[-1, group].plot(longest.time_s, longest.wind_m_s[0, :, group], color="0.25")
             grid[-1, 0].set_ylabel("wind [m/s]")
         for axes in grid[:, group]:
-            mark_instants(axes, scenario, window, numbered=axes is grid[0, group])
+            mark_instants(axes, scenario, numbered=axes is grid[0, group])
         grid[-1, group].set_xlabel("time [s]")
     _draw_limits(grid)
     _scale_time_constant(grid[4, 0], [run.time_constant_s for each in runs.values() for run in each])
-    grid[0, 0].set_xlim(*window)
+    grid[0, 0].set_xlim(0.0, float(first.time_s[-1]))
     for axes in grid.ravel():
         _thin(axes)
     figure.align_ylabels(grid[:, 0])
     _draw_legend(figure, runs, looks)
-    figure.suptitle(scenario.name, x=0.01, ha="left")
-    words = "\n".join(event_lines(scenario, width=100))
-    figure.text(0.99, 0.993, words, ha="right", va="top", fontsize=SMALL_PT)
+    explain_events(figure, scenario)
     return figure
 
 
@@ -304,7 +297,7 @@ def _draw_run(axes: Axes, time: Floats, values: Floats, look: Look, name: str, n
     )
     last = int(np.flatnonzero(np.isfinite(values))[-1]) if np.isfinite(values).any() else time.size - 1
     if last < time.size - 1:
-        axes.plot(time[last], values[last], "x", color=look.colour, markersize=5.5, markeredgewidth=1.4, zorder=4)
+        mark_end(axes, float(time[last]), float(values[last]), look.colour)
 
 
 def _thin(axes: Axes) -> None:
@@ -379,7 +372,6 @@ def plot_costs(
 
     Raises:
         ValueError: there is no entry.
-        ImportError: matplotlib is not installed.
     """
     if not costs:
         raise ValueError("there is no entry whose costs could be drawn")
@@ -409,6 +401,3 @@ def plot_costs(
     axes.set_xlabel(f"mean cost of an episode{suite and f' of {suite}'} [–]")
     _draw_legend(figure, costs, {name: Look(looks[name].colour) for name in costs}, linewidth=5.0)
     return figure
-
-
-__all__ = ["Bins", "binned", "needed_points", "plot_costs", "plot_responses", "plot_runs"]

@@ -62,7 +62,6 @@ def plot_learning_curves(curves: Mapping[str, Sequence[LearningCurve]]) -> Figur
 
     Raises:
         ValueError: there is no curve, or a set-up's curves have no step in common.
-        ImportError: matplotlib is not installed.
     """
     from matplotlib.ticker import EngFormatter, FuncFormatter
 
@@ -138,6 +137,3 @@ def _scale(axes: Axes, ends: Sequence[float]) -> None:
     else:
         axes.set_xlim(left=0.0)
         axes.locator_params(axis="x", nbins=7)
-
-
-__all__ = ["LearningCurve", "plot_learning_curves"]

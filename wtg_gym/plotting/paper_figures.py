@@ -1,4 +1,4 @@
-"""The paper's other figures: the C_p curve, the Bode plots and the waveforms of a case study."""
+"""The paper's figures of the C_p curve, the open loops and the case studies."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, coordinated_piecewise
 from wtg_gym.physics.trajectory import Trajectory
+from wtg_gym.plotting.event_marks import endings, explain_events, mark_end, mark_instants
 from wtg_gym.plotting.style import (
     DOUBLE_COLUMN_MM,
     PALETTE,
     REFERENCE_GREY,
     SINGLE_COLUMN_MM,
-    SMALL_PT,
     Look,
     letter_panel,
     name_at_right,
     new_figure,
     printed,
+    share_limits,
     strategy_looks,
 )
-from wtg_gym.plotting.trajectories import event_lines, instant_labels, numbered_events
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,8 +38,6 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float64]
 
-#: More groups than columns of panels that a page holds.
-_LARGEST_NUMBER_OF_GROUPS = 4
 _THIN_DASHES = (0.0, (5.0, 2.0))
 
 
@@ -49,9 +47,6 @@ def plot_power_coefficient() -> Figure:
 
     The paper's figures `PerformanceCoefficient` (a, the whole curve) and `PerformanceCoefficientPr` (b, the range that
     belongs to the regulation range of frequency).
-
-    Raises:
-        ImportError: matplotlib is not installed.
     """
     control = GridFormingParameters()
     levels = (0.0, control.deloading_nominal, control.deloading_limit)
@@ -124,7 +119,7 @@ def _draw_reserve_legend(figure: Figure, control: GridFormingParameters) -> None
 
 
 @printed
-def plot_bode(loops: Mapping[str, SingleMachine], title: str | None = None) -> Figure:
+def plot_bode(loops: Mapping[str, SingleMachine]) -> Figure:
     """Draw the open loops of strategies over angular frequency, with crossovers and phase margins.
 
     The paper's figures `BodeComparison` and `BodeProposed`. A dot marks the gain crossover; a line from -180° up to
@@ -132,14 +127,7 @@ def plot_bode(loops: Mapping[str, SingleMachine], title: str | None = None) -> F
 
     Args:
         loops: linearised loops by strategy name or another label.
-        title: headline; None for none.
-
-    Raises:
-        ValueError: there is no loop.
-        ImportError: matplotlib is not installed.
     """
-    if not loops:
-        raise ValueError("there is no loop to plot")
     figure = new_figure(SINGLE_COLUMN_MM, 92.0 + 3.5 * len(loops))
     magnitude, phase = figure.subplots(2, 1, sharex=True)
     angular = np.geomspace(1e-2, 1e2, 600)
@@ -173,8 +161,6 @@ def plot_bode(loops: Mapping[str, SingleMachine], title: str | None = None) -> F
     phase.set_ylim(bottom, -85.0)
     phase.set_xlabel(r"angular frequency $\Omega$ [rad/s]")
     figure.legend(loc="outside lower left", ncols=1, title="phase margin at gain crossover", alignment="left")
-    if title is not None:
-        figure.suptitle(title, x=0.01, ha="left")
     return figure
 
 
@@ -184,14 +170,7 @@ def _phase_deg(response: npt.NDArray[np.complex128]) -> Floats:
 
 
 @printed
-def plot_case_study(
-    scenario: Scenario,
-    runs: Mapping[str, Trajectory],
-    title: str | None = None,
-    *,
-    strategies: Sequence[str] | None = None,
-    window_s: tuple[float, float] | None = None,
-) -> Figure:
+def plot_case_study(scenario: Scenario, runs: Mapping[str, Trajectory]) -> Figure:
     """Draw frequency, power, rotor speed and tracking coefficient of each WTG group, one column per group.
 
     The paper's figures `SimulationLoadIncrease` and `SimulationLoadShed`. The reference strategy is drawn on top and
@@ -201,48 +180,31 @@ def plot_case_study(
     Args:
         scenario: what happened.
         runs: recorded runs of it by strategy, all with the same one to four WTG groups.
-        title: headline; None takes the scenario's name.
-        strategies: which runs to draw; None for all.
-        window_s: first and last instant drawn; None for the whole scenario [s].
-
-    Raises:
-        ValueError: there is no run, one that is asked for is missing, the runs differ in their number of WTG groups
-            or have too many, or no sample lies in the window.
-        ImportError: matplotlib is not installed.
     """
-    chosen = _choose(runs, strategies)
-    n_groups = next(iter(chosen.values())).power_pu.shape[1]
-    start, end = window_s or (0.0, scenario.duration_s)
-    if not start < end or all((_within(run, start, end)).sum() < 2 for run in chosen.values()):
-        raise ValueError(f"no recorded sample lies between {start:g} s and {end:g} s")
+    longest = max(runs.values(), key=lambda run: run.time_s.size)
+    n_groups = longest.power_pu.shape[1]
     figure = new_figure(DOUBLE_COLUMN_MM if n_groups > 1 else SINGLE_COLUMN_MM, 178.0)
     grid = figure.subplots(4, n_groups, sharex=True, squeeze=False, height_ratios=(1.0, 1.15, 1.15, 0.85))
-    looks = strategy_looks(chosen)
+    looks = strategy_looks(runs)
     for group in range(n_groups):
-        wind = next(iter(chosen.values())).wind_m_s[0, group]
-        letter_panel(grid[0, group], "abcd"[group], f"GFM-WTG {group + 1} ({wind:.3g} m/s)")
+        letter_panel(grid[0, group], "abcd"[group], f"GFM-WTG {group + 1} ({longest.wind_m_s[0, group]:.3g} m/s)")
         for row, (label, quantity) in enumerate(_QUANTITIES.items()):
-            axes = grid[row, group]
-            for name, run in chosen.items():
-                _draw_run(axes, name, run, quantity(run)[:, group], looks[name], (start, end))
+            for name, run in runs.items():
+                _draw_run(grid[row, group], name, run, quantity(run)[:, group], looks[name])
             if group == 0:
-                axes.set_ylabel(label)
-        _draw_references(
-            list(grid[:, group]), max(chosen.values(), key=lambda run: run.time_s.size), group, (start, end)
-        )
+                grid[row, group].set_ylabel(label)
+        _draw_references(list(grid[:, group]), longest, group)
         for axes in grid[:, group]:
-            mark_instants(axes, scenario, (start, end), numbered=axes is grid[0, group])
+            mark_instants(axes, scenario, numbered=axes is grid[0, group])
         grid[3, group].set_xlabel("time [s]")
-    grid[0, 0].set_xlim(start, end)
+    grid[0, 0].set_xlim(0.0, scenario.duration_s)
     share_limits(list(grid[0]))
     share_limits(list(grid[3]))
-    nominal = next(iter(chosen.values())).nominal_frequency_hz
+    nominal = longest.nominal_frequency_hz
     hertz = grid[0, -1].secondary_yaxis("right", functions=(lambda x: nominal * x, lambda x: x / nominal))
     hertz.set_ylabel("frequency [Hz]")
-    _draw_strategy_legend(figure, chosen, looks, (start, end))
-    figure.suptitle(scenario.name if title is None else title, x=0.01, ha="left")
-    words = "\n".join(event_lines(scenario, width=100))
-    figure.text(0.99, 0.993, words, ha="right", va="top", fontsize=SMALL_PT)
+    _draw_strategy_legend(figure, runs, looks)
+    explain_events(figure, scenario)
     return figure
 
 
@@ -254,52 +216,25 @@ _QUANTITIES: dict[str, Callable[[Trajectory], Floats]] = {
 }
 
 
-def _choose(runs: Mapping[str, Trajectory], strategies: Sequence[str] | None) -> dict[str, Trajectory]:
-    names = list(runs) if strategies is None else list(dict.fromkeys(strategies))
-    missing = [name for name in names if name not in runs]
-    if missing:
-        raise ValueError(f"there is no run of {missing}; there are runs of {list(runs)}")
-    if not names:
-        raise ValueError("there is no run to plot")
-    counts = {runs[name].power_pu.shape[1] for name in names}
-    if len(counts) > 1:
-        raise ValueError(f"the runs to plot have different numbers of WTG groups: {sorted(counts)}")
-    if max(counts) > _LARGEST_NUMBER_OF_GROUPS:
-        raise ValueError(f"a case study has 1 … {_LARGEST_NUMBER_OF_GROUPS} WTG groups, got {max(counts)}")
-    return {name: runs[name] for name in names}
-
-
-def _within(run: Trajectory, start: float, end: float) -> npt.NDArray[np.bool_]:
-    return np.asarray((run.time_s >= start - 1e-9) & (run.time_s <= end + 1e-9))
-
-
-def _ended_in_sight(run: Trajectory, window_s: tuple[float, float]) -> bool:
-    return run.status != Status.RUNNING and bool(_within(run, *window_s)[-1])
-
-
-def _draw_run(
-    axes: Axes, name: str, run: Trajectory, values: Floats, look: Look, window_s: tuple[float, float]
-) -> None:
-    shown = _within(run, *window_s)
+def _draw_run(axes: Axes, name: str, run: Trajectory, values: Floats, look: Look) -> None:
     stands_out = name == REFERENCE_STRATEGY
     axes.plot(
-        run.time_s[shown],
-        values[shown],
+        run.time_s,
+        values,
         color=look.colour,
         linestyle=look.dashes,
         linewidth=1.7 if stands_out else 1.0,
         zorder=3.5 if stands_out else 3.0,
         label=f"_{name}",
     )
-    if _ended_in_sight(run, window_s):
-        axes.plot(run.time_s[-1], values[-1], "x", color=look.colour, markersize=5.5, markeredgewidth=1.4, zorder=4)
+    if run.status != Status.RUNNING:
+        mark_end(axes, float(run.time_s[-1]), float(values[-1]), look.colour)
 
 
-def _draw_references(column: Sequence[Axes], run: Trajectory, group: int, window_s: tuple[float, float]) -> None:
+def _draw_references(column: Sequence[Axes], run: Trajectory, group: int) -> None:
     """Draw the limits of one group: constant ones, and those that follow its wind."""
     control, turbine, law = GridFormingParameters(), TurbineParameters(), coordinated_piecewise()
-    shown = _within(run, *window_s)
-    time, wind = run.time_s[shown], run.wind_m_s[shown, group]
+    time, wind = run.time_s, run.wind_m_s[:, group]
     available = available_power_pu(wind)
     best_speed = tracking_point(0.0).tip_speed_ratio * wind / turbine.tip_speed_ratio_per_speed_m_s
     share = 1.0 - control.deloading_limit
@@ -322,27 +257,7 @@ def _draw_references(column: Sequence[Axes], run: Trajectory, group: int, window
             column[0].axhline(frequency, color=REFERENCE_GREY, linewidth=0.8, linestyle=_THIN_DASHES, zorder=2)
 
 
-def mark_instants(axes: Axes, scenario: Scenario, window_s: tuple[float, float], *, numbered: bool) -> None:
-    """Draw a dotted line at every instant with an event, with its number above where `numbered`."""
-    for _, events in numbered_events(scenario):
-        if window_s[0] <= events[0].time_s <= window_s[1]:
-            axes.axvline(events[0].time_s, color=REFERENCE_GREY, linewidth=0.7, linestyle=(0.0, (1.0, 1.5)), zorder=1)
-    if numbered:
-        above = axes.get_xaxis_transform()
-        for place, text in instant_labels(scenario, window_s):
-            axes.text(place, 1.01, text, transform=above, fontsize=SMALL_PT, ha="center")
-
-
-def share_limits(row: Sequence[Axes]) -> None:
-    """Give panels the same vertical range, wide enough for all."""
-    limits = [axes.get_ylim() for axes in row]
-    for axes in row:
-        axes.set_ylim(min(low for low, _ in limits), max(high for _, high in limits))
-
-
-def _draw_strategy_legend(
-    figure: Figure, runs: Mapping[str, Trajectory], looks: Mapping[str, Look], window_s: tuple[float, float]
-) -> None:
+def _draw_strategy_legend(figure: Figure, runs: Mapping[str, Trajectory], looks: Mapping[str, Look]) -> None:
     from matplotlib.lines import Line2D
 
     handles = []
@@ -351,11 +266,7 @@ def _draw_strategy_legend(
         handles.append(
             Line2D([], [], color=looks[name].colour, linestyle=looks[name].dashes, linewidth=width, label=name)
         )
-    reasons = {run.status for run in runs.values() if _ended_in_sight(run, window_s)}
+    reasons = endings(runs.values())
     if reasons:
-        words = " or ".join(reason.name.lower().replace("_", " ") for reason in sorted(reasons))
-        handles.append(Line2D([], [], color="0.25", marker="x", linestyle="none", markeredgewidth=1.4, label=words))
+        handles.append(Line2D([], [], color="0.25", marker="x", linestyle="none", markeredgewidth=1.4, label=reasons))
     figure.legend(handles=handles, loc="outside lower center", ncols=min(4, len(handles)), handlelength=3.6)
-
-
-__all__ = ["mark_instants", "plot_bode", "plot_case_study", "plot_power_coefficient", "share_limits"]

@@ -1,14 +1,17 @@
-"""Figures of the studies that go beyond the paper, one per study of :mod:`wtg_gym.analysis.case_studies`."""
+"""Figures of the studies beyond the paper (:mod:`wtg_gym.analysis.case_studies`)."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import GridFormingParameters
+from wtg_gym.plotting.event_marks import mark_end, mark_instants
 from wtg_gym.plotting.style import (
     DOUBLE_COLUMN_MM,
     MARKERS,
@@ -22,41 +25,36 @@ from wtg_gym.plotting.style import (
     printed,
     strategy_looks,
 )
-from wtg_gym.plotting.trajectories import numbered_events
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from wtg_gym.analysis.case_studies import DampingStudy, EquilibriumStudy, MachineModelStudy, MarginStudy
-    from wtg_gym.physics.trajectory import Trajectory
+    from wtg_gym.analysis.eigenvalues import Mode
 
 Floats = npt.NDArray[np.float64]
 
 #: The wind speeds of the paper's two groups [m/s].
 _PAPER_WINDS = (8.0, 11.4)
-_PAPER_NOMINAL_HZ = 50.0
 _SOLID: Dashes = "-"
 _DASHED: Dashes = (0.0, (4.0, 1.6))
 _THIN_DASHES = (0.0, (5.0, 2.0))
+#: Damping ratios whose lines are drawn in the plane of eigenvalues [-].
+_DAMPING_RATIOS = (0.05, 0.10, 0.30)
+#: Left edge of the plane of eigenvalues [1/s]; faster modes are left out.
+_LEFT = -12.0
 #: Points nearer than this share of the span of both axes get one name.
 _CLOSE = 0.07
 
 
 @printed
-def plot_margins(study: MarginStudy, title: str | None = None) -> Figure:
+def plot_margins(study: MarginStudy) -> Figure:
     """Draw phase margins over wind speed, one line per strategy; the paper's two wind speeds are marked.
 
     Args:
         study: of :func:`wtg_gym.analysis.case_studies.study_margins`.
-        title: headline; None for none.
-
-    Raises:
-        ValueError: the study has no series.
-        ImportError: matplotlib is not installed.
     """
-    if not study.phase_margin_deg:
-        raise ValueError("there is no series of margins to plot")
     bases = {label: label.split(", ")[0] for label in study.phase_margin_deg}
     looks = strategy_looks(bases.values())
     n_columns = 2 if max(len(label) for label in bases) <= 30 else 1
@@ -77,39 +75,16 @@ def plot_margins(study: MarginStudy, title: str | None = None) -> Figure:
     axes.set_xlabel("wind speed [m/s]")
     axes.set_ylabel("phase margin [°]")
     figure.legend(loc="outside lower left", ncols=n_columns, handlelength=3.4)
-    if title is not None:
-        figure.suptitle(title, x=0.01, ha="left")
     return figure
 
 
-def plot_slopes(study: MarginStudy, title: str | None = None) -> Figure:
-    """Draw phase margins on both slopes of g(ω) over wind speed: a strategy's second slope is dashed.
-
-    Args:
-        study: of :func:`wtg_gym.analysis.case_studies.study_slopes`, labels "strategy, side".
-        title: headline; None for none.
-
-    Raises:
-        ValueError: the study has no series.
-        ImportError: matplotlib is not installed.
-    """
-    return plot_margins(study, title)
-
-
 @printed
-def plot_equilibria(study: EquilibriumStudy, title: str | None = None) -> Figure:
+def plot_equilibria(study: EquilibriumStudy) -> Figure:
     """Draw, over wind and frequency, where strategies have no equilibrium: the shaded side below each curve.
 
     Args:
         study: of :func:`wtg_gym.analysis.case_studies.study_equilibria`; not a number: equilibria everywhere.
-        title: headline; None for none.
-
-    Raises:
-        ValueError: the study has no series.
-        ImportError: matplotlib is not installed.
     """
-    if not study.critical_frequency_pu:
-        raise ValueError("there is no series of critical frequencies to plot")
     control = GridFormingParameters()
     looks = strategy_looks(study.critical_frequency_pu)
     figure = new_figure(SINGLE_COLUMN_MM, 74.0)
@@ -132,41 +107,25 @@ def plot_equilibria(study: EquilibriumStudy, title: str | None = None) -> Figure
     _mark_winds(axes)
     axes.set_xlabel("wind speed [m/s]")
     axes.set_ylabel(r"frequency $\omega$ [p.u.]")
-    hertz = axes.secondary_yaxis("right", functions=(_hertz, _per_unit))
+    nominal = modified_ieee14().frequency_hz
+    hertz = axes.secondary_yaxis("right", functions=(lambda x: nominal * x, lambda x: x / nominal))
     hertz.set_ylabel("frequency [Hz]")
     figure.legend(
         loc="outside lower center", ncols=3, title="no equilibrium below the line of", title_fontsize=SMALL_PT
     )
-    if title is not None:
-        figure.suptitle(title, x=0.01, ha="left")
     return figure
 
 
-def _hertz(frequency_pu: npt.ArrayLike) -> Floats:
-    return np.multiply(frequency_pu, _PAPER_NOMINAL_HZ, dtype=np.float64)
-
-
-def _per_unit(frequency_hz: npt.ArrayLike) -> Floats:
-    return np.divide(frequency_hz, _PAPER_NOMINAL_HZ, dtype=np.float64)
-
-
 @printed
-def plot_damping(study: DampingStudy, title: str | None = None) -> Figure:
+def plot_damping(study: DampingStudy) -> Figure:
     """Draw what τ trades: (a) nadir and (b) lowest rotor speeds over τ, (c) one against the other, τ at the points.
 
     τ = 0, which has no place on a logarithmic axis, stands apart left of a break; the paper's τ = 0.8 s is filled.
 
     Args:
         study: of :func:`wtg_gym.analysis.case_studies.study_damping`.
-        title: headline; None for none.
-
-    Raises:
-        ValueError: there is no τ above 0.
-        ImportError: matplotlib is not installed.
     """
     tau = study.time_constant_s
-    if not (tau > 0.0).any():
-        raise ValueError("a study of τ needs at least one τ above 0 s")
     n_groups = study.lowest_rotor_speed_pu.shape[1]
     figure = new_figure(DOUBLE_COLUMN_MM, 66.0)
     nadir, rotor, trade = figure.subplots(1, 3)
@@ -193,8 +152,6 @@ def plot_damping(study: DampingStudy, title: str | None = None) -> Figure:
     letter_panel(nadir, "a")
     letter_panel(rotor, "b")
     letter_panel(trade, "c", r"with $\tau$ [s] at the points")
-    if title is not None:
-        figure.suptitle(title, x=0.01, ha="left")
     return figure
 
 
@@ -242,23 +199,16 @@ def _draw_point(axes: Axes, x: float, y: float, tau: float, colour: str, marker:
 
 
 @printed
-def plot_machine_models(study: MachineModelStudy, title: str | None = None) -> Figure:
+def plot_machine_models(study: MachineModelStudy) -> Figure:
     """Draw the load increase with two models of the synchronous machines: frequency, and the low-wind group.
 
     One colour per strategy; solid for the first machine model, dashed for the second; a cross where a run ended.
 
     Args:
         study: of :func:`wtg_gym.analysis.case_studies.study_machine_models`.
-        title: headline; None for none.
-
-    Raises:
-        ValueError: there is no run.
-        ImportError: matplotlib is not installed.
     """
     from matplotlib.lines import Line2D
 
-    if not study.runs:
-        raise ValueError("there is no run to plot")
     models = list(dict.fromkeys(model for model, _ in study.runs))
     looks = strategy_looks(strategy for _, strategy in study.runs)
     first = next(iter(study.runs.values()))
@@ -270,14 +220,16 @@ def plot_machine_models(study: MachineModelStudy, title: str | None = None) -> F
         dashes = _SOLID if model == models[0] else _DASHED
         series = (run.frequency_hz, run.power_pu[:, group], run.rotor_speed_pu[:, group])
         for axes, values in zip(panels, series, strict=True):
-            _draw_run(axes, run, values, looks[strategy].colour, dashes, f"{model} {strategy}")
+            colour = looks[strategy].colour
+            axes.plot(run.time_s, values, color=colour, linestyle=dashes, label=f"_{model} {strategy}")
+            if run.status != Status.RUNNING:
+                mark_end(axes, float(run.time_s[-1]), float(values[-1]), colour)
     names = ("frequency [Hz]", "power p [p.u.]", r"rotor speed $\omega_m$ [p.u.]")
     for axes, letter, name in zip(panels, "abc", names, strict=True):
         letter_panel(axes, letter, "centre of inertia" if letter == "a" else of_group)
         axes.set_ylabel(name)
         axes.set_xlabel("time [s]")
-        for _, events in numbered_events(study.scenario):
-            axes.axvline(events[0].time_s, color=REFERENCE_GREY, linewidth=0.7, linestyle=(0.0, (1.0, 1.5)), zorder=1)
+        mark_instants(axes, study.scenario, numbered=False)
     panels[0].set_xlim(0.0, study.scenario.duration_s)
     handles = [Line2D([], [], color=look.colour, linewidth=2.0, label=name) for name, look in looks.items()]
     handles += [
@@ -285,15 +237,7 @@ def plot_machine_models(study: MachineModelStudy, title: str | None = None) -> F
         for model in models
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
-    if title is not None:
-        figure.suptitle(title, x=0.01, ha="left")
     return figure
-
-
-def _draw_run(axes: Axes, run: Trajectory, values: Floats, colour: str, dashes: Dashes, name: str) -> None:
-    axes.plot(run.time_s, values, color=colour, linestyle=dashes, label=f"_{name}")
-    if run.status != Status.RUNNING:
-        axes.plot(run.time_s[-1], values[-1], "x", color=colour, markersize=5.5, markeredgewidth=1.4, zorder=4)
 
 
 def _mark_winds(axes: Axes) -> None:
@@ -315,4 +259,78 @@ def _mark_winds(axes: Axes) -> None:
             )
 
 
-__all__ = ["plot_damping", "plot_equilibria", "plot_machine_models", "plot_margins", "plot_slopes"]
+@printed
+def plot_modes(groups: Mapping[str, Sequence[Mode]]) -> Figure:
+    """Draw eigenvalues in the upper half of the complex plane: (a) the oscillations, (b) what is slow, enlarged.
+
+    Lines of constant damping ratio: 5, 10 and 30 %. One marker and colour per label.
+
+    Args:
+        groups: modes by strategy name or another label.
+    """
+    values = {label: np.array([mode.eigenvalue for mode in found]) for label, found in groups.items()}
+    everything = np.concatenate([np.empty(0), *values.values()])
+    looks = strategy_looks(values)
+    figure = new_figure(DOUBLE_COLUMN_MM, 82.0)
+    plane, slow = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
+    right = max(0.0, float(everything.real.max()))
+    # Panel (b): as far to the left as up, so that angles show damping.
+    reach = -0.1 * _LEFT
+    highest = max(1.12 * float(everything.imag[everything.real >= _LEFT].max()), -0.5 * _LEFT)
+    for axes, left, top in ((plane, _LEFT, highest), (slow, -reach, reach)):
+        for i, (label, eigenvalues) in enumerate(values.items()):
+            shown = eigenvalues[(eigenvalues.real >= left) & (eigenvalues.imag <= top)]
+            axes.plot(
+                shown.real,
+                shown.imag,
+                MARKERS[i % len(MARKERS)],
+                color=looks[label].colour,
+                markerfacecolor="none",
+                markeredgewidth=1.0,
+                # Shrinking, so that equal modes show as nested markers.
+                markersize=max(6.5 - 0.6 * i, 3.0),
+                label=label if axes is plane else f"_{label}",
+                clip_on=False,
+                # A label without a mode here has no extent that a layout could make room for.
+                in_layout=False,
+                zorder=3,
+            )
+        axes.set_xlim(left, right - 0.04 * left)
+        axes.set_ylim(-0.03 * top, top)
+        _draw_damping_ratios(axes, left, top)
+        axes.axvline(0.0, color="0.2", linewidth=0.8, zorder=1)
+        axes.set_xlabel(r"Re $s$ [1/s]")
+        axes.set_ylabel(r"Im $s$ [rad/s]")
+    plane.plot((-reach, -reach, right), (0.0, reach, reach), color="0.2", linewidth=0.7)
+    plane.annotate("(b)", (-reach, reach), (-2.0, 1.0), textcoords="offset points", ha="right", fontsize=SMALL_PT)
+    letter_panel(plane, "a", "modes and damping ratios")
+    letter_panel(slow, "b", "slow modes, enlarged")
+    figure.legend(loc="outside lower center", ncols=min(4, len(values)))
+    return figure
+
+
+def _draw_damping_ratios(axes: Axes, left: float, highest: float) -> None:
+    for ratio in _DAMPING_RATIOS:
+        # Im/Re along a line of constant ζ = -Re/|s|.
+        slope = (1.0 - ratio**2) ** 0.5 / ratio
+        end = min(-left, highest / slope)
+        axes.plot(
+            (0.0, -end),
+            (0.0, slope * end),
+            color=REFERENCE_GREY,
+            linewidth=0.7,
+            linestyle=_THIN_DASHES,
+            zorder=1,
+            label=f"_damping ratio {ratio:g}",
+        )
+        axes.annotate(
+            f"{100 * ratio:.0f} %",
+            (-end, slope * end),
+            (0.0, 1.5),
+            textcoords="offset points",
+            # The two steep lines end close to each other.
+            ha="left" if ratio == _DAMPING_RATIOS[0] else "right",
+            va="bottom",
+            fontsize=SMALL_PT,
+            color="0.3",
+        )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import io
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -162,7 +162,6 @@ def new_figure(width_mm: float = SINGLE_COLUMN_MM, height_mm: float = 65.0) -> F
 
     Raises:
         ValueError: a side is not positive.
-        ImportError: matplotlib is not installed.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -227,21 +226,8 @@ def name_at_right(axes: Axes, name: str, y: float, *, gap: float = 1.01, size_pt
     axes.text(gap, y, name, transform=at_right, fontsize=size_pt, color="0.3", va="center", clip_on=False)
 
 
-__all__ = [
-    "DOUBLE_COLUMN_MM",
-    "GROUP_STYLES",
-    "MARKERS",
-    "PALETTE",
-    "SINGLE_COLUMN_MM",
-    "STRATEGY_LOOKS",
-    "LineStyle",
-    "Look",
-    "figure_bytes",
-    "letter_panel",
-    "name_at_right",
-    "new_figure",
-    "print_style",
-    "printed",
-    "save_figure",
-    "strategy_looks",
-]
+def share_limits(row: Sequence[Axes]) -> None:
+    """Give panels the same vertical range, wide enough for all."""
+    limits = [axes.get_ylim() for axes in row]
+    for axes in row:
+        axes.set_ylim(min(low for low, _ in limits), max(high for _, high in limits))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
-from wtg_gym.analysis.benchmarks.plant_sizes import N_MACHINES, LanesCase
+from wtg_gym.analysis.benchmarks.plant_sizes import LanesCase
 from wtg_gym.analysis.benchmarks.timing import Rate
 
 #: Numbers of WTG groups and of machines measured by default and in full; each new one compiles for half a minute.
@@ -135,6 +135,3 @@ def _describe(curve: Curve) -> str:
         f"{text}. A fit of a + b n + c n² gives the square {100.0 * curve.quadratic_share:.0f} % of the cost at "
         f"{last.n}; it comes from the reduced admittance, a full matrix, which takes time and memory alike."
     )
-
-
-__all__ = ["BATCH", "N_MACHINES", "Curve", "Point", "describe_growth", "growth_cases", "growth_curves"]

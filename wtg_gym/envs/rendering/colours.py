@@ -44,19 +44,3 @@ def plain_matplotlib() -> Iterator[None]:
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         yield
-
-
-__all__ = [
-    "BAND",
-    "EVENT",
-    "GRID",
-    "INK",
-    "LINE",
-    "PAGE",
-    "SOFT",
-    "WHOLE_GRID",
-    "group_colour",
-    "plain_matplotlib",
-    "require_matplotlib",
-    "rgb",
-]

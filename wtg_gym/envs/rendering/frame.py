@@ -223,6 +223,3 @@ def _picture(figure: Figure) -> Image:
     canvas: Any = figure.canvas
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
-
-
-__all__ = ["FRAME_SIZE", "FramePainter", "panel_box"]

@@ -129,6 +129,3 @@ class LaneFrames:
 def _quotients(values: npt.NDArray[np.float64], divisors: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Return quotients, not a number where there is none: without damping, and in lanes that were never started."""
     return np.divide(values, divisors, out=np.full_like(values, np.nan), where=divisors > 0.0)
-
-
-__all__ = ["Frame", "LaneFrames"]

@@ -81,6 +81,3 @@ def _draw_dot(image: Image, x: float, y: float, radius: float, colour: Floats) -
             for c in range(3):
                 old = image[row, column, c]
                 image[row, column, c] = int(old + share * (colour[c] - old) + 0.5)
-
-
-__all__ = ["draw_traces"]

@@ -148,6 +148,3 @@ def fitting_levels(episode: Episode) -> tuple[int, ...]:
         wide = [not (low < bottom or high > top) for bottom, top in panel.ranges]
         levels.append(wide.index(True) if True in wide else len(wide) - 1)
     return tuple(levels)
-
-
-__all__ = ["PANELS", "Episode", "Panel", "fitting_levels", "n_traces", "panels_of_traces"]

@@ -77,6 +77,3 @@ class Window:
 
             self._surface = None
             pygame.display.quit()
-
-
-__all__ = ["Window"]

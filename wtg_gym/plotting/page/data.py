@@ -307,6 +307,3 @@ def _case() -> dict[str, Any]:
         # The machine with a governor is the generator; the others are condensers.
         "machines": [[machine.bus, "G" if machine.governor is not None else "C"] for machine in case.machines],
     }
-
-
-__all__ = ["PHYSICAL_METRICS", "SCORE_RESOLUTION", "Progress", "limits", "page_data", "untraced"]

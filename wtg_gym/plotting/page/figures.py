@@ -259,6 +259,3 @@ def _panels(n_groups: int) -> list[Any]:
             chart.xaxis.major_tick_line_color = None
         charts.append(chart)
     return charts
-
-
-__all__ = ["GROUP_DASHES", "PANELS", "page_document"]

@@ -219,6 +219,3 @@ def _fresh_cells(gap: GeneralisationGap | None) -> str:
     fresh = "" if gap is None else f"{gap.fresh.value:.1f}"
     excess = "" if gap is None or gap.excess is None else signed_interval(gap.excess)
     return f'<td class="number">{fresh}</td><td class="number">{_number(excess)}</td>'
-
-
-__all__ = ["N_SCENARIOS", "SIZE_LIMIT", "Page", "leaderboard_page"]

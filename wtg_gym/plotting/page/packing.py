@@ -92,6 +92,3 @@ def unpacked(text: str, n_rows: int) -> npt.NDArray[np.int16]:
     differences = (folded >> 1) ^ -(folded & 1)
     table: npt.NDArray[np.int16] = np.cumsum(differences, axis=1, dtype=np.uint16).view(np.int16)
     return table
-
-
-__all__ = ["MISSING", "RESOLUTIONS", "WIND_RESOLUTION", "packed", "quantised", "scenario_traces", "unpacked"]
