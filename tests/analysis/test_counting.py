@@ -68,7 +68,7 @@ def test_right_hand_side_of_the_default_plant() -> None:
 
 _SAME_BITS = """
 import numpy as np
-from wtg_gym.analysis.benchmarks.counting import Rows, _instrument, counted
+from wtg_gym.analysis.benchmarks.counting import Rows, instrument, counted
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task import step_blocks
@@ -85,7 +85,7 @@ def step(block, *given):
 
 given = simulator.plant, simulator.data, lanes.task, actions
 plain = step(before.copy(), *given)
-_instrument()
+instrument()
 assert step(Rows(before), *map(counted, given)) == plain
 assert plain[1] < 0.0
 """

@@ -13,7 +13,8 @@ from wtg_gym.evaluation.recording import Recording, one_scenario, record
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.plotting import plot_costs, plot_responses, plot_runs
-from wtg_gym.plotting.behaviour import binned, needed_points
+from wtg_gym.plotting.policy_runs import needed_points
+from wtg_gym.plotting.responses import binned
 from wtg_gym.plotting.style import Look
 from wtg_gym.scenarios import get_suite
 

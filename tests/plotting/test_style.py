@@ -10,17 +10,8 @@ from pathlib import Path
 import pytest
 
 from wtg_gym.physics.tracking_law import STRATEGIES
-from wtg_gym.plotting import (
-    PALETTE,
-    SINGLE_COLUMN_MM,
-    STRATEGY_LOOKS,
-    figure_bytes,
-    new_figure,
-    plot_power_coefficient,
-    print_style,
-    save_figure,
-    strategy_looks,
-)
+from wtg_gym.plotting import STRATEGY_LOOKS, figure_bytes, plot_power_coefficient, save_figure, strategy_looks
+from wtg_gym.plotting.style import PALETTE, SINGLE_COLUMN_MM, new_figure, print_style
 
 matplotlib = pytest.importorskip("matplotlib")
 

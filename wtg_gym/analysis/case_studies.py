@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -89,9 +90,11 @@ class MachineModelStudy:
 
 def run_case_studies(on_progress: OnProgress = lambda *_: None) -> CaseStudies:
     """Run both case studies of the paper under every strategy."""
-    suite, found = get_suite("paper"), []
+    suite = get_suite("paper")
+    found: list[Any] = []
     for seed in range(2):
-        scenario, runs = suite.scenario(seed), {}
+        scenario = suite.scenario(seed)
+        runs: dict[str, Trajectory] = {}
         for name, law in STRATEGIES.items():
             on_progress(f"{scenario.name}, {name}", len(STRATEGIES) * seed + len(runs), 2 * len(STRATEGIES))
             runs[name] = simulate(scenario, law)

@@ -39,7 +39,7 @@ class Fields:
             )
         return float(value)
 
-    def numbers(self, **keys: str) -> dict[str, float]:
+    def numbers(self, **keys: str) -> dict[str, Any]:
         """Return positive numbers: the value of each key under the name that it is given for."""
         return {name: self.number(key, positive=True) for name, key in keys.items()}
 

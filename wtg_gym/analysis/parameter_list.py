@@ -1,4 +1,4 @@
-"""Every parameter of the model with its unit and source, out of the metadata it is declared with."""
+"""Every parameter of the model with its unit and source, from the metadata of its declaration."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.network import Branch, Bus
 from wtg_gym.physics.parameters import SOURCES, SynchronousMachineParameters
 
-#: What a row of :func:`parameter_rows` holds.
+#: The columns of :func:`parameter_rows`.
 COLUMNS = ("group", "parameter", "value", "unit", "source", "what it is")
 Row = tuple[str, str, str, str, str, str]
 
@@ -76,35 +76,41 @@ def parameters_page() -> str:
     rows = list(_class_rows())
     parts = []
     for name in dict.fromkeys(row[0] for row in rows):
-        table = markdown_table(COLUMNS[1:], [row[1:] for row in rows if row[0] == name], right=(1,))
+        own = [
+            (parameter, value if unit == "-" else f"{value} {unit}", source, doc)
+            for group, parameter, value, unit, source, doc in rows
+            if group == name
+        ]
+        table = markdown_table(("parameter", "value", "source", "what it is"), own, right=(1,))
         parts.append(f"### {name}\n\n{table}")
-    parts.append("### Synchronous machines\n\n" + _pivot(list(_machine_rows()), "machine at "))
+    names, cells = _pivot(list(_machine_rows()), "machine at ")
+    first = {row[1]: row for row in reversed(list(_machine_rows()))}
+    lines = [(_with_unit(first[name]), *values, *first[name][4:]) for name, values in cells.items()]
+    header = ("parameter", *names, "source", "what it is")
+    parts.append("### Synchronous machines\n\n" + markdown_table(header, lines, right=range(1, 1 + len(names))))
     network = list(_network_rows())
     for title, prefix in (("Buses", "bus "), ("Branches", "branch ")):
-        own = [row for row in network if row[0].startswith(prefix)]
-        parts.append(f"### {title}\n\n" + _transposed(own, prefix))
+        own_rows = [row for row in network if row[0].startswith(prefix)]
+        names, cells = _pivot(own_rows, prefix)
+        first = {row[1]: row for row in own_rows}
+        header = (prefix.strip(), *(_with_unit(first[name]) for name in cells))
+        table = markdown_table(header, list(zip(names, *cells.values(), strict=True)), right=range(1, 1 + len(cells)))
+        sources = ", ".join(dict.fromkeys(row[4] for row in own_rows))
+        parts.append(f"### {title}\n\n{table}\n\nSource: {sources}.")
     sources = "\n".join(f"- **{key}**: {text}" for key, text in SOURCES.items())
     return "\n\n".join([*parts, f"### Sources\n\n{sources}"])
 
 
-def _pivot(rows: list[Row], prefix: str) -> str:
-    """A parameter a line, a machine a column."""
-    groups = list(dict.fromkeys(row[0] for row in rows))
-    values = {(row[0], row[1]): row[2] for row in rows}
-    first = {row[1]: row for row in reversed(rows)}
-    names = dict.fromkeys(row[1] for row in rows)
-    header = ("parameter", *(group.removeprefix(prefix) for group in groups), *COLUMNS[3:])
-    lines = [(name, *(values.get((group, name), "–") for group in groups), *first[name][3:]) for name in names]
-    return markdown_table(header, lines, right=range(1, 1 + len(groups)))
+def _with_unit(row: Row) -> str:
+    return row[1] if row[3] == "-" else f"{row[1]} [{row[3]}]"
 
 
-def _transposed(rows: list[Row], prefix: str) -> str:
-    """A bus or branch a line, a parameter a column with its unit; the source is the same for all."""
+def _pivot(rows: list[Row], prefix: str) -> tuple[list[str], dict[str, list[str]]]:
+    """Return the groups without a prefix, and each parameter's values in them; no row where all are the default."""
     groups = list(dict.fromkeys(row[0] for row in rows))
-    names = list(dict.fromkeys(row[1] for row in rows))
     values = {(row[0], row[1]): row[2] for row in rows}
-    units = {row[1]: row[3] for row in rows}
-    header = (prefix.strip(), *(f"{name} [{units[name]}]" for name in names))
-    lines = [(group.removeprefix(prefix), *(values.get((group, name), "–") for name in names)) for group in groups]
-    sources = ", ".join(dict.fromkeys(row[4] for row in rows))
-    return markdown_table(header, lines, right=range(1, 1 + len(names))) + f"\n\nSource: {sources}."
+    cells = {
+        name: [values.get((group, name), "") for group in groups] for name in dict.fromkeys(row[1] for row in rows)
+    }
+    shown = {name: own for name, own in cells.items() if set(own) - {"", "none"}}
+    return [group.removeprefix(prefix) for group in groups], shown

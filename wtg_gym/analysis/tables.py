@@ -6,11 +6,11 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from wtg_gym.analysis.claim import Claim
 from wtg_gym.analysis.eigenvalues import Mode
 from wtg_gym.analysis.infinite_bus import Agreement
 from wtg_gym.analysis.loops import SingleMachine
 from wtg_gym.analysis.omissions import REACTIVE_LIMIT_PU, VOLTAGE_LIMIT_PU, Omissions, RotorRun
-from wtg_gym.analysis.paper_claims import Claim
 from wtg_gym.files import markdown_table
 from wtg_gym.physics.layout import Status
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY

@@ -1,4 +1,4 @@
-"""`wtg-gym validate`: a case of another simulator, run here and compared with its trace."""
+"""`wtg-gym validate`: traces of another simulator against runs of its case here."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from wtg_gym.analysis.replay import (
 from wtg_gym.cli.output import check_page, note, plain_json, print_json, print_table, say, update_page
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.files import markdown_table
-from wtg_gym.physics.plant import SIMULATION_DT_RANGE, PlantSettings
-from wtg_gym.physics.scenario import LoadStep, require_range
+from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.scenario import LoadStep
 
 _NAMES = {
     "w": "machine speed",
@@ -37,12 +37,14 @@ _NAMES = {
 }
 _UNITS = MACHINE_QUANTITIES | BUS_QUANTITIES
 
+#: The coarsest fine step [s].
+_COARSEST_S = 0.0025
+
 _DESCRIPTION = """\
-Runs the network, machines and events of a parameter file and compares every quantity with a trace that another
-simulator wrote: the largest difference of machine speed w, active power Pe and bus voltage V is held to a tolerance,
-other quantities of the trace are shown. It is done twice: with a fine step, which decides, and with the default step
-of the benchmark, to show what that costs. The fine step is halved until its own error is below a tenth of the
-tolerance.
+Runs the network, machines and events of a parameter file and compares every quantity with a trace of another
+simulator. The largest differences of machine speed w, active power Pe and bus voltage V must be within a tolerance;
+other quantities are shown. The run with a fine step decides, whose own error is below a tenth of the tolerance; a run
+with the default step of the benchmark shows the error of that step.
 
 PARAMS.json  bus, line, shunt, load, gen_static, gens (GENCLS or GENROU), tgov1, sexs and events, as in tests/golden
 TRACE.csv    a column t [s], then w…, Pe…, Qe…, Tm…, delta… by machine and V…, th… by bus, in p.u. of the system base
@@ -52,7 +54,7 @@ A folder stands for its params.json and every trace beside it.
 exit codes: 0 within tolerance, 1 above it, 2 bad input"""
 
 _EXAMPLES = """\
-  wtg-gym validate params.json trace.csv --events b --step 0.001 --tolerance-w 1e-7
+  wtg-gym validate params.json trace.csv --events b
   wtg-gym validate params.json trace_a.csv trace_b.csv --json
   wtg-gym validate tests/golden/*/ --page docs/validation.md"""
 
@@ -75,20 +77,6 @@ def add_commands(commands: Commands) -> None:
         metavar="NAME",
         help="event list of the parameter file (default: the only one, or the one the trace's name ends with)",
     )
-    parser.add_argument(
-        "--step",
-        type=float,
-        default=0.0025,
-        metavar="S",
-        help="the coarsest fine step, 5e-5 … 0.04 s (default: 0.0025)",
-    )
-    for key in DEFAULT_TOLERANCE:
-        parser.add_argument(
-            f"--tolerance-{key.lower()}",
-            type=float,
-            metavar="X",
-            help=f"largest difference of {_NAMES[key]} [p.u.] (default: the file's, or {DEFAULT_TOLERANCE[key]:.0e})",
-        )
     parser.add_argument("--page", metavar="FILE", help="Markdown file with markers 'golden' to put the table between")
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON, and nothing else, on stdout: a list for several"
@@ -123,7 +111,6 @@ class _Comparison:
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym validate`; return 1 if a difference is above its tolerance."""
-    require_range("--step", arguments.step, *SIMULATION_DT_RANGE, "s")
     page = check_page("--page", arguments.page, "golden")
     pairs = _pairs([Path(path) for path in arguments.paths])
     found = [_compare(parameters, trace, arguments) for parameters, trace in pairs]
@@ -168,8 +155,8 @@ def _compare(parameters: Path, trace_path: Path, arguments: argparse.Namespace) 
         note(f"{trace_path}: columns that are not compared: {', '.join(unknown)}")
     if case.unused:
         note(f"{parameters}: not used: {', '.join(case.unused)}")
-    tolerance = _tolerance(arguments, case)
-    columns, step_s, own_error = replay_closely(case, events, trace.time_s, arguments.step, tolerance)
+    tolerance = case.tolerance
+    columns, step_s, own_error = replay_closely(case, events, trace.time_s, _COARSEST_S, tolerance)
     coarse = replay(case, events, trace.time_s, PlantSettings().simulation_dt)
     fine, default = ({d.quantity: d for d in differences(case, trace, found)} for found in (columns, coarse))
     if not set(fine) & set(tolerance):
@@ -181,15 +168,6 @@ def _compare(parameters: Path, trace_path: Path, arguments: argparse.Namespace) 
             )
     rows, end_s = trace.time_s.size, float(trace.time_s[-1])
     return _Comparison(parameters, trace_path, case, events, rows, end_s, tolerance, fine, default, step_s, own_error)
-
-
-def _tolerance(arguments: argparse.Namespace, case: ReferenceCase) -> dict[str, float]:
-    tolerance = dict(case.tolerance)
-    for key in tolerance:
-        given = getattr(arguments, f"tolerance_{key.lower()}")
-        if given is not None:
-            tolerance[key] = require_range(f"--tolerance-{key.lower()}", given, 1e-15, 1.0, "p.u.")
-    return tolerance
 
 
 def _print(comparison: _Comparison) -> None:

@@ -5,12 +5,14 @@ returns a matplotlib figure, built without pyplot; :func:`figure_bytes` turns on
 """
 
 from wtg_gym.plotting.animation import animate_trajectories
-from wtg_gym.plotting.behaviour import plot_costs, plot_responses, plot_runs
 from wtg_gym.plotting.characteristics import plot_characteristic
+from wtg_gym.plotting.eigenvalue_plane import plot_modes
 from wtg_gym.plotting.learning import LearningCurve, plot_learning_curves
 from wtg_gym.plotting.measurements import plot_accuracy, plot_growth
 from wtg_gym.plotting.paper_figures import plot_bode, plot_case_study, plot_power_coefficient
-from wtg_gym.plotting.study_figures import plot_damping, plot_equilibria, plot_machine_models, plot_margins, plot_modes
+from wtg_gym.plotting.policy_runs import plot_costs, plot_runs
+from wtg_gym.plotting.responses import plot_responses
+from wtg_gym.plotting.study_figures import plot_damping, plot_equilibria, plot_machine_models, plot_margins
 from wtg_gym.plotting.style import STRATEGY_LOOKS, figure_bytes, save_figure, strategy_looks
 from wtg_gym.plotting.trajectories import plot_trajectories
 

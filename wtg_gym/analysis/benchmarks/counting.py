@@ -1,7 +1,7 @@
 """Counts the arithmetic of a control interval: the kernels run as plain Python on numbers that count.
 
-`python -m wtg_gym.analysis.benchmarks.counting` prints the counts as JSON. It needs NUMBA_DISABLE_JIT=1, so that the
-functions are those of the source; :func:`count_operations` starts it that way, in a process of its own.
+Needs NUMBA_DISABLE_JIT=1, so that the functions are those of the source; :func:`count_operations` counts in a process
+of its own.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Counts:
         return 8 * (self.loads + self.stores)
 
 
-#: Where everything is counted at present.
+#: The present counts.
 _counts = Counts()
 
 
@@ -92,33 +92,28 @@ class Counted:
         return Counted(base**self.value)
 
 
-def _operation(name: str, kind: str) -> tuple[Callable[[Counted, Any], Any], Callable[[Counted, Any], Any]]:
-    """Return an operator and its reflection, which count as `kind`."""
-    operate = getattr(float, name)
-    gives_number = not name.startswith(("__l", "__g", "__e", "__ne"))
+def _add_operator(name: str, kind: str) -> None:
+    """Give :class:`Counted` an operator, and its reflection, that count as `kind`."""
+    operate = getattr(float, f"__{name}__")
 
     def forward(self: Counted, other: Any) -> Any:
         setattr(_counts, kind, getattr(_counts, kind) + 1)
         result = operate(self.value, float(other))
-        return Counted(result) if gives_number else result
+        return result if isinstance(result, bool) else Counted(result)
 
-    def reflected(self: Counted, other: Any) -> Any:
-        setattr(_counts, kind, getattr(_counts, kind) + 1)
-        return Counted(operate(float(other), self.value))
-
-    return forward, reflected
+    setattr(Counted, f"__{name}__", forward)
+    if kind != "comparisons":
+        setattr(Counted, f"__r{name}__", lambda self, other: forward(Counted(other), self))
 
 
 for _name, _kind in (("add", "adds"), ("sub", "adds"), ("mul", "multiplies"), ("truediv", "divisions")):
-    _forward, _reflected = _operation(f"__{_name}__", _kind)
-    setattr(Counted, f"__{_name}__", _forward)
-    setattr(Counted, f"__r{_name}__", _reflected)
+    _add_operator(_name, _kind)
 for _name in ("lt", "le", "gt", "ge", "eq", "ne"):
-    setattr(Counted, f"__{_name}__", _operation(f"__{_name}__", "comparisons")[0])
+    _add_operator(_name, "comparisons")
 
 
 def counted(values: Any) -> Any:
-    """Return an array, or whatever its shape, with its floating-point numbers counted; anything else as it is."""
+    """Return an array, a number or a named tuple with its floating-point numbers counted; anything else as it is."""
     if isinstance(values, (float, np.floating)):
         return Counted(float(values))
     if isinstance(values, tuple) and hasattr(values, "_make"):
@@ -149,7 +144,7 @@ class Rows:
 
 
 def count(work: Callable[[], Any]) -> Counts:
-    """Return what one call of a function costs."""
+    """Return the counts of one call of a function."""
     global _counts
     before, _counts = _counts, Counts()
     try:
@@ -172,27 +167,21 @@ def _fused(a: Any, b: Any, c: Any) -> Any:
     return Counted(fma(float(a), float(b), float(c)))
 
 
-#: What the kernels' modules call by these names, for numbers that count.
-_REPLACED: dict[str, Any] = {
-    "math": SimpleNamespace(**{**vars(math), "sqrt": _sqrt}),
-    "np": SimpleNamespace(
-        **{
-            **vars(np),
-            "zeros": lambda *arguments, **more: counted(np.zeros(*arguments, **more)),
-            "empty": lambda *arguments, **more: counted(np.zeros(*arguments, **more)),
-        }
-    ),
-    "fma": _fused,
-}
+def _zeros(*arguments: Any, **more: Any) -> Any:
+    return counted(np.zeros(*arguments, **more))
 
 
-def _instrument() -> None:
-    """Let the modules of the kernels count what leaves the operators: roots, scratch arrays, conversions."""
+def instrument() -> None:
+    """Let the modules of the kernels count roots, scratch arrays and conversions, which are no operators."""
+    replaced = {
+        "math": SimpleNamespace(**{**vars(math), "sqrt": _sqrt}),
+        "np": SimpleNamespace(**{**vars(np), "zeros": _zeros, "empty": _zeros}),
+        "fma": _fused,
+    }
     for name, module in list(sys.modules.items()):
         if name.startswith(("wtg_gym.physics.", "wtg_gym.envs.")):
-            for replaced, by in _REPLACED.items():
-                if hasattr(module, replaced):
-                    setattr(module, replaced, by)
+            for own in replaced.keys() & vars(module).keys():
+                setattr(module, own, replaced[own])
     # It would turn a counted number into a plain one.
     vars(sys.modules["wtg_gym.envs.task"])["float"] = lambda value: value
 
@@ -210,7 +199,7 @@ def _count_here() -> dict[str, Counts]:
     scenario = Scenario(name="calm", wind_speed=np.full((lanes.n_wtg, 1), 10.0), duration_s=2.0)
     lanes.start([0], [scenario])
     simulator = lanes.simulator
-    _instrument()
+    instrument()
     plant, data, task = counted(simulator.plant), counted(simulator.data), counted(lanes.task)
     actions, noise_y = counted(np.full((1, lanes.n_action), 0.1)), counted(np.zeros(1))
 
@@ -227,6 +216,11 @@ def _count_here() -> dict[str, Counts]:
     }
 
 
+def print_counts() -> None:
+    """Count in this process, and print the counts as JSON."""
+    print(json.dumps({name: dataclasses.asdict(counts) for name, counts in _count_here().items()}))
+
+
 def count_operations() -> dict[str, Counts]:
     """Return the counts of the right-hand side, a control interval and an environment step, of one lane.
 
@@ -234,7 +228,7 @@ def count_operations() -> dict[str, Counts]:
         RuntimeError: the process that counts has failed; the message is its last line.
     """
     done = subprocess.run(
-        [sys.executable, "-m", __name__],
+        [sys.executable, "-c", f"from {__name__} import print_counts; print_counts()"],
         env={**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
         capture_output=True,
         text=True,
@@ -242,10 +236,3 @@ def count_operations() -> dict[str, Counts]:
     if done.returncode:
         raise RuntimeError(f"counting failed: {done.stderr.strip().splitlines()[-1]}")
     return {name: Counts(**values) for name, values in json.loads(done.stdout).items()}
-
-
-if __name__ == "__main__":
-    # The classes of this file under its own name, not those of the program.
-    from wtg_gym.analysis.benchmarks import counting
-
-    print(json.dumps({name: dataclasses.asdict(counts) for name, counts in counting._count_here().items()}))

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-#: Works for at least so many seconds and returns what it has done per second: environment steps, or operations.
+#: Works for at least so many seconds and returns its rate per second: of environment steps, or of operations.
 Stepper = Callable[[float], float]
-#: Called with what is under way, and the expected seconds of what is done and of all.
+#: Called with the name of the present case, and the expected seconds of the finished part and of all.
 OnProgress = Callable[[str, float, float], None]
 
 #: How long a case is stepped before it counts [s].
@@ -31,9 +31,9 @@ class Case:
 
     Args:
         part: part of the benchmark that it belongs to.
-        name: what it is called.
+        name: of the case.
         n_envs: number of environments that it steps at once.
-        make: prepares it and returns what measures it.
+        make: prepares it and returns its stepper.
         preparation_s: how long that may take, for the forecast of the remaining time [s].
         least_s: shortest run that it can be measured by [s].
     """
@@ -48,7 +48,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Rate:
-    """A case with what was measured: what it counts, mostly environment steps, per second of every repeat."""
+    """A case with its rate in every repeat [1/s]."""
 
     case: Case
     all: tuple[float, ...]
@@ -60,7 +60,7 @@ class Rate:
 
 
 def prepare(cases: Sequence[Case], on_progress: OnProgress) -> list[Stepper]:
-    """Return what measures each case, compiled and warm."""
+    """Return the cases' steppers, compiled and warm."""
     total, done = sum(case.preparation_s for case in cases), 0.0
     steppers = []
     for case in cases:
@@ -76,67 +76,65 @@ def measure(
     cases: Sequence[Case], steppers: Sequence[Stepper], seconds: float, repeats: int, on_progress: OnProgress
 ) -> list[Rate]:
     """Return the rates of prepared cases, each measured for `seconds` in every one of `repeats` rounds."""
-    runs = [max(seconds, case.least_s) for case in cases]
-    total, done = repeats * sum(runs), 0.0
+    total, done = repeats * sum(max(seconds, case.least_s) for case in cases), 0.0
     rates: list[list[float]] = [[] for _ in cases]
     for _ in range(repeats):
-        for case, stepper, found, run in zip(cases, steppers, rates, runs, strict=True):
+        for case, stepper, found in zip(cases, steppers, rates, strict=True):
             on_progress(case.name, done, total)
             found.append(stepper(seconds))
-            done += run
+            done += max(seconds, case.least_s)
     return [Rate(case, tuple(found)) for case, found in zip(cases, rates, strict=True)]
 
 
-def step_single(env: Any) -> Stepper:
-    """Return what steps a single environment with random actions drawn beforehand, resets included."""
-    actions = [env.action_space.sample() for _ in range(_N_ACTIONS)]
-    env.reset(seed=0)
+def repeat(step: Callable[[int], object], n_per_step: int = 1) -> Stepper:
+    """Return a stepper that calls `step` with 0, 1, 2 …, once at least; each call counts `n_per_step`."""
 
     def stepper(seconds: float) -> float:
         n, begin = 0, time.perf_counter()
         while (passed := time.perf_counter() - begin) < seconds or n == 0:
-            _, _, terminated, truncated, _ = env.step(actions[n % _N_ACTIONS])
-            if terminated or truncated:
-                env.reset()
+            step(n)
             n += 1
-        return n / passed
+        return n * n_per_step / passed
 
     return stepper
 
 
+def step_single(env: Any) -> Stepper:
+    """Return the stepper of a single environment: random actions drawn beforehand, resets included."""
+    actions = [env.action_space.sample() for _ in range(_N_ACTIONS)]
+    env.reset(seed=0)
+
+    def step(n: int) -> None:
+        _, _, terminated, truncated, _ = env.step(actions[n % _N_ACTIONS])
+        if terminated or truncated:
+            env.reset()
+
+    return repeat(step)
+
+
 def step_batch(envs: Any, action_space: Any, n_envs: int) -> Stepper:
-    """Return what steps a started batch with random actions, eight sets in turn; it resets its environments itself.
+    """Return the stepper of a started batch that resets its environments itself: eight sets of random actions in turn.
 
     Args:
         envs: the batch.
         action_space: of one environment.
-        n_envs: how many it steps at once.
+        n_envs: number of environments.
     """
     actions = [np.stack([action_space.sample() for _ in range(n_envs)]) for _ in range(8)]
-
-    def stepper(seconds: float) -> float:
-        n, begin = 0, time.perf_counter()
-        while (passed := time.perf_counter() - begin) < seconds or n == 0:
-            envs.step(actions[n % 8])
-            n += 1
-        return n * n_envs / passed
-
-    return stepper
+    return repeat(lambda n: envs.step(actions[n % 8]), n_envs)
 
 
 def machine() -> str:
     """Return processor, number of processors and Python version as text."""
     model = platform.processor() or platform.machine()
-    try:
+    with contextlib.suppress(OSError, StopIteration):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
         model = next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        pass
     return f"{model}, {os.cpu_count()} processors, Python {platform.python_version()}"
 
 
 def versions(packages: Iterable[str]) -> dict[str, str]:
-    """Return the versions of packages, of those that are installed."""
+    """Return the versions of those packages that are installed."""
     found = {}
     for name in packages:
         with contextlib.suppress(PackageNotFoundError):

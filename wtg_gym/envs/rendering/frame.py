@@ -103,9 +103,6 @@ def _boxes_and_colours(n_groups: int) -> tuple[npt.NDArray[np.int64], npt.NDArra
     return np.array(boxes, dtype=np.int64), np.array(colours, dtype=np.float64)
 
 
-# --- drawn for every frame -------------------------------------------------------------------------------------------
-
-
 def _draw_instants(frame: Image, duration_s: float, events: tuple[Event, ...]) -> None:
     """Draw a dashed line through every panel where an event struck."""
     for panel in range(len(PANELS)):
@@ -126,7 +123,7 @@ def _draw_numbers(frame: Image, episode: Episode, now: float) -> None:
     draw.text((0, 0), f"{now:.1f} s", INK, _font(22, bold=True))
     if episode.outcome:
         draw.text((100, 5), episode.outcome, EVENT if episode.failed else SOFT, _font(16, bold=True))
-    # Not minus nothing.
+    # Without -0.00.
     total = round(episode.total_reward, 2) + 0.0
     draw.text((0, 32), f"return {total:.2f}".replace("-", "−"), INK, _font(13))
     draw.text((0, 51), f"constraints violated in {episode.n_violated} steps", SOFT, _font(12))
@@ -140,9 +137,6 @@ def _font(size: int, *, bold: bool = False) -> Any:
 
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
     return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name, size)
-
-
-# --- drawn once and kept ---------------------------------------------------------------------------------------------
 
 
 def _axes_picture(duration_s: float, levels: tuple[int, ...]) -> Image:
@@ -187,20 +181,17 @@ def _left_picture(heading: str, group_buses: tuple[int, ...], events: tuple[Even
     with plain_matplotlib():
         figure = _new_figure(width, height)
 
-        def write(y: float, text: str, points: float, **style: Any) -> None:
-            figure.text(16 / width, 1.0 - y / height, text, fontsize=points, va="top", **style)
+        def write(x: int, y: int, text: str, points: float, **style: Any) -> None:
+            figure.text(x / width, 1.0 - y / height, text, fontsize=points, va="top", **style)
 
-        write(14, "GFMWTG-14bus-v0", 16, fontweight="bold", color=INK)
-        write(36, heading, 12, color=SOFT)
+        write(16, 14, "GFMWTG-14bus-v0", 16, fontweight="bold", color=INK)
+        write(16, 36, heading, 12, color=SOFT)
         draw_diagram(_add_axes(figure, _DIAGRAM, size), group_buses, events)
         # The latest ones, where there are more than fit.
-        numbered = list(enumerate(events, start=1))[-_N_EVENT_LINES:]
-        for line, (number, event) in enumerate(numbered):
-            text = f"{event.time_s:g} s: {describe_event(event)}"
-            write(_EVENTS_TOP + _EVENT_LINE * line, str(number), 12, fontweight="bold", color=EVENT)
-            figure.text(
-                34 / width, 1.0 - (_EVENTS_TOP + _EVENT_LINE * line) / height, text, fontsize=12, va="top", color=INK
-            )
+        for line, (number, event) in enumerate(list(enumerate(events, start=1))[-_N_EVENT_LINES:]):
+            y = _EVENTS_TOP + _EVENT_LINE * line
+            write(16, y, str(number), 12, fontweight="bold", color=EVENT)
+            write(34, y, f"{event.time_s:g} s: {describe_event(event)}", 12, color=INK)
         return _picture(figure)
 
 

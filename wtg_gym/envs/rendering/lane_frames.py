@@ -1,4 +1,4 @@
-"""What the episodes' frames show, sampled while they run: only where an environment renders."""
+"""Samples of running episodes and their frames, in environments that render."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ Frame = npt.NDArray[np.uint8]
 class LaneFrames:
     """Frames of the episodes in lanes.
 
-    Every lane's samples lie at their control steps, so that after a return to an earlier step only what led there is
-    drawn. Painter and window are not copied along.
+    Every lane's samples lie at their control steps, so that after a return to an earlier step only the steps before it
+    are drawn. Painter and window are not copied along.
 
     Args:
         lanes: the episodes.

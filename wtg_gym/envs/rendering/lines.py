@@ -1,4 +1,4 @@
-"""Smooth lines drawn into a picture: what is left to do for every frame, compiled."""
+"""Smooth lines drawn into a picture: the compiled part of every frame."""
 
 from __future__ import annotations
 

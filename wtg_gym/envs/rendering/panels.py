@@ -1,4 +1,4 @@
-"""What a frame shows: an episode up to now, and the panels that its quantities go to."""
+"""An episode up to now, and the panels that show its quantities."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Panel:
 
     Args:
         name: short name.
-        title: what stands above it, with the unit.
+        title: text above it, with the unit.
         per_group: whether every WTG group has a line of its own.
         ranges: of its axis, each within the next; the first that holds all values so far is shown.
         rules: values with a dashed line.

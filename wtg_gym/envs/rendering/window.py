@@ -1,4 +1,4 @@
-"""A window that shows frames at the speed they were lived at; needs pygame."""
+"""A window that shows frames in real time; needs pygame."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 class Window:
     """A window for pictures of one size.
 
-    It opens at the first picture. Once its user has closed it, pictures are dropped, and time is no longer waited for.
+    It opens at the first picture. Once its user has closed it, pictures are dropped without waiting.
 
     Args:
         title: of the window.
@@ -30,10 +30,11 @@ class Window:
             import pygame
         except ImportError as error:
             raise DependencyNotInstalled("render_mode=\"human\" needs pygame: pip install 'wtg-gym[render]'") from error
+        self._pygame = pygame
         self._title, self._fps = title, fps
         self._clock = pygame.time.Clock()
         self._surface: pygame.Surface | None = None
-        #: Whether there is nothing left to show pictures in.
+        #: Whether the window was closed, by its user or by :meth:`close`.
         self.is_closed = False
 
     def show(self, picture: npt.NDArray[np.uint8]) -> None:
@@ -42,38 +43,28 @@ class Window:
         Raises:
             RuntimeError: there is no display.
         """
-        import pygame
-
         if self.is_closed:
             return
-        height, width = picture.shape[:2]
+        pygame, size = self._pygame, (picture.shape[1], picture.shape[0])
         if self._surface is None:
-            self._surface = self._open(width, height)
+            try:
+                pygame.display.init()
+                self._surface = pygame.display.set_mode(size)
+            except pygame.error as error:
+                raise RuntimeError(
+                    f'render_mode="human" found no display to open a window on ({error}); use render_mode="rgb_array"'
+                ) from error
+            pygame.display.set_caption(self._title)
         if any(event.type == pygame.QUIT for event in pygame.event.get()):
             self.close()
             return
-        self._surface.blit(pygame.image.frombuffer(picture.tobytes(), (width, height), "RGB"), (0, 0))
+        self._surface.blit(pygame.image.frombuffer(picture.tobytes(), size, "RGB"), (0, 0))
         pygame.display.flip()
         self._clock.tick(self._fps)
-
-    def _open(self, width: int, height: int) -> pygame.Surface:
-        import pygame
-
-        try:
-            pygame.display.init()
-            surface = pygame.display.set_mode((width, height))
-        except pygame.error as error:
-            raise RuntimeError(
-                f'render_mode="human" found no display to open a window on ({error}); use render_mode="rgb_array"'
-            ) from error
-        pygame.display.set_caption(self._title)
-        return surface
 
     def close(self) -> None:
         """Close the window; no other one opens."""
         self.is_closed = True
         if self._surface is not None:
-            import pygame
-
             self._surface = None
-            pygame.display.quit()
+            self._pygame.display.quit()

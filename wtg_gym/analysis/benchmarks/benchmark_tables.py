@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from wtg_gym.analysis.benchmarks.environments import YARDSTICK
-from wtg_gym.analysis.benchmarks.growth import Curve
+from wtg_gym.analysis.benchmarks.growth import Curve, describe_growth
+from wtg_gym.analysis.benchmarks.parts import Results
 from wtg_gym.analysis.benchmarks.roofline import Roofline
-from wtg_gym.analysis.benchmarks.suite import Results
 from wtg_gym.analysis.benchmarks.timing import Rate
+from wtg_gym.analysis.benchmarks.training import describe_training
 
 
 class Table(NamedTuple):
@@ -18,6 +19,21 @@ class Table(NamedTuple):
     header: tuple[str, ...]
     rows: list[tuple[str, ...]]
     text: tuple[int, ...] = (0,)
+
+
+def part_tables(part: str, results: Results) -> list[Table | str]:
+    """Return a part's tables and sentences; nothing where nothing was measured."""
+    if part == "growth":
+        return [*describe_growth(results.growth), growth_table(results.growth)] if results.growth else []
+    if part == "roofline":
+        found = results.roofline
+        if found is None:
+            return []
+        return [count_table(found), ceiling_table(found), achieved_table(found), describe_roofline(found)]
+    rates = results.of_part(part)
+    if not rates:
+        return []
+    return [*([describe_training() + "."] if part == "training" else []), rate_table(results, rates)]
 
 
 def rate_table(results: Results, rates: Sequence[Rate]) -> Table:
@@ -81,7 +97,7 @@ def ceiling_table(roofline: Roofline) -> Table:
 
 
 def achieved_table(roofline: Roofline) -> Table:
-    """Return what the environment reaches of them."""
+    """Return the shares of them that the environment reaches."""
     return Table(
         ("what is stepped", "threads", "steps per s", "Gflop/s", "of the vector peak", "of the fused vector peak"),
         [
@@ -99,7 +115,7 @@ def achieved_table(roofline: Roofline) -> Table:
 
 
 def describe_roofline(roofline: Roofline) -> str:
-    """Return what limits a step, computed from the numbers."""
+    """Return the limits of a step in words, computed from the numbers."""
     peak = next(c.giga_per_s for c in roofline.peaks if c.name == "vectors" and c.threads == 1)
     cache = roofline.bandwidths[0].giga_per_s * roofline.cache_intensity
     memory = roofline.bandwidths[-1].giga_per_s * roofline.memory_intensity

@@ -1,9 +1,8 @@
-"""What a trained policy does: its k and τ over what it sees, its runs beside the reference's, and what they cost."""
+"""Runs of policies over time beside the reference's, and their costs."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -38,188 +37,11 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 Quantity = Callable[[Recording], Floats]
 
-#: Share of the samples drawn, from the middle, and of those in a bin that lie within its band.
-_DRAWN, _BAND = 0.98, 0.8
-_N_BINS = 24
-#: A bin with fewer samples says nothing: neighbours in time are alike.
-_LEAST_SAMPLES = 60
-#: Groups are drawn apart where their means differ by this share of the scatter (root mean square over bins).
-_GROUPS_APART = 0.25
+K_OPT = tracking_point(0.0).coefficient
 _LARGEST_NUMBER_OF_GROUPS = 4
-#: What a line may move by thinning, as a share of its panel's height: a tenth of a millimetre.
+#: Distance that thinning may move a line, as a share of its panel's height: a tenth of a millimetre.
 _INVISIBLE = 0.0035
 _THIN_DASHES = (0.0, (5.0, 2.0))
-
-_K_OPT = tracking_point(0.0).coefficient
-_SEEN: dict[str, Quantity] = {
-    "frequency deviation\n[Hz]": lambda run: run.deviation_hz,
-    "RoCoF over 0.1 s\n[Hz/s]": lambda run: run.rocof_hz_s,
-    "tip-speed ratio λ above\nits target [–]": lambda run: run.ratio_above_target,
-    "rotor speed $\\omega_m$\n[p.u.]": lambda run: run.rotor_speed_pu,
-    "wind speed\n[m/s]": lambda run: run.wind_m_s,
-}
-
-
-@dataclass(frozen=True)
-class Bins:
-    """A quantity over another one, in bins of equal width: centres, and quantiles of what lies in each (n_bins,)."""
-
-    centre: Floats
-    low: Floats
-    median: Floats
-    high: Floats
-
-
-def binned(x: Floats, y: Floats, edges: Floats) -> Bins:
-    """Return the quantiles 10, 50 and 90 % of y over x, not a number in bins of fewer than 60 samples.
-
-    Args:
-        x, y: samples of one shape; those that are not finite do not count.
-        edges: of the bins, rising (n_bins + 1,).
-    """
-    finite = np.isfinite(x) & np.isfinite(y)
-    place, values = np.digitize(x[finite], edges) - 1, y[finite]
-    quantiles = np.full((3, edges.size - 1), np.nan)
-    for i in range(edges.size - 1):
-        inside = values[place == i]
-        if inside.size >= _LEAST_SAMPLES:
-            quantiles[:, i] = np.quantile(inside, [0.5 - 0.5 * _BAND, 0.5, 0.5 + 0.5 * _BAND])
-    return Bins(0.5 * (edges[1:] + edges[:-1]), *quantiles)
-
-
-@printed
-def plot_responses(
-    name: str, policy: Recording, reference: Recording, looks: Mapping[str, Look] | None = None
-) -> Figure:
-    """Draw k and τ in use over what a policy sees, with the reference's beside them.
-
-    Lines are medians of bins, bands hold the middle 80 %; the lowest row says where the samples are. Groups are taken
-    together; where the policy treats them differently, it has a median for each.
-
-    Args:
-        name: of the policy.
-        policy: its recording.
-        reference: that of the reference in the same scenarios.
-        looks: of policy and reference by name; None for ones of their own.
-    """
-    looks = looks or strategy_looks([REFERENCE_STRATEGY, name])
-    runs = {REFERENCE_STRATEGY: reference, name: policy}
-    used: dict[str, Quantity] = {
-        "k / $K_{opt}$ [–]": lambda run: run.coefficient_pu / _K_OPT,
-        "added to the\nlaw's k / $K_{opt}$ [–]": lambda run: run.offset_pu / _K_OPT,
-        "τ [s]": lambda run: run.time_constant_s,
-    }
-    apart = _groups_differ(policy)
-    figure = new_figure(DOUBLE_COLUMN_MM, 128.0)
-    grid = figure.subplots(4, len(_SEEN), sharex="col", sharey="row", height_ratios=(1.0, 1.0, 1.0, 0.4))
-    for column, (seen, x_of) in enumerate(_SEEN.items()):
-        edges = _edges([x_of(run) for run in runs.values()])
-        for row, (label, y_of) in enumerate(used.items()):
-            axes = grid[row, column]
-            for own, run in runs.items():
-                _draw_bins(axes, binned(x_of(run), y_of(run), edges), looks[own], with_median=own != name or not apart)
-            if apart:
-                for group, style in zip(range(policy.n_wtg), GROUP_STYLES, strict=False):
-                    bins = binned(x_of(policy)[:, :, group], y_of(policy)[:, :, group], edges)
-                    axes.plot(bins.centre, bins.median, style, color=looks[name].colour, linewidth=1.0)
-            if column == 0:
-                axes.set_ylabel(label)
-        for own, run in runs.items():
-            counts = np.histogram(x_of(run), edges)[0] / np.isfinite(x_of(run)).sum()
-            grid[3, column].stairs(100.0 * counts, edges, color=looks[own].colour, linewidth=0.9)
-        grid[3, column].set_xlabel(seen)
-        grid[3, column].set_xlim(edges[0], edges[-1])
-    grid[3, 0].set_ylabel("samples\n[% per bin]")
-    grid[3, 0].set_ylim(bottom=0.0)
-    _scale_time_constant(grid[2, 0], [policy.time_constant_s, reference.time_constant_s])
-    figure.align_ylabels(grid[:, 0])
-    # Dashes tell groups apart here, so that the legend shows colours only.
-    solid = {own: Look(looks[own].colour) for own in runs}
-    _draw_legend(figure, runs, solid, policy.n_wtg if apart else 1)
-    return figure
-
-
-def _groups_differ(policy: Recording) -> bool:
-    """Whether groups lie apart by a quarter of their scatter, at the same value of whatever is seen."""
-    if not 1 < policy.n_wtg <= len(GROUP_STYLES):
-        return False
-    for y in (policy.offset_pu, np.log(policy.time_constant_s)):
-        scatter = float(np.nanstd(y)) if np.isfinite(y).any() else 0.0
-        # One quantity that explains the difference is enough: groups see different winds.
-        least = min(_distance_of_groups(x_of(policy), y) for x_of in _SEEN.values())
-        if least > _GROUPS_APART * scatter > 1e-9:
-            return True
-    return False
-
-
-def _distance_of_groups(x: Floats, y: Floats) -> float:
-    """Return the root mean square of how far the groups' mean y lie from each other at the same x.
-
-    Args:
-        x, y: samples (n_scenarios, n, n_wtg).
-    """
-    edges = _edges([x])
-    finite = np.isfinite(x) & np.isfinite(y)
-    rows = [
-        (np.histogram(x[..., g][finite[..., g]], edges, weights=w)[0])
-        for g in range(x.shape[2])
-        for w in (None, y[..., g][finite[..., g]])
-    ]
-    counts, sums = np.array(rows[::2], dtype=np.float64), np.array(rows[1::2])
-    counts, sums = (each[:, (counts >= _LEAST_SAMPLES).all(axis=0)] for each in (counts, sums))
-    if counts.size == 0:
-        return 0.0
-    return float(np.sqrt(np.average((sums / counts).var(axis=0), weights=counts.sum(axis=0))))
-
-
-def _edges(samples: Sequence[Floats]) -> Floats:
-    values = np.concatenate([each[np.isfinite(each)] for each in samples])
-    low, high = np.quantile(values, [0.5 - 0.5 * _DRAWN, 0.5 + 0.5 * _DRAWN])
-    if not low < high:
-        low, high = low - 0.5, high + 0.5
-    return np.linspace(low, high, _N_BINS + 1)
-
-
-def _draw_bins(axes: Axes, bins: Bins, look: Look, *, with_median: bool) -> None:
-    axes.fill_between(bins.centre, bins.low, bins.high, color=look.colour, alpha=0.2, linewidth=0.0)
-    if with_median:
-        axes.plot(bins.centre, bins.median, color=look.colour, linewidth=1.2)
-
-
-def _scale_time_constant(axes: Axes, values: Sequence[Floats]) -> None:
-    """Give τ an axis in doublings: a policy multiplies and divides it."""
-    from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
-
-    finite = np.concatenate([each[np.isfinite(each)] for each in values])
-    if finite.size == 0:
-        return
-    axes.set_yscale("log", base=2)
-    tau = GridFormingParameters().damping_time_constant_s
-    axes.yaxis.set_major_locator(FixedLocator([tau * 2.0**power for power in range(-3, 4)]))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.yaxis.set_minor_locator(NullLocator())
-    low, high = axes.get_ylim()
-    axes.set_ylim(min(low, 0.45 * tau), max(high, 2.2 * tau))
-
-
-def _draw_legend(
-    figure: Figure, names: Iterable[str], looks: Mapping[str, Look], n_groups: int = 1, linewidth: float = 1.6
-) -> None:
-    """Draw a legend of entries and, where there is more than one, of groups by their dashes."""
-    from matplotlib.lines import Line2D
-
-    handles = [
-        Line2D([], [], color=looks[name].colour, linestyle=looks[name].dashes, linewidth=linewidth, label=_label(name))
-        for name in names
-    ]
-    if n_groups > 1:
-        styles = enumerate(GROUP_STYLES[:n_groups], start=1)
-        handles += [Line2D([], [], color="0.3", linestyle=style, label=f"WTG group {group}") for group, style in styles]
-    figure.legend(handles=handles, loc="outside lower center", ncols=min(4, len(handles)), handlelength=3.0)
-
-
-def _label(name: str) -> str:
-    return f"reference ({name})" if name == REFERENCE_STRATEGY else name
 
 
 @printed
@@ -266,12 +88,12 @@ def plot_runs(
             mark_instants(axes, scenario, numbered=axes is grid[0, group])
         grid[-1, group].set_xlabel("time [s]")
     _draw_limits(grid)
-    _scale_time_constant(grid[4, 0], [run.time_constant_s for each in runs.values() for run in each])
+    scale_time_constant(grid[4, 0], [run.time_constant_s for each in runs.values() for run in each])
     grid[0, 0].set_xlim(0.0, float(first.time_s[-1]))
     for axes in grid.ravel():
         _thin(axes)
     figure.align_ylabels(grid[:, 0])
-    _draw_legend(figure, runs, looks)
+    draw_legend(figure, runs, looks)
     explain_events(figure, scenario)
     return figure
 
@@ -280,7 +102,7 @@ _OVER_TIME: dict[str, Quantity] = {
     "frequency [Hz]": lambda run: np.repeat(run.frequency_hz[:, :, None], run.n_wtg, axis=2),
     "power p [p.u.]": lambda run: run.power_pu,
     "tip-speed ratio λ [–]": lambda run: run.tip_speed_ratio,
-    "k / $K_{opt}$ [–]": lambda run: run.coefficient_pu / _K_OPT,
+    "k / $K_{opt}$ [–]": lambda run: run.coefficient_pu / K_OPT,
     "τ [s]": lambda run: run.time_constant_s,
 }
 
@@ -399,5 +221,41 @@ def plot_costs(
     axes.grid(False, axis="y")
     axes.margins(x=0.08)
     axes.set_xlabel(f"mean cost of an episode{suite and f' of {suite}'} [–]")
-    _draw_legend(figure, costs, {name: Look(looks[name].colour) for name in costs}, linewidth=5.0)
+    draw_legend(figure, costs, {name: Look(looks[name].colour) for name in costs}, linewidth=5.0)
     return figure
+
+
+def scale_time_constant(axes: Axes, values: Sequence[Floats]) -> None:
+    """Give τ an axis in doublings: a policy multiplies and divides it."""
+    from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+    finite = np.concatenate([each[np.isfinite(each)] for each in values])
+    if finite.size == 0:
+        return
+    axes.set_yscale("log", base=2)
+    tau = GridFormingParameters().damping_time_constant_s
+    axes.yaxis.set_major_locator(FixedLocator([tau * 2.0**power for power in range(-3, 4)]))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.yaxis.set_minor_locator(NullLocator())
+    low, high = axes.get_ylim()
+    axes.set_ylim(min(low, 0.45 * tau), max(high, 2.2 * tau))
+
+
+def draw_legend(
+    figure: Figure, names: Iterable[str], looks: Mapping[str, Look], n_groups: int = 1, linewidth: float = 1.6
+) -> None:
+    """Draw a legend of entries and, where there is more than one, of groups by their dashes."""
+    from matplotlib.lines import Line2D
+
+    handles = [
+        Line2D([], [], color=looks[name].colour, linestyle=looks[name].dashes, linewidth=linewidth, label=_label(name))
+        for name in names
+    ]
+    if n_groups > 1:
+        styles = enumerate(GROUP_STYLES[:n_groups], start=1)
+        handles += [Line2D([], [], color="0.3", linestyle=style, label=f"WTG group {group}") for group, style in styles]
+    figure.legend(handles=handles, loc="outside lower center", ncols=min(4, len(handles)), handlelength=3.0)
+
+
+def _label(name: str) -> str:
+    return f"reference ({name})" if name == REFERENCE_STRATEGY else name
