@@ -64,7 +64,7 @@ def test_table_has_a_line_per_claim(claims: tuple[Claim, ...]) -> None:
     fitted = [claim for claim in claims if claim.fitted]
     assert f"{len(claims) - 1} of {len(claims)} claims hold; {len(fitted)} of them" in table
     assert {claim.fitted for claim in fitted} == {"c_1, c_2, c_5, c_6", "R", "K_p"}
-    assert all(f"holds, fits {claim.fitted}" in table for claim in fitted)
+    assert table.count("| holds, fitted |") == len(fitted)
 
 
 def test_studies_say_what_their_numbers_say(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wtg_gym.analysis.omissions import VOLTAGE_LIMIT_PU, count_suite, rotor_energy, run_rotors, voltage_limits
+from wtg_gym.analysis.omissions import count_suite, rotor_energy, run_rotors
+from wtg_gym.analysis.voltage_limits import VOLTAGE_LIMIT_PU, voltage_limits
 from wtg_gym.physics.layout import LaneRow, Status, WtgRow
 from wtg_gym.physics.parameters import TurbineParameters
 from wtg_gym.physics.plant import PlantSettings

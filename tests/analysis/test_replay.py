@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from tests.golden_cases import CASES, GOLDEN
 from wtg_gym.analysis.case_file import read_parameters
-from wtg_gym.analysis.replay import Trace, choose_events, differences, read_trace, replay, replay_closely
+from wtg_gym.analysis.replay import differences, replay, replay_closely
+from wtg_gym.analysis.trace_file import Trace, choose_events, read_trace
 
 UNITS = read_parameters(GOLDEN / "ideal-source-units" / "params.json")
 

@@ -9,14 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wtg_gym.analysis.steady_states import (
-    characteristic,
-    critical_frequency_pu,
-    equilibria,
-    named_points,
-    power_margin_pu,
-    stable_equilibrium,
-)
+from wtg_gym.analysis.power_frequency import characteristic, critical_frequency_pu, named_points
+from wtg_gym.analysis.steady_states import equilibria, power_margin_pu, stable_equilibrium
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw
 
 

@@ -60,8 +60,9 @@ def test_curves_grow_until_their_run_ends(content: bytes) -> None:
     assert ends[mppt][0] < ends[mppt][1] == ends[mppt][2] < 0.5 * ends[reference][2]
 
 
-def test_it_is_the_same_file_each_time(load_increase: CaseStudy) -> None:
+def test_it_is_the_same_file_each_time(load_increase: CaseStudy, monkeypatch: pytest.MonkeyPatch) -> None:
     scenario, runs = load_increase
+    monkeypatch.setattr("wtg_gym.plotting.animation.N_PICTURES", 6)
     alone = {"mppt": runs["mppt"]}
     assert animate_trajectories(alone, scenario, [2, 2]) == animate_trajectories(alone, scenario, [2, 2])
 

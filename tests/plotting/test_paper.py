@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from wtg_gym.analysis.loops import SingleMachine, ideal_source_loop, single_machine
-from wtg_gym.analysis.steady_states import critical_frequency_pu, named_points
+from wtg_gym.analysis.power_frequency import critical_frequency_pu, named_points
 from wtg_gym.physics.aerodynamics import available_power_pu, tracking_point
 from wtg_gym.physics.layout import Status
 from wtg_gym.physics.scenario import Scenario

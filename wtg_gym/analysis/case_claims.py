@@ -127,7 +127,7 @@ def _first_event(runs: Runs) -> Iterable[Claim]:
         measured=f"{_pairs_against(settled)} p.u.",
         values=dict(zip(_COMPARED, settled, strict=True)),
         holds=_both_smaller(settled),
-        remark=f"On the way there the rotor of WTG 1 dips a little deeper: {_against(dip)} p.u.",
+        remark=f"On the way the rotor of WTG 1 dips a little deeper: {_against(dip)} p.u.",
     )
 
 
@@ -149,7 +149,7 @@ def settling(studies: CaseStudies) -> Claim:
         measured=f"power {_against(power, 1)} s; rotor {_against(rotor, 1)} s",
         values=values,
         holds=all(times[0] < min(times[1:]) for times in (power, rotor)),
-        remark="In a 1 % band the coordinated power takes longer than deloaded-5's: it follows the governor.",
+        remark="In a 1 % band the coordinated power, which follows the governor, takes longer than deloaded-5's.",
     )
 
 
@@ -173,7 +173,7 @@ def load_decrease(runs: Runs) -> Iterable[Claim]:
         measured=f"{_pairs_against(rise)} p.u.",
         values=dict(zip(_COMPARED, rise, strict=True)),
         holds=_both_smaller(rise),
-        remark="“Particularly evident at 10 %”: the rises are alike; but at 10 % the start is the boundary already.",
+        remark="The paper finds it particularly evident at 10 %; the rises are alike, but 10 % starts at the boundary.",
     )
     yield Claim(
         key="decrease-10",

@@ -103,15 +103,13 @@ def read_parameters(path: str | Path) -> ReferenceCase:
         ),
         machines=tuple(machines),
     )
-    events = _read_events(root, base, voltage, loads)
-    tolerance = _read_tolerance(root)
     return ReferenceCase(
         network=network,
         machine_keys=tuple(power),
         voltage=voltage,
-        events=events,
+        events=_read_events(root, base, voltage, loads),
         power=power,
-        tolerance=tolerance,
+        tolerance=_read_tolerance(root),
         unused=tuple(root.unused),
     )
 

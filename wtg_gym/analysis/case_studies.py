@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.optimize import brentq
 
 from wtg_gym.analysis.loops import Side, ideal_source_loop, single_machine
-from wtg_gym.analysis.steady_states import critical_frequency_pu
+from wtg_gym.analysis.power_frequency import critical_frequency_pu
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import GridFormingParameters

@@ -11,7 +11,8 @@ from wtg_gym.analysis.case_claims import load_decrease, load_increase, settling
 from wtg_gym.analysis.case_studies import CaseStudies, linear_undamped
 from wtg_gym.analysis.claim import Claim, near
 from wtg_gym.analysis.loops import Side, ideal_source_loop, single_machine
-from wtg_gym.analysis.steady_states import OperatingPoint, named_points, stable_equilibrium
+from wtg_gym.analysis.power_frequency import named_points
+from wtg_gym.analysis.steady_states import OperatingPoint, stable_equilibrium
 from wtg_gym.physics.aerodynamics import available_power_pu, tracking_point
 from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import GridFormingParameters
@@ -66,7 +67,7 @@ def _mppt() -> Iterable[Claim]:
     yield Claim(
         key="inverse-droop",
         source="MPPT",
-        says="less power at a lower frequency, none below ω_b, which rises as the wind falls",
+        says="less power at a lower frequency; no equilibrium below ω_b, higher at less wind",
         expected="p_B < p_A; ω_min < ω_b(11.4 m/s) < ω_b(8 m/s)",
         measured=f"p_B/p_A = {powers[0]:.3f}, {powers[1]:.3f}; ω_b = {limits[0]:.5f}, {limits[1]:.5f} p.u.",
         values={"power_ratio": powers, "critical_frequency_pu": limits},
@@ -114,7 +115,7 @@ def _deloading() -> Iterable[Claim]:
         measured=f"λ = {ratio:.3f}; λ_opt at {crossing:.5f} p.u.",
         values={"tip_speed_ratio": ratio, "crossing_frequency_pu": crossing},
         holds=ratio > optimum,
-        remark="A schematic figure, and “may”: with the paper's own numbers the droop asks for 0.5 p.u. at ω_min, just "
+        remark="The figure is schematic; with the paper's own numbers the droop asks for 0.5 p.u. at ω_min, just "
         "too much for 10 % of reserve.",
     )
     lost = ten[_LOW]["B"].frequency_pu
@@ -213,15 +214,14 @@ def _compatibility() -> Claim:
         source="stability",
         says="coordinated: compatible with any grid-forming control with a droop",
         expected=f"D_p = {_DROOP_GAINS[0]:g} … {_DROOP_GAINS[-1]:g} p.u., H = {_INERTIA_CONSTANTS[0]:g} … "
-        f"{_INERTIA_CONSTANTS[-1]:g} s: the same shares within 0.01 percentage points, stable on both slopes at 6, 8, "
-        "11.4 m/s, no failure in the load increase",
+        f"{_INERTIA_CONSTANTS[-1]:g} s: the same shares, stable on both slopes at 6, 8, 11.4 m/s, no failure in the "
+        "load increase",
         measured=f"largest deviation {100 * worst:.1e}; {len(differences)} of {n_loops} loops stable; {completed} of "
         f"{n_runs} runs complete",
         values={"margin_difference_deg": differences, "largest_deviation": worst, "completed_runs": float(completed)},
         holds=worst < 1e-4 and len(differences) == n_loops and completed == n_runs,
         remark=f"The margin differs from the ideal source's by {min(differences):+.0f}° … {max(differences):+.0f}°, "
-        "because τ stays at 0.8 s. Only droops with a virtual inertia are tried, no virtual oscillator or matching "
-        "control.",
+        "because τ stays at 0.8 s. Only droops with a virtual inertia are tried.",
     )
 
 

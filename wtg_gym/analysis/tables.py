@@ -10,7 +10,8 @@ from wtg_gym.analysis.claim import Claim
 from wtg_gym.analysis.eigenvalues import Mode
 from wtg_gym.analysis.infinite_bus import Agreement
 from wtg_gym.analysis.loops import SingleMachine
-from wtg_gym.analysis.omissions import REACTIVE_LIMIT_PU, VOLTAGE_LIMIT_PU, Omissions, RotorRun
+from wtg_gym.analysis.omissions import Omissions, RotorRun
+from wtg_gym.analysis.voltage_limits import REACTIVE_LIMIT_PU, VOLTAGE_LIMIT_PU
 from wtg_gym.files import markdown_table
 from wtg_gym.physics.layout import Status
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
@@ -22,16 +23,17 @@ def claims_table(claims: Iterable[Claim]) -> str:
     notes: list[str] = []
     rows = []
     for claim in claims:
-        verdict = ("holds" if claim.holds else "**does not hold**") + (f", fits {claim.fitted}" if claim.fitted else "")
+        verdict = ("holds" if claim.holds else "**does not hold**") + (", fitted" if claim.fitted else "")
         if claim.remark:
             notes.append(f"({len(notes) + 1}) {claim.remark}  ")
             verdict += f" ({len(notes)})"
         rows.append((claim.says, claim.source, claim.expected, claim.measured, verdict))
     held = sum(claim.holds for claim in claims)
-    fitted = sum(claim.holds and bool(claim.fitted) for claim in claims)
+    fitted = [claim.fitted for claim in claims if claim.fitted and claim.holds]
+    by = ", ".join(f"{name} to {fitted.count(name)}" for name in dict.fromkeys(fitted))
     count = (
-        f"{held} of {len(claims)} claims hold; {fitted} of them are numbers that a parameter of this model was fitted "
-        f"to, so that {held - fitted} hold without a fit."
+        f"{held} of {len(claims)} claims hold; {len(fitted)} of them are numbers that a parameter of this model was "
+        f"fitted to ({by}), so that {held - len(fitted)} hold without a fit."
     )
     table = markdown_table(("the paper says", "section", "expected", "measured", "verdict"), rows)
     return "\n\n".join([count, table, "\n".join(notes)]).strip()

@@ -27,7 +27,7 @@ from wtg_gym.analysis.case_studies import (
 from wtg_gym.analysis.claim import Claim
 from wtg_gym.analysis.eigenvalues import Mode, linearise, modes
 from wtg_gym.analysis.infinite_bus import Agreement, agreements, system_margins
-from wtg_gym.analysis.loops import SingleMachine, ideal_source_loop, single_machine
+from wtg_gym.analysis.loops import Side, SingleMachine, ideal_source_loop, single_machine
 from wtg_gym.analysis.omissions import Omissions, study_omissions
 from wtg_gym.analysis.paper_claims import paper_claims
 from wtg_gym.analysis.tables import (
@@ -74,11 +74,6 @@ claims.json also holds the numbers on rotor energy, voltages and limits, which t
 With --page sections of a Markdown file are renewed, each between <!-- NAME:start --> and <!-- NAME:end -->; its
 pictures are those of the output folder. Sections: {", ".join(_SECTIONS)}"""
 
-_EXAMPLES = """\
-  wtg-gym reproduce
-  wtg-gym reproduce --output figures-for-print --formats svg pdf
-  wtg-gym reproduce --output docs/validation --formats png --page docs/validation.md"""
-
 
 def add_commands(commands: Commands) -> None:
     """Add `wtg-gym reproduce`."""
@@ -88,7 +83,8 @@ def add_commands(commands: Commands) -> None:
         run,
         summary="the paper's figures and claims, measured; and studies beyond the paper",
         description=_DESCRIPTION,
-        examples=_EXAMPLES,
+        examples="  wtg-gym reproduce\n  wtg-gym reproduce --output figures-for-print --formats svg pdf\n"
+        "  wtg-gym reproduce --output docs/validation --formats png --page docs/validation.md",
         after_interrupt="what has been written so far is complete; run the same command again",
     )
     parser.add_argument(
@@ -245,11 +241,9 @@ def _bode_loops() -> dict[str, SingleMachine]:
 
 def _proposed_loops() -> dict[str, SingleMachine]:
     linear, piecewise = STRATEGIES["coordinated-linear"], STRATEGIES[REFERENCE_STRATEGY]
-    return {
-        **{law.name: single_machine(law, 11.4) for law in (linear, linear_undamped())},
-        f"{REFERENCE_STRATEGY}, under-frequency": single_machine(piecewise, 11.4, side="under"),
-        f"{REFERENCE_STRATEGY}, over-frequency": single_machine(piecewise, 11.4, side="over"),
-    }
+    loops = {law.name: single_machine(law, 11.4) for law in (linear, linear_undamped())}
+    sides: tuple[Side, ...] = ("under", "over")
+    return loops | {f"{piecewise.name}, {side}-frequency": single_machine(piecewise, 11.4, side=side) for side in sides}
 
 
 def _study_pictures(evidence: _Evidence) -> list[_Picture]:

@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from wtg_gym.analysis.power_frequency import critical_frequency_pu, named_points
 from wtg_gym.analysis.steady_states import (
     FREQUENCY_RANGE,
     OperatingPoint,
-    critical_frequency_pu,
     equilibria,
-    named_points,
     power_margin_pu,
     stable_equilibrium,
 )

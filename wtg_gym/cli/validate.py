@@ -10,16 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from wtg_gym.analysis.case_file import DEFAULT_TOLERANCE, ReferenceCase, read_parameters
-from wtg_gym.analysis.replay import (
-    BUS_QUANTITIES,
-    MACHINE_QUANTITIES,
-    Difference,
-    choose_events,
-    differences,
-    read_trace,
-    replay,
-    replay_closely,
-)
+from wtg_gym.analysis.replay import Difference, differences, replay, replay_closely
+from wtg_gym.analysis.trace_file import BUS_QUANTITIES, MACHINE_QUANTITIES, choose_events, read_trace
 from wtg_gym.cli.output import check_page, note, plain_json, print_json, print_table, say, update_page
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.files import markdown_table

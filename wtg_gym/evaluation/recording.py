@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.analysis.steady_states import characteristic
+from wtg_gym.analysis.power_frequency import characteristic
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task import COST_TERMS, TaskRow

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.analysis.steady_states import OperatingPoint, characteristic, critical_frequency_pu, named_points
+from wtg_gym.analysis.power_frequency import characteristic, critical_frequency_pu, named_points
+from wtg_gym.analysis.steady_states import OperatingPoint
 from wtg_gym.physics.aerodynamics import power_coefficient
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.physics.scenario import WIND_SPEED_RANGE, require_range

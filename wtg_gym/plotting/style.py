@@ -158,16 +158,10 @@ def printed(draw: Callable[Parameters, Figure]) -> Callable[Parameters, Figure]:
 
 
 def new_figure(width_mm: float = SINGLE_COLUMN_MM, height_mm: float = 65.0) -> Figure:
-    """Return an empty figure of a printed size [mm] with an Agg canvas and constrained layout.
-
-    Raises:
-        ValueError: a side is not positive.
-    """
+    """Return an empty figure of a printed size [mm] with an Agg canvas and constrained layout."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    if not (width_mm > 0.0 and height_mm > 0.0):
-        raise ValueError(f"a figure needs a positive width and height, got {width_mm:g} mm × {height_mm:g} mm")
     size = width_mm / _MM_PER_INCH, height_mm / _MM_PER_INCH
     figure = Figure(figsize=size, facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
