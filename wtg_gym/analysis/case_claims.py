@@ -28,7 +28,7 @@ _EVENT_S, _SECOND_EVENT_S = 5.0, 30.0
 
 
 def load_increase(runs: Runs) -> Iterable[Claim]:
-    """Measure the claims on the load increase but for the settling times; `runs` by strategy."""
+    """Measure the claims on the load increase, without the settling times; `runs` by strategy."""
     reference = runs[REFERENCE_STRATEGY]
     end = float(reference.frequency_hz[-1] / reference.nominal_frequency_hz)
     says = "frequency settles at about 0.996"

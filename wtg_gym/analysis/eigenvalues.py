@@ -149,8 +149,8 @@ def synchronising_coefficients(
 ) -> Floats:
     """Return ∂p_i/∂δ_j between WTG groups, on the base of group i, shape (n_wtg, n_wtg) [p.u./rad].
 
-    The diagonal is the K_p of the paper's single-machine model as the network makes it, with the angles of all other
-    units held; the sum of a row is that of all groups swinging together against the synchronous machines.
+    The diagonal is the K_p of the paper's single-machine model in this network, with the angles of all other units
+    held. The sum of a row is K_p where all groups swing together against the synchronous machines.
 
     Args, Raises: as for :func:`linearise`.
     """

@@ -1,7 +1,7 @@
 """Measurements of the physics that the paper's model leaves out: rotor energy, limits of voltage, power and speed.
 
-The energy-consistent rotor is no setting of the plant: after every simulation step a rotor gets the speed at which its
-energy has changed by the energy that went in. Everything else in such a run is the simulator's own.
+The energy-consistent rotor exists in these measurements only: after every simulation step the rotor speed is set so
+that the kinetic energy has changed by the energy that went in. All else in such a run is the simulator's own.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Run the case of a parameter file and compare it with a trace of another simulator.
 
-The trace's rows and the events may come at any time. Whole steps are counted from each event on; the last one before
-an event is shortened to end there, and a row between two steps is reached by a shortened step on a copy, so that rows
-do not change the run.
+The trace's rows and the events may come at any time. Whole steps are counted from each event on, and the last one
+before an event ends at it. A row between two steps is reached by a shortened step on a copy of the state.
 """
 
 from __future__ import annotations

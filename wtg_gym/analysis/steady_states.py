@@ -22,7 +22,7 @@ from wtg_gym.physics.tracking_law import TrackingLaw, tracking_coefficient
 
 Floats = npt.NDArray[np.float64]
 
-#: Least tip-speed ratio at which equilibria are looked for; far below, the C_p curve is no longer meant [-].
+#: Least tip-speed ratio of the search for equilibria; the C_p curve is not valid far below [-].
 LEAST_TIP_SPEED_RATIO = 1.0
 #: Frequencies the functions accept [p.u.].
 FREQUENCY_RANGE = (0.5, 1.5)
@@ -205,7 +205,7 @@ def equilibria(
         ValueError: frequency or wind is out of range.
     """
     balance = Balance(frequency_pu, law, wind_m_s, turbine=turbine, control=control, fine_pitch=fine_pitch)
-    # The surplus is smooth but for the corner at the power limit; its maximum splits a close pair of roots.
+    # The maximum of the surplus lies between a close pair of roots, which the samples alone may miss.
     speeds = np.unique(np.append(balance.samples(), balance.best_speed()))
     surplus = balance(speeds)
     points = []

@@ -66,7 +66,7 @@ def plot_accuracy(study: AccuracyStudy) -> Figure:
 
 
 def _label_steps(axes: Axes, rows: Sequence[Accuracy], cost: Sequence[float], error: Sequence[float]) -> None:
-    """Write the steps below a line's points, but for those that would run into their neighbour on the right."""
+    """Write the steps below a line's points, except where two names would overlap."""
     right = float("inf")
     for row, x, y in reversed(list(zip(rows, cost, error, strict=True))):
         if right / x > 1.3:

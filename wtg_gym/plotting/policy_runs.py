@@ -123,7 +123,7 @@ def _draw_run(axes: Axes, time: Floats, values: Floats, look: Look, name: str, n
 
 
 def _thin(axes: Axes) -> None:
-    """Leave out the points of long lines that nobody would miss, so that files stay small."""
+    """Leave out points of long lines that move them by less than a tenth of a millimetre, so that files stay small."""
     low, high = axes.yaxis.get_transform().transform(np.array(axes.get_ylim()))
     for line in axes.lines:
         x, y = np.asarray(line.get_xdata(), dtype=np.float64), np.asarray(line.get_ydata(), dtype=np.float64)
@@ -188,7 +188,7 @@ def plot_costs(
     """Draw the mean cost of an episode, the total and term by term, one bar per entry.
 
     Args:
-        costs: by entry and term; every entry has the same terms. A term that nobody pays is left out.
+        costs: by entry and term; every entry has the same terms. A term that is zero for all entries is left out.
         looks: of the entries by name; None for ones of their own.
         suite: where the costs come from, for the axis.
 

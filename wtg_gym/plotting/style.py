@@ -131,7 +131,7 @@ def strategy_looks(labels: Iterable[str]) -> dict[str, Look]:
 
 @contextmanager
 def print_style() -> Iterator[None]:
-    """Draw in the style of print inside the `with` block, whatever the user's matplotlib settings are."""
+    """Draw in the style of print inside the `with` block; the user's matplotlib settings have no effect."""
     import matplotlib
 
     with matplotlib.rc_context():

@@ -44,8 +44,8 @@ class _Panel:
 def plot_trajectories(trajectories: Mapping[str, Trajectory], scenario: Scenario) -> Figure:
     """Draw frequency, RoCoF, wind, rotor speeds, powers and tracking coefficients on a shared time axis.
 
-    One colour per run, a strategy's own where it has one; one dash pattern per WTG group; events are numbered and
-    explained above the panels; a cross marks where a run ended before its time.
+    One colour per run and one dash pattern per WTG group. Events are numbered and explained above the panels. A cross
+    marks where a run ended before its time.
 
     Args:
         trajectories: recorded runs of the scenario by label, all with the same number of WTG groups.

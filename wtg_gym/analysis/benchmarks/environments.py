@@ -16,7 +16,7 @@ from wtg_gym.scenarios import get_suite
 
 #: The id under which importing `wtg_gym` registers our environment.
 OURS = "GFMWTG-14bus-v0"
-#: What every rate is divided by: physics of a few lines, in pure Python.
+#: Every rate is divided by that of this environment: physics of a few lines, in pure Python.
 YARDSTICK = "Pendulum-v1"
 
 

@@ -43,7 +43,7 @@ def _is_installed(peer: _Peer) -> bool:
     try:
         importlib.import_module(peer.module)
     except Exception:
-        # Whatever is wrong with another project's package, this one's figures are wanted.
+        # A broken package of another project must not stop the benchmark.
         return False
     return True
 

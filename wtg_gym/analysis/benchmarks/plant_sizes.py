@@ -21,7 +21,7 @@ from wtg_gym.physics.scenario import LoadStep, Scenario
 
 #: Long enough for restarts to be rare, short enough for thousands of lanes to fit into memory [s].
 _DURATION_S = 20.0
-#: Synchronous machines of the network as it comes.
+#: Synchronous machines of the modified 14-bus network.
 N_MACHINES = 4
 
 
@@ -78,7 +78,7 @@ class LanesCase:
     bytes_per_lane: float = field(default=0.0, init=False)
 
     def case(self) -> Case:
-        """Return what measures it."""
+        """Return the case for :func:`~wtg_gym.analysis.benchmarks.timing.prepare`."""
         usual = self.groups == 2 and self.machines == N_MACHINES
         return Case(self.part, self.name, self.n_lanes, self._make, preparation_s=1.0 if usual else 25.0)
 

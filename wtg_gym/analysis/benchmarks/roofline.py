@@ -1,7 +1,8 @@
-"""What share of the machine's arithmetic the simulator uses: counted operations against measured ceilings."""
+"""The share of the machine's arithmetic that the simulator reaches: counted operations against measured ceilings."""
 
 from __future__ import annotations
 
+import functools
 import os
 import threading
 import time
@@ -15,6 +16,8 @@ import numpy as np
 from wtg_gym.analysis.benchmarks.counting import Counts, count_operations
 from wtg_gym.analysis.benchmarks.plant_sizes import LanesCase
 from wtg_gym.analysis.benchmarks.timing import Case, Rate, Stepper
+from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.settings import EnvSettings
 
 #: Lanes of the batch whose arithmetic is measured.
 BATCH = 1024
@@ -35,10 +38,10 @@ class Ceiling:
 
 @dataclass(frozen=True)
 class Achieved:
-    """What a way of stepping reaches.
+    """The rate of one way of stepping.
 
     Args:
-        name: what is stepped.
+        name: of the case.
         threads: threads used.
         steps_per_s: environment steps per second.
         gflop_per_s: counted operations per second [Gflop/s].
@@ -55,7 +58,7 @@ class Achieved:
 
 @dataclass(frozen=True)
 class Roofline:
-    """Counts, ceilings and what is reached.
+    """Counts, ceilings and rates.
 
     Args:
         counts: of the right-hand side, a control interval and an environment step.
@@ -115,7 +118,7 @@ def _triad(n: int, a: Any, b: Any, c: Any, s: float) -> None:
 
 
 def _on_threads(n_threads: int, make: Callable[[], Callable[[int], float]]) -> Stepper:
-    """Return what runs `work(n)`, made once per thread, for some time; it returns what n repetitions have done."""
+    """Return a stepper that runs `work(n)` on several threads; `make` makes the work of a thread."""
     works = [make() for _ in range(n_threads)]
     repetitions = 1
     for work in works:
@@ -145,6 +148,10 @@ def _on_threads(n_threads: int, make: Callable[[], Callable[[int], float]]) -> S
         return sum(done) / (time.perf_counter() - begin)
 
     return stepper
+
+
+#: Makes the work of one thread: it takes a number of repetitions and returns the operations or bytes done.
+_Maker = Callable[[], Callable[[int], float]]
 
 
 def _make_scalar() -> Callable[[int], float]:
@@ -180,12 +187,11 @@ def _make_triad(footprint: int) -> Callable[[int], float]:
     return work
 
 
-def _peak_makers() -> dict[str, Callable[[], Callable[[int], float]]]:
-    return {
-        "scalar": _make_scalar,
-        "vectors": lambda: _make_vector(False),
-        "vectors, fused multiply-add": lambda: _make_vector(True),
-    }
+_PEAKS: dict[str, _Maker] = {
+    "scalar": _make_scalar,
+    "vectors": functools.partial(_make_vector, False),
+    "vectors, fused multiply-add": functools.partial(_make_vector, True),
+}
 
 
 def _threads() -> list[int]:
@@ -193,15 +199,13 @@ def _threads() -> list[int]:
 
 
 def roofline_cases() -> tuple[list[Case], list[LanesCase]]:
-    """Return what measures the ceilings, and the environment's own cases."""
+    """Return the cases of the ceilings, and the environment's own cases."""
+    works: dict[str, tuple[int, _Maker]] = {
+        f"peak: {name}, {n} threads": (n, make) for name, make in _PEAKS.items() for n in _threads()
+    }
+    works |= {f"bandwidth: {name}": (1, functools.partial(_make_triad, size)) for name, size in _FOOTPRINTS.items()}
     ceilings = [
-        Case("roofline", f"peak: {name}, {n} threads", 1, lambda n=n, make=make: _on_threads(n, make), 1.0)  # type: ignore[misc]
-        for name, make in _peak_makers().items()
-        for n in _threads()
-    ]
-    ceilings += [
-        Case("roofline", f"bandwidth: {name}", 1, lambda b=b: _on_threads(1, lambda: _make_triad(b)), 1.0)  # type: ignore[misc]
-        for name, b in _FOOTPRINTS.items()
+        Case("roofline", name, 1, functools.partial(_on_threads, n, make), 1.0) for name, (n, make) in works.items()
     ]
     own = [LanesCase("roofline", "single environment", 1)]
     own += [LanesCase("roofline", f"batch of {BATCH}, {n} threads", BATCH, n_threads=n) for n in _threads()]
@@ -213,9 +217,7 @@ def roofline(rates: dict[str, Rate]) -> Roofline:
     counts = count_operations()
     flops = counts["environment step"].flops
     peaks = tuple(
-        Ceiling(name, n, 1e-9 * rates[f"peak: {name}, {n} threads"].per_s)
-        for name in _peak_makers()
-        for n in _threads()
+        Ceiling(name, n, 1e-9 * rates[f"peak: {name}, {n} threads"].per_s) for name in _PEAKS for n in _threads()
     )
     bandwidths = tuple(Ceiling(name, 1, 1e-9 * rates[f"bandwidth: {name}"].per_s) for name in _FOOTPRINTS)
     limit = {(peak.name, peak.threads): peak.giga_per_s for peak in peaks}
@@ -226,11 +228,5 @@ def roofline(rates: dict[str, Rate]) -> Roofline:
         reached = 1e-9 * flops * rate
         shares = reached / limit["vectors", threads], reached / limit["vectors, fused multiply-add", threads]
         achieved.append(Achieved(own.name, threads, rate, reached, *shares))
-    return Roofline(counts, peaks, bandwidths, tuple(achieved), row_bytes=_row_bytes())
-
-
-def _row_bytes() -> int:
-    from wtg_gym.envs.lanes import TaskLanes
-    from wtg_gym.envs.settings import EnvSettings
-
-    return 8 * TaskLanes(EnvSettings(duration_s=1.0)).simulator.layout.n_rows
+    row_bytes = 8 * TaskLanes(EnvSettings(duration_s=1.0)).simulator.layout.n_rows
+    return Roofline(counts, peaks, bandwidths, tuple(achieved), row_bytes)

@@ -236,7 +236,7 @@ def _panels(n_groups: int) -> list[Any]:
         chart.title.text_font_style = "normal"
         chart.yaxis.ticker.desired_num_ticks = 4
         chart.vspan("x", source=events, line_dash=[3, 3], line_width=1.2, tags=["event"])
-        # The wind is the scenario's, whoever meets it.
+        # Both entries meet the same wind.
         for side in ("b", "a") if name != "wind" else ("a",):
             for j in range(n_groups if own else 1):
                 chart.line(

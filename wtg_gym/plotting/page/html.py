@@ -20,7 +20,7 @@ from wtg_gym.evaluation.leaderboard import COLUMNS, signed_interval
 from wtg_gym.plotting.page.data import Progress, page_data
 from wtg_gym.scenarios import VERIFICATION
 
-#: What the file should not grow beyond [B]: more than that is slow to open from a mail or over a network.
+#: Largest size of the file [B]: larger ones open slowly from a mail or over a network.
 SIZE_LIMIT = 3_000_000
 #: Scenarios with traces of each suite, where the file has room for them.
 N_SCENARIOS = 20
@@ -210,7 +210,7 @@ def _cell(name: str, text: str, row: EntrySummary) -> str:
 
 
 def _number(text: str) -> str:
-    """Return a number, and what follows it in brackets as an element of its own, which gets a line of its own."""
+    """Return a number, with its interval in brackets in an element of its own."""
     value, space, brackets = text.partition(" ")
     return value if not space else f"{value} <small>{html.escape(brackets)}</small>"
 

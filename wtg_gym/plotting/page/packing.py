@@ -28,7 +28,7 @@ RESOLUTIONS: Mapping[str, float] = {
     "tau": 0.01,
 }
 WIND_RESOLUTION = 0.01
-#: What stands for "no value": the episode is over, or the law has no such quantity.
+#: Code of a missing value: the episode is over, or the law has no such quantity.
 MISSING = -32768
 
 
@@ -41,7 +41,7 @@ def scenario_traces(recordings: Sequence[Recording], place: int) -> dict[str, An
     stride = max(1, round(TRACE_STEP_S / step))
     longest = max(recordings, key=lambda recording: recording.time_s.size)
     n = len(range(0, longest.time_s.size, stride))
-    # Wind is the scenario's: whoever lasts longest has seen most of it.
+    # Wind is the scenario's: the longest recording shows most of it.
     full = max(recordings, key=lambda recording: int(np.isfinite(recording.wind_m_s[place, :, 0]).sum()))
     rows = [quantised(wind, WIND_RESOLUTION) for wind in full.wind_m_s[place, ::stride].T]
     for recording in recordings:
