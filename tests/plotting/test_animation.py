@@ -67,14 +67,6 @@ def test_it_is_the_same_file_each_time(load_increase: CaseStudy, monkeypatch: py
     assert animate_trajectories(alone, scenario, [2, 2]) == animate_trajectories(alone, scenario, [2, 2])
 
 
-def test_runs_and_buses_must_agree(load_increase: CaseStudy) -> None:
-    scenario, runs = load_increase
-    with pytest.raises(ValueError, match="there is no run to animate"):
-        animate_trajectories({}, scenario, [2, 2])
-    with pytest.raises(ValueError, match=r"the runs have \[2\] WTG groups, there are 3 buses for them"):
-        animate_trajectories(runs, scenario, [2, 2, 3])
-
-
 def test_numbers_of_close_instants_share_a_label(load_increase: CaseStudy) -> None:
     wind = load_increase[0].wind_speed
     events = tuple(LoadStep(time_s=time, bus=3, power_mw=5.0) for time in (10.0, 12.0, 40.0, 70.0))

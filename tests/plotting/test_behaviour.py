@@ -130,10 +130,3 @@ def test_costs_are_totals_and_terms_that_somebody_pays() -> None:
     assert [label.get_text() for label in axes.get_yticklabels()] == ["total", "frequency", "duty"]
     assert [bar.get_width() for bar in axes.patches] == [4.0, 3.0, 1.0, 2.5, 2.0, 0.5]
     assert axes.get_xlabel() == "mean cost of an episode [–]"
-
-
-def test_nothing_to_draw_is_refused() -> None:
-    with pytest.raises(ValueError, match="there is no run"):
-        plot_runs(Scenario(name="calm", wind_speed=np.full((2, 1), 9.0), duration_s=5.0), {})
-    with pytest.raises(ValueError, match="there is no entry"):
-        plot_costs({})

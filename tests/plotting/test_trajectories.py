@@ -117,16 +117,6 @@ def test_pyplot_is_never_imported() -> None:
     assert ("matplotlib.pyplot" in sys.modules) == before
 
 
-def test_no_run_or_runs_of_different_plants_are_refused(
-    two_runs: tuple[Scenario, dict[str, Trajectory]],
-) -> None:
-    scenario, runs = two_runs
-    with pytest.raises(ValueError, match="no run"):
-        plot_trajectories({}, scenario)
-    with pytest.raises(ValueError, match=r"different numbers of WTG groups: \[1, 2\]"):
-        plot_trajectories({"a": _with_groups(runs["mppt"], 1), "b": runs["mppt"]}, scenario)
-
-
 def test_events_are_described_with_units() -> None:
     assert describe_event(LoadStep(time_s=1.0, bus=2, power_mw=75.0)) == "+75 MW at bus 2"
     step = LoadStep(time_s=1.0, bus=2, power_mw=-20.0, reactive_mvar=5.0)

@@ -51,18 +51,10 @@ def animate_trajectories(runs: Mapping[str, Trajectory], scenario: Scenario, gro
     cross marks where a run ended before its time. Beside them the grid shows where events have struck.
 
     Args:
-        runs: recorded runs of the scenario by label, all with the same number of WTG groups.
+        runs: recorded runs of the scenario by label, at least one, all with the same number of WTG groups.
         scenario: what happened in them.
         group_buses: bus of each WTG group.
-
-    Raises:
-        ValueError: there is no run, or the number of WTG groups is not the number of buses.
     """
-    if not runs:
-        raise ValueError("there is no run to animate")
-    counts = {run.power_pu.shape[1] for run in runs.values()}
-    if counts != {len(group_buses)}:
-        raise ValueError(f"the runs have {sorted(counts)} WTG groups, there are {len(group_buses)} buses for them")
     import matplotlib
 
     with print_style():
@@ -121,7 +113,7 @@ class _MovingPicture:
                     "color": REFERENCE_GREY,
                 }
                 axes.annotate("overload", (self._scenario.duration_s, control.overload_limit_pu), **above)
-            # The limits are those of the whole runs, whatever is seen of them.
+            # The limits are those of the whole runs, from the first picture on.
             axes.set_ylim(axes.get_ylim())
             if row < len(panels) - 1:
                 axes.tick_params(axis="x", labelbottom=False)

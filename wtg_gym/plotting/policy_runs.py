@@ -38,7 +38,6 @@ Floats = npt.NDArray[np.float64]
 Quantity = Callable[[Recording], Floats]
 
 K_OPT = tracking_point(0.0).coefficient
-_LARGEST_NUMBER_OF_GROUPS = 4
 #: Distance that thinning may move a line, as a share of its panel's height: a tenth of a millimetre.
 _INVISIBLE = 0.0035
 _THIN_DASHES = (0.0, (5.0, 2.0))
@@ -54,17 +53,10 @@ def plot_runs(
 
     Args:
         scenario: what happened.
-        runs: recordings of this one scenario by entry; an entry with several training seeds has several.
+        runs: recordings of this one scenario, of one to four WTG groups, by entry; one per training seed.
         looks: of the entries by name; None for ones of their own.
-
-    Raises:
-        ValueError: there is no run, or there are more than four groups.
     """
-    if not any(runs.values()):
-        raise ValueError("there is no run to plot")
     first = next(recordings[0] for recordings in runs.values() if recordings)
-    if first.n_wtg > _LARGEST_NUMBER_OF_GROUPS:
-        raise ValueError(f"runs are drawn of 1 … {_LARGEST_NUMBER_OF_GROUPS} WTG groups, got {first.n_wtg}")
     looks = looks or strategy_looks(runs)
     # Wind is the same for all: the longest run shows most of it.
     longest = max((run for each in runs.values() for run in each), key=lambda run: int(np.isfinite(run.wind_m_s).sum()))
@@ -191,12 +183,7 @@ def plot_costs(
         costs: by entry and term; every entry has the same terms. A term that is zero for all entries is left out.
         looks: of the entries by name; None for ones of their own.
         suite: where the costs come from, for the axis.
-
-    Raises:
-        ValueError: there is no entry.
     """
-    if not costs:
-        raise ValueError("there is no entry whose costs could be drawn")
     looks = looks or strategy_looks(costs)
     terms = [term for term in next(iter(costs.values())) if any(own[term] > 0.0 for own in costs.values())]
     rows = {"total": {name: sum(own.values()) for name, own in costs.items()}}

@@ -48,23 +48,15 @@ def plot_trajectories(trajectories: Mapping[str, Trajectory], scenario: Scenario
     marks where a run ended before its time.
 
     Args:
-        trajectories: recorded runs of the scenario by label, all with the same number of WTG groups.
+        trajectories: recorded runs of the scenario by label, at least one, all with the same number of WTG groups.
         scenario: what happened in them.
 
     Returns:
         The figure, with an Agg canvas: `figure.savefig("run.pdf")` writes it in any format of matplotlib.
-
-    Raises:
-        ValueError: there is no run, or the runs differ in their number of WTG groups.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    if not trajectories:
-        raise ValueError("there is no run to plot")
-    counts = {run.power_pu.shape[1] for run in trajectories.values()}
-    if len(counts) > 1:
-        raise ValueError(f"the runs to plot have different numbers of WTG groups: {sorted(counts)}")
     colours = {label: look.colour for label, look in strategy_looks(trajectories).items()}
     figure = Figure(figsize=(11.5, 9.0), facecolor="white")
     FigureCanvasAgg(figure)
@@ -78,7 +70,7 @@ def plot_trajectories(trajectories: Mapping[str, Trajectory], scenario: Scenario
     _draw_wind(grid[2, 0], trajectories)
     grid[0, 0].set_xlim(0.0, scenario.duration_s)
     events = event_lines(scenario)
-    n_legend_rows = _draw_legend(figure, trajectories, colours, counts.pop())
+    n_legend_rows = _draw_legend(figure, trajectories, colours)
     top = 0.925 - 0.021 * len(events)
     figure.subplots_adjust(
         left=0.075, right=0.938, top=top, bottom=0.085 + 0.026 * n_legend_rows, wspace=0.32, hspace=0.1
@@ -183,12 +175,11 @@ def _mark_events(axes: Axes, scenario: Scenario, *, numbered: bool) -> None:
             axes.text(place, 1.02, text, transform=where, fontsize=_FONT["small"], ha="center", va="bottom")
 
 
-def _draw_legend(
-    figure: Figure, trajectories: Mapping[str, Trajectory], colours: Mapping[str, str], n_groups: int
-) -> int:
+def _draw_legend(figure: Figure, trajectories: Mapping[str, Trajectory], colours: Mapping[str, str]) -> int:
     """Draw the legend below the panels; return its number of rows."""
     from matplotlib.lines import Line2D
 
+    n_groups = next(iter(trajectories.values())).power_pu.shape[1]
     handles = [Line2D([], [], color=colours[label], linewidth=2.2, label=label) for label in trajectories]
     if n_groups <= len(GROUP_STYLES):
         styles: list[tuple[LineStyle, str]] = [

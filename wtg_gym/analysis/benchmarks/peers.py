@@ -62,7 +62,7 @@ def _anm() -> Stepper:
 
 
 class _DoNothing:
-    """Grid2Op as step_single wants it: random topologies would end episodes at once, so nothing is switched."""
+    """Grid2Op with Gymnasium's methods and without actions: random topologies would end episodes at once."""
 
     def __init__(self, env: Any) -> None:
         self._env = env
@@ -80,24 +80,20 @@ class _DoNothing:
         return observation, reward, done, False, info
 
 
-def _grid2op(backend: Any) -> Stepper:
+def _grid2op(**settings: Any) -> Stepper:
     import grid2op
 
     with warnings.catch_warnings():
         # `test=True` takes the copy of the data that comes with the package, and says so.
         warnings.simplefilter("ignore")
-        env = grid2op.make("l2rpn_case14_sandbox", test=True, **({} if backend is None else {"backend": backend}))
+        env = grid2op.make("l2rpn_case14_sandbox", test=True, **settings)
         return step_single(_DoNothing(env))
-
-
-def _grid2op_default() -> Stepper:
-    return _grid2op(None)
 
 
 def _grid2op_light() -> Stepper:
     from lightsim2grid import LightSimBackend
 
-    return _grid2op(LightSimBackend())
+    return _grid2op(backend=LightSimBackend())
 
 
 def _envpool(name: str, n_envs: int) -> Stepper:
@@ -111,7 +107,7 @@ def _envpool(name: str, n_envs: int) -> Stepper:
 _PEERS = (
     _Peer("gym_electric_motor", "gym-electric-motor", "Gym Electric Motor Cont-CC-PMSM-v0", 1, _electric_motor),
     _Peer("gym_anm", "gym-anm", "Gym-ANM ANM6Easy-v0", 1, _anm),
-    _Peer("grid2op", "grid2op", "Grid2Op l2rpn_case14_sandbox, default backend", 1, _grid2op_default),
+    _Peer("grid2op", "grid2op", "Grid2Op l2rpn_case14_sandbox, default backend", 1, _grid2op),
     _Peer("lightsim2grid", "lightsim2grid", "Grid2Op l2rpn_case14_sandbox, lightsim2grid", 1, _grid2op_light),
     _Peer("envpool", "envpool", "EnvPool CartPole-v1, batch of 1024", 1024, lambda: _envpool("CartPole-v1", 1024)),
     _Peer("envpool", "envpool", "EnvPool Pendulum-v1, batch of 1024", 1024, lambda: _envpool("Pendulum-v1", 1024)),
