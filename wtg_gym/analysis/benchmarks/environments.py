@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import functools
 import importlib.util
 import os
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -27,24 +27,24 @@ def has_sb3() -> bool:
 
 def yardstick() -> Case:
     """Return the case that every other one is compared with."""
-    return Case("environments", YARDSTICK, 1, _single(YARDSTICK))
+    return Case("environments", YARDSTICK, 1, partial(_single, YARDSTICK))
 
 
 def environment_cases() -> Iterator[Case]:
     """Yield the environments other than the yardstick; Stable-Baselines3's where it is installed."""
     part = "environments"
-    yield Case(part, "CartPole-v1", 1, _single("CartPole-v1"))
-    yield Case(part, OURS, 1, _single(OURS))
+    yield Case(part, "CartPole-v1", 1, partial(_single, "CartPole-v1"))
+    yield Case(part, OURS, 1, partial(_single, OURS))
     for n in (64, 1024):
-        yield Case(part, f"{OURS}, vector of {n}", n, functools.partial(_our_vector, n))
+        yield Case(part, f"{OURS}, vector of {n}", n, partial(_our_vector, n))
     yield Case(part, "CartPole-v1, vector of 1024", 1024, _cart_poles)
     if not has_sb3():
         return
     n_cpu = os.cpu_count() or 1
     for n in (64, 1024):
-        yield Case(part, f"SB3 adapter of {n}", n, lambda n=n: _step_sb3(adapter(n)))  # type: ignore[misc]
-    yield Case(part, "SB3 DummyVecEnv of 8", 8, lambda: _step_sb3(dummies(8)))
-    yield Case(part, f"SB3 SubprocVecEnv of {n_cpu}", n_cpu, lambda: _step_sb3(processes(n_cpu)), preparation_s=4.0)
+        yield Case(part, f"SB3 adapter of {n}", n, partial(_step_sb3, adapter, n))
+    yield Case(part, "SB3 DummyVecEnv of 8", 8, partial(_step_sb3, dummies, 8))
+    yield Case(part, f"SB3 SubprocVecEnv of {n_cpu}", n_cpu, partial(_step_sb3, processes, n_cpu), preparation_s=4.0)
 
 
 def can_render() -> bool:
@@ -55,7 +55,7 @@ def can_render() -> bool:
 def rendering_cases() -> Iterator[Case]:
     """Yield environments that draw a frame at every step; call it only where :func:`can_render`."""
     for name in (OURS, "CartPole-v1", YARDSTICK):
-        yield Case("rendering", f"{name}, a frame each step", 1, functools.partial(_filmed, name))
+        yield Case("rendering", f"{name}, a frame each step", 1, partial(_filmed, name))
 
 
 class _Filmed(gym.Wrapper[Any, Any, Any, Any]):
@@ -79,7 +79,7 @@ def adapter(n_envs: int) -> Any:
 
 
 def dummies(n_envs: int) -> Any:
-    """Return Stable-Baselines3's vector environment that steps one of our environments after the other."""
+    """Return Stable-Baselines3's vector environment that steps our single environments in turn."""
     from stable_baselines3.common.vec_env import DummyVecEnv
 
     return DummyVecEnv([_make_ours] * n_envs)
@@ -96,8 +96,8 @@ def _make_ours() -> Any:
     return gym.make(OURS)
 
 
-def _single(name: str) -> functools.partial[Stepper]:
-    return functools.partial(lambda name: step_single(gym.make(name)), name)
+def _single(name: str) -> Stepper:
+    return step_single(gym.make(name))
 
 
 def _our_vector(n_envs: int) -> Stepper:
@@ -117,6 +117,7 @@ def _cart_poles() -> Stepper:
     return step_batch(envs, envs.single_action_space, envs.num_envs)
 
 
-def _step_sb3(envs: Any) -> Stepper:
+def _step_sb3(make: Any, n_envs: int) -> Stepper:
+    envs = make(n_envs)
     envs.reset()
     return step_batch(envs, envs.action_space, envs.num_envs)

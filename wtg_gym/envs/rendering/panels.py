@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -48,8 +49,7 @@ class Episode:
     failed: bool
 
 
-@dataclass(frozen=True, kw_only=True)
-class Panel:
+class Panel(NamedTuple):
     """One quantity over time.
 
     Args:
@@ -73,51 +73,19 @@ def _panels() -> tuple[Panel, ...]:
     nominal = modified_ieee14().frequency_hz
     control, law = GridFormingParameters(), coordinated_piecewise()
     ratios = tracking_point().tip_speed_ratio, tracking_point(control.deloading_limit).tip_speed_ratio
-    around = [(nominal - d, nominal + d) for d in (0.25, 0.5, 1.0)]
+    around = tuple((nominal - d, nominal + d) for d in (0.25, 0.5, 1.0, 2.5))
+    # Beyond ±0.2 Hz the deviation costs four times as much.
+    limits, band = (nominal - 0.2, nominal + 0.2), (0.9 * ratios[0], 1.1 * ratios[1])
+    coefficients = law.k_min, law.k_nominal, law.k_max
     return (
-        Panel(
-            name="frequency",
-            title="frequency [Hz]",
-            per_group=False,
-            ranges=(*around, (nominal - 2.5, nominal + 2.5)),
-            # Beyond it the deviation costs four times as much.
-            rules=(nominal - 0.2, nominal + 0.2),
-        ),
-        Panel(
-            name="rocof",
-            title="RoCoF [Hz/s]",
-            per_group=False,
-            ranges=((-0.3, 0.3), (-0.6, 0.6), (-2.0, 2.0), (-10.0, 10.0)),
-        ),
-        Panel(name="rotor", title="rotor speed [p.u.]", per_group=True, ranges=((0.5, 1.3), (0.2, 1.4), (0.0, 2.0))),
-        Panel(
-            name="ratio",
-            title="tip-speed ratio [–]",
-            per_group=True,
-            ranges=((5.0, 13.0), (2.0, 14.0), (0.0, 20.0)),
-            band=(0.9 * ratios[0], 1.1 * ratios[1]),
-        ),
-        Panel(
-            name="power",
-            title="power [p.u.]",
-            per_group=True,
-            ranges=((0.0, 1.3), (-0.2, 1.4), (-1.0, 2.0)),
-            rules=(control.overload_limit_pu,),
-        ),
-        Panel(
-            name="k",
-            title="k [p.u.]",
-            per_group=True,
-            ranges=((0.2, 1.3), (0.0, 3.0)),
-            rules=(law.k_min, law.k_nominal, law.k_max),
-        ),
-        Panel(
-            name="tau",
-            title="τ [s]",
-            per_group=True,
-            ranges=((0.0, 3.4), (0.0, 14.0), (0.0, 60.0)),
-        ),
-        Panel(name="wind", title="wind speed [m/s]", per_group=True, ranges=((4.0, 16.0), (2.0, 26.0))),
+        Panel("frequency", "frequency [Hz]", False, around, limits),
+        Panel("rocof", "RoCoF [Hz/s]", False, ((-0.3, 0.3), (-0.6, 0.6), (-2.0, 2.0), (-10.0, 10.0))),
+        Panel("rotor", "rotor speed [p.u.]", True, ((0.5, 1.3), (0.2, 1.4), (0.0, 2.0))),
+        Panel("ratio", "tip-speed ratio [–]", True, ((5.0, 13.0), (2.0, 14.0), (0.0, 20.0)), band=band),
+        Panel("power", "power [p.u.]", True, ((0.0, 1.3), (-0.2, 1.4), (-1.0, 2.0)), (control.overload_limit_pu,)),
+        Panel("k", "k [p.u.]", True, ((0.2, 1.3), (0.0, 3.0)), coefficients),
+        Panel("tau", "τ [s]", True, ((0.0, 3.4), (0.0, 14.0), (0.0, 60.0))),
+        Panel("wind", "wind speed [m/s]", True, ((4.0, 16.0), (2.0, 26.0))),
     )
 
 
