@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from pathlib import Path
 
 import pytest
 
 from tests.cli.calls import error_of, json_of
+from wtg_gym.analysis import omissions
 from wtg_gym.cli import main
 
 SECTIONS = (
@@ -29,7 +31,11 @@ def _page(path: Path, *sections: str) -> Path:
     return path
 
 
-def test_reproduce_writes_claims_and_every_figure(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_reproduce_writes_claims_and_every_figure(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    # The counts over four suites take minutes; tests/analysis/test_omissions.py checks them.
+    monkeypatch.setattr(omissions, "count_suite", functools.partial(omissions.count_suite, n_scenarios=2))
     folder = tmp_path / "docs" / "out"
     folder.parent.mkdir()
     page = _page(tmp_path / "docs" / "page.md", *SECTIONS)

@@ -1,4 +1,4 @@
-"""Groups that share the paper's plant; units and sources are tests/validation/test_parameters.py's matter."""
+"""Groups that share the paper's plant; units and sources are tests/analysis/test_parameter_list.py's matter."""
 
 from __future__ import annotations
 

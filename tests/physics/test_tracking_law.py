@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from wtg_gym.analysis.steady_states import stable_equilibrium
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.converter import Corners, tracking_coefficient
 from wtg_gym.physics.parameters import TurbineParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.physics.statics import stable_equilibrium
 from wtg_gym.physics.tracking_law import (
     STRATEGIES,
     TrackingLaw,
@@ -119,7 +119,7 @@ def test_a_strategy_keeps_its_meaning_on_another_turbine(strategy: str, deloadin
     optimum = tracking_point(0.0, LONG_BLADES)
     scenario = Scenario(name="x", wind_speed=np.full((2, 1), 8.0), duration_s=1.0)
     start = simulate(scenario, strategy, PlantSettings(turbine=LONG_BLADES))
-    point = stable_equilibrium(1.0, strategy, 8.0, LONG_BLADES)
+    point = stable_equilibrium(1.0, get_law(strategy, LONG_BLADES), 8.0, turbine=LONG_BLADES)
     assert point is not None
     assert start.tip_speed_ratio[0] == pytest.approx([point.tip_speed_ratio] * 2, rel=1e-6)
     captured = start.captured_power_pu[0] / (LONG_BLADES.wind_power_pu_per_cubic_wind * 8.0**3)
@@ -127,7 +127,7 @@ def test_a_strategy_keeps_its_meaning_on_another_turbine(strategy: str, deloadin
 
 
 def test_maximum_power_point_tracking_starts_at_the_optimum_of_its_own_turbine() -> None:
-    point = stable_equilibrium(1.0, "mppt", 8.0, LONG_BLADES)
+    point = stable_equilibrium(1.0, get_law("mppt", LONG_BLADES), 8.0, turbine=LONG_BLADES)
     assert point is not None
     assert point.tip_speed_ratio == pytest.approx(tracking_point(0.0, LONG_BLADES).tip_speed_ratio, rel=1e-5)
     assert get_law("mppt", LONG_BLADES).k_min == pytest.approx(K_OPT * (70.0 / 63.0) ** 5, rel=1e-12)

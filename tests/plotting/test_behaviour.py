@@ -13,7 +13,8 @@ from wtg_gym.evaluation.recording import Recording, one_scenario, record
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.plotting import plot_costs, plot_responses, plot_runs
-from wtg_gym.plotting.behaviour import binned, needed_points
+from wtg_gym.plotting.policy_runs import needed_points
+from wtg_gym.plotting.responses import binned
 from wtg_gym.plotting.style import Look
 from wtg_gym.scenarios import get_suite
 
@@ -129,10 +130,3 @@ def test_costs_are_totals_and_terms_that_somebody_pays() -> None:
     assert [label.get_text() for label in axes.get_yticklabels()] == ["total", "frequency", "duty"]
     assert [bar.get_width() for bar in axes.patches] == [4.0, 3.0, 1.0, 2.5, 2.0, 0.5]
     assert axes.get_xlabel() == "mean cost of an episode [–]"
-
-
-def test_nothing_to_draw_is_refused() -> None:
-    with pytest.raises(ValueError, match="there is no run"):
-        plot_runs(Scenario(name="calm", wind_speed=np.full((2, 1), 9.0), duration_s=5.0), {})
-    with pytest.raises(ValueError, match="there is no entry"):
-        plot_costs({})

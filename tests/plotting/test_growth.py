@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from wtg_gym.benchmarks.growth import Curve, Point
+from wtg_gym.analysis.benchmarks.growth import Curve, Point
 from wtg_gym.plotting import plot_growth
 
 

@@ -21,7 +21,7 @@ from wtg_gym.evaluation.recording import record
 from wtg_gym.physics.parameters import TurbineParameters
 from wtg_gym.plotting.page import leaderboard_page, untraced
 from wtg_gym.plotting.page.data import SCORE_RESOLUTION
-from wtg_gym.plotting.page.traces import MISSING, RESOLUTIONS, packed, quantised, unpacked
+from wtg_gym.plotting.page.packing import MISSING, RESOLUTIONS, packed, quantised, unpacked
 from wtg_gym.scenarios import draw_seeds, get_suite
 
 pytest.importorskip("bokeh", reason="the page's charts are Bokeh's")

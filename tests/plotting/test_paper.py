@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from wtg_gym.analysis.loops import SingleMachine, ideal_source_loop, single_machine
+from wtg_gym.analysis.power_frequency import critical_frequency_pu, named_points
 from wtg_gym.physics.aerodynamics import available_power_pu, tracking_point
 from wtg_gym.physics.layout import Status
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.physics.statics import critical_frequency_pu, named_points
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.physics.trajectory import Trajectory
 from wtg_gym.plotting import STRATEGY_LOOKS, plot_bode, plot_case_study, plot_characteristic, plot_power_coefficient
-from wtg_gym.small_signal import SingleMachine, ideal_source_loop, single_machine
 
 pytest.importorskip("matplotlib")
 pytestmark = pytest.mark.filterwarnings("error")
@@ -150,11 +150,6 @@ def test_phase_does_not_jump_where_it_passes_180_degrees(loops: dict[str, Single
     assert (np.diff(values) < 0.0).all()
 
 
-def test_no_loop_is_refused() -> None:
-    with pytest.raises(ValueError, match="no loop"):
-        plot_bode({})
-
-
 Runs = tuple[Scenario, dict[str, Trajectory]]
 
 
@@ -188,31 +183,3 @@ def test_case_study_marks_stalls_events_and_limits(load_increase: Runs) -> None:
     for limit in (available, 0.9 * available):
         assert np.isclose(heights, limit, rtol=1e-9).any()
     assert "+75 MW at bus 3" in "".join(text.get_text() for text in figure.texts)
-
-
-def test_case_study_shows_a_window_and_chosen_strategies(load_increase: Runs) -> None:
-    names = ["coordinated-piecewise", "deloaded-5"]
-    figure = plot_case_study(*load_increase, title="first seconds", strategies=names, window_s=(4.0, 15.0))
-    assert _legend(figure) == names
-    assert figure.axes[0].get_xlim() == (4.0, 15.0)
-    line = _line(figure.axes[0], "deloaded-5")
-    assert (line.get_xdata().min(), line.get_xdata().max()) == pytest.approx((4.0, 15.0))
-    # The height follows what is seen: the second dip is outside.
-    assert figure.axes[0].get_ylim()[0] > 0.995
-
-
-def test_case_study_refuses_what_it_cannot_draw(load_increase: Runs) -> None:
-    scenario, runs = load_increase
-    run = runs["mppt"]
-    tables = {key: value[:, :1] for key, value in vars(run).items() if getattr(value, "ndim", 0) == 2}
-    mixed = {"one group": dataclasses.replace(run, **tables), "mppt": run}
-    with pytest.raises(ValueError, match="no run to plot"):
-        plot_case_study(scenario, {})
-    with pytest.raises(ValueError, match=r"no run of \['mptp'\]; there are runs of \['mppt'"):
-        plot_case_study(scenario, runs, strategies=["mptp"])
-    with pytest.raises(ValueError, match=r"different numbers of WTG groups: \[1, 2\]"):
-        plot_case_study(scenario, mixed)
-    with pytest.raises(ValueError, match="no recorded sample lies between 200 s and 300 s"):
-        plot_case_study(scenario, runs, window_s=(200.0, 300.0))
-    with pytest.raises(ValueError, match="no recorded sample lies between 9 s and 3 s"):
-        plot_case_study(scenario, runs, window_s=(9.0, 3.0))

@@ -9,12 +9,13 @@ import sys
 import numpy as np
 import pytest
 
+from wtg_gym.envs.rendering.diagram import describe_event
 from wtg_gym.physics.layout import Status
 from wtg_gym.physics.scenario import LineTrip, LoadRamp, LoadStep, LoadTrip, Scenario
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.physics.trajectory import Trajectory, simulate
-from wtg_gym.plotting import GROUP_STYLES, STRATEGY_LOOKS, plot_trajectories
-from wtg_gym.rendering import describe_event
+from wtg_gym.plotting import STRATEGY_LOOKS, plot_trajectories
+from wtg_gym.plotting.style import GROUP_STYLES
 
 pytest.importorskip("matplotlib")
 
@@ -61,9 +62,9 @@ def test_a_run_that_ended_early_is_marked_with_a_cross_where_it_ended(
 
 
 def test_events_are_numbered_and_explained(two_runs: tuple[Scenario, dict[str, Trajectory]]) -> None:
-    figure = plot_trajectories(two_runs[1], two_runs[0], title="my title")
+    figure = plot_trajectories(two_runs[1], two_runs[0])
     texts = "\n".join(text.get_text() for text in figure.texts)
-    assert "my title" in texts
+    assert two_runs[0].name in texts
     assert "(1) 5 s: +75 MW at bus 2" in texts
     assert "(2) 30 s: +75 MW at bus 3" in texts
 
@@ -114,16 +115,6 @@ def test_pyplot_is_never_imported() -> None:
     scenario = Scenario(name="calm", wind_speed=np.full((2, 1), 9.0), duration_s=1.0)
     plot_trajectories({"mppt": simulate(scenario, STRATEGIES["mppt"])}, scenario)
     assert ("matplotlib.pyplot" in sys.modules) == before
-
-
-def test_no_run_or_runs_of_different_plants_are_refused(
-    two_runs: tuple[Scenario, dict[str, Trajectory]],
-) -> None:
-    scenario, runs = two_runs
-    with pytest.raises(ValueError, match="no run"):
-        plot_trajectories({}, scenario)
-    with pytest.raises(ValueError, match=r"different numbers of WTG groups: \[1, 2\]"):
-        plot_trajectories({"a": _with_groups(runs["mppt"], 1), "b": runs["mppt"]}, scenario)
 
 
 def test_events_are_described_with_units() -> None:

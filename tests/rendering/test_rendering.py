@@ -16,9 +16,9 @@ from gymnasium.vector import AutoresetMode
 import wtg_gym
 from tests.envs.rollouts import actions_of, calm, eventful, sagging, single_steps, vector_steps
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
-from wtg_gym.rendering import FRAME_SIZE, PANELS
-from wtg_gym.rendering.frame import panel_box
-from wtg_gym.rendering.style import EVENT, GROUPS, rgb
+from wtg_gym.envs.rendering.colours import EVENT, GROUPS, rgb
+from wtg_gym.envs.rendering.frame import FRAME_SIZE, panel_box
+from wtg_gym.envs.rendering.panels import PANELS
 
 pytest.importorskip("matplotlib")
 

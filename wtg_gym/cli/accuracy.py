@@ -1,14 +1,23 @@
-"""`wtg-gym analyse accuracy`: what an integration step costs and what it is worth."""
+"""`wtg-gym analyse accuracy`: the error of the integration step against its cost."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
-from pathlib import Path
+import dataclasses
 from typing import Any
 
 import numpy as np
 
+from wtg_gym.analysis.explicit_methods import METHODS
+from wtg_gym.analysis.step_error import (
+    STEPS,
+    Accuracy,
+    AccuracyStudy,
+    accuracy_table,
+    median_and_worst,
+    order_table,
+    study_accuracy,
+)
 from wtg_gym.cli.output import (
     FIGURE_FORMATS,
     Progress,
@@ -25,8 +34,6 @@ from wtg_gym.cli.output import (
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.files import to_json, write_atomically
 from wtg_gym.scenarios import SUITES
-from wtg_gym.validation.accuracy import METHODS, STEPS, Accuracy, AccuracyStudy, study_accuracy
-from wtg_gym.validation.report import accuracy_table, order_table
 
 _DESCRIPTION = f"""\
 Integrates random scenarios with several explicit methods and steps, and compares frequency, rotor speed and power of
@@ -70,14 +77,14 @@ def run(arguments: argparse.Namespace) -> int:
     if folder is not None:
         require_extra("matplotlib", "--output")
     with Progress("scenarios") as progress:
-        study = study_accuracy(
-            arguments.scenarios,
-            suite=arguments.suite,
-            on_progress=lambda done, total: progress.update("integrating", done, total),
-        )
-    data = plain_json(_as_json(study))
+        study = study_accuracy(arguments.scenarios, suite=arguments.suite, on_progress=progress.update)
+    data = _as_json(study)
     if folder is not None:
-        _write(folder, study, data, arguments.formats)
+        from wtg_gym.plotting import plot_accuracy, save_figure
+
+        save_figure(plot_accuracy(study), folder / "accuracy", arguments.formats)
+        write_atomically(folder / "accuracy.json", to_json(data))
+        note(f"wrote accuracy.json and accuracy.{', accuracy.'.join(arguments.formats)} in {folder}")
     if page is not None:
         update_page(page, {"accuracy": f"{_summary(study)}\n\n{order_table(study)}\n\n{accuracy_table(study)}"})
     if arguments.json:
@@ -85,14 +92,6 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         _print(study)
     return int(not np.isfinite(study.row("RK4", study.default_step_s).frequency_hz).all())
-
-
-def _write(folder: Path, study: AccuracyStudy, data: Any, formats: Sequence[str]) -> None:
-    from wtg_gym.plotting import plot_accuracy, save_figure
-
-    save_figure(plot_accuracy(study), folder / "accuracy", formats)
-    write_atomically(folder / "accuracy.json", to_json(data))
-    note(f"wrote accuracy.json and accuracy.{', accuracy.'.join(formats)} in {folder}")
 
 
 def _summary(study: AccuracyStudy) -> str:
@@ -106,34 +105,28 @@ def _summary(study: AccuracyStudy) -> str:
     )
 
 
-def _as_json(study: AccuracyStudy) -> dict[str, Any]:
-    def errors(values: np.ndarray) -> dict[str, float]:
-        return {
-            "median": float(np.median(values)),
-            "p95": float(np.quantile(values, 0.95)),
-            "worst": float(values.max()),
-        }
+def _as_json(study: AccuracyStudy) -> Any:
+    def plain(row: Accuracy) -> dict[str, Any]:
+        data = dataclasses.asdict(row)
+        for quantity in ("frequency_hz", "rotor_speed_pu", "power_pu"):
+            errors = data[quantity]
+            data[quantity] = {
+                "median": np.median(errors),
+                "p95": np.quantile(errors, 0.95),
+                "worst": errors.max(),
+            }
+        return data
 
-    def row(accuracy: Accuracy) -> dict[str, Any]:
-        return {
-            "method": accuracy.method,
-            "order": accuracy.order,
-            "step_s": accuracy.step_s,
-            "evaluations_per_s": accuracy.evaluations_per_s,
-            "microseconds_per_s": accuracy.microseconds_per_s,
-            "frequency_hz": errors(accuracy.frequency_hz),
-            "rotor_speed_pu": errors(accuracy.rotor_speed_pu),
-            "power_pu": errors(accuracy.power_pu),
+    return plain_json(
+        {
+            "suite": study.suite,
+            "seeds": study.seeds,
+            "default_step_s": study.default_step_s,
+            "smooth_order": study.smooth_order,
+            "reference_error_hz": study.reference_error_hz,
+            "rows": [plain(row) for row in study.rows],
         }
-
-    return {
-        "suite": study.suite,
-        "seeds": list(study.seeds),
-        "default_step_s": study.default_step_s,
-        "smooth_order": dict(study.smooth_order),
-        "reference_error_hz": study.reference_error_hz,
-        "rows": [row(accuracy) for accuracy in study.rows],
-    }
+    )
 
 
 def _print(study: AccuracyStudy) -> None:
@@ -143,7 +136,7 @@ def _print(study: AccuracyStudy) -> None:
             row.method,
             f"{1e3 * row.step_s:g}",
             f"{row.microseconds_per_s:.0f}",
-            *(f"{np.median(x):.1e} / {x.max():.1e}" for x in (row.frequency_hz, row.rotor_speed_pu, row.power_pu)),
+            *(median_and_worst(errors) for errors in (row.frequency_hz, row.rotor_speed_pu, row.power_pu)),
         )
         for row in study.rows
     ]

@@ -1,4 +1,4 @@
-"""`wtg-gym bench`: what the environment costs, in one run and against other environments of the same run."""
+"""`wtg-gym bench`: the speed of the environment, in one run with other environments."""
 
 from __future__ import annotations
 
@@ -9,21 +9,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from wtg_gym.benchmarks.environments import YARDSTICK
-from wtg_gym.benchmarks.growth import ALL_GROUPS, ALL_MACHINES, GROUPS, MACHINES, describe_growth
-from wtg_gym.benchmarks.peers import peer_packages
-from wtg_gym.benchmarks.report import (
-    Table,
-    achieved_table,
-    ceiling_table,
-    count_table,
-    describe_roofline,
-    growth_table,
-    rate_table,
-)
-from wtg_gym.benchmarks.suite import PARTS, Benchmark, Results
-from wtg_gym.benchmarks.timing import machine, versions
-from wtg_gym.benchmarks.training import describe_training
+from wtg_gym.analysis.benchmarks.benchmark_tables import Table, part_tables, rate_table
+from wtg_gym.analysis.benchmarks.environments import YARDSTICK
+from wtg_gym.analysis.benchmarks.growth import ALL_GROUPS, ALL_MACHINES, GROUPS, MACHINES
+from wtg_gym.analysis.benchmarks.parts import PARTS, Benchmark, Results
+from wtg_gym.analysis.benchmarks.peers import peer_packages
+from wtg_gym.analysis.benchmarks.timing import machine, versions
+from wtg_gym.analysis.benchmarks.training import describe_training
 from wtg_gym.cli.output import (
     FIGURE_FORMATS,
     Progress,
@@ -41,13 +33,13 @@ from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.files import markdown_table, read_text, to_json, write_atomically
 from wtg_gym.physics.scenario import require_range
 
-#: Whose versions matter, besides those of the peers.
+#: Packages whose versions matter, besides those of the peers.
 _PACKAGES = ("gymnasium", "numba", "numpy", "stable-baselines3", "torch")
-_PARTS = "\n".join(f"  {name:12}  {what}" for name, what in PARTS.items())
+_PARTS = "\n".join(f"  {name:12}  {words}" for name, words in PARTS.items())
 _DESCRIPTION = f"""\
-Measures what the environment costs on this machine. Every case runs several times, in turns so that a busy spell of the
-machine strikes all alike; the median counts, and its ratio to {YARDSTICK} of the same run travels between machines.
-Episodes' resets are included and actions are drawn beforehand. What is not installed is left out, with a line that says
+Measures the speed of the environment on this machine. Every case runs several times, in turns so that a busy spell of
+the machine strikes all alike; the median counts, and its ratio to {YARDSTICK} of the same run travels between machines.
+Episodes' resets are included and actions are drawn beforehand. Missing packages are left out, with a line that says
 what to install.
 
 parts:
@@ -70,9 +62,7 @@ def add_commands(commands: Commands) -> None:
         "  wtg-gym bench --only environments training peers --page docs/performance.md\n"
         "  wtg-gym bench --only growth roofline --full --output docs/performance --page docs/performance.md",
     )
-    parser.add_argument(
-        "--only", nargs="+", choices=tuple(PARTS), metavar="PART", help="parts to measure, all else not"
-    )
+    parser.add_argument("--only", nargs="+", choices=tuple(PARTS), metavar="PART", help="parts to measure")
     parser.add_argument("--seconds", type=float, default=1.0, metavar="S", help="per case and repeat (default: 1)")
     parser.add_argument("--repeats", type=int, default=5, metavar="N", help="the median of these counts (default: 5)")
     parser.add_argument(
@@ -87,11 +77,7 @@ def add_commands(commands: Commands) -> None:
         "--formats", nargs="+", choices=FIGURE_FORMATS, default=["svg", "png"], help="of the figure (default: svg png)"
     )
     out.add_argument(
-        "--page",
-        nargs="+",
-        default=(),
-        metavar="FILE",
-        help="Markdown files; a measured part's tables go between the markers 'bench:PART' of those that have them",
+        "--page", metavar="FILE", help="Markdown file; a measured part's tables go between the markers 'bench:PART'"
     )
     out.add_argument("--json", action="store_true", help="print the result as JSON, and nothing else, on stdout")
 
@@ -102,12 +88,12 @@ def run(arguments: argparse.Namespace) -> int:
     if not 1 <= arguments.repeats <= 1000:
         raise ValueError(f"--repeats = {arguments.repeats} is outside the allowed range 1 … 1000")
     parts = [part for part in PARTS if arguments.only is None or part in arguments.only]
-    pages = {page: _sections(page, parts) for page in arguments.page}
+    on_page = [] if arguments.page is None else _parts_of_page(arguments.page, parts)
     folder = None if arguments.output is None else check_output_folder("--output", arguments.output)
     if folder is not None and "growth" in parts:
         require_extra("matplotlib", "--output")
     benchmark = Benchmark(parts, full=arguments.full)
-    # Two bars: how long compiling takes says nothing about the runs, whose length is known.
+    # Two bars: the time of compiling says nothing about the runs, whose length is known.
     with Progress("expected s") as progress:
         benchmark.prepare(lambda name, done, total: progress.update(name, done, math.ceil(total)))
     with Progress("expected s") as progress:
@@ -120,10 +106,12 @@ def run(arguments: argparse.Namespace) -> int:
     data = plain_json({**_as_json(results), **facts})
     if folder is not None:
         _write(folder, results, data, arguments.formats)
-    caption = f"{machine()}; median of {arguments.repeats} runs of {seconds:g} s."
-    texts = {part: text for part in parts if (text := _markdown(part, results))}
-    for page, sections in pages.items():
-        update_page(Path(page), {f"bench:{part}": f"{caption}\n\n{texts[part]}" for part in sections if part in texts})
+    if arguments.page is not None:
+        caption = f"{machine()}; median of {arguments.repeats} runs of {seconds:g} s."
+        texts = {part: _markdown(part_tables(part, results)) for part in on_page}
+        update_page(
+            Path(arguments.page), {f"bench:{part}": f"{caption}\n\n{text}" for part, text in texts.items() if text}
+        )
     if arguments.json:
         print_json(data)
     else:
@@ -131,7 +119,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _sections(page: str, parts: Sequence[str]) -> list[str]:
+def _parts_of_page(page: str, parts: Sequence[str]) -> list[str]:
     """Return the parts whose markers a page has; a ValueError if it has none, or not in pairs."""
     try:
         text = read_text(Path(page), "file with the markers")
@@ -147,10 +135,11 @@ def _sections(page: str, parts: Sequence[str]) -> list[str]:
 
 def _as_json(results: Results) -> dict[str, Any]:
     roofline = results.roofline
+    intensities = ("cache_intensity", "memory_intensity")
     return {
         "machine": machine(),
         "versions": versions((*_PACKAGES, *peer_packages())),
-        "training": describe_training() if _of_part(results, "training") else None,
+        "training": describe_training() if results.of_part("training") else None,
         "cases": [
             {
                 "part": rate.case.part,
@@ -163,18 +152,8 @@ def _as_json(results: Results) -> dict[str, Any]:
             for rate in results.rates
         ],
         "growth": [{**dataclasses.asdict(curve), "exponent": curve.exponent} for curve in results.growth],
-        "roofline": None
-        if roofline is None
-        else {
-            **dataclasses.asdict(roofline),
-            "cache_intensity": roofline.cache_intensity,
-            "memory_intensity": roofline.memory_intensity,
-        },
+        "roofline": roofline and {**dataclasses.asdict(roofline), **{n: getattr(roofline, n) for n in intensities}},
     }
-
-
-def _of_part(results: Results, part: str) -> list[Any]:
-    return [rate for rate in results.rates if rate.case.part == part]
 
 
 def _write(folder: Path, results: Results, data: Any, formats: Sequence[str]) -> None:
@@ -187,46 +166,24 @@ def _write(folder: Path, results: Results, data: Any, formats: Sequence[str]) ->
     note(f"wrote {', '.join(written)} in {folder}")
 
 
-def _tables(part: str, results: Results) -> list[Table | str]:
-    """Return a part's tables and the sentences that go with them; nothing where nothing was measured."""
-    if part == "growth":
-        return [*describe_growth(results.growth), growth_table(results.growth)]
-    if part == "roofline":
-        roofline = results.roofline
-        assert roofline is not None
-        tables = count_table(roofline), ceiling_table(roofline), achieved_table(roofline)
-        return [*tables, describe_roofline(roofline)]
-    rates = _of_part(results, part)
-    if not rates:
-        return []
-    words = [describe_training() + "."] if part == "training" else []
-    return [*words, rate_table(results, rates)]
-
-
-def _markdown(part: str, results: Results) -> str:
-    pieces = []
-    for piece in _tables(part, results):
+def _markdown(pieces: Sequence[Table | str]) -> str:
+    texts = []
+    for piece in pieces:
         if isinstance(piece, Table):
             right = [index for index in range(len(piece.header)) if index not in piece.text]
-            pieces.append(markdown_table(piece.header, piece.rows, right=right))
+            texts.append(markdown_table(piece.header, piece.rows, right=right))
         else:
-            pieces.append(piece)
-    return "\n\n".join(pieces)
+            texts.append(piece)
+    return "\n\n".join(texts)
 
 
 def _print(results: Results) -> None:
-    say(machine(), "")
-    pieces: list[Table | str] = [rate_table(results, results.rates)]
-    if _of_part(results, "training"):
+    pieces: list[Table | str] = [machine(), rate_table(results, results.rates)]
+    if results.of_part("training"):
         pieces.append(describe_training())
-    if results.growth:
-        pieces += _tables("growth", results)
-    if results.roofline is not None:
-        pieces += _tables("roofline", results)
-    for index, piece in enumerate(pieces):
-        if index:
-            say("")
+    for piece in [*pieces, *part_tables("growth", results), *part_tables("roofline", results)]:
         if isinstance(piece, Table):
             print_table(piece.header, piece.rows, left=piece.text)
         else:
             say(piece)
+        say("")

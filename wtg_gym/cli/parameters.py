@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import argparse
 
+from wtg_gym.analysis.parameter_list import COLUMNS, parameter_rows, parameters_page
 from wtg_gym.cli.output import check_page, print_json, print_table, update_page
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.physics.parameters import SOURCES
-from wtg_gym.validation.parameters import COLUMNS, parameter_rows, parameters_page
 
 _DESCRIPTION = """\
 Lists every parameter of turbine, control, protection, machines, network and cost, with its unit, its source and what

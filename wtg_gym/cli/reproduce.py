@@ -5,11 +5,38 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from wtg_gym.analysis.case_studies import (
+    CaseStudies,
+    DampingStudy,
+    EquilibriumStudy,
+    MachineModelStudy,
+    MarginStudy,
+    linear_undamped,
+    run_case_studies,
+    study_damping,
+    study_equilibria,
+    study_machine_models,
+    study_margins,
+    study_slopes,
+)
+from wtg_gym.analysis.claim import Claim
+from wtg_gym.analysis.eigenvalues import Mode, linearise, modes
+from wtg_gym.analysis.infinite_bus import Agreement, agreements, system_margins
+from wtg_gym.analysis.loops import Side, SingleMachine, ideal_source_loop, single_machine
+from wtg_gym.analysis.omissions import Omissions, study_omissions
+from wtg_gym.analysis.paper_claims import paper_claims
+from wtg_gym.analysis.tables import (
+    agreement_table,
+    claims_table,
+    modes_table,
+    omissions_sections,
+    system_margins_table,
+)
 from wtg_gym.cli.output import (
     FIGURE_FORMATS,
     Progress,
@@ -27,55 +54,25 @@ from wtg_gym.files import to_json, write_atomically
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 from wtg_gym.scenarios import get_suite
-from wtg_gym.small_signal import Mode, SingleMachine, ideal_source_loop, linearise, modes, single_machine
-from wtg_gym.validation.agreement import Agreement, agreements, system_margins
-from wtg_gym.validation.claims import Claim, paper_claims
-from wtg_gym.validation.omissions import Omissions, study_omissions
-from wtg_gym.validation.report import (
-    agreement_table,
-    claims_table,
-    modes_table,
-    omissions_sections,
-    system_margins_table,
-)
-from wtg_gym.validation.studies import (
-    CaseStudies,
-    DampingStudy,
-    EquilibriumStudy,
-    MachineModelStudy,
-    MarginStudy,
-    linear_undamped,
-    run_case_studies,
-    study_damping,
-    study_equilibria,
-    study_machine_models,
-    study_margins,
-    study_slopes,
-)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _OMISSIONS = ("rotor-energy", "voltages", "limits")
 _SECTIONS = ("claims", "figures", "studies", *_OMISSIONS, "agreement", "system-margins", "modes")
+_STUDIES = ("margins", "slopes", "equilibria", "damping", "machines")
 
 _DESCRIPTION = f"""\
 Runs the paper's analysis and case studies on the simulator and writes, within two or three minutes,
 
-  claims.md, claims.json   every claim of the paper: what it says, what came out, tolerance, verdict
-  figures/*                every figure of the paper that a simulator can give, and what lies beyond the paper:
-                           margins over wind and on both slopes of g(ω), where the deloaded strategies lose their
-                           equilibrium, what τ trades, classical against GENROU machines, the modes of the system
+  claims.md, claims.json   every claim of the paper with its tolerance, measurement and verdict
+  figures/*                the paper's figures, and studies beyond it: margins over wind and on both slopes of g(ω),
+                           lost equilibria, τ, machine models, the modes of the system
 
-claims.json also holds the numbers on what the paper's model leaves out: rotor energy, voltages, limits.
+claims.json also holds the numbers on rotor energy, voltages and limits, which the paper's model leaves out.
 
 With --page sections of a Markdown file are renewed, each between <!-- NAME:start --> and <!-- NAME:end -->; its
 pictures are those of the output folder. Sections: {", ".join(_SECTIONS)}"""
-
-_EXAMPLES = """\
-  wtg-gym reproduce
-  wtg-gym reproduce --output figures-for-print --formats svg pdf
-  wtg-gym reproduce --output docs/validation --formats png --page docs/validation.md"""
 
 
 def add_commands(commands: Commands) -> None:
@@ -84,9 +81,10 @@ def add_commands(commands: Commands) -> None:
         commands,
         "reproduce",
         run,
-        summary="the paper's figures and claims, measured; and what lies beyond the paper",
+        summary="the paper's figures and claims, measured; and studies beyond the paper",
         description=_DESCRIPTION,
-        examples=_EXAMPLES,
+        examples="  wtg-gym reproduce\n  wtg-gym reproduce --output figures-for-print --formats svg pdf\n"
+        "  wtg-gym reproduce --output docs/validation --formats png --page docs/validation.md",
         after_interrupt="what has been written so far is complete; run the same command again",
     )
     parser.add_argument(
@@ -100,17 +98,8 @@ def add_commands(commands: Commands) -> None:
 
 
 @dataclass(frozen=True)
-class _Picture:
-    """A figure to be: file name, caption, and how it is drawn."""
-
-    name: str
-    caption: str
-    draw: Callable[[], Figure]
-
-
-@dataclass(frozen=True)
 class _Evidence:
-    """All that is measured before anything is drawn."""
+    """All measurements; nothing is drawn before they are complete."""
 
     cases: CaseStudies
     claims: tuple[Claim, ...]
@@ -125,6 +114,10 @@ class _Evidence:
     omissions: Omissions
 
 
+#: Name of the file, caption, and the drawing of a figure.
+_Picture = tuple[str, str, Callable[[], "Figure"]]
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym reproduce`."""
     require_extra("matplotlib", "wtg-gym reproduce")
@@ -134,16 +127,24 @@ def run(arguments: argparse.Namespace) -> int:
     page = check_page("--page", arguments.page, *_SECTIONS)
     with Progress("steps") as progress:
         evidence = _measure(progress)
-        pictures = [*_paper_pictures(evidence), *_study_pictures(evidence)]
-        for done, picture in enumerate(pictures):
-            progress.update(f"drawing {picture.name}", done, len(pictures))
-            save_figure(picture.draw(), folder / "figures" / picture.name, arguments.formats)
+        of_paper, of_studies = _paper_pictures(evidence), _study_pictures(evidence)
+        pictures = [*of_paper, *of_studies]
+        for done, (name, _, draw) in enumerate(pictures):
+            progress.update(f"drawing {name}", done, len(pictures))
+            save_figure(draw(), folder / "figures" / name, arguments.formats)
     data = _as_json(evidence)
     write_atomically(folder / "claims.json", to_json(data))
     write_atomically(folder / "claims.md", claims_table(evidence.claims) + "\n")
     note(f"wrote {folder / 'claims.md'}, claims.json and {len(pictures)} figures in {folder / 'figures'}")
     if page is not None:
-        update_page(page, _sections(evidence, folder, page, arguments.formats))
+        suffix = "png" if "png" in arguments.formats else arguments.formats[0]
+        where = Path(os.path.relpath((folder / "figures").resolve(), page.resolve().parent)).as_posix()
+        galleries = {"figures": of_paper, "studies": of_studies}
+        sections = _sections(evidence) | {
+            section: "\n\n".join(f"![{text}]({where}/{name}.{suffix})\n\n{text}" for name, text, _ in gallery)
+            for section, gallery in galleries.items()
+        }
+        update_page(page, sections)
     if arguments.json:
         print_json(data)
     else:
@@ -183,80 +184,84 @@ def _system_modes() -> dict[str, tuple[Mode, ...]]:
     }
 
 
-def _paper_pictures(evidence: _Evidence) -> Iterator[_Picture]:
+def _paper_pictures(evidence: _Evidence) -> list[_Picture]:
     from wtg_gym import plotting
 
-    yield _Picture(
-        "power-coefficient",
-        "Power coefficient with the deloading points: λ_opt, λ_n (5 %) and λ_pr (10 %).",
-        plotting.plot_power_coefficient,
-    )
-    for name, words in (
-        ("mppt", "maximum power point tracking"),
-        ("deloaded-5", "a low deloading level (5 %)"),
-        ("deloaded-10", "a high deloading level (10 %)"),
-        (REFERENCE_STRATEGY, "the coordinated strategy"),
-    ):
-        yield _Picture(
+    cases = evidence.cases
+    characteristics: list[_Picture] = [
+        (
             f"characteristic-{name}",
             f"Power-frequency characteristic with {words} at 11.4 and 8 m/s: A at the set-point, B at ω_min or where "
             "the equilibrium is lost, C at ω_max, M at the maximum power point; dashed: unstable.",
             lambda name=name: plotting.plot_characteristic(STRATEGIES[name]),  # type: ignore[misc]
         )
-    yield _Picture(
-        "bode-comparison",
-        "Open-loop Bode plots at 11.4 m/s, K_p = 1.45, with phase margins: ideal DC source, fixed strategies, and the "
-        "linear law without transient damping.",
-        lambda: plotting.plot_bode(_bode_loops()),
-    )
-    yield _Picture(
-        "bode-proposed",
-        "Open-loop Bode plots of the proposed strategy: the linear law with transient damping (τ = 0.8 s) and without, "
-        "and both slopes of the piecewise law with it.",
-        lambda: plotting.plot_bode(_proposed_loops()),
-    )
-    cases = evidence.cases
-    yield _Picture(
-        "load-increase",
-        "Load increase: +75 MW at bus 2 at 5 s and at bus 3 at 30 s; a cross marks a stall.",
-        lambda: plotting.plot_case_study(cases.increase, cases.increase_runs),
-    )
-    yield _Picture(
-        "load-decrease",
-        "Load decrease: the loads of bus 4 (47.8 MW) at 5 s and bus 9 (29.5 MW) at 30 s are lost.",
-        lambda: plotting.plot_case_study(cases.decrease, cases.decrease_runs),
-    )
-
-
-def _proposed_loops() -> dict[str, SingleMachine]:
-    piecewise = STRATEGIES[REFERENCE_STRATEGY]
-    return {
-        "coordinated-linear": single_machine(STRATEGIES["coordinated-linear"], 11.4),
-        "coordinated-linear-undamped": single_machine(linear_undamped(), 11.4),
-        f"{REFERENCE_STRATEGY}, under-frequency": single_machine(piecewise, 11.4, side="under"),
-        f"{REFERENCE_STRATEGY}, over-frequency": single_machine(piecewise, 11.4, side="over"),
-    }
+        for name, words in (
+            ("mppt", "maximum power point tracking"),
+            ("deloaded-5", "a low deloading level (5 %)"),
+            ("deloaded-10", "a high deloading level (10 %)"),
+            (REFERENCE_STRATEGY, "the coordinated strategy"),
+        )
+    ]
+    return [
+        (
+            "power-coefficient",
+            "Power coefficient with the deloading points: λ_opt, λ_n (5 %) and λ_pr (10 %).",
+            plotting.plot_power_coefficient,
+        ),
+        *characteristics,
+        (
+            "bode-comparison",
+            "Open-loop Bode plots at 11.4 m/s, K_p = 1.45, with phase margins: ideal DC source, fixed strategies, and "
+            "the linear law without transient damping.",
+            lambda: plotting.plot_bode(_bode_loops()),
+        ),
+        (
+            "bode-proposed",
+            "Open-loop Bode plots of the proposed strategy: the linear law with transient damping (τ = 0.8 s) and "
+            "without, and both slopes of the piecewise law with it.",
+            lambda: plotting.plot_bode(_proposed_loops()),
+        ),
+        (
+            "load-increase",
+            "Load increase: +75 MW at bus 2 at 5 s and at bus 3 at 30 s; a cross marks a stall.",
+            lambda: plotting.plot_case_study(cases.increase, cases.increase_runs),
+        ),
+        (
+            "load-decrease",
+            "Load decrease: the loads of bus 4 (47.8 MW) at 5 s and bus 9 (29.5 MW) at 30 s are lost.",
+            lambda: plotting.plot_case_study(cases.decrease, cases.decrease_runs),
+        ),
+    ]
 
 
 def _bode_loops() -> dict[str, SingleMachine]:
-    return {
-        "ideal-source": ideal_source_loop(),
-        "mppt": single_machine(STRATEGIES["mppt"], 11.4),
-        "deloaded-5": single_machine(STRATEGIES["deloaded-5"], 11.4),
-        "deloaded-10": single_machine(STRATEGIES["deloaded-10"], 11.4),
-        "coordinated-linear-undamped": single_machine(linear_undamped(), 11.4),
-    }
+    laws = [*(STRATEGIES[name] for name in ("mppt", "deloaded-5", "deloaded-10")), linear_undamped()]
+    return {"ideal-source": ideal_source_loop(), **{law.name: single_machine(law, 11.4) for law in laws}}
 
 
-def _study_pictures(evidence: _Evidence) -> Iterator[_Picture]:
+def _proposed_loops() -> dict[str, SingleMachine]:
+    linear, piecewise = STRATEGIES["coordinated-linear"], STRATEGIES[REFERENCE_STRATEGY]
+    loops = {law.name: single_machine(law, 11.4) for law in (linear, linear_undamped())}
+    sides: tuple[Side, ...] = ("under", "over")
+    return loops | {f"{piecewise.name}, {side}-frequency": single_machine(piecewise, 11.4, side=side) for side in sides}
+
+
+def _study_pictures(evidence: _Evidence) -> list[_Picture]:
     from wtg_gym import plotting
 
-    yield _Picture("margins", evidence.margins.sentence, lambda: plotting.plot_margins(evidence.margins))
-    yield _Picture("slopes", evidence.slopes.sentence, lambda: plotting.plot_slopes(evidence.slopes))
-    yield _Picture("equilibria", evidence.equilibria.sentence, lambda: plotting.plot_equilibria(evidence.equilibria))
-    yield _Picture("damping", evidence.damping.sentence, lambda: plotting.plot_damping(evidence.damping))
-    yield _Picture("machines", evidence.machines.sentence, lambda: plotting.plot_machine_models(evidence.machines))
-    yield _Picture("modes", _modes_sentence(evidence), lambda: plotting.plot_modes(evidence.modes))
+    draw: dict[str, Callable[..., Figure]] = {
+        "margins": plotting.plot_margins,
+        "slopes": plotting.plot_margins,
+        "equilibria": plotting.plot_equilibria,
+        "damping": plotting.plot_damping,
+        "machines": plotting.plot_machine_models,
+    }
+    studies = {name: getattr(evidence, name) for name in _STUDIES}
+    pictures: list[_Picture] = [
+        (name, study.sentence, lambda name=name, study=study: draw[name](study))  # type: ignore[misc]
+        for name, study in studies.items()
+    ]
+    return [*pictures, ("modes", _modes_sentence(evidence), lambda: plotting.plot_modes(evidence.modes))]
 
 
 def _modes_sentence(evidence: _Evidence) -> str:
@@ -271,20 +276,9 @@ def _modes_sentence(evidence: _Evidence) -> str:
     )
 
 
-def _sections(evidence: _Evidence, folder: Path, page: Path, formats: list[str]) -> dict[str, str]:
-    suffix = "png" if "png" in formats else formats[0]
-    where = Path(os.path.relpath((folder / "figures").resolve(), page.resolve().parent))
-
-    def gallery(pictures: Iterator[_Picture]) -> str:
-        return "\n\n".join(
-            f"![{picture.caption}]({(where / picture.name).as_posix()}.{suffix})\n\n{picture.caption}"
-            for picture in pictures
-        )
-
+def _sections(evidence: _Evidence) -> dict[str, str]:
     return {
         "claims": claims_table(evidence.claims),
-        "figures": gallery(_paper_pictures(evidence)),
-        "studies": gallery(_study_pictures(evidence)),
         **dict(zip(_OMISSIONS, omissions_sections(evidence.omissions), strict=True)),
         "agreement": agreement_table(evidence.agreement),
         "system-margins": system_margins_table(evidence.system_margins),
@@ -292,21 +286,15 @@ def _sections(evidence: _Evidence, folder: Path, page: Path, formats: list[str])
     }
 
 
-def _as_json(evidence: _Evidence) -> dict[str, Any]:
-    return {
-        "claims": [dataclasses.asdict(claim) for claim in evidence.claims],
-        "studies": {
-            "margins": _study(evidence.margins),
-            "slopes": _study(evidence.slopes),
-            "equilibria": _study(evidence.equilibria),
-            "damping": _study(evidence.damping),
-            "machines": {"sentence": evidence.machines.sentence},
-            "modes": {"sentence": _modes_sentence(evidence)},
-        },
-        "omissions": plain_json(dataclasses.asdict(evidence.omissions)),
-        "agreement": [plain_json(dataclasses.asdict(row)) for row in evidence.agreement],
-    }
-
-
-def _study(study: Any) -> Any:
-    return plain_json({field.name: getattr(study, field.name) for field in dataclasses.fields(study)})
+def _as_json(evidence: _Evidence) -> Any:
+    studies: dict[str, Any] = {name: vars(getattr(evidence, name)) for name in _STUDIES}
+    studies["machines"] = {"sentence": evidence.machines.sentence}
+    studies["modes"] = {"sentence": _modes_sentence(evidence)}
+    return plain_json(
+        {
+            "claims": [dataclasses.asdict(claim) for claim in evidence.claims],
+            "studies": studies,
+            "omissions": dataclasses.asdict(evidence.omissions),
+            "agreement": [dataclasses.asdict(row) for row in evidence.agreement],
+        }
+    )

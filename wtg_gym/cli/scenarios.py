@@ -8,9 +8,9 @@ from typing import Any
 
 from wtg_gym.cli.output import note, print_json, print_table, say
 from wtg_gym.cli.parser import Commands, add_command
+from wtg_gym.envs.rendering.diagram import describe_event
 from wtg_gym.files import read_json
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.rendering import describe_event
 from wtg_gym.scenarios import FROZEN_HASHES, SPLITS, SUITES, Suite, get_suite
 
 _DESCRIPTION = """\

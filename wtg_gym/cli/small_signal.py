@@ -5,11 +5,19 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import math
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
+from wtg_gym.analysis.eigenvalues import Mode, linearise, modes, synchronising_coefficients
+from wtg_gym.analysis.loops import (
+    PAPER_SYNCHRONISING_COEFFICIENT,
+    Side,
+    SingleMachine,
+    ideal_source_loop,
+    single_machine,
+)
+from wtg_gym.analysis.tables import mode_cells
 from wtg_gym.cli.laws import add_law_option, chosen_laws
 from wtg_gym.cli.output import PLOT_SUFFIXES, check_plot_file, plain_json, print_json, print_table, say, write_and_say
 from wtg_gym.cli.parser import Commands, add_command
@@ -18,10 +26,6 @@ from wtg_gym.physics.parameters import default_groups
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
-from wtg_gym.small_signal import LinearModel, Mode, SingleMachine, ideal_source_loop, linearise, modes, single_machine
-from wtg_gym.small_signal.modes import synchronising_coefficients
-from wtg_gym.small_signal.single_machine import PAPER_SYNCHRONISING_COEFFICIENT, Side
-from wtg_gym.validation.report import mode_cells
 
 _SIDES: tuple[Side, ...] = ("under", "over")
 
@@ -124,21 +128,7 @@ def run_margins(arguments: argparse.Namespace) -> int:
         print_json({"synchronising_coefficient": arguments.kp, "loops": [_loop(side, loop) for side, loop in loops]})
         return 0
     header = ("law", "wind [m/s]", "slope", "phase margin [°]", "crossover [rad/s]", "gain margin [dB]", "closed loop")
-    rows = []
-    for side, loop in loops:
-        found = loop.margins()
-        rows.append(
-            (
-                loop.law,
-                "–" if math.isnan(loop.wind_m_s) else f"{loop.wind_m_s:g}{'*' if loop.pitch_deg > 0.0 else ''}",
-                side,
-                f"{found.phase_margin_deg:.1f}" if found.stable else "–",
-                f"{found.crossover_rad_s:.2f}",
-                "∞" if math.isinf(found.gain_margin_db) else (f"{found.gain_margin_db:.1f}" if found.stable else "–"),
-                "stable" if found.stable else "unstable",
-            )
-        )
-    print_table(header, rows, left=(0, 2, 6))
+    print_table(header, [_cells(side, loop) for side, loop in loops], left=(0, 2, 6))
     if any(loop.pitch_deg > 0.0 for _, loop in loops):
         say(
             "",
@@ -147,10 +137,23 @@ def run_margins(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _loop(side: str, loop: SingleMachine) -> dict[str, Any]:
+def _cells(side: str, loop: SingleMachine) -> tuple[str, ...]:
+    found = loop.margins()
+    gain = "∞" if math.isinf(found.gain_margin_db) else f"{found.gain_margin_db:.1f}"
+    return (
+        loop.law,
+        "–" if math.isnan(loop.wind_m_s) else f"{loop.wind_m_s:g}{'*' if loop.pitch_deg > 0.0 else ''}",
+        side,
+        f"{found.phase_margin_deg:.1f}" if found.stable else "–",
+        f"{found.crossover_rad_s:.2f}",
+        gain if found.stable else "–",
+        "stable" if found.stable else "unstable",
+    )
+
+
+def _loop(side: str, loop: SingleMachine) -> Any:
     data = dataclasses.asdict(loop) | {"side": None if side == "–" else side} | dataclasses.asdict(loop.margins())
-    data["closed_loop_poles"] = loop.closed_loop_poles()
-    return plain_json(data)  # type: ignore[no-any-return]
+    return plain_json(data | {"closed_loop_poles": loop.closed_loop_poles()})
 
 
 def run_modes(arguments: argparse.Namespace) -> int:
@@ -175,43 +178,28 @@ def run_modes(arguments: argparse.Namespace) -> int:
 
         write_and_say(plot, figure_bytes(plot_modes(found), plot.suffix.lower()))
     if arguments.json:
-        coefficients = {law.name: synchronising_coefficients(scenario, law, settings) for law in laws}
-        print_json(
+        described = [
             {
-                "wind_m_s": arguments.wind,
-                "side": arguments.side,
-                "machine_model": arguments.machine_model,
-                "laws": [plain_json(_modes(name, models[name], found[name], coefficients[name])) for name in found],
+                "law": law.name,
+                "synchronising_coefficients": synchronising_coefficients(scenario, law, settings),
+                "state_names": models[law.name].state_names,
+                "states_left_out": models[law.name].left_out,
+                "matrix": models[law.name].matrix,
+                "modes": [_mode(mode) for mode in found[law.name]],
             }
-        )
+            for law in laws
+        ]
+        chosen = {name: getattr(arguments, name) for name in ("side", "machine_model")}
+        print_json({"wind_m_s": arguments.wind, **chosen, "laws": plain_json(described)})
     else:
+        header = ("eigenvalue [1/s]", "frequency [Hz]", "damping ratio", "time constant [s]", "takes part")
         for number, (name, table) in enumerate(found.items()):
             say(*[""] * bool(number), name)
-            _print_modes(table)
+            print_table(header, [mode_cells(mode) for mode in table], left=(0, 4))
     return int(any(mode.eigenvalue.real > 0.0 for table in found.values() for mode in table))
 
 
-def _modes(name: str, model: LinearModel, found: Iterable[Mode], coefficients: Any) -> dict[str, Any]:
-    return {
-        "law": name,
-        "synchronising_coefficients": coefficients,
-        "state_names": model.state_names,
-        "states_left_out": model.left_out,
-        "matrix": model.matrix,
-        "modes": [
-            {
-                "real_1_s": mode.eigenvalue.real,
-                "imaginary_rad_s": mode.eigenvalue.imag,
-                "frequency_hz": mode.frequency_hz,
-                "damping_ratio": mode.damping_ratio,
-                "time_constant_s": mode.time_constant_s,
-                "participation": mode.participation,
-            }
-            for mode in found
-        ],
-    }
-
-
-def _print_modes(table: Iterable[Mode]) -> None:
-    header = ("eigenvalue [1/s]", "frequency [Hz]", "damping ratio", "time constant [s]", "takes part")
-    print_table(header, [mode_cells(mode) for mode in table], left=(0, 4))
+def _mode(mode: Mode) -> dict[str, Any]:
+    data = dataclasses.asdict(mode)
+    value = data.pop("eigenvalue")
+    return {"real_1_s": value.real, "imaginary_rad_s": value.imag, **data}

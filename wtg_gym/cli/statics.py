@@ -7,10 +7,19 @@ import contextlib
 import csv
 import dataclasses
 import io
+import math
 from typing import Any
 
 import numpy as np
 
+from wtg_gym.analysis.power_frequency import critical_frequency_pu, named_points
+from wtg_gym.analysis.steady_states import (
+    FREQUENCY_RANGE,
+    OperatingPoint,
+    equilibria,
+    power_margin_pu,
+    stable_equilibrium,
+)
 from wtg_gym.cli.laws import add_law_option, chosen_laws
 from wtg_gym.cli.output import (
     PLOT_SUFFIXES,
@@ -23,20 +32,10 @@ from wtg_gym.cli.output import (
 )
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.physics.aerodynamics import available_power_pu
+from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.scenario import WIND_SPEED_RANGE, require_range
-from wtg_gym.physics.statics import (
-    FREQUENCY_RANGE,
-    OperatingPoint,
-    critical_frequency_pu,
-    equilibria,
-    named_points,
-    power_margin_pu,
-    stable_equilibrium,
-)
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw
-
-_NOMINAL_HZ = 50.0
 
 _DESCRIPTION = f"""\
 Steady states of one WTG on a grid of constant frequency: where a law has an equilibrium, whether it is stable, how
@@ -113,39 +112,29 @@ def run(arguments: argparse.Namespace) -> int:
 
         write_and_say(plot, figure_bytes(plot_characteristic(laws[0], winds), plot.suffix.lower()))
     if arguments.json:
-        print_json(
-            {
-                "laws": [dataclasses.asdict(law) | {"damping_time_constant_s": _tau(law)} for law in laws],
-                "statics": found,
-            }
-        )
-        return 0
-    _print(found)
+        described = [dataclasses.asdict(law) for law in laws]
+        for law in described:
+            if law["damping_time_constant_s"] == math.inf:
+                law["damping_time_constant_s"] = "infinite"
+        print_json({"laws": described, "statics": found})
+    else:
+        _print(found)
     return 0
-
-
-def _tau(law: TrackingLaw) -> float | str:
-    tau = law.damping_time_constant_s
-    return tau if tau < float("inf") else "infinite"
 
 
 def _statics(law: TrackingLaw, wind: float, frequencies: list[float], fine_pitch: bool) -> dict[str, Any]:
     control = GridFormingParameters()
     nominal = control.frequency_setpoint_pu
-    exists = power_margin_pu(nominal, law, wind, fine_pitch=fine_pitch) >= 0.0
     # No equilibrium at any frequency is an answer here, no error.
     critical, somewhere, points = None, False, {}
     with contextlib.suppress(ValueError):
         critical, somewhere = critical_frequency_pu(law, wind, fine_pitch=fine_pitch), True
     with contextlib.suppress(ValueError):
         points = named_points(law, wind)
-    at = {
-        name: stable_equilibrium(frequency, law, wind, fine_pitch=fine_pitch)
-        for name, frequency in (
-            ("frequency_min", control.frequency_min_pu),
-            ("frequency_setpoint", nominal),
-            ("frequency_max", control.frequency_max_pu),
-        )
+    corners = {
+        "frequency_min": control.frequency_min_pu,
+        "frequency_setpoint": nominal,
+        "frequency_max": control.frequency_max_pu,
     }
     return {
         "law": law.name,
@@ -153,10 +142,13 @@ def _statics(law: TrackingLaw, wind: float, frequencies: list[float], fine_pitch
         "fine_pitch": fine_pitch,
         "available_power_pu": float(available_power_pu(wind)),
         "has_equilibrium_from_setpoint_on": somewhere,
-        "has_equilibrium_at_setpoint": exists,
+        "has_equilibrium_at_setpoint": power_margin_pu(nominal, law, wind, fine_pitch=fine_pitch) >= 0.0,
         "critical_frequency_pu": critical,
-        "critical_frequency_hz": None if critical is None else _NOMINAL_HZ * critical,
-        "stable_equilibrium_at": {name: _point(point) for name, point in at.items()},
+        "critical_frequency_hz": None if critical is None else modified_ieee14().frequency_hz * critical,
+        "stable_equilibrium_at": {
+            name: _point(stable_equilibrium(frequency, law, wind, fine_pitch=fine_pitch))
+            for name, frequency in corners.items()
+        },
         "named_points": {name: _point(point) for name, point in points.items()},
         "characteristic": [
             {
@@ -173,23 +165,19 @@ def _point(point: OperatingPoint | None) -> dict[str, Any] | None:
 
 
 def _print(found: list[dict[str, Any]]) -> None:
-    rows = []
-    for entry in found:
-        at = entry["stable_equilibrium_at"]
-        rows.append(
-            (
-                entry["law"],
-                f"{entry['wind_m_s']:g}",
-                f"{entry['available_power_pu']:.4f}",
-                *(_short(at[name]) for name in ("frequency_min", "frequency_setpoint", "frequency_max")),
-                _critical(entry),
-            )
+    rows = [
+        (
+            entry["law"],
+            f"{entry['wind_m_s']:g}",
+            f"{entry['available_power_pu']:.4f}",
+            *(_short(point) for point in entry["stable_equilibrium_at"].values()),
+            _critical(entry),
         )
+        for entry in found
+    ]
     control = GridFormingParameters()
-    heads = (
-        f"p, ω_m at ω = {frequency:g}"
-        for frequency in (control.frequency_min_pu, control.frequency_setpoint_pu, control.frequency_max_pu)
-    )
+    corners = control.frequency_min_pu, control.frequency_setpoint_pu, control.frequency_max_pu
+    heads = (f"p, ω_m at ω = {frequency:g}" for frequency in corners)
     print_table(("law", "wind [m/s]", "available", *heads, "no equilibrium below"), rows)
     say("", "powers and speeds in p.u.; – : no stable equilibrium; * : held by the pitch protection")
 
@@ -214,8 +202,7 @@ def _csv(found: list[dict[str, Any]]) -> str:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["law", "wind_m_s", *names])
     for entry in found:
-        for row in entry["characteristic"]:
-            for point in row["equilibria"]:
-                values = [f"{v:.9g}" if isinstance(v, float) else str(v).lower() for v in (point[n] for n in names)]
-                writer.writerow([entry["law"], f"{entry['wind_m_s']:g}", *values])
+        for point in (point for row in entry["characteristic"] for point in row["equilibria"]):
+            values = [f"{v:.9g}" if isinstance(v, float) else str(v).lower() for v in (point[n] for n in names)]
+            writer.writerow([entry["law"], f"{entry['wind_m_s']:g}", *values])
     return text.getvalue()

@@ -1,30 +1,20 @@
-"""`wtg-gym compare`: a case of another simulator, run here and compared with its trace."""
+"""`wtg-gym compare`: traces of another simulator against runs of its case here."""
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from wtg_gym.analysis.case_file import DEFAULT_TOLERANCE, read_parameters
+from wtg_gym.analysis.replay import differences, replay, replay_closely
+from wtg_gym.analysis.trace_file import BUS_QUANTITIES, MACHINE_QUANTITIES, choose_events, read_trace
 from wtg_gym.cli.output import check_page, note, plain_json, print_json, print_table, say, update_page
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.files import markdown_table
-from wtg_gym.physics.plant import SIMULATION_DT_RANGE, PlantSettings
-from wtg_gym.physics.scenario import LoadStep, require_range
-from wtg_gym.validation.parameter_file import DEFAULT_TOLERANCE, ReferenceCase, read_parameters
-from wtg_gym.validation.replay import (
-    BUS_QUANTITIES,
-    MACHINE_QUANTITIES,
-    Difference,
-    choose_events,
-    differences,
-    read_trace,
-    replay,
-    replay_closely,
-)
+from wtg_gym.physics.plant import PlantSettings
 
 _NAMES = {
     "w": "machine speed",
@@ -37,12 +27,14 @@ _NAMES = {
 }
 _UNITS = MACHINE_QUANTITIES | BUS_QUANTITIES
 
+#: The coarsest fine step [s].
+_COARSEST_S = 0.0025
+
 _DESCRIPTION = """\
-Runs the network, machines and events of a parameter file and compares every quantity with a trace that another
-simulator wrote: the largest difference of machine speed w, active power Pe and bus voltage V is held to a tolerance,
-other quantities of the trace are shown. It is done twice: with a fine step, which decides, and with the default step
-of the benchmark, to show what that costs. The fine step is halved until its own error is below a tenth of the
-tolerance.
+Runs the network, machines and events of a parameter file and compares every quantity with a trace of another
+simulator. The largest differences of machine speed w, active power Pe and bus voltage V must be within a tolerance;
+other quantities are shown. The run with a fine step decides, whose own error is below a tenth of the tolerance; a run
+with the default step of the benchmark shows the error of that step.
 
 PARAMS.json  bus, line, shunt, load, gen_static, gens (GENCLS or GENROU), tgov1, sexs and events, as in tests/golden
 TRACE.csv    a column t [s], then w…, Pe…, Qe…, Tm…, delta… by machine and V…, th… by bus, in p.u. of the system base
@@ -52,7 +44,7 @@ A folder stands for its params.json and every trace beside it.
 exit codes: 0 within tolerance, 1 above it, 2 bad input"""
 
 _EXAMPLES = """\
-  wtg-gym compare params.json trace.csv --events b --step 0.001 --tolerance-w 1e-7
+  wtg-gym compare params.json trace.csv --events b
   wtg-gym compare params.json trace_a.csv trace_b.csv --json
   wtg-gym compare tests/golden/*/ --page docs/validation.md"""
 
@@ -75,68 +67,27 @@ def add_commands(commands: Commands) -> None:
         metavar="NAME",
         help="event list of the parameter file (default: the only one, or the one the trace's name ends with)",
     )
-    parser.add_argument(
-        "--step",
-        type=float,
-        default=0.0025,
-        metavar="S",
-        help="the coarsest fine step, 5e-5 … 0.04 s (default: 0.0025)",
-    )
-    for key in DEFAULT_TOLERANCE:
-        parser.add_argument(
-            f"--tolerance-{key.lower()}",
-            type=float,
-            metavar="X",
-            help=f"largest difference of {_NAMES[key]} [p.u.] (default: the file's, or {DEFAULT_TOLERANCE[key]:.0e})",
-        )
     parser.add_argument("--page", metavar="FILE", help="Markdown file with markers 'golden' to put the table between")
     parser.add_argument(
         "--json", action="store_true", help="print the result as JSON, and nothing else, on stdout: a list for several"
     )
 
 
-@dataclass(frozen=True)
-class _Comparison:
-    """One trace against both runs: differences by quantity, with the fine and with the default step."""
-
-    parameters: Path
-    trace: Path
-    case: ReferenceCase
-    events: tuple[LoadStep, ...]
-    n_rows: int
-    end_s: float
-    tolerance: Mapping[str, float]
-    fine: Mapping[str, Difference]
-    default: Mapping[str, Difference]
-    step_s: float
-    own_error: Mapping[str, float]
-
-    def agrees(self, quantity: str) -> bool | None:
-        """Whether a quantity is within tolerance; None where it is not judged."""
-        limit = self.tolerance.get(quantity)
-        return None if limit is None else self.fine[quantity].size <= limit
-
-    @property
-    def all_agree(self) -> bool:
-        return all(self.agrees(quantity) is not False for quantity in self.fine)
-
-
 def run(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym compare`; return 1 if a difference is above its tolerance."""
-    require_range("--step", arguments.step, *SIMULATION_DT_RANGE, "s")
     page = check_page("--page", arguments.page, "golden")
     pairs = _pairs([Path(path) for path in arguments.paths])
-    found = [_compare(parameters, trace, arguments) for parameters, trace in pairs]
+    found = [_compare(parameters, trace, arguments.events) for parameters, trace in pairs]
     if page is not None:
         update_page(page, {"golden": _page_table(found)})
     if arguments.json:
-        results = [plain_json(_as_json(comparison)) for comparison in found]
+        results = plain_json(found)
         print_json(results[0] if len(results) == 1 else results)
     else:
         for number, comparison in enumerate(found):
             say(*[""] * bool(number))
             _print(comparison)
-    return 0 if all(comparison.all_agree for comparison in found) else 1
+    return 0 if all(comparison["agrees"] for comparison in found) else 1
 
 
 def _pairs(paths: list[Path]) -> list[tuple[Path, Path]]:
@@ -160,112 +111,96 @@ def _pairs(paths: list[Path]) -> list[tuple[Path, Path]]:
     return pairs
 
 
-def _compare(parameters: Path, trace_path: Path, arguments: argparse.Namespace) -> _Comparison:
-    case = read_parameters(parameters)
-    events = choose_events(case, trace_path, arguments.events)
+def _compare(parameters: Path, trace_path: Path, events_name: str | None) -> dict[str, Any]:
+    """Return a trace's comparison with both runs, by the fine and by the default step, as `--json` prints it."""
+    case, default_step_s = read_parameters(parameters), PlantSettings().simulation_dt
+    events = choose_events(case, trace_path, events_name)
     trace, unknown = read_trace(trace_path, case)
     if unknown:
         note(f"{trace_path}: columns that are not compared: {', '.join(unknown)}")
     if case.unused:
         note(f"{parameters}: not used: {', '.join(case.unused)}")
-    tolerance = _tolerance(arguments, case)
-    columns, step_s, own_error = replay_closely(case, events, trace.time_s, arguments.step, tolerance)
-    coarse = replay(case, events, trace.time_s, PlantSettings().simulation_dt)
+    columns, step_s, own_error = replay_closely(case, events, trace.time_s, _COARSEST_S, case.tolerance)
+    coarse = replay(case, events, trace.time_s, default_step_s)
     fine, default = ({d.quantity: d for d in differences(case, trace, found)} for found in (columns, coarse))
-    if not set(fine) & set(tolerance):
-        raise ValueError(f"{trace_path} has none of the quantities that are judged: {', '.join(tolerance)}")
-    for key, limit in tolerance.items():
+    if not set(fine) & set(case.tolerance):
+        raise ValueError(f"{trace_path} has none of the quantities that are judged: {', '.join(case.tolerance)}")
+    for key, limit in case.tolerance.items():
         if own_error[key] > limit:
             note(
                 f"{trace_path}: the error of {key} is {own_error[key]:.0e} p.u. even with a step of {1e3 * step_s:g} ms"
             )
-    rows, end_s = trace.time_s.size, float(trace.time_s[-1])
-    return _Comparison(parameters, trace_path, case, events, rows, end_s, tolerance, fine, default, step_s, own_error)
+    rows = [
+        {
+            "quantity": key,
+            "unit": _UNITS[key],
+            "largest": d.size,
+            "own_error": own_error[key],
+            "column": d.column,
+            "time_s": d.time_s,
+            "largest_at_default_step": default[key].size,
+            "tolerance": case.tolerance.get(key),
+            "agrees": d.size <= case.tolerance[key] if key in case.tolerance else None,
+        }
+        for key, d in fine.items()
+    ]
+    return {
+        "parameters": str(parameters),
+        "trace": str(trace_path),
+        "n_buses": len(case.network.buses),
+        "n_machines": len(case.machine_keys),
+        "machine_models": sorted({"GENCLS" if machine.classical else "GENROU" for machine in case.network.machines}),
+        "n_rows": trace.time_s.size,
+        "end_s": float(trace.time_s[-1]),
+        "events": [dataclasses.asdict(event) for event in events],
+        "step_s": step_s,
+        "default_step_s": default_step_s,
+        "differences": rows,
+        "agrees": all(row["agrees"] is not False for row in rows),
+    }
 
 
-def _tolerance(arguments: argparse.Namespace, case: ReferenceCase) -> dict[str, float]:
-    tolerance = dict(case.tolerance)
-    for key in tolerance:
-        given = getattr(arguments, f"tolerance_{key.lower()}")
-        if given is not None:
-            tolerance[key] = require_range(f"--tolerance-{key.lower()}", given, 1e-15, 1.0, "p.u.")
-    return tolerance
-
-
-def _print(comparison: _Comparison) -> None:
-    network = comparison.case.network
+def _print(found: dict[str, Any]) -> None:
     say(
-        f"{comparison.parameters}, {comparison.trace.name}: {len(network.buses)} buses, "
-        f"{len(network.machines)} machines, {len(comparison.events)} events, {comparison.n_rows} rows to "
-        f"{comparison.end_s:g} s",
+        f"{found['parameters']}, {Path(found['trace']).name}: {found['n_buses']} buses, {found['n_machines']} "
+        f"machines, {len(found['events'])} events, {found['n_rows']} rows to {found['end_s']:g} s",
         "",
     )
-    default_ms = 1e3 * PlantSettings().simulation_dt
-    header = (
-        "largest difference",
-        "unit",
-        f"step {1e3 * comparison.step_s:g} ms",
-        "own error",
-        "where",
-        f"default step {default_ms:g} ms",
-        "tolerance",
-        "verdict",
-    )
+    steps = f"step {1e3 * found['step_s']:g} ms", f"default step {1e3 * found['default_step_s']:g} ms"
+    header = ("largest difference", "unit", steps[0], "own error", "where", steps[1], "tolerance", "verdict")
     rows = [
         (
-            _NAMES[key],
-            _UNITS[key],
-            f"{d.size:.1e}",
-            f"{comparison.own_error[key]:.0e}",
-            f"{d.column} at {d.time_s:g} s",
-            f"{comparison.default[key].size:.1e}",
-            f"{comparison.tolerance[key]:.0e}" if key in comparison.tolerance else "–",
-            {None: "–", True: "agrees", False: "DIFFERS"}[comparison.agrees(key)],
+            _NAMES[row["quantity"]],
+            row["unit"],
+            f"{row['largest']:.1e}",
+            f"{row['own_error']:.0e}",
+            f"{row['column']} at {row['time_s']:g} s",
+            f"{row['largest_at_default_step']:.1e}",
+            "–" if row["tolerance"] is None else f"{row['tolerance']:.0e}",
+            {None: "–", True: "agrees", False: "DIFFERS"}[row["agrees"]],
         )
-        for key, d in comparison.fine.items()
+        for row in found["differences"]
     ]
     print_table(header, rows, left=(0, 1, 4, 7))
 
 
-def _page_table(found: Iterable[_Comparison]) -> str:
+def _page_table(found: Iterable[dict[str, Any]]) -> str:
     judged = tuple(DEFAULT_TOLERANCE)
     default_ms = 1e3 * PlantSettings().simulation_dt
     shares = (f"{key} (tolerance)" for key in judged)
     header = ("case", "trace", "machines", *shares, "step", f"at {default_ms:g} ms: {', '.join(judged)}", "verdict")
     rows = []
-    for c in found:
-        cells = [f"{c.fine[k].size:.1e} ({c.tolerance[k]:.0e})" if k in c.fine else "–" for k in judged]
-        coarse = ", ".join(f"{c.default[k].size:.1e}" for k in judged if k in c.default)
-        models = sorted({"GENCLS" if machine.classical else "GENROU" for machine in c.case.network.machines})
-        machines = f"{len(c.case.network.machines)} ({', '.join(models)})"
-        verdict = "agrees" if c.all_agree else "**differs**"
-        step = f"{1e3 * c.step_s:g} ms"
-        rows.append((c.parameters.parent.name, c.trace.name, machines, *cells, step, coarse, verdict))
+    for each in found:
+        own = {row["quantity"]: row for row in each["differences"]}
+        rows.append(
+            (
+                Path(each["parameters"]).parent.name,
+                Path(each["trace"]).name,
+                f"{each['n_machines']} ({', '.join(each['machine_models'])})",
+                *(f"{own[k]['largest']:.1e} ({own[k]['tolerance']:.0e})" if k in own else "–" for k in judged),
+                f"{1e3 * each['step_s']:g} ms",
+                ", ".join(f"{own[k]['largest_at_default_step']:.1e}" for k in judged if k in own),
+                "agrees" if each["agrees"] else "**differs**",
+            )
+        )
     return f"Largest differences [p.u.].\n\n{markdown_table(header, rows)}"
-
-
-def _as_json(comparison: _Comparison) -> dict[str, Any]:
-    return {
-        "parameters": str(comparison.parameters),
-        "trace": str(comparison.trace),
-        "n_machines": len(comparison.case.machine_keys),
-        "n_rows": comparison.n_rows,
-        "events": [dataclasses.asdict(event) for event in comparison.events],
-        "step_s": comparison.step_s,
-        "default_step_s": PlantSettings().simulation_dt,
-        "differences": [
-            {
-                "quantity": key,
-                "unit": _UNITS[key],
-                "largest": d.size,
-                "own_error": comparison.own_error[key],
-                "column": d.column,
-                "time_s": d.time_s,
-                "largest_at_default_step": comparison.default[key].size,
-                "tolerance": comparison.tolerance.get(key),
-                "agrees": comparison.agrees(key),
-            }
-            for key, d in comparison.fine.items()
-        ],
-        "agrees": comparison.all_agree,
-    }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+from wtg_gym.analysis.eigenvalues import linearise
 from wtg_gym.cli.output import say
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.envs.gfm_wtg import GFMWTGEnv, GFMWTGVectorEnv
@@ -12,7 +13,6 @@ from wtg_gym.physics.compiled import cache_folder, compilation
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law
 from wtg_gym.physics.trajectory import simulate
 from wtg_gym.scenarios import get_suite
-from wtg_gym.small_signal import linearise
 
 _DESCRIPTION = """\
 Compiles the simulator to machine code, which the first use of a version does otherwise: the single environment, the

@@ -17,14 +17,14 @@ from wtg_gym.physics.layout import Floats, LaneData, Lanes, Plant
 
 
 @structref.register
-class _BoundType(numba.types.StructRef):
+class _BoundType(numba.types.StructRef):  # type: ignore[misc]
     """What :class:`Bound` is to the compiler."""
 
     def preprocess_fields(self, fields: Any) -> Any:
         return tuple((name, numba.types.unliteral(kind)) for name, kind in fields)
 
 
-class Bound(structref.StructRefProxy):
+class Bound(structref.StructRefProxy):  # type: ignore[misc]
     """The arguments of :func:`step_blocks` for one lane, in one object."""
 
     def __new__(cls, blocks: Floats, plant: Plant, data: LaneData, task: Any, outputs: Outputs) -> Any:

@@ -411,7 +411,6 @@ def observe(block: Floats, c: Any, task: Task, lanes: Lanes) -> None:
     """Write the observations of a block's lanes into its rows; see :func:`observation_names` for their entries."""
     width, rows, parts = len(lanes), rows_of(c), _parts(c, task)
     turbine = read_turbine(c["turbine"])
-    n_sync = c["machines"].shape[0]
     row = parts.observation
     for j in range(c["share"].shape[0]):
         o, g = (rows.wtg + j * N_WTG_ROWS) * width, (parts.groups + j * N_GROUP_ROWS) * width
@@ -427,22 +426,30 @@ def observe(block: Floats, c: Any, task: Task, lanes: Lanes) -> None:
             _copy_row(block, g + GROUP.last_action_tau * width, row * width, width)
             row += 1
     if task.privileged:
-        for i in range(n_sync):
-            o, machine = i * N_MACHINE_ROWS * width, read_machine(c["machines"][i])
-            for x in range(width):
-                state = load_machine_state(block, o + x, width)
-                output = load_machine_output(block, o + MACHINE.output * width + x, width)
-                seen = observe_machine(state, output, machine, task)
-                store_machine_observation(bounded_machine(seen, OBSERVATION_BOUND), block, row * width + x, width)
-            row += N_MACHINE
+        _observe_grid(block, c, task, row, lanes)
+
+
+@inlined
+def _observe_grid(block: Floats, c: Any, task: Task, row: int, lanes: Lanes) -> None:
+    """Write the privileged part of the observations, which begins at a row."""
+    width, rows, parts = len(lanes), rows_of(c), _parts(c, task)
+    n_sync = c["machines"].shape[0]
+    for i in range(n_sync):
+        o, machine = i * N_MACHINE_ROWS * width, read_machine(c["machines"][i])
         for x in range(width):
-            torque = 0.0
-            for i in range(n_sync):
-                at = (i * N_MACHINE_ROWS + MACHINE.output) * width + x
-                torque += load_machine_output(block, at, width).torque
-            coi, rocof = block[(rows.lane + LANE.coi) * width + x], block[(parts.lane + TASK.rocof) * width + x]
-            seen = observe_grid(coi, rocof, torque, task)
-            store_grid_observation(bounded_grid(seen, OBSERVATION_BOUND), block, row * width + x, width)
+            state = load_machine_state(block, o + x, width)
+            output = load_machine_output(block, o + MACHINE.output * width + x, width)
+            seen = observe_machine(state, output, machine, task)
+            store_machine_observation(bounded_machine(seen, OBSERVATION_BOUND), block, row * width + x, width)
+        row += N_MACHINE
+    for x in range(width):
+        torque = 0.0
+        for i in range(n_sync):
+            at = (i * N_MACHINE_ROWS + MACHINE.output) * width + x
+            torque += load_machine_output(block, at, width).torque
+        coi, rocof = block[(rows.lane + LANE.coi) * width + x], block[(parts.lane + TASK.rocof) * width + x]
+        grid = observe_grid(coi, rocof, torque, task)
+        store_grid_observation(bounded_grid(grid, OBSERVATION_BOUND), block, row * width + x, width)
 
 
 @inlined

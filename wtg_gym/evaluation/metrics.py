@@ -160,8 +160,8 @@ def measure(lanes: TaskLanes, recorder: Recorder, lane: int, scenario: Scenario)
         event = last_event_s(scenario, n_steps * dt)
         steady = steady_metrics(recorder.frequency_hz[lane, : n_steps + 1], dt, lanes.nominal_hz, event)
 
-    def groups(row: int) -> list[float]:
-        values: list[float] = simulator.wtg_values(row)[lane].tolist()
+    def groups(name: str) -> list[float]:
+        values: list[float] = simulator.wtg_values(name)[lane].tolist()
         return values
 
     captured = math.fsum(
@@ -175,7 +175,7 @@ def measure(lanes: TaskLanes, recorder: Recorder, lane: int, scenario: Scenario)
         "largest_rocof_hz_s": float(lanes.task_values("largest_rocof")[lane]),
         "quasi_steady_deviation_hz": steady[0],
         "settling_time_s": steady[1],
-        "energy_mwh": captured * simulator.plant.base_mva / 3600.0,
+        "energy_mwh": captured * simulator.settings.case.base_mva / 3600.0,
         "energy_share_percent": 100.0 * captured / float(lanes.task_values("available_energy")[lane]),
         "duty_error_percent": 100.0 * float(lanes.task_values("duty_error")[lane]) / (n_steps * dt),
         "least_tip_speed_ratio": min(groups("least_tsr")),

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.analysis.power_frequency import characteristic
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.physics.statics import characteristic
 from wtg_gym.physics.tracking_law import coordinated_piecewise
 from wtg_gym.policies import Entry
 from wtg_gym.policies.play import play, started_lanes

@@ -3,9 +3,9 @@
     δ̇ = ω_n (ω - ω_ref),    2H ω̇ = P_st + D_p x - p - D_p (ω - ω_st),    τ ẋ = (ω - ω_st) - x
     P_st = max(g(ω) + Δk, 0) ω_m³
 
-g is piecewise linear through (ω_min, k_min), (ω_st, k_nominal), (ω_max, k_max) and constant outside. Δk is what a policy
-adds. 1/τ = 0 leaves the plain droop (x ≡ 0); τ = 0 cancels the droop (x = ω - ω_st). Source: the paper's equations of
-the converter, `gomega` and `gomega_augement`.
+g is piecewise linear through (ω_min, k_min), (ω_st, k_nominal), (ω_max, k_max) and constant outside; a policy adds Δk.
+1/τ = 0 leaves the plain droop (x ≡ 0); τ = 0 cancels the droop (x = ω - ω_st). Source: the paper's equations of the
+converter, `gomega` and `gomega_augement`.
 """
 
 from __future__ import annotations

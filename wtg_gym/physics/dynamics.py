@@ -147,14 +147,20 @@ def unit_rates(block: Floats, c: Any, fraction: float, stage: np.int64, ahead: f
             where it is called: each stage is compiled for itself, without what it does not need.
         ahead: how far the stage moves the states from their base [s]; a sixth of the step for the last.
     """
+    _machines(block, c, stage, ahead, lanes)
+    _wtgs(block, c, fraction, stage, ahead, lanes)
+    _reference_angle(block, c, stage, ahead, lanes)
+
+
+@inlined
+def _machines(block: Floats, c: Any, stage: np.int64, ahead: float, lanes: Lanes) -> None:
     width, rows = len(lanes), rows_of(c)
-    n_sync = c["machines"].shape[0]
-    omega_n = c["omega_n"]
     first, last = stage == FIRST, stage == LAST
-    lane = rows.lane * width
-    for i in range(n_sync):
+    omega_n, lane = c["omega_n"], rows.lane * width
+    for i in range(c["machines"].shape[0]):
         machine = read_machine(c["machines"][i])
         o, current = i * N_MACHINE_ROWS * width, (rows.current + 2 * i) * width
+        rate = (rows.machine_rate + i * N_MACHINE_STATES) * width
         for x in range(width):
             state = load_machine_state(block, o + x, width)
             rates, output = machine_rates(
@@ -168,33 +174,39 @@ def unit_rates(block: Floats, c: Any, fraction: float, stage: np.int64, ahead: f
                 omega_n,
             )
             store_machine_output(output, block, o + MACHINE.output * width + x, width)
-            if stage != EVALUATE:
+            if stage == EVALUATE:
+                store_machine_state(rates, block, rate + x, width)
+            else:
                 base = _machine_base(state, load_machine_state(block, o + MACHINE.base * width + x, width), first)
                 total = load_machine_state(block, o + MACHINE.sum * width + x, width)
                 moved = _machine_moved(base, rates, total, ahead, last)
-                limited = machine_limited(moved, machine)
-                moved = _machine_kept(moved, limited, base, last, block[lane + LANE.active * width + x])
+                active = block[lane + LANE.active * width + x]
+                moved = _machine_kept(moved, machine_limited(moved, machine), base, last, active)
+                store_machine_state(moved, block, o + x, width)
                 if first:
                     store_machine_state(base, block, o + MACHINE.base * width + x, width)
                 if not last:
                     total = _machine_sum(rates, total, first)
                     store_machine_state(total, block, o + MACHINE.sum * width + x, width)
-                store_machine_state(moved, block, o + x, width)
-            else:
-                store_machine_state(rates, block, (rows.machine_rate + i * N_MACHINE_STATES) * width + x, width)
-    turbine = read_turbine(c["turbine"])
+
+
+@inlined
+def _wtgs(block: Floats, c: Any, fraction: float, stage: np.int64, ahead: float, lanes: Lanes) -> None:
+    width, rows = len(lanes), rows_of(c)
+    first, last = stage == FIRST, stage == LAST
+    omega_n, lane = c["omega_n"], rows.lane * width
+    turbine, n_sync = read_turbine(c["turbine"]), c["machines"].shape[0]
     for j in range(c["share"].shape[0]):
-        o = (rows.wtg + j * N_WTG_ROWS) * width
-        voltage, current = (rows.voltage + 2 * (n_sync + j)) * width, (rows.current + 2 * (n_sync + j)) * width
+        o, unit = (rows.wtg + j * N_WTG_ROWS) * width, 2 * (n_sync + j)
+        rate = (rows.wtg_rate + j * N_WTG_STATES) * width
         inv_share = 1.0 / c["share"][j]
         for x in range(width):
             state = load_wtg_state(block, o + x, width)
-            power = inv_share * (
-                block[voltage + x] * block[current + x] + block[voltage + width + x] * block[current + width + x]
-            )
+            e = load_phasor(block, (rows.voltage + unit) * width + x, width)
+            current = load_phasor(block, (rows.current + unit) * width + x, width)
             rates, output = wtg_rates(
                 state,
-                power,
+                inv_share * (e.re * current.re + e.im * current.im),
                 load_wtg_input(block, o + WTG.input * width + x, width),
                 turbine,
                 fraction,
@@ -202,31 +214,39 @@ def unit_rates(block: Floats, c: Any, fraction: float, stage: np.int64, ahead: f
                 omega_n,
             )
             store_wtg_output(output, block, o + WTG.output * width + x, width)
-            if stage != EVALUATE:
+            if stage == EVALUATE:
+                store_wtg_state(rates, block, rate + x, width)
+            else:
                 base = _wtg_base(state, load_wtg_state(block, o + WTG.base * width + x, width), first)
                 total = load_wtg_state(block, o + WTG.sum * width + x, width)
                 moved = _wtg_moved(base, rates, total, ahead, last)
-                limited = wtg_limited(moved, turbine)
-                moved = _wtg_kept(moved, limited, base, last, block[lane + LANE.active * width + x])
+                active = block[lane + LANE.active * width + x]
+                moved = _wtg_kept(moved, wtg_limited(moved, turbine), base, last, active)
+                store_wtg_state(moved, block, o + x, width)
                 if first:
                     store_wtg_state(base, block, o + WTG.base * width + x, width)
                 if not last:
                     store_wtg_state(_wtg_sum(rates, total, first), block, o + WTG.sum * width + x, width)
-                store_wtg_state(moved, block, o + x, width)
-            else:
-                store_wtg_state(rates, block, (rows.wtg_rate + j * N_WTG_STATES) * width + x, width)
+
+
+@inlined
+def _reference_angle(block: Floats, c: Any, stage: np.int64, ahead: float, lanes: Lanes) -> None:
+    """The angle of the first unit against a frame at nominal frequency."""
+    width = len(lanes)
+    first, last = stage == FIRST, stage == LAST
+    omega_n, lane = c["omega_n"], rows_of(c).lane * width
     for x in range(width):
         rate = omega_n * (block[lane + LANE.reference_speed * width + x] - 1.0)
-        if stage != EVALUATE:
+        if stage == EVALUATE:
+            block[lane + LANE.rate * width + x] = rate
+        else:
             base = _base(block[lane + LANE.angle * width + x], block[lane + LANE.base * width + x], first)
             total = block[lane + LANE.sum * width + x]
             moved = _moved(base, rate, total, ahead, last)
-            moved = _kept(moved, moved, base, last, block[lane + LANE.active * width + x])
+            active = block[lane + LANE.active * width + x]
             block[lane + LANE.base * width + x] = base
             block[lane + LANE.sum * width + x] = _sum(rate, total, first)
-            block[lane + LANE.angle * width + x] = moved
-        else:
-            block[lane + LANE.rate * width + x] = rate
+            block[lane + LANE.angle * width + x] = _kept(moved, moved, base, last, active)
 
 
 @inlined

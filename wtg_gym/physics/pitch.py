@@ -2,8 +2,8 @@
 
     e = max(p_w - p_max, K_ω (ω_m - ω_max)) / (1 + β/β_K),    İ = K_i e,    T_β β̇ = I + K_p e - β
 
-with limits on I, on the demand and on β̇. Source: the two paths follow WECC's pitch controller WTGPT_A; gain schedule and
-rate limit are those of J. Jonkman et al.: Definition of a 5-MW Reference Wind Turbine, NREL/TP-500-38060, section 7.
+with limits on I, on the demand and on β̇. Source: the two paths follow WECC's pitch controller WTGPT_A; gain schedule
+and rate limit are those of J. Jonkman et al.: Definition of a 5-MW Reference Wind Turbine, NREL/TP-500-38060.
 """
 
 from __future__ import annotations

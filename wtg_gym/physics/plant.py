@@ -82,7 +82,7 @@ def build_plant(settings: PlantSettings) -> Plant:
     machines = [machine_constants(m, base) for m in case.machines]
     turbine = turbine_constants(settings.turbine, settings.pitch, settings.control, settings.protection)
     share = [g.n_turbines * settings.turbine.rated_power_mw / base for g in settings.groups]
-    unit_bus = [case.bus_index(unit.bus) for unit in (*case.machines, *settings.groups)]
+    unit_bus = [case.bus_index(bus) for bus in (*(m.bus for m in case.machines), *(g.bus for g in settings.groups))]
     impedances = [complex(m.resistance, m.internal_reactance) for m in machines]
     impedances += [1j * turbine.converter.reactance / s for s in share]
     constants = np.zeros(1, dtype=constants_dtype(len(machines), len(share)))

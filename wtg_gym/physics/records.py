@@ -79,7 +79,7 @@ def flatten(values: Any) -> tuple[Any, ...]:
 
 
 def loader(record: type[R]) -> Callable[[npt.NDArray[np.float64], int, int], R]:
-    """Return `load(block, at, width)`: the record whose first number is block[at], and whose next ones follow at width."""
+    """Return `load(block, at, width)`: the record whose numbers are block[at], block[at + width], …"""
     body = _construct(record, iter(f"block[at + {row} * width]" for row in range(size(record))))
     return _function("load", record, "block, at, width", f"return {body}")
 

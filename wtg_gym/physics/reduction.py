@@ -55,7 +55,7 @@ def refresh_network(block: Floats, x: int, lane: int, plant: Plant, data: LaneDa
 def _connected_units(block: Floats, x: int, c: Any, width: int) -> npt.NDArray[np.complex128]:
     """Return the internal admittance of every unit, zero for a group that has tripped [p.u.]."""
     n_sync = c["machines"].shape[0]
-    unit_y = c["unit_y"].copy()
+    unit_y: npt.NDArray[np.complex128] = c["unit_y"].copy()
     for j in range(c["share"].shape[0]):
         at = (rows_of(c).wtg + j * N_WTG_ROWS + WTG.input) * width + x
         unit_y[n_sync + j] *= load_wtg_input(block, at, width).connected

@@ -1,7 +1,7 @@
 """Strategies: the tracking law of :mod:`wtg_gym.physics.converter` with their numbers.
 
-A strategy's coefficients are those of a turbine: K_opt belongs to its rotor. Wherever a function takes a `turbine`, None
-is the paper's.
+A strategy's coefficients are those of a turbine: K_opt belongs to its rotor. Wherever a function takes a `turbine`,
+None is the paper's.
 """
 
 from __future__ import annotations

@@ -1,48 +1,26 @@
-"""Figures for screen and print: recorded runs, the paper's figures, and those of the studies beyond it.
+"""Figures for screen and print: recorded runs, policies, the paper's figures, and those of the studies beyond it.
 
-Needs matplotlib, which the `leaderboard` extra brings, from the moment something is drawn; importing the package does
-not. Every function returns a matplotlib figure, built without pyplot; :func:`figure_bytes` turns one into a file.
+Needs matplotlib of the `leaderboard` extra once something is drawn; importing the package does not. Every function
+returns a matplotlib figure, built without pyplot; :func:`figure_bytes` turns one into a file.
 """
 
-from wtg_gym.plotting.accuracy import plot_accuracy
 from wtg_gym.plotting.animation import animate_trajectories
-from wtg_gym.plotting.behaviour import plot_costs, plot_responses, plot_runs
 from wtg_gym.plotting.characteristics import plot_characteristic
-from wtg_gym.plotting.growth import plot_growth
+from wtg_gym.plotting.eigenvalue_plane import plot_modes
 from wtg_gym.plotting.learning import LearningCurve, plot_learning_curves
-from wtg_gym.plotting.modes import plot_modes
-from wtg_gym.plotting.paper import plot_bode, plot_case_study, plot_power_coefficient
-from wtg_gym.plotting.studies import (
-    plot_damping,
-    plot_equilibria,
-    plot_machine_models,
-    plot_margins,
-    plot_slopes,
-)
-from wtg_gym.plotting.style import (
-    DOUBLE_COLUMN_MM,
-    GROUP_STYLES,
-    PALETTE,
-    SINGLE_COLUMN_MM,
-    STRATEGY_LOOKS,
-    figure_bytes,
-    new_figure,
-    print_style,
-    save_figure,
-    strategy_looks,
-)
+from wtg_gym.plotting.measurements import plot_accuracy, plot_growth
+from wtg_gym.plotting.paper_figures import plot_bode, plot_case_study, plot_power_coefficient
+from wtg_gym.plotting.policy_runs import plot_costs, plot_runs
+from wtg_gym.plotting.responses import plot_responses
+from wtg_gym.plotting.study_figures import plot_damping, plot_equilibria, plot_machine_models, plot_margins
+from wtg_gym.plotting.style import STRATEGY_LOOKS, figure_bytes, save_figure, strategy_looks
 from wtg_gym.plotting.trajectories import plot_trajectories
 
 __all__ = [
-    "DOUBLE_COLUMN_MM",
-    "GROUP_STYLES",
-    "PALETTE",
-    "SINGLE_COLUMN_MM",
     "STRATEGY_LOOKS",
     "LearningCurve",
     "animate_trajectories",
     "figure_bytes",
-    "new_figure",
     "plot_accuracy",
     "plot_bode",
     "plot_case_study",
@@ -58,9 +36,7 @@ __all__ = [
     "plot_power_coefficient",
     "plot_responses",
     "plot_runs",
-    "plot_slopes",
     "plot_trajectories",
-    "print_style",
     "save_figure",
     "strategy_looks",
 ]

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.envs.rendering.colours import INK
+from wtg_gym.envs.rendering.diagram import describe_event, draw_diagram
 from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.trajectory import Trajectory
+from wtg_gym.plotting.event_marks import endings, numbered_events
 from wtg_gym.plotting.style import GROUP_STYLES, REFERENCE_GREY, new_figure, print_style, strategy_looks
-from wtg_gym.plotting.trajectories import line_of_group, numbered_events
-from wtg_gym.rendering import describe_event
-from wtg_gym.rendering.diagram import draw_diagram
-from wtg_gym.rendering.style import INK
+from wtg_gym.plotting.trajectories import line_of_group
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,34 +44,22 @@ _FONT_SIZES: dict[Any, Any] = {
 _N_EVENTS = 4
 
 
-def animate_trajectories(
-    runs: Mapping[str, Trajectory], scenario: Scenario, group_buses: Sequence[int], title: str | None = None
-) -> bytes:
+def animate_trajectories(runs: Mapping[str, Trajectory], scenario: Scenario, group_buses: Sequence[int]) -> bytes:
     """Return a GIF of runs over time, which repeats: the same bytes each time.
 
     Frequency, rotor speeds and powers grow from left to right; one colour per run, one dash pattern per WTG group; a
     cross marks where a run ended before its time. Beside them the grid shows where events have struck.
 
     Args:
-        runs: recorded runs of the scenario by label, all with the same number of WTG groups.
+        runs: recorded runs of the scenario by label, at least one, all with the same number of WTG groups.
         scenario: what happened in them.
         group_buses: bus of each WTG group.
-        title: headline; None takes the scenario's name.
-
-    Raises:
-        ValueError: there is no run, or the number of WTG groups is not the number of buses.
-        ImportError: matplotlib is not installed.
     """
-    if not runs:
-        raise ValueError("there is no run to animate")
-    counts = {run.power_pu.shape[1] for run in runs.values()}
-    if counts != {len(group_buses)}:
-        raise ValueError(f"the runs have {sorted(counts)} WTG groups, there are {len(group_buses)} buses for them")
     import matplotlib
 
     with print_style():
         matplotlib.rcParams.update(_FONT_SIZES)
-        picture = _MovingPicture(runs, scenario, group_buses, title or scenario.name)
+        picture = _MovingPicture(runs, scenario, group_buses)
         frames = [picture.at(instant) for instant in np.linspace(0.0, scenario.duration_s, N_PICTURES + 1)]
     return _gif(frames)
 
@@ -79,16 +67,14 @@ def animate_trajectories(
 class _MovingPicture:
     """A figure whose curves are cut off at an instant."""
 
-    def __init__(
-        self, runs: Mapping[str, Trajectory], scenario: Scenario, group_buses: Sequence[int], title: str
-    ) -> None:
+    def __init__(self, runs: Mapping[str, Trajectory], scenario: Scenario, group_buses: Sequence[int]) -> None:
         self._runs, self._scenario, self._buses = runs, scenario, group_buses
         self._looks = strategy_looks(runs)
         width, height = (side / _DPI * _MM_PER_INCH for side in SIZE)
         self._figure: Figure = new_figure(width, height)
         self._figure.set_layout_engine("none")
         self._figure.set_dpi(_DPI)
-        self._figure.text(0.02, 0.965, title, fontsize=15, fontweight="bold", va="top")
+        self._figure.text(0.02, 0.965, scenario.name, fontsize=15, fontweight="bold", va="top")
         self._now = self._figure.text(0.02, 0.905, "", fontsize=22, fontweight="bold", va="top", animated=True)
         self._diagram = self._figure.add_axes((0.0, 0.36, 0.37, 0.46))
         self._events = self._figure.text(0.02, 0.345, "", va="top", linespacing=1.45)
@@ -127,7 +113,7 @@ class _MovingPicture:
                     "color": REFERENCE_GREY,
                 }
                 axes.annotate("overload", (self._scenario.duration_s, control.overload_limit_pu), **above)
-            # The limits are those of the whole runs, whatever is seen of them.
+            # The limits are those of the whole runs, from the first picture on.
             axes.set_ylim(axes.get_ylim())
             if row < len(panels) - 1:
                 axes.tick_params(axis="x", labelbottom=False)
@@ -154,9 +140,9 @@ class _MovingPicture:
                 Line2D([], [], color=INK, linestyle=style, linewidth=1.8, label=f"W{group}, mean wind {wind:.3g} m/s")
                 for group, (style, wind) in enumerate(zip(GROUP_STYLES, longest.wind_m_s.mean(axis=0), strict=False), 1)
             ]
-        ended = {run.status.name.lower().replace("_", " ") for run in self._runs.values()} - {"running"}
-        if ended:
-            label = f"run ended: {' or '.join(sorted(ended))}"
+        reasons = endings(self._runs.values())
+        if reasons:
+            label = f"run ended: {reasons}"
             cross: dict[str, Any] = {"marker": "x", "markersize": 9, "markeredgewidth": 2.5, "linestyle": "none"}
             handles.append(Line2D([], [], color=INK, label=label, **cross))
         self._figure.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.008, 0.005), handlelength=2.6)
@@ -211,6 +197,3 @@ def _gif(frames: Sequence[Any]) -> bytes:
     kept = {"transparency": _N_COLOURS, "disposal": 1, "optimize": False}
     pictures[0].save(content, "GIF", save_all=True, append_images=pictures[1:], **shown, **kept)
     return content.getvalue()
-
-
-__all__ = ["animate_trajectories"]

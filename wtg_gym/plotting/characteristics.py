@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.analysis.power_frequency import characteristic, critical_frequency_pu, named_points
+from wtg_gym.analysis.steady_states import OperatingPoint
 from wtg_gym.physics.aerodynamics import power_coefficient
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.physics.scenario import WIND_SPEED_RANGE, require_range
-from wtg_gym.physics.statics import OperatingPoint, characteristic, critical_frequency_pu, named_points
 from wtg_gym.physics.tracking_law import TrackingLaw
 from wtg_gym.plotting.style import (
     DOUBLE_COLUMN_MM,
@@ -59,7 +60,7 @@ class _Branches:
 
 
 @printed
-def plot_characteristic(law: TrackingLaw, winds: Sequence[float] = (11.4, 8.0), title: str | None = None) -> Figure:
+def plot_characteristic(law: TrackingLaw, winds: Sequence[float] = (11.4, 8.0)) -> Figure:
     """Draw what a strategy does in steady state: power and rotor speed over frequency, and where on the rotor's curve.
 
     The paper's figures `MPPTDroop` (law mppt), `DeloadingLowDroop` (deloaded-5), `DeloadingHighDroop` (deloaded-10)
@@ -71,11 +72,9 @@ def plot_characteristic(law: TrackingLaw, winds: Sequence[float] = (11.4, 8.0), 
     Args:
         law: the strategy.
         winds: one to four wind speeds, 3 … 25 [m/s].
-        title: headline; None takes the law's name.
 
     Raises:
         ValueError: the number of winds or one of them is out of range.
-        ImportError: matplotlib is not installed.
     """
     if not 1 <= len(winds) <= len(_HATCHES):
         raise ValueError(f"a characteristic is drawn at 1 … {len(_HATCHES)} wind speeds, got {len(winds)}")
@@ -93,7 +92,7 @@ def plot_characteristic(law: TrackingLaw, winds: Sequence[float] = (11.4, 8.0), 
     letter_panel(speed, "c")
     power.set_ylim(bottom=-0.02)
     _draw_legend(figure, law, branches)
-    figure.suptitle(law.name if title is None else title, x=0.01, ha="left")
+    figure.suptitle(law.name, x=0.01, ha="left")
     return figure
 
 
@@ -260,6 +259,3 @@ def _draw_legend(figure: Figure, law: TrackingLaw, branches: Sequence[_Branches]
         entries[f"no equilibrium at {branch.label}"] = tuple(Patch(**part) for part in _lost_region(branch))
     n_columns = 4 if len(entries) > 6 else len(entries)
     figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=n_columns)
-
-
-__all__ = ["plot_characteristic"]

@@ -62,7 +62,6 @@ def plot_learning_curves(curves: Mapping[str, Sequence[LearningCurve]]) -> Figur
 
     Raises:
         ValueError: there is no curve, or a set-up's curves have no step in common.
-        ImportError: matplotlib is not installed.
     """
     from matplotlib.ticker import EngFormatter, FuncFormatter
 
@@ -86,12 +85,9 @@ def plot_learning_curves(curves: Mapping[str, Sequence[LearningCurve]]) -> Figur
                 axes.fill_between(
                     x, own.score.min(axis=0), own.score.max(axis=0), color=style["color"], alpha=0.18, linewidth=0.0
                 )
-    for axes, ends in (
-        (by_steps, [own.timesteps[-1] for own in means.values()]),
-        (by_time, [own.wall_time_s[-1] for own in means.values()]),
-    ):
-        _scale(axes, ends)
-    # Below MPPT it does not matter how bad: the better ones must stay readable.
+    _scale(by_steps, [own.timesteps[-1] for own in means.values()])
+    _scale(by_time, [own.wall_time_s[-1] for own in means.values()])
+    # Scores far below MPPT's are cut off, so that the better ones stay readable.
     low, high = by_steps.get_ylim()
     by_steps.set_ylim(max(low, -5.0), max(high, 102.0))
     for axes in (by_steps, by_time):
@@ -110,16 +106,8 @@ def plot_learning_curves(curves: Mapping[str, Sequence[LearningCurve]]) -> Figur
     return figure
 
 
-@dataclass(frozen=True)
-class _Common:
-    """Where all runs of a set-up were validated (n,), mean times there (n,), and their scores (n_runs, n)."""
-
-    timesteps: Floats
-    wall_time_s: Floats
-    score: Floats
-
-
-def _common(name: str, curves: Sequence[LearningCurve]) -> _Common:
+def _common(name: str, curves: Sequence[LearningCurve]) -> LearningCurve:
+    """Return the steps at which all runs of a set-up were validated, mean times, and all scores (n_runs, n)."""
     steps = curves[0].timesteps
     for curve in curves[1:]:
         steps = np.intersect1d(steps, curve.timesteps)
@@ -128,7 +116,7 @@ def _common(name: str, curves: Sequence[LearningCurve]) -> _Common:
     rows = [np.isin(curve.timesteps, steps) for curve in curves]
     times = np.stack([curve.wall_time_s[row] for curve, row in zip(curves, rows, strict=True)])
     scores = np.stack([curve.score[row] for curve, row in zip(curves, rows, strict=True)])
-    return _Common(steps, times.mean(axis=0), scores)
+    return LearningCurve(timesteps=steps, wall_time_s=times.mean(axis=0), score=scores)
 
 
 def _scale(axes: Axes, ends: Sequence[float]) -> None:
@@ -138,6 +126,3 @@ def _scale(axes: Axes, ends: Sequence[float]) -> None:
     else:
         axes.set_xlim(left=0.0)
         axes.locator_params(axis="x", nbins=7)
-
-
-__all__ = ["LearningCurve", "plot_learning_curves"]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import io
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -131,7 +131,7 @@ def strategy_looks(labels: Iterable[str]) -> dict[str, Look]:
 
 @contextmanager
 def print_style() -> Iterator[None]:
-    """Draw in the style of print inside the `with` block, whatever the user's matplotlib settings are."""
+    """Draw in the style of print inside the `with` block; the user's matplotlib settings have no effect."""
     import matplotlib
 
     with matplotlib.rc_context():
@@ -158,17 +158,10 @@ def printed(draw: Callable[Parameters, Figure]) -> Callable[Parameters, Figure]:
 
 
 def new_figure(width_mm: float = SINGLE_COLUMN_MM, height_mm: float = 65.0) -> Figure:
-    """Return an empty figure of a printed size [mm] with an Agg canvas and constrained layout.
-
-    Raises:
-        ValueError: a side is not positive.
-        ImportError: matplotlib is not installed.
-    """
+    """Return an empty figure of a printed size [mm] with an Agg canvas and constrained layout."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    if not (width_mm > 0.0 and height_mm > 0.0):
-        raise ValueError(f"a figure needs a positive width and height, got {width_mm:g} mm × {height_mm:g} mm")
     size = width_mm / _MM_PER_INCH, height_mm / _MM_PER_INCH
     figure = Figure(figsize=size, facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
@@ -227,21 +220,8 @@ def name_at_right(axes: Axes, name: str, y: float, *, gap: float = 1.01, size_pt
     axes.text(gap, y, name, transform=at_right, fontsize=size_pt, color="0.3", va="center", clip_on=False)
 
 
-__all__ = [
-    "DOUBLE_COLUMN_MM",
-    "GROUP_STYLES",
-    "MARKERS",
-    "PALETTE",
-    "SINGLE_COLUMN_MM",
-    "STRATEGY_LOOKS",
-    "LineStyle",
-    "Look",
-    "figure_bytes",
-    "letter_panel",
-    "name_at_right",
-    "new_figure",
-    "print_style",
-    "printed",
-    "save_figure",
-    "strategy_looks",
-]
+def share_limits(row: Sequence[Axes]) -> None:
+    """Give panels the same vertical range, wide enough for all."""
+    limits = [axes.get_ylim() for axes in row]
+    for axes in row:
+        axes.set_ylim(min(low for low, _ in limits), max(high for _, high in limits))

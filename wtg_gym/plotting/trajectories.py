@@ -11,11 +11,11 @@ import numpy.typing as npt
 
 from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import GridFormingParameters
-from wtg_gym.physics.scenario import Event, LoadRamp, Scenario
+from wtg_gym.physics.scenario import LoadRamp, Scenario
 from wtg_gym.physics.tracking_law import coordinated_piecewise
 from wtg_gym.physics.trajectory import Trajectory
+from wtg_gym.plotting.event_marks import endings, event_lines, instant_labels, numbered_events
 from wtg_gym.plotting.style import GROUP_STYLES, LineStyle, name_at_right, strategy_looks
-from wtg_gym.rendering import describe_event
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,8 +25,6 @@ _GREY = "0.45"
 _FONT = {"title": 12.0, "label": 10.0, "small": 8.5}
 #: A reference line this far outside the data, in shares of their span, is still brought into view.
 _REACH = 0.25
-#: Instants closer than this, as a share of the time axis, share a label, for theirs would overprint.
-_LABEL_WIDTH = 0.05
 
 
 @dataclass(frozen=True)
@@ -43,32 +41,22 @@ class _Panel:
     shows_all_references: bool = False
 
 
-def plot_trajectories(trajectories: Mapping[str, Trajectory], scenario: Scenario, title: str | None = None) -> Figure:
+def plot_trajectories(trajectories: Mapping[str, Trajectory], scenario: Scenario) -> Figure:
     """Draw frequency, RoCoF, wind, rotor speeds, powers and tracking coefficients on a shared time axis.
 
-    One colour per run, a strategy's own where it has one; one dash pattern per WTG group; events are numbered and
-    explained above the panels; a cross marks where a run ended before its time.
+    One colour per run and one dash pattern per WTG group. Events are numbered and explained above the panels. A cross
+    marks where a run ended before its time.
 
     Args:
-        trajectories: recorded runs of the scenario by label, all with the same number of WTG groups.
+        trajectories: recorded runs of the scenario by label, at least one, all with the same number of WTG groups.
         scenario: what happened in them.
-        title: headline; None takes the scenario's name.
 
     Returns:
         The figure, with an Agg canvas: `figure.savefig("run.pdf")` writes it in any format of matplotlib.
-
-    Raises:
-        ValueError: there is no run, or the runs differ in their number of WTG groups.
-        ImportError: matplotlib is not installed.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    if not trajectories:
-        raise ValueError("there is no run to plot")
-    counts = {run.power_pu.shape[1] for run in trajectories.values()}
-    if len(counts) > 1:
-        raise ValueError(f"the runs to plot have different numbers of WTG groups: {sorted(counts)}")
     colours = {label: look.colour for label, look in strategy_looks(trajectories).items()}
     figure = Figure(figsize=(11.5, 9.0), facecolor="white")
     FigureCanvasAgg(figure)
@@ -82,12 +70,12 @@ def plot_trajectories(trajectories: Mapping[str, Trajectory], scenario: Scenario
     _draw_wind(grid[2, 0], trajectories)
     grid[0, 0].set_xlim(0.0, scenario.duration_s)
     events = event_lines(scenario)
-    n_legend_rows = _draw_legend(figure, trajectories, colours, counts.pop())
+    n_legend_rows = _draw_legend(figure, trajectories, colours)
     top = 0.925 - 0.021 * len(events)
     figure.subplots_adjust(
         left=0.075, right=0.938, top=top, bottom=0.085 + 0.026 * n_legend_rows, wspace=0.32, hspace=0.1
     )
-    figure.text(0.075, 0.975, title or scenario.name, fontsize=_FONT["title"], fontweight="bold", va="top")
+    figure.text(0.075, 0.975, scenario.name, fontsize=_FONT["title"], fontweight="bold", va="top")
     if events:
         figure.text(0.075, 0.945, "\n".join(events), fontsize=_FONT["small"], va="top", linespacing=1.35)
     figure.align_ylabels()
@@ -174,54 +162,6 @@ def line_of_group(group: int, n_groups: int) -> tuple[LineStyle, float]:
     return (GROUP_STYLES[group], 1.5) if n_groups <= len(GROUP_STYLES) else ("-", 0.7)
 
 
-def numbered_events(scenario: Scenario) -> list[tuple[str, list[Event]]]:
-    """Return the events by instant, each instant with its number."""
-    instants = sorted({event.time_s for event in scenario.events if event.time_s <= scenario.duration_s})
-    return [
-        (str(number), [event for event in scenario.events if event.time_s == instant])
-        for number, instant in enumerate(instants, start=1)
-    ]
-
-
-def instant_labels(scenario: Scenario, window_s: tuple[float, float]) -> list[tuple[float, str]]:
-    """Return where numbers of instants stand on a time axis, and the numbers: "(1)", or "(1, 2)" for close ones.
-
-    Args:
-        scenario: what happens.
-        window_s: first and last instant of the axis; instants outside have no number [s].
-    """
-    start, end = window_s
-    close: list[list[tuple[float, str]]] = []
-    for number, events in numbered_events(scenario):
-        instant = events[0].time_s
-        if not start <= instant <= end:
-            continue
-        if close and instant - close[-1][-1][0] < _LABEL_WIDTH * (end - start):
-            close[-1].append((instant, number))
-        else:
-            close.append([(instant, number)])
-    return [
-        (sum(instant for instant, _ in group) / len(group), f"({', '.join(number for _, number in group)})")
-        for group in close
-    ]
-
-
-def event_lines(scenario: Scenario, width: int = 130) -> list[str]:
-    """Return the numbered events in words, as many per line as `width` characters hold."""
-    texts = [
-        f"({number}) {events[0].time_s:g} s: " + " and ".join(describe_event(event) for event in events)
-        for number, events in numbered_events(scenario)
-    ]
-    lines: list[str] = []
-    for text in texts:
-        if lines and len(lines[-1]) + len(text) < width:
-            # SVG shows several blanks in a row as one.
-            lines[-1] += ";  " + text
-        else:
-            lines.append(text)
-    return lines
-
-
 def _mark_events(axes: Axes, scenario: Scenario, *, numbered: bool) -> None:
     for _, events in numbered_events(scenario):
         start = events[0].time_s
@@ -231,16 +171,15 @@ def _mark_events(axes: Axes, scenario: Scenario, *, numbered: bool) -> None:
                 axes.axvspan(start, start + event.duration_s, color="0.5", alpha=0.08, linewidth=0, zorder=0)
     if numbered:
         where = axes.get_xaxis_transform()
-        for place, text in instant_labels(scenario, (0.0, scenario.duration_s)):
+        for place, text in instant_labels(scenario):
             axes.text(place, 1.02, text, transform=where, fontsize=_FONT["small"], ha="center", va="bottom")
 
 
-def _draw_legend(
-    figure: Figure, trajectories: Mapping[str, Trajectory], colours: Mapping[str, str], n_groups: int
-) -> int:
+def _draw_legend(figure: Figure, trajectories: Mapping[str, Trajectory], colours: Mapping[str, str]) -> int:
     """Draw the legend below the panels; return its number of rows."""
     from matplotlib.lines import Line2D
 
+    n_groups = next(iter(trajectories.values())).power_pu.shape[1]
     handles = [Line2D([], [], color=colours[label], linewidth=2.2, label=label) for label in trajectories]
     if n_groups <= len(GROUP_STYLES):
         styles: list[tuple[LineStyle, str]] = [
@@ -249,11 +188,10 @@ def _draw_legend(
     else:
         styles = [("-", f"one line per WTG group ({n_groups})")]
     handles += [Line2D([], [], color="0.25", linestyle=style, label=label) for style, label in styles]
-    reasons = {run.status for run in trajectories.values()} - {Status.RUNNING}
+    reasons = endings(trajectories.values())
     if reasons:
-        words = " or ".join(reason.name.lower().replace("_", " ") for reason in sorted(reasons))
         cross = Line2D([], [], color="0.25", marker="x", linestyle="none", markersize=7.0, markeredgewidth=1.8)
-        cross.set_label(f"run ended: {words}")
+        cross.set_label(f"run ended: {reasons}")
         handles.append(cross)
     n_columns = min(5, len(handles))
     figure.legend(
@@ -266,6 +204,3 @@ def _draw_legend(
         handlelength=2.6,
     )
     return -(-len(handles) // n_columns)
-
-
-__all__ = ["event_lines", "instant_labels", "line_of_group", "numbered_events", "plot_trajectories"]

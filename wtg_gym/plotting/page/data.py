@@ -1,4 +1,4 @@
-"""What the page shows, as JSON-ready data: summaries, profiles, scenarios and traces of every suite."""
+"""The page's data, ready for JSON: summaries, profiles, scenarios and traces of every suite."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.envs.rendering.diagram import BUS_PLACES, describe_event
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import (
     ANCHORS,
@@ -26,7 +27,7 @@ from wtg_gym.physics.compiled import source_hash
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.parameters import GridFormingParameters, PitchParameters, TurbineParameters
 from wtg_gym.physics.scenario import Event, LineTrip, LoadRamp, LoadStep, Scenario
-from wtg_gym.plotting.page.traces import (
+from wtg_gym.plotting.page.packing import (
     MISSING,
     RESOLUTIONS,
     WIND_RESOLUTION,
@@ -34,7 +35,6 @@ from wtg_gym.plotting.page.traces import (
     quantised,
     scenario_traces,
 )
-from wtg_gym.rendering import BUS_PLACES, describe_event
 from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[np.float64]
@@ -156,7 +156,9 @@ def _suite(
     results: Results, scenarios: Sequence[Scenario], played: Sequence[Entry], recordings: Mapping[str, Recording]
 ) -> dict[str, Any]:
     rows = leaderboard_rows(results)
-    scores, gains = _scores(results), results.log_gains
+    gains = results.log_gains
+    scale = score_scale(*(results.pinned_costs[name][0] for name in ANCHORS))
+    scores = {name: scenario_scores(own, scale) for name, own in gains.items()}
     order = [row.name for row in rows if row.name in recordings]
     seeds = {entry.name: entry.training_seed for entry in played}
     return {
@@ -201,13 +203,6 @@ def _lower_bounds(gains: Sequence[Floats], mppt: Floats) -> Floats:
             interval = statistics.percentile_interval(0.0, samples - above[column])
             bounds[row, column], bounds[column, row] = interval.low, -interval.high
     return bounds
-
-
-def _scores(results: Results) -> dict[str, Floats]:
-    """Return the scenarios' scores of every entry, (n_runs, n_scenarios)."""
-    mppt, reference = (results.pinned_costs[name][0] for name in ANCHORS)
-    scale = score_scale(mppt, reference)
-    return {name: scenario_scores(gains, scale) for name, gains in results.log_gains.items()}
 
 
 def _entry(results: Results, row: EntrySummary, rank: int, training_seeds: Mapping[str, int | None]) -> dict[str, Any]:
@@ -268,23 +263,17 @@ def _scenario(
 
 
 def _event(event: Event) -> dict[str, Any]:
-    buses = [event.from_bus, event.to_bus] if isinstance(event, LineTrip) else [event.bus]
-    lasts = event.duration_s if isinstance(event, LoadRamp) else 0.0
-    load = event.power_mw if isinstance(event, LoadStep) else 0.0
     return {
         "time": round(event.time_s, 2),
-        "lasts": round(lasts, 2),
-        "buses": buses,
+        "lasts": round(event.duration_s if isinstance(event, LoadRamp) else 0.0, 2),
+        "buses": [event.from_bus, event.to_bus] if isinstance(event, LineTrip) else [event.bus],
         "text": describe_event(event),
-        "load": load,
+        "load": event.power_mw if isinstance(event, LoadStep) else 0.0,
     }
 
 
-# --- the grid ------------------------------------------------------------------------------------------------------
-
-
 def limits() -> dict[str, dict[str, float]]:
-    """Return what the panels of the traces show as dotted lines: by panel, what it is and where."""
+    """Return the dotted lines of the panels of traces: by panel, their names and values."""
     control, nominal = GridFormingParameters(), modified_ieee14().frequency_hz
     best, deloaded = tracking_point(0.0), tracking_point(control.deloading_limit)
     return {
@@ -308,6 +297,3 @@ def _case() -> dict[str, Any]:
         # The machine with a governor is the generator; the others are condensers.
         "machines": [[machine.bus, "G" if machine.governor is not None else "C"] for machine in case.machines],
     }
-
-
-__all__ = ["PHYSICAL_METRICS", "SCORE_RESOLUTION", "Progress", "limits", "page_data", "untraced"]

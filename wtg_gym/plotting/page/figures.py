@@ -128,16 +128,7 @@ def _physical(labels: list[str]) -> Any:
     chart.segment("x", 0.0, "x", 1.0, source=axes, tags=["axis"])
     lines = _lines(chart, "physical")
     for column, y, side in (("best", 1.03, "bottom"), ("worst", -0.03, "top")):
-        chart.text(
-            "x",
-            y,
-            text=column,
-            source=axes,
-            text_align="center",
-            text_baseline=side,
-            text_font_size="11px",
-            tags=["ink"],
-        )
+        _write(chart, "x", y, column, axes, "ink", text_align="center", text_baseline=side)
     chart.xaxis.ticker = FixedTicker(ticks=places)
     chart.xaxis.major_label_overrides = dict(zip(places, labels, strict=True))
     chart.yaxis.visible = False
@@ -145,6 +136,13 @@ def _physical(labels: list[str]) -> Any:
     chart.min_border_left = 8
     chart.add_tools(HoverTool(renderers=lines, tooltips=[("", "@name")], line_policy="nearest"))
     return chart
+
+
+def _write(
+    chart: Any, x: str, y: str | float, text: str, source: ColumnDataSource, tag: str, *, px: int = 11, **style: Any
+) -> None:
+    """Write a column of texts."""
+    chart.text(x, y, text=text, source=source, text_font_size=f"{px}px", tags=[tag], **style)
 
 
 def _lines(chart: Any, name: str) -> list[Any]:
@@ -170,42 +168,12 @@ def _grid() -> Any:
     for source, tag in ((units, "ink"), (groups, "wind")):
         chart.segment("x", "y0", "x", "y", source=source, line_width=1.2, tags=[tag])
         chart.scatter("x", "y", size=19, source=source, line_width=1.5, tags=[tag, "hollow"])
-        chart.text(
-            "x",
-            "y",
-            text="text",
-            source=source,
-            text_align="center",
-            text_baseline="middle",
-            text_font_size="10px",
-            tags=[tag],
-        )
+        _write(chart, "x", "y", "text", source, tag, px=10, text_align="center", text_baseline="middle")
     chart.segment("x0", "y", "x1", "y", source=bars, line_width=4, tags=["ink"])
-    chart.text(
-        "x1",
-        "y",
-        text="number",
-        source=bars,
-        x_offset=3,
-        y_offset=-3,
-        text_font_size="11px",
-        text_baseline="bottom",
-        tags=["ink"],
-    )
+    _write(chart, "x1", "y", "number", bars, "ink", x_offset=3, y_offset=-3, text_baseline="bottom")
     chart.scatter("x", "y", size=24, marker="circle", source=struck, line_width=2.5, tags=["event", "hollow"])
-    chart.text(
-        "x",
-        "y",
-        text="text",
-        source=struck,
-        x_offset=-11,
-        y_offset=-9,
-        text_align="right",
-        text_font_size="11px",
-        text_font_style="bold",
-        text_baseline="bottom",
-        tags=["event"],
-    )
+    beside: dict[str, Any] = {"x_offset": -11, "y_offset": -9, "text_align": "right", "text_baseline": "bottom"}
+    _write(chart, "x", "y", "text", struck, "event", text_font_style="bold", **beside)
     chart.axis.visible = False
     chart.grid.visible = False
     chart.min_border_left = chart.min_border_right = 2
@@ -236,7 +204,7 @@ def _panels(n_groups: int) -> list[Any]:
         chart.title.text_font_style = "normal"
         chart.yaxis.ticker.desired_num_ticks = 4
         chart.vspan("x", source=events, line_dash=[3, 3], line_width=1.2, tags=["event"])
-        # The wind is the scenario's, whoever meets it.
+        # Both entries meet the same wind.
         for side in ("b", "a") if name != "wind" else ("a",):
             for j in range(n_groups if own else 1):
                 chart.line(
@@ -259,6 +227,3 @@ def _panels(n_groups: int) -> list[Any]:
             chart.xaxis.major_tick_line_color = None
         charts.append(chart)
     return charts
-
-
-__all__ = ["GROUP_DASHES", "PANELS", "page_document"]

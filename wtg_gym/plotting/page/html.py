@@ -20,7 +20,7 @@ from wtg_gym.evaluation.leaderboard import COLUMNS, signed_interval
 from wtg_gym.plotting.page.data import Progress, page_data
 from wtg_gym.scenarios import FRESH
 
-#: What the file should not grow beyond [B]: more than that is slow to open from a mail or over a network.
+#: Largest size of the file [B]: larger ones open slowly from a mail or over a network.
 SIZE_LIMIT = 3_000_000
 #: Scenarios with traces of each suite, where the file has room for them.
 N_SCENARIOS = 20
@@ -210,7 +210,7 @@ def _cell(name: str, text: str, row: EntrySummary) -> str:
 
 
 def _number(text: str) -> str:
-    """Return a number, and what follows it in brackets as an element of its own, which gets a line of its own."""
+    """Return a number, with its interval in brackets in an element of its own."""
     value, space, brackets = text.partition(" ")
     return value if not space else f"{value} <small>{html.escape(brackets)}</small>"
 
@@ -219,6 +219,3 @@ def _fresh_cells(gap: GeneralisationGap | None) -> str:
     fresh = "" if gap is None else f"{gap.fresh.value:.1f}"
     excess = "" if gap is None or gap.excess is None else signed_interval(gap.excess)
     return f'<td class="number">{fresh}</td><td class="number">{_number(excess)}</td>'
-
-
-__all__ = ["N_SCENARIOS", "SIZE_LIMIT", "Page", "leaderboard_page"]

@@ -1,0 +1,116 @@
+"""Every parameter of the model with its unit and source, from the metadata of its declaration."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Any
+
+from wtg_gym.envs.settings import CostWeights
+from wtg_gym.files import markdown_table
+from wtg_gym.physics import parameters
+from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.network import Branch, Bus
+from wtg_gym.physics.parameters import SOURCES, SynchronousMachineParameters
+
+#: The columns of :func:`parameter_rows`.
+COLUMNS = ("group", "parameter", "value", "unit", "source", "what it is")
+Row = tuple[str, str, str, str, str, str]
+
+
+def parameter_classes() -> tuple[type, ...]:
+    """Return every class that declares parameters."""
+    own = [
+        cls
+        for cls in vars(parameters).values()
+        if dataclasses.is_dataclass(cls) and isinstance(cls, type) and cls.__module__ == parameters.__name__
+    ]
+    return (*own, Bus, Branch, CostWeights)
+
+
+def parameter_rows() -> list[Row]:
+    """Return every parameter once, in the order of :data:`COLUMNS`; network and machines by bus."""
+    return [*_class_rows(), *_machine_rows(), *_network_rows()]
+
+
+def _class_rows() -> Iterator[Row]:
+    for cls in parameter_classes():
+        if cls in (SynchronousMachineParameters, Bus, Branch):
+            continue
+        for field in dataclasses.fields(cls):
+            if field.default is not dataclasses.MISSING:
+                yield _row(cls.__name__, field, field.default)
+
+
+def _machine_rows() -> Iterator[Row]:
+    for machine in modified_ieee14().machines:
+        for field in dataclasses.fields(machine):
+            value = getattr(machine, field.name)
+            # An exciter or governor has rows of its own, classical machines are another model.
+            if not dataclasses.is_dataclass(value) and field.name not in ("bus", "classical"):
+                yield _row(f"machine at bus {machine.bus}", field, value)
+
+
+def _network_rows() -> Iterator[Row]:
+    case = modified_ieee14()
+    for bus in case.buses:
+        for field in dataclasses.fields(bus):
+            value = getattr(bus, field.name)
+            if field.name != "number" and value:
+                yield _row(f"bus {bus.number}", field, value)
+    for branch in case.branches:
+        for field in dataclasses.fields(branch):
+            value = getattr(branch, field.name)
+            if field.name not in ("from_bus", "to_bus", "phase_rad") and value != field.default:
+                yield _row(f"branch {branch.from_bus}–{branch.to_bus}", field, value)
+
+
+def _row(group: str, field: dataclasses.Field[Any], value: object) -> Row:
+    meta = field.metadata
+    text = f"{value:g}" if isinstance(value, float) else ("none" if value is None else str(value))
+    return group, field.name, text, meta["unit"], meta["source"], meta["doc"]
+
+
+def parameters_page() -> str:
+    """Return the parameters as Markdown: a table a class, one for the machines, two for the network, the sources."""
+    rows = list(_class_rows())
+    parts = []
+    for name in dict.fromkeys(row[0] for row in rows):
+        own = [
+            (parameter, value if unit == "-" else f"{value} {unit}", source, doc)
+            for group, parameter, value, unit, source, doc in rows
+            if group == name
+        ]
+        table = markdown_table(("parameter", "value", "source", "what it is"), own, right=(1,))
+        parts.append(f"### {name}\n\n{table}")
+    names, cells = _pivot(list(_machine_rows()), "machine at ")
+    first = {row[1]: row for row in reversed(list(_machine_rows()))}
+    lines = [(_with_unit(first[name]), *values, *first[name][4:]) for name, values in cells.items()]
+    header = ("parameter", *names, "source", "what it is")
+    parts.append("### Synchronous machines\n\n" + markdown_table(header, lines, right=range(1, 1 + len(names))))
+    network = list(_network_rows())
+    for title, prefix in (("Buses", "bus "), ("Branches", "branch ")):
+        own_rows = [row for row in network if row[0].startswith(prefix)]
+        names, cells = _pivot(own_rows, prefix)
+        first = {row[1]: row for row in own_rows}
+        header = (prefix.strip(), *(_with_unit(first[name]) for name in cells))
+        table = markdown_table(header, list(zip(names, *cells.values(), strict=True)), right=range(1, 1 + len(cells)))
+        sources = ", ".join(dict.fromkeys(row[4] for row in own_rows))
+        parts.append(f"### {title}\n\n{table}\n\nSource: {sources}.")
+    sources = "\n".join(f"- **{key}**: {text}" for key, text in SOURCES.items())
+    return "\n\n".join([*parts, f"### Sources\n\n{sources}"])
+
+
+def _with_unit(row: Row) -> str:
+    return row[1] if row[3] == "-" else f"{row[1]} [{row[3]}]"
+
+
+def _pivot(rows: list[Row], prefix: str) -> tuple[list[str], dict[str, list[str]]]:
+    """Return the groups without a prefix, and each parameter's values in them; no row where all are the default."""
+    groups = list(dict.fromkeys(row[0] for row in rows))
+    values = {(row[0], row[1]): row[2] for row in rows}
+    cells = {
+        name: [values.get((group, name), "") for group in groups] for name in dict.fromkeys(row[1] for row in rows)
+    }
+    shown = {name: own for name, own in cells.items() if set(own) - {"", "none"}}
+    return [group.removeprefix(prefix) for group in groups], shown

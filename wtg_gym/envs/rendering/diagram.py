@@ -1,0 +1,116 @@
+"""The single-line diagram of the grid with its WTG groups and events, and events in words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from wtg_gym.envs.rendering.colours import EVENT, INK, PAGE, SOFT, group_colour
+from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.scenario import Event, LineTrip, LoadRamp, LoadTrip
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+#: Where the buses are drawn.
+BUS_PLACES: Mapping[int, tuple[float, float]] = {
+    1: (0.3, 1.6),
+    2: (2.2, 0.5),
+    3: (7.6, 0.3),
+    4: (6.0, 1.8),
+    5: (3.2, 1.8),
+    6: (3.0, 3.6),
+    7: (7.4, 2.6),
+    8: (9.0, 2.6),
+    9: (6.6, 3.6),
+    10: (5.6, 4.5),
+    11: (4.2, 4.5),
+    12: (0.9, 4.5),
+    13: (2.6, 5.4),
+    14: (6.6, 5.4),
+}
+#: What the diagram covers, in the same units.
+EXTENT = ((-0.6, 9.8), (-0.9, 6.1))
+#: The groups of one bus stand within this; many of them overlap.
+_GROUPS_WIDTH = 4.4
+#: Behind numbers, for a line may run there.
+_PLATE: Mapping[str, Any] = {"facecolor": PAGE, "edgecolor": "none", "pad": 0.8}
+
+
+def draw_diagram(
+    axes: Axes, group_buses: Sequence[int], events: Sequence[Event], colour_of: Callable[[int], str] = group_colour
+) -> None:
+    """Draw the diagram.
+
+    Args:
+        axes: empty; its limits become :data:`EXTENT`.
+        group_buses: bus of each WTG group.
+        events: those that have struck; they are numbered in this order.
+        colour_of: colour of each WTG group.
+    """
+    axes.set_axis_off()
+    axes.set_xlim(*EXTENT[0])
+    axes.set_ylim(*EXTENT[1])
+    case = modified_ieee14()
+    opened = {frozenset((event.from_bus, event.to_bus)) for event in events if isinstance(event, LineTrip)}
+    for branch in case.branches:
+        (x0, y0), (x1, y1) = BUS_PLACES[branch.from_bus], BUS_PLACES[branch.to_bus]
+        if frozenset((branch.from_bus, branch.to_bus)) in opened:
+            axes.plot([x0, x1], [y0, y1], color=EVENT, linewidth=2.5, linestyle=(0, (1.6, 1.2)))
+        else:
+            axes.plot([x0, x1], [y0, y1], color=SOFT, linewidth=1.0)
+    for machine in case.machines:
+        # The machine with a governor is the generator; the others are condensers.
+        _draw_unit(axes, machine.bus, -0.35, "G" if machine.governor is not None else "C", INK)
+    for number, (x, y) in BUS_PLACES.items():
+        groups = [group for group, bus in enumerate(group_buses) if bus == number]
+        gap = min(0.8, _GROUPS_WIDTH / max(1, len(groups) - 1))
+        half = max(0.45, 0.5 * gap * (len(groups) - 1) + 0.15)
+        for place, group in enumerate(groups):
+            _draw_unit(axes, number, gap * (place - (len(groups) - 1) / 2), f"W{group + 1}", colour_of(group))
+        axes.plot([x - half, x + half], [y, y], color=INK, linewidth=3.0, solid_capstyle="butt")
+        axes.text(x + half - 0.03, y + 0.08, str(number), fontsize=10, color=INK, va="bottom", bbox=_PLATE)
+    _draw_strikes(axes, events)
+
+
+def _draw_unit(axes: Axes, bus: int, beside: float, text: str, colour: str) -> None:
+    x, y = BUS_PLACES[bus]
+    x += beside
+    axes.plot([x, x], [y, y - 0.85], color=colour, linewidth=1.0)
+    axes.plot([x], [y - 0.85], "o", markersize=18, markerfacecolor=PAGE, markeredgecolor=colour, markeredgewidth=1.4)
+    axes.text(x, y - 0.87, text, fontsize=9, color=colour, ha="center", va="center")
+
+
+def _draw_strikes(axes: Axes, events: Sequence[Event]) -> None:
+    struck: dict[int, list[str]] = {}
+    for number, event in enumerate(events, start=1):
+        for bus in [event.from_bus, event.to_bus] if isinstance(event, LineTrip) else [event.bus]:
+            struck.setdefault(bus, []).append(str(number))
+    for bus, numbers in struck.items():
+        x, y = BUS_PLACES[bus]
+        axes.plot([x], [y], "o", markersize=20, markerfacecolor="none", markeredgecolor=EVENT, markeredgewidth=2.0)
+        style: dict[str, Any] = {
+            "fontsize": 10,
+            "fontweight": "bold",
+            "color": EVENT,
+            "ha": "right",
+            "va": "bottom",
+            "zorder": 5,
+        }
+        axes.text(x - 0.35, y + 0.25, ", ".join(numbers), bbox=_PLATE, **style)
+
+
+def describe_event(event: Event) -> str:
+    """Return an event in words, with its units, without its instant."""
+    if isinstance(event, LineTrip):
+        return f"line {event.from_bus}–{event.to_bus} opens"
+    if isinstance(event, LoadTrip):
+        return f"load of bus {event.bus} lost"
+    text = f"{event.power_mw:+g} MW"
+    if event.reactive_mvar:
+        text += f", {event.reactive_mvar:+g} Mvar"
+    text = text.replace("-", "−")
+    text += f" at bus {event.bus}"
+    if isinstance(event, LoadRamp):
+        text += f" over {event.duration_s:g} s"
+    return text

@@ -1,0 +1,129 @@
+"""Samples of running episodes and their frames, in environments that render."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from wtg_gym.envs.lanes import TERMINATION_REASONS, TaskLanes
+from wtg_gym.envs.rendering.frame import FramePainter
+from wtg_gym.envs.rendering.panels import Episode, n_traces
+from wtg_gym.envs.rendering.window import Window
+from wtg_gym.physics.layout import Status
+from wtg_gym.physics.parameters import TurbineParameters
+
+#: A frame, (height, width, 3).
+Frame = npt.NDArray[np.uint8]
+
+
+class LaneFrames:
+    """Frames of the episodes in lanes.
+
+    Every lane's samples lie at their control steps, so that after a return to an earlier step only the steps before it
+    are drawn. Painter and window are not copied along.
+
+    Args:
+        lanes: the episodes.
+        opens_window: whether :meth:`show` will be called.
+        fps: frames per second in a window.
+
+    Raises:
+        DependencyNotInstalled: matplotlib, or for a window pygame, is missing.
+    """
+
+    def __init__(self, lanes: TaskLanes, *, opens_window: bool = False, fps: int = 10) -> None:
+        self._lanes = lanes
+        self._opens_window, self._fps = opens_window, fps
+        n = lanes.simulator.n_intervals + 1
+        self._samples = np.full((lanes.n_lanes, n, 1 + n_traces(lanes.n_wtg)), np.nan, dtype=np.float32)
+        self._make_tools()
+
+    def _make_tools(self) -> None:
+        self._painter = FramePainter(self._lanes.n_lanes)
+        self._window = Window("GFMWTG-14bus-v0", self._fps) if self._opens_window else None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {key: value for key, value in self.__dict__.items() if key not in ("_painter", "_window")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._make_tools()
+
+    def sample(self) -> None:
+        """Write down where every lane stands: after a reset and after every step."""
+        lanes, simulator = self._lanes, self._lanes.simulator
+        rotor, wind = simulator.wtg_values("rotor_speed"), simulator.wtg_values("wind")
+        rate = simulator.wtg_values("inv_tau")
+        columns = [
+            simulator.lane_values("step")[:, None] * simulator.plant.simulation_dt,
+            lanes.nominal_hz * simulator.lane_values("coi")[:, None],
+            lanes.task_values("rocof")[:, None],
+            rotor,
+            TurbineParameters().tip_speed_ratio_per_speed_m_s * _quotients(rotor, wind),
+            simulator.wtg_values("power"),
+            simulator.wtg_values("coefficient"),
+            _quotients(np.ones_like(rate), rate),
+            wind,
+        ]
+        self._samples[np.arange(lanes.n_lanes), self._places()] = np.concatenate(columns, axis=1)
+
+    def _places(self) -> npt.NDArray[np.int64]:
+        """Return the control step at which each lane stands (n_lanes,); an end within one counts as its end."""
+        steps = self._lanes.simulator.lane_values("step") / self._lanes.simulator.plant.n_substeps
+        return np.ceil(steps).astype(np.int64)
+
+    def paint(self) -> tuple[Frame, ...]:
+        """Return the frame of every lane.
+
+        Raises:
+            RuntimeError: an episode was never started.
+        """
+        if not (self._lanes.task_values("end_step") > 0.0).all():
+            raise RuntimeError("there is no episode to render; call reset() before render()")
+        return tuple(self._painter.paint(self._episode(lane)) for lane in range(self._lanes.n_lanes))
+
+    def show(self) -> None:
+        """Show the first lane's frame in the window."""
+        if self._window is not None and not self._window.is_closed:
+            self._window.show(self.paint()[0])
+
+    def close(self) -> None:
+        """Close the window."""
+        if self._window is not None:
+            self._window.close()
+
+    def snapshot(self) -> Any:
+        """Return a copy of the samples."""
+        return self._samples.copy()
+
+    def restore(self, samples: Any) -> None:
+        """Go back to a :meth:`snapshot`; with None, from an environment that does not render, the past is unknown."""
+        self._samples[:] = np.nan if samples is None else samples
+        self.sample()
+
+    def _episode(self, lane: int) -> Episode:
+        lanes = self._lanes
+        samples = self._samples[lane, : int(self._places()[lane]) + 1].astype(np.float64)
+        terms = lanes.cost_sums()[lane].tolist()
+        failed, over = bool(lanes.outputs.terminated[lane]), bool(lanes.outputs.truncated[lane])
+        reason = TERMINATION_REASONS[Status(int(lanes.statuses()[lane]))]
+        seed = int(lanes.scenario_seeds[lane])
+        return Episode(
+            heading="scenario of one's own" if seed < 0 else f"scenario {seed}",
+            duration_s=float(lanes.task_values("end_step")[lane]) * lanes.simulator.plant.simulation_dt,
+            time_s=samples[:, 0],
+            traces=samples[:, 1:],
+            events=lanes.events[lane],
+            group_buses=tuple(group.bus for group in lanes.simulator.settings.groups),
+            total_reward=-float(sum(terms)),
+            n_violated=round(float(lanes.task_values("constraint_sum")[lane])),
+            outcome=reason if failed else "time over" if over else "",
+            failed=failed,
+        )
+
+
+def _quotients(values: npt.NDArray[np.float64], divisors: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return quotients, not a number where there is none: without damping, and in lanes that were never started."""
+    return np.divide(values, divisors, out=np.full_like(values, np.nan), where=divisors > 0.0)

@@ -1,0 +1,84 @@
+"""Events and the ends of runs in figures over time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from wtg_gym.envs.rendering.diagram import describe_event
+from wtg_gym.physics.layout import Status
+from wtg_gym.physics.scenario import Event, Scenario
+from wtg_gym.physics.trajectory import Trajectory
+from wtg_gym.plotting.style import REFERENCE_GREY, SMALL_PT
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+#: Instants closer than this, as a share of the time axis, share a label, for theirs would overprint.
+_LABEL_WIDTH = 0.05
+
+
+def numbered_events(scenario: Scenario) -> list[tuple[str, list[Event]]]:
+    """Return the events by instant, each instant with its number."""
+    instants = sorted({event.time_s for event in scenario.events if event.time_s <= scenario.duration_s})
+    return [
+        (str(number), [event for event in scenario.events if event.time_s == instant])
+        for number, instant in enumerate(instants, start=1)
+    ]
+
+
+def instant_labels(scenario: Scenario) -> list[tuple[float, str]]:
+    """Return place [s] and number of each instant with events: "(1)", or "(1, 2)" where instants are close."""
+    close: list[list[tuple[float, str]]] = []
+    for number, events in numbered_events(scenario):
+        instant = events[0].time_s
+        if close and instant - close[-1][-1][0] < _LABEL_WIDTH * scenario.duration_s:
+            close[-1].append((instant, number))
+        else:
+            close.append([(instant, number)])
+    return [
+        (sum(instant for instant, _ in group) / len(group), f"({', '.join(number for _, number in group)})")
+        for group in close
+    ]
+
+
+def event_lines(scenario: Scenario, width: int = 130) -> list[str]:
+    """Return the numbered events in words, as many per line as `width` characters hold."""
+    lines: list[str] = []
+    for number, events in numbered_events(scenario):
+        text = f"({number}) {events[0].time_s:g} s: " + " and ".join(describe_event(event) for event in events)
+        if lines and len(lines[-1]) + len(text) < width:
+            # SVG shows several blanks in a row as one.
+            lines[-1] += ";  " + text
+        else:
+            lines.append(text)
+    return lines
+
+
+def mark_instants(axes: Axes, scenario: Scenario, *, numbered: bool) -> None:
+    """Draw a dotted line at every instant with an event, with its number above where `numbered`."""
+    for _, events in numbered_events(scenario):
+        axes.axvline(events[0].time_s, color=REFERENCE_GREY, linewidth=0.7, linestyle=(0.0, (1.0, 1.5)), zorder=1)
+    if numbered:
+        above = axes.get_xaxis_transform()
+        for place, text in instant_labels(scenario):
+            axes.text(place, 1.01, text, transform=above, fontsize=SMALL_PT, ha="center")
+
+
+def explain_events(figure: Figure, scenario: Scenario) -> None:
+    """Write the scenario's name at the top left of a figure and its numbered events at the top right."""
+    figure.suptitle(scenario.name, x=0.01, ha="left")
+    words = "\n".join(event_lines(scenario, width=100))
+    figure.text(0.99, 0.993, words, ha="right", va="top", fontsize=SMALL_PT)
+
+
+def mark_end(axes: Axes, time_s: float, value: float, colour: str) -> None:
+    """Draw a cross where a run ended before its time."""
+    axes.plot(time_s, value, "x", color=colour, markersize=5.5, markeredgewidth=1.4, zorder=4)
+
+
+def endings(runs: Iterable[Trajectory]) -> str:
+    """Return why runs ended before their time: "stall", "stall or over speed"; empty where none did."""
+    reasons = {run.status for run in runs} - {Status.RUNNING}
+    return " or ".join(reason.name.lower().replace("_", " ") for reason in sorted(reasons))
