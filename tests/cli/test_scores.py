@@ -72,7 +72,7 @@ def test_share_of_the_oracles_gap_is_shown_or_why_not(capsys: pytest.CaptureFixt
     ("arguments", "said"),
     [
         (("--entries", "turbo"), "'turbo'"),
-        (("--entries", "mppt", "mppt"), "given more than once: mppt"),
+        (("--entries", "mppt", "mppt"), "given more than once: ['mppt']"),
         (("--entries", "best"), "the folder best holds no entry.toml, but 2 folders with one: write best/* for all"),
         (("--entries", "best/empty"), "the folder best/empty holds no entry.toml"),
         (("--suite", "storm"), "unknown suite 'storm'"),

@@ -144,9 +144,7 @@ def check_entries(entries: Sequence[Entry]) -> None:
     names = [(entry.name, entry.training_seed) for entry in entries]
     doubled = sorted({name for name, seed in names if names.count((name, seed)) > 1})
     if doubled:
-        raise ValueError(
-            f"entries must have different names or training seeds; given more than once: {', '.join(doubled)}"
-        )
+        raise ValueError(f"entries must have different names or training seeds; given more than once: {doubled}")
     rows: dict[str, Entry] = {}
     for entry in entries:
         first = rows.setdefault(entry.name, entry)
