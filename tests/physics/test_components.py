@@ -134,7 +134,9 @@ def test_rows_and_names_follow_from_the_records() -> None:
 TRANSDUCER = {
     "lead_lag: float  # x [p.u.]": "lead_lag: float  # x [p.u.]\n    measured: float  # behind a lag of 20 ms",
     "error = voltage_error - s.lead_lag": "error = s.measured - s.lead_lag",
-    "lead_lag=c.inv_lag_time * error,": "lead_lag=c.inv_lag_time * error, measured=50.0 * (voltage_error - s.measured),",
+    "lead_lag=c.inv_lag_time * error,": (
+        "lead_lag=c.inv_lag_time * error,\n        measured=50 * (voltage_error - s.measured),"
+    ),
     "return ExciterState(s.lead_lag, clip": "return ExciterState(s.lead_lag, s.measured, clip",
     "return ExciterState(error, field_voltage), error": "return ExciterState(error, error, field_voltage), error",
 }

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import functools
 import linecache
+from collections import namedtuple
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple, TypeVar, get_type_hints
+from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +28,7 @@ def _is_record(kind: Any) -> bool:
 
 
 @functools.cache
-def leaves(record: type) -> tuple[str, ...]:
+def leaves(record: Any) -> tuple[str, ...]:
     """Return the dotted names of a record's numbers, in their order: ("angle", …, "exciter.lead_lag", …)."""
     names: list[str] = []
     for name, kind in get_type_hints(record).items():
@@ -35,13 +36,13 @@ def leaves(record: type) -> tuple[str, ...]:
     return tuple(names)
 
 
-def size(record: type) -> int:
+def size(record: Any) -> int:
     """Return how many numbers a record has."""
     return len(leaves(record))
 
 
 @functools.cache
-def short_names(record: type) -> tuple[str, ...]:
+def short_names(record: Any) -> tuple[str, ...]:
     """Return the names of a record's numbers without those of the records within it."""
     return tuple(leaf.rpartition(".")[2] for leaf in leaves(record))
 
@@ -52,7 +53,7 @@ def offsets(record: type) -> Any:
     for name, kind in get_type_hints(record).items():
         rows[name] = row
         row += size(kind) if _is_record(kind) else 1
-    return NamedTuple(f"{record.__name__}Rows", [(name, int) for name in rows])(**rows)  # type: ignore[misc]
+    return namedtuple(f"{record.__name__}Rows", rows)(**rows)  # type: ignore[misc]
 
 
 def dtype(record: type) -> np.dtype[Any]:
@@ -128,7 +129,8 @@ def _function(name: str, record: type, arguments: str, body: str, **names: Any) 
     linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
     space = {**{kind.__name__: kind for kind in _records(record)}, **names, "__name__": record.__module__}
     exec(compile(source, file, "exec"), space)
-    return inlined(space[own])
+    function: Callable[..., Any] = inlined(space[own])
+    return function
 
 
 def _records(record: type) -> Iterator[type]:
