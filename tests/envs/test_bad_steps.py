@@ -15,74 +15,61 @@ from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
 
 ACTIONS = actions_of(40, 60, 3)
 
-WRONG = {
+#: For each rule an action of a single environment that breaks it.
+WRONG: dict[str, Any] = {
     "nan": [0.0, math.nan, 0.0, 0.0],
-    "infinite": [0.0, 0.0, math.inf, 0.0],
-    "minus-infinite": [0.0, 0.0, 0.0, -math.inf],
-    "all-nan": [math.nan] * 4,
-    "too-large-for-single": np.array([0.0, 0.0, 0.0, np.inf], dtype=np.float32),
+    "infinite": [0.0, 0.0, 0.0, -math.inf],
+    "single precision": np.array([0.0, 0.0, 0.0, np.inf], dtype=np.float32),
     "short": [0.0] * 3,
-    "long": [0.0] * 5,
-    "nested": [[0.0] * 4],
     "column": np.zeros((4, 1)),
     "scalar": 0.0,
-    "empty": [],
     "none": None,
-    "nones": [None] * 4,
-    "text": "abc",
-    "texts": ["a"] * 4,
-    "numbers-as-text": ["0.1"] * 4,
-    "object": {},
+    "text": ["0.1"] * 4,
     "objects": [{}] * 4,
     "ragged": [[0.0], [0.0, 0.0], 0.0, 0.0],
-    "complex": [1j] * 4,
-    "complex-array": np.zeros(4, dtype=np.complex128),
-    "dates": np.zeros(4, dtype="datetime64[s]"),
-    "huge-integer": [10**400] * 4,
+    "complex": np.zeros(4, dtype=np.complex128),
+    "huge integer": [10**400] * 4,
 }
 
 
+def accepted(env: GFMWTGEnv | GFMWTGVectorEnv, wrong: dict[str, Any]) -> list[str]:
+    """Return the names of the wrong actions that a step does not refuse with a ValueError about actions."""
+    names = []
+    for name, action in wrong.items():
+        try:
+            env.step(action)
+            names.append(name)
+        except ValueError as error:
+            if "action" not in str(error):
+                names.append(name)
+    return names
+
+
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("name", WRONG)
-def test_wrong_action_is_refused_and_nothing_has_moved(name: str):
+def test_wrong_actions_are_refused_and_nothing_has_moved():
     env = GFMWTGEnv(scenario=eventful().to_dict())
     single_steps(env, ACTIONS[:7, 0], AutoresetMode.DISABLED, seed=0)
     twin = copy.deepcopy(env)
-    with pytest.raises(ValueError, match="action"):
-        env.step(WRONG[name])  # type: ignore[arg-type]
+    assert accepted(env, WRONG) == []
     after = single_steps(env, ACTIONS[7:40, 0], AutoresetMode.DISABLED)
     assert after == single_steps(twin, ACTIONS[7:40, 0], AutoresetMode.DISABLED)
 
 
-def in_one_lane(value: Any) -> Any:
-    """Return a batch's actions of which one lane's are wrong, or the wrong thing itself where it has no lanes."""
-    try:
-        actions = np.zeros((3, 4))
-        actions[1] = value
-        return actions
-    except (TypeError, ValueError, OverflowError):
-        return [[0.0] * 4, value, [0.0] * 4] if isinstance(value, list) and len(value) == 4 else value
-
-
-@pytest.mark.parametrize("name", [n for n in WRONG if n not in ("scalar", "nested", "numbers-as-text", "dates")])
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
 @pytest.mark.filterwarnings("error")
-def test_wrong_action_of_a_batch_is_refused_and_no_lane_has_moved(name: str, mode: AutoresetMode):
+def test_wrong_actions_of_one_lane_are_refused_and_no_lane_has_moved(mode: AutoresetMode):
+    fine = [0.0] * 4
+    wrong = {name: [fine, action, fine] for name, action in WRONG.items()}
+    wrong |= {"none": None, "scalar": 0.0, "complex": np.zeros((3, 4), dtype=np.complex128)}
     env = GFMWTGVectorEnv(3, duration_s=2.0, autoreset_mode=mode)
-    wrong = WRONG[name]
-    if name == "complex-array":
-        wrong = np.zeros((3, 4), dtype=np.complex128)
-    elif name != "column":
-        wrong = in_one_lane(wrong)
     # Up to the end of an episode, where lanes wait for their reset.
     vector_steps(env, ACTIONS[:20], seed=0)
     twin = copy.deepcopy(env)
-    with pytest.raises(ValueError, match="action"):
-        env.step(wrong)
+    assert accepted(env, wrong) == []
     assert vector_steps(env, ACTIONS[20:]) == vector_steps(twin, ACTIONS[20:])
 
 
-@pytest.mark.parametrize("shape", [(4,), (2, 4), (4, 4), (3, 3), (3, 4, 1), (12,), (1, 3, 4), ()])
+@pytest.mark.parametrize("shape", [(4,), (2, 4), (3, 3), (12,), (1, 3, 4)])
 def test_wrong_shape_of_a_batchs_actions_is_named_with_the_right_one(shape: tuple[int, ...]):
     env = GFMWTGVectorEnv(3, duration_s=2.0)
     env.reset(seed=0)
@@ -112,7 +99,7 @@ def test_anything_that_is_numbers_is_an_action(kind: Any):
     assert env.step(given)[0].tobytes() == twin.step(np.array(values, dtype=np.float32))[0].tobytes()
 
 
-@pytest.mark.parametrize("value", [1.0 + 1e-9, 2.0, 1e30, 1e308, np.float64(np.finfo(np.float32).max)])
+@pytest.mark.parametrize("value", [1.0 + 1e-9, 1e308])
 def test_action_out_of_range_is_clipped(value: float):
     for sign in (1.0, -1.0):
         env, twin = (GFMWTGEnv(scenario=eventful().to_dict()) for _ in range(2))
@@ -172,17 +159,14 @@ def test_step_of_a_batch_with_an_ended_lane_and_resets_disabled_is_a_runtime_err
     env.step(np.zeros((3, 4)))
 
 
-REFUSED = {
-    "event off the grid": calm(25.0).to_dict()
-    | {"events": [{"kind": "load_step", "time_s": 1.005, "bus": 2, "power_mw": 5.0}]},
-    "unknown bus": calm(25.0).to_dict()
-    | {"events": [{"kind": "load_step", "time_s": 1.0, "bus": 99, "power_mw": 5.0}]},
-    "unknown noise bus": calm(25.0).to_dict() | {"load_noise_bus": 99},
-    "split network": calm(25.0).to_dict()
-    | {"events": [{"kind": "line_trip", "time_s": 1.0, "from_bus": 7, "to_bus": 8}]},
-    "length off the grid": calm(25.0).to_dict() | {"duration_s": 2.05},
-    "seed": calm(25.0).to_dict() | {"seed": 2**70},
-    "no equilibrium": calm(25.0, load_level=0.3).to_dict(),
+STEP = {"kind": "load_step", "time_s": 1.0, "bus": 2, "power_mw": 5.0}
+REFUSED: dict[str, dict[str, Any]] = {
+    "not a scenario": {"seed": 2**70},
+    "event off the grid": {"events": [{**STEP, "time_s": 1.005}]},
+    "unknown bus": {"events": [{**STEP, "bus": 99}]},
+    "length off the grid": {"duration_s": 2.05},
+    "split network": {"events": [{"kind": "line_trip", "time_s": 1.0, "from_bus": 7, "to_bus": 8}]},
+    "no equilibrium": {"load_level": 0.3},
 }
 
 
@@ -204,7 +188,7 @@ def test_refused_reset_does_not_bend_the_running_episode(name: str):
     single_steps(env, ACTIONS[:7, 0], AutoresetMode.DISABLED, seed=0)
     twin = copy.deepcopy(env)
     with pytest.raises(ValueError):
-        env.reset(options={"scenario": REFUSED[name]})
+        env.reset(options={"scenario": {**calm(25.0).to_dict(), **REFUSED[name]}})
     goes_on_or_asks_for_a_reset(env, twin, ACTIONS[7:20, 0])
 
 
@@ -214,5 +198,5 @@ def test_refused_reset_does_not_bend_the_running_lanes(name: str):
     vector_steps(env, ACTIONS[:7], seed=0)
     twin = copy.deepcopy(env)
     with pytest.raises(ValueError):
-        env.reset(options={"scenarios": [calm(), REFUSED[name], calm()]})
+        env.reset(options={"scenarios": [calm(), {**calm(25.0).to_dict(), **REFUSED[name]}, calm()]})
     goes_on_or_asks_for_a_reset(env, twin, ACTIONS[7:20])

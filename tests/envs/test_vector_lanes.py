@@ -39,7 +39,7 @@ def singles(mode: AutoresetMode) -> list[list]:
 
 
 @pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("n_lanes", [1, 5, 17, 33])
+@pytest.mark.parametrize("n_lanes", [1, 5, 33])
 def test_lane_equals_the_single_environment_with_its_seed_through_resets(n_lanes: int, mode: AutoresetMode):
     env = GFMWTGVectorEnv(n_lanes, duration_s=2.0, autoreset_mode=mode)
     lanes = vector_steps(env, actions_of(3, N_STEPS, 33)[:, :n_lanes], seed=SEED)
@@ -125,9 +125,8 @@ def test_failing_lanes_do_not_disturb_their_neighbours():
         assert reasons(lanes[lane]) == {"stall"}
 
 
-@pytest.mark.parametrize("n_threads", [2, 3, None])
-def test_results_do_not_depend_on_the_number_of_threads(n_threads: int | None):
-    assert digest(200, n_threads=n_threads) == digest(200, n_threads=1)
+def test_results_do_not_depend_on_the_number_of_threads():
+    assert len({digest(200, n_threads=n_threads) for n_threads in (1, 2, 3, None)}) == 1
 
 
 def test_another_process_finds_the_same_bits():
