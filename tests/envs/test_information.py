@@ -149,6 +149,7 @@ def test_spaces_are_single_precision_boxes_with_finite_bounds(observation_mode: 
         assert space.dtype == np.float32 and space.is_bounded()
     assert env.action_space.low.tolist() == [-1.0] * 4 and env.action_space.high.tolist() == [1.0] * 4
     assert len(env.observation_names) == env.observation_space.shape[0]
+    assert GFMWTGVectorEnv(2, observation_mode=observation_mode).observation_names == env.observation_names
 
 
 def test_privileged_observation_begins_with_the_local_one():
@@ -192,9 +193,3 @@ def test_frequency_observation_turns_negative_when_load_is_added():
     deviation = observation[names.index("grid.frequency_deviation [0.5 Hz]")]
     assert deviation == pytest.approx((info["frequency_hz"] - 50.0) / 0.5, abs=1e-6) and deviation < -0.05
     assert observation[names.index("wtg0.frequency_deviation [0.5 Hz]")] == pytest.approx(deviation, abs=0.05)
-
-
-def test_vector_environment_names_its_observations_as_the_single_one_does() -> None:
-    single, batch = GFMWTGEnv(observation_mode="privileged"), GFMWTGVectorEnv(2, observation_mode="privileged")
-    assert batch.observation_names == single.observation_names
-    assert len(single.observation_names) == batch.single_observation_space.shape[0]  # type: ignore[index]
