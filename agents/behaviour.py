@@ -200,8 +200,7 @@ def _pictures(entries: Sequence[Entry], played: _Played, cases: _Played, given: 
             _Picture(
                 f"responses-{_slug(name)}",
                 "responses",
-                f"{name} in {where}: k and τ in use over what it sees (medians and the middle 80 %) and the "
-                "reference's.",
+                f"{name} and the reference in {where}.",
                 plot_responses(name, pooled(played.recordings[name]), reference, looks),
             )
         )
@@ -244,7 +243,7 @@ def _galleries(
     where = Path(os.path.relpath(folder.resolve(), page.resolve().parent))
     return {
         section: "\n\n".join(
-            f"![{picture.caption}]({(where / picture.name).as_posix()}.{suffix})\n\n{picture.caption}"
+            f"![{picture.name}]({(where / picture.name).as_posix()}.{suffix})\n\n{picture.caption}"
             for picture in pictures
             if picture.section == section
         )
