@@ -69,25 +69,18 @@ def test_wrong_actions_of_one_lane_are_refused_and_no_lane_has_moved(mode: Autor
     assert vector_steps(env, ACTIONS[20:]) == vector_steps(twin, ACTIONS[20:])
 
 
-@pytest.mark.parametrize("shape", [(4,), (2, 4), (3, 3), (12,), (1, 3, 4)])
-def test_wrong_shape_of_a_batchs_actions_is_named_with_the_right_one(shape: tuple[int, ...]):
-    env = GFMWTGVectorEnv(3, duration_s=2.0)
-    env.reset(seed=0)
-    with pytest.raises(ValueError, match=r"\(3, 4\)"):
-        env.step(np.zeros(shape))
-
-
-def test_message_names_the_value_the_lane_and_what_is_allowed():
-    env = GFMWTGVectorEnv(3, duration_s=2.0)
-    env.reset(seed=0)
+def test_message_names_the_shape_or_the_value_and_the_lane_and_what_is_allowed():
+    env, single = GFMWTGVectorEnv(3, duration_s=2.0), GFMWTGEnv(duration_s=2.0)
+    env.reset(seed=0), single.reset(seed=0)
+    for shape in ((4,), (2, 4), (3, 3), (12,), (1, 3, 4)):
+        with pytest.raises(ValueError, match=r"\(3, 4\)"):
+            env.step(np.zeros(shape))
+    with pytest.raises(ValueError, match=r"\(4,\).*\(3,\)"):
+        single.step(np.zeros(3))
     actions = np.zeros((3, 4))
     actions[2, 1] = math.nan
     with pytest.raises(ValueError, match=r"nan.*lane 2.*-1 … 1"):
         env.step(actions)
-    single = GFMWTGEnv(duration_s=2.0)
-    single.reset(seed=0)
-    with pytest.raises(ValueError, match=r"\(4,\).*\(3,\)"):
-        single.step(np.zeros(3))
 
 
 @pytest.mark.parametrize("kind", [list, tuple, np.float32, np.float64, np.int8, bool, object])
@@ -170,8 +163,21 @@ REFUSED: dict[str, dict[str, Any]] = {
 }
 
 
-def goes_on_or_asks_for_a_reset(env: GFMWTGEnv | GFMWTGVectorEnv, twin: Any, actions: np.ndarray) -> None:
-    """Check that a refused reset has not bent the episode that was running."""
+@pytest.mark.parametrize("name", REFUSED)
+@pytest.mark.parametrize("n_lanes", [None, 3])
+def test_refused_reset_does_not_bend_the_running_episodes(n_lanes: int | None, name: str):
+    refused = {**calm(25.0).to_dict(), **REFUSED[name]}
+    if n_lanes is None:
+        env: Any = GFMWTGEnv(duration_s=4.0)
+        single_steps(env, ACTIONS[:7, 0], AutoresetMode.DISABLED, seed=0)
+        actions, options = ACTIONS[7:20, 0], {"scenario": refused}
+    else:
+        env = GFMWTGVectorEnv(n_lanes, duration_s=4.0)
+        vector_steps(env, ACTIONS[:7], seed=0)
+        actions, options = ACTIONS[7:20], {"scenarios": [calm(), refused, calm()]}
+    twin = copy.deepcopy(env)
+    with pytest.raises(ValueError):
+        env.reset(options=options)
     for action in actions:
         try:
             observation, reward, *_ = env.step(action)
@@ -180,23 +186,3 @@ def goes_on_or_asks_for_a_reset(env: GFMWTGEnv | GFMWTGVectorEnv, twin: Any, act
             return
         expected, other, *_ = twin.step(action)
         assert observation.tobytes() == expected.tobytes() and np.all(reward == other)
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_refused_reset_does_not_bend_the_running_episode(name: str):
-    env = GFMWTGEnv(duration_s=4.0)
-    single_steps(env, ACTIONS[:7, 0], AutoresetMode.DISABLED, seed=0)
-    twin = copy.deepcopy(env)
-    with pytest.raises(ValueError):
-        env.reset(options={"scenario": {**calm(25.0).to_dict(), **REFUSED[name]}})
-    goes_on_or_asks_for_a_reset(env, twin, ACTIONS[7:20, 0])
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_refused_reset_does_not_bend_the_running_lanes(name: str):
-    env = GFMWTGVectorEnv(3, duration_s=4.0)
-    vector_steps(env, ACTIONS[:7], seed=0)
-    twin = copy.deepcopy(env)
-    with pytest.raises(ValueError):
-        env.reset(options={"scenarios": [calm(), {**calm(25.0).to_dict(), **REFUSED[name]}, calm()]})
-    goes_on_or_asks_for_a_reset(env, twin, ACTIONS[7:20])
