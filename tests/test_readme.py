@@ -90,13 +90,23 @@ PAGES = [
     ROOT / "CHANGELOG.md",
     ROOT / "CONTRIBUTING.md",
     *sorted((ROOT / "docs").glob("*.md")),
+    ROOT / "agents/README.md",
     ROOT / "tests/golden/README.md",
 ]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_every_linked_file_is_there(page: Path) -> None:
+def anchors(page: Path) -> set[str]:
+    """Return the names under which GitHub finds a page's headings."""
+    text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    headings = re.findall(r"^#+ (.*)$", text, flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_link_leads_to_a_file_and_a_heading(page: Path) -> None:
     # Code, such as a hostile text that a table quotes, is shown and leads nowhere.
     text = re.sub(r"`[^`]*`", "", page.read_text(encoding="utf-8"))
-    links = re.findall(r"\]\(([^)#:]+)\)", text)
-    assert [link for link in links if not (page.parent / link).exists()] == []
+    for file, anchor in re.findall(r"\]\(([^)#:]*)(?:#([^)]*))?\)", text):
+        target = page.parent / file if file else page
+        assert target.exists(), file
+        assert not anchor or anchor in anchors(target), f"{file}#{anchor}"

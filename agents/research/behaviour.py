@@ -134,7 +134,7 @@ def _behaviour(given: argparse.Namespace) -> None:
         where = Path(os.path.relpath(folder.resolve(), page.resolve().parent))
         for section in sections:
             links = [
-                f"![{each.caption}]({(where / each.name).as_posix()}.svg)\n\n{each.caption}"
+                f"![{each.name}]({(where / each.name).as_posix()}.svg)\n\n{each.caption}"
                 for each in pictures
                 if each.section == section
             ]

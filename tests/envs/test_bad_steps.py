@@ -15,92 +15,72 @@ from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
 
 ACTIONS = actions_of(40, 60, 3)
 
-WRONG = {
+#: For each rule an action of a single environment that breaks it.
+WRONG: dict[str, Any] = {
     "nan": [0.0, math.nan, 0.0, 0.0],
-    "infinite": [0.0, 0.0, math.inf, 0.0],
-    "minus-infinite": [0.0, 0.0, 0.0, -math.inf],
-    "all-nan": [math.nan] * 4,
-    "too-large-for-single": np.array([0.0, 0.0, 0.0, np.inf], dtype=np.float32),
+    "infinite": [0.0, 0.0, 0.0, -math.inf],
+    "single precision": np.array([0.0, 0.0, 0.0, np.inf], dtype=np.float32),
     "short": [0.0] * 3,
-    "long": [0.0] * 5,
-    "nested": [[0.0] * 4],
     "column": np.zeros((4, 1)),
     "scalar": 0.0,
-    "empty": [],
     "none": None,
-    "nones": [None] * 4,
-    "text": "abc",
-    "texts": ["a"] * 4,
-    "numbers-as-text": ["0.1"] * 4,
-    "object": {},
+    "text": ["0.1"] * 4,
     "objects": [{}] * 4,
     "ragged": [[0.0], [0.0, 0.0], 0.0, 0.0],
-    "complex": [1j] * 4,
-    "complex-array": np.zeros(4, dtype=np.complex128),
-    "dates": np.zeros(4, dtype="datetime64[s]"),
-    "huge-integer": [10**400] * 4,
+    "complex": np.zeros(4, dtype=np.complex128),
+    "huge integer": [10**400] * 4,
 }
 
 
+def accepted(env: GFMWTGEnv | GFMWTGVectorEnv, wrong: dict[str, Any]) -> list[str]:
+    """Return the names of the wrong actions that a step does not refuse with a ValueError about actions."""
+    names = []
+    for name, action in wrong.items():
+        try:
+            env.step(action)
+            names.append(name)
+        except ValueError as error:
+            if "action" not in str(error):
+                names.append(name)
+    return names
+
+
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("name", WRONG)
-def test_wrong_action_is_refused_and_nothing_has_moved(name: str):
+def test_wrong_actions_are_refused_and_nothing_has_moved():
     env = GFMWTGEnv(scenario=eventful().to_dict())
     single_steps(env, ACTIONS[:7, 0], AutoresetMode.DISABLED, seed=0)
     twin = copy.deepcopy(env)
-    with pytest.raises(ValueError, match="action"):
-        env.step(WRONG[name])  # type: ignore[arg-type]
+    assert accepted(env, WRONG) == []
     after = single_steps(env, ACTIONS[7:40, 0], AutoresetMode.DISABLED)
     assert after == single_steps(twin, ACTIONS[7:40, 0], AutoresetMode.DISABLED)
 
 
-def in_one_lane(value: Any) -> Any:
-    """Return a batch's actions of which one lane's are wrong, or the wrong thing itself where it has no lanes."""
-    try:
-        actions = np.zeros((3, 4))
-        actions[1] = value
-        return actions
-    except (TypeError, ValueError, OverflowError):
-        return [[0.0] * 4, value, [0.0] * 4] if isinstance(value, list) and len(value) == 4 else value
-
-
-@pytest.mark.parametrize("name", [n for n in WRONG if n not in ("scalar", "nested", "numbers-as-text", "dates")])
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
 @pytest.mark.filterwarnings("error")
-def test_wrong_action_of_a_batch_is_refused_and_no_lane_has_moved(name: str, mode: AutoresetMode):
+def test_wrong_actions_of_one_lane_are_refused_and_no_lane_has_moved(mode: AutoresetMode):
+    fine = [0.0] * 4
+    wrong = {name: [fine, action, fine] for name, action in WRONG.items()}
+    wrong |= {"none": None, "scalar": 0.0, "complex": np.zeros((3, 4), dtype=np.complex128)}
     env = GFMWTGVectorEnv(3, duration_s=2.0, autoreset_mode=mode)
-    wrong = WRONG[name]
-    if name == "complex-array":
-        wrong = np.zeros((3, 4), dtype=np.complex128)
-    elif name != "column":
-        wrong = in_one_lane(wrong)
     # Up to the end of an episode, where lanes wait for their reset.
     vector_steps(env, ACTIONS[:20], seed=0)
     twin = copy.deepcopy(env)
-    with pytest.raises(ValueError, match="action"):
-        env.step(wrong)
+    assert accepted(env, wrong) == []
     assert vector_steps(env, ACTIONS[20:]) == vector_steps(twin, ACTIONS[20:])
 
 
-@pytest.mark.parametrize("shape", [(4,), (2, 4), (4, 4), (3, 3), (3, 4, 1), (12,), (1, 3, 4), ()])
-def test_wrong_shape_of_a_batchs_actions_is_named_with_the_right_one(shape: tuple[int, ...]):
-    env = GFMWTGVectorEnv(3, duration_s=2.0)
-    env.reset(seed=0)
-    with pytest.raises(ValueError, match=r"\(3, 4\)"):
-        env.step(np.zeros(shape))
-
-
-def test_message_names_the_value_the_lane_and_what_is_allowed():
-    env = GFMWTGVectorEnv(3, duration_s=2.0)
-    env.reset(seed=0)
+def test_message_names_the_shape_or_the_value_and_the_lane_and_what_is_allowed():
+    env, single = GFMWTGVectorEnv(3, duration_s=2.0), GFMWTGEnv(duration_s=2.0)
+    env.reset(seed=0), single.reset(seed=0)
+    for shape in ((4,), (2, 4), (3, 3), (12,), (1, 3, 4)):
+        with pytest.raises(ValueError, match=r"\(3, 4\)"):
+            env.step(np.zeros(shape))
+    with pytest.raises(ValueError, match=r"\(4,\).*\(3,\)"):
+        single.step(np.zeros(3))
     actions = np.zeros((3, 4))
     actions[2, 1] = math.nan
     with pytest.raises(ValueError, match=r"nan.*lane 2.*-1 … 1"):
         env.step(actions)
-    single = GFMWTGEnv(duration_s=2.0)
-    single.reset(seed=0)
-    with pytest.raises(ValueError, match=r"\(4,\).*\(3,\)"):
-        single.step(np.zeros(3))
 
 
 @pytest.mark.parametrize("kind", [list, tuple, np.float32, np.float64, np.int8, bool, object])
@@ -112,7 +92,7 @@ def test_anything_that_is_numbers_is_an_action(kind: Any):
     assert env.step(given)[0].tobytes() == twin.step(np.array(values, dtype=np.float32))[0].tobytes()
 
 
-@pytest.mark.parametrize("value", [1.0 + 1e-9, 2.0, 1e30, 1e308, np.float64(np.finfo(np.float32).max)])
+@pytest.mark.parametrize("value", [1.0 + 1e-9, 1e308])
 def test_action_out_of_range_is_clipped(value: float):
     for sign in (1.0, -1.0):
         env, twin = (GFMWTGEnv(scenario=eventful().to_dict()) for _ in range(2))
@@ -172,22 +152,32 @@ def test_step_of_a_batch_with_an_ended_lane_and_resets_disabled_is_a_runtime_err
     env.step(np.zeros((3, 4)))
 
 
-REFUSED = {
-    "event off the grid": calm(25.0).to_dict()
-    | {"events": [{"kind": "load_step", "time_s": 1.005, "bus": 2, "power_mw": 5.0}]},
-    "unknown bus": calm(25.0).to_dict()
-    | {"events": [{"kind": "load_step", "time_s": 1.0, "bus": 99, "power_mw": 5.0}]},
-    "unknown noise bus": calm(25.0).to_dict() | {"load_noise_bus": 99},
-    "split network": calm(25.0).to_dict()
-    | {"events": [{"kind": "line_trip", "time_s": 1.0, "from_bus": 7, "to_bus": 8}]},
-    "length off the grid": calm(25.0).to_dict() | {"duration_s": 2.05},
-    "seed": calm(25.0).to_dict() | {"seed": 2**70},
-    "no equilibrium": calm(25.0, load_level=0.3).to_dict(),
+STEP = {"kind": "load_step", "time_s": 1.0, "bus": 2, "power_mw": 5.0}
+REFUSED: dict[str, dict[str, Any]] = {
+    "not a scenario": {"seed": 2**70},
+    "event off the grid": {"events": [{**STEP, "time_s": 1.005}]},
+    "unknown bus": {"events": [{**STEP, "bus": 99}]},
+    "length off the grid": {"duration_s": 2.05},
+    "split network": {"events": [{"kind": "line_trip", "time_s": 1.0, "from_bus": 7, "to_bus": 8}]},
+    "no equilibrium": {"load_level": 0.3},
 }
 
 
-def goes_on_or_asks_for_a_reset(env: GFMWTGEnv | GFMWTGVectorEnv, twin: Any, actions: np.ndarray) -> None:
-    """Check that a refused reset has not bent the episode that was running."""
+@pytest.mark.parametrize("name", REFUSED)
+@pytest.mark.parametrize("n_lanes", [None, 3])
+def test_refused_reset_does_not_bend_the_running_episodes(n_lanes: int | None, name: str):
+    refused = {**calm(25.0).to_dict(), **REFUSED[name]}
+    if n_lanes is None:
+        env: Any = GFMWTGEnv(duration_s=4.0)
+        single_steps(env, ACTIONS[:7, 0], AutoresetMode.DISABLED, seed=0)
+        actions, options = ACTIONS[7:20, 0], {"scenario": refused}
+    else:
+        env = GFMWTGVectorEnv(n_lanes, duration_s=4.0)
+        vector_steps(env, ACTIONS[:7], seed=0)
+        actions, options = ACTIONS[7:20], {"scenarios": [calm(), refused, calm()]}
+    twin = copy.deepcopy(env)
+    with pytest.raises(ValueError):
+        env.reset(options=options)
     for action in actions:
         try:
             observation, reward, *_ = env.step(action)
@@ -196,23 +186,3 @@ def goes_on_or_asks_for_a_reset(env: GFMWTGEnv | GFMWTGVectorEnv, twin: Any, act
             return
         expected, other, *_ = twin.step(action)
         assert observation.tobytes() == expected.tobytes() and np.all(reward == other)
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_refused_reset_does_not_bend_the_running_episode(name: str):
-    env = GFMWTGEnv(duration_s=4.0)
-    single_steps(env, ACTIONS[:7, 0], AutoresetMode.DISABLED, seed=0)
-    twin = copy.deepcopy(env)
-    with pytest.raises(ValueError):
-        env.reset(options={"scenario": REFUSED[name]})
-    goes_on_or_asks_for_a_reset(env, twin, ACTIONS[7:20, 0])
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_refused_reset_does_not_bend_the_running_lanes(name: str):
-    env = GFMWTGVectorEnv(3, duration_s=4.0)
-    vector_steps(env, ACTIONS[:7], seed=0)
-    twin = copy.deepcopy(env)
-    with pytest.raises(ValueError):
-        env.reset(options={"scenarios": [calm(), REFUSED[name], calm()]})
-    goes_on_or_asks_for_a_reset(env, twin, ACTIONS[7:20])

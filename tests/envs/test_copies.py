@@ -51,7 +51,7 @@ def test_copy_before_the_first_reset_and_after_the_end_behaves_as_its_original(c
 
 @COPIES
 @pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("n_lanes", [1, 5, 17])
+@pytest.mark.parametrize("n_lanes", [1, 17])
 def test_copy_of_a_running_batch_goes_on_alike_through_later_resets(n_lanes: int, mode: AutoresetMode, copied: Copy):
     env = GFMWTGVectorEnv(n_lanes, duration_s=2.0, autoreset_mode=mode)
     vector_steps(env, BEFORE[:, :n_lanes], seed=3)
@@ -72,16 +72,6 @@ def test_copy_of_a_batch_on_several_threads_goes_on_alike(copied: Copy):
 
 
 @COPIES
-def test_copy_shares_no_memory_with_its_original(copied: Copy):
-    env = GFMWTGEnv(duration_s=2.0)
-    single_steps(env, BEFORE[:, 0], AutoresetMode.NEXT_STEP, seed=3)
-    twin, untouched = copied(env), copied(env)
-    single_steps(twin, OTHER[:, 0], AutoresetMode.NEXT_STEP)
-    expected = single_steps(untouched, AFTER[:, 0], AutoresetMode.NEXT_STEP)
-    assert single_steps(env, AFTER[:, 0], AutoresetMode.NEXT_STEP) == expected
-
-
-@COPIES
 def test_wrapped_environment_can_be_copied(copied: Copy):
     env = gym.make("GFMWTG-14bus-v0", duration_s=2.0)
     env.reset(seed=1)
@@ -94,26 +84,16 @@ def test_wrapped_environment_can_be_copied(copied: Copy):
     assert env.reset()[0].tobytes() == twin.reset()[0].tobytes()
 
 
-def test_snapshot_branches_as_often_as_asked():
-    env = GFMWTGEnv(scenario=eventful().to_dict())
-    single_steps(env, BEFORE[:, 0], AutoresetMode.NEXT_STEP, seed=3)
-    start = env.snapshot()
-    branches = []
+def test_snapshot_branches_as_often_as_asked_and_each_branch_equals_going_on_without_it():
+    env, twin = (GFMWTGEnv(scenario=eventful().to_dict()) for _ in range(2))
+    for each in (env, twin):
+        single_steps(each, BEFORE[:, 0], AutoresetMode.NEXT_STEP, seed=3)
+    start, branches = env.snapshot(), []
     for actions in (AFTER[:27, 0], OTHER[:, 0], AFTER[:27, 0], OTHER[:, 0]):
         env.restore(start)
         branches.append(single_steps(env, actions, AutoresetMode.NEXT_STEP))
     assert branches[0] == branches[2] and branches[1] == branches[3] and branches[0][:25] != branches[1]
-
-
-def test_snapshot_equals_going_on_without_it():
-    env, twin = (GFMWTGEnv(scenario=eventful().to_dict()) for _ in range(2))
-    for each in (env, twin):
-        single_steps(each, BEFORE[:, 0], AutoresetMode.NEXT_STEP, seed=3)
-    start = env.snapshot()
-    single_steps(env, OTHER[:, 0], AutoresetMode.NEXT_STEP)
-    env.restore(start)
-    expected = single_steps(twin, AFTER[:27, 0], AutoresetMode.NEXT_STEP)
-    assert single_steps(env, AFTER[:27, 0], AutoresetMode.NEXT_STEP) == expected
+    assert branches[0] == single_steps(twin, AFTER[:27, 0], AutoresetMode.NEXT_STEP)
 
 
 def many_events() -> dict:
@@ -189,15 +169,6 @@ def test_batch_snapshot_keeps_lanes_that_wait_for_their_reset():
     env.restore(start)
     _, rewards, *_, infos = env.step(np.ones((3, 4)))
     assert rewards[0] == 0.0 and infos["time_s"][0] == 0.0 and infos["time_s"][1] == pytest.approx(1.1)
-
-
-def test_snapshot_is_not_touched_by_what_follows():
-    env = GFMWTGEnv(duration_s=4.0)
-    env.reset(seed=3)
-    start = env.snapshot()
-    before = pickle.dumps(start)
-    single_steps(env, AFTER[:20, 0], AutoresetMode.NEXT_STEP)
-    assert pickle.dumps(start) == before
 
 
 def test_snapshot_of_another_size_is_refused_and_changes_nothing():

@@ -43,14 +43,21 @@ SCENARIOS = {"drawn": None, "stall": sagging(), "over-speed": rising(), "eventfu
 
 @pytest.mark.parametrize("name", SCENARIOS)
 @pytest.mark.parametrize("on_failure", ["terminate", "trip"])
-def test_info_has_the_same_keys_and_types_in_reset_and_step(name: str, on_failure: str):
+def test_info_keeps_its_keys_and_types_and_its_cost_terms_are_never_negative_and_add_up_to_minus_the_reward(
+    name: str, on_failure: str
+):
     scenario = SCENARIOS[name]
     fixed = None if scenario is None else scenario.to_dict()
     env = GFMWTGEnv(strategy="mppt", scenario=fixed, on_failure=on_failure)
     _, first = env.reset(seed=0)
-    for *_, info in episode(env, -1.0):
-        assert set(info) == set(first) == KEYS
-        assert {key: type(value) for key, value in info.items()} == {key: type(v) for key, v in first.items()}
+    types = {key: type(value) for key, value in first.items()}
+    assert set(types) == KEYS
+    for reward, *_, info in episode(env, [1.0, -1.0, -0.5, 1.0], seed=0):
+        assert {key: type(value) for key, value in info.items()} == types
+        terms = [info[key] for key in TERMS]
+        assert min(terms) >= 0.0 and all(math.isfinite(term) for term in terms)
+        assert -reward == pytest.approx(sum(terms), rel=1e-12, abs=1e-15)
+        assert info["cost"] in (0.0, 1.0)
 
 
 def test_info_has_numpys_floats_which_json_takes_as_well():
@@ -66,19 +73,6 @@ def test_batch_info_has_one_value_and_one_flag_per_lane_for_every_key():
         assert set(info) == KEYS | {f"_{key}" for key in KEYS}
         assert all(info[key].shape == (5,) and info[f"_{key}"].all() for key in KEYS)
         assert set(lane_info(info, 2)) == KEYS
-
-
-@pytest.mark.parametrize("name", SCENARIOS)
-@pytest.mark.parametrize("on_failure", ["terminate", "trip"])
-def test_reward_is_minus_the_sum_of_cost_terms_which_are_never_negative(name: str, on_failure: str):
-    scenario = SCENARIOS[name]
-    fixed = None if scenario is None else scenario.to_dict()
-    env = GFMWTGEnv(strategy="mppt", scenario=fixed, on_failure=on_failure)
-    for reward, *_, info in episode(env, [1.0, -1.0, -0.5, 1.0], seed=0):
-        terms = [info[key] for key in TERMS]
-        assert min(terms) >= 0.0 and all(math.isfinite(term) for term in terms)
-        assert -reward == pytest.approx(sum(terms), rel=1e-12, abs=1e-15)
-        assert info["cost"] in (0.0, 1.0)
 
 
 def test_nothing_has_been_paid_at_the_reset():
@@ -155,6 +149,7 @@ def test_spaces_are_single_precision_boxes_with_finite_bounds(observation_mode: 
         assert space.dtype == np.float32 and space.is_bounded()
     assert env.action_space.low.tolist() == [-1.0] * 4 and env.action_space.high.tolist() == [1.0] * 4
     assert len(env.observation_names) == env.observation_space.shape[0]
+    assert GFMWTGVectorEnv(2, observation_mode=observation_mode).observation_names == env.observation_names
 
 
 def test_privileged_observation_begins_with_the_local_one():
@@ -198,9 +193,3 @@ def test_frequency_observation_turns_negative_when_load_is_added():
     deviation = observation[names.index("grid.frequency_deviation [0.5 Hz]")]
     assert deviation == pytest.approx((info["frequency_hz"] - 50.0) / 0.5, abs=1e-6) and deviation < -0.05
     assert observation[names.index("wtg0.frequency_deviation [0.5 Hz]")] == pytest.approx(deviation, abs=0.05)
-
-
-def test_vector_environment_names_its_observations_as_the_single_one_does() -> None:
-    single, batch = GFMWTGEnv(observation_mode="privileged"), GFMWTGVectorEnv(2, observation_mode="privileged")
-    assert batch.observation_names == single.observation_names
-    assert len(single.observation_names) == batch.single_observation_space.shape[0]  # type: ignore[index]

@@ -16,33 +16,39 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 import wtg_gym
-from tests.envs.rollouts import ACTION_MODES, OBSERVATION_MODES, actions_of, eventful
+from tests.envs.rollouts import actions_of, eventful
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
 
 ENV_ID = "GFMWTG-14bus-v0"
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def every_mode() -> pytest.MarkDecorator:
-    pairs = [(action, observation) for action in ACTION_MODES for observation in OBSERVATION_MODES]
-    return pytest.mark.parametrize(("action_mode", "observation_mode"), pairs)
+#: Every mode of action and of observation.
+MODES = pytest.mark.parametrize(
+    "modes",
+    [
+        {"action_mode": "k", "observation_mode": "local"},
+        {"action_mode": "tau", "observation_mode": "privileged"},
+        {"action_mode": "k+tau", "observation_mode": "local"},
+    ],
+    ids=lambda modes: "-".join(modes.values()),
+)
 
 
-@every_mode()
+@MODES
 @pytest.mark.filterwarnings("error")
-def test_gymnasium_checker_has_no_complaint(action_mode: str, observation_mode: str):
-    modes = {"action_mode": action_mode, "observation_mode": observation_mode}
+def test_gymnasium_checker_has_no_complaint(modes: dict[str, str]):
     env = gym.make(ENV_ID, duration_s=2.0, **modes)
     check_env(env.unwrapped)
     env.close()
 
 
-@every_mode()
-def test_stable_baselines3_checker_has_no_complaint(action_mode: str, observation_mode: str, recwarn: Any):
+@MODES
+def test_stable_baselines3_checker_has_no_complaint(modes: dict[str, str], recwarn: Any):
     from stable_baselines3.common.env_checker import check_env as check_sb3
 
     recwarn.clear()
-    check_sb3(GFMWTGEnv(duration_s=2.0, action_mode=action_mode, observation_mode=observation_mode), warn=True)
+    check_sb3(GFMWTGEnv(duration_s=2.0, **modes), warn=True)
     assert [str(warning.message) for warning in recwarn] == []
 
 
@@ -55,18 +61,13 @@ def test_make_after_import_and_make_with_the_module_in_the_id_are_the_same():
     assert a.tobytes() == b.tobytes()
 
 
-def test_id_with_the_module_works_without_an_import():
-    code = f"import gymnasium; env = gymnasium.make('wtg_gym:{ENV_ID}'); print(env.reset(seed=0)[0].shape)"
-    run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert run.stdout == "(20,)\n"
-
-
-def test_import_alone_needs_neither_learner_nor_plotting():
+def test_id_with_the_module_works_without_an_import_and_needs_neither_learner_nor_plotting():
     code = (
-        "import sys, wtg_gym.envs; print([m for m in ('torch', 'stable_baselines3', 'matplotlib') if m in sys.modules])"
+        f"import sys, gymnasium; env = gymnasium.make('wtg_gym:{ENV_ID}'); print(env.reset(seed=0)[0].shape,"
+        "[m for m in ('torch', 'stable_baselines3', 'matplotlib') if m in sys.modules])"
     )
     run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert run.stdout == "[]\n"
+    assert run.stdout == "(20,) []\n"
 
 
 @pytest.mark.parametrize(

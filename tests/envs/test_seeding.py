@@ -59,17 +59,13 @@ def test_environments_without_a_seed_differ():
 
 @pytest.mark.parametrize("split", SPLITS)
 @pytest.mark.parametrize("suite", SUITES)
-def test_scenarios_come_from_the_asked_split_alone(suite: str, split: str):
+def test_scenarios_come_from_the_asked_split_alone_which_is_train_by_default(suite: str, split: str):
     seeds = get_suite(suite).seeds(split)
-    batch = GFMWTGVectorEnv(5, suite=suite, split=split, duration_s=2.0)
+    asked = {"suite": suite} if split == "train" else {"suite": suite, "split": split}
+    batch = GFMWTGVectorEnv(5, duration_s=2.0, **asked)
     assert all(int(seed) in seeds for seed in batch.reset(seed=1)[1]["scenario_seed"])
-    env = GFMWTGEnv(suite=suite, split=split, duration_s=2.0)
+    env = GFMWTGEnv(duration_s=2.0, **asked)
     assert all(env.reset()[1]["scenario_seed"] in seeds for _ in range(5))
-
-
-def test_training_is_the_split_without_asking():
-    env = GFMWTGEnv(duration_s=2.0)
-    assert all(env.reset(seed=seed)[1]["scenario_seed"] in get_suite("standard").train for seed in range(20))
 
 
 def test_drawn_scenario_is_the_suites_own():

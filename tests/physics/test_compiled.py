@@ -15,11 +15,8 @@ PROGRAM = """
 import sys
 sys.path.insert(0, {root!r})
 from wtg_gym.physics.compiled import cache_folder
-from wtg_gym.physics.plant import PlantSettings
-from wtg_gym.physics.wind_turbine import turbine_constants, turbine_equilibrium
-s = PlantSettings()
-constants = turbine_constants(s.turbine, s.pitch, s.control, s.protection)
-print(cache_folder().name, repr(turbine_equilibrium(8.0, 0.67, constants)[0]))
+from wtg_gym.physics.aerodynamics import power_coefficient
+print(cache_folder().name, float(power_coefficient(7.0)))
 """
 
 
@@ -41,7 +38,6 @@ def test_editing_a_callee_in_another_file_is_never_ignored(tmp_path: Path) -> No
     shutil.copytree(package, tmp_path / "wtg_gym", ignore=shutil.ignore_patterns("__pycache__"))
     cache = tmp_path / "cache"
     before = run_copy(tmp_path, cache)
-    assert run_copy(tmp_path, cache) == before
     edited = tmp_path / "wtg_gym" / "physics" / "elementary.py"
     edited.write_text(edited.read_text().replace("    return p * p\n", "    return 1.01 * p * p\n"))
     after = run_copy(tmp_path, cache)

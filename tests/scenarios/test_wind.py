@@ -87,15 +87,6 @@ def test_group_filter_is_the_double_sum_over_equally_coherent_turbines():
     assert wind.group_filter(FREQUENCY, 9.0, n) == pytest.approx(double_sum)
 
 
-def test_variance_of_synthesised_point_wind_is_the_kaimal_variance_of_the_resolved_band():
-    spectrum = wind.kaimal_spectrum(FREQUENCY, 9.0, 1.7)
-    amplitude = wind.spectrum_amplitude(spectrum, N_PERIOD)
-    amplitude[[0, -1]] = 0.0
-    series = synthesised(2, [amplitude] * 1000, N_PERIOD)
-    assert abs(series.mean()) < 1e-12
-    assert series.var() == pytest.approx(resolved_variance(spectrum), rel=0.03)
-
-
 @pytest.mark.parametrize("n_turbines", [1.0, 10.0])
 def test_variance_of_group_wind_follows_the_formula(n_turbines: float):
     sigma = wind.ntm_sigma(9.0, 0.14)
@@ -103,13 +94,9 @@ def test_variance_of_group_wind_follows_the_formula(n_turbines: float):
     spectrum = point * wind.rotor_filter(FREQUENCY, 9.0) * wind.group_filter(FREQUENCY, 9.0, n_turbines)
     amplitude = wind.turbulence_amplitude(9.0, sigma, n_turbines, N_PERIOD)
     series = synthesised(3, [amplitude] * 1000, N_PERIOD)
+    assert abs(series.mean()) < 1e-12
     assert series.var() == pytest.approx(resolved_variance(spectrum), rel=0.05)
     assert resolved_variance(spectrum) < 0.5 * resolved_variance(point)
-
-
-def test_ten_turbines_feel_less_than_half_the_variance_of_one():
-    one, ten = (wind.turbulence_amplitude(9.0, 1.7, n, N_PERIOD) for n in (1.0, 10.0))
-    assert np.sum(ten**2) < 0.5 * np.sum(one**2)
 
 
 def test_series_of_different_groups_are_uncorrelated():

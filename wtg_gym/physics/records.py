@@ -53,7 +53,7 @@ def offsets(record: type) -> Any:
     for name, kind in get_type_hints(record).items():
         rows[name] = row
         row += size(kind) if _is_record(kind) else 1
-    return namedtuple(f"{record.__name__}Rows", rows)(**rows)  # type: ignore[misc]
+    return namedtuple(f"{record.__name__}Rows", rows)(**rows)
 
 
 def dtype(record: type) -> np.dtype[Any]:
