@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wtg_gym.analysis.power_frequency import characteristic, critical_frequency_pu, named_points
@@ -21,11 +21,13 @@ def test_fixed_strategies_lose_their_equilibrium_where_theory_says(strategy: str
     assert critical_frequency_pu(STRATEGIES[strategy], 8.0) == pytest.approx(frequency_pu, abs=5e-6)
 
 
+@settings(max_examples=40)
 @given(st.floats(3.0, 25.0))
 def test_coordinated_laws_keep_theirs_at_every_wind(wind: float) -> None:
     assert critical_frequency_pu(STRATEGIES["coordinated-piecewise"], wind) is None
 
 
+@settings(max_examples=40)
 @given(st.floats(4.0, 14.0), st.floats(0.5, 5.0))
 def test_more_wind_lowers_the_critical_frequency_at_fine_pitch(wind: float, more: float) -> None:
     low, high = (critical_frequency_pu(STRATEGIES["deloaded-5"], v, fine_pitch=True) for v in (wind, wind + more))
@@ -82,6 +84,7 @@ def test_every_equilibrium_balances_and_stable_and_unstable_ones_take_turns(
         assert any(point.stable for point in found) == (margin > 0.0)
 
 
+@settings(max_examples=40)
 @given(LAWS, st.floats(4.0, 20.0))
 def test_equilibrium_is_lost_just_below_the_critical_frequency(law: TrackingLaw, wind: float) -> None:
     try:

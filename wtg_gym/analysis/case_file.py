@@ -57,8 +57,7 @@ def read_parameters(path: str | Path) -> ReferenceCase:
     Raises:
         ValueError: the file is missing, not JSON, or not of the form; the message names the place and the value.
     """
-    data = read_json(Path(path), "parameter file", encoding="utf-8-sig")
-    root = Fields(data, f"the parameter file {path}")
+    root = Fields(read_json(Path(path), "parameter file", encoding="utf-8-sig"), f"the parameter file {path}")
     base = root.number("Sbase", positive=True)
     voltage: dict[int, tuple[float, float]] = {}
     for bus in root.list("bus"):

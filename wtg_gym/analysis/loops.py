@@ -145,14 +145,13 @@ def single_machine(
     rotor = point.rotor_speed_pu
     ratio = point.tip_speed_ratio * np.array([1.0 - _STEP, 1.0 + _STEP])
     low, high = power_coefficient(ratio, point.pitch_deg, turbine.power_coefficient)
-    in_wind = turbine.wind_power_pu_per_cubic_wind * wind_m_s**3
     if side == "under":
         span = control.frequency_setpoint_pu - control.frequency_min_pu
         slope = (law.k_nominal - law.k_min) / span
     else:
         span = control.frequency_max_pu - control.frequency_setpoint_pu
         slope = (law.k_max - law.k_nominal) / span
-    a = in_wind * float(high - low) / (2.0 * _STEP * rotor)
+    a = turbine.wind_power_pu_per_cubic_wind * wind_m_s**3 * float(high - low) / (2.0 * _STEP * rotor)
     b1, b2 = 3.0 * law.k_nominal * rotor**2, slope * rotor**3
     s, tau = Polynomial([0.0, 1.0]), law.damping_time_constant_s
     rotor_dynamics = 2.0 * turbine.inertia_constant_s * s - a

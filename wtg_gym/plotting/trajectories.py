@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -27,14 +26,12 @@ _FONT = {"title": 12.0, "label": 10.0, "small": 8.5}
 _REACH = 0.25
 
 
-@dataclass(frozen=True)
-class _Panel:
-    """One quantity: axis label, and one (n,) or (n, n_wtg) series per run."""
+class _Panel(NamedTuple):
+    """One quantity: axis label, one (n,) or (n, n_wtg) series per run, and reference lines by name."""
 
     label: str
     series: Mapping[str, npt.NDArray[np.float64]]
-    #: Horizontal reference lines by their name.
-    references: Mapping[str, float]
+    references: Mapping[str, float] = {}
     #: A lightly shaded range of values.
     band: tuple[float, float] | None = None
     #: Bring every reference line into view, however far away.
@@ -86,30 +83,22 @@ def _panels(trajectories: Mapping[str, Trajectory]) -> tuple[_Panel, ...]:
     """The six panels, down the left column and then down the right one."""
     control, law = GridFormingParameters(), coordinated_piecewise()
     nominal = next(iter(trajectories.values())).nominal_frequency_hz
+    omega = {
+        r"$\omega_{min}$": nominal * control.frequency_min_pu,
+        r"$\omega_{max}$": nominal * control.frequency_max_pu,
+    }
+    coefficients = {"$K_{opt}$": law.k_min, "$K_n$": law.k_nominal, "$K_{pr}$": law.k_max}
+
+    def series(quantity: Callable[[Trajectory], npt.NDArray[np.float64]]) -> dict[str, npt.NDArray[np.float64]]:
+        return {label: quantity(run) for label, run in trajectories.items()}
+
     return (
-        _Panel(
-            "frequency [Hz]",
-            {label: run.frequency_hz for label, run in trajectories.items()},
-            {
-                r"$\omega_{min}$": nominal * control.frequency_min_pu,
-                r"$\omega_{max}$": nominal * control.frequency_max_pu,
-            },
-            band=(nominal - 0.2, nominal + 0.2),
-        ),
-        _Panel("RoCoF, 500 ms [Hz/s]", {label: run.rocof_hz_s() for label, run in trajectories.items()}, {"": 0.0}),
-        _Panel("wind speed [m/s]", {}, {}),
-        _Panel("rotor speed [p.u.]", {label: run.rotor_speed_pu for label, run in trajectories.items()}, {}),
-        _Panel(
-            "power [p.u.]",
-            {label: run.power_pu for label, run in trajectories.items()},
-            {"overload": control.overload_limit_pu},
-        ),
-        _Panel(
-            "coefficient k [p.u.]",
-            {label: run.coefficient_pu for label, run in trajectories.items()},
-            {"$K_{opt}$": law.k_min, "$K_n$": law.k_nominal, "$K_{pr}$": law.k_max},
-            shows_all_references=True,
-        ),
+        _Panel("frequency [Hz]", series(lambda run: run.frequency_hz), omega, band=(nominal - 0.2, nominal + 0.2)),
+        _Panel("RoCoF, 500 ms [Hz/s]", series(lambda run: run.rocof_hz_s()), {"": 0.0}),
+        _Panel("wind speed [m/s]", {}),
+        _Panel("rotor speed [p.u.]", series(lambda run: run.rotor_speed_pu)),
+        _Panel("power [p.u.]", series(lambda run: run.power_pu), {"overload": control.overload_limit_pu}),
+        _Panel("coefficient k [p.u.]", series(lambda run: run.coefficient_pu), coefficients, shows_all_references=True),
     )
 
 
