@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from wtg_gym.physics.compiled import inlined
 
-R = TypeVar("R")
+R = TypeVar("R", bound=tuple[Any, ...])
 _DTYPES = {float: np.float64, int: np.int64, bool: np.bool_, complex: np.complex128}
 
 
