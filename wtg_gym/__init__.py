@@ -13,6 +13,11 @@ from gymnasium.envs.registration import register, registry
 if TYPE_CHECKING:
     from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
     from wtg_gym.evaluation import Entry, evaluate, leaderboard_rows, load_entries, markdown_table
+    from wtg_gym.physics.plant import PlantSettings
+    from wtg_gym.physics.scenario import Scenario
+    from wtg_gym.physics.tracking_law import TrackingLaw, get_law
+    from wtg_gym.physics.trajectory import Trajectory, simulate
+    from wtg_gym.scenarios import get_suite
 
 try:
     __version__ = version("wtg-gym")
@@ -29,23 +34,48 @@ if ENV_ID not in registry:
         vector_entry_point="wtg_gym.envs.gfm_wtg:GFMWTGVectorEnv",
     )
 
+#: Public names and their modules, which are imported when a name is first used.
+_PLACES = {
+    "Entry": "evaluation",
+    "GFMWTGEnv": "envs",
+    "GFMWTGVectorEnv": "envs",
+    "PlantSettings": "physics.plant",
+    "Scenario": "physics.scenario",
+    "TrackingLaw": "physics.tracking_law",
+    "Trajectory": "physics.trajectory",
+    "evaluate": "evaluation",
+    "get_law": "physics.tracking_law",
+    "get_suite": "scenarios",
+    "leaderboard_rows": "evaluation",
+    "load_entries": "evaluation",
+    "markdown_table": "evaluation",
+    "simulate": "physics.trajectory",
+}
+
 __all__ = [
     "ENV_ID",
     "Entry",
     "GFMWTGEnv",
     "GFMWTGVectorEnv",
+    "PlantSettings",
+    "Scenario",
+    "TrackingLaw",
+    "Trajectory",
     "__version__",
     "evaluate",
+    "get_law",
+    "get_suite",
     "leaderboard_rows",
     "load_entries",
     "markdown_table",
+    "simulate",
 ]
 
 
 def __getattr__(name: str) -> Any:
-    if name not in __all__:
+    if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module("wtg_gym.envs" if name.startswith("GFM") else "wtg_gym.evaluation"), name)
+    return getattr(import_module(f"wtg_gym.{_PLACES[name]}"), name)
 
 
 def __dir__() -> list[str]:

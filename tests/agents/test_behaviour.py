@@ -147,7 +147,7 @@ def test_curves_survive_their_file_and_are_sorted_by_set_up_and_seed(tmp_path: P
     [
         ([], "nothing to draw: give --entries or --runs"),
         (["--entries", "no-such"], "unknown entry 'no-such'"),
-        (["--entries", "ENTRY", "ENTRY"], "gives linear more than once"),
+        (["--entries", "ENTRY", "ENTRY"], "given more than once"),
         (["--entries", "ENTRY", "--scenarios", "0"], "--scenarios must be 1 … 200 for standard/test, got 0"),
         (["--entries", "ENTRY", "--page", "no.md"], "--page: cannot read"),
         (["--runs", "no-such"], "cannot read the description of the run"),

@@ -160,6 +160,6 @@ def test_a_full_disk_is_named_once_and_stops_nothing(tmp_path: Path) -> None:
 def test_compiling_says_where_code_is_kept_and_how_long_it_took(first_run: tuple[Path, str]) -> None:
     folder, said = first_run
     first, *rest = said.splitlines()
-    assert first.startswith("wtg_gym compiles its simulator to machine code: about half a minute, kept in")
+    assert first.startswith("wtg_gym compiles its simulator to machine code: about a minute, kept in")
     assert first.endswith(str(folder))
     assert any(line.startswith("wtg_gym compiled one_more in ") for line in rest)

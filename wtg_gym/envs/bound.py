@@ -18,7 +18,7 @@ from wtg_gym.physics.layout import Floats, LaneData, Lanes, Plant
 
 @structref.register
 class _BoundType(numba.types.StructRef):  # type: ignore[misc]
-    """What :class:`Bound` is to the compiler."""
+    """The compiler's type of :class:`Bound`."""
 
     def preprocess_fields(self, fields: Any) -> Any:
         return tuple((name, numba.types.unliteral(kind)) for name, kind in fields)

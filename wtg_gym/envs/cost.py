@@ -1,4 +1,4 @@
-"""What the agent pays: the cost of one control interval, term by term.
+"""The cost of one control interval, term by term.
 
 The cost is a rate [1/s] times the time that passed; the terms' weights and the cap are those of
 :class:`~wtg_gym.envs.settings.CostWeights`.
@@ -102,7 +102,7 @@ def with_group(terms: CostTerms, costs: GroupCosts, group: GroupRows, task: Task
 
 @inlined
 def charged(terms: CostTerms, elapsed: float, unserved: float, failed: bool, task: Task) -> CostTerms:
-    """Return what the terms cost.
+    """Return the terms of the cost of an interval.
 
     Args:
         terms: rates of all terms but failure [1/s].

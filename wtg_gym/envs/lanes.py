@@ -60,7 +60,7 @@ def _copied(outputs: Outputs) -> Outputs:
 
 
 def as_actions(given: Any, shape: tuple[int, ...]) -> Floats:
-    """Return actions as floats of a shape; whatever is not that many real numbers is a ValueError."""
+    """Return actions as floats of a shape; anything but that many real numbers raises a ValueError."""
     if type(given) is np.ndarray and given.dtype == np.float32 and given.shape == shape:
         return given.astype(np.float64, order="C")
     allowed = f"the action must be real numbers in -1 … 1 of shape {shape}"
@@ -97,7 +97,7 @@ class TaskLanes:
     """Episodes side by side: scenarios, simulator, observations and costs.
 
     Args:
-        settings: what the environment was asked for.
+        settings: of the environment.
         n_lanes: number of episodes side by side.
         n_threads: threads to step with; None for one per processor.
 
@@ -147,7 +147,7 @@ class TaskLanes:
         self._seeds = self.suite.seeds(settings.split)
         self._fixed = settings.fixed_scenario()
         if self._fixed is not None:
-            # What cannot be played is refused here rather than at the first reset.
+            # A scenario that cannot start is refused here rather than at the first reset.
             self.prepare([self._fixed])
 
     def _check_time_constants(self) -> None:
@@ -286,7 +286,7 @@ class TaskLanes:
         return np.stack([self.task_values(f"sums.{term}") for term in CostTerms._fields], axis=1)
 
     def info_arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """Return every key of `info` as an array over lanes: copies, but for the reasons while no lane has failed."""
+        """Return every key of `info` as an array over lanes: copies, except the reasons while no lane has failed."""
         arrays: dict[str, npt.NDArray[Any]] = dict(zip(Info._fields, self.outputs.infos.T.copy(), strict=True))
         arrays["scenario_seed"] = self.scenario_seeds.copy()
         arrays["termination_reason"] = self._no_reasons
@@ -377,7 +377,7 @@ class NextEpisodes:
         self._ready.update({lane: (episodes, place) for place, lane in enumerate(group)})
 
     def reseed(self, generators: dict[int, np.random.Generator]) -> None:
-        """Give lanes new generators; what their old ones had drawn is forgotten."""
+        """Give lanes new generators; episodes drawn by the old ones are dropped."""
         for lane, generator in generators.items():
             self._generators[lane] = generator
             self._ready.pop(lane, None)

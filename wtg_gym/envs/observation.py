@@ -1,4 +1,4 @@
-"""What the agent sees: each observation as a record, its equation, names and units in one place."""
+"""Observations: records with names and units, and their equations."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ bounded_grid = elementwise(GridObservation, _bounded, "bounded", "observation", 
 
 @inlined
 def observe_wtg(s: WtgState, output: WtgOutput, group: GroupRows, t: Turbine, task: Task) -> WtgObservation:
-    """Return what a WTG group measures."""
+    """Return the measurements of a WTG group."""
     best, limit = t.rotor.tip_speed_ratio_opt, t.rotor.tip_speed_ratio_limit
     ratio = t.rotor.tip_speed * s.rotor_speed / output.wind
     return WtgObservation(
@@ -80,7 +80,7 @@ def observe_wtg(s: WtgState, output: WtgOutput, group: GroupRows, t: Turbine, ta
 
 @inlined
 def observe_machine(s: MachineState, output: MachineOutput, c: Machine, task: Task) -> MachineObservation:
-    """Return what is measured at a synchronous machine."""
+    """Return the measurements at a synchronous machine."""
     return MachineObservation(
         speed=(s.speed - 1.0) * task.nominal_hz / 0.5,
         power=output.power / c.rating,
@@ -90,7 +90,7 @@ def observe_machine(s: MachineState, output: MachineOutput, c: Machine, task: Ta
 
 @inlined
 def observe_grid(coi: float, rocof: float, torque: float, task: Task) -> GridObservation:
-    """Return what is measured of the grid: frequency of the centre of inertia [p.u.], RoCoF [Hz/s], torque [p.u.]."""
+    """Return the grid's measurements: frequency of the centre of inertia [p.u.], RoCoF [Hz/s], torque [p.u.]."""
     return GridObservation((coi - 1.0) * task.nominal_hz / 0.5, rocof, torque)
 
 

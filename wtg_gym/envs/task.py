@@ -271,7 +271,7 @@ def apply_actions(block: Floats, c: Any, task: Task, actions: Floats, lanes: Lan
 
 @inlined
 def charge(block: Floats, c: Any, task: Task, lanes: Lanes) -> None:
-    """Charge the lanes that ran for the last control interval: costs, their sums, and what they are made from."""
+    """Charge the lanes that ran for the last control interval."""
     _update_rocof(block, c, task, lanes)
     _charge_frequency(block, c, task, lanes)
     _charge_groups(block, c, task, lanes)

@@ -50,7 +50,7 @@ class CostTerms(NamedTuple):
 
 
 class TaskRows(NamedTuple):
-    """What the task keeps per lane; the frequency's history and the groups' rows follow."""
+    """Rows of the task per lane; the frequency's history and the groups' rows follow."""
 
     was_active: float  # before the last step
     end_step: float  # simulation step at which the episode is over
@@ -72,7 +72,7 @@ class TaskRows(NamedTuple):
 
 
 class GroupRows(NamedTuple):
-    """What the task keeps per WTG group."""
+    """Rows of the task per WTG group."""
 
     base_inv_tau: float  # of its law [1/s]
     last_speed: float  # its frequency at the last observation [p.u.]

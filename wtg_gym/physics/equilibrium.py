@@ -240,5 +240,5 @@ def _start_clock(block: Floats, lane: int, plant: Plant, data: LaneData, magnitu
     block[own + LANE.step] = 0.0
     block[own + LANE.healthy_step] = 0.0
     for j in range(c["share"].shape[0]):
-        # The instant of the start is no time under overload.
+        # Overload counts from the first step on.
         block[rows_of(c).extremes + j * N_EXTREMES + OVERLOAD_TIME] = 0.0

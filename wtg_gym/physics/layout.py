@@ -200,7 +200,7 @@ def constants_dtype(n_sync: int, n_wtg: int) -> np.dtype[Any]:
 
 
 class LaneData(NamedTuple):
-    """What each lane was given at its reset, read-only while it runs."""
+    """Series and events of each lane, constant while it runs."""
 
     wind: npt.NDArray[np.float64]  # at the ends of control intervals (n_lanes, n_wtg, n_intervals + 1) [m/s]
     noise: npt.NDArray[np.float64]  # load noise per control interval (n_lanes, n_intervals) [MW]

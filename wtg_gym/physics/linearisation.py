@@ -50,7 +50,7 @@ def state_matrix(rows: Floats, plant: Plant, layout: Layout, side: npt.ArrayLike
 def moving_states(matrix: Floats, rows: Floats, layout: Layout) -> npt.NDArray[np.bool_]:
     """Return which states have a part in the dynamics, (n,): neither constants nor integrals nothing depends on.
 
-    The pitch protection at rest has none, since it only acts upwards: a difference across that limit is no slope.
+    The pitch protection at rest acts upwards only, so a difference across that limit gives no slope.
     """
     keep = np.ones(matrix.shape[0], dtype=np.bool_)
     for name in ("pitch_integral", "pitch"):
@@ -88,7 +88,7 @@ def check_step(rows: Floats, plant: Plant, layout: Layout) -> None:
     """Refuse a plant whose modes are too fast for its integration step at the state of one lane's rows (n_rows,).
 
     Of each law the side counts that lets the power rise more steeply while the frequency falls: there the modes are
-    faster. Limits that bind take feedback away and are left out: what holds for small deviations is checked, no more.
+    faster. Only small deviations are checked: limits are left out.
 
     Raises:
         ValueError: the message names the eigenvalue, the state it mainly belongs to, the step and the largest allowed.

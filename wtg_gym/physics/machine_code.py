@@ -5,7 +5,7 @@ two processes that compile at once can mix up its index. Here every file begins 
 content. A file that is missing, damaged or of something else counts as missing: numba compiles again, and the file is
 replaced.
 
-Compiling everything takes half a minute, so it is reported: the logger "wtg_gym" warns once when it begins, with the
+Compiling everything takes a minute or two, so it is reported: the logger "wtg_gym" warns once when it begins, with the
 folder, and once for each long part, with its time. Python writes warnings to stderr unless the program has set up
 logging. `logging.getLogger("wtg_gym").setLevel(logging.ERROR)` silences them.
 """
@@ -67,7 +67,7 @@ class DiskCache(NullCache):  # type: ignore[misc]
             return None
         target_context.refresh()
         key = self._key(sig, target_context.codegen())
-        # What is wrong with a file decides what is raised.
+        # A damaged file may raise anything.
         with contextlib.suppress(Exception):
             content = self._path(self._folder, key).read_bytes()
             checksum, code = content[: len(key)], content[len(key) :]
@@ -118,7 +118,7 @@ def _warn_that_nothing_is_kept(folder: Path, reason: str) -> None:
 
 
 class Compilation(Listener):  # type: ignore[misc]
-    """What this process has compiled of functions with a :class:`DiskCache`; numba's lock guards it.
+    """Functions with a :class:`DiskCache` that this process has compiled; numba's lock guards it.
 
     Args:
         folder: folder of the machine code, for the report; None keeps nothing.
@@ -139,7 +139,7 @@ class Compilation(Listener):  # type: ignore[misc]
         self.n_functions += 1
         if self.n_functions == _SILENT_FUNCTIONS:
             kept = "not kept: no folder can be written to" if self._folder is None else f"kept in {self._folder}"
-            _log.warning("wtg_gym compiles its simulator to machine code: about half a minute, %s", kept)
+            _log.warning("wtg_gym compiles its simulator to machine code: about a minute, %s", kept)
 
     def on_end(self, event: Any) -> None:
         """Numba has compiled a function, or failed to."""

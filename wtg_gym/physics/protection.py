@@ -1,4 +1,4 @@
-"""What is watched while runs advance: extremes, angles, voltages; and what ends a run or trips a group."""
+"""Protections: extremes, angles and voltages are watched; a run ends, or a group trips."""
 
 from __future__ import annotations
 
@@ -122,8 +122,8 @@ def look_at_grid(block: Floats, c: Any, lanes: Lanes) -> None:
 def update_status(block: Floats, c: Any, width: int) -> None:
     """End lanes that a protection ends or that are no longer finite; or trip groups that stalled or over-sped.
 
-    What is worse counts: a stall or an over-speed goes before the grid's failures, lost synchronism before a low
-    voltage, and that before the frequency, which all of them drag along.
+    If several apply, the first in this order counts: stall or over-speed, loss of synchronism, voltage collapse,
+    frequency limit. The others follow from it.
     """
     rows = rows_of(c)
     turbine = read_turbine(c["turbine"])

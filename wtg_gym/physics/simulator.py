@@ -66,10 +66,10 @@ def _aligned_zeros(n_rows: int, n_columns: int) -> Floats:
 class Simulator:
     """Runs of one plant, in lanes.
 
-    The integration step must suit the plant's fastest mode (:func:`~wtg_gym.physics.linearisation.check_step`). That is
-    checked at 8 and 16 m/s with nominal load: here with nominal inertia under the reference law, and by :meth:`prepare`
-    for every new law and for every machine inertia below those checked before, since a lighter machine swings faster.
-    Load level, line trips and governor droop hardly matter.
+    The integration step must suit the plant's fastest mode (:func:`~wtg_gym.physics.linearisation.check_step`). The
+    constructor checks it with nominal load and inertia under the reference law, at 8 and 16 m/s. :meth:`prepare` checks
+    every new law, and every inertia below those checked before: a lighter machine swings faster. Load level, line trips
+    and governor droop hardly matter.
 
     Args:
         settings: the plant and its time steps.
@@ -193,7 +193,7 @@ class Simulator:
         """Find the exact equilibria that scenarios start from; no running lane is touched.
 
         Args:
-            scenarios: what will happen in each run; its wind has one series per WTG group.
+            scenarios: one per run, with one wind series per WTG group.
             laws: one law per WTG group.
 
         Raises:
