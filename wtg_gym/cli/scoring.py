@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from wtg_gym.cli.output import Progress, note, print_json, print_table, say
+from wtg_gym.envs.compile_ahead import compile_ahead
+from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, NoScaleError, Results, evaluate, leaderboard_rows, load_entries, table_cells
 from wtg_gym.evaluation.leaderboard import COLUMNS, SHORT_COLUMNS
 from wtg_gym.evaluation.workers import BACKENDS, Workers
@@ -179,6 +181,7 @@ def kept_parts(folder: Path, arguments: argparse.Namespace) -> Path:
 
 def run_evaluation(entries: Sequence[Entry], *, partial: Path | None = None, **options: Any) -> Results:
     """Evaluate with progress on stderr; a policy that fails is left out; `options` are arguments of `evaluate`."""
+    compile_ahead(EnvSettings())
     with Progress("episodes") as progress:
         results = evaluate(entries, on_progress=progress.update, partial=partial, keep_going=True, **options)
     if partial is not None:

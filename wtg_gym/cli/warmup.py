@@ -7,7 +7,9 @@ import argparse
 from wtg_gym.analysis.eigenvalues import linearise
 from wtg_gym.cli.output import say
 from wtg_gym.cli.parser import Commands, add_command
+from wtg_gym.envs.compile_ahead import compile_ahead
 from wtg_gym.envs.gfm_wtg import GFMWTGEnv, GFMWTGVectorEnv
+from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import evaluate
 from wtg_gym.physics.compiled import cache_folder, compilation
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law
@@ -39,6 +41,7 @@ def add_commands(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym warmup`."""
+    compile_ahead(EnvSettings())
     environment: GFMWTGEnv | GFMWTGVectorEnv
     for environment in (GFMWTGEnv(), GFMWTGVectorEnv(2)):
         environment.reset(seed=0)
