@@ -104,6 +104,5 @@ TASK, GROUP = offsets(TaskRows), offsets(GroupRows)
 N_TASK_ROWS, N_GROUP_ROWS = size(TaskRows), size(GroupRows)
 
 read_task = reader(Task)
-load_task_rows, store_task_rows = loader(TaskRows), storer(TaskRows)
 load_terms, store_terms = loader(CostTerms), storer(CostTerms)
 load_group, store_group = loader(GroupRows), storer(GroupRows)
