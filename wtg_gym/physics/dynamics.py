@@ -6,15 +6,23 @@ whose length the compiler knows.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from wtg_gym.physics.compiled import compiled, inlined
+from wtg_gym.physics.converter_limits import limiting_reactance
 from wtg_gym.physics.elementary import fma, select
+from wtg_gym.physics.hydro_governor import HydroState, hydro_limited, hydro_rates
 from wtg_gym.physics.layout import (
+    EXTENSION,
     LANE,
     MACHINE,
+    N_EXTENSION_ROWS,
+    N_EXTENSION_STATES,
+    N_HYDRO_ROWS,
+    N_HYDRO_STATES,
     N_MACHINE_ROWS,
     N_MACHINE_STATES,
     N_WTG_ROWS,
@@ -24,28 +32,50 @@ from wtg_gym.physics.layout import (
     Lanes,
     Phasor,
     Plant,
+    load_extension_input,
+    load_extension_state,
+    load_hydro_state,
     load_machine_emf,
     load_machine_input,
     load_machine_state,
     load_phasor,
     load_wtg_input,
     load_wtg_state,
+    read_extension,
+    read_hydro,
     read_machine,
     read_turbine,
     rows_of,
+    store_extension_output,
     store_machine_emf,
     store_machine_output,
-    store_machine_state,
     store_phasor,
     store_wtg_output,
-    store_wtg_state,
 )
-from wtg_gym.physics.machine import MachineState, machine_limited, machine_rates, machine_voltage
-from wtg_gym.physics.records import elementwise
-from wtg_gym.physics.wind_turbine import WtgState, wtg_limited, wtg_rates, wtg_voltage
+from wtg_gym.physics.machine import (
+    MachineOutput,
+    MachineState,
+    driven_by,
+    machine_limited,
+    machine_rates,
+    machine_voltage,
+)
+from wtg_gym.physics.records import elementwise, loader, size, storer
+from wtg_gym.physics.wind_turbine import (
+    ExtensionState,
+    WtgState,
+    at_terminal,
+    extended_rates,
+    extension_limited,
+    wtg_limited,
+    wtg_rates,
+    wtg_voltage,
+)
 
 #: Stages of :func:`unit_rates`.
 EVALUATE, FIRST, MIDDLE, LAST = -1, 0, 1, 2
+#: Gauss-Seidel sweeps over the groups whose current is limited. The tests hold what they leave below 1e-9 of a current.
+_SWEEPS = 8
 
 
 @inlined
@@ -66,10 +96,18 @@ def unit_voltages(block: Floats, c: Any, lanes: Lanes) -> None:
     for j in range(c["share"].shape[0]):
         o, voltage = (rows.wtg + j * N_WTG_ROWS) * width, (rows.voltage + 2 * (n_sync + j)) * width
         for x in range(width):
-            state, given = load_wtg_state(block, o + x, width), load_wtg_input(block, o + WTG.input * width + x, width)
-            re, im = wtg_voltage(state, given)
+            emf = load_wtg_input(block, o + WTG.input * width + x, width).emf
+            if c["extension"].shape[0] > 0:
+                emf = load_extension_state(block, extension_at(c, j, width) + x, width).internal_voltage
+            re, im = wtg_voltage(load_wtg_state(block, o + x, width), emf)
             block[voltage + x] = re
             block[voltage + width + x] = im
+
+
+@inlined
+def extension_at(c: Any, j: int, width: int) -> int:
+    """Return where the extension of WTG group j begins."""
+    return (rows_of(c).extension + j * N_EXTENSION_ROWS) * width
 
 
 @inlined
@@ -95,11 +133,73 @@ def unit_currents(block: Floats, c: Any, lanes: Lanes) -> None:
             for x in range(width):
                 current = load_phasor(block, at + x, width)
                 store_phasor(_plus_product(current, block, y_j + x, e_j + x, width), block, at + x, width)
+    if c["extension"].shape[0] > 0:
+        _limit_currents(block, c, lanes)
+
+
+@inlined
+def _limit_currents(block: Floats, c: Any, lanes: Lanes) -> None:
+    """Turn the voltages of groups whose current is too large into those behind their limiting reactance.
+
+    A lane without such a group keeps its bits, whatever its neighbours do.
+    """
+    width, rows = len(lanes), rows_of(c)
+    n_sync, n = c["machines"].shape[0], c["unit_bus"].shape[0]
+    limit = read_extension(c["extension"][0]).limits.current_max
+    excess = 0.0
+    for j in range(c["share"].shape[0]):
+        e, i, o = rows.voltage + 2 * (n_sync + j), rows.current + 2 * (n_sync + j), extension_at(c, j, width)
+        largest = (limit * c["share"][j]) * (limit * c["share"][j])
+        for x in range(width):
+            source, current = load_phasor(block, e * width + x, width), load_phasor(block, i * width + x, width)
+            store_phasor(source, block, o + EXTENSION.source * width + x, width)
+            block[o + EXTENSION.output * width + x] = 0.0
+            excess = max(excess, fma(current.re, current.re, current.im * current.im) - largest)
+    if excess <= 0.0:
+        return
+    for _ in range(_SWEEPS):
+        for j in range(c["share"].shape[0]):
+            _limit_current(block, c, j, limit * c["share"][j], lanes)
+
+
+@inlined
+def _limit_current(block: Floats, c: Any, j: int, limit: float, lanes: Lanes) -> None:
+    """Find the limiting reactance of WTG group j with everybody else's voltage as it is, and move all currents."""
+    width, rows = len(lanes), rows_of(c)
+    n = c["unit_bus"].shape[0]
+    unit = c["machines"].shape[0] + j
+    own, o = (rows.voltage + 2 * unit) * width, extension_at(c, j, width)
+    for x in range(width):
+        y = load_phasor(block, (rows.admittance + 2 * (unit * n + unit)) * width + x, width)
+        source = load_phasor(block, o + EXTENSION.source * width + x, width)
+        e = load_phasor(block, own + x, width)
+        current = load_phasor(block, (rows.current + 2 * unit) * width + x, width)
+        free = _plus(current, y, Phasor(source.re - e.re, source.im - e.im))
+        reactance = limiting_reactance(free.re, free.im, y.re, y.im, limit)
+        # E' = E - jX_v I, and I = I_0 / (1 + jX_v Y).
+        d_re, d_im = 1.0 - reactance * y.im, reactance * y.re
+        size = reactance / fma(d_re, d_re, d_im * d_im)
+        drop_re = size * fma(free.re, d_re, free.im * d_im)
+        drop_im = size * fma(free.im, d_re, -(free.re * d_im))
+        new = Phasor(source.re + drop_im, source.im - drop_re)
+        block[o + EXTENSION.output * width + x] = reactance
+        store_phasor(Phasor(new.re - e.re, new.im - e.im), block, o + EXTENSION.change * width + x, width)
+        store_phasor(new, block, own + x, width)
+    for i in range(n):
+        for x in range(width):
+            y = load_phasor(block, (rows.admittance + 2 * (i * n + unit)) * width + x, width)
+            change = load_phasor(block, o + EXTENSION.change * width + x, width)
+            current = load_phasor(block, (rows.current + 2 * i) * width + x, width)
+            store_phasor(_plus(current, y, change), block, (rows.current + 2 * i) * width + x, width)
 
 
 @inlined
 def _plus_product(total: Phasor, block: Floats, admittance: int, voltage: int, width: int) -> Phasor:
-    y, e = load_phasor(block, admittance, width), load_phasor(block, voltage, width)
+    return _plus(total, load_phasor(block, admittance, width), load_phasor(block, voltage, width))
+
+
+@inlined
+def _plus(total: Phasor, y: Phasor, e: Phasor) -> Phasor:
     return Phasor(total.re + fma(y.re, e.re, -(y.im * e.im)), total.im + fma(y.re, e.im, y.im * e.re))
 
 
@@ -125,14 +225,53 @@ def _kept(moved: float, limited: float, base: float, last: bool, active: float) 
     return select(active > 0.5, select(last, limited, moved), base)
 
 
-_machine_base = elementwise(MachineState, _base, "base", "state, base", "first")
-_machine_sum = elementwise(MachineState, _sum, "sum", "rate, total", "first")
-_machine_moved = elementwise(MachineState, _moved, "moved", "base, rate, total", "ahead, last")
-_machine_kept = elementwise(MachineState, _kept, "kept", "moved, limited, base", "last, active")
-_wtg_base = elementwise(WtgState, _base, "base", "state, base", "first")
-_wtg_sum = elementwise(WtgState, _sum, "sum", "rate, total", "first")
-_wtg_moved = elementwise(WtgState, _moved, "moved", "base, rate, total", "ahead, last")
-_wtg_kept = elementwise(WtgState, _kept, "kept", "moved, limited, base", "last, active")
+def _advancer(record: type, limited: Callable[..., Any]) -> Callable[..., None]:
+    """Return the function that moves a unit's states by one stage.
+
+    Args:
+        record: of the states; rows for their base and their sum of rates follow theirs.
+        limited: compiled; returns the states, held within their limits, given states and constants.
+    """
+    load, store, n = loader(record), storer(record), size(record)
+    base_of = elementwise(record, _base, "base", "state, base", "first")
+    sum_of = elementwise(record, _sum, "sum", "rate, total", "first")
+    moved_of = elementwise(record, _moved, "moved", "base, rate, total", "ahead, last")
+    kept_of = elementwise(record, _kept, "kept", "moved, limited, base", "last, active")
+
+    @inlined
+    def advance(
+        state: Any,
+        rates: Any,
+        constants: Any,
+        block: Floats,
+        at: int,
+        rate_at: int,
+        active: float,
+        stage: np.int64,
+        ahead: float,
+        width: int,
+    ) -> None:
+        first, last = stage == FIRST, stage == LAST
+        if stage == EVALUATE:
+            store(rates, block, rate_at, width)
+        else:
+            base = base_of(state, load(block, at + n * width, width), first)
+            total = load(block, at + 2 * n * width, width)
+            moved = moved_of(base, rates, total, ahead, last)
+            moved = kept_of(moved, limited(moved, constants), base, last, active)
+            store(moved, block, at, width)
+            if first:
+                store(base, block, at + n * width, width)
+            if not last:
+                store(sum_of(rates, total, first), block, at + 2 * n * width, width)
+
+    return advance
+
+
+_advance_machine = _advancer(MachineState, machine_limited)
+_advance_hydro = _advancer(HydroState, hydro_limited)
+_advance_wtg = _advancer(WtgState, wtg_limited)
+_advance_extension = _advancer(ExtensionState, extension_limited)
 
 
 @inlined
@@ -155,7 +294,6 @@ def unit_rates(block: Floats, c: Any, fraction: float, stage: np.int64, ahead: f
 @inlined
 def _machines(block: Floats, c: Any, stage: np.int64, ahead: float, lanes: Lanes) -> None:
     width, rows = len(lanes), rows_of(c)
-    first, last = stage == FIRST, stage == LAST
     omega_n, lane = c["omega_n"], rows.lane * width
     for i in range(c["machines"].shape[0]):
         machine = read_machine(c["machines"][i])
@@ -163,37 +301,36 @@ def _machines(block: Floats, c: Any, stage: np.int64, ahead: float, lanes: Lanes
         rate = (rows.machine_rate + i * N_MACHINE_STATES) * width
         for x in range(width):
             state = load_machine_state(block, o + x, width)
+            given = load_machine_input(block, o + MACHINE.input * width + x, width)
             rates, output = machine_rates(
                 state,
                 load_machine_emf(block, o + MACHINE.emf * width + x, width),
                 block[current + x],
                 block[current + width + x],
-                load_machine_input(block, o + MACHINE.input * width + x, width),
+                given,
                 machine,
                 block[lane + LANE.reference_speed * width + x],
                 omega_n,
             )
+            active = block[lane + LANE.active * width + x]
+            if c["hydro"].shape[0] > 0:
+                governor = read_hydro(c["hydro"][i])
+                at, rate_at = (rows.hydro + i * N_HYDRO_ROWS) * width + x, rows.hydro_rate + i * N_HYDRO_STATES
+                water = load_hydro_state(block, at, width)
+                water_rates, torque = hydro_rates(water, state.speed, given.gate_reference, given.inv_droop, governor)
+                torque = select(governor.present > 0.5, machine.rating * torque, output.torque)
+                rates = driven_by(torque, rates, output, given)
+                output = MachineOutput(output.power, output.voltage, torque)
+                _advance_hydro(
+                    water, water_rates, governor, block, at, rate_at * width + x, active, stage, ahead, width
+                )
             store_machine_output(output, block, o + MACHINE.output * width + x, width)
-            if stage == EVALUATE:
-                store_machine_state(rates, block, rate + x, width)
-            else:
-                base = _machine_base(state, load_machine_state(block, o + MACHINE.base * width + x, width), first)
-                total = load_machine_state(block, o + MACHINE.sum * width + x, width)
-                moved = _machine_moved(base, rates, total, ahead, last)
-                active = block[lane + LANE.active * width + x]
-                moved = _machine_kept(moved, machine_limited(moved, machine), base, last, active)
-                store_machine_state(moved, block, o + x, width)
-                if first:
-                    store_machine_state(base, block, o + MACHINE.base * width + x, width)
-                if not last:
-                    total = _machine_sum(rates, total, first)
-                    store_machine_state(total, block, o + MACHINE.sum * width + x, width)
+            _advance_machine(state, rates, machine, block, o + x, rate + x, active, stage, ahead, width)
 
 
 @inlined
 def _wtgs(block: Floats, c: Any, fraction: float, stage: np.int64, ahead: float, lanes: Lanes) -> None:
     width, rows = len(lanes), rows_of(c)
-    first, last = stage == FIRST, stage == LAST
     omega_n, lane = c["omega_n"], rows.lane * width
     turbine, n_sync = read_turbine(c["turbine"]), c["machines"].shape[0]
     for j in range(c["share"].shape[0]):
@@ -204,29 +341,29 @@ def _wtgs(block: Floats, c: Any, fraction: float, stage: np.int64, ahead: float,
             state = load_wtg_state(block, o + x, width)
             e = load_phasor(block, (rows.voltage + unit) * width + x, width)
             current = load_phasor(block, (rows.current + unit) * width + x, width)
+            given = load_wtg_input(block, o + WTG.input * width + x, width)
+            power = inv_share * (e.re * current.re + e.im * current.im)
             rates, output = wtg_rates(
-                state,
-                inv_share * (e.re * current.re + e.im * current.im),
-                load_wtg_input(block, o + WTG.input * width + x, width),
-                turbine,
-                fraction,
-                block[lane + LANE.reference_speed * width + x],
-                omega_n,
+                state, power, given, turbine, fraction, block[lane + LANE.reference_speed * width + x], omega_n
             )
+            active = block[lane + LANE.active * width + x]
+            if c["extension"].shape[0] > 0:
+                extension = read_extension(c["extension"][0])
+                at, rate_at = extension_at(c, j, width) + x, rows.extension_rate + j * N_EXTENSION_STATES
+                own = load_extension_state(block, at, width)
+                reactance = block[at + EXTENSION.output * width]
+                own_current = Phasor(inv_share * current.re, inv_share * current.im)
+                terminal = at_terminal(e.re, e.im, own_current.re, own_current.im, reactance, turbine.converter)
+                store_extension_output(terminal, block, at + EXTENSION.output * width, width)
+                references = load_extension_input(block, at + EXTENSION.input * width, width)
+                rates, own_rates = extended_rates(
+                    rates, state, own, power, terminal, given, references, turbine, extension, omega_n
+                )
+                _advance_extension(
+                    own, own_rates, extension, block, at, rate_at * width + x, active, stage, ahead, width
+                )
             store_wtg_output(output, block, o + WTG.output * width + x, width)
-            if stage == EVALUATE:
-                store_wtg_state(rates, block, rate + x, width)
-            else:
-                base = _wtg_base(state, load_wtg_state(block, o + WTG.base * width + x, width), first)
-                total = load_wtg_state(block, o + WTG.sum * width + x, width)
-                moved = _wtg_moved(base, rates, total, ahead, last)
-                active = block[lane + LANE.active * width + x]
-                moved = _wtg_kept(moved, wtg_limited(moved, turbine), base, last, active)
-                store_wtg_state(moved, block, o + x, width)
-                if first:
-                    store_wtg_state(base, block, o + WTG.base * width + x, width)
-                if not last:
-                    store_wtg_state(_wtg_sum(rates, total, first), block, o + WTG.sum * width + x, width)
+            _advance_wtg(state, rates, turbine, block, o + x, rate + x, active, stage, ahead, width)
 
 
 @inlined

@@ -10,12 +10,17 @@ import numpy.typing as npt
 
 from wtg_gym.physics.compiled import compiled
 from wtg_gym.physics.converter import ConverterState
-from wtg_gym.physics.dynamics import derivatives
+from wtg_gym.physics.converter_limits import LimitState
+from wtg_gym.physics.dynamics import derivatives, extension_at
+from wtg_gym.physics.elementary import select
+from wtg_gym.physics.hydro_governor import hydro_start
 from wtg_gym.physics.layout import (
+    EXTENSION,
     LANE,
     MACHINE,
     MACHINE_ANGLE,
     N_EXTREMES,
+    N_HYDRO_ROWS,
     N_MACHINE_ROWS,
     N_WTG_ROWS,
     OVERLOAD_TIME,
@@ -26,14 +31,22 @@ from wtg_gym.physics.layout import (
     LaneData,
     Lanes,
     Plant,
+    load_extension_state,
+    load_hydro_state,
     load_machine_input,
     load_machine_state,
     load_wtg_input,
+    load_wtg_output,
     load_wtg_state,
+    read_extension,
+    read_hydro,
     read_machine,
     read_turbine,
     rows_of,
+    store_extension_input,
+    store_extension_state,
     store_extremes,
+    store_hydro_state,
     store_machine_input,
     store_machine_state,
     store_wtg_input,
@@ -44,7 +57,8 @@ from wtg_gym.physics.network import assemble_admittance, solve_power_flow
 from wtg_gym.physics.pitch import PitchState
 from wtg_gym.physics.protection import track_extremes
 from wtg_gym.physics.reduction import combine_load_noise, refresh_network
-from wtg_gym.physics.wind_turbine import WtgExtremes, WtgInput, WtgState, turbine_equilibrium
+from wtg_gym.physics.voltage_control import VoltageInput
+from wtg_gym.physics.wind_turbine import ExtensionState, WtgExtremes, WtgInput, WtgState, turbine_equilibrium
 
 
 class StartFailure(IntEnum):
@@ -55,6 +69,8 @@ class StartFailure(IntEnum):
     POWER_FLOW_DIVERGED = 2
     GOVERNOR_LIMIT = 3
     EXCITER_LIMIT = 4
+    CONVERTER_LIMIT = 5
+    INTERNAL_VOLTAGE_LIMIT = 6
 
 
 @compiled
@@ -97,6 +113,13 @@ def start_lane(block: Floats, lane: int, plant: Plant, data: LaneData, load_leve
         magnitude[k], holds_voltage[k] = buses[k]["voltage"], buses[k]["holds_voltage"]
     if solve_power_flow(y, c["slack"], holds_voltage, power, magnitude, angle) < 0:
         return 2
+    if c["extension"].shape[0] > 0:
+        # At most every bus lets go of its voltage.
+        for _ in range(n_bus):
+            if not _release_voltages(plant, y, load_level, holds_voltage, power, magnitude, angle):
+                break
+            if solve_power_flow(y, c["slack"], holds_voltage, power, magnitude, angle) < 0:
+                return 2
     voltage = np.empty(n_bus, dtype=np.complex128)
     for k in range(n_bus):
         voltage[k] = magnitude[k] * complex(math.cos(angle[k]), math.sin(angle[k]))
@@ -104,6 +127,46 @@ def start_lane(block: Floats, lane: int, plant: Plant, data: LaneData, load_leve
     _start_units(block, plant, load_level, y, voltage)
     _start_clock(block, lane, plant, data, magnitude, lanes)
     return _limit_failure(block, plant)
+
+
+@compiled
+def _release_voltages(
+    plant: Plant,
+    y: npt.NDArray[np.complex128],
+    load_level: float,
+    holds_voltage: npt.NDArray[np.bool_],
+    power: npt.NDArray[np.complex128],
+    magnitude: Floats,
+    angle: Floats,
+) -> bool:
+    """Turn buses whose WTG groups lack the reactive power to hold the voltage into PQ buses; return whether any is.
+
+    A bus with a machine too keeps its voltage: the machine gives what is missing.
+    """
+    c, n_bus = plant.constants[0], magnitude.shape[0]
+    n_sync = c["machines"].shape[0]
+    limit = read_extension(c["extension"][0]).voltage.reactive_max
+    found = False
+    for k in range(n_bus):
+        share = 0.0
+        for j in range(c["share"].shape[0]):
+            if c["unit_bus"][n_sync + j] == k:
+                share += c["share"][j]
+        for i in range(n_sync):
+            if c["unit_bus"][i] == k:
+                share = 0.0
+        if holds_voltage[k] and share > 0.0 and limit > 0.0 and k != c["slack"]:
+            injected = 0j
+            for m in range(n_bus):
+                injected += y[k, m] * magnitude[m] * complex(math.cos(angle[m]), math.sin(angle[m]))
+            flow = magnitude[k] * complex(math.cos(angle[k]), math.sin(angle[k])) * injected.conjugate()
+            asked = flow.imag + load_level * plant.buses[k]["load"].imag
+            if abs(asked) > limit * share * (1.0 + 1e-9):
+                given = math.copysign(limit * share, asked)
+                holds_voltage[k] = False
+                power[k] = complex(power[k].real, given - load_level * plant.buses[k]["load"].imag)
+                found = True
+    return found
 
 
 @compiled
@@ -162,21 +225,33 @@ def _start_units(
             injected += y[bus, k] * voltage[k]
         total = voltage[bus] * injected.conjugate() + load_level * plant.buses[bus]["load"]
         weight, weight_all, machines_all, fixed = 0.0, 0.0, 0.0, 0.0
+        machines_weight, groups_share = 0.0, 0.0
         for u in range(n_sync + n_wtg):
             if c["unit_bus"][u] == bus:
                 if u < n_sync:
                     machine = read_machine(c["machines"][u])
                     own = machine.reactive_weight
                     machines_all += machine.rating
+                    machines_weight += own
                     fixed += c["dispatch"][u]
                 else:
                     own = c["share"][u - n_sync]
+                    groups_share += own
                     fixed += _start_power(block, plant, u - n_sync)
                 weight_all += own
                 if u == i:
                     weight = own
         # Reactive power in proportion to the weights; at the slack bus the machines share missing power by rating.
         reactive = total.imag * weight / weight_all if plant.buses[bus]["holds_voltage"] else 0.0
+        if c["extension"].shape[0] > 0:
+            limit = read_extension(c["extension"][0]).voltage.reactive_max
+            if limit > 0.0 and groups_share > 0.0 and machines_weight > 0.0 and reactive != 0.0:
+                asked = total.imag * groups_share / weight_all
+                given = min(max(asked, -limit * groups_share), limit * groups_share)
+                if i < n_sync:
+                    reactive = (total.imag - given) * weight / machines_weight
+                else:
+                    reactive = given * weight / groups_share
         if i < n_sync:
             machine = read_machine(c["machines"][i])
             active = c["dispatch"][i]
@@ -185,10 +260,15 @@ def _start_units(
             state, v_ref, gate_ref = machine_start(complex(active, reactive), voltage[bus], machine)
             delta = state.angle
             o = i * N_MACHINE_ROWS
-            given = load_machine_input(block, o + MACHINE.input, 1)
+            known = load_machine_input(block, o + MACHINE.input, 1)
             store_machine_state(state, block, o, 1)
+            if c["hydro"].shape[0] > 0:
+                governor = read_hydro(c["hydro"][i])
+                water = hydro_start(gate_ref, governor)
+                store_hydro_state(water, block, rows.hydro + i * N_HYDRO_ROWS, 1)
+                gate_ref = select(governor.present > 0.5, water.hydro_gate, gate_ref)
             store_machine_input(
-                MachineInput(v_ref, gate_ref, given.inv_two_h, given.inv_droop), block, o + MACHINE.input, 1
+                MachineInput(v_ref, gate_ref, known.inv_two_h, known.inv_droop), block, o + MACHINE.input, 1
             )
         else:
             o = rows.wtg + (i - n_sync) * N_WTG_ROWS
@@ -198,6 +278,11 @@ def _start_units(
             delta = math.atan2(emf.imag, emf.real)
             block[o + WTG_ANGLE] = delta
             block[o + WTG_EMF] = abs(emf)
+            if c["extension"].shape[0] > 0:
+                at = extension_at(c, i - n_sync, 1)
+                store_extension_state(ExtensionState(LimitState(0.0, 0.0, 0.0), abs(emf)), block, at, 1)
+                references = VoltageInput(abs(voltage[bus]), reactive / c["share"][i - n_sync])
+                store_extension_input(references, block, at + EXTENSION.input, 1)
         if i == 0:
             reference = delta
     for i in range(n_sync):
@@ -209,14 +294,30 @@ def _start_units(
 
 @compiled
 def _limit_failure(block: Floats, plant: Plant) -> int:
-    """Return the :class:`StartFailure` of a machine that would start beyond its gate or field limits."""
-    machines = plant.constants[0]["machines"]
+    """Return the :class:`StartFailure` of a machine or converter that would start beyond its limits."""
+    c = plant.constants[0]
+    machines = c["machines"]
     for i in range(machines.shape[0]):
         state, machine = load_machine_state(block, i * N_MACHINE_ROWS, 1), read_machine(machines[i])
         if not machine.governor.gate_min <= state.governor.gate <= machine.governor.gate_max:
             return 3
         if not machine.exciter.field_min <= state.exciter.field_voltage <= machine.exciter.field_max:
             return 4
+        if c["hydro"].shape[0] > 0:
+            governor = read_hydro(c["hydro"][i])
+            gate = load_hydro_state(block, rows_of(c).hydro + i * N_HYDRO_ROWS, 1).hydro_gate
+            if not governor.gate_min <= gate <= governor.gate_max:
+                return 3
+    if c["extension"].shape[0] > 0:
+        limits, control = read_extension(c["extension"][0]).limits, read_extension(c["extension"][0]).voltage
+        for j in range(c["share"].shape[0]):
+            at = extension_at(c, j, 1)
+            power = load_wtg_output(block, rows_of(c).wtg + j * N_WTG_ROWS + WTG.output, 1).power
+            emf = load_extension_state(block, at, 1).internal_voltage
+            if block[at + EXTENSION.output] > 0.0 or not limits.power_min <= power <= limits.power_max:
+                return 5
+            if not control.emf_min <= emf <= control.emf_max:
+                return 6
     return 0
 
 

@@ -1,8 +1,8 @@
 """The governor and steam turbine TGOV1: droop, a gate with non-windup limits, a reheater.
 
-    T_1 ġ = g_ref - (ω - 1)/R - g,    T_3 ẋ = g - x,    T_m = x + (T_2/T_3)(g - x) - D_t (ω - 1)
+    T_1 ġ = g_ref - Δω/R - g,    T_3 ẋ = g - x,    T_m = x + (T_2/T_3)(g - x) - D_t (ω - 1)
 
-Source: the standard model TGOV1, as PSS/E and ANDES define it.
+Δω is the speed's deviation ω - 1 beyond the dead band. Source: the standard model TGOV1, as PSS/E and ANDES define it.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from wtg_gym.physics.compiled import inlined
 from wtg_gym.physics.elementary import clip, limited_rate
-from wtg_gym.physics.parameters import GovernorParameters
+from wtg_gym.physics.parameters import GovernorParameters, HydroGovernorParameters
 
 
 class Governor(NamedTuple):
@@ -24,6 +24,7 @@ class Governor(NamedTuple):
     gate_min: float  # [p.u.]
     gate_max: float
     turbine_damping: float  # D_t [p.u./p.u.]
+    dead_band: float  # [p.u.]
 
 
 class GovernorState(NamedTuple):
@@ -33,10 +34,11 @@ class GovernorState(NamedTuple):
     reheat: float  # x [p.u.]
 
 
-def governor_constants(parameters: GovernorParameters | None) -> Governor:
-    """Return the constants of a governor; without one the torque is constant."""
-    if parameters is None:
-        return Governor(0.0, 0.0, 0.0, 0.0, -float("inf"), float("inf"), 0.0)
+def governor_constants(parameters: GovernorParameters | HydroGovernorParameters | None) -> Governor:
+    """Return the constants of a governor; without one, or with one of another type, the torque is constant."""
+    if not isinstance(parameters, GovernorParameters):
+        inv_droop = 0.0 if parameters is None else 1.0 / parameters.droop_pu
+        return Governor(inv_droop, 0.0, 0.0, 0.0, -float("inf"), float("inf"), 0.0, 0.0)
     return Governor(
         inv_droop=1.0 / parameters.droop_pu,
         inv_gate_time=1.0 / parameters.gate_time_s,
@@ -45,7 +47,14 @@ def governor_constants(parameters: GovernorParameters | None) -> Governor:
         gate_min=parameters.gate_min_pu,
         gate_max=parameters.gate_max_pu,
         turbine_damping=parameters.turbine_damping_pu,
+        dead_band=parameters.dead_band_pu,
     )
+
+
+@inlined
+def beyond_dead_band(deviation: float, dead_band: float) -> float:
+    """Return how far a deviation lies beyond a dead band, without a step at its edge."""
+    return deviation - clip(deviation, -dead_band, dead_band)
 
 
 @inlined
@@ -53,7 +62,7 @@ def governor_rates(
     s: GovernorState, speed: float, reference: float, inv_droop: float, c: Governor
 ) -> tuple[GovernorState, float]:
     """Return the rates [p.u./s] and the torque [p.u.]; speed ω [p.u.], reference of the gate [p.u.], 1/R in use."""
-    demand = reference - inv_droop * (speed - 1.0)
+    demand = reference - inv_droop * beyond_dead_band(speed - 1.0, c.dead_band)
     held = clip(s.gate, c.gate_min, c.gate_max)
     rates = GovernorState(
         gate=limited_rate(c.inv_gate_time * (demand - s.gate), s.gate, c.gate_min, c.gate_max),

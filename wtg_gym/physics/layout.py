@@ -4,7 +4,10 @@ A block holds the complete state of `width` lanes (runs side by side) as one fla
 per lane, so that loops over lanes have unit stride. A record takes neighbouring rows. What the right-hand side touches
 lies together at the beginning, small enough for a processor's first cache:
 
-    machines | WTG groups | voltages | currents | admittances | lane || rates | extremes | reduction | caller's own rows
+    machines | WTG groups | hydro governors | extensions | voltages | currents | admittances | lane
+    || rates | extremes | shedding | reduction | caller's own rows
+
+Hydro governors, extensions of WTG groups and shedding take rows only in a plant that has them.
 """
 
 from __future__ import annotations
@@ -18,9 +21,20 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.compiled import inlined
+from wtg_gym.physics.hydro_governor import HydroGovernor, HydroState
 from wtg_gym.physics.machine import Machine, MachineInput, MachineOutput, MachineState, MachineVoltage
 from wtg_gym.physics.records import dtype, loader, offsets, reader, short_names, size, storer
-from wtg_gym.physics.wind_turbine import Turbine, WtgExtremes, WtgInput, WtgOutput, WtgState
+from wtg_gym.physics.voltage_control import VoltageInput
+from wtg_gym.physics.wind_turbine import (
+    Extension,
+    ExtensionOutput,
+    ExtensionState,
+    Turbine,
+    WtgExtremes,
+    WtgInput,
+    WtgOutput,
+    WtgState,
+)
 
 Floats = npt.NDArray[np.float64]
 #: A tuple of zeros as long as a block is wide; its length is known to the compiler.
@@ -55,6 +69,26 @@ class Phasor(NamedTuple):
     im: float
 
 
+class HydroRows(NamedTuple):
+    """Rows of a synchronous machine's hydro governor."""
+
+    state: HydroState
+    base: HydroState
+    sum: HydroState
+
+
+class ExtensionRows(NamedTuple):
+    """Further rows of an extended WTG group."""
+
+    state: ExtensionState
+    base: ExtensionState
+    sum: ExtensionState
+    input: VoltageInput
+    output: ExtensionOutput
+    source: Phasor  # voltage behind X_g before its current is limited [p.u.]
+    change: Phasor  # of the voltage behind X_g in the latest sweep [p.u.]
+
+
 class LaneRows(NamedTuple):
     """Rows of a lane."""
 
@@ -80,8 +114,11 @@ class LaneRows(NamedTuple):
 
 
 MACHINE, WTG, LANE = offsets(MachineRows), offsets(WtgRows), offsets(LaneRows)
+HYDRO, EXTENSION = offsets(HydroRows), offsets(ExtensionRows)
 N_MACHINE_ROWS, N_WTG_ROWS, N_LANE_ROWS = size(MachineRows), size(WtgRows), size(LaneRows)
+N_HYDRO_ROWS, N_EXTENSION_ROWS = size(HydroRows), size(ExtensionRows)
 N_MACHINE_STATES, N_WTG_STATES, N_EXTREMES = size(MachineState), size(WtgState), size(WtgExtremes)
+N_HYDRO_STATES, N_EXTENSION_STATES = size(HydroState), size(ExtensionState)
 
 
 def row_of(record: type, name: str) -> int:
@@ -105,7 +142,12 @@ load_wtg_input, store_wtg_input = loader(WtgInput), storer(WtgInput)
 load_wtg_output, store_wtg_output = loader(WtgOutput), storer(WtgOutput)
 load_extremes, store_extremes = loader(WtgExtremes), storer(WtgExtremes)
 load_phasor, store_phasor = loader(Phasor), storer(Phasor)
+load_hydro_state, store_hydro_state = loader(HydroState), storer(HydroState)
+load_extension_state, store_extension_state = loader(ExtensionState), storer(ExtensionState)
+load_extension_input, store_extension_input = loader(VoltageInput), storer(VoltageInput)
+load_extension_output, store_extension_output = loader(ExtensionOutput), storer(ExtensionOutput)
 read_machine, read_turbine = reader(Machine), reader(Turbine)
+read_hydro, read_extension = reader(HydroGovernor), reader(Extension)
 
 
 class Status(IntEnum):
@@ -118,6 +160,7 @@ class Status(IntEnum):
     NUMERICAL_FAILURE = 4
     LOSS_OF_SYNCHRONISM = 5
     VOLTAGE_COLLAPSE = 6
+    UNDER_SPEED = 7
 
 
 class NetworkEvent(NamedTuple):
@@ -154,6 +197,14 @@ class BusConstants(NamedTuple):
     holds_voltage: bool
 
 
+class SheddingConstants(NamedTuple):
+    """A stage of load shedding."""
+
+    speed: float  # frequency of the centre of inertia at which it acts [p.u.]
+    share: float  # of the load
+    delay: float  # [s]
+
+
 class Plant(NamedTuple):
     """Constants that all lanes share."""
 
@@ -177,13 +228,21 @@ class Plant(NamedTuple):
         return float(self.constants["simulation_dt"][0])
 
 
-def constants_dtype(n_sync: int, n_wtg: int) -> np.dtype[Any]:
-    """Return the data type of a plant's constants: sizes that the compiler knows."""
+def constants_dtype(
+    n_sync: int, n_wtg: int, *, hydro: bool = False, extended: bool = False, n_stages: int = 0
+) -> np.dtype[Any]:
+    """Return the data type of a plant's constants: sizes that the compiler knows.
+
+    What a plant does not have takes no space, and the code for it falls away where it is compiled.
+    """
     n_unit = n_sync + n_wtg
     return np.dtype(
         [
             ("machines", dtype(Machine), (n_sync,)),
             ("turbine", dtype(Turbine)),
+            ("hydro", dtype(HydroGovernor), (n_sync if hydro else 0,)),
+            ("extension", dtype(Extension), (1 if extended else 0,)),
+            ("shedding", dtype(SheddingConstants), (n_stages,)),
             ("share", np.float64, (n_wtg,)),  # rating of each WTG group on the system base
             ("unit_bus", np.int64, (n_unit,)),  # bus index of each unit, machines first
             ("unit_y", np.complex128, (n_unit,)),  # internal admittance of each unit
@@ -213,38 +272,54 @@ class Rows(NamedTuple):
     """First row of each part of a block."""
 
     wtg: int
+    hydro: int
+    extension: int
     voltage: int
     current: int
     admittance: int
     lane: int
     machine_rate: int
     wtg_rate: int
+    hydro_rate: int
+    extension_rate: int
     extremes: int
+    shedding: int  # last step at which each stage found no low frequency; -1 once it has acted
     transfer: int  # y_i Z_in of each unit to the bus of the load noise
     fixed_admittance: int  # without load noise
     extra: int
 
 
 @inlined
-def block_rows(n_sync: int, n_wtg: int) -> Rows:
+def block_rows(n_sync: int, n_wtg: int, n_hydro: int, n_extended: int, n_stages: int) -> Rows:
     """Return where the parts of a block begin."""
     n = n_sync + n_wtg
-    voltage = n_sync * N_MACHINE_ROWS + n_wtg * N_WTG_ROWS
+    wtg = n_sync * N_MACHINE_ROWS
+    hydro = wtg + n_wtg * N_WTG_ROWS
+    extension = hydro + n_hydro * N_HYDRO_ROWS
+    voltage = extension + n_extended * N_EXTENSION_ROWS
     lane = voltage + 4 * n + 2 * n * n
     machine_rate = lane + N_LANE_ROWS
     wtg_rate = machine_rate + n_sync * N_MACHINE_STATES
-    extremes = wtg_rate + n_wtg * N_WTG_STATES
-    transfer = extremes + n_wtg * N_EXTREMES
+    hydro_rate = wtg_rate + n_wtg * N_WTG_STATES
+    extension_rate = hydro_rate + n_hydro * N_HYDRO_STATES
+    extremes = extension_rate + n_extended * N_EXTENSION_STATES
+    shedding = extremes + n_wtg * N_EXTREMES
+    transfer = shedding + n_stages
     fixed = transfer + 2 * n
     return Rows(
-        wtg=n_sync * N_MACHINE_ROWS,
+        wtg=wtg,
+        hydro=hydro,
+        extension=extension,
         voltage=voltage,
         current=voltage + 2 * n,
         admittance=voltage + 4 * n,
         lane=lane,
         machine_rate=machine_rate,
         wtg_rate=wtg_rate,
+        hydro_rate=hydro_rate,
+        extension_rate=extension_rate,
         extremes=extremes,
+        shedding=shedding,
         transfer=transfer,
         fixed_admittance=fixed,
         extra=fixed + 2 * n * n,
@@ -254,7 +329,14 @@ def block_rows(n_sync: int, n_wtg: int) -> Rows:
 @inlined
 def rows_of(c: Any) -> Rows:
     """Return where the parts of a block begin, for a plant's constants."""
-    return block_rows(c["machines"].shape[0], c["share"].shape[0])
+    n_wtg = c["share"].shape[0]
+    return block_rows(
+        c["machines"].shape[0],
+        n_wtg,
+        c["hydro"].shape[0],
+        n_wtg * c["extension"].shape[0],
+        c["shedding"].shape[0],
+    )
 
 
 @dataclass(frozen=True)
@@ -268,11 +350,23 @@ class Layout:
     n_sync: int
     n_wtg: int
     n_extra: int = 0
+    n_hydro: int = 0
+    n_extended: int = 0
+    n_stages: int = 0
+
+    @classmethod
+    def of(cls, plant: Plant, n_extra: int = 0) -> Layout:
+        """Return the layout of a plant's blocks, with `n_extra` rows of the caller's own."""
+        c = plant.constants[0]
+        n_wtg = c["share"].size
+        return cls(c["machines"].size, n_wtg, n_extra, c["hydro"].size, n_wtg * c["extension"].size, c["shedding"].size)
 
     @cached_property
     def rows(self) -> Rows:
         """First row of each part."""
-        rows: Rows = getattr(block_rows, "py_func", block_rows)(self.n_sync, self.n_wtg)
+        rows: Rows = getattr(block_rows, "py_func", block_rows)(
+            self.n_sync, self.n_wtg, self.n_hydro, self.n_extended, self.n_stages
+        )
         return rows
 
     @property
@@ -287,6 +381,8 @@ class Layout:
 
     def machine(self, name: str) -> npt.NDArray[np.int64]:
         """Return the row of each machine's number of this name (n_sync,)."""
+        if self.n_hydro and name in short_names(HydroRows):
+            return self.rows.hydro + row_of(HydroRows, name) + np.arange(self.n_hydro) * N_HYDRO_ROWS
         return row_of(MachineRows, name) + np.arange(self.n_sync) * N_MACHINE_ROWS
 
     def wtg(self, name: str) -> npt.NDArray[np.int64]:
@@ -294,6 +390,8 @@ class Layout:
         groups = np.arange(self.n_wtg)
         if name in WtgExtremes._fields:
             return self.rows.extremes + row_of(WtgExtremes, name) + groups * N_EXTREMES
+        if self.n_extended and name in short_names(ExtensionRows):
+            return self.rows.extension + row_of(ExtensionRows, name) + groups * N_EXTENSION_ROWS
         return self.rows.wtg + row_of(WtgRows, name) + groups * N_WTG_ROWS
 
     def lane(self, name: str) -> int:
@@ -302,10 +400,17 @@ class Layout:
 
     @cached_property
     def state_rows(self) -> npt.NDArray[np.int64]:
-        """Rows of the state vector: machines, WTG groups, reference angle."""
-        machines = np.arange(self.n_sync)[:, None] * N_MACHINE_ROWS + np.arange(N_MACHINE_STATES)
-        groups = self.rows.wtg + np.arange(self.n_wtg)[:, None] * N_WTG_ROWS + np.arange(N_WTG_STATES)
-        return np.concatenate([machines.ravel(), groups.ravel(), [self.lane("angle")]])
+        """Rows of the state vector: machines, WTG groups, hydro governors, extensions, reference angle."""
+        parts = (
+            (0, self.n_sync, N_MACHINE_ROWS, N_MACHINE_STATES),
+            (self.rows.wtg, self.n_wtg, N_WTG_ROWS, N_WTG_STATES),
+            (self.rows.hydro, self.n_hydro, N_HYDRO_ROWS, N_HYDRO_STATES),
+            (self.rows.extension, self.n_extended, N_EXTENSION_ROWS, N_EXTENSION_STATES),
+        )
+        rows = [
+            (first + np.arange(n)[:, None] * stride + np.arange(states)).ravel() for first, n, stride, states in parts
+        ]
+        return np.concatenate([*rows, [self.lane("angle")]])
 
     @cached_property
     def rate_rows(self) -> npt.NDArray[np.int64]:
@@ -317,4 +422,6 @@ class Layout:
         """Names of the state vector's entries."""
         names = [f"sync{i}.{name}" for i in range(self.n_sync) for name in short_names(MachineState)]
         names += [f"wtg{j}.{name}" for j in range(self.n_wtg) for name in short_names(WtgState)]
+        names += [f"sync{i}.{name}" for i in range(self.n_hydro) for name in short_names(HydroState)]
+        names += [f"wtg{j}.{name}" for j in range(self.n_extended) for name in short_names(ExtensionState)]
         return (*names, "reference_angle")

@@ -50,12 +50,13 @@ def state_matrix(rows: Floats, plant: Plant, layout: Layout, side: npt.ArrayLike
 def moving_states(matrix: Floats, rows: Floats, layout: Layout) -> npt.NDArray[np.bool_]:
     """Return which states have a part in the dynamics, (n,): neither constants nor integrals nothing depends on.
 
-    The pitch protection at rest acts upwards only, so a difference across that limit gives no slope.
+    The pitch protection and the power limiters at rest act one way only, so a difference across that limit gives no
+    slope.
     """
     keep = np.ones(matrix.shape[0], dtype=np.bool_)
-    for name in ("pitch_integral", "pitch"):
+    for name in ("pitch_integral", "pitch", *(("over_power", "under_power") if layout.n_extended else ())):
         wtgs = layout.wtg(name)
-        keep[np.isin(layout.state_rows, wtgs[rows[wtgs] < 4.0 * _DIFFERENCE])] = False
+        keep[np.isin(layout.state_rows, wtgs[np.abs(rows[wtgs]) < 4.0 * _DIFFERENCE])] = False
     while True:
         rest = np.where(np.outer(keep, keep), matrix, 0.0)
         kept = keep & rest.any(axis=0) & rest.any(axis=1)

@@ -146,6 +146,22 @@ def machine_rates(
 
 
 @inlined
+def driven_by(torque: float, rates: MachineState, output: MachineOutput, u: MachineInput) -> MachineState:
+    """Return the rates with another mechanical torque [p.u.] than the governor's."""
+    speed = rates.speed + u.inv_two_h * (torque - output.torque)
+    return MachineState(
+        rates.angle,
+        speed,
+        rates.field_flux,
+        rates.damper_flux,
+        rates.flux_d,
+        rates.flux_q,
+        rates.exciter,
+        rates.governor,
+    )
+
+
+@inlined
 def machine_limited(s: MachineState, c: Machine) -> MachineState:
     """Return the states, held within their limits."""
     return MachineState(

@@ -25,6 +25,15 @@ SOURCES = {
     "p.u. both come out",
     "ENTSO-E": "Commission Regulation (EU) 2016/631 (requirements for generators), article 13, continental Europe; "
     "voltages: article 16",
+    "REGFM_A1": "W. Du et al.: Model Specification of Droop-Controlled, Grid-Forming Inverters (REGFM_A1), Pacific "
+    "Northwest National Laboratory, PNNL-32278 (2021), approved by WECC",
+    "ENTSO-E defence": "Commission Regulation (EU) 2017/2196 (emergency and restoration), annex: automatic low "
+    "frequency demand disconnection, continental Europe",
+    "ENTSO-E operation": "Commission Regulation (EU) 2017/1485 (system operation), annex V: frequency containment "
+    "reserves, continental Europe",
+    "FERC 827": "Federal Energy Regulatory Commission, Order 827 (2016): reactive power requirements for non-synchronous "
+    "generation",
+    "HYGOV": "typical data of the hydro governor HYGOV of PSS/E; P. Kundur: Power System Stability and Control, 9.1",
     "design": "a design value of this benchmark",
 }
 
@@ -69,6 +78,12 @@ class TurbineParameters:
     air_density_kg_m3: float = parameter(1.23, "kg/m³", "paper", "air density ρ")
     nominal_rotor_speed_rad_s: float = parameter(1.27, "rad/s", "paper", "nominal rotor speed ω_tn")
     inertia_constant_s: float = parameter(6.5, "s", "paper", "mechanical inertia constant H_m")
+    conserves_energy: bool = parameter(
+        False,
+        "-",
+        "design",
+        "rotor equation 2H_m ω_m dω_m/dt = p_w - p, whose energy is H_m ω_m², instead of the paper's without ω_m",
+    )
     power_coefficient: PowerCoefficientParameters = dataclasses.field(
         default_factory=PowerCoefficientParameters,
         metadata=describe("-", "paper", "constants of the C_p curve"),
@@ -129,12 +144,67 @@ class GridFormingParameters:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ConverterLimitParameters:
+    """What a converter and its turbine can give, on its own base: REGFM_A1's current and power limiters, a chopper."""
+
+    current_max_pu: float = parameter(1.2, "p.u.", "REGFM_A1", "largest current; its size is cut, its angle kept")
+    power_max_pu: float = parameter(1.1, "p.u.", "design", "power that the converter stands for long")
+    power_min_pu: float = parameter(
+        0.0, "p.u.", "design", "least power; what the grid presses in beyond it the chopper burns, not the rotor"
+    )
+    power_gain: float = parameter(
+        0.01, "p.u./p.u.", "REGFM_A1", "proportional gain k_ppmax of the power limiter, frequency per power"
+    )
+    power_integral_gain: float = parameter(
+        0.1, "p.u./(p.u. s)", "REGFM_A1", "integral gain k_ipmax of the power limiter"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class VoltageControlParameters:
+    """Voltage control of a converter with reactive droop, on its own base: REGFM_A1's with one integrator."""
+
+    integral_gain: float = parameter(5.86, "p.u./(p.u. s)", "REGFM_A1", "integral gain k_iv of the voltage error")
+    droop_pu: float = parameter(0.05, "p.u./p.u.", "REGFM_A1", "reactive droop m_q: voltage per reactive power")
+    reactive_max_pu: float = parameter(
+        0.33, "p.u.", "FERC 827", "largest reactive power either way: a power factor of 0.95 at rated power"
+    )
+    takeover_gain: float = parameter(
+        1.0, "p.u./p.u.", "design", "weight of the reactive excess where it takes over from the voltage error"
+    )
+    internal_voltage_min_pu: float = parameter(0.5, "p.u.", "design", "least voltage behind X_g")
+    internal_voltage_max_pu: float = parameter(1.3, "p.u.", "design", "largest voltage behind X_g")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SheddingStage:
+    """A stage of under-frequency load shedding: a share of every load is disconnected for the rest of the run."""
+
+    frequency_pu: float = parameter(
+        0.98, "p.u.", "ENTSO-E defence", "frequency of the centre of inertia at which it acts"
+    )
+    share: float = parameter(
+        0.05, "-", "ENTSO-E defence", "share of the load connected at the start that it disconnects"
+    )
+    delay_s: float = parameter(0.2, "s", "design", "time below that frequency before it acts")
+
+
+def european_shedding(frequency_hz: float = 50.0) -> tuple[SheddingStage, ...]:
+    """Return the stages that continental Europe asks for: 5 % at 49 Hz, 45 % by 48 Hz in steps of 8 %."""
+    levels = ((49.0, 0.05), (48.8, 0.08), (48.6, 0.08), (48.4, 0.08), (48.2, 0.08), (48.0, 0.08))
+    return tuple(SheddingStage(frequency_pu=level / frequency_hz, share=share) for level, share in levels)
+
+
+@dataclass(frozen=True, kw_only=True)
 class ProtectionParameters:
     """What refuses a start, ends a run, or trips a group."""
 
     stall_tip_speed_ratio: float = parameter(3.5, "-", "design", "below it, at fine pitch, a rotor has stalled")
     stall_pitch_deg: float = parameter(0.5, "deg", "design", "above it a low tip-speed ratio is the pitch's doing")
     over_speed_pu: float = parameter(1.4, "p.u.", "design", "rotor over-speed trip")
+    rotor_speed_min_pu: float = parameter(
+        0.0, "p.u.", "design", "rotor under-speed trip; 0 for none. The NREL 5 MW machine stops at 6.9 rpm, 0.569 p.u."
+    )
     frequency_min_pu: float = parameter(
         0.95, "p.u.", "ENTSO-E", "lower end of the range units must ride through, 47.5 Hz"
     )
@@ -190,6 +260,30 @@ class GovernorParameters:
     gate_min_pu: float = parameter(0.0, "p.u.", "design", "lower gate limit")
     gate_max_pu: float = parameter(1.2, "p.u.", "Milano", "upper gate limit")
     turbine_damping_pu: float = parameter(0.0, "p.u./p.u.", "design", "D_t")
+    dead_band_pu: float = parameter(
+        0.0, "p.u.", "design", "speed deviation that the governor does not see, without a step at its edge"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class HydroGovernorParameters:
+    """HYGOV: a hydro governor with permanent and temporary droop, and a penstock with inelastic water."""
+
+    droop_pu: float = parameter(0.05, "p.u.", "HYGOV", "permanent droop R on the machine base")
+    temporary_droop_pu: float = parameter(0.4, "p.u.", "HYGOV", "temporary droop r")
+    reset_time_s: float = parameter(8.0, "s", "HYGOV", "reset time T_r of the temporary droop")
+    filter_time_s: float = parameter(0.05, "s", "HYGOV", "filter T_f of the speed error")
+    gate_time_s: float = parameter(0.5, "s", "HYGOV", "gate servo T_g")
+    gate_rate_limit_pu_s: float = parameter(0.2, "p.u./s", "HYGOV", "largest speed of the gate's set-point")
+    gate_min_pu: float = parameter(0.0, "p.u.", "HYGOV", "lower gate limit")
+    gate_max_pu: float = parameter(1.0, "p.u.", "HYGOV", "upper gate limit")
+    water_time_s: float = parameter(1.3, "s", "HYGOV", "starting time T_w of the water at nominal flow")
+    turbine_gain: float = parameter(1.1, "p.u./p.u.", "HYGOV", "turbine gain A_t")
+    turbine_damping_pu: float = parameter(0.5, "p.u./p.u.", "HYGOV", "damping D_t of the turbine")
+    no_load_flow_pu: float = parameter(0.08, "p.u.", "HYGOV", "flow q_nl without load")
+    dead_band_pu: float = parameter(
+        0.0, "p.u.", "design", "speed deviation that the governor does not see, without a step at its edge"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -224,7 +318,7 @@ class SynchronousMachineParameters:
         default_factory=ExciterParameters,
         metadata=describe("-", "design", "exciter, None for constant field"),
     )
-    governor: GovernorParameters | None = dataclasses.field(
+    governor: GovernorParameters | HydroGovernorParameters | None = dataclasses.field(
         default=None, metadata=describe("-", "Milano", "governor, None for constant torque")
     )
     classical: bool = parameter(

@@ -8,21 +8,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wtg_gym.physics.hydro_governor import hydro_constants
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.layout import BranchConstants, BusConstants, Plant, constants_dtype
 from wtg_gym.physics.machine import machine_constants
 from wtg_gym.physics.network import NetworkCase, branch_admittances
 from wtg_gym.physics.parameters import (
+    ConverterLimitParameters,
     GridFormingParameters,
+    HydroGovernorParameters,
     PitchParameters,
     ProtectionParameters,
+    SheddingStage,
     TurbineParameters,
+    VoltageControlParameters,
     WtgGroup,
     default_groups,
 )
 from wtg_gym.physics.records import dtype, flatten
 from wtg_gym.physics.scenario import require_range
-from wtg_gym.physics.wind_turbine import turbine_constants
+from wtg_gym.physics.wind_turbine import extension_constants, turbine_constants
 
 #: Integration steps that are accepted [s].
 SIMULATION_DT_RANGE = (5e-5, 0.04)
@@ -48,6 +53,9 @@ class PlantSettings:
         case: the network with its synchronous machines.
         groups: the WTG groups; may be empty where the network has machines.
         turbine, pitch, control, protection: parameters of every WTG, and what ends a run.
+        limits: current and power limits of every converter, and its chopper; None for the paper's, which has none.
+        voltage_control: of every WTG; None for the paper's constant voltage behind X_g.
+        shedding: stages of under-frequency load shedding.
         control_dt: control interval [s], a whole number of simulation steps.
         simulation_dt: step of the integration, 0.05 … 40 ms [s]; a simulator refuses one that is too long for the
             plant's fastest mode.
@@ -63,17 +71,56 @@ class PlantSettings:
     pitch: PitchParameters = dataclasses.field(default_factory=PitchParameters)
     control: GridFormingParameters = dataclasses.field(default_factory=GridFormingParameters)
     protection: ProtectionParameters = dataclasses.field(default_factory=ProtectionParameters)
+    limits: ConverterLimitParameters | None = None
+    voltage_control: VoltageControlParameters | None = None
+    shedding: tuple[SheddingStage, ...] = ()
     control_dt: float = 0.1
     simulation_dt: float = 0.025
     trips_groups: bool = False
 
     def __post_init__(self) -> None:
+        self._check_extension()
         require_range("simulation_dt", self.simulation_dt, *SIMULATION_DT_RANGE, "s")
         require_range("control_dt", self.control_dt, self.simulation_dt, 10.0, "s")
         whole_steps("control_dt", self.control_dt, self.simulation_dt, "simulation step")
         for group in self.groups:
             self.case.bus_index(group.bus)
             require_range(f"n_turbines of the WTG group at bus {group.bus}", group.n_turbines, 1e-3, 1e4, "turbines")
+
+    @property
+    def extended(self) -> bool:
+        """Whether the WTG groups have limits, voltage control, or a rotor that keeps its energy."""
+        return self.limits is not None or self.voltage_control is not None or self.turbine.conserves_energy
+
+    def _check_extension(self) -> None:
+        if self.limits is not None:
+            p = self.limits
+            require_range("power_max_pu", p.power_max_pu, 0.05, 10.0, "p.u.")
+            require_range("current_max_pu", p.current_max_pu, 0.05, 10.0, "p.u.")
+            require_range("power_min_pu", p.power_min_pu, -10.0, 0.0, "p.u.")
+            require_range("power_gain", p.power_gain, 0.0, 10.0, "p.u./p.u.")
+            require_range("power_integral_gain", p.power_integral_gain, 0.0, 100.0, "p.u./(p.u. s)")
+            if p.power_max_pu > p.current_max_pu:
+                raise ValueError(
+                    f"power_max_pu = {p.power_max_pu:g} p.u. exceeds current_max_pu = {p.current_max_pu:g} p.u.: no "
+                    "converter gives it at nominal voltage"
+                )
+        if self.voltage_control is not None:
+            v = self.voltage_control
+            require_range("integral_gain", v.integral_gain, 1e-3, 1000.0, "p.u./(p.u. s)")
+            require_range("droop_pu", v.droop_pu, 0.0, 1.0, "p.u./p.u.")
+            require_range("reactive_max_pu", v.reactive_max_pu, 0.0, 10.0, "p.u.")
+            require_range("takeover_gain", v.takeover_gain, 0.0, 100.0, "p.u./p.u.")
+            require_range("internal_voltage_min_pu", v.internal_voltage_min_pu, 0.0, 1.0, "p.u.")
+            require_range("internal_voltage_max_pu", v.internal_voltage_max_pu, 1.0, 10.0, "p.u.")
+        for stage in self.shedding:
+            require_range("frequency_pu of a shedding stage", stage.frequency_pu, 0.5, 1.0, "p.u.")
+            require_range("share of a shedding stage", stage.share, 0.0, 1.0, "")
+            require_range("delay_s of a shedding stage", stage.delay_s, 0.0, 60.0, "s")
+        if sum(stage.share for stage in self.shedding) > 1.0 + 1e-12:
+            total = sum(stage.share for stage in self.shedding)
+            raise ValueError(f"the shedding stages disconnect {100.0 * total:g} % of the load; allowed: at most 100 %")
+        require_range("rotor_speed_min_pu", self.protection.rotor_speed_min_pu, 0.0, 1.0, "p.u.")
 
 
 def build_plant(settings: PlantSettings) -> Plant:
@@ -85,7 +132,20 @@ def build_plant(settings: PlantSettings) -> Plant:
     unit_bus = [case.bus_index(bus) for bus in (*(m.bus for m in case.machines), *(g.bus for g in settings.groups))]
     impedances = [complex(m.resistance, m.internal_reactance) for m in machines]
     impedances += [1j * turbine.converter.reactance / s for s in share]
-    constants = np.zeros(1, dtype=constants_dtype(len(machines), len(share)))
+    hydro = any(isinstance(m.governor, HydroGovernorParameters) for m in case.machines)
+    constants = np.zeros(
+        1,
+        dtype=constants_dtype(
+            len(machines), len(share), hydro=hydro, extended=settings.extended, n_stages=len(settings.shedding)
+        ),
+    )
+    if hydro:
+        constants["hydro"] = [flatten(hydro_constants(m.governor)) for m in case.machines]
+    if settings.extended:
+        extension = extension_constants(settings.turbine, settings.limits, settings.voltage_control)
+        constants["extension"] = [flatten(extension)]
+    if settings.shedding:
+        constants["shedding"] = [(stage.frequency_pu, stage.share, stage.delay_s) for stage in settings.shedding]
     constants["machines"] = [flatten(m) for m in machines]
     constants["turbine"] = flatten(turbine)
     constants["share"], constants["unit_bus"] = share, unit_bus

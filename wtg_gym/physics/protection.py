@@ -119,11 +119,25 @@ def look_at_grid(block: Floats, c: Any, lanes: Lanes) -> None:
 
 
 @inlined
-def update_status(block: Floats, c: Any, width: int) -> None:
-    """End lanes that a protection ends or that are no longer finite; or trip groups that stalled or over-sped.
+def shed_load(block: Floats, x: int, c: Any, coi: float, step: float, width: int) -> None:
+    """Let the stages of load shedding act whose time has come; the network changes before the next step."""
+    rows = rows_of(c)
+    for k in range(c["shedding"].shape[0]):
+        stage, at = c["shedding"][k], (rows.shedding + k) * width + x
+        if block[at] >= 0.0:
+            if coi >= stage["speed"]:
+                block[at] = step
+            elif (step - block[at]) * c["simulation_dt"] >= stage["delay"] - 1e-9:
+                block[at] = -1.0
+                block[(rows.lane + LANE.next_change) * width + x] = step
 
-    If several apply, the first in this order counts: stall or over-speed, loss of synchronism, voltage collapse,
-    frequency limit. The others follow from it.
+
+@inlined
+def update_status(block: Floats, c: Any, width: int) -> None:
+    """End lanes that a protection ends or that are no longer finite; shed load; or trip groups for their rotor's speed.
+
+    If several apply, the first in this order counts: under-speed, stall or over-speed, loss of synchronism, voltage
+    collapse, frequency limit. The others follow from it.
     """
     rows = rows_of(c)
     turbine = read_turbine(c["turbine"])
@@ -133,6 +147,7 @@ def update_status(block: Floats, c: Any, width: int) -> None:
         if block[lane + LANE.active * width] < 0.5:
             continue
         coi, step = block[lane + LANE.coi * width], block[lane + LANE.step * width]
+        shed_load(block, x, c, coi, step, width)
         status = 0
         if coi < limits.coi_min or coi > limits.coi_max:
             status = Status.FREQUENCY_LIMIT
@@ -159,6 +174,8 @@ def update_status(block: Floats, c: Any, width: int) -> None:
                     failure = Status.STALL
             elif state.rotor_speed > limits.over_speed:
                 failure = Status.OVER_SPEED
+            if state.rotor_speed < limits.rotor_speed_min:
+                failure = Status.UNDER_SPEED
             if failure != 0 and given.connected > 0.5:
                 if c["trips_groups"]:
                     tripped = WtgInput(given.emf, given.law, 0.0, given.wind_start, given.wind_end)

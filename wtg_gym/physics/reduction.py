@@ -45,7 +45,8 @@ def refresh_network(block: Floats, x: int, lane: int, plant: Plant, data: LaneDa
     block[own + LANE.last_change * width] = step
     block[own + LANE.next_change * width] = following
     unit_y = _connected_units(block, x, c, width)
-    y = _full_admittance(step, 0.5 * (step + following), lane, plant, data, unit_y)
+    served = _served_load(block, x, c, width)
+    y = _full_admittance(step, 0.5 * (step + following), lane, plant, data, unit_y, served)
     noise_bus = data.noise_bus[lane]
     z = transfer_impedances(y, c["unit_bus"], noise_bus)
     _store_reduction(block, x, c, unit_y, z, noise_bus, width)
@@ -63,17 +64,34 @@ def _connected_units(block: Floats, x: int, c: Any, width: int) -> npt.NDArray[n
 
 
 @compiled
+def _served_load(block: Floats, x: int, c: Any, width: int) -> float:
+    """Return the share of every load that shedding has left."""
+    served = 1.0
+    for k in range(c["shedding"].shape[0]):
+        if block[(rows_of(c).shedding + k) * width + x] < 0.0:
+            served -= c["shedding"][k]["share"]
+    return served
+
+
+@compiled
 def _full_admittance(
-    step: float, ramp_step: float, lane: int, plant: Plant, data: LaneData, unit_y: npt.NDArray[np.complex128]
+    step: float,
+    ramp_step: float,
+    lane: int,
+    plant: Plant,
+    data: LaneData,
+    unit_y: npt.NDArray[np.complex128],
+    served: float,
 ) -> npt.NDArray[np.complex128]:
     """Return the bus admittance matrix of a lane with its loads, events and units, without load noise [p.u.].
 
-    `step` decides which events have struck, `ramp_step` how far a ramp has come.
+    `step` decides which events have struck, `ramp_step` how far a ramp has come; `served` is the share of the loads
+    that is left, of those switched on by events too.
     """
     c = plant.constants[0]
     bus_y = np.empty(plant.buses.shape[0], dtype=np.complex128)
     for k in range(bus_y.shape[0]):
-        bus_y[k] = plant.buses[k]["shunt"] + data.load_y[lane, k]
+        bus_y[k] = plant.buses[k]["shunt"] + served * data.load_y[lane, k]
     open_branch = np.zeros(plant.branches.shape[0], dtype=np.bool_)
     for event in data.events[lane]:
         if step >= event["start"]:
@@ -81,7 +99,7 @@ def _full_admittance(
             if event["branch"] >= 0:
                 open_branch[event["branch"]] = True
             else:
-                bus_y[event["bus"]] += level * event["admittance"]
+                bus_y[event["bus"]] += served * level * event["admittance"]
     for i in range(unit_y.shape[0]):
         bus_y[c["unit_bus"][i]] += unit_y[i]
     return assemble_admittance(plant.branches, open_branch, bus_y)
@@ -106,7 +124,8 @@ def bus_voltages(
     last, following = block[own + LANE.last_change * width], block[own + LANE.next_change * width]
     unit_y = _connected_units(block, x, c, width)
     # The network as it was last reduced: an event that strikes just now is seen by the next step.
-    y = _full_admittance(last, 0.5 * (last + following), lane, plant, data, unit_y)
+    served = _served_load(block, x, c, width)
+    y = _full_admittance(last, 0.5 * (last + following), lane, plant, data, unit_y, served)
     noise_bus = data.noise_bus[lane]
     y[noise_bus, noise_bus] += noise_mw * block[own + LANE.noise_per_mw * width]
     injected = np.zeros((y.shape[0], 1), dtype=np.complex128)

@@ -35,6 +35,8 @@ _FAILURE_TEXT = {
     StartFailure.POWER_FLOW_DIVERGED: "the power flow has no solution at this load level and wind",
     StartFailure.GOVERNOR_LIMIT: "the balancing machine would start beyond its gate limits; change wind or load level",
     StartFailure.EXCITER_LIMIT: "a machine would start beyond its field voltage limits",
+    StartFailure.CONVERTER_LIMIT: "a WTG group would start beyond its converter's current or power limit",
+    StartFailure.INTERNAL_VOLTAGE_LIMIT: "a WTG group would start beyond the limits of the voltage behind X_g",
 }
 
 
@@ -100,7 +102,7 @@ class Simulator:
         self.plant = build_plant(settings)
         self.n_lanes = int(n_lanes)
         self.n_intervals = whole_steps("duration_s", duration_s, settings.control_dt, "control step")
-        self.layout = Layout(len(settings.case.machines), len(settings.groups), n_extra)
+        self.layout = Layout.of(self.plant, n_extra)
         self.width = 1 if n_lanes == 1 else BLOCK_WIDTH
         self.lanes = (0,) * self.width
         n_blocks = -(-self.n_lanes // self.width)

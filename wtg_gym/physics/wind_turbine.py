@@ -2,7 +2,9 @@
 
     2H_m ω̇_m = p_w - p,    p_w = ρ π R² v³ C_p(λ, β) / (2 S_n),    λ = ω_tn R ω_m / v
 
-Source: the paper's equations of the turbine, `pw` and `cp`. A group that has tripped stands still.
+Source: the paper's equations of the turbine, `pw` and `cp`. A group that has tripped stands still. An *extended* group
+has the limits of :mod:`~wtg_gym.physics.converter_limits`, the voltage control of
+:mod:`~wtg_gym.physics.voltage_control`, and a rotor that keeps its energy H_m ω_m²: 2H_m ω_m ω̇_m = p_w - max(p, p_min).
 """
 
 from __future__ import annotations
@@ -13,14 +15,24 @@ from typing import NamedTuple
 from wtg_gym.physics.aerodynamics import CurveConstants, curve_constants, power_coefficient_at, tracking_point
 from wtg_gym.physics.compiled import compiled, inlined
 from wtg_gym.physics.converter import Converter, ConverterState, Law, converter_constants, converter_rates
-from wtg_gym.physics.elementary import sine_cosine
+from wtg_gym.physics.converter_limits import (
+    ConverterLimits,
+    LimitState,
+    converter_limits,
+    limit_state_limited,
+    power_limiter,
+)
+from wtg_gym.physics.elementary import select, sine_cosine
 from wtg_gym.physics.parameters import (
+    ConverterLimitParameters,
     GridFormingParameters,
     PitchParameters,
     ProtectionParameters,
     TurbineParameters,
+    VoltageControlParameters,
 )
 from wtg_gym.physics.pitch import Pitch, PitchState, pitch_constants, pitch_limited, pitch_rates
+from wtg_gym.physics.voltage_control import VoltageControl, VoltageInput, emf_limited, emf_rate, voltage_control
 
 
 class Rotor(NamedTuple):
@@ -41,6 +53,7 @@ class Limits(NamedTuple):
     stall_tip_speed_ratio: float
     stall_pitch: float  # [deg]
     over_speed: float  # [p.u.]
+    rotor_speed_min: float  # [p.u.]
     coi_min: float  # frequency of the centre of inertia [p.u.]
     coi_max: float
     angle_spread: float  # largest difference of the units' angles [rad]
@@ -55,6 +68,14 @@ class Turbine(NamedTuple):
     pitch: Pitch
     converter: Converter
     limits: Limits
+
+
+class Extension(NamedTuple):
+    """Constants of an extended group."""
+
+    limits: ConverterLimits
+    voltage: VoltageControl
+    conserves_energy: float  # 1 for the rotor that keeps its energy, else 0
 
 
 class WtgState(NamedTuple):
@@ -95,11 +116,27 @@ class WtgExtremes(NamedTuple):
     overload_time: float  # [s]
 
 
+class ExtensionState(NamedTuple):
+    """States of an extended group, besides its others."""
+
+    limits: LimitState
+    internal_voltage: float  # E, instead of the constant `emf` [p.u.]
+
+
+class ExtensionOutput(NamedTuple):
+    """Outputs of an extended group, on its own base but for X_v."""
+
+    limiting_reactance: float  # X_v [p.u. of the system]
+    terminal_voltage: float  # V [p.u.]
+    reactive: float  # q at the terminal [p.u.]
+    current: float  # |I| [p.u.]
+
+
 @inlined
-def wtg_voltage(s: WtgState, u: WtgInput) -> tuple[float, float]:
+def wtg_voltage(s: WtgState, emf: float) -> tuple[float, float]:
     """Return the real and imaginary part of the voltage behind the reactance, in the network's frame [p.u.]."""
     sine, cosine = sine_cosine(s.converter.angle)
-    return u.emf * cosine, u.emf * sine
+    return emf * cosine, emf * sine
 
 
 @inlined
@@ -136,6 +173,73 @@ def wtg_rates(
         energy_delivered=u.connected * power,
     )
     return rates, WtgOutput(wind, power, u.connected * captured, k)
+
+
+@inlined
+def at_terminal(
+    e_re: float, e_im: float, i_re: float, i_im: float, limiting_reactance: float, c: Converter
+) -> ExtensionOutput:
+    """Return what a group measures at its terminal, given the voltage behind X_g and the current on its base."""
+    v_re, v_im = e_re + c.reactance * i_im, e_im - c.reactance * i_re
+    return ExtensionOutput(
+        limiting_reactance,
+        math.sqrt(v_re * v_re + v_im * v_im),
+        v_im * i_re - v_re * i_im,
+        math.sqrt(i_re * i_re + i_im * i_im),
+    )
+
+
+@inlined
+def extended_rates(
+    rates: WtgState,
+    s: WtgState,
+    x: ExtensionState,
+    power: float,
+    terminal: ExtensionOutput,
+    u: WtgInput,
+    given: VoltageInput,
+    c: Turbine,
+    e: Extension,
+    omega_n: float,
+) -> tuple[WtgState, ExtensionState]:
+    """Return the rates of an extended group, and those of its further states.
+
+    Args:
+        rates: of :func:`wtg_rates`.
+        s, x, u, given, c, e: states, further states, inputs, references, constants, further constants.
+        power: p into the grid [p.u.].
+        terminal: voltage, reactive power and limiting reactance.
+        omega_n: nominal angular frequency ω_n [rad/s].
+    """
+    limit_rates, shift, drawn = power_limiter(x.limits, power, e.limits)
+    limited = terminal.limiting_reactance > 0.0
+    emf = emf_rate(x.internal_voltage, terminal.terminal_voltage, terminal.reactive, limited, given, e.voltage)
+    speed = select(e.conserves_energy > 0.5, max(s.rotor_speed, 0.01), 1.0)
+    captured = rates.energy_captured
+    extended = WtgState(
+        ConverterState(
+            rates.converter.angle + u.connected * omega_n * shift, rates.converter.speed, rates.converter.filter
+        ),
+        c.rotor.inv_two_h * (captured - u.connected * drawn) / speed,
+        rates.pitch,
+        captured,
+        rates.energy_delivered,
+    )
+    further = ExtensionState(
+        LimitState(
+            u.connected * limit_rates.over_power,
+            u.connected * limit_rates.under_power,
+            u.connected * limit_rates.energy_chopped,
+        ),
+        u.connected * emf,
+    )
+    return extended, further
+
+
+@inlined
+def extension_limited(x: ExtensionState, e: Extension) -> ExtensionState:
+    """Return the further states of an extended group, held within their limits."""
+    return ExtensionState(limit_state_limited(x.limits), emf_limited(x.internal_voltage, e.voltage))
 
 
 @inlined
@@ -214,6 +318,7 @@ def turbine_constants(
         stall_tip_speed_ratio=protection.stall_tip_speed_ratio,
         stall_pitch=protection.stall_pitch_deg,
         over_speed=protection.over_speed_pu,
+        rotor_speed_min=protection.rotor_speed_min_pu,
         coi_min=protection.frequency_min_pu,
         coi_max=protection.frequency_max_pu,
         angle_spread=math.radians(protection.angle_spread_max_deg),
@@ -221,3 +326,10 @@ def turbine_constants(
         low_voltage_time=protection.low_voltage_time_s,
     )
     return Turbine(rotor, pitch_constants(pitch), converter_constants(control), limits)
+
+
+def extension_constants(
+    turbine: TurbineParameters, limits: ConverterLimitParameters | None, control: VoltageControlParameters | None
+) -> Extension:
+    """Return the constants of an extended group."""
+    return Extension(converter_limits(limits), voltage_control(control), float(turbine.conserves_energy))

@@ -1,0 +1,89 @@
+"""The limits of a grid-forming converter: current, power, and what a rotor gives; on the base of its turbine.
+
+Current. The current (E - V)/(jX_g) keeps its angle, and its size is cut to I_max: the voltage behind X_g becomes
+E' = E - jX_v I with the smallest X_v ≥ 0 that holds |I| ≤ I_max. Seen from the unit the rest of the network is a
+voltage behind an impedance Z that includes X_g, so
+
+    X_v = sqrt(max((|ΔE|/I_max)² - R², 0)) - X,    ΔE = I_0 Z,    Z = R + jX,    I = ΔE/(Z + jX_v)
+
+with I_0 the current without the limit. Power. A frequency is added to the angle's equation,
+
+    δ̇ = ω_n (ω + Δω - ω_ref),    Δω = min(K_p (p_max - p) + x_o, 0) + max(K_p (p_min - p) + x_u, 0)
+    ẋ_o = K_i (p_max - p), x_o ≤ 0,    ẋ_u = K_i (p_min - p), x_u ≥ 0
+
+Rotor. It gives max(p, p_min): a chopper burns what the grid presses into the converter. Source: REGFM_A1 (W. Du et al.,
+PNNL-32278), its current limiter and its active power limiters; there the terminal voltage is the last iterate's, here
+the limit holds with the network's solution.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from wtg_gym.physics.compiled import inlined
+from wtg_gym.physics.elementary import fma, limited_rate
+from wtg_gym.physics.parameters import ConverterLimitParameters
+
+#: Stands for no limit where infinity would make 0 · ∞ [p.u.].
+_UNLIMITED = 1e9
+
+
+class ConverterLimits(NamedTuple):
+    """Constants."""
+
+    current_max: float  # I_max [p.u.]
+    power_max: float  # p_max [p.u.]
+    power_min: float  # p_min ≤ 0 [p.u.]
+    gain_p: float  # K_p [p.u. of frequency per p.u. of power]
+    gain_i: float  # K_i [1/s]
+
+
+class LimitState(NamedTuple):
+    """States."""
+
+    over_power: float  # x_o [p.u.]
+    under_power: float  # x_u [p.u.]
+    energy_chopped: float  # ∫ (max(p, p_min) - p) dt [p.u. s]
+
+
+def converter_limits(p: ConverterLimitParameters | None) -> ConverterLimits:
+    """Return the constants; None for a converter without limits."""
+    if p is None:
+        return ConverterLimits(_UNLIMITED, _UNLIMITED, -_UNLIMITED, 0.0, 0.0)
+    return ConverterLimits(p.current_max_pu, p.power_max_pu, p.power_min_pu, p.power_gain, p.power_integral_gain)
+
+
+@inlined
+def limiting_reactance(current_re: float, current_im: float, y_re: float, y_im: float, current_max: float) -> float:
+    """Return X_v, 0 where nothing is to be limited.
+
+    Args:
+        current_re, current_im: I_0, with E and with everybody else as he is.
+        y_re, y_im: 1/Z, the unit's own entry of the reduced admittance matrix; 0 of a group that has tripped.
+        current_max: I_max on the base of the others.
+    """
+    inverse = 1.0 / max(fma(y_re, y_re, y_im * y_im), 1e-20)
+    r, x = y_re * inverse, -y_im * inverse
+    ratio = fma(current_re, current_re, current_im * current_im) * inverse / (current_max * current_max)
+    return max(math.sqrt(max(ratio - r * r, 0.0)) - x, 0.0)
+
+
+@inlined
+def power_limiter(s: LimitState, power: float, c: ConverterLimits) -> tuple[LimitState, float, float]:
+    """Return the rates, the frequency Δω added to the angle's equation [p.u.], and the power that the rotor gives."""
+    over, under = c.power_max - power, c.power_min - power
+    shift = min(fma(c.gain_p, over, s.over_power), 0.0) + max(fma(c.gain_p, under, s.under_power), 0.0)
+    drawn = max(power, c.power_min)
+    rates = LimitState(
+        over_power=limited_rate(c.gain_i * over, s.over_power, -_UNLIMITED, 0.0),
+        under_power=limited_rate(c.gain_i * under, s.under_power, 0.0, _UNLIMITED),
+        energy_chopped=drawn - power,
+    )
+    return rates, shift, drawn
+
+
+@inlined
+def limit_state_limited(s: LimitState) -> LimitState:
+    """Return the states, held within their limits."""
+    return LimitState(min(s.over_power, 0.0), max(s.under_power, 0.0), s.energy_chopped)
