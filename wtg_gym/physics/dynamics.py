@@ -96,10 +96,10 @@ def unit_voltages(block: Floats, c: Any, lanes: Lanes) -> None:
     for j in range(c["share"].shape[0]):
         o, voltage = (rows.wtg + j * N_WTG_ROWS) * width, (rows.voltage + 2 * (n_sync + j)) * width
         for x in range(width):
-            emf = load_wtg_input(block, o + WTG.input * width + x, width).emf
+            magnitude = load_wtg_input(block, o + WTG.input * width + x, width).emf
             if c["extension"].shape[0] > 0:
-                emf = load_extension_state(block, extension_at(c, j, width) + x, width).internal_voltage
-            re, im = wtg_voltage(load_wtg_state(block, o + x, width), emf)
+                magnitude = load_extension_state(block, extension_at(c, j, width) + x, width).internal_voltage
+            re, im = wtg_voltage(load_wtg_state(block, o + x, width), magnitude)
             block[voltage + x] = re
             block[voltage + width + x] = im
 
@@ -144,7 +144,7 @@ def _limit_currents(block: Floats, c: Any, lanes: Lanes) -> None:
     A lane without such a group keeps its bits, whatever its neighbours do.
     """
     width, rows = len(lanes), rows_of(c)
-    n_sync, n = c["machines"].shape[0], c["unit_bus"].shape[0]
+    n_sync = c["machines"].shape[0]
     limit = read_extension(c["extension"][0]).limits.current_max
     excess = 0.0
     for j in range(c["share"].shape[0]):
@@ -225,18 +225,20 @@ def _kept(moved: float, limited: float, base: float, last: bool, active: float) 
     return select(active > 0.5, select(last, limited, moved), base)
 
 
-def _advancer(record: type, limited: Callable[..., Any]) -> Callable[..., None]:
+def _advancer(record: type[Any], limited: Callable[..., Any]) -> Callable[..., None]:
     """Return the function that moves a unit's states by one stage.
 
     Args:
         record: of the states; rows for their base and their sum of rates follow theirs.
         limited: compiled; returns the states, held within their limits, given states and constants.
     """
-    load, store, n = loader(record), storer(record), size(record)
-    base_of = elementwise(record, _base, "base", "state, base", "first")
-    sum_of = elementwise(record, _sum, "sum", "rate, total", "first")
-    moved_of = elementwise(record, _moved, "moved", "base, rate, total", "ahead, last")
-    kept_of = elementwise(record, _kept, "kept", "moved, limited, base", "last, active")
+    load: Callable[..., Any] = loader(record)
+    store: Callable[..., None] = storer(record)
+    n = size(record)
+    base_of: Callable[..., Any] = elementwise(record, _base, "base", "state, base", "first")
+    sum_of: Callable[..., Any] = elementwise(record, _sum, "sum", "rate, total", "first")
+    moved_of: Callable[..., Any] = elementwise(record, _moved, "moved", "base, rate, total", "ahead, last")
+    kept_of: Callable[..., Any] = elementwise(record, _kept, "kept", "moved, limited, base", "last, active")
 
     @inlined
     def advance(

@@ -31,8 +31,8 @@ SOURCES = {
     "frequency demand disconnection, continental Europe",
     "ENTSO-E operation": "Commission Regulation (EU) 2017/1485 (system operation), annex V: frequency containment "
     "reserves, continental Europe",
-    "FERC 827": "Federal Energy Regulatory Commission, Order 827 (2016): reactive power requirements for non-synchronous "
-    "generation",
+    "FERC 827": "Federal Energy Regulatory Commission, Order 827 (2016): reactive power requirements for "
+    "non-synchronous generation",
     "HYGOV": "typical data of the hydro governor HYGOV of PSS/E; P. Kundur: Power System Stability and Control, 9.1",
     "design": "a design value of this benchmark",
 }
