@@ -28,9 +28,9 @@ _SECTION = "incentives"
 _COST_COLUMNS = ("suite", "entry", "score", "frequency", "RoCoF", "duty", "overload", "rotor, effort, failure")
 _RESPONSE_COLUMNS = ("suite", "governors [MW/Hz]", "wind [MW/Hz]", "wind's share", "wind's share of the inertia")
 _DESCRIPTION = f"""\
-Plays entries, each policy among them once more with observations that are one control step late, and a constant action
-through scenarios of the drawn suites. Prints scores and mean cost terms, and how much of the frequency response comes
-from the wind. With --page the tables go between <!-- {_SECTION}:start --> and <!-- {_SECTION}:end --> of a file."""
+Plays entries and a constant action through scenarios of the drawn suites, and each policy once more with observations
+that are one control step late. Prints scores and mean cost terms, and how much of the frequency response comes from the
+wind. With --page the tables go between <!-- {_SECTION}:start --> and <!-- {_SECTION}:end --> of a file."""
 _EXAMPLES = """\
 examples:
   python -m agents.research.incentives --entries agents/policies/linear-feedback agents/policies/ppo-k-?

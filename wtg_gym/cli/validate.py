@@ -33,8 +33,8 @@ _COARSEST_S = 0.0025
 _DESCRIPTION = """\
 Runs the network, machines and events of a parameter file and compares every quantity with a trace of another
 simulator. The largest differences of machine speed w, active power Pe and bus voltage V must be within a tolerance;
-other quantities are shown. The run with a fine step decides, whose own error is below a tenth of the tolerance; a run
-with the default step of the benchmark shows the error of that step.
+other quantities are shown. The verdict is that of a run with a fine step, whose own error is below a tenth of the
+tolerance; a run with the default step of the benchmark shows the error of that step.
 
 PARAMS.json  bus, line, shunt, load, gen_static, gens (GENCLS or GENROU), tgov1, sexs and events, as in tests/golden
 TRACE.csv    a column t [s], then w…, Pe…, Qe…, Tm…, delta… by machine and V…, th… by bus, in p.u. of the system base
