@@ -127,7 +127,7 @@ def incentives(
     second = markdown_table(_RESPONSE_COLUMNS, responses, right=range(1, len(_RESPONSE_COLUMNS)))
     return (
         f"Mean cost of an episode by term, {played} {split} scenarios of each suite:\n\n{first}\n\n"
-        f"Regulating power between 50 and 49.6 Hz and inertia in the same scenarios, means:\n\n{second}"
+        f"Means of the same scenarios, regulating power between 50 and 49.6 Hz, and inertia:\n\n{second}"
     )
 
 

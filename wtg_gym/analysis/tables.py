@@ -60,7 +60,7 @@ def _rotor_energy(found: Omissions) -> str:
             f"ω_m at {frequency_hz:.2f} Hz [p.u.]",
             "2H_m Δω_m [p.u. s]",
             "H_m Δ(ω_m²) [p.u. s]",
-            "credited too much",
+            "released too much",
         ),
         [
             (
