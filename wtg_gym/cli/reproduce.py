@@ -223,8 +223,8 @@ def _paper_pictures(evidence: _Evidence) -> list[_Picture]:
         _Picture(
             "bode-proposed",
             "Bode plots",
-            "The same of the coordinated strategy: the linear law with transient damping (τ = 0.8 s) and without, and "
-            "both slopes of the piecewise law with it.",
+            "Open loops of the coordinated strategy: the linear law with transient damping (τ = 0.8 s) and without, "
+            "and both slopes of the piecewise law with it.",
             lambda: plotting.plot_bode(_proposed_loops()),
         ),
         _Picture(
