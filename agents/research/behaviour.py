@@ -42,12 +42,12 @@ _DEFAULT_SCENARIOS, _MOST_SCENARIOS = 50, 10_000
 _DESCRIPTION = f"""\
 Plays entries and the reference through scenarios of a suite and writes, as figures and tables,
 
-  responses-NAME            k and τ in use over what the policy sees, beside the reference's
+  responses-NAME            k and τ over each observed quantity, beside the reference's
   run-NAME-SCENARIO         the paper's cases and the first scenario over time, beside the reference
   costs                     cost of an episode, term by term
   {SLOPES_FILE}                how k and τ depend on each observation, by linear regression
-  learning-curves           validation score against steps and wall time, and {CURVES_FILE}, which
-                            draws them again when no runs are given
+  learning-curves           validation score against steps and wall time; without --runs from {CURVES_FILE}
+                            of the output folder, which --runs writes
 
 Entries of one name and several training seeds are one policy. With --page sections of a Markdown file are renewed,
 each between <!-- NAME:start --> and <!-- NAME:end -->: {", ".join((*ENTRY_SECTIONS, CURVE_SECTION))}."""
@@ -61,8 +61,9 @@ examples:
 class _Picture(NamedTuple):
     name: str  # of the file, without suffix
     section: str  # of the page
-    caption: str  # one sentence
+    text: str  # that stands for the figure where it cannot be seen
     figure: Figure
+    above: str = ""  # what the page says above it
 
 
 class _Played(NamedTuple):
@@ -121,24 +122,23 @@ def _behaviour(given: argparse.Namespace) -> None:
     from wtg_gym.plotting import plot_learning_curves, save_figure
 
     if validations:
-        caption = (
-            "Validation score against environment steps and wall time: mean over the training seeds, band from the "
-            "worst to the best."
-        )
         curves = plot_learning_curves(curves_by_setup(validations))
-        pictures.append(_Picture("learning-curves", CURVE_SECTION, caption, curves))
+        above = "Validation score: mean over the training seeds, band from the worst to the best."
+        pictures.append(_Picture("learning-curves", CURVE_SECTION, "Learning curves", curves, above))
     for picture in pictures:
         save_figure(picture.figure, folder / picture.name, ["svg"])
     note(f"wrote {len(pictures)} figures in {folder}")
     if page is not None:
         where = Path(os.path.relpath(folder.resolve(), page.resolve().parent))
         for section in sections:
-            links = [
-                f"![{each.name}]({(where / each.name).as_posix()}.svg)\n\n{each.caption}"
+            lines = [
+                line
                 for each in pictures
                 if each.section == section
+                for line in (each.above, f"![{each.text}]({(where / each.name).as_posix()}.svg)")
+                if line
             ]
-            texts.setdefault(section, "\n\n".join(links))
+            texts.setdefault(section, "\n\n".join(lines))
         update_page(page, texts)
 
 
@@ -178,25 +178,23 @@ def _pictures(policies: Sequence[str], played: _Played, cases: _Played, suite: s
     where = f"{len(played.scenarios)} {split} scenarios of `{suite}`"
     pictures = []
     for name in policies:
-        caption = (
-            f"{name} in {where}: k and τ in use over what it sees (medians and the middle 80 %) and the reference's."
-        )
         figure = plot_responses(name, pooled(played.recordings[name]), reference, looks)
-        pictures.append(_Picture(f"responses-{_slug(name)}", "responses", caption, figure))
+        pictures.append(_Picture(f"responses-{_slug(name)}", "responses", f"{name}: k and τ", figure, f"**{name}**"))
     for name in list(played.recordings)[1:]:
+        seeds = len(played.recordings[name])
+        above = f"**{name}**" + (f", {seeds} training seeds" if seeds > 1 else "")
         for group, index in ((cases, 0), (cases, 1), (played, 0)):
             scenario = group.scenarios[index]
             runs = {
                 key: [one_scenario(each, index) for each in group.recordings[key]] for key in (REFERENCE_STRATEGY, name)
             }
-            seeds = f", {len(runs[name])} training seeds" if len(runs[name]) > 1 else ""
-            caption = f"{name}{seeds} and the reference in `{scenario.name}`."
-            file = f"run-{_slug(name)}-{_slug(scenario.name)}"
-            pictures.append(_Picture(file, "runs", caption, plot_runs(scenario, runs, looks)))
+            file, text = f"run-{_slug(name)}-{_slug(scenario.name)}", f"{name}: {scenario.name}"
+            pictures.append(_Picture(file, "runs", text, plot_runs(scenario, runs, looks), above))
+            above = ""
     means = {name: pooled(own).cost_terms.mean(axis=0).tolist() for name, own in played.recordings.items()}
     costs = {name: dict(zip(COST_TERMS, values, strict=True)) for name, values in means.items()}
-    caption = f"Mean cost of an episode, total and term by term, in {where}."
-    pictures.append(_Picture("costs", "costs", caption, plot_costs(costs, looks, f"{suite}/{split}")))
+    above = f"Means of {where}:"
+    pictures.append(_Picture("costs", "costs", "Cost by term", plot_costs(costs, looks, f"{suite}/{split}"), above))
     return pictures
 
 

@@ -27,17 +27,17 @@ Floats = npt.NDArray[np.float64]
 Costs = tuple[float, ...]
 
 _DESCRIPTION = """\
-Searches for every scenario on its own, knowing all of it, the cheapest course of actions over time (knots, linear in
-between), and with --gains the cheapest course on top of a linear feedback whose gains are searched as well. The
-oracle's cost of a scenario is the least of these, of the reference's, and of the given entries'. It is what was found,
-not a bound: a longer search may find better.
+Searches the cheapest course of actions (knots, linear in between) for each scenario, with full knowledge of it. With
+--gains it also searches a course on top of a linear feedback, whose gains it may change. The oracle's cost of a
+scenario is the least of these, of the reference's, and of the given entries'. It is no bound: a longer search may find
+a lower cost.
 
 Written are <suite>-<split>.csv with a row per scenario, and <suite>-<split>.json with suite, settings and search. The
 leaderboard's share of the gap that an entry closes comes from such files in wtg_gym/evaluation/oracle_costs.
 
-Finished searches are kept in the folder --parts, chunk by chunk: the same command goes on after an interruption and
-writes the same files as an undisturbed one on the same machine; another one, with more scenarios or entries, searches
-only what is missing. A change of the physics, the cost or the search makes them stale."""
+Finished searches are kept in the folder --parts, chunk by chunk. After an interruption the same command continues, and
+on the same machine writes the same files as without one. A command with more scenarios or entries searches only those
+that are missing. A change of the physics, the cost or the search makes the parts stale."""
 _EXAMPLES = """\
 examples:
   python -m agents.research.foresight --split validation --scenarios 24 --output results

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agents.command import Parser, Progress, check_page, chosen_entries, run_command, update_page
-from agents.research.probes import CONSTANT, delayed, late_name
+from agents.research.probes import CONSTANT, delayed
 from wtg_gym.analysis.steady_states import stable_equilibrium
 from wtg_gym.evaluation import ANCHORS, Entry, EntrySummary, evaluate, leaderboard_rows
 from wtg_gym.files import markdown_table
@@ -28,9 +28,9 @@ _SECTION = "incentives"
 _COST_COLUMNS = ("suite", "entry", "score", "frequency", "RoCoF", "duty", "overload", "rotor, effort, failure")
 _RESPONSE_COLUMNS = ("suite", "governors [MW/Hz]", "wind [MW/Hz]", "wind's share", "wind's share of the inertia")
 _DESCRIPTION = f"""\
-Plays entries, each policy among them once more with observations that are one control step late, and a constant action
-through scenarios of the drawn suites. Prints scores and mean cost terms, and how much of the frequency response comes
-from the wind. With --page the tables go between <!-- {_SECTION}:start --> and <!-- {_SECTION}:end --> of a file."""
+Plays entries and a constant action through scenarios of the drawn suites, and each policy once more with observations
+that are one control step late. Prints scores and mean cost terms, and how much of the frequency response comes from the
+wind. With --page the tables go between <!-- {_SECTION}:start --> and <!-- {_SECTION}:end --> of a file."""
 _EXAMPLES = """\
 examples:
   python -m agents.research.incentives --entries agents/policies/linear-feedback agents/policies/ppo-k-?
@@ -93,18 +93,10 @@ def _cost_row(suite: str, row: EntrySummary) -> tuple[str, ...]:
     return (suite, name, f"{row.score.value:.1f}", *(f"{value:.2f}" for value in shown))
 
 
-def _delays(suite: str, rows: Sequence[EntrySummary]) -> str:
-    """Return the scores of a suite with exact observations and one control step late, as text."""
-    scores = {row.name: row.score.value for row in rows}
-    pairs = [(name, value, scores.get(late_name(name))) for name, value in scores.items()]
-    found = [f"{name} {value:.1f} → {late:.1f}" for name, value, late in pairs if late is not None]
-    return f"`{suite}`: {', '.join(found) or 'none'}"
-
-
 def incentives(
     entries: Sequence[Entry], split: str, n_scenarios: int | None = None, n_threads: int | None = None
 ) -> str:
-    """Return both tables as Markdown.
+    """Return the tables of costs and of responses as Markdown.
 
     Args:
         entries: competitors.
@@ -115,7 +107,7 @@ def incentives(
     Raises:
         ValueError: there are not that many scenarios.
     """
-    costs, responses, late, shares, played = [], [], [], [], 0
+    costs, responses, played = [], [], 0
     with Progress("episodes") as progress:
         for done, suite in enumerate(SUITES):
             seeds = list(get_suite(suite).seeds(split))
@@ -130,17 +122,12 @@ def incentives(
             results = evaluate(entries, suite, split, seeds=seeds, n_threads=n_threads, on_progress=tell)
             rows = leaderboard_rows(results)
             costs += [_cost_row(suite, row) for row in rows if row.name != ANCHORS[0]]
-            late.append(_delays(suite, rows))
-            found = mean_response(get_suite(suite).scenarios(seeds))
-            responses.append(_response_row(suite, found))
-            shares.append(f"{found.wind_mw_hz:.0f} of {found.governor_mw_hz + found.wind_mw_hz:.0f} on `{suite}`")
+            responses.append(_response_row(suite, mean_response(get_suite(suite).scenarios(seeds))))
     first = markdown_table(_COST_COLUMNS, costs, right=range(2, len(_COST_COLUMNS)))
     second = markdown_table(_RESPONSE_COLUMNS, responses, right=range(1, len(_RESPONSE_COLUMNS)))
     return (
-        f"Score with exact observations → one control step late. {'; '.join(late)}.\n\n"
-        f"Regulating power of the wind in MW/Hz: {', '.join(shares)}.\n\n"
         f"Mean cost of an episode by term, {played} {split} scenarios of each suite:\n\n{first}\n\n"
-        f"Regulating power between 50 and 49.6 Hz and inertia in the same scenarios, means:\n\n{second}"
+        f"Means of the same scenarios, regulating power between 50 and 49.6 Hz, and inertia:\n\n{second}"
     )
 
 

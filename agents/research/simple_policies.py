@@ -19,9 +19,9 @@ from wtg_gym.scenarios import get_suite
 Floats = npt.NDArray[np.float64]
 
 _DESCRIPTION = """\
-Plays policies without any thought: a grid of constant actions, and actions that jump with the sign of one observation
-around its quartiles under the reference, between the limits (bang-bang) or by a part of that (relay). Neither constants
-nor bang-bang may beat the reference by much, else the benchmark would reward a mere change of settings."""
+Plays the simplest policies: a grid of constant actions, and actions that jump where one observation crosses a quartile
+of its values under the reference, from limit to limit (bang-bang) or by a part of that (relay). If constants or
+bang-bang beat the reference by much, the benchmark would reward a mere change of settings."""
 _ACTIONS = ("k", "tau")
 _CONSTANTS = {
     "k": (-0.5, -0.2, -0.1, -0.05, -0.02, 0.0, 0.02, 0.05, 0.1, 0.2, 0.5),

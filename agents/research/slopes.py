@@ -9,7 +9,7 @@ import csv
 import io
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -159,54 +159,52 @@ def _shares(x: Floats, y: Floats) -> Floats:
 
 
 def slopes_tables(found: Mapping[str, Mapping[str, Slopes]]) -> str:
-    """Return two Markdown tables with their explanation for every entry; `found` by entry and action."""
-    parts = []
-    for name, actions in found.items():
-        both = [actions.get(action) for action in ACTIONS]
-        rows = _rows([each and each.together for each in both])
-        for words, key in (
-            ("all of these", "explained"),
-            ("the same of the other groups as well", "with_others"),
-            ("a regression for each group", "each_group"),
-        ):
-            shares = ["–" if each is None else _percent(getattr(each, key)) for each in both]
-            rows.append([words, "", "", shares[0], "", shares[1]])
-        for words, key in (("mean of the action", "mean"), ("its standard deviation", "deviation")):
-            k, tau = (
-                "–" if each is None else _change(action, getattr(each, key))
-                for action, each in zip(ACTIONS, both, strict=True)
-            )
-            rows.append([words, "", k.removeprefix("+") if key == "deviation" else k, "", tau, ""])
+    """Return a Markdown table for each action, and one of single observations; `found` by entry and action."""
+    parts: list[str] = []
+    alone: dict[str, tuple[Slope, ...]] = {}
+    for action, words in zip(ACTIONS, ("Added to k, in shares of K_opt", "Factor on τ"), strict=True):
+        own = {name: actions[action] for name, actions in found.items() if action in actions}
+        if not own:
+            continue
+        parts += [f"{words}, for one unit more; in brackets, the share of its variance [%]:", _table(action, own)]
+        alone |= {f"{'τ' if action == 'tau' else action}: {name}": slopes.alone for name, slopes in own.items()}
+    if alone:
+        quantities = dict.fromkeys(row.quantity for rows in alone.values() for row in rows)
+        shares = [{row.quantity: _percent(row.share) for row in rows} for rows in alone.values()]
+        cells = [(quantity, *(each.get(quantity, "–") for each in shares)) for quantity in quantities]
         parts += [
-            f"**{name}**",
-            "Together, in one regression: what is added to k, in shares of K_opt, and the factor on τ, for every unit "
-            "more; the share of an action's variance that a quantity explains is the mean over all orders of adding "
-            "them.",
-            _table(rows),
-            "Each observation of a group on its own, in the unit that it is observed in:",
-            _table(_rows([each and each.alone for each in both])),
+            "Share of the variance that each observation of a group explains on its own [%]:",
+            markdown_table(("observation", *alone), cells, right=range(1, 1 + len(alone))),
         ]
     return "\n\n".join(parts)
 
 
-def _rows(columns: Sequence[Sequence[Slope] | None]) -> list[list[str]]:
-    named = next(slopes for slopes in columns if slopes is not None)
-    rows = []
-    for i, first in enumerate(named):
-        cells = [first.quantity, first.unit]
-        for action, slopes in zip(ACTIONS, columns, strict=True):
-            cells += ["–", "–"] if slopes is None else [_change(action, slopes[i].slope), _percent(slopes[i].share)]
-        rows.append(cells)
-    return rows
-
-
-def _table(rows: Sequence[Sequence[str]]) -> str:
-    header = ("seen", "unit", "k [K_opt]", "of k's variance [%]", "τ", "of τ's variance [%]")
-    return markdown_table(header, rows, right=(2, 3, 4, 5))
+def _table(action: str, own: Mapping[str, Slopes]) -> str:
+    rows = [
+        (
+            key.quantity,
+            key.unit,
+            *(
+                f"{_change(action, slopes.together[i].slope)} ({_percent(slopes.together[i].share)})"
+                for slopes in own.values()
+            ),
+        )
+        for i, key in enumerate(next(iter(own.values())).together)
+    ]
+    for words, key in (
+        ("all of these", "explained"),
+        ("and those of the other groups", "with_others"),
+        ("a regression for each group", "each_group"),
+    ):
+        rows.append((words, "", *(f"({_percent(getattr(slopes, key))})" for slopes in own.values())))
+    rows.append(("mean of the action", "", *(_change(action, slopes.mean) for slopes in own.values())))
+    deviations = [_change(action, slopes.deviation).removeprefix("+") for slopes in own.values()]
+    rows.append(("standard deviation of the action", "", *deviations))
+    return markdown_table(("seen", "unit", *own), rows, right=range(2, 2 + len(own)))
 
 
 def _change(action: str, value: float) -> str:
-    return f"{value:+.4f}".replace("-", "−") if action == "k" else f"× {2.0**value:.3f}"
+    return f"{value:+.4f}".replace("-", "−") if action == "k" else f"×{2.0**value:.3f}"
 
 
 def _percent(share: float) -> str:

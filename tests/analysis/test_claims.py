@@ -62,7 +62,8 @@ def test_table_has_a_line_per_claim(claims: tuple[Claim, ...]) -> None:
     assert table.count("\n| ") >= len(claims)
     assert "**does not hold** (" in table
     fitted = [claim for claim in claims if claim.fitted]
-    assert f"{len(claims) - 1} of {len(claims)} claims hold; {len(fitted)} of them" in table
+    assert f"{len(claims) - 1} of {len(claims)} claims hold: {len(claims) - 1 - len(fitted)} without a fit" in table
+    assert f"and {len(fitted)} numbers that" in table
     assert {claim.fitted for claim in fitted} == {"c_1, c_2, c_5, c_6", "R", "K_p"}
     assert table.count("| holds, fitted |") == len(fitted)
 

@@ -1,7 +1,7 @@
-"""Hostile submissions, one a row: what it tries, how it is made, and what becomes of it.
+"""Hostile submissions: what each one tries, what stops it, and how it is made.
 
-`python -m tests.submissions.hostile --page docs/submissions.md` puts all of them through the gate, scores what the gate
-accepts, and writes what it finds into the page.
+`python -m tests.submissions.hostile --page docs/submissions.md` puts all of them through the gate, scores those that
+the gate accepts, and writes the verdicts into the page.
 """
 
 from __future__ import annotations
@@ -28,21 +28,29 @@ from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.policies.conflicts import conflicts
 from wtg_gym.policies.gate import check_submission
 
-#: What becomes of a folder that the checks of :data:`wtg_gym.policies.gate.CHECKS` do not refuse.
+#: Verdicts on a folder that the checks of :data:`wtg_gym.policies.gate.CHECKS` do not refuse.
 TOGETHER, SCORED, HARMLESS = "together", "its own score", "harmless"
+#: Every verdict, in the order of the page, with its meaning. The gate's check "repeated" stops none.
+MEANINGS = {
+    "folder": "its files are not those of a submission",
+    "entry.toml": "this file is refused",
+    "loading": "onnxruntime refuses the file, or finds inputs and outputs that are not a policy's",
+    "speed": "the policy cannot answer a batch, or not in time",
+    "rollout": "an episode gets an invalid action",
+    TOGETHER: "it copies another folder, or contradicts it",
+    SCORED: "the gate accepts the policy; it fails in the middle of a test scenario, and has no score",
+    HARMLESS: "it is accepted and scored; every scenario costs the same to the last bit, alone and beside others",
+}
 PAGE, SECTION = "docs/submissions.md", "submissions:hostile"
 _SEEDS, _SHORT_S = (20_000, 20_001), 5.0
 
 
 class Attack(NamedTuple):
-    """What a submission tries, what must become of it, and what makes its folders in a folder that is there.
+    """A hostile submission; the last of several folders is the hostile one."""
 
-    The last of several folders is the hostile one.
-    """
-
-    name: str
-    end: str
-    build: Callable[[Path], list[Path]]
+    name: str  # what it tries
+    end: str  # the verdict that it must get, a key of MEANINGS
+    build: Callable[[Path], list[Path]]  # makes its folders in an existing one
 
 
 @functools.cache
@@ -80,7 +88,7 @@ def _pickled(place: Path) -> list[Path]:
 
 
 def _in_place_of(name: str, make_it: Callable[[Path], object]) -> Callable[[Path], list[Path]]:
-    """A sound submission with something that is no file in the place of one."""
+    """A sound submission, one of whose files is something else: a folder, a socket, a pipe or a link."""
 
     def build(place: Path) -> list[Path]:
         path = folder(place / "a")
@@ -151,40 +159,40 @@ _NO_MEMORY = "*/_ORT_MEM_ADDR_/*"
 _HIDDEN = models.two_layers(range(8))
 ATTACKS = (
     # The folder.
-    Attack("code in a pickle of protocol 0, as policy.onnx", "loading", _pickled),
+    Attack("code in a pickle that is named policy.onnx", "loading", _pickled),
     Attack("a module that Python would import", "folder", _with("numpy.py", b"import os")),
     Attack("a hidden file", "folder", _with(".gitattributes", b"* filter=evil")),
-    Attack("the policy twice, in other capitals", "folder", _with("Policy.onnx", b"x")),
-    Attack("a README of a byte too many", "folder", _with("README.md", bytes(65_537))),
-    Attack("a folder in the place of the policy", "folder", _in_place_of("policy.onnx", Path.mkdir)),
-    Attack("a socket in the place of the policy", "folder", _in_place_of("policy.onnx", _socket)),
-    Attack("a pipe that nobody writes to, as policy.onnx", "folder", _in_place_of("policy.onnx", os.mkfifo)),
+    Attack("a second policy file, in other capitals", "folder", _with("Policy.onnx", b"x")),
+    Attack("a README one byte too long", "folder", _with("README.md", bytes(65_537))),
+    Attack("a folder named policy.onnx", "folder", _in_place_of("policy.onnx", Path.mkdir)),
+    Attack("a socket named policy.onnx", "folder", _in_place_of("policy.onnx", _socket)),
+    Attack("a pipe named policy.onnx, to which nothing is written", "folder", _in_place_of("policy.onnx", os.mkfifo)),
     Attack(
-        "a link to the memory of a process",
+        "a link to a process's memory",
         "folder",
         _in_place_of("README.md", lambda p: p.symlink_to("/proc/self/mem")),
     ),
-    Attack("a folder that is a link", "folder", _linked_folder),
+    Attack("a link to a folder", "folder", _linked_folder),
     # Two readers of one file.
     Attack(
-        "a Constant with value_int, of the type FLOAT",
+        "a Constant whose value_int is declared FLOAT",
         "loading",
         _mislabelled("value_int", AttributeProto.FLOAT, f=1.0),
     ),
     Attack(
-        "a Constant with value_int, of the type INTS",
+        "a Constant whose value_int is declared INTS",
         HARMLESS,
         _mislabelled("value_int", AttributeProto.INTS, ints=[0]),
     ),
-    Attack("a Constant with value_ints, of the type INT", "speed", _mislabelled("value_ints", AttributeProto.INT, i=0)),
+    Attack("a Constant whose value_ints is declared INT", "speed", _mislabelled("value_ints", AttributeProto.INT, i=0)),
     Attack(
-        "a Constant with value_ints, of the type TENSOR",
+        "a Constant whose value_ints is declared TENSOR",
         HARMLESS,
         _mislabelled("value_ints", AttributeProto.TENSOR, t=constant("t", [0], np.int64)),
     ),
-    Attack("a Constant with value, of the type INTS", HARMLESS, _mislabelled("value", AttributeProto.INTS, ints=[0])),
+    Attack("a Constant whose value is declared INTS", HARMLESS, _mislabelled("value", AttributeProto.INTS, ints=[0])),
     Attack(
-        "a Constant with value_ints, and with other values besides",
+        "a Constant with value_ints and other values",
         HARMLESS,
         _mislabelled("value_ints", AttributeProto.INTS, ints=[0], i=1, f=2.0),
     ),
@@ -195,14 +203,14 @@ ATTACKS = (
         HARMLESS,
         _of(lambda: after(node("CumSum", ["linear", "first"], "action"), constants=[constant("first", 0, np.int64)])),
     ),
-    Attack("products of scenarios, and how many there are", HARMLESS, _of(models.mixed)),
+    Attack("products of scenarios, and their number", HARMLESS, _of(models.mixed)),
     Attack(
-        "the rounding at the end of a vector, 10⁸ times as large, to know which scenario is the last",
+        "rounding at the end of a vector, times 10⁸, which tells the last scenario from the others",
         HARMLESS,
         _of(models.last_lane),
     ),
     Attack(
-        "the rounding of a sum of states, which depends on their address, 10⁸ times as large",
+        "rounding of a sum of states, times 10⁸, which depends on their address",
         HARMLESS,
         _of(models.sums_of_a_state),
     ),
@@ -215,32 +223,32 @@ ATTACKS = (
     Attack("weights in /proc/self/environ", "loading", _of(lambda: models.external("/proc/self/environ"))),
     Attack("weights in a file beside Python's", "loading", _of(lambda: models.external("usr/lib/os-release"))),
     Attack(
-        "weights in another file, within a node", "loading", _of(lambda: models.external_in_constant("etc/hostname"))
+        "weights in another file, named in a node", "loading", _of(lambda: models.external_in_constant("etc/hostname"))
     ),
     Attack(
-        "weights at an address of the memory",
+        "weights at a memory address",
         "loading",
         _of(lambda: models.external(_NO_MEMORY, offset="4096", length="320")),
     ),
-    Attack("sparse weights outside of their shape", "loading", _of(models.sparse)),
+    Attack("sparse weights outside their shape", "loading", _of(models.sparse)),
     # What the file is.
-    Attack("a file without a byte", "loading", _of(lambda: b"")),
-    Attack("graphs in graphs, 50,000 deep", "loading", _of(lambda: models.nested(50_000))),
-    Attack("a length of 2⁶² bytes", "loading", _of(lambda: b"\x3a" + models.varint(2**62) + b"x")),
-    Attack("a function that is made of itself", "loading", _of(models.recursive)),
-    Attack("a node that needs what it makes", "loading", _of(models.circle)),
+    Attack("an empty file", "loading", _of(lambda: b"")),
+    Attack("nested graphs, 50,000 deep", "loading", _of(lambda: models.nested(50_000))),
+    Attack("a field that claims 2⁶² bytes", "loading", _of(lambda: b"\x3a" + models.varint(2**62) + b"x")),
+    Attack("a function that calls itself", "loading", _of(models.recursive)),
+    Attack("a graph with a cycle", "loading", _of(models.circle)),
     Attack("a decision tree without a leaf", "loading", _of(models.tree)),
-    Attack("an operator of a library that reads files", "loading", _of(lambda: models.own_domain("ReadFile"))),
+    Attack("an operator that reads files", "loading", _of(lambda: models.own_domain("ReadFile"))),
     Attack("actions of 10⁹ values", "loading", _of(lambda: make(outputs=[info("action", "batch", 10**9)]))),
     Attack("17 states of 60,000 values", "loading", _of(models.many_states)),
     Attack("actions in double precision", "loading", _of(models.in_doubles)),
     Attack(
-        "only ever two scenarios at a time",
+        "a batch of two and no other",
         "loading",
         _of(lambda: make(inputs=[info("observation", 2, N)], outputs=[info("action", 2, M)])),
     ),
     Attack(
-        "actions of another shape than it says",
+        "actions of another shape than declared",
         "speed",
         _of(
             lambda: make(
@@ -252,31 +260,31 @@ ATTACKS = (
         ),
     ),
     Attack("10¹⁰ numbers", "speed", _of(lambda: models.much(10**10))),
-    Attack("5 million numbers for each of the scenarios", "speed", _of(lambda: models.in_every_session(5_000_000))),
-    Attack("a loop that does not end", "speed", _of(models.endless)),
-    Attack("an operator that takes its time", "speed", _of(lambda: models.slow(200_000))),
+    Attack("5 million numbers for each scenario", "speed", _of(lambda: models.in_every_session(5_000_000))),
+    Attack("an endless loop", "speed", _of(models.endless)),
+    Attack("a slow operator", "speed", _of(lambda: models.slow(200_000))),
     # What is done in one scenario only.
-    Attack("not a number where real episodes begin, and nowhere else", "rollout", _of(models.trap)),
-    Attack("not a number in the middle of a test scenario", SCORED, _knows(models.turns_nan)),
-    Attack("a loop that does not end in the middle of a test scenario", SCORED, _knows(models.hangs)),
-    Attack("10¹¹ numbers in the middle of a test scenario", SCORED, _knows(models.grows)),
+    Attack("NaN at the observations with which episodes begin, and nowhere else", "rollout", _of(models.trap)),
+    Attack("NaN", SCORED, _knows(models.turns_nan)),
+    Attack("an endless loop", SCORED, _knows(models.hangs)),
+    Attack("10¹¹ numbers", SCORED, _knows(models.grows)),
     Attack(
-        "the least whole number divided by -1 in the middle of a test scenario",
+        "the least integer divided by −1",
         SCORED,
         _knows(lambda seen, near: models.divides(seen, near, "Div", _INT_MIN, -1)),
     ),
     Attack(
-        "the remainder of the least whole number and -1 in the middle of a test scenario",
+        "the remainder of the least integer and −1",
         SCORED,
         _knows(lambda seen, near: models.divides(seen, near, "Mod", _INT_MIN, -1)),
     ),
     Attack(
-        "a whole number divided by zero in the middle of a test scenario",
+        "an integer divided by zero",
         SCORED,
         _knows(lambda seen, near: models.divides(seen, near, "Div", 1, 0)),
     ),
-    Attack("actions of two scenarios in the middle of a test scenario", SCORED, _knows(models.changes_shape)),
-    Attack("a value outside of its weights in the middle of a test scenario", SCORED, _knows(models.points_outside)),
+    Attack("actions for two scenarios", SCORED, _knows(models.changes_shape)),
+    Attack("an index outside the weights", SCORED, _knows(models.points_outside)),
     # What cannot be repeated.
     Attack(
         "random actions",
@@ -284,12 +292,12 @@ ATTACKS = (
         _of(lambda: after(node("RandomUniformLike", ["linear"], "action", low=-1.0, high=1.0))),
     ),
     Attack("random dropout", HARMLESS, _of(models.dropout)),
-    Attack("a state that is infinite, which no action uses", HARMLESS, _of(models.hidden_nan)),
+    Attack("an infinite state that no action uses", HARMLESS, _of(models.hidden_nan)),
     # What is said of it.
     Attack("Cyrillic letters in a name", "entry.toml", _toml("Mine", "\\u0420\\u0420\\u041e (k)")),
     Attack("a line feed in a name", "entry.toml", _toml("Mine", "Mine\\nFirst")),
     Attack(
-        "a change of direction in a description",
+        "a change of text direction in a description",
         "entry.toml",
         _toml("training_seed", 'description = "a\\u202eb"\ntraining_seed'),
     ),
@@ -303,26 +311,28 @@ ATTACKS = (
         "entry.toml",
         _toml("training_seed", "links = ['https://a:b@example.org']\ntraining_seed"),
     ),
-    Attack("a training seed of 5000 digits", "entry.toml", _toml("= 0", "= 1" + 5000 * "0")),
-    Attack("a training seed that is true", "entry.toml", _toml("= 0", "= true")),
-    Attack("lists in lists, 5000 deep", "entry.toml", _toml("= 0", "= " + 5000 * "[" + 5000 * "]")),
+    Attack("a training seed of 5,000 digits", "entry.toml", _toml("= 0", "= 1" + 5000 * "0")),
+    Attack("the training seed `true`", "entry.toml", _toml("= 0", "= true")),
+    Attack("nested lists, 5,000 deep", "entry.toml", _toml("= 0", "= " + 5000 * "[" + 5000 * "]")),
     # Several together.
     Attack(
-        "a network with its hidden values in another order, as another training seed",
+        "a network with reordered hidden units, as another training seed",
         TOGETHER,
         _pair(_HIDDEN, models.two_layers(range(7, -1, -1)), seed(1)),
     ),
     Attack(
-        "a file with a comment more, under another name",
+        "a file with an added comment, under another name",
         TOGETHER,
         _pair(make(), models.make_bytes() + models.field(b"\x32", b"mine"), TOML.replace("Mine", "Yours")),
     ),
-    Attack("one training seed twice", TOGETHER, _pair(make(), models.other(), TOML)),
+    Attack("the same training seed twice", TOGETHER, _pair(make(), models.other(), TOML)),
     Attack(
-        "a name in other capitals and signs", TOGETHER, _pair(make(), models.other(), TOML.replace("Mine", "M I N E"))
+        "a name that differs in capitals and blanks only",
+        TOGETHER,
+        _pair(make(), models.other(), TOML.replace("Mine", "M I N E")),
     ),
     Attack(
-        "joining a row with another description",
+        "another training seed with another description",
         TOGETHER,
         _pair(make(), models.other(), seed(1, TOML + 'description = "The best"\n')),
     ),
@@ -355,31 +365,31 @@ def _scored(entry: Entry) -> tuple[str, str]:
     return HARMLESS, "accepted; every scenario costs the same to the last bit alone and beside others"
 
 
-def row(attack: Attack, end: str, reason: str) -> str:
-    """Return an attack's line of the table."""
-    short = reason
-    if len(short) > 180:
-        short = f"{short[:110].rsplit(' ', 1)[0]} … {short[-60:].split(' ', 1)[1]}"
-    # As it is printed, so that what is hostile shows and does nothing.
-    return markdown_table((attack.name, end, f"`{short}`"), []).splitlines()[0]
+def table(ends: Sequence[str]) -> str:
+    """Return the attacks under their verdicts; `ends` are those of :data:`ATTACKS`, in their order."""
+    rows = []
+    for end, meaning in MEANINGS.items():
+        names = [attack.name for attack, found in zip(ATTACKS, ends, strict=True) if found == end]
+        rows.append((f"**{end}**: {meaning}", str(len(names)), "; ".join(names)))
+    return markdown_table(("verdict", "number", "attacks"), rows, right=(1,))
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Write the table."""
+    """Write the table; return 1 and leave the page alone if a verdict is not the expected one."""
     parser = argparse.ArgumentParser(prog="python -m tests.submissions.hostile", description=__doc__)
     parser.add_argument("--page", default=PAGE, help=f"file with the markers (default: {PAGE})")
     given = parser.parse_args(argv)
-    lines = markdown_table(("attack", "stopped by", "what is said"), []).splitlines()
-    missed = 0
+    ends = []
     for attack in ATTACKS:
         with tempfile.TemporaryDirectory() as place:
             end, reason = verdict(attack, Path(place))
-        lines.append(row(attack, end, reason))
+        ends.append(end)
         if end != attack.end:
-            missed += 1
             print(f"{attack.name}: {end}, expected {attack.end}: {reason}", file=sys.stderr)
-    update_between_markers(given.page, "\n".join(lines), SECTION)
-    return int(missed > 0)
+    if ends != [attack.end for attack in ATTACKS]:
+        return 1
+    update_between_markers(given.page, table(ends), SECTION)
+    return 0
 
 
 if __name__ == "__main__":

@@ -88,7 +88,7 @@ def _first_event(runs: Runs) -> Iterable[Claim]:
     yield Claim(
         key="faster-rotor",
         source=_INCREASE,
-        says="WTG 1: its rotor slows down faster at first",
+        says="WTG 1: coordinated slows its rotor down faster at first",
         expected="larger fall of ω_m in the first second",
         measured=f"{_against(falls, 4)} p.u.",
         values={"fall_pu": falls},
@@ -98,7 +98,7 @@ def _first_event(runs: Runs) -> Iterable[Claim]:
     yield Claim(
         key="rocof",
         source=_INCREASE,
-        says="which improves the initial RoCoF",
+        says="coordinated: the initial RoCoF is smaller",
         expected="smaller fall over 500 ms",
         measured=f"{_against(rocof, 4)} Hz/s",
         values={"rocof_hz_s": rocof},
@@ -109,7 +109,7 @@ def _first_event(runs: Runs) -> Iterable[Claim]:
     yield Claim(
         key="nadir",
         source=_INCREASE,
-        says="the nadir is slightly lower",
+        says="coordinated: the nadir is slightly lower",
         expected="by less than 10 mHz",
         measured=f"{_against(nadir)} Hz",
         values={"nadir_hz": nadir},
@@ -122,7 +122,7 @@ def _first_event(runs: Runs) -> Iterable[Claim]:
     yield Claim(
         key="narrow-range",
         source=_INCREASE,
-        says="the new equilibrium is closer to the old one in ω_m of both groups",
+        says="coordinated: ω_m of both groups changes less from equilibrium to equilibrium",
         expected="smaller change after 25 s",
         measured=f"{_pairs_against(settled)} p.u.",
         values=dict(zip(_COMPARED, settled, strict=True)),
@@ -144,7 +144,7 @@ def settling(studies: CaseStudies) -> Claim:
     return Claim(
         key="settles-sooner",
         source=_INCREASE,
-        says="WTG 1: power and rotor speed settle sooner",
+        says="coordinated: power and rotor speed of WTG 1 settle sooner",
         expected="into 2 % of the final value, first event alone",
         measured=f"power {_against(power, 1)} s; rotor {_against(rotor, 1)} s",
         values=values,
@@ -173,7 +173,8 @@ def load_decrease(runs: Runs) -> Iterable[Claim]:
         measured=f"{_pairs_against(rise)} p.u.",
         values=dict(zip(_COMPARED, rise, strict=True)),
         holds=_both_smaller(rise),
-        remark="The paper finds it particularly evident at 10 %; the rises are alike, but 10 % starts at the boundary.",
+        remark="The paper finds this most evident at 10 %. Here both rises are alike, but at 10 % they start at the "
+        "edge of the range.",
     )
     yield Claim(
         key="decrease-10",

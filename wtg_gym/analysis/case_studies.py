@@ -66,7 +66,7 @@ class EquilibriumStudy:
 
 @dataclass(frozen=True)
 class DampingStudy:
-    """What τ trades in the paper's load increase.
+    """Nadir, rotor speed and power over τ in the paper's load increase.
 
     `time_constant_s` (n,) [s], `nadir_hz` (n,) [Hz], `lowest_rotor_speed_pu` and `peak_power_pu` (n, n_wtg) [p.u.];
     all over the first event's 25 s.
@@ -121,7 +121,7 @@ def study_margins() -> MarginStudy:
         WINDS,
         margins,
         f"Without transient damping the margin of the linear law falls from {undamped[high]:.0f}° at 11.5 m/s to "
-        f"{undamped[low]:.0f}° at 6 m/s, because its damping is the slope of g(ω) times ω_m³; with τ = 0.8 s it stays "
+        f"{undamped[low]:.0f}° at 6 m/s, because its damping is the slope of g(ω) times ω_m³. With τ = 0.8 s it stays "
         f"at {damped.min():.0f}° or more. Above 11.5 m/s the pitch protection holds the operating point.",
     )
 
@@ -138,7 +138,7 @@ def study_slopes() -> MarginStudy:
     return MarginStudy(
         WINDS,
         margins,
-        "The piecewise law is steeper below the set-point than above it, and better damped there: at 8 m/s "
+        "The piecewise law is steeper below the set-point than above it, and so better damped there. Margins at 8 m/s: "
         f"{value['coordinated-piecewise, under-frequency']:.0f}° against "
         f"{value['coordinated-piecewise, over-frequency']:.0f}° with transient damping, "
         f"{value['coordinated-undamped, under-frequency']:.0f}° against "
@@ -171,11 +171,11 @@ def study_equilibria() -> EquilibriumStudy:
     return EquilibriumStudy(
         winds,
         critical,
-        f"At 8 m/s a grid at {50 * critical['mppt'][at]:.2f} Hz is enough to stall a WTG at its maximum power point, "
-        f"{50 * critical['deloaded-10'][at]:.2f} Hz one with 10 % of reserve; only above {safe_from('deloaded-5'):.2f} "
-        f"m/s (5 %) and {safe_from('deloaded-10'):.2f} m/s (10 %) does a deloaded WTG survive all of the regulation "
-        f"range down to {50 * lowest:.1f} Hz, while the coordinated laws do at every wind speed. The bend above "
-        "11.5 m/s is the pitch protection's.",
+        f"At 8 m/s a WTG at its maximum power point stalls below {50 * critical['mppt'][at]:.2f} Hz, one with 10 % of "
+        f"reserve below {50 * critical['deloaded-10'][at]:.2f} Hz. A deloaded WTG keeps its equilibrium down to "
+        f"{50 * lowest:.1f} Hz, the end of the regulation range, only above {safe_from('deloaded-5'):.2f} m/s (5 %) or "
+        f"{safe_from('deloaded-10'):.2f} m/s (10 %); the coordinated laws do so at every wind speed. The pitch "
+        "protection makes the bend above 11.5 m/s.",
     )
 
 
@@ -199,7 +199,7 @@ def study_damping(on_progress: OnProgress = lambda *_: None) -> DampingStudy:
         rotors,
         np.array(peak),
         f"A longer τ keeps the droop for longer: from τ = 0.8 s to {TIME_CONSTANTS[best]:g} s the nadir rises by "
-        f"{1e3 * (nadir[best] - nadir[here]):.0f} mHz, paid for with the rotor of the low-wind group, which falls to "
+        f"{1e3 * (nadir[best] - nadir[here]):.0f} mHz, and the rotor of the low-wind group falls to "
         f"{rotors[best, 1]:.3f} instead of {rotors[here, 1]:.3f} p.u.",
     )
 
@@ -220,8 +220,8 @@ def study_machine_models() -> MachineModelStudy:
     return MachineModelStudy(
         scenario,
         runs,
-        "Exciters hold the voltage and with it the power that resistive loads take: the reference settles at "
-        f"{full.frequency_hz[-1] / 50:.4f} p.u. with GENROU machines against {plain.frequency_hz[-1] / 50:.4f} with "
-        f"classical ones, its nadir is {full.frequency_hz.min():.3f} against {plain.frequency_hz.min():.3f} Hz, and "
-        f"deloaded-5 stalls at {stalls[0]} against {stalls[1]}.",
+        "GENROU machines have exciters, which hold the voltage and so the power of resistive loads. The reference "
+        f"settles at {full.frequency_hz[-1] / 50:.4f} p.u. with them and at {plain.frequency_hz[-1] / 50:.4f} p.u. "
+        f"with classical machines; its nadir is {full.frequency_hz.min():.3f} and {plain.frequency_hz.min():.3f} Hz; "
+        f"deloaded-5 stalls at {stalls[0]} and {stalls[1]}.",
     )

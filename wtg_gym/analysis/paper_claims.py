@@ -67,7 +67,7 @@ def _mppt() -> Iterable[Claim]:
     yield Claim(
         key="inverse-droop",
         source="MPPT",
-        says="less power at a lower frequency; no equilibrium below ω_b, higher at less wind",
+        says="power falls with the frequency; no equilibrium below ω_b, which is higher in less wind",
         expected="p_B < p_A; ω_min < ω_b(11.4 m/s) < ω_b(8 m/s)",
         measured=f"p_B/p_A = {powers[0]:.3f}, {powers[1]:.3f}; ω_b = {limits[0]:.5f}, {limits[1]:.5f} p.u.",
         values={"power_ratio": powers, "critical_frequency_pu": limits},
@@ -78,9 +78,9 @@ def _mppt() -> Iterable[Claim]:
     yield Claim(
         key="over-frequency",
         source="MPPT",
-        says="over-frequency: less power, a faster rotor, but too little or too much less",
-        expected=f"p_C < p_A, faster; at ω_max above {100 * asked:g} % of the available power at one wind, below it at "
-        "the other",
+        says="over-frequency: power falls too little or too much, the rotor speeds up",
+        expected=f"p_C < p_A, ω_m higher; at ω_max more than {100 * asked:g} % of the available power at one wind, "
+        "less at the other",
         measured=f"{100 * shares[0]:.1f} % at 11.4 m/s, {100 * shares[1]:.1f} % at 8 m/s",
         values={"share_at_frequency_max": shares},
         holds=all(
@@ -97,7 +97,7 @@ def _deloading() -> Iterable[Claim]:
     yield Claim(
         key="low-deloading",
         source="low deloading",
-        says="5 %: power rises from A to M, then falls; at low wind no equilibrium before ω_min",
+        says="5 %: power rises from A to M, then falls; at low wind the equilibrium is lost above ω_min",
         expected="p_M > p_A, p_B < p_M; ω_B(8 m/s) > 0.992 p.u.",
         measured=f"p_A, p_M, p_B = {_powers(five[_HIGH])} (11.4 m/s), {_powers(five[_LOW])} (8 m/s); "
         f"ω_B = {lost:.5f} p.u.",
@@ -110,19 +110,19 @@ def _deloading() -> Iterable[Claim]:
     yield Claim(
         key="high-deloading-high-wind",
         source="high deloading",
-        says="10 %, high wind: the rotor may stay above λ_opt down to ω_min",
+        says="10 %, high wind: λ may stay above λ_opt down to ω_min",
         expected=f"λ at ω_min above {optimum:.3f}",
         measured=f"λ = {ratio:.3f}; λ_opt at {crossing:.5f} p.u.",
         values={"tip_speed_ratio": ratio, "crossing_frequency_pu": crossing},
         holds=ratio > optimum,
-        remark="The figure is schematic; with the paper's own numbers the droop asks for 0.5 p.u. at ω_min, just "
-        "too much for 10 % of reserve.",
+        remark="The paper's figure is schematic. With its own numbers the droop asks for 0.5 p.u. at ω_min, slightly "
+        "more than 10 % of reserve can give.",
     )
     lost = ten[_LOW]["B"].frequency_pu
     yield Claim(
         key="high-deloading-low-wind",
         source="high deloading",
-        says="10 %, low wind: the inverse droop comes back before ω_min",
+        says="10 %, low wind: below M power falls with the frequency again, above ω_min already",
         expected="M passed, equilibrium lost or left of M at ω_min",
         measured=f"M at {ten[_LOW]['M'].frequency_pu:.5f} p.u., lost at {lost:.5f} p.u.",
         values={"critical_frequency_pu": lost},
@@ -156,7 +156,7 @@ def _coordination() -> Iterable[Claim]:
         monotonic &= bool((np.diff(power) < 0.0).all() and (np.diff(rotor) > 0.0).all())
     yield Claim(
         key="monotonic",
-        source="dwtdk, dpwdk",
+        source="k-frequency droop",
         says="coordinated: power falls and rotor speed rises with the frequency, at every wind",
         expected="strictly monotonic at 33 frequencies, 4 … 11.5 m/s",
         measured="strictly monotonic" if monotonic else "not monotonic",
@@ -177,7 +177,7 @@ def _margins() -> Iterable[Claim]:
     yield Claim(
         key="pm-deloaded",
         source=where,
-        says="that of the deloaded strategies is close to it",
+        says="phase margin of the deloaded strategies, close to the ideal source's",
         expected="within 3°",
         measured=f"{deloaded[0]:.1f}° (5 %), {deloaded[1]:.1f}° (10 %)",
         values={"pm_deg": deloaded},
@@ -188,8 +188,8 @@ def _margins() -> Iterable[Claim]:
         single_machine(law, _HIGH).margins().phase_margin_deg
         for law in (linear_undamped(), STRATEGIES["coordinated-linear"])
     )
-    yield margin("pm-undamped", "linear g(ω) without transient damping", undamped, 28.0, 2.0)
-    yield margin("pm-damped", "linear g(ω), τ = 0.8 s", damped, 55.0, 1.0)
+    yield margin("pm-undamped", "phase margin of the linear g(ω) without transient damping", undamped, 28.0, 2.0)
+    yield margin("pm-damped", "phase margin of the linear g(ω), τ = 0.8 s", damped, 55.0, 1.0)
 
 
 def _compatibility() -> Claim:

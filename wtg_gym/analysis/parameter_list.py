@@ -81,24 +81,33 @@ def parameters_page() -> str:
             for group, parameter, value, unit, source, doc in rows
             if group == name
         ]
-        table = markdown_table(("parameter", "value", "source", "what it is"), own, right=(1,))
-        parts.append(f"### {name}\n\n{table}")
-    names, cells = _pivot(list(_machine_rows()), "machine at ")
+        sources = list(dict.fromkeys(row[2] for row in own))
+        columns = {"parameter": 0, "value": 1, "source": 2, "what it is": 3}
+        lines = [f"### {name}"]
+        if len(sources) == 1:
+            del columns["source"]
+            lines.append(f"Source: {sources[0]}.")
+        if name == CostWeights.__name__:
+            del columns["what it is"]
+            lines.append("[What each one charges, and why](benchmark.md#the-cost).")
+        cells = [tuple(row[i] for i in columns.values()) for row in own]
+        parts.append("\n\n".join([*lines, markdown_table(tuple(columns), cells, right=(1,))]))
+    names, by_name = _pivot(list(_machine_rows()), "machine at ")
     first = {row[1]: row for row in reversed(list(_machine_rows()))}
-    lines = [(_with_unit(first[name]), *values, *first[name][4:]) for name, values in cells.items()]
+    machines = [(_with_unit(first[name]), *values, *first[name][4:]) for name, values in by_name.items()]
     header = ("parameter", *names, "source", "what it is")
-    parts.append("### Synchronous machines\n\n" + markdown_table(header, lines, right=range(1, 1 + len(names))))
+    parts.append("### Synchronous machines\n\n" + markdown_table(header, machines, right=range(1, 1 + len(names))))
     network = list(_network_rows())
     for title, prefix in (("Buses", "bus "), ("Branches", "branch ")):
         own_rows = [row for row in network if row[0].startswith(prefix)]
-        names, cells = _pivot(own_rows, prefix)
+        names, by_name = _pivot(own_rows, prefix)
         first = {row[1]: row for row in own_rows}
-        header = (prefix.strip(), *(_with_unit(first[name]) for name in cells))
-        table = markdown_table(header, list(zip(names, *cells.values(), strict=True)), right=range(1, 1 + len(cells)))
-        sources = ", ".join(dict.fromkeys(row[4] for row in own_rows))
-        parts.append(f"### {title}\n\n{table}\n\nSource: {sources}.")
-    sources = "\n".join(f"- **{key}**: {text}" for key, text in SOURCES.items())
-    return "\n\n".join([*parts, f"### Sources\n\n{sources}"])
+        header = (prefix.strip(), *(_with_unit(first[name]) for name in by_name))
+        table = markdown_table(header, list(zip(names, *by_name.values(), strict=True)), right=range(1, len(header)))
+        used = ", ".join(dict.fromkeys(row[4] for row in own_rows))
+        parts.append(f"### {title}\n\nSource: {used}.\n\n{table}")
+    listed = "\n".join(f"- **{key}**: {text}" for key, text in SOURCES.items())
+    return "\n\n".join([*parts, f"### Sources\n\n{listed}"])
 
 
 def _with_unit(row: Row) -> str:

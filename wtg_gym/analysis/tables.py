@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
@@ -10,32 +10,39 @@ from wtg_gym.analysis.claim import Claim
 from wtg_gym.analysis.eigenvalues import Mode
 from wtg_gym.analysis.infinite_bus import Agreement
 from wtg_gym.analysis.loops import SingleMachine
-from wtg_gym.analysis.omissions import Omissions, RotorRun
+from wtg_gym.analysis.omissions import Omissions, RotorRun, SuiteCounts
 from wtg_gym.analysis.voltage_limits import REACTIVE_LIMIT_PU, VOLTAGE_LIMIT_PU
 from wtg_gym.files import markdown_table
 from wtg_gym.physics.layout import Status
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
+
+#: Real eigenvalues below minus this are not listed one by one [1/s].
+_FAST_1_S = 5.0
 
 
 def claims_table(claims: Iterable[Claim]) -> str:
     """Return the claims with their verdicts, remarks below the table."""
     claims = list(claims)
     notes: list[str] = []
-    rows = []
+    rows: list[tuple[str, ...]] = []
+    section = ""
     for claim in claims:
+        if claim.source != section:
+            section = claim.source
+            rows.append((f"**{section}**", "", "", ""))
         verdict = ("holds" if claim.holds else "**does not hold**") + (", fitted" if claim.fitted else "")
         if claim.remark:
             notes.append(f"({len(notes) + 1}) {claim.remark}  ")
             verdict += f" ({len(notes)})"
-        rows.append((claim.says, claim.source, claim.expected, claim.measured, verdict))
+        rows.append((claim.says, claim.expected, claim.measured, verdict))
     held = sum(claim.holds for claim in claims)
     fitted = [claim.fitted for claim in claims if claim.fitted and claim.holds]
     by = ", ".join(f"{name} to {fitted.count(name)}" for name in dict.fromkeys(fitted))
     count = (
-        f"{held} of {len(claims)} claims hold; {len(fitted)} of them are numbers that a parameter of this model was "
-        f"fitted to ({by}), so that {held - len(fitted)} hold without a fit."
+        f"{held} of {len(claims)} claims hold: {held - len(fitted)} without a fit, and {len(fitted)} numbers that "
+        f"parameters of this model were fitted to ({by})."
     )
-    table = markdown_table(("the paper says", "section", "expected", "measured", "verdict"), rows)
+    table = markdown_table(("the paper says", "expected", "measured", "verdict"), rows)
     return "\n\n".join([count, table, "\n".join(notes)]).strip()
 
 
@@ -53,7 +60,7 @@ def _rotor_energy(found: Omissions) -> str:
             f"ω_m at {frequency_hz:.2f} Hz [p.u.]",
             "2H_m Δω_m [p.u. s]",
             "H_m Δ(ω_m²) [p.u. s]",
-            "credited too much",
+            "released too much",
         ),
         [
             (
@@ -77,22 +84,23 @@ def _rotor_energy(found: Omissions) -> str:
         ],
         right=range(1, 5),
     )
-    counts = markdown_table(
-        ("suite", "strategy", "runs", "stalls, the paper's rotor", "stalls, H_m ω_m²", "nadir, median shift [mHz]"),
-        [
-            (
-                row.suite,
-                row.strategy,
-                str(row.n_scenarios),
-                str(row.stalls),
-                str(row.energy_stalls),
-                f"{1e3 * row.nadir_shift_hz:+.1f}",
-            )
-            for row in found.counts
-        ],
-        right=range(2, 6),
+    counts = _by_suite(
+        found.counts,
+        lambda row: f"{row.stalls} → {row.energy_stalls} ({1e3 * row.nadir_shift_hz:+.1f})",
     )
-    return f"{balance}\n\nThe paper's load increase:\n\n{runs}\n\nValidation scenarios of the suites:\n\n{counts}"
+    return (
+        f"{balance}\n\nThe paper's load increase:\n\n{runs}\n\nRuns that stall, out of {found.counts[0].n_scenarios}: "
+        "with the paper's rotor → with H_m ω_m². In brackets the median change of the nadir [mHz].\n\n"
+        f"{counts}"
+    )
+
+
+def _by_suite(counts: Sequence[SuiteCounts], cell: Callable[[SuiteCounts], str]) -> str:
+    """Return a table with a row for each suite and a column for each strategy."""
+    cells = {(row.suite, row.strategy): cell(row) for row in counts}
+    suites, strategies = (list(dict.fromkeys(key[i] for key in cells)) for i in (0, 1))
+    rows = [(suite, *(cells[suite, strategy] for strategy in strategies)) for suite in suites]
+    return markdown_table(("suite", *strategies), rows, right=range(1, 1 + len(strategies)))
 
 
 def _stall(run: RotorRun) -> str:
@@ -125,55 +133,43 @@ def _voltages(found: Omissions) -> str:
 
 
 def _limits(found: Omissions) -> str:
-    rows = [
-        (
-            row.suite,
-            row.strategy,
-            f"{row.motoring} of {row.n_scenarios}",
-            f"{row.peak_power_pu:.2f}",
-            f"{row.least_rotor_pu:.2f}",
-        )
-        for row in found.counts
-    ]
-    header = ("suite", "strategy", "runs with p < 0", "largest p [p.u.]", "smallest ω_m [p.u.]")
-    return markdown_table(header, rows, right=(2, 3, 4))
+    table = _by_suite(found.counts, lambda row: f"{row.motoring} / {row.peak_power_pu:.2f} / {row.least_rotor_pu:.2f}")
+    return f"Runs with p < 0 out of {found.counts[0].n_scenarios} / largest p [p.u.] / smallest ω_m [p.u.]:\n\n{table}"
 
 
-def agreement_table(found: Iterable[Agreement]) -> str:
-    """Return the comparison of both small-signal models on an infinite bus."""
-    rows = [
-        (
-            row.law,
-            f"{row.wind_m_s:g}",
-            row.side,
-            f"{row.synchronising_coefficient:.3f}",
-            f"{row.phase_margin_deg:.1f}",
-            ", ".join(_poles(row.poles)),
-            f"{row.largest_difference:.0e}",
-        )
-        for row in found
-    ]
-    header = ("law", "wind [m/s]", "slope", "K_p", "margin [°]", "closed-loop poles [1/s]", "largest difference")
-    return markdown_table(header, rows, right=(1, 3, 4, 6))
+def margins_table(found: Iterable[Agreement], system: Iterable[SingleMachine]) -> str:
+    """Return the margins on an infinite bus and in the 14-bus system, a law and a wind in one row.
 
-
-def system_margins_table(loops: Iterable[SingleMachine]) -> str:
-    """Return the margins at the system's own K_p, both slopes of g(ω) of a law and wind in one row."""
-    rows: dict[tuple[str, float], list[SingleMachine]] = {}
-    for loop in loops:
-        rows.setdefault((loop.law, loop.wind_m_s), []).append(loop)
-    cells = [
-        (
-            law,
-            f"{wind:g}",
-            f"{own[0].synchronising_coefficient:.3f}",
-            f"{own[0].margins().phase_margin_deg:.1f}",
-            f"{own[-1].margins().phase_margin_deg:.1f}",
-        )
-        for (law, wind), own in rows.items()
-    ]
-    header = ("law", "wind [m/s]", "K_p", "margin, under-frequency [°]", "margin, over-frequency [°]")
-    return markdown_table(header, cells, right=(1, 2, 3, 4))
+    Args:
+        found: comparison of both small-signal models on an infinite bus.
+        system: the loops at the K_p of the 14-bus system.
+    """
+    found = list(found)
+    rows: dict[tuple[str, float], list[tuple[float, list[float]]]] = {}
+    own: dict[tuple[str, float], list[Agreement]] = {}
+    for each in found:
+        own.setdefault((each.law, each.wind_m_s), []).append(each)
+    for key, sides in own.items():
+        rows[key] = [(sides[0].synchronising_coefficient, [side.phase_margin_deg for side in sides])]
+    loops: dict[tuple[str, float], list[SingleMachine]] = {}
+    for loop in system:
+        loops.setdefault((loop.law, loop.wind_m_s), []).append(loop)
+    for key, both in loops.items():
+        rows[key].append((both[0].synchronising_coefficient, [loop.margins().phase_margin_deg for loop in both]))
+    cells = []
+    for (law, wind), columns in rows.items():
+        texts = []
+        for coefficient, margins in columns:
+            # One number where the slopes of g(ω) do not differ.
+            shown = dict.fromkeys(f"{margin:.1f}" for margin in margins)
+            texts += [f"{coefficient:.3f}", " / ".join(shown)]
+        cells.append((law, f"{wind:g}", *texts))
+    header = ("law", "wind [m/s]", "K_p, infinite bus", "margin [°]", "K_p, 14 buses", "margin [°]")
+    largest = max(each.largest_difference for each in found)
+    return (
+        f"Largest relative difference of a closed-loop pole between both models: {largest:.0e}.\n\n"
+        f"{markdown_table(header, cells, right=range(1, 6))}"
+    )
 
 
 def _poles(poles: Iterable[complex]) -> Iterable[str]:
@@ -198,7 +194,15 @@ def mode_cells(mode: Mode) -> tuple[str, str, str, str, str]:
 
 
 def modes_table(found: Iterable[Mode]) -> str:
-    """Return the modes of a system with the states that take part most."""
+    """Return the oscillating modes as a table, the others as a list, each with the states that take part most."""
+    found = list(found)
     header = ("eigenvalue [1/s]", "frequency [Hz]", "damping ratio", "takes part")
-    rows = [(*cells[:3], cells[4]) for cells in map(mode_cells, found)]
-    return markdown_table(header, rows, right=(1, 2))
+    rows = [(*cells[:3], cells[4]) for cells in (mode_cells(mode) for mode in found if mode.eigenvalue.imag > 0.0)]
+    real = sorted((mode for mode in found if mode.eigenvalue.imag == 0.0), key=lambda mode: -mode.eigenvalue.real)
+    texts = [f"{next(iter(_poles([mode.eigenvalue])))} ({next(iter(mode.participation))})" for mode in real]
+    n_slow = sum(mode.eigenvalue.real > -_FAST_1_S for mode in real)
+    return (
+        f"{markdown_table(header, rows, right=(1, 2))}\n\n"
+        f"Real eigenvalues [1/s], each with the state that takes part most: {', '.join(texts[:n_slow])}, and "
+        f"{len(texts) - n_slow} from {texts[n_slow]} to {texts[-1]}."
+    )

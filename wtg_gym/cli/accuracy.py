@@ -97,11 +97,12 @@ def run(arguments: argparse.Namespace) -> int:
 def _summary(study: AccuracyStudy) -> str:
     chosen = study.row("RK4", study.default_step_s)
     return (
-        f"{len(study.seeds)} validation scenarios of the suite {study.suite} under the reference strategy; errors are "
-        "the largest of any WTG group over an episode, median / worst scenario. The default, RK4 at "
+        f"{len(study.seeds)} validation scenarios of the suite {study.suite} under the reference strategy. An error is "
+        "the largest of any WTG group over an episode: median / worst scenario. The default, RK4 at "
         f"{1e3 * study.default_step_s:g} ms, is wrong by at most {chosen.frequency_hz.max():.1e} Hz, "
         f"{chosen.rotor_speed_pu.max():.1e} p.u. of rotor speed and {chosen.power_pu.max():.1e} p.u. of power. The "
-        f"reference itself changes by at most {study.reference_error_hz:.0e} Hz when its tolerance falls a hundredfold."
+        f"exact solution itself changes by at most {study.reference_error_hz:.0e} Hz when its tolerance falls a "
+        "hundredfold."
     )
 
 

@@ -37,8 +37,9 @@ from wtg_gym.physics.scenario import require_range
 _PACKAGES = ("gymnasium", "numba", "numpy", "stable-baselines3", "torch")
 _PARTS = "\n".join(f"  {name:12}  {words}" for name, words in PARTS.items())
 _DESCRIPTION = f"""\
-Measures the speed of the environment on this machine. Every case runs several times, in turns so that a busy spell of
-the machine strikes all alike; the median counts, and its ratio to {YARDSTICK} of the same run travels between machines.
+Measures the speed of the environment on this machine. Every case runs several times, in turns, so that a busy spell of
+the machine slows all of them alike. The median counts; its ratio to {YARDSTICK} of the same run can be compared with
+other machines'.
 Episodes' resets are included and actions are drawn beforehand. Missing packages are left out, with a line that says
 what to install.
 

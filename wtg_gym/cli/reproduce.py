@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import functools
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from wtg_gym.analysis.case_studies import (
     CaseStudies,
@@ -31,11 +32,10 @@ from wtg_gym.analysis.loops import Side, SingleMachine, ideal_source_loop, singl
 from wtg_gym.analysis.omissions import Omissions, study_omissions
 from wtg_gym.analysis.paper_claims import paper_claims
 from wtg_gym.analysis.tables import (
-    agreement_table,
     claims_table,
+    margins_table,
     modes_table,
     omissions_sections,
-    system_margins_table,
 )
 from wtg_gym.cli.output import (
     FIGURE_FORMATS,
@@ -59,20 +59,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _OMISSIONS = ("rotor-energy", "voltages", "limits")
-_SECTIONS = ("claims", "figures", "studies", *_OMISSIONS, "agreement", "system-margins", "modes")
+_SECTIONS = ("claims", "figures", "studies", *_OMISSIONS, "small-signal", "modes")
 _STUDIES = ("margins", "slopes", "equilibria", "damping", "machines")
 
 _DESCRIPTION = f"""\
 Runs the paper's analysis and case studies on the simulator and writes, within two or three minutes,
 
-  claims.md, claims.json   every claim of the paper with its tolerance, measurement and verdict
-  figures/*                the paper's figures, and studies beyond it: margins over wind and on both slopes of g(ω),
-                           lost equilibria, τ, machine models, the modes of the system
+  claims.json   every claim of the paper with its tolerance, measurement and verdict; and the numbers of the studies, of
+                what the paper's model leaves out, and of the comparison on an infinite bus
+  figures/*     the paper's figures, and studies beyond it: margins over wind and on both slopes of g(ω), lost
+                equilibria, τ, machine models, the modes of the system
 
-claims.json also holds the numbers on rotor energy, voltages and limits, which the paper's model leaves out.
-
-With --page sections of a Markdown file are renewed, each between <!-- NAME:start --> and <!-- NAME:end -->; its
-pictures are those of the output folder. Sections: {", ".join(_SECTIONS)}"""
+With --page sections of a Markdown file are renewed, each between <!-- NAME:start --> and <!-- NAME:end -->, with
+links to the pictures in the output folder. Sections: {", ".join(_SECTIONS)}"""
 
 
 def add_commands(commands: Commands) -> None:
@@ -114,8 +113,13 @@ class _Evidence:
     omissions: Omissions
 
 
-#: Name of the file, caption, and the drawing of a figure.
-_Picture = tuple[str, str, Callable[[], "Figure"]]
+class _Picture(NamedTuple):
+    """A figure of the page; `text` stands for the picture where it cannot be seen, `caption` below it."""
+
+    name: str  # of the file, without suffix
+    text: str
+    caption: str
+    draw: Callable[[], Figure]
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -129,19 +133,18 @@ def run(arguments: argparse.Namespace) -> int:
         evidence = _measure(progress)
         of_paper, of_studies = _paper_pictures(evidence), _study_pictures(evidence)
         pictures = [*of_paper, *of_studies]
-        for done, (name, _, draw) in enumerate(pictures):
-            progress.update(f"drawing {name}", done, len(pictures))
-            save_figure(draw(), folder / "figures" / name, arguments.formats)
+        for done, picture in enumerate(pictures):
+            progress.update(f"drawing {picture.name}", done, len(pictures))
+            save_figure(picture.draw(), folder / "figures" / picture.name, arguments.formats)
     data = _as_json(evidence)
     write_atomically(folder / "claims.json", to_json(data))
-    write_atomically(folder / "claims.md", claims_table(evidence.claims) + "\n")
-    note(f"wrote {folder / 'claims.md'}, claims.json and {len(pictures)} figures in {folder / 'figures'}")
+    note(f"wrote {folder / 'claims.json'} and {len(pictures)} figures in {folder / 'figures'}")
     if page is not None:
         suffix = "png" if "png" in arguments.formats else arguments.formats[0]
         where = Path(os.path.relpath((folder / "figures").resolve(), page.resolve().parent)).as_posix()
         galleries = {"figures": of_paper, "studies": of_studies}
         sections = _sections(evidence) | {
-            section: "\n\n".join(f"![{text}]({where}/{name}.{suffix})\n\n{text}" for name, text, _ in gallery)
+            section: "\n\n".join(f"![{p.text}]({where}/{p.name}.{suffix})\n\n{p.caption}" for p in gallery)
             for section, gallery in galleries.items()
         }
         update_page(page, sections)
@@ -188,46 +191,51 @@ def _paper_pictures(evidence: _Evidence) -> list[_Picture]:
     from wtg_gym import plotting
 
     cases = evidence.cases
-    characteristics: list[_Picture] = [
-        (
+    characteristics = [
+        _Picture(
             f"characteristic-{name}",
-            f"Power-frequency characteristic with {words} at 11.4 and 8 m/s: A at the set-point, B at ω_min or where "
-            "the equilibrium is lost, C at ω_max, M at the maximum power point; dashed: unstable.",
+            "Power-frequency characteristic",
+            f"Power-frequency characteristic: {words}.",
             lambda name=name: plotting.plot_characteristic(STRATEGIES[name]),  # type: ignore[misc]
         )
         for name, words in (
             ("mppt", "maximum power point tracking"),
-            ("deloaded-5", "a low deloading level (5 %)"),
-            ("deloaded-10", "a high deloading level (10 %)"),
+            ("deloaded-5", "5 % of deloading"),
+            ("deloaded-10", "10 % of deloading"),
             (REFERENCE_STRATEGY, "the coordinated strategy"),
         )
     ]
     return [
-        (
+        _Picture(
             "power-coefficient",
+            "Power coefficient",
             "Power coefficient with the deloading points: λ_opt, λ_n (5 %) and λ_pr (10 %).",
             plotting.plot_power_coefficient,
         ),
         *characteristics,
-        (
+        _Picture(
             "bode-comparison",
-            "Open-loop Bode plots at 11.4 m/s, K_p = 1.45, with phase margins: ideal DC source, fixed strategies, and "
-            "the linear law without transient damping.",
+            "Bode plots",
+            "Open loops at 11.4 m/s, K_p = 1.45: an ideal DC source, the fixed strategies, and the linear law without "
+            "transient damping.",
             lambda: plotting.plot_bode(_bode_loops()),
         ),
-        (
+        _Picture(
             "bode-proposed",
-            "Open-loop Bode plots of the proposed strategy: the linear law with transient damping (τ = 0.8 s) and "
-            "without, and both slopes of the piecewise law with it.",
+            "Bode plots",
+            "Open loops of the coordinated strategy: the linear law with transient damping (τ = 0.8 s) and without, "
+            "and both slopes of the piecewise law with it.",
             lambda: plotting.plot_bode(_proposed_loops()),
         ),
-        (
+        _Picture(
             "load-increase",
+            "Load increase",
             "Load increase: +75 MW at bus 2 at 5 s and at bus 3 at 30 s; a cross marks a stall.",
             lambda: plotting.plot_case_study(cases.increase, cases.increase_runs),
         ),
-        (
+        _Picture(
             "load-decrease",
+            "Load decrease",
             "Load decrease: the loads of bus 4 (47.8 MW) at 5 s and bus 9 (29.5 MW) at 30 s are lost.",
             lambda: plotting.plot_case_study(cases.decrease, cases.decrease_runs),
         ),
@@ -249,19 +257,19 @@ def _proposed_loops() -> dict[str, SingleMachine]:
 def _study_pictures(evidence: _Evidence) -> list[_Picture]:
     from wtg_gym import plotting
 
-    draw: dict[str, Callable[..., Figure]] = {
-        "margins": plotting.plot_margins,
-        "slopes": plotting.plot_margins,
-        "equilibria": plotting.plot_equilibria,
-        "damping": plotting.plot_damping,
-        "machines": plotting.plot_machine_models,
+    draw: dict[str, tuple[str, Callable[..., Figure]]] = {
+        "margins": ("Phase margins over wind", plotting.plot_margins),
+        "slopes": ("Phase margins on both slopes", plotting.plot_margins),
+        "equilibria": ("Lost equilibria", plotting.plot_equilibria),
+        "damping": ("Effect of τ", plotting.plot_damping),
+        "machines": ("Machine models", plotting.plot_machine_models),
     }
-    studies = {name: getattr(evidence, name) for name in _STUDIES}
-    pictures: list[_Picture] = [
-        (name, study.sentence, lambda name=name, study=study: draw[name](study))  # type: ignore[misc]
-        for name, study in studies.items()
-    ]
-    return [*pictures, ("modes", _modes_sentence(evidence), lambda: plotting.plot_modes(evidence.modes))]
+    pictures = []
+    for name, (text, plot) in draw.items():
+        study = getattr(evidence, name)
+        pictures.append(_Picture(name, text, study.sentence, functools.partial(plot, study)))
+    eigenvalues = functools.partial(plotting.plot_modes, evidence.modes)
+    return [*pictures, _Picture("modes", "Eigenvalues", _modes_sentence(evidence), eigenvalues)]
 
 
 def _modes_sentence(evidence: _Evidence) -> str:
@@ -270,9 +278,10 @@ def _modes_sentence(evidence: _Evidence) -> str:
 
     with_damping, without = least(REFERENCE_STRATEGY), least("coordinated-undamped")
     return (
-        "Eigenvalues of the whole 14-bus system at 11.4 and 8 m/s: the least damped oscillation of the reference has "
-        f"ζ = {with_damping.damping_ratio:.2f} at {with_damping.frequency_hz:.2f} Hz and belongs to the machines, "
-        f"without transient damping ζ = {without.damping_ratio:.2f} at {without.frequency_hz:.2f} Hz."
+        "Eigenvalues of the whole 14-bus system at 11.4 and 8 m/s. The least damped oscillation of the reference is "
+        f"one of the machines, with ζ = {with_damping.damping_ratio:.2f} at {with_damping.frequency_hz:.2f} Hz. "
+        f"Without transient damping the least damped one has ζ = {without.damping_ratio:.2f} at "
+        f"{without.frequency_hz:.2f} Hz."
     )
 
 
@@ -280,8 +289,7 @@ def _sections(evidence: _Evidence) -> dict[str, str]:
     return {
         "claims": claims_table(evidence.claims),
         **dict(zip(_OMISSIONS, omissions_sections(evidence.omissions), strict=True)),
-        "agreement": agreement_table(evidence.agreement),
-        "system-margins": system_margins_table(evidence.system_margins),
+        "small-signal": margins_table(evidence.agreement, evidence.system_margins),
         "modes": modes_table(evidence.modes[REFERENCE_STRATEGY]),
     }
 

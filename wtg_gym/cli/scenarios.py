@@ -1,4 +1,4 @@
-"""`wtg-gym suites`: the scenarios that there are; and scenarios as text, for other commands."""
+"""`wtg-gym suites`: the suites and their scenarios; scenarios as text, for other commands."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from wtg_gym.scenarios import FROZEN_HASHES, SPLITS, SUITES, Suite, get_suite
 
 _DESCRIPTION = """\
 Lists the frozen suites of scenarios with their seeds and hashes, shows or dumps one scenario, or recomputes the hashes.
-Train on the seeds of the split "train", select on "validation", rank on "test". A suite never changes: another hash is
-another version of the benchmark."""
+Train on the seeds of the split "train", select on "validation", rank on "test". A suite never changes; another hash
+means another version of the benchmark."""
 
 _EXAMPLES = """\
   wtg-gym suites                                       all suites
   wtg-gym suites standard                              one suite and what its scenarios are drawn from
   wtg-gym suites standard --seed 20003                 one scenario in words
   wtg-gym suites standard --seed 20003 --json > s.json the same as a file for `wtg-gym simulate --scenario s.json`
-  wtg-gym suites --check                               do the hashes still hold here?"""
+  wtg-gym suites --check                               compare the hashes with the frozen ones"""
 
 
 def add_commands(commands: Commands) -> None:

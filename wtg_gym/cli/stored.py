@@ -41,8 +41,8 @@ _SHOWN = 20
 _PAGE = """\
 Shows stored results as one HTML file that needs nothing but a browser, offline too: the ranking with its intervals,
 performance profiles, physical metrics, and two entries side by side in one scenario, frequency, rotors, power, k, τ
-and wind over one time axis. The traces are recorded anew from the entries given with --entries, as far as they are
-those of the results; both anchors are always there."""
+and wind over one time axis. The traces are recorded anew from those entries of --entries that the results hold, and
+from both anchors."""
 
 _RECOMPUTE = """\
 Evaluates the entries of a results file again, on the same scenarios with the same settings, and compares every number
@@ -50,17 +50,16 @@ of every episode to the last bit, the policies' sha256, kinds and laws, and the 
 identical, or what differs; the exit code is then 1. Other versions of source code or packages, and other texts about an
 entry, are named, but are no difference by themselves: laws give the same bits on one kind of processor, a policy's last
 digits may depend on onnxruntime. The environment's fingerprint says whether this machine computes the same as the one
-before. Where the results are not those of the benchmark, with fewer scenarios, shorter episodes or weights of one's
-own, that is named too."""
+before. Fewer scenarios, shorter episodes or other weights than those of the benchmark are named too."""
 
 _GAP = """\
 Compares the scores of entries on the public test scenarios with those on fresh ones, which were drawn after the entries
 were submitted. An entry that was fitted to the public scenarios, by mistake or on purpose, is better there. All entries
 are a little better or worse by the luck of the draw: a set of scenarios that suits one good controller suits the
-others. So beside the gap, public minus fresh, stands for every learned entry the excess: the part of its gap that the
-controllers made by hand in the same results do not share (a regression on their gains). Both have a bootstrap 95 %
-interval over scenarios; that of the gap is over training seeds too. An excess whose interval lies above zero is marked;
-of forty honest entries one is, by chance.
+others. The gap is the public score minus the fresh one. A learned entry has an excess too: the part of its gap that the
+controllers made by hand in the same results do not share (by a regression on their gains). Both have a bootstrap 95 %
+interval over scenarios; that of the gap is over training seeds too. An excess whose interval lies above zero is marked,
+which happens to one honest entry in forty by chance.
 
 Fresh scenarios are played by 'wtg-gym evaluate' or 'wtg-gym submission score' with --split fresh, --commit, the full
 hash of the commit with the entries, and --secret-file. Publish the sha256 of the secret before anybody submits and the
@@ -69,11 +68,11 @@ secret afterwards: then 'wtg-gym results recompute --secret-file' shows that the
 _SENSITIVITY = f"""\
 Evaluates entries with the weights of the cost as they are, and with each one multiplied by each factor, all others as
 they are. Shown are the ranks that change, and the scores that change by a point or more. The scale is made anew each
-time: maximum power point tracking has 0 and the reference strategy 100 with any weights, and a score that rises says
-that the entry gains on these two, not that it does anything else. Policies are not trained again.
+time: maximum power point tracking has 0 and the reference strategy 100 with any weights, so a rising score means that
+the entry gains on these two. Policies are not trained again and act as before.
 
-A weight whose change moves the ranking decides what the benchmark asks for. One that moves no score by a point and no
-rank is named at the end: among these entries it decides nothing; it may still keep others from something.
+A weight that changes the ranking matters to the benchmark. Weights that move no score by a point and no rank are named
+at the end: they do not matter among these entries, but may matter to others.
 
 weights: {", ".join(WEIGHTS)}"""
 

@@ -41,8 +41,8 @@ files for a run of `python -m agents.train`."""
 
 _CHECK = f"""\
 Says of every check whether a submission passes it, and why not; exits with 1 if one is refused. Several folders are
-checked together, and with --beside against those that are there already: a name is one entry's, whose seeds come
-together, and the same policy counts once, however its file is written.
+checked together, and with --beside against existing entries: a name belongs to one entry, whose training seeds are
+submitted together, and the same policy counts once, even if its files differ.
 
 {_GATE}"""
 
@@ -109,8 +109,8 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         WEAK_OPTION,
         action="store_true",
-        help="go on where this system cannot take files, network, other processes, memory or time from a process; for "
-        "policies of people you trust",
+        help="continue where this system cannot keep a process from files, network, other processes, memory or time; "
+        "for policies of people you trust",
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from wtg_gym.analysis.benchmarks.environments import YARDSTICK
@@ -24,7 +24,7 @@ class Table(NamedTuple):
 def part_tables(part: str, results: Results) -> list[Table | str]:
     """Return a part's tables and sentences; nothing where nothing was measured."""
     if part == "growth":
-        return [*describe_growth(results.growth), growth_table(results.growth)] if results.growth else []
+        return [*describe_growth(results.growth), *growth_tables(results.growth)] if results.growth else []
     if part == "roofline":
         found = results.roofline
         if found is None:
@@ -39,11 +39,10 @@ def part_tables(part: str, results: Results) -> list[Table | str]:
 def rate_table(results: Results, rates: Sequence[Rate]) -> Table:
     """Return rates and their ratios to the yardstick."""
     return Table(
-        ("case", "environments", "steps per s", f"× {YARDSTICK}"),
+        ("case", "steps per s", f"× {YARDSTICK}"),
         [
             (
                 rate.case.name,
-                str(rate.case.n_envs),
                 f"{rate.per_s:,.0f}",
                 f"{results.ratio(rate):{'.2f' if results.ratio(rate) >= 0.1 else '.2g'}}",
             )
@@ -52,23 +51,33 @@ def rate_table(results: Results, rates: Sequence[Rate]) -> Table:
     )
 
 
-def growth_table(curves: Sequence[Curve]) -> Table:
-    """Return every curve's points."""
-    return Table(
-        ("what grows", "number", "time per step [µs]", "× the first", "compiling [s]", "memory per lane [kB]"),
-        [
-            (
-                curve.name,
-                str(point.n),
-                f"{point.microseconds:.3g}",
-                f"{point.microseconds / curve.points[0].microseconds:.3g}",
-                f"{point.compile_s:.0f}" if point.compile_s else "–",
-                f"{1e-3 * point.bytes_per_lane:.1f}",
-            )
-            for curve in curves
-            for point in curve.points
-        ],
-    )
+def growth_tables(curves: Sequence[Curve]) -> list[Table | str]:
+    """Return the points of all curves, a row for each number: times, then compiling and memory where a plant grows."""
+    points = {curve.name: {point.n: point for point in curve.points} for curve in curves}
+    times = {name: {n: f"{point.microseconds:.3g}" for n, point in own.items()} for name, own in points.items()}
+    plants = {name: own for name, own in points.items() if name not in ("lanes", "threads")}
+    compiling = {
+        f"{name}: compiling [s]": {n: f"{p.compile_s:.0f}" if p.compile_s else "–" for n, p in own.items()}
+        for name, own in plants.items()
+    }
+    # A lane of a single environment is as large as one of a batch.
+    memory = {
+        f"{name}: memory [kB]": {n: f"{1e-3 * p.bytes_per_lane:.1f}" for n, p in own.items()}
+        for name, own in plants.items()
+        if "single" not in name
+    }
+    return [
+        "Time per step [µs]:",
+        _by_number(times),
+        "Compiling, and memory of a lane:",
+        _by_number(compiling | memory),
+    ]
+
+
+def _by_number(columns: Mapping[str, Mapping[int, str]]) -> Table:
+    numbers = sorted({n for cells in columns.values() for n in cells})
+    rows = [(str(n), *(cells.get(n, "") for cells in columns.values())) for n in numbers]
+    return Table(("number", *columns), rows, ())
 
 
 def count_table(roofline: Roofline) -> Table:
@@ -90,10 +99,16 @@ def count_table(roofline: Roofline) -> Table:
 
 
 def ceiling_table(roofline: Roofline) -> Table:
-    """Return the machine's ceilings."""
-    rows = [(f"peak, {c.name}", str(c.threads), f"{c.giga_per_s:.1f} Gflop/s") for c in roofline.peaks]
-    rows += [(f"bandwidth, {c.name}", str(c.threads), f"{c.giga_per_s:.1f} GB/s") for c in roofline.bandwidths]
-    return Table(("ceiling of this machine", "threads", "measured"), list(rows))
+    """Return the machine's ceilings, a column for each number of threads."""
+    rows: dict[str, dict[int, str]] = {}
+    for what, unit, ceilings in (("peak", "Gflop/s", roofline.peaks), ("bandwidth", "GB/s", roofline.bandwidths)):
+        for each in ceilings:
+            rows.setdefault(f"{what}, {each.name} [{unit}]", {})[each.threads] = f"{each.giga_per_s:.1f}"
+    threads = sorted({n for cells in rows.values() for n in cells})
+    return Table(
+        ("ceiling of this machine", *(f"threads: {n}" for n in threads)),
+        [(name, *(cells.get(n, "") for n in threads)) for name, cells in rows.items()],
+    )
 
 
 def achieved_table(roofline: Roofline) -> Table:
@@ -122,9 +137,9 @@ def describe_roofline(roofline: Roofline) -> str:
     roof = min(peak, cache, memory)
     single, batch = (next(a for a in roofline.achieved if a.name.startswith(name)) for name in ("single", "batch"))
     return (
-        f"As written, a step makes {roofline.cache_intensity:.2f} flop for every byte between rows and registers, and "
-        f"{roofline.memory_intensity:.1f} for every byte of a lane's {1e-3 * roofline.row_bytes:.1f} kB of rows, read "
-        f"and written once a step. On one thread the first cache can feed {cache:.0f} Gflop/s of that, memory "
-        f"{memory:.0f}, and the arithmetic itself ends at {peak:.0f}. Of the lowest of these roofs the batch reaches "
+        f"A step makes {roofline.cache_intensity:.2f} flop for every byte that the source loads or stores, and "
+        f"{roofline.memory_intensity:.1f} flop for every byte of a lane's rows ({1e-3 * roofline.row_bytes:.1f} kB), "
+        f"read and written once. So on one thread the first cache limits it to {cache:.0f} Gflop/s, memory to "
+        f"{memory:.0f}, and the vector peak to {peak:.0f}. Of the lowest of these limits the batch reaches "
         f"{100.0 * batch.gflop_per_s / roof:.0f} %, the single environment {100.0 * single.gflop_per_s / roof:.0f} %."
     )

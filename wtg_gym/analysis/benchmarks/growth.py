@@ -72,7 +72,7 @@ def growth_cases(*, full: bool) -> dict[str, list[tuple[int, LanesCase]]]:
     """Return every curve's sizes with their cases.
 
     Args:
-        full: as many groups and machines as there is any use for, rather than what compiles in a few minutes.
+        full: up to 128 groups and machines, rather than up to 16, which compile in a few minutes.
     """
     groups, machines = (ALL_GROUPS, ALL_MACHINES) if full else (GROUPS, MACHINES)
     n_cpu = os.cpu_count() or 1
@@ -113,8 +113,7 @@ def _describe(curve: Curve) -> str:
         least = min(curve.points, key=lambda point: point.microseconds)
         return (
             f"Lanes: a step costs {first.microseconds:.3g} µs alone and {last.microseconds:.3g} µs in a batch of "
-            f"{last.n}, {1.0 / ratio:.1f} times less, on one thread; the least is {least.microseconds:.3g} µs, at "
-            f"{least.n} lanes."
+            f"{last.n}, {1.0 / ratio:.1f} times less; the least is {least.microseconds:.3g} µs, at {least.n} lanes."
         )
     if curve.name == "threads":
         return (
@@ -124,14 +123,10 @@ def _describe(curve: Curve) -> str:
     what, *single = curve.name.split(", ")
     where = "a single environment" if single else f"a batch of {BATCH}"
     text = (
-        f"{what.capitalize()} in {where}: from {first.n} to {last.n} a step costs {ratio:.3g} times as much; at the "
-        f"upper end the cost goes with n to the power of {curve.exponent:.2f}"
+        f"{what.capitalize()} in {where}: from {first.n} to {last.n} a step costs {ratio:.3g} times as much; in the "
+        f"upper half the cost goes with n to the power of {curve.exponent:.2f}"
     )
-    if first.compile_s and last.compile_s:
-        text += f", and compiling takes {last.compile_s:.0f} instead of {first.compile_s:.0f} s"
     if len(curve.points) < 4:
         return f"{text}."
-    return (
-        f"{text}. A fit of a + b n + c n² gives the square {100.0 * curve.quadratic_share:.0f} % of the cost at "
-        f"{last.n}; it comes from the reduced admittance, a full matrix, which takes time and memory alike."
-    )
+    share = 100.0 * curve.quadratic_share
+    return f"{text}. In a fit of a + b n + c n² the square is {share:.0f} % of the cost at {last.n}."
