@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 import wtg_gym
@@ -27,12 +28,16 @@ MODULES = {
         "machine",
         "pitch",
         "converter",
+        "converter_limits",
+        "voltage_control",
+        "hydro_governor",
+        "rotor_table",
         "wind_turbine",
     ),
     "wtg_gym.envs": ("cost", "observation"),
 }
 #: They look for an equilibrium, once per run: with loops and branches.
-SEARCHES = {"exciter_start", "machine_start", "turbine_equilibrium", "_pitch_that_captures"}
+SEARCHES = {"exciter_start", "machine_start", "turbine_equilibrium", "_pitch_that_captures", "_over_ratios"}
 LANES = 7
 
 
@@ -78,6 +83,8 @@ def draw(kind: Any, rng: np.random.Generator, shape: tuple[int, ...]) -> Any:
     """Numbers for an argument of an annotated type: those of records positive and small."""
     if hasattr(kind, "_fields"):
         return kind(*(draw(k, rng, shape) for k in typing.get_type_hints(kind).values()))
+    if kind == npt.NDArray[np.float64]:
+        return rng.uniform(0.1, 1.5, (3, 4, 16))  # cells of a table
     if kind is bool:
         return bool(rng.integers(2))
     if kind is int:
@@ -88,7 +95,7 @@ def draw(kind: Any, rng: np.random.Generator, shape: tuple[int, ...]) -> Any:
 def lane(value: Any, x: int) -> Any:
     if hasattr(value, "_fields"):
         return type(value)(*(lane(v, x) for v in value))
-    return float(value[x]) if isinstance(value, np.ndarray) and value.ndim else value
+    return float(value[x]) if isinstance(value, np.ndarray) and value.ndim == 1 else value
 
 
 def numbers(result: Any) -> list[Any]:

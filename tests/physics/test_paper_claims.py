@@ -115,6 +115,6 @@ def test_coordinated_law_captures_its_share_of_the_available_power(
     k = tracking_coefficient(frequency_pu, law.k_min, law.k_nominal, law.k_max, Corners(0.992, 1.0, 1.008))
     plant = PlantSettings()
     turbine = turbine_constants(plant.turbine, plant.pitch, plant.control, plant.protection)
-    rotor, pitch, found = turbine_equilibrium(wind, k, turbine)
+    rotor, pitch, found = turbine_equilibrium(wind, k, turbine, np.zeros((0, 0, 16)))
     assert found and pitch == 0.0
     assert k * rotor**3 == pytest.approx(share * float(available_power_pu(wind)), rel=1e-6)

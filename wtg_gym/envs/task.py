@@ -61,7 +61,6 @@ from wtg_gym.physics.layout import (
     LANE,
     MACHINE,
     N_MACHINE_ROWS,
-    N_WTG_ROWS,
     WTG,
     WTG_INV_TAU,
     WTG_K_OFFSET,
@@ -77,6 +76,7 @@ from wtg_gym.physics.layout import (
     read_machine,
     read_turbine,
     rows_of,
+    wtg_row,
 )
 from wtg_gym.physics.records import dtype, elementwise, flatten
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law
@@ -182,7 +182,7 @@ def start_tasks(
         end_steps: simulation step at which each episode is over (n,).
     """
     c, t = plant.constants[0], read_task(task[0])
-    width, parts, rows = len(lanes), _parts(c, t), rows_of(c)
+    width, parts = len(lanes), _parts(c, t)
     for start in range(starting.shape[0]):
         lane = starting[start]
         block, x = blocks[lane // width], lane % width
@@ -192,7 +192,7 @@ def start_tasks(
         for row in range(parts.history, parts.groups):
             block[row * width + x] = 1.0
         for j in range(c["share"].shape[0]):
-            o = (rows.wtg + j * N_WTG_ROWS) * width + x
+            o = wtg_row(c, j) * width + x
             inv_tau = load_wtg_input(block, o + WTG.input * width, width).law.inv_tau
             speed = load_wtg_state(block, o, width).converter.speed
             group = GroupRows(inv_tau, speed, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -252,11 +252,11 @@ def step_blocks(
 @inlined
 def apply_actions(block: Floats, c: Any, task: Task, actions: Floats, lanes: Lanes) -> None:
     """Turn actions (count, n_action) into offsets on k and scales on τ; zero leaves the law to the last bit."""
-    width, rows, parts = len(lanes), rows_of(c), _parts(c, task)
+    width, parts = len(lanes), _parts(c, task)
     n_action = int(task.modulates_k) + int(task.modulates_tau)
     for x in range(actions.shape[0]):
         for j in range(c["share"].shape[0]):
-            o = (rows.wtg + j * N_WTG_ROWS) * width + x
+            o = wtg_row(c, j) * width + x
             g = (parts.groups + j * N_GROUP_ROWS) * width + x
             if task.modulates_k:
                 action = clip(actions[x, j * n_action], -1.0, 1.0)
@@ -336,12 +336,12 @@ def _charge_frequency(block: Floats, c: Any, task: Task, lanes: Lanes) -> None:
 @inlined
 def _charge_groups(block: Floats, c: Any, task: Task, lanes: Lanes) -> None:
     """Add the rates of every WTG group, and remember its frequency and its actions."""
-    width, rows, parts = len(lanes), rows_of(c), _parts(c, task)
+    width, parts = len(lanes), _parts(c, task)
     of_task = parts.lane * width
     turbine = read_turbine(c["turbine"])
     n_wtg = c["share"].shape[0]
     for j in range(n_wtg):
-        o, g = (rows.wtg + j * N_WTG_ROWS) * width, (parts.groups + j * N_GROUP_ROWS) * width
+        o, g = wtg_row(c, j) * width, (parts.groups + j * N_GROUP_ROWS) * width
         for x in range(width):
             ran = block[of_task + TASK.was_active * width + x] > 0.5
             state, group = load_wtg_state(block, o + x, width), load_group(block, g + x, width)
@@ -409,11 +409,11 @@ def _rounded(value: float) -> float:
 @inlined
 def observe(block: Floats, c: Any, task: Task, lanes: Lanes) -> None:
     """Write the observations of a block's lanes into its rows; see :func:`observation_names` for their entries."""
-    width, rows, parts = len(lanes), rows_of(c), _parts(c, task)
+    width, parts = len(lanes), _parts(c, task)
     turbine = read_turbine(c["turbine"])
     row = parts.observation
     for j in range(c["share"].shape[0]):
-        o, g = (rows.wtg + j * N_WTG_ROWS) * width, (parts.groups + j * N_GROUP_ROWS) * width
+        o, g = wtg_row(c, j) * width, (parts.groups + j * N_GROUP_ROWS) * width
         for x in range(width):
             output, group = load_wtg_output(block, o + WTG.output * width + x, width), load_group(block, g + x, width)
             seen = observe_wtg(load_wtg_state(block, o + x, width), output, group, turbine, task)

@@ -13,6 +13,7 @@ from scipy.optimize import brentq, minimize_scalar
 from wtg_gym.physics.compiled import compiled
 from wtg_gym.physics.elementary import exponential, fma
 from wtg_gym.physics.parameters import PowerCoefficientParameters, TurbineParameters
+from wtg_gym.physics.rotor_table import Cells, Grid, RotorTable, tabulated_power_coefficient
 
 
 class CurveConstants(NamedTuple):
@@ -27,8 +28,10 @@ class CurveConstants(NamedTuple):
     c8: float
 
 
-def curve_constants(parameters: PowerCoefficientParameters) -> CurveConstants:
-    """Return the constants of a C_p curve."""
+def curve_constants(parameters: PowerCoefficientParameters | RotorTable) -> CurveConstants:
+    """Return the constants of a C_p curve; zeros where a table takes its place."""
+    if isinstance(parameters, RotorTable):
+        return CurveConstants(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     return CurveConstants(*(getattr(parameters, name) for name in CurveConstants._fields))
 
 
@@ -45,27 +48,46 @@ def power_coefficient_at(tip_speed: float, wind: float, pitch_deg: float, c: Cur
     return c.c1 * (fma(c.c2, inverse_i, -c.c3 * pitch_deg) - c.c5) * exponential(-c.c6 * inverse_i)
 
 
+def surface_of(parameters: PowerCoefficientParameters | RotorTable) -> tuple[Grid, Cells]:
+    """Return grid and cells of a C_p table; of a curve a grid without cells."""
+    if isinstance(parameters, RotorTable):
+        return parameters.surface()
+    return Grid(0.0, 0.0, 0.0, 0.0, 0.0), np.zeros((0, 0, 16))
+
+
+@compiled
+def _over_ratios(ratios: npt.NDArray[np.float64], pitch_deg: float, cells: Cells, grid: Grid) -> Cells:
+    values = np.empty(ratios.size)
+    for i in range(ratios.size):
+        values[i] = tabulated_power_coefficient(ratios[i], pitch_deg, cells, grid)
+    return values
+
+
 def power_coefficient(
     tip_speed_ratio: float | npt.NDArray[np.float64],
     pitch_deg: float = 0.0,
-    parameters: PowerCoefficientParameters | None = None,
+    parameters: PowerCoefficientParameters | RotorTable | None = None,
 ) -> npt.NDArray[np.float64]:
-    """Return C_p(λ, β) of the paper's curve.
+    """Return C_p(λ, β) of a curve or a table, by default of the paper's curve.
 
     Args:
         tip_speed_ratio: λ > 0, any shape [-].
         pitch_deg: pitch angle β ≥ 0 [deg].
-        parameters: constants of the curve; the paper's by default.
+        parameters: constants of the curve, or a table; the paper's curve by default.
 
     Raises:
         ValueError: λ is not positive or β is negative.
     """
-    curve = curve_constants(parameters or PowerCoefficientParameters())
+    parameters = parameters or PowerCoefficientParameters()
     ratio = np.asarray(tip_speed_ratio, dtype=np.float64)
     if not (ratio > 0.0).all():
         raise ValueError(f"tip-speed ratio must be positive, got {ratio.min():g}")
     if not pitch_deg >= 0.0:
         raise ValueError(f"pitch angle must be 0 deg or more, got {pitch_deg:g} deg")
+    if isinstance(parameters, RotorTable):
+        grid, cells = parameters.surface()
+        return _over_ratios(ratio.ravel(), float(pitch_deg), cells, grid).reshape(ratio.shape)
+    curve = curve_constants(parameters)
     flat = [power_coefficient_at(x, 1.0, float(pitch_deg), curve) for x in ratio.ravel()]
     return np.array(flat).reshape(ratio.shape)
 

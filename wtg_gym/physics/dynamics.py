@@ -19,7 +19,7 @@ from wtg_gym.physics.layout import (
     EXTENSION,
     LANE,
     MACHINE,
-    N_EXTENSION_ROWS,
+    MACHINE_TORQUE,
     N_EXTENSION_STATES,
     N_HYDRO_ROWS,
     N_HYDRO_STATES,
@@ -28,6 +28,7 @@ from wtg_gym.physics.layout import (
     N_WTG_ROWS,
     N_WTG_STATES,
     WTG,
+    WTG_CAPTURED,
     Floats,
     Lanes,
     Phasor,
@@ -51,6 +52,7 @@ from wtg_gym.physics.layout import (
     store_machine_output,
     store_phasor,
     store_wtg_output,
+    wtg_row,
 )
 from wtg_gym.physics.machine import (
     MachineOutput,
@@ -65,8 +67,10 @@ from wtg_gym.physics.wind_turbine import (
     ExtensionState,
     WtgState,
     at_terminal,
+    captured_power,
     extended_rates,
     extension_limited,
+    wind_at,
     wtg_limited,
     wtg_rates,
     wtg_voltage,
@@ -94,7 +98,7 @@ def unit_voltages(block: Floats, c: Any, lanes: Lanes) -> None:
             block[voltage + x] = re
             block[voltage + width + x] = im
     for j in range(c["share"].shape[0]):
-        o, voltage = (rows.wtg + j * N_WTG_ROWS) * width, (rows.voltage + 2 * (n_sync + j)) * width
+        o, voltage = wtg_row(c, j) * width, (rows.voltage + 2 * (n_sync + j)) * width
         for x in range(width):
             magnitude = load_wtg_input(block, o + WTG.input * width + x, width).emf
             if c["extension"].shape[0] > 0:
@@ -106,8 +110,8 @@ def unit_voltages(block: Floats, c: Any, lanes: Lanes) -> None:
 
 @inlined
 def extension_at(c: Any, j: int, width: int) -> int:
-    """Return where the extension of WTG group j begins."""
-    return (rows_of(c).extension + j * N_EXTENSION_ROWS) * width
+    """Return where the extension of WTG group j begins: behind its other rows."""
+    return (wtg_row(c, j) + N_WTG_ROWS) * width
 
 
 @inlined
@@ -146,17 +150,21 @@ def _limit_currents(block: Floats, c: Any, lanes: Lanes) -> None:
     width, rows = len(lanes), rows_of(c)
     n_sync = c["machines"].shape[0]
     limit = read_extension(c["extension"][0]).limits.current_max
-    excess = 0.0
+    # Whole numbers: a sum of them is taken for all lanes at once, the largest of floats is not.
+    exceeded = np.int64(0)
     for j in range(c["share"].shape[0]):
-        e, i, o = rows.voltage + 2 * (n_sync + j), rows.current + 2 * (n_sync + j), extension_at(c, j, width)
+        current_at, o = (rows.current + 2 * (n_sync + j)) * width, extension_at(c, j, width) + EXTENSION.output * width
         largest = (limit * c["share"][j]) * (limit * c["share"][j])
         for x in range(width):
-            source, current = load_phasor(block, e * width + x, width), load_phasor(block, i * width + x, width)
-            store_phasor(source, block, o + EXTENSION.source * width + x, width)
-            block[o + EXTENSION.output * width + x] = 0.0
-            excess = max(excess, fma(current.re, current.re, current.im * current.im) - largest)
-    if excess <= 0.0:
+            current = load_phasor(block, current_at + x, width)
+            exceeded += np.int64(fma(current.re, current.re, current.im * current.im) > largest)
+            block[o + x] = 0.0
+    if exceeded == 0:
         return
+    for j in range(c["share"].shape[0]):
+        e, o = (rows.voltage + 2 * (n_sync + j)) * width, extension_at(c, j, width) + EXTENSION.source * width
+        for x in range(width):
+            store_phasor(load_phasor(block, e + x, width), block, o + x, width)
     for _ in range(_SWEEPS):
         for j in range(c["share"].shape[0]):
             _limit_current(block, c, j, limit * c["share"][j], lanes)
@@ -288,9 +296,29 @@ def unit_rates(block: Floats, c: Any, fraction: float, stage: np.int64, ahead: f
             where it is called: each stage is compiled for itself, without what it does not need.
         ahead: how far the stage moves the states from their base [s]; a sixth of the step for the last.
     """
+    _hydro_governors(block, c, stage, ahead, lanes)
     _machines(block, c, stage, ahead, lanes)
     _wtgs(block, c, fraction, stage, ahead, lanes)
     _reference_angle(block, c, stage, ahead, lanes)
+
+
+@inlined
+def _hydro_governors(block: Floats, c: Any, stage: np.int64, ahead: float, lanes: Lanes) -> None:
+    """Move hydro governors, and write their torque into the rows of their machines, which come next."""
+    width, rows = len(lanes), rows_of(c)
+    for h in range(c["hydro"].shape[0]):
+        governor = read_hydro(c["hydro"][h])
+        rating = read_machine(c["machines"][governor.machine]).rating
+        o, machine = (rows.hydro + h * N_HYDRO_ROWS) * width, governor.machine * N_MACHINE_ROWS * width
+        rate = (rows.hydro_rate + h * N_HYDRO_STATES) * width
+        for x in range(width):
+            state = load_hydro_state(block, o + x, width)
+            speed = load_machine_state(block, machine + x, width).speed
+            given = load_machine_input(block, machine + MACHINE.input * width + x, width)
+            rates, torque = hydro_rates(state, speed, given.gate_reference, given.inv_droop, governor)
+            block[machine + MACHINE_TORQUE * width + x] = rating * torque
+            active = block[(rows.lane + LANE.active) * width + x]
+            _advance_hydro(state, rates, governor, block, o + x, rate + x, active, stage, ahead, width)
 
 
 @inlined
@@ -316,16 +344,9 @@ def _machines(block: Floats, c: Any, stage: np.int64, ahead: float, lanes: Lanes
             )
             active = block[lane + LANE.active * width + x]
             if c["hydro"].shape[0] > 0:
-                governor = read_hydro(c["hydro"][i])
-                at, rate_at = (rows.hydro + i * N_HYDRO_ROWS) * width + x, rows.hydro_rate + i * N_HYDRO_STATES
-                water = load_hydro_state(block, at, width)
-                water_rates, torque = hydro_rates(water, state.speed, given.gate_reference, given.inv_droop, governor)
-                torque = select(governor.present > 0.5, machine.rating * torque, output.torque)
+                torque = select(machine.governor.is_hydro > 0.5, block[o + MACHINE_TORQUE * width + x], output.torque)
                 rates = driven_by(torque, rates, output, given)
                 output = MachineOutput(output.power, output.voltage, torque)
-                _advance_hydro(
-                    water, water_rates, governor, block, at, rate_at * width + x, active, stage, ahead, width
-                )
             store_machine_output(output, block, o + MACHINE.output * width + x, width)
             _advance_machine(state, rates, machine, block, o + x, rate + x, active, stage, ahead, width)
 
@@ -336,17 +357,30 @@ def _wtgs(block: Floats, c: Any, fraction: float, stage: np.int64, ahead: float,
     omega_n, lane = c["omega_n"], rows.lane * width
     turbine, n_sync = read_turbine(c["turbine"]), c["machines"].shape[0]
     for j in range(c["share"].shape[0]):
-        o, unit = (rows.wtg + j * N_WTG_ROWS) * width, 2 * (n_sync + j)
+        o, unit = wtg_row(c, j) * width, 2 * (n_sync + j)
         rate = (rows.wtg_rate + j * N_WTG_STATES) * width
         inv_share = 1.0 / c["share"][j]
+        if c["cells"].shape[0] > 0:
+            # In a loop of its own: looking up a table does not go lane beside lane, all the rest does.
+            for x in range(width):
+                state = load_wtg_state(block, o + x, width)
+                wind = wind_at(load_wtg_input(block, o + WTG.input * width + x, width), fraction)
+                block[o + WTG_CAPTURED * width + x] = captured_power(
+                    state.rotor_speed, wind, state.pitch.pitch, turbine.rotor, c["cells"]
+                )
         for x in range(width):
             state = load_wtg_state(block, o + x, width)
             e = load_phasor(block, (rows.voltage + unit) * width + x, width)
             current = load_phasor(block, (rows.current + unit) * width + x, width)
             given = load_wtg_input(block, o + WTG.input * width + x, width)
             power = inv_share * (e.re * current.re + e.im * current.im)
+            wind = wind_at(given, fraction)
+            if c["cells"].shape[0] > 0:
+                captured = block[o + WTG_CAPTURED * width + x]
+            else:
+                captured = captured_power(state.rotor_speed, wind, state.pitch.pitch, turbine.rotor, c["cells"])
             rates, output = wtg_rates(
-                state, power, given, turbine, fraction, block[lane + LANE.reference_speed * width + x], omega_n
+                state, power, captured, wind, given, turbine, block[lane + LANE.reference_speed * width + x], omega_n
             )
             active = block[lane + LANE.active * width + x]
             if c["extension"].shape[0] > 0:

@@ -12,7 +12,6 @@ from wtg_gym.physics.compiled import compiled
 from wtg_gym.physics.converter import ConverterState
 from wtg_gym.physics.converter_limits import LimitState
 from wtg_gym.physics.dynamics import derivatives, extension_at
-from wtg_gym.physics.elementary import select
 from wtg_gym.physics.hydro_governor import hydro_start
 from wtg_gym.physics.layout import (
     EXTENSION,
@@ -22,7 +21,6 @@ from wtg_gym.physics.layout import (
     N_EXTREMES,
     N_HYDRO_ROWS,
     N_MACHINE_ROWS,
-    N_WTG_ROWS,
     OVERLOAD_TIME,
     WTG,
     WTG_ANGLE,
@@ -51,6 +49,7 @@ from wtg_gym.physics.layout import (
     store_machine_state,
     store_wtg_input,
     store_wtg_state,
+    wtg_row,
 )
 from wtg_gym.physics.machine import MachineInput, machine_start
 from wtg_gym.physics.network import assemble_admittance, solve_power_flow
@@ -173,9 +172,9 @@ def _release_voltages(
 def _start_turbine(block: Floats, j: int, plant: Plant, wind: float) -> bool:
     """Set the states of WTG group j, all but its angle and voltage; return whether it has an equilibrium."""
     c = plant.constants[0]
-    o = rows_of(c).wtg + j * N_WTG_ROWS
+    o = wtg_row(c, j)
     law = load_wtg_input(block, o + WTG.input, 1).law
-    rotor_speed, pitch, found = turbine_equilibrium(wind, law.k_nominal, read_turbine(c["turbine"]))
+    rotor_speed, pitch, found = turbine_equilibrium(wind, law.k_nominal, read_turbine(c["turbine"]), c["cells"])
     state = WtgState(ConverterState(0.0, 1.0, 0.0), rotor_speed, PitchState(pitch, pitch), 0.0, 0.0)
     store_wtg_state(state, block, o, 1)
     store_wtg_input(WtgInput(0.0, law, 1.0, wind, wind), block, o + WTG.input, 1)
@@ -187,7 +186,7 @@ def _start_turbine(block: Floats, j: int, plant: Plant, wind: float) -> bool:
 def _start_power(block: Floats, plant: Plant, j: int) -> float:
     """Return what WTG group j feeds in before any policy has acted [p.u. of the system base]."""
     c = plant.constants[0]
-    o = rows_of(c).wtg + j * N_WTG_ROWS
+    o = wtg_row(c, j)
     k, rotor_speed = load_wtg_input(block, o + WTG.input, 1).law.k_nominal, load_wtg_state(block, o, 1).rotor_speed
     power: float = c["share"][j] * k * rotor_speed**3
     return power
@@ -262,16 +261,16 @@ def _start_units(
             o = i * N_MACHINE_ROWS
             known = load_machine_input(block, o + MACHINE.input, 1)
             store_machine_state(state, block, o, 1)
-            if c["hydro"].shape[0] > 0:
-                governor = read_hydro(c["hydro"][i])
-                water = hydro_start(gate_ref, governor)
-                store_hydro_state(water, block, rows.hydro + i * N_HYDRO_ROWS, 1)
-                gate_ref = select(governor.present > 0.5, water.hydro_gate, gate_ref)
+            for h in range(c["hydro"].shape[0]):
+                if c["hydro"][h]["machine"] == i:
+                    water = hydro_start(gate_ref, read_hydro(c["hydro"][h]))
+                    store_hydro_state(water, block, rows.hydro + h * N_HYDRO_ROWS, 1)
+                    gate_ref = water.hydro_gate
             store_machine_input(
                 MachineInput(v_ref, gate_ref, known.inv_two_h, known.inv_droop), block, o + MACHINE.input, 1
             )
         else:
-            o = rows.wtg + (i - n_sync) * N_WTG_ROWS
+            o = wtg_row(c, i - n_sync)
             active = _start_power(block, plant, i - n_sync)
             current = (complex(active, reactive) / voltage[bus]).conjugate()
             emf = voltage[bus] + current / c["unit_y"][i]
@@ -288,7 +287,7 @@ def _start_units(
     for i in range(n_sync):
         block[i * N_MACHINE_ROWS + MACHINE_ANGLE] -= reference
     for j in range(n_wtg):
-        block[rows.wtg + j * N_WTG_ROWS + WTG_ANGLE] -= reference
+        block[wtg_row(c, j) + WTG_ANGLE] -= reference
     block[rows.lane + LANE.angle] = reference
 
 
@@ -303,16 +302,16 @@ def _limit_failure(block: Floats, plant: Plant) -> int:
             return 3
         if not machine.exciter.field_min <= state.exciter.field_voltage <= machine.exciter.field_max:
             return 4
-        if c["hydro"].shape[0] > 0:
-            governor = read_hydro(c["hydro"][i])
-            gate = load_hydro_state(block, rows_of(c).hydro + i * N_HYDRO_ROWS, 1).hydro_gate
-            if not governor.gate_min <= gate <= governor.gate_max:
-                return 3
+    for h in range(c["hydro"].shape[0]):
+        governor = read_hydro(c["hydro"][h])
+        gate = load_hydro_state(block, rows_of(c).hydro + h * N_HYDRO_ROWS, 1).hydro_gate
+        if not governor.gate_min <= gate <= governor.gate_max:
+            return 3
     if c["extension"].shape[0] > 0:
         limits, control = read_extension(c["extension"][0]).limits, read_extension(c["extension"][0]).voltage
         for j in range(c["share"].shape[0]):
             at = extension_at(c, j, 1)
-            power = load_wtg_output(block, rows_of(c).wtg + j * N_WTG_ROWS + WTG.output, 1).power
+            power = load_wtg_output(block, wtg_row(c, j) + WTG.output, 1).power
             emf = load_extension_state(block, at, 1).internal_voltage
             if block[at + EXTENSION.output] > 0.0 or not limits.power_min <= power <= limits.power_max:
                 return 5

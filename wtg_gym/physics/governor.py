@@ -25,6 +25,7 @@ class Governor(NamedTuple):
     gate_max: float
     turbine_damping: float  # D_t [p.u./p.u.]
     dead_band: float  # [p.u.]
+    is_hydro: float  # 1 where the torque is that of a hydro governor instead
 
 
 class GovernorState(NamedTuple):
@@ -38,7 +39,7 @@ def governor_constants(parameters: GovernorParameters | HydroGovernorParameters 
     """Return the constants of a governor; without one, or with one of another type, the torque is constant."""
     if not isinstance(parameters, GovernorParameters):
         inv_droop = 0.0 if parameters is None else 1.0 / parameters.droop_pu
-        return Governor(inv_droop, 0.0, 0.0, 0.0, -float("inf"), float("inf"), 0.0, 0.0)
+        return Governor(inv_droop, 0.0, 0.0, 0.0, -float("inf"), float("inf"), 0.0, 0.0, float(parameters is not None))
     return Governor(
         inv_droop=1.0 / parameters.droop_pu,
         inv_gate_time=1.0 / parameters.gate_time_s,
@@ -48,6 +49,7 @@ def governor_constants(parameters: GovernorParameters | HydroGovernorParameters 
         gate_max=parameters.gate_max_pu,
         turbine_damping=parameters.turbine_damping_pu,
         dead_band=parameters.dead_band_pu,
+        is_hydro=0.0,
     )
 
 

@@ -9,11 +9,10 @@ P. Kundur: Power System Stability and Control, section 9.1.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 from wtg_gym.physics.compiled import inlined
-from wtg_gym.physics.elementary import clip, limited_rate, select
+from wtg_gym.physics.elementary import clip, limited_rate
 from wtg_gym.physics.governor import beyond_dead_band
 from wtg_gym.physics.parameters import HydroGovernorParameters
 
@@ -22,9 +21,9 @@ _LEAST_GATE = 0.01
 
 
 class HydroGovernor(NamedTuple):
-    """Constants, on the base of the machine; of a machine with another governor, `present` is 0."""
+    """Constants, on the base of the machine."""
 
-    present: float
+    machine: int  # whose governor it is
     inv_filter_time: float  # 1/T_f [1/s]
     inv_temporary_droop: float  # 1/r [p.u./p.u.]
     inv_reset_time: float  # 1/T_r [1/s]
@@ -48,12 +47,10 @@ class HydroState(NamedTuple):
     flow: float  # q [p.u.]
 
 
-def hydro_constants(p: object) -> HydroGovernor:
-    """Return the constants of a machine's governor."""
-    if not isinstance(p, HydroGovernorParameters):
-        return HydroGovernor(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -math.inf, math.inf, 0.0, 0.0, 0.0, 0.0, 0.0)
+def hydro_constants(machine: int, p: HydroGovernorParameters) -> HydroGovernor:
+    """Return the constants of the governor of a machine, given by its index."""
     return HydroGovernor(
-        present=1.0,
+        machine=machine,
         inv_filter_time=1.0 / p.filter_time_s,
         inv_temporary_droop=1.0 / p.temporary_droop_pu,
         inv_reset_time=1.0 / p.reset_time_s,
@@ -100,5 +97,5 @@ def hydro_limited(s: HydroState, c: HydroGovernor) -> HydroState:
 @inlined
 def hydro_start(torque: float, c: HydroGovernor) -> HydroState:
     """Return the equilibrium at a torque [p.u.]; its gate is g_ref."""
-    gate = select(c.present > 0.5, torque / max(c.turbine_gain, 1e-6) + c.no_load_flow, 1.0)
+    gate = torque / c.turbine_gain + c.no_load_flow
     return HydroState(0.0, gate, gate, gate)

@@ -10,7 +10,6 @@ from wtg_gym.physics.compiled import compiled, inlined
 from wtg_gym.physics.dynamics import advance_step, derivatives
 from wtg_gym.physics.layout import (
     LANE,
-    N_WTG_ROWS,
     WTG,
     Floats,
     LaneData,
@@ -19,6 +18,7 @@ from wtg_gym.physics.layout import (
     load_wtg_input,
     rows_of,
     store_wtg_input,
+    wtg_row,
 )
 from wtg_gym.physics.protection import PROTECTION_INTERVAL_S, look_at_grid, track_extremes, update_status
 from wtg_gym.physics.reduction import combine_load_noise, refresh_network
@@ -37,7 +37,7 @@ def enter_interval(block: Floats, first_lane: int, c: Any, data: LaneData, noise
         lane = rows.lane * width + x
         index = int(block[lane + LANE.step * width]) // c["n_substeps"]
         for j in range(c["share"].shape[0]):
-            at = (rows.wtg + j * N_WTG_ROWS + WTG.input) * width + x
+            at = (wtg_row(c, j) + WTG.input) * width + x
             given = load_wtg_input(block, at, width)
             start = data.wind[first_lane + x, j, min(index, last)]
             end = data.wind[first_lane + x, j, min(index + 1, last)]

@@ -4,7 +4,7 @@ A block holds the complete state of `width` lanes (runs side by side) as one fla
 per lane, so that loops over lanes have unit stride. A record takes neighbouring rows. What the right-hand side touches
 lies together at the beginning, small enough for a processor's first cache:
 
-    machines | WTG groups | hydro governors | extensions | voltages | currents | admittances | lane
+    machines | WTG groups | hydro governors | voltages | currents | admittances | lane
     || rates | extremes | shedding | reduction | caller's own rows
 
 Hydro governors, extensions of WTG groups and shedding take rows only in a plant that has them.
@@ -131,6 +131,8 @@ def row_of(record: type, name: str) -> int:
 
 MACHINE_ANGLE, WTG_ANGLE = row_of(MachineRows, "angle"), row_of(WtgRows, "angle")
 WTG_EMF, OVERLOAD_TIME = row_of(WtgRows, "emf"), row_of(WtgExtremes, "overload_time")
+MACHINE_TORQUE = row_of(MachineRows, "torque")
+WTG_CAPTURED = row_of(WtgRows, "captured")
 WTG_K_OFFSET, WTG_INV_TAU = row_of(WtgRows, "k_offset"), row_of(WtgRows, "inv_tau")
 
 load_machine_state, store_machine_state = loader(MachineState), storer(MachineState)
@@ -229,7 +231,13 @@ class Plant(NamedTuple):
 
 
 def constants_dtype(
-    n_sync: int, n_wtg: int, *, hydro: bool = False, extended: bool = False, n_stages: int = 0
+    n_sync: int,
+    n_wtg: int,
+    *,
+    n_hydro: int = 0,
+    extended: bool = False,
+    n_stages: int = 0,
+    cells: tuple[int, ...] = (0, 0, 16),
 ) -> np.dtype[Any]:
     """Return the data type of a plant's constants: sizes that the compiler knows.
 
@@ -240,9 +248,10 @@ def constants_dtype(
         [
             ("machines", dtype(Machine), (n_sync,)),
             ("turbine", dtype(Turbine)),
-            ("hydro", dtype(HydroGovernor), (n_sync if hydro else 0,)),
+            ("hydro", dtype(HydroGovernor), (n_hydro,)),
             ("extension", dtype(Extension), (1 if extended else 0,)),
             ("shedding", dtype(SheddingConstants), (n_stages,)),
+            ("cells", np.float64, cells),  # of the rotor's C_p table
             ("share", np.float64, (n_wtg,)),  # rating of each WTG group on the system base
             ("unit_bus", np.int64, (n_unit,)),  # bus index of each unit, machines first
             ("unit_y", np.complex128, (n_unit,)),  # internal admittance of each unit
@@ -272,8 +281,8 @@ class Rows(NamedTuple):
     """First row of each part of a block."""
 
     wtg: int
+    wtg_stride: int  # rows of a group, with those of its extension
     hydro: int
-    extension: int
     voltage: int
     current: int
     admittance: int
@@ -294,9 +303,10 @@ def block_rows(n_sync: int, n_wtg: int, n_hydro: int, n_extended: int, n_stages:
     """Return where the parts of a block begin."""
     n = n_sync + n_wtg
     wtg = n_sync * N_MACHINE_ROWS
-    hydro = wtg + n_wtg * N_WTG_ROWS
-    extension = hydro + n_hydro * N_HYDRO_ROWS
-    voltage = extension + n_extended * N_EXTENSION_ROWS
+    # Behind the other rows of its group: loops over lanes become vectors where distances are known to the compiler.
+    wtg_stride = N_WTG_ROWS + (N_EXTENSION_ROWS if n_extended > 0 else 0)
+    hydro = wtg + n_wtg * wtg_stride
+    voltage = hydro + n_hydro * N_HYDRO_ROWS
     lane = voltage + 4 * n + 2 * n * n
     machine_rate = lane + N_LANE_ROWS
     wtg_rate = machine_rate + n_sync * N_MACHINE_STATES
@@ -308,8 +318,8 @@ def block_rows(n_sync: int, n_wtg: int, n_hydro: int, n_extended: int, n_stages:
     fixed = transfer + 2 * n
     return Rows(
         wtg=wtg,
+        wtg_stride=wtg_stride,
         hydro=hydro,
-        extension=extension,
         voltage=voltage,
         current=voltage + 2 * n,
         admittance=voltage + 4 * n,
@@ -337,6 +347,13 @@ def rows_of(c: Any) -> Rows:
         n_wtg * c["extension"].shape[0],
         c["shedding"].shape[0],
     )
+
+
+@inlined
+def wtg_row(c: Any, j: int) -> int:
+    """Return the first row of WTG group j."""
+    rows = rows_of(c)
+    return rows.wtg + j * rows.wtg_stride
 
 
 @dataclass(frozen=True)
@@ -380,7 +397,7 @@ class Layout:
         return self.rows.extra + self.n_extra
 
     def machine(self, name: str) -> npt.NDArray[np.int64]:
-        """Return the row of each machine's number of this name (n_sync,)."""
+        """Return the row of each machine's number of this name (n_sync,), or of each hydro governor's (n_hydro,)."""
         if self.n_hydro and name in short_names(HydroRows):
             return self.rows.hydro + row_of(HydroRows, name) + np.arange(self.n_hydro) * N_HYDRO_ROWS
         return row_of(MachineRows, name) + np.arange(self.n_sync) * N_MACHINE_ROWS
@@ -391,8 +408,8 @@ class Layout:
         if name in WtgExtremes._fields:
             return self.rows.extremes + row_of(WtgExtremes, name) + groups * N_EXTREMES
         if self.n_extended and name in short_names(ExtensionRows):
-            return self.rows.extension + row_of(ExtensionRows, name) + groups * N_EXTENSION_ROWS
-        return self.rows.wtg + row_of(WtgRows, name) + groups * N_WTG_ROWS
+            return self.rows.wtg + N_WTG_ROWS + row_of(ExtensionRows, name) + groups * self.rows.wtg_stride
+        return self.rows.wtg + row_of(WtgRows, name) + groups * self.rows.wtg_stride
 
     def lane(self, name: str) -> int:
         """Return the row of the lane's number of this name."""
@@ -403,9 +420,9 @@ class Layout:
         """Rows of the state vector: machines, WTG groups, hydro governors, extensions, reference angle."""
         parts = (
             (0, self.n_sync, N_MACHINE_ROWS, N_MACHINE_STATES),
-            (self.rows.wtg, self.n_wtg, N_WTG_ROWS, N_WTG_STATES),
+            (self.rows.wtg, self.n_wtg, self.rows.wtg_stride, N_WTG_STATES),
             (self.rows.hydro, self.n_hydro, N_HYDRO_ROWS, N_HYDRO_STATES),
-            (self.rows.extension, self.n_extended, N_EXTENSION_ROWS, N_EXTENSION_STATES),
+            (self.rows.wtg + N_WTG_ROWS, self.n_extended, self.rows.wtg_stride, N_EXTENSION_STATES),
         )
         rows = [
             (first + np.arange(n)[:, None] * stride + np.arange(states)).ravel() for first, n, stride, states in parts
@@ -422,6 +439,6 @@ class Layout:
         """Names of the state vector's entries."""
         names = [f"sync{i}.{name}" for i in range(self.n_sync) for name in short_names(MachineState)]
         names += [f"wtg{j}.{name}" for j in range(self.n_wtg) for name in short_names(WtgState)]
-        names += [f"sync{i}.{name}" for i in range(self.n_hydro) for name in short_names(HydroState)]
+        names += [f"hydro{i}.{name}" for i in range(self.n_hydro) for name in short_names(HydroState)]
         names += [f"wtg{j}.{name}" for j in range(self.n_extended) for name in short_names(ExtensionState)]
         return (*names, "reference_angle")

@@ -10,6 +10,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from wtg_gym.physics.rotor_table import RotorTable
+
 #: What the short keys in each field's `source` stand for.
 SOURCES = {
     "paper": "Chen, Xi, Cheng, Dörfler, Lestas: Coordinated Primary Frequency Regulation and Grid-Forming Control "
@@ -84,9 +86,9 @@ class TurbineParameters:
         "design",
         "rotor equation 2H_m ω_m dω_m/dt = p_w - p, whose energy is H_m ω_m², instead of the paper's without ω_m",
     )
-    power_coefficient: PowerCoefficientParameters = dataclasses.field(
+    power_coefficient: PowerCoefficientParameters | RotorTable = dataclasses.field(
         default_factory=PowerCoefficientParameters,
-        metadata=describe("-", "paper", "constants of the C_p curve"),
+        metadata=describe("-", "paper", "constants of the C_p curve, or a table instead of it"),
     )
 
     @property

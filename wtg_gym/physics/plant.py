@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wtg_gym.physics.aerodynamics import surface_of
 from wtg_gym.physics.hydro_governor import hydro_constants
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.layout import BranchConstants, BusConstants, Plant, constants_dtype
@@ -132,15 +133,26 @@ def build_plant(settings: PlantSettings) -> Plant:
     unit_bus = [case.bus_index(bus) for bus in (*(m.bus for m in case.machines), *(g.bus for g in settings.groups))]
     impedances = [complex(m.resistance, m.internal_reactance) for m in machines]
     impedances += [1j * turbine.converter.reactance / s for s in share]
-    hydro = any(isinstance(m.governor, HydroGovernorParameters) for m in case.machines)
+    cells = surface_of(settings.turbine.power_coefficient)[1]
+    hydro = [
+        flatten(hydro_constants(index, machine.governor))
+        for index, machine in enumerate(case.machines)
+        if isinstance(machine.governor, HydroGovernorParameters)
+    ]
     constants = np.zeros(
         1,
         dtype=constants_dtype(
-            len(machines), len(share), hydro=hydro, extended=settings.extended, n_stages=len(settings.shedding)
+            len(machines),
+            len(share),
+            n_hydro=len(hydro),
+            extended=settings.extended,
+            n_stages=len(settings.shedding),
+            cells=cells.shape,
         ),
     )
+    constants["cells"] = cells
     if hydro:
-        constants["hydro"] = [flatten(hydro_constants(m.governor)) for m in case.machines]
+        constants["hydro"] = hydro
     if settings.extended:
         extension = extension_constants(settings.turbine, settings.limits, settings.voltage_control)
         constants["extension"] = [flatten(extension)]

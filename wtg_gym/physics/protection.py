@@ -12,7 +12,6 @@ from wtg_gym.physics.layout import (
     MACHINE,
     N_EXTREMES,
     N_MACHINE_ROWS,
-    N_WTG_ROWS,
     WTG,
     Floats,
     Lanes,
@@ -29,6 +28,7 @@ from wtg_gym.physics.layout import (
     rows_of,
     store_extremes,
     store_wtg_input,
+    wtg_row,
 )
 from wtg_gym.physics.wind_turbine import WtgExtremes, WtgInput
 
@@ -51,7 +51,7 @@ def track_extremes(block: Floats, c: Any, lanes: Lanes) -> None:
             momentum += two_h * (load_machine_state(block, o, width).speed - 1.0)
             inertia += two_h
         for j in range(n_wtg):
-            o = (rows.wtg + j * N_WTG_ROWS) * width + x
+            o = wtg_row(c, j) * width + x
             connected = load_wtg_input(block, o + WTG.input * width, width).connected
             two_h = turbine.converter.two_h * c["share"][j] * connected
             momentum += two_h * (load_wtg_state(block, o, width).converter.speed - 1.0)
@@ -62,7 +62,7 @@ def track_extremes(block: Floats, c: Any, lanes: Lanes) -> None:
         block[lane + LANE.coi_max * width + x] = max(block[lane + LANE.coi_max * width + x], coi)
         block[lane + LANE.step * width + x] += select(block[lane + LANE.active * width + x] > 0.5, 1.0, 0.0)
     for j in range(n_wtg):
-        o, extremes = (rows.wtg + j * N_WTG_ROWS) * width, (rows.extremes + j * N_EXTREMES) * width
+        o, extremes = wtg_row(c, j) * width, (rows.extremes + j * N_EXTREMES) * width
         for x in range(width):
             # The power is that of the step's last stage, which lies at the step's end.
             output = load_wtg_output(block, o + WTG.output * width + x, width)
@@ -104,7 +104,7 @@ def look_at_grid(block: Floats, c: Any, lanes: Lanes) -> None:
             block[largest_angle + x] = max(block[largest_angle + x], angle)
             block[least_voltage + x] = min(block[least_voltage + x], voltage * voltage)
     for j in range(c["share"].shape[0]):
-        o, unit = (rows.wtg + j * N_WTG_ROWS) * width, 2 * (n_sync + j)
+        o, unit = wtg_row(c, j) * width, 2 * (n_sync + j)
         reactance = turbine.converter.reactance / c["share"][j]
         for x in range(width):
             e = load_phasor(block, (rows.voltage + unit) * width + x, width)
@@ -161,7 +161,7 @@ def update_status(block: Floats, c: Any, width: int) -> None:
             status = Status.LOSS_OF_SYNCHRONISM
         total = coi
         for j in range(c["share"].shape[0]):
-            o = (rows.wtg + j * N_WTG_ROWS) * width + x
+            o = wtg_row(c, j) * width + x
             state = load_wtg_state(block, o, width)
             given = load_wtg_input(block, o + WTG.input * width, width)
             ratio = (
@@ -190,7 +190,7 @@ def update_status(block: Floats, c: Any, width: int) -> None:
             block[lane + LANE.active * width] = 0.0
             for j in range(c["share"].shape[0]):
                 # What is left of the control interval adds nothing, no wind either.
-                o = (rows.wtg + j * N_WTG_ROWS) * width + x
+                o = wtg_row(c, j) * width + x
                 wind = load_wtg_output(block, o + WTG.output * width, width).wind
                 given = load_wtg_input(block, o + WTG.input * width, width)
                 still = WtgInput(given.emf, given.law, given.connected, wind, wind)

@@ -11,7 +11,6 @@ import numpy.typing as npt
 from wtg_gym.physics.compiled import compiled, inlined
 from wtg_gym.physics.layout import (
     LANE,
-    N_WTG_ROWS,
     WTG,
     Floats,
     LaneData,
@@ -22,6 +21,7 @@ from wtg_gym.physics.layout import (
     load_wtg_input,
     rows_of,
     store_phasor,
+    wtg_row,
 )
 from wtg_gym.physics.network import assemble_admittance, solve_in_place, transfer_impedances
 
@@ -58,7 +58,7 @@ def _connected_units(block: Floats, x: int, c: Any, width: int) -> npt.NDArray[n
     n_sync = c["machines"].shape[0]
     unit_y: npt.NDArray[np.complex128] = c["unit_y"].copy()
     for j in range(c["share"].shape[0]):
-        at = (rows_of(c).wtg + j * N_WTG_ROWS + WTG.input) * width + x
+        at = (wtg_row(c, j) + WTG.input) * width + x
         unit_y[n_sync + j] *= load_wtg_input(block, at, width).connected
     return unit_y
 

@@ -12,7 +12,13 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from wtg_gym.physics.aerodynamics import CurveConstants, curve_constants, power_coefficient_at, tracking_point
+from wtg_gym.physics.aerodynamics import (
+    CurveConstants,
+    curve_constants,
+    power_coefficient_at,
+    surface_of,
+    tracking_point,
+)
 from wtg_gym.physics.compiled import compiled, inlined
 from wtg_gym.physics.converter import Converter, ConverterState, Law, converter_constants, converter_rates
 from wtg_gym.physics.converter_limits import (
@@ -32,6 +38,7 @@ from wtg_gym.physics.parameters import (
     VoltageControlParameters,
 )
 from wtg_gym.physics.pitch import Pitch, PitchState, pitch_constants, pitch_limited, pitch_rates
+from wtg_gym.physics.rotor_table import Cells, Grid, tabulated_power_coefficient
 from wtg_gym.physics.voltage_control import VoltageControl, VoltageInput, emf_limited, emf_rate, voltage_control
 
 
@@ -39,6 +46,7 @@ class Rotor(NamedTuple):
     """Constants of the rotor."""
 
     curve: CurveConstants
+    grid: Grid
     tip_speed: float  # ω_tn R [m/s]
     wind_power: float  # ρ π R² / (2 S_n) [p.u. s³/m³]
     inv_two_h: float  # 1/(2 H_m) [1/s]
@@ -140,27 +148,42 @@ def wtg_voltage(s: WtgState, emf: float) -> tuple[float, float]:
 
 
 @inlined
-def captured_power(rotor_speed: float, wind: float, pitch: float, c: Rotor) -> float:
-    """Return p_w [p.u.] at a rotor speed [p.u.], a wind speed [m/s] and a pitch angle [deg]."""
+def captured_power(rotor_speed: float, wind: float, pitch: float, c: Rotor, cells: Cells) -> float:
+    """Return p_w [p.u.] at a rotor speed [p.u.], a wind speed [m/s] and a pitch angle [deg]; by the table if any."""
     tip = c.tip_speed * max(rotor_speed, 1e-3)
+    if cells.shape[0] > 0:
+        ratio = tip / wind
+        return c.wind_power * wind * wind * wind * tabulated_power_coefficient(ratio, pitch, cells, c.grid)
     return c.wind_power * wind * wind * wind * power_coefficient_at(tip, wind, pitch, c.curve)
 
 
 @inlined
+def wind_at(u: WtgInput, fraction: float) -> float:
+    """Return the wind [m/s] when a fraction 0 … 1 of the control interval has passed: linear between its ends."""
+    return u.wind_start + fraction * (u.wind_end - u.wind_start)
+
+
+@inlined
 def wtg_rates(
-    s: WtgState, power: float, u: WtgInput, c: Turbine, fraction: float, reference_speed: float, omega_n: float
+    s: WtgState,
+    power: float,
+    captured: float,
+    wind: float,
+    u: WtgInput,
+    c: Turbine,
+    reference_speed: float,
+    omega_n: float,
 ) -> tuple[WtgState, WtgOutput]:
     """Return rates and outputs.
 
     Args:
         s, u, c: states, inputs, constants.
         power: p into the grid [p.u.].
-        fraction: of the control interval that has passed, 0 … 1; the wind is linear between the interval's ends.
+        captured: p_w from the wind [p.u.].
+        wind: v [m/s].
         reference_speed: of the first unit [p.u.].
         omega_n: nominal angular frequency ω_n [rad/s].
     """
-    wind = u.wind_start + fraction * (u.wind_end - u.wind_start)
-    captured = captured_power(s.rotor_speed, wind, s.pitch.pitch, c.rotor)
     converter, k = converter_rates(s.converter, s.rotor_speed, power, u.law, c.converter, reference_speed, omega_n)
     pitch = pitch_rates(s.pitch, captured, s.rotor_speed, c.pitch)
     rates = WtgState(
@@ -250,7 +273,7 @@ def wtg_limited(s: WtgState, c: Turbine) -> WtgState:
 
 
 @compiled
-def turbine_equilibrium(wind: float, k: float, c: Turbine) -> tuple[float, float, bool]:
+def turbine_equilibrium(wind: float, k: float, c: Turbine, cells: Cells) -> tuple[float, float, bool]:
     """Return (rotor speed [p.u.], pitch [deg], found) at which the captured power equals k ω_m³, right of the maximum.
 
     The over-speed root of p_w(ω_m) = k ω_m³ at β = 0, unless captured power or rotor speed would exceed the pitch
@@ -258,15 +281,15 @@ def turbine_equilibrium(wind: float, k: float, c: Turbine) -> tuple[float, float
     """
     scale = wind / c.rotor.tip_speed
     low, high = 3.5 * scale, 20.0 * scale
-    surplus_low = captured_power(low, wind, 0.0, c.rotor) - k * low**3
-    surplus_high = captured_power(high, wind, 0.0, c.rotor) - k * high**3
+    surplus_low = captured_power(low, wind, 0.0, c.rotor, cells) - k * low**3
+    surplus_high = captured_power(high, wind, 0.0, c.rotor, cells) - k * high**3
     if not (surplus_low > 0.0 and surplus_high < 0.0):
         return 0.0, 0.0, False
     for _ in range(80):
         middle = 0.5 * (low + high)
         if middle in (low, high):
             break
-        if captured_power(middle, wind, 0.0, c.rotor) > k * middle**3:
+        if captured_power(middle, wind, 0.0, c.rotor, cells) > k * middle**3:
             low = middle
         else:
             high = middle
@@ -278,19 +301,25 @@ def turbine_equilibrium(wind: float, k: float, c: Turbine) -> tuple[float, float
     before = 0.0
     while before < c.pitch.angle_max:
         after = before + 0.02
-        if captured_power(limit, wind, before, c.rotor) > target >= captured_power(limit, wind, after, c.rotor):
-            return limit, _pitch_that_captures(target, before, after, limit, wind, c), True
+        if (
+            captured_power(limit, wind, before, c.rotor, cells)
+            > target
+            >= captured_power(limit, wind, after, c.rotor, cells)
+        ):
+            return limit, _pitch_that_captures(target, before, after, limit, wind, c, cells), True
         before = after
     return 0.0, 0.0, False
 
 
 @compiled
-def _pitch_that_captures(target: float, low: float, high: float, rotor: float, wind: float, c: Turbine) -> float:
+def _pitch_that_captures(
+    target: float, low: float, high: float, rotor: float, wind: float, c: Turbine, cells: Cells
+) -> float:
     for _ in range(80):
         middle = 0.5 * (low + high)
         if middle in (low, high):
             break
-        if captured_power(rotor, wind, middle, c.rotor) > target:
+        if captured_power(rotor, wind, middle, c.rotor, cells) > target:
             low = middle
         else:
             high = middle
@@ -307,6 +336,7 @@ def turbine_constants(
     best = tracking_point(0.0, turbine)
     rotor = Rotor(
         curve=curve_constants(turbine.power_coefficient),
+        grid=surface_of(turbine.power_coefficient)[0],
         tip_speed=turbine.tip_speed_ratio_per_speed_m_s,
         wind_power=turbine.wind_power_pu_per_cubic_wind,
         inv_two_h=0.5 / turbine.inertia_constant_s,

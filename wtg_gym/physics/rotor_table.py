@@ -1,0 +1,180 @@
+"""C_p(λ, β) of a rotor as a table: reading it, and a smooth surface through its points.
+
+The surface is the bicubic spline through the table's points, twice continuously differentiable. Each cell of a regular
+grid has the sixteen coefficients of its polynomial, Σ c_nm v^n u^m with 0 ≤ u, v ≤ 1 along λ and β. Below the table's
+least λ the power coefficient falls in proportion to λ; beyond its other edges it keeps the edge's value. Source of the
+spline: C. de Boor: A Practical Guide to Splines, chapter XVII.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import RectBivariateSpline
+
+from wtg_gym.files import read_text
+from wtg_gym.physics.compiled import inlined
+from wtg_gym.physics.elementary import clip, fma
+
+#: Coefficients of each cell's polynomial (n_λ - 1, n_β - 1, 16); without cells where a turbine has no table.
+Cells = npt.NDArray[np.float64]
+#: Most points of a table along one axis.
+_MOST_POINTS = 500
+#: The highest power coefficient of any rotor: Betz' limit.
+_BETZ_LIMIT = 16.0 / 27.0
+
+
+class Grid(NamedTuple):
+    """Where a table's cells lie."""
+
+    ratio_min: float  # λ of the first node [-]
+    inv_ratio_min: float
+    inv_ratio_step: float
+    pitch_min: float  # β of the first node [deg]
+    inv_pitch_step: float  # [1/deg]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotorTable:
+    """Power coefficients of a rotor over tip-speed ratio and pitch angle.
+
+    Args:
+        tip_speed_ratio: λ, rising (n_λ,) [-].
+        pitch_deg: β, rising, from 0 or below on (n_β,) [deg].
+        power_coefficient: C_p (n_λ, n_β) [-].
+
+    Raises:
+        ValueError: too few or too many points, an axis that does not rise, a missing value, or a C_p above Betz' limit.
+    """
+
+    tip_speed_ratio: tuple[float, ...]
+    pitch_deg: tuple[float, ...]
+    power_coefficient: tuple[tuple[float, ...], ...]
+
+    def __post_init__(self) -> None:
+        for name, axis in (("tip-speed ratios", self.tip_speed_ratio), ("pitch angles", self.pitch_deg)):
+            if not 4 <= len(axis) <= _MOST_POINTS:
+                raise ValueError(f"a rotor table needs 4 … {_MOST_POINTS} {name}, got {len(axis)}")
+            values = np.array(axis)
+            if not np.isfinite(values).all() or not (np.diff(values) > 1e-6).all():
+                raise ValueError(f"the {name} of a rotor table must be finite and rise by more than 1e-6")
+        if not 0.0 < self.tip_speed_ratio[0] < self.tip_speed_ratio[-1] <= 100.0:
+            raise ValueError(
+                f"tip-speed ratios of a rotor table must lie in 0 … 100, got {self.tip_speed_ratio[0]:g} …"
+            )
+        if not -90.0 <= self.pitch_deg[0] <= 0.0 < self.pitch_deg[-1] <= 90.0:
+            raise ValueError(
+                f"pitch angles of a rotor table must reach from 0 deg or below to above 0 deg within ±90 deg, got "
+                f"{self.pitch_deg[0]:g} … {self.pitch_deg[-1]:g} deg"
+            )
+        shape = (len(self.tip_speed_ratio), len(self.pitch_deg))
+        rows = {len(row) for row in self.power_coefficient}
+        if len(self.power_coefficient) != shape[0] or rows != {shape[1]}:
+            raise ValueError(
+                f"a rotor table of {shape[0]} tip-speed ratios and {shape[1]} pitch angles needs as many rows and "
+                f"columns of power coefficients, got {len(self.power_coefficient)} rows of {sorted(rows)} values"
+            )
+        values = np.array(self.power_coefficient)
+        if not np.isfinite(values).all():
+            at = np.argwhere(~np.isfinite(values))[0]
+            raise ValueError(
+                f"a rotor table has no number at a tip-speed ratio of {self.tip_speed_ratio[at[0]]:g} and "
+                f"{self.pitch_deg[at[1]]:g} deg"
+            )
+        if values.max() > _BETZ_LIMIT:
+            raise ValueError(
+                f"a C_p of a rotor table is {values.max():g}; allowed: at most Betz' limit, {_BETZ_LIMIT:.4f}"
+            )
+
+    def surface(self) -> tuple[Grid, Cells]:
+        """Return the grid and the coefficients of its cells, from β = 0 on."""
+        return _surface(self)
+
+
+@functools.lru_cache(maxsize=16)
+def _surface(table: RotorTable) -> tuple[Grid, Cells]:
+    ratio, pitch = np.array(table.tip_speed_ratio), np.array(table.pitch_deg)
+    spline = RectBivariateSpline(ratio, pitch, np.array(table.power_coefficient), kx=3, ky=3, s=0.0)
+    n_ratio = _n_steps(ratio[-1] - ratio[0], np.diff(ratio).min())
+    n_pitch = _n_steps(pitch[-1], np.diff(pitch).min())
+    ratios, pitches = np.linspace(ratio[0], ratio[-1], n_ratio + 1), np.linspace(0.0, pitch[-1], n_pitch + 1)
+    du, dv = ratios[1] - ratios[0], pitches[1] - pitches[0]
+    # Value and slopes at the four corners of each cell, on the unit square.
+    at_nodes = {(m, n): spline(ratios, pitches, dx=m, dy=n) * du**m * dv**n for m in (0, 1) for n in (0, 1)}
+    corners = np.empty((n_ratio, n_pitch, 4, 4))
+    for m, n in at_nodes:
+        for i in (0, 1):
+            for j in (0, 1):
+                corners[:, :, 2 * m + i, 2 * n + j] = at_nodes[m, n][i : i + n_ratio, j : j + n_pitch]
+    # Cubic Hermite form: 1, u, u², u³ from the values at 0 and 1 and the slopes at 0 and 1.
+    hermite = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [-3, 3, -2, -1], [2, -2, 1, 1]])
+    cells = np.einsum("mp,ijpq,nq->ijnm", hermite, corners, hermite).reshape(n_ratio, n_pitch, 16)
+    grid = Grid(float(ratios[0]), float(1.0 / ratios[0]), float(1.0 / du), 0.0, float(1.0 / dv))
+    return grid, np.ascontiguousarray(cells)
+
+
+def _n_steps(length: float, step: float) -> int:
+    return min(max(1, round(length / step)), _MOST_POINTS)
+
+
+@inlined
+def tabulated_power_coefficient(ratio: float, pitch_deg: float, cells: Cells, g: Grid) -> float:
+    """Return C_p at a tip-speed ratio λ and a pitch angle β [deg]."""
+    n_ratio, n_pitch = cells.shape[0], cells.shape[1]
+    u = clip((ratio - g.ratio_min) * g.inv_ratio_step, 0.0, n_ratio * 1.0)
+    v = clip((pitch_deg - g.pitch_min) * g.inv_pitch_step, 0.0, n_pitch * 1.0)
+    first, second = min(math.floor(u), n_ratio - 1.0), min(math.floor(v), n_pitch - 1.0)
+    i, j, u, v = np.int64(first), np.int64(second), u - first, v - second
+    value = _cubic(cells[i, j, 0], cells[i, j, 1], cells[i, j, 2], cells[i, j, 3], u)
+    first_order = _cubic(cells[i, j, 4], cells[i, j, 5], cells[i, j, 6], cells[i, j, 7], u)
+    second_order = _cubic(cells[i, j, 8], cells[i, j, 9], cells[i, j, 10], cells[i, j, 11], u)
+    third_order = _cubic(cells[i, j, 12], cells[i, j, 13], cells[i, j, 14], cells[i, j, 15], u)
+    # To zero at a rotor that stands still.
+    return _cubic(value, first_order, second_order, third_order, v) * min(ratio * g.inv_ratio_min, 1.0)
+
+
+@inlined
+def _cubic(c0: float, c1: float, c2: float, c3: float, x: float) -> float:
+    return fma(fma(fma(c3, x, c2), x, c1), x, c0)
+
+
+def read_rotor_table(path: Path) -> RotorTable:
+    """Read the power coefficients of a rotor performance file in the form of NREL's ROSCO toolbox.
+
+    Comment lines that begin with "#" name what follows: pitch angles, tip-speed ratios, wind speeds, power coefficients
+    (a row per tip-speed ratio); thrust and torque coefficients are skipped.
+
+    Raises:
+        ValueError: the file is missing, is not of that form, or its table is not complete; the message names it.
+    """
+    parts: dict[str, list[list[float]]] = {}
+    title = ""
+    for number, line in enumerate(read_text(path, "rotor table").splitlines(), start=1):
+        if line.startswith("#"):
+            title = line.strip("#- ").lower()
+        elif line.strip():
+            try:
+                parts.setdefault(title, []).append([float(word) for word in line.split()])
+            except ValueError as error:
+                raise ValueError(f"line {number} of the rotor table {path} is not a row of numbers: {error}") from None
+    found = {name: next((parts[t] for t in parts if t.startswith(name)), None) for name in ("pitch", "tsr", "power")}
+    missing = [name for name, rows in found.items() if rows is None]
+    if missing:
+        raise ValueError(
+            f"the rotor table {path} has no section {', '.join(missing)}; a file of ROSCO's form names its sections in "
+            "comments: Pitch angle vector, TSR vector, Power coefficient"
+        )
+    try:
+        return RotorTable(
+            tip_speed_ratio=tuple(value for row in found["tsr"] or () for value in row),
+            pitch_deg=tuple(value for row in found["pitch"] or () for value in row),
+            power_coefficient=tuple(tuple(row) for row in found["power"] or ()),
+        )
+    except ValueError as error:
+        raise ValueError(f"the rotor table {path} cannot be used: {error}") from None
