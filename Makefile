@@ -146,7 +146,7 @@ contracts: $(TEST_READY) ## Check that imports run one way
 # A fixed hash seed would hide a result that depends on the order of a set.
 .PHONY: pytest
 pytest: $(TEST_READY) ## Run the tests, on two processes
-	env -u PYTHONHASHSEED $(TEST_VENV)/bin/pytest -n 2
+	env -u PYTHONHASHSEED $(TEST_VENV)/bin/pytest -n 2 --dist worksteal
 
 .PHONY: format
 format: $(TEST_READY) ## Format the code and mend what can be mended by itself
