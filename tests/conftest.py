@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 import signal
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+from wtg_gym.evaluation import evaluate
 
 # How long an example takes is no fact about the code: a busy machine would fail it.
 settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -39,6 +42,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     others = [item for item in items if waits(item)]
     middle = len(items) // 2
     items[:] = [*others[:middle], *(item for item in items if not waits(item)), *others[middle:]]
+
+
+@pytest.fixture(scope="module")
+def short_validations() -> Iterator[None]:
+    """Training validates over six seconds instead of a minute, which most of a small run would go into."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("agents.runs.evaluate", functools.partial(evaluate, duration_s=6.0))
+        yield
 
 
 @pytest.fixture
