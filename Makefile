@@ -143,10 +143,10 @@ types: $(TEST_READY) ## Check the types of wtg_gym, baselines and agents
 contracts: $(TEST_READY) ## Check that imports run one way
 	$(TEST_VENV)/bin/lint-imports --no-logo
 
-# A fixed hash seed would hide a result that depends on the order of a set.
+# A fixed hash seed would hide a result that depends on the order of a set. Two processes leave one thread to each.
 .PHONY: pytest
 pytest: $(TEST_READY) ## Run the tests, on two processes
-	env -u PYTHONHASHSEED $(TEST_VENV)/bin/pytest -n 2
+	env -u PYTHONHASHSEED OMP_NUM_THREADS=1 $(TEST_VENV)/bin/pytest -n 2 --dist worksteal
 
 .PHONY: format
 format: $(TEST_READY) ## Format the code and mend what can be mended by itself

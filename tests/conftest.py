@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 import signal
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+from wtg_gym.evaluation import evaluate
 
 # How long an example takes is no fact about the code: a busy machine would fail it.
 settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -15,6 +19,37 @@ settings.load_profile("untimed")
 # A shell makes what it puts into the background deaf to an interrupt; so would be the commands that tests interrupt.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+#: Tests that need no machine code of the usual plant: of none, of other numbers of machines, or in processes that
+#: compile for themselves.
+_WITHOUT_THE_USUAL_PLANT = (
+    "analysis/test_independent",
+    "analysis/test_replay",
+    "physics/test_machine_code",
+    "physics/test_components",
+    "physics/test_compiled",
+    "analysis/test_counting",
+    "scenarios/",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Let the second of two processes, which begins in the middle, not compile what the first one is compiling."""
+
+    def waits(item: pytest.Item) -> bool:
+        return not item.path.relative_to(Path(__file__).parent).as_posix().startswith(_WITHOUT_THE_USUAL_PLANT)
+
+    others = [item for item in items if waits(item)]
+    middle = len(items) // 2
+    items[:] = [*others[:middle], *(item for item in items if not waits(item)), *others[middle:]]
+
+
+@pytest.fixture(scope="module")
+def short_validations() -> Iterator[None]:
+    """Training validates over six seconds instead of a minute, which most of a small run would go into."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("agents.runs.evaluate", functools.partial(evaluate, duration_s=6.0))
+        yield
 
 
 @pytest.fixture

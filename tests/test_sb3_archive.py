@@ -41,7 +41,7 @@ N = 20
 
 
 #: An archive is played on one thread.
-pytestmark = pytest.mark.usefixtures("one_thread")
+pytestmark = pytest.mark.usefixtures("one_thread", "short_validations")
 
 
 @pytest.fixture(scope="module")

@@ -6,5 +6,5 @@ import pytest
 
 
 @pytest.fixture(autouse=True)
-def _one_thread(one_thread: None) -> None:
-    """Networks as small as these only wait for more threads; training sets one."""
+def _small_runs(short_validations: None, one_thread: None) -> None:
+    """Validations are short, and torch has one thread: networks as small as these only wait for more."""

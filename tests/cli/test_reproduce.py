@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import functools
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.cli.calls import error_of, json_of
-from wtg_gym.analysis import omissions
+from wtg_gym.analysis import case_studies, omissions
 from wtg_gym.cli import main
 
 SECTIONS = (
@@ -33,8 +33,11 @@ def _page(path: Path, *sections: str) -> Path:
 def test_reproduce_writes_claims_and_every_figure(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    # The counts over four suites take minutes; tests/analysis/test_omissions.py checks them.
-    monkeypatch.setattr(omissions, "count_suite", functools.partial(omissions.count_suite, n_scenarios=2))
+    # All counts, winds and time constants take minutes; tests/analysis checks them.
+    counts = omissions.count_suite("gust", "mppt", 1)
+    monkeypatch.setattr(omissions, "count_suite", lambda suite, strategy: counts)
+    monkeypatch.setattr(case_studies, "WINDS", np.array([6.0, 8.0, 11.5, 12.0]))
+    monkeypatch.setattr(case_studies, "TIME_CONSTANTS", (0.0, 0.8, 6.4))
     folder = tmp_path / "docs" / "out"
     folder.parent.mkdir()
     page = _page(tmp_path / "docs" / "page.md", *SECTIONS)

@@ -15,8 +15,20 @@ PARAMS = str(GOLDEN / "genrou" / "params.json")
 TRACE = str(GOLDEN / "genrou" / "a.csv")
 
 
-def test_agreement_is_exit_code_0_and_a_table(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["compare", PARAMS, TRACE]) == 0
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the parameters and the first ten of sixty seconds of each trace, with the event at 5 s."""
+    folder = tmp_path_factory.mktemp("short") / "genrou"
+    folder.mkdir()
+    shutil.copy(PARAMS, folder)
+    for name in ("a.csv", "b.csv"):
+        head, *rows = (GOLDEN / "genrou" / name).read_text().splitlines()
+        (folder / name).write_text("\n".join([head, *(row for row in rows if float(row.split(",")[0]) <= 10.0)]))
+    return folder
+
+
+def test_agreement_is_exit_code_0_and_a_table(capsys: pytest.CaptureFixture[str], short: Path) -> None:
+    assert main(["compare", PARAMS, str(short / "a.csv")]) == 0
     said = capsys.readouterr().out
     assert "14 buses, 6 machines, 2 events" in said
     rows = [line for line in said.splitlines() if line.endswith("agrees")]
@@ -34,18 +46,19 @@ def test_json_has_every_quantity(capsys: pytest.CaptureFixture[str]) -> None:
     assert found["w"]["largest"] < found["w"]["largest_at_default_step"] < 1e-6
 
 
-def test_disagreement_is_exit_code_1(capsys: pytest.CaptureFixture[str]) -> None:
+def test_disagreement_is_exit_code_1(capsys: pytest.CaptureFixture[str], short: Path) -> None:
     # The trace is of the other events.
-    assert main(["compare", PARAMS, TRACE, "--events", "b"]) == 1
+    trace = str(short / "a.csv")
+    assert main(["compare", PARAMS, trace, "--events", "b"]) == 1
     assert "DIFFERS" in capsys.readouterr().out
-    data = json_of(capsys, "compare", PARAMS, TRACE, "--events", "b", "--json", code=1)
+    data = json_of(capsys, "compare", PARAMS, trace, "--events", "b", "--json", code=1)
     assert not any(row["agrees"] for row in data["differences"])
 
 
-def test_folder_stands_for_all_its_traces(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_folder_stands_for_all_its_traces(capsys: pytest.CaptureFixture[str], short: Path, tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text("# Page\n<!-- golden:start -->\n<!-- golden:end -->\n", encoding="utf-8")
-    data = json_of(capsys, "compare", str(GOLDEN / "genrou"), "--json", "--page", str(page))
+    data = json_of(capsys, "compare", str(short), "--json", "--page", str(page))
     assert [Path(result["trace"]).name for result in data] == ["a.csv", "b.csv"]
     text = page.read_text(encoding="utf-8")
     assert text.count("| genrou | ") == 2 and "2 of 2 traces agree." in text
@@ -76,8 +89,10 @@ def test_bad_input_is_one_line(capsys: pytest.CaptureFixture[str], arguments: tu
     assert said in error_of(capsys, "compare", *arguments)
 
 
-def test_trace_whose_events_are_unclear_is_asked_for(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_trace_whose_events_are_unclear_is_asked_for(
+    capsys: pytest.CaptureFixture[str], short: Path, tmp_path: Path
+) -> None:
     copy = tmp_path / "trace.csv"
-    shutil.copy(TRACE, copy)
+    shutil.copy(short / "a.csv", copy)
     assert "which events does trace.csv show?" in error_of(capsys, "compare", PARAMS, str(copy))
     assert main(["compare", PARAMS, str(copy), "--events", "a"]) == 0

@@ -24,6 +24,7 @@ from tests.submissions import models
 from tests.submissions.models import TOML, M, N, after, constant, folder, info, node
 from tests.submissions.models import model as make
 from wtg_gym.evaluation import Entry, OnnxPolicy, evaluate
+from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.policies.conflicts import conflicts
 from wtg_gym.policies.gate import check_submission
@@ -350,12 +351,18 @@ def verdict(attack: Attack, place: Path) -> tuple[str, str]:
     return _scored(reports[-1].played())
 
 
+@functools.cache
+def _beside() -> tuple[Entry, list[Episode]]:
+    """Return a harmless entry, and all episodes where it is played without an attack."""
+    entry = Entry(name="Beside", policy=OnnxPolicy(models.make_bytes()), fingerprint="beside")
+    return entry, list(evaluate([entry], "standard", "test", seeds=_SEEDS, duration_s=_SHORT_S).episodes)
+
+
 def _scored(entry: Entry) -> tuple[str, str]:
     """Return how an accepted policy fails when it is scored, or that it is harmless."""
-    entries = [entry, Entry(name="Beside", policy=OnnxPolicy(models.make_bytes()), fingerprint="beside")]
-    together = evaluate(entries, "standard", "test", seeds=_SEEDS, duration_s=_SHORT_S, keep_going=True)
-    rest = evaluate(entries[1:], "standard", "test", seeds=_SEEDS, duration_s=_SHORT_S)
-    assert [e for e in together.episodes if e.entry != entry.name] == list(rest.episodes), "others' results stand"
+    beside, without = _beside()
+    together = evaluate([entry, beside], "standard", "test", seeds=_SEEDS, duration_s=_SHORT_S, keep_going=True)
+    assert [e for e in together.episodes if e.entry != entry.name] == without, "others' results stand"
     if together.failed:
         return SCORED, together.failed[0]["reason"]
     for number in _SEEDS:
