@@ -29,6 +29,7 @@ SETTINGS = [
     ("suite", "x", ["suite", "'x'", "paper", "weak-grid"]),
     ("split", "x", ["split", "'x'", "train, validation, test"]),
     ("machine_model", "x", ["machine_model", "'x'", "genrou, classical"]),
+    ("physics", "x", ["physics", "'x'", "paper, extended, nrel-5mw"]),
     ("on_failure", "x", ["on_failure", "'x'", "terminate, trip"]),
     ("groups", 0, ["group", "0", "1 … 1024"]),
     ("groups", "2", ["group", "'2'", "bus"]),

@@ -124,6 +124,7 @@ def _run_evaluate(arguments: argparse.Namespace) -> int:
         simulation_dt=arguments.simulation_dt,
         machine_model=arguments.machine_model,
         on_failure=arguments.on_failure,
+        physics=arguments.physics,
     )
     return finish(results, folder, as_json=arguments.json)
 

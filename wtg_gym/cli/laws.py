@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from wtg_gym.cli.output import say
+from wtg_gym.physics.parameters import TurbineParameters
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw, get_law
 from wtg_gym.policies.load import example_law
 
@@ -55,8 +56,8 @@ def add_law_option(parser: argparse.ArgumentParser, default: str) -> None:
     )
 
 
-def chosen_laws(names: Sequence[str]) -> list[TrackingLaw]:
-    """Return the laws of these names, each once.
+def chosen_laws(names: Sequence[str], turbine: TurbineParameters | None = None) -> list[TrackingLaw]:
+    """Return the laws of these names, each once, for a turbine; by default the paper's.
 
     Raises:
         ValueError: a name is unknown, or two laws have the same one.
@@ -64,7 +65,7 @@ def chosen_laws(names: Sequence[str]) -> list[TrackingLaw]:
     laws: dict[str, TrackingLaw] = {}
     given = [expanded for name in names for expanded in (STRATEGIES if name == "all" else (name,))]
     for name in dict.fromkeys(given):
-        law = get_law(name)
+        law = get_law(name, turbine)
         if law.name in laws:
             raise ValueError(f"two strategies are called {law.name!r}; give the law in {name} another name")
         laws[law.name] = law

@@ -6,6 +6,8 @@ import argparse
 from collections.abc import Callable
 from typing import Any, NoReturn
 
+from wtg_gym.physics.plant import PHYSICS
+
 #: The return value of `add_subparsers`, to which commands are added.
 Commands = Any
 
@@ -87,4 +89,12 @@ def add_plant_options(parser: argparse.ArgumentParser, *, default_groups: str = 
         choices=("terminate", "trip"),
         default="terminate",
         help="a stalled or over-speeding group ends the run, or is disconnected (default: terminate)",
+    )
+    plant.add_argument(
+        "--physics",
+        choices=PHYSICS,
+        default="paper",
+        help="the paper's model; extended by what it leaves out (rotor energy, current, power and reactive limits, "
+        "voltage control, dead band, load shedding, under-speed trip); or that with the NREL 5 MW turbine (default: "
+        "paper)",
     )

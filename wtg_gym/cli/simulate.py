@@ -28,7 +28,7 @@ from wtg_gym.cli.scenarios import describe_scenario, read_scenario, scenario_sum
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import WtgGroup, default_groups
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import plant_settings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 from wtg_gym.physics.trajectory import Trajectory, simulate
@@ -103,15 +103,16 @@ def run(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym simulate`; return 1 if a run failed numerically."""
     plot = check_plot_file(arguments.plot, (*PLOT_SUFFIXES, _MOVING))
     table = check_output_file("--csv", arguments.csv, (".csv",))
-    laws = {law.name: law for law in chosen_laws(arguments.law)}
     scenario, groups = _scenario_and_groups(arguments)
-    settings = PlantSettings(
+    settings = plant_settings(
+        arguments.physics,
         case=modified_ieee14(classical=arguments.machine_model == "classical"),
         groups=groups,
         control_dt=arguments.control_dt,
         simulation_dt=arguments.simulation_dt,
         trips_groups=arguments.on_failure == "trip",
     )
+    laws = {law.name: law for law in chosen_laws(arguments.law, settings.turbine)}
     with Progress("runs") as progress:
         runs = {}
         for done, (name, law) in enumerate(laws.items()):
@@ -188,6 +189,7 @@ def _plant_summary(arguments: argparse.Namespace, groups: tuple[WtgGroup, ...]) 
         "simulation_dt_s": arguments.simulation_dt,
         "machine_model": arguments.machine_model,
         "on_failure": arguments.on_failure,
+        "physics": arguments.physics,
     }
 
 

@@ -9,7 +9,7 @@ from typing import Any, TypedDict
 
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.parameters import WtgGroup, default_groups, parameter
-from wtg_gym.physics.plant import SIMULATION_DT_RANGE, PlantSettings, whole_steps
+from wtg_gym.physics.plant import PHYSICS, SIMULATION_DT_RANGE, PlantSettings, plant_settings, whole_steps
 from wtg_gym.physics.scenario import SERIES_DT, Scenario, require_range
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
 from wtg_gym.scenarios import FRESH, SPLITS, SUITES, get_suite
@@ -100,6 +100,7 @@ class EnvArguments(TypedDict, total=False):
     weights: Mapping[str, float] | None
     machine_model: str
     on_failure: str
+    physics: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,6 +121,8 @@ class EnvSettings:
         weights: replaces single weights of :class:`CostWeights`.
         machine_model: "genrou" (with exciters) or "classical".
         on_failure: "terminate" the episode at a stall or over-speed, or "trip" the group and go on.
+        physics: "paper", "extended" (what the paper leaves out) or "nrel-5mw" (that, and another turbine); see
+            :func:`wtg_gym.physics.plant.plant_settings`.
 
     Raises:
         ValueError: a value is unknown or out of range; the message lists what is allowed.
@@ -138,12 +141,14 @@ class EnvSettings:
     weights: Mapping[str, float] | None = None
     machine_model: str = "genrou"
     on_failure: str = "terminate"
+    physics: str = "paper"
 
     def __post_init__(self) -> None:
         _require_choice("action_mode", self.action_mode, tuple(ACTION_MODES))
         _require_choice("observation_mode", self.observation_mode, OBSERVATION_MODES)
         _require_choice("machine_model", self.machine_model, MACHINE_MODELS)
         _require_choice("on_failure", self.on_failure, FAILURE_MODES)
+        _require_choice("physics", self.physics, PHYSICS)
         _require_choice("split", self.split, (*SPLITS, FRESH))
         _require_choice("suite", self.suite, tuple(SUITES))
         if self.duration_s is not None:
@@ -186,7 +191,8 @@ class EnvSettings:
 
     def plant(self) -> PlantSettings:
         """Return the plant and its time steps."""
-        return PlantSettings(
+        return plant_settings(
+            self.physics,
             case=modified_ieee14(classical=self.machine_model == "classical"),
             groups=self.wtg_groups(),
             control_dt=self.control_dt,

@@ -202,6 +202,8 @@ def shared_settings(settings: EnvSettings) -> dict[str, Any]:
         "authority": {"k": COEFFICIENT_AUTHORITY, "tau": TIME_CONSTANT_RATIO},
         "machine_model": settings.machine_model,
         "on_failure": settings.on_failure,
+        # Results of the paper's physics look as they did before there was another.
+        **({} if settings.physics == "paper" else {"physics": settings.physics}),
     }
 
 

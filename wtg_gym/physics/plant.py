@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.layout import BranchConstants, BusConstants, Plant, constants_dtype
 from wtg_gym.physics.machine import machine_constants
 from wtg_gym.physics.network import NetworkCase, branch_admittances
+from wtg_gym.physics.nrel5mw import nrel_5mw
 from wtg_gym.physics.parameters import (
     ConverterLimitParameters,
     GridFormingParameters,
@@ -25,6 +27,7 @@ from wtg_gym.physics.parameters import (
     VoltageControlParameters,
     WtgGroup,
     default_groups,
+    european_shedding,
 )
 from wtg_gym.physics.records import dtype, flatten
 from wtg_gym.physics.scenario import require_range
@@ -122,6 +125,48 @@ class PlantSettings:
             total = sum(stage.share for stage in self.shedding)
             raise ValueError(f"the shedding stages disconnect {100.0 * total:g} % of the load; allowed: at most 100 %")
         require_range("rotor_speed_min_pu", self.protection.rotor_speed_min_pu, 0.0, 1.0, "p.u.")
+
+
+#: Physics by name: the paper's; all that the paper leaves out, with its turbine; the same with the NREL 5 MW turbine.
+PHYSICS = ("paper", "extended", "nrel-5mw")
+#: Dead band of the governors in extended physics [p.u.]: 36 mHz of 60 Hz. Source: North American Electric Reliability
+#: Corporation: Reliability Guideline: Primary Frequency Control.
+DEAD_BAND_PU = 0.0006
+#: Rotor speed that trips a group in extended physics [p.u.]: of the paper's turbine at its maximum power at 5.7 m/s.
+ROTOR_SPEED_MIN_PU = 0.5
+
+
+def plant_settings(physics: str = "paper", **settings: Any) -> PlantSettings:
+    """Return a plant with a kind of physics.
+
+    "extended" adds to the paper's model: a rotor that keeps its energy, current and power limits with a chopper,
+    terminal voltage control with reactive limits, a rotor under-speed trip, a governor dead band, and load shedding as
+    continental Europe asks for. "nrel-5mw" has the NREL 5 MW turbine and its C_p table besides.
+
+    Args:
+        physics: one of :data:`PHYSICS`.
+        settings: fields of :class:`PlantSettings`; they go before what `physics` says.
+
+    Raises:
+        ValueError: the name is unknown, or a setting is outside its range.
+    """
+    if physics not in PHYSICS:
+        raise ValueError(f"unknown physics {physics!r}; choose one of {', '.join(PHYSICS)}")
+    if physics == "paper":
+        return PlantSettings(**settings)
+    case: NetworkCase = settings.get("case") or modified_ieee14()
+    machines = tuple(
+        dataclasses.replace(m, governor=dataclasses.replace(m.governor, dead_band_pu=DEAD_BAND_PU)) if m.governor else m
+        for m in case.machines
+    )
+    extended: dict[str, Any] = {
+        "turbine": nrel_5mw() if physics == "nrel-5mw" else TurbineParameters(conserves_energy=True),
+        "limits": ConverterLimitParameters(),
+        "voltage_control": VoltageControlParameters(),
+        "protection": ProtectionParameters(rotor_speed_min_pu=ROTOR_SPEED_MIN_PU),
+        "shedding": european_shedding(case.frequency_hz),
+    }
+    return PlantSettings(**{**extended, **settings, "case": dataclasses.replace(case, machines=machines)})
 
 
 def build_plant(settings: PlantSettings) -> Plant:

@@ -1,0 +1,38 @@
+"""The environment on a plant with limits: the same bits alone and beside others, and results that say so."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wtg_gym import GFMWTGEnv, GFMWTGVectorEnv
+
+N_STEPS = 40
+
+
+def test_a_lane_of_the_extended_plant_equals_the_single_environment() -> None:
+    batch = GFMWTGVectorEnv(num_envs=20, physics="extended", suite="gust")
+    single = GFMWTGEnv(physics="extended", suite="gust")
+    paper = GFMWTGEnv(suite="gust")
+    rng = np.random.default_rng(5)
+    # Full actions on k that turn round every 0.8 s: the converters of some lanes reach their current limit.
+    actions = np.where(rng.random((N_STEPS, 20, 1)) < 0.5, -1.0, 1.0) * np.ones(4)
+    actions = np.repeat(actions[::8], 8, axis=0)[:N_STEPS].astype(np.float32)
+    seen, _ = batch.reset(seed=[9000 + lane for lane in range(20)])
+    courses = [seen]
+    rewards = []
+    for action in actions:
+        seen, reward, *_ = batch.step(action)
+        courses.append(seen)
+        rewards.append(reward)
+    differs = False
+    for lane in (0, 7, 19):
+        own, _ = single.reset(seed=9000 + lane)
+        other, _ = paper.reset(seed=9000 + lane)
+        assert (own == courses[0][lane]).all()
+        for step, action in enumerate(actions):
+            own, reward, terminated, truncated, _ = single.step(action[lane])
+            assert (own == courses[step + 1][lane]).all() and reward == rewards[step][lane]
+            assert not terminated and not truncated
+            other, *_ = paper.step(action[lane])
+        differs = differs or bool((own != other).any())
+    assert differs
