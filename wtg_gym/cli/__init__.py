@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from wtg_gym import __version__
 from wtg_gym.cli import (
     accuracy,
+    aggregation,
     bench,
     evaluate,
     parameters,
@@ -60,7 +61,7 @@ def build_parser() -> argparse.ArgumentParser:
         summary="equilibria, margins and modes of the system, and the error of the time step",
         description="Analyses the system without simulating scenarios, and measures the error of the time step.",
     )
-    for module in (statics, small_signal, accuracy):
+    for module in (statics, small_signal, accuracy, aggregation):
         module.add_commands(analyse)
     for module in (reproduce, validate, parameters, bench, warmup):
         module.add_commands(commands)

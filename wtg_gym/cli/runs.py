@@ -25,6 +25,8 @@ def key_figures(name: str, run: Trajectory) -> dict[str, Any]:
         failed = 1 + int(np.argmin(run.tip_speed_ratio[-1]))
     elif run.status == Status.OVER_SPEED:
         failed = 1 + int(np.argmax(run.rotor_speed_pu[-1]))
+    elif run.status == Status.UNDER_SPEED:
+        failed = 1 + int(np.argmin(run.rotor_speed_pu[-1]))
     # A disconnected group delivers exactly nothing.
     off = run.power_pu == 0.0
     tripped = [

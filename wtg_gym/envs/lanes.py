@@ -39,6 +39,7 @@ TERMINATION_REASONS = {
     Status.RUNNING: "",
     Status.STALL: "stall",
     Status.OVER_SPEED: "over-speed",
+    Status.UNDER_SPEED: "under-speed",
     Status.FREQUENCY_LIMIT: "frequency limit",
     Status.NUMERICAL_FAILURE: "numerical failure",
     Status.LOSS_OF_SYNCHRONISM: "loss of synchronism",

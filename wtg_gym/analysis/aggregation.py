@@ -1,0 +1,178 @@
+"""What it costs to take ten turbines for one: groups against their single turbines, in the same wind."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from wtg_gym.files import markdown_table
+from wtg_gym.physics.layout import Status
+from wtg_gym.physics.parameters import WtgGroup, default_groups
+from wtg_gym.physics.plant import plant_settings
+from wtg_gym.physics.scenario import Scenario
+from wtg_gym.physics.simulator import Simulator
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, group_laws
+from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios.single_turbines import single_and_aggregate, turbine_winds
+from wtg_gym.scenarios.wind import TURBULENCE_CLASSES, ntm_sigma
+
+Floats = npt.NDArray[np.float64]
+STRATEGIES = (REFERENCE_STRATEGY, "mppt", "deloaded-5")
+#: Offset of the seeds of the single winds from those of the scenarios.
+_WIND_SEED = 7_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Totals:
+    """Runs of one strategy over scenarios, (n,) each.
+
+    Args:
+        energy_pu_s: captured energy, mean over turbines [p.u. s].
+        least_ratio: smallest tip-speed ratio of any turbine [-].
+        nadir_hz: lowest frequency [Hz].
+        tripped: how many turbines were disconnected.
+    """
+
+    energy_pu_s: Floats
+    least_ratio: Floats
+    nadir_hz: Floats
+    tripped: Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class AggregationStudy:
+    """The same wind and events on groups of ten and on their single turbines.
+
+    Args:
+        suite, seeds, physics: of the scenarios and the plant.
+        sigma_single, sigma_group: mean standard deviation of a turbine's wind and of a group's [m/s].
+        groups, single: by strategy.
+    """
+
+    suite: str
+    seeds: tuple[int, ...]
+    physics: str
+    sigma_single: float
+    sigma_group: float
+    groups: dict[str, Totals]
+    single: dict[str, Totals]
+
+
+def study_aggregation(
+    n_scenarios: int = 60,
+    *,
+    suite: str = "low-wind",
+    physics: str = "paper",
+    on_progress: Callable[[int, int], None] | None = None,
+) -> AggregationStudy:
+    """Run validation scenarios on the default groups and on their twenty single turbines.
+
+    Mean wind and events are the suite's; turbulence is drawn for every turbine, and a group's wind is the mean of its
+    turbines'. Stalled turbines and groups are disconnected, and the run goes on.
+
+    Args:
+        n_scenarios: how many, from the first validation seed on.
+        suite: of random scenarios.
+        physics: of the plant.
+        on_progress: called with (strategies done, strategies in all).
+
+    Raises:
+        ValueError: the suite has no random scenarios, or not so many.
+    """
+    chosen = get_suite(suite)
+    allowed = chosen.seeds("validation")
+    if chosen.distribution is None or not 1 <= n_scenarios <= len(allowed):
+        raise ValueError(
+            f"aggregation is studied on 1 … {len(allowed)} random scenarios; {suite!r} with {n_scenarios} are not"
+        )
+    seeds = tuple(allowed[:n_scenarios])
+    groups = default_groups()
+    pairs, sigmas = [], []
+    for seed in seeds:
+        scenario = chosen.scenario(seed)
+        rng = np.random.default_rng(_WIND_SEED + seed)
+        winds = [
+            turbine_winds(
+                float(mean), ntm_sigma(float(mean), TURBULENCE_CLASSES["B"]), int(group.n_turbines), samples, rng
+            )
+            for mean, samples, group in zip(
+                scenario.wind_speed.mean(axis=1), [scenario.wind_speed.shape[1]] * len(groups), groups, strict=True
+            )
+        ]
+        pair = single_and_aggregate(scenario, winds)
+        pairs.append(pair)
+        sigmas.append([wind.wind_speed.std(axis=1).mean() for wind in pair])
+    alone = tuple(WtgGroup(bus=g.bus, n_turbines=1.0) for g in groups for _ in range(int(g.n_turbines)))
+    found: list[dict[str, Totals]] = [{}, {}]
+    for done, strategy in enumerate(STRATEGIES):
+        for place, plant_groups in ((0, alone), (1, groups)):
+            found[place][strategy] = _run([pair[place] for pair in pairs], strategy, plant_groups, physics)
+        if on_progress is not None:
+            on_progress(done + 1, len(STRATEGIES))
+    single, group = np.mean(sigmas, axis=0)
+    return AggregationStudy(
+        suite=suite,
+        seeds=seeds,
+        physics=physics,
+        sigma_single=float(single),
+        sigma_group=float(group),
+        groups=found[1],
+        single=found[0],
+    )
+
+
+def _run(scenarios: list[Scenario], strategy: str, groups: tuple[WtgGroup, ...], physics: str) -> Totals:
+    settings = plant_settings(physics, groups=groups, trips_groups=True)
+    simulator = Simulator(settings, n_lanes=len(scenarios), duration_s=max(s.duration_s for s in scenarios))
+    laws = group_laws(strategy, len(groups), settings.turbine)
+    simulator.commit(range(len(scenarios)), simulator.prepare(scenarios, laws))
+    for _ in range(simulator.n_intervals):
+        simulator.advance()
+    simulator.close()
+    broken = simulator.lane_values("status") == Status.NUMERICAL_FAILURE
+    if broken.any():
+        raise ValueError(f"{int(broken.sum())} of {len(scenarios)} runs under {strategy} failed numerically")
+    return Totals(
+        energy_pu_s=simulator.wtg_values("energy_captured").mean(axis=1),
+        least_ratio=simulator.wtg_values("least_tsr").min(axis=1),
+        nadir_hz=settings.case.frequency_hz * simulator.lane_values("coi_min"),
+        tripped=(simulator.wtg_values("connected") < 0.5).sum(axis=1) * 20.0 / len(groups),
+    )
+
+
+def aggregation_table(study: AggregationStudy) -> str:
+    """Return the study as Markdown."""
+    header = (
+        "strategy",
+        "energy captured, singles against groups",
+        "smallest λ: groups",
+        "singles",
+        "runs with a trip: groups",
+        "singles",
+        "turbines tripped: groups",
+        "singles",
+        "nadir, singles minus groups [mHz]",
+    )
+    rows = []
+    for strategy, group in study.groups.items():
+        single = study.single[strategy]
+        rows.append(
+            (
+                strategy,
+                f"{100.0 * (single.energy_pu_s.sum() / group.energy_pu_s.sum() - 1.0):+.1f} %",
+                f"{group.least_ratio.min():.2f}",
+                f"{single.least_ratio.min():.2f}",
+                f"{int((group.tripped > 0).sum())}",
+                f"{int((single.tripped > 0).sum())}",
+                f"{group.tripped.sum():.0f}",
+                f"{single.tripped.sum():.0f}",
+                f"{1e3 * (single.nadir_hz - group.nadir_hz).mean():+.1f}",
+            )
+        )
+    return markdown_table(header, rows, right=tuple(range(1, len(header))))
+
+
+__all__ = ["STRATEGIES", "AggregationStudy", "Totals", "aggregation_table", "study_aggregation"]
