@@ -66,7 +66,7 @@ def study_aggregation(
     *,
     suite: str = "low-wind",
     physics: str = "paper",
-    on_progress: Callable[[int, int], None] | None = None,
+    on_progress: Callable[[str, float, int], None] | None = None,
 ) -> AggregationStudy:
     """Run validation scenarios on the default groups and on their twenty single turbines.
 
@@ -77,7 +77,7 @@ def study_aggregation(
         n_scenarios: how many, from the first validation seed on.
         suite: of random scenarios.
         physics: of the plant.
-        on_progress: called with (strategies done, strategies in all).
+        on_progress: called with (strategy, strategies done, strategies in all).
 
     Raises:
         ValueError: the suite has no random scenarios, or not so many.
@@ -111,7 +111,7 @@ def study_aggregation(
         for place, plant_groups in ((0, alone), (1, groups)):
             found[place][strategy] = _run([pair[place] for pair in pairs], strategy, plant_groups, physics)
         if on_progress is not None:
-            on_progress(done + 1, len(STRATEGIES))
+            on_progress(strategy, done + 1, len(STRATEGIES))
     single, group = np.mean(sigmas, axis=0)
     return AggregationStudy(
         suite=suite,

@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _summary(study: AggregationStudy) -> str:
     return (
-        f"{len(study.seeds)} validation scenarios of {study.suite}, {study.physics} physics: two groups of ten turbines "
-        f"against twenty single ones in the same wind. The wind varies by {study.sigma_single:.2f} m/s (standard "
+        f"{len(study.seeds)} validation scenarios of {study.suite}, physics {study.physics}: two groups of ten "
+        f"turbines against twenty single ones in the same wind. The wind varies by {study.sigma_single:.2f} m/s (standard "
         f"deviation) at a rotor and by {study.sigma_group:.2f} m/s in the mean of ten."
     )

@@ -74,7 +74,8 @@ def with_wakes(winds: Floats, deficits: Sequence[float]) -> Floats:
     if len(deficits) != winds.shape[0]:
         raise ValueError(f"there must be one wake deficit per turbine, {winds.shape[0]}, got {len(deficits)}")
     factors = [1.0 - require_range("wake deficit", deficit, 0.0, 0.6, "") for deficit in deficits]
-    return np.clip(winds * np.array(factors)[:, None], *DRAWN_WIND_RANGE)
+    slowed: Floats = np.clip(winds * np.array(factors)[:, None], *DRAWN_WIND_RANGE)
+    return slowed
 
 
 def single_and_aggregate(scenario: Scenario, winds: Sequence[Floats]) -> tuple[Scenario, Scenario]:
