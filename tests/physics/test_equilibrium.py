@@ -80,7 +80,8 @@ def test_resistance_and_shared_buses_start_at_rest() -> None:
 def test_a_start_without_equilibrium_is_refused(simulator: Simulator) -> None:
     greedy = TrackingLaw(name="greedy", k_min=3.0, k_nominal=3.0, k_max=3.0)
     scenario = Scenario(name="impossible", wind_speed=np.full((2, 1), 8.0))
-    with pytest.raises(ValueError, match=r"'impossible' cannot start: a WTG group has no equilibrium"):
+    message = r"'impossible' cannot start: WTG group 0 at bus 2 has no equilibrium at a wind of 8 m/s with k = 3 p.u."
+    with pytest.raises(ValueError, match=message):
         simulator.start(0, scenario, (greedy, greedy))
 
 
@@ -88,5 +89,7 @@ def test_too_much_wind_for_the_balancing_machine_is_refused() -> None:
     groups = tuple(WtgGroup(bus=2, n_turbines=40.0) for _ in range(2))
     simulator = Simulator(PlantSettings(groups=groups))
     law = STRATEGIES["mppt"]
-    with pytest.raises(ValueError, match=r"gate limits"):
+    with pytest.raises(
+        ValueError, match=r"machine at bus 1 would start at -.* p.u. of gate, beyond its gate limits 0 … 1.2 p.u."
+    ):
         simulator.start(0, Scenario(name="x", wind_speed=np.full((2, 1), 11.0)), (law, law))
