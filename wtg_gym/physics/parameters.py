@@ -73,9 +73,10 @@ class Checked:
     """
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):  # type: ignore[arg-type]
-            name, value = f"{type(self).__name__}.{field.name}", getattr(self, field.name)
-            kind = _kinds(type(self))[field.name]
+        record: Any = type(self)
+        for field in dataclasses.fields(record):
+            name, value = f"{record.__name__}.{field.name}", getattr(self, field.name)
+            kind = _kinds(record)[field.name]
             if kind is float or (kind == float | None and value is not None):
                 if "low" in field.metadata:
                     unit = field.metadata["unit"].removeprefix("-")

@@ -29,11 +29,12 @@ SERIES_DT = 0.1
 
 def _series(name: str, values: Any) -> npt.NDArray[np.float64]:
     try:
-        given = np.asarray(values)
-        # Texts and complex numbers would be converted without a word.
-        if given.size and given.dtype.kind not in "iufO":
-            raise ValueError(f"got values such as {given.flat[0]!r}")
-        return np.array(values, dtype=np.float64)
+        kind = np.asarray(values).dtype.kind
+        series = np.array(values, dtype=np.float64) if kind != "c" else np.zeros(0)
+        # numpy would convert "8" and drop imaginary parts without a word.
+        if kind in "USbc" and np.size(values):
+            raise ValueError(f"got {values!r}")
+        return series
     except (OverflowError, TypeError, ValueError) as error:
         raise ValueError(f"{name} must be numbers in a regular array: {error}") from error
 
@@ -135,7 +136,7 @@ class Scenario:
             grid without any; linear between samples, the last one holds.
         wind_dt_s: sampling step of `wind_speed` [s].
         duration_s: length of the run [s].
-        events: load and line events, in any order.
+        events: load and line events, in any order; those after the end of the run do not happen.
         load_noise_mw: extra resistive load at `load_noise_bus`, one value per `SERIES_DT` [MW], 0 after the last.
             The first value must be zero, so that the run starts in equilibrium.
         load_noise_bus: bus of the load noise.

@@ -295,9 +295,9 @@ class Simulator:
                 f"limits: power {limits.power_min_pu:g} … {limits.power_max_pu:g} p.u., current at most "
                 f"{limits.current_max_pu:g} p.u."
             )
-        control = settings.voltage_control or VoltageControlParameters()
+        control, emf = settings.voltage_control or VoltageControlParameters(), rows[layout.wtg("internal_voltage")[j]]
         return (
-            f"{group} would start with {rows[layout.wtg('internal_voltage')[j]]:.4g} p.u. behind X_g, beyond the limits "
+            f"{group} would start with {emf:.4g} p.u. behind X_g, beyond the limits "
             f"{control.internal_voltage_min_pu:g} … {control.internal_voltage_max_pu:g} p.u. of its voltage control"
         )
 
