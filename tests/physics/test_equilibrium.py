@@ -124,7 +124,7 @@ def with_machine(**changes: Any) -> PlantSettings:
         ),
         (
             PlantSettings(limits=ConverterLimitParameters(power_max_pu=0.5)),
-            r"WTG group 0 at bus 2 would start with 0.9.* p.u. of power, beyond .* power 0 … 0.5 p.u., .* at most 1.2 p.u.",
+            r"WTG group 0 at bus 2 would start with 0.9.* p.u. of power, beyond .* 0 … 0.5 p.u., .* at most 1.2 p.u.",
         ),
         (
             PlantSettings(voltage_control=VoltageControlParameters(internal_voltage_max_pu=1.0)),

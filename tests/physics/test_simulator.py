@@ -21,6 +21,8 @@ from wtg_gym.scenarios import get_suite
 
 LAW = STRATEGIES["coordinated-piecewise"]
 WIND = np.array([[11.4], [8.0]])
+IEEE14 = modified_ieee14()
+UNWEIGHTED = tuple(dataclasses.replace(machine, reactive_weight=0.0) for machine in IEEE14.machines)
 
 
 @pytest.mark.parametrize(
@@ -34,6 +36,10 @@ WIND = np.array([[11.4], [8.0]])
         ({"groups": (WtgGroup(bus=99),)}, r"unknown bus 99; .* has buses \[1, 2"),
         ({"groups": None}, r"PlantSettings.groups must be a tuple of WtgGroup, got None"),
         ({"groups": [{"bus": 2}]}, r"PlantSettings.groups must be a tuple of WtgGroup, got"),
+        (
+            {"case": dataclasses.replace(IEEE14, machines=UNWEIGHTED)},
+            r"reactive_weight is 0 MVA for every machine at bus 1; one must have more",
+        ),
         ({"case": "ieee14"}, r"PlantSettings.case must be NetworkCase, got 'ieee14'"),
         ({"trips_groups": "no"}, r"PlantSettings.trips_groups must be bool, got 'no'"),
         (

@@ -62,8 +62,10 @@ def power_coefficient(
     """
     curve = curve_constants(parameters or PowerCoefficientParameters())
     ratio = np.asarray(tip_speed_ratio, dtype=np.float64)
-    if not ((ratio > 0.0) & np.isfinite(ratio)).all():
-        raise ValueError(f"tip-speed ratio must be positive and finite, got {ratio.min():g} … {ratio.max():g}")
+    bad = ~((ratio > 0.0) & np.isfinite(ratio))
+    if bad.any():
+        wrong = ratio[bad][0]
+        raise ValueError(f"tip-speed ratio must be positive, got {wrong:g}")
     if not 0.0 <= pitch_deg < np.inf:
         raise ValueError(f"pitch angle must be 0 deg or more, got {pitch_deg:g} deg")
     flat = [power_coefficient_at(x, 1.0, float(pitch_deg), curve) for x in ratio.ravel()]
@@ -132,7 +134,9 @@ def available_power_pu(
     """Return the largest power a rotor can capture at β = 0 [p.u. of its rating], for wind speeds from 0 m/s on."""
     turbine = turbine or TurbineParameters()
     wind = np.asarray(wind_m_s, dtype=np.float64)
-    if not ((wind >= 0.0) & np.isfinite(wind)).all():
-        raise ValueError(f"wind speed must be 0 m/s or more and finite, got {wind.min():g} … {wind.max():g} m/s")
+    bad = ~((wind >= 0.0) & np.isfinite(wind))
+    if bad.any():
+        wrong = wind[bad][0]
+        raise ValueError(f"wind speed must be 0 m/s or more, got {wrong:g} m/s")
     peak = tracking_point(0.0, turbine).power_coefficient
     return np.asarray(turbine.wind_power_pu_per_cubic_wind * peak * wind**3)

@@ -74,12 +74,16 @@ class PlantSettings(Checked):
         whole_steps("control_dt", self.control_dt, self.simulation_dt, "simulation step")
         for group in self.groups:
             self.case.bus_index(group.bus)
-        held = {machine.bus for machine in self.case.machines} - {group.bus for group in self.groups}
-        for bus in sorted(held):
-            if all(machine.reactive_weight == 0.0 for machine in self.case.machines if machine.bus == bus):
-                raise ValueError(
-                    f"reactive_weight of a machine at bus {bus} must be more than 0 MVA: all are 0 MVA there"
-                )
+        with_group = {group.bus for group in self.groups}
+        for bus in self.case.buses:
+            weights = [machine.reactive_weight for machine in self.case.machines if machine.bus == bus.number]
+            if (
+                weights
+                and bus.voltage_pu is not None
+                and bus.number not in with_group
+                and not any(weight != 0.0 for weight in weights)
+            ):
+                raise ValueError(f"reactive_weight is 0 MVA for every machine at bus {bus.number}; one must have more")
         if self.control.frequency_setpoint_pu != 1.0:
             raise ValueError(
                 "runs start at nominal frequency, so that frequency_setpoint_pu must be 1 p.u., got "
