@@ -92,7 +92,6 @@ def test_a_start_beyond_the_allowed_internal_voltage_names_its_scenario() -> Non
             {"events": (LoadTrip(time_s=1.0, bus=9), LoadTrip(time_s=2.0, bus=9))},
             r"disconnects a load twice; .*\[9, 9\]",
         ),
-        ({"events": (LoadTrip(time_s=1.0, bus=7),)}, r"load trip at bus 7, which has no load"),
         (
             {"events": tuple(LineTrip(time_s=t, from_bus=1, to_bus=2) for t in (1.0, 2.0))},
             r"opens the line 1-2 twice",

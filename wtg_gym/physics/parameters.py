@@ -34,8 +34,6 @@ SOURCES = {
     "Northwest National Laboratory, PNNL-32278 (2021), approved by WECC",
     "ENTSO-E defence": "Commission Regulation (EU) 2017/2196 (emergency and restoration), annex: automatic low "
     "frequency demand disconnection, continental Europe",
-    "ENTSO-E operation": "Commission Regulation (EU) 2017/1485 (system operation), annex V: frequency containment "
-    "reserves, continental Europe",
     "FERC 827": "Federal Energy Regulatory Commission, Order 827 (2016): reactive power requirements for "
     "non-synchronous generation",
     "HYGOV": "typical data of the hydro governor HYGOV of PSS/E; P. Kundur: Power System Stability and Control, 9.1",

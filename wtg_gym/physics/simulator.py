@@ -369,8 +369,6 @@ class Simulator:
             return NetworkEvent(start, end, -1, 0j, case.branch_index(event.from_bus, event.to_bus))
         bus = case.bus_index(event.bus)
         if isinstance(event, LoadTrip):
-            if self.plant.buses["load"][bus] == 0.0:
-                raise ValueError(f"a load trip at bus {event.bus}, which has no load")
             power = -load_level * complex(self.plant.buses["load"][bus])
         else:
             power = complex(event.power_mw, event.reactive_mvar) / case.base_mva
