@@ -57,7 +57,7 @@ VALUES: list[tuple[dict[str, Any], str]] = [
     ({"load_noise_bus": 0}, r"must be a bus number"),
     ({"load_level": 2.0}, r"load_level = 2 is outside the allowed range 0.3 … 1.5"),
     ({"governor_droop": 0.0}, r"governor_droop = 0 p.u. is outside the allowed range 0.005 … 1 p.u."),
-    ({"wind_speed": [["8"], ["8"]]}, r"wind_speed must be numbers .* got \[\['8'\]"),
+    ({"wind_speed": [["8"], ["8"]]}, r"wind_speed must be numbers .* got \['8', '8'\]"),
     ({"wind_speed": np.full((2, 1), 8.0 + 1.0j)}, r"wind_speed must be numbers"),
     ({"events": None}, r"events must be a tuple of events, got None"),
     ({"events": LoadTrip(time_s=1.0, bus=3)}, r"events must be a tuple of events, got LoadTrip"),

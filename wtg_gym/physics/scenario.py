@@ -33,7 +33,7 @@ def _series(name: str, values: Any) -> npt.NDArray[np.float64]:
         series = np.array(values, dtype=np.float64) if kind != "c" else np.zeros(0)
         # numpy would convert "8" and drop imaginary parts without a word.
         if kind in "USbc" and np.size(values):
-            raise ValueError(f"got {values!r}")
+            raise ValueError(f"got {np.ravel(values)[:3].tolist()}")
         return series
     except (OverflowError, TypeError, ValueError) as error:
         raise ValueError(f"{name} must be numbers in a regular array: {error}") from error
