@@ -82,6 +82,7 @@ def test_only_states_without_a_part_in_the_dynamics_are_left_out() -> None:
     left_out = linearise(PAPER, REFERENCE).left_out
     assert {name.split(".")[-1] for name in left_out} == {
         "angle",
+        "e_d_transient",
         "gate",
         "reheat",
         "pitch",
@@ -91,6 +92,8 @@ def test_only_states_without_a_part_in_the_dynamics_are_left_out() -> None:
         "reference_angle",
     }
     assert "sync0.gate" not in left_out and "sync0.angle" in left_out and "sync1.angle" not in left_out
+    # Nothing drives E'_d of a machine with x'_q = x_q, such as that at bus 1.
+    assert [name for name in left_out if name.endswith("e_d_transient")] == ["sync0.e_d_transient"]
 
 
 def test_pitch_takes_part_above_rated_wind() -> None:

@@ -7,9 +7,9 @@ import pytest
 
 from wtg_gym.analysis.omissions import count_suite, rotor_energy, run_rotors
 from wtg_gym.analysis.voltage_limits import VOLTAGE_LIMIT_PU, voltage_limits
-from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import TurbineParameters
 from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import STRATEGIES

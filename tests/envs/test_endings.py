@@ -9,9 +9,9 @@ from tests.envs.rollouts import calm, episode, eventful, rising, sagging
 from wtg_gym.envs import CostWeights, GFMWTGEnv
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import ProtectionParameters
 from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import LineTrip, LoadStep, Scenario
 from wtg_gym.physics.tracking_law import TrackingLaw
 from wtg_gym.physics.trajectory import simulate

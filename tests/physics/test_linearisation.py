@@ -66,7 +66,7 @@ def test_a_linear_system_grows_just_beyond_its_largest_step_and_not_just_below(v
 
 
 def test_a_subtransient_time_constant_that_the_step_cannot_follow_is_refused_when_the_plant_is_built() -> None:
-    message = r"simulation_dt = 0.025 s .* eigenvalue -105.* 1/s \(mainly sync0.flux_d\) .* at most 0.024 s"
+    message = r"simulation_dt = 0.025 s .* eigenvalue -105.* 1/s \(mainly sync0.psi_1d\) .* at most 0.024 s"
     with pytest.raises(ValueError, match=message):
         Simulator(plant(t_d0_subtransient_s=0.01))
     Simulator(plant(t_d0_subtransient_s=0.01, simulation_dt=0.02))

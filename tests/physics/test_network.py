@@ -99,6 +99,10 @@ def test_off_nominal_tap_and_phase_follow_the_pi_model() -> None:
         ({"buses": (Bus(number=1), Bus(number=2), Bus(number=3))}, r"not connected"),
         ({"slack_bus": 2}, r"no synchronous machine at the slack bus 2"),
         ({"branches": (Branch(from_bus=1, to_bus=9, resistance=0.0, reactance=0.1),)}, r"unknown bus 9; .* \[1, 2\]"),
+        ({"base_mva": 0.0}, r"base_mva = 0 MVA is outside"),
+        ({"frequency_hz": -50.0}, r"frequency_hz = -50 Hz is outside the allowed range 1 … 1000 Hz"),
+        ({"buses": (Bus(number=1), Bus(number=2, load_mw=10.0))}, r"slack bus 1 must hold a voltage"),
+        ({"machines": (3,)}, r"NetworkCase.machines must be a tuple of SynchronousMachineParameters"),
         ({"branches": (Branch(from_bus=1, to_bus=2, resistance=0.0, reactance=0.0),)}, r"1-2 has no impedance"),
     ],
 )

@@ -12,8 +12,8 @@ import pytest
 
 from wtg_gym.physics.aerodynamics import available_power_pu
 from wtg_gym.physics.converter import Corners, tracking_coefficient
-from wtg_gym.physics.layout import Status
 from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.protection import Status
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.physics.trajectory import Trajectory, simulate
 from wtg_gym.physics.wind_turbine import turbine_constants, turbine_equilibrium

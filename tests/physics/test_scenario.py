@@ -57,6 +57,10 @@ VALUES: list[tuple[dict[str, Any], str]] = [
     ({"load_noise_bus": 0}, r"must be a bus number"),
     ({"load_level": 2.0}, r"load_level = 2 is outside the allowed range 0.3 … 1.5"),
     ({"governor_droop": 0.0}, r"governor_droop = 0 p.u. is outside the allowed range 0.005 … 1 p.u."),
+    ({"wind_speed": [["8"], ["8"]]}, r"wind_speed must be numbers .* got \['8', '8'\]"),
+    ({"wind_speed": np.full((2, 1), 8.0 + 1.0j)}, r"wind_speed must be numbers"),
+    ({"events": None}, r"events must be a tuple of events, got None"),
+    ({"events": LoadTrip(time_s=1.0, bus=3)}, r"events must be a tuple of events, got LoadTrip"),
     ({"inertia_scale": -1.0}, r"inertia_scale = -1 is outside"),
     ({"seed": 1.5}, r"seed of a scenario must be a whole number in 0 … 2\^63 - 1, got 1.5"),
     ({"seed": 2**70}, r"seed of a scenario must be a whole number"),
@@ -94,4 +98,16 @@ DESCRIPTIONS: list[tuple[Any, str]] = [
 @pytest.mark.parametrize(("data", "message"), DESCRIPTIONS)
 def test_broken_descriptions_are_named(data: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
+        Scenario.from_dict(data)
+
+
+def test_numbers_of_numpy_become_python_s_own() -> None:
+    events = (LoadStep(time_s=np.float32(1.0), bus=np.int64(3), power_mw=np.float64(5.0)),)
+    scenario = Scenario(name="x", wind_speed=[[8.0]], events=events, seed=np.int64(3), load_level=np.float32(1.0))
+    assert Scenario.from_json(scenario.to_json()).to_dict() == scenario.to_dict()
+
+
+def test_an_event_whose_kind_is_no_text_is_refused() -> None:
+    data = {"name": "x", "wind_speed": [[8.0]], "events": [{"kind": ["x"]}]}
+    with pytest.raises(ValueError, match=r"an event needs a kind out of load_step"):
         Scenario.from_dict(data)

@@ -11,15 +11,18 @@ import numpy as np
 import pytest
 
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.parameters import ProtectionParameters, WtgGroup
+from wtg_gym.physics.parameters import GridFormingParameters, ProtectionParameters, WtgGroup
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import LineTrip, LoadStep, LoadTrip, Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import STRATEGIES
+from wtg_gym.physics.trajectory import simulate
 from wtg_gym.scenarios import get_suite
 
 LAW = STRATEGIES["coordinated-piecewise"]
 WIND = np.array([[11.4], [8.0]])
+IEEE14 = modified_ieee14()
+UNWEIGHTED = tuple(dataclasses.replace(machine, reactive_weight=0.0) for machine in IEEE14.machines)
 
 
 @pytest.mark.parametrize(
@@ -31,7 +34,18 @@ WIND = np.array([[11.4], [8.0]])
         ({"simulation_dt": float("nan")}, r"simulation_dt = nan s is outside"),
         ({"control_dt": 0.001}, r"control_dt = 0.001 s is outside the allowed range 0.025 … 10 s"),
         ({"groups": (WtgGroup(bus=99),)}, r"unknown bus 99; .* has buses \[1, 2"),
-        ({"groups": (WtgGroup(bus=2, n_turbines=0.0),)}, r"n_turbines .* = 0 turbines is outside"),
+        ({"groups": None}, r"PlantSettings.groups must be a tuple of WtgGroup, got None"),
+        ({"groups": [{"bus": 2}]}, r"PlantSettings.groups must be a tuple of WtgGroup, got"),
+        (
+            {"case": dataclasses.replace(IEEE14, machines=UNWEIGHTED)},
+            r"reactive_weight is 0 MVA for every machine at bus 1; one must have more",
+        ),
+        ({"case": "ieee14"}, r"PlantSettings.case must be NetworkCase, got 'ieee14'"),
+        ({"trips_groups": "no"}, r"PlantSettings.trips_groups must be bool, got 'no'"),
+        (
+            {"control": GridFormingParameters(frequency_setpoint_pu=0.998)},
+            r"start at nominal frequency, so that frequency_setpoint_pu must be 1 p.u., got 0.998 p.u.",
+        ),
     ],
 )
 def test_impossible_plants_are_named(settings: dict[str, Any], message: str) -> None:
@@ -78,6 +92,10 @@ def test_a_start_beyond_the_allowed_internal_voltage_names_its_scenario() -> Non
             {"events": (LoadTrip(time_s=1.0, bus=9), LoadTrip(time_s=2.0, bus=9))},
             r"disconnects a load twice; .*\[9, 9\]",
         ),
+        (
+            {"events": tuple(LineTrip(time_s=t, from_bus=1, to_bus=2) for t in (1.0, 2.0))},
+            r"opens the line 1-2 twice",
+        ),
         ({"load_noise_bus": 77}, r"unknown bus 77"),
         ({"duration_s": 300.0}, r"lasts 300 s, longer than the 120 s held here"),
         ({"wind_speed": np.full((3, 1), 9.0)}, r"has wind for 3 WTG groups .* the plant has 2 groups"),
@@ -86,6 +104,38 @@ def test_a_start_beyond_the_allowed_internal_voltage_names_its_scenario() -> Non
 def test_scenarios_that_do_not_fit_are_named(simulator: Simulator, scenario: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         simulator.start(0, Scenario(**{"name": "x", "wind_speed": WIND, **scenario}), (LAW, LAW))
+
+
+@pytest.mark.parametrize("duration_s", [-5.0, float("nan"), 1e12])
+def test_impossible_durations_are_refused(duration_s: float) -> None:
+    with pytest.raises(ValueError, match=r"duration_s = .* s is outside the allowed range 0 … 86400 s"):
+        Simulator(PlantSettings(), duration_s=duration_s)
+
+
+def test_load_noise_in_a_network_with_a_phase_shifter_is_refused() -> None:
+    case = modified_ieee14()
+    shifted = (dataclasses.replace(case.branches[0], phase_rad=0.1), *case.branches[1:])
+    simulator = Simulator(PlantSettings(case=dataclasses.replace(case, branches=shifted)))
+    scenario = Scenario(name="x", wind_speed=WIND, load_noise_mw=np.array([0.0, 5.0]))
+    with pytest.raises(ValueError, match=r"scenario 'x': load noise needs a network without phase shifters"):
+        simulator.start(0, scenario, (LAW, LAW))
+    simulator.start(0, dataclasses.replace(scenario, load_noise_mw=np.zeros(2)), (LAW, LAW))
+
+
+@pytest.mark.parametrize("control_dt", [0.05, 0.1, 0.2])
+def test_load_noise_ends_with_its_series_at_every_control_interval(control_dt: float) -> None:
+    scenario = Scenario(name="x", wind_speed=WIND, duration_s=2.0, load_noise_mw=np.array([0.0, 0.0, 40.0, 40.0]))
+    simulator = Simulator(PlantSettings(control_dt=control_dt), duration_s=2.0)
+    simulator.start(0, scenario, (LAW, LAW))
+    noise = simulator.data.noise[0]
+    assert noise.sum() * control_dt == pytest.approx(2 * 40.0 * 0.1)
+    assert (noise[round(0.4 / control_dt) :] == 0.0).all()
+
+
+def test_a_plant_without_groups_can_be_simulated() -> None:
+    run = simulate(Scenario(name="x", wind_speed=np.zeros((0, 1)), duration_s=1.0), (), PlantSettings(groups=()))
+    assert run.power_pu.shape == (11, 0)
+    assert run.frequency_hz == pytest.approx(np.full(11, 50.0))
 
 
 @pytest.mark.parametrize("n_lanes", [0, -3, 1.5, True])

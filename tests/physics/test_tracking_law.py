@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from wtg_gym.analysis.steady_states import stable_equilibrium
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.converter import Corners, tracking_coefficient
-from wtg_gym.physics.parameters import TurbineParameters
+from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import (
@@ -87,11 +87,15 @@ def test_law_from_toml_by_deloading_equals_the_reference(tmp_path: Path) -> None
         ("k_min = 1\nk_nominal = 1\nk_max = 9\n", r"k_max .* = 9 p.u. is outside the allowed range 0.001 … 3 p.u."),
         (
             "k_min = 1\nk_nominal = 1\nk_max = 1\ntau_s = -1\n",
-            r"must be 0.05 … 100000 s, 0 s .* infinite .*, got -1 s",
+            r"tau_s = -1 s in .*law.toml is not allowed: .* must be 0.05 … 100000 s, 0 s .* infinite .*, got -1 s",
         ),
         ("k_min = 1\nk_nominal = 1\nk_max = 1\ntau_s = 1e308\n", r"must be 0.05 … 100000 s, .* got 1e\+308 s"),
         ("k_min = 1\nk_nominal = 1\nk_max = 1\ncolour = 3\n", r"unknown keys \['colour'\]; allowed"),
         ("deloading_min = 120\ndeloading_nominal = 5\ndeloading_max = 10\n", r"= 120 % is outside .* 0 … 90 %"),
+        (
+            "deloading_min = 0\ndeloading_nominal = 0.05\ndeloading_max = 10\n",
+            r"deloading_nominal = 0.05 in .*law.toml is in percent: write 5 for 5 %; allowed: 0, or 0.5 … 90 %",
+        ),
         ("name = 'mppt'\nk_min = 1\nk_nominal = 1\nk_max = 1\n", r"built-in strategy"),
         ("k_min = \n", r"is not TOML"),
     ],
@@ -137,6 +141,18 @@ def test_deloadings_in_a_file_are_those_of_the_turbine(tmp_path: Path) -> None:
     mine, reference = get_law(str(path), LONG_BLADES), get_law("coordinated-piecewise", LONG_BLADES)
     assert (mine.k_min, mine.k_nominal, mine.k_max) == (reference.k_min, reference.k_nominal, reference.k_max)
     assert mine.k_min != K_OPT
+
+
+def test_a_strategy_takes_its_numbers_from_the_control_of_the_plant() -> None:
+    control = GridFormingParameters(damping_time_constant_s=20.0, deloading_nominal=0.2, deloading_limit=0.3)
+    scenario = Scenario(name="x", wind_speed=np.full((2, 1), 8.0), duration_s=1.0)
+    for name in ("coordinated-piecewise", "coordinated-linear", "coordinated-undamped"):
+        law = get_law(name, control=control)
+        assert law.k_max == tracking_point(0.3).coefficient
+        assert law.damping_time_constant_s == (0.0 if name == "coordinated-undamped" else 20.0)
+        run = simulate(scenario, name, PlantSettings(control=control))
+        assert run.coefficient_pu[0] == pytest.approx([law.k_nominal] * 2, rel=1e-9)
+    assert get_law("coordinated-piecewise", control=control).k_nominal == tracking_point(0.2).coefficient
 
 
 def test_paper_strategies_are_those_of_the_papers_turbine() -> None:

@@ -12,7 +12,7 @@ import pytest
 from wtg_gym.analysis.loops import SingleMachine, ideal_source_loop, single_machine
 from wtg_gym.analysis.power_frequency import critical_frequency_pu, named_points
 from wtg_gym.physics.aerodynamics import available_power_pu, tracking_point
-from wtg_gym.physics.layout import Status
+from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.physics.trajectory import Trajectory

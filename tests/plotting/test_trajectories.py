@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from wtg_gym.envs.rendering.diagram import describe_event
-from wtg_gym.physics.layout import Status
+from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import LineTrip, LoadRamp, LoadStep, LoadTrip, Scenario
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.physics.trajectory import Trajectory, simulate

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.files import markdown_table
-from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import WtgGroup, default_groups
 from wtg_gym.physics.plant import plant_settings
+from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, group_laws
@@ -127,7 +127,7 @@ def study_aggregation(
 def _run(scenarios: list[Scenario], strategy: str, groups: tuple[WtgGroup, ...], physics: str) -> Totals:
     settings = plant_settings(physics, groups=groups, trips_groups=True)
     simulator = Simulator(settings, n_lanes=len(scenarios), duration_s=max(s.duration_s for s in scenarios))
-    laws = group_laws(strategy, len(groups), settings.turbine)
+    laws = group_laws(strategy, len(groups), settings.turbine, settings.control)
     simulator.commit(range(len(scenarios)), simulator.prepare(scenarios, laws))
     for _ in range(simulator.n_intervals):
         simulator.advance()

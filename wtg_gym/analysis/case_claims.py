@@ -11,7 +11,7 @@ import numpy.typing as npt
 from wtg_gym.analysis.case_studies import CaseStudies
 from wtg_gym.analysis.claim import Claim, near
 from wtg_gym.physics.aerodynamics import available_power_pu, tracking_point
-from wtg_gym.physics.layout import Status
+from wtg_gym.physics.protection import Status
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 from wtg_gym.physics.trajectory import Trajectory, simulate
 

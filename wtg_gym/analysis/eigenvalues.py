@@ -33,7 +33,8 @@ class LinearModel:
     Args:
         matrix: A, shape (n, n) [1/s, with p.u. and rad].
         state_names: name of each state, such as ``sync0.speed`` or ``wtg1.rotor_speed``.
-        left_out: states without a part in the dynamics: constants, and integrals that nothing depends on.
+        left_out: states without a part in the dynamics: constants, and those that nothing depends on or nothing
+            else drives.
     """
 
     matrix: Floats
@@ -113,7 +114,7 @@ def _at_rest(
     """Return a simulator in the equilibrium that a scenario starts from; its events do not matter."""
     duration_s = settings.control_dt * max(1, round(1.0 / settings.control_dt))
     simulator = Simulator(settings, duration_s=duration_s)
-    laws = group_laws(laws, len(settings.groups), settings.turbine)
+    laws = group_laws(laws, len(settings.groups), settings.turbine, settings.control)
     simulator.start(0, dataclasses.replace(scenario, events=(), duration_s=duration_s), laws)
     return simulator
 

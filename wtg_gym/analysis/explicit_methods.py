@@ -12,10 +12,11 @@ from wtg_gym.physics.compiled import compiled
 from wtg_gym.physics.dynamics import derivatives
 from wtg_gym.physics.integration import apply_network_changes, enter_interval
 from wtg_gym.physics.layout import LANE, Floats, LaneData, Lanes, Layout, Plant, rows_of
-from wtg_gym.physics.plant import PlantSettings, whole_steps
+from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
+from wtg_gym.ranges import whole_steps
 
 Rows = npt.NDArray[np.int64]
 

@@ -3,7 +3,7 @@
     G(s) = ω_n K_p (2H_m s + B1 - A) / (s [2H s - B2 + D(s)] (2H_m s - A)),    D(s) = D_p τ s/(τ s + 1)
 
 with D = D_p for τ = ∞ and D = 0 for τ = 0. Every strategy of the paper is this loop with other numbers; on the ideal DC
-source A = B1 = B2 = 0. Source: paper, section on stability (equations `Gproposed` and before, `Gfinal`).
+source A = B1 = B2 = 0. Source: paper, section on stability (equations (31)-(34)).
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from numpy.polynomial import Polynomial
 from wtg_gym.analysis.steady_states import stable_equilibrium
 from wtg_gym.physics.aerodynamics import power_coefficient
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
-from wtg_gym.physics.scenario import require_range
 from wtg_gym.physics.tracking_law import TrackingLaw
+from wtg_gym.ranges import require_range
 
 #: The slope of g(ω) that counts at ω_st: that of under-frequency, or that of over-frequency.
 Side = Literal["under", "over"]

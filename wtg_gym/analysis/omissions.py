@@ -15,9 +15,10 @@ import numpy as np
 from wtg_gym.analysis.steady_states import stable_equilibrium
 from wtg_gym.analysis.voltage_limits import REACTIVE_LIMIT_PU, VoltageLimit, reactive_power, voltage_limits
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.layout import Floats, Status
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, TrackingLaw

@@ -14,9 +14,9 @@ from wtg_gym.analysis.loops import Side, ideal_source_loop, single_machine
 from wtg_gym.analysis.power_frequency import named_points
 from wtg_gym.analysis.steady_states import OperatingPoint, stable_equilibrium
 from wtg_gym.physics.aerodynamics import available_power_pu, tracking_point
-from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.protection import Status
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 from wtg_gym.physics.trajectory import simulate
 from wtg_gym.scenarios import get_suite
@@ -156,7 +156,7 @@ def _coordination() -> Iterable[Claim]:
         monotonic &= bool((np.diff(power) < 0.0).all() and (np.diff(rotor) > 0.0).all())
     yield Claim(
         key="monotonic",
-        source="k-frequency droop",
+        source="(18)-(20)",
         says="coordinated: power falls and rotor speed rises with the frequency, at every wind",
         expected="strictly monotonic at 33 frequencies, 4 … 11.5 m/s",
         measured="strictly monotonic" if monotonic else "not monotonic",

@@ -20,8 +20,8 @@ from wtg_gym.analysis.steady_states import (
 )
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
-from wtg_gym.physics.scenario import require_range
 from wtg_gym.physics.tracking_law import TrackingLaw
+from wtg_gym.ranges import require_range
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,9 @@ from wtg_gym.physics.dynamics import advance_step, evaluate_rates
 from wtg_gym.physics.layout import Lanes, Plant
 from wtg_gym.physics.plant import SIMULATION_DT_RANGE, PlantSettings
 from wtg_gym.physics.reduction import bus_voltages, combine_load_noise, refresh_network
-from wtg_gym.physics.scenario import LoadStep, Scenario, require_range
+from wtg_gym.physics.scenario import LoadStep, Scenario
 from wtg_gym.physics.simulator import Simulator
+from wtg_gym.ranges import require_range
 
 Floats = npt.NDArray[np.float64]
 

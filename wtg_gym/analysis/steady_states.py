@@ -18,8 +18,9 @@ from scipy.optimize import brentq, minimize_scalar
 from wtg_gym.physics.aerodynamics import available_power_pu, power_coefficient
 from wtg_gym.physics.converter import converter_constants, tracking_coefficient
 from wtg_gym.physics.parameters import GridFormingParameters, PitchParameters, TurbineParameters
-from wtg_gym.physics.scenario import WIND_SPEED_RANGE, require_range
+from wtg_gym.physics.scenario import WIND_SPEED_RANGE
 from wtg_gym.physics.tracking_law import TrackingLaw
+from wtg_gym.ranges import require_range
 
 Floats = npt.NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from wtg_gym.analysis.loops import SingleMachine
 from wtg_gym.analysis.omissions import Omissions, RotorRun, SuiteCounts
 from wtg_gym.analysis.voltage_limits import REACTIVE_LIMIT_PU, VOLTAGE_LIMIT_PU
 from wtg_gym.files import markdown_table
-from wtg_gym.physics.layout import Status
+from wtg_gym.physics.protection import Status
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 
 #: Real eigenvalues below minus this are not listed one by one [1/s].

@@ -13,7 +13,8 @@ import numpy.typing as npt
 
 from wtg_gym.analysis.case_file import ReferenceCase
 from wtg_gym.files import read_text
-from wtg_gym.physics.scenario import LoadStep, require_range
+from wtg_gym.physics.scenario import LoadStep
+from wtg_gym.ranges import require_range
 
 Floats = npt.NDArray[np.float64]
 

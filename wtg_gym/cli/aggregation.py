@@ -59,6 +59,6 @@ def run(arguments: argparse.Namespace) -> int:
 def _summary(study: AggregationStudy) -> str:
     return (
         f"{len(study.seeds)} validation scenarios of {study.suite}, physics {study.physics}: two groups of ten "
-        f"turbines against twenty single ones in the same wind. The wind varies by {study.sigma_single:.2f} m/s (standard "
-        f"deviation) at a rotor and by {study.sigma_group:.2f} m/s in the mean of ten."
+        "turbines against twenty single ones in the same wind. The standard deviation of the wind is "
+        f"{study.sigma_single:.2f} m/s at a rotor and {study.sigma_group:.2f} m/s in the mean of ten."
     )

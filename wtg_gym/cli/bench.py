@@ -31,7 +31,7 @@ from wtg_gym.cli.output import (
 )
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.files import markdown_table, read_text, to_json, write_atomically
-from wtg_gym.physics.scenario import require_range
+from wtg_gym.ranges import require_range
 
 #: Packages whose versions matter, besides those of the peers.
 _PACKAGES = ("gymnasium", "numba", "numpy", "stable-baselines3", "torch")

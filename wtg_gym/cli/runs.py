@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from wtg_gym.cli.output import print_table
-from wtg_gym.physics.layout import Status
+from wtg_gym.physics.protection import Status
 from wtg_gym.physics.trajectory import Trajectory
 
 _ROCOF_WINDOW_S = 0.5

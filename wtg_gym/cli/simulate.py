@@ -26,9 +26,9 @@ from wtg_gym.cli.parser import Commands, add_command, add_plant_options
 from wtg_gym.cli.runs import key_figures, print_key_figures, traces_csv
 from wtg_gym.cli.scenarios import describe_scenario, read_scenario, scenario_summary
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import WtgGroup, default_groups
 from wtg_gym.physics.plant import plant_settings
+from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 from wtg_gym.physics.trajectory import Trajectory, simulate

@@ -34,8 +34,9 @@ from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.physics.aerodynamics import available_power_pu
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.parameters import GridFormingParameters
-from wtg_gym.physics.scenario import WIND_SPEED_RANGE, require_range
+from wtg_gym.physics.scenario import WIND_SPEED_RANGE
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw
+from wtg_gym.ranges import require_range
 
 _DESCRIPTION = f"""\
 Steady states of one WTG on a grid of constant frequency: where a law has an equilibrium, whether it is stable, how

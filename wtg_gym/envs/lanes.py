@@ -23,12 +23,13 @@ from wtg_gym.envs.task import (
     step_blocks,
 )
 from wtg_gym.envs.task_records import CostTerms, Info, TaskRows
-from wtg_gym.physics.layout import LaneData, Status
+from wtg_gym.physics.layout import LaneData
 from wtg_gym.physics.linearisation import STEP_MARGIN, largest_stable_steps
-from wtg_gym.physics.plant import whole_steps
+from wtg_gym.physics.protection import Status
 from wtg_gym.physics.records import leaves
 from wtg_gym.physics.scenario import Event, Scenario
 from wtg_gym.physics.simulator import PreparedLanes, Simulator
+from wtg_gym.ranges import whole_steps
 from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[np.float64]

@@ -9,9 +9,10 @@ from typing import Any, TypedDict
 
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.parameters import WtgGroup, default_groups, parameter
-from wtg_gym.physics.plant import PHYSICS, SIMULATION_DT_RANGE, PlantSettings, plant_settings, whole_steps
-from wtg_gym.physics.scenario import SERIES_DT, Scenario, require_range
+from wtg_gym.physics.plant import PHYSICS, SIMULATION_DT_RANGE, PlantSettings, plant_settings
+from wtg_gym.physics.scenario import SERIES_DT, Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
+from wtg_gym.ranges import require_range, whole_steps
 from wtg_gym.scenarios import FRESH, SPLITS, SUITES, get_suite
 
 #: Action modes and which of (k, τ) each of them modulates.
@@ -25,7 +26,7 @@ FAILURE_MODES = ("terminate", "trip")
 class CostWeights:
     """Weights of the cost's terms. Each is a rate [1/s] at the deviation that `doc` names as one unit.
 
-    The reward is minus the cost. The terms' own shapes are written in :mod:`wtg_gym.envs.task`.
+    The reward is minus the cost. The terms' own shapes are written in :mod:`wtg_gym.envs.cost`.
     """
 
     frequency: float = parameter(
@@ -61,7 +62,7 @@ class CostWeights:
         unit="1/s",
         source="design",
         doc="one unit at 0.1 p.u. of power above 1.1 p.u., squared. The model does not limit the current, a converter "
-        "does and then no longer forms the grid: 1.2 p.u. costs what 0.4 Hz of deviation do",
+        "does and then no longer forms the grid: 1.2 p.u. costs about what 0.4 Hz of deviation do",
     )
     effort: float = parameter(
         0.05,
@@ -187,7 +188,7 @@ class EnvSettings:
     def laws(self) -> tuple[TrackingLaw, ...]:
         """Return one law per WTG group; a ValueError lists the known strategies."""
         plant = self.plant()
-        return group_laws(self.strategy, len(plant.groups), plant.turbine)
+        return group_laws(self.strategy, len(plant.groups), plant.turbine, plant.control)
 
     def plant(self) -> PlantSettings:
         """Return the plant and its time steps."""

@@ -125,7 +125,7 @@ def rocof_window(control_dt: float) -> int:
 def build_task(settings: EnvSettings, nominal_hz: float) -> npt.NDArray[np.void]:
     """Return the task's constants (1,), of :class:`~wtg_gym.envs.task_records.Task`."""
     plant = settings.plant()
-    reference = get_law(REFERENCE_STRATEGY, plant.turbine)
+    reference = get_law(REFERENCE_STRATEGY, plant.turbine, plant.control)
     weights = settings.cost_weights()
     modulates_k, modulates_tau = ACTION_MODES[settings.action_mode]
     task = Task(

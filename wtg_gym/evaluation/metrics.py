@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from wtg_gym.envs.lanes import TERMINATION_REASONS, TaskLanes
 from wtg_gym.envs.task import COST_TERMS
-from wtg_gym.physics.layout import Status
+from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import LoadRamp, Scenario
 
 Floats = npt.NDArray[np.float64]

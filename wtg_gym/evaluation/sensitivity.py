@@ -13,8 +13,8 @@ from wtg_gym.evaluation.leaderboard import leaderboard_rows
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.score import NoScaleError
 from wtg_gym.files import markdown_table
-from wtg_gym.physics.scenario import require_range
 from wtg_gym.policies import ANCHORS, Entry
+from wtg_gym.ranges import require_range
 from wtg_gym.scenarios import get_suite
 
 #: The weights that are varied: all but the cap, which is a bound.

@@ -1,1 +1,26 @@
-"""The simulator: aerodynamics, tracking law, machines, network, and their integration."""
+"""The simulator: aerodynamics, tracking law, machines, network, and their integration.
+
+Equations
+    aerodynamics        C_p, operating points K_opt, K_d, available power
+    wind_turbine        rotor, captured power p_w, a group as a whole, its equilibrium
+    pitch, converter, converter_limits, voltage_control    controls of a wind turbine
+    machine, exciter, governor, hydro_governor             synchronous machines
+    network             admittances, power flow
+    reduction           Kron reduction, load noise
+    dynamics            I = Y E, right-hand side, Runge-Kutta method
+    protection          what ends a run
+    equilibrium         what a run starts from
+    linearisation       modes, and the step they allow
+
+Data
+    parameters, ieee14  every number with unit, source and range; the network
+    plant               a network, its WTG groups and the time steps
+    scenario            what happens in a run
+    tracking_law        the strategies
+    trajectory          a recorded run
+
+Machinery
+    simulator, integration    runs side by side; one control interval
+    layout, records           rows of a block, made from records
+    compiled, machine_code, elementary    compilation, its cache, functions for all processors
+"""

@@ -40,7 +40,7 @@ def power_coefficient_at(tip_speed: float, wind: float, pitch_deg: float, c: Cur
     """Return C_p, given the speed of the blade tip and the wind [m/s] and the pitch angle β [deg]; λ is at least 0.2.
 
     1/λ_i = 1/(λ + c7 β) - c8/(β³ + 1), with λ = tip speed / wind, is brought to a common denominator: one division
-    instead of three. Source: paper, equation `cp`.
+    instead of three. Source: paper, equations (2) and (3).
     """
     speed = fma(c.c7 * pitch_deg, wind, max(tip_speed, 0.2 * wind))
     cubic = fma(pitch_deg * pitch_deg, pitch_deg, 1.0)
@@ -71,18 +71,20 @@ def power_coefficient(
     """Return C_p(λ, β) of a curve or a table, by default of the paper's curve.
 
     Args:
-        tip_speed_ratio: λ > 0, any shape [-].
+        tip_speed_ratio: λ > 0, any shape [-]; below 0.2 it counts as 0.2.
         pitch_deg: pitch angle β ≥ 0 [deg].
-        parameters: constants of the curve, or a table; the paper's curve by default.
+        parameters: constants of the curve, or a table; by default the curve inferred from the paper's parameters.
 
     Raises:
-        ValueError: λ is not positive or β is negative.
+        ValueError: λ is not positive, β is negative, or one of them is not finite.
     """
     parameters = parameters or PowerCoefficientParameters()
     ratio = np.asarray(tip_speed_ratio, dtype=np.float64)
-    if not (ratio > 0.0).all():
-        raise ValueError(f"tip-speed ratio must be positive, got {ratio.min():g}")
-    if not pitch_deg >= 0.0:
+    bad = ~((ratio > 0.0) & np.isfinite(ratio))
+    if bad.any():
+        wrong = ratio[bad][0]
+        raise ValueError(f"tip-speed ratio must be positive, got {wrong:g}")
+    if not 0.0 <= pitch_deg < np.inf:
         raise ValueError(f"pitch angle must be 0 deg or more, got {pitch_deg:g} deg")
     if isinstance(parameters, RotorTable):
         grid, cells = parameters.surface()
@@ -108,15 +110,15 @@ class TrackingPoint:
 def tracking_point(deloading: float = 0.0, turbine: TurbineParameters | None = None) -> TrackingPoint:
     """Return the point at which a share `deloading` of the available power is given up by over-speeding.
 
-    K_d = ρ π R⁵ C_pd ω_tn³ / (2 λ_d³ S_n), which is K_opt (λ_opt/λ_d)³ (1 - d). Source: paper, equations for K_opt,
-    K_d, K_n and K_pr.
+    K_d = ρ π R⁵ C_pd ω_tn³ / (2 λ_d³ S_n), which is K_opt (λ_opt/λ_d)³ (1 - d). Source: paper, equations (10),
+    (13), (15) and (38).
 
     Args:
         deloading: d, 0 … 0.9 [-]; 0 is maximum power point tracking.
         turbine: the turbine; the paper's by default.
 
     Raises:
-        ValueError: the deloading is outside 0 … 0.9.
+        ValueError: the deloading is outside 0 … 0.9, or the curve has no such point.
     """
     if not 0.0 <= deloading <= 0.9:
         raise ValueError(f"deloading = {deloading:g} is outside the allowed range 0 … 0.9")
@@ -133,11 +135,15 @@ def _tracking_point(deloading: float, turbine: TurbineParameters) -> TrackingPoi
     def slope(ratio: float) -> float:
         return cp(ratio + 1e-4) - cp(ratio - 1e-4)
 
+    if not slope(found.x - 0.5) > 0.0 > slope(found.x + 0.5):
+        raise ValueError("the C_p curve has no maximum at a tip-speed ratio in the allowed range 4 … 12")
     # The maximum is flat: its place is the root of the slope, not the smallest value found.
     optimum = float(brentq(slope, found.x - 0.5, found.x + 0.5, xtol=1e-12))
     ratio = optimum
     if deloading > 0.0:
         target = (1.0 - deloading) * cp(optimum)
+        if cp(20.0) > target:
+            raise ValueError(f"a deloading of {deloading:g} takes a tip-speed ratio beyond the allowed 20")
         ratio = float(brentq(lambda x: cp(x) - target, optimum, 20.0, xtol=1e-13))
     value = cp(ratio)
     speed = turbine.tip_speed_ratio_per_speed_m_s / ratio
@@ -147,8 +153,12 @@ def _tracking_point(deloading: float, turbine: TurbineParameters) -> TrackingPoi
 def available_power_pu(
     wind_m_s: float | npt.NDArray[np.float64], turbine: TurbineParameters | None = None
 ) -> npt.NDArray[np.float64]:
-    """Return the largest power a rotor can capture at β = 0 [p.u. of its rating], for a wind speed [m/s]."""
+    """Return the largest power a rotor can capture at β = 0 [p.u. of its rating], for wind speeds from 0 m/s on."""
     turbine = turbine or TurbineParameters()
     wind = np.asarray(wind_m_s, dtype=np.float64)
+    bad = ~((wind >= 0.0) & np.isfinite(wind))
+    if bad.any():
+        wrong = wind[bad][0]
+        raise ValueError(f"wind speed must be 0 m/s or more, got {wrong:g} m/s")
     peak = tracking_point(0.0, turbine).power_coefficient
     return np.asarray(turbine.wind_power_pu_per_cubic_wind * peak * wind**3)

@@ -1,11 +1,11 @@
 """The grid-forming converter: tracking law, transient damping and swing equation, on the base of its turbine.
 
-    δ̇ = ω_n (ω - ω_ref),    2H ω̇ = P_st + D_p x - p - D_p (ω - ω_st),    τ ẋ = (ω - ω_st) - x
-    P_st = max(g(ω) + Δk, 0) ω_m³
+    δ̇ = ω_n (ω - ω_ref),    2H ω̇ = P_st - p - D_p (ω - ω_st),    τ ẋ = (ω - ω_st) - x
+    P_st = max(g(ω) + Δk, 0) ω_m³ + D_p x
 
 g is piecewise linear through (ω_min, k_min), (ω_st, k_nominal), (ω_max, k_max) and constant outside; a policy adds Δk.
-1/τ = 0 leaves the plain droop (x ≡ 0); τ = 0 cancels the droop (x = ω - ω_st). Source: the paper's equations of the
-converter, `gomega` and `gomega_augement`.
+1/τ = 0 leaves the plain droop (x ≡ 0); τ = 0 puts ω - ω_st in the place of x (the state stays 0) and cancels the droop.
+Source: paper, equations (6), (7), (35)-(37).
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from wtg_gym.physics.parameters import GridFormingParameters
 class Corners(NamedTuple):
     """Frequencies at the corners of g [p.u.]."""
 
-    speed_min: float  # ω_min
-    speed_setpoint: float  # ω_st
-    speed_max: float  # ω_max
+    frequency_min: float  # ω_min
+    frequency_setpoint: float  # ω_st
+    frequency_max: float  # ω_max
 
 
 class Converter(NamedTuple):
@@ -41,7 +41,7 @@ class ConverterState(NamedTuple):
 
     angle: float  # δ of its voltage against the first unit's rotor [rad]
     speed: float  # ω [p.u.]
-    filter: float  # x [p.u.]
+    filter: float  # x, the filtered frequency deviation [p.u.]
 
 
 class Law(NamedTuple):
@@ -71,11 +71,11 @@ def converter_constants(p: GridFormingParameters) -> Converter:
 def tracking_coefficient(speed: float, k_min: float, k_nominal: float, k_max: float, c: Corners) -> float:
     """Return g(ω) [p.u.]: coefficients at the three corner frequencies, frequency in p.u.
 
-    Source: paper, equation `gomega_augement`; the linear g of equation `gomega` has its middle corner on the line.
+    Source: paper, equation (37); the linear g of equation (21) has its middle corner on the line.
     """
     # The spans are the same for all lanes: a factor is worked out once, a quotient in every lane.
-    below = clip((c.speed_setpoint - speed) * (1.0 / (c.speed_setpoint - c.speed_min)), 0.0, 1.0)
-    above = clip((speed - c.speed_setpoint) * (1.0 / (c.speed_max - c.speed_setpoint)), 0.0, 1.0)
+    below = clip((c.frequency_setpoint - speed) * (1.0 / (c.frequency_setpoint - c.frequency_min)), 0.0, 1.0)
+    above = clip((speed - c.frequency_setpoint) * (1.0 / (c.frequency_max - c.frequency_setpoint)), 0.0, 1.0)
     return fma(below, k_min - k_nominal, fma(above, k_max - k_nominal, k_nominal))
 
 
@@ -98,7 +98,7 @@ def converter_rates(
         reference_speed: of the first unit [p.u.].
         omega_n: nominal angular frequency ω_n [rad/s].
     """
-    deviation = s.speed - c.corners.speed_setpoint
+    deviation = s.speed - c.corners.frequency_setpoint
     k = max(tracking_coefficient(s.speed, law.k_min, law.k_nominal, law.k_max, c.corners) + law.k_offset, 0.0)
     damping = s.filter + law.droop_cancelled * (deviation - s.filter)
     tracked = k * rotor_speed * rotor_speed * rotor_speed

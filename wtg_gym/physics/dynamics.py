@@ -443,6 +443,7 @@ def advance_step(block: Floats, c: Any, step: int, lanes: Lanes) -> None:
     h = c["simulation_dt"]
     part = 1.0 / c["n_substeps"]
     _stage(block, c, step * part, np.int64(FIRST), 0.5 * h, lanes)
+    # A loop, so that the stage is compiled once.
     for middle in range(2):
         _stage(block, c, (step + 0.5) * part, np.int64(MIDDLE), h if middle == 1 else 0.5 * h, lanes)
     _stage(block, c, (step + 1.0) * part, np.int64(LAST), h / 6.0, lanes)

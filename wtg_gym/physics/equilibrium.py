@@ -61,7 +61,7 @@ from wtg_gym.physics.wind_turbine import ExtensionState, WtgExtremes, WtgInput, 
 
 
 class StartFailure(IntEnum):
-    """Why no equilibrium was found; 0 means it was."""
+    """Why a lane cannot start; 0 means it can."""
 
     NONE = 0
     NO_TURBINE_EQUILIBRIUM = 1
@@ -76,20 +76,23 @@ class StartFailure(IntEnum):
 def start_lanes(
     rows: Floats, plant: Plant, data: LaneData, load_levels: Floats, failures: npt.NDArray[np.int64], lanes: Lanes
 ) -> None:
-    """Call :func:`start_lane` for every lane of rows (n, n_rows), and write what it returns into failures (n,)."""
+    """Call :func:`start_lane` for every lane of rows (n, n_rows), and write what it returns into failures (n, 2)."""
     for lane in range(rows.shape[0]):
-        failures[lane] = start_lane(rows[lane], lane, plant, data, load_levels[lane], lanes)
+        failure, unit = start_lane(rows[lane], lane, plant, data, load_levels[lane], lanes)
+        failures[lane, 0], failures[lane, 1] = failure, unit
 
 
 @compiled
-def start_lane(block: Floats, lane: int, plant: Plant, data: LaneData, load_level: float, lanes: Lanes) -> int:
+def start_lane(
+    block: Floats, lane: int, plant: Plant, data: LaneData, load_level: float, lanes: Lanes
+) -> tuple[StartFailure, int]:
     """Put a one-lane block into the equilibrium of its wind, law and load, at nominal frequency.
 
     The laws and the machines' inv_two_h and inv_droop must be set; `data.events` holds load events as P + jQ [p.u.],
     which are turned into admittances here; `data.load_y` is filled. `lanes` has length one.
 
     Returns:
-        a :class:`StartFailure`.
+        why it cannot start, and the index of the unit that cannot, machines first.
     """
     c, buses = plant.constants[0], plant.buses
     n_sync = c["machines"].shape[0]
@@ -102,7 +105,7 @@ def start_lane(block: Floats, lane: int, plant: Plant, data: LaneData, load_leve
         power[c["unit_bus"][i]] += c["dispatch"][i]
     for j in range(c["share"].shape[0]):
         if not _start_turbine(block, j, plant, data.wind[lane, j, 0]):
-            return 1
+            return StartFailure.NO_TURBINE_EQUILIBRIUM, n_sync + j
         power[c["unit_bus"][n_sync + j]] += _start_power(block, plant, j)
     open_branch = np.zeros(plant.branches.shape[0], dtype=np.bool_)
     y = assemble_admittance(plant.branches, open_branch, shunt)
@@ -111,14 +114,14 @@ def start_lane(block: Floats, lane: int, plant: Plant, data: LaneData, load_leve
     for k in range(n_bus):
         magnitude[k], holds_voltage[k] = buses[k]["voltage"], buses[k]["holds_voltage"]
     if solve_power_flow(y, c["slack"], holds_voltage, power, magnitude, angle) < 0:
-        return 2
+        return StartFailure.POWER_FLOW_DIVERGED, 0
     if c["extension"].shape[0] > 0:
         # At most every bus lets go of its voltage.
         for _ in range(n_bus):
             if not _release_voltages(plant, y, load_level, holds_voltage, power, magnitude, angle):
                 break
             if solve_power_flow(y, c["slack"], holds_voltage, power, magnitude, angle) < 0:
-                return 2
+                return StartFailure.POWER_FLOW_DIVERGED, 0
     voltage = np.empty(n_bus, dtype=np.complex128)
     for k in range(n_bus):
         voltage[k] = magnitude[k] * complex(math.cos(angle[k]), math.sin(angle[k]))
@@ -240,7 +243,8 @@ def _start_units(
                 weight_all += own
                 if u == i:
                     weight = own
-        # Reactive power in proportion to the weights; at the slack bus the machines share missing power by rating.
+        # Reactive power in proportion to the weights; at the slack bus the machines share the active power that is
+        # missing, by rating.
         reactive = total.imag * weight / weight_all if plant.buses[bus]["holds_voltage"] else 0.0
         if c["extension"].shape[0] > 0:
             limit = read_extension(c["extension"][0]).voltage.reactive_max
@@ -292,21 +296,21 @@ def _start_units(
 
 
 @compiled
-def _limit_failure(block: Floats, plant: Plant) -> int:
-    """Return the :class:`StartFailure` of a machine or converter that would start beyond its limits."""
+def _limit_failure(block: Floats, plant: Plant) -> tuple[StartFailure, int]:
+    """Return why a machine or converter would start beyond its limits, and the index of that unit."""
     c = plant.constants[0]
     machines = c["machines"]
     for i in range(machines.shape[0]):
         state, machine = load_machine_state(block, i * N_MACHINE_ROWS, 1), read_machine(machines[i])
         if not machine.governor.gate_min <= state.governor.gate <= machine.governor.gate_max:
-            return 3
+            return StartFailure.GOVERNOR_LIMIT, i
         if not machine.exciter.field_min <= state.exciter.field_voltage <= machine.exciter.field_max:
-            return 4
+            return StartFailure.EXCITER_LIMIT, i
     for h in range(c["hydro"].shape[0]):
         governor = read_hydro(c["hydro"][h])
         gate = load_hydro_state(block, rows_of(c).hydro + h * N_HYDRO_ROWS, 1).hydro_gate
         if not governor.gate_min <= gate <= governor.gate_max:
-            return 3
+            return StartFailure.GOVERNOR_LIMIT, governor.machine
     if c["extension"].shape[0] > 0:
         limits, control = read_extension(c["extension"][0]).limits, read_extension(c["extension"][0]).voltage
         for j in range(c["share"].shape[0]):
@@ -314,10 +318,10 @@ def _limit_failure(block: Floats, plant: Plant) -> int:
             power = load_wtg_output(block, wtg_row(c, j) + WTG.output, 1).power
             emf = load_extension_state(block, at, 1).internal_voltage
             if block[at + EXTENSION.output] > 0.0 or not limits.power_min <= power <= limits.power_max:
-                return 5
+                return StartFailure.CONVERTER_LIMIT, machines.shape[0] + j
             if not control.emf_min <= emf <= control.emf_max:
-                return 6
-    return 0
+                return StartFailure.INTERNAL_VOLTAGE_LIMIT, machines.shape[0] + j
+    return StartFailure.NONE, 0
 
 
 @compiled

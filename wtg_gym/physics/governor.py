@@ -2,7 +2,8 @@
 
     T_1 ġ = g_ref - Δω/R - g,    T_3 ẋ = g - x,    T_m = x + (T_2/T_3)(g - x) - D_t (ω - 1)
 
-Δω is the speed's deviation ω - 1 beyond the dead band. Source: the standard model TGOV1, as PSS/E and ANDES define it.
+Δω is the speed's deviation ω - 1 beyond the dead band. Source: the standard model TGOV1; the
+output is taken as torque, as in ANDES, and the reference counts in gate units.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from wtg_gym.physics.parameters import GovernorParameters, HydroGovernorParamete
 class Governor(NamedTuple):
     """Constants, on the base of the machine."""
 
-    inv_droop: float  # 1/R [p.u./p.u.]; 0 without a governor
+    inv_droop: float  # 1/R of the case [p.u./p.u.], 0 without a governor; a scenario may replace it, see MachineInput
     inv_gate_time: float  # 1 / T_1 [1/s]
     lead_reheat_ratio: float  # T_2 / T_3
     inv_reheat_time: float  # 1 / T_3 [1/s]

@@ -1,4 +1,4 @@
-"""The modified IEEE 14-bus system as data: bus 2's generator gives way to WTG groups.
+"""The modified IEEE 14-bus system as data: WTG groups in the place of the generator at bus 2.
 
 Power-flow data: the IEEE 14-bus test case (University of Washington archive; the same numbers as MATPOWER's case14).
 Machine data: F. Milano's dynamic data for this system, see :mod:`wtg_gym.physics.parameters`.

@@ -1,4 +1,4 @@
-"""One control interval of a block: wind, load noise and events come into force, steps are taken, protections look."""
+"""One control interval of a block: read wind and load noise, apply events, integrate, check the protections."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from wtg_gym.physics.compiled import compiled, inlined
 from wtg_gym.physics.dynamics import advance_step, derivatives
+from wtg_gym.physics.elementary import select
 from wtg_gym.physics.layout import (
     LANE,
     WTG,
@@ -27,7 +28,7 @@ from wtg_gym.physics.wind_turbine import WtgInput
 
 @inlined
 def enter_interval(block: Floats, first_lane: int, c: Any, data: LaneData, noise_y: Floats, lanes: Lanes) -> None:
-    """Put wind and load noise of the control interval that begins into force, for every lane of a block.
+    """Read wind and load noise of the control interval that begins, for every lane of a block.
 
     `first_lane` is the row of the block's first lane in `data`; `noise_y` (width) takes the noise's admittance [p.u.].
     """
@@ -66,6 +67,15 @@ def apply_network_changes(
 
 
 @inlined
+def _count_step(block: Floats, c: Any, lanes: Lanes) -> None:
+    """Put the clocks of running lanes forward by a simulation step."""
+    width = len(lanes)
+    lane = rows_of(c).lane * width
+    for x in range(width):
+        block[lane + LANE.step * width + x] += select(block[lane + LANE.active * width + x] > 0.5, 1.0, 0.0)
+
+
+@inlined
 def advance_interval(
     block: Floats, first_lane: int, plant: Plant, data: LaneData, noise_y: Floats, lanes: Lanes
 ) -> None:
@@ -80,6 +90,7 @@ def advance_interval(
     for step in range(c["n_substeps"]):
         apply_network_changes(block, first_lane, plant, data, noise_y, lanes)
         advance_step(block, c, step, lanes)
+        _count_step(block, c, lanes)
         track_extremes(block, c, lanes)
         if (step + 1) % between_looks == 0 or step + 1 == c["n_substeps"]:
             look_at_grid(block, c, lanes)

@@ -13,7 +13,6 @@ Hydro governors, extensions of WTG groups and shedding take rows only in a plant
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -93,17 +92,17 @@ class LaneRows(NamedTuple):
     """Rows of a lane."""
 
     angle: float  # of the first unit against a frame at nominal frequency [rad]
-    base: float
-    sum: float
-    rate: float
+    base: float  # of `angle`, for the integration [rad]
+    sum: float  # of rates of `angle` [rad/s]
+    rate: float  # of `angle` [rad/s]
     reference_speed: float  # of the first unit [p.u.]
     active: float  # 1 while it runs, 0 once it has ended
     step: float  # simulation steps since the reset
     next_change: float  # simulation step of the next network change
     last_change: float  # simulation step at which the network was last reduced
-    status: float
+    status: float  # of :class:`~wtg_gym.physics.protection.Status`
     coi: float  # frequency of the centre of inertia [p.u.]
-    coi_min: float
+    coi_min: float  # least since the start [p.u.]
     coi_max: float
     noise_z: Phasor  # impedance that the load noise sees
     noise_per_mw: float  # admittance per MW of load noise [p.u.]
@@ -122,7 +121,7 @@ N_HYDRO_STATES, N_EXTENSION_STATES = size(HydroState), size(ExtensionState)
 
 
 def row_of(record: type, name: str) -> int:
-    """Return the row of a record's number; of a state's three copies, the state itself."""
+    """Return the row of a record's number; where a state is kept three times (state, base, sum), that of the state."""
     names = short_names(record)
     if name not in names:
         raise KeyError(f"{name!r} is no number of {record.__name__}; it has {', '.join(dict.fromkeys(names))}")
@@ -150,19 +149,6 @@ load_extension_input, store_extension_input = loader(VoltageInput), storer(Volta
 load_extension_output, store_extension_output = loader(ExtensionOutput), storer(ExtensionOutput)
 read_machine, read_turbine = reader(Machine), reader(Turbine)
 read_hydro, read_extension = reader(HydroGovernor), reader(Extension)
-
-
-class Status(IntEnum):
-    """Why a lane has ended."""
-
-    RUNNING = 0
-    STALL = 1
-    OVER_SPEED = 2
-    FREQUENCY_LIMIT = 3
-    NUMERICAL_FAILURE = 4
-    LOSS_OF_SYNCHRONISM = 5
-    VOLTAGE_COLLAPSE = 6
-    UNDER_SPEED = 7
 
 
 class NetworkEvent(NamedTuple):

@@ -48,7 +48,8 @@ def state_matrix(rows: Floats, plant: Plant, layout: Layout, side: npt.ArrayLike
 
 
 def moving_states(matrix: Floats, rows: Floats, layout: Layout) -> npt.NDArray[np.bool_]:
-    """Return which states have a part in the dynamics, (n,): neither constants nor integrals nothing depends on.
+    """Return which states have a part in the dynamics, (n,): no constants, no states that nothing depends on, and none
+    that nothing else drives: they stay at rest.
 
     The pitch protection and the power limiters at rest act one way only, so a difference across that limit gives no
     slope.
@@ -59,7 +60,8 @@ def moving_states(matrix: Floats, rows: Floats, layout: Layout) -> npt.NDArray[n
         keep[np.isin(layout.state_rows, wtgs[np.abs(rows[wtgs]) < 4.0 * _DIFFERENCE])] = False
     while True:
         rest = np.where(np.outer(keep, keep), matrix, 0.0)
-        kept = keep & rest.any(axis=0) & rest.any(axis=1)
+        driven = (rest - np.diag(np.diag(rest))).any(axis=1)
+        kept = keep & rest.any(axis=0) & driven
         if (kept == keep).all():
             return kept
         keep = kept
@@ -68,9 +70,9 @@ def moving_states(matrix: Floats, rows: Floats, layout: Layout) -> npt.NDArray[n
 def largest_stable_steps(eigenvalues: npt.ArrayLike) -> Floats:
     """Return the largest step at which the integration does not let each mode grow, (n,) [s].
 
-    |R(hλ)| ≤ 1, R(z) = 1 + z + z²/2 + z³/6 + z⁴/24 of the classical fourth-order method. A mode that grows by itself
-    gets the step of one that decays as fast: such a step follows it too. Source: E. Hairer, G. Wanner: Solving Ordinary
-    Differential Equations II, section IV.2.
+    |R(hλ)| ≤ 1, R(z) = 1 + z + z²/2 + z³/6 + z⁴/24 of the classical fourth-order method. A growing mode is treated as
+    the decaying one with the same |Re λ|: a step that follows the one follows the other. Source: E. Hairer, G. Wanner:
+    Solving Ordinary Differential Equations II, section IV.2.
     """
     # No ray from zero stays in the region, or comes back to it, beyond |z| = 4.
     given = np.asarray(eigenvalues, dtype=np.complex128)
@@ -88,8 +90,8 @@ def largest_stable_steps(eigenvalues: npt.ArrayLike) -> Floats:
 def check_step(rows: Floats, plant: Plant, layout: Layout) -> None:
     """Refuse a plant whose modes are too fast for its integration step at the state of one lane's rows (n_rows,).
 
-    Of each law the side counts that lets the power rise more steeply while the frequency falls: there the modes are
-    faster. Only small deviations are checked: limits are left out.
+    Of the two slopes of each law's g(ω) the one is checked that lets the power rise more steeply while the frequency
+    falls: its modes are faster. Only small deviations are checked: limits are left out.
 
     Raises:
         ValueError: the message names the eigenvalue, the state it mainly belongs to, the step and the largest allowed.

@@ -1,13 +1,14 @@
 """The synchronous machine: swing equation and GENROU's fluxes, with its exciter and its governor.
 
-    δ̇ = ω_n (ω - ω_ref),    2H ω̇ = T_m - p - D (ω - 1)
+    δ̇ = ω_n (ω - ω_ref),    2H ω̇ = T_m - T_e - D (ω - 1),    T_e = p
     T'_d0 Ė'_q = E_fd - E'_q - (x_d - x'_d)(i_d - γ_d2 (ψ_1d + (x'_d - x_l) i_d - E'_q))
     T'_q0 Ė'_d = -E'_d + (x_q - x'_q)(i_q - γ_q2 (ψ_2q + (x'_q - x_l) i_q + E'_d))
     T''_d0 ψ̇_1d = -(ψ_1d + (x'_d - x_l) i_d - E'_q),    T''_q0 ψ̇_2q = -(ψ_2q + (x'_q - x_l) i_q + E'_d)
 
-without saturation, stator transients and the speed's effect on voltages, x''_q = x''_d. All values are on the system
-base, those of the governor on the machine's. Source: P. Sauer, M. Pai: Power System Dynamics and Stability, chapter 3
-(subtransient model); P. Kundur: Power System Stability and Control, chapter 3.
+without saturation, stator transients and the effect of speed on voltages; x''_q = x''_d. Without that effect the
+torque T_e is the air-gap power p. All values are on the system base, those of the governor on the machine's. Source:
+P. Sauer, M. Pai: Power System Dynamics and Stability, chapter 3 (subtransient model); P. Kundur: Power System Stability
+and Control, chapter 3.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class Machine(NamedTuple):
     damping: float  # D [p.u./p.u.]
     rating: float  # S_n / system base
     two_h: float  # [s]
-    reactive_weight: float  # rating, or what shares the reactive power of its bus instead [p.u.]
+    reactive_weight: float  # weight in sharing its bus's initial reactive power [p.u.]; its rating by default
     exciter: Exciter
     governor: Governor
 
@@ -59,10 +60,10 @@ class MachineState(NamedTuple):
 
     angle: float  # δ of the rotor against the first unit's [rad]
     speed: float  # ω [p.u.]
-    field_flux: float  # E'_q
-    damper_flux: float  # E'_d
-    flux_d: float  # ψ_1d
-    flux_q: float  # ψ_2q
+    e_q_transient: float  # E'_q
+    e_d_transient: float  # E'_d
+    psi_1d: float  # ψ_1d
+    psi_2q: float  # ψ_2q
     exciter: ExciterState
     governor: GovernorState
 
@@ -97,8 +98,8 @@ class MachineOutput(NamedTuple):
 def machine_voltage(s: MachineState, c: Machine) -> tuple[MachineVoltage, float, float]:
     """Return the voltage behind x'', and its real and imaginary part in the network's frame [p.u.]."""
     sine, cosine = sine_cosine(s.angle)
-    e_d = c.gamma_q * s.damper_flux - (1.0 - c.gamma_q) * s.flux_q
-    e_q = c.gamma_d * s.field_flux + (1.0 - c.gamma_d) * s.flux_d
+    e_d = c.gamma_q * s.e_d_transient - (1.0 - c.gamma_q) * s.psi_2q
+    e_q = c.gamma_d * s.e_q_transient + (1.0 - c.gamma_d) * s.psi_1d
     return MachineVoltage(sine, cosine, e_d, e_q), e_d * sine + e_q * cosine, e_q * sine - e_d * cosine
 
 
@@ -129,16 +130,16 @@ def machine_rates(
 
     governor, turbine_torque = governor_rates(s.governor, s.speed, u.gate_reference, u.inv_droop, c.governor)
     torque = c.rating * turbine_torque
-    damper_d = s.flux_d + c.x_d_leak * i_d - s.field_flux
-    damper_q = s.flux_q + c.x_q_leak * i_q + s.damper_flux
-    field = s.exciter.field_voltage - s.field_flux - c.x_d_field * (i_d - c.gamma_d2 * damper_d)
+    lag_d = s.psi_1d + c.x_d_leak * i_d - s.e_q_transient
+    lag_q = s.psi_2q + c.x_q_leak * i_q + s.e_d_transient
+    field = s.exciter.field_voltage - s.e_q_transient - c.x_d_field * (i_d - c.gamma_d2 * lag_d)
     rates = MachineState(
         angle=omega_n * (s.speed - reference_speed),
         speed=u.inv_two_h * (torque - power - c.damping * (s.speed - 1.0)),
-        field_flux=c.inv_t_d0_transient * field,
-        damper_flux=c.inv_t_q0_transient * (-s.damper_flux + c.x_q_field * (i_q - c.gamma_q2 * damper_q)),
-        flux_d=-c.inv_t_d0_subtransient * damper_d,
-        flux_q=-c.inv_t_q0_subtransient * damper_q,
+        e_q_transient=c.inv_t_d0_transient * field,
+        e_d_transient=c.inv_t_q0_transient * (-s.e_d_transient + c.x_q_field * (i_q - c.gamma_q2 * lag_q)),
+        psi_1d=-c.inv_t_d0_subtransient * lag_d,
+        psi_2q=-c.inv_t_q0_subtransient * lag_q,
         exciter=exciter_rates(s.exciter, u.voltage_reference - voltage, c.exciter),
         governor=governor,
     )
@@ -152,10 +153,10 @@ def driven_by(torque: float, rates: MachineState, output: MachineOutput, u: Mach
     return MachineState(
         rates.angle,
         speed,
-        rates.field_flux,
-        rates.damper_flux,
-        rates.flux_d,
-        rates.flux_q,
+        rates.e_q_transient,
+        rates.e_d_transient,
+        rates.psi_1d,
+        rates.psi_2q,
         rates.exciter,
         rates.governor,
     )
@@ -167,10 +168,10 @@ def machine_limited(s: MachineState, c: Machine) -> MachineState:
     return MachineState(
         s.angle,
         s.speed,
-        s.field_flux,
-        s.damper_flux,
-        s.flux_d,
-        s.flux_q,
+        s.e_q_transient,
+        s.e_d_transient,
+        s.psi_1d,
+        s.psi_2q,
         exciter_limited(s.exciter, c.exciter),
         governor_limited(s.governor, c.governor),
     )
@@ -182,31 +183,27 @@ def machine_start(power: complex, voltage: complex, c: Machine) -> tuple[Machine
 
     The rotor's angle counts from the network's frame. Source: Kundur, section 3.6.
     """
-    x_q = c.internal_reactance + c.x_q_field
-    x_q_transient, x_d_transient = c.internal_reactance, c.internal_reactance
-    if c.x_d_leak > 0.0:
-        # x'_d - x'' = (x'_d - x_l)(1 - γ_d), and likewise on the q axis.
-        x_d_transient += c.x_d_leak * (1.0 - c.gamma_d)
-        x_q_transient += c.x_q_leak * (1.0 - c.gamma_q)
-        x_q = x_q_transient + c.x_q_field
+    # x'_d - x'' = (x'_d - x_l)(1 - γ_d), and likewise on the q axis.
+    x_d_transient = c.internal_reactance + c.x_d_leak * (1.0 - c.gamma_d)
+    x_q = c.internal_reactance + c.x_q_leak * (1.0 - c.gamma_q) + c.x_q_field
     current = (power / voltage).conjugate()
     axis = voltage + complex(c.resistance, x_q) * current
     delta = math.atan2(axis.imag, axis.real)
     sine, cosine = math.sin(delta), math.cos(delta)
     i_d, i_q = current.real * sine - current.imag * cosine, current.real * cosine + current.imag * sine
     v_q = voltage.real * cosine + voltage.imag * sine
-    field_flux = v_q + c.resistance * i_q + x_d_transient * i_d
-    damper_flux = c.x_q_field * i_q
-    exciter, error = exciter_start(field_flux + c.x_d_field * i_d, c.exciter)
+    e_q_transient = v_q + c.resistance * i_q + x_d_transient * i_d
+    e_d_transient = c.x_q_field * i_q
+    exciter, error = exciter_start(e_q_transient + c.x_d_field * i_d, c.exciter)
     torque = power.real + c.resistance * (i_d * i_d + i_q * i_q)
     gate = torque / c.rating
     state = MachineState(
         angle=delta,
         speed=1.0,
-        field_flux=field_flux,
-        damper_flux=damper_flux,
-        flux_d=field_flux - c.x_d_leak * i_d,
-        flux_q=-damper_flux - c.x_q_leak * i_q,
+        e_q_transient=e_q_transient,
+        e_d_transient=e_d_transient,
+        psi_1d=e_q_transient - c.x_d_leak * i_d,
+        psi_2q=-e_d_transient - c.x_q_leak * i_q,
         exciter=exciter,
         governor=GovernorState(gate, gate),
     )

@@ -14,39 +14,42 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.compiled import compiled, inlined
-from wtg_gym.physics.parameters import SynchronousMachineParameters, parameter, required
+from wtg_gym.physics.parameters import Checked, SynchronousMachineParameters, parameter, required
+from wtg_gym.ranges import require_range
 
 #: Largest power mismatch accepted as a power-flow solution [p.u.].
 POWER_FLOW_TOLERANCE = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bus:
+class Bus(Checked):
     """A bus: number, constant-impedance load and shunt, and the voltage its units hold."""
 
     number: int = required("-", "IEEE 14", "bus number")
-    load_mw: float = parameter(0.0, "MW", "IEEE 14", "active load at the initial voltage")
-    load_mvar: float = parameter(0.0, "Mvar", "IEEE 14", "reactive load at the initial voltage")
-    shunt_mw: float = parameter(0.0, "MW", "IEEE 14", "active shunt at 1 p.u. of voltage")
-    shunt_mvar: float = parameter(0.0, "Mvar", "IEEE 14", "capacitive shunt at 1 p.u. of voltage")
-    voltage_pu: float | None = parameter(None, "p.u.", "IEEE 14", "voltage that the bus's units hold, None for none")
+    load_mw: float = parameter(0.0, "MW", "IEEE 14", "active load at the initial voltage", -1e9, 1e9)
+    load_mvar: float = parameter(0.0, "Mvar", "IEEE 14", "reactive load at the initial voltage", -1e9, 1e9)
+    shunt_mw: float = parameter(0.0, "MW", "IEEE 14", "active shunt at 1 p.u. of voltage", -1e9, 1e9)
+    shunt_mvar: float = parameter(0.0, "Mvar", "IEEE 14", "capacitive shunt at 1 p.u. of voltage", -1e9, 1e9)
+    voltage_pu: float | None = parameter(
+        None, "p.u.", "IEEE 14", "voltage that the bus's units hold, None for none", 0.1, 10.0
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
-class Branch:
+class Branch(Checked):
     """A line or transformer as a π section; the tap is on the `from_bus` side. Values in p.u. of the system base."""
 
     from_bus: int = required("-", "IEEE 14", "bus at the tap's side")
     to_bus: int = required("-", "IEEE 14", "bus at the other end")
-    resistance: float = required("p.u.", "IEEE 14", "series resistance")
-    reactance: float = required("p.u.", "IEEE 14", "series reactance")
-    charging: float = parameter(0.0, "p.u.", "IEEE 14", "charging susceptance of the whole line")
-    tap: float = parameter(1.0, "-", "IEEE 14", "tap ratio")
-    phase_rad: float = parameter(0.0, "rad", "IEEE 14", "phase shift")
+    resistance: float = required("p.u.", "IEEE 14", "series resistance", -1e6, 1e6)
+    reactance: float = required("p.u.", "IEEE 14", "series reactance", -1e6, 1e6)
+    charging: float = parameter(0.0, "p.u.", "IEEE 14", "charging susceptance of the whole line", -1e6, 1e6)
+    tap: float = parameter(1.0, "-", "IEEE 14", "tap ratio", 0.01, 100.0)
+    phase_rad: float = parameter(0.0, "rad", "IEEE 14", "phase shift", -2.0 * math.pi, 2.0 * math.pi)
 
 
 @dataclass(frozen=True, kw_only=True)
-class NetworkCase:
+class NetworkCase(Checked):
     """A network with its synchronous machines, as data.
 
     Args:
@@ -58,7 +61,7 @@ class NetworkCase:
         machines: synchronous machines; at least one at the slack bus.
 
     Raises:
-        ValueError: a bus is missing, doubled or not connected, or nothing balances the power.
+        ValueError: a bus is missing, doubled or not connected, nothing balances the power, or a value is out of range.
     """
 
     name: str
@@ -70,6 +73,9 @@ class NetworkCase:
     machines: tuple[SynchronousMachineParameters, ...]
 
     def __post_init__(self) -> None:
+        super().__post_init__()
+        require_range("base_mva", self.base_mva, 1e-3, 1e9, "MVA")
+        require_range("frequency_hz", self.frequency_hz, 1.0, 1000.0, "Hz")
         numbers = self.bus_numbers
         if len(set(numbers)) != len(numbers):
             raise ValueError(f"{self.name}: bus numbers must be unique, got {list(numbers)}")
@@ -88,6 +94,8 @@ class NetworkCase:
             )
         if not self.connected_without(()):
             raise ValueError(f"{self.name}: the network is not connected")
+        if self.buses[self.bus_index(self.slack_bus)].voltage_pu is None:
+            raise ValueError(f"{self.name}: the slack bus {self.slack_bus} must hold a voltage; its voltage_pu is None")
 
     @functools.cached_property
     def bus_numbers(self) -> tuple[int, ...]:

@@ -1,25 +1,29 @@
 """Every number of the model, once, with its unit and its source.
 
-Derived values are properties, never free fields. Sources are short keys; SOURCES spells them out.
+Derived values are properties, never free fields. Sources are short keys; SOURCES spells them out. Ranges are wide: they
+keep out what has no meaning, not what is unusual.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
+import itertools
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_args, get_origin, get_type_hints
 
 from wtg_gym.physics.rotor_table import RotorTable
+from wtg_gym.ranges import require_bus, require_range
 
 #: What the short keys in each field's `source` stand for.
 SOURCES = {
     "paper": "Chen, Xi, Cheng, Dörfler, Lestas: Coordinated Primary Frequency Regulation and Grid-Forming Control "
-    "for Wind Turbine Generators (2026), table of parameters",
+    "for Wind Turbine Generators (2026): table of parameters, equation of C_p, case studies",
     "inferred": "the only round set found that meets λ_opt, C_popt, λ_n and λ_pr of the paper's table to every "
     "printed digit; the paper prints no c_1 … c_6",
     "Heier": "S. Heier: Grid Integration of Wind Energy, the exponential C_p form and its pitch term",
-    "Milano": "F. Milano: IEEE 14-bus dynamic data as distributed with PSAT (d_014_dyn)",
+    "Milano": "F. Milano: IEEE 14-bus dynamic data as distributed with PSAT (d_014_dyn_l14)",
     "IEEE 14": "IEEE 14-bus power-flow test case, University of Washington archive; the same numbers as MATPOWER's "
     "case14. Voltages of machine buses are its scheduled ones",
     "NREL 5 MW": "J. Jonkman et al.: Definition of a 5-MW Reference Wind Turbine, NREL/TP-500-38060 (2009)",
@@ -31,8 +35,6 @@ SOURCES = {
     "Northwest National Laboratory, PNNL-32278 (2021), approved by WECC",
     "ENTSO-E defence": "Commission Regulation (EU) 2017/2196 (emergency and restoration), annex: automatic low "
     "frequency demand disconnection, continental Europe",
-    "ENTSO-E operation": "Commission Regulation (EU) 2017/1485 (system operation), annex V: frequency containment "
-    "reserves, continental Europe",
     "FERC 827": "Federal Energy Regulatory Commission, Order 827 (2016): reactive power requirements for "
     "non-synchronous generation",
     "HYGOV": "typical data of the hydro governor HYGOV of PSS/E; P. Kundur: Power System Stability and Control, 9.1",
@@ -40,46 +42,87 @@ SOURCES = {
 }
 
 
-def describe(unit: str, source: str, doc: str) -> dict[str, str]:
+def describe(unit: str, source: str, doc: str) -> dict[str, Any]:
     """Return a field's metadata: its unit, the key of its source in SOURCES, and what it is."""
     return {"unit": unit, "source": source, "doc": doc}
 
 
-def parameter(default: Any, unit: str, source: str, doc: str) -> Any:
-    """Return a dataclass field with a default value and :func:`describe`'s metadata."""
-    return dataclasses.field(default=default, metadata=describe(unit, source, doc))
+def parameter(default: Any, unit: str, source: str, doc: str, low: float = -math.inf, high: float = math.inf) -> Any:
+    """Return a dataclass field with a default value, :func:`describe`'s metadata and its allowed range."""
+    return dataclasses.field(default=default, metadata={**describe(unit, source, doc), "low": low, "high": high})
 
 
-def required(unit: str, source: str, doc: str) -> Any:
-    """Return a dataclass field without a default and with :func:`describe`'s metadata."""
-    return dataclasses.field(metadata=describe(unit, source, doc))
+def required(unit: str, source: str, doc: str, low: float = -math.inf, high: float = math.inf) -> Any:
+    """Return a dataclass field like that of :func:`parameter`, without a default value."""
+    return dataclasses.field(metadata={**describe(unit, source, doc), "low": low, "high": high})
 
 
-@dataclass(frozen=True, kw_only=True)
-class PowerCoefficientParameters:
-    """Constants of C_p(λ, β) = c1 (c2/λi - c3 β - c4 β^x - c5) e^(-c6/λi), 1/λi = 1/(λ + 0.08 β) - 0.035/(β³ + 1).
+@functools.cache
+def _kinds(record: Any) -> dict[str, Any]:
+    return get_type_hints(record)
 
-    Source: paper, equation `cp`. c4 = 0, so the exponent x has no effect and is left out.
+
+class Checked:
+    """A dataclass whose fields are checked when it is made: their types, and the ranges that :func:`parameter` gives.
+
+    Whole numbers are bus numbers.
+
+    Raises:
+        ValueError: the message names field, value, unit and allowed range.
     """
 
-    c1: float = parameter(0.5, "-", "inferred", "scale of C_p")
-    c2: float = parameter(100.0, "-", "inferred", "weight of 1/λi")
-    c3: float = parameter(0.4, "1/deg", "Heier", "linear effect of the pitch angle")
-    c5: float = parameter(5.0, "-", "inferred", "constant term")
-    c6: float = parameter(17.3, "-", "inferred", "decay of the exponential")
-    c7: float = parameter(0.08, "1/deg", "paper", "pitch term in the denominator of 1/λi")
-    c8: float = parameter(0.035, "-", "paper", "offset of 1/λi")
+    def __post_init__(self) -> None:
+        record: Any = type(self)
+        for field in dataclasses.fields(record):
+            name, value = f"{record.__name__}.{field.name}", getattr(self, field.name)
+            kind = _kinds(record)[field.name]
+            if kind is float or (kind == float | None and value is not None):
+                if "low" in field.metadata:
+                    unit = field.metadata["unit"].removeprefix("-")
+                    require_range(name, value, field.metadata["low"], field.metadata["high"], unit)
+            elif kind is int:
+                require_bus(name, value)
+            elif get_origin(kind) is tuple:
+                entry = get_args(kind)[0]
+                if not isinstance(value, (tuple, list)) or not all(isinstance(item, entry) for item in value):
+                    raise ValueError(f"{name} must be a tuple of {entry.__name__}, got {value!r}")
+            elif not isinstance(value, kind):
+                raise ValueError(f"{name} must be {field.type}, got {value!r}")
+
+    def _require_order(self, *names: str) -> None:
+        """Refuse fields whose values do not rise from each one to the next."""
+        values = [getattr(self, name) for name in names]
+        if any(not first < second for first, second in itertools.pairwise(values)):
+            given = ", ".join(f"{value:g}" for value in values)
+            raise ValueError(f"{type(self).__name__}: {' < '.join(names)} must hold, got {given}")
 
 
 @dataclass(frozen=True, kw_only=True)
-class TurbineParameters:
+class PowerCoefficientParameters(Checked):
+    """Constants of C_p(λ, β) = c1 (c2/λi - c3 β - c5) e^(-c6/λi), 1/λi = 1/(λ + c7 β) - c8/(β³ + 1).
+
+    Source: paper, equations (2) and (3). Their c4 is 0 here, so its exponent x is left out; c7 = 0.08 and c8 = 0.035
+    stand as numbers there.
+    """
+
+    c1: float = parameter(0.5, "-", "inferred", "scale of C_p", 1e-3, 1e3)
+    c2: float = parameter(100.0, "-", "inferred", "weight of 1/λi", 0.0, 1e5)
+    c3: float = parameter(0.4, "1/deg", "Heier", "linear effect of the pitch angle", -1e3, 1e3)
+    c5: float = parameter(5.0, "-", "inferred", "constant term", -1e4, 1e4)
+    c6: float = parameter(17.3, "-", "inferred", "decay of the exponential", 0.0, 1e4)
+    c7: float = parameter(0.08, "1/deg", "paper", "pitch term in the denominator of 1/λi", -10.0, 10.0)
+    c8: float = parameter(0.035, "-", "paper", "offset of 1/λi", -10.0, 10.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TurbineParameters(Checked):
     """One wind turbine: rotor, aerodynamics and mechanical inertia."""
 
-    rated_power_mw: float = parameter(5.0, "MW", "paper", "nominal power S_n")
-    blade_radius_m: float = parameter(63.0, "m", "paper", "blade radius R")
-    air_density_kg_m3: float = parameter(1.23, "kg/m³", "paper", "air density ρ")
-    nominal_rotor_speed_rad_s: float = parameter(1.27, "rad/s", "paper", "nominal rotor speed ω_tn")
-    inertia_constant_s: float = parameter(6.5, "s", "paper", "mechanical inertia constant H_m")
+    rated_power_mw: float = parameter(5.0, "MW", "paper", "nominal power S_n", 1e-4, 1e3)
+    blade_radius_m: float = parameter(63.0, "m", "paper", "blade radius R", 0.1, 1e3)
+    air_density_kg_m3: float = parameter(1.23, "kg/m³", "paper", "air density ρ", 0.1, 10.0)
+    nominal_rotor_speed_rad_s: float = parameter(1.27, "rad/s", "paper", "nominal rotor speed ω_tn", 1e-3, 1e3)
+    inertia_constant_s: float = parameter(6.5, "s", "paper", "mechanical inertia constant H_m", 0.01, 1e4)
     conserves_energy: bool = parameter(
         False,
         "-",
@@ -104,97 +147,141 @@ class TurbineParameters:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PitchParameters:
+class PitchParameters(Checked):
     """Pitch protection: a PI on the larger of the captured-power and the rotor-speed excess.
 
-    The two paths, speed and power compensation, follow the pitch controller of WECC's generic wind turbine models
-    (WTGPT_A); gain schedule and rate limit follow the NREL 5 MW design. Both limits lie above everything the paper's
-    cases reach (captured power at most the available 1.0172 p.u. at 11.4 m/s, rotor at most 1.23 p.u.), so that the
-    blades stay at rest there.
+    Like the pitch controller of WECC's generic wind turbine models (WTGPT_A) it acts on speed and power; unlike it, it
+    is one PI on the larger excess, and on captured power. Gain schedule and rate limit follow the NREL 5 MW design.
+    Both limits lie above everything the paper's cases reach (captured power at most the available 1.0172 p.u. at
+    11.4 m/s, rotor at most 1.23 p.u.), so that the blades stay at rest there.
     """
 
-    captured_power_limit_pu: float = parameter(1.05, "p.u.", "design", "captured power held above rated")
-    rotor_speed_limit_pu: float = parameter(1.27, "p.u.", "design", "rotor speed the pitch defends")
-    speed_weight: float = parameter(4.0, "p.u./p.u.", "design", "power excess one p.u. of speed counts as")
-    proportional_gain_deg: float = parameter(6.0, "deg/p.u.", "design", "gain on the excess")
-    integral_gain_deg_s: float = parameter(10.0, "deg/(p.u. s)", "design", "integral gain on the excess")
-    gain_schedule_deg: float = parameter(6.302336, "deg", "NREL 5 MW", "pitch at which the gains halve")
-    actuator_time_s: float = parameter(0.1, "s", "design", "lag of the pitch drive")
-    rate_limit_deg_s: float = parameter(8.0, "deg/s", "NREL 5 MW", "largest pitch rate")
-    largest_angle_deg: float = parameter(30.0, "deg", "design", "largest pitch angle")
+    captured_power_limit_pu: float = parameter(1.05, "p.u.", "design", "captured power held above rated", 0.01, 100.0)
+    rotor_speed_limit_pu: float = parameter(
+        1.27,
+        "p.u.",
+        "design",
+        "rotor speed the pitch defends, 1.6 rad/s; the like number of ω_tn is chance",
+        0.01,
+        100.0,
+    )
+    speed_weight: float = parameter(
+        4.0, "p.u./p.u.", "design", "p.u. of power excess that 1 p.u. of speed excess counts as", 0.0, 1e4
+    )
+    proportional_gain_deg: float = parameter(6.0, "deg/p.u.", "design", "gain on the excess", 0.0, 1e5)
+    integral_gain_deg_s: float = parameter(10.0, "deg/(p.u. s)", "design", "integral gain on the excess", 0.0, 1e5)
+    gain_schedule_deg: float = parameter(6.302336, "deg", "NREL 5 MW", "pitch at which the gains halve", 1e-3, 1e6)
+    actuator_time_s: float = parameter(0.1, "s", "design", "lag of the pitch drive", 1e-3, 1e3)
+    rate_limit_deg_s: float = parameter(8.0, "deg/s", "NREL 5 MW", "largest pitch rate", 1e-3, 1e4)
+    largest_angle_deg: float = parameter(30.0, "deg", "design", "largest pitch angle", 0.0, 90.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class GridFormingParameters:
+class GridFormingParameters(Checked):
     """Grid-forming control of one WTG on its own base, and the paper's regulation range."""
 
-    inertia_constant_s: float = parameter(5.0, "s", "paper", "virtual inertia constant H")
-    droop_gain_pu: float = parameter(62.5, "p.u./p.u.", "paper", "active power-frequency droop gain D_p")
-    frequency_setpoint_pu: float = parameter(1.0, "p.u.", "paper", "frequency set-point ω_st")
-    frequency_min_pu: float = parameter(0.992, "p.u.", "paper", "lower end of the regulation range ω_min")
-    frequency_max_pu: float = parameter(1.008, "p.u.", "paper", "upper end of the regulation range ω_max")
+    inertia_constant_s: float = parameter(5.0, "s", "paper", "virtual inertia constant H", 1e-3, 1e4)
+    droop_gain_pu: float = parameter(62.5, "p.u./p.u.", "paper", "active power-frequency droop gain D_p", 0.0, 1e5)
+    frequency_setpoint_pu: float = parameter(1.0, "p.u.", "paper", "frequency set-point ω_st", 0.5, 1.5)
+    frequency_min_pu: float = parameter(0.992, "p.u.", "paper", "lower end of the regulation range ω_min", 0.5, 1.5)
+    frequency_max_pu: float = parameter(1.008, "p.u.", "paper", "upper end of the regulation range ω_max", 0.5, 1.5)
     reactance_pu: float = parameter(
         0.55,
         "p.u.",
         "design",
-        "X_g behind the voltage; on a stiff bus at 1 p.u. K_p ≈ 1.5 as the paper's margins need, in this system 2.2",
+        "X_g behind the voltage; with 0.1 p.u. more to a stiff bus K_p ≈ 1.5 (the paper's margins need 1.45), at a "
+        "stiff bus 1.8, in this system 2.2",
+        1e-4,
+        100.0,
     )
-    damping_time_constant_s: float = parameter(0.8, "s", "paper", "transient damping time constant τ")
-    deloading_nominal: float = parameter(0.05, "-", "paper", "deloading d_n at ω_st")
-    deloading_limit: float = parameter(0.10, "-", "paper", "deloading limit d_pr at ω_max")
-    overload_limit_pu: float = parameter(1.1, "p.u.", "design", "power above which the converter counts as overloaded")
+    damping_time_constant_s: float = parameter(0.8, "s", "paper", "transient damping time constant τ", 0.0, 1e5)
+    deloading_nominal: float = parameter(0.05, "-", "paper", "deloading d_n at ω_st", 0.0, 0.9)
+    deloading_limit: float = parameter(0.10, "-", "paper", "deloading limit d_pr at ω_max", 0.0, 0.9)
+    overload_limit_pu: float = parameter(
+        1.1, "p.u.", "design", "power above which the converter counts as overloaded", 0.01, 100.0
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._require_order("frequency_min_pu", "frequency_setpoint_pu", "frequency_max_pu")
 
 
 @dataclass(frozen=True, kw_only=True)
-class ConverterLimitParameters:
+class ConverterLimitParameters(Checked):
     """What a converter and its turbine can give, on its own base: REGFM_A1's current and power limiters, a chopper."""
 
-    current_max_pu: float = parameter(1.2, "p.u.", "REGFM_A1", "largest current; its size is cut, its angle kept")
-    power_max_pu: float = parameter(1.1, "p.u.", "design", "power that the converter stands for long")
+    current_max_pu: float = parameter(
+        1.2, "p.u.", "REGFM_A1", "largest current; its size is cut, its angle kept", 0.05, 10.0
+    )
+    power_max_pu: float = parameter(1.1, "p.u.", "design", "power that the converter stands for long", 0.05, 10.0)
     power_min_pu: float = parameter(
-        0.0, "p.u.", "design", "least power; what the grid presses in beyond it the chopper burns, not the rotor"
+        0.0,
+        "p.u.",
+        "design",
+        "least power; what the grid presses in beyond it the chopper burns, not the rotor",
+        -10.0,
+        0.0,
     )
     power_gain: float = parameter(
-        0.01, "p.u./p.u.", "REGFM_A1", "proportional gain k_ppmax of the power limiter, frequency per power"
+        0.01, "p.u./p.u.", "REGFM_A1", "proportional gain k_ppmax of the power limiter, frequency per power", 0.0, 10.0
     )
     power_integral_gain: float = parameter(
-        0.1, "p.u./(p.u. s)", "REGFM_A1", "integral gain k_ipmax of the power limiter"
+        0.1, "p.u./(p.u. s)", "REGFM_A1", "integral gain k_ipmax of the power limiter", 0.0, 100.0
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.power_max_pu > self.current_max_pu:
+            raise ValueError(
+                f"power_max_pu = {self.power_max_pu:g} p.u. exceeds current_max_pu = {self.current_max_pu:g} p.u.: no "
+                "converter gives it at nominal voltage"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
-class VoltageControlParameters:
+class VoltageControlParameters(Checked):
     """Voltage control of a converter with reactive droop, on its own base: REGFM_A1's with one integrator."""
 
-    integral_gain: float = parameter(5.86, "p.u./(p.u. s)", "REGFM_A1", "integral gain k_iv of the voltage error")
-    droop_pu: float = parameter(0.05, "p.u./p.u.", "REGFM_A1", "reactive droop m_q: voltage per reactive power")
+    integral_gain: float = parameter(
+        5.86, "p.u./(p.u. s)", "REGFM_A1", "integral gain k_iv of the voltage error", 1e-3, 1e3
+    )
+    droop_pu: float = parameter(
+        0.05, "p.u./p.u.", "REGFM_A1", "reactive droop m_q: voltage per reactive power", 0.0, 1.0
+    )
     reactive_max_pu: float = parameter(
-        0.33, "p.u.", "FERC 827", "largest reactive power either way: a power factor of 0.95 at rated power"
+        0.33, "p.u.", "FERC 827", "largest reactive power either way: a power factor of 0.95 at rated power", 0.0, 10.0
     )
     takeover_gain: float = parameter(
-        1.0, "p.u./p.u.", "design", "weight of the reactive excess where it takes over from the voltage error"
+        1.0,
+        "p.u./p.u.",
+        "design",
+        "weight of the reactive excess where it takes over from the voltage error",
+        0.0,
+        100.0,
     )
-    internal_voltage_min_pu: float = parameter(0.5, "p.u.", "design", "least voltage behind X_g")
+    internal_voltage_min_pu: float = parameter(0.5, "p.u.", "design", "least voltage behind X_g", 0.0, 1.0)
     internal_voltage_max_pu: float = parameter(
         1.4,
         "p.u.",
         "design",
         "largest voltage behind X_g, most of which is virtual: behind a filter of 0.15 p.u. (REGFM_A1) the bridge then "
         "gives at most 1.13 p.u.",
+        1.0,
+        10.0,
     )
 
 
 @dataclass(frozen=True, kw_only=True)
-class SheddingStage:
+class SheddingStage(Checked):
     """A stage of under-frequency load shedding: a share of every load is disconnected for the rest of the run."""
 
     frequency_pu: float = parameter(
-        0.98, "p.u.", "ENTSO-E defence", "frequency of the centre of inertia at which it acts"
+        0.98, "p.u.", "ENTSO-E defence", "frequency of the centre of inertia at which it acts", 0.5, 1.0
     )
     share: float = parameter(
-        0.05, "-", "ENTSO-E defence", "share of the load connected at the start that it disconnects"
+        0.05, "-", "ENTSO-E defence", "share of the load connected at the start that it disconnects", 0.0, 1.0
     )
-    delay_s: float = parameter(0.2, "s", "design", "time below that frequency before it acts")
+    delay_s: float = parameter(0.2, "s", "design", "time below that frequency before it acts", 0.0, 60.0)
 
 
 def european_shedding(frequency_hz: float = 50.0) -> tuple[SheddingStage, ...]:
@@ -204,32 +291,54 @@ def european_shedding(frequency_hz: float = 50.0) -> tuple[SheddingStage, ...]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProtectionParameters:
+class ProtectionParameters(Checked):
     """What refuses a start, ends a run, or trips a group."""
 
-    stall_tip_speed_ratio: float = parameter(3.5, "-", "design", "below it, at fine pitch, a rotor has stalled")
-    stall_pitch_deg: float = parameter(0.5, "deg", "design", "above it a low tip-speed ratio is the pitch's doing")
-    over_speed_pu: float = parameter(1.4, "p.u.", "design", "rotor over-speed trip")
+    stall_tip_speed_ratio: float = parameter(
+        3.5, "-", "design", "a rotor at fine pitch and below this tip-speed ratio has stalled", 0.0, 100.0
+    )
+    stall_pitch_deg: float = parameter(
+        0.5, "deg", "design", "pitch up to which a low tip-speed ratio counts as a stall", 0.0, 90.0
+    )
+    over_speed_pu: float = parameter(1.4, "p.u.", "design", "rotor over-speed trip", 0.1, 1e6)
     rotor_speed_min_pu: float = parameter(
-        0.0, "p.u.", "design", "rotor under-speed trip; 0 for none. The NREL 5 MW machine stops at 6.9 rpm, 0.569 p.u."
+        0.0,
+        "p.u.",
+        "design",
+        "rotor under-speed trip; 0 for none. The NREL 5 MW machine stops at 6.9 rpm, 0.569 p.u.",
+        0.0,
+        1.0,
     )
     frequency_min_pu: float = parameter(
-        0.95, "p.u.", "ENTSO-E", "lower end of the range units must ride through, 47.5 Hz"
+        0.95, "p.u.", "ENTSO-E", "lower end of the range units must ride through, 47.5 Hz", 0.0, 1.0
     )
     frequency_max_pu: float = parameter(
-        1.03, "p.u.", "ENTSO-E", "upper end of the range units must ride through, 51.5 Hz"
+        1.03, "p.u.", "ENTSO-E", "upper end of the range units must ride through, 51.5 Hz", 1.0, 10.0
     )
     angle_spread_max_deg: float = parameter(
         180.0,
         "deg",
         "design",
         "largest difference of two units' angles; beyond, nothing pulls them together again: synchronism is lost",
+        1.0,
+        1e9,
     )
     low_voltage_pu: float = parameter(
-        0.85, "p.u.", "ENTSO-E", "terminal voltage that a unit must ride through for low_voltage_time_s only"
+        0.85,
+        "p.u.",
+        "ENTSO-E",
+        "terminal voltage below which a unit must stay connected for low_voltage_time_s only",
+        0.0,
+        2.0,
     )
     low_voltage_time_s: float = parameter(
-        3.0, "s", "ENTSO-E", "time below low_voltage_pu after which the voltage has collapsed (article 16, type D)"
+        3.0,
+        "s",
+        "ENTSO-E",
+        "time below low_voltage_pu after which the voltage has collapsed: upper end of 1.5 … 3.0 s for power park "
+        "modules at their connection point; taken at the terminals here",
+        0.0,
+        1e9,
     )
     internal_voltage_max_pu: float = parameter(
         2.0,
@@ -237,90 +346,116 @@ class ProtectionParameters:
         "design",
         "largest voltage behind the internal reactance that a unit may start with: through X_g = 0.55 p.u. it drives "
         "1.6 p.u. of reactive current at 1.1 p.u. of terminal voltage, and converters end at about 1.2",
+        0.1,
+        1e9,
     )
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExciterParameters:
+class ExciterParameters(Checked):
     """SEXS: lead-lag, first-order exciter with a non-windup limit, on the terminal voltage."""
 
-    gain: float = parameter(100.0, "p.u./p.u.", "design", "gain K")
-    lead_lag_ratio: float = parameter(0.1, "-", "design", "T_A / T_B")
-    lag_time_s: float = parameter(10.0, "s", "design", "T_B")
-    exciter_time_s: float = parameter(0.05, "s", "design", "T_E")
-    field_min_pu: float = parameter(-5.0, "p.u.", "design", "lower field voltage limit")
-    field_max_pu: float = parameter(8.0, "p.u.", "design", "upper field voltage limit")
+    gain: float = parameter(100.0, "p.u./p.u.", "design", "gain K", 1e-3, 1e6)
+    lead_lag_ratio: float = parameter(0.1, "-", "design", "T_A / T_B", 0.0, 1e3)
+    lag_time_s: float = parameter(10.0, "s", "design", "T_B", 1e-4, 1e4)
+    exciter_time_s: float = parameter(0.05, "s", "design", "T_E", 1e-4, 1e4)
+    field_min_pu: float = parameter(-5.0, "p.u.", "design", "lower field voltage limit", -1e6, 1e6)
+    field_max_pu: float = parameter(8.0, "p.u.", "design", "upper field voltage limit", -1e6, 1e6)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._require_order("field_min_pu", "field_max_pu")
 
 
 @dataclass(frozen=True, kw_only=True)
-class GovernorParameters:
+class GovernorParameters(Checked):
     """TGOV1: droop, gate with non-windup limits, reheat lead-lag."""
 
     droop_pu: float = parameter(
-        0.018,
-        "p.u.",
-        "calibrated",
-        "droop R on the machine base (Milano: 0.02); settles the paper's 0.996",
+        0.018, "p.u.", "calibrated", "droop R on the machine base (Milano: 0.02); settles the paper's 0.996", 1e-4, 1e3
     )
-    gate_time_s: float = parameter(0.1, "s", "Milano", "T_1")
-    lead_time_s: float = parameter(2.1, "s", "design", "T_2")
-    reheat_time_s: float = parameter(7.0, "s", "design", "T_3")
-    gate_min_pu: float = parameter(0.0, "p.u.", "design", "lower gate limit")
-    gate_max_pu: float = parameter(1.2, "p.u.", "Milano", "upper gate limit")
-    turbine_damping_pu: float = parameter(0.0, "p.u./p.u.", "design", "D_t")
+    gate_time_s: float = parameter(0.1, "s", "Milano", "T_1", 1e-4, 1e4)
+    lead_time_s: float = parameter(2.1, "s", "design", "T_2", 0.0, 1e4)
+    reheat_time_s: float = parameter(7.0, "s", "design", "T_3", 1e-4, 1e4)
+    gate_min_pu: float = parameter(0.0, "p.u.", "design", "lower gate limit", -1e6, 1e6)
+    gate_max_pu: float = parameter(1.2, "p.u.", "Milano", "upper gate limit", -1e6, 1e6)
+    turbine_damping_pu: float = parameter(0.0, "p.u./p.u.", "design", "D_t", 0.0, 1e4)
     dead_band_pu: float = parameter(
-        0.0, "p.u.", "design", "speed deviation that the governor does not see, without a step at its edge"
+        0.0, "p.u.", "design", "speed deviation that the governor does not see, without a step at its edge", 0.0, 0.5
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._require_order("gate_min_pu", "gate_max_pu")
 
 
 @dataclass(frozen=True, kw_only=True)
-class HydroGovernorParameters:
+class HydroGovernorParameters(Checked):
     """HYGOV: a hydro governor with permanent and temporary droop, and a penstock with inelastic water."""
 
-    droop_pu: float = parameter(0.05, "p.u.", "HYGOV", "permanent droop R on the machine base")
-    temporary_droop_pu: float = parameter(0.4, "p.u.", "HYGOV", "temporary droop r")
-    reset_time_s: float = parameter(8.0, "s", "HYGOV", "reset time T_r of the temporary droop")
-    filter_time_s: float = parameter(0.05, "s", "HYGOV", "filter T_f of the speed error")
-    gate_time_s: float = parameter(0.5, "s", "HYGOV", "gate servo T_g")
-    gate_rate_limit_pu_s: float = parameter(0.2, "p.u./s", "HYGOV", "largest speed of the gate's set-point")
-    gate_min_pu: float = parameter(0.0, "p.u.", "HYGOV", "lower gate limit")
-    gate_max_pu: float = parameter(1.0, "p.u.", "HYGOV", "upper gate limit")
-    water_time_s: float = parameter(1.3, "s", "HYGOV", "starting time T_w of the water at nominal flow")
-    turbine_gain: float = parameter(1.1, "p.u./p.u.", "HYGOV", "turbine gain A_t")
-    turbine_damping_pu: float = parameter(0.5, "p.u./p.u.", "HYGOV", "damping D_t of the turbine")
-    no_load_flow_pu: float = parameter(0.08, "p.u.", "HYGOV", "flow q_nl without load")
+    droop_pu: float = parameter(0.05, "p.u.", "HYGOV", "permanent droop R on the machine base", 1e-4, 1e3)
+    temporary_droop_pu: float = parameter(0.4, "p.u.", "HYGOV", "temporary droop r", 1e-3, 1e3)
+    reset_time_s: float = parameter(8.0, "s", "HYGOV", "reset time T_r of the temporary droop", 1e-3, 1e4)
+    filter_time_s: float = parameter(0.05, "s", "HYGOV", "filter T_f of the speed error", 1e-4, 1e4)
+    gate_time_s: float = parameter(0.5, "s", "HYGOV", "gate servo T_g", 1e-4, 1e4)
+    gate_rate_limit_pu_s: float = parameter(0.2, "p.u./s", "HYGOV", "largest speed of the gate's set-point", 1e-6, 1e6)
+    gate_min_pu: float = parameter(0.0, "p.u.", "HYGOV", "lower gate limit", -1e6, 1e6)
+    gate_max_pu: float = parameter(1.0, "p.u.", "HYGOV", "upper gate limit", -1e6, 1e6)
+    water_time_s: float = parameter(1.3, "s", "HYGOV", "starting time T_w of the water at nominal flow", 1e-3, 1e4)
+    turbine_gain: float = parameter(1.1, "p.u./p.u.", "HYGOV", "turbine gain A_t", 1e-2, 100.0)
+    turbine_damping_pu: float = parameter(0.5, "p.u./p.u.", "HYGOV", "damping D_t of the turbine", 0.0, 1e4)
+    no_load_flow_pu: float = parameter(0.08, "p.u.", "HYGOV", "flow q_nl without load", 0.0, 1.0)
     dead_band_pu: float = parameter(
-        0.0, "p.u.", "design", "speed deviation that the governor does not see, without a step at its edge"
+        0.0, "p.u.", "design", "speed deviation that the governor does not see, without a step at its edge", 0.0, 0.5
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._require_order("gate_min_pu", "gate_max_pu")
 
 
 @dataclass(frozen=True, kw_only=True)
-class SynchronousMachineParameters:
+class SynchronousMachineParameters(Checked):
     """A round-rotor machine (GENROU without saturation, x''_q = x''_d) on its own base, or a classical one."""
 
     bus: int = required("-", "Milano", "bus number")
-    rating_mva: float = required("MVA", "Milano", "rating S_n")
-    two_h_s: float = required("s", "Milano", "starting time 2H")
-    x_d: float = required("p.u.", "Milano", "synchronous reactance, d axis")
-    x_d_transient: float = required("p.u.", "Milano", "transient reactance, d axis")
-    x_subtransient: float = required("p.u.", "Milano", "subtransient reactance of both axes")
-    x_q: float = required("p.u.", "Milano", "synchronous reactance, q axis")
-    x_q_transient: float = required("p.u.", "Milano", "transient reactance, q axis")
-    t_d0_transient_s: float = required("s", "Milano", "open-circuit transient time constant, d axis")
-    t_d0_subtransient_s: float = required("s", "Milano", "open-circuit subtransient time constant, d axis")
+    rating_mva: float = required("MVA", "Milano", "rating S_n", 1e-6, 1e12)
+    two_h_s: float = required("s", "Milano", "starting time 2H", 1e-3, 1e9)
+    x_d: float = required("p.u.", "Milano", "synchronous reactance, d axis", 1e-6, 1e6)
+    x_d_transient: float = required("p.u.", "Milano", "transient reactance, d axis", 1e-6, 1e6)
+    x_subtransient: float = required(
+        "p.u.", "Milano", "subtransient reactance of both axes; Milano's x''_q at bus 1 is 0.4", 1e-6, 1e6
+    )
+    x_q: float = required("p.u.", "Milano", "synchronous reactance, q axis", 1e-6, 1e6)
+    x_q_transient: float = required("p.u.", "Milano", "transient reactance, q axis", 1e-6, 1e6)
+    t_d0_transient_s: float = required("s", "Milano", "open-circuit transient time constant, d axis", 1e-4, 1e6)
+    t_d0_subtransient_s: float = required("s", "Milano", "open-circuit subtransient time constant, d axis", 1e-4, 1e6)
     t_q0_transient_s: float = parameter(
         1.0,
         "s",
         "Milano",
-        "open-circuit transient time constant, q axis; without effect where x'_q = x_q",
+        "open-circuit transient time constant, q axis; Milano: 0 at bus 1, without effect there because x'_q = x_q",
+        1e-4,
+        1e6,
     )
-    t_q0_subtransient_s: float = required("s", "Milano", "open-circuit subtransient time constant, q axis")
-    x_leakage: float = parameter(0.1, "p.u.", "design", "leakage reactance; Milano's at bus 1 exceeds x''_d")
-    resistance: float = parameter(0.0, "p.u.", "design", "armature resistance")
-    damping_pu: float = parameter(2.0, "p.u./p.u.", "Milano", "damping D")
-    dispatch_mw: float = parameter(0.0, "MW", "design", "power in the initial power flow; slack machines balance")
+    t_q0_subtransient_s: float = required("s", "Milano", "open-circuit subtransient time constant, q axis", 1e-4, 1e6)
+    x_leakage: float = parameter(
+        0.1,
+        "p.u.",
+        "design",
+        "leakage reactance; Milano's exceeds x''_d at buses 1, 6 and 8 and is 0 at bus 3",
+        0.0,
+        1e6,
+    )
+    resistance: float = parameter(
+        0.0, "p.u.", "design", "armature resistance, neglected (Milano: at most 0.0031)", 0.0, 1e3
+    )
+    damping_pu: float = parameter(2.0, "p.u./p.u.", "Milano", "damping D", 0.0, 1e6)
+    dispatch_mw: float = parameter(
+        0.0, "MW", "design", "power in the initial power flow; slack machines balance", -1e9, 1e9
+    )
     reactive_weight: float | None = parameter(
-        None, "MVA", "design", "weight in sharing its bus's initial reactive power; None: its rating"
+        None, "MVA", "design", "weight in sharing its bus's initial reactive power; None: its rating", 0.0, 1e12
     )
     exciter: ExciterParameters | None = dataclasses.field(
         default_factory=ExciterParameters,
@@ -356,7 +491,7 @@ def classical_machine(**values: Any) -> SynchronousMachineParameters:
 
 
 @dataclass(frozen=True, kw_only=True)
-class WtgGroup:
+class WtgGroup(Checked):
     """Identical grid-forming WTGs at one bus, as one aggregate.
 
     Args:
@@ -365,7 +500,7 @@ class WtgGroup:
     """
 
     bus: int = parameter(2, "-", "paper", "bus number")
-    n_turbines: float = parameter(10.0, "-", "paper", "number of turbines in the group")
+    n_turbines: float = parameter(10.0, "-", "paper", "number of turbines in the group", 1e-3, 1e4)
 
 
 def default_groups(n_groups: int = 2, bus: int = 2) -> tuple[WtgGroup, ...]:

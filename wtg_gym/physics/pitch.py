@@ -1,9 +1,10 @@
 """Pitch protection: a PI controller on the larger of the power and the speed excess, with a lagging, slow drive.
 
-    e = max(p_w - p_max, K_ω (ω_m - ω_max)) / (1 + β/β_K),    İ = K_i e,    T_β β̇ = I + K_p e - β
+    e = max(p_w - p_max, K_ω (ω_m - ω_m,max)) / (1 + β/β_K),    İ = K_βI e,    T_β β̇ = I + K_βP e - β
 
-with limits on I, on the demand and on β̇. Source: the two paths follow WECC's pitch controller WTGPT_A; gain schedule
-and rate limit are those of J. Jonkman et al.: Definition of a 5-MW Reference Wind Turbine, NREL/TP-500-38060.
+with limits on I, on the demand and on β̇. Like WECC's pitch controller WTGPT_A it acts on speed and power; unlike it, it
+is one PI. Source of gain schedule and rate limit: J. Jonkman et al.: Definition of a 5-MW Reference Wind Turbine,
+NREL/TP-500-38060.
 """
 
 from __future__ import annotations
@@ -19,10 +20,10 @@ class Pitch(NamedTuple):
     """Constants."""
 
     power_limit: float  # p_max [p.u.]
-    rotor_limit: float  # ω_max [p.u.]
+    rotor_limit: float  # ω_m,max [p.u.]
     speed_weight: float  # K_ω [p.u./p.u.]
-    gain_p: float  # K_p [deg/p.u.]
-    gain_i: float  # K_i [deg/(p.u. s)]
+    gain_p: float  # K_βP [deg/p.u.]
+    gain_i: float  # K_βI [deg/(p.u. s)]
     inv_schedule: float  # 1/β_K [1/deg]
     inv_actuator: float  # 1/T_β [1/s]
     rate_limit: float  # [deg/s]

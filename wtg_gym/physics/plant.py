@@ -17,6 +17,7 @@ from wtg_gym.physics.machine import machine_constants
 from wtg_gym.physics.network import NetworkCase, branch_admittances
 from wtg_gym.physics.nrel5mw import nrel_5mw
 from wtg_gym.physics.parameters import (
+    Checked,
     ConverterLimitParameters,
     GridFormingParameters,
     HydroGovernorParameters,
@@ -30,32 +31,20 @@ from wtg_gym.physics.parameters import (
     european_shedding,
 )
 from wtg_gym.physics.records import dtype, flatten
-from wtg_gym.physics.scenario import require_range
 from wtg_gym.physics.wind_turbine import extension_constants, turbine_constants
+from wtg_gym.ranges import require_range, whole_steps
 
 #: Integration steps that are accepted [s].
 SIMULATION_DT_RANGE = (5e-5, 0.04)
 
 
-def whole_steps(name: str, interval: float, step: float, step_name: str) -> int:
-    """Return how many steps make up an interval [s].
-
-    Raises:
-        ValueError: it is not a whole number of steps (within a rounding of 1e-6 steps); the message names both.
-    """
-    count = round(interval / step)
-    if abs(count * step - interval) > 1e-6 * step:
-        raise ValueError(f"{name} = {interval:g} s is not a whole number of {step_name}s of {step:g} s")
-    return count
-
-
 @dataclass(frozen=True, kw_only=True)
-class PlantSettings:
+class PlantSettings(Checked):
     """A network, its WTG groups and the time steps.
 
     Args:
         case: the network with its synchronous machines.
-        groups: the WTG groups; may be empty where the network has machines.
+        groups: the WTG groups; may be empty.
         turbine, pitch, control, protection: parameters of every WTG, and what ends a run.
         limits: current and power limits of every converter, and its chopper; None for the paper's, which has none.
         voltage_control: of every WTG; None for the paper's constant voltage behind X_g.
@@ -83,48 +72,35 @@ class PlantSettings:
     trips_groups: bool = False
 
     def __post_init__(self) -> None:
-        self._check_extension()
+        super().__post_init__()
         require_range("simulation_dt", self.simulation_dt, *SIMULATION_DT_RANGE, "s")
         require_range("control_dt", self.control_dt, self.simulation_dt, 10.0, "s")
         whole_steps("control_dt", self.control_dt, self.simulation_dt, "simulation step")
         for group in self.groups:
             self.case.bus_index(group.bus)
-            require_range(f"n_turbines of the WTG group at bus {group.bus}", group.n_turbines, 1e-3, 1e4, "turbines")
+        with_group = {group.bus for group in self.groups}
+        for bus in self.case.buses:
+            weights = [machine.reactive_weight for machine in self.case.machines if machine.bus == bus.number]
+            if (
+                weights
+                and bus.voltage_pu is not None
+                and bus.number not in with_group
+                and not any(weight != 0.0 for weight in weights)
+            ):
+                raise ValueError(f"reactive_weight is 0 MVA for every machine at bus {bus.number}; one must have more")
+        if self.control.frequency_setpoint_pu != 1.0:
+            raise ValueError(
+                "runs start at nominal frequency, so that frequency_setpoint_pu must be 1 p.u., got "
+                f"{self.control.frequency_setpoint_pu:g} p.u."
+            )
+        total = sum(stage.share for stage in self.shedding)
+        if total > 1.0 + 1e-12:
+            raise ValueError(f"the shedding stages disconnect {100.0 * total:g} % of the load; allowed: at most 100 %")
 
     @property
     def extended(self) -> bool:
         """Whether the WTG groups have limits, voltage control, or a rotor that keeps its energy."""
         return self.limits is not None or self.voltage_control is not None or self.turbine.conserves_energy
-
-    def _check_extension(self) -> None:
-        if self.limits is not None:
-            p = self.limits
-            require_range("power_max_pu", p.power_max_pu, 0.05, 10.0, "p.u.")
-            require_range("current_max_pu", p.current_max_pu, 0.05, 10.0, "p.u.")
-            require_range("power_min_pu", p.power_min_pu, -10.0, 0.0, "p.u.")
-            require_range("power_gain", p.power_gain, 0.0, 10.0, "p.u./p.u.")
-            require_range("power_integral_gain", p.power_integral_gain, 0.0, 100.0, "p.u./(p.u. s)")
-            if p.power_max_pu > p.current_max_pu:
-                raise ValueError(
-                    f"power_max_pu = {p.power_max_pu:g} p.u. exceeds current_max_pu = {p.current_max_pu:g} p.u.: no "
-                    "converter gives it at nominal voltage"
-                )
-        if self.voltage_control is not None:
-            v = self.voltage_control
-            require_range("integral_gain", v.integral_gain, 1e-3, 1000.0, "p.u./(p.u. s)")
-            require_range("droop_pu", v.droop_pu, 0.0, 1.0, "p.u./p.u.")
-            require_range("reactive_max_pu", v.reactive_max_pu, 0.0, 10.0, "p.u.")
-            require_range("takeover_gain", v.takeover_gain, 0.0, 100.0, "p.u./p.u.")
-            require_range("internal_voltage_min_pu", v.internal_voltage_min_pu, 0.0, 1.0, "p.u.")
-            require_range("internal_voltage_max_pu", v.internal_voltage_max_pu, 1.0, 10.0, "p.u.")
-        for stage in self.shedding:
-            require_range("frequency_pu of a shedding stage", stage.frequency_pu, 0.5, 1.0, "p.u.")
-            require_range("share of a shedding stage", stage.share, 0.0, 1.0, "")
-            require_range("delay_s of a shedding stage", stage.delay_s, 0.0, 60.0, "s")
-        if sum(stage.share for stage in self.shedding) > 1.0 + 1e-12:
-            total = sum(stage.share for stage in self.shedding)
-            raise ValueError(f"the shedding stages disconnect {100.0 * total:g} % of the load; allowed: at most 100 %")
-        require_range("rotor_speed_min_pu", self.protection.rotor_speed_min_pu, 0.0, 1.0, "p.u.")
 
 
 #: Physics by name: the paper's; all that the paper leaves out, with its turbine; the same with the NREL 5 MW turbine.
@@ -216,7 +192,7 @@ def build_plant(settings: PlantSettings) -> Plant:
         BusConstants(
             shunt=complex(bus.shunt_mw, bus.shunt_mvar) / base,
             load=complex(bus.load_mw, bus.load_mvar) / base,
-            voltage=bus.voltage_pu or 1.0,
+            voltage=1.0 if bus.voltage_pu is None else bus.voltage_pu,
             holds_voltage=bus.voltage_pu is not None and index in unit_bus,
         )
         for index, bus in enumerate(case.buses)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from enum import IntEnum
 from typing import Any
 
 from wtg_gym.physics.compiled import inlined
@@ -15,7 +16,6 @@ from wtg_gym.physics.layout import (
     WTG,
     Floats,
     Lanes,
-    Status,
     load_extremes,
     load_machine_input,
     load_machine_output,
@@ -34,6 +34,19 @@ from wtg_gym.physics.wind_turbine import WtgExtremes, WtgInput
 
 #: Protections look at the end of every control interval, and at least this often within a longer one [s].
 PROTECTION_INTERVAL_S = 0.1
+
+
+class Status(IntEnum):
+    """Why a lane has ended."""
+
+    RUNNING = 0
+    STALL = 1
+    OVER_SPEED = 2
+    FREQUENCY_LIMIT = 3
+    NUMERICAL_FAILURE = 4
+    LOSS_OF_SYNCHRONISM = 5
+    VOLTAGE_COLLAPSE = 6
+    UNDER_SPEED = 7
 
 
 @inlined
@@ -60,7 +73,6 @@ def track_extremes(block: Floats, c: Any, lanes: Lanes) -> None:
         block[lane + LANE.coi * width + x] = coi
         block[lane + LANE.coi_min * width + x] = min(block[lane + LANE.coi_min * width + x], coi)
         block[lane + LANE.coi_max * width + x] = max(block[lane + LANE.coi_max * width + x], coi)
-        block[lane + LANE.step * width + x] += select(block[lane + LANE.active * width + x] > 0.5, 1.0, 0.0)
     for j in range(n_wtg):
         o, extremes = wtg_row(c, j) * width, (rows.extremes + j * N_EXTREMES) * width
         for x in range(width):
@@ -136,8 +148,8 @@ def shed_load(block: Floats, x: int, c: Any, coi: float, step: float, width: int
 def update_status(block: Floats, c: Any, width: int) -> None:
     """End lanes that a protection ends or that are no longer finite; shed load; or trip groups for their rotor's speed.
 
-    If several apply, the first in this order counts: under-speed, stall or over-speed, loss of synchronism, voltage
-    collapse, frequency limit. The others follow from it.
+    If several apply, the first in this order counts: not finite; under-speed, stall or over-speed of the last such
+    group; loss of synchronism; voltage collapse; frequency limit. The others follow from it.
     """
     rows = rows_of(c)
     turbine = read_turbine(c["turbine"])
@@ -159,7 +171,7 @@ def update_status(block: Floats, c: Any, width: int) -> None:
         spread = block[lane + LANE.largest_angle * width] - block[lane + LANE.least_angle * width]
         if spread > limits.angle_spread:
             status = Status.LOSS_OF_SYNCHRONISM
-        total = coi
+        finite = math.isfinite(coi)
         for j in range(c["share"].shape[0]):
             o = wtg_row(c, j) * width + x
             state = load_wtg_state(block, o, width)
@@ -167,7 +179,7 @@ def update_status(block: Floats, c: Any, width: int) -> None:
             ratio = (
                 turbine.rotor.tip_speed * state.rotor_speed / load_wtg_output(block, o + WTG.output * width, width).wind
             )
-            total += state.rotor_speed + state.converter.speed
+            finite = finite and math.isfinite(state.rotor_speed) and math.isfinite(state.converter.speed)
             failure = 0
             if ratio < limits.stall_tip_speed_ratio:
                 if state.pitch.pitch < limits.stall_pitch:
@@ -183,7 +195,7 @@ def update_status(block: Floats, c: Any, width: int) -> None:
                     block[lane + LANE.next_change * width] = step
                 else:
                     status = failure
-        if not math.isfinite(total):
+        if not finite:
             status = Status.NUMERICAL_FAILURE
         if status != 0:
             block[lane + LANE.status * width] = status

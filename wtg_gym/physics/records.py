@@ -43,7 +43,7 @@ def size(record: Any) -> int:
 
 @functools.cache
 def short_names(record: Any) -> tuple[str, ...]:
-    """Return the names of a record's numbers without those of the records within it."""
+    """Return the last part of each of :func:`leaves`' names: "lead_lag" of "exciter.lead_lag"."""
     return tuple(leaf.rpartition(".")[2] for leaf in leaves(record))
 
 

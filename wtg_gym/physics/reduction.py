@@ -168,7 +168,8 @@ def _store_reduction(
 def combine_load_noise(block: Floats, c: Any, noise_y: Floats, lanes: Lanes) -> None:
     """Put the load noise into the reduced admittance of every lane of a block by a rank-one update.
 
-    Y = Y0 + Δy/(1 + Δy z) u uᵀ (Sherman-Morrison); exact for one bus, and cheap enough for every control interval.
+    Y = Y0 + Δy/(1 + Δy z) u uᵀ (Sherman-Morrison): exact for one bus of a network without phase shifters, whose Z is
+    symmetric, and cheap enough for every control interval.
     `noise_y` (width) is Δy, a conductance [p.u.].
     """
     width, rows = len(lanes), rows_of(c)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.files import parse_json
+from wtg_gym.ranges import require_bus, require_range
 
 #: Wind speeds the turbine model covers: cut-in and cut-out of the NREL 5 MW machine [m/s].
 WIND_SPEED_RANGE = (3.0, 25.0)
@@ -27,34 +27,22 @@ LONGEST_RUN_S = 86400.0
 SERIES_DT = 0.1
 
 
-def require_range(name: str, value: float, low: float, high: float, unit: str) -> float:
-    """Return `value` as a float, or raise a ValueError that names value, unit and allowed range."""
-    # By far the most frequent case, in the drawing of scenarios.
-    if type(value) is float and low <= value <= high and math.isfinite(value):
-        return value
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
-        raise ValueError(f"{name} must be a number in {low:g} … {high:g} {unit}, got {value!r}".rstrip())
-    try:
-        number = float(value)
-    except OverflowError:
-        number = math.inf
-    if not math.isfinite(number) or not low <= number <= high:
-        raise ValueError(
-            f"{name} = {number:g} {unit}".rstrip() + f" is outside the allowed range {low:g} … {high:g} {unit}".rstrip()
-        )
-    return number
-
-
 def _series(name: str, values: Any) -> npt.NDArray[np.float64]:
     try:
-        return np.array(values, dtype=np.float64)
+        kind = np.asarray(values).dtype.kind
+        series = np.array(values, dtype=np.float64) if kind != "c" else np.zeros(0)
+        # numpy would convert "8" and drop imaginary parts without a word.
+        if kind in "USbc" and np.size(values):
+            raise ValueError(f"got {np.ravel(values)[:3].tolist()}")
+        return series
     except (OverflowError, TypeError, ValueError) as error:
         raise ValueError(f"{name} must be numbers in a regular array: {error}") from error
 
 
-def _require_bus(name: str, bus: int) -> None:
-    if isinstance(bus, bool) or not isinstance(bus, (int, np.integer)) or bus < 1:
-        raise ValueError(f"{name} must be a bus number of the network (a positive integer), got {bus!r}")
+def _plain(record: Any, **checked: Any) -> None:
+    """Put what a check returned into a frozen record: Python's own numbers, which JSON takes."""
+    for name, value in checked.items():
+        object.__setattr__(record, name, value)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,10 +64,13 @@ class LoadStep:
     reactive_mvar: float = 0.0
 
     def __post_init__(self) -> None:
-        require_range("event time", self.time_s, 0.0, LONGEST_RUN_S, "s")
-        _require_bus("bus", self.bus)
-        require_range("load step", self.power_mw, *LOAD_CHANGE_RANGE, "MW")
-        require_range("load step", self.reactive_mvar, *LOAD_CHANGE_RANGE, "Mvar")
+        _plain(
+            self,
+            time_s=require_range("event time", self.time_s, 0.0, LONGEST_RUN_S, "s"),
+            bus=require_bus("bus", self.bus),
+            power_mw=require_range("load step", self.power_mw, *LOAD_CHANGE_RANGE, "MW"),
+            reactive_mvar=require_range("load step", self.reactive_mvar, *LOAD_CHANGE_RANGE, "Mvar"),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +81,7 @@ class LoadRamp(LoadStep):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_range("ramp duration", self.duration_s, 0.1, 3600.0, "s")
+        _plain(self, duration_s=require_range("ramp duration", self.duration_s, 0.1, 3600.0, "s"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,8 +92,11 @@ class LoadTrip:
     bus: int
 
     def __post_init__(self) -> None:
-        require_range("event time", self.time_s, 0.0, LONGEST_RUN_S, "s")
-        _require_bus("bus", self.bus)
+        _plain(
+            self,
+            time_s=require_range("event time", self.time_s, 0.0, LONGEST_RUN_S, "s"),
+            bus=require_bus("bus", self.bus),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,9 +108,12 @@ class LineTrip:
     to_bus: int
 
     def __post_init__(self) -> None:
-        require_range("event time", self.time_s, 0.0, LONGEST_RUN_S, "s")
-        _require_bus("from_bus", self.from_bus)
-        _require_bus("to_bus", self.to_bus)
+        _plain(
+            self,
+            time_s=require_range("event time", self.time_s, 0.0, LONGEST_RUN_S, "s"),
+            from_bus=require_bus("from_bus", self.from_bus),
+            to_bus=require_bus("to_bus", self.to_bus),
+        )
 
 
 Event = LoadStep | LoadRamp | LoadTrip | LineTrip
@@ -139,8 +136,8 @@ class Scenario:
             grid without any; linear between samples, the last one holds.
         wind_dt_s: sampling step of `wind_speed` [s].
         duration_s: length of the run [s].
-        events: load and line events, in any order.
-        load_noise_mw: extra resistive load at `load_noise_bus`, one value per `SERIES_DT` [MW]; empty for none.
+        events: load and line events, in any order; those after the end of the run do not happen.
+        load_noise_mw: extra resistive load at `load_noise_bus`, one value per `SERIES_DT` [MW], 0 after the last.
             The first value must be zero, so that the run starts in equilibrium.
         load_noise_bus: bus of the load noise.
         load_level: factor on every load of the case in the initial power flow.
@@ -167,7 +164,7 @@ class Scenario:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
             raise ValueError(f"name of a scenario must be text, got {self.name!r}")
-        require_range("wind_dt_s", self.wind_dt_s, 1e-3, 3600.0, "s")
+        wind_dt_s = require_range("wind_dt_s", self.wind_dt_s, 1e-3, 3600.0, "s")
         wind = _series("wind_speed", self.wind_speed)
         if wind.ndim != 2 or wind.shape[1] < 1:
             raise ValueError(f"wind_speed must have shape (n_wtg, n_samples), got shape {wind.shape}")
@@ -190,24 +187,34 @@ class Scenario:
             )
         if noise.size and noise[0] != 0.0:
             raise ValueError(f"load_noise_mw must start at 0 MW, got {noise[0]:g} MW")
+        if not isinstance(self.events, (tuple, list)):
+            raise ValueError(f"events must be a tuple of events, got {self.events!r}")
         for event in self.events:
             if type(event) not in _KIND_OF:
                 raise ValueError(f"unknown event {event!r}; known kinds: {', '.join(EVENT_KINDS)}")
-        require_range("duration_s", self.duration_s, 0.1, LONGEST_RUN_S, "s")
-        _require_bus("load_noise_bus", self.load_noise_bus)
-        require_range("load_level", self.load_level, 0.3, 1.5, "")
-        if self.governor_droop is not None:
-            require_range("governor_droop", self.governor_droop, 0.005, 1.0, "p.u.")
-        require_range("inertia_scale", self.inertia_scale, 0.05, 5.0, "")
-        if self.seed is not None:
-            is_whole = isinstance(self.seed, (int, np.integer)) and not isinstance(self.seed, bool)
-            if not is_whole or not 0 <= self.seed < 2**63:
-                raise ValueError(f"seed of a scenario must be a whole number in 0 … 2^63 - 1, got {self.seed!r}")
+        droop, seed = self.governor_droop, self.seed
+        if droop is not None:
+            droop = require_range("governor_droop", droop, 0.005, 1.0, "p.u.")
+        if seed is not None:
+            is_whole = isinstance(seed, (int, np.integer)) and not isinstance(seed, bool)
+            if not is_whole or not 0 <= seed < 2**63:
+                raise ValueError(f"seed of a scenario must be a whole number in 0 … 2^63 - 1, got {seed!r}")
+            seed = int(seed)
         for series in (wind, noise):
             series.setflags(write=False)
-        object.__setattr__(self, "wind_speed", wind)
-        object.__setattr__(self, "load_noise_mw", noise)
-        object.__setattr__(self, "events", tuple(self.events))
+        _plain(
+            self,
+            wind_speed=wind,
+            wind_dt_s=wind_dt_s,
+            duration_s=require_range("duration_s", self.duration_s, 0.1, LONGEST_RUN_S, "s"),
+            events=tuple(self.events),
+            load_noise_mw=noise,
+            load_noise_bus=require_bus("load_noise_bus", self.load_noise_bus),
+            load_level=require_range("load_level", self.load_level, 0.3, 1.5, ""),
+            governor_droop=droop,
+            inertia_scale=require_range("inertia_scale", self.inertia_scale, 0.05, 5.0, ""),
+            seed=seed,
+        )
 
     @property
     def n_wtg(self) -> int:
@@ -255,8 +262,9 @@ class Scenario:
 
 
 def _event_from_dict(data: Any) -> Event:
-    if not isinstance(data, dict) or data.get("kind") not in EVENT_KINDS:
+    kind = data.get("kind") if isinstance(data, dict) else None
+    if not isinstance(kind, str) or kind not in EVENT_KINDS:
         raise ValueError(f"an event needs a kind out of {', '.join(EVENT_KINDS)}, got {data!r}")
     fields = {key: value for key, value in data.items() if key != "kind"}
-    event: Event = EVENT_KINDS[data["kind"]](**fields)
+    event: Event = EVENT_KINDS[kind](**fields)
     return event

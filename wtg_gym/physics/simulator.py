@@ -17,10 +17,12 @@ from wtg_gym.physics.equilibrium import StartFailure, start_lanes
 from wtg_gym.physics.integration import advance_blocks
 from wtg_gym.physics.layout import EVENT_DTYPE, NO_EVENT, Floats, LaneData, Layout, NetworkEvent
 from wtg_gym.physics.linearisation import check_step
-from wtg_gym.physics.plant import PlantSettings, build_plant, whole_steps
+from wtg_gym.physics.parameters import ConverterLimitParameters, HydroGovernorParameters, VoltageControlParameters
+from wtg_gym.physics.plant import PlantSettings, build_plant
 from wtg_gym.physics.reduction import bus_voltages
-from wtg_gym.physics.scenario import SERIES_DT, Event, LineTrip, LoadRamp, LoadTrip, Scenario
+from wtg_gym.physics.scenario import LONGEST_RUN_S, SERIES_DT, Event, LineTrip, LoadRamp, LoadTrip, Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, get_law
+from wtg_gym.ranges import require_range, whole_steps
 
 #: Lanes per block of a batched simulator; a single run uses a block of one.
 BLOCK_WIDTH = 16
@@ -30,14 +32,13 @@ _CHECKED_WINDS = (8.0, 16.0)
 #: A thread is worth its start only for this many blocks.
 _BLOCKS_PER_THREAD = 4
 
-_FAILURE_TEXT = {
-    StartFailure.NO_TURBINE_EQUILIBRIUM: "a WTG group has no equilibrium at its wind speed and tracking coefficient",
-    StartFailure.POWER_FLOW_DIVERGED: "the power flow has no solution at this load level and wind",
-    StartFailure.GOVERNOR_LIMIT: "the balancing machine would start beyond its gate limits; change wind or load level",
-    StartFailure.EXCITER_LIMIT: "a machine would start beyond its field voltage limits",
-    StartFailure.CONVERTER_LIMIT: "a WTG group would start beyond its converter's current or power limit",
-    StartFailure.INTERNAL_VOLTAGE_LIMIT: "a WTG group would start beyond the limits of the voltage behind X_g",
-}
+
+#: Beginning of the names of scenarios that a simulator makes for itself.
+_NOMINAL = "the plant at "
+
+
+def _subject(scenario: Scenario) -> str:
+    return scenario.name if scenario.name.startswith(_NOMINAL) else f"scenario {scenario.name!r}"
 
 
 def _copy(data: LaneData) -> LaneData:
@@ -101,6 +102,7 @@ class Simulator:
         self.settings = settings
         self.plant = build_plant(settings)
         self.n_lanes = int(n_lanes)
+        duration_s = require_range("duration_s", duration_s, 0.0, LONGEST_RUN_S, "s")
         self.n_intervals = whole_steps("duration_s", duration_s, settings.control_dt, "control step")
         self.layout = Layout.of(self.plant, n_extra)
         self.width = 1 if n_lanes == 1 else BLOCK_WIDTH
@@ -119,7 +121,7 @@ class Simulator:
         except TypeError:
             # A case of lists instead of tuples has no hash: nothing is shared with other simulators of it.
             self._checked = {}
-        reference = (get_law(REFERENCE_STRATEGY, settings.turbine),) * self.layout.n_wtg
+        reference = (get_law(REFERENCE_STRATEGY, settings.turbine, settings.control),) * self.layout.n_wtg
         if reference not in self._checked and self._check_nominal(reference, 1.0):
             self._checked[reference] = 1.0
 
@@ -128,7 +130,7 @@ class Simulator:
         found = False
         for wind in _CHECKED_WINDS:
             nominal = Scenario(
-                name=f"nominal at {wind:g} m/s",
+                name=f"{_NOMINAL}{wind:g} m/s and nominal load",
                 wind_speed=np.full((self.layout.n_wtg, 1), wind),
                 duration_s=self.n_intervals * self.settings.control_dt,
                 load_noise_bus=self.settings.case.slack_bus,
@@ -147,9 +149,7 @@ class Simulator:
         try:
             check_step(rows, self.plant, self.layout)
         except ValueError as error:
-            raise ValueError(
-                f"scenario {scenario.name!r}, inertia_scale = {scenario.inertia_scale:g}: {error}"
-            ) from None
+            raise ValueError(f"{_subject(scenario)}, inertia_scale = {scenario.inertia_scale:g}: {error}") from None
 
     def _allocate_data(self, n: int, n_events: int) -> LaneData:
         n_bus, n_wtg = self.plant.buses.size, self.layout.n_wtg
@@ -181,11 +181,15 @@ class Simulator:
 
     def machine_values(self, name: str) -> Floats:
         """Return a number of every lane and synchronous machine by its name, shape (n_lanes, n_sync)."""
-        return np.stack([self.values(row) for row in self.layout.machine(name)], axis=1)
+        return self._of_units(self.layout.machine(name))
 
     def wtg_values(self, name: str) -> Floats:
         """Return a number of every lane and WTG group by its name, shape (n_lanes, n_wtg)."""
-        return np.stack([self.values(row) for row in self.layout.wtg(name)], axis=1)
+        return self._of_units(self.layout.wtg(name))
+
+    def _of_units(self, rows: npt.NDArray[np.int64]) -> Floats:
+        blocks = self._view[:, rows, :].transpose(0, 2, 1)
+        return np.ascontiguousarray(blocks.reshape(blocks.shape[0] * self.width, rows.size)[: self.n_lanes])
 
     def lane_values(self, name: str) -> Floats:
         """Return a number of every lane by its name, shape (n_lanes,)."""
@@ -199,8 +203,8 @@ class Simulator:
             laws: one law per WTG group.
 
         Raises:
-            ValueError: a scenario does not fit the plant, has no equilibrium, or one that the integration step is too
-                long for or that no machine or converter is built for.
+            ValueError: a scenario does not fit the plant or has no equilibrium; or the integration step is too long
+                there; or a unit would need a larger internal voltage than allowed.
         """
         prepared = self._equilibria(scenarios, laws)
         self._check_internal_voltages(prepared.rows, scenarios)
@@ -226,8 +230,8 @@ class Simulator:
         name = "the synchronous machine" if unit < layout.n_sync else f"WTG group {unit - layout.n_sync}"
         task = "for its share of the power" if bus.voltage_pu is None else f"to hold {bus.voltage_pu:g} p.u. there"
         raise ValueError(
-            f"scenario {scenarios[lane].name!r} cannot start: {name} at bus {bus.number} needs an internal voltage of "
-            f"{voltages[lane, unit]:.3g} p.u. {task}; allowed: at most {limit:g} p.u., which takes a larger rating"
+            f"{_subject(scenarios[lane])} cannot start: {name} at bus {bus.number} needs an internal voltage of "
+            f"{voltages[lane, unit]:.3g} p.u. {task}; allowed: at most {limit:g} p.u. (a larger rating needs less)"
         )
 
     def _equilibria(self, scenarios: Sequence[Scenario], laws: Sequence[TrackingLaw]) -> PreparedLanes:
@@ -249,14 +253,53 @@ class Simulator:
         rows[:, self.layout.wtg("k_max")] = [law.k_max for law in laws]
         rows[:, self.layout.wtg("inv_tau")] = [law.inverse_time_constant for law in laws]
         rows[:, self.layout.wtg("droop_cancelled")] = [law.droop_cancelled for law in laws]
-        failures = np.zeros(n, dtype=np.int64)
+        failures = np.zeros((n, 2), dtype=np.int64)
         levels = np.array([scenario.load_level for scenario in scenarios])
         # A literal (0,) within compiled code would be a type of its own, and compile the right-hand side again.
         start_lanes(rows, self.plant, data, levels, failures, (0,))
-        for scenario, failure in zip(scenarios, failures.tolist(), strict=True):
+        for scenario, (failure, unit), row in zip(scenarios, failures.tolist(), rows, strict=True):
             if failure:
-                raise ValueError(f"scenario {scenario.name!r} cannot start: {_FAILURE_TEXT[StartFailure(failure)]}")
+                reason = self._start_failure(StartFailure(failure), unit, row, scenario)
+                raise ValueError(f"scenario {scenario.name!r} cannot start: {reason}")
         return PreparedLanes(rows, data)
+
+    def _start_failure(self, failure: StartFailure, unit: int, rows: Floats, scenario: Scenario) -> str:
+        """Say why a unit cannot start, with the numbers that its rows (n_rows,) hold."""
+        if failure == StartFailure.POWER_FLOW_DIVERGED:
+            return f"the power flow has no solution at a load level of {scenario.load_level:g} and this wind"
+        layout, settings = self.layout, self.settings
+        bus = settings.case.buses[self.plant.constants["unit_bus"][0, unit]].number
+        if unit < layout.n_sync:
+            machine = self.plant.constants["machines"][0, unit]
+            name, low, high = "field_voltage", machine["exciter.field_min"], machine["exciter.field_max"]
+            if failure == StartFailure.GOVERNOR_LIMIT:
+                governor, name = settings.case.machines[unit].governor, "gate"
+                if governor is not None:
+                    low, high = governor.gate_min_pu, governor.gate_max_pu
+                if isinstance(governor, HydroGovernorParameters):
+                    name = "hydro_gate"
+            what = name.replace("_", " ")
+            return (
+                f"the synchronous machine at bus {bus} would start at {rows[layout.machine(name)[unit]]:.4g} p.u. of "
+                f"{what}, beyond its {what} limits {low:g} … {high:g} p.u.; change wind or load level"
+            )
+        j = unit - layout.n_sync
+        group = f"WTG group {j} at bus {bus}"
+        if failure == StartFailure.NO_TURBINE_EQUILIBRIUM:
+            k = rows[layout.wtg("k_nominal")[j]]
+            return f"{group} has no equilibrium at a wind of {scenario.wind_speed[j, 0]:g} m/s with k = {k:g} p.u."
+        if failure == StartFailure.CONVERTER_LIMIT:
+            limits = settings.limits or ConverterLimitParameters()
+            return (
+                f"{group} would start with {rows[layout.wtg('power')[j]]:.4g} p.u. of power, beyond its converter's "
+                f"limits: power {limits.power_min_pu:g} … {limits.power_max_pu:g} p.u., current at most "
+                f"{limits.current_max_pu:g} p.u."
+            )
+        control, emf = settings.voltage_control or VoltageControlParameters(), rows[layout.wtg("internal_voltage")[j]]
+        return (
+            f"{group} would start with {emf:.4g} p.u. behind X_g, beyond the limits "
+            f"{control.internal_voltage_min_pu:g} … {control.internal_voltage_max_pu:g} p.u. of its voltage control"
+        )
 
     def commit(self, lanes: Sequence[int] | npt.NDArray[np.int64], prepared: PreparedLanes) -> None:
         """Put lanes into prepared equilibria, one each."""
@@ -293,23 +336,27 @@ class Simulator:
             for j in range(wind.shape[0]):
                 target[j] = np.interp(wanted, given, wind[j])
         noise = scenario.load_noise_mw
+        if noise.any() and any(branch.phase_rad != 0.0 for branch in self.settings.case.branches):
+            raise ValueError(
+                f"scenario {scenario.name!r}: load noise needs a network without phase shifters: its update assumes a "
+                "symmetric admittance matrix"
+            )
         if noise.size:
-            if abs(SERIES_DT - dt) < 1e-12:
-                m = min(noise.size, n)
-                data.noise[lane, :m] = noise[:m]
-            else:
-                index = np.minimum((np.arange(n) * dt / SERIES_DT + 1e-9).astype(np.int64), noise.size - 1)
-                data.noise[lane] = noise[index]
+            index = (np.arange(n) * dt / SERIES_DT + 1e-9).astype(np.int64)
+            data.noise[lane] = np.where(index < noise.size, noise[np.minimum(index, noise.size - 1)], 0.0)
 
     def _write_events(self, table: npt.NDArray[np.void], scenario: Scenario) -> None:
         lost = [event.bus for event in scenario.events if isinstance(event, LoadTrip)]
         if len(set(lost)) < len(lost):
             raise ValueError(f"scenario {scenario.name!r} disconnects a load twice; load trips at buses {lost}")
-        case, opened = self.settings.case, []
+        case, opened = self.settings.case, list[int]()
         for row, event in enumerate(scenario.events):
             values = self._network_event(event, scenario.load_level)
             table[row] = values
             if values.branch >= 0:
+                if values.branch in opened:
+                    ends = case.branches[values.branch]
+                    raise ValueError(f"scenario {scenario.name!r} opens the line {ends.from_bus}-{ends.to_bus} twice")
                 opened.append(values.branch)
         if not case.bridges.isdisjoint(opened) or (len(opened) > 1 and not case.connected_without(tuple(opened))):
             raise ValueError(f"scenario {scenario.name!r}: its line trips would split the network")

@@ -1,7 +1,7 @@
 """Strategies: the tracking law of :mod:`wtg_gym.physics.converter` with their numbers.
 
-A strategy's coefficients are those of a turbine: K_opt belongs to its rotor. Wherever a function takes a `turbine`,
-None is the paper's.
+A strategy's coefficients are those of a turbine and its control: K_opt belongs to the rotor, deloadings and τ to the
+control. Wherever a function takes a `turbine` or a `control`, None is the paper's.
 """
 
 from __future__ import annotations
@@ -13,15 +13,20 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from wtg_gym.files import read_toml
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
-from wtg_gym.physics.scenario import require_range
+from wtg_gym.ranges import require_range
 
 #: Largest tracking coefficient a law may ask for [p.u.]: three times K_opt.
 LARGEST_COEFFICIENT = 3.0
 #: Damping time constants of a law besides 0 and ∞ [s]; a slower filter is plain droop for as long as an episode takes.
 TIME_CONSTANT_RANGE = (0.05, 1e5)
+
+#: A smaller deloading in a law file is taken for a fraction that was meant [%].
+_LEAST_PERCENT = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,11 +51,13 @@ class TrackingLaw:
     damping_time_constant_s: float = math.inf
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            raise ValueError(f"name of a law must be text, got {self.name!r}")
         for key in ("k_min", "k_nominal", "k_max"):
             require_range(f"{key} of law {self.name!r}", getattr(self, key), 1e-3, LARGEST_COEFFICIENT, "p.u.")
         tau = self.damping_time_constant_s
         low, high = TIME_CONSTANT_RANGE
-        is_number = isinstance(tau, (int, float)) and not isinstance(tau, bool)
+        is_number = isinstance(tau, (int, float, np.integer, np.floating)) and not isinstance(tau, bool)
         if not is_number or not (tau in (0.0, math.inf) or low <= tau <= high):
             raise ValueError(
                 f"damping_time_constant_s of law {self.name!r} must be {low:g} … {high:g} s, 0 s (cancels the droop) "
@@ -70,24 +77,24 @@ class TrackingLaw:
 
 
 def mppt(turbine: TurbineParameters | None = None) -> TrackingLaw:
-    """Return maximum power point tracking: K_opt at every frequency, plain droop (paper, equation `fomegam_mppt`)."""
+    """Return maximum power point tracking: K_opt at every frequency, plain droop (paper, equation (9))."""
     k = tracking_point(0.0, turbine).coefficient
     return TrackingLaw(name="mppt", k_min=k, k_nominal=k, k_max=k)
 
 
 def deloaded(deloading: float, turbine: TurbineParameters | None = None) -> TrackingLaw:
-    """Return the fixed deloaded law K_d with plain droop (paper, equation `fomegam_deload`); `deloading` is d [-]."""
+    """Return the fixed deloaded law K_d with plain droop (paper, equation (12)); `deloading` is d [-]."""
     k = tracking_point(deloading, turbine).coefficient
     return TrackingLaw(name=f"deloaded-{100.0 * deloading:g}", k_min=k, k_nominal=k, k_max=k)
 
 
 def coordinated_piecewise(
     name: str = "coordinated-piecewise",
-    parameters: GridFormingParameters | None = None,
     turbine: TurbineParameters | None = None,
+    control: GridFormingParameters | None = None,
 ) -> TrackingLaw:
-    """Return the reference: K_opt / K_n / K_pr with transient damping (paper, equation `gomega_augement`)."""
-    p = parameters or GridFormingParameters()
+    """Return the reference: K_opt / K_n / K_pr with transient damping (paper, equations (35)-(37))."""
+    p = control or GridFormingParameters()
     return TrackingLaw(
         name=name,
         k_min=tracking_point(0.0, turbine).coefficient,
@@ -97,9 +104,13 @@ def coordinated_piecewise(
     )
 
 
-def coordinated_linear(name: str = "coordinated-linear", turbine: TurbineParameters | None = None) -> TrackingLaw:
-    """Return the straight g(ω) from K_opt to K_pr with transient damping (paper, equation `gomega`)."""
-    p = GridFormingParameters()
+def coordinated_linear(
+    name: str = "coordinated-linear",
+    turbine: TurbineParameters | None = None,
+    control: GridFormingParameters | None = None,
+) -> TrackingLaw:
+    """Return the straight g(ω) from K_opt to K_pr with transient damping (paper, equations (21) and (35))."""
+    p = control or GridFormingParameters()
     k_min, k_max = (tracking_point(d, turbine).coefficient for d in (0.0, p.deloading_limit))
     share = (p.frequency_setpoint_pu - p.frequency_min_pu) / (p.frequency_max_pu - p.frequency_min_pu)
     return TrackingLaw(
@@ -111,29 +122,32 @@ def coordinated_linear(name: str = "coordinated-linear", turbine: TurbineParamet
     )
 
 
-def coordinated_undamped(turbine: TurbineParameters | None = None) -> TrackingLaw:
-    """Return the piecewise law without transient damping: the droop is cancelled (paper, equation `Gproposed`)."""
-    law = coordinated_piecewise("coordinated-undamped", turbine=turbine)
-    return dataclasses.replace(law, damping_time_constant_s=0.0)
+def coordinated_undamped(
+    name: str = "coordinated-undamped",
+    turbine: TurbineParameters | None = None,
+    control: GridFormingParameters | None = None,
+) -> TrackingLaw:
+    """Return the piecewise law without transient damping: the droop is cancelled (paper, equations (33) and (37))."""
+    return dataclasses.replace(coordinated_piecewise(name, turbine, control), damping_time_constant_s=0.0)
 
 
 #: The reference policy's strategy: zero action is exactly this.
 REFERENCE_STRATEGY = "coordinated-piecewise"
 
-#: How each strategy's law is made for a turbine.
-_BUILDERS: dict[str, Callable[[TurbineParameters | None], TrackingLaw]] = {
-    "mppt": mppt,
-    "deloaded-5": functools.partial(deloaded, 0.05),
-    "deloaded-10": functools.partial(deloaded, 0.10),
-    "coordinated-linear": lambda turbine: coordinated_linear(turbine=turbine),
-    "coordinated-piecewise": lambda turbine: coordinated_piecewise(turbine=turbine),
-    "coordinated-undamped": coordinated_undamped,
+#: How each strategy's law is made for a turbine and its control.
+_BUILDERS: dict[str, Callable[[TurbineParameters | None, GridFormingParameters | None], TrackingLaw]] = {
+    "mppt": lambda turbine, control: mppt(turbine),
+    "deloaded-5": lambda turbine, control: deloaded(0.05, turbine),
+    "deloaded-10": lambda turbine, control: deloaded(0.10, turbine),
+    "coordinated-linear": functools.partial(coordinated_linear, "coordinated-linear"),
+    "coordinated-piecewise": functools.partial(coordinated_piecewise, "coordinated-piecewise"),
+    "coordinated-undamped": functools.partial(coordinated_undamped, "coordinated-undamped"),
 }
 
 
 @functools.lru_cache(maxsize=64)
-def _strategy(name: str, turbine: TurbineParameters | None) -> TrackingLaw:
-    return _BUILDERS[name](turbine)
+def _strategy(name: str, turbine: TurbineParameters | None, control: GridFormingParameters | None) -> TrackingLaw:
+    return _BUILDERS[name](turbine, control)
 
 
 class _PaperStrategies(Mapping[str, TrackingLaw]):
@@ -142,7 +156,7 @@ class _PaperStrategies(Mapping[str, TrackingLaw]):
     def __getitem__(self, name: str) -> TrackingLaw:
         if name not in _BUILDERS:
             raise KeyError(name)
-        return _strategy(name, None)
+        return _strategy(name, None, None)
 
     def __iter__(self) -> Iterator[str]:
         return iter(_BUILDERS)
@@ -155,8 +169,12 @@ class _PaperStrategies(Mapping[str, TrackingLaw]):
 STRATEGIES: Mapping[str, TrackingLaw] = _PaperStrategies()
 
 
-def get_law(strategy: str | Path | TrackingLaw, turbine: TurbineParameters | None = None) -> TrackingLaw:
-    """Return a turbine's law by strategy name or from a TOML file, or a law as given.
+def get_law(
+    strategy: str | Path | TrackingLaw,
+    turbine: TurbineParameters | None = None,
+    control: GridFormingParameters | None = None,
+) -> TrackingLaw:
+    """Return a law by strategy name, for a turbine and its control, or from a TOML file, or as given.
 
     Raises:
         ValueError: no strategy of that name; the message lists the known ones.
@@ -169,13 +187,14 @@ def get_law(strategy: str | Path | TrackingLaw, turbine: TurbineParameters | Non
         raise ValueError(
             f"unknown strategy {str(strategy)!r}; known strategies: {', '.join(STRATEGIES)}, or a .toml file with a law"
         )
-    return _strategy(strategy, turbine)
+    return _strategy(strategy, turbine, control)
 
 
 def group_laws(
     strategies: str | Path | TrackingLaw | Sequence[str | Path | TrackingLaw],
     n_groups: int,
     turbine: TurbineParameters | None = None,
+    control: GridFormingParameters | None = None,
 ) -> tuple[TrackingLaw, ...]:
     """Return one law per WTG group, (n_groups,): the given one for all, or the one given for each.
 
@@ -183,12 +202,12 @@ def group_laws(
         ValueError: a strategy is unknown, or there are not as many as groups.
     """
     if isinstance(strategies, (str, Path, TrackingLaw)):
-        return (get_law(strategies, turbine),) * n_groups
+        return (get_law(strategies, turbine, control),) * n_groups
     if not isinstance(strategies, Sequence):
         raise ValueError(f"strategy must be a name or a list of names, got {strategies!r}")
     if len(strategies) != n_groups:
         raise ValueError(f"strategy must name one law, or one for each of the {n_groups} groups, got {len(strategies)}")
-    return tuple(get_law(strategy, turbine) for strategy in strategies)
+    return tuple(get_law(strategy, turbine, control) for strategy in strategies)
 
 
 def read_law(path: Path, turbine: TurbineParameters | None = None) -> TrackingLaw:
@@ -216,6 +235,11 @@ def read_law(path: Path, turbine: TurbineParameters | None = None) -> TrackingLa
         value = data[given[0]]
         if given[0].startswith("deloading"):
             percent = require_range(f"{given[0]} in {path}", value, 0.0, 90.0, "%")
+            if 0.0 < percent < _LEAST_PERCENT:
+                raise ValueError(
+                    f"{given[0]} = {percent:g} in {path} is in percent: write {100.0 * percent:g} for "
+                    f"{100.0 * percent:g} %; allowed: 0, or {_LEAST_PERCENT:g} … 90 %"
+                )
             coefficients[f"k_{corner}"] = tracking_point(percent / 100.0, turbine).coefficient
         else:
             coefficients[f"k_{corner}"] = require_range(
@@ -229,7 +253,10 @@ def read_law(path: Path, turbine: TurbineParameters | None = None) -> TrackingLa
     tau = data.get("tau_s", math.inf)
     if isinstance(tau, bool) or not isinstance(tau, (int, float)):
         raise ValueError(f"tau_s in {path} must be a number of seconds, 0 … inf, got {tau!r}")
-    return TrackingLaw(name=name, damping_time_constant_s=tau, **coefficients)
+    try:
+        return TrackingLaw(name=name, damping_time_constant_s=tau, **coefficients)
+    except ValueError as error:
+        raise ValueError(f"tau_s = {tau:g} s in {path} is not allowed: {error}") from None
 
 
 __all__ = [

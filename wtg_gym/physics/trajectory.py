@@ -6,15 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from wtg_gym.physics.layout import Status
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import TrackingLaw, group_laws
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +28,7 @@ class Trajectory:
         power_pu: delivered, on each group's base (n, n_wtg) [p.u.].
         captured_power_pu: (n, n_wtg) [p.u.].
         coefficient_pu: tracking coefficient k (n, n_wtg) [p.u.].
-        filter_pu: state x of the transient damping (n, n_wtg) [p.u.].
+        filter_pu: state x of the transient damping, 0 where τ is 0 or infinite (n, n_wtg) [p.u.].
         pitch_deg: (n, n_wtg) [deg].
         wind_m_s: (n, n_wtg) [m/s].
         status: why the run ended before its time, or RUNNING.
@@ -77,14 +75,14 @@ def simulate(
         on_progress: called with (intervals done, intervals in all).
 
     Returns:
-        the recorded run; it ends early where a protection ended the run; its last sample is then of that instant.
+        the recorded run. If a protection ends it, the last sample is of that instant.
 
     Raises:
         ValueError: scenario, laws and plant do not fit, or there is no equilibrium to start from.
     """
     settings = settings or PlantSettings()
     simulator = Simulator(settings, duration_s=scenario.duration_s)
-    simulator.start(0, scenario, group_laws(laws, len(settings.groups), settings.turbine))
+    simulator.start(0, scenario, group_laws(laws, len(settings.groups), settings.turbine, settings.control))
     nominal = settings.case.frequency_hz
     names = ("speed", "rotor_speed", "power", "captured", "coefficient", "filter", "pitch", "wind")
     frequency, samples = [], []

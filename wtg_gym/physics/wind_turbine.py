@@ -2,8 +2,8 @@
 
     2H_m ω̇_m = p_w - p,    p_w = ρ π R² v³ C_p(λ, β) / (2 S_n),    λ = ω_tn R ω_m / v
 
-Source: the paper's equations of the turbine, `pw` and `cp`. A group that has tripped stands still. An *extended* group
-has the limits of :mod:`~wtg_gym.physics.converter_limits`, the voltage control of
+Source: paper, equations (1)-(5). After a trip the states of a group keep their last values; it feeds in nothing. An
+*extended* group has the limits of :mod:`~wtg_gym.physics.converter_limits`, the voltage control of
 :mod:`~wtg_gym.physics.voltage_control`, and a rotor that keeps its energy H_m ω_m²: 2H_m ω_m ω̇_m = p_w - max(p, p_min).
 """
 
@@ -274,13 +274,14 @@ def wtg_limited(s: WtgState, c: Turbine) -> WtgState:
 
 @compiled
 def turbine_equilibrium(wind: float, k: float, c: Turbine, cells: Cells) -> tuple[float, float, bool]:
-    """Return (rotor speed [p.u.], pitch [deg], found) at which the captured power equals k ω_m³, right of the maximum.
+    """Return (rotor speed [p.u.], pitch [deg], found) at which the captured power equals k ω_m³ and falls faster.
 
-    The over-speed root of p_w(ω_m) = k ω_m³ at β = 0, unless captured power or rotor speed would exceed the pitch
-    protection's limits: then the limit, and the smallest pitch angle that holds it on a falling branch of C_p.
+    The root of p_w(ω_m) = k ω_m³ at β = 0 and a tip-speed ratio of 3.5 … 20 that is no stall, unless captured power or
+    rotor speed would exceed the pitch protection's limits: then the limit, and the smallest pitch angle that holds it
+    on a falling branch of C_p.
     """
     scale = wind / c.rotor.tip_speed
-    low, high = 3.5 * scale, 20.0 * scale
+    low, high = max(3.5, c.limits.stall_tip_speed_ratio) * scale, 20.0 * scale
     surplus_low = captured_power(low, wind, 0.0, c.rotor, cells) - k * low**3
     surplus_high = captured_power(high, wind, 0.0, c.rotor, cells) - k * high**3
     if not (surplus_low > 0.0 and surplus_high < 0.0):

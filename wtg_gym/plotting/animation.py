@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from wtg_gym.envs.rendering.colours import INK
 from wtg_gym.envs.rendering.diagram import describe_event, draw_diagram
-from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import GridFormingParameters
+from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.trajectory import Trajectory
 from wtg_gym.plotting.event_marks import endings, numbered_events

@@ -14,7 +14,7 @@ from wtg_gym.analysis.power_frequency import characteristic, critical_frequency_
 from wtg_gym.analysis.steady_states import OperatingPoint
 from wtg_gym.physics.aerodynamics import power_coefficient
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
-from wtg_gym.physics.scenario import WIND_SPEED_RANGE, require_range
+from wtg_gym.physics.scenario import WIND_SPEED_RANGE
 from wtg_gym.physics.tracking_law import TrackingLaw
 from wtg_gym.plotting.style import (
     DOUBLE_COLUMN_MM,
@@ -26,6 +26,7 @@ from wtg_gym.plotting.style import (
     new_figure,
     printed,
 )
+from wtg_gym.ranges import require_range
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from wtg_gym.envs.rendering.diagram import describe_event
-from wtg_gym.physics.layout import Status
+from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Event, Scenario
 from wtg_gym.physics.trajectory import Trajectory
 from wtg_gym.plotting.style import REFERENCE_GREY, SMALL_PT

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.aerodynamics import available_power_pu, power_coefficient, tracking_point
-from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
+from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, coordinated_piecewise
 from wtg_gym.physics.trajectory import Trajectory

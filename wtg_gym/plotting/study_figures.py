@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import GridFormingParameters
+from wtg_gym.physics.protection import Status
 from wtg_gym.plotting.event_marks import mark_end, mark_instants
 from wtg_gym.plotting.style import (
     DOUBLE_COLUMN_MM,

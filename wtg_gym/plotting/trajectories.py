@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import GridFormingParameters
+from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import LoadRamp, Scenario
 from wtg_gym.physics.tracking_law import coordinated_piecewise
 from wtg_gym.physics.trajectory import Trajectory

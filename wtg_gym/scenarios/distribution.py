@@ -12,16 +12,8 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from wtg_gym.physics.scenario import (
-    SERIES_DT,
-    Event,
-    LineTrip,
-    LoadRamp,
-    LoadStep,
-    LoadTrip,
-    Scenario,
-    require_range,
-)
+from wtg_gym.physics.scenario import SERIES_DT, Event, LineTrip, LoadRamp, LoadStep, LoadTrip, Scenario
+from wtg_gym.ranges import require_range
 from wtg_gym.scenarios.stream import Words, draw_normals, draw_uniforms, seed_streams
 from wtg_gym.scenarios.wind import (
     DRAWN_WIND_RANGE,

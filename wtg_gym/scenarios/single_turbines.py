@@ -13,7 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics.scenario import SERIES_DT, Scenario, require_range
+from wtg_gym.physics.scenario import SERIES_DT, Scenario
+from wtg_gym.ranges import require_range
 from wtg_gym.scenarios.wind import (
     DRAWN_WIND_RANGE,
     TURBINE_SPACING_M,

@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.parameters import TurbineParameters
-from wtg_gym.physics.scenario import SERIES_DT, WIND_SPEED_RANGE, require_range
+from wtg_gym.physics.scenario import SERIES_DT, WIND_SPEED_RANGE
+from wtg_gym.ranges import require_range
 
 FloatArray = npt.NDArray[np.float64]
 

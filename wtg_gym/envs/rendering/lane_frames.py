@@ -11,8 +11,8 @@ from wtg_gym.envs.lanes import TERMINATION_REASONS, TaskLanes
 from wtg_gym.envs.rendering.frame import FramePainter
 from wtg_gym.envs.rendering.panels import Episode, n_traces
 from wtg_gym.envs.rendering.window import Window
-from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import TurbineParameters
+from wtg_gym.physics.protection import Status
 
 #: A frame, (height, width, 3).
 Frame = npt.NDArray[np.uint8]

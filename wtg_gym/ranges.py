@@ -1,0 +1,47 @@
+"""Checks of numbers: what is outside its range is named with value, unit and range."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+
+def require_range(name: str, value: Any, low: float, high: float, unit: str) -> float:
+    """Return `value` as a float, or raise a ValueError that names value, unit and allowed range."""
+    # By far the most frequent case, in the drawing of scenarios.
+    if type(value) is float and low <= value <= high and math.isfinite(value):
+        return value
+    allowed = f"{low:g} … {high:g} {unit}".rstrip()
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+        raise ValueError(f"{name} must be a number in {allowed}, got {value!r}")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number) or not low <= number <= high:
+        raise ValueError(f"{name} = {number:g} {unit}".rstrip() + f" is outside the allowed range {allowed}")
+    return number
+
+
+def require_bus(name: str, bus: Any) -> int:
+    """Return a bus number as an int, or raise a ValueError that names it."""
+    if isinstance(bus, bool) or not isinstance(bus, (int, np.integer)) or bus < 1:
+        raise ValueError(f"{name} must be a bus number of the network (a positive integer), got {bus!r}")
+    return int(bus)
+
+
+def whole_steps(name: str, interval: float, step: float, step_name: str) -> int:
+    """Return how many steps make up an interval [s].
+
+    Raises:
+        ValueError: it is not a whole number of steps (within a rounding of 1e-6 steps); the message names both.
+    """
+    count = round(interval / step)
+    if abs(count * step - interval) > 1e-6 * step:
+        raise ValueError(f"{name} = {interval:g} s is not a whole number of {step_name}s of {step:g} s")
+    return count
+
+
+__all__ = ["require_bus", "require_range", "whole_steps"]
