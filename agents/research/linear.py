@@ -163,7 +163,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         given = parser.parse_args(argv)
         output = check_output_folder("--output", given.output)
         search = search_of(given, "train")
-        gains_file = check_output_file("--gains", given.gains, (".json",))
+        gains_file = None if given.gains is None else check_output_file("--gains", given.gains, (".json",))
         data = make_linear_feedback(
             search, output, gains_file, name=given.name, authors=given.authors, n_threads=given.threads
         )

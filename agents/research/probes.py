@@ -1,7 +1,7 @@
 """Policies that do one thing alone: the cost has a term against it, or its worth is of interest.
 
 wtg-gym results sensitivity --entries baselines agents.research.probes:CHATTER agents.research.probes:PUSH
-wtg-gym evaluate --split validation --entries agents.research.probes:STATIC baselines.tip_speed_feedback
+wtg-gym evaluate --entries agents.research.probes:STATIC baselines.tip_speed_feedback
 """
 
 from __future__ import annotations

@@ -6,6 +6,8 @@ import argparse
 from collections.abc import Callable
 from typing import Any, NoReturn
 
+from wtg_gym.envs.settings import FAILURE_MODES, MACHINE_MODELS
+
 #: The return value of `add_subparsers`, to which commands are added.
 Commands = Any
 
@@ -78,13 +80,13 @@ def add_plant_options(parser: argparse.ArgumentParser, *, default_groups: str = 
     )
     plant.add_argument(
         "--machine-model",
-        choices=("genrou", "classical"),
+        choices=MACHINE_MODELS,
         default="genrou",
         help="synchronous machines: genrou with exciters, or classical (default: genrou)",
     )
     plant.add_argument(
         "--on-failure",
-        choices=("terminate", "trip"),
+        choices=FAILURE_MODES,
         default="terminate",
         help="a stalled or over-speeding group ends the run, or is disconnected (default: terminate)",
     )

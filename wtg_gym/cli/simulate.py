@@ -24,7 +24,7 @@ from wtg_gym.cli.output import (
 )
 from wtg_gym.cli.parser import Commands, add_command, add_plant_options
 from wtg_gym.cli.runs import key_figures, print_key_figures, traces_csv
-from wtg_gym.cli.scenarios import describe_scenario, read_scenario, scenario_summary
+from wtg_gym.cli.suites import describe_scenario, read_scenario, scenario_summary
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.layout import Status
 from wtg_gym.physics.parameters import WtgGroup, default_groups
@@ -69,7 +69,7 @@ def add_commands(commands: Commands) -> None:
     what.add_argument("--case", metavar="NAME", help=f"case of the paper: {cases} (default: load-increase)")
     what.add_argument("--suite", metavar="NAME", help=f"suite to draw from: {', '.join(SUITES)}")
     what.add_argument(
-        "--scenario", metavar="FILE", help="scenario file in JSON, as `wtg-gym suites NAME --json` prints"
+        "--scenario", metavar="FILE", help="scenario file in JSON, as `wtg-gym suites NAME --seed N --json` prints"
     )
     change = parser.add_argument_group("changes to it")
     change.add_argument("--seed", type=int, metavar="N", help="seed of the suite (default: its first test seed)")
@@ -102,7 +102,7 @@ def add_commands(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym simulate`; return 1 if a run failed numerically."""
     plot = check_plot_file(arguments.plot, (*PLOT_SUFFIXES, _MOVING))
-    table = check_output_file("--csv", arguments.csv, (".csv",))
+    table = None if arguments.csv is None else check_output_file("--csv", arguments.csv, (".csv",))
     laws = {law.name: law for law in chosen_laws(arguments.law)}
     scenario, groups = _scenario_and_groups(arguments)
     settings = PlantSettings(

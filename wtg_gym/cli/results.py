@@ -73,7 +73,8 @@ time: maximum power point tracking has 0 and the reference strategy 100 with any
 that the entry gains on these two, not that it does anything else. Policies are not trained again.
 
 A weight whose change moves the ranking decides what the benchmark asks for. One that moves no score by a point and no
-rank is named at the end: among these entries it decides nothing; it may still keep others from something.
+rank is named at the end: among these entries it decides nothing; it may still deter entries that are not
+among these.
 
 weights: {", ".join(WEIGHTS)}"""
 
@@ -143,7 +144,7 @@ def add_commands(commands: Commands) -> None:
         description=_SENSITIVITY,
         examples="  wtg-gym results sensitivity --entries baselines\n"
         "  wtg-gym results sensitivity --entries deloaded-5 --weights duty --factors 0.5 2 4 --scenarios 20\n"
-        "  wtg-gym results sensitivity --entries baselines agents/policies/ppo-0 --page docs/benchmark.md",
+        "  wtg-gym results sensitivity --entries baselines agents/policies/ppo-k-0 --page docs/benchmark.md",
     )
     add_entries_option(parser)
     add_suite_option(parser)
@@ -173,7 +174,6 @@ def _run_page(arguments: argparse.Namespace) -> int:
 def check_html(option: str, text: str) -> Path:
     """Return the path of an HTML file to write, or raise a ValueError now rather than after the work."""
     path = check_output_file(option, text, (".html", ".htm"))
-    assert path is not None
     require_extra("bokeh", option)
     return path
 
