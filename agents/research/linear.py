@@ -18,7 +18,7 @@ from agents.entry_file import write_entry
 from agents.onnx_graph import PolicyNetwork, to_onnx
 from agents.research.evolution import POPULATION, Search, add_search_options, search_of, tune_linear
 from agents.research.rollouts import difference_percent, linear_feedback
-from wtg_gym.envs.task import COST_TERMS
+from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation import ANCHORS, NoScaleError, OnnxPolicy, evaluate
 from wtg_gym.evaluation.score import pinned
 from wtg_gym.files import to_json, write_atomically

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.envs.task import COST_TERMS
+from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation import statistics
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.score import log_gains, pinned, points_by_term, score_scale
