@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from agents.gains import Gains, stagger
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.envs.task import COST_TERMS
+from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.sb3 import SB3VecEnv
 
 Observations = npt.NDArray[np.float32]
@@ -33,6 +33,7 @@ class GainVecEnv(SB3VecEnv):
     def reset(self) -> Observations:
         """Start and spread the lanes; returns the observations (num_envs, n_observation)."""
         super().reset()
+        self._metrics = EpisodeMetrics(self.num_envs)
         self.reset_infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         observations = stagger(self.vector_env)
         self._gains.follow(range(self.num_envs))

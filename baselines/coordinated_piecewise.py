@@ -4,7 +4,7 @@
     g piecewise linear through (ω_min, K_opt), (ω_st, K_n), (ω_max, K_pr), constant outside
 
 K_n is the coefficient of 5 % deloading, K_pr that of 10 %: 5 % of the available power are ready upwards and downwards.
-Zero action of the environment is exactly this law.
+Zero action of the environment, with its default strategy, is exactly this law.
 
 Source: Chen et al., equation of the augmented g(ω).
 """

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.envs.task import N_LOCAL
+from wtg_gym.envs.observation import FREQUENCY_UNIT_HZ, N_LOCAL
 from wtg_gym.evaluation import Entry
 from wtg_gym.files import sha256
 from wtg_gym.physics.aerodynamics import tracking_point
@@ -54,7 +54,7 @@ class TipSpeedFeedback:
     ) -> tuple[Any, Any]:
         """Return (actions (n_lanes, n_wtg) on k in [-1, 1], no state)."""
         own = np.asarray(observation, dtype=np.float64).reshape(len(observation), -1, N_LOCAL + 1)
-        target = np.interp(0.5 * own[..., 0], self._deviation_hz, self._target)
+        target = np.interp(FREQUENCY_UNIT_HZ * own[..., 0], self._deviation_hz, self._target)
         return np.clip(self._gain * (own[..., 2] - target), -1.0, 1.0), state
 
 

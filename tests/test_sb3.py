@@ -285,7 +285,7 @@ def test_bad_arguments_are_refused_when_it_is_made():
         SB3VecEnv(2, autoreset_mode="NextStep")
     with pytest.raises(TypeError, match="unexpected keyword argument"):
         make_sb3_vec_env(2, durations=3.0)
-    with pytest.raises(ValueError, match="number of lanes"):
+    with pytest.raises(ValueError, match="num_envs"):
         SB3VecEnv(0)
 
 

@@ -35,7 +35,7 @@ from wtg_gym.evaluation import OnnxPolicy, load_entries
 from wtg_gym.policies.sb3_archive import ALGORITHMS, NormalizedPolicy, load_archive
 
 TOML = 'name = "mine"\naction_mode = "k+tau"\nalgorithm = "PPO"\n'
-SHORT = ("--seeds", "20000:20003", "--duration", "10")
+SHORT = ("--scenarios", "3", "--duration", "10")
 #: Width of the local observation of two groups with both actions.
 N = 20
 

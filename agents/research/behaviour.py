@@ -24,7 +24,7 @@ from agents.command import (
 from agents.research.learning_curves import curves_by_setup, read_csv, read_runs, to_csv
 from agents.research.slopes import policy_slopes, slopes_csv, slopes_tables
 from wtg_gym.envs import EnvSettings
-from wtg_gym.envs.task import COST_TERMS
+from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation import Entry
 from wtg_gym.evaluation.recording import Recording, one_scenario, pooled, record
 from wtg_gym.physics.scenario import Scenario

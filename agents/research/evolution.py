@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from agents.research.rollouts import Rollouts, both, course, linear_feedback
+from wtg_gym.envs.observation import N_LOCAL
 from wtg_gym.envs.settings import ACTION_MODES
-from wtg_gym.envs.task import N_LOCAL
 from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[np.float64]

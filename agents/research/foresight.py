@@ -17,8 +17,8 @@ from agents.command import Parser, Progress, check_output_folder, note, print_ta
 from agents.research import evolution, rollouts
 from agents.research.evolution import N_KNOTS, POPULATION, Search, add_search_options, search_of, search_with_foresight
 from agents.research.rollouts import difference_percent
+from wtg_gym.envs.observation import N_LOCAL
 from wtg_gym.envs.settings import ACTION_MODES
-from wtg_gym.envs.task import N_LOCAL
 from wtg_gym.evaluation import ANCHORS, Entry, evaluate, load_entries
 from wtg_gym.evaluation.oracle import OracleCosts
 from wtg_gym.files import read_json, sha256, to_json, write_atomically

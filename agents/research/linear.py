@@ -18,7 +18,7 @@ from agents.entry_file import write_entry
 from agents.onnx_graph import PolicyNetwork, to_onnx
 from agents.research.evolution import POPULATION, Search, add_search_options, search_of, tune_linear
 from agents.research.rollouts import difference_percent, linear_feedback
-from wtg_gym.envs.task import COST_TERMS
+from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation import ANCHORS, NoScaleError, OnnxPolicy, evaluate
 from wtg_gym.evaluation.score import pinned
 from wtg_gym.files import to_json, write_atomically
@@ -163,7 +163,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         given = parser.parse_args(argv)
         output = check_output_folder("--output", given.output)
         search = search_of(given, "train")
-        gains_file = check_output_file("--gains", given.gains, (".json",))
+        gains_file = None if given.gains is None else check_output_file("--gains", given.gains, (".json",))
         data = make_linear_feedback(
             search, output, gains_file, name=given.name, authors=given.authors, n_threads=given.threads
         )

@@ -1,7 +1,7 @@
 """Policies that do one thing alone: the cost has a term against it, or its worth is of interest.
 
 wtg-gym results sensitivity --entries baselines agents.research.probes:CHATTER agents.research.probes:PUSH
-wtg-gym evaluate --split validation --entries agents.research.probes:STATIC baselines.tip_speed_feedback
+wtg-gym evaluate --entries agents.research.probes:STATIC baselines.tip_speed_feedback
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs.task import COEFFICIENT_AUTHORITY, N_LOCAL
+from wtg_gym.envs.observation import FREQUENCY_UNIT_HZ, N_LOCAL, WtgObservation
+from wtg_gym.envs.task import COEFFICIENT_AUTHORITY
 from wtg_gym.evaluation import Entry, Policy
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.parameters import GridFormingParameters
@@ -24,8 +25,8 @@ Floats = npt.NDArray[np.float64]
 #: group one after the other (n_lanes, n_action).
 Rule = Callable[[Floats, int], Floats]
 
-#: Columns of a group's observation (wtg_gym.envs.task).
-_FREQUENCY, _ROCOF = 0, 1
+#: Columns of a group's observation.
+_FREQUENCY, _ROCOF = (WtgObservation._fields.index(name) for name in ("frequency_deviation", "rocof"))
 
 
 class Probe:
@@ -89,7 +90,7 @@ def _static() -> Rule:
     offset = needed - np.interp(speeds, corners, (law.k_min, law.k_nominal, law.k_max))
     actions = offset / (COEFFICIENT_AUTHORITY * (law.k_min - law.k_max))
     deviations_hz = 50.0 * (speeds - 1.0)
-    return lambda own, _step: np.interp(0.5 * own[..., _FREQUENCY], deviations_hz, actions)
+    return lambda own, _step: np.interp(FREQUENCY_UNIT_HZ * own[..., _FREQUENCY], deviations_hz, actions)
 
 
 def _entry(name: str, rule: Rule, description: str) -> Entry:

@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.observation import N_LOCAL
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.envs.task import COST_TERMS, N_LOCAL
+from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation.score import pinned_cost
 
 Floats = npt.NDArray[np.float64]

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from agents.command import Parser, Progress, print_table, run_command, say
 from agents.research.rollouts import Candidates, Rollouts, difference_percent
-from wtg_gym.envs.task import N_LOCAL
+from wtg_gym.envs.observation import N_LOCAL
 from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[np.float64]

@@ -12,7 +12,7 @@ from agents.gains import Gains, stagger
 from agents.vec_env import EpisodeMetrics, GainVecEnv
 from wtg_gym import ENV_ID
 from wtg_gym.envs import GFMWTGVectorEnv
-from wtg_gym.envs.task import COST_TERMS
+from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.sb3 import SB3VecEnv
 from wtg_gym.scenarios import get_suite
 
@@ -47,6 +47,19 @@ def test_metrics_of_an_episode_are_those_of_its_steps() -> None:
             steps[lane], n_ended = [], n_ended + 1
     assert n_ended == 2 * N
     env.close()
+
+
+def test_reset_forgets_the_episodes_before_it() -> None:
+    env, fresh = (GainVecEnv(2, duration_s=2.0, action_mode="k+tau") for _ in range(2))
+    env.seed(1), env.reset()
+    for _ in range(7):
+        env.step(np.ones((2, 4), dtype=np.float32))
+    ends = []
+    for each in (env, fresh):
+        each.seed(5), each.reset()
+        infos = [each.step(np.zeros((2, 4), dtype=np.float32))[3] for _ in range(20)]
+        ends.append([info["metrics"] for step in infos for info in step if "metrics" in info])
+    assert len(ends[0]) == 2 and ends[0] == ends[1]
 
 
 def test_lanes_are_spread_evenly_over_an_episode() -> None:

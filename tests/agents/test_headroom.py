@@ -15,7 +15,7 @@ from agents.research import foresight, simple_policies
 from agents.research import linear as linear_command
 from agents.research.evolution import N_KNOTS, POPULATION, _Strategy, search_with_foresight
 from agents.research.rollouts import Rollouts, course, linear_feedback
-from wtg_gym.envs.task import N_LOCAL
+from wtg_gym.envs.observation import N_LOCAL
 from wtg_gym.evaluation import Entry, OnnxPolicy, evaluate, load_entries
 from wtg_gym.evaluation.oracle import OracleCosts
 from wtg_gym.evaluation.score import pinned

@@ -21,7 +21,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("gap")
     (folder / "secret.txt").write_text(SECRET)
     (folder / "page.md").write_text("before\n<!-- gap:standard:start -->\n<!-- gap:standard:end -->\nafter\n")
-    assert main(["evaluate", *SHORT, "--seeds", "20000:20004", "--results", str(folder)]) == 0
+    assert main(["evaluate", *SHORT, "--split", "test", "--seeds", "20000:20004", "--results", str(folder)]) == 0
     drawn = ["--split", "fresh", "--commit", COMMIT, "--secret-file", str(folder / "secret.txt")]
     assert main(["evaluate", *SHORT, *drawn, "--scenarios", "4", "--results", str(folder)]) == 0
     return folder
@@ -94,7 +94,7 @@ BAD = {
         ["--split", "fresh", "--commit", COMMIT, "--secret-file", "SECRET", "--seeds", "5"],
         "without --seeds",
     ),
-    "other split": (["--commit", COMMIT], "--commit: for --split fresh only, the split is test"),
+    "other split": (["--commit", COMMIT], "--commit: for --split fresh only, the split is validation"),
     "no file": (
         ["--split", "fresh", "--commit", COMMIT, "--secret-file", "nowhere.txt"],
         "--secret-file nowhere.txt: No such file",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -15,14 +16,15 @@ import wtg_gym.cli.scoring
 from tests.cli.calls import end_with_parts, error_of, json_of, start
 from tests.submissions import models
 from wtg_gym.cli import main
-from wtg_gym.evaluation import Results, Workers, load_entries
+from wtg_gym.evaluation import ANCHORS, Results, Workers, load_entries
 from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.evaluation.recompute import recompute
 from wtg_gym.files import sha256, to_json
 from wtg_gym.policies import policy_process
 from wtg_gym.scenarios import FROZEN_HASHES
 
-_FEW = ("--suite", "low-wind", "--seeds", "20000:20003", "20005")
+ROOT = Path(__file__).resolve().parents[2]
+_FEW = ("--suite", "low-wind", "--split", "test", "--seeds", "20000:20003", "20005")
 _PAPER = ("leaderboard", "--suite", "paper", "--entries", "mppt", "deloaded-5", "coordinated-piecewise")
 
 
@@ -59,11 +61,11 @@ def test_evaluate_json_is_the_description_with_the_summary(capsys: pytest.Captur
 
 
 def test_share_of_the_oracles_gap_is_shown_or_why_not(capsys: pytest.CaptureFixture[str]) -> None:
-    cheaper = ["evaluate", "--entries", "baselines.tip_speed_feedback:ENTRY", "--seeds", "20000:20003"]
+    cheaper = ["evaluate", "--entries", "baselines.tip_speed_feedback:ENTRY", "--split", "test", "--scenarios", "3"]
     data = json_of(capsys, *cheaper, "--json")
     summary = data["summary"]["tip-speed-feedback"]
     assert 0.0 < summary["gap_closed_percent"]["value"] < 100.0 and summary["n_oracle"] == 3
-    assert main(["evaluate", "--entries", "mppt", "--seeds", "20000:20003", "--duration", "10"]) == 0
+    assert main(["evaluate", "--entries", "mppt", "--split", "test", "--scenarios", "3", "--duration", "10"]) == 0
     said = capsys.readouterr()
     assert said.err == "no share of the oracle's gap: the oracle was found for other settings: duration_s\n"
 
@@ -76,8 +78,11 @@ def test_share_of_the_oracles_gap_is_shown_or_why_not(capsys: pytest.CaptureFixt
         (("--entries", "best"), "the folder best holds no entry.toml, but 2 folders with one: write best/* for all"),
         (("--entries", "best/empty"), "the folder best/empty holds no entry.toml"),
         (("--suite", "storm"), "unknown suite 'storm'"),
-        (("--seeds", "20000", "20000"), "every seed may be given once; given more often: 20000"),
-        (("--seeds", "3"), "the test seeds of suite 'standard' are 20000 … 20199"),
+        (("--seeds", "10003", "10003"), "every seed may be given once; given more often: 10003"),
+        (("--seeds", "3"), "the validation seeds of suite 'standard' are 10000 … 10099"),
+        (("--split", "test", "--seeds", "3"), "the test seeds of suite 'standard' are 20000 … 20199"),
+        (("--scenarios", "101"), "--scenarios = 101 is outside the allowed range 1 … 100 of the split validation"),
+        (("--scenarios", "3", "--seeds", "10003"), "give one of the two"),
         (("--seeds", "20000-20010"), "expected a seed such as 20003, or a range such as 20000:20010"),
         (("--seeds", "20010:20000"), "0 seeds, a range must hold 1 … 100000"),
         (("--seeds", "0:999999999999"), "a range must hold 1 … 100000"),
@@ -160,17 +165,82 @@ def test_leaderboard_evaluates_only_what_is_missing(
 ) -> None:
     results = ("--results", str(tmp_path))
     whole = ("--entries", "mppt", "deloaded-5", "coordinated-linear", "coordinated-piecewise")
-    assert main([*_PAPER, *whole, *results]) == 0
-    expected = [(tmp_path / f"paper-test.{ending}").read_bytes() for ending in ("json", "csv")]
+    assert main([*_PAPER, *whole, "--results", str(tmp_path / "at-once")]) == 0
+    expected = _files(tmp_path / "at-once")
     assert main([*_PAPER, *results]) == 0
     played = _count_played(monkeypatch)
     assert main([*_PAPER, *whole, *results]) == 0
-    # The anchors alone, to compare; then the one that the second call has dropped.
+    # The anchors alone, to compare; then the one that the second call has not asked for.
     assert played == [[], ["coordinated-linear"]]
-    assert [(tmp_path / f"paper-test.{ending}").read_bytes() for ending in ("json", "csv")] == expected
+    assert _files(tmp_path) == expected
+    # What is not asked for is kept, and not printed; its texts come from where it was asked for last.
+    capsys.readouterr()
+    played.clear()
+    assert main([*_PAPER, *results]) == 0
+    assert "coordinated-linear" not in capsys.readouterr().out
+    assert main([*_PAPER, "--entries", "baselines.coordinated_linear", *results]) == 0
+    assert main([*_PAPER, *whole, *results]) == 0
+    assert played == [[]] * 3
+    assert _files(tmp_path) == expected
     played.clear()
     assert main([*_PAPER, *results, "--fresh"]) == 0
     assert played == [[], ["mppt", "deloaded-5", "coordinated-piecewise"]]
+
+
+def _files(folder: Path) -> list[bytes]:
+    return [(folder / f"paper-test.{ending}").read_bytes() for ending in ("json", "csv")]
+
+
+def test_stored_entry_is_kept_with_its_row_and_dropped_where_its_name_is_another_method(tmp_path: Path) -> None:
+    module = "from wtg_gym.evaluation import Entry\nE = Entry(name={!r}, strategy={!r}, training_seed={})\n"
+    for name, given in {
+        "zero": ("mine", "mppt", 0),
+        "one": ("mine", "mppt", 1),
+        "other": ("mine", "deloaded-5", 1),
+        "late": ("late", "mppt", None),
+    }.items():
+        (tmp_path / f"stored_{name}.py").write_text(module.format(*given), encoding="utf-8")
+    stored = []
+    for spec in ("zero", "one", "late", "other"):
+        command = ["leaderboard", "--suite", "paper", "--entries", f"stored_{spec}:E", "--results", "r"]
+        done = subprocess.run(
+            [sys.executable, "-m", "wtg_gym.cli", *command], cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}
+        )
+        assert done.returncode == 0
+        entries = Results.read(tmp_path / "r" / "paper-test.json").entries
+        stored.append({(each["name"], each["training_seed"]) for each in entries} - {(name, None) for name in ANCHORS})
+    assert stored == [
+        {("mine", 0)},
+        {("mine", 0), ("mine", 1)},
+        {("mine", 0), ("mine", 1), ("late", None)},
+        {("mine", 1), ("late", None)},
+    ]
+
+
+@pytest.mark.parametrize(
+    ("again", "other"),
+    [
+        (("--scenarios", "3"), "seeds"),
+        (("--duration", "5"), "settings"),
+        (("--machine-model", "classical", "--scenarios", "1"), "settings and seeds"),
+        (("--entries", "deloaded-10"), None),
+        (("--split", "test"), None),
+    ],
+    ids=str,
+)
+def test_results_of_other_scenarios_or_settings_are_not_overwritten(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, again: tuple[str, ...], other: str | None
+) -> None:
+    first = ["evaluate", "--entries", "mppt", "--scenarios", "2", "--duration", "10", "--results", str(tmp_path)]
+    assert main(first) == 0
+    stored = (tmp_path / "standard-validation.json").read_bytes()
+    if other is None:
+        assert main([*first, *again]) == 0
+        return
+    capsys.readouterr()
+    said = error_of(capsys, *first, *again)
+    assert f"its standard-validation.json is of other {other} and would be lost; give another folder" in said
+    assert (tmp_path / "standard-validation.json").read_bytes() == stored
 
 
 def test_fresh_leaderboard_believes_no_finished_parts(

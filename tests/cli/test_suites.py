@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 import wtg_gym
-import wtg_gym.cli.scenarios
 import wtg_gym.cli.scoring
 import wtg_gym.cli.simulate
+import wtg_gym.cli.suites
 from tests.cli.calls import error_of, json_of
 from wtg_gym.cli import main
 from wtg_gym.scenarios import FROZEN_HASHES, SUITES
@@ -41,7 +41,7 @@ def test_hash_check_passes_and_fails_by_exit_code(
 ) -> None:
     assert main(["suites", "--check"]) == 0
     assert "DIFFERS" not in capsys.readouterr().out
-    monkeypatch.setattr(wtg_gym.cli.scenarios, "FROZEN_HASHES", {**FROZEN_HASHES, "gust": "0" * 64})
+    monkeypatch.setattr(wtg_gym.cli.suites, "FROZEN_HASHES", {**FROZEN_HASHES, "gust": "0" * 64})
     rows = json_of(capsys, "suites", "--check", "--json", code=1)
     assert [row["name"] for row in rows if not row["agrees"]] == ["gust"]
     assert main(["suites", "--check", "paper"]) == 0

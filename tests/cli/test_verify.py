@@ -17,7 +17,18 @@ from wtg_gym.files import sha256, to_json
 @pytest.fixture(scope="module")
 def stored(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("results")
-    arguments = ["--entries", "deloaded-5", "--seeds", "20000:20003", "--duration", "10", "--results", str(folder)]
+    arguments = [
+        "--entries",
+        "deloaded-5",
+        "--split",
+        "test",
+        "--scenarios",
+        "3",
+        "--duration",
+        "10",
+        "--results",
+        str(folder),
+    ]
     assert main(["evaluate", *arguments]) == 0
     return folder / "standard-test.json"
 

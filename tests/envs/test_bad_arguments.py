@@ -35,6 +35,8 @@ SETTINGS = [
     ("groups", "2", ["group", "'2'", "bus"]),
     ("groups", [], ["group", "[]", "bus"]),
     ("groups", [{"buss": 2}], ["buss", "n_turbines"]),
+    ("groups", [{}], ["bus", "{}"]),
+    ("groups", np.bool_(True), ["group", "True", "bus"]),
     ("groups", [{"bus": 99}], ["bus 99", "14"]),
     ("groups", [{"bus": True}], ["bus", "True"]),
     ("groups", [{"bus": 2, "n_turbines": NAN}], ["n_turbines", "nan"]),
@@ -76,7 +78,7 @@ LINE = {"kind": "line_trip", "time_s": 1.0, "from_bus": 1, "to_bus": 2}
 # the scenario's own, which tests/physics/test_scenario.py has.
 SCENARIOS = [
     ({"wind_speed": [[8.0]]}, ["1", "2 groups"]),
-    ({"wind_speed": [[8.0] * 9, [8.0] * 8 + [26.0]]}, ["wind_speed", "group 1", "0.8 s", "26 m/s", "3 … 25 m/s"]),
+    ({"wind_speed": [[8.0] * 9, [8.0] * 8 + [26.0]]}, ["wind_speed", "group 2", "0.8 s", "26 m/s", "3 … 25 m/s"]),
     ({"duration_s": 2.05}, ["duration_s", "2.05", "0.1 s"]),
     ({"duration_s": 4.1}, ["4.1 s", "longer than the 4 s"]),
     ({"load_noise_bus": 99}, ["bus 99", "14"]),
@@ -120,11 +122,11 @@ def test_type_checkers_know_exactly_the_settings_with_their_types(kind: Any):
 
 
 BATCH = [
-    ({"num_envs": 0}, ["0", "1 … 1000000"]),
-    ({"num_envs": 2.0}, ["2.0", "1 … 1000000"]),
-    ({"num_envs": True}, ["True", "1 … 1000000"]),
-    ({"n_threads": 0}, ["threads", "0"]),
-    ({"n_threads": 1.5}, ["threads", "1.5"]),
+    ({"num_envs": 0}, ["num_envs", "0", "1 … 1000000"]),
+    ({"num_envs": 2.0}, ["num_envs", "2.0", "1 … 1000000"]),
+    ({"num_envs": True}, ["num_envs", "True", "1 … 1000000"]),
+    ({"n_threads": 0}, ["n_threads", "0"]),
+    ({"n_threads": 1.5}, ["n_threads", "1.5"]),
     ({"autoreset_mode": "x"}, ["'x'", "NextStep", "SameStep", "Disabled"]),
     ({"max_episode_steps": 0}, ["max_episode_steps", "0"]),
     ({"max_episode_steps": NAN}, ["max_episode_steps", "nan"]),
@@ -152,15 +154,30 @@ def test_wrong_seed_is_refused(seed: Any):
         GFMWTGEnv(duration_s=2.0).reset(seed=seed)
 
 
-@pytest.mark.parametrize("options", [{"foo": 1}, {"scenarios": [SCENARIO]}, {"scenario": None}, 3], ids=str)
-def test_wrong_reset_options_are_refused(options: Any):
-    with pytest.raises(ValueError, match="scenario"):
-        GFMWTGEnv(duration_s=4.0).reset(options=options)
+OPTIONS = [
+    {"foo": 1},
+    {1: 1, "a": 2},
+    {"scenarios": [SCENARIO]},
+    {"scenario": None},
+    {"scenario": {**SCENARIO, "load_noise_bus": 99}},
+    3,
+]
 
 
-BATCH_SEEDS = [NAN, 1.5, "ab", -1, [1], [1, NAN], [1, "a"], [1, -1], [1, 2, 3]]
+@pytest.mark.parametrize("options", OPTIONS, ids=lambda value: str(value)[:40])
+def test_wrong_reset_options_are_refused_and_leave_the_stream_of_scenarios_alone(options: Any):
+    env, twin = (GFMWTGEnv(duration_s=4.0) for _ in range(2))
+    env.reset(seed=5), twin.reset(seed=5)
+    with pytest.raises(ValueError, match=r"scenario|bus 99"):
+        env.reset(seed=9, options=options)
+    assert env.reset()[1]["scenario_seed"] == twin.reset()[1]["scenario_seed"]
+
+
+BATCH_SEEDS = [NAN, 1.5, "ab", True, -1, [1], [1, NAN], [1, "a"], [1, -1], [1, 2, 3]]
 BATCH_OPTIONS = [
     {"foo": 1},
+    {1: 1, "a": 2},
+    {"scenarios": None},
     {"scenario": SCENARIO},
     {"scenarios": [SCENARIO]},
     {"scenarios": 3},

@@ -171,6 +171,45 @@ def test_batch_snapshot_keeps_lanes_that_wait_for_their_reset():
     assert rewards[0] == 0.0 and infos["time_s"][0] == 0.0 and infos["time_s"][1] == pytest.approx(1.1)
 
 
+TWO_BUSES = {"groups": [{"bus": 2, "n_turbines": 10.0}, {"bus": 3, "n_turbines": 10.0}]}
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [
+        (TWO_BUSES, "groups"),
+        ({"machine_model": "classical"}, "machine_model"),
+        ({"weights": {"duty": 0.0}, "on_failure": "trip"}, "weights, on_failure"),
+        ({"strategy": "mppt"}, "strategy"),
+        ({"duration_s": 5.0}, "duration_s"),
+        ({"suite": "gust", "split": "test"}, None),
+    ],
+    ids=str,
+)
+def test_snapshot_is_taken_only_by_an_environment_whose_episodes_go_on_alike(settings: dict, named: str | None):
+    env, other = GFMWTGEnv(duration_s=4.0), GFMWTGEnv(**{"duration_s": 4.0, **settings})
+    single_steps(env, BEFORE[:, 0], AutoresetMode.NEXT_STEP, seed=3)
+    single_steps(other, BEFORE[:, 0], AutoresetMode.NEXT_STEP, seed=8)
+    before = other.snapshot()
+    if named is not None:
+        with pytest.raises(ValueError, match=f"of an environment with other settings: {named}$"):
+            other.restore(env.snapshot())
+        assert pickle.dumps(other.snapshot()) == pickle.dumps(before)
+        return
+    other.restore(env.snapshot())
+    left = AFTER[:27, 0]
+    assert single_steps(other, left, AutoresetMode.NEXT_STEP) == single_steps(env, left, AutoresetMode.NEXT_STEP)
+
+
+def test_what_is_no_snapshot_is_refused():
+    single, batch = GFMWTGEnv(duration_s=4.0), GFMWTGVectorEnv(1, duration_s=4.0)
+    single.reset(seed=1), batch.reset(seed=1)
+    for env, other in ((single, batch), (batch, single)):
+        for wrong in (None, (1, 2, 3), other.snapshot()):
+            with pytest.raises(ValueError, match=rf"snapshot\(\) of a {type(env).__name__} returned, got "):
+                env.restore(wrong)
+
+
 def test_snapshot_of_another_size_is_refused_and_changes_nothing():
     five, three = GFMWTGVectorEnv(5, duration_s=4.0), GFMWTGVectorEnv(3, duration_s=4.0)
     vector_steps(five, BEFORE[:, :5], seed=9), vector_steps(three, BEFORE[:, :3], seed=3)

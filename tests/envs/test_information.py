@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import re
+from pathlib import Path
+from typing import get_type_hints
 
 import numpy as np
 import pytest
@@ -20,6 +23,7 @@ from tests.envs.rollouts import (
     sagging,
 )
 from wtg_gym.envs import CostWeights, GFMWTGEnv, GFMWTGVectorEnv
+from wtg_gym.envs.task_records import Info
 from wtg_gym.scenarios import SUITES
 
 KEYS = {
@@ -64,6 +68,14 @@ def test_info_has_numpys_floats_which_json_takes_as_well():
     _, info = GFMWTGEnv().reset(seed=0)
     assert {type(info[key]) for key in KEYS - {"scenario_seed", "termination_reason"}} == {np.float64}
     assert json.loads(json.dumps(info)) == info
+
+
+def test_page_lists_every_key_of_info_with_its_unit():
+    page = (Path(__file__).resolve().parents[2] / "docs" / "usage.md").read_text(encoding="utf-8")
+    table = page[page.index("| key of `info` |") :].partition("\n\n")[0]
+    listed = dict(re.findall(r"^\| `([a-z_]+)` \| (.*?) \|", table, re.MULTILINE))
+    units = {key: hint.__metadata__[0] for key, hint in get_type_hints(Info, include_extras=True).items()}
+    assert listed == {**units, "scenario_seed": "-", "termination_reason": "text"}
 
 
 def test_batch_info_has_one_value_and_one_flag_per_lane_for_every_key():

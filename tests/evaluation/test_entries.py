@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import shutil
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -43,7 +46,10 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
         del sys.modules[name]
 
 
-def test_built_in_strategy_is_an_entry() -> None:
+def test_built_in_strategy_is_a_baseline() -> None:
+    assert [load_entries(name) for name in STRATEGIES] == [
+        [e] for e in load_entries("baselines") if e.name in STRATEGIES
+    ]
     (entry,) = load_entries("mppt")
     assert (entry.name, entry.kind, entry.policy, entry.law) == ("mppt", "law", None, STRATEGIES["mppt"])
 
@@ -123,6 +129,16 @@ def test_import_error_inside_an_entry_is_not_hidden(package: str, tmp_path: Path
     (tmp_path / "my_entries" / "early.py").write_text("import no_such_dependency\n")
     with pytest.raises(ValueError, match="no_such_dependency"):
         load_entries(package)
+
+
+@pytest.mark.parametrize(
+    ("normalization", "refused"),
+    [(None, False), (SimpleNamespace(norm_obs=True), True), (SimpleNamespace(norm_obs=False), False)],
+)
+def test_learner_whose_normalisation_would_be_left_out_is_refused(normalization: Any, refused: bool) -> None:
+    learner = SimpleNamespace(predict=lambda *_: None, get_vec_normalize_env=lambda: normalization)
+    with pytest.raises(ValueError, match="VecNormalize") if refused else contextlib.nullcontext():
+        Entry(name="a", policy=learner)
 
 
 @pytest.mark.parametrize(

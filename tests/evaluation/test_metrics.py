@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from wtg_gym.envs.task import COST_TERMS
+from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation import METRICS, Entry, Results, evaluate
 from wtg_gym.evaluation.metrics import largest_power_change, last_event_s, steady_metrics
 from wtg_gym.physics.scenario import LoadRamp, LoadStep, LoadTrip, Scenario

@@ -43,7 +43,7 @@ BAD: list[tuple[str, str, Any, str]] = [
     ("TurbineParameters", "inertia_constant_s", -6.5, r"= -6.5 s is outside"),
     ("TurbineParameters", "rated_power_mw", 0.0, r"= 0 MW is outside"),
     ("TurbineParameters", "conserves_energy", "no", r"must be bool, got 'no'"),
-    ("TurbineParameters", "power_coefficient", None, rr"must be PowerCoefficientParameters \| RotorTable, got None"),
+    ("TurbineParameters", "power_coefficient", None, r"must be PowerCoefficientParameters \| RotorTable, got None"),
     ("PitchParameters", "actuator_time_s", 0.0, r"= 0 s is outside"),
     ("ProtectionParameters", "low_voltage_pu", math.nan, r"= nan p.u. is outside"),
     ("ProtectionParameters", "frequency_max_pu", 0.95, r"= 0.95 p.u. is outside the allowed range 1 … 10 p.u."),

@@ -43,7 +43,7 @@ def test_series_cannot_be_changed_afterwards() -> None:
 # For each rule values that break it, and what the message says.
 VALUES: list[tuple[dict[str, Any], str]] = [
     ({"name": 3}, r"name of a scenario must be text, got 3"),
-    ({"wind_speed": np.array([[9.0, -1.0], [9.0, 9.0]])}, r"group 0 at t = 0.1 s is -1 m/s.* 3 … 25 m/s"),
+    ({"wind_speed": np.array([[9.0, -1.0], [9.0, 9.0]])}, r"group 1 at t = 0.1 s is -1 m/s.* 3 … 25 m/s"),
     ({"wind_speed": np.array([[9.0, np.nan]])}, r"is nan m/s, outside the allowed range"),
     ({"wind_speed": np.zeros(3)}, r"shape \(n_wtg, n_samples\), got shape \(3,\)"),
     ({"wind_speed": [[8.0], [8.0, 9.0]]}, r"wind_speed must be numbers in a regular array"),

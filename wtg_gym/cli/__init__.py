@@ -1,7 +1,7 @@
 """The command `wtg-gym`: one module a command or group of commands.
 
-Exit codes: 0 fine, 1 a check failed, 2 bad input, 130 interrupted. Results go to stdout; progress, notes and errors
-go to stderr.
+Exit codes: 0 fine, 1 a check failed, 2 bad input, 130 interrupted, 141 the output's reader is gone. Results go to
+stdout; progress, notes and errors go to stderr.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from wtg_gym.cli import (
     accuracy,
     aggregation,
     bench,
+    compare,
     evaluate,
     parameters,
     reproduce,
-    scenarios,
+    results,
     simulate,
     small_signal,
     statics,
-    stored,
     submission,
-    validate,
+    suites,
     warmup,
 )
 from wtg_gym.cli.output import note, one_line
@@ -44,7 +44,7 @@ first steps:
   wtg-gym reproduce                                  the paper's figures and claims, measured
 
 'wtg-gym COMMAND --help' explains a command and gives examples.
-exit codes: 0 fine, 1 a check failed, 2 bad input, 130 interrupted
+exit codes: 0 fine, 1 a check failed, 2 bad input, 130 interrupted, 141 the output's reader is gone
 """
 
 
@@ -53,7 +53,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser = Parser(prog="wtg-gym", description=_DESCRIPTION, epilog=_EPILOG)
     parser.add_argument("--version", action="version", version=f"wtg-gym {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for module in (simulate, evaluate, stored, submission, scenarios):
+    for module in (simulate, evaluate, results, submission, suites):
         module.add_commands(commands)
     analyse = add_group(
         commands,
@@ -63,7 +63,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
     for module in (statics, small_signal, accuracy, aggregation):
         module.add_commands(analyse)
-    for module in (reproduce, validate, parameters, bench, warmup):
+    for module in (reproduce, compare, parameters, bench, warmup):
         module.add_commands(commands)
     return parser
 
@@ -75,7 +75,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: arguments without the program's name; None takes those of the process.
 
     Returns:
-        The exit code: 0 fine, 1 a check failed, 2 bad input, 130 interrupted.
+        The exit code: 0 fine, 1 a check failed, 2 bad input, 130 interrupted, 141 the output's reader is gone.
     """
     arguments = argparse.Namespace(after_interrupt="nothing was written")
     try:

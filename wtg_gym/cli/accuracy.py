@@ -54,9 +54,11 @@ def add_commands(commands: Commands) -> None:
         examples="  wtg-gym analyse accuracy --scenarios 5\n  wtg-gym analyse accuracy --suite gust --json\n"
         "  wtg-gym analyse accuracy --output docs/validation --page docs/validation.md",
     )
-    parser.add_argument("--scenarios", type=int, default=100, metavar="N", help="validation scenarios (default: 100)")
+    parser.add_argument(
+        "--scenarios", type=int, default=100, metavar="N", help="the first N of the validation split (default: 100)"
+    )
     drawn = [name for name, suite in SUITES.items() if suite.distribution is not None]
-    parser.add_argument("--suite", default="standard", metavar="NAME", help=f"{', '.join(drawn)} (default: standard)")
+    parser.add_argument("--suite", choices=drawn, default="standard", help="(default: standard)")
     out = parser.add_argument_group("output")
     out.add_argument("--output", metavar="FOLDER", help="write the figure 'accuracy' and accuracy.json there")
     out.add_argument(

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from wtg_gym.cli.output import check_output_folder, check_page, note, update_page
 from wtg_gym.cli.parser import Commands, add_command, add_plant_options
+from wtg_gym.cli.results import check_html, write_html
 from wtg_gym.cli.scoring import (
     add_entries_option,
     add_result_options,
@@ -16,6 +18,7 @@ from wtg_gym.cli.scoring import (
     add_split_options,
     add_suite_option,
     add_worker_options,
+    check_stored,
     chosen_entries,
     chosen_scenarios,
     chosen_workers,
@@ -23,9 +26,12 @@ from wtg_gym.cli.scoring import (
     kept_parts,
     run_evaluation,
 )
-from wtg_gym.cli.stored import check_html, write_html
 from wtg_gym.evaluation import ANCHORS, Entry, Policy, Results, leaderboard_rows, markdown_table
+from wtg_gym.policies.entry import row_conflict
 from wtg_gym.scenarios import get_suite
+
+#: Name and training seed of an entry.
+_Run = tuple[str, int | None]
 
 _TRUST_HELP = (
     "also take folders with model.zip, an archive of Stable-Baselines3, in the place of policy.onnx, and the key "
@@ -39,13 +45,16 @@ the reference strategy. Both are always played too, because they fix the scale. 
 written to <suite>-<split>.csv and the description and summary to <suite>-<split>.json; an interrupted evaluation goes
 on from its finished parts. An entry whose policy raises, ends, takes too long or gives no action is named with its
 reason and left out with all training seeds of its name; the others are ranked, and the exit code is 1. A policy.onnx
-plays one scenario at a time, in a process of its own that can only compute and answer. Use another folder than the
-leaderboard's for choices of your own."""
+plays one scenario at a time, in a process of its own that can only compute and answer.
+
+The default split is the one to choose policies on; 'wtg-gym leaderboard' and 'wtg-gym submission score' play the test
+scenarios. --results refuses a folder whose <suite>-<split>.json is of other settings, seeds or another draw; results of
+the same scenarios and settings are replaced, whatever their entries."""
 
 _EVALUATE_EXAMPLES = """\
   wtg-gym evaluate --entries deloaded-5 coordinated-linear --suite low-wind
-  wtg-gym evaluate --entries my_law.toml --suite standard --seeds 20000:20010 --results my_results
-  wtg-gym evaluate --entries my_package.controller:make_policy --split validation --json
+  wtg-gym evaluate --entries my_law.toml --suite standard --scenarios 10 --results my_results
+  wtg-gym evaluate --entries my_package.controller:make_policy --split test --json
   wtg-gym evaluate --entries runs/mine/best/* --trust-pickle
   wtg-gym evaluate --entries policies --backend dask --address tcp://head:8786 --results my_results"""
 
@@ -53,7 +62,8 @@ _LEADERBOARD = """\
 Ranks entries on all test scenarios of a suite. Stored results are used again where they are of the same suite, source
 code and versions, and where replaying both anchors gives the same numbers; everything else is evaluated. An entry that
 fails is named with its reason and left out with all training seeds of its name; the exit code is 1 then. The table is
-printed, the results are written as JSON and CSV, and with --readme the table between the markers
+printed and the results are written as JSON and CSV. Stored results of entries that were not asked for are kept in these
+files where they can be used again, but not printed; --fresh drops them. With --readme the table between the markers
 <!-- leaderboard:SUITE:start --> and <!-- leaderboard:SUITE:end --> of that file is replaced. With --html the ranking
 is written as one HTML file with charts, and with traces of the first scenarios; 'wtg-gym results page' does that for
 several suites at once."""
@@ -80,7 +90,7 @@ def add_commands(commands: Commands) -> None:
     add_suite_option(parser)
     add_run_options(parser)
     add_worker_options(parser)
-    add_split_options(parser)
+    add_split_options(parser, "validation")
     parser.add_argument("--duration", type=float, metavar="S", help="length of an episode [s] (default: the suite's)")
     add_result_options(parser)
     parser.add_argument("--trust-pickle", action="store_true", help=_TRUST_HELP)
@@ -109,23 +119,20 @@ def _run_evaluate(arguments: argparse.Namespace) -> int:
     folder = None if arguments.results is None else check_output_folder("--results", arguments.results)
     partial = kept_parts(folder, arguments) if folder is not None and arguments.resume else None
     workers = chosen_workers(arguments)
-    scenarios = chosen_scenarios(arguments)
+    planned = {
+        **chosen_scenarios(arguments),
+        "duration_s": arguments.duration,
+        "groups": 2 if arguments.groups is None else arguments.groups,
+        "control_dt": arguments.control_dt,
+        "simulation_dt": arguments.simulation_dt,
+        "machine_model": arguments.machine_model,
+        "on_failure": arguments.on_failure,
+        "physics": arguments.physics,
+    }
+    check_stored(folder, planned)
     # Last, because it takes longest, and may run code.
     entries = chosen_entries(arguments.entries, _load_trusted if arguments.trust_pickle else None)
-    results = run_evaluation(
-        entries,
-        **scenarios,
-        partial=partial,
-        n_threads=arguments.threads,
-        workers=workers,
-        duration_s=arguments.duration,
-        groups=2 if arguments.groups is None else arguments.groups,
-        control_dt=arguments.control_dt,
-        simulation_dt=arguments.simulation_dt,
-        machine_model=arguments.machine_model,
-        on_failure=arguments.on_failure,
-        physics=arguments.physics,
-    )
+    results = run_evaluation(entries, **planned, partial=partial, n_threads=arguments.threads, workers=workers)
     return finish(results, folder, as_json=arguments.json)
 
 
@@ -157,8 +164,8 @@ def _run_leaderboard(arguments: argparse.Namespace) -> int:
     if stored is not None:
         note(f"{len(entries) - len(missing)} of {len(entries)} entries are stored in {folder}")
     new = run_evaluation(missing, partial=partial, workers=workers, **scenarios) if missing else anchors
-    results = _merged(entries, new, stored)
-    code = finish(results, folder, as_json=arguments.json)
+    results, kept = _merged(entries, new, stored)
+    code = finish(results, folder, as_json=arguments.json, kept=kept)
     if readme is not None:
         update_page(readme, {section: markdown_table(leaderboard_rows(results))})
     if page is not None:
@@ -186,28 +193,44 @@ def _stored(path: Path, anchors: Results) -> Results | None:
 
 
 def _is_in(entry: Entry, stored: Results) -> bool:
+    """Return whether an entry's episodes are stored, whatever texts about it were stored with them."""
     # Without an identity the policy may have changed.
-    return entry.identity is not None and entry.to_dict() in stored.entries
+    played = {(data["name"], data["training_seed"], data["sha256"]) for data in stored.entries}
+    return entry.identity is not None and (entry.name, entry.training_seed, entry.identity) in played
 
 
-def _merged(entries: Sequence[Entry], new: Results, stored: Results | None) -> Results:
-    """Return the entries' results, and the anchors', out of new and stored ones."""
+def _merged(entries: Sequence[Entry], new: Results, stored: Results | None) -> tuple[Results, Results]:
+    """Return the entries' results with the anchors', out of new and stored ones; and these with all other stored ones.
+
+    A stored entry that cannot share the row of a given one, as it is another method of that name, is dropped.
+    """
     sources = [new] if stored is None else [stored, new]
-    described = {(data["name"], data["training_seed"]): data for source in sources for data in source.entries}
+    described = {_key(data): data for source in sources for data in source.entries}
     wanted = {(entry.name, entry.training_seed): entry.to_dict() for entry in entries}
     for name in ANCHORS:
         wanted.setdefault((name, None), dict(described[name, None]))
+    others = {
+        key: dict(data)
+        for key, data in described.items()
+        if key not in wanted and not any(row_conflict(data, own) for (name, _), own in wanted.items() if name == key[0])
+    }
+    failed = [] if stored is None else [data for data in stored.failed if data["name"] not in dict([*wanted, *others])]
     episodes = {}
     for source in sources:
-        for key in wanted:
+        for key in (*wanted, *others):
             own = [episode for episode in source.episodes if episode.run == key]
             if own:
                 episodes[key] = own
-    merged = dataclasses.replace(
-        new,
-        entries=tuple(wanted.values()),
-        episodes=tuple(episode for key in wanted for episode in episodes.get(key, ())),
-        failed=(),
-    )
     # Stored training seeds of a name are left out with the one that has failed now.
-    return merged.without({(data["name"], data["training_seed"]): data["reason"] for data in new.failed})
+    reasons = {_key(data): data["reason"] for data in new.failed}
+
+    def results_of(data: Mapping[_Run, Mapping[str, Any]], failed: Sequence[Mapping[str, Any]]) -> Results:
+        rows = tuple(episode for key in data for episode in episodes.get(key, ()))
+        every = dataclasses.replace(new, entries=tuple(data.values()), episodes=rows, failed=tuple(failed))
+        return every.without(reasons)
+
+    return results_of(wanted, ()), results_of({**wanted, **others}, failed)
+
+
+def _key(data: Mapping[str, Any]) -> _Run:
+    return data["name"], data["training_seed"]

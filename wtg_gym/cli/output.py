@@ -57,16 +57,14 @@ def require_extra(package: str, purpose: str) -> None:
         ) from error
 
 
-def check_output_file(option: str, text: str | None, suffixes: Sequence[str]) -> Path | None:
+def check_output_file(option: str, text: str, suffixes: Sequence[str]) -> Path:
     """Return the path of a file to write, or raise a ValueError now rather than after the work.
 
     Args:
         option: name of the option.
-        text: the path; None for no file.
+        text: the path.
         suffixes: allowed endings.
     """
-    if text is None:
-        return None
     path = Path(text)
     if path.suffix.lower() not in suffixes:
         raise ValueError(f"{option} {text}: unknown kind of file {path.suffix!r}; it must end in {', '.join(suffixes)}")
@@ -81,9 +79,10 @@ def check_output_file(option: str, text: str | None, suffixes: Sequence[str]) ->
 
 def check_plot_file(text: str | None, suffixes: Sequence[str] = PLOT_SUFFIXES) -> Path | None:
     """Return the path of `--plot`, or raise a ValueError now rather than after the work; None for no figure."""
+    if text is None:
+        return None
     path = check_output_file("--plot", text, suffixes)
-    if path is not None:
-        require_extra("matplotlib", "--plot")
+    require_extra("matplotlib", "--plot")
     return path
 
 

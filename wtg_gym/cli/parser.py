@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Callable
 from typing import Any, NoReturn
 
+from wtg_gym.envs.settings import FAILURE_MODES, MACHINE_MODELS
 from wtg_gym.physics.plant import PHYSICS
 
 #: The return value of `add_subparsers`, to which commands are added.
@@ -18,6 +19,13 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, **arguments: Any) -> None:
         arguments.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
         super().__init__(allow_abbrev=False, **arguments)
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        """Refuse unknown arguments here, where the help of the command they were given to is known."""
+        found, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+        return found, unknown
 
     def error(self, message: str) -> NoReturn:
         """Raise a ValueError instead of printing the usage."""
@@ -80,13 +88,13 @@ def add_plant_options(parser: argparse.ArgumentParser, *, default_groups: str = 
     )
     plant.add_argument(
         "--machine-model",
-        choices=("genrou", "classical"),
+        choices=MACHINE_MODELS,
         default="genrou",
         help="synchronous machines: genrou with exciters, or classical (default: genrou)",
     )
     plant.add_argument(
         "--on-failure",
-        choices=("terminate", "trip"),
+        choices=FAILURE_MODES,
         default="terminate",
         help="a stalled or over-speeding group ends the run, or is disconnected (default: terminate)",
     )

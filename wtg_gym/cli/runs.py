@@ -10,16 +10,15 @@ from typing import Any
 import numpy as np
 
 from wtg_gym.cli.output import print_table
+from wtg_gym.envs.task import ROCOF_WINDOW_S
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.trajectory import Trajectory
-
-_ROCOF_WINDOW_S = 0.5
 
 
 def key_figures(name: str, run: Trajectory) -> dict[str, Any]:
     """Return the key figures of a run as JSON-ready data with units in the keys; groups count from 1."""
-    step = float(run.time_s[1] - run.time_s[0]) if run.time_s.size > 1 else _ROCOF_WINDOW_S
-    rocof = run.rocof_hz_s(_ROCOF_WINDOW_S)
+    step = float(run.time_s[1] - run.time_s[0]) if run.time_s.size > 1 else ROCOF_WINDOW_S
+    rocof = run.rocof_hz_s(ROCOF_WINDOW_S)
     failed = None
     if run.status == Status.STALL:
         failed = 1 + int(np.argmin(run.tip_speed_ratio[-1]))
@@ -42,7 +41,7 @@ def key_figures(name: str, run: Trajectory) -> dict[str, Any]:
         "nadir_hz": _plain(run.frequency_hz.min()),
         "zenith_hz": _plain(run.frequency_hz.max()),
         "largest_rocof_hz_s": _plain(rocof[np.argmax(np.abs(rocof))]),
-        "rocof_window_s": _plain(max(1, round(_ROCOF_WINDOW_S / step)) * step),
+        "rocof_window_s": _plain(max(1, round(ROCOF_WINDOW_S / step)) * step),
         "final_frequency_hz": _plain(run.frequency_hz[-1]),
         "final_rotor_speed_pu": [_plain(value) for value in run.rotor_speed_pu[-1]],
         "final_power_pu": [_plain(value) for value in run.power_pu[-1]],

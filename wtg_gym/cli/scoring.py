@@ -7,7 +7,8 @@ import contextlib
 import os
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from wtg_gym.cli.output import Progress, note, print_json, print_table, say
 from wtg_gym.envs.compile_ahead import compile_ahead
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, NoScaleError, Results, evaluate, leaderboard_rows, load_entries, table_cells
+from wtg_gym.evaluation.evaluator import chosen_seeds, shared_settings
 from wtg_gym.evaluation.leaderboard import COLUMNS, SHORT_COLUMNS
 from wtg_gym.evaluation.workers import BACKENDS, Workers
 from wtg_gym.policies.entry import check_entries
@@ -53,21 +55,26 @@ def add_run_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print JSON, and nothing else, on stdout")
 
 
-def add_split_options(parser: argparse.ArgumentParser) -> None:
-    """Add `--split` and `--seeds`, and the options that the split "fresh" needs."""
+def add_split_options(parser: argparse.ArgumentParser, default: str) -> None:
+    """Add `--split` with its default, `--seeds`, and the options that the split "fresh" needs."""
     parser.add_argument(
         "--split",
         choices=(*SPLITS, FRESH),
-        default="test",
-        help="which seeds of the suite; fresh: seeds drawn from a commit and a secret (default: test)",
+        default=default,
+        help=f"which seeds of the suite; fresh: seeds drawn from a commit and a secret (default: {default})",
     )
     parser.add_argument(
         "--seeds", nargs="+", metavar="A:B", help="seeds of the split, N or A:B with B left out (default: all)"
     )
+    parser.add_argument(
+        "--scenarios",
+        type=int,
+        metavar="N",
+        help=f"the first N of the split (default: all); with --split {FRESH} how many to draw (default: {N_DRAWN})",
+    )
     group = parser.add_argument_group("fresh scenarios", f"for --split {FRESH}")
     group.add_argument("--commit", metavar="HASH", help="full hash of the git commit with the entries")
     group.add_argument("--secret-file", metavar="FILE", help="file with the secret, 16 bytes or more")
-    group.add_argument("--scenarios", type=int, metavar="N", help=f"how many to draw (default: {N_DRAWN})")
 
 
 def add_result_options(parser: argparse.ArgumentParser) -> None:
@@ -115,11 +122,15 @@ def chosen_scenarios(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return the suite, the split, and the seeds or the draw of fresh ones, as arguments of `evaluate`."""
     get_suite(arguments.suite)
     chosen = {"suite": arguments.suite, "split": arguments.split}
-    options = {"--commit": arguments.commit, "--secret-file": arguments.secret_file, "--scenarios": arguments.scenarios}
+    options = {"--commit": arguments.commit, "--secret-file": arguments.secret_file}
     given = [option for option, value in options.items() if value is not None]
     if arguments.split != FRESH:
         if given:
             raise ValueError(f"{', '.join(given)}: for --split {FRESH} only, the split is {arguments.split}")
+        if arguments.scenarios is not None:
+            if arguments.seeds is not None:
+                raise ValueError("--scenarios takes the first of the split, --seeds others: give one of the two")
+            return {**chosen, "seeds": _first_seeds(arguments.suite, arguments.split, arguments.scenarios)}
         return {**chosen, "seeds": None if arguments.seeds is None else _seeds(arguments.seeds)}
     missing = [option for option in ("--commit", "--secret-file") if option not in given]
     if missing or arguments.seeds is not None:
@@ -130,6 +141,14 @@ def chosen_scenarios(arguments: argparse.Namespace) -> dict[str, Any]:
     n = N_DRAWN if arguments.scenarios is None else arguments.scenarios
     draw: FreshDraw = draw_seeds(arguments.suite, arguments.commit, read_secret(arguments.secret_file), n)
     return {**chosen, "draw": draw}
+
+
+def _first_seeds(suite: str, split: str, n: int) -> list[int]:
+    seeds = get_suite(suite).seeds(split)
+    largest = min(len(seeds), _LARGEST_SEED_RANGE)
+    if not 1 <= n <= largest:
+        raise ValueError(f"--scenarios = {n} is outside the allowed range 1 … {largest} of the split {split}")
+    return list(seeds[:n])
 
 
 def _seeds(texts: Sequence[str]) -> list[int]:
@@ -169,6 +188,35 @@ def chosen_workers(arguments: argparse.Namespace) -> Workers | None:
     return None
 
 
+def check_stored(folder: Path | None, planned: Mapping[str, Any]) -> None:
+    """Refuse a folder whose results of the same suite and split are of other settings, seeds or another draw.
+
+    Args:
+        folder: that of `--results`; None for none.
+        planned: arguments of `evaluate`.
+    """
+    suite, split = planned["suite"], planned["split"]
+    if folder is None or not (folder / f"{suite}-{split}.json").exists():
+        return
+    try:
+        stored = Results.read(folder / f"{suite}-{split}.json")
+    except ValueError as error:
+        note(f"will be replaced: {error}")
+        return
+    seeds, draw = planned.get("seeds"), planned.get("draw")
+    known = {key: value for key, value in planned.items() if key in {field.name for field in fields(EnvSettings)}}
+    now = {
+        "settings": shared_settings(EnvSettings(**known)),
+        "seeds": tuple(chosen_seeds(suite, split, seeds, draw)),
+        "draw": None if draw is None else {"commit": draw.commit, "secret_sha256": draw.secret_sha256},
+    }
+    if other := [key for key, value in now.items() if getattr(stored, key) != value]:
+        raise ValueError(
+            f"--results {folder}: its {suite}-{split}.json is of other {' and '.join(other)} and would be lost; "
+            "give another folder"
+        )
+
+
 # --- evaluation ------------------------------------------------------------------------------------------------------
 
 
@@ -191,14 +239,21 @@ def run_evaluation(entries: Sequence[Entry], *, partial: Path | None = None, **o
     return results
 
 
-def finish(results: Results, folder: Path | None, *, as_json: bool) -> int:
-    """Write the results, print the ranking or the description as JSON; return 1 if an entry failed, else 0."""
+def finish(results: Results, folder: Path | None, *, as_json: bool, kept: Results | None = None) -> int:
+    """Write the results, print the ranking or the description as JSON; return 1 if an entry failed, else 0.
+
+    Args:
+        results: what is printed.
+        folder: where to write; None for nowhere.
+        as_json: print JSON in the place of the ranking.
+        kept: what is written, if not the same: stored results beside those that were asked for.
+    """
     code = int(bool(results.failed))
     for entry in results.failed:
         seed = "" if entry["training_seed"] is None else f" (training seed {entry['training_seed']})"
         note(f"failed, and left out: {entry['name']}{seed}: {entry['reason']}")
     if folder is not None:
-        for path in results.write(folder):
+        for path in (results if kept is None else kept).write(folder):
             note(f"wrote {path}")
     if as_json:
         print_json(results.to_dict())

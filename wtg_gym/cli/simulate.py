@@ -24,7 +24,7 @@ from wtg_gym.cli.output import (
 )
 from wtg_gym.cli.parser import Commands, add_command, add_plant_options
 from wtg_gym.cli.runs import key_figures, print_key_figures, traces_csv
-from wtg_gym.cli.scenarios import describe_scenario, read_scenario, scenario_summary
+from wtg_gym.cli.suites import describe_scenario, read_scenario, scenario_summary
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.parameters import WtgGroup, default_groups
 from wtg_gym.physics.plant import plant_settings
@@ -69,7 +69,7 @@ def add_commands(commands: Commands) -> None:
     what.add_argument("--case", metavar="NAME", help=f"case of the paper: {cases} (default: load-increase)")
     what.add_argument("--suite", metavar="NAME", help=f"suite to draw from: {', '.join(SUITES)}")
     what.add_argument(
-        "--scenario", metavar="FILE", help="scenario file in JSON, as `wtg-gym suites NAME --json` prints"
+        "--scenario", metavar="FILE", help="scenario file in JSON, as `wtg-gym suites NAME --seed N --json` prints"
     )
     change = parser.add_argument_group("changes to it")
     change.add_argument("--seed", type=int, metavar="N", help="seed of the suite (default: its first test seed)")
@@ -102,7 +102,7 @@ def add_commands(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym simulate`; return 1 if a run failed numerically."""
     plot = check_plot_file(arguments.plot, (*PLOT_SUFFIXES, _MOVING))
-    table = check_output_file("--csv", arguments.csv, (".csv",))
+    table = None if arguments.csv is None else check_output_file("--csv", arguments.csv, (".csv",))
     scenario, groups = _scenario_and_groups(arguments)
     settings = plant_settings(
         arguments.physics,
@@ -141,18 +141,8 @@ def _scenario_and_groups(arguments: argparse.Namespace) -> tuple[Scenario, tuple
     from_file = None if arguments.scenario is None else read_scenario(Path(arguments.scenario))
     if from_file is not None and arguments.duration is not None:
         from_file = dataclasses.replace(from_file, duration_s=arguments.duration)
-    n_given = 1 if arguments.wind is None else len(arguments.wind)
-    if arguments.wind_csv is not None:
-        n_given = read_wind_csv(arguments.wind_csv)[0].shape[0]
-    n_default = from_file.n_wtg if from_file is not None else 2
-    n_groups = arguments.groups
-    if n_groups is None:
-        n_groups = n_given if n_given > 1 or arguments.wind_csv is not None else n_default
+    n_groups = _n_groups(arguments, from_file)
     groups = default_groups(n_groups)
-    if arguments.wind_csv is not None and n_given != n_groups:
-        raise ValueError(f"{arguments.wind_csv} has wind for {n_given} WTG groups, --groups asks for {n_groups}")
-    if n_given not in (1, n_groups):
-        raise ValueError(f"--wind gives {n_given} values [m/s], --groups asks for {n_groups}: give one or {n_groups}")
     scenario = from_file if from_file is not None else _named_scenario(arguments, groups)
     if arguments.wind is not None:
         wind = np.resize(np.array(arguments.wind), (n_groups, 1))
@@ -166,6 +156,24 @@ def _scenario_and_groups(arguments: argparse.Namespace) -> tuple[Scenario, tuple
             "give the wind too, with --wind or --wind-csv"
         )
     return scenario, groups
+
+
+def _n_groups(arguments: argparse.Namespace, from_file: Scenario | None) -> int:
+    """Return how many WTG groups there are: those asked for, else those of the given wind, else those of the file."""
+    asked: int | None = arguments.groups
+    if arguments.wind_csv is not None:
+        n_given = int(read_wind_csv(arguments.wind_csv)[0].shape[0])
+        if asked not in (None, n_given):
+            raise ValueError(f"{arguments.wind_csv} has wind for {n_given} WTG groups, --groups asks for {asked}")
+        return n_given
+    n_given = 1 if arguments.wind is None else len(arguments.wind)
+    if asked is not None:
+        if n_given not in (1, asked):
+            raise ValueError(f"--wind gives {n_given} values [m/s], --groups asks for {asked}: give one or {asked}")
+        return asked
+    if n_given > 1:
+        return n_given
+    return 2 if from_file is None else from_file.n_wtg
 
 
 def _named_scenario(arguments: argparse.Namespace, groups: tuple[WtgGroup, ...]) -> Scenario:

@@ -21,6 +21,7 @@ from wtg_gym.analysis.tables import mode_cells
 from wtg_gym.cli.laws import add_law_option, chosen_laws
 from wtg_gym.cli.output import PLOT_SUFFIXES, check_plot_file, plain_json, print_json, print_table, say, write_and_say
 from wtg_gym.cli.parser import Commands, add_command
+from wtg_gym.envs.settings import MACHINE_MODELS
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.parameters import default_groups
 from wtg_gym.physics.plant import PlantSettings
@@ -91,7 +92,7 @@ def _add_modes(commands: Commands) -> None:
         help="wind speed of each WTG group, 3 … 25 m/s; as many groups as values (default: 11.4 8)",
     )
     parser.add_argument("--side", choices=_SIDES, default="under", help="slope of g(ω) at ω_st (default: under)")
-    parser.add_argument("--machine-model", choices=("genrou", "classical"), default="genrou", help="(default: genrou)")
+    parser.add_argument("--machine-model", choices=MACHINE_MODELS, default="genrou", help="(default: genrou)")
     parser.add_argument("--load-level", type=float, default=1.0, metavar="X", help="factor on every load (default: 1)")
     parser.add_argument(
         "--governor-droop", type=float, metavar="R", help="droop R, 0.005 … 1 p.u. (default: the case's, 0.018)"

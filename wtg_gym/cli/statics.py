@@ -7,7 +7,6 @@ import contextlib
 import csv
 import dataclasses
 import io
-import math
 from typing import Any
 
 import numpy as np
@@ -94,7 +93,7 @@ def add_commands(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym analyse statics`."""
     plot = check_plot_file(arguments.plot)
-    table = check_output_file("--csv", arguments.csv, (".csv",))
+    table = None if arguments.csv is None else check_output_file("--csv", arguments.csv, (".csv",))
     laws = chosen_laws(arguments.law)
     if plot is not None and len(laws) != 1:
         raise ValueError(f"--plot draws one law, {len(laws)} are given: add --law NAME")
@@ -113,11 +112,7 @@ def run(arguments: argparse.Namespace) -> int:
 
         write_and_say(plot, figure_bytes(plot_characteristic(laws[0], winds), plot.suffix.lower()))
     if arguments.json:
-        described = [dataclasses.asdict(law) for law in laws]
-        for law in described:
-            if law["damping_time_constant_s"] == math.inf:
-                law["damping_time_constant_s"] = "infinite"
-        print_json({"laws": described, "statics": found})
+        print_json({"laws": [law.to_dict() for law in laws], "statics": found})
     else:
         _print(found)
     return 0

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import os
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,6 +15,7 @@ from wtg_gym.cli.scoring import (
     add_run_options,
     add_split_options,
     add_suite_option,
+    check_stored,
     chosen_scenarios,
     finish,
     kept_parts,
@@ -24,14 +27,22 @@ from wtg_gym.policies.load import POLICY_FILE
 from wtg_gym.policies.policy_process import CPU_S, MEMORY_BYTES, STEP_S
 from wtg_gym.policies.submission_folder import FILES, write_template
 
+
+def _filled(text: str) -> str:
+    """Return paragraphs with lines of equal length, whatever numbers were put in."""
+    return "\n\n".join(textwrap.fill(paragraph, 120) for paragraph in text.split("\n\n"))
+
+
 _LIMITS = (
     f"{MEMORY_BYTES // 2**20} MiB of memory, {CPU_S} s of processor time and {STEP_S:g} s a step for 256 scenarios"
 )
-_GATE = f"""\
+_GATE = _filled(
+    f"""\
 A submission is a folder with entry.toml and policy.onnx, and a README.md if you like. Nothing in it is run but the
 network in policy.onnx, at most {FILES[POLICY_FILE] // 1_000_000} MB with all weights in it. onnxruntime plays it one
 scenario at a time, in a process that can only compute and answer, here and wherever it is played later. Random numbers
 start alike in every scenario."""
+)
 
 WEAK_OPTION = "--weak-isolation"
 
@@ -46,7 +57,8 @@ submitted together, and the same policy counts once, even if its files differ.
 
 {_GATE}"""
 
-_SCORE = f"""\
+_SCORE = _filled(
+    f"""\
 Checks submissions, plays them on a suite and prints their rows of the leaderboard with those of both anchors. One that
 is refused, or whose policy crashes, takes too long or gives no action in a scenario, is named with its reason and left
 out with all folders of its name; the others are ranked, and the exit code is 1. Scenarios, simulation and score stay in
@@ -54,6 +66,7 @@ this process; the policy's gets observations and gives actions. Its limits: {_LI
 With --results, an interrupted command goes on from its finished parts.
 
 {_GATE}"""
+)
 
 
 def add_commands(commands: Commands) -> None:
@@ -92,7 +105,7 @@ def add_commands(commands: Commands) -> None:
     )
     _add_common(parser)
     add_suite_option(parser)
-    add_split_options(parser)
+    add_split_options(parser, "test")
     add_run_options(parser)
     add_result_options(parser)
 
@@ -122,6 +135,7 @@ def _run_new(arguments: argparse.Namespace) -> int:
 
 
 def _run_check(arguments: argparse.Namespace) -> int:
+    _check_there(arguments.folders)
     reports = _reports(arguments)
     wrong = _together(reports, arguments)
     if arguments.json:
@@ -138,7 +152,10 @@ def _run_check(arguments: argparse.Namespace) -> int:
 def _run_score(arguments: argparse.Namespace) -> int:
     folder = None if arguments.results is None else check_output_folder("--results", arguments.results)
     partial = kept_parts(folder, arguments) if folder is not None and arguments.resume else None
-    scenarios = {**chosen_scenarios(arguments), "n_threads": arguments.threads, "partial": partial}
+    _check_there(arguments.folders)
+    chosen = chosen_scenarios(arguments)
+    check_stored(folder, chosen)
+    scenarios = {**chosen, "n_threads": arguments.threads, "partial": partial}
     # Anchors first: errors of the arguments come before the work of the gate.
     run_evaluation([], keep_partial=True, **scenarios)
     reports = _reports(arguments)
@@ -148,6 +165,12 @@ def _run_score(arguments: argparse.Namespace) -> int:
     results = run_evaluation([report.played(weak=arguments.weak_isolation) for report in ranked], **scenarios)
     code = finish(results, folder, as_json=arguments.json) if ranked else 0
     return code or int(bool(wrong))
+
+
+def _check_there(folders: Sequence[str]) -> None:
+    for folder in folders:
+        if not os.path.lexists(folder):
+            raise ValueError(f"there is no folder {folder}")
 
 
 def _refused(reports: Sequence[Report]) -> list[Conflict]:

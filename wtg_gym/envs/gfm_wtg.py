@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any, Unpack
+from typing import Any, NamedTuple, Unpack
 
 import gymnasium as gym
 import numpy as np
@@ -14,15 +14,17 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from wtg_gym.envs.lanes import NextEpisodes, TaskLanes, as_actions
+from wtg_gym.envs.lanes import LanesSnapshot, NextEpisodes, TaskLanes, as_actions
+from wtg_gym.envs.observation import OBSERVATION_BOUND
 from wtg_gym.envs.one_thread import Use, in_use, one_thread
 from wtg_gym.envs.rendering import Frame, LaneFrames
 from wtg_gym.envs.settings import EnvArguments, EnvSettings
-from wtg_gym.envs.task import OBSERVATION_BOUND
 from wtg_gym.physics.scenario import Scenario
 
 Observation = npt.NDArray[np.float32]
 Action = npt.NDArray[np.float32]
+
+_MOST_ENVS = 1_000_000
 
 
 def _spaces(lanes: TaskLanes) -> tuple[gym.spaces.Box[np.float32], gym.spaces.Box[np.float32]]:
@@ -82,18 +84,45 @@ def _as_scenario(value: Any) -> Scenario:
 def _check_options(options: dict[str, Any] | None, allowed: Sequence[str]) -> dict[str, Any]:
     if options is not None and not isinstance(options, Mapping):
         raise ValueError(f"reset options must be a dictionary with keys out of {', '.join(allowed)}, got {options!r}")
-    unknown = sorted(set(options or {}) - set(allowed))
+    unknown = sorted(map(str, set(options or {}) - set(allowed)))
     if unknown:
         raise ValueError(f"unknown reset options {unknown}; known options: {', '.join(allowed)}")
     return options or {}
 
 
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+
+
 def _lane_seed(given: Any) -> int | None:
     if given is None:
         return None
-    if isinstance(given, bool) or not isinstance(given, (int, np.integer)) or given < 0:
+    if not _is_whole(given) or given < 0:
         raise ValueError(f"a seed must be a whole number of 0 or more, got {given!r}")
     return int(given)
+
+
+class Snapshot(NamedTuple):
+    """Of a :class:`GFMWTGEnv`."""
+
+    lanes: LanesSnapshot
+    running: bool
+    frames: Any
+
+
+class VectorSnapshot(NamedTuple):
+    """Of a :class:`GFMWTGVectorEnv`."""
+
+    lanes: LanesSnapshot
+    needs_reset: npt.NDArray[np.bool_]
+    n_steps: npt.NDArray[np.int64]
+    frames: Any
+
+
+def _check_snapshot(snapshot: Any, kind: type, owner: gym.Env[Any, Any] | gym.vector.VectorEnv[Any, Any, Any]) -> None:
+    if not isinstance(snapshot, kind):
+        name = type(owner).__name__
+        raise ValueError(f"restore() takes what snapshot() of a {name} returned, got {type(snapshot).__name__}")
 
 
 class GFMWTGEnv(gym.Env[Observation, Action]):
@@ -107,18 +136,21 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
 
     ## Action Space
     `Box(-1, 1, (n_wtg · n_modes,), float32)`, per group: the offset on k (full action: half the regulation range
-    K_opt - K_pr, beyond K_opt too), then the scale of τ (full action: four times, or a quarter). Zero action is
-    exactly the reference controller. Values outside are clipped; values that are not finite raise a ValueError.
+    K_opt - K_pr, beyond K_opt too), then the scale of τ (full action: four times, or a quarter). Zero action leaves
+    the law `strategy` as it is, to the last bit; by default that is the reference controller. Values outside are
+    clipped; values that are not finite raise a ValueError.
 
     ## Observation Space
     `Box(-5, 5, (n,), float32)`, per group what its own controller measures: frequency deviation, RoCoF, tip-speed
     ratio between λ_opt and λ_pr, rotor speed, power, rotor-effective wind, k, filter state, last action. With
-    `observation_mode="privileged"` the grid's machines follow. `observation_names` lists every entry with its unit.
+    `observation_mode="privileged"` the grid follows: speed, power and voltage of each synchronous machine, then
+    frequency deviation, RoCoF and the machines' torque. `observation_names` lists every entry with its unit.
 
     ## Rewards
     Minus the cost of the step: frequency deviation, RoCoF, regulation duty, rotor range, converter overload, actuator
     effort, and a failure that costs more than any way of living on; :class:`CostWeights` gives each weight's reason.
-    The terms are `info["cost_…"]`; `info["cost"]` is 1 where a constraint was violated, for safe learning.
+    The terms are `info["cost_…"]`, whose sum is minus the reward; `info["cost"]` is no sum of them but 1 where a
+    constraint was violated, for safe learning.
 
     ## Starting State
     The exact equilibrium of the drawn scenario's wind, load and grid at nominal frequency.
@@ -130,7 +162,8 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
     every 0.1 s, and at the end of shorter control intervals. Truncated when the time is over.
 
     ## Arguments
-    See :class:`wtg_gym.envs.settings.EnvSettings`. `reset(options={"scenario": …})` plays a scenario of your own.
+    `help(wtg_gym.envs.EnvSettings)` lists them; `render_mode` is one more. An unknown one raises a TypeError, a value
+    that is not allowed a ValueError. `reset(options={"scenario": …})` plays a scenario of your own.
 
     ## Rendering
     `render_mode="rgb_array"` gives frames of 960 × 540 pixels: the grid with the events so far, and what frequency and
@@ -196,14 +229,16 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
             options: {"scenario": Scenario or its to_dict()} plays that scenario.
 
         Raises:
-            ValueError: unknown options, or a scenario that does not fit.
+            ValueError: unknown options, or a scenario that does not fit; nothing has changed then.
+            gymnasium.error.Error: the seed is no whole number of 0 or more.
         """
-        super().reset(seed=seed)
         given = _check_options(options, ("scenario",))
-        if "scenario" in given:
-            self._lanes.start([0], [_as_scenario(given["scenario"])])
-        else:
-            self._lanes.start([0], self._lanes.draw([self.np_random]))
+        # A given scenario that cannot start is refused before the first change, of the generator too.
+        prepared = self._lanes.prepare([_as_scenario(given["scenario"])]) if "scenario" in given else None
+        super().reset(seed=seed)
+        if prepared is None:
+            prepared = self._lanes.prepare(self._lanes.draw([self.np_random]))
+        self._lanes.commit([0], [prepared])
         self._running = True
         if self._frames is not None:
             self._frames.sample()
@@ -263,11 +298,18 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
 
         An environment that renders adds what it has drawn so far.
         """
-        return self._lanes.snapshot(), self._running, None if self._frames is None else self._frames.snapshot()
+        frames = None if self._frames is None else self._frames.snapshot()
+        return Snapshot(self._lanes.snapshot(), self._running, frames)
 
     @one_thread
     def restore(self, snapshot: Any) -> None:
-        """Go back to a :meth:`snapshot`: what follows is then the same, bit for bit."""
+        """Go back to a :meth:`snapshot`: what follows is then the same, bit for bit.
+
+        Raises:
+            ValueError: it is no snapshot, or of an environment with other settings than suite, split and scenario;
+                nothing has changed then.
+        """
+        _check_snapshot(snapshot, Snapshot, self)
         lanes, running, frames = snapshot
         self._lanes.restore(lanes)
         self._running = running
@@ -275,7 +317,7 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
             self._frames.restore(frames)
 
     def close(self) -> None:
-        """Release the worker threads, and close the window."""
+        """Release the worker threads, and close the window; the environment can still be used."""
         self._lanes.simulator.close()
         if self._frames is not None:
             self._frames.close()
@@ -293,7 +335,8 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         arguments: as for :class:`GFMWTGEnv`.
 
     Raises:
-        ValueError: an argument is unknown or out of range.
+        TypeError: an argument is unknown.
+        ValueError: an argument is out of range.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -315,11 +358,11 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
     ) -> None:
         _check_render_mode(render_mode, self.metadata)
         self.render_mode = render_mode
-        if max_episode_steps is not None and (
-            isinstance(max_episode_steps, bool)
-            or not isinstance(max_episode_steps, (int, np.integer))
-            or max_episode_steps < 1
-        ):
+        if not _is_whole(num_envs) or not 1 <= num_envs <= _MOST_ENVS:
+            raise ValueError(f"num_envs must be a whole number in 1 … {_MOST_ENVS}, got {num_envs!r}")
+        if n_threads is not None and (not _is_whole(n_threads) or n_threads < 1):
+            raise ValueError(f"n_threads must be a whole number of 1 or more, got {n_threads!r}")
+        if max_episode_steps is not None and (not _is_whole(max_episode_steps) or max_episode_steps < 1):
             raise ValueError(f"max_episode_steps must be a whole number of 1 or more, got {max_episode_steps!r}")
         self._max_episode_steps = max_episode_steps
         modes = [mode.value for mode in AutoresetMode]
@@ -328,7 +371,7 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.settings = _settings(type(self).__name__, arguments)
         self.num_envs = num_envs
-        self._lanes = TaskLanes(self.settings, num_envs, n_threads)
+        self._lanes = TaskLanes(self.settings, num_envs, None if n_threads is None else int(n_threads))
         self._use = Use()
         self.metadata = {**_in_real_time(self.metadata, self.settings), "autoreset_mode": self.autoreset_mode}
         self._frames = None if render_mode is None else LaneFrames(self._lanes)
@@ -376,7 +419,7 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         given = _check_options(options, ("reset_mask", "scenarios"))
         mask = self._reset_mask(given.get("reset_mask"))
         seeds = self._lane_seeds(seed)
-        scenarios = self._scenarios(given.get("scenarios"))
+        scenarios = self._scenarios(given["scenarios"]) if "scenarios" in given else None
         lanes = np.flatnonzero(mask).tolist()
         generators = {lane: seeding.np_random(s)[0] for lane in lanes if (s := seeds[lane]) is not None}
         # Given scenarios that cannot start are refused before the first change.
@@ -398,13 +441,11 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
             raise ValueError(
                 f'options["reset_mask"] must be a boolean array of shape {(self.num_envs,)} with at least one True, '
-                f"got shape {mask.shape}, dtype {mask.dtype}"
+                f"got shape {mask.shape}, dtype {mask.dtype}: {given!r:.80}"
             )
         return mask
 
-    def _scenarios(self, given: Any) -> list[Scenario] | None:
-        if given is None:
-            return None
+    def _scenarios(self, given: Any) -> list[Scenario]:
         if not isinstance(given, Sequence) or len(given) != self.num_envs:
             raise ValueError(f'options["scenarios"] must be a list of {self.num_envs} scenarios, got {given!r:.80}')
         return [_as_scenario(scenario) for scenario in given]
@@ -412,7 +453,7 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
     def _lane_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         if seed is None:
             return [None] * self.num_envs
-        if isinstance(seed, (int, np.integer)):
+        if isinstance(seed, (int, np.integer)) and _is_whole(seed):
             return [_lane_seed(int(seed) + lane) for lane in range(self.num_envs)]
         if not isinstance(seed, (Sequence, np.ndarray)) or isinstance(seed, str):
             raise ValueError(f"seed must be a whole number, or one per lane, got {seed!r}")
@@ -511,11 +552,12 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
     def snapshot(self) -> Any:
         """Return a copy of every episode's complete state, for :meth:`restore`; the generators are not part of it."""
         frames = None if self._frames is None else self._frames.snapshot()
-        return self._lanes.snapshot(), self._needs_reset.copy(), self._n_steps.copy(), frames
+        return VectorSnapshot(self._lanes.snapshot(), self._needs_reset.copy(), self._n_steps.copy(), frames)
 
     @one_thread
     def restore(self, snapshot: Any) -> None:
-        """Go back to a :meth:`snapshot`."""
+        """Go back to a :meth:`snapshot`; errors as of :meth:`GFMWTGEnv.restore`."""
+        _check_snapshot(snapshot, VectorSnapshot, self)
         lanes, needs_reset, n_steps, frames = snapshot
         self._lanes.restore(lanes)
         self._needs_reset[:], self._n_steps[:] = needs_reset, n_steps

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numbers
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, get_type_hints
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.bound import Bound, can_bind, step_bound
+from wtg_gym.envs.observation import observation_names
 from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
 from wtg_gym.envs.task import (
     N_INFO,
@@ -18,7 +19,6 @@ from wtg_gym.envs.task import (
     build_task,
     first_invalid_action,
     n_extra_rows,
-    observation_names,
     start_tasks,
     step_blocks,
 )
@@ -33,7 +33,6 @@ from wtg_gym.ranges import whole_steps
 from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[np.float64]
-LanesSnapshot = tuple[tuple[Floats, LaneData], Outputs, npt.NDArray[np.int64], list[tuple[Event, ...]]]
 
 #: Text of `info["termination_reason"]`: empty while an episode runs or when its time is over.
 TERMINATION_REASONS = {
@@ -45,11 +44,6 @@ TERMINATION_REASONS = {
     Status.NUMERICAL_FAILURE: "numerical failure",
     Status.LOSS_OF_SYNCHRONISM: "loss of synchronism",
     Status.VOLTAGE_COLLAPSE: "voltage collapse",
-}
-#: Keys of `info`, with their units, besides `termination_reason`.
-INFO_UNITS = {
-    **{name: hint.__metadata__[0] for name, hint in get_type_hints(Info, include_extras=True).items()},
-    "scenario_seed": "-",
 }
 #: Lanes whose episodes are drawn and prepared together: their series fit a processor's cache.
 _LANES_AT_ONCE = 8
@@ -77,6 +71,16 @@ def as_actions(given: Any, shape: tuple[int, ...]) -> Floats:
     if array.shape != shape:
         raise ValueError(f"{allowed}, got shape {array.shape}")
     return np.ascontiguousarray(array, dtype=np.float64)
+
+
+class LanesSnapshot(NamedTuple):
+    """Everything that changes in lanes, and the settings without which these numbers mean nothing."""
+
+    settings: dict[str, Any]
+    physics: tuple[Floats, LaneData]
+    outputs: Outputs
+    scenario_seeds: npt.NDArray[np.int64]
+    events: list[tuple[Event, ...]]
 
 
 class PreparedEpisodes(NamedTuple):
@@ -141,6 +145,21 @@ class TaskLanes:
             truncated=np.zeros(n_lanes, dtype=np.bool_),
         )
         self.scenario_seeds = np.full(n_lanes, -1, dtype=np.int64)
+        #: Settings that a running episode depends on; where its scenario was drawn from is none of them.
+        self._of_episodes: dict[str, Any] = {
+            "num_envs": n_lanes,
+            "strategy": self.laws,
+            "action_mode": settings.action_mode,
+            "observation_mode": settings.observation_mode,
+            "groups": plant.groups,
+            "duration_s": self.duration_s,
+            "control_dt": settings.control_dt,
+            "simulation_dt": settings.simulation_dt,
+            "weights": settings.cost_weights(),
+            "machine_model": settings.machine_model,
+            "physics": settings.physics,
+            "on_failure": settings.on_failure,
+        }
         #: What happens in each lane's episode, in its order.
         self.events: list[tuple[Event, ...]] = [()] * n_lanes
         self._bound: Any = None
@@ -312,16 +331,19 @@ class TaskLanes:
 
     def snapshot(self) -> LanesSnapshot:
         """Return a copy of everything that changes."""
-        return self.simulator.snapshot(), _copied(self.outputs), self.scenario_seeds.copy(), list(self.events)
+        return LanesSnapshot(
+            self._of_episodes,
+            self.simulator.snapshot(),
+            _copied(self.outputs),
+            self.scenario_seeds.copy(),
+            list(self.events),
+        )
 
     def restore(self, snapshot: LanesSnapshot) -> None:
-        """Go back to a :meth:`snapshot`; a ValueError refuses that of another environment."""
-        physics, outputs, seeds, events = snapshot
-        if outputs.observations.shape != self.observations.shape:
-            raise ValueError(
-                f"the snapshot is of another environment: its observations have shape {outputs.observations.shape}, "
-                f"here it is {self.observations.shape}"
-            )
+        """Go back to a :meth:`snapshot`; a ValueError refuses that of an environment with other settings."""
+        given, physics, outputs, seeds, events = snapshot
+        if other := [name for name, value in self._of_episodes.items() if given[name] != value]:
+            raise ValueError(f"the snapshot is of an environment with other settings: {', '.join(other)}")
         self._bound = None
         self.simulator.restore(physics)
         self.outputs.observations[:], self.outputs.rewards[:] = outputs.observations, outputs.rewards

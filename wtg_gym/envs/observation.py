@@ -14,6 +14,8 @@ from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState
 
 #: Every entry of the observation is clipped to ± this.
 OBSERVATION_BOUND = 5.0
+#: What frequency deviations are counted in [Hz].
+FREQUENCY_UNIT_HZ = 0.5
 
 
 class WtgObservation(NamedTuple):
@@ -67,14 +69,14 @@ def observe_wtg(s: WtgState, output: WtgOutput, group: GroupRows, t: Turbine, ta
     best, limit = t.rotor.tip_speed_ratio_opt, t.rotor.tip_speed_ratio_limit
     ratio = t.rotor.tip_speed * s.rotor_speed / output.wind
     return WtgObservation(
-        frequency_deviation=(s.converter.speed - 1.0) * task.nominal_hz / 0.5,
+        frequency_deviation=(s.converter.speed - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ,
         rocof=group.rocof,
         tip_speed_ratio=(ratio - best) / (limit - best),
         rotor_speed=(s.rotor_speed - 1.0) / 0.25,
         power=output.power,
         wind=(output.wind - 10.0) / 5.0,
         coefficient=(output.coefficient - task.k_low) / task.k_span,
-        filter_state=s.converter.filter * task.nominal_hz / 0.5,
+        filter_state=s.converter.filter * task.nominal_hz / FREQUENCY_UNIT_HZ,
     )
 
 
@@ -82,7 +84,7 @@ def observe_wtg(s: WtgState, output: WtgOutput, group: GroupRows, t: Turbine, ta
 def observe_machine(s: MachineState, output: MachineOutput, c: Machine, task: Task) -> MachineObservation:
     """Return the measurements at a synchronous machine."""
     return MachineObservation(
-        speed=(s.speed - 1.0) * task.nominal_hz / 0.5,
+        speed=(s.speed - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ,
         power=output.power / c.rating,
         voltage=(output.voltage - 1.0) / 0.1,
     )
@@ -91,11 +93,14 @@ def observe_machine(s: MachineState, output: MachineOutput, c: Machine, task: Ta
 @inlined
 def observe_grid(coi: float, rocof: float, torque: float, task: Task) -> GridObservation:
     """Return the grid's measurements: frequency of the centre of inertia [p.u.], RoCoF [Hz/s], torque [p.u.]."""
-    return GridObservation((coi - 1.0) * task.nominal_hz / 0.5, rocof, torque)
+    return GridObservation((coi - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ, rocof, torque)
 
 
 def observation_names(n_wtg: int, n_sync: int, action_mode: str, *, privileged: bool) -> list[str]:
-    """Return the names of the observation's entries, with the unit each is counted in."""
+    """Return the names of the observation's entries, with the unit each is counted in.
+
+    `wtg0` is group 1 of commands and pictures.
+    """
     actions = [
         f"last_action_{name}" for name, used in zip(("k", "tau"), ACTION_MODES[action_mode], strict=True) if used
     ]

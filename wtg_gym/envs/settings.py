@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypedDict
 
+import numpy as np
+
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.parameters import WtgGroup, default_groups, parameter
 from wtg_gym.physics.plant import PHYSICS, SIMULATION_DT_RANGE, PlantSettings, plant_settings
@@ -26,7 +28,7 @@ FAILURE_MODES = ("terminate", "trip")
 class CostWeights:
     """Weights of the cost's terms. Each is a rate [1/s] at the deviation that `doc` names as one unit.
 
-    The reward is minus the cost. The terms' own shapes are written in :mod:`wtg_gym.envs.cost`.
+    The reward is minus the cost. The terms' equations are in :mod:`wtg_gym.envs.cost`.
     """
 
     frequency: float = parameter(
@@ -47,8 +49,8 @@ class CostWeights:
         unit="1/s",
         source="design",
         doc="one unit at a captured power 5 % of the available away from what the prescribed characteristic asks: the "
-        "reserve a unit is paid to hold; running at maximum power to sell it does not pay. Twice the frequency's "
-        "weight: the reserve is the unit's own doing, the frequency everybody's",
+        "reserve that a unit is paid to hold. Its weight is twice that of the frequency: a unit controls its reserve "
+        "alone, but the frequency only together with all others",
     )
     rotor: float = parameter(
         5.0,
@@ -68,8 +70,8 @@ class CostWeights:
         0.05,
         unit="1/s",
         source="design",
-        doc="one unit at full action, four at a change by half the range within a step: a tie-breaker that keeps idle "
-        "actions at the reference and drives from chattering",
+        doc="one unit at full action, four at a change by 1 within a step: a tie-breaker that keeps unused actions at "
+        "zero and discourages chatter",
     )
     cap: float = parameter(
         50.0,
@@ -93,7 +95,7 @@ class EnvArguments(TypedDict, total=False):
     observation_mode: str
     suite: str
     split: str
-    scenario: Mapping[str, Any] | None
+    scenario: Scenario | Mapping[str, Any] | None
     groups: int | Sequence[Mapping[str, Any]]
     duration_s: float | None
     control_dt: float
@@ -106,15 +108,16 @@ class EnvArguments(TypedDict, total=False):
 
 @dataclass(frozen=True, kw_only=True)
 class EnvSettings:
-    """Arguments of the environment; all of them survive JSON.
+    """Arguments of the environment; all of them survive JSON, but a `TrackingLaw` and a `Scenario`.
 
     Args:
-        strategy: law that the actions modulate, by name, .toml file or (beyond JSON) as a `TrackingLaw`; one for all
-            groups, or one per group.
+        strategy: law that the actions modulate, by name, .toml file or as a `TrackingLaw`; one for all groups, or one
+            per group.
         action_mode: "k", "tau" or "k+tau".
         observation_mode: "local" (what each group measures itself) or "privileged" (plus the grid's state).
-        suite, split: where scenarios are drawn from.
-        scenario: a fixed scenario (as `Scenario.to_dict` gives it) played in every episode instead.
+        suite, split: where scenarios are drawn from; besides "train", "validation" and "test" there is "fresh", with
+            seeds that are in none of them.
+        scenario: a fixed scenario, a `Scenario` or (for JSON) its `to_dict()`, played in every episode instead.
         groups: number of groups at bus 2, or a list of {"bus": …, "n_turbines": …}.
         duration_s: length of an episode [s]; None: the suite's own.
         control_dt: control interval, one step [s].
@@ -134,7 +137,7 @@ class EnvSettings:
     observation_mode: str = "local"
     suite: str = "standard"
     split: str = "train"
-    scenario: Mapping[str, Any] | None = None
+    scenario: Scenario | Mapping[str, Any] | None = None
     groups: int | Sequence[Mapping[str, Any]] = 2
     duration_s: float | None = None
     control_dt: float = 0.1
@@ -172,15 +175,15 @@ class EnvSettings:
 
     def wtg_groups(self) -> tuple[WtgGroup, ...]:
         """Return the WTG groups; a ValueError says what is wrong with a description."""
-        if isinstance(self.groups, int):
-            return default_groups(self.groups)
+        if isinstance(self.groups, (int, np.integer)):
+            return default_groups(self.groups if isinstance(self.groups, int) else int(self.groups))
         if isinstance(self.groups, (str, Mapping)) or not isinstance(self.groups, Sequence) or not self.groups:
             raise ValueError(
                 f'groups must be a number of groups or a list of {{"bus": …, "n_turbines": …}}, got {self.groups!r}'
             )
         groups = []
         for entry in self.groups:
-            if not isinstance(entry, Mapping) or not set(entry) <= {"bus", "n_turbines"}:
+            if not isinstance(entry, Mapping) or not entry or not set(entry) <= {"bus", "n_turbines"}:
                 raise ValueError(f'a WTG group must be {{"bus": …, "n_turbines": …}}, got {entry!r}')
             groups.append(WtgGroup(**entry))
         return tuple(groups)
@@ -208,7 +211,7 @@ class EnvSettings:
         if isinstance(self.scenario, Scenario):
             return self.scenario
         if not isinstance(self.scenario, Mapping):
-            raise ValueError(f"scenario must be what Scenario.to_dict() gives, got {self.scenario!r}")
+            raise ValueError(f"scenario must be a Scenario or its to_dict() form, got {self.scenario!r}")
         return Scenario.from_dict(dict(self.scenario))
 
     def episode_duration_s(self) -> float:

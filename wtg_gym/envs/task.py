@@ -28,7 +28,6 @@ from wtg_gym.envs.observation import (
     bounded_grid,
     bounded_machine,
     bounded_wtg,
-    observation_names,
     observe_grid,
     observe_machine,
     observe_wtg,
@@ -38,7 +37,6 @@ from wtg_gym.envs.observation import (
 )
 from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
 from wtg_gym.envs.task_records import (
-    COST_TERMS,
     GROUP,
     N_GROUP_ROWS,
     N_TASK_ROWS,
@@ -52,6 +50,7 @@ from wtg_gym.envs.task_records import (
     load_terms,
     read_task,
     store_group,
+    store_info,
     store_terms,
 )
 from wtg_gym.physics.compiled import compiled, inlined
@@ -408,7 +407,10 @@ def _rounded(value: float) -> float:
 
 @inlined
 def observe(block: Floats, c: Any, task: Task, lanes: Lanes) -> None:
-    """Write the observations of a block's lanes into its rows; see :func:`observation_names` for their entries."""
+    """Write the observations of a block's lanes into its rows.
+
+    :func:`~wtg_gym.envs.observation.observation_names` lists their entries.
+    """
     width, parts = len(lanes), _parts(c, task)
     turbine = read_turbine(c["turbine"])
     row = parts.observation
@@ -465,33 +467,21 @@ def report(block: Floats, x: int, lane: int, c: Any, task: Task, outputs: Output
     own, of_task = rows_of(c).lane * width + x, parts.lane * width + x
     for k in range(outputs.observations.shape[1]):
         outputs.observations[lane, k] = block[(parts.observation + k) * width + x]
-    row = outputs.infos[lane]
-    row[0] = block[own + LANE.step * width] * c["simulation_dt"]
-    row[1] = task.nominal_hz * block[own + LANE.coi * width]
-    row[2] = block[of_task + TASK.rocof * width]
-    row[3] = block[of_task + TASK.constraint * width]
-    for term in range(N_INFO - 4):
-        row[4 + term] = block[of_task + (TASK.terms + term) * width]
+    terms = load_terms(block, of_task + TASK.terms * width, width)
+    info = Info(
+        time_s=block[own + LANE.step * width] * c["simulation_dt"],
+        frequency_hz=task.nominal_hz * block[own + LANE.coi * width],
+        rocof_hz_s=block[of_task + TASK.rocof * width],
+        cost=block[of_task + TASK.constraint * width],
+        cost_frequency=terms.frequency,
+        cost_rocof=terms.rocof,
+        cost_duty=terms.duty,
+        cost_rotor=terms.rotor,
+        cost_overload=terms.overload,
+        cost_effort=terms.effort,
+        cost_failure=terms.failure,
+    )
+    store_info(info, outputs.infos[lane], 0, 1)
     failed = block[own + LANE.status * width] != 0.0
     outputs.terminated[lane] = failed
     outputs.truncated[lane] = not failed and block[own + LANE.active * width] < 0.5
-
-
-__all__ = [
-    "COEFFICIENT_AUTHORITY",
-    "CONSTRAINT_FREQUENCY_HZ",
-    "COST_TERMS",
-    "N_INFO",
-    "N_LOCAL",
-    "OBSERVATION_BOUND",
-    "ROCOF_WINDOW_S",
-    "TIME_CONSTANT_RATIO",
-    "Outputs",
-    "build_task",
-    "first_invalid_action",
-    "n_extra_rows",
-    "observation_names",
-    "rocof_window",
-    "start_tasks",
-    "step_blocks",
-]

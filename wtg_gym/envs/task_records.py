@@ -65,10 +65,10 @@ class TaskRows(NamedTuple):
     constraint_sum: float
     available_energy: float  # of all groups [p.u. s of the system base]
     duty_error: float  # ∫ |captured - prescribed| / available dt, mean over groups [s]
-    rates: CostTerms  # of the step that is being charged [1/s], and how long it lasted [s]
-    elapsed: float
-    violated: float
-    error: float
+    rates: CostTerms  # of the step that is being charged [1/s]
+    elapsed: float  # how long that step lasted [s]
+    violated: float  # 1 where it violated a constraint
+    error: float  # its duty error, mean over groups [-]
 
 
 class GroupRows(NamedTuple):
@@ -84,7 +84,7 @@ class GroupRows(NamedTuple):
 
 
 class Info(NamedTuple):
-    """The numbers of `info`."""
+    """The numbers of `info`, with their units; `cost` is 1 where a constraint was violated, the others are the cost."""
 
     time_s: Annotated[float, "s"]
     frequency_hz: Annotated[float, "Hz"]
@@ -105,4 +105,5 @@ N_TASK_ROWS, N_GROUP_ROWS = size(TaskRows), size(GroupRows)
 
 read_task = reader(Task)
 load_terms, store_terms = loader(CostTerms), storer(CostTerms)
+store_info = storer(Info)
 load_group, store_group = loader(GroupRows), storer(GroupRows)

@@ -98,7 +98,7 @@ def evaluate(
     if workers is not None and n_threads not in (None, 1):
         raise ValueError(f"a worker steps with one thread; leave out the threads, got {n_threads!r}")
     settings = EnvSettings(suite=suite, split=split, duration_s=duration_s, **env_arguments)
-    chosen = _seeds(suite, split, seeds, draw)
+    chosen = chosen_seeds(suite, split, seeds, draw)
     shared, suite_hash = shared_settings(settings), get_suite(suite).hash
     store = PartialStore(None if partial is None else Path(partial), [suite, suite_hash, split, shared])
     parts = [(entry, chosen[first : first + batch]) for entry in competitors for first in range(0, len(chosen), batch)]
@@ -141,6 +141,8 @@ def evaluate(
 def _with_anchors(given: str | Path | Entry | Sequence[str | Path | Entry]) -> list[Entry]:
     """Return the entries, and the anchors that are not among them."""
     entries: list[Any] = []
+    if not isinstance(given, (str, Path, Entry, Sequence)):
+        raise ValueError(f"entries must be names, paths or Entry, one or a list of them, got {given!r}")
     for each in [given] if isinstance(given, (str, Path, Entry)) else given:
         entries += load_entries(each) if isinstance(each, (str, Path)) else [each]
     check_entries(entries)
@@ -162,7 +164,8 @@ def _check_arguments(batch: int, partial: str | Path | None, env_arguments: dict
         raise ValueError(f"partial must be a folder for finished batches, got the file {partial}")
 
 
-def _seeds(suite: str, split: str, seeds: Sequence[int] | None, draw: FreshDraw | None) -> list[int]:
+def chosen_seeds(suite: str, split: str, seeds: Sequence[int] | None, draw: FreshDraw | None) -> list[int]:
+    """Return the seeds of the scenarios that :func:`evaluate` plays; arguments and errors as there."""
     if (split == FRESH) != (draw is not None):
         raise ValueError(
             f"the split {FRESH!r}, and no other, is played on the seeds of a draw, see draw_seeds(); got the "
@@ -181,6 +184,8 @@ def _seeds(suite: str, split: str, seeds: Sequence[int] | None, draw: FreshDraw 
         if len(allowed) > _LARGEST_SPLIT:
             raise ValueError(f"{text}: too many to play them all; choose some with seeds=")
         return list(allowed)
+    if isinstance(seeds, str) or not isinstance(seeds, (Sequence, np.ndarray)):
+        raise ValueError(f"seeds must be a list of whole numbers, got {seeds!r}; {text}")
     wrong = [s for s in seeds if isinstance(s, bool) or not isinstance(s, (int, np.integer)) or s not in allowed]
     if wrong:
         raise ValueError(f"{text}; got {', '.join(map(repr, wrong[:5]))}{' …' if len(wrong) > 5 else ''}")

@@ -26,7 +26,7 @@ def _plain(value: float, digits: int) -> str:
 
 def _interval(interval: Interval) -> str:
     if interval.low == interval.high:
-        # The score of an anchor, which is fixed.
+        # No spread: an anchor, whose score is fixed, or a single scenario.
         return _plain(interval.value, 1)
     return f"{_plain(interval.value, 1)} ({_plain(interval.low, 1)} … {_plain(interval.high, 1)})"
 

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.lanes import TERMINATION_REASONS, TaskLanes
-from wtg_gym.envs.task import COST_TERMS
+from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import LoadRamp, Scenario
 

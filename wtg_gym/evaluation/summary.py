@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.envs.task import COST_TERMS
+from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation import statistics
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.score import log_gains, pinned, points_by_term, score_scale
@@ -39,8 +39,7 @@ class EntrySummary:
         difference: mean of the scenarios' scores minus the reference's on the same scenario.
         difference_to_above: the same, minus that of the entry above in the ranking; None for the first.
         points_by_term: points above 100 by the cost terms they come from, by the names in :data:`POINTS` and
-            :data:`REST`; they add up to the score minus 100, see
-            :func:`points_by_term`.
+            :data:`REST`; they add up to the score minus 100, see :func:`points_by_term`.
         probability_of_improvement: P(J < J_ref) + ½ P(J = J_ref) of the pinned costs [-].
         gap_closed_percent: (mean J_ref - mean J) / (mean J_ref - mean J_oracle) of the pinned costs, all means over the
             scenarios that have an oracle [%]; None where none has, or the mean cost is not below the reference's.
@@ -92,7 +91,7 @@ def summarise(
         oracle: the oracle's costs by the scenarios' seeds, of those that have one.
 
     Raises:
-        ValueError: MPPT is not worse than the reference, so that there is no scale.
+        NoScaleError: MPPT is not worse than the reference, so that there is no scale.
     """
     runs: dict[str, dict[int | None, list[Episode]]] = {}
     for episode in episodes:

@@ -172,7 +172,7 @@ class Scenario:
         if wind.size and not (wind.min() >= low and wind.max() <= high):
             group, sample = np.argwhere(~((wind >= low) & (wind <= high)))[0]
             raise ValueError(
-                f"wind_speed of group {group} at t = {sample * self.wind_dt_s:g} s is {wind[group, sample]:g} m/s, "
+                f"wind_speed of group {group + 1} at t = {sample * self.wind_dt_s:g} s is {wind[group, sample]:g} m/s, "
                 f"outside the allowed range {low:g} … {high:g} m/s"
             )
         noise = _series("load_noise_mw", self.load_noise_mw)

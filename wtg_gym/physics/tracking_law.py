@@ -64,6 +64,11 @@ class TrackingLaw:
                 f"or infinite (keeps it), got {tau!r} s"
             )
 
+    def to_dict(self) -> dict[str, str | float]:
+        """Return the law as JSON-ready data; an infinite time constant is the text "inf"."""
+        tau = self.damping_time_constant_s
+        return {**dataclasses.asdict(self), "damping_time_constant_s": "inf" if math.isinf(tau) else tau}
+
     @property
     def inverse_time_constant(self) -> float:
         """Return 1/τ [1/s], 0 where the filter does nothing (τ = 0 or ∞)."""

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -15,6 +14,8 @@ from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, Trackin
 
 #: Names of the two entries that fix the score's 0 and 100.
 ANCHORS = ("mppt", REFERENCE_STRATEGY)
+#: What entries of one name must agree on, as they share a row.
+_OF_A_ROW = ("kind", "strategy", "action_mode", "observation_mode", "source")
 _NOT_IN_NAMES = "|<>`*\\"
 
 
@@ -36,7 +37,9 @@ class Entry:
     Args:
         name: name in tables, 1 … 60 printable characters; with `training_seed` it is unique among the entries.
         strategy: the law that actions modulate: a built-in name, a .toml file, or a law.
-        policy: gives the actions; None is the zero action, which is the strategy itself.
+        policy: gives the actions for the environment's own observations; None is the zero action, which is the strategy
+            itself. A learner of Stable-Baselines3 that was trained under VecNormalize expects other observations: wrap
+            both in a :class:`~wtg_gym.policies.sb3_archive.NormalizedPolicy`.
         action_mode: "k", "tau" or "k+tau".
         observation_mode: "local" or "privileged".
         description: one sentence on what it is.
@@ -78,6 +81,12 @@ class Entry:
                 f"the policy of entry {name!r} must have predict(observation, state, episode_start, deterministic), "
                 f"got {type(self.policy).__name__}"
             )
+        if _misses_normalization(self.policy):
+            raise ValueError(
+                f"the policy of entry {name!r} was trained under VecNormalize, whose normalisation of the observations "
+                "predict() leaves out; give wtg_gym.policies.sb3_archive.NormalizedPolicy(model.policy, "
+                "model.get_vec_normalize_env())"
+            )
         for key in ("description", "equation", "source"):
             if not isinstance(getattr(self, key), str):
                 raise ValueError(f"{key} of entry {name!r} must be text, got {getattr(self, key)!r}")
@@ -100,11 +109,11 @@ class Entry:
         if self.policy is not None and self.fingerprint is None:
             return None
         policy = None if self.policy is None else self.fingerprint
-        data = [_law_numbers(self.law), policy, self.action_mode, self.observation_mode]
+        data = [self.law.to_dict(), policy, self.action_mode, self.observation_mode]
         return sha256(json.dumps(data, sort_keys=True).encode())
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the entry as JSON-ready data; an infinite time constant is the text "inf".
+        """Return the entry as JSON-ready data.
 
         "sha256" is the :attr:`identity`; "policy_sha256" that of the policy's file, as sha256sum gives it, or None.
         """
@@ -113,7 +122,7 @@ class Entry:
         return {
             **{key: getattr(self, key) for key in texts},
             "kind": self.kind,
-            "strategy": _law_numbers(self.law),
+            "strategy": self.law.to_dict(),
             "sha256": self.identity,
             "policy_sha256": own if isinstance(own, str) else None,
         }
@@ -130,11 +139,10 @@ def is_policy(value: Any) -> bool:
     return isinstance(value, Policy) and not isinstance(value, type) and callable(value.predict)
 
 
-def _law_numbers(law: TrackingLaw) -> dict[str, Any]:
-    numbers = dataclasses.asdict(law)
-    if numbers["damping_time_constant_s"] == float("inf"):
-        numbers["damping_time_constant_s"] = "inf"
-    return numbers
+def _misses_normalization(policy: Any) -> bool:
+    """Return whether a policy is a learner of Stable-Baselines3 whose environment normalises observations."""
+    normalization = getattr(policy, "get_vec_normalize_env", None)
+    return callable(normalization) and bool(getattr(normalization(), "norm_obs", False))
 
 
 def check_entries(entries: Sequence[Entry]) -> None:
@@ -156,12 +164,19 @@ def check_entries(entries: Sequence[Entry]) -> None:
 
 def _check_row(first: Entry, other: Entry) -> None:
     """Refuse an entry that would join the row of another method: one name is one method with several seeds."""
-    if None in (first.training_seed, other.training_seed):
+    one, two = first.to_dict(), other.to_dict()
+    key = row_conflict(one, two)
+    if key == "training_seed":
         seeds = [first.training_seed, other.training_seed]
         raise ValueError(f"entries named {first.name!r} must all have a training seed, got {seeds}")
-    one, two = first.to_dict(), other.to_dict()
-    for key in ("kind", "strategy", "action_mode", "observation_mode", "source"):
-        if one[key] != two[key]:
-            raise ValueError(
-                f"entries named {first.name!r} share a row and must agree on {key}, got {one[key]!r} and {two[key]!r}"
-            )
+    if key is not None:
+        raise ValueError(
+            f"entries named {first.name!r} share a row and must agree on {key}, got {one[key]!r} and {two[key]!r}"
+        )
+
+
+def row_conflict(one: Mapping[str, Any], two: Mapping[str, Any]) -> str | None:
+    """Return why two entries of one name cannot share a row: the key of their data, see :meth:`Entry.to_dict`."""
+    if None in (one["training_seed"], two["training_seed"]):
+        return "training_seed"
+    return next((key for key in _OF_A_ROW if one[key] != two[key]), None)

@@ -140,8 +140,8 @@ def check_submission(folder: Path, *, weak: bool = False, rollout_only: bool = F
 
 def _check_widths(policy: OnnxPolicy, entry: EntryFile) -> str:
     """Compare a policy's widths with those of the benchmark's plant in its modes."""
-    modes: dict[str, Any] = {"action_mode": entry.action_mode, "observation_mode": entry.observation_mode}
-    lanes = TaskLanes(EnvSettings(**modes), 1, 1)
+    settings = EnvSettings(action_mode=entry.action_mode, observation_mode=entry.observation_mode)
+    lanes = TaskLanes(settings, 1, 1)
     wanted = lanes.n_observation, lanes.n_action
     lanes.simulator.close()
     n_observation, n_action, *states = policy.widths

@@ -59,9 +59,11 @@ def load_entries(spec: str | Path, load_archive: LoadArchive | None = None) -> l
     Raises:
         ValueError: nothing of that name, or it holds no entry; the message says what is allowed.
     """
+    if not isinstance(spec, (str, Path)):
+        raise ValueError(f"load_entries() takes one name or path, got {spec!r}")
     text = str(spec)
     if text in STRATEGIES:
-        return [Entry(name=text, strategy=text, description="A built-in strategy.")]
+        return _baselines_named(text)
     if text.endswith(".toml"):
         law = get_law(text)
         return [Entry(name=law.name, strategy=law, description="A law read from a file.")]
@@ -75,12 +77,15 @@ def load_entries(spec: str | Path, load_archive: LoadArchive | None = None) -> l
         )
     if shipped := [load_entry_folder(folder) for folder in _policy_folders(text)]:
         return shipped
-    baselines = _entries_of(_import(BASELINES, BASELINES), BASELINES)
-    if named := [entry for entry in baselines if entry.name == text]:
+    if named := _baselines_named(text):
         return named
     module_name, colon, attribute = text.partition(":")
     module = _import(module_name, text)
     return [_entry_of(module, attribute, text)] if colon else _entries_of(module, text)
+
+
+def _baselines_named(name: str) -> list[Entry]:
+    return [entry for entry in _entries_of(_import(BASELINES, BASELINES), BASELINES) if entry.name == name]
 
 
 def example_law() -> str:

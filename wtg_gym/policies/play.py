@@ -36,13 +36,10 @@ def started_lanes(
     Raises:
         ValueError: a scenario has no equilibrium under the entry's law.
     """
-    # The settings accept a law too, which their type does not name.
-    changed: dict[str, Any] = {
-        "strategy": entry.law,
-        "action_mode": entry.action_mode,
-        "observation_mode": entry.observation_mode,
-    }
-    lanes = TaskLanes(dataclasses.replace(settings, **changed), len(given), n_threads)
+    own = dataclasses.replace(
+        settings, strategy=entry.law, action_mode=entry.action_mode, observation_mode=entry.observation_mode
+    )
+    lanes = TaskLanes(own, len(given), n_threads)
     try:
         scenarios: Any = given if isinstance(given[0], Scenario) else lanes.scenarios(cast(Sequence[int], given))
         try:

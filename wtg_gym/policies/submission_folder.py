@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from wtg_gym.envs.settings import ACTION_MODES, OBSERVATION_MODES
 from wtg_gym.files import LARGEST_TOML_BYTES, parse_toml, write_atomically
 from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
 from wtg_gym.policies.submission_texts import check_author, check_link, check_name, check_text, short
@@ -20,7 +21,7 @@ _FOLDER = re.compile(r"(?!.*(\.|\.toml)$)[A-Za-z0-9][A-Za-z0-9+._-]{0,79}", re.I
 _DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 _REQUIRED = ("name", "authors", "training_seed", "action_mode")
 _OPTIONAL = ("observation_mode", "description", "trained_on", "links")
-_MODES = {"action_mode": ("k", "tau", "k+tau"), "observation_mode": ("local", "privileged")}
+_MODES = {"action_mode": tuple(ACTION_MODES), "observation_mode": OBSERVATION_MODES}
 _LARGEST_SEED = 2**32 - 1
 _MOST_AUTHORS, _MOST_LINKS = 40, 5
 
@@ -75,13 +76,7 @@ def read_files(folder: Path) -> dict[str, bytes]:
     Raises:
         ValueError: the folder holds another file, or a file is missing, too large or not a plain file.
     """
-    # The folder's name goes to shells and terminals, and into checkouts on systems that cannot have every name.
-    name = Path(os.path.abspath(folder)).name
-    if _FOLDER.fullmatch(name) is None or _DEVICE.fullmatch(name) is not None:
-        raise ValueError(
-            f"the folder's name must be 1 … 80 letters, digits and + . _ -, begin with a letter or digit, not end with "
-            f"a dot or .toml, and be no device of Windows; got {ascii(name)[:90]}"
-        )
+    _check_folder_name(folder)
     if not stat.S_ISDIR(_status(folder).st_mode):
         raise ValueError("it is not a folder, or a link to one")
     names = []
@@ -94,6 +89,16 @@ def read_files(folder: Path) -> dict[str, bytes]:
     if missing:
         raise ValueError(f"it has no {' and no '.join(missing)}")
     return {name: _read(folder / name, FILES[name]) for name in FILES if name in names}
+
+
+def _check_folder_name(folder: Path) -> None:
+    # It goes to shells and terminals, and into checkouts on systems that cannot have every name.
+    name = Path(os.path.abspath(folder)).name
+    if _FOLDER.fullmatch(name) is None or _DEVICE.fullmatch(name) is not None:
+        raise ValueError(
+            f"the folder's name must be 1 … 80 letters, digits and + . _ -, begin with a letter or digit, not end with "
+            f"a dot or .toml, and be no device of Windows; got {ascii(name)[:90]}"
+        )
 
 
 def _status(path: Path) -> os.stat_result:
@@ -168,8 +173,10 @@ def write_template(folder: Path, policy: Path | None = None) -> list[Path]:
         the files written.
 
     Raises:
-        ValueError: one of the files exists, or the policy is not a plain file or too large.
+        ValueError: a submission's folder cannot have this name, one of the files exists, or the policy is not a plain
+            file or too large.
     """
+    _check_folder_name(folder)
     wanted = {ENTRY_FILE: _TEMPLATE.encode()}
     if policy is not None:
         wanted[POLICY_FILE] = _read(policy, FILES[POLICY_FILE])

@@ -83,8 +83,12 @@ class Suite:
         if any(low.stop > high.start for low, high in pairwise(ordered)):
             raise ValueError(f"the splits of suite {self.name!r} overlap: {self._split_text()}")
 
+    @property
+    def _splits(self) -> tuple[str, ...]:
+        return SPLITS if self.distribution is None else (*SPLITS, FRESH)
+
     def _split_text(self) -> str:
-        texts = ((split, self.seeds(split)) for split in SPLITS)
+        texts = ((split, self.seeds(split)) for split in self._splits)
         return ", ".join(f"{split} {seeds.start} … {seeds.stop - 1}" for split, seeds in texts)
 
     def seeds(self, split: str) -> range:
@@ -100,7 +104,7 @@ class Suite:
             return _FRESH_SEEDS
         if split not in SPLITS:
             fixed = f"; suite {self.name!r} has fixed cases, there is nothing to draw" if split == FRESH else ""
-            raise ValueError(f"unknown split {split!r}; known splits: {', '.join(SPLITS)}{fixed}")
+            raise ValueError(f"unknown split {split!r}; known splits: {', '.join(self._splits)}{fixed}")
         seeds: range = getattr(self, split)
         return seeds
 
@@ -135,9 +139,7 @@ class Suite:
         duration_s: float | None = None,
     ) -> list[Scenario]:
         """Return the scenarios of several seeds; everything else as for :meth:`scenario`."""
-        splits = [self.seeds(split) for split in SPLITS]
-        if self.distribution is not None:
-            splits.append(_FRESH_SEEDS)
+        splits = [self.seeds(split) for split in self._splits]
         for seed in seeds:
             is_whole = isinstance(seed, (int, np.integer)) and not isinstance(seed, bool)
             if not is_whole or not any(int(seed) in split for split in splits):
@@ -280,6 +282,6 @@ def get_suite(name: str) -> Suite:
     Raises:
         ValueError: there is no such suite; the message lists the known ones.
     """
-    if name not in SUITES:
+    if not isinstance(name, str) or name not in SUITES:
         raise ValueError(f"unknown suite {name!r}; known suites: {', '.join(SUITES)}")
     return SUITES[name]

@@ -142,7 +142,7 @@ def add_commands(commands: Commands) -> None:
         description=_SENSITIVITY,
         examples="  wtg-gym results sensitivity --entries baselines\n"
         "  wtg-gym results sensitivity --entries deloaded-5 --weights duty --factors 0.5 2 4 --scenarios 20\n"
-        "  wtg-gym results sensitivity --entries baselines agents/policies/ppo-0 --page docs/benchmark.md",
+        "  wtg-gym results sensitivity --entries baselines agents/policies/ppo-k-0 --page docs/benchmark.md",
     )
     add_entries_option(parser)
     add_suite_option(parser)
@@ -172,7 +172,6 @@ def _run_page(arguments: argparse.Namespace) -> int:
 def check_html(option: str, text: str) -> Path:
     """Return the path of an HTML file to write, or raise a ValueError now rather than after the work."""
     path = check_output_file(option, text, (".html", ".htm"))
-    assert path is not None
     require_extra("bokeh", option)
     return path
 
