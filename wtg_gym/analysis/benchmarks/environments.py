@@ -12,6 +12,7 @@ import gymnasium as gym
 import numpy as np
 
 from wtg_gym.analysis.benchmarks.timing import Case, Stepper, step_batch, step_single
+from wtg_gym.physics.plant import PHYSICS
 from wtg_gym.scenarios import get_suite
 
 #: The id under which importing `wtg_gym` registers our environment.
@@ -45,6 +46,21 @@ def environment_cases() -> Iterator[Case]:
         yield Case(part, f"SB3 adapter of {n}", n, partial(_step_sb3, adapter, n))
     yield Case(part, "SB3 DummyVecEnv of 8", 8, partial(_step_sb3, dummies, 8))
     yield Case(part, f"SB3 SubprocVecEnv of {n_cpu}", n_cpu, partial(_step_sb3, processes, n_cpu), preparation_s=4.0)
+
+
+def physics_cases() -> Iterator[Case]:
+    """Yield our environment, alone and in a batch, on each kind of physics."""
+    for physics in PHYSICS:
+        yield Case("physics", f"{physics} physics", 1, partial(_on, physics, 1))
+        yield Case("physics", f"{physics} physics, vector of 1024", 1024, partial(_on, physics, 1024))
+
+
+def _on(physics: str, n_envs: int) -> Stepper:
+    if n_envs == 1:
+        return step_single(gym.make(OURS, physics=physics))
+    envs = gym.make_vec(OURS, num_envs=n_envs, physics=physics)
+    envs.reset(seed=0)
+    return step_batch(envs, envs.single_action_space, envs.num_envs)
 
 
 def can_render() -> bool:

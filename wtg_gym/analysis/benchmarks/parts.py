@@ -9,6 +9,7 @@ from wtg_gym.analysis.benchmarks.environments import (
     can_render,
     environment_cases,
     has_sb3,
+    physics_cases,
     rendering_cases,
     yardstick,
 )
@@ -21,6 +22,7 @@ from wtg_gym.analysis.benchmarks.training import training_cases
 #: The parts in words.
 PARTS = {
     "environments": "environment steps per second, of ours and of Gymnasium's own",
+    "physics": "environment steps per second of ours, on the paper's physics and on what extends it",
     "rendering": "steps per second with a frame drawn at each, of ours and of Gymnasium's own",
     "training": "steps per second of PPO learning, on our adapter and on Stable-Baselines3's vector environments",
     "peers": "other projects' environments, those that are installed",
@@ -66,6 +68,8 @@ class Benchmark:
         cases = [yardstick()]
         if "environments" in parts:
             cases += environment_cases()
+        if "physics" in parts:
+            cases += physics_cases()
         if "rendering" in parts and can_render():
             cases += rendering_cases()
         elif "rendering" in parts:
