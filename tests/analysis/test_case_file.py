@@ -15,6 +15,7 @@ from wtg_gym.analysis.case_file import DEFAULT_TOLERANCE, read_parameters
 from wtg_gym.analysis.replay import replay
 
 PARAMS = GOLDEN / "ideal-source-units" / "params.json"
+HYGOV = dict(R=0.05, r=0.4, Tr=8.0, Tf=0.05, Tg=0.5, VELM=0.2, GMIN=0.0, GMAX=0.1, Tw=1.3, At=1.1, Dt=0.0, qNL=0.08)
 
 
 @pytest.fixture
@@ -118,6 +119,9 @@ def test_any_machine_bus_can_have_the_angle_zero(edited: Any) -> None:
         (lambda d: d["line"][3].update(u=0), "is switched off .u = 0.; leave it out"),
         (lambda d: d["line"][3].update(t=2), "a branch goes from bus 2 to itself"),
         (lambda d: d["tgov1"].update(VMIN=2.0), "outside the limits VMIN … VMAX = 2 … 1.2"),
+        (lambda d: d.update(hygov=d["tgov1"]), "the machine '1' has a tgov1 and a hygov"),
+        (lambda d: d.update(hygov={**HYGOV, "gen": "1"}, tgov1=[]), "outside the limits GMIN … GMAX = 0 … 0.1"),
+        (lambda d: d.update(hygov={**HYGOV, "gen": "1", "Tw": 0.0}, tgov1=[]), "Tw of hygov.* positive number, got 0"),
         (lambda d: d["gens"].pop("3"), "gen_static of .* has buses without a machine: 3"),
         (lambda d: d["tgov1"].update(gen="7"), r"tgov1.0. of .* belongs to an unknown machine '7'"),
         (lambda d: d["tgov1"].update(VMAX=0.05), "its machine at bus 1 starts with a gate of 0.1324"),

@@ -1,9 +1,9 @@
-"""Make the golden cases `genrou` and `limits`, parameter files and traces, with ANDES.
+"""Make the golden cases `genrou`, `limits`, `dead-band` and `hydro`, parameter files and traces, with ANDES.
 
-ANDES (https://docs.andes.app) is an independent implementation of the same published models: GENROU without
-saturation, the SEXS exciter, the TGOV1 governor and classical machines (GENCLS). Only the network and machine data come
-from `wtg_gym`; the power flow, the initial state and the integration are ANDES' own. At bus 2 two classical machines of
-50 MVA stand for grid-forming units with an ideal dc source.
+ANDES (https://docs.andes.app) is an independent implementation of the same published models: GENROU without saturation,
+the SEXS exciter, the governors TGOV1, TGOV1DB and HYGOV, and classical machines (GENCLS). Only the network and machine
+data come from `wtg_gym`; the power flow, the initial state and the integration are ANDES' own. At bus 2 two classical
+machines of 50 MVA stand for grid-forming units with an ideal dc source.
 
 ANDES integrates with the implicit trapezoidal rule, whose error falls with the square of the step. Every trace is made
 with several fixed steps, the finest is kept, and what error remains in it is estimated from the two finest ones. Each
@@ -14,6 +14,10 @@ from its end. As ANDES has it, this step takes 0.1 ms, and speeds differ by up t
 it takes 1 ns. Three more habits of ANDES are kept from the traces: it adds 1e-8 p.u. to every line's r and x (taken off
 the data beforehand), it shortens a fixed step where Newton's method is slow, which is whenever a limit binds, and it
 accepts an unfinished iteration that goes to and fro (both switched off).
+
+Its HYGOV works on the system base, where it integrates e instead of e/(r T_r), lets the flow change with 1/T_w whatever
+the machine's rating, counts the rating twice in D_t, and leaves ė/r out of the rate limit. The case `hydro` has r T_r =
+1 there, D_t = 0 and a rate limit that never binds, and ANDES gets T_w divided by the rating: so the two models are one.
 
 Usage:
     pip install andes==2.0.0
@@ -40,7 +44,7 @@ from andes.routines.daeint import Trapezoid, method_map
 
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.network import NetworkCase
-from wtg_gym.physics.parameters import SynchronousMachineParameters
+from wtg_gym.physics.parameters import GovernorParameters, HydroGovernorParameters, SynchronousMachineParameters
 
 Floats = npt.NDArray[np.float64]
 
@@ -71,6 +75,12 @@ NOTE = (
     "trip_load_MW: the whole load of the bus, with its reactive part, is disconnected. tolerance [p.u.]: three times "
     "the integration error that is estimated to remain in the traces. Traces: w, V in p.u., Pe terminal electrical "
     "power in p.u. of the system base; no row lies at an event."
+)
+
+GOVERNOR_NOTE = (
+    " tgov1 with db: pd = Pref - u/R, u: w - 1 beyond -db..db. hygov, on Sn: Tf de/dt = R (gref - c) - (w - 1) - e; "
+    "dc/dt = e/(r Tr) + (de/dt)/r (at most VELM, anti-windup GMIN..GMAX); Tg dg/dt = c - g; h = (q/g)^2; "
+    "Tw dq/dt = 1 - h; Tm = At h (q - qNL) - Dt g (w - 1)."
 )
 
 
@@ -117,6 +127,8 @@ class Case:
         gate_max_pu: upper limit of the governor's gate on the machine's base; None keeps that of the data.
         field_max_pu: upper limit of the field voltage by bus of the machine; the others keep that of the data.
         resistance_pu: armature resistance by bus of the machine, on its base.
+        dead_band_pu: of the governor.
+        hydro: the governor is a HYGOV.
     """
 
     name: str
@@ -124,6 +136,8 @@ class Case:
     gate_max_pu: float | None = None
     field_max_pu: dict[int, float] = field(default_factory=dict)
     resistance_pu: dict[int, float] = field(default_factory=dict)
+    dead_band_pu: float = 0.0
+    hydro: bool = False
 
 
 STEPS_UP = (Step(5.0, 2, 75.0), Step(30.0, 3, 75.0))
@@ -136,6 +150,8 @@ CASES = (
         field_max_pu={3: 1.95, 8: 2.0},
         resistance_pu={1: 0.003},
     ),
+    Case("dead-band", {"a": STEPS_UP}, dead_band_pu=6e-4),
+    Case("hydro", {"a": STEPS_UP}, hydro=True),
 )
 
 
@@ -151,11 +167,21 @@ class Trace:
 
 
 def network_of(case: Case) -> NetworkCase:
-    """Return the modified IEEE 14-bus system with the case's limits and resistances."""
+    """Return the modified IEEE 14-bus system with the case's limits, resistances and governor."""
     network = modified_ieee14()
     machines = []
     for m in network.machines:
         governor, exciter = m.governor, m.exciter
+        if case.hydro and governor is not None:
+            droop = 0.4
+            governor = HydroGovernorParameters(
+                temporary_droop_pu=droop,
+                reset_time_s=m.rating_mva / network.base_mva / droop,
+                gate_rate_limit_pu_s=10.0,
+                turbine_damping_pu=0.0,
+            )
+        elif governor is not None:
+            governor = dataclasses.replace(governor, dead_band_pu=case.dead_band_pu)
         if governor is not None and case.gate_max_pu is not None:
             governor = dataclasses.replace(governor, gate_max_pu=case.gate_max_pu)
         if exciter is not None and m.bus in case.field_max_pu:
@@ -219,7 +245,7 @@ def sexs_data(m: SynchronousMachineParameters) -> dict[str, float]:
 def tgov1_data(m: SynchronousMachineParameters) -> dict[str, float]:
     """Return ANDES' parameters of a machine's governor."""
     g = m.governor
-    assert g is not None
+    assert isinstance(g, GovernorParameters)
     return {
         "R": g.droop_pu,
         "T1": g.gate_time_s,
@@ -228,6 +254,27 @@ def tgov1_data(m: SynchronousMachineParameters) -> dict[str, float]:
         "VMIN": g.gate_min_pu,
         "VMAX": g.gate_max_pu,
         "Dt": g.turbine_damping_pu,
+        **({"db": g.dead_band_pu} if g.dead_band_pu else {}),
+    }
+
+
+def hygov_data(m: SynchronousMachineParameters) -> dict[str, float]:
+    """Return ANDES' parameters of a machine's hydro governor."""
+    g = m.governor
+    assert isinstance(g, HydroGovernorParameters)
+    return {
+        "R": g.droop_pu,
+        "r": g.temporary_droop_pu,
+        "Tr": g.reset_time_s,
+        "Tf": g.filter_time_s,
+        "Tg": g.gate_time_s,
+        "VELM": g.gate_rate_limit_pu_s,
+        "GMIN": g.gate_min_pu,
+        "GMAX": g.gate_max_pu,
+        "Tw": g.water_time_s,
+        "At": g.turbine_gain,
+        "Dt": g.turbine_damping_pu,
+        "qNL": g.no_load_flow_pu,
     }
 
 
@@ -282,8 +329,15 @@ def build_system(network: NetworkCase, events: Sequence[Event], voltage: dict[in
         system.add("GENROU", idx=key, bus=m.bus, gen=f"static {key}", fn=frequency, **data)
         if m.exciter is not None:
             system.add("SEXS", idx=f"exciter {key}", syn=key, **sexs_data(m))
-        if m.governor is not None:
-            system.add("TGOV1", idx=f"governor {key}", syn=key, **tgov1_data(m))
+        if isinstance(m.governor, HydroGovernorParameters):
+            hygov = hygov_data(m)
+            hygov["Tw"] *= base / m.rating_mva
+            system.add("HYGOV", idx=f"governor {key}", syn=key, **hygov)
+        elif m.governor is not None:
+            tgov1 = tgov1_data(m)
+            band = tgov1.pop("db", 0.0)
+            model, limits = ("TGOV1DB", {"dbL": -band, "dbU": band}) if band else ("TGOV1", {})
+            system.add(model, idx=f"governor {key}", syn=key, **tgov1, **limits)
     for key in UNITS:
         system.add("GENCLS", idx=key, bus=UNIT_BUS, gen=f"static {UNIT_BUS}", fn=frequency, **unit_data(), **common)
 
@@ -392,8 +446,11 @@ def parameter_file(case: Case, network: NetworkCase, system: Any, tolerance: dic
         str(m.bus): {"model": "GENROU", "bus": m.bus, **genrou_data(m)} for m in network.machines
     }
     gens |= {key: {"model": "GENCLS", "bus": UNIT_BUS, **unit_data()} for key in UNITS}
+    note = NOTE.format(version=andes.__version__, base=base, frequency=network.frequency_hz)
+    tgov1 = [m for m in network.machines if isinstance(m.governor, GovernorParameters)]
+    hygov = [m for m in network.machines if isinstance(m.governor, HydroGovernorParameters)]
     return {
-        "note": NOTE.format(version=andes.__version__, base=base, frequency=network.frequency_hz),
+        "note": note + (GOVERNOR_NOTE if case.hydro or case.dead_band_pu else ""),
         "fn": network.frequency_hz,
         "Sbase": base,
         "bus": [
@@ -421,7 +478,8 @@ def parameter_file(case: Case, network: NetworkCase, system: Any, tolerance: dic
         "gen_static": dict(sorted(static.items())),
         "gens": dict(sorted(gens.items())),
         "sexs": [{"gen": str(m.bus), **sexs_data(m)} for m in network.machines if m.exciter is not None],
-        "tgov1": [{"gen": str(m.bus), "bus": m.bus, **tgov1_data(m)} for m in network.machines if m.governor],
+        "tgov1": [{"gen": str(m.bus), "bus": m.bus, **tgov1_data(m)} for m in tgov1],
+        **({"hygov": [{"gen": str(m.bus), "bus": m.bus, **hygov_data(m)} for m in hygov]} if hygov else {}),
         "events": {key: [event_data(e, network, voltage) for e in events] for key, events in case.events.items()},
         "tolerance": tolerance,
     }

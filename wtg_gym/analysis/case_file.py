@@ -17,6 +17,7 @@ from wtg_gym.physics.network import Branch, Bus, NetworkCase
 from wtg_gym.physics.parameters import (
     ExciterParameters,
     GovernorParameters,
+    HydroGovernorParameters,
     SynchronousMachineParameters,
     classical_machine,
 )
@@ -130,6 +131,10 @@ def _totals(
 def _read_machines(root: Fields, base: float) -> tuple[list[SynchronousMachineParameters], dict[str, complex]]:
     gens, static = root.object("gens"), root.object("gen_static")
     governors, exciters = _of_machines(root, "tgov1", gens), _of_machines(root, "sexs", gens)
+    hydro = _of_machines(root, "hygov", gens)
+    twice = sorted(governors.keys() & hydro.keys())
+    if twice:
+        raise ValueError(f"{root.where}: the machine {twice[0]!r} has a tgov1 and a hygov")
     machines, power = [], {}
     shares: dict[int, list[float]] = {}
     for key in gens.data:
@@ -139,7 +144,13 @@ def _read_machines(root: Fields, base: float) -> tuple[list[SynchronousMachinePa
         power[key] = complex(at.number("P") * share[0], at.number("Q") * share[1])
         total = shares.setdefault(gen.bus(), [0.0, 0.0])
         total[0], total[1] = total[0] + share[0], total[1] + share[1]
-        machines.append(_read_machine(gen, base, power[key].real, share[1], governors.get(key), exciters.get(key)))
+        mechanical = power[key].real * base
+        governor: GovernorParameters | HydroGovernorParameters | None = None
+        if key in governors:
+            governor = _read_governor(governors[key], gen, mechanical)
+        elif key in hydro:
+            governor = _read_hydro_governor(hydro[key], gen, mechanical)
+        machines.append(_read_machine(gen, base, power[key].real, share[1], governor, exciters.get(key)))
     if not machines:
         raise ValueError(f"{root.where} has no machine")
     for bus, total in shares.items():
@@ -172,7 +183,12 @@ def _of_machines(root: Fields, kind: str, gens: Fields) -> dict[str, Fields]:
 
 
 def _read_machine(
-    gen: Fields, base: float, power: float, reactive_share: float, governor: Fields | None, exciter: Fields | None
+    gen: Fields,
+    base: float,
+    power: float,
+    reactive_share: float,
+    governor: GovernorParameters | HydroGovernorParameters | None,
+    exciter: Fields | None,
 ) -> SynchronousMachineParameters:
     model = gen.get("model", "GENCLS")
     if reactive_share < 0.0:
@@ -185,7 +201,7 @@ def _read_machine(
         "dispatch_mw": base * power,
         # Only the proportions of the weights count.
         "reactive_weight": base * reactive_share,
-        "governor": None if governor is None else _read_governor(governor, gen, power * base),
+        "governor": governor,
     }
     if model == "GENCLS":
         if exciter is not None:
@@ -211,20 +227,50 @@ def _read_machine(
     )
 
 
-def _read_governor(entry: Fields, gen: Fields, power_mw: float) -> GovernorParameters:
-    low, high, gate = entry.number("VMIN"), entry.number("VMAX"), power_mw / gen.number("Sn")
+def _gate_limits(entry: Fields, gen: Fields, names: tuple[str, str], gate: float) -> tuple[float, float]:
+    low, high = entry.number(names[0]), entry.number(names[1])
     # Losses in the armature may add a little; the start itself is exact.
     if not low <= gate + 1e-9 or not gate <= high + 1e-9:
         raise ValueError(
             f"{entry.where}: its machine at bus {gen.bus()} starts with a gate of {gate:.6g} p.u. of its rating, "
-            f"outside the limits VMIN … VMAX = {low:g} … {high:g}"
+            f"outside the limits {names[0]} … {names[1]} = {low:g} … {high:g}"
         )
+    return low, high
+
+
+def _read_governor(entry: Fields, gen: Fields, power_mw: float) -> GovernorParameters:
+    low, high = _gate_limits(entry, gen, ("VMIN", "VMAX"), power_mw / gen.number("Sn"))
     return GovernorParameters(
         **entry.numbers(droop_pu="R", gate_time_s="T1", reheat_time_s="T3"),
         lead_time_s=entry.number("T2"),
         gate_min_pu=low,
         gate_max_pu=high,
         turbine_damping_pu=entry.number("Dt", 0.0),
+        dead_band_pu=entry.number("db", 0.0),
+    )
+
+
+def _read_hydro_governor(entry: Fields, gen: Fields, power_mw: float) -> HydroGovernorParameters:
+    given = entry.numbers(
+        droop_pu="R",
+        temporary_droop_pu="r",
+        reset_time_s="Tr",
+        filter_time_s="Tf",
+        gate_time_s="Tg",
+        gate_rate_limit_pu_s="VELM",
+        water_time_s="Tw",
+        turbine_gain="At",
+    )
+    no_load_flow = entry.number("qNL")
+    gate = power_mw / gen.number("Sn") / given["turbine_gain"] + no_load_flow
+    low, high = _gate_limits(entry, gen, ("GMIN", "GMAX"), gate)
+    return HydroGovernorParameters(
+        **given,
+        gate_min_pu=low,
+        gate_max_pu=high,
+        turbine_damping_pu=entry.number("Dt", 0.0),
+        no_load_flow_pu=no_load_flow,
+        dead_band_pu=entry.number("db", 0.0),
     )
 
 

@@ -22,7 +22,7 @@ import math
 from typing import NamedTuple
 
 from wtg_gym.physics.compiled import inlined
-from wtg_gym.physics.elementary import fma, limited_rate
+from wtg_gym.physics.elementary import fma, limited_rate, select
 from wtg_gym.physics.parameters import ConverterLimitParameters
 
 #: Stands for no limit where infinity would make 0 · ∞ [p.u.].
@@ -65,8 +65,10 @@ def limiting_reactance(current_re: float, current_im: float, y_re: float, y_im: 
     """
     inverse = 1.0 / max(fma(y_re, y_re, y_im * y_im), 1e-20)
     r, x = y_re * inverse, -y_im * inverse
-    ratio = fma(current_re, current_re, current_im * current_im) * inverse / (current_max * current_max)
-    return max(math.sqrt(max(ratio - r * r, 0.0)) - x, 0.0)
+    current, largest = fma(current_re, current_re, current_im * current_im), current_max * current_max
+    wanted = math.sqrt(max(current * inverse / largest - r * r, 0.0)) - x
+    # Exactly zero without an excess, whatever the rounding of the root.
+    return select(current > largest, max(wanted, 0.0), 0.0)
 
 
 @inlined

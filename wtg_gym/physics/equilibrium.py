@@ -147,7 +147,8 @@ def _release_voltages(
     """
     c, n_bus = plant.constants[0], magnitude.shape[0]
     n_sync = c["machines"].shape[0]
-    limit = read_extension(c["extension"][0]).voltage.reactive_max
+    control = read_extension(c["extension"][0]).voltage
+    limit = control.reactive_max
     found = False
     for k in range(n_bus):
         share = 0.0
@@ -157,7 +158,7 @@ def _release_voltages(
         for i in range(n_sync):
             if c["unit_bus"][i] == k:
                 share = 0.0
-        if holds_voltage[k] and share > 0.0 and limit > 0.0 and k != c["slack"]:
+        if holds_voltage[k] and share > 0.0 and control.gain > 0.0 and k != c["slack"]:
             injected = 0j
             for m in range(n_bus):
                 injected += y[k, m] * magnitude[m] * complex(math.cos(angle[m]), math.sin(angle[m]))
@@ -247,8 +248,9 @@ def _start_units(
         # missing, by rating.
         reactive = total.imag * weight / weight_all if plant.buses[bus]["holds_voltage"] else 0.0
         if c["extension"].shape[0] > 0:
-            limit = read_extension(c["extension"][0]).voltage.reactive_max
-            if limit > 0.0 and groups_share > 0.0 and machines_weight > 0.0 and reactive != 0.0:
+            control = read_extension(c["extension"][0]).voltage
+            limit = control.reactive_max
+            if control.gain > 0.0 and groups_share > 0.0 and machines_weight > 0.0 and reactive != 0.0:
                 asked = total.imag * groups_share / weight_all
                 given = min(max(asked, -limit * groups_share), limit * groups_share)
                 if i < n_sync:

@@ -21,7 +21,7 @@ from wtg_gym.physics.layout import (
     store_wtg_input,
     wtg_row,
 )
-from wtg_gym.physics.protection import PROTECTION_INTERVAL_S, look_at_grid, track_extremes, update_status
+from wtg_gym.physics.protection import PROTECTION_INTERVAL_S, look_at_grid, shed_load, track_extremes, update_status
 from wtg_gym.physics.reduction import combine_load_noise, refresh_network
 from wtg_gym.physics.wind_turbine import WtgInput
 
@@ -92,6 +92,7 @@ def advance_interval(
         advance_step(block, c, step, lanes)
         _count_step(block, c, lanes)
         track_extremes(block, c, lanes)
+        shed_load(block, c, lanes)
         if (step + 1) % between_looks == 0 or step + 1 == c["n_substeps"]:
             look_at_grid(block, c, lanes)
             update_status(block, c, len(lanes))

@@ -278,7 +278,7 @@ class Rows(NamedTuple):
     hydro_rate: int
     extension_rate: int
     extremes: int
-    shedding: int  # last step at which each stage found no low frequency; -1 once it has acted
+    shedding: int  # of each stage: see shed_load
     transfer: int  # y_i Z_in of each unit to the bus of the load noise
     fixed_admittance: int  # without load noise
     extra: int

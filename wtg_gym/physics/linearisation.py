@@ -91,7 +91,8 @@ def check_step(rows: Floats, plant: Plant, layout: Layout) -> None:
     """Refuse a plant whose modes are too fast for its integration step at the state of one lane's rows (n_rows,).
 
     Of the two slopes of each law's g(ω) the one is checked that lets the power rise more steeply while the frequency
-    falls: its modes are faster. Only small deviations are checked: limits are left out.
+    falls: its modes are faster. Only small deviations are checked. Limits are left out, but for the power and reactive
+    limits of converters, whose own controls may be fast: they are checked as if all acted.
 
     Raises:
         ValueError: the message names the eigenvalue, the state it mainly belongs to, the step and the largest allowed.
@@ -100,7 +101,24 @@ def check_step(rows: Floats, plant: Plant, layout: Layout) -> None:
     low, setpoint, high = (t[f"converter.corners.{name}"] for name in Corners._fields)
     k_min, k_nominal, k_max = (rows[layout.wtg(name)] for name in ("k_min", "k_nominal", "k_max"))
     below, above = (k_min - k_nominal) / (setpoint - low), (k_nominal - k_max) / (high - setpoint)
-    matrix = state_matrix(rows, plant, layout, np.where(below >= above, -1.0, 1.0))
+    side = np.where(below >= above, -1.0, 1.0)
+    _check_modes(rows, plant, layout, side)
+    if layout.n_extended:
+        _check_modes(*_beyond_limits(rows, plant, layout), layout, side)
+
+
+def _beyond_limits(rows: Floats, plant: Plant, layout: Layout) -> tuple[Floats, Plant]:
+    """Return rows and plant with limits so narrow that the power limiters and the takeovers of reactive power act."""
+    constants = plant.constants.copy()
+    constants["extension"]["limits.power_max"] = 0.0
+    constants["extension"]["voltage.reactive_max"] = -10.0
+    beyond = rows.copy()
+    beyond[layout.wtg("over_power")] = -0.01
+    return beyond, plant._replace(constants=constants)
+
+
+def _check_modes(rows: Floats, plant: Plant, layout: Layout, side: Floats) -> None:
+    matrix = state_matrix(rows, plant, layout, side)
     keep = moving_states(matrix, rows, layout)
     matrix = matrix[np.ix_(keep, keep)]
     steps = largest_stable_steps(np.linalg.eigvals(matrix))

@@ -10,9 +10,10 @@ from wtg_gym.physics.rotor_table import read_rotor_table
 
 #: C_p(λ, β); source and licence stand in the file.
 ROTOR_TABLE = Path(__file__).with_name("tables") / "Cp.NREL5MW.txt"
-#: Rotor, hub and, on the low-speed side, generator: 38 759 228 + 115 926 + 97² · 534.116 kg m², the rotor's of three
-#: blades about the shaft included. Source: J. Jonkman et al., NREL/TP-500-38060, tables 1-1, 4-1 and 5-1.
-_INERTIA_KG_M2 = 38_759_228.0 + 115_926.0 + 97.0**2 * 534.116
+#: Rotor with its hub and, on the low-speed side, generator: 38 759 228 + 97² · 534.116 kg m². The rotor's is that of
+#: its blades about the shaft, 3 cos² 2.5° (11 776 047 + 2 · 1.5 · 363 231 + 1.5² · 17 740), and of the hub, 115 926.
+#: Source: J. Jonkman et al., NREL/TP-500-38060, tables 1-1, 2-2, 4-1 and 5-1.
+_INERTIA_KG_M2 = 38_759_228.0 + 97.0**2 * 534.116
 _RATED_SPEED_RAD_S = 12.1 * 2.0 * 3.141592653589793 / 60.0
 
 

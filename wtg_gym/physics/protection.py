@@ -131,22 +131,28 @@ def look_at_grid(block: Floats, c: Any, lanes: Lanes) -> None:
 
 
 @inlined
-def shed_load(block: Floats, x: int, c: Any, coi: float, step: float, width: int) -> None:
-    """Let the stages of load shedding act whose time has come; the network changes before the next step."""
-    rows = rows_of(c)
+def shed_load(block: Floats, c: Any, lanes: Lanes) -> None:
+    """Let the stages of load shedding act whose time has come; the network changes before the next step.
+
+    A row holds the last step without a low frequency, and -1 - step from the step on at which its stage has acted.
+    """
+    width, rows = len(lanes), rows_of(c)
     for k in range(c["shedding"].shape[0]):
-        stage, at = c["shedding"][k], (rows.shedding + k) * width + x
-        if block[at] >= 0.0:
-            if coi >= stage["speed"]:
-                block[at] = step
-            elif (step - block[at]) * c["simulation_dt"] >= stage["delay"] - 1e-9:
-                block[at] = -1.0
-                block[(rows.lane + LANE.next_change) * width + x] = step
+        stage = c["shedding"][k]
+        for x in range(width):
+            at, lane = (rows.shedding + k) * width + x, rows.lane * width + x
+            step = block[lane + LANE.step * width]
+            if block[at] >= 0.0 and block[lane + LANE.active * width] > 0.5:
+                if block[lane + LANE.coi * width] >= stage["speed"]:
+                    block[at] = step
+                elif (step - block[at]) * c["simulation_dt"] >= stage["delay"] - 1e-9:
+                    block[at] = -1.0 - step
+                    block[lane + LANE.next_change * width] = step
 
 
 @inlined
 def update_status(block: Floats, c: Any, width: int) -> None:
-    """End lanes that a protection ends or that are no longer finite; shed load; or trip groups for their rotor's speed.
+    """End lanes that a protection ends or that are no longer finite, or trip groups for their rotor's speed.
 
     If several apply, the first in this order counts: not finite; under-speed, stall or over-speed of the last such
     group; loss of synchronism; voltage collapse; frequency limit. The others follow from it.
@@ -159,7 +165,6 @@ def update_status(block: Floats, c: Any, width: int) -> None:
         if block[lane + LANE.active * width] < 0.5:
             continue
         coi, step = block[lane + LANE.coi * width], block[lane + LANE.step * width]
-        shed_load(block, x, c, coi, step, width)
         status = 0
         if coi < limits.coi_min or coi > limits.coi_max:
             status = Status.FREQUENCY_LIMIT

@@ -45,7 +45,7 @@ def refresh_network(block: Floats, x: int, lane: int, plant: Plant, data: LaneDa
     block[own + LANE.last_change * width] = step
     block[own + LANE.next_change * width] = following
     unit_y = _connected_units(block, x, c, width)
-    served = _served_load(block, x, c, width)
+    served = _served_load(block, x, c, step, width)
     y = _full_admittance(step, 0.5 * (step + following), lane, plant, data, unit_y, served)
     noise_bus = data.noise_bus[lane]
     z = transfer_impedances(y, c["unit_bus"], noise_bus)
@@ -64,11 +64,12 @@ def _connected_units(block: Floats, x: int, c: Any, width: int) -> npt.NDArray[n
 
 
 @compiled
-def _served_load(block: Floats, x: int, c: Any, width: int) -> float:
-    """Return the share of every load that shedding has left."""
+def _served_load(block: Floats, x: int, c: Any, step: float, width: int) -> float:
+    """Return the share of every load that shedding has left in a network that was reduced at a step."""
     served = 1.0
     for k in range(c["shedding"].shape[0]):
-        if block[(rows_of(c).shedding + k) * width + x] < 0.0:
+        acted = -1.0 - block[(rows_of(c).shedding + k) * width + x]
+        if 0.0 <= acted <= step:
             served -= c["shedding"][k]["share"]
     return served
 
@@ -124,7 +125,7 @@ def bus_voltages(
     last, following = block[own + LANE.last_change * width], block[own + LANE.next_change * width]
     unit_y = _connected_units(block, x, c, width)
     # The network as it was last reduced: an event that strikes just now is seen by the next step.
-    served = _served_load(block, x, c, width)
+    served = _served_load(block, x, c, last, width)
     y = _full_admittance(last, 0.5 * (last + following), lane, plant, data, unit_y, served)
     noise_bus = data.noise_bus[lane]
     y[noise_bus, noise_bus] += noise_mw * block[own + LANE.noise_per_mw * width]

@@ -1,0 +1,148 @@
+"""The C_p table of a rotor: its surface, its edges, its file."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.interpolate import RectBivariateSpline
+
+from wtg_gym.physics.aerodynamics import available_power_pu, power_coefficient, tracking_point
+from wtg_gym.physics.nrel5mw import ROTOR_TABLE, nrel_5mw
+from wtg_gym.physics.rotor_table import RotorTable, read_rotor_table
+
+TABLE = read_rotor_table(ROTOR_TABLE)
+RATIO, PITCH, CP = (np.array(v) for v in (TABLE.tip_speed_ratio, TABLE.pitch_deg, TABLE.power_coefficient))
+
+
+def small(**changes: Any) -> RotorTable:
+    values: dict[str, Any] = {
+        "tip_speed_ratio": (2.0, 4.0, 6.0, 8.0),
+        "pitch_deg": (0.0, 5.0, 10.0, 15.0),
+        "power_coefficient": tuple((0.1 * i, 0.08 * i, 0.05 * i, 0.02 * i) for i in range(1, 5)),
+    }
+    return RotorTable(**{**values, **changes})
+
+
+def test_the_surface_goes_through_the_tables_points() -> None:
+    for j in np.flatnonzero(PITCH >= 0.0):
+        assert power_coefficient(RATIO, float(PITCH[j]), TABLE) == pytest.approx(CP[:, j], abs=1e-14)
+
+
+def test_between_the_points_it_is_the_bicubic_spline() -> None:
+    spline = RectBivariateSpline(RATIO, PITCH, CP, kx=3, ky=3, s=0.0)
+    rng = np.random.default_rng(0)
+    for pitch in rng.uniform(0.0, PITCH[-1], 40):
+        ratio = np.sort(rng.uniform(RATIO[0], RATIO[-1], 50))
+        assert power_coefficient(ratio, float(pitch), TABLE) == pytest.approx(spline(ratio, pitch)[:, 0], abs=1e-13)
+
+
+def test_an_uneven_table_is_followed_at_its_points_and_between_them() -> None:
+    ratio = np.array([2.0, 2.5, 3.5, 5.0, 5.5, 7.0, 8.0, 10.0, 13.0])
+    pitch = np.array([-3.0, 0.5, 2.0, 5.0, 9.0, 15.0, 24.0])
+    smooth = 0.4 * np.exp(-(((ratio[:, None] - 7.0) / 4.0) ** 2)) * np.cos(pitch / 20.0)
+    table = RotorTable(
+        tip_speed_ratio=tuple(ratio), pitch_deg=tuple(pitch), power_coefficient=tuple(map(tuple, smooth.tolist()))
+    )
+    spline = RectBivariateSpline(ratio, pitch, smooth, kx=3, ky=3, s=0.0)
+    between = np.linspace(2.0, 13.0, 200)
+    for angle in np.linspace(0.0, 24.0, 30):
+        # Cells are of one size, so the spline's knots lie within them: there its third derivative jumps.
+        assert power_coefficient(between, angle, table) == pytest.approx(spline(between, angle)[:, 0], abs=2e-4)
+
+
+def test_slopes_go_on_over_the_edges_of_cells() -> None:
+    h = 1e-5
+    for pitch in (0.0, 3.3, 12.0):
+        for edge in RATIO[1:-1]:
+            left = power_coefficient(np.array([edge - 2 * h, edge - h, edge]), pitch, TABLE)
+            right = power_coefficient(np.array([edge, edge + h, edge + 2 * h]), pitch, TABLE)
+            slopes = [(v @ w) / (2 * h) for v, w in ((left, [1.0, -4.0, 3.0]), (right, [-3.0, 4.0, -1.0]))]
+            assert slopes[0] == pytest.approx(slopes[1], abs=1e-7)
+
+
+def test_beyond_its_edges_it_keeps_their_values_and_falls_to_zero_at_standstill() -> None:
+    at_edge = float(power_coefficient(RATIO[-1], 0.0, TABLE))
+    assert power_coefficient(np.array([20.0, 90.0]), 0.0, TABLE) == pytest.approx(at_edge, abs=1e-14)
+    assert power_coefficient(7.0, 80.0, TABLE) == pytest.approx(
+        power_coefficient(7.0, float(PITCH[-1]), TABLE), abs=1e-14
+    )
+    least = float(power_coefficient(RATIO[0], 0.0, TABLE))
+    assert power_coefficient(RATIO[0] * np.array([0.5, 0.01]), 0.0, TABLE) == pytest.approx(
+        least * np.array([0.5, 0.01]), abs=1e-14
+    )
+
+
+def test_the_nrel_turbine_has_its_published_numbers() -> None:
+    turbine = nrel_5mw()
+    best = tracking_point(0.0, turbine)
+    assert 7.0 < best.tip_speed_ratio < 8.0
+    assert 0.45 < best.power_coefficient < 0.49
+    # Of the blades from their moments about the root (hub radius 1.5 m, precone 2.5°), hub and generator.
+    blade = 11_776_047.0 + 2.0 * 1.5 * 363_231.0 + 1.5**2 * 17_740.0
+    inertia = 3.0 * np.cos(np.radians(2.5)) ** 2 * blade + 115_926.0 + 97.0**2 * 534.116
+    assert turbine.inertia_constant_s == pytest.approx(0.5 * inertia * (12.1 * np.pi / 30.0) ** 2 / 5e6, rel=1e-6)
+    # Rated at 11.4 m/s with 5.297 MW on the shaft.
+    assert float(available_power_pu(11.4, turbine)) == pytest.approx(1.0594, rel=0.03)
+    # At a coefficient K the captured power meets K ω³ at every wind: with the table as with the curve.
+    for deloading in (0.0, 0.05, 0.1):
+        point = tracking_point(deloading, turbine)
+        assert point.power_coefficient == pytest.approx((1.0 - deloading) * best.power_coefficient, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"tip_speed_ratio": (2.0, 4.0, 6.0)}, "needs 4 … 500 tip-speed ratios, got 3"),
+        ({"pitch_deg": (0.0, 5.0, 5.0, 15.0)}, "pitch angles of a rotor table must be finite and rise"),
+        ({"tip_speed_ratio": (2.0, float("nan"), 6.0, 8.0)}, "tip-speed ratios of a rotor table must be finite"),
+        ({"tip_speed_ratio": (-1.0, 4.0, 6.0, 8.0)}, "must lie in 0 … 100, got -1"),
+        ({"pitch_deg": (1.0, 5.0, 10.0, 15.0)}, "must reach from 0 deg or below to above 0 deg"),
+        ({"power_coefficient": ((0.1,) * 4,) * 3}, "got 3 rows of"),
+        ({"power_coefficient": ((0.1,) * 4,) * 3 + ((0.1,) * 3,)}, r"rows of \[3, 4\] values"),
+        (
+            {"power_coefficient": ((0.1,) * 4,) * 3 + ((0.1, 0.1, float("nan"), 0.1),)},
+            "no number at a tip-speed ratio of 8 and 10 deg",
+        ),
+        ({"power_coefficient": ((0.1,) * 4,) * 3 + ((0.1, 0.1, 0.6, 0.1),)}, "is 0.6; allowed: at most Betz' limit"),
+    ],
+)
+def test_tables_that_cannot_be_are_refused_in_one_line(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message) as refused:
+        small(**changes)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("find", "replacement", "message"),
+    [
+        ("# TSR vector", "# something else", "has no section tsr"),
+        ("0.020093", "hole", "line 15 of the rotor table .* is not a row of numbers: .*'hole'"),
+        ("0.020093", "nan", "no number at a tip-speed ratio of 2.5 and -5 deg"),
+        ("0.020093   ", "", "cannot be used: a rotor table of"),
+        ("0.020093", "1.020093", "Betz' limit"),
+    ],
+)
+def test_files_with_holes_are_refused_with_their_name(
+    tmp_path: Path, find: str, replacement: str, message: str
+) -> None:
+    text = ROTOR_TABLE.read_text(encoding="utf-8")
+    assert text.count(find) == 1
+    damaged = tmp_path / "damaged.txt"
+    damaged.write_text(text.replace(find, replacement), encoding="utf-8")
+    with pytest.raises(ValueError, match=message) as refused:
+        read_rotor_table(damaged)
+    assert "damaged.txt" in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"nowhere.txt"):
+        read_rotor_table(tmp_path / "nowhere.txt")
+
+
+def test_equal_tables_are_equal_settings() -> None:
+    again = dataclasses.replace(nrel_5mw(), power_coefficient=read_rotor_table(ROTOR_TABLE))
+    assert again == nrel_5mw() and hash(again) == hash(nrel_5mw())
