@@ -86,6 +86,7 @@ pictures: $(LEADERBOARD_READY) ## Draw every picture of the README and of docs/ 
 	$(LEADERBOARD_VENV)/bin/wtg-gym simulate --case load-increase --strategy mppt --strategy coordinated-piecewise --duration 60 --plot $(DOCS)/images/episode.gif
 	$(LEADERBOARD_VENV)/bin/python docs/images/render.py $(DOCS)/images/render.png
 	$(LEADERBOARD_VENV)/bin/wtg-gym reproduce --output $(DOCS)/validation --formats svg --page $(DOCS)/validation.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym analyse physics --output $(DOCS)/physics --formats svg --page $(DOCS)/physics.md
 	$(LEADERBOARD_VENV)/bin/python -m agents.research.behaviour --entries $(POLICIES) --output $(DOCS)/agents --page $(DOCS)/agents.md
 
 .PHONY: docs
