@@ -212,11 +212,17 @@ def as_data(study: PhysicsStudy) -> dict[str, object]:
         for name in ("increase", "decrease")
     }
     counts = {
-        plant: {suite: {s: vars(count) for s, count in row.items()} for suite, row in suites.items()}
+        plant: {suite: {s: _count_data(count) for s, count in row.items()} for suite, row in suites.items()}
         for plant, suites in study.counts.items()
     }
     rest = {name: _plain(value) for name, value in plain.items()}
     return {**cases, "counts": counts, **rest}
+
+
+def _count_data(count: SuiteCount) -> dict[str, object]:
+    nadirs = count.nadirs_hz[~np.isnan(count.nadirs_hz)]
+    median = float(np.median(nadirs)) if nadirs.size else None
+    return {**{k: v for k, v in vars(count).items() if k != "nadirs_hz"}, "median_nadir_hz": median}
 
 
 def _plain(value: object) -> object:

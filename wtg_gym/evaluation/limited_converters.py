@@ -95,7 +95,7 @@ def limited_table(plays: Sequence[LimitedPlay], suite: str) -> str:
             [f"{each.nadir_hz:.3f}" for each in pair],
             [f"{each.cost:.1f}" for each in pair],
         )
-        rows.append((entry, *(" → ".join(cells) for cells in texts)))
+        rows.append((entry, *("/".join(cells) for cells in texts)))
     header = (
         f"{suite}, {plays[0].n_scenarios} runs",
         "overloaded",
