@@ -33,6 +33,9 @@ def test_physics_writes_study_figures_and_page(
     said = capsys.readouterr().out
     data = json.loads((tmp_path / "physics.json").read_text(encoding="utf-8"))
     assert sorted(path.name for path in tmp_path.glob("*.svg")) == ["load-increase.svg", "margins.svg", "parts.svg"]
+    for figure in ("load-increase", "parts"):
+        drawn = (tmp_path / f"{figure}.svg").read_text(encoding="utf-8")
+        assert all(strategy in drawn for strategy in COMPARED)
     for name, stalls in ((PAPER, "44.8/65.8/82.9"), ("rotor energy", "35.0/46.2/56.2")):
         assert [f"{data['increase'][name][s]['end_s']:.1f}" for s in COMPARED[1:]] == stalls.split("/")
         assert stalls in page.read_text(encoding="utf-8")

@@ -47,7 +47,7 @@ def _survival(study: PhysicsStudy) -> str:
         failures = sum(row[reference].failures for row in rows)
         in_cases = sum(table[plant][reference].failed for table in (study.increase, study.decrease))
         n = sum(row[reference].n_scenarios for row in rows) + 2
-        return verdict(failures + in_cases == 0, f"{failures + in_cases}/{n} fail")
+        return verdict(failures + in_cases == 0, f"{failures + in_cases}/{n}")
 
     def stalls(plant: str) -> str:
         runs = [study.increase[plant][s] for s in others]
