@@ -86,12 +86,14 @@ pictures: $(LEADERBOARD_READY) ## Draw every picture of the README and of docs/ 
 	$(LEADERBOARD_VENV)/bin/wtg-gym simulate --case load-increase --strategy mppt --strategy coordinated-piecewise --duration 60 --plot $(DOCS)/images/episode.gif
 	$(LEADERBOARD_VENV)/bin/python docs/images/render.py $(DOCS)/images/render.png
 	$(LEADERBOARD_VENV)/bin/wtg-gym reproduce --output $(DOCS)/validation --formats svg --page $(DOCS)/validation.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym analyse physics --output $(DOCS)/physics --formats svg --page $(DOCS)/physics.md
 	$(LEADERBOARD_VENV)/bin/python -m agents.research.behaviour --entries $(POLICIES) --output $(DOCS)/agents --page $(DOCS)/agents.md
 
 .PHONY: docs
 docs: pictures ## Measure everything that docs/ shows again, but for performance and the page, and renew its tables and pictures
 	$(LEADERBOARD_VENV)/bin/wtg-gym parameters --page docs/parameters.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym compare tests/golden/*/ --page docs/validation.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym analyse aggregation --page docs/physics.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym analyse accuracy --output docs/validation --formats svg --page docs/validation.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym results sensitivity --entries baselines $(POLICIES) agents.research.probes:CHATTER agents.research.probes:PUSH --page docs/benchmark.md
 	$(LEADERBOARD_VENV)/bin/python -m agents.research.incentives --entries $(filter %/linear-feedback,$(POLICIES)) $(filter agents/policies/ppo-k-%,$(POLICIES)) deloaded-5 --page docs/benchmark.md

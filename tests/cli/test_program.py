@@ -35,7 +35,7 @@ COMMANDS = (
 OWN = {
     "results": ("page", "recompute", "gap", "sensitivity"),
     "submission": ("new", "check", "score"),
-    "analyse": ("statics", "margins", "modes", "accuracy"),
+    "analyse": ("statics", "margins", "modes", "physics", "aggregation", "accuracy"),
 }
 _QUICK = ("--duration", "6")
 

@@ -17,7 +17,7 @@ from scipy.optimize import root
 
 from wtg_gym.physics.dynamics import unit_currents
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.layout import Floats, Layout, Status
+from wtg_gym.physics.layout import Floats, Layout
 from wtg_gym.physics.linearisation import moving_states, state_matrix
 from wtg_gym.physics.network import assemble_admittance
 from wtg_gym.physics.nrel5mw import nrel_5mw
@@ -34,6 +34,7 @@ from wtg_gym.physics.parameters import (
     european_shedding,
 )
 from wtg_gym.physics.plant import PlantSettings, build_plant
+from wtg_gym.physics.protection import Status
 from wtg_gym.physics.reduction import combine_load_noise, refresh_network
 from wtg_gym.physics.scenario import LoadStep, Scenario
 from wtg_gym.physics.simulator import Simulator

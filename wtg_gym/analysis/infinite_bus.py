@@ -81,7 +81,7 @@ def compare(law: TrackingLaw, wind_m_s: float, side: Side, settings: PlantSettin
     """
     scenario = Scenario(name="infinite bus", wind_speed=np.array([[wind_m_s]]), load_noise_bus=1)
     k_p = float(synchronising_coefficients(scenario, law, settings)[0, 0])
-    loop = single_machine(law, wind_m_s, k_p, side=side)
+    loop = single_machine(law, wind_m_s, k_p, side=side, turbine=settings.turbine)
     poles = loop.closed_loop_poles()
     found = np.linalg.eigvals(linearise(scenario, law, settings, side=side).matrix)
     nearest = np.array([found[np.argmin(np.abs(found - pole))] for pole in poles])

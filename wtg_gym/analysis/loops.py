@@ -8,6 +8,7 @@ source A = B1 = B2 = 0. Source: paper, section on stability (equations (31)-(34)
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from typing import Literal
@@ -122,24 +123,27 @@ def single_machine(
     *,
     side: Side = "under",
     control: GridFormingParameters | None = None,
+    turbine: TurbineParameters | None = None,
 ) -> SingleMachine:
     """Return the linearised loop of a strategy at nominal frequency, 50 Hz.
+
+    A rotor that keeps its energy has 2H_m ω_m in the place of 2H_m.
 
     Args:
         law: the strategy.
         wind_m_s: wind speed, 3 … 25 [m/s]. Where the pitch protection holds the rotor, its angle counts as constant.
         synchronising_coefficient: K_p, 0.01 … 100 [p.u./rad].
         side: the slope of g(ω) that counts at ω_st.
-        control: parameters; the paper's by default.
+        control, turbine: parameters; the paper's by default.
 
     Raises:
         ValueError: a value is out of range, or there is no equilibrium.
     """
-    turbine, control = TurbineParameters(), control or GridFormingParameters()
+    turbine, control = turbine or TurbineParameters(), control or GridFormingParameters()
     require_range("synchronising coefficient", synchronising_coefficient, 0.01, 100.0, "p.u./rad")
     if side not in ("under", "over"):
         raise ValueError(f"side must be 'under' or 'over', got {side!r}")
-    point = stable_equilibrium(control.frequency_setpoint_pu, law, wind_m_s, control=control)
+    point = stable_equilibrium(control.frequency_setpoint_pu, law, wind_m_s, control=control, turbine=turbine)
     if point is None:
         raise ValueError(f"law {law.name!r} has no equilibrium at {wind_m_s:g} m/s")
     rotor = point.rotor_speed_pu
@@ -154,7 +158,8 @@ def single_machine(
     a = turbine.wind_power_pu_per_cubic_wind * wind_m_s**3 * float(high - low) / (2.0 * _STEP * rotor)
     b1, b2 = 3.0 * law.k_nominal * rotor**2, slope * rotor**3
     s, tau = Polynomial([0.0, 1.0]), law.damping_time_constant_s
-    rotor_dynamics = 2.0 * turbine.inertia_constant_s * s - a
+    inertia_s = turbine.inertia_constant_s * (rotor if turbine.conserves_energy else 1.0)
+    rotor_dynamics = 2.0 * inertia_s * s - a
     swing = 2.0 * control.inertia_constant_s * s - b2
     if math.isinf(tau):
         swing, filtered = swing + control.droop_gain_pu, Polynomial([1.0])
@@ -174,6 +179,23 @@ def single_machine(
         synchronising_coefficient=synchronising_coefficient,
         numerator=tuple(float(c) for c in numerator.trim().coef),
         denominator=tuple(float(c) for c in (s * swing * rotor_dynamics).trim().coef),
+    )
+
+
+def with_moving_voltage(loop: SingleMachine, effect: float, decay_1_s: float) -> SingleMachine:
+    """Return a loop whose voltage behind X_g follows the angle: K_p + K_1/(s + a) in the place of K_p.
+
+    Args:
+        loop: with the voltage held.
+        effect: K_1 = ∂p/∂E ∂Ė/∂δ [p.u./(rad s)].
+        decay_1_s: a = -∂Ė/∂E [1/s].
+    """
+    k_p = loop.synchronising_coefficient
+    ratio = Polynomial([decay_1_s + effect / k_p, 1.0])
+    return dataclasses.replace(
+        loop,
+        numerator=tuple(float(c) for c in (Polynomial(loop.numerator) * ratio).coef),
+        denominator=tuple(float(c) for c in (Polynomial(loop.denominator) * Polynomial([decay_1_s, 1.0])).coef),
     )
 
 

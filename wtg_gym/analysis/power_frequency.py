@@ -65,7 +65,12 @@ def characteristic(
 
 
 def critical_frequency_pu(
-    law: TrackingLaw, wind_m_s: float, *, lowest_pu: float = 0.9, fine_pitch: bool = False
+    law: TrackingLaw,
+    wind_m_s: float,
+    *,
+    lowest_pu: float = 0.9,
+    fine_pitch: bool = False,
+    turbine: TurbineParameters | None = None,
 ) -> float | None:
     """Return the frequency below which a strategy has no equilibrium at a wind speed [p.u.].
 
@@ -77,6 +82,7 @@ def critical_frequency_pu(
         wind_m_s: wind speed, 3 … 25 [m/s].
         lowest_pu: lowest frequency tried, 0.5 p.u. … the set-point [p.u.].
         fine_pitch: hold β = 0, without pitch protection.
+        turbine: parameters; the paper's by default.
 
     Returns:
         the critical frequency, or None where there is an equilibrium down to `lowest_pu`.
@@ -89,7 +95,7 @@ def critical_frequency_pu(
     require_range("lowest frequency", lowest_pu, FREQUENCY_RANGE[0], setpoint, "p.u.")
 
     def margin(frequency: float) -> float:
-        return power_margin_pu(frequency, law, wind_m_s, fine_pitch=fine_pitch)
+        return power_margin_pu(frequency, law, wind_m_s, fine_pitch=fine_pitch, turbine=turbine)
 
     if margin(setpoint) < 0.0:
         for low, high in ((setpoint, control.frequency_max_pu), (control.frequency_max_pu, FREQUENCY_RANGE[1])):

@@ -156,6 +156,7 @@ def power_margin_pu(
     law: TrackingLaw,
     wind_m_s: float,
     *,
+    turbine: TurbineParameters | None = None,
     control: GridFormingParameters | None = None,
     fine_pitch: bool = False,
 ) -> float:
@@ -168,13 +169,13 @@ def power_margin_pu(
         frequency_pu: grid frequency ω, 0.5 … 1.5 [p.u.].
         law: the strategy.
         wind_m_s: wind speed, 3 … 25 [m/s].
-        control: parameters; the paper's by default.
+        turbine, control: parameters; the paper's by default.
         fine_pitch: hold β = 0, without pitch protection.
 
     Raises:
         ValueError: frequency or wind is out of range.
     """
-    balance = Balance(frequency_pu, law, wind_m_s, control=control, fine_pitch=fine_pitch)
+    balance = Balance(frequency_pu, law, wind_m_s, turbine=turbine, control=control, fine_pitch=fine_pitch)
     return float(balance(balance.best_speed()))
 
 

@@ -19,6 +19,7 @@ from wtg_gym.cli import (
     compare,
     evaluate,
     parameters,
+    physics,
     reproduce,
     results,
     simulate,
@@ -58,10 +59,10 @@ def build_parser() -> argparse.ArgumentParser:
     analyse = add_group(
         commands,
         "analyse",
-        summary="equilibria, margins and modes of the system, and the error of the time step",
-        description="Analyses the system without simulating scenarios, and measures the error of the time step.",
+        summary="equilibria, margins and modes of the system, its omissions, and the error of the time step",
+        description="Analyses the system, and measures what its model leaves out and the error of the time step.",
     )
-    for module in (statics, small_signal, accuracy, aggregation):
+    for module in (statics, small_signal, physics, aggregation, accuracy):
         module.add_commands(analyse)
     for module in (reproduce, compare, parameters, bench, warmup):
         module.add_commands(commands)

@@ -29,14 +29,8 @@ from wtg_gym.analysis.claim import Claim
 from wtg_gym.analysis.eigenvalues import Mode, linearise, modes
 from wtg_gym.analysis.infinite_bus import Agreement, agreements, system_margins
 from wtg_gym.analysis.loops import Side, SingleMachine, ideal_source_loop, single_machine
-from wtg_gym.analysis.omissions import Omissions, study_omissions
 from wtg_gym.analysis.paper_claims import paper_claims
-from wtg_gym.analysis.tables import (
-    claims_table,
-    margins_table,
-    modes_table,
-    omissions_sections,
-)
+from wtg_gym.analysis.tables import claims_table, margins_table, modes_table
 from wtg_gym.cli.output import (
     FIGURE_FORMATS,
     Progress,
@@ -58,15 +52,14 @@ from wtg_gym.scenarios import get_suite
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_OMISSIONS = ("rotor-energy", "voltages", "limits")
-_SECTIONS = ("claims", "figures", "studies", *_OMISSIONS, "small-signal", "modes")
+_SECTIONS = ("claims", "figures", "studies", "small-signal", "modes")
 _STUDIES = ("margins", "slopes", "equilibria", "damping", "machines")
 
 _DESCRIPTION = f"""\
-Runs the paper's analysis and case studies on the simulator and writes, within two or three minutes,
+Runs the paper's analysis and case studies on the simulator and writes, within two minutes,
 
-  claims.json   every claim of the paper with its tolerance, measurement and verdict; and the numbers of the studies, of
-                what the paper's model leaves out, and of the comparison on an infinite bus
+  claims.json   every claim of the paper with its tolerance, measurement and verdict; and the numbers of the studies and
+                of the comparison on an infinite bus
   figures/*     the paper's figures, and studies beyond it: margins over wind and on both slopes of g(ω), lost
                 equilibria, τ, machine models, the modes of the system
 
@@ -110,7 +103,6 @@ class _Evidence:
     agreement: tuple[Agreement, ...]
     system_margins: tuple[SingleMachine, ...]
     modes: Mapping[str, tuple[Mode, ...]]
-    omissions: Omissions
 
 
 class _Picture(NamedTuple):
@@ -170,7 +162,6 @@ def _measure(progress: Progress) -> _Evidence:
         "infinite bus": lambda: tuple(agreements()),
         "margins in the system": lambda: tuple(system_margins()),
         "modes": _system_modes,
-        "omissions": lambda: study_omissions(progress.update),
     }
     found = []
     for done, (name, measure) in enumerate(steps.items()):
@@ -288,7 +279,6 @@ def _modes_sentence(evidence: _Evidence) -> str:
 def _sections(evidence: _Evidence) -> dict[str, str]:
     return {
         "claims": claims_table(evidence.claims),
-        **dict(zip(_OMISSIONS, omissions_sections(evidence.omissions), strict=True)),
         "small-signal": margins_table(evidence.agreement, evidence.system_margins),
         "modes": modes_table(evidence.modes[REFERENCE_STRATEGY]),
     }
@@ -302,7 +292,6 @@ def _as_json(evidence: _Evidence) -> Any:
         {
             "claims": [dataclasses.asdict(claim) for claim in evidence.claims],
             "studies": studies,
-            "omissions": dataclasses.asdict(evidence.omissions),
             "agreement": [dataclasses.asdict(row) for row in evidence.agreement],
         }
     )

@@ -1,7 +1,7 @@
 """The simulator: aerodynamics, tracking law, machines, network, and their integration.
 
 Equations
-    aerodynamics        C_p, operating points K_opt, K_d, available power
+    aerodynamics, rotor_table    C_p as a curve or a table, operating points K_opt, K_d, available power
     wind_turbine        rotor, captured power p_w, a group as a whole, its equilibrium
     pitch, converter, converter_limits, voltage_control    controls of a wind turbine
     machine, exciter, governor, hydro_governor             synchronous machines
@@ -13,7 +13,7 @@ Equations
     linearisation       modes, and the step they allow
 
 Data
-    parameters, ieee14  every number with unit, source and range; the network
+    parameters, ieee14, nrel5mw    every number with unit, source and range; the network; another turbine
     plant               a network, its WTG groups and the time steps
     scenario            what happens in a run
     tracking_law        the strategies

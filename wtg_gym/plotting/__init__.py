@@ -10,6 +10,7 @@ from wtg_gym.plotting.eigenvalue_plane import plot_modes
 from wtg_gym.plotting.learning import LearningCurve, plot_learning_curves
 from wtg_gym.plotting.measurements import plot_accuracy, plot_growth
 from wtg_gym.plotting.paper_figures import plot_bode, plot_case_study, plot_power_coefficient
+from wtg_gym.plotting.physics_figures import plot_plant_parts, plot_plant_runs, plot_stiffness
 from wtg_gym.plotting.policy_runs import plot_costs, plot_runs
 from wtg_gym.plotting.responses import plot_responses
 from wtg_gym.plotting.study_figures import plot_damping, plot_equilibria, plot_machine_models, plot_margins
@@ -33,9 +34,12 @@ __all__ = [
     "plot_machine_models",
     "plot_margins",
     "plot_modes",
+    "plot_plant_parts",
+    "plot_plant_runs",
     "plot_power_coefficient",
     "plot_responses",
     "plot_runs",
+    "plot_stiffness",
     "plot_trajectories",
     "save_figure",
     "strategy_looks",

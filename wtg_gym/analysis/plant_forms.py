@@ -1,0 +1,235 @@
+"""The paper's plant and more honest ones: which they are, and runs of them that note what a machine would feel.
+
+The paper's form is an extended plant whose limits lie out of reach: it does what the paper's plant does, and tells its
+currents and voltages too.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from wtg_gym.analysis.steady_states import stable_equilibrium
+from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.layout import Floats
+from wtg_gym.physics.nrel5mw import nrel_5mw
+from wtg_gym.physics.parameters import (
+    ConverterLimitParameters,
+    GovernorParameters,
+    GridFormingParameters,
+    HydroGovernorParameters,
+    ProtectionParameters,
+    TurbineParameters,
+    VoltageControlParameters,
+    european_shedding,
+)
+from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.protection import Status
+from wtg_gym.physics.scenario import Scenario
+from wtg_gym.physics.simulator import Simulator
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, TrackingLaw, group_laws
+
+#: Limits that nothing reaches.
+UNLIMITED = ConverterLimitParameters(
+    current_max_pu=10.0, power_max_pu=10.0, power_min_pu=-10.0, power_gain=0.0, power_integral_gain=0.0
+)
+#: X_g is for the most part virtual: the usual 1.3 p.u. behind it would refuse the start of the paper's case at 1.33.
+VOLTAGE_CONTROL = VoltageControlParameters()
+#: 36 mHz at 60 Hz [p.u.].
+DEAD_BAND_PU = 0.0006
+LEAST_ROTOR_SPEED_PU = 0.5
+PAPER, HONEST, NREL, HYDRO = "the paper's", "all together", "all, NREL 5 MW turbine", "all, hydro and shedding"
+#: Winds of the energy balance [m/s].
+WINDS = (6.0, 8.0, 10.0, 11.4)
+#: Window of the rate of change of frequency [s].
+_ROCOF_WINDOW_S = 0.5
+
+
+def plant_forms() -> Mapping[str, PlantSettings]:
+    """Return plants by what they add to the paper's: one part each, and parts together."""
+    paper = PlantSettings(limits=UNLIMITED)
+    energy = TurbineParameters(conserves_energy=True)
+    limits = dataclasses.replace(ConverterLimitParameters(), power_min_pu=UNLIMITED.power_min_pu)
+    chopper = dataclasses.replace(UNLIMITED, power_min_pu=0.0)
+    dead_band = _with_governor(GovernorParameters(dead_band_pu=DEAD_BAND_PU))
+    # The stages are there, and shed nothing: a plant without them would be compiled for itself.
+    idle = tuple(dataclasses.replace(stage, share=0.0) for stage in european_shedding())
+    hydro = HydroGovernorParameters(droop_pu=GovernorParameters().droop_pu)
+    honest = PlantSettings(
+        case=dead_band.case, turbine=energy, limits=ConverterLimitParameters(), voltage_control=VOLTAGE_CONTROL
+    )
+    under_speed = ProtectionParameters(rotor_speed_min_pu=LEAST_ROTOR_SPEED_PU)
+    water = dataclasses.replace(hydro, dead_band_pu=DEAD_BAND_PU)
+    return {
+        PAPER: paper,
+        "rotor energy": dataclasses.replace(paper, turbine=energy),
+        "current and power limits": dataclasses.replace(paper, limits=limits),
+        "chopper": dataclasses.replace(paper, limits=chopper),
+        "voltage control": dataclasses.replace(paper, voltage_control=VOLTAGE_CONTROL),
+        "dead band": dataclasses.replace(paper, case=dead_band.case),
+        HONEST: honest,
+        "under-speed trip": dataclasses.replace(paper, protection=under_speed),
+        "NREL 5 MW rotor": dataclasses.replace(paper, turbine=nrel_5mw(conserves_energy=False)),
+        NREL: dataclasses.replace(honest, turbine=nrel_5mw()),
+        "hydro governor": dataclasses.replace(paper, case=_with_governor(hydro).case, shedding=idle),
+        "hydro governor, shedding": dataclasses.replace(
+            paper, case=_with_governor(hydro).case, shedding=european_shedding()
+        ),
+        HYDRO: dataclasses.replace(honest, case=_with_governor(water).case, shedding=european_shedding()),
+    }
+
+
+def _with_governor(governor: GovernorParameters | HydroGovernorParameters) -> PlantSettings:
+    """Return the paper's plant with another governor at bus 1."""
+    case = modified_ieee14()
+    machines = tuple(dataclasses.replace(m, governor=governor) if m.governor else m for m in case.machines)
+    return PlantSettings(case=dataclasses.replace(case, machines=machines))
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotorEnergy:
+    """Kinetic energy that the reference's rotor releases when the frequency falls, on the base of its rating.
+
+    Args:
+        wind_m_s: [m/s].
+        before_pu, after_pu: ω_m of its equilibria at ω_st and at the lower frequency [p.u.].
+        credited_s: 2H_m Δω_m, which the paper's rotor equation releases [p.u. s].
+        stored_s: H_m Δ(ω_m²), by which the rotor's energy falls [p.u. s].
+    """
+
+    wind_m_s: float
+    before_pu: float
+    after_pu: float
+    credited_s: float
+    stored_s: float
+
+
+def rotor_energy(wind_m_s: float, frequency_pu: float) -> RotorEnergy:
+    """Return the energy of the reference's rotor at a wind speed [m/s] as ω falls from ω_st to a frequency [p.u.]."""
+    law, inertia_s = STRATEGIES[REFERENCE_STRATEGY], TurbineParameters().inertia_constant_s
+    speeds = []
+    for frequency in (GridFormingParameters().frequency_setpoint_pu, frequency_pu):
+        point = stable_equilibrium(frequency, law, wind_m_s)
+        assert point is not None
+        speeds.append(point.rotor_speed_pu)
+    before, after = speeds
+    return RotorEnergy(
+        wind_m_s=wind_m_s,
+        before_pu=before,
+        after_pu=after,
+        credited_s=2.0 * inertia_s * (before - after),
+        stored_s=inertia_s * (before**2 - after**2),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlantRun:
+    """A run of a plant; the extremes count every simulation step.
+
+    Args:
+        status: why it ended, or RUNNING.
+        end_s: when [s].
+        times_s: start, and every simulation step until the end (n,) [s].
+        frequency_hz: of the centre of inertia (n,) [Hz].
+        rotor_pu, power_pu, current_pu: ω_m, p and |I| (n, n_wtg) [p.u.].
+        internal_pu, reactive_pu: |E| behind X_g and q at the terminal (n, n_wtg) [p.u.].
+        least_ratio: smallest tip-speed ratio (n_wtg,).
+        released_s: ∫ p - p_w dt (n_wtg,) [p.u. s].
+    """
+
+    status: Status
+    end_s: float
+    times_s: Floats
+    frequency_hz: Floats
+    rotor_pu: Floats
+    power_pu: Floats
+    current_pu: Floats
+    internal_pu: Floats
+    reactive_pu: Floats
+    least_ratio: Floats
+    released_s: Floats
+
+    @property
+    def failed(self) -> bool:
+        """Whether something ended it before its time."""
+        return self.status != Status.RUNNING
+
+    @property
+    def nadir_hz(self) -> float:
+        """Return the lowest frequency [Hz]."""
+        return float(self.frequency_hz.min())
+
+    @property
+    def rocof_hz_s(self) -> float:
+        """Return the largest change of frequency within half a second, per second [Hz/s]."""
+        n = min(round(_ROCOF_WINDOW_S / PlantSettings().simulation_dt), self.times_s.size - 1)
+        change = np.abs(self.frequency_hz[n:] - self.frequency_hz[: self.frequency_hz.size - n])
+        return float(change.max() / (self.times_s[n] - self.times_s[0]))
+
+    def until(self, time_s: float) -> PlantRun:
+        """Return the run with its series cut off at a time [s]."""
+        n = int(np.searchsorted(self.times_s, time_s))
+        names = ("times_s", "frequency_hz", "rotor_pu", "power_pu", "current_pu", "internal_pu", "reactive_pu")
+        return dataclasses.replace(self, **{name: getattr(self, name)[:n] for name in names})
+
+
+def run_plant(settings: PlantSettings, scenarios: Sequence[Scenario], strategy: str) -> list[PlantRun | None]:
+    """Run scenarios side by side in an extended plant under one strategy; None where a plant refuses to start.
+
+    Args:
+        settings: the plant; each simulation step is a control interval here, so that protections act after it.
+        scenarios: what happens; all as long as the first.
+        strategy: of all groups, for the plant's turbine.
+    """
+    settings = dataclasses.replace(settings, control_dt=settings.simulation_dt)
+    simulator = Simulator(settings, n_lanes=len(scenarios), duration_s=scenarios[0].duration_s)
+    laws = group_laws(strategy, len(settings.groups), settings.turbine)
+    started = [lane for lane, scenario in enumerate(scenarios) if _start(simulator, lane, scenario, laws)]
+    names = ("rotor_speed", "power", "current", "internal_voltage", "reactive")
+    series: list[list[Floats]] = [[] for _ in names]
+    frequencies: list[Floats] = []
+
+    def look() -> None:
+        frequencies.append(settings.case.frequency_hz * simulator.lane_values("coi"))
+        for values, name in zip(series, names, strict=True):
+            values.append(simulator.wtg_values(name))
+
+    look()
+    for _ in range(simulator.n_intervals):
+        simulator.advance()
+        look()
+    frequency, tables = np.stack(frequencies), [np.stack(values) for values in series]
+    steps, statuses = simulator.lane_values("step"), simulator.lane_values("status")
+    ratios = simulator.wtg_values("least_tsr")
+    released = simulator.wtg_values("energy_delivered") - simulator.wtg_values("energy_captured")
+    runs: list[PlantRun | None] = [None] * len(scenarios)
+    for lane in started:
+        n = int(steps[lane]) + 1
+        rotor, power, current, internal, reactive = (table[:n, lane] for table in tables)
+        runs[lane] = PlantRun(
+            status=Status(int(statuses[lane])),
+            end_s=float(steps[lane]) * settings.simulation_dt,
+            times_s=settings.simulation_dt * np.arange(n, dtype=np.float64),
+            frequency_hz=frequency[:n, lane],
+            rotor_pu=rotor,
+            power_pu=power,
+            current_pu=current,
+            internal_pu=internal,
+            reactive_pu=reactive,
+            least_ratio=ratios[lane],
+            released_s=released[lane],
+        )
+    simulator.close()
+    return runs
+
+
+def _start(simulator: Simulator, lane: int, scenario: Scenario, laws: Sequence[TrackingLaw]) -> bool:
+    try:
+        simulator.start(lane, scenario, laws)
+    except ValueError:
+        simulator.stop(lane)
+        return False
+    return True
