@@ -26,7 +26,7 @@ from wtg_gym.physics.parameters import (
     VoltageControlParameters,
     european_shedding,
 )
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import DEAD_BAND_PU, ROTOR_SPEED_MIN_PU, PlantSettings
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
@@ -36,11 +36,7 @@ from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, Trackin
 UNLIMITED = ConverterLimitParameters(
     current_max_pu=10.0, power_max_pu=10.0, power_min_pu=-10.0, power_gain=0.0, power_integral_gain=0.0
 )
-#: X_g is for the most part virtual: the usual 1.3 p.u. behind it would refuse the start of the paper's case at 1.33.
 VOLTAGE_CONTROL = VoltageControlParameters()
-#: 36 mHz at 60 Hz [p.u.].
-DEAD_BAND_PU = 0.0006
-LEAST_ROTOR_SPEED_PU = 0.5
 PAPER, HONEST, NREL, HYDRO = "the paper's", "all together", "all, NREL 5 MW turbine", "all, hydro and shedding"
 #: Winds of the energy balance [m/s].
 WINDS = (6.0, 8.0, 10.0, 11.4)
@@ -61,7 +57,7 @@ def plant_forms() -> Mapping[str, PlantSettings]:
     honest = PlantSettings(
         case=dead_band.case, turbine=energy, limits=ConverterLimitParameters(), voltage_control=VOLTAGE_CONTROL
     )
-    under_speed = ProtectionParameters(rotor_speed_min_pu=LEAST_ROTOR_SPEED_PU)
+    under_speed = ProtectionParameters(rotor_speed_min_pu=ROTOR_SPEED_MIN_PU)
     water = dataclasses.replace(hydro, dead_band_pu=DEAD_BAND_PU)
     return {
         PAPER: paper,
