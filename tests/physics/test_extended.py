@@ -621,10 +621,7 @@ def stages(*shares: float) -> tuple[SheddingStage, ...]:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        (
-            {"limits": ConverterLimitParameters(power_max_pu=1.3)},
-            r"power_max_pu = 1.3 p.u. exceeds current_max_pu = 1.2",
-        ),
+        ({"limits": {"power_max_pu": 1.3}}, r"power_max_pu = 1.3 p.u. exceeds current_max_pu = 1.2"),
         ({"limits": {"current_max_pu": 0.0}}, r"current_max_pu = 0 p.u. is outside"),
         ({"limits": {"power_min_pu": 0.1}}, r"power_min_pu = 0.1 p.u. is outside"),
         ({"limits": {"power_gain": float("nan")}}, r"power_gain = nan p.u./p.u. is outside"),
@@ -659,13 +656,16 @@ def test_contradicting_settings_are_refused_in_one_line(settings: dict[str, Any]
     [
         (
             {"limits": ConverterLimitParameters(power_max_pu=0.5, current_max_pu=3.0)},
-            r"cannot start: .*converter's current or power limit",
+            r"cannot start: WTG group 0 at bus 2 .*converter's limits: power 0 … 0.5 p.u.",
         ),
         (
             {"limits": ConverterLimitParameters(power_max_pu=0.8, current_max_pu=0.8)},
-            r"cannot start: .*converter's current or power limit",
+            r"cannot start: WTG group 0 at bus 2 .*current at most 0.8 p.u.",
         ),
-        ({"voltage": VoltageControlParameters(internal_voltage_max_pu=1.1)}, r"cannot start: .*voltage behind X_g"),
+        (
+            {"voltage": VoltageControlParameters(internal_voltage_max_pu=1.1)},
+            r"cannot start: .*1.32 p.u. behind X_g, beyond the limits 0.5 … 1.1 p.u.",
+        ),
     ],
 )
 def test_a_start_beyond_a_limit_is_refused(options: dict[str, Any], message: str) -> None:

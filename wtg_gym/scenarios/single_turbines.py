@@ -63,7 +63,8 @@ def turbine_winds(
 def with_wakes(winds: Floats, deficits: Sequence[float]) -> Floats:
     """Return winds behind other turbines: each slowed by its share 0 … 0.6 of the free wind.
 
-    The deficits may come from a wake model, such as PyWake's or FLORIS'; neither is needed here.
+    The deficits may come from a wake model such as PyWake, which is not needed here: with a wind farm model `farm` of
+    PyWake, ``1.0 - farm(x, y, wd=[270], ws=[9.0]).WS_eff.values.ravel() / 9.0``.
 
     Args:
         winds: (n_turbines, n_samples) [m/s].
