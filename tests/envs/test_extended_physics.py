@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-import numpy as np
+import dataclasses
 
-from wtg_gym import GFMWTGEnv, GFMWTGVectorEnv
+import numpy as np
+import pytest
+
+from wtg_gym import GFMWTGEnv, GFMWTGVectorEnv, evaluate
+from wtg_gym.evaluation.recompute import departures
+from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.plant import DEAD_BAND_PU, plant_settings
 
 N_STEPS = 40
 
@@ -36,3 +42,21 @@ def test_a_lane_of_the_extended_plant_equals_the_single_environment() -> None:
             other, *_ = paper.step(action[lane])
         differs = differs or bool((own != other).any())
     assert differs
+
+
+def test_a_governor_keeps_its_own_dead_band_and_a_case_must_be_one() -> None:
+    case = modified_ieee14()
+    own = tuple(
+        dataclasses.replace(m, governor=dataclasses.replace(m.governor, dead_band_pu=0.002)) if m.governor else m
+        for m in case.machines
+    )
+    settings = plant_settings("extended", case=dataclasses.replace(case, machines=own))
+    assert {m.governor.dead_band_pu for m in settings.case.machines if m.governor} == {0.002}
+    assert {m.governor.dead_band_pu for m in plant_settings("extended").case.machines if m.governor} == {DEAD_BAND_PU}
+    with pytest.raises(ValueError, match="case must be a NetworkCase, got 'x'"):
+        plant_settings("extended", case="x")
+
+
+def test_results_of_another_physics_depart_from_the_benchmark() -> None:
+    results = evaluate([], "standard", "test", seeds=[20000], duration_s=2.0, physics="extended")
+    assert any(text.startswith("physics is extended") for text in departures(results))

@@ -53,6 +53,9 @@ def test_wakes_slow_the_turbines_behind() -> None:
     [
         (lambda: turbine_winds(2.0, 1.0, 3, 10, np.random.default_rng()), ["mean wind", "2", "m/s", "4 … 20"]),
         (lambda: turbine_winds(8.0, 1.0, 0, 10, np.random.default_rng()), ["turbines", "1 … 1000", "0"]),
+        (lambda: turbine_winds(8.0, 1.0, 3, 0, np.random.default_rng()), ["samples", "2 … 10000000", "0"]),
+        (lambda: turbine_winds(8.0, -1.0, 3, 10, np.random.default_rng()), ["sigma", "-1", "0 … 20"]),
+        (lambda: with_wakes(np.full((2, 5), np.nan), (0.1, 0.1)), ["finite", "(2, 5)"]),
         (lambda: with_wakes(np.full((2, 5), 8.0), (0.1,)), ["one wake deficit per turbine", "2", "1"]),
         (lambda: with_wakes(np.full((1, 5), 8.0), (0.9,)), ["wake deficit", "0.9", "0 … 0.6"]),
     ],

@@ -84,10 +84,10 @@ def study_aggregation(
     """
     chosen = get_suite(suite)
     allowed = chosen.seeds("validation")
-    if chosen.distribution is None or not 1 <= n_scenarios <= len(allowed):
-        raise ValueError(
-            f"aggregation is studied on 1 … {len(allowed)} random scenarios; {suite!r} with {n_scenarios} are not"
-        )
+    if chosen.distribution is None:
+        raise ValueError(f"the suite {suite!r} has no random scenarios")
+    if not 1 <= n_scenarios <= len(allowed):
+        raise ValueError(f"the number of scenarios must be 1 … {len(allowed)}, got {n_scenarios}")
     seeds = tuple(allowed[:n_scenarios])
     groups = default_groups()
     pairs, sigmas = [], []

@@ -38,7 +38,8 @@ _DESCRIPTION = f"""\
 Simulates one scenario under each of the given strategies and prints the key figures: frequency nadir and zenith, the
 largest rate of change of frequency over 500 ms, and where frequency, rotor speeds and powers end. The scenario is one
 of the paper's cases, a seed of a suite, or a file; its wind can be replaced. A run ends early at a stall, an
-over-speed, a frequency outside 47.5 … 51.5 Hz, lost synchronism or a voltage collapse.
+over-speed, an under-speed (extended physics), a frequency outside 47.5 … 51.5 Hz, lost synchronism or a voltage
+collapse.
 
 strategies: {", ".join(STRATEGIES)}"""
 

@@ -279,15 +279,20 @@ class SheddingStage(Checked):
         0.98, "p.u.", "ENTSO-E defence", "frequency of the centre of inertia at which it acts", 0.5, 1.0
     )
     share: float = parameter(
-        0.05, "-", "ENTSO-E defence", "share of the load connected at the start that it disconnects", 0.0, 1.0
+        0.05,
+        "-",
+        "ENTSO-E defence",
+        "share of every load that it disconnects, of loads switched on by events too",
+        0.0,
+        1.0,
     )
     delay_s: float = parameter(0.2, "s", "design", "time below that frequency before it acts", 0.0, 60.0)
 
 
-def european_shedding(frequency_hz: float = 50.0) -> tuple[SheddingStage, ...]:
-    """Return the stages that continental Europe asks for: 5 % at 49 Hz, 45 % by 48 Hz in steps of 8 %."""
+def european_shedding() -> tuple[SheddingStage, ...]:
+    """Return the stages that continental Europe asks for: 5 % at 49 Hz, 45 % by 48 Hz in steps of 8 %, of 50 Hz."""
     levels = ((49.0, 0.05), (48.8, 0.08), (48.6, 0.08), (48.4, 0.08), (48.2, 0.08), (48.0, 0.08))
-    return tuple(SheddingStage(frequency_pu=level / frequency_hz, share=share) for level, share in levels)
+    return tuple(SheddingStage(frequency_pu=level / 50.0, share=share) for level, share in levels)
 
 
 @dataclass(frozen=True, kw_only=True)

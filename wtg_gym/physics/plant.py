@@ -121,7 +121,8 @@ def plant_settings(physics: str = "paper", **settings: Any) -> PlantSettings:
 
     Args:
         physics: one of :data:`PHYSICS`.
-        settings: fields of :class:`PlantSettings`; they go before what `physics` says.
+        settings: fields of :class:`PlantSettings`; they replace what `physics` sets, and a governor keeps its own dead
+            band.
 
     Raises:
         ValueError: the name is unknown, or a setting is outside its range.
@@ -130,9 +131,13 @@ def plant_settings(physics: str = "paper", **settings: Any) -> PlantSettings:
         raise ValueError(f"unknown physics {physics!r}; choose one of {', '.join(PHYSICS)}")
     if physics == "paper":
         return PlantSettings(**settings)
-    case: NetworkCase = settings.get("case") or modified_ieee14()
+    case = settings["case"] if "case" in settings else modified_ieee14()
+    if not isinstance(case, NetworkCase):
+        raise ValueError(f"case must be a NetworkCase, got {case!r}")
     machines = tuple(
-        dataclasses.replace(m, governor=dataclasses.replace(m.governor, dead_band_pu=DEAD_BAND_PU)) if m.governor else m
+        dataclasses.replace(m, governor=dataclasses.replace(m.governor, dead_band_pu=DEAD_BAND_PU))
+        if m.governor is not None and m.governor.dead_band_pu == 0.0
+        else m
         for m in case.machines
     )
     extended: dict[str, Any] = {
@@ -140,7 +145,7 @@ def plant_settings(physics: str = "paper", **settings: Any) -> PlantSettings:
         "limits": ConverterLimitParameters(),
         "voltage_control": VoltageControlParameters(),
         "protection": ProtectionParameters(rotor_speed_min_pu=ROTOR_SPEED_MIN_PU),
-        "shedding": european_shedding(case.frequency_hz),
+        "shedding": european_shedding(),
     }
     return PlantSettings(**{**extended, **settings, "case": dataclasses.replace(case, machines=machines)})
 

@@ -1,9 +1,10 @@
 """C_p(λ, β) of a rotor as a table: reading it, and a smooth surface through its points.
 
-The surface is the bicubic spline through the table's points, twice continuously differentiable. Each cell of a regular
-grid has the sixteen coefficients of its polynomial, Σ c_nm v^n u^m with 0 ≤ u, v ≤ 1 along λ and β. Below the table's
-least λ the power coefficient falls in proportion to λ; beyond its other edges it keeps the edge's value. Source of the
-spline: C. de Boor: A Practical Guide to Splines, chapter XVII.
+The surface is the bicubic spline through the table's points. Where an axis is uneven, or β = 0 is none of its points,
+it is that spline to about 1e-4, once continuously differentiable. Each cell of a regular grid has the sixteen
+coefficients of its polynomial, Σ c_nm v^n u^m with 0 ≤ u, v ≤ 1 along λ and β. Below the table's least λ the power
+coefficient falls in proportion to λ; beyond its other edges it keeps the edge's value. Source of the spline: C. de
+Boor: A Practical Guide to Splines, chapter XVII.
 """
 
 from __future__ import annotations
@@ -58,6 +59,13 @@ class RotorTable:
     power_coefficient: tuple[tuple[float, ...], ...]
 
     def __post_init__(self) -> None:
+        try:
+            for name in ("tip_speed_ratio", "pitch_deg"):
+                object.__setattr__(self, name, tuple(float(value) for value in getattr(self, name)))
+            rows_of_floats = tuple(tuple(float(value) for value in row) for row in self.power_coefficient)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"a rotor table must be rows of numbers: {error}") from None
+        object.__setattr__(self, "power_coefficient", rows_of_floats)
         for name, axis in (("tip-speed ratios", self.tip_speed_ratio), ("pitch angles", self.pitch_deg)):
             if not 4 <= len(axis) <= _MOST_POINTS:
                 raise ValueError(f"a rotor table needs 4 … {_MOST_POINTS} {name}, got {len(axis)}")

@@ -42,10 +42,13 @@ def turbine_winds(
         rng: what they are drawn from.
 
     Raises:
-        ValueError: mean wind or number of turbines is outside its range.
+        ValueError: mean wind, sigma, number of turbines or number of samples is outside its range.
     """
     require_range("mean wind", mean_wind_m_s, *DRAWN_WIND_RANGE, "m/s")
-    if isinstance(n_turbines, bool) or not isinstance(n_turbines, int) or not 1 <= n_turbines <= 1000:
+    require_range("sigma", sigma_m_s, 0.0, 20.0, "m/s")
+    if isinstance(n_samples, bool) or not isinstance(n_samples, (int, np.integer)) or not 2 <= n_samples <= 10_000_000:
+        raise ValueError(f"the number of samples must be 2 … 10000000, got {n_samples!r}")
+    if isinstance(n_turbines, bool) or not isinstance(n_turbines, (int, np.integer)) or not 1 <= n_turbines <= 1000:
         raise ValueError(f"the number of turbines must be 1 … 1000, got {n_turbines!r}")
     n_period = period_length(n_samples)
     frequency = resolved_frequencies(n_period)
@@ -73,6 +76,9 @@ def with_wakes(winds: Floats, deficits: Sequence[float]) -> Floats:
     Raises:
         ValueError: their number differs from that of the turbines, or one is outside its range.
     """
+    winds = np.asarray(winds, dtype=np.float64)
+    if winds.ndim != 2 or not np.isfinite(winds).all():
+        raise ValueError(f"winds must be finite numbers of shape (n_turbines, n_samples), got shape {winds.shape}")
     if len(deficits) != winds.shape[0]:
         raise ValueError(f"there must be one wake deficit per turbine, {winds.shape[0]}, got {len(deficits)}")
     factors = [1.0 - require_range("wake deficit", deficit, 0.0, 0.6, "") for deficit in deficits]
