@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import numbers
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -26,8 +27,9 @@ from wtg_gym.envs.task_records import CostTerms, Info, TaskRows
 from wtg_gym.physics.layout import LaneData
 from wtg_gym.physics.linearisation import STEP_MARGIN, largest_stable_steps
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.records import leaves
+from wtg_gym.physics.records import flatten, leaves
 from wtg_gym.physics.scenario import Event, Scenario
+from wtg_gym.physics.sensors import sensor_input
 from wtg_gym.physics.simulator import PreparedLanes, Simulator
 from wtg_gym.ranges import whole_steps
 from wtg_gym.scenarios import get_suite
@@ -90,13 +92,14 @@ class PreparedEpisodes(NamedTuple):
     n_intervals: npt.NDArray[np.int64]
     scenario_seeds: npt.NDArray[np.int64]
     events: tuple[tuple[Event, ...], ...]
+    sensors: Floats  # (n, any number), see start_tasks
 
     def take(self, which: list[int]) -> PreparedEpisodes:
         """Return some of the episodes."""
         rows, data = self.lanes
         lanes = PreparedLanes(rows[which], LaneData._make(array[which] for array in data))
         events = tuple(self.events[place] for place in which)
-        return PreparedEpisodes(lanes, self.n_intervals[which], self.scenario_seeds[which], events)
+        return PreparedEpisodes(lanes, self.n_intervals[which], self.scenario_seeds[which], events, self.sensors[which])
 
 
 class TaskLanes:
@@ -124,13 +127,16 @@ class TaskLanes:
             len(plant.case.machines),
             settings.action_mode,
             privileged=settings.observation_mode == "privileged",
+            sensed=self.suite.benchmark.sensed,
         )
         self.n_observation = len(self.observation_names)
         self.simulator = Simulator(
             plant,
             n_lanes=n_lanes,
             duration_s=self.duration_s,
-            n_extra=n_extra_rows(self.n_wtg, settings.control_dt, self.n_observation),
+            n_extra=n_extra_rows(
+                self.n_wtg, settings.control_dt, self.n_observation, sensed=self.suite.benchmark.sensed
+            ),
             n_threads=n_threads,
         )
         self.nominal_hz = plant.case.frequency_hz
@@ -157,7 +163,8 @@ class TaskLanes:
             "simulation_dt": settings.simulation_dt,
             "weights": settings.cost_weights(),
             "machine_model": settings.machine_model,
-            "physics": settings.physics,
+            "plant": plant,
+            "version": settings.version,
             "on_failure": settings.on_failure,
         }
         #: What happens in each lane's episode, in its order.
@@ -205,7 +212,13 @@ class TaskLanes:
 
     def scenarios(self, seeds: Sequence[int]) -> list[Scenario]:
         """Return the suite's scenarios of seeds, for this plant and episode length."""
-        return self.suite.scenarios(seeds, n_wtg=self.n_wtg, n_turbines=self.n_turbines, duration_s=self.duration_s)
+        return self.suite.scenarios(
+            seeds,
+            n_wtg=self.n_wtg,
+            n_turbines=self.n_turbines,
+            duration_s=self.duration_s,
+            sensors=self.settings.sensor_distribution(),
+        )
 
     def prepare(self, scenarios: Sequence[Scenario]) -> PreparedEpisodes:
         """Find the equilibria that episodes start from; no running lane is touched.
@@ -222,7 +235,25 @@ class TaskLanes:
         ]
         seeds = [-1 if scenario.seed is None else scenario.seed for scenario in scenarios]
         events = tuple(tuple(sorted(scenario.events, key=lambda event: event.time_s)) for scenario in scenarios)
-        return PreparedEpisodes(lanes, np.array(intervals, dtype=np.int64), np.array(seeds, dtype=np.int64), events)
+        return PreparedEpisodes(
+            lanes,
+            np.array(intervals, dtype=np.int64),
+            np.array(seeds, dtype=np.int64),
+            events,
+            np.array([self._sensor_numbers(scenario) for scenario in scenarios]),
+        )
+
+    def _sensor_numbers(self, scenario: Scenario) -> list[float]:
+        """Return what :func:`start_tasks` is to know of a scenario's sensors; nothing without sensors."""
+        if not self.suite.benchmark.sensed:
+            return []
+        sensors = scenario.sensors
+        if sensors is not None:
+            whole_steps("delay_s of the sensors", sensors.delay_s, self.settings.control_dt, "control step")
+        given = sensor_input(sensors, self.settings.control_dt, self.nominal_hz)
+        biases = (0.0,) * self.n_wtg if sensors is None else sensors.wind_bias
+        leaves_at = [math.inf] * self.n_wtg
+        return [*flatten(given), *biases, *leaves_at]
 
     def commit(self, lanes: Sequence[int], prepared: Sequence[PreparedEpisodes]) -> None:
         """Start prepared episodes in lanes, one each."""
@@ -235,7 +266,16 @@ class TaskLanes:
             first += index.size
             simulator.commit(index, episodes.lanes)
             end_steps = (episodes.n_intervals * simulator.plant.n_substeps).astype(np.float64)
-            start_tasks(simulator.blocks, index, simulator.plant, self.task, end_steps, self.outputs, simulator.lanes)
+            start_tasks(
+                simulator.blocks,
+                index,
+                simulator.plant,
+                self.task,
+                end_steps,
+                episodes.sensors,
+                self.outputs,
+                simulator.lanes,
+            )
             self.scenario_seeds[index] = episodes.scenario_seeds
             for lane, events in zip(index.tolist(), episodes.events, strict=True):
                 self.events[lane] = events

@@ -16,7 +16,7 @@ import numpy as np
 
 from wtg_gym import ENV_ID
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.envs.task import COEFFICIENT_AUTHORITY, TIME_CONSTANT_RATIO
+from wtg_gym.envs.task import TIME_CONSTANT_RATIO
 from wtg_gym.evaluation.circumstances import environment_fingerprint, versions
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.metrics import Recorder, measure
@@ -204,7 +204,7 @@ def shared_settings(settings: EnvSettings) -> dict[str, Any]:
         "simulation_dt": float(settings.simulation_dt),
         "weights": {key: float(value) for key, value in dataclasses.asdict(settings.cost_weights()).items()},
         "groups": [{"bus": int(group.bus), "n_turbines": float(group.n_turbines)} for group in settings.wtg_groups()],
-        "authority": {"k": COEFFICIENT_AUTHORITY, "tau": TIME_CONSTANT_RATIO},
+        "authority": {"k": settings.benchmark().k_authority, "tau": TIME_CONSTANT_RATIO},
         "machine_model": settings.machine_model,
         "on_failure": settings.on_failure,
         # Results of the paper's physics look as they did before there was another.

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.files import parse_json
+from wtg_gym.physics.sensors import Sensors
 from wtg_gym.ranges import require_bus, require_range
 
 #: Wind speeds the turbine model covers: cut-in and cut-out of the NREL 5 MW machine [m/s].
@@ -143,6 +144,7 @@ class Scenario:
         load_level: factor on every load of the case in the initial power flow.
         governor_droop: droop R of every governor on its machine's base [p.u.]; None keeps the case's.
         inertia_scale: factor on the inertia of every synchronous machine.
+        sensors: errors of what the WTG groups measure; None: exact and at once.
         seed: the seed it was drawn from, if any.
 
     Raises:
@@ -159,6 +161,7 @@ class Scenario:
     load_level: float = 1.0
     governor_droop: float | None = None
     inertia_scale: float = 1.0
+    sensors: Sensors | None = None
     seed: int | None = None
 
     def __post_init__(self) -> None:
@@ -192,6 +195,14 @@ class Scenario:
         for event in self.events:
             if type(event) not in _KIND_OF:
                 raise ValueError(f"unknown event {event!r}; known kinds: {', '.join(EVENT_KINDS)}")
+        if self.sensors is not None:
+            if not isinstance(self.sensors, Sensors):
+                raise ValueError(f"sensors must be Sensors or None, got {self.sensors!r:.80}")
+            if len(self.sensors.wind_bias) != wind.shape[0]:
+                raise ValueError(
+                    f"wind_bias of the sensors must have one number per WTG group ({wind.shape[0]}), "
+                    f"got {len(self.sensors.wind_bias)}"
+                )
         droop, seed = self.governor_droop, self.seed
         if droop is not None:
             droop = require_range("governor_droop", droop, 0.005, 1.0, "p.u.")
@@ -227,6 +238,11 @@ class Scenario:
         data["wind_speed"] = self.wind_speed.tolist()
         data["load_noise_mw"] = self.load_noise_mw.tolist()
         data["events"] = [{"kind": _KIND_OF[type(e)], **dataclasses.asdict(e)} for e in self.events]
+        if self.sensors is None:
+            # Older scenarios know no sensors: their form, and its hash, stay.
+            del data["sensors"]
+        else:
+            data["sensors"] = {**vars(self.sensors), "wind_bias": list(self.sensors.wind_bias)}
         return data
 
     @classmethod
@@ -247,6 +263,8 @@ class Scenario:
             raise ValueError(f"events must be a list, got {data['events']!r}")
         try:
             fields["events"] = tuple(_event_from_dict(e) for e in data.get("events", ()))
+            if fields.get("sensors") is not None:
+                fields["sensors"] = _sensors_from_dict(fields["sensors"])
             return cls(**fields)
         except TypeError as error:
             raise ValueError(f"not a scenario: {error}") from error
@@ -259,6 +277,16 @@ class Scenario:
     def from_json(cls, text: str) -> Scenario:
         """Read :meth:`to_json`'s form; a ValueError says what is wrong with the text."""
         return cls.from_dict(parse_json(text, "the text"))
+
+
+def _sensors_from_dict(data: Any) -> Sensors:
+    if not isinstance(data, dict):
+        raise ValueError(f"sensors must be an object with named values, got {data!r:.80}")
+    known = {f.name for f in dataclasses.fields(Sensors)}
+    unknown = sorted(set(data) - known)
+    if unknown:
+        raise ValueError(f"unknown values of sensors {unknown}; known values: {sorted(known)}")
+    return Sensors(**data)
 
 
 def _event_from_dict(data: Any) -> Event:

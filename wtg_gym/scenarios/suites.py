@@ -8,16 +8,19 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from types import MappingProxyType
+from types import EllipsisType, MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from wtg_gym.physics.parameters import GovernorParameters, WtgGroup
 from wtg_gym.physics.scenario import Event, LoadStep, LoadTrip, Scenario
+from wtg_gym.scenarios.benchmark import V0, V1, Benchmark, SuitePlant
 from wtg_gym.scenarios.distribution import ScenarioDistribution
+from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 
 #: Names of the frozen splits, in the order of the seeds' use.
 SPLITS = ("train", "validation", "test")
@@ -53,6 +56,9 @@ class Suite:
         name: name of the suite.
         description: one line on what it is about.
         duration_s: length of its runs [s].
+        benchmark: version of the benchmark that it belongs to.
+        plant: its grid and turbines.
+        sensors: what the errors of the measurements are drawn from; None for exact ones.
         distribution: what its scenarios are drawn from; None for fixed cases.
         cases: the fixed cases, case i having the seed i in every split; empty with a distribution.
         train: seeds to train on.
@@ -66,6 +72,9 @@ class Suite:
     name: str
     description: str
     duration_s: float
+    benchmark: Benchmark = V0
+    plant: SuitePlant = field(default_factory=SuitePlant)
+    sensors: SensorDistribution | None = None
     distribution: ScenarioDistribution | None = None
     cases: tuple[FixedCase, ...] = ()
     train: range = _TRAIN_SEEDS
@@ -112,7 +121,7 @@ class Suite:
         self,
         seed: int,
         *,
-        n_wtg: int = 2,
+        n_wtg: int | None = None,
         n_turbines: Sequence[float] | None = None,
         duration_s: float | None = None,
     ) -> Scenario:
@@ -120,7 +129,7 @@ class Suite:
 
         Args:
             seed: a seed of one of the splits.
-            n_wtg: number of WTG groups.
+            n_wtg: number of WTG groups; None: the suite's own.
             n_turbines: turbines per group, shape (n_wtg,), see :meth:`ScenarioDistribution.draw`; fixed cases have
                 no turbulence to average.
             duration_s: length of the run [s]; None: the suite's own.
@@ -134,19 +143,37 @@ class Suite:
         self,
         seeds: Sequence[int],
         *,
-        n_wtg: int = 2,
+        n_wtg: int | None = None,
         n_turbines: Sequence[float] | None = None,
         duration_s: float | None = None,
+        sensors: SensorDistribution | EllipsisType | None = ...,
     ) -> list[Scenario]:
-        """Return the scenarios of several seeds; everything else as for :meth:`scenario`."""
+        """Return the scenarios of several seeds; everything else as for :meth:`scenario`.
+
+        `sensors` replaces the suite's own; None measures exactly.
+        """
         splits = [self.seeds(split) for split in self._splits]
         for seed in seeds:
             is_whole = isinstance(seed, (int, np.integer)) and not isinstance(seed, bool)
             if not is_whole or not any(int(seed) in split for split in splits):
                 raise ValueError(f"seed {seed!r} is in no split of suite {self.name!r}: {self._split_text()}")
         duration = self.duration_s if duration_s is None else duration_s
+        if n_wtg is None:
+            n_wtg = len(self.plant.groups)
+            n_turbines = [group.n_turbines for group in self.plant.groups] if n_turbines is None else n_turbines
         if self.distribution is not None:
-            return self.distribution.draw_many(seeds, n_wtg, n_turbines, duration)
+            drawn = self.distribution.draw_many(seeds, n_wtg, n_turbines, duration)
+        else:
+            drawn = self._fixed_scenarios(seeds, n_wtg, n_turbines, duration)
+        measuring = self.sensors if sensors is ... else sensors
+        if measuring is None:
+            return drawn
+        errors = measuring.draw_many(self.name, seeds, n_wtg)
+        return [replace(scenario, sensors=own) for scenario, own in zip(drawn, errors, strict=True)]
+
+    def _fixed_scenarios(
+        self, seeds: Sequence[int], n_wtg: int, n_turbines: Sequence[float] | None, duration: float
+    ) -> list[Scenario]:
         if isinstance(n_wtg, bool) or not isinstance(n_wtg, (int, np.integer)) or n_wtg < 1:
             raise ValueError(f"n_wtg must be a positive integer, got {n_wtg!r}")
         if n_turbines is not None and len(n_turbines) != n_wtg:
@@ -179,6 +206,9 @@ class Suite:
             "splits": {split: [s.start, s.stop, s.step] for split, s in seeds.items()},
             "drawn": drawn,
         }
+        if self.benchmark is not V0:
+            data["benchmark"], data["plant"] = asdict(self.benchmark), self.plant.to_dict()
+            data["sensors"] = None if self.sensors is None else asdict(self.sensors)
         text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -226,6 +256,45 @@ def _drawn(name: str, description: str, **settings: Any) -> Suite:
     return Suite(name=name, description=description, duration_s=60.0, distribution=distribution)
 
 
+def _drawn_v1(name: str, description: str, plant: SuitePlant, sensors: SensorDistribution, **settings: Any) -> Suite:
+    distribution = ScenarioDistribution(name=f"{name}-v1", **settings)
+    return Suite(
+        name=f"{name}-v1",
+        description=description,
+        duration_s=60.0,
+        benchmark=V1,
+        plant=plant,
+        sensors=sensors,
+        distribution=distribution,
+        validation=range(10_000, 10_200),
+        test=range(20_000, 21_000),
+    )
+
+
+_WIND_PLANT = SuitePlant(
+    groups=(
+        WtgGroup(bus=2, n_turbines=20),
+        WtgGroup(bus=3, n_turbines=14),
+        WtgGroup(bus=6, n_turbines=10),
+        WtgGroup(bus=8, n_turbines=8),
+    ),
+    physics="extended",
+    generator_mva=250.0,
+    governor=GovernorParameters(lead_time_s=1.0, reheat_time_s=10.0),
+    frequency_limits_hz=(48.5, 51.5),
+    overload_from_pu=1.0,
+)
+_WIND_SCENARIOS: dict[str, Any] = {
+    "mean_wind_m_s": (7.7, 11.5),
+    "load_event_mw": (10.0, 38.0),
+    "net_load_change_mw": 42.0,
+    "governor_droop": (0.03, 0.08),
+    "inertia_scale": (0.25, 0.6),
+    "line_trip_probability": 0.1,
+    "load_trip_probability": 0.1,
+    "wind_ramp_probability": 0.15,
+}
+
 #: Every suite by its name.
 SUITES: Mapping[str, Suite] = MappingProxyType(
     {
@@ -259,6 +328,13 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
                 load_level=(0.9, 1.1),
                 load_noise_mw=1.5,
                 line_trip_probability=0.3,
+            ),
+            _drawn_v1(
+                "standard",
+                "Three fifths of the power from wind, one small governor: the turbines decide.",
+                _WIND_PLANT,
+                SensorDistribution(),
+                **_WIND_SCENARIOS,
             ),
         )
     }
