@@ -1,6 +1,6 @@
 """Grid-forming wind turbine generators on the modified IEEE 14-bus system, as a Gymnasium benchmark.
 
-Importing this package registers `GFMWTG-14bus-v0`. The environments' classes and what scores a policy are loaded, with
+Importing this package registers `GFMWTG-14bus-v0` and `GFMWTG-14bus-v1`. The environments' classes and what scores a policy are loaded, with
 the numerical packages that they need, when they are first used.
 """
 
@@ -24,15 +24,18 @@ try:
 except PackageNotFoundError:  # a checkout that was not installed
     __version__ = "0+unknown"
 
-#: Id of the environment.
-ENV_ID = "GFMWTG-14bus-v0"
+#: Ids of the environments: the paper's system, and the grid that needs the wind.
+ENV_IDS = ("GFMWTG-14bus-v0", "GFMWTG-14bus-v1")
+ENV_ID = ENV_IDS[0]
 
-if ENV_ID not in registry:
-    register(
-        ENV_ID,
-        entry_point="wtg_gym.envs.gfm_wtg:GFMWTGEnv",
-        vector_entry_point="wtg_gym.envs.gfm_wtg:GFMWTGVectorEnv",
-    )
+for _id in ENV_IDS:
+    if _id not in registry:
+        register(
+            _id,
+            entry_point="wtg_gym.envs.gfm_wtg:GFMWTGEnv",
+            vector_entry_point="wtg_gym.envs.gfm_wtg:GFMWTGVectorEnv",
+            kwargs={"version": _id.rpartition("-")[2]},
+        )
 
 #: Public names and their modules, which are imported when a name is first used.
 _PLACES = {
@@ -58,6 +61,7 @@ _PLACES = {
 
 __all__ = [
     "ENV_ID",
+    "ENV_IDS",
     "Entry",
     "GFMWTGEnv",
     "GFMWTGVectorEnv",

@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.envs.observation import N_LOCAL
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation.score import pinned_cost
@@ -48,6 +47,7 @@ class Rollouts:
         self.n_scenarios, self.n_candidates = len(seeds), n_candidates
         self.n_wtg = self.lanes.n_wtg
         self.n_action = self.lanes.n_action // self.n_wtg
+        self._n_own = self.n_wtg * (self.lanes.n_local + self.n_action)
         self._episodes = self.lanes.prepare(self.lanes.scenarios(seeds))
         # One candidate's lanes after another's, each in the order of the scenarios.
         self._order = np.arange(self.lanes.n_lanes).reshape(len(seeds), n_candidates).T.ravel().tolist()
@@ -62,7 +62,7 @@ class Rollouts:
         lanes, shape = self.lanes, (self.n_scenarios, self.n_candidates)
         lanes.commit(self._order, [self._episodes] * self.n_candidates)
         for step in range(self.n_steps):
-            own = lanes.observations.reshape(*shape, self.n_wtg, -1).astype(np.float64)
+            own = lanes.observations[:, : self._n_own].reshape(*shape, self.n_wtg, -1).astype(np.float64)
             actions = np.clip(candidates(step, own), -1.0, 1.0)
             lanes.step(np.ascontiguousarray(actions.reshape(lanes.n_lanes, -1)))
         sums = lanes.cost_sums()
@@ -94,12 +94,12 @@ def linear_feedback(gains: Floats) -> Candidates:
     """Return the feedback a = G o + b of a group's own observation.
 
     Args:
-        gains: (..., n_action, N_LOCAL + 1) per candidate, the last column is b; leading axes as for scenarios and
+        gains: (..., n_action, n_local + 1) per candidate, the last column is b; leading axes as for scenarios and
             candidates, or fewer.
     """
 
     def act(_step: int, own: Floats) -> Floats:
-        actions: Floats = np.einsum("...ij,...wj->...wi", gains[..., :-1], own[..., :N_LOCAL])
+        actions: Floats = np.einsum("...ij,...wj->...wi", gains[..., :-1], own[..., : gains.shape[-1] - 1])
         return actions + gains[..., None, :, -1]
 
     return act

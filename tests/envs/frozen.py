@@ -19,6 +19,7 @@ from tests.envs.rollouts import ACTION_MODES, MODES, OBSERVATION_MODES
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
 from wtg_gym.evaluation.circumstances import versions
 from wtg_gym.scenarios import SUITES
+from wtg_gym.scenarios.benchmark import V0
 
 #: Longer than an episode of every drawn suite, so that lanes start again.
 _N_STEPS, _N_LANES = 640, 17
@@ -93,7 +94,8 @@ def cases() -> dict[str, Callable[[], dict[str, Any]]]:
         found[f"{name}, single"] = lambda: _single(**settings)
         found[f"{name}, batched"] = lambda: _batched(mode, n_threads, **settings)
 
-    for suite, (action, observation) in itertools.product(SUITES, modes):
+    suites = [name for name, suite in SUITES.items() if suite.benchmark is V0]
+    for suite, (action, observation) in itertools.product(suites, modes):
         chosen = {"suite": suite, "action_mode": action, "observation_mode": observation}
         add(f"{suite}, {action}, {observation}", chosen)
     for name, settings in _VARIANTS.items():

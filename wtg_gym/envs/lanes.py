@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.bound import Bound, can_bind, step_bound
-from wtg_gym.envs.observation import observation_names
+from wtg_gym.envs.observation import N_LOCAL, N_MEASURED, observation_names
 from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
 from wtg_gym.envs.task import (
     N_INFO,
@@ -130,6 +130,8 @@ class TaskLanes:
             sensed=self.suite.benchmark.sensed,
         )
         self.n_observation = len(self.observation_names)
+        #: Numbers that each group has of its own in an observation, before its last actions; groups come first.
+        self.n_local = N_MEASURED if self.suite.benchmark.sensed else N_LOCAL
         self.simulator = Simulator(
             plant,
             n_lanes=n_lanes,

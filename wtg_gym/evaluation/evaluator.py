@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym import ENV_ID
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task import TIME_CONSTANT_RATIO
 from wtg_gym.evaluation.circumstances import environment_fingerprint, versions
@@ -124,7 +123,7 @@ def evaluate(
         source_hash=source_hash(),
         seeds=tuple(chosen),
         draw=None if draw is None else {"commit": draw.commit, "secret_sha256": draw.secret_sha256},
-        environment={"id": ENV_ID, "fingerprint": environment_fingerprint(settings)},
+        environment={"id": settings.benchmark().env_id, "fingerprint": environment_fingerprint(settings)},
         settings=shared,
         versions=dict(versions()),
         entries=tuple(entry.to_dict() for entry in competitors),
