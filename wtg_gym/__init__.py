@@ -14,7 +14,16 @@ if TYPE_CHECKING:
     from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
     from wtg_gym.evaluation import Entry, evaluate, leaderboard_rows, load_entries, markdown_table
     from wtg_gym.physics.plant import PlantSettings
-    from wtg_gym.physics.scenario import LineTrip, LoadRamp, LoadStep, LoadTrip, Scenario
+    from wtg_gym.physics.scenario import (
+        GovernorLoss,
+        GroupTrip,
+        LineTrip,
+        LoadRamp,
+        LoadStep,
+        LoadTrip,
+        MachineOutage,
+        Scenario,
+    )
     from wtg_gym.physics.tracking_law import TrackingLaw, get_law
     from wtg_gym.physics.trajectory import Trajectory, simulate
     from wtg_gym.scenarios import get_suite
@@ -42,10 +51,13 @@ _PLACES = {
     "Entry": "evaluation",
     "GFMWTGEnv": "envs",
     "GFMWTGVectorEnv": "envs",
+    "GovernorLoss": "physics.scenario",
+    "GroupTrip": "physics.scenario",
     "LineTrip": "physics.scenario",
     "LoadRamp": "physics.scenario",
     "LoadStep": "physics.scenario",
     "LoadTrip": "physics.scenario",
+    "MachineOutage": "physics.scenario",
     "PlantSettings": "physics.plant",
     "Scenario": "physics.scenario",
     "TrackingLaw": "physics.tracking_law",
@@ -65,10 +77,13 @@ __all__ = [
     "Entry",
     "GFMWTGEnv",
     "GFMWTGVectorEnv",
+    "GovernorLoss",
+    "GroupTrip",
     "LineTrip",
     "LoadRamp",
     "LoadStep",
     "LoadTrip",
+    "MachineOutage",
     "PlantSettings",
     "Scenario",
     "TrackingLaw",

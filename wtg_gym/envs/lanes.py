@@ -28,7 +28,7 @@ from wtg_gym.physics.layout import LaneData
 from wtg_gym.physics.linearisation import STEP_MARGIN, largest_stable_steps
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.records import flatten, leaves
-from wtg_gym.physics.scenario import Event, Scenario
+from wtg_gym.physics.scenario import Event, GroupTrip, Scenario
 from wtg_gym.physics.sensors import sensor_input
 from wtg_gym.physics.simulator import PreparedLanes, Simulator
 from wtg_gym.ranges import whole_steps
@@ -255,6 +255,10 @@ class TaskLanes:
         given = sensor_input(sensors, self.settings.control_dt, self.nominal_hz)
         biases = (0.0,) * self.n_wtg if sensors is None else sensors.wind_bias
         leaves_at = [math.inf] * self.n_wtg
+        for event in scenario.events:
+            if isinstance(event, GroupTrip):
+                step = round(event.time_s / self.settings.simulation_dt)
+                leaves_at[event.group] = min(leaves_at[event.group], float(step))
         return [*flatten(given), *biases, *leaves_at]
 
     def commit(self, lanes: Sequence[int], prepared: Sequence[PreparedEpisodes]) -> None:

@@ -47,7 +47,33 @@ def _plain(record: Any, **checked: Any) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LoadStep:
+class _At:
+    """Something that happens at `time_s` [s]."""
+
+    time_s: float
+
+    def __post_init__(self) -> None:
+        _plain(self, time_s=require_range("event time", self.time_s, 0.0, LONGEST_RUN_S, "s"))
+
+    @property
+    def end_s(self) -> float:
+        """When the event is complete [s]."""
+        return self.time_s
+
+
+@dataclass(frozen=True, kw_only=True)
+class _AtBus(_At):
+    """Something that happens at a bus of the network, at `time_s` [s]."""
+
+    bus: int
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _plain(self, bus=require_bus("bus", self.bus))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoadStep(_AtBus):
     """A constant-impedance load switched on at a bus (negative power: switched off).
 
     The admittance is (P - jQ)/V0² with V0 the bus voltage of the initial power flow.
@@ -59,16 +85,13 @@ class LoadStep:
         reactive_mvar: reactive power at V0 [Mvar].
     """
 
-    time_s: float
-    bus: int
     power_mw: float
     reactive_mvar: float = 0.0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _plain(
             self,
-            time_s=require_range("event time", self.time_s, 0.0, LONGEST_RUN_S, "s"),
-            bus=require_bus("bus", self.bus),
             power_mw=require_range("load step", self.power_mw, *LOAD_CHANGE_RANGE, "MW"),
             reactive_mvar=require_range("load step", self.reactive_mvar, *LOAD_CHANGE_RANGE, "Mvar"),
         )
@@ -84,45 +107,79 @@ class LoadRamp(LoadStep):
         super().__post_init__()
         _plain(self, duration_s=require_range("ramp duration", self.duration_s, 0.1, 3600.0, "s"))
 
+    @property
+    def end_s(self) -> float:
+        """When the ramp is complete [s]."""
+        return self.time_s + self.duration_s
+
 
 @dataclass(frozen=True, kw_only=True)
-class LoadTrip:
+class LoadTrip(_AtBus):
     """The whole initial load of a bus is disconnected at `time_s` [s]."""
 
-    time_s: float
-    bus: int
+
+@dataclass(frozen=True, kw_only=True)
+class LineTrip(_At):
+    """The branch between two buses opens at both ends at `time_s` [s].
+
+    It closes again `recloses_after_s` [s] later; None: never.
+    """
+
+    from_bus: int
+    to_bus: int
+    recloses_after_s: float | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
+        after = self.recloses_after_s
         _plain(
             self,
-            time_s=require_range("event time", self.time_s, 0.0, LONGEST_RUN_S, "s"),
-            bus=require_bus("bus", self.bus),
+            from_bus=require_bus("from_bus", self.from_bus),
+            to_bus=require_bus("to_bus", self.to_bus),
+            recloses_after_s=None
+            if after is None
+            else require_range("recloses_after_s", after, 1e-3, LONGEST_RUN_S, "s"),
         )
+
+    @property
+    def end_s(self) -> float:
+        """When the line closes again, or opens for good [s]."""
+        return self.time_s + (self.recloses_after_s or 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class LineTrip:
-    """The branch between two buses opens at both ends at `time_s` [s]."""
+class GovernorLoss(_AtBus):
+    """The governors at a bus stop acting at `time_s` [s]: gates stay where they are, and droop no longer acts."""
 
-    time_s: float
-    from_bus: int
-    to_bus: int
+
+@dataclass(frozen=True, kw_only=True)
+class MachineOutage(_AtBus):
+    """All synchronous machines at a bus are disconnected at `time_s` [s]; what they feed in is lost."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroupTrip(_At):
+    """A WTG group, the row `group` of the scenario's wind, is disconnected at `time_s` [s]; the run goes on."""
+
+    group: int
 
     def __post_init__(self) -> None:
-        _plain(
-            self,
-            time_s=require_range("event time", self.time_s, 0.0, LONGEST_RUN_S, "s"),
-            from_bus=require_bus("from_bus", self.from_bus),
-            to_bus=require_bus("to_bus", self.to_bus),
-        )
+        super().__post_init__()
+        group = self.group
+        if isinstance(group, bool) or not isinstance(group, (int, np.integer)) or group < 0:
+            raise ValueError(f"group must be the index of a WTG group (0 or more), got {group!r}")
+        _plain(self, group=int(group))
 
 
-Event = LoadStep | LoadRamp | LoadTrip | LineTrip
+Event = LoadStep | LoadRamp | LoadTrip | LineTrip | GovernorLoss | MachineOutage | GroupTrip
 EVENT_KINDS: dict[str, type[Any]] = {
     "load_step": LoadStep,
     "load_ramp": LoadRamp,
     "load_trip": LoadTrip,
     "line_trip": LineTrip,
+    "governor_loss": GovernorLoss,
+    "machine_outage": MachineOutage,
+    "group_trip": GroupTrip,
 }
 _KIND_OF = {cls: kind for kind, cls in EVENT_KINDS.items()}
 
@@ -137,7 +194,7 @@ class Scenario:
             grid without any; linear between samples, the last one holds.
         wind_dt_s: sampling step of `wind_speed` [s].
         duration_s: length of the run [s].
-        events: load and line events, in any order; those after the end of the run do not happen.
+        events: of the kinds above, in any order; those after the end of the run do not happen.
         load_noise_mw: extra resistive load at `load_noise_bus`, one value per `SERIES_DT` [MW], 0 after the last.
             The first value must be zero, so that the run starts in equilibrium.
         load_noise_bus: bus of the load noise.
@@ -237,7 +294,13 @@ class Scenario:
         data = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         data["wind_speed"] = self.wind_speed.tolist()
         data["load_noise_mw"] = self.load_noise_mw.tolist()
-        data["events"] = [{"kind": _KIND_OF[type(e)], **dataclasses.asdict(e)} for e in self.events]
+        data["events"] = [
+            {
+                "kind": _KIND_OF[type(e)],
+                **{key: value for key, value in dataclasses.asdict(e).items() if value is not None},
+            }
+            for e in self.events
+        ]
         if self.sensors is None:
             # Older scenarios know no sensors: their form, and its hash, stay.
             del data["sensors"]

@@ -293,6 +293,9 @@ _WIND_SCENARIOS: dict[str, Any] = {
     "line_trip_probability": 0.1,
     "load_trip_probability": 0.1,
     "wind_ramp_probability": 0.15,
+    "wind_share": (0.4, 0.8),
+    "governor_loss_probability": 0.05,
+    "group_trip_probability": 0.05,
 }
 
 #: Every suite by its name.

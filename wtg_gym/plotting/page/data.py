@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs.rendering.diagram import BUS_PLACES, describe_event
+from wtg_gym.envs.rendering.diagram import BUS_PLACES, describe_event, struck_buses
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import (
     ANCHORS,
@@ -26,7 +26,7 @@ from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.compiled import source_hash
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.parameters import GridFormingParameters, PitchParameters, TurbineParameters
-from wtg_gym.physics.scenario import Event, LineTrip, LoadRamp, LoadStep, Scenario
+from wtg_gym.physics.scenario import Event, LoadStep, Scenario
 from wtg_gym.plotting.page.packing import (
     MISSING,
     RESOLUTIONS,
@@ -247,12 +247,13 @@ def _scenario(
     seed = results.seeds[place]
     droop = "" if scenario.governor_droop is None else f", governor droop {100 * scenario.governor_droop:.1f} %"
     wind = ", ".join(f"{series.mean():.1f}" for series in scenario.wind_speed)
+    buses = [group["bus"] for group in results.settings["groups"]]
     return {
         "seed": seed,
         "name": scenario.name,
         "facts": f"mean wind {wind} m/s, load level {scenario.load_level:.2f}, "
         f"inertia {100 * scenario.inertia_scale:.0f} %{droop}",
-        "events": [_event(event) for event in sorted(scenario.events, key=lambda event: event.time_s)],
+        "events": [_event(event, buses) for event in sorted(scenario.events, key=lambda event: event.time_s)],
         "failures": {
             episode.entry: [episode.failure, round(float(episode.metrics["survived_s"] or 0.0), 1)]
             for episode in results.episodes
@@ -262,11 +263,11 @@ def _scenario(
     }
 
 
-def _event(event: Event) -> dict[str, Any]:
+def _event(event: Event, group_buses: Sequence[int]) -> dict[str, Any]:
     return {
         "time": round(event.time_s, 2),
-        "lasts": round(event.duration_s if isinstance(event, LoadRamp) else 0.0, 2),
-        "buses": [event.from_bus, event.to_bus] if isinstance(event, LineTrip) else [event.bus],
+        "lasts": round(event.end_s - event.time_s, 2),
+        "buses": struck_buses(event, group_buses),
         "text": describe_event(event),
         "load": event.power_mw if isinstance(event, LoadStep) else 0.0,
     }
