@@ -12,9 +12,10 @@ from wtg_gym.analysis.infinite_bus import compare, infinite_bus
 from wtg_gym.analysis.load_models import run_with_loads
 from wtg_gym.analysis.loops import single_machine, with_moving_voltage
 from wtg_gym.analysis.physics_study import count_suite
-from wtg_gym.analysis.plant_forms import HONEST, PAPER, UNLIMITED, PlantRun, plant_forms, rotor_energy, run_plant
+from wtg_gym.analysis.plant_forms import HONEST, NREL, PAPER, UNLIMITED, PlantRun, plant_forms, rotor_energy, run_plant
 from wtg_gym.analysis.voltage_limits import VOLTAGE_LIMIT_PU, voltage_feedback, voltage_limits
-from wtg_gym.physics.parameters import TurbineParameters, VoltageControlParameters
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.physics.parameters import ProtectionParameters, TurbineParameters, VoltageControlParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
@@ -79,6 +80,14 @@ def test_rotors_stall_earlier_and_in_the_papers_order(form: str) -> None:
         ends.append(run.end_s)
     assert ends == sorted(ends)
     assert _run(form, scenario, "coordinated-piecewise").status == Status.RUNNING
+
+
+def test_the_presets_are_those_that_users_choose_and_all_together_lacks_trip_and_shedding_only() -> None:
+    forms = plant_forms()
+    for name, together in (("extended", HONEST), ("nrel-5mw", NREL)):
+        assert forms[name] == EnvSettings(physics=name).plant()
+        lacking = dataclasses.replace(forms[name], protection=ProtectionParameters(), shedding=())
+        assert forms[together] == lacking != forms[name]
 
 
 def test_limits_hold_power_and_current() -> None:

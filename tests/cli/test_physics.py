@@ -10,9 +10,10 @@ import pytest
 from tests.cli.calls import ROOT, error_of
 from wtg_gym.analysis import physics_study
 from wtg_gym.analysis.load_models import run_with_loads
-from wtg_gym.analysis.physics_study import COMPARED
-from wtg_gym.analysis.plant_forms import HONEST, HYDRO, NREL, PAPER, plant_forms, run_plant
+from wtg_gym.analysis.physics_study import COMPARED, count_suite
+from wtg_gym.analysis.plant_forms import HONEST, HYDRO, NREL, PAPER, PRESETS, plant_forms, run_plant
 from wtg_gym.cli import main
+from wtg_gym.physics.protection import Status
 from wtg_gym.scenarios import get_suite
 
 SECTIONS = ("survival", "cases", "parts", "suites", "rotor-energy", "margins", "policies", "loads")
@@ -23,8 +24,8 @@ def test_physics_writes_study_figures_and_page(
 ) -> None:
     # The other plants are compiled for themselves, which takes minutes.
     forms = plant_forms()
-    honest = forms[HONEST]
-    few = {PAPER: forms[PAPER], "rotor energy": forms["rotor energy"], HONEST: honest, NREL: honest, HYDRO: honest}
+    few = {name: forms[name] for name in (PAPER, "rotor energy", HONEST)}
+    few |= dict.fromkeys((NREL, HYDRO, *PRESETS), forms[HONEST])
     monkeypatch.setattr(physics_study, "plant_forms", lambda: few)
     page = tmp_path / "page.md"
     page.write_text("# Page\n\n" + "\n\n".join(f"<!-- {s}:start -->\n<!-- {s}:end -->" for s in SECTIONS) + "\nend\n")
@@ -56,6 +57,12 @@ def test_page_shows_what_the_simulator_does() -> None:
         ends = "/".join(f"{run.end_s:.1f}" for run in runs[1:] if run is not None)
         assert runs[0] is not None
         assert f"| {name} | {runs[0].nadir_hz:.3f} | {runs[0].rocof_hz_s:.3f} | {ends} |" in text
+    trips = [run_plant(plant_forms()["extended"], cases, strategy)[0] for strategy in COMPARED[1:]]
+    assert all(run is not None and run.status == Status.UNDER_SPEED for run in trips)
+    ends = "/".join(f"{run.end_s:.1f}" for run in trips if run is not None)
+    assert text.count(f"{ends} (under-speed)") == 2
+    gust = count_suite(plant_forms()["extended"], "gust", COMPARED[0], 100)
+    assert gust.ends == {"under-speed": gust.failures} and f"gust: {gust.failures} under-speed" in text
     load = run_with_loads("constant power", cases[0], COMPARED[0])
     assert f"| constant power | {load.nadir_hz:.3f} | {load.final_hz:.3f} |" in text
 

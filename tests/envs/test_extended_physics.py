@@ -11,6 +11,7 @@ from wtg_gym import GFMWTGEnv, GFMWTGVectorEnv, evaluate
 from wtg_gym.evaluation.recompute import departures
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.plant import DEAD_BAND_PU, plant_settings
+from wtg_gym.physics.scenario import Scenario
 
 N_STEPS = 40
 
@@ -55,6 +56,28 @@ def test_a_governor_keeps_its_own_dead_band_and_a_case_must_be_one() -> None:
     assert {m.governor.dead_band_pu for m in plant_settings("extended").case.machines if m.governor} == {DEAD_BAND_PU}
     with pytest.raises(ValueError, match="case must be a NetworkCase, got 'x'"):
         plant_settings("extended", case="x")
+
+
+def test_a_chosen_scenario_below_the_under_speed_trip_is_refused_and_a_drawn_one_ends() -> None:
+    slow = Scenario(name="slow", wind_speed=np.array([[8.0], [4.5]]))
+    refused = r"cannot start: the rotor of WTG group 1 .* 4.5 m/s, below the under-speed trip at 0.5 p.u."
+    with pytest.raises(ValueError, match=refused):
+        GFMWTGEnv(physics="extended", scenario=slow)
+    # Single turbines: the wind of one varies more than the mean of ten.
+    singles = [{"bus": 2, "n_turbines": 1.0}] * 2
+    env = GFMWTGEnv(physics="extended", suite="low-wind", groups=singles)
+    batch = GFMWTGVectorEnv(num_envs=2, physics="extended", suite="low-wind", groups=singles)
+    with pytest.raises(ValueError, match=refused):
+        env.reset(options={"scenario": slow})
+    with pytest.raises(ValueError, match=refused):
+        batch.reset(options={"scenarios": [dataclasses.replace(slow, wind_speed=np.array([[8.0], [8.0]])), slow]})
+    # Seed 220 draws 4.9 m/s for the second turbine.
+    env.reset(seed=220)
+    *_, terminated, _, info = env.step(np.zeros(4, dtype=np.float32))
+    assert terminated and info["termination_reason"] == "under-speed"
+    batch.reset(seed=[220, 0])
+    *_, ended, _, infos = batch.step(np.zeros((2, 4), dtype=np.float32))
+    assert ended.tolist() == [True, False] and infos["termination_reason"][0] == "under-speed"
 
 
 def test_results_of_another_physics_depart_from_the_benchmark() -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.envs.lanes import TERMINATION_REASONS
 from wtg_gym.files import markdown_table
 from wtg_gym.physics.parameters import WtgGroup, default_groups
 from wtg_gym.physics.plant import plant_settings
@@ -71,7 +73,7 @@ def study_aggregation(
     """Run validation scenarios on the default groups and on their twenty single turbines.
 
     Mean wind and events are the suite's; turbulence is drawn for every turbine, and a group's wind is the mean of its
-    turbines'. Stalled turbines and groups are disconnected, and the run goes on.
+    turbines'. Turbines and groups whose rotor fails are disconnected, and the run goes on.
 
     Args:
         n_scenarios: how many, from the first validation seed on.
@@ -80,7 +82,7 @@ def study_aggregation(
         on_progress: called with (strategy, strategies done, strategies in all).
 
     Raises:
-        ValueError: the suite has no random scenarios, or not so many.
+        ValueError: the suite has no random scenarios, or not so many; or a run ends early.
     """
     chosen = get_suite(suite)
     allowed = chosen.seeds("validation")
@@ -109,7 +111,7 @@ def study_aggregation(
     found: list[dict[str, Totals]] = [{}, {}]
     for done, strategy in enumerate(STRATEGIES):
         for place, plant_groups in ((0, alone), (1, groups)):
-            found[place][strategy] = _run([pair[place] for pair in pairs], strategy, plant_groups, physics)
+            found[place][strategy] = totals_of([pair[place] for pair in pairs], strategy, plant_groups, physics)
         if on_progress is not None:
             on_progress(strategy, done + 1, len(STRATEGIES))
     single, group = np.mean(sigmas, axis=0)
@@ -124,7 +126,12 @@ def study_aggregation(
     )
 
 
-def _run(scenarios: list[Scenario], strategy: str, groups: tuple[WtgGroup, ...], physics: str) -> Totals:
+def totals_of(scenarios: list[Scenario], strategy: str, groups: tuple[WtgGroup, ...], physics: str) -> Totals:
+    """Run scenarios side by side and add up.
+
+    Raises:
+        ValueError: a run ends early.
+    """
     settings = plant_settings(physics, groups=groups, trips_groups=True)
     simulator = Simulator(settings, n_lanes=len(scenarios), duration_s=max(s.duration_s for s in scenarios))
     laws = group_laws(strategy, len(groups), settings.turbine, settings.control)
@@ -132,9 +139,11 @@ def _run(scenarios: list[Scenario], strategy: str, groups: tuple[WtgGroup, ...],
     for _ in range(simulator.n_intervals):
         simulator.advance()
     simulator.close()
-    broken = simulator.lane_values("status") == Status.NUMERICAL_FAILURE
-    if broken.any():
-        raise ValueError(f"{int(broken.sum())} of {len(scenarios)} runs under {strategy} failed numerically")
+    # The energy of a run that ends early would be short.
+    ends = Counter(Status(int(status)) for status in simulator.lane_values("status") if status != Status.RUNNING)
+    if ends:
+        reasons = ", ".join(f"{TERMINATION_REASONS[status]} ({n})" for status, n in ends.items())
+        raise ValueError(f"of {len(scenarios)} runs under {strategy} {ends.total()} end early: {reasons}")
     return Totals(
         energy_pu_s=simulator.wtg_values("energy_captured").mean(axis=1),
         least_ratio=simulator.wtg_values("least_tsr").min(axis=1),
@@ -175,4 +184,4 @@ def aggregation_table(study: AggregationStudy) -> str:
     return markdown_table(header, rows, right=tuple(range(1, len(header))))
 
 
-__all__ = ["STRATEGIES", "AggregationStudy", "Totals", "aggregation_table", "study_aggregation"]
+__all__ = ["STRATEGIES", "AggregationStudy", "Totals", "aggregation_table", "study_aggregation", "totals_of"]

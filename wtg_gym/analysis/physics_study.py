@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -12,31 +13,37 @@ from wtg_gym.analysis.load_models import LOAD_MODELS, LoadRun, run_with_loads
 from wtg_gym.analysis.loops import PAPER_SYNCHRONISING_COEFFICIENT, single_machine
 from wtg_gym.analysis.plant_forms import (
     HONEST,
+    HYDRO,
+    NREL,
     PAPER,
-    VOLTAGE_CONTROL,
+    PRESETS,
     WINDS,
     PlantRun,
     RotorEnergy,
+    least_start_wind,
     plant_forms,
     rotor_energy,
     run_plant,
 )
 from wtg_gym.analysis.power_frequency import critical_frequency_pu
 from wtg_gym.analysis.voltage_limits import REGULATED_PU, VoltageLimit, start_at, voltage_limits
+from wtg_gym.envs.lanes import TERMINATION_REASONS
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.nrel5mw import nrel_5mw
-from wtg_gym.physics.parameters import TurbineParameters
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.parameters import TurbineParameters, VoltageControlParameters
+from wtg_gym.physics.plant import PlantSettings, plant_settings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law
 from wtg_gym.scenarios import get_suite
 
 #: The reference first.
 COMPARED = (REFERENCE_STRATEGY, "mppt", "deloaded-5", "deloaded-10")
-#: Suites of every form, and those of the paper's, the energy-consistent and the honest form alone.
-SUITES_OF_ALL, FURTHER_SUITES = ("standard", "low-wind"), ("gust", "weak-grid")
+#: Plants in which the paper's conclusions are checked, and those whose failures are shown side by side.
+CHECKED = (PAPER, HONEST, NREL, HYDRO, *PRESETS)
 THREE_FORMS = (PAPER, "rotor energy", HONEST)
+#: Suites of every plant, and those of the plants above alone.
+SUITES_OF_ALL, FURTHER_SUITES = ("standard", "low-wind"), ("gust", "weak-grid")
 #: The wind at which critical frequencies are compared: that of the group that stalls [m/s].
 CRITICAL_WIND = 8.0
 
@@ -47,7 +54,8 @@ class SuiteCount:
 
     Args:
         n_scenarios, refused: how many, and how many of them the plant does not start.
-        failures, motoring: runs that end in a failure, and runs in which a group's p falls below 0.
+        ends: runs that end in a failure, by its reason.
+        motoring: runs in which a group's p falls below 0.
         nadirs_hz: of every scenario, not a number where it failed or did not start (n_scenarios,) [Hz].
         least_ratio: smallest tip-speed ratio of all runs.
         least_rotor_pu, peak_current_pu: extremes of ω_m and |I| [p.u.].
@@ -57,7 +65,7 @@ class SuiteCount:
 
     n_scenarios: int
     refused: int
-    failures: int
+    ends: Mapping[str, int]
     motoring: int
     nadirs_hz: Floats
     least_ratio: float
@@ -65,6 +73,11 @@ class SuiteCount:
     peak_current_pu: float
     internal_pu: tuple[float, float]
     lowest_hz: float
+
+    @property
+    def failures(self) -> int:
+        """Return the number of runs that end in a failure."""
+        return sum(self.ends.values())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,6 +88,7 @@ class PhysicsStudy:
         scenario: the paper's load increase.
         increase, decrease: the paper's cases, by plant and strategy.
         counts: by plant, suite and strategy.
+        least_start_m_s: by preset and strategy, the wind below which rotors start below the under-speed trip [m/s].
         energy: the rotor's energy, by wind, down to the frequency at which the load increase settles.
         settled_hz: that frequency [Hz].
         held, limited, regulated, consistent, nrel: starts: constant E at the scheduled voltage and where |E| is at most
@@ -88,6 +102,7 @@ class PhysicsStudy:
     increase: Mapping[str, Mapping[str, PlantRun]]
     decrease: Mapping[str, Mapping[str, PlantRun]]
     counts: Mapping[str, Mapping[str, Mapping[str, SuiteCount]]]
+    least_start_m_s: Mapping[str, Mapping[str, float]]
     energy: tuple[RotorEnergy, ...]
     settled_hz: float
     held: VoltageLimit
@@ -120,7 +135,7 @@ def study_physics(n_scenarios: int, on_progress: Callable[[str, float, int], Non
             for table, run in zip((increase, decrease), runs, strict=True):
                 assert run is not None, f"the paper's case does not start in the plant {name!r}"
                 table[name][strategy] = run
-        for suite in (*SUITES_OF_ALL, *(FURTHER_SUITES if name in THREE_FORMS else ())):
+        for suite in (*SUITES_OF_ALL, *(FURTHER_SUITES if name in {*CHECKED, *THREE_FORMS} else ())):
             counts[name][suite] = {s: count_suite(settings, suite, s, n_scenarios) for s in COMPARED}
     on_progress("small signal and loads", len(forms) - 0.5, len(forms))
     case, hertz = cases[0], modified_ieee14().frequency_hz
@@ -138,13 +153,14 @@ def study_physics(n_scenarios: int, on_progress: Callable[[str, float, int], Non
         return None if found is None else hertz * found
 
     def regulated(turbine: TurbineParameters | None = None) -> VoltageLimit:
-        return start_at(case, REGULATED_PU, turbine=turbine, voltage_control=VOLTAGE_CONTROL)
+        return start_at(case, REGULATED_PU, turbine=turbine, voltage_control=VoltageControlParameters())
 
     return PhysicsStudy(
         scenario=case,
         increase=increase,
         decrease=decrease,
         counts=counts,
+        least_start_m_s={name: {s: least_start_wind(plant_settings(name), s) for s in COMPARED} for name in PRESETS},
         energy=tuple(rotor_energy(wind, settled_hz / hertz) for wind in WINDS),
         settled_hz=settled_hz,
         held=held,
@@ -168,7 +184,7 @@ def count_suite(settings: PlantSettings, suite: str, strategy: str, n_scenarios:
     return SuiteCount(
         n_scenarios=len(runs),
         refused=len(runs) - len(started),
-        failures=sum(run.failed for run in started),
+        ends=Counter(TERMINATION_REASONS[run.status] for run in started if run.failed),
         motoring=sum(bool((run.power_pu < 0.0).any()) for run in started),
         nadirs_hz=np.array([np.nan if run is None or run.failed else run.nadir_hz for run in runs]),
         least_ratio=min(float(run.least_ratio.min()) for run in started),
@@ -222,7 +238,8 @@ def as_data(study: PhysicsStudy) -> dict[str, object]:
 def _count_data(count: SuiteCount) -> dict[str, object]:
     nadirs = count.nadirs_hz[~np.isnan(count.nadirs_hz)]
     median = float(np.median(nadirs)) if nadirs.size else None
-    return {**{k: v for k, v in vars(count).items() if k != "nadirs_hz"}, "median_nadir_hz": median}
+    plain = {k: v for k, v in vars(count).items() if k != "nadirs_hz"}
+    return {**plain, "failures": count.failures, "median_nadir_hz": median}
 
 
 def _plain(value: object) -> object:

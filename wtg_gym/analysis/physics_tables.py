@@ -2,24 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from wtg_gym.analysis.load_models import LOAD_MODELS, LoadRun
 from wtg_gym.analysis.loops import PAPER_SYNCHRONISING_COEFFICIENT
-from wtg_gym.analysis.physics_study import COMPARED, CRITICAL_WIND, SUITES_OF_ALL, THREE_FORMS, PhysicsStudy, SuiteCount
-from wtg_gym.analysis.plant_forms import HONEST, HYDRO, NREL, PAPER, PlantRun
+from wtg_gym.analysis.physics_study import (
+    CHECKED,
+    COMPARED,
+    CRITICAL_WIND,
+    SUITES_OF_ALL,
+    THREE_FORMS,
+    PhysicsStudy,
+    SuiteCount,
+)
+from wtg_gym.analysis.plant_forms import HONEST, NREL, PAPER, PlantRun
 from wtg_gym.analysis.voltage_limits import VOLTAGE_LIMIT_PU, VoltageLimit
+from wtg_gym.envs.lanes import TERMINATION_REASONS
 from wtg_gym.files import markdown_table
-from wtg_gym.physics.layout import Floats
+from wtg_gym.physics.protection import Status
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 
 #: Largest difference of nadirs that "slightly lower" covers [Hz].
 _SLIGHTLY_HZ = 0.01
 #: The second step of the paper's load increase; its claims on nadir and RoCoF are about the first [s].
 _SECOND_STEP_S = 30.0
-_CHECKED = (PAPER, HONEST, NREL, HYDRO)
 
 
 def physics_sections(study: PhysicsStudy) -> dict[str, str]:
@@ -36,59 +44,61 @@ def physics_sections(study: PhysicsStudy) -> dict[str, str]:
 
 
 def _survival(study: PhysicsStudy) -> str:
-    """Return the paper's conclusions against four plants."""
+    """Return the paper's conclusions against several plants."""
     reference, others = COMPARED[0], COMPARED[1:]
 
     def verdict(holds: bool, text: str) -> str:
         return f"{'yes' if holds else '**no**'}: {text}"
 
     def keeps(plant: str) -> str:
-        rows = study.counts[plant].values()
-        failures = sum(row[reference].failures for row in rows)
-        in_cases = sum(table[plant][reference].failed for table in (study.increase, study.decrease))
-        n = sum(row[reference].n_scenarios for row in rows) + 2
-        return verdict(failures + in_cases == 0, f"{failures + in_cases}/{n}")
+        runs = {suite: row[reference] for suite, row in study.counts[plant].items()}
+        ends = [(suite, n, reason) for suite, row in runs.items() for reason, n in row.ends.items()]
+        for name, table in (("load increase", study.increase), ("load decrease", study.decrease)):
+            if table[plant][reference].failed:
+                ends.append((name, 1, TERMINATION_REASONS[table[plant][reference].status]))
+        n_failed = sum(n for _, n, _ in ends)
+        n_runs = sum(row.n_scenarios for row in runs.values()) + 2
+        where = f" ({', '.join(f'{name}: {n} {reason}' for name, n, reason in ends)})" if ends else ""
+        return verdict(n_failed == 0, f"{n_failed}/{n_runs}{where}")
 
-    def stalls(plant: str) -> str:
+    def fail(plant: str) -> str:
         runs = [study.increase[plant][s] for s in others]
         ends = [run.end_s for run in runs]
         return verdict(all(run.failed for run in runs) and ends == sorted(set(ends)), _ends(runs))
 
-    def first_step(plant: str) -> dict[str, PlantRun]:
-        return {s: study.increase[plant][s].until(_SECOND_STEP_S) for s in COMPARED}
-
     def nadir(plant: str) -> str:
-        runs = first_step(plant)
+        runs, until = _together(study.increase[plant], _SECOND_STEP_S)
         below = [1e3 * (runs[s].nadir_hz - runs[reference].nadir_hz) for s in others]
-        cut = ", others stalled" if all(runs[s].end_s < _SECOND_STEP_S for s in others) else ""
-        return verdict(min(below) > 0.0 and max(below) < 1e3 * _SLIGHTLY_HZ, f"{_range(below, 0)}{cut}")
+        return verdict(min(below) > 0.0 and max(below) < 1e3 * _SLIGHTLY_HZ, f"{_range(below, 0)}{until}")
 
     def rocof(plant: str) -> str:
-        runs = first_step(plant)
+        runs, _ = _together(study.increase[plant], _SECOND_STEP_S)
         own, least = runs[reference].rocof_hz_s, min(runs[s].rocof_hz_s for s in others)
         return verdict(own < least, f"{own:.3f} to {least:.3f}")
 
     def rise(plant: str) -> str:
-        runs = study.decrease[plant]
+        runs, until = _together(study.decrease[plant], study.scenario.duration_s)
         speeds = {s: runs[s].rotor_pu.max(axis=0) - runs[s].rotor_pu[0] for s in (reference, *others[1:])}
         own = speeds.pop(reference)
         least = np.min(list(speeds.values()), axis=0)
-        return verdict(bool((own < least).all()), f"{_pair(own, 2)} to {_pair(least, 2)}")
+        return verdict(bool((own < least).all()), f"{_slashed(own, 2)} to {_slashed(least, 2)}{until}")
 
     rows = [
         ("coordinated never fails", keeps),
-        ("MPPT, 5, 10 % stall in turn [s]", stalls),
+        ("MPPT, 5, 10 % fail in turn [s]", fail),
         ("its nadir is lower, by < 10 mHz", nadir),
         ("its RoCoF is smaller [Hz/s]", rocof),
         ("its rotors rise less, load decrease [p.u.]", rise),
     ]
-    cells = [(name, *(check(plant) for plant in _CHECKED)) for name, check in rows]
+    cells = [(name, *(check(plant) for plant in CHECKED)) for name, check in rows]
     starts = {s: float(study.increase[NREL][s].power_pu[0, 0]) for s in COMPARED}
     held_back = "/".join(f"{100.0 * (1.0 - starts[s] / starts['mppt']):.0f}" for s in (reference, *others[1:]))
-    table = markdown_table(("the paper concludes", *_CHECKED), cells)
+    table = markdown_table(("the paper concludes", *CHECKED), cells)
+    least_winds = ", ".join(f"{_slashed(row.values(), 1)} m/s ({name})" for name, row in study.least_start_m_s.items())
     return (
         f"{table}\n\nWith the NREL rotor the pitch protection acts at 11.4 m/s: coordinated, 5 % and 10 % hold back "
-        f"{held_back} % of MPPT's power there."
+        f"{held_back} % of MPPT's power there.\n\n"
+        f"Rotors start below the under-speed trip in less wind than {least_winds} under coordinated/MPPT/5 %/10 %."
     )
 
 
@@ -96,7 +106,7 @@ def _cases(study: PhysicsStudy) -> str:
     header = (
         "strategy",
         "plant",
-        "stall [s]",
+        "fails at [s]",
         "nadir [Hz]",
         "RoCoF [Hz/s]",
         "least ω_m",
@@ -128,7 +138,7 @@ def _parts(study: PhysicsStudy) -> str:
         "plant",
         "nadir [Hz]",
         "RoCoF [Hz/s]",
-        "stalls [s]",
+        "fail at [s]",
         *SUITES_OF_ALL,
         "nadirs [mHz]",
         "least λ",
@@ -224,7 +234,15 @@ def _rotor_energy(study: PhysicsStudy) -> str:
 
 def _margins(study: PhysicsStudy) -> str:
     rows = [
-        ("the paper's", "–", "–", "–", f"{PAPER_SYNCHRONISING_COEFFICIENT:g}", "–", _pair(study.paper_margins_deg, 0))
+        (
+            "the paper's",
+            "–",
+            "–",
+            "–",
+            f"{PAPER_SYNCHRONISING_COEFFICIENT:g}",
+            "–",
+            _slashed(study.paper_margins_deg, 0),
+        )
     ]
     forms: dict[str, VoltageLimit] = {
         "constant E": study.held,
@@ -237,11 +255,13 @@ def _margins(study: PhysicsStudy) -> str:
         (
             name,
             f"{form.bus_voltage_pu:.3f}",
-            _pair(form.voltage_pu, 2),
-            _pair(form.reactive_pu, 2),
-            _pair(form.synchronising_coefficient, 2),
-            _pair(form.slow_coefficient, 2) if (form.slow_coefficient != form.synchronising_coefficient).any() else "–",
-            _pair(form.phase_margin_deg, 0),
+            _slashed(form.voltage_pu, 2),
+            _slashed(form.reactive_pu, 2),
+            _slashed(form.synchronising_coefficient, 2),
+            _slashed(form.slow_coefficient, 2)
+            if (form.slow_coefficient != form.synchronising_coefficient).any()
+            else "–",
+            _slashed(form.phase_margin_deg, 0),
         )
         for name, form in forms.items()
     ]
@@ -271,15 +291,27 @@ def _loads(runs: Sequence[LoadRun]) -> str:
                 _ends(list(own.values())),
             )
         )
-    header = ("loads", "nadir [Hz]", "settles at [Hz]", "least V [p.u.]", "stalls [s]")
+    header = ("loads", "nadir [Hz]", "settles at [Hz]", "least V [p.u.]", "fail at [s]")
     return markdown_table(header, rows, right=range(1, 5))
 
 
+def _together(runs: Mapping[str, PlantRun], limit_s: float) -> tuple[dict[str, PlantRun], str]:
+    """Return runs up to a time or the first one's end, whatever comes first, and words for that end."""
+    end_s = min(limit_s, *(run.end_s for run in runs.values()))
+    cut = {name: run.until(end_s) for name, run in runs.items()}
+    return cut, f" until {end_s:.1f} s" if end_s < limit_s else ""
+
+
 def _ends(runs: Sequence[PlantRun | LoadRun]) -> str:
-    return "/".join(f"{run.end_s:.1f}" if run.status else "none" for run in runs)
+    """Return when runs fail, and why unless they all stall."""
+    times = "/".join(f"{run.end_s:.1f}" if run.status else "none" for run in runs)
+    reasons = [TERMINATION_REASONS[run.status] for run in runs if run.status]
+    if all(run.status in (Status.RUNNING, Status.STALL) for run in runs):
+        return times
+    return f"{times} ({reasons[0] if len(set(reasons)) == 1 else '/'.join(reasons)})"
 
 
-def _pair(values: Floats, digits: int) -> str:
+def _slashed(values: Iterable[float], digits: int) -> str:
     return "/".join(f"{value:.{digits}f}" for value in values)
 
 

@@ -18,26 +18,24 @@ from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.nrel5mw import nrel_5mw
 from wtg_gym.physics.parameters import (
     ConverterLimitParameters,
-    GovernorParameters,
     GridFormingParameters,
     HydroGovernorParameters,
     ProtectionParameters,
     TurbineParameters,
-    VoltageControlParameters,
-    european_shedding,
 )
-from wtg_gym.physics.plant import DEAD_BAND_PU, ROTOR_SPEED_MIN_PU, PlantSettings
+from wtg_gym.physics.plant import PHYSICS, PlantSettings, plant_settings
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, TrackingLaw, group_laws
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, TrackingLaw, get_law, group_laws
 
 #: Limits that nothing reaches.
 UNLIMITED = ConverterLimitParameters(
     current_max_pu=10.0, power_max_pu=10.0, power_min_pu=-10.0, power_gain=0.0, power_integral_gain=0.0
 )
-VOLTAGE_CONTROL = VoltageControlParameters()
 PAPER, HONEST, NREL, HYDRO = "the paper's", "all together", "all, NREL 5 MW turbine", "all, hydro and shedding"
+#: The kinds of physics that environment and commands offer besides the paper's.
+PRESETS = PHYSICS[1:]
 #: Winds of the energy balance [m/s].
 WINDS = (6.0, 8.0, 10.0, 11.4)
 #: Window of the rate of change of frequency [s].
@@ -45,44 +43,32 @@ _ROCOF_WINDOW_S = 0.5
 
 
 def plant_forms() -> Mapping[str, PlantSettings]:
-    """Return plants by what they add to the paper's: one part each, and parts together."""
+    """Return the plants by name: the paper's, it with one part more each, with parts together, and the presets."""
     paper = PlantSettings(limits=UNLIMITED)
-    energy = TurbineParameters(conserves_energy=True)
+    presets = {name: plant_settings(name) for name in PRESETS}
+    extended = presets["extended"]
     limits = dataclasses.replace(ConverterLimitParameters(), power_min_pu=UNLIMITED.power_min_pu)
     chopper = dataclasses.replace(UNLIMITED, power_min_pu=0.0)
-    dead_band = _with_governor(GovernorParameters(dead_band_pu=DEAD_BAND_PU))
     # The stages are there, and shed nothing: a plant without them would be compiled for itself.
-    idle = tuple(dataclasses.replace(stage, share=0.0) for stage in european_shedding())
-    hydro = HydroGovernorParameters(droop_pu=GovernorParameters().droop_pu)
-    honest = PlantSettings(
-        case=dead_band.case, turbine=energy, limits=ConverterLimitParameters(), voltage_control=VOLTAGE_CONTROL
-    )
-    under_speed = ProtectionParameters(rotor_speed_min_pu=ROTOR_SPEED_MIN_PU)
-    water = dataclasses.replace(hydro, dead_band_pu=DEAD_BAND_PU)
+    idle = tuple(dataclasses.replace(stage, share=0.0) for stage in extended.shedding)
+    hydro = modified_ieee14().with_governors(lambda steam: HydroGovernorParameters(droop_pu=steam.droop_pu))
+    untripped = ProtectionParameters()
     return {
         PAPER: paper,
-        "rotor energy": dataclasses.replace(paper, turbine=energy),
+        "rotor energy": dataclasses.replace(paper, turbine=extended.turbine),
         "current and power limits": dataclasses.replace(paper, limits=limits),
         "chopper": dataclasses.replace(paper, limits=chopper),
-        "voltage control": dataclasses.replace(paper, voltage_control=VOLTAGE_CONTROL),
-        "dead band": dataclasses.replace(paper, case=dead_band.case),
-        HONEST: honest,
-        "under-speed trip": dataclasses.replace(paper, protection=under_speed),
+        "voltage control": dataclasses.replace(paper, voltage_control=extended.voltage_control),
+        "dead band": dataclasses.replace(paper, case=extended.case),
+        HONEST: plant_settings("extended", protection=untripped, shedding=()),
+        "under-speed trip": dataclasses.replace(paper, protection=extended.protection),
         "NREL 5 MW rotor": dataclasses.replace(paper, turbine=nrel_5mw(conserves_energy=False)),
-        NREL: dataclasses.replace(honest, turbine=nrel_5mw()),
-        "hydro governor": dataclasses.replace(paper, case=_with_governor(hydro).case, shedding=idle),
-        "hydro governor, shedding": dataclasses.replace(
-            paper, case=_with_governor(hydro).case, shedding=european_shedding()
-        ),
-        HYDRO: dataclasses.replace(honest, case=_with_governor(water).case, shedding=european_shedding()),
+        NREL: plant_settings("nrel-5mw", protection=untripped, shedding=()),
+        "hydro governor": dataclasses.replace(paper, case=hydro, shedding=idle),
+        "hydro governor, shedding": dataclasses.replace(paper, case=hydro, shedding=extended.shedding),
+        HYDRO: plant_settings("extended", protection=untripped, case=hydro),
+        **presets,
     }
-
-
-def _with_governor(governor: GovernorParameters | HydroGovernorParameters) -> PlantSettings:
-    """Return the paper's plant with another governor at bus 1."""
-    case = modified_ieee14()
-    machines = tuple(dataclasses.replace(m, governor=governor) if m.governor else m for m in case.machines)
-    return PlantSettings(case=dataclasses.replace(case, machines=machines))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,6 +105,15 @@ def rotor_energy(wind_m_s: float, frequency_pu: float) -> RotorEnergy:
         credited_s=2.0 * inertia_s * (before - after),
         stored_s=inertia_s * (before**2 - after**2),
     )
+
+
+def least_start_wind(settings: PlantSettings, strategy: str) -> float:
+    """Return the wind below which rotors start below a plant's under-speed trip under a strategy [m/s]."""
+    law, some_wind = get_law(strategy, settings.turbine, settings.control), 6.0
+    point = stable_equilibrium(settings.control.frequency_setpoint_pu, law, some_wind, turbine=settings.turbine)
+    assert point is not None
+    # At nominal frequency and with blades at rest a law holds one tip-speed ratio, whatever the wind.
+    return some_wind * settings.protection.rotor_speed_min_pu / point.rotor_speed_pu
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,7 +19,6 @@ from wtg_gym.analysis.step_error import (
     study_accuracy,
 )
 from wtg_gym.cli.output import (
-    FIGURE_FORMATS,
     Progress,
     check_output_folder,
     check_page,
@@ -31,7 +30,7 @@ from wtg_gym.cli.output import (
     say,
     update_page,
 )
-from wtg_gym.cli.parser import Commands, add_command
+from wtg_gym.cli.parser import Commands, add_command, add_output_options
 from wtg_gym.files import to_json, write_atomically
 from wtg_gym.scenarios import SUITES
 
@@ -59,17 +58,12 @@ def add_commands(commands: Commands) -> None:
     )
     drawn = [name for name, suite in SUITES.items() if suite.distribution is not None]
     parser.add_argument("--suite", choices=drawn, default="standard", help="(default: standard)")
-    out = parser.add_argument_group("output")
-    out.add_argument("--output", metavar="FOLDER", help="write the figure 'accuracy' and accuracy.json there")
-    out.add_argument(
-        "--formats",
-        nargs="+",
-        choices=FIGURE_FORMATS,
-        default=["svg", "png"],
-        help="of the figure (default: svg png)",
+    add_output_options(
+        parser,
+        output="write the figure 'accuracy' and accuracy.json there",
+        page="Markdown file with markers 'accuracy' to put the tables between",
+        json="print the study as JSON, and nothing else, on stdout",
     )
-    out.add_argument("--page", metavar="FILE", help="Markdown file with markers 'accuracy' to put the tables between")
-    out.add_argument("--json", action="store_true", help="print the study as JSON, and nothing else, on stdout")
 
 
 def run(arguments: argparse.Namespace) -> int:

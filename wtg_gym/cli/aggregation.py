@@ -14,8 +14,8 @@ from wtg_gym.scenarios import SUITES
 _DESCRIPTION = f"""\
 Plays random scenarios twice: with two groups of ten turbines, each in the mean wind of its turbines, and with twenty
 groups of one turbine, each in its own wind. Counts captured energy, smallest tip-speed ratios, trips and nadirs under
-{", ".join(STRATEGIES)}. A turbine or group that stalls is disconnected. The twenty groups are compiled once
-(about a minute); 60 scenarios take about a minute more."""
+{", ".join(STRATEGIES)}. A turbine or group whose rotor fails is disconnected. The twenty groups are compiled
+once (about a minute); 60 scenarios take about a minute more."""
 
 
 def add_commands(commands: Commands) -> None:

@@ -17,7 +17,6 @@ from wtg_gym.analysis.benchmarks.peers import peer_packages
 from wtg_gym.analysis.benchmarks.timing import machine, versions
 from wtg_gym.analysis.benchmarks.training import describe_training
 from wtg_gym.cli.output import (
-    FIGURE_FORMATS,
     Progress,
     check_output_folder,
     check_page,
@@ -29,7 +28,7 @@ from wtg_gym.cli.output import (
     say,
     update_page,
 )
-from wtg_gym.cli.parser import Commands, add_command
+from wtg_gym.cli.parser import Commands, add_command, add_output_options
 from wtg_gym.files import markdown_table, read_text, to_json, write_atomically
 from wtg_gym.ranges import require_range
 
@@ -72,15 +71,12 @@ def add_commands(commands: Commands) -> None:
         help=f"growth up to {ALL_GROUPS[-1]} groups and {ALL_MACHINES[-1]} machines instead of {GROUPS[-1]} and "
         f"{MACHINES[-1]}",
     )
-    out = parser.add_argument_group("output")
-    out.add_argument("--output", metavar="FOLDER", help="write bench.json there, and the figure 'growth' if measured")
-    out.add_argument(
-        "--formats", nargs="+", choices=FIGURE_FORMATS, default=["svg", "png"], help="of the figure (default: svg png)"
+    add_output_options(
+        parser,
+        output="write bench.json there, and the figure 'growth' if measured",
+        page="Markdown file; a measured part's tables go between the markers 'bench:PART'",
+        json="print the result as JSON, and nothing else, on stdout",
     )
-    out.add_argument(
-        "--page", metavar="FILE", help="Markdown file; a measured part's tables go between the markers 'bench:PART'"
-    )
-    out.add_argument("--json", action="store_true", help="print the result as JSON, and nothing else, on stdout")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Callable
 from typing import Any, NoReturn
 
+from wtg_gym.cli.output import FIGURE_FORMATS
 from wtg_gym.envs.settings import FAILURE_MODES, MACHINE_MODELS
 from wtg_gym.physics.plant import PHYSICS
 
@@ -69,6 +70,25 @@ def add_command(
     return parser
 
 
+def add_output_options(
+    parser: argparse.ArgumentParser, *, output: str, page: str, json: str, default: str | None = None
+) -> None:
+    """Add the options of what a command writes besides a table on stdout.
+
+    Args:
+        parser: of the command.
+        output, page, json: help of the folder, of the Markdown file and of JSON on stdout.
+        default: the folder if none is given; None writes no files then.
+    """
+    out = parser.add_argument_group("output")
+    out.add_argument("--output", default=default, metavar="FOLDER", help=output)
+    out.add_argument(
+        "--formats", nargs="+", choices=FIGURE_FORMATS, default=["svg", "png"], help="of the figures (default: svg png)"
+    )
+    out.add_argument("--page", metavar="FILE", help=page)
+    out.add_argument("--json", action="store_true", help=json)
+
+
 def add_plant_options(parser: argparse.ArgumentParser, *, default_groups: str = "2") -> None:
     """Add the options of the plant and of the time steps; `default_groups` describes the default of `--groups`."""
     plant = parser.add_argument_group("plant and time steps")
@@ -96,7 +116,8 @@ def add_plant_options(parser: argparse.ArgumentParser, *, default_groups: str = 
         "--on-failure",
         choices=FAILURE_MODES,
         default="terminate",
-        help="a stalled or over-speeding group ends the run, or is disconnected (default: terminate)",
+        help="the failure of a rotor (stall, over-speed, under-speed) ends the run, or disconnects its group (default: "
+        "terminate)",
     )
     plant.add_argument(
         "--physics",

@@ -5,10 +5,16 @@ from __future__ import annotations
 import argparse
 import dataclasses
 
-from wtg_gym.analysis.physics_study import COMPARED, PhysicsStudy, as_data, study_physics
+from wtg_gym.analysis.physics_study import (
+    COMPARED,
+    FURTHER_SUITES,
+    SUITES_OF_ALL,
+    PhysicsStudy,
+    as_data,
+    study_physics,
+)
 from wtg_gym.analysis.physics_tables import physics_sections
 from wtg_gym.cli.output import (
-    FIGURE_FORMATS,
     Progress,
     check_output_folder,
     check_page,
@@ -19,7 +25,7 @@ from wtg_gym.cli.output import (
     require_extra,
     update_page,
 )
-from wtg_gym.cli.parser import Commands, add_command
+from wtg_gym.cli.parser import Commands, add_command, add_output_options
 from wtg_gym.evaluation.limited_converters import LimitedPlay, limited_table, play_limited
 from wtg_gym.files import to_json, write_atomically
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
@@ -34,7 +40,7 @@ _SECTIONS = ("survival", "cases", "parts", "suites", "rotor-energy", "margins", 
 _DESCRIPTION = f"""\
 Plays the paper's cases and validation scenarios in plants that add to the paper's what it leaves out, one part at a
 time and together; measures how stiffly the groups hold to the grid, what policies do that were trained without limits,
-and what loads of constant current or power change. Within three minutes it writes
+and what loads of constant current or power change. Within five minutes it writes
 
   physics.json                      all numbers
   load-increase, parts, margins     figures
@@ -64,22 +70,17 @@ def add_commands(commands: Commands) -> None:
         metavar="NAME",
         help="policies to play with limits (default: linear-feedback ppo-k-0)",
     )
-    out = parser.add_argument_group("output")
-    out.add_argument("--output", metavar="FOLDER", help="write the figures and physics.json there")
-    out.add_argument(
-        "--formats",
-        nargs="+",
-        choices=FIGURE_FORMATS,
-        default=["svg", "png"],
-        help="of the figures (default: svg png)",
+    add_output_options(
+        parser,
+        output="write the figures and physics.json there",
+        page="Markdown file whose sections are renewed",
+        json="print physics.json on stdout instead of the table",
     )
-    out.add_argument("--page", metavar="FILE", help="Markdown file whose sections are renewed")
-    out.add_argument("--json", action="store_true", help="print physics.json on stdout instead of the table")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym analyse physics`."""
-    most = min(len(get_suite(name).validation) for name in ("standard", "low-wind", "gust", "weak-grid"))
+    most = min(len(get_suite(name).validation) for name in (*SUITES_OF_ALL, *FURTHER_SUITES))
     require_range("the number of scenarios", arguments.scenarios, 1, most, "")
     page = check_page("--page", arguments.page, *_SECTIONS)
     folder = None if arguments.output is None else check_output_folder("--output", arguments.output)

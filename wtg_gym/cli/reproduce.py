@@ -32,7 +32,6 @@ from wtg_gym.analysis.loops import Side, SingleMachine, ideal_source_loop, singl
 from wtg_gym.analysis.paper_claims import paper_claims
 from wtg_gym.analysis.tables import claims_table, margins_table, modes_table
 from wtg_gym.cli.output import (
-    FIGURE_FORMATS,
     Progress,
     check_output_folder,
     check_page,
@@ -43,7 +42,7 @@ from wtg_gym.cli.output import (
     require_extra,
     update_page,
 )
-from wtg_gym.cli.parser import Commands, add_command
+from wtg_gym.cli.parser import Commands, add_command, add_output_options
 from wtg_gym.files import to_json, write_atomically
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
@@ -79,14 +78,13 @@ def add_commands(commands: Commands) -> None:
         "  wtg-gym reproduce --output docs/validation --formats png --page docs/validation.md",
         after_interrupt="what has been written so far is complete; run the same command again",
     )
-    parser.add_argument(
-        "--output", default="reproduction", metavar="FOLDER", help="where to write (default: reproduction)"
+    add_output_options(
+        parser,
+        output="where to write (default: reproduction)",
+        page="Markdown file whose sections are renewed",
+        json="print claims.json on stdout instead of the table",
+        default="reproduction",
     )
-    parser.add_argument(
-        "--formats", nargs="+", choices=FIGURE_FORMATS, default=["svg", "png"], help="of the figures (default: svg png)"
-    )
-    parser.add_argument("--page", metavar="FILE", help="Markdown file whose sections are renewed")
-    parser.add_argument("--json", action="store_true", help="print claims.json on stdout instead of the table")
 
 
 @dataclass(frozen=True)

@@ -234,7 +234,7 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
         """
         given = _check_options(options, ("scenario",))
         # A given scenario that cannot start is refused before the first change, of the generator too.
-        prepared = self._lanes.prepare([_as_scenario(given["scenario"])]) if "scenario" in given else None
+        prepared = self._lanes.prepare_given([_as_scenario(given["scenario"])]) if "scenario" in given else None
         super().reset(seed=seed)
         if prepared is None:
             prepared = self._lanes.prepare(self._lanes.draw([self.np_random]))
@@ -423,7 +423,7 @@ class GFMWTGVectorEnv(gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]
         lanes = np.flatnonzero(mask).tolist()
         generators = {lane: seeding.np_random(s)[0] for lane in lanes if (s := seeds[lane]) is not None}
         # Given scenarios that cannot start are refused before the first change.
-        episodes = None if scenarios is None else self._lanes.prepare([scenarios[lane] for lane in lanes])
+        episodes = None if scenarios is None else self._lanes.prepare_given([scenarios[lane] for lane in lanes])
         self._next.reseed(generators)
         if episodes is None:
             self._next.start(lanes)

@@ -178,7 +178,7 @@ class TaskLanes:
         self._fixed = settings.fixed_scenario()
         if self._fixed is not None:
             # A scenario that cannot start is refused here rather than at the first reset.
-            self.prepare([self._fixed])
+            self.prepare_given([self._fixed])
 
     def _check_time_constants(self) -> None:
         """Refuse a law whose damping the actions can make faster than the integration step follows."""
@@ -260,6 +260,16 @@ class TaskLanes:
                 step = round(event.time_s / self.settings.simulation_dt)
                 leaves_at[event.group] = min(leaves_at[event.group], float(step))
         return [*flatten(given), *biases, *leaves_at]
+
+    def prepare_given(self, scenarios: Sequence[Scenario]) -> PreparedEpisodes:
+        """Prepare scenarios that somebody chose: unlike drawn ones they must not start below the under-speed trip.
+
+        Raises:
+            ValueError: as in :meth:`prepare`, or the rotor of a group would start below the under-speed trip.
+        """
+        episodes = self.prepare(scenarios)
+        self.simulator.require_turning(episodes.lanes, scenarios)
+        return episodes
 
     def commit(self, lanes: Sequence[int], prepared: Sequence[PreparedEpisodes]) -> None:
         """Start prepared episodes in lanes, one each."""

@@ -128,7 +128,8 @@ class EnvSettings:
         simulation_dt: step of the integration [s].
         weights: replaces single weights of :class:`CostWeights`.
         machine_model: "genrou" (with exciters) or "classical".
-        on_failure: "terminate" the episode at a stall or over-speed, or "trip" the group and go on.
+        on_failure: the failure of a rotor (stall, over-speed, under-speed) is to "terminate" the episode, or to "trip"
+            its group and go on.
         physics: "paper", "extended" (what the paper leaves out) or "nrel-5mw" (that, and another turbine); see
             :func:`wtg_gym.physics.plant.plant_settings`; None: the suite's own.
         sensors: "exact", or values that replace those of the suite's

@@ -21,7 +21,7 @@ from wtg_gym.scenarios import get_suite
 
 @dataclass(frozen=True, kw_only=True)
 class LimitedSettings(EnvSettings):
-    """The environment with converters of given limits; v0 itself has no such setting."""
+    """The environment with given limits on its converters, which `physics` sets only together with everything else."""
 
     limits: ConverterLimitParameters | None = None
 

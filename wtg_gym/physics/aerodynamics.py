@@ -52,7 +52,7 @@ def surface_of(parameters: PowerCoefficientParameters | RotorTable) -> tuple[Gri
     """Return grid and cells of a C_p table; of a curve a grid without cells."""
     if isinstance(parameters, RotorTable):
         return parameters.surface()
-    return Grid(0.0, 0.0, 0.0, 0.0, 0.0), np.zeros((0, 0, 16))
+    return Grid(0.0, 0.0, 0.0, 0.0), np.zeros((0, 0, 16))
 
 
 @compiled

@@ -126,7 +126,7 @@ def start_lane(
     for k in range(n_bus):
         voltage[k] = magnitude[k] * complex(math.cos(angle[k]), math.sin(angle[k]))
     _start_loads(lane, plant, data, load_level, magnitude)
-    _start_units(block, plant, load_level, y, voltage)
+    _start_units(block, plant, load_level, y, voltage, power)
     _start_clock(block, lane, plant, data, magnitude, lanes)
     return _limit_failure(block, plant)
 
@@ -146,19 +146,12 @@ def _release_voltages(
     A bus with a machine too keeps its voltage: the machine gives what is missing.
     """
     c, n_bus = plant.constants[0], magnitude.shape[0]
-    n_sync = c["machines"].shape[0]
     control = read_extension(c["extension"][0]).voltage
     limit = control.reactive_max
     found = False
     for k in range(n_bus):
-        share = 0.0
-        for j in range(c["share"].shape[0]):
-            if c["unit_bus"][n_sync + j] == k:
-                share += c["share"][j]
-        for i in range(n_sync):
-            if c["unit_bus"][i] == k:
-                share = 0.0
-        if holds_voltage[k] and share > 0.0 and control.gain > 0.0 and k != c["slack"]:
+        machines, _, share = _sizes_at(plant, k)
+        if holds_voltage[k] and machines == 0.0 and share > 0.0 and control.gain > 0.0 and k != c["slack"]:
             injected = 0j
             for m in range(n_bus):
                 injected += y[k, m] * magnitude[m] * complex(math.cos(angle[m]), math.sin(angle[m]))
@@ -170,6 +163,23 @@ def _release_voltages(
                 power[k] = complex(power[k].real, given - load_level * plant.buses[k]["load"].imag)
                 found = True
     return found
+
+
+@compiled
+def _sizes_at(plant: Plant, bus: int) -> tuple[float, float, float]:
+    """Return the sums over a bus's units: the machines' ratings, their reactive weights, the groups' shares."""
+    c = plant.constants[0]
+    n_sync = c["machines"].shape[0]
+    ratings, weights, shares = 0.0, 0.0, 0.0
+    for i in range(n_sync):
+        if c["unit_bus"][i] == bus:
+            machine = read_machine(c["machines"][i])
+            ratings += machine.rating
+            weights += machine.reactive_weight
+    for j in range(c["share"].shape[0]):
+        if c["unit_bus"][n_sync + j] == bus:
+            shares += c["share"][j]
+    return ratings, weights, shares
 
 
 @compiled
@@ -216,6 +226,7 @@ def _start_units(
     load_level: float,
     y: npt.NDArray[np.complex128],
     voltage: npt.NDArray[np.complex128],
+    power: npt.NDArray[np.complex128],
 ) -> None:
     """Share each bus's power among its units and set their internal states; angles count from the first unit."""
     c, rows = plant.constants[0], rows_of(plant.constants[0])
@@ -226,24 +237,11 @@ def _start_units(
         injected = 0j
         for k in range(voltage.shape[0]):
             injected += y[bus, k] * voltage[k]
-        total = voltage[bus] * injected.conjugate() + load_level * plant.buses[bus]["load"]
-        weight, weight_all, machines_all, fixed = 0.0, 0.0, 0.0, 0.0
-        machines_weight, groups_share = 0.0, 0.0
-        for u in range(n_sync + n_wtg):
-            if c["unit_bus"][u] == bus:
-                if u < n_sync:
-                    machine = read_machine(c["machines"][u])
-                    own = machine.reactive_weight
-                    machines_all += machine.rating
-                    machines_weight += own
-                    fixed += c["dispatch"][u]
-                else:
-                    own = c["share"][u - n_sync]
-                    groups_share += own
-                    fixed += _start_power(block, plant, u - n_sync)
-                weight_all += own
-                if u == i:
-                    weight = own
+        flow = voltage[bus] * injected.conjugate()
+        total = flow + load_level * plant.buses[bus]["load"]
+        machines_all, machines_weight, groups_share = _sizes_at(plant, bus)
+        weight_all = machines_weight + groups_share
+        weight = read_machine(c["machines"][i]).reactive_weight if i < n_sync else c["share"][i - n_sync]
         # Reactive power in proportion to the weights; at the slack bus the machines share the active power that is
         # missing, by rating.
         reactive = total.imag * weight / weight_all if plant.buses[bus]["holds_voltage"] else 0.0
@@ -261,7 +259,7 @@ def _start_units(
             machine = read_machine(c["machines"][i])
             active = c["dispatch"][i]
             if bus == c["slack"]:
-                active += (total.real - fixed) * machine.rating / machines_all
+                active += (flow.real - power[bus].real) * machine.rating / machines_all
             state, v_ref, gate_ref = machine_start(complex(active, reactive), voltage[bus], machine)
             delta = state.angle
             o = i * N_MACHINE_ROWS

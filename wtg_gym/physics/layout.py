@@ -249,7 +249,7 @@ def constants_dtype(
             ("base_mva", np.float64),
             ("simulation_dt", np.float64),  # [s]
             ("n_substeps", np.int64),  # simulation steps per control interval
-            ("trips_groups", np.bool_),  # a stalled or over-speeding group is disconnected instead of ending the run
+            ("trips_groups", np.bool_),  # the failure of a rotor disconnects its group instead of ending the run
         ],
         align=True,
     )

@@ -6,15 +6,24 @@ network events.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.compiled import compiled, inlined
-from wtg_gym.physics.parameters import Checked, SynchronousMachineParameters, parameter, required
+from wtg_gym.physics.parameters import (
+    Checked,
+    GovernorParameters,
+    HydroGovernorParameters,
+    SynchronousMachineParameters,
+    parameter,
+    required,
+)
 from wtg_gym.ranges import require_range
 
 #: Largest power mismatch accepted as a power-flow solution [p.u.].
@@ -141,6 +150,17 @@ class NetworkCase(Checked):
     def bridges(self) -> frozenset[int]:
         """Return the indices of the branches any one of which splits the network when it opens."""
         return frozenset(index for index in range(len(self.branches)) if not self.connected_without((index,)))
+
+    def with_governors(
+        self,
+        change: Callable[[GovernorParameters | HydroGovernorParameters], GovernorParameters | HydroGovernorParameters],
+    ) -> NetworkCase:
+        """Return the network with other governors: `change` turns the one of each machine that has one into its own."""
+        machines = tuple(
+            machine if machine.governor is None else dataclasses.replace(machine, governor=change(machine.governor))
+            for machine in self.machines
+        )
+        return dataclasses.replace(self, machines=machines)
 
 
 def branch_admittances(branches: tuple[Branch, ...]) -> npt.NDArray[np.complex128]:

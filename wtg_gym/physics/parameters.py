@@ -310,7 +310,7 @@ class ProtectionParameters(Checked):
         0.0,
         "p.u.",
         "design",
-        "rotor under-speed trip; 0 for none. The NREL 5 MW machine stops at 6.9 rpm, 0.569 p.u.",
+        "rotor under-speed trip; 0 for none. The NREL 5 MW turbine operates from 6.9 rpm on, 0.57 p.u.",
         0.0,
         1.0,
     )

@@ -52,7 +52,8 @@ class PlantSettings(Checked):
         control_dt: control interval [s], a whole number of simulation steps.
         simulation_dt: step of the integration, 0.05 … 40 ms [s]; a simulator refuses one that is too long for the
             plant's fastest mode.
-        trips_groups: a stalled or over-speeding group is disconnected instead of ending the run.
+        trips_groups: the failure of a rotor (:class:`~wtg_gym.physics.protection.Status`) disconnects its group instead
+            of ending the run.
 
     Raises:
         ValueError: a bus is unknown, a step does not divide, or a value is outside its range.
@@ -103,12 +104,14 @@ class PlantSettings(Checked):
         return self.limits is not None or self.voltage_control is not None or self.turbine.conserves_energy
 
 
-#: Physics by name: the paper's; all that the paper leaves out, with its turbine; the same with the NREL 5 MW turbine.
+#: Physics by name: the paper's, what :func:`plant_settings` adds to it, and the same with the NREL 5 MW turbine.
 PHYSICS = ("paper", "extended", "nrel-5mw")
 #: Dead band of the governors in extended physics [p.u.]: 36 mHz of 60 Hz. Source: North American Electric Reliability
 #: Corporation: Reliability Guideline: Primary Frequency Control.
 DEAD_BAND_PU = 0.0006
-#: Rotor speed that trips a group in extended physics [p.u.]: of the paper's turbine at its maximum power at 5.7 m/s.
+#: Rotor speed that trips a group in extended physics [p.u.]. A trip lies below the speeds of operation, which begin at
+#: 6.9 rpm, 0.57 p.u., for the NREL 5 MW turbine (NREL/TP-500-38060, table 1-1); the paper's has its size and speed. By
+#: design it is 12 % below, much as the over-speed trip is 10 % above the speed that the pitch defends.
 ROTOR_SPEED_MIN_PU = 0.5
 
 
@@ -134,12 +137,7 @@ def plant_settings(physics: str = "paper", **settings: Any) -> PlantSettings:
     case = settings["case"] if "case" in settings else modified_ieee14()
     if not isinstance(case, NetworkCase):
         raise ValueError(f"case must be a NetworkCase, got {case!r}")
-    machines = tuple(
-        dataclasses.replace(m, governor=dataclasses.replace(m.governor, dead_band_pu=DEAD_BAND_PU))
-        if m.governor is not None and m.governor.dead_band_pu == 0.0
-        else m
-        for m in case.machines
-    )
+    case = case.with_governors(lambda g: g if g.dead_band_pu else dataclasses.replace(g, dead_band_pu=DEAD_BAND_PU))
     extended: dict[str, Any] = {
         "turbine": nrel_5mw() if physics == "nrel-5mw" else TurbineParameters(conserves_energy=True),
         "limits": ConverterLimitParameters(),
@@ -147,7 +145,7 @@ def plant_settings(physics: str = "paper", **settings: Any) -> PlantSettings:
         "protection": ProtectionParameters(rotor_speed_min_pu=ROTOR_SPEED_MIN_PU),
         "shedding": european_shedding(),
     }
-    return PlantSettings(**{**extended, **settings, "case": dataclasses.replace(case, machines=machines)})
+    return PlantSettings(**{**extended, **settings, "case": case})
 
 
 def build_plant(settings: PlantSettings) -> Plant:

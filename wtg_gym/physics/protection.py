@@ -37,7 +37,7 @@ PROTECTION_INTERVAL_S = 0.1
 
 
 class Status(IntEnum):
-    """Why a lane has ended."""
+    """Why a lane has ended; a stall, an over-speed or an under-speed is the failure of a rotor."""
 
     RUNNING = 0
     STALL = 1

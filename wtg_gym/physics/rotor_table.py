@@ -32,12 +32,11 @@ _BETZ_LIMIT = 16.0 / 27.0
 
 
 class Grid(NamedTuple):
-    """Where a table's cells lie."""
+    """Where a table's cells lie; the first node of β is 0."""
 
     ratio_min: float  # λ of the first node [-]
     inv_ratio_min: float
     inv_ratio_step: float
-    pitch_min: float  # β of the first node [deg]
     inv_pitch_step: float  # [1/deg]
 
 
@@ -123,7 +122,7 @@ def _surface(table: RotorTable) -> tuple[Grid, Cells]:
     # Cubic Hermite form: 1, u, u², u³ from the values at 0 and 1 and the slopes at 0 and 1.
     hermite = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [-3, 3, -2, -1], [2, -2, 1, 1]])
     cells = np.einsum("mp,ijpq,nq->ijnm", hermite, corners, hermite).reshape(n_ratio, n_pitch, 16)
-    grid = Grid(float(ratios[0]), float(1.0 / ratios[0]), float(1.0 / du), 0.0, float(1.0 / dv))
+    grid = Grid(float(ratios[0]), float(1.0 / ratios[0]), float(1.0 / du), float(1.0 / dv))
     return grid, np.ascontiguousarray(cells)
 
 
@@ -136,7 +135,7 @@ def tabulated_power_coefficient(ratio: float, pitch_deg: float, cells: Cells, g:
     """Return C_p at a tip-speed ratio λ and a pitch angle β [deg]."""
     n_ratio, n_pitch = cells.shape[0], cells.shape[1]
     u = clip((ratio - g.ratio_min) * g.inv_ratio_step, 0.0, n_ratio * 1.0)
-    v = clip((pitch_deg - g.pitch_min) * g.inv_pitch_step, 0.0, n_pitch * 1.0)
+    v = clip(pitch_deg * g.inv_pitch_step, 0.0, n_pitch * 1.0)
     first, second = min(math.floor(u), n_ratio - 1.0), min(math.floor(v), n_pitch - 1.0)
     i, j, u, v = np.int64(first), np.int64(second), u - first, v - second
     value = _cubic(cells[i, j, 0], cells[i, j, 1], cells[i, j, 2], cells[i, j, 3], u)

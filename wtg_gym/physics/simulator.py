@@ -228,6 +228,21 @@ class Simulator:
             self._checked[of_laws] = scale
         return prepared
 
+    def require_turning(self, prepared: PreparedLanes, scenarios: Sequence[Scenario]) -> None:
+        """Refuse a prepared start with a rotor below the under-speed trip: its run would end at once.
+
+        Raises:
+            ValueError: the message names group, speed, trip and wind.
+        """
+        speeds, least = prepared.rows[:, self.layout.wtg("rotor_speed")], self.settings.protection.rotor_speed_min_pu
+        for lane, group in np.argwhere(speeds < least):
+            scenario, bus = scenarios[lane], self.settings.groups[group].bus
+            raise ValueError(
+                f"scenario {scenario.name!r} cannot start: the rotor of WTG group {group} at bus {bus} would start at "
+                f"{speeds[lane, group]:.3g} p.u. in a wind of {scenario.wind_speed[group, 0]:.3g} m/s, below the "
+                f"under-speed trip at {least:g} p.u."
+            )
+
     def _check_internal_voltages(self, rows: Floats, scenarios: Sequence[Scenario]) -> None:
         """Refuse a start that needs a larger voltage behind a reactance than anybody builds."""
         layout = self.layout

@@ -78,11 +78,14 @@ def simulate(
         the recorded run. If a protection ends it, the last sample is of that instant.
 
     Raises:
-        ValueError: scenario, laws and plant do not fit, or there is no equilibrium to start from.
+        ValueError: scenario, laws and plant do not fit, there is no equilibrium to start from, or a rotor would start
+            below the under-speed trip.
     """
     settings = settings or PlantSettings()
     simulator = Simulator(settings, duration_s=scenario.duration_s)
-    simulator.start(0, scenario, group_laws(laws, len(settings.groups), settings.turbine, settings.control))
+    prepared = simulator.prepare([scenario], group_laws(laws, len(settings.groups), settings.turbine, settings.control))
+    simulator.require_turning(prepared, [scenario])
+    simulator.commit([0], prepared)
     nominal = settings.case.frequency_hz
     names = ("speed", "rotor_speed", "power", "captured", "coefficient", "filter", "pitch", "wind")
     frequency, samples = [], []

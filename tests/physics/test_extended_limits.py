@@ -1,13 +1,8 @@
-"""Facts about plants with converter limits, voltage control, an energy-keeping rotor, shedding and hydro governors.
-
-Two plants are compiled: the paper's curve, and a table with a hydro governor. Options are numbers within them.
-"""
+"""What acts in extended plants beyond a limit: converters, governors, shedding and the under-speed trip."""
 
 from __future__ import annotations
 
 import dataclasses
-import itertools
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,19 +10,26 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
+from tests.physics.extended import (
+    CURRENT_MAX,
+    LAW,
+    NO_SHEDDING,
+    distance,
+    fault,
+    network_balance,
+    plant,
+    pulse,
+    recorded,
+    rough,
+    scenario,
+    started,
+)
 from wtg_gym.physics.dynamics import unit_currents
-from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.layout import Floats, Layout
-from wtg_gym.physics.linearisation import moving_states, state_matrix
 from wtg_gym.physics.network import assemble_admittance
-from wtg_gym.physics.nrel5mw import nrel_5mw
 from wtg_gym.physics.parameters import (
     ConverterLimitParameters,
-    GovernorParameters,
-    HydroGovernorParameters,
     ProtectionParameters,
-    SheddingStage,
-    TurbineParameters,
     VoltageControlParameters,
     WtgGroup,
     default_groups,
@@ -39,229 +41,6 @@ from wtg_gym.physics.reduction import combine_load_noise, refresh_network
 from wtg_gym.physics.scenario import LoadStep, Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import get_law
-from wtg_gym.scenarios import get_suite
-
-#: Limits, voltage control, rotor that keeps its energy: all but none of them.
-OPTIONS = [options for options in itertools.product((False, True), repeat=3) if any(options)]
-#: As many stages as Europe's, so that the plant is compiled once; without an effect.
-NO_SHEDDING = tuple(dataclasses.replace(stage, share=0.0) for stage in european_shedding())
-LAW = "coordinated-piecewise"
-WIND = np.array([[11.4], [8.0]])
-CURRENT_MAX = ConverterLimitParameters().current_max_pu
-
-
-def plant(
-    *,
-    table: bool = False,
-    limits: bool | ConverterLimitParameters = True,
-    voltage: bool | VoltageControlParameters = True,
-    energy: bool = True,
-    dead_band: float = 0.0,
-    **more: Any,
-) -> PlantSettings:
-    """One of the two plants, with its options."""
-    case = modified_ieee14()
-    kind = HydroGovernorParameters if table else GovernorParameters
-    generator = dataclasses.replace(case.machines[0], governor=kind(dead_band_pu=dead_band))
-    given = {
-        "case": dataclasses.replace(case, machines=(generator, *case.machines[1:])),
-        "turbine": nrel_5mw(conserves_energy=energy) if table else TurbineParameters(conserves_energy=energy),
-        "limits": ConverterLimitParameters() if limits is True else limits or None,
-        "voltage_control": VoltageControlParameters() if voltage is True else voltage or None,
-        "shedding": european_shedding(),
-    }
-    return PlantSettings(**{**given, **more})
-
-
-def scenario(*events: LoadStep, wind: Any = WIND, **more: Any) -> Scenario:
-    return Scenario(name="x", wind_speed=np.asarray(wind, dtype=float), events=events, **more)
-
-
-def started(settings: PlantSettings, what: Scenario, law: str = LAW, duration_s: float = 60.0) -> Simulator:
-    simulator = Simulator(settings, duration_s=duration_s)
-    simulator.start(0, what, (get_law(law, settings.turbine),) * len(settings.groups))
-    return simulator
-
-
-def recorded(
-    simulator: Simulator, seconds: float, *names: str, act: Callable[[int], Any] | None = None
-) -> dict[str, Floats]:
-    """Numbers of the groups at the end of every control interval, until the run ends, and the frequency "coi"."""
-    found: dict[str, list[Any]] = {name: [] for name in ("coi", *names)}
-    for interval in range(round(seconds / simulator.settings.control_dt)):
-        if act is not None:
-            simulator.blocks[0, simulator.layout.wtg("k_offset")] = act(interval)
-        simulator.advance()
-        found["coi"].append(simulator.lane_values("coi")[0])
-        for name in names:
-            found[name].append(simulator.wtg_values(name)[0])
-        if simulator.lane_values("active")[0] < 0.5:
-            break
-    return {name: np.array(values) for name, values in found.items()}
-
-
-def largest_rate(simulator: Simulator) -> float:
-    names = simulator.layout.state_names
-    keep = [i for i, name in enumerate(names) if "energy" not in name and name != "reference_angle"]
-    return float(np.abs(simulator.rates()[keep]).max())
-
-
-def distance(simulator: Simulator, state: Floats) -> float:
-    """Largest deviation from a state, without energies and angles."""
-    names = simulator.layout.state_names
-    keep = [i for i, name in enumerate(names) if "energy" not in name and "angle" not in name]
-    return float(np.abs(simulator.state() - state)[keep].max())
-
-
-def fault(time_s: float = 1.0, duration_s: float = 0.15, bus: int = 2) -> tuple[LoadStep, LoadStep]:
-    """A short circuit nearby: its reactance takes 2000 Mvar at nominal voltage."""
-    return (
-        LoadStep(time_s=time_s, bus=bus, power_mw=0.0, reactive_mvar=2000.0),
-        LoadStep(time_s=time_s + duration_s, bus=bus, power_mw=0.0, reactive_mvar=-2000.0),
-    )
-
-
-def pulse(bus: int, power_mw: float = 0.0, reactive_mvar: float = 0.0, until_s: float = 21.0) -> tuple[LoadStep, ...]:
-    """A load that is switched on at 1 s and off again."""
-    return (
-        LoadStep(time_s=1.0, bus=bus, power_mw=power_mw, reactive_mvar=reactive_mvar),
-        LoadStep(time_s=until_s, bus=bus, power_mw=-power_mw, reactive_mvar=-reactive_mvar),
-    )
-
-
-# --- Equilibria
-
-
-@pytest.mark.parametrize("table", [False, True])
-def test_no_state_moves_at_the_start_with_any_options(table: bool) -> None:
-    for limits, voltage, energy in OPTIONS:
-        settings = plant(table=table, limits=limits, voltage=voltage, energy=energy, dead_band=2e-4)
-        simulator = Simulator(settings)
-        laws = (get_law(LAW, settings.turbine),) * 2
-        for winds in ((6.0, 13.0), (8.0, 8.0), (11.4, 8.0), (12.0, 5.0), (16.0, 16.0), (24.0, 9.0)):
-            for level in (0.7, 1.0, 1.2):
-                simulator.start(0, scenario(wind=np.array([winds]).T, load_level=level), laws)
-                assert largest_rate(simulator) <= 1e-8, (limits, voltage, energy, winds, level)
-
-
-@pytest.mark.parametrize(("level", "sign"), [(1.2, 1.0), (0.5, -1.0)])
-def test_a_bus_lets_go_of_its_voltage_where_the_groups_reactive_power_does_not_suffice(
-    level: float, sign: float
-) -> None:
-    found = {}
-    for limit in (1.0, 0.04, 0.0):
-        control = VoltageControlParameters(reactive_max_pu=limit, internal_voltage_max_pu=1.6)
-        simulator = started(plant(limits=False, voltage=control), scenario(load_level=level))
-        assert largest_rate(simulator) <= 1e-8
-        found[limit] = (
-            sign * simulator.wtg_values("reactive")[0],
-            sign * (np.abs(simulator.bus_voltages()[1]) - 1.045),
-        )
-    (ample, held), *scarce = found.values()
-    assert (ample > 0.04).all() and (ample < 1.0).all() and held == pytest.approx(0.0, abs=1e-12)
-    for limit, (reactive, deviation) in zip((0.04, 0.0), scarce, strict=True):
-        assert reactive == pytest.approx(limit, abs=1e-11)
-        assert deviation < -1e-4
-
-
-# --- Balances
-
-
-def network_balance(simulator: Simulator) -> tuple[float, float]:
-    """Power of the units, and what loads and branches take, from the bus voltages [p.u.]."""
-    settings, blocks, rows = simulator.settings, simulator.blocks[0], simulator.layout.rows
-    last, following = simulator.lane_values("last_change")[0], simulator.lane_values("next_change")[0]
-    acted = -1.0 - blocks[rows.shedding : rows.shedding + simulator.layout.n_stages]
-    share = np.array([stage.share for stage in settings.shedding])
-    served = 1.0 - share[(acted >= 0.0) & (acted <= last)].sum()
-    load = served * simulator.data.load_y[0]
-    opened = set()
-    for event in simulator.data.events[0]:
-        if last >= event["start"]:
-            span = event["end"] - event["start"]
-            level = 1.0 if last >= event["end"] else (0.5 * (last + following) - event["start"]) / span
-            if event["branch"] >= 0:
-                opened.add(int(event["branch"]))
-            else:
-                load[event["bus"]] += served * level * event["admittance"]
-    interval = round(simulator.lane_values("step")[0] / simulator.plant.n_substeps) - 1
-    load[simulator.data.noise_bus[0]] += simulator.data.noise[0, interval] * simulator.lane_values("noise_per_mw")[0]
-    voltage = simulator.bus_voltages()
-    taken = (np.abs(voltage) ** 2 * np.conj(load + simulator.plant.buses["shunt"])).sum()
-    for index, branch in enumerate(simulator.plant.branches):
-        if index not in opened:
-            start, end = voltage[branch["start"]], voltage[branch["end"]]
-            taken += start * np.conj(branch["y_ff"] * start + branch["y_ft"] * end)
-            taken += end * np.conj(branch["y_tf"] * start + branch["y_tt"] * end)
-    given = simulator.machine_values("power")[0].sum() + simulator.wtg_values("power")[0] @ simulator.plant.share
-    return float(given), float(taken.real)
-
-
-def rough(seed: int) -> Scenario:
-    """A scenario of a suite with a large load step more, and every third time a fault."""
-    rng = np.random.default_rng(seed)
-    drawn = get_suite(("standard", "weak-grid", "gust", "low-wind")[seed % 4]).scenario(20_000 + seed)
-    step = LoadStep(
-        time_s=5.0 + round(float(rng.uniform(0.0, 10.0)), 1),
-        bus=int(rng.integers(2, 15)),
-        power_mw=float(rng.uniform(-150.0, 250.0)),
-        reactive_mvar=float(rng.uniform(-50.0, 50.0)),
-    )
-    return dataclasses.replace(drawn, events=(*drawn.events, step, *(fault(20.0, bus=4) if seed % 3 == 0 else ())))
-
-
-@pytest.mark.parametrize(("table", "energy"), [(False, False), (False, True), (True, False), (True, True)])
-def test_rotor_converter_and_network_keep_their_balances_in_rough_runs(table: bool, energy: bool) -> None:
-    settings = plant(table=table, energy=energy, dead_band=2e-4)
-    inertia = settings.turbine.inertia_constant_s
-    chopped = 0.0
-    for seed in range(8):
-        simulator = started(settings, rough(seed))
-        before = simulator.wtg_values("rotor_speed")[0]
-        for _ in range(300):
-            simulator.advance()
-            if simulator.lane_values("active")[0] < 0.5:
-                break
-            given, taken = network_balance(simulator)
-            assert given == pytest.approx(taken, abs=1e-11)
-            assert simulator.wtg_values("current").max() <= CURRENT_MAX * (1.0 + 1e-9)
-        after = simulator.wtg_values("rotor_speed")[0]
-        drawn = simulator.wtg_values("energy_delivered")[0] + simulator.wtg_values("energy_chopped")[0]
-        kept = simulator.wtg_values("energy_captured")[0] - drawn
-        chopped = max(chopped, simulator.wtg_values("energy_chopped").max())
-        # A Runge-Kutta method keeps sums of rates exactly, so the paper's momentum to rounding. The energy H ω² is a
-        # square: it is off by the method's truncation.
-        if energy:
-            assert kept == pytest.approx(inertia * (after**2 - before**2), abs=2e-7)
-        else:
-            assert kept == pytest.approx(2.0 * inertia * (after - before), abs=1e-12)
-    assert chopped > 0.001
-
-
-def test_the_energy_of_the_rotor_is_off_by_the_truncation_of_the_integration() -> None:
-    errors = []
-    for dt in (0.04, 0.02, 0.01):
-        wind = 8.0 + 3.0 * np.sin(np.arange(301) * 0.2 * 0.5)
-        gusty = scenario(wind=np.stack([wind, wind]), wind_dt_s=0.2)
-        simulator = started(plant(simulation_dt=dt, control_dt=0.2, shedding=NO_SHEDDING), gusty)
-        before = simulator.wtg_values("rotor_speed")[0]
-        recorded(simulator, 40.0)
-        gained = 6.5 * (simulator.wtg_values("rotor_speed")[0] ** 2 - before**2)
-        kept = simulator.wtg_values("energy_captured")[0] - simulator.wtg_values("energy_delivered")[0]
-        errors.append(np.abs(kept - gained).max())
-    assert errors[0] > 1e-12
-    assert errors[1] < errors[0] / 8.0
-    assert errors[2] < max(errors[1] / 8.0, 1e-13)
-
-
-def test_the_chopper_burns_what_the_grid_presses_in() -> None:
-    simulator = started(plant(control_dt=0.025, shedding=NO_SHEDDING), scenario(*pulse(2, 250.0)))
-    found = recorded(simulator, 30.0, "power", "energy_chopped")
-    pressed = np.maximum(-found["power"], 0.0)
-    burnt = found["energy_chopped"][-1]
-    assert burnt.max() > 0.02
-    assert burnt == pytest.approx(0.025 * pressed.sum(axis=0), rel=0.02, abs=1e-12)
-
 
 # --- Limits
 
@@ -576,98 +355,3 @@ def test_a_step_in_which_a_limit_switches_is_of_low_order() -> None:
     assert errors[0] < 5e-6
     assert errors[0] / 5.0**4 < errors[1] < errors[0]
     assert errors[2] < errors[0] / 5.0
-
-
-# --- Small deviations
-
-
-@pytest.mark.parametrize("table", [False, True])
-def test_extended_plants_are_stable_at_their_equilibria(table: bool) -> None:
-    for limits, voltage, energy in OPTIONS:
-        settings = plant(table=table, limits=limits, voltage=voltage, energy=energy)
-        for wind in (8.0, 11.0, 16.0):
-            simulator = started(settings, scenario(wind=[[wind], [8.0]]))
-            rows, layout = simulator.blocks[0], simulator.layout
-            for side in (-1.0, 1.0):
-                matrix = state_matrix(rows, simulator.plant, layout, side)
-                keep = moving_states(matrix, rows, layout)
-                assert np.linalg.eigvals(matrix[np.ix_(keep, keep)]).real.max() < -0.03
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (
-            {"voltage": VoltageControlParameters(integral_gain=1000.0)},
-            r"eigenvalue -98\d.* 1/s \(mainly wtg[01].internal_voltage\) .* at most 0.0025\d s",
-        ),
-        ({"voltage": VoltageControlParameters(takeover_gain=100.0)}, r"mainly wtg[01].internal_voltage\)"),
-        # It switches at 0.5 p.u. a step once the power exceeds its limit.
-        ({"limits": ConverterLimitParameters(power_gain=1.0)}, r"mainly wtg[01].angle\)"),
-    ],
-)
-def test_controls_that_are_too_fast_for_the_step_are_refused(options: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=r"simulation_dt = 0.025 s is too long for this plant.*" + message):
-        Simulator(plant(**options))
-
-
-# --- Bad input
-
-
-def stages(*shares: float) -> tuple[SheddingStage, ...]:
-    return tuple(SheddingStage(frequency_pu=0.98, share=share) for share in shares)
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"limits": {"power_max_pu": 1.3}}, r"power_max_pu = 1.3 p.u. exceeds current_max_pu = 1.2"),
-        ({"limits": {"current_max_pu": 0.0}}, r"current_max_pu = 0 p.u. is outside"),
-        ({"limits": {"power_min_pu": 0.1}}, r"power_min_pu = 0.1 p.u. is outside"),
-        ({"limits": {"power_gain": float("nan")}}, r"power_gain = nan p.u./p.u. is outside"),
-        ({"limits": {"power_integral_gain": -1.0}}, r"power_integral_gain = -1 .* is outside"),
-        ({"voltage_control": {"integral_gain": 0.0}}, r"integral_gain = 0 .* is outside"),
-        ({"voltage_control": {"reactive_max_pu": -0.1}}, r"reactive_max_pu = -0.1 p.u. is outside"),
-        ({"voltage_control": {"internal_voltage_min_pu": 1.1}}, r"internal_voltage_min_pu = 1.1 p.u. is outside"),
-        ({"voltage_control": {"internal_voltage_max_pu": 0.9}}, r"internal_voltage_max_pu = 0.9 p.u. is outside"),
-        ({"shedding": stages(0.6, 0.5)}, r"the shedding stages disconnect 110 % of the load"),
-        ({"shedding": {"share": -0.1}}, r"share .*= -0.1 is outside"),
-        ({"shedding": {"frequency_pu": 1.1}}, r"frequency_pu .*= 1.1 p.u. is outside"),
-        ({"shedding": {"delay_s": float("inf")}}, r"delay_s .*= inf s is outside"),
-        ({"protection": {"rotor_speed_min_pu": 1.5}}, r"rotor_speed_min_pu = 1.5 p.u. is outside"),
-    ],
-)
-def test_contradicting_settings_are_refused_in_one_line(settings: dict[str, Any], message: str) -> None:
-    kinds: dict[str, Any] = {
-        "limits": ConverterLimitParameters,
-        "voltage_control": VoltageControlParameters,
-        "protection": ProtectionParameters,
-        "shedding": lambda **values: (SheddingStage(**values),),
-    }
-    with pytest.raises(ValueError, match=message) as refused:
-        PlantSettings(
-            **{name: kinds[name](**value) if isinstance(value, dict) else value for name, value in settings.items()}
-        )
-    assert "\n" not in str(refused.value)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (
-            {"limits": ConverterLimitParameters(power_max_pu=0.5, current_max_pu=3.0)},
-            r"cannot start: WTG group 0 at bus 2 .*converter's limits: power 0 … 0.5 p.u.",
-        ),
-        (
-            {"limits": ConverterLimitParameters(power_max_pu=0.8, current_max_pu=0.8)},
-            r"cannot start: WTG group 0 at bus 2 .*current at most 0.8 p.u.",
-        ),
-        (
-            {"voltage": VoltageControlParameters(internal_voltage_max_pu=1.1)},
-            r"cannot start: .*1.32 p.u. behind X_g, beyond the limits 0.5 … 1.1 p.u.",
-        ),
-    ],
-)
-def test_a_start_beyond_a_limit_is_refused(options: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        started(plant(**options), scenario())

@@ -1,0 +1,160 @@
+"""Plants with converter limits, voltage control, an energy-keeping rotor, shedding and hydro governors, for tests.
+
+Two plants are compiled: the paper's curve, and a table with a hydro governor. Options are numbers within them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.layout import Floats
+from wtg_gym.physics.nrel5mw import nrel_5mw
+from wtg_gym.physics.parameters import (
+    ConverterLimitParameters,
+    GovernorParameters,
+    HydroGovernorParameters,
+    TurbineParameters,
+    VoltageControlParameters,
+    european_shedding,
+)
+from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.scenario import LoadStep, Scenario
+from wtg_gym.physics.simulator import Simulator
+from wtg_gym.physics.tracking_law import get_law
+from wtg_gym.scenarios import get_suite
+
+#: Limits, voltage control, rotor that keeps its energy: all but none of them.
+OPTIONS = [options for options in itertools.product((False, True), repeat=3) if any(options)]
+#: As many stages as Europe's, so that the plant is compiled once; without an effect.
+NO_SHEDDING = tuple(dataclasses.replace(stage, share=0.0) for stage in european_shedding())
+LAW = "coordinated-piecewise"
+WIND = np.array([[11.4], [8.0]])
+CURRENT_MAX = ConverterLimitParameters().current_max_pu
+
+
+def plant(
+    *,
+    table: bool = False,
+    limits: bool | ConverterLimitParameters = True,
+    voltage: bool | VoltageControlParameters = True,
+    energy: bool = True,
+    dead_band: float = 0.0,
+    **more: Any,
+) -> PlantSettings:
+    """One of the two plants, with its options."""
+    case = modified_ieee14()
+    kind = HydroGovernorParameters if table else GovernorParameters
+    generator = dataclasses.replace(case.machines[0], governor=kind(dead_band_pu=dead_band))
+    given = {
+        "case": dataclasses.replace(case, machines=(generator, *case.machines[1:])),
+        "turbine": nrel_5mw(conserves_energy=energy) if table else TurbineParameters(conserves_energy=energy),
+        "limits": ConverterLimitParameters() if limits is True else limits or None,
+        "voltage_control": VoltageControlParameters() if voltage is True else voltage or None,
+        "shedding": european_shedding(),
+    }
+    return PlantSettings(**{**given, **more})
+
+
+def scenario(*events: LoadStep, wind: Any = WIND, **more: Any) -> Scenario:
+    return Scenario(name="x", wind_speed=np.asarray(wind, dtype=float), events=events, **more)
+
+
+def started(settings: PlantSettings, what: Scenario, law: str = LAW, duration_s: float = 60.0) -> Simulator:
+    simulator = Simulator(settings, duration_s=duration_s)
+    simulator.start(0, what, (get_law(law, settings.turbine),) * len(settings.groups))
+    return simulator
+
+
+def recorded(
+    simulator: Simulator, seconds: float, *names: str, act: Callable[[int], Any] | None = None
+) -> dict[str, Floats]:
+    """Numbers of the groups at the end of every control interval, until the run ends, and the frequency "coi"."""
+    found: dict[str, list[Any]] = {name: [] for name in ("coi", *names)}
+    for interval in range(round(seconds / simulator.settings.control_dt)):
+        if act is not None:
+            simulator.blocks[0, simulator.layout.wtg("k_offset")] = act(interval)
+        simulator.advance()
+        found["coi"].append(simulator.lane_values("coi")[0])
+        for name in names:
+            found[name].append(simulator.wtg_values(name)[0])
+        if simulator.lane_values("active")[0] < 0.5:
+            break
+    return {name: np.array(values) for name, values in found.items()}
+
+
+def largest_rate(simulator: Simulator) -> float:
+    names = simulator.layout.state_names
+    keep = [i for i, name in enumerate(names) if "energy" not in name and name != "reference_angle"]
+    return float(np.abs(simulator.rates()[keep]).max())
+
+
+def distance(simulator: Simulator, state: Floats) -> float:
+    """Largest deviation from a state, without energies and angles."""
+    names = simulator.layout.state_names
+    keep = [i for i, name in enumerate(names) if "energy" not in name and "angle" not in name]
+    return float(np.abs(simulator.state() - state)[keep].max())
+
+
+def fault(time_s: float = 1.0, duration_s: float = 0.15, bus: int = 2) -> tuple[LoadStep, LoadStep]:
+    """A short circuit nearby: its reactance takes 2000 Mvar at nominal voltage."""
+    return (
+        LoadStep(time_s=time_s, bus=bus, power_mw=0.0, reactive_mvar=2000.0),
+        LoadStep(time_s=time_s + duration_s, bus=bus, power_mw=0.0, reactive_mvar=-2000.0),
+    )
+
+
+def pulse(bus: int, power_mw: float = 0.0, reactive_mvar: float = 0.0, until_s: float = 21.0) -> tuple[LoadStep, ...]:
+    """A load that is switched on at 1 s and off again."""
+    return (
+        LoadStep(time_s=1.0, bus=bus, power_mw=power_mw, reactive_mvar=reactive_mvar),
+        LoadStep(time_s=until_s, bus=bus, power_mw=-power_mw, reactive_mvar=-reactive_mvar),
+    )
+
+
+def network_balance(simulator: Simulator) -> tuple[float, float]:
+    """Power of the units, and what loads and branches take, from the bus voltages [p.u.]."""
+    settings, blocks, rows = simulator.settings, simulator.blocks[0], simulator.layout.rows
+    last, following = simulator.lane_values("last_change")[0], simulator.lane_values("next_change")[0]
+    acted = -1.0 - blocks[rows.shedding : rows.shedding + simulator.layout.n_stages]
+    share = np.array([stage.share for stage in settings.shedding])
+    served = 1.0 - share[(acted >= 0.0) & (acted <= last)].sum()
+    load = served * simulator.data.load_y[0]
+    opened = set()
+    for event in simulator.data.events[0]:
+        if last >= event["start"]:
+            span = event["end"] - event["start"]
+            level = 1.0 if last >= event["end"] else (0.5 * (last + following) - event["start"]) / span
+            if event["branch"] >= 0:
+                opened.add(int(event["branch"]))
+            else:
+                load[event["bus"]] += served * level * event["admittance"]
+    interval = round(simulator.lane_values("step")[0] / simulator.plant.n_substeps) - 1
+    load[simulator.data.noise_bus[0]] += simulator.data.noise[0, interval] * simulator.lane_values("noise_per_mw")[0]
+    voltage = simulator.bus_voltages()
+    taken = (np.abs(voltage) ** 2 * np.conj(load + simulator.plant.buses["shunt"])).sum()
+    for index, branch in enumerate(simulator.plant.branches):
+        if index not in opened:
+            start, end = voltage[branch["start"]], voltage[branch["end"]]
+            taken += start * np.conj(branch["y_ff"] * start + branch["y_ft"] * end)
+            taken += end * np.conj(branch["y_tf"] * start + branch["y_tt"] * end)
+    given = simulator.machine_values("power")[0].sum() + simulator.wtg_values("power")[0] @ simulator.plant.share
+    return float(given), float(taken.real)
+
+
+def rough(seed: int) -> Scenario:
+    """A scenario of a suite with a large load step more, and every third time a fault."""
+    rng = np.random.default_rng(seed)
+    drawn = get_suite(("standard", "weak-grid", "gust", "low-wind")[seed % 4]).scenario(20_000 + seed)
+    step = LoadStep(
+        time_s=5.0 + round(float(rng.uniform(0.0, 10.0)), 1),
+        bus=int(rng.integers(2, 15)),
+        power_mw=float(rng.uniform(-150.0, 250.0)),
+        reactive_mvar=float(rng.uniform(-50.0, 50.0)),
+    )
+    return dataclasses.replace(drawn, events=(*drawn.events, step, *(fault(20.0, bus=4) if seed % 3 == 0 else ())))

@@ -1,0 +1,131 @@
+"""Equilibria of extended plants, the balances they keep, and small deviations from them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.physics.extended import (
+    CURRENT_MAX,
+    LAW,
+    NO_SHEDDING,
+    OPTIONS,
+    largest_rate,
+    network_balance,
+    plant,
+    pulse,
+    recorded,
+    rough,
+    scenario,
+    started,
+)
+from wtg_gym.physics.linearisation import moving_states, state_matrix
+from wtg_gym.physics.parameters import VoltageControlParameters
+from wtg_gym.physics.simulator import Simulator
+from wtg_gym.physics.tracking_law import get_law
+
+# --- Equilibria
+
+
+@pytest.mark.parametrize("table", [False, True])
+def test_no_state_moves_at_the_start_with_any_options(table: bool) -> None:
+    for limits, voltage, energy in OPTIONS:
+        settings = plant(table=table, limits=limits, voltage=voltage, energy=energy, dead_band=2e-4)
+        simulator = Simulator(settings)
+        laws = (get_law(LAW, settings.turbine),) * 2
+        for winds in ((6.0, 13.0), (8.0, 8.0), (11.4, 8.0), (12.0, 5.0), (16.0, 16.0), (24.0, 9.0)):
+            for level in (0.7, 1.0, 1.2):
+                simulator.start(0, scenario(wind=np.array([winds]).T, load_level=level), laws)
+                assert largest_rate(simulator) <= 1e-8, (limits, voltage, energy, winds, level)
+
+
+@pytest.mark.parametrize(("level", "sign"), [(1.2, 1.0), (0.5, -1.0)])
+def test_a_bus_lets_go_of_its_voltage_where_the_groups_reactive_power_does_not_suffice(
+    level: float, sign: float
+) -> None:
+    found = {}
+    for limit in (1.0, 0.04, 0.0):
+        control = VoltageControlParameters(reactive_max_pu=limit, internal_voltage_max_pu=1.6)
+        simulator = started(plant(limits=False, voltage=control), scenario(load_level=level))
+        assert largest_rate(simulator) <= 1e-8
+        found[limit] = (
+            sign * simulator.wtg_values("reactive")[0],
+            sign * (np.abs(simulator.bus_voltages()[1]) - 1.045),
+        )
+    (ample, held), *scarce = found.values()
+    assert (ample > 0.04).all() and (ample < 1.0).all() and held == pytest.approx(0.0, abs=1e-12)
+    for limit, (reactive, deviation) in zip((0.04, 0.0), scarce, strict=True):
+        assert reactive == pytest.approx(limit, abs=1e-11)
+        assert deviation < -1e-4
+
+
+# --- Balances
+
+
+@pytest.mark.parametrize(("table", "energy"), [(False, False), (False, True), (True, False), (True, True)])
+def test_rotor_converter_and_network_keep_their_balances_in_rough_runs(table: bool, energy: bool) -> None:
+    settings = plant(table=table, energy=energy, dead_band=2e-4)
+    inertia = settings.turbine.inertia_constant_s
+    chopped = 0.0
+    for seed in range(8):
+        simulator = started(settings, rough(seed))
+        before = simulator.wtg_values("rotor_speed")[0]
+        for _ in range(300):
+            simulator.advance()
+            if simulator.lane_values("active")[0] < 0.5:
+                break
+            given, taken = network_balance(simulator)
+            assert given == pytest.approx(taken, abs=1e-11)
+            assert simulator.wtg_values("current").max() <= CURRENT_MAX * (1.0 + 1e-9)
+        after = simulator.wtg_values("rotor_speed")[0]
+        drawn = simulator.wtg_values("energy_delivered")[0] + simulator.wtg_values("energy_chopped")[0]
+        kept = simulator.wtg_values("energy_captured")[0] - drawn
+        chopped = max(chopped, simulator.wtg_values("energy_chopped").max())
+        # A Runge-Kutta method keeps sums of rates exactly, so the paper's momentum to rounding. The energy H ω² is a
+        # square: it is off by the method's truncation.
+        if energy:
+            assert kept == pytest.approx(inertia * (after**2 - before**2), abs=2e-7)
+        else:
+            assert kept == pytest.approx(2.0 * inertia * (after - before), abs=1e-12)
+    assert chopped > 0.001
+
+
+def test_the_energy_of_the_rotor_is_off_by_the_truncation_of_the_integration() -> None:
+    errors = []
+    for dt in (0.04, 0.02, 0.01):
+        wind = 8.0 + 3.0 * np.sin(np.arange(301) * 0.2 * 0.5)
+        gusty = scenario(wind=np.stack([wind, wind]), wind_dt_s=0.2)
+        simulator = started(plant(simulation_dt=dt, control_dt=0.2, shedding=NO_SHEDDING), gusty)
+        before = simulator.wtg_values("rotor_speed")[0]
+        recorded(simulator, 40.0)
+        gained = 6.5 * (simulator.wtg_values("rotor_speed")[0] ** 2 - before**2)
+        kept = simulator.wtg_values("energy_captured")[0] - simulator.wtg_values("energy_delivered")[0]
+        errors.append(np.abs(kept - gained).max())
+    assert errors[0] > 1e-12
+    assert errors[1] < errors[0] / 8.0
+    assert errors[2] < max(errors[1] / 8.0, 1e-13)
+
+
+def test_the_chopper_burns_what_the_grid_presses_in() -> None:
+    simulator = started(plant(control_dt=0.025, shedding=NO_SHEDDING), scenario(*pulse(2, 250.0)))
+    found = recorded(simulator, 30.0, "power", "energy_chopped")
+    pressed = np.maximum(-found["power"], 0.0)
+    burnt = found["energy_chopped"][-1]
+    assert burnt.max() > 0.02
+    assert burnt == pytest.approx(0.025 * pressed.sum(axis=0), rel=0.02, abs=1e-12)
+
+
+# --- Small deviations
+
+
+@pytest.mark.parametrize("table", [False, True])
+def test_extended_plants_are_stable_at_their_equilibria(table: bool) -> None:
+    for limits, voltage, energy in OPTIONS:
+        settings = plant(table=table, limits=limits, voltage=voltage, energy=energy)
+        for wind in (8.0, 11.0, 16.0):
+            simulator = started(settings, scenario(wind=[[wind], [8.0]]))
+            rows, layout = simulator.blocks[0], simulator.layout
+            for side in (-1.0, 1.0):
+                matrix = state_matrix(rows, simulator.plant, layout, side)
+                keep = moving_states(matrix, rows, layout)
+                assert np.linalg.eigvals(matrix[np.ix_(keep, keep)]).real.max() < -0.03
