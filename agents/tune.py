@@ -170,7 +170,9 @@ def _write_best(study: optuna.Study, settings: RunSettings, folder: Path) -> Non
             f"# {settings.algo}: trial {best.number} of the study here. Its validation score, {best.value:.2f},\n"
             f"# is the largest of {len(complete)} trials on the scenarios that chose it, and thus optimistic.\n"
         )
-        content = yaml.safe_dump({get_suite(settings.suite).benchmark.env_id: best.user_attrs["hyperparameters"]}, sort_keys=True)
+        content = yaml.safe_dump(
+            {get_suite(settings.suite).benchmark.env_id: best.user_attrs["hyperparameters"]}, sort_keys=True
+        )
         write_atomically(folder / BEST_FILE, head + content)
 
 

@@ -33,9 +33,7 @@ def test_static_correction_gives_the_k_that_captures_what_is_asked_at_rest() -> 
     action, _ = STATIC.policy.predict(observation)
     # Half-way between the set-point, 95 %, and ω_min, 100 %.
     needed = tracking_point(0.025).coefficient - 0.5 * (law.k_min + law.k_nominal)
-    assert action == pytest.approx(
-        np.full((1, 2), needed / (V0.k_authority * (law.k_min - law.k_max))), abs=1e-4
-    )
+    assert action == pytest.approx(np.full((1, 2), needed / (V0.k_authority * (law.k_min - law.k_max))), abs=1e-4)
 
 
 def test_delayed_policy_answers_the_observation_of_one_step_before() -> None:

@@ -44,6 +44,10 @@ class Benchmark:
         """Id of the environment."""
         return f"GFMWTG-14bus-{self.version}"
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the version as JSON-ready data."""
+        return {**vars(self), "weights": dict(self.weights)}
+
 
 @dataclass(frozen=True, kw_only=True)
 class SuitePlant:

@@ -140,9 +140,7 @@ class ScenarioDistribution:
     group_trip_probability: float = _number(
         0.0, (0.0, 1.0), "", "chance that the smallest WTG group trips, if the governor is not lost"
     )
-    machine_outage_probability: float = _number(
-        0.0, (0.0, 1.0), "", "chance that a synchronous machine disconnects"
-    )
+    machine_outage_probability: float = _number(0.0, (0.0, 1.0), "", "chance that a synchronous machine disconnects")
     machine_outage_buses: tuple[int, ...] = _table((3, 6, 8), "buses whose machine may disconnect")
     line_reclosing_s: tuple[float, float] | None = _span(
         None, (0.1, 3600.0), "s", "time after which a tripped line comes back; None: it does not"

@@ -207,7 +207,7 @@ class Suite:
             "drawn": drawn,
         }
         if self.benchmark is not V0:
-            data["benchmark"], data["plant"] = asdict(self.benchmark), self.plant.to_dict()
+            data["benchmark"], data["plant"] = self.benchmark.to_dict(), self.plant.to_dict()
             data["sensors"] = None if self.sensors is None else asdict(self.sensors)
         text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()
@@ -256,47 +256,79 @@ def _drawn(name: str, description: str, **settings: Any) -> Suite:
     return Suite(name=name, description=description, duration_s=60.0, distribution=distribution)
 
 
-def _drawn_v1(name: str, description: str, plant: SuitePlant, sensors: SensorDistribution, **settings: Any) -> Suite:
-    distribution = ScenarioDistribution(name=f"{name}-v1", **settings)
+def _wind_plant(generator_mva: float, *turbines: float) -> SuitePlant:
+    """Return the grid of version v1: a small generator at bus 1, WTG groups in place of others."""
+    return SuitePlant(
+        groups=tuple(WtgGroup(bus=bus, n_turbines=n) for bus, n in zip((2, 3, 6, 8), turbines, strict=True)),
+        physics="extended",
+        generator_mva=generator_mva,
+        governor=GovernorParameters(lead_time_s=1.0, reheat_time_s=10.0),
+        frequency_limits_hz=(48.5, 51.5),
+        overload_from_pu=1.0,
+    )
+
+
+_WIND_PLANT = _wind_plant(250.0, 20.0, 14.0, 10.0, 8.0)
+#: What the scenarios of version v1 have in common; a suite replaces some of it.
+_WIND_SCENARIOS: Mapping[str, Any] = MappingProxyType(
+    {
+        "mean_wind_m_s": (8.5, 11.0),
+        "mean_wind_spread_m_s": 1.0,
+        "wind_share": (0.4, 0.8),
+        "wind_ramp_probability": 0.15,
+        "wind_ramp_m_s": (0.5, 1.8),
+        "load_event_mw": (10.0, 34.0),
+        "net_load_change_mw": 38.0,
+        "load_trip_probability": 0.1,
+        "line_trip_probability": 0.1,
+        "governor_droop": (0.03, 0.08),
+        "inertia_scale": (0.25, 0.6),
+        "governor_loss_probability": 0.05,
+        "group_trip_probability": 0.05,
+    }
+)
+
+
+def _drawn_v1(
+    name: str,
+    description: str,
+    plant: SuitePlant = _WIND_PLANT,
+    sensors: SensorDistribution | None = None,
+    **settings: Any,
+) -> Suite:
     return Suite(
         name=f"{name}-v1",
         description=description,
         duration_s=60.0,
         benchmark=V1,
         plant=plant,
-        sensors=sensors,
-        distribution=distribution,
+        sensors=sensors or SensorDistribution(),
+        distribution=ScenarioDistribution(name=f"{name}-v1", **{**_WIND_SCENARIOS, **settings}),
         validation=range(10_000, 10_200),
         test=range(20_000, 21_000),
     )
 
 
-_WIND_PLANT = SuitePlant(
-    groups=(
-        WtgGroup(bus=2, n_turbines=20),
-        WtgGroup(bus=3, n_turbines=14),
-        WtgGroup(bus=6, n_turbines=10),
-        WtgGroup(bus=8, n_turbines=8),
+_PAPER_V1 = Suite(
+    name="paper-v1",
+    description="The paper's two cases in this grid: 25 MW more at bus 2 and 3; the loads of buses 9 and 14 lost.",
+    duration_s=120.0,
+    benchmark=V1,
+    plant=_WIND_PLANT,
+    sensors=SensorDistribution(),
+    cases=(
+        FixedCase(
+            name="load-increase",
+            wind_speed_m_s=(11.0, 9.0),
+            events=(LoadStep(time_s=5.0, bus=2, power_mw=25.0), LoadStep(time_s=30.0, bus=3, power_mw=25.0)),
+        ),
+        FixedCase(
+            name="load-decrease",
+            wind_speed_m_s=(11.0, 9.0),
+            events=(LoadTrip(time_s=5.0, bus=9), LoadTrip(time_s=30.0, bus=14)),
+        ),
     ),
-    physics="extended",
-    generator_mva=250.0,
-    governor=GovernorParameters(lead_time_s=1.0, reheat_time_s=10.0),
-    frequency_limits_hz=(48.5, 51.5),
-    overload_from_pu=1.0,
 )
-_WIND_SCENARIOS: dict[str, Any] = {
-    "mean_wind_m_s": (7.7, 11.5),
-    "load_event_mw": (10.0, 38.0),
-    "net_load_change_mw": 42.0,
-    "governor_droop": (0.03, 0.08),
-    "inertia_scale": (0.25, 0.6),
-    "line_trip_probability": 0.1,
-    "load_trip_probability": 0.1,
-    "wind_ramp_probability": 0.15,
-    "wind_share": (0.4, 0.8),
-    "governor_loss_probability": 0.05,
-    "group_trip_probability": 0.05,
-}
 
 #: Every suite by its name.
 SUITES: Mapping[str, Suite] = MappingProxyType(
@@ -332,13 +364,52 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
                 load_noise_mw=1.5,
                 line_trip_probability=0.3,
             ),
+            _drawn_v1("standard", "Three fifths of the power from wind beside one small generator: the wind decides."),
             _drawn_v1(
-                "standard",
-                "Three fifths of the power from wind, one small governor: the turbines decide.",
-                _WIND_PLANT,
-                SensorDistribution(),
-                **_WIND_SCENARIOS,
+                "low-share",
+                "Two fifths of the power from wind, and larger events.",
+                _wind_plant(300.0, 14.0, 10.0, 7.0, 5.0),
+                wind_share=(0.25, 0.6),
+                load_event_mw=(12.0, 42.0),
+                net_load_change_mw=48.0,
             ),
+            _drawn_v1(
+                "high-share",
+                "Three quarters of the power from wind beside a generator of 150 MVA.",
+                _wind_plant(150.0, 26.0, 18.0, 13.0, 10.0),
+                wind_share=(0.6, 0.85),
+                load_event_mw=(6.0, 24.0),
+                net_load_change_mw=27.0,
+                inertia_scale=(0.35, 0.7),
+            ),
+            _drawn_v1(
+                "gusty",
+                "A gust on one group or a wind ramp on all in nearly every run, in turbulence of class A.",
+                mean_wind_m_s=(9.0, 11.5),
+                turbulence_intensity=(0.16, 0.16),
+                gust_probability=0.5,
+                gust_m_s=(2.5, 4.5),
+                wind_ramp_probability=0.4,
+                wind_ramp_m_s=(1.0, 2.0),
+                n_load_events=(1, 2),
+                load_event_mw=(10.0, 30.0),
+            ),
+            _drawn_v1(
+                "no-wind-sensor",
+                "As standard-v1, but nobody measures the wind.",
+                sensors=SensorDistribution(wind_sensor=False),
+            ),
+            _drawn_v1(
+                "faults",
+                "Lines that open and close again, machines and groups that trip, smaller load events.",
+                load_event_mw=(10.0, 30.0),
+                net_load_change_mw=32.0,
+                line_trip_probability=0.6,
+                line_reclosing_s=(1.0, 10.0),
+                machine_outage_probability=0.4,
+                group_trip_probability=0.15,
+            ),
+            _PAPER_V1,
         )
     }
 )
