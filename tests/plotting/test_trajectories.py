@@ -11,7 +11,16 @@ import pytest
 
 from wtg_gym.envs.rendering.diagram import describe_event
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.scenario import LineTrip, LoadRamp, LoadStep, LoadTrip, Scenario
+from wtg_gym.physics.scenario import (
+    GovernorLoss,
+    GroupTrip,
+    LineTrip,
+    LoadRamp,
+    LoadStep,
+    LoadTrip,
+    MachineOutage,
+    Scenario,
+)
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.physics.trajectory import Trajectory, simulate
 from wtg_gym.plotting import STRATEGY_LOOKS, plot_trajectories
@@ -125,3 +134,9 @@ def test_events_are_described_with_units() -> None:
     assert describe_event(ramp) == "+20 MW at bus 3 over 4 s"
     assert describe_event(LoadTrip(time_s=1.0, bus=4)) == "load of bus 4 lost"
     assert describe_event(LineTrip(time_s=1.0, from_bus=2, to_bus=4)) == "line 2–4 opens"
+    brief = LineTrip(time_s=1.0, from_bus=2, to_bus=4, recloses_after_s=0.5)
+    assert describe_event(brief) == "line 2–4 opens for 0.5 s"
+    assert describe_event(GovernorLoss(time_s=1.0, bus=1)) == "governor at bus 1 lost"
+    assert describe_event(MachineOutage(time_s=1.0, bus=6)) == "machine at bus 6 disconnected"
+    # Counted as in the diagram, where the first group is W1.
+    assert describe_event(GroupTrip(time_s=1.0, group=0)) == "WTG group 1 disconnected"
