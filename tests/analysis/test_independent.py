@@ -16,6 +16,7 @@ from tests.analysis.independent import Independent
 from tests.golden_cases import GOLDEN
 from wtg_gym.analysis.case_file import read_parameters
 from wtg_gym.analysis.replay import replay
+from wtg_gym.physics.parameters import ProtectionParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Event, GovernorLoss, LineTrip, LoadStep, MachineOutage, Scenario
 from wtg_gym.physics.simulator import Simulator
@@ -88,7 +89,10 @@ def test_outages_and_a_line_that_closes_again_agree_with_a_second_implementation
     ]
     times = [0.1 * k for k in range(1, 60) if k not in (5, 20, 40)]
     expected = Independent(data).run(written, [0.0, *times])
-    simulator = Simulator(PlantSettings(case=network, groups=(), control_dt=0.1, simulation_dt=0.0025), duration_s=6.0)
+    # The second implementation has no protection.
+    wide = ProtectionParameters(frequency_min_pu=0.5)
+    plant = PlantSettings(case=network, groups=(), control_dt=0.1, simulation_dt=0.0025, protection=wide)
+    simulator = Simulator(plant, duration_s=6.0)
     start = Simulator(simulator.settings)
     calm = Scenario(name="calm", wind_speed=np.zeros((0, 1)), duration_s=6.0)
     start.start(0, calm, ())
