@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.layout import Floats
+from wtg_gym.physics.linearisation import largest_stable_steps, moving_states, state_matrix
 from wtg_gym.physics.network import assemble_admittance
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.protection import Status
@@ -324,6 +325,22 @@ def test_the_outage_of_the_first_machine_is_that_of_any_other() -> None:
     assert runs[0] == pytest.approx(runs[1], abs=1e-9)
     # The generator is gone, so the frequency falls, until the protection ends the run.
     assert runs[0][-1, -4] < 0.98
+
+
+def test_with_fewer_units_the_modes_are_no_faster(simulator: Simulator) -> None:
+    """So that the step that suits the start suits what is left."""
+    found = {}
+    for out in ((), (3,), (6,), (8,), (1,), (3, 6, 8), (1, 3, 6), (1, 3, 8), (1, 6, 8)):
+        events = tuple(MachineOutage(time_s=0.0, bus=bus) for bus in out)
+        for groups in ((), (0,), (0, 1)):
+            simulator.start(0, scenario(*events, *(GroupTrip(time_s=0.0, group=group) for group in groups)), LAWS)
+            simulator.advance()
+            rows, layout = simulator.blocks[0].copy(), simulator.layout
+            matrix = state_matrix(rows, simulator.plant, layout, -1.0)
+            keep = moving_states(matrix, rows, layout)
+            found[out, groups] = largest_stable_steps(np.linalg.eigvals(matrix[np.ix_(keep, keep)])).min()
+    assert min(found.values()) >= 0.99 * found[(), ()]
+    assert found[(3, 6, 8), ()] > 1.1 * found[(), ()]
 
 
 # --- Lines
