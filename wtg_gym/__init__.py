@@ -1,7 +1,7 @@
 """Grid-forming wind turbine generators on the modified IEEE 14-bus system, as a Gymnasium benchmark.
 
-Importing this package registers `GFMWTG-14bus-v0` and `GFMWTG-14bus-v1`. The environments' classes and what scores a policy are loaded, with
-the numerical packages that they need, when they are first used.
+Importing this package registers `GFMWTG-14bus-v0` and `GFMWTG-14bus-v1`. The environments' classes and what scores a
+policy are loaded, with the numerical packages that they need, when they are first used.
 """
 
 from importlib import import_module

@@ -10,7 +10,16 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
-from wtg_gym.physics.scenario import LineTrip, LoadRamp, LoadStep, LoadTrip, Scenario
+from wtg_gym.physics.scenario import (
+    GovernorLoss,
+    GroupTrip,
+    LineTrip,
+    LoadRamp,
+    LoadStep,
+    LoadTrip,
+    MachineOutage,
+    Scenario,
+)
 
 #: One step as plain data: observation bytes, reward, terminated, truncated, info, then the same of an episode's end.
 Step = tuple[Any, ...]
@@ -30,9 +39,12 @@ def eventful(wind: float = 9.0, duration_s: float = 4.0, **changes: Any) -> Scen
     events = (
         LoadStep(time_s=0.525, bus=2, power_mw=40.0, reactive_mvar=5.0),
         LoadRamp(time_s=0.9, bus=14, power_mw=-10.0, duration_s=1.1),
-        LineTrip(time_s=1.3, from_bus=5, to_bus=4),
+        LineTrip(time_s=1.3, from_bus=5, to_bus=4, recloses_after_s=0.85),
+        MachineOutage(time_s=1.525, bus=6),
         LoadTrip(time_s=1.975, bus=9),
+        GovernorLoss(time_s=2.2, bus=1),
         LoadStep(time_s=2.5, bus=5, power_mw=15.0),
+        GroupTrip(time_s=2.725, group=1),
     )
     noise = np.r_[0.0, np.random.default_rng(5).normal(0.0, 1.0, round(10 * duration_s))]
     values = {"events": events, "load_noise_mw": noise, "duration_s": duration_s, **changes}

@@ -11,7 +11,17 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
-from wtg_gym.physics.scenario import Event, LineTrip, LoadRamp, LoadStep, LoadTrip, Scenario
+from wtg_gym.physics.scenario import (
+    Event,
+    GovernorLoss,
+    GroupTrip,
+    LineTrip,
+    LoadRamp,
+    LoadStep,
+    LoadTrip,
+    MachineOutage,
+    Scenario,
+)
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.scenarios import SUITES, TRIPPABLE_LINES
 
@@ -124,7 +134,15 @@ def scenarios(draw: Any) -> Scenario:
     if ramp is not None:
         events.append(ramp)
     if line is not None:
-        events.append(LineTrip(time_s=draw(TIMES), from_bus=line[0], to_bus=line[1]))
+        after_s = draw(st.none() | st.sampled_from([0.025, 0.5, 10.0]))
+        events.append(LineTrip(time_s=draw(TIMES), from_bus=line[0], to_bus=line[1], recloses_after_s=after_s))
+    # One machine stays.
+    outages = draw(st.lists(st.sampled_from([1, 3, 6, 8]), max_size=3, unique=True))
+    events += [MachineOutage(time_s=draw(TIMES), bus=bus) for bus in outages]
+    tripped = draw(st.lists(st.integers(0, 1), max_size=2, unique=True))
+    events += [GroupTrip(time_s=draw(TIMES), group=group) for group in tripped]
+    if draw(st.booleans()):
+        events.append(GovernorLoss(time_s=draw(TIMES), bus=1))
     winds = [draw(WINDS) for _ in range(2)]
     length = max(len(wind) for wind in winds)
     return Scenario(

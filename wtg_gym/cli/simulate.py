@@ -29,7 +29,7 @@ from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.parameters import WtgGroup, default_groups
 from wtg_gym.physics.plant import plant_settings
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.scenario import Scenario
+from wtg_gym.physics.scenario import EVENT_KINDS, Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 from wtg_gym.physics.trajectory import Trajectory, simulate
 from wtg_gym.scenarios import SUITES, get_suite, read_wind_csv
@@ -41,7 +41,8 @@ of the paper's cases, a seed of a suite, or a file; its wind can be replaced. A 
 over-speed, an under-speed (extended physics), a frequency outside 47.5 … 51.5 Hz, lost synchronism or a voltage
 collapse.
 
-strategies: {", ".join(STRATEGIES)}"""
+strategies: {", ".join(STRATEGIES)}
+kinds of event in a file: {", ".join(EVENT_KINDS)}"""
 
 _EXAMPLES = """\
   wtg-gym simulate --case load-increase --strategy mppt deloaded-5 coordinated-piecewise --plot run.png

@@ -83,7 +83,7 @@ class Simulator:
     The integration step must suit the plant's fastest mode (:func:`~wtg_gym.physics.linearisation.check_step`). The
     constructor checks it with nominal load and inertia under the reference law, at 8 and 16 m/s. :meth:`prepare` checks
     every new law, and every inertia below those checked before: a lighter machine swings faster. Load level, line trips
-    and governor droop hardly matter.
+    and governor droop hardly matter, and with fewer units the modes are slower.
 
     Args:
         settings: the plant and its time steps.
