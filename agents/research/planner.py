@@ -23,14 +23,20 @@ import numpy.typing as npt
 
 from agents.command import Parser, Progress, check_output_folder, note, run_command, say
 from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.observation import N_LOCAL, N_MEASURED
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, Results, evaluate, leaderboard_rows, markdown_table
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.metrics import Recorder, measure
+from wtg_gym.physics.aerodynamics import power_coefficient
 from wtg_gym.scenarios import SPLITS, get_suite
 
 Floats = npt.NDArray[np.float64]
 KNOWLEDGE = ("exact", "measured")
+#: Winds that an observer believes in [m/s].
+_WIND_RANGE = (3.5, 24.5)
+#: Time constants of the observer's filters: rotor speed and power, the wind sensor, its correction [s].
+_ROTOR_FILTER_S, _SENSOR_FILTER_S, _CORRECTION_S = 2.0, 2.0, 10.0
 #: Candidates that the next generation is drawn around.
 _N_ELITE = 6
 
@@ -79,6 +85,10 @@ class Planning:
 class WindObserver:
     """Estimates the wind of every lane and group, and its mean.
 
+    Where the wind is only measured, the sensor says how it changes, and the rotor how large it is: the power balance
+    p_w = p + 2H_m ω_m ω̇_m of measured power and speed gives the wind that the rotor must have seen, slowly but without
+    bias. While the blades may be turned, that is not known.
+
     Args:
         lanes: the episodes that are played.
         planning: time constants and what is known.
@@ -87,29 +97,63 @@ class WindObserver:
     def __init__(self, lanes: TaskLanes, planning: Planning) -> None:
         self._lanes, self._planning = lanes, planning
         self._dt = lanes.settings.control_dt
-        self.now = self._seen()
-        self.mean = self.now.copy()
+        sensors = lanes.settings.sensor_distribution()
+        self._has_sensor = sensors is None or sensors.wind_sensor
+        turbine = lanes.simulator.settings.turbine
+        self._two_h = 2.0 * turbine.inertia_constant_s
+        #: Wind per rotor speed, and the captured power per cubed rotor speed that belongs to it.
+        self._ratio = turbine.tip_speed_ratio_per_speed_m_s / np.linspace(20.0, 3.5, 400)
+        coefficient = power_coefficient(
+            turbine.tip_speed_ratio_per_speed_m_s / self._ratio, 0.0, turbine.power_coefficient
+        )
+        self._power = np.maximum.accumulate(
+            turbine.wind_power_pu_per_cubic_wind * self._ratio**3 * np.asarray(coefficient)
+        )
+        speed, power, wind = self._measured()
+        self._speed, self._power_now = speed, power
+        self._correction = np.zeros_like(wind)
+        self.now = self.mean = self._seen()
+
+    def _measured(self) -> tuple[Floats, Floats, Floats]:
+        """Rotor speed [p.u.], power [p.u.] and wind [m/s] as the sensors say, (n_lanes, n_wtg) each."""
+        n_wtg = self._lanes.n_wtg
+        own = self._lanes.observations[:, : n_wtg * (self._lanes.n_local + 2)].reshape(-1, n_wtg, N_MEASURED + 2)
+        values = own.astype(np.float64)
+        return 1.0 + 0.25 * values[..., 3], values[..., 4], 10.0 + 5.0 * values[..., 5]
+
+    def _low_pass(self, old: Floats, new: Floats, time_s: float) -> Floats:
+        share = np.exp(-self._dt / time_s)
+        filtered: Floats = share * old + (1.0 - share) * new
+        return filtered
 
     def _seen(self) -> Floats:
         if self._planning.knowledge == "exact":
             return self._lanes.simulator.wtg_values("wind")
-        own = self._lanes.observations[:, : self._lanes.n_wtg * (self._lanes.n_local + 2)]
-        measured: Floats = 10.0 + 5.0 * own.reshape(len(own), self._lanes.n_wtg, -1)[..., 5].astype(np.float64)
-        return np.clip(measured, 3.5, 24.5)
+        speed, power, wind = self._measured()
+        rate = (speed - self._speed) / _ROTOR_FILTER_S
+        self._speed = self._low_pass(self._speed, speed, _ROTOR_FILTER_S)
+        self._power_now = self._low_pass(self._power_now, power, _ROTOR_FILTER_S)
+        captured = self._power_now + self._two_h * self._speed * rate
+        of_rotor = self._speed * np.interp(captured / self._speed**3, self._power, self._ratio)
+        if not self._has_sensor:
+            return np.clip(of_rotor, *_WIND_RANGE)
+        wind = np.clip(wind, *_WIND_RANGE)
+        known = (captured < 0.9) & (self._speed < 1.05)
+        error = np.where(known, np.log(np.maximum(of_rotor, 1.0) / wind), self._correction)
+        self._correction = self._low_pass(self._correction, error, _CORRECTION_S)
+        return np.clip(wind * np.exp(self._correction), *_WIND_RANGE)
 
     def update(self) -> None:
         """Take in the newest measurement."""
         seen = self._seen()
-        fast = 0.0 if self._planning.knowledge == "exact" else np.exp(-self._dt / 2.0)
-        self.now = fast * self.now + (1.0 - fast) * seen
-        slow = np.exp(-self._dt / self._planning.wind_memory_s)
-        self.mean = slow * self.mean + (1.0 - slow) * seen
+        self.now = seen if self._planning.knowledge == "exact" else self._low_pass(self.now, seen, _SENSOR_FILTER_S)
+        self.mean = self._low_pass(self.mean, seen, self._planning.wind_memory_s)
 
     def expected(self, n_steps: int) -> Floats:
         """Return the wind from now on, (n_lanes, n_wtg, n_steps + 1) [m/s]."""
         decay = np.exp(-self._dt / self._planning.wind_decay_s * np.arange(n_steps + 1))
         ahead: Floats = self.mean[..., None] + (self.now - self.mean)[..., None] * decay
-        return np.clip(ahead, 3.5, 24.5)
+        return np.clip(ahead, *_WIND_RANGE)
 
 
 def played_by_planner(
@@ -184,7 +228,7 @@ class _Planner:
             if step:
                 self._plan = _shifted(self._plan, self._shares, self._interval)
             self._search(min(len(self._shares), n_steps - step))
-        course = np.einsum("k,nkwa->nwa", self._shares[step % self._interval], self._plan)
+        course: Floats = np.einsum("k,nkwa->nwa", self._shares[step % self._interval], self._plan)
         return _actions(self._lanes, course, self._planning.gain)
 
     def _search(self, n_ahead: int) -> None:
@@ -230,9 +274,9 @@ def _shifted(plan: Floats, shares: Floats, interval: int) -> Floats:
 
 def _actions(lanes: TaskLanes, course: Floats, gain: float) -> Floats:
     """Actions of a course (n_lanes, n_wtg, 2) on top of the feedback of the exact frequency."""
-    first = lanes.n_wtg * (lanes.n_local + 2)
-    exact = lanes.observations[:, first : first + lanes.n_wtg * 9].reshape(lanes.n_lanes, lanes.n_wtg, 9)
-    actions = course.copy()
+    first, n = lanes.n_wtg * (lanes.n_local + 2), N_LOCAL + 1
+    exact = lanes.observations[:, first : first + lanes.n_wtg * n].reshape(lanes.n_lanes, lanes.n_wtg, n)
+    actions: Floats = course.copy()
     actions[..., 0] -= gain * exact[..., 0].astype(np.float64)
     return np.ascontiguousarray(np.clip(actions, -1.0, 1.0).reshape(lanes.n_lanes, -1))
 
