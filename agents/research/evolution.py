@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from agents.research.rollouts import Rollouts, both, course, linear_feedback
-from wtg_gym.envs.observation import N_LOCAL
 from wtg_gym.envs.settings import ACTION_MODES
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[np.float64]
@@ -37,6 +37,7 @@ class Search:
         action_mode: what the actions modulate.
         generations: of the search, or of every scenario's search.
         seed: of the search.
+        strategy: law that the actions modulate.
 
     Raises:
         ValueError: a value is unknown or out of range.
@@ -48,6 +49,7 @@ class Search:
     action_mode: str
     generations: int
     seed: int
+    strategy: str = REFERENCE_STRATEGY
 
     def __post_init__(self) -> None:
         largest = min(len(get_suite(self.suite).seeds(self.split)), 10_000)
@@ -66,13 +68,24 @@ class Search:
 
     def rollouts(self, scenario_seeds: Sequence[int], n_threads: int | None = None) -> Rollouts:
         """Return rollouts of scenarios with a population in each."""
-        return Rollouts(self.suite, self.split, scenario_seeds, POPULATION, n_threads, action_mode=self.action_mode)
+        return Rollouts(
+            self.suite,
+            self.split,
+            scenario_seeds,
+            POPULATION,
+            n_threads,
+            action_mode=self.action_mode,
+            strategy=self.strategy,
+        )
 
 
 def add_search_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that the commands with a search share."""
     parser.add_argument("--suite", metavar="NAME", default="standard", help="(default: standard)")
     parser.add_argument("--action-mode", choices=tuple(ACTION_MODES), default="k+tau", help="(default: k+tau)")
+    parser.add_argument(
+        "--strategy", choices=tuple(STRATEGIES), default=REFERENCE_STRATEGY, help="law (default: the reference's)"
+    )
     parser.add_argument("--generations", type=int, default=150, metavar="N", help="of a search (default: 150)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the search (default: 0)")
     parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
@@ -87,6 +100,7 @@ def search_of(given: argparse.Namespace, split: str) -> Search:
         action_mode=given.action_mode,
         generations=given.generations,
         seed=given.seed,
+        strategy=given.strategy,
     )
 
 
@@ -126,7 +140,7 @@ class _Strategy:
 
 
 def tune_linear(rollouts: Rollouts, generations: int, on_generation: OnGeneration, seed: int = 0) -> Floats:
-    """Return the gains (n_action, N_LOCAL + 1) of a linear feedback, the same for all groups, with a small mean cost.
+    """Return the gains (n_action, n_local + 1) of a linear feedback, the same for all groups, with a small mean cost.
 
     Args:
         rollouts: the scenarios, with POPULATION candidates each.
@@ -134,12 +148,12 @@ def tune_linear(rollouts: Rollouts, generations: int, on_generation: OnGeneratio
         on_generation: is told after each.
         seed: of the search.
     """
-    shape = (rollouts.n_action, N_LOCAL + 1)
+    shape = (rollouts.n_action, rollouts.lanes.n_local + 1)
     search = _Strategy(np.zeros(shape), 0.15, seed)
     least = np.inf
     for generation in range(generations):
         asked = search.ask()
-        costs = rollouts.play(linear_feedback(asked.reshape(-1, *shape))).sum(axis=-1).mean(axis=0)
+        costs = rollouts.objective(rollouts.play(linear_feedback(asked.reshape(-1, *shape)))).mean(axis=0)
         search.tell(asked, costs)
         least = min(least, float(costs.min()))
         on_generation(generation + 1, least)
@@ -161,7 +175,7 @@ def search_with_foresight(
         rollouts: the scenarios, with POPULATION candidates each.
         scenario_seeds: their seeds: every scenario's search draws from a generator of its own.
         gains: of a linear feedback that the actions are added to and whose gains are searched as well,
-            (n_action, N_LOCAL + 1); None: a course of actions alone.
+            (n_action, n_local + 1); None: a course of actions alone.
         generations: of every scenario's search.
         on_generation: is told after each.
         seed: of the searches.

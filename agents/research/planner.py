@@ -269,7 +269,8 @@ def _shares(n_knots: int, horizon: int) -> Floats:
 def _shifted(plan: Floats, shares: Floats, interval: int) -> Floats:
     """The same course, an interval later."""
     at = np.minimum(np.linspace(0, len(shares) - 1, plan.shape[1]).astype(np.int64) + interval, len(shares) - 1)
-    return np.einsum("jk,nkwa->njwa", shares[at], plan)
+    shifted: Floats = np.einsum("jk,nkwa->njwa", shares[at], plan)
+    return shifted
 
 
 def _actions(lanes: TaskLanes, course: Floats, gain: float) -> Floats:

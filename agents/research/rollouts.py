@@ -12,7 +12,7 @@ import numpy.typing as npt
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task_records import COST_TERMS
-from wtg_gym.evaluation.score import pinned_cost
+from wtg_gym.evaluation.score import COST_OFFSET, pinned_cost
 
 Floats = npt.NDArray[np.float64]
 #: Observations (n_scenarios, n_candidates, n_wtg, n) of a step to actions (n_scenarios, n_candidates, n_wtg, n_action).
@@ -84,6 +84,17 @@ class Rollouts:
         worst = pinned_cost(0.0, failed=True, duration_s=self.lanes.duration_s, cap=cap)
         costs: Floats = np.where(terms[..., _FAILURE] > 0.0, worst, terms.sum(axis=-1))
         return costs
+
+    def objective(self, terms: Floats) -> Floats:
+        """Return what a search over many scenarios lowers, (...), from what :meth:`play` gave.
+
+        In version v0 it is the cost; from v1 on what the score counts, ln(J + J0): a few failures outweigh all else in
+        a mean of costs.
+        """
+        if not self.lanes.suite.benchmark.sensed:
+            costs: Floats = terms.sum(axis=-1)
+            return costs
+        return np.log(self.pinned(terms) + COST_OFFSET)
 
     def close(self) -> None:
         """Stop the threads."""
