@@ -13,6 +13,8 @@ import numpy.typing as npt
 
 from agents.command import Parser, Progress, print_table, run_command, say
 from agents.research.rollouts import Candidates, Rollouts, difference_percent
+from wtg_gym.evaluation.score import COST_OFFSET
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[np.float64]
@@ -35,22 +37,29 @@ _AT_ONCE = 24
 
 
 class SimplePolicy(NamedTuple):
-    """A policy in words, and its mean pinned cost."""
+    """A policy in words, its mean pinned cost, and the mean of ln(J + J0), which decides the score."""
 
     family: str
     description: str
     cost: float
+    log_cost: float
 
 
 def simple_policies(
-    suite: str, split: str, n_scenarios: int | None = None, n_threads: int | None = None
+    suite: str,
+    split: str,
+    n_scenarios: int | None = None,
+    n_threads: int | None = None,
+    *,
+    strategy: str = REFERENCE_STRATEGY,
 ) -> tuple[float, list[SimplePolicy]]:
-    """Return the reference's mean cost on scenarios, and all simple policies, the cheapest first.
+    """Return the zero action's mean cost on scenarios, and all simple policies, the cheapest first.
 
     Args:
         suite, split: of the scenarios.
         n_scenarios: how many, the first ones; None for all.
         n_threads: threads to step with; None for one per processor.
+        strategy: law that the actions modulate.
 
     Raises:
         ValueError: there is no such suite, or not that many scenarios.
@@ -58,7 +67,7 @@ def simple_policies(
     seeds = list(get_suite(suite).seeds(split))
     if n_scenarios is not None and not 1 <= n_scenarios <= len(seeds):
         raise ValueError(f"--scenarios = {n_scenarios} is outside the allowed range 1 … {len(seeds)}")
-    with closing(Rollouts(suite, split, seeds[:n_scenarios], _AT_ONCE, n_threads)) as rollouts:
+    with closing(Rollouts(suite, split, seeds[:n_scenarios], _AT_ONCE, n_threads, strategy=strategy)) as rollouts:
         reference = float(rollouts.pinned(rollouts.reference()).mean())
         found = _constants(rollouts) + _jumping(rollouts) + _proportional(rollouts)
     return reference, sorted(found, key=lambda policy: policy.cost)
@@ -73,7 +82,7 @@ def _constants(rollouts: Rollouts) -> list[SimplePolicy]:
 
     words = [", ".join(f"{name} {value:+g}" for name, value in zip(_ACTIONS, row, strict=True)) for row in grid]
     costs = _costs(rollouts, "constant actions", len(grid), candidates)
-    return [SimplePolicy("constant", *each) for each in zip(words, costs, strict=True)]
+    return [SimplePolicy("constant", text, *own) for text, own in zip(words, costs, strict=True)]
 
 
 def _jumping(rollouts: Rollouts) -> list[SimplePolicy]:
@@ -100,7 +109,7 @@ def _jumping(rollouts: Rollouts) -> list[SimplePolicy]:
         SimplePolicy(
             "bang-bang" if amplitude == 1.0 else "relay",
             f"{_ACTIONS[a]} {sign * amplitude:+g} · sign({names[i]} − {thresholds[jump, i]:.2f})",
-            cost,
+            *cost,
         )
         for (i, jump, sign, amplitude, a), cost in zip(grid, costs, strict=True)
     ]
@@ -125,7 +134,7 @@ def _proportional(rollouts: Rollouts) -> list[SimplePolicy]:
 
     costs = _costs(rollouts, "proportional actions", len(grid), candidates)
     return [
-        SimplePolicy("proportional", f"{_ACTIONS[a]} {sign * gain:+g} · ({names[i]} − {medians[i]:.2f})", cost)
+        SimplePolicy("proportional", f"{_ACTIONS[a]} {sign * gain:+g} · ({names[i]} − {medians[i]:.2f})", *cost)
         for (i, sign, gain, a), cost in zip(grid, costs, strict=True)
     ]
 
@@ -145,15 +154,18 @@ def _seen(rollouts: Rollouts) -> Floats:
     return np.concatenate(seen)
 
 
-def _costs(rollouts: Rollouts, name: str, n: int, candidates: Callable[[list[int]], Candidates]) -> list[float]:
-    """Return the mean pinned costs of n candidates, played as many at a time as the rollouts have room for."""
-    costs: list[float] = []
+def _costs(
+    rollouts: Rollouts, name: str, n: int, candidates: Callable[[list[int]], Candidates]
+) -> list[tuple[float, float]]:
+    """Return the mean pinned costs of n candidates and those of ln(J + J0), as many at a time as there is room for."""
+    costs: list[tuple[float, float]] = []
     with Progress("policies") as progress:
         for first in range(0, n, rollouts.n_candidates):
             # The last ones are repeated to fill the room.
             which = [min(i, n - 1) for i in range(first, first + rollouts.n_candidates)]
-            played = rollouts.pinned(rollouts.play(candidates(which))).mean(axis=0)
-            costs += played[: n - first].tolist()
+            played = rollouts.pinned(rollouts.play(candidates(which)))
+            means = played.mean(axis=0).tolist(), np.log(played + COST_OFFSET).mean(axis=0).tolist()
+            costs += list(zip(*means, strict=True))[: n - first]
             progress.update(name, len(costs), n)
     return costs
 
