@@ -24,7 +24,7 @@ from wtg_gym.physics.parameters import (
     european_shedding,
 )
 from wtg_gym.physics.plant import PlantSettings
-from wtg_gym.physics.scenario import Event, Scenario
+from wtg_gym.physics.scenario import Event, LoadStep, Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.scenarios import get_suite
