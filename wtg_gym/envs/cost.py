@@ -83,12 +83,24 @@ def effort(action: float, last: float) -> float:
 
 
 @inlined
-def with_group(terms: CostTerms, costs: GroupCosts, duty: float, group: GroupRows, task: Task, n_wtg: int) -> CostTerms:
-    """Return the terms with those of one WTG group added; `duty` is the error that is charged."""
+def with_group(
+    terms: CostTerms, costs: GroupCosts, duty: float, there: float, group: GroupRows, task: Task, n_wtg: int
+) -> CostTerms:
+    """Return the terms with those of one WTG group added.
+
+    Args:
+        terms: rates of the terms so far [1/s].
+        costs: the group's deviations.
+        duty: its duty error that is charged.
+        there: 0 for a group that an event has disconnected: its actions move nothing and cost nothing. Else 1.
+        group: its actions.
+        task: constants.
+        n_wtg: number of groups.
+    """
     w = task.weights
     n_actions = n_wtg * (int(task.modulates_k) + int(task.modulates_tau))
-    on_k = w.effort * effort(group.action_k, group.last_action_k) / n_actions
-    on_tau = w.effort * effort(group.action_tau, group.last_action_tau) / n_actions
+    on_k = there * w.effort * effort(group.action_k, group.last_action_k) / n_actions
+    on_tau = there * w.effort * effort(group.action_tau, group.last_action_tau) / n_actions
     acted = terms.effort + select(task.modulates_k, on_k, 0.0)
     return CostTerms(
         frequency=terms.frequency,

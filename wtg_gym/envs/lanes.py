@@ -144,6 +144,7 @@ class TaskLanes:
         self.nominal_hz = plant.case.frequency_hz
         self.task = build_task(settings, self.nominal_hz)
         self._check_time_constants()
+        self._check_draws()
         self.n_action = self.n_wtg * sum(ACTION_MODES[settings.action_mode])
         self.outputs = Outputs(
             observations=np.zeros((n_lanes, self.n_observation), dtype=np.float32),
@@ -190,6 +191,16 @@ class TaskLanes:
                 f"{TIME_CONSTANT_RATIO / fastest:g} s, which actions make {1.0 / fastest:g} s; "
                 f"allowed: at most {allowed:.3g} s"
             )
+
+    def _check_draws(self) -> None:
+        """Refuse settings under which drawn scenarios do not fit, here rather than at some reset."""
+        if self.settings.scenario is not None:
+            return
+        sensors = self.settings.sensor_distribution()
+        for delay_s in [] if sensors is None else sensors.delays_s():
+            whole_steps("delay_s of the sensors", delay_s, self.settings.control_dt, "control step")
+        if self.suite.distribution is not None:
+            self.suite.distribution.check_share(self.n_turbines)
 
     @property
     def observations(self) -> npt.NDArray[np.float32]:
@@ -247,9 +258,12 @@ class TaskLanes:
 
     def _sensor_numbers(self, scenario: Scenario) -> list[float]:
         """Return what :func:`start_tasks` is to know of a scenario's sensors; nothing without sensors."""
-        if not self.suite.benchmark.sensed:
-            return []
         sensors = scenario.sensors
+        if not self.suite.benchmark.sensed:
+            if sensors is not None:
+                version = self.suite.benchmark.version
+                raise ValueError(f"scenario {scenario.name!r} has sensors; version {version} measures exactly")
+            return []
         if sensors is not None:
             whole_steps("delay_s of the sensors", sensors.delay_s, self.settings.control_dt, "control step")
         given = sensor_input(sensors, self.settings.control_dt, self.nominal_hz)

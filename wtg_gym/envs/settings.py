@@ -133,7 +133,8 @@ class EnvSettings:
         physics: "paper", "extended" (what the paper leaves out) or "nrel-5mw" (that, and another turbine); see
             :func:`wtg_gym.physics.plant.plant_settings`; None: the suite's own.
         sensors: "exact", or values that replace those of the suite's
-            :class:`~wtg_gym.scenarios.sensor_distribution.SensorDistribution`; None: the suite's own.
+            :class:`~wtg_gym.scenarios.sensor_distribution.SensorDistribution`; None: the suite's own. With a
+            `scenario` they are its own.
         version: of the benchmark, "v0" or "v1"; None: the suite's. The environment's id sets it.
 
     Raises:
@@ -198,6 +199,8 @@ class EnvSettings:
             return own
         if own is None and not self.benchmark().sensed:
             raise ValueError(f"sensors are part of version v1 and later; version {self.version} measures exactly")
+        if self.scenario is not None:
+            raise ValueError("sensors are those of the scenario where one is given; leave out one of the two")
         if self.sensors == "exact":
             return None
         if not isinstance(self.sensors, Mapping):
@@ -210,7 +213,7 @@ class EnvSettings:
             raise ValueError(f"weights must be a dictionary of names and numbers, got {self.weights!r}")
         given = dict(self.weights or {})
         known = [field.name for field in dataclasses.fields(CostWeights)]
-        unknown = sorted(set(given) - set(known))
+        unknown = sorted(map(str, set(given) - set(known)))
         if unknown:
             raise ValueError(f"unknown weights {unknown}; known weights: {', '.join(known)}")
         return CostWeights(**{**self.benchmark().weights, **given})

@@ -456,7 +456,7 @@ def _charge_groups(block: Floats, c: Any, task: Task, sensed: bool, lanes: Lanes
             ran = block[of_task + TASK.was_active * width + x] > 0.5
             state, group = load_wtg_state(block, o + x, width), load_group(block, g + x, width)
             costs = group_costs(state, load_wtg_output(block, o + WTG.output * width + x, width), turbine, task)
-            duty = costs.duty
+            duty, there = costs.duty, 1.0
             if sensed:
                 own = load_sensed(block, (parts.sensed + j * N_SENSED_ROWS) * width + x, width)
                 # What an event has disconnected owes nothing.
@@ -468,7 +468,7 @@ def _charge_groups(block: Floats, c: Any, task: Task, sensed: bool, lanes: Lanes
                 own = SensedRows(own.sensors, own.wind_bias, own.leaves_at, duty)
                 store_sensed(own, block, (parts.sensed + j * N_SENSED_ROWS) * width + x, width)
             rates = load_terms(block, of_task + TASK.rates * width + x, width)
-            rates = with_group(rates, costs, duty, group, task, n_wtg)
+            rates = with_group(rates, costs, duty, there, group, task, n_wtg)
             store_terms(rates, block, of_task + TASK.rates * width + x, width)
             violated = select(
                 (costs.rotor > 0.0) | (costs.overload > 0.0), 1.0, block[of_task + TASK.violated * width + x]

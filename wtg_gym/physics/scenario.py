@@ -346,7 +346,7 @@ def _sensors_from_dict(data: Any) -> Sensors:
     if not isinstance(data, dict):
         raise ValueError(f"sensors must be an object with named values, got {data!r:.80}")
     known = {f.name for f in dataclasses.fields(Sensors)}
-    unknown = sorted(set(data) - known)
+    unknown = sorted(map(str, set(data) - known))
     if unknown:
         raise ValueError(f"unknown values of sensors {unknown}; known values: {sorted(known)}")
     return Sensors(**data)

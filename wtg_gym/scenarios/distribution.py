@@ -369,6 +369,25 @@ class ScenarioDistribution:
             f"{sum(turbines):g} turbines {100.0 * low:g} … {100.0 * high:g} % of the load"
         )
 
+    def check_share(self, n_turbines: Sequence[float]) -> None:
+        """Refuse turbines per group that hardly any mean winds let give the `wind_share`; a ValueError says why."""
+        if self.wind_share is None:
+            return
+        low, high = self.mean_wind_m_s
+        # A twentieth of the range at either end: that many draws at least must fit.
+        margin = 0.05 * (high - low)
+        for load_level in self.load_level:
+            least, most = (
+                _share_of_load([wind] * len(n_turbines), n_turbines, load_level)
+                for wind in (low + margin, high - margin)
+            )
+            if most < self.wind_share[0] or least > self.wind_share[1]:
+                raise ValueError(
+                    f"these {sum(n_turbines):g} turbines give {100.0 * least:.0f} … {100.0 * most:.0f} % of the load "
+                    f"at level {load_level:g}; the wind_share of {self.name!r} is {100.0 * self.wind_share[0]:g} … "
+                    f"{100.0 * self.wind_share[1]:g} %: other groups or another suite are needed"
+                )
+
     def _any_mean_winds(self, pick: _Picker, n_wtg: int) -> list[float]:
         spread = self.mean_wind_spread_m_s
         if spread is None:

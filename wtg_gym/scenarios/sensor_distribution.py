@@ -70,10 +70,15 @@ class SensorDistribution:
     def replaced(self, changes: Mapping[str, Any]) -> SensorDistribution:
         """Return the distribution with some of its values replaced; a ValueError lists the known names."""
         known = [field.name for field in dataclasses.fields(self)]
-        unknown = sorted(set(changes) - set(known))
+        unknown = sorted(map(str, set(changes) - set(known)))
         if unknown:
             raise ValueError(f"unknown values of the sensors {unknown}; known values: {', '.join(known)}")
         return dataclasses.replace(self, **changes)
+
+    def delays_s(self) -> list[float]:
+        """Return every delay that may be drawn [s]."""
+        shortest, longest = (round(delay / DELAY_STEP_S) for delay in self.delay_s)
+        return [round(DELAY_STEP_S * steps, 9) for steps in range(shortest, longest + 1)]
 
     def draw_many(self, name: str, seeds: Sequence[int], n_wtg: int) -> list[Sensors]:
         """Draw the sensors of several seeds; `name` is that of the scenarios' distribution.
@@ -84,15 +89,11 @@ class SensorDistribution:
         seed_streams(np.array(seeds, dtype=np.uint64), zlib.crc32(f"{name}/sensors".encode()), states)
         uniform = np.empty((len(seeds), 2 + 12 * n_wtg))
         draw_uniforms(states, uniform)
-        shortest, longest = (round(delay / DELAY_STEP_S) for delay in self.delay_s)
+        delays = self.delays_s()
         # The sum of twelve uniform numbers is nearly normal; platforms agree on its last bit.
         deviations = uniform[:, 2:].reshape(len(seeds), n_wtg, 12).sum(axis=2) - 6.0
         biases = self.wind_bias * np.clip(deviations, -_MOST_DEVIATIONS, _MOST_DEVIATIONS)
         return [
-            self._sensors(
-                int(own[0] * 2**31),
-                round(DELAY_STEP_S * (shortest + int(own[1] * (longest - shortest + 1))), 9),
-                tuple(bias),
-            )
+            self._sensors(int(own[0] * 2**31), delays[int(own[1] * len(delays))], tuple(bias))
             for own, bias in zip(uniform.tolist(), biases.tolist(), strict=True)
         ]
