@@ -19,7 +19,7 @@ from agents.research.evolution import N_KNOTS, POPULATION, Search, add_search_op
 from agents.research.rollouts import difference_percent
 from wtg_gym.envs.observation import N_LOCAL, N_MEASURED
 from wtg_gym.envs.settings import ACTION_MODES
-from wtg_gym.evaluation import ANCHORS, Entry, evaluate, load_entries
+from wtg_gym.evaluation import Entry, evaluate, load_entries
 from wtg_gym.evaluation.oracle import OracleCosts
 from wtg_gym.files import read_json, sha256, to_json, write_atomically
 from wtg_gym.scenarios import get_suite
@@ -145,7 +145,7 @@ def find_oracle(
         search={**effort, "chunk": chunk, "gains": gains},
         entries=[{key: entry.to_dict()[key] for key in ("name", "training_seed", "sha256")} for entry in entries],
         seeds=tuple(seeds),
-        reference=tuple(costs[ANCHORS[1]][0].tolist()),
+        reference=tuple(costs[results.benchmark.hundred][0].tolist()),
         found=found,
     )
 

@@ -19,7 +19,7 @@ from agents.onnx_graph import PolicyNetwork, to_onnx
 from agents.research.evolution import POPULATION, Search, add_search_options, search_of, tune_linear
 from agents.research.rollouts import difference_percent, linear_feedback
 from wtg_gym.envs.task_records import COST_TERMS
-from wtg_gym.evaluation import ANCHORS, NoScaleError, OnnxPolicy, evaluate
+from wtg_gym.evaluation import NoScaleError, OnnxPolicy, evaluate
 from wtg_gym.evaluation.score import pinned
 from wtg_gym.files import to_json, write_atomically
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
@@ -144,7 +144,7 @@ def _validate(path: Path, search: Search, n_threads: int | None) -> dict[str, An
         score = None
     cap = float(results.settings["weights"]["cap"])
     found: dict[str, Any] = {"scenarios": len(results.seeds), "score": score}
-    for who, key, name in (("policy", "terms", entry.name), ("reference", "reference_terms", ANCHORS[1])):
+    for who, key, name in (("policy", "terms", entry.name), ("reference", "reference_terms", REFERENCE_STRATEGY)):
         episodes = results.episodes_of(name)
         found[who] = float(np.mean([pinned(episode, cap) for episode in episodes]))
         found[key] = {
