@@ -325,6 +325,8 @@ class TaskLanes:
         self.simulator.imagine(other.simulator, lanes, wind)
         # New events may have brought new arrays.
         self._bound = None
+        mine: Any
+        theirs: Any
         for mine, theirs in zip(self.outputs, other.outputs, strict=True):
             mine[:] = theirs[lanes]
         self.scenario_seeds[:] = other.scenario_seeds[lanes]

@@ -26,9 +26,9 @@ LARGEST_COEFFICIENT = 3.0
 TIME_CONSTANT_RANGE = (0.05, 1e5)
 
 #: The tuned law: how far k lies above K_opt at ω_min, above K_n at ω_st and below K_pr at ω_max, as shares of
-#: K_opt - K_pr [-], and τ [s].
-TUNED_ABOVE_OPT, TUNED_ABOVE_NOMINAL, TUNED_BELOW_LIMIT = 1.86, 0.018, 0.80
-TUNED_TIME_CONSTANT_S = 0.36
+#: K_opt - K_pr [-], and τ [s]. `python -m agents.research.tuned_law` finds them.
+TUNED_ABOVE_OPT, TUNED_ABOVE_NOMINAL, TUNED_BELOW_LIMIT = 1.55, 0.04, 1.0
+TUNED_TIME_CONSTANT_S = 0.5
 
 #: A smaller deloading in a law file is taken for a fraction that was meant [%].
 _LEAST_PERCENT = 0.5
