@@ -11,6 +11,7 @@ from agents.runs import RunSettings
 from wtg_gym.evaluation import Entry
 from wtg_gym.files import write_atomically
 from wtg_gym.policies.load import ENTRY_FILE
+from wtg_gym.scenarios import get_suite
 
 
 def entry_values(
@@ -32,6 +33,7 @@ def entry_values(
         "description": description or f"Trained with {settings.algo} for {timesteps} steps.",
         "action_mode": settings.action_mode,
         "observation_mode": settings.observation_mode,
+        "environment": get_suite(settings.suite).benchmark.env_id,
         "training_seed": settings.seed,
     }
     Entry(**values)

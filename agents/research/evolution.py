@@ -15,7 +15,6 @@ import numpy.typing as npt
 
 from agents.research.rollouts import Rollouts, both, course, linear_feedback
 from wtg_gym.envs.settings import ACTION_MODES
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[np.float64]
@@ -37,7 +36,6 @@ class Search:
         action_mode: what the actions modulate.
         generations: of the search, or of every scenario's search.
         seed: of the search.
-        strategy: law that the actions modulate.
 
     Raises:
         ValueError: a value is unknown or out of range.
@@ -49,7 +47,6 @@ class Search:
     action_mode: str
     generations: int
     seed: int
-    strategy: str = REFERENCE_STRATEGY
 
     def __post_init__(self) -> None:
         largest = min(len(get_suite(self.suite).seeds(self.split)), 10_000)
@@ -68,24 +65,13 @@ class Search:
 
     def rollouts(self, scenario_seeds: Sequence[int], n_threads: int | None = None) -> Rollouts:
         """Return rollouts of scenarios with a population in each."""
-        return Rollouts(
-            self.suite,
-            self.split,
-            scenario_seeds,
-            POPULATION,
-            n_threads,
-            action_mode=self.action_mode,
-            strategy=self.strategy,
-        )
+        return Rollouts(self.suite, self.split, scenario_seeds, POPULATION, n_threads, action_mode=self.action_mode)
 
 
 def add_search_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that the commands with a search share."""
     parser.add_argument("--suite", metavar="NAME", default="standard", help="(default: standard)")
     parser.add_argument("--action-mode", choices=tuple(ACTION_MODES), default="k+tau", help="(default: k+tau)")
-    parser.add_argument(
-        "--strategy", choices=tuple(STRATEGIES), default=REFERENCE_STRATEGY, help="law (default: the reference's)"
-    )
     parser.add_argument("--generations", type=int, default=150, metavar="N", help="of a search (default: 150)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the search (default: 0)")
     parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
@@ -100,7 +86,6 @@ def search_of(given: argparse.Namespace, split: str) -> Search:
         action_mode=given.action_mode,
         generations=given.generations,
         seed=given.seed,
-        strategy=given.strategy,
     )
 
 

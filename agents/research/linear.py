@@ -22,7 +22,6 @@ from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation import NoScaleError, OnnxPolicy, evaluate
 from wtg_gym.evaluation.score import pinned
 from wtg_gym.files import to_json, write_atomically
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.policies import Entry
 from wtg_gym.policies.load import POLICY_FILE
 from wtg_gym.scenarios import get_suite
@@ -89,7 +88,6 @@ def make_linear_feedback(
         "suite": search.suite,
         "suite_hash": get_suite(search.suite).hash,
         "action_mode": search.action_mode,
-        **({} if search.strategy == REFERENCE_STRATEGY else {"strategy": search.strategy}),
         "seed": search.seed,
         "generations": search.generations,
         "population": POPULATION,
@@ -108,7 +106,7 @@ def make_linear_feedback(
             "description": f"Linear feedback of a group's own observation, the same in every group, tuned by CMA-ES on "
             f"{len(seeds)} training scenarios of {search.suite}.",
             "action_mode": search.action_mode,
-            **({} if search.strategy == REFERENCE_STRATEGY else {"strategy": search.strategy}),
+            "environment": get_suite(search.suite).benchmark.env_id,
             "training_seed": search.seed,
             "authors": list(authors),
         },
@@ -135,7 +133,7 @@ def _tuned(search: Search, n_threads: int | None) -> tuple[Floats, dict[str, flo
 def _validate(path: Path, search: Search, n_threads: int | None) -> dict[str, Any]:
     """Costs of the policy and of the reference on all validation scenarios, and its score, if there is one."""
     policy = OnnxPolicy(path)
-    entry = Entry(name="linear feedback", policy=policy, action_mode=search.action_mode, strategy=search.strategy)
+    entry = Entry(name="linear feedback", policy=policy, action_mode=search.action_mode)
     with Progress("episodes") as progress:
         results = evaluate([entry], search.suite, "validation", n_threads=n_threads, on_progress=progress.update)
     try:
