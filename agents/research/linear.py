@@ -22,6 +22,7 @@ from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation import NoScaleError, OnnxPolicy, evaluate
 from wtg_gym.evaluation.score import pinned
 from wtg_gym.files import to_json, write_atomically
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.policies import Entry
 from wtg_gym.policies.load import POLICY_FILE
 from wtg_gym.scenarios import get_suite
