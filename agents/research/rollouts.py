@@ -116,6 +116,37 @@ def linear_feedback(gains: Floats) -> Candidates:
     return act
 
 
+#: What a feedback with history sees besides: slow copies of entries of a group's observation (frequency, tip-speed
+#: ratio, rotor speed), and their time constants [s].
+HISTORY_COLUMNS, HISTORY_TIMES_S = (0, 0, 2, 2, 3), (2.0, 10.0, 3.0, 10.0, 10.0)
+
+
+def history_gains(control_dt: float) -> Floats:
+    """Return the gains of the filters behind the slow copies, (n_history,)."""
+    gains: Floats = -np.expm1(-control_dt / np.array(HISTORY_TIMES_S))
+    return gains
+
+
+def history_feedback(gains: Floats, control_dt: float) -> Candidates:
+    """Return the feedback a = G (o, slow copies) + b of a group's own observation.
+
+    Args:
+        gains: (..., n_action, n_local + n_history + 1) per candidate, as for :func:`linear_feedback`.
+        control_dt: control interval [s].
+    """
+    filters, n_local = history_gains(control_dt), gains.shape[-1] - len(HISTORY_COLUMNS) - 1
+    linear = linear_feedback(gains)
+    slow: Floats = np.zeros(0)
+
+    def act(step: int, own: Floats) -> Floats:
+        nonlocal slow
+        seen = own[..., HISTORY_COLUMNS]
+        slow = seen if step == 0 else slow + filters * (seen - slow)
+        return linear(step, np.concatenate([own[..., :n_local], slow], axis=-1))
+
+    return act
+
+
 def course(knots: Floats, n_steps: int) -> Candidates:
     """Return actions that are linear in time between knots, (n_scenarios, n_candidates, n_knots, n_wtg, n_action)."""
     position = np.linspace(0.0, knots.shape[2] - 1.0, n_steps)
