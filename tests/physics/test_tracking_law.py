@@ -20,6 +20,7 @@ from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import (
     STRATEGIES,
+    STRATEGY_NAMES,
     TrackingLaw,
     get_law,
     group_laws,
@@ -175,3 +176,14 @@ def test_importing_the_laws_compiles_nothing() -> None:
         "assert not aerodynamics.power_coefficient_at.signatures and 'mppt' in tracking_law.STRATEGIES"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_tuned_law_follows_the_turbine_as_its_equation_says() -> None:
+    for turbine in (None, LONG_BLADES):
+        paper, tuned = (get_law(name, turbine) for name in ("coordinated-piecewise", "coordinated-tuned"))
+        span = paper.k_min - paper.k_max
+        corners = ((tuned.k_min, paper.k_min, 1.86), (tuned.k_nominal, paper.k_nominal, 0.018))
+        for k, own, share in (*corners, (tuned.k_max, paper.k_max, -0.80)):
+            assert k == pytest.approx(own + share * span, rel=1e-12)
+        assert tuned.damping_time_constant_s == 0.36
+    assert "coordinated-tuned" not in STRATEGIES and "coordinated-tuned" in STRATEGY_NAMES
