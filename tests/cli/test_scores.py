@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import signal
@@ -72,9 +73,11 @@ def test_evaluate_ranks_a_suite_of_v1_in_its_own_grid(capsys: pytest.CaptureFixt
 def test_leaderboard_of_v1_goes_into_a_page_and_is_stored(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    few = functools.partial(wtg_gym.cli.scoring.evaluate, seeds=range(20_000, 20_012))
+    monkeypatch.setattr(wtg_gym.cli.scoring, "evaluate", few)
     page = tmp_path / "page.md"
-    page.write_text("<!-- leaderboard:paper-v1:start -->\n<!-- leaderboard:paper-v1:end -->\n")
-    arguments = ["leaderboard", "--suite", "paper-v1", "--results", str(tmp_path), "--readme", str(page)]
+    page.write_text("<!-- leaderboard:standard-v1:start -->\n<!-- leaderboard:standard-v1:end -->\n")
+    arguments = ["leaderboard", "--suite", "standard-v1", "--results", str(tmp_path), "--readme", str(page)]
     assert main(arguments) == 0
     first = page.read_text()
     assert "| failures by kind [%] | worst decile |" in first and "| coordinated-tuned | 100.0 |" in first
