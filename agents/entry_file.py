@@ -12,6 +12,7 @@ from wtg_gym.evaluation import Entry
 from wtg_gym.files import write_atomically
 from wtg_gym.policies.load import ENTRY_FILE
 from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios.benchmark import V0
 
 
 def entry_values(
@@ -33,9 +34,11 @@ def entry_values(
         "description": description or f"Trained with {settings.algo} for {timesteps} steps.",
         "action_mode": settings.action_mode,
         "observation_mode": settings.observation_mode,
-        "environment": get_suite(settings.suite).benchmark.env_id,
         "training_seed": settings.seed,
     }
+    benchmark = get_suite(settings.suite).benchmark
+    if benchmark is not V0:
+        values["environment"] = benchmark.env_id
     Entry(**values)
     return values
 

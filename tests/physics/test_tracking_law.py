@@ -16,10 +16,11 @@ from wtg_gym.analysis.steady_states import stable_equilibrium
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.converter import Corners, tracking_coefficient
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import PlantSettings, plant_settings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import (
     STRATEGIES,
+    STRATEGY_NAMES,
     TrackingLaw,
     get_law,
     group_laws,
@@ -175,3 +176,19 @@ def test_importing_the_laws_compiles_nothing() -> None:
         "assert not aerodynamics.power_coefficient_at.signatures and 'mppt' in tracking_law.STRATEGIES"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_tuned_law_follows_the_turbine_as_its_equation_says() -> None:
+    turbines = {None: (K_OPT + 1.86 * (K_OPT - K_PR), K_PR - 0.80 * (K_OPT - K_PR))}
+    # Their power curves are flatter, so that K_opt - K_pr is larger: the range of a law's k ends before.
+    turbines |= {LONG_BLADES: (3.0, None), plant_settings("nrel-5mw").turbine: (None, 1e-3)}
+    for turbine, (highest, lowest) in turbines.items():
+        paper, tuned = (get_law(name, turbine) for name in ("coordinated-piecewise", "coordinated-tuned"))
+        span = paper.k_min - paper.k_max
+        corners = ((tuned.k_min, paper.k_min, 1.86), (tuned.k_nominal, paper.k_nominal, 0.018))
+        for k, own, share in (*corners, (tuned.k_max, paper.k_max, -0.80)):
+            assert k == pytest.approx(min(max(own + share * span, 1e-3), 3.0), rel=1e-12)
+        assert highest is None or tuned.k_min == pytest.approx(highest)
+        assert lowest is None or tuned.k_max == pytest.approx(lowest)
+        assert tuned.damping_time_constant_s == 0.36
+    assert "coordinated-tuned" not in STRATEGIES and "coordinated-tuned" in STRATEGY_NAMES

@@ -26,9 +26,19 @@ from wtg_gym.scenarios import FRESH, N_DRAWN, SPLITS, FreshDraw, draw_seeds, get
 
 #: Unit of the columns of points.
 _POINTS = " [points]"
-#: Columns that a table goes on with where it is too wide for a terminal.
-_FIRST_COLUMNS = ("rank", "entry")
-_WIDEST_TABLE = 10
+#: A table with more columns than this is two in a terminal: these two columns begin the second one, too.
+_MOST_COLUMNS, _FIRST_COLUMNS = 10, ("rank", "entry")
+#: The last column of the first of them.
+_LAST_OF_FIRST = "failures by kind [%]"
+#: Heads of columns that are too wide for them.
+_SHORT_HEADS = {
+    "failures by kind [%]": "failures [%]",
+    "deviation [mHz]": "Δf [mHz]",
+    "p95 deviation [mHz]": "p95 Δf [mHz]",
+    "p95 peak power [p.u.]": "p95 peak [p.u.]",
+    "p95 power change in 1 s [p.u.]": "p95 ΔP [p.u.]",
+    "energy share [%]": "energy [%]",
+}
 _LARGEST_SEED_RANGE = 100_000
 _LARGEST_SECRET = 4096
 _ENTRIES_HELP = (
@@ -273,14 +283,18 @@ def finish(results: Results, folder: Path | None, *, as_json: bool, kept: Result
         note(f"no ranking: {error}")
         return code
     columns, is_number = short_columns_of(results.benchmark.version), columns_of(results.benchmark.version)
-    for part in _parts(columns):
+    parts = _parts(columns)
+    for part in parts:
         # Without their unit, which the line below gives, the heads fit into 120 columns.
-        heads = [column.removesuffix(_POINTS) for column in part]
+        heads = [_SHORT_HEADS.get(column, column).removesuffix(_POINTS) for column in part]
         left = [index for index, column in enumerate(part) if not is_number[column]]
         print_table(heads, table_cells(rows, part), left=left)
         say("")
     terms = ", ".join(column.removesuffix(_POINTS) for column in columns if column.endswith(_POINTS))
     say(f"{terms}: points by terms of the cost, which add up to score - 100; --json prints more")
+    if len(parts) > 1:
+        say("failures: f of the frequency, ω of rotors; worst decile: mean cost of the worst tenth of the scenarios")
+        say("Δf: largest deviation of the frequency, median and 95th percentile; ΔP: change of a group's power in 1 s")
     if results.oracle.missing:
         note(f"no share of the oracle's gap: {results.oracle.missing}")
     return code
@@ -288,7 +302,7 @@ def finish(results: Results, folder: Path | None, *, as_json: bool, kept: Result
 
 def _parts(columns: Sequence[str]) -> list[Sequence[str]]:
     """Return the columns of a table for a terminal: of all of them, or of two tables where there are many."""
-    if len(columns) <= _WIDEST_TABLE:
+    if len(columns) <= _MOST_COLUMNS:
         return [columns]
-    end_of_points = 1 + max(index for index, column in enumerate(columns) if column.endswith(_POINTS))
-    return [columns[:end_of_points], (*_FIRST_COLUMNS, *columns[end_of_points:])]
+    end = columns.index(_LAST_OF_FIRST) + 1
+    return [columns[:end], (*_FIRST_COLUMNS, *columns[end:])]

@@ -177,9 +177,7 @@ def _check_there(folders: Sequence[str]) -> None:
 def _of_another_version(reports: Sequence[Report], suite: str) -> list[Conflict]:
     env_id = get_suite(suite).benchmark.env_id
     return [
-        Conflict(
-            (report.folder,), f"{_shown(report.folder)}: it is for {report.entry.environment}, {suite} of {env_id}"
-        )
+        Conflict((report.folder,), f"{_shown(report.folder)}: for {report.entry.environment}, {suite} is of {env_id}")
         for report in reports
         if report.accepted and report.entry is not None and report.entry.environment != env_id
     ]

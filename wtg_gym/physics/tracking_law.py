@@ -20,8 +20,8 @@ from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.ranges import require_range
 
-#: Largest tracking coefficient a law may ask for [p.u.]: three times K_opt.
-LARGEST_COEFFICIENT = 3.0
+#: Smallest and largest tracking coefficient a law may ask for [p.u.]: nearly no power, and three times K_opt.
+LEAST_COEFFICIENT, LARGEST_COEFFICIENT = 1e-3, 3.0
 #: Damping time constants of a law besides 0 and ∞ [s]; a slower filter is plain droop for as long as an episode takes.
 TIME_CONSTANT_RANGE = (0.05, 1e5)
 
@@ -59,7 +59,9 @@ class TrackingLaw:
         if not isinstance(self.name, str):
             raise ValueError(f"name of a law must be text, got {self.name!r}")
         for key in ("k_min", "k_nominal", "k_max"):
-            require_range(f"{key} of law {self.name!r}", getattr(self, key), 1e-3, LARGEST_COEFFICIENT, "p.u.")
+            require_range(
+                f"{key} of law {self.name!r}", getattr(self, key), LEAST_COEFFICIENT, LARGEST_COEFFICIENT, "p.u."
+            )
         tau = self.damping_time_constant_s
         low, high = TIME_CONSTANT_RANGE
         is_number = isinstance(tau, (int, float, np.integer, np.floating)) and not isinstance(tau, bool)
@@ -146,14 +148,21 @@ def coordinated_tuned(
     turbine: TurbineParameters | None = None,
     control: GridFormingParameters | None = None,
 ) -> TrackingLaw:
-    """Return the piecewise law with steeper slopes and a faster filter, tuned to a grid that needs the wind."""
+    """Return the piecewise law with steeper slopes and a faster filter, tuned to a grid that needs the wind.
+
+    It was tuned with the paper's turbine; on one with a flatter power curve k ends where a law's range does.
+    """
     law = coordinated_piecewise(name, turbine, control)
     span = law.k_min - law.k_max
+
+    def bounded(k: float) -> float:
+        return min(max(k, LEAST_COEFFICIENT), LARGEST_COEFFICIENT)
+
     return dataclasses.replace(
         law,
-        k_min=law.k_min + TUNED_ABOVE_OPT * span,
-        k_nominal=law.k_nominal + TUNED_ABOVE_NOMINAL * span,
-        k_max=law.k_max - TUNED_BELOW_LIMIT * span,
+        k_min=bounded(law.k_min + TUNED_ABOVE_OPT * span),
+        k_nominal=bounded(law.k_nominal + TUNED_ABOVE_NOMINAL * span),
+        k_max=bounded(law.k_max - TUNED_BELOW_LIMIT * span),
         damping_time_constant_s=TUNED_TIME_CONSTANT_S,
     )
 
@@ -273,7 +282,7 @@ def read_law(path: Path, turbine: TurbineParameters | None = None) -> TrackingLa
             coefficients[f"k_{corner}"] = tracking_point(percent / 100.0, turbine).coefficient
         else:
             coefficients[f"k_{corner}"] = require_range(
-                f"{given[0]} in {path}", value, 1e-3, LARGEST_COEFFICIENT, "p.u."
+                f"{given[0]} in {path}", value, LEAST_COEFFICIENT, LARGEST_COEFFICIENT, "p.u."
             )
     name = data.get("name", path.stem)
     if not isinstance(name, str):

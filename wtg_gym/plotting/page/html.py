@@ -19,6 +19,7 @@ from wtg_gym.evaluation.generalisation import GeneralisationGap, generalisation_
 from wtg_gym.evaluation.leaderboard import columns_of, signed_interval
 from wtg_gym.plotting.page.data import Progress, page_data
 from wtg_gym.scenarios import FRESH
+from wtg_gym.scenarios.benchmark import V0
 
 #: Largest size of the file [B]: larger ones open slowly from a mail or over a network.
 SIZE_LIMIT = 3_000_000
@@ -99,6 +100,7 @@ def leaderboard_page(
     fields = {
         "environment": html.escape(version.env_id),
         **dict(zip(names, map(html.escape, _ANCHORS[version.version]), strict=True)),
+        "more_columns": "" if version is V0 else _asset("columns_since_v1.html").removesuffix("\n"),
         "policy": html.escape(_policy([library, script])),
         "style": _asset("page.css"),
         "tables": "\n".join(_table(each, _gaps(each, results), hidden=place > 0) for place, each in enumerate(results)),
