@@ -39,21 +39,25 @@ ACTION = st.sampled_from([-1e30, -1.0, -0.5, -1e-300, 0.0, 1e-9, 0.3, 1.0, 1e308
 
 TWO = st.just(2)
 #: Why episodes may end; a numerical failure would be ours.
-REASONS = ("stall", "over-speed", "frequency limit", "loss of synchronism", "voltage collapse")
+REASONS = ("stall", "over-speed", "under-speed", "frequency limit", "loss of synchronism", "voltage collapse")
 
 
 @st.composite
 def arguments(draw: Any, groups: Any = TWO) -> dict[str, Any]:
     """Return any arguments of the environment."""
-    n = draw(groups)
+    suite = draw(st.sampled_from(sorted(SUITES)))
+    sensed = SUITES[suite].sensors is not None
+    # Of version v1 each suite has its own number of turbines, and delays that are no whole number of long steps.
+    n = len(SUITES[suite].plant.groups) if sensed else draw(groups)
     control_dt, simulation_dt = draw(STEPS)
+    exact = {"sensors": "exact"} if sensed and (control_dt > 0.1 or draw(st.booleans())) else {}
     names = st.sampled_from(sorted(STRATEGIES))
     return {
-        "groups": n,
+        "groups": None if sensed else n,
         "strategy": draw(names | st.lists(names, min_size=n, max_size=n)),
         "action_mode": draw(st.sampled_from(["k", "tau", "k+tau"])),
         "observation_mode": draw(st.sampled_from(["local", "privileged"])),
-        "suite": draw(st.sampled_from(sorted(SUITES))),
+        "suite": suite,
         "split": draw(st.sampled_from(["train", "validation", "test"])),
         "machine_model": draw(st.sampled_from(["genrou", "classical"])),
         "on_failure": draw(st.sampled_from(["terminate", "trip"])),
@@ -61,6 +65,7 @@ def arguments(draw: Any, groups: Any = TWO) -> dict[str, Any]:
         "duration_s": draw(st.sampled_from([3.0, 6.0])),
         "control_dt": control_dt,
         "simulation_dt": simulation_dt,
+        **exact,
     }
 
 

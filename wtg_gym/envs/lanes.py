@@ -166,7 +166,8 @@ class TaskLanes:
             "simulation_dt": settings.simulation_dt,
             "weights": settings.cost_weights(),
             "machine_model": settings.machine_model,
-            "plant": plant,
+            "plant": self.suite.plant,
+            "physics": settings.physics,
             "version": settings.version,
             "on_failure": settings.on_failure,
         }

@@ -216,7 +216,7 @@ class EnvSettings:
         unknown = sorted(map(str, set(given) - set(known)))
         if unknown:
             raise ValueError(f"unknown weights {unknown}; known weights: {', '.join(known)}")
-        return CostWeights(**{**self.benchmark().weights, **given})
+        return CostWeights(**{**dict(self.benchmark().weights), **given})
 
     def wtg_groups(self) -> tuple[WtgGroup, ...]:
         """Return the WTG groups; a ValueError says what is wrong with a description."""

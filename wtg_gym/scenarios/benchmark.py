@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Any
 
 from wtg_gym.physics.ieee14 import modified_ieee14
@@ -28,7 +26,8 @@ class Benchmark:
         k_authority: offset on k at full action, as a share of K_opt - K_pr [-].
         sensed: whether policies see what sensors measure, not what there is.
         duty_time_s: time constant of the filter behind which the duty is charged; 0 for none [s].
-        weights: weights of the cost that are not the defaults of :class:`~wtg_gym.envs.settings.CostWeights`.
+        weights: name and value of the cost's weights that are not those of
+            :class:`~wtg_gym.envs.settings.CostWeights`.
         anchors: names of the entries that score 0 and 100.
     """
 
@@ -36,7 +35,7 @@ class Benchmark:
     k_authority: float
     sensed: bool
     duty_time_s: float
-    weights: Mapping[str, float] = field(default_factory=dict)
+    weights: tuple[tuple[str, float], ...] = ()
     anchors: tuple[str, str]
 
     @property
@@ -125,7 +124,7 @@ V1 = Benchmark(
     k_authority=1.0,
     sensed=True,
     duty_time_s=15.0,
-    weights=MappingProxyType({"rotor": 20.0, "cap": 15.0}),
+    weights=(("rotor", 20.0), ("cap", 15.0)),
     anchors=("coordinated-piecewise", "coordinated-tuned"),
 )
 

@@ -206,7 +206,7 @@ class Suite:
             "splits": {split: [s.start, s.stop, s.step] for split, s in seeds.items()},
             "drawn": drawn,
         }
-        if self.benchmark is not V0:
+        if self.benchmark != V0:
             data["benchmark"], data["plant"] = self.benchmark.to_dict(), self.plant.to_dict()
             data["sensors"] = None if self.sensors is None else asdict(self.sensors)
         text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
