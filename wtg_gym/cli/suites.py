@@ -165,7 +165,7 @@ def _print_suite(suite: Suite) -> None:
                 "anchors": f"0 {benchmark.zero}, 100 {benchmark.hundred}",
                 "k_authority": benchmark.k_authority,
                 "duty_time_s": benchmark.duty_time_s,
-                "weights": ", ".join(f"{key} {value:g}" for key, value in benchmark.weights.items()),
+                "weights": ", ".join(f"{key} {value:g}" for key, value in benchmark.weights),
             },
         )
 
