@@ -21,6 +21,10 @@ from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import (
     STRATEGIES,
     STRATEGY_NAMES,
+    TUNED_ABOVE_NOMINAL,
+    TUNED_ABOVE_OPT,
+    TUNED_BELOW_LIMIT,
+    TUNED_TIME_CONSTANT_S,
     TrackingLaw,
     get_law,
     group_laws,
@@ -179,16 +183,18 @@ def test_importing_the_laws_compiles_nothing() -> None:
 
 
 def test_tuned_law_follows_the_turbine_as_its_equation_says() -> None:
-    turbines = {None: (K_OPT + 1.86 * (K_OPT - K_PR), K_PR - 0.80 * (K_OPT - K_PR))}
-    # Their power curves are flatter, so that K_opt - K_pr is larger: the range of a law's k ends before.
-    turbines |= {LONG_BLADES: (3.0, None), plant_settings("nrel-5mw").turbine: (None, 1e-3)}
-    for turbine, (highest, lowest) in turbines.items():
+    # The power curve of the last one is flat: its K_opt - K_pr is so large that the range of a law's k ends before.
+    lowest = {
+        None: K_PR - TUNED_BELOW_LIMIT * (K_OPT - K_PR),
+        LONG_BLADES: None,
+        plant_settings("nrel-5mw").turbine: 1e-3,
+    }
+    for turbine, least in lowest.items():
         paper, tuned = (get_law(name, turbine) for name in ("coordinated-piecewise", "coordinated-tuned"))
         span = paper.k_min - paper.k_max
-        corners = ((tuned.k_min, paper.k_min, 1.86), (tuned.k_nominal, paper.k_nominal, 0.018))
-        for k, own, share in (*corners, (tuned.k_max, paper.k_max, -0.80)):
+        corners = ((tuned.k_min, paper.k_min, TUNED_ABOVE_OPT), (tuned.k_nominal, paper.k_nominal, TUNED_ABOVE_NOMINAL))
+        for k, own, share in (*corners, (tuned.k_max, paper.k_max, -TUNED_BELOW_LIMIT)):
             assert k == pytest.approx(min(max(own + share * span, 1e-3), 3.0), rel=1e-12)
-        assert highest is None or tuned.k_min == pytest.approx(highest)
-        assert lowest is None or tuned.k_max == pytest.approx(lowest)
-        assert tuned.damping_time_constant_s == 0.36
+        assert least is None or tuned.k_max == pytest.approx(least)
+        assert tuned.damping_time_constant_s == TUNED_TIME_CONSTANT_S
     assert "coordinated-tuned" not in STRATEGIES and "coordinated-tuned" in STRATEGY_NAMES
