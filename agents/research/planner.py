@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from agents.command import Parser, Progress, check_output_folder, note, run_command, say
+from agents.command import Parser, Progress, check_output_folder, note, run_command
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.observation import N_LOCAL, N_MEASURED
 from wtg_gym.envs.settings import EnvSettings
@@ -362,7 +362,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 n_threads=given.threads,
                 on_progress=progress.update,
             )
-        say(markdown_table(leaderboard_rows(results)))
+        print(markdown_table(leaderboard_rows(results)))
         for path in results.write(output):
             note(f"wrote {path}")
 
