@@ -208,7 +208,14 @@ def shared_settings(settings: EnvSettings) -> dict[str, Any]:
         "on_failure": settings.on_failure,
         # Results of the paper's physics look as they did before there was another.
         **({} if settings.physics == "paper" else {"physics": settings.physics}),
+        **({"sensors": _sensors(settings)} if settings.benchmark().sensed else {}),
     }
+
+
+def _sensors(settings: EnvSettings) -> str | dict[str, Any]:
+    """Return what the sensors' errors are drawn from, as the environment's argument of that name."""
+    drawn = settings.sensor_distribution()
+    return "exact" if drawn is None else {**dataclasses.asdict(drawn), "delay_s": list(drawn.delay_s)}
 
 
 # --- batches ---------------------------------------------------------------------------------------------------------

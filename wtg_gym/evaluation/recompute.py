@@ -14,7 +14,7 @@ from wtg_gym.policies import ANCHORS, Entry
 from wtg_gym.scenarios import N_DRAWN, FreshDraw, get_suite
 
 #: The settings of results that are arguments of the environment, as they are called there.
-_ARGUMENTS = ("control_dt", "simulation_dt", "weights", "groups", "machine_model", "on_failure", "physics")
+_ARGUMENTS = ("control_dt", "simulation_dt", "weights", "groups", "machine_model", "on_failure", "physics", "sensors")
 #: Data of an entry that decide its numbers; the others are texts about it.
 _PLAYED = ("kind", "strategy", "action_mode", "observation_mode", "sha256", "policy_sha256")
 
