@@ -115,8 +115,9 @@ performance: $(TEST_READY) $(GOLDEN_READY) ## Measure speed, growth and arithmet
 	$(TEST_VENV)/bin/wtg-gym bench --only growth roofline --full --output docs/performance --formats svg --page docs/performance.md
 
 .PHONY: golden
-golden: $(GOLDEN_READY) ## Make the golden cases of ANDES again, in an environment of its own (a quarter of an hour)
+golden: $(GOLDEN_READY) ## Make the golden cases of ANDES again, in an environment of its own (half an hour)
 	$(GOLDEN_VENV)/bin/python tests/golden/make_andes_cases.py
+	$(GOLDEN_VENV)/bin/python -m tests.golden.measure_andes_only --page docs/validation.md
 
 .PHONY: rllib
 rllib: $(RLLIB_READY) ## Train with RLlib for a minute, in an environment of its own, and export the policy; runs/make-rllib is written anew

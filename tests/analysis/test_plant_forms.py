@@ -7,6 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tests.golden_cases import GOLDEN
+from wtg_gym.analysis.case_file import read_parameters
 from wtg_gym.analysis.eigenvalues import linearise, synchronising_coefficients
 from wtg_gym.analysis.infinite_bus import compare, infinite_bus
 from wtg_gym.analysis.load_models import run_with_loads
@@ -177,3 +179,15 @@ def test_loads_of_constant_power_cost_nadir_voltage_and_time() -> None:
     assert impedance.end_s > current.end_s > power.end_s
     finer = run_with_loads("constant power", scenario, "mppt", simulation_dt=0.0125)
     assert finer.nadir_hz == pytest.approx(power.nadir_hz, abs=5e-4)
+
+
+@pytest.mark.parametrize(("model", "nadir_hz"), [("impedance", 49.7356), ("current", 49.7172), ("power", 49.6908)])
+def test_loads_of_other_kinds_have_the_nadir_of_another_simulator(model: str, nadir_hz: float) -> None:
+    """ANDES' nadirs in the events of the golden case `genrou`, of `tests/golden/measure_andes_only.py`."""
+    case = read_parameters(GOLDEN / "genrou" / "params.json")
+    scenario = Scenario(
+        name="golden", wind_speed=np.zeros((0, 1)), events=case.events["a"], duration_s=60.0, load_noise_bus=1
+    )
+    settings = PlantSettings(case=case.network, groups=())
+    run = run_with_loads(f"constant {model}", scenario, "mppt", settings, simulation_dt=0.005)
+    assert run.nadir_hz == pytest.approx(nadir_hz, abs=2e-4)

@@ -21,7 +21,8 @@ UNITS = read_parameters(GOLDEN / "ideal-source-units" / "params.json")
 def test_there_are_golden_cases_of_every_kind() -> None:
     folders = {params.parent.name for params, _ in CASES}
     assert folders >= {"classical-machines", "ideal-source-units", "genrou", "limits", "dead-band", "hydro"}
-    assert len(CASES) >= 8
+    assert folders >= {"grid-forming", "shedding"}
+    assert len(CASES) >= 10
 
 
 @pytest.mark.parametrize(("params", "trace_path"), CASES, ids=lambda path: f"{path.parent.name}/{path.name}")

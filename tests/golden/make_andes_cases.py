@@ -1,9 +1,16 @@
-"""Make the golden cases `genrou`, `limits`, `dead-band` and `hydro`, parameter files and traces, with ANDES.
+"""Make the golden cases of GENROU machines, parameter files and traces, with ANDES.
 
 ANDES (https://docs.andes.app) is an independent implementation of the same published models: GENROU without saturation,
-the SEXS exciter, the governors TGOV1, TGOV1DB and HYGOV, and classical machines (GENCLS). Only the network and machine
-data come from `wtg_gym`; the power flow, the initial state and the integration are ANDES' own. At bus 2 two classical
-machines of 50 MVA stand for grid-forming units with an ideal dc source.
+the SEXS exciter, the governors TGOV1, TGOV1DB and HYGOV, classical machines (GENCLS) and the grid-forming converters
+REGF1 and REGF2. Only the network and machine data come from `wtg_gym`; the power flow, the initial state and the
+integration are ANDES' own. At bus 2 two units of 50 MVA stand for wind turbine groups with an ideal dc source:
+classical machines, or in the case `grid-forming` one REGF1 and one REGF2.
+
+With all gains of their voltage, current and limit controllers at zero these converters are a constant voltage behind a
+reactance. The droop of REGF1 on filtered power, ω = 1 + m_p (P_0 - P_f), T_r dP_f/dt = P - P_f, is a swing equation
+with M = T_r/m_p and D = 1/m_p; that of REGF2 is one as it stands, without its power filter and its damping by a PLL.
+
+ANDES has no relay that sheds load. In the case `shedding` negative admittances are switched on at given instants.
 
 ANDES integrates with the implicit trapezoidal rule, whose error falls with the square of the step. Every trace is made
 with several fixed steps, the finest is kept, and what error remains in it is estimated from the two finest ones. Each
@@ -58,9 +65,14 @@ EVENT_STEP_S = 1e-9
 LINE_OFFSET_PU = 1e-8
 #: All buses get one nominal voltage [kV]: the data are per unit throughout.
 NOMINAL_KV = 69.0
-#: Bus, power flow set-points and machine data of the units that stand for the wind turbine groups.
-UNIT_BUS, UNIT_POWER_PU, UNIT_MVA, UNIT_TWO_H_S, UNIT_DAMPING_PU, UNIT_REACTANCE_PU = 2, 0.65, 50.0, 10.0, 62.5, 0.55
-UNITS = ("2a", "2b")
+#: Bus, power flow set-points and data of the units that stand for the wind turbine groups.
+UNIT_BUS, UNIT_POWER_PU, UNIT_MVA, UNIT_REACTANCE_PU = 2, 0.65, 50.0, 0.55
+#: Model and swing equation of each unit, M [s] and D on its own base, and those of the grid-forming converters.
+UNITS = {"2a": ("GENCLS", 10.0, 62.5), "2b": ("GENCLS", 10.0, 62.5)}
+FORMING_UNITS = {"2a": ("REGF1", 8.0, 50.0), "2b": ("REGF2", 8.0, 50.0)}
+UNIT_MODELS = ("GENCLS", "REGF1", "REGF2", "REGF3")
+#: Shares of constant power, current and impedance in the loads of the golden cases.
+IMPEDANCES = (0.0, 0.0, 1.0)
 QUANTITIES = ("w", "Pe", "V")
 
 NOTE = (
@@ -101,7 +113,15 @@ class Trip:
     bus: int
 
 
-Event = Step | Trip
+@dataclass(frozen=True)
+class Shed:
+    """A share of every load, and of what steps have switched on, is disconnected; later steps come without it."""
+
+    time_s: float
+    share: float
+
+
+Event = Step | Trip | Shed
 
 
 class FixedTrapezoid(Trapezoid):
@@ -129,6 +149,9 @@ class Case:
         resistance_pu: armature resistance by bus of the machine, on its base.
         dead_band_pu: of the governor.
         hydro: the governor is a HYGOV.
+        units: model, M [s] and D of each unit at bus 2, on its own base.
+        controls: ANDES' parameters of grid-forming converters that are not to be as :func:`forming_data` has them.
+        load_shares: shares of constant power, current and impedance in all loads and steps.
     """
 
     name: str
@@ -138,6 +161,9 @@ class Case:
     resistance_pu: dict[int, float] = field(default_factory=dict)
     dead_band_pu: float = 0.0
     hydro: bool = False
+    units: dict[str, tuple[str, float, float]] = field(default_factory=lambda: UNITS)
+    controls: dict[str, float] = field(default_factory=dict)
+    load_shares: tuple[float, float, float] = IMPEDANCES
 
 
 STEPS_UP = (Step(5.0, 2, 75.0), Step(30.0, 3, 75.0))
@@ -152,6 +178,11 @@ CASES = (
     ),
     Case("dead-band", {"a": STEPS_UP}, dead_band_pu=6e-4),
     Case("hydro", {"a": STEPS_UP}, hydro=True),
+    Case("grid-forming", {"a": STEPS_UP}, units=FORMING_UNITS),
+    Case(
+        "shedding",
+        {"a": (Step(5.0, 2, 150.0), Shed(5.5, 0.05), Shed(5.625, 0.08), Shed(5.8125, 0.08), Step(30.0, 3, 75.0))},
+    ),
 )
 
 
@@ -214,17 +245,34 @@ def genrou_data(m: SynchronousMachineParameters) -> dict[str, float]:
     }
 
 
-def unit_data() -> dict[str, float]:
-    """Return ANDES' parameters of one of the classical machines at bus 2."""
+def unit_data(two_h_s: float, damping_pu: float) -> dict[str, float]:
+    """Return one of the units at bus 2 as a classical machine."""
     share = 1.0 / len(UNITS)
     return {
         "Sn": UNIT_MVA,
-        "M": UNIT_TWO_H_S,
-        "D": UNIT_DAMPING_PU,
+        "M": two_h_s,
+        "D": damping_pu,
         "ra": 0.0,
         "xd1": UNIT_REACTANCE_PU,
         "gammap": share,
         "gammaq": share,
+    }
+
+
+def forming_data(model: str, unit: dict[str, float], base_mva: float) -> dict[str, float]:
+    """Return ANDES' parameters of a REGF1 or REGF2 with a unit's swing equation; its droop is on the system base."""
+    idle = ("KPi", "KIi", "KPv", "KIv", "KPplim", "KIplim", "KPqlim", "KIqlim")
+    swing = {"Tr": 0.0, "mf": unit["M"] * UNIT_MVA / base_mva, "dd": 0.0}
+    own = swing if model == "REGF2" else {"Tr": unit["M"] / unit["D"]}
+    return {
+        **{key: unit[key] for key in ("Sn", "gammap", "gammaq")},
+        "rf": unit["ra"],
+        "xf": unit["xd1"],
+        "wdrp": base_mva / UNIT_MVA / unit["D"],
+        **own,
+        **dict.fromkeys(idle, 0.0),
+        **dict.fromkeys(("Pmax", "Qmax"), 99.0),
+        **dict.fromkeys(("Pmin", "Qmin"), -99.0),
     }
 
 
@@ -278,13 +326,16 @@ def hygov_data(m: SynchronousMachineParameters) -> dict[str, float]:
     }
 
 
-def build_system(network: NetworkCase, events: Sequence[Event], voltage: dict[int, float] | None = None) -> Any:
+def build_system(
+    case: Case, network: NetworkCase, events: Sequence[Event], voltage: dict[int, float] | None = None
+) -> Any:
     """Return an ANDES system with its power flow solved.
 
     Args:
+        case: its units.
         network: data.
         events: what is switched when.
-        voltage: bus voltages of the power flow [p.u.], needed where `events` has a step.
+        voltage: bus voltages of the power flow [p.u.], needed where `events` has a step or sheds load.
     """
     system = andes.System(default_config=True, no_output=True)
     base, frequency = network.base_mva, network.frequency_hz
@@ -338,26 +389,54 @@ def build_system(network: NetworkCase, events: Sequence[Event], voltage: dict[in
             band = tgov1.pop("db", 0.0)
             model, limits = ("TGOV1DB", {"dbL": -band, "dbU": band}) if band else ("TGOV1", {})
             system.add(model, idx=f"governor {key}", syn=key, **tgov1, **limits)
-    for key in UNITS:
-        system.add("GENCLS", idx=key, bus=UNIT_BUS, gen=f"static {UNIT_BUS}", fn=frequency, **unit_data(), **common)
+    for key, (model, *swing) in case.units.items():
+        unit = {"idx": key, "bus": UNIT_BUS, "gen": f"static {UNIT_BUS}", "fn": frequency}
+        data = unit_data(*swing)
+        if model == "GENCLS":
+            system.add(model, **unit, **data, **common)
+        else:
+            system.add(model, **unit, **{**forming_data(model, data, base), **case.controls})
 
     for i, event in enumerate(events):
-        if isinstance(event, Step):
-            if voltage is None:
-                raise ValueError("a step needs the voltages of the power flow")
-            model, device = "Shunt", f"step {i}"
-            conductance = event.power_mw / base / voltage[event.bus] ** 2
-            system.add("Shunt", idx=device, bus=event.bus, g=conductance, b=0.0, Sn=base, u=0, **common)
-        else:
-            model, device = "PQ", f"load {event.bus}"
-        system.add("Toggle", idx=f"event {i}", model=model, dev=device, t=event.time_s)
+        if isinstance(event, Trip):
+            system.add("Toggle", idx=f"event {i}", model="PQ", dev=f"load {event.bus}", t=event.time_s)
+            continue
+        if voltage is None:
+            raise ValueError("a step and shedding need the voltages of the power flow")
+        for k, (bus, admittance) in enumerate(changes(event, events, network, voltage)):
+            device = {"idx": f"change {i} {k}", "bus": bus, "u": 0, **common}
+            if case.load_shares == IMPEDANCES:
+                model = "Shunt"
+                system.add(model, g=admittance.real, b=admittance.imag, Sn=base, **device)
+            else:
+                model = "PQ"
+                power = admittance.conjugate() * voltage[bus] ** 2
+                system.add(model, p0=power.real, q0=power.imag, vmin=0.1, vmax=2.0, **device)
+            system.add("Toggle", idx=f"event {i} {k}", model=model, dev=device["idx"], t=event.time_s)
 
-    system.PQ.config.update(p2p=0.0, p2i=0.0, p2z=1.0, q2q=0.0, q2i=0.0, q2z=1.0)
+    p, i, z = case.load_shares
+    system.PQ.config.update(p2p=p, p2i=i, p2z=z, q2q=p, q2i=i, q2z=z)
     system.setup()
     system.PFlow.config.update(tol=1e-12)
     if not system.PFlow.run():
         raise RuntimeError("ANDES' power flow did not converge")
     return system
+
+
+def changes(
+    event: Step | Shed, events: Sequence[Event], network: NetworkCase, voltage: dict[int, float]
+) -> list[tuple[int, complex]]:
+    """Return the buses of an event and the admittances that it adds there [p.u.]."""
+    stages = [e for e in events if isinstance(e, Shed)]
+    steps = [(e.bus, complex(e.power_mw), e.time_s) for e in events if isinstance(e, Step)]
+    if isinstance(event, Step):
+        served = 1.0 - sum(e.share for e in stages if e.time_s < event.time_s)
+        powers = [(event.bus, served * event.power_mw + 0j)]
+    else:
+        loads = [(b.number, complex(b.load_mw, b.load_mvar)) for b in network.buses if b.load_mw or b.load_mvar]
+        present = loads + [(bus, power) for bus, power, time_s in steps if time_s < event.time_s]
+        powers = [(bus, -event.share * power) for bus, power in present]
+    return [(bus, power.conjugate() / network.base_mva / voltage[bus] ** 2) for bus, power in powers]
 
 
 def machine_keys(network: NetworkCase) -> tuple[str, ...]:
@@ -372,9 +451,16 @@ def row_times(events: Sequence[Event]) -> Floats:
     return np.setdiff1d(np.concatenate([coarse, *fine]), [e.time_s for e in events])
 
 
-def simulate(network: NetworkCase, events: Sequence[Event], voltage: dict[int, float], steps_per_second: int) -> Trace:
-    """Integrate one event list with a fixed step and return the rows to keep."""
-    system = build_system(network, events, voltage)
+def simulate(
+    case: Case,
+    network: NetworkCase,
+    events: Sequence[Event],
+    voltage: dict[int, float],
+    steps_per_second: int,
+    rows: Floats | None = None,
+) -> Trace:
+    """Integrate one event list with a fixed step and return the rows at given times [s], or those to keep."""
+    system = build_system(case, network, events, voltage)
     system.store_switch_times = functools.partial(system.store_switch_times, eps=EVENT_STEP_S)
     system.TDS.config.update(
         tf=DURATION_S,
@@ -395,16 +481,20 @@ def simulate(network: NetworkCase, events: Sequence[Event], voltage: dict[int, f
     series = system.dae.ts
     t, x, y = np.asarray(series.t), np.asarray(series.x), np.asarray(series.y)
 
-    keys = [*system.GENROU.idx.v, *system.GENCLS.idx.v]
-    order = [keys.index(key) for key in machine_keys(network)]
-    speed = np.r_[system.GENROU.omega.a, system.GENCLS.omega.a][order]
-    power = np.r_[system.GENROU.Pe.a, system.GENCLS.Pe.a][order]
+    speed, power = {}, {}
+    for model in ("GENROU", *UNIT_MODELS):
+        m = getattr(system, model)
+        for i, key in enumerate(m.idx.v):
+            power[key] = y[:, m.Pe.a[i]]
+            # A converter's speed is in the rate of its angle [rad/s], here before limits that are out of reach.
+            speed[key] = x[:, m.omega.a[i]] if model[:3] == "GEN" else 1.0 + y[:, m.dw_x.a[i]] / m.w0.v[i]
+    keys = machine_keys(network)
     before = t < min(e.time_s for e in events) - 0.5 * EVENT_STEP_S
     drift = np.abs(x[before] - x[0]).max()
     if drift > 1e-9:
         raise RuntimeError(f"ANDES does not start in equilibrium: a state drifts by {drift:.1e} before the first event")
 
-    wanted = row_times(events)
+    wanted = row_times(events) if rows is None else rows
     at = np.array([np.argmin(np.abs(t - row)) for row in wanted])
     if np.abs(t[at] - wanted).max() > 10.0 * EVENT_STEP_S:
         raise RuntimeError("a row does not lie on the grid of time steps")
@@ -417,7 +507,8 @@ def simulate(network: NetworkCase, events: Sequence[Event], voltage: dict[int, f
         for i, name in enumerate(m.idx.v):
             held = x[:, getattr(m, state).a[i]] > getattr(m, limit).v[i] - 1e-9
             at_limit[name] = float(step[held].sum())
-    return Trace(wanted, x[np.ix_(at, speed)], y[np.ix_(at, power)], y[np.ix_(at, system.Bus.v.a)], at_limit)
+    columns = (np.column_stack([found[key][at] for key in keys]) for found in (speed, power))
+    return Trace(wanted, *columns, y[np.ix_(at, system.Bus.v.a)], at_limit)
 
 
 def difference(trace: Trace, other: Trace) -> dict[str, float]:
@@ -425,12 +516,22 @@ def difference(trace: Trace, other: Trace) -> dict[str, float]:
     return {q: float(np.abs(getattr(trace, q) - getattr(other, q)).max()) for q in QUANTITIES}
 
 
-def event_data(event: Event, network: NetworkCase, voltage: dict[int, float]) -> dict[str, float]:
+def event_data(
+    event: Event, events: Sequence[Event], network: NetworkCase, voltage: dict[int, float]
+) -> list[dict[str, float]]:
     """Return an event as it stands in the parameter file."""
-    if isinstance(event, Step):
-        conductance = event.power_mw / network.base_mva / voltage[event.bus] ** 2
-        return {"t": event.time_s, "bus": event.bus, "dG_pu": conductance, "MW_at_V0": event.power_mw}
-    return {"t": event.time_s, "bus": event.bus, "trip_load_MW": network.buses[network.bus_index(event.bus)].load_mw}
+    if isinstance(event, Trip):
+        load = network.buses[network.bus_index(event.bus)].load_mw
+        return [{"t": event.time_s, "bus": event.bus, "trip_load_MW": load}]
+    found = []
+    for bus, admittance in changes(event, events, network, voltage):
+        entry = {"t": event.time_s, "bus": bus, "dG_pu": admittance.real}
+        if isinstance(event, Step):
+            entry["MW_at_V0"] = admittance.real * network.base_mva * voltage[bus] ** 2
+        else:
+            entry["dB_pu"] = admittance.imag
+        found.append(entry)
+    return found
 
 
 def parameter_file(case: Case, network: NetworkCase, system: Any, tolerance: dict[str, float]) -> dict[str, Any]:
@@ -445,12 +546,14 @@ def parameter_file(case: Case, network: NetworkCase, system: Any, tolerance: dic
     gens: dict[str, dict[str, Any]] = {
         str(m.bus): {"model": "GENROU", "bus": m.bus, **genrou_data(m)} for m in network.machines
     }
-    gens |= {key: {"model": "GENCLS", "bus": UNIT_BUS, **unit_data()} for key in UNITS}
+    gens |= {key: {"model": "GENCLS", "bus": UNIT_BUS, **unit_data(*swing)} for key, (_, *swing) in case.units.items()}
     note = NOTE.format(version=andes.__version__, base=base, frequency=network.frequency_hz)
+    forming = [f"{key} is a {model}" for key, (model, *_) in case.units.items() if model != "GENCLS"]
+    units = f" In ANDES {' and '.join(forming)}; M, D and xd1 are those of its equivalent." if forming else ""
     tgov1 = [m for m in network.machines if isinstance(m.governor, GovernorParameters)]
     hygov = [m for m in network.machines if isinstance(m.governor, HydroGovernorParameters)]
     return {
-        "note": note + (GOVERNOR_NOTE if case.hydro or case.dead_band_pu else ""),
+        "note": note + (GOVERNOR_NOTE if case.hydro or case.dead_band_pu else "") + units,
         "fn": network.frequency_hz,
         "Sbase": base,
         "bus": [
@@ -480,7 +583,10 @@ def parameter_file(case: Case, network: NetworkCase, system: Any, tolerance: dic
         "sexs": [{"gen": str(m.bus), **sexs_data(m)} for m in network.machines if m.exciter is not None],
         "tgov1": [{"gen": str(m.bus), "bus": m.bus, **tgov1_data(m)} for m in tgov1],
         **({"hygov": [{"gen": str(m.bus), "bus": m.bus, **hygov_data(m)} for m in hygov]} if hygov else {}),
-        "events": {key: [event_data(e, network, voltage) for e in events] for key, events in case.events.items()},
+        "events": {
+            key: [entry for e in events for entry in event_data(e, events, network, voltage)]
+            for key, events in case.events.items()
+        },
         "tolerance": tolerance,
     }
 
@@ -516,12 +622,12 @@ def make_case(case: Case, folder: Path, steps: Sequence[int]) -> dict[str, Any]:
     """Write one case's files and return its convergence by event list."""
     (folder / case.name).mkdir(parents=True, exist_ok=True)
     network = network_of(case)
-    static = build_system(network, ())
+    static = build_system(case, network, ())
     voltage = dict(zip(static.Bus.idx.v, static.Bus.v.v.tolist(), strict=True))
     worst = dict.fromkeys(QUANTITIES, 0.0)
     convergence = {}
     for key, events in case.events.items():
-        traces = [simulate(network, events, voltage, n) for n in steps]
+        traces = [simulate(case, network, events, voltage, n) for n in steps]
         finest = traces[-1]
         to_finest = {f"1/{n}": difference(t, finest) for n, t in zip(steps[:-1], traces[:-1], strict=True)}
         remaining = {q: value / 3.0 for q, value in to_finest[f"1/{steps[-2]}"].items()}

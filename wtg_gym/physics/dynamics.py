@@ -29,6 +29,7 @@ from wtg_gym.physics.layout import (
     N_WTG_STATES,
     WTG,
     WTG_CAPTURED,
+    WTG_ROTOR_SPEED,
     Floats,
     Lanes,
     Phasor,
@@ -70,6 +71,7 @@ from wtg_gym.physics.wind_turbine import (
     captured_power,
     extended_rates,
     extension_limited,
+    rotor_of_energy,
     wind_at,
     wtg_limited,
     wtg_rates,
@@ -429,6 +431,15 @@ def _wtgs(block: Floats, c: Any, fraction: float, stage: np.int64, ahead: float,
                 )
             store_wtg_output(output, block, o + WTG.output * width + x, width)
             _advance_wtg(state, rates, turbine, block, o + x, rate + x, active, stage, ahead, width)
+            if c["extension"].shape[0] > 0 and stage == LAST:
+                before = load_wtg_state(block, o + N_WTG_STATES * width + x, width)
+                after = load_wtg_state(block, o + x, width)
+                at = extension_at(c, j, width) + x
+                own_before = load_extension_state(block, at + N_EXTENSION_STATES * width, width)
+                own_after = load_extension_state(block, at, width)
+                chopped = own_after.limits.energy_chopped - own_before.limits.energy_chopped
+                speed = rotor_of_energy(before, after, chopped, turbine, read_extension(c["extension"][0]))
+                block[o + WTG_ROTOR_SPEED * width + x] = select(active > 0.5, speed, after.rotor_speed)
 
 
 @inlined

@@ -131,7 +131,7 @@ def row_of(record: type, name: str) -> int:
 MACHINE_ANGLE, WTG_ANGLE = row_of(MachineRows, "angle"), row_of(WtgRows, "angle")
 WTG_EMF, OVERLOAD_TIME = row_of(WtgRows, "emf"), row_of(WtgExtremes, "overload_time")
 MACHINE_TORQUE = row_of(MachineRows, "torque")
-WTG_CAPTURED = row_of(WtgRows, "captured")
+WTG_CAPTURED, WTG_ROTOR_SPEED = row_of(WtgRows, "captured"), row_of(WtgRows, "rotor_speed")
 WTG_K_OFFSET, WTG_INV_TAU = row_of(WtgRows, "k_offset"), row_of(WtgRows, "inv_tau")
 
 load_machine_state, store_machine_state = loader(MachineState), storer(MachineState)

@@ -467,6 +467,49 @@ class Simulator:
         """Advance every running lane by one control interval."""
         self.for_blocks(lambda a, b: advance_blocks(self.blocks, a, b, self.plant, self.data, self.lanes))
 
+    def imagine(self, other: Simulator, lanes: npt.NDArray[np.int64], wind: Floats) -> None:
+        """Continue runs of another simulator in this one's lanes, in a future that holds no surprise.
+
+        Events that have not struck yet are forgotten; a ramp that has begun goes on, and the load noise stays.
+
+        Args:
+            other: of the same plant, with rows of the same kind.
+            lanes: the lane of `other` that each lane of this one continues (n_lanes,).
+            wind: from now on, one value per control interval, the last one holds (n_lanes, n_wtg, n_ahead + 1) [m/s].
+
+        Raises:
+            ValueError: the simulators are of different plants, or a shape is wrong.
+        """
+        if other.settings != self.settings or other.layout != self.layout or other.n_intervals != self.n_intervals:
+            raise ValueError("imagine() needs a simulator of the same plant, with rows of the same kind and run length")
+        if lanes.shape != (self.n_lanes,) or wind.shape[:2] != (self.n_lanes, self.layout.n_wtg) or not wind.size:
+            raise ValueError(
+                f"imagine() needs a lane for each of {self.n_lanes} lanes and wind of shape (n_lanes, n_wtg, n), got "
+                f"shapes {lanes.shape} and {wind.shape}"
+            )
+        own = np.arange(self.n_lanes)
+        rows = other._view[lanes // other.width, :, lanes % other.width]
+        step = rows[:, self.layout.lane("step")]
+        # The network is reduced anew at once: what was due may have been forgotten.
+        rows[:, self.layout.lane("next_change")] = step
+        self._view[own // self.width, :, own % self.width] = rows
+        for mine, theirs in zip(self.data, other.data, strict=True):
+            if mine is not self.data.events:
+                mine[: self.n_lanes] = theirs[lanes]
+        events = other.data.events[lanes]
+        events[events["start"] >= step[:, np.newaxis]] = NO_EVENT
+        if events.shape[1] > self.data.events.shape[1]:
+            grown = np.full((self.data.events.shape[0], events.shape[1]), NO_EVENT, dtype=EVENT_DTYPE)
+            self.data = self.data._replace(events=grown)
+        self.data.events[: self.n_lanes] = NO_EVENT
+        self.data.events[: self.n_lanes, : events.shape[1]] = events
+        intervals = (step / self.plant.n_substeps).astype(np.int64)
+        for lane, first in enumerate(intervals.tolist()):
+            ahead = min(wind.shape[2], self.n_intervals + 1 - first)
+            self.data.wind[lane, :, first : first + ahead] = wind[lane, :, :ahead]
+            self.data.wind[lane, :, first + ahead :] = wind[lane, :, ahead - 1 : ahead]
+            self.data.noise[lane, first:] = self.data.noise[lane, max(first - 1, 0)]
+
     def for_blocks(
         self, work: Callable[[int, int], Any], meanwhile: Callable[[], Any] | None = None, meanwhile_blocks: int = 0
     ) -> None:

@@ -28,7 +28,7 @@ from wtg_gym.physics.converter_limits import (
     limit_state_limited,
     power_limiter,
 )
-from wtg_gym.physics.elementary import select, sine_cosine
+from wtg_gym.physics.elementary import fma, select, sine_cosine
 from wtg_gym.physics.parameters import (
     ConverterLimitParameters,
     GridFormingParameters,
@@ -257,6 +257,24 @@ def extended_rates(
         u.connected * emf,
     )
     return extended, further
+
+
+@inlined
+def rotor_of_energy(before: WtgState, after: WtgState, chopped: float, c: Turbine, e: Extension) -> float:
+    """Return the rotor speed after a step [p.u.]: where H_m ω_m² is kept, that which the step's energies leave of it.
+
+    A Runge-Kutta method keeps sums of rates to rounding, a square only to its truncation. As in the rate, a speed below
+    0.01 p.u. counts as 0.01.
+
+    Args:
+        before, after: states at both ends of the step.
+        chopped: energy burnt in the step [p.u. s].
+        c, e: constants, further constants.
+    """
+    captured = after.energy_captured - before.energy_captured
+    kept = captured - (after.energy_delivered - before.energy_delivered) - chopped
+    square = fma(2.0 * c.rotor.inv_two_h, kept, before.rotor_speed * before.rotor_speed)
+    return select(e.conserves_energy > 0.5, math.sqrt(max(square, 1e-4)), after.rotor_speed)
 
 
 @inlined

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any
 
 from wtg_gym.physics.ieee14 import modified_ieee14
@@ -42,6 +44,16 @@ class Benchmark:
     def env_id(self) -> str:
         """Id of the environment."""
         return f"GFMWTG-14bus-{self.version}"
+
+    @property
+    def zero(self) -> str:
+        """Name of the entry that scores 0."""
+        return self.anchors[0]
+
+    @property
+    def hundred(self) -> str:
+        """Name of the entry that scores 100, with which all others are compared."""
+        return self.anchors[1]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the version as JSON-ready data."""
@@ -118,4 +130,9 @@ V1 = Benchmark(
     anchors=("coordinated-piecewise", "coordinated-tuned"),
 )
 
-__all__ = ["V0", "V1", "Benchmark", "SuitePlant"]
+#: The versions by the id of their environment.
+BENCHMARKS: Mapping[str, Benchmark] = MappingProxyType({benchmark.env_id: benchmark for benchmark in (V0, V1)})
+#: Names that an entry fixes the scale with in some version; no other entry can have one.
+ANCHOR_NAMES = tuple(dict.fromkeys(name for benchmark in BENCHMARKS.values() for name in benchmark.anchors))
+
+__all__ = ["ANCHOR_NAMES", "BENCHMARKS", "V0", "V1", "Benchmark", "SuitePlant"]

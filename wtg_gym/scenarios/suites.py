@@ -311,7 +311,7 @@ def _drawn_v1(
 
 _PAPER_V1 = Suite(
     name="paper-v1",
-    description="The paper's two cases in this grid: 25 MW more at bus 2 and 3; the loads of buses 9 and 14 lost.",
+    description="The paper's cases in this grid: 35 MW more at bus 2 and at bus 3; the loads of buses 4 and 9 lost.",
     duration_s=120.0,
     benchmark=V1,
     plant=_WIND_PLANT,
@@ -320,12 +320,12 @@ _PAPER_V1 = Suite(
         FixedCase(
             name="load-increase",
             wind_speed_m_s=(11.0, 9.0),
-            events=(LoadStep(time_s=5.0, bus=2, power_mw=25.0), LoadStep(time_s=30.0, bus=3, power_mw=25.0)),
+            events=(LoadStep(time_s=5.0, bus=2, power_mw=35.0), LoadStep(time_s=30.0, bus=3, power_mw=35.0)),
         ),
         FixedCase(
             name="load-decrease",
             wind_speed_m_s=(11.0, 9.0),
-            events=(LoadTrip(time_s=5.0, bus=9), LoadTrip(time_s=30.0, bus=14)),
+            events=(LoadTrip(time_s=5.0, bus=4), LoadTrip(time_s=30.0, bus=9)),
         ),
     ),
 )
@@ -401,9 +401,7 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
             ),
             _drawn_v1(
                 "faults",
-                "Lines that open and close again, machines and groups that trip, smaller load events.",
-                load_event_mw=(10.0, 30.0),
-                net_load_change_mw=32.0,
+                "Lines that open and close again, machines and groups that trip, besides the load events.",
                 line_trip_probability=0.6,
                 line_reclosing_s=(1.0, 10.0),
                 machine_outage_probability=0.4,

@@ -1,0 +1,110 @@
+"""Facts about extended WTG groups beside another simulator's converters and loads: golden traces of ANDES."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.interpolate import BarycentricInterpolator
+
+from tests.golden_cases import GOLDEN
+from tests.physics.extended import NO_SHEDDING, plant, scenario
+from wtg_gym.analysis.case_file import read_parameters
+from wtg_gym.analysis.trace_file import Trace, read_trace
+from wtg_gym.physics.aerodynamics import tracking_point
+from wtg_gym.physics.parameters import GridFormingParameters, SheddingStage
+from wtg_gym.physics.scenario import LoadStep
+from wtg_gym.physics.simulator import Simulator
+from wtg_gym.physics.tracking_law import mppt
+
+
+def against_golden_trace(
+    name: str, events: Sequence[LoadStep], **more: Any
+) -> tuple[Simulator, dict[str, float], Trace]:
+    """Run the network of a golden case with WTG groups at bus 2 whose rotors hold their speed: P_st is constant.
+
+    Returns:
+        the simulator, the largest difference to the trace by quantity, and the trace.
+    """
+    case = read_parameters(GOLDEN / name / "params.json")
+    trace, _ = read_trace(GOLDEN / name / "a.csv", case)
+    units = dict(zip(case.machine_keys, case.network.machines, strict=True))
+    keys = [key for key in units if key[0] != "2"]
+    settings = plant(
+        limits=False,
+        voltage=False,
+        case=dataclasses.replace(case.network, machines=tuple(units[key] for key in keys)),
+        control=GridFormingParameters(
+            inertia_constant_s=0.5 * units["2a"].two_h_s,
+            droop_gain_pu=units["2a"].damping_pu,
+            reactance_pu=units["2a"].x_d_transient,
+        ),
+        control_dt=1.0 / 16.0,
+        simulation_dt=1.0 / 320.0,
+        **more,
+    )
+    law = mppt(settings.turbine)
+    power = case.power["2a"].real * case.network.base_mva / units["2a"].rating_mva
+    wind = (power / tracking_point(0.0, settings.turbine).power_coefficient) ** (1.0 / 3.0)
+    wind /= settings.turbine.wind_power_pu_per_cubic_wind ** (1.0 / 3.0)
+    run = scenario(*events, wind=[[wind], [wind]], duration_s=60.0, load_noise_bus=1)
+    simulator = Simulator(settings, duration_s=60.0)
+    simulator.plant.constants["turbine"]["rotor.inv_two_h"] = 0.0
+    simulator.start(0, run, (law, law))
+    largest = {"w": 0.0, "Pe": 0.0, "V": 0.0}
+    row = 0
+    for interval in range(961):
+        while row < trace.time_s.size and trace.time_s[row] == interval / 16.0:
+            simulator.evaluate()
+            found = {f"V{n}": abs(v) for n, v in zip(case.network.bus_numbers, simulator.bus_voltages(), strict=True)}
+            speeds, powers = simulator.machine_values("speed")[0], simulator.machine_values("power")[0]
+            found |= {f"w{key}": value for key, value in zip(keys, speeds, strict=True)}
+            found |= {f"Pe{key}": value for key, value in zip(keys, powers, strict=True)}
+            for key, speed, given in zip(
+                ("2a", "2b"), simulator.wtg_values("speed")[0], simulator.wtg_values("power")[0], strict=True
+            ):
+                found |= {f"w{key}": speed, f"Pe{key}": given * simulator.plant.share[0]}
+            for name, value in found.items():
+                quantity = name.rstrip("0123456789ab")
+                largest[quantity] = max(largest[quantity], abs(value - trace.columns[name][row]))
+            row += 1
+        if interval < 960:
+            simulator.advance()
+    assert row == trace.time_s.size
+    return simulator, largest, trace
+
+
+def step_up(power_mw: float) -> tuple[LoadStep, ...]:
+    return LoadStep(time_s=5.0, bus=2, power_mw=power_mw), LoadStep(time_s=30.0, bus=3, power_mw=75.0)
+
+
+def test_a_group_whose_rotor_holds_its_speed_is_the_grid_forming_converter_of_another_simulator() -> None:
+    _, largest, _ = against_golden_trace("grid-forming", step_up(75.0))
+    assert largest["w"] <= 3e-7 and largest["Pe"] <= 2e-5 and largest["V"] <= 1e-6, largest
+
+
+def test_shedding_acts_when_another_simulators_speeds_say_so_and_does_what_it_does_there() -> None:
+    levels = (49.85, 49.8, 49.75)
+    # So that the stages act at instants of the trace.
+    delays, shares, instants = (0.29375, 0.325, 0.390625), (0.05, 0.08, 0.08), (5.5, 5.625, 5.8125)
+    stages = tuple(
+        SheddingStage(frequency_pu=level / 50.0, share=share, delay_s=delay)
+        for level, share, delay in zip(levels, shares, delays, strict=True)
+    )
+    simulator, largest, trace = against_golden_trace("shedding", step_up(150.0), shedding=(*stages, *NO_SHEDDING[3:]))
+    first = simulator.layout.rows.shedding
+    acted = -1.0 - simulator.blocks[0, first : first + 3]
+    assert (acted / 320.0).tolist() == pytest.approx(instants, abs=1e-12)
+    assert largest["w"] <= 3e-7 and largest["Pe"] <= 2e-5 and largest["V"] <= 1e-6, largest
+    # The instants from the other simulator's own speeds: one delay earlier they meet the level, by a polynomial through
+    # its rows before the first of them.
+    case = read_parameters(GOLDEN / "shedding" / "params.json")
+    weights = np.array([m.two_h_s * m.rating_mva for m in case.network.machines])
+    rows = (trace.time_s > 5.0) & (trace.time_s < instants[0])
+    speeds = weights @ np.array([trace.columns[f"w{key}"][rows] for key in case.machine_keys]) / weights.sum()
+    coi = BarycentricInterpolator(np.r_[5.0, trace.time_s[rows]], np.r_[1.0, speeds])
+    for level, delay, instant in zip(levels, delays, instants, strict=True):
+        assert coi(instant - delay) >= level / 50.0 > coi(instant - delay + 1.0 / 320.0)
