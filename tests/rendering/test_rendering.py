@@ -255,7 +255,7 @@ def test_frames_come_in_real_time(control_dt: float):
     assert env.metadata["render_fps"] == round(1.0 / control_dt) and GFMWTGEnv.metadata["render_fps"] == 10
 
 
-@pytest.mark.filterwarnings("error")
+@pytest.mark.filterwarnings("error", "ignore:.*is out of date:DeprecationWarning")
 def test_both_checkers_have_no_complaint_about_rendering(monkeypatch: pytest.MonkeyPatch):
     from stable_baselines3.common.env_checker import check_env as check_sb3
 
@@ -342,3 +342,14 @@ def test_render_collection_gives_all_frames_since_the_last_call():
     for _ in range(3):
         env.step(np.zeros(4, dtype=np.float32))
     assert [frame.shape for frame in env.render()] == [SHAPE] * 4
+
+
+def test_frames_of_the_versions_name_their_environment():
+    frames = []
+    for version in ("v0", "v1"):
+        env = GFMWTGEnv(version=version, duration_s=2.0, render_mode="rgb_array")
+        env.reset(seed=1)
+        frames.append(env.render())
+        assert env._frames is not None and env._frames._episode(0).env_id == f"GFMWTG-14bus-{version}"
+    heading = np.s_[10:34, 16:320]
+    assert (frames[0][heading] != frames[1][heading]).any()

@@ -75,7 +75,7 @@ class FramePainter:
         frame = self._axes(episode.duration_s, levels).copy()
         left, top, right, bottom = _LEFT
         closed = reclosed(struck, now + 1e-6)
-        frame[top:bottom, left:right] = self._left(episode.heading, episode.group_buses, struck, closed)
+        frame[top:bottom, left:right] = self._left(episode.env_id, episode.heading, episode.group_buses, struck, closed)
         _draw_instants(frame, episode.duration_s, struck)
         owners = panels_of_traces(len(episode.group_buses))
         ranges = np.array([PANELS[owner].ranges[levels[owner]] for owner in owners])
@@ -177,9 +177,9 @@ def _draw_axes(axes: Axes, panel: Panel, limits: tuple[float, float], duration_s
 
 
 def _left_picture(
-    heading: str, group_buses: tuple[int, ...], events: tuple[Event, ...], closed: tuple[LineTrip, ...]
+    env_id: str, heading: str, group_buses: tuple[int, ...], events: tuple[Event, ...], closed: tuple[LineTrip, ...]
 ) -> Image:
-    """Return the left part of a frame: heading, diagram, and the events so far in words."""
+    """Return the left part of a frame: the environment, heading, diagram, and the events so far in words."""
     width, height = size = _LEFT[2] - _LEFT[0], _LEFT[3] - _LEFT[1]
     with plain_matplotlib():
         figure = _new_figure(width, height)
@@ -187,7 +187,7 @@ def _left_picture(
         def write(x: int, y: int, text: str, points: float, **style: Any) -> None:
             figure.text(x / width, 1.0 - y / height, text, fontsize=points, va="top", **style)
 
-        write(16, 14, "GFMWTG-14bus-v0", 16, fontweight="bold", color=INK)
+        write(16, 14, env_id, 16, fontweight="bold", color=INK)
         write(16, 36, heading, 12, color=SOFT)
         draw_diagram(_add_axes(figure, _DIAGRAM, size), group_buses, events, closed)
         # The latest ones, where there are more than fit.

@@ -111,6 +111,7 @@ class LaneFrames:
         reason = TERMINATION_REASONS[Status(int(lanes.statuses()[lane]))]
         seed = int(lanes.scenario_seeds[lane])
         return Episode(
+            env_id=lanes.suite.benchmark.env_id,
             heading="scenario of one's own" if seed < 0 else f"scenario {seed}",
             duration_s=float(lanes.task_values("end_step")[lane]) * lanes.simulator.plant.simulation_dt,
             time_s=samples[:, 0],
