@@ -126,7 +126,9 @@ V1 = Benchmark(
     k_authority=1.0,
     sensed=True,
     duty_time_s=15.0,
-    weights=(("rotor", 20.0), ("cap", 15.0)),
+    # Duty weighs as much as frequency, since the wind is most of the power; RoCoF five times as much as in v0, since
+    # the inertia is a third of that.
+    weights=(("rocof", 20.0), ("duty", 1.0), ("rotor", 20.0), ("cap", 15.0)),
     anchors=("coordinated-piecewise", "coordinated-tuned"),
 )
 
