@@ -27,8 +27,8 @@ TIME_CONSTANT_RANGE = (0.05, 1e5)
 
 #: The tuned law: how far k lies above K_opt at ω_min, above K_n at ω_st and below K_pr at ω_max, as shares of
 #: K_opt - K_pr [-], and τ [s]. `python -m agents.research.tuned_law` finds them.
-TUNED_ABOVE_OPT, TUNED_ABOVE_NOMINAL, TUNED_BELOW_LIMIT = 1.55, 0.04, 1.0
-TUNED_TIME_CONSTANT_S = 0.5
+TUNED_ABOVE_OPT, TUNED_ABOVE_NOMINAL, TUNED_BELOW_LIMIT = 1.52, 0.017, 1.05
+TUNED_TIME_CONSTANT_S = 0.6
 
 #: A smaller deloading in a law file is taken for a fraction that was meant [%].
 _LEAST_PERCENT = 0.5
