@@ -29,6 +29,7 @@ from wtg_gym.evaluation import Entry, Results, evaluate, leaderboard_rows, markd
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.metrics import Recorder, measure
 from wtg_gym.physics.aerodynamics import power_coefficient
+from wtg_gym.ranges import require_range
 from wtg_gym.scenarios import SPLITS, get_suite
 
 Floats = npt.NDArray[np.float64]
@@ -67,6 +68,9 @@ class Planning:
         wind_memory_s: time constant of the mean that the wind returns to [s].
         wind_decay_s: time constant with which it returns [s].
         seed: of the search.
+
+    Raises:
+        ValueError: a value is unknown or out of range; the message says what is allowed.
     """
 
     knowledge: str = "exact"
@@ -80,6 +84,24 @@ class Planning:
     wind_memory_s: float = 20.0
     wind_decay_s: float = 10.0
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.knowledge not in KNOWLEDGE:
+            raise ValueError(f"unknown knowledge {self.knowledge!r}; choose one of {', '.join(KNOWLEDGE)}")
+        for name, low, high, unit in (
+            ("horizon_s", 1.0, 600.0, "s"),
+            # A plan is played until the next one: it must reach that far.
+            ("interval_s", 0.1, self.horizon_s, "s"),
+            ("population", _N_ELITE, 10_000, ""),
+            ("generations", 1, 1000, ""),
+            ("n_knots", 2, 100, ""),
+            ("gain", -10.0, 10.0, ""),
+            ("spread", 0.001, 2.0, ""),
+            ("wind_memory_s", 0.1, 1e4, "s"),
+            ("wind_decay_s", 0.1, 1e4, "s"),
+            ("seed", 0, 2**32 - 1, ""),
+        ):
+            require_range(name, getattr(self, name), low, high, unit)
 
 
 class WindObserver:

@@ -89,12 +89,20 @@ def test_suite_needs_a_distribution_or_cases():
 
 
 def test_suites_share_no_random_stream():
-    winds = [suite.scenario(20_000).wind_speed[0] for suite in DRAWN]
+    # But for the one that is another's with other sensors.
+    apart = [suite for suite in DRAWN if suite.name != "no-wind-sensor-v1"]
+    winds = [suite.scenario(20_000).wind_speed[0] for suite in apart]
     for i, first in enumerate(winds):
         for second in winds[:i]:
             assert abs(np.corrcoef(first, second)[0, 1]) < 0.999
-    noises = [suite.scenario(20_000).load_noise_mw for suite in DRAWN]
-    assert np.max(np.abs(np.corrcoef(noises) - np.eye(len(DRAWN)))) < 0.9
+    noises = [suite.scenario(20_000).load_noise_mw for suite in apart]
+    assert np.max(np.abs(np.corrcoef(noises) - np.eye(len(apart)))) < 0.9
+
+
+def test_without_a_wind_sensor_the_scenarios_are_those_of_the_standard_suite():
+    own, other = (get_suite(name).scenario(10_007) for name in ("standard-v1", "no-wind-sensor-v1"))
+    assert dataclasses.replace(own.sensors, wind_sensor=False) == other.sensors
+    assert (own.wind_speed == other.wind_speed).all() and own.events == other.events
 
 
 def test_paper_has_its_two_cases_in_every_split():
