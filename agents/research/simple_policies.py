@@ -184,7 +184,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         head = f"suite {given.suite}, {given.split}: mean cost of the reference {reference:.2f}"
         say(f"{head}; the best three of each kind", "")
         rows: list[tuple[str, ...]] = []
-        for family in ("constant", "bang-bang", "relay"):
+        for family in ("constant", "bang-bang", "relay", "proportional"):
             own = [policy for policy in policies if policy.family == family]
             for policy in own[:3]:
                 difference = difference_percent(policy.cost, reference)
