@@ -11,6 +11,8 @@ from agents.runs import RunSettings
 from wtg_gym.evaluation import Entry
 from wtg_gym.files import write_atomically
 from wtg_gym.policies.load import ENTRY_FILE
+from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios.benchmark import V0
 
 
 def entry_values(
@@ -34,6 +36,9 @@ def entry_values(
         "observation_mode": settings.observation_mode,
         "training_seed": settings.seed,
     }
+    benchmark = get_suite(settings.suite).benchmark
+    if benchmark is not V0:
+        values["environment"] = benchmark.env_id
     Entry(**values)
     return values
 

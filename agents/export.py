@@ -17,11 +17,11 @@ from agents.entry_file import entry_values, write_entry
 from agents.folders import BEST, folders
 from agents.onnx_graph import PolicyNetwork, to_onnx
 from agents.runs import Run, RunSettings
-from wtg_gym import ENV_ID
 from wtg_gym.envs import GFMWTGVectorEnv
 from wtg_gym.evaluation import OnnxPolicy, Policy
 from wtg_gym.files import markdown_table, sha256, write_atomically
 from wtg_gym.policies.load import POLICY_FILE
+from wtg_gym.scenarios import get_suite
 
 #: Largest difference between the export's actions and the learner's [full action].
 TOLERANCE = 1e-6
@@ -139,7 +139,7 @@ def _model_card(run: Run, best: Mapping[str, float], name: str, authors: Sequenc
     settings, provenance = run.settings, run.provenance
     last = run.curve[-1]
     facts = {
-        "environment": f"`{ENV_ID}`, suite `{settings.suite}`",
+        "environment": f"`{get_suite(settings.suite).benchmark.env_id}`, suite `{settings.suite}`",
         "actions": f"`{settings.action_mode}`, deterministic",
         "observations": f"`{settings.observation_mode}`",
         "algorithm": f"`{settings.algo}`",

@@ -71,8 +71,8 @@ class Hyperparameters:
     arguments: Mapping[str, Any]
 
 
-def read_config(path: Path) -> dict[str, Any]:
-    """Return the environment's section of a yml file as it is written there.
+def read_config(path: Path, env_id: str = ENV_ID) -> dict[str, Any]:
+    """Return the section of an environment in a yml file as it is written there.
 
     Raises:
         ValueError: the file cannot be read, is no yml, or has no section for the environment.
@@ -81,9 +81,9 @@ def read_config(path: Path) -> dict[str, Any]:
         data = yaml.safe_load(read_text(path, "hyperparameter file"))
     except yaml.YAMLError as error:
         raise ValueError(f"the hyperparameter file {path} is not yml: {error}") from error
-    if not isinstance(data, dict) or not isinstance(data.get(ENV_ID), dict):
-        raise ValueError(f"the hyperparameter file {path} must have a section {ENV_ID!r} with keys and values")
-    return dict(data[ENV_ID])
+    if not isinstance(data, dict) or not isinstance(data.get(env_id), dict):
+        raise ValueError(f"the hyperparameter file {path} must have a section {env_id!r} with keys and values")
+    return dict(data[env_id])
 
 
 def parse(algo: str, raw: Mapping[str, Any]) -> Hyperparameters:

@@ -52,21 +52,36 @@ class Normalization:
     bound: float
 
 
+@dataclass(frozen=True, kw_only=True)
+class LowPass:
+    """Slow copies of some entries of the observation: y += gain (x - y) in every step, from y = x at the start.
+
+    Args:
+        columns: the entries, (n,) whole numbers.
+        gain: one per copy, (n,).
+    """
+
+    columns: npt.NDArray[np.int64]
+    gain: npt.NDArray[np.float64]
+
+
 @dataclass(frozen=True)
 class PolicyNetwork:
-    """Observation → normalisation → LSTM → layers → clip to [-1, 1]: the deterministic action.
+    """Observation → normalisation → low pass → LSTM → layers → clip to [-1, 1]: the deterministic action.
 
     Args:
         n_observation: number of entries of the observation.
         normalization: None where the network sees raw observations.
         lstm: None for a policy without memory.
         layers: applied one after the other, each of :data:`LAYERS`.
+        low_pass: its slow copies follow the observation in what the layers see; not beside an LSTM.
     """
 
     n_observation: int
     normalization: Normalization | None
     lstm: nn.LSTM | None
     layers: Sequence[nn.Module]
+    low_pass: LowPass | None = None
 
 
 def flat_layers(modules: Sequence[nn.Module]) -> list[nn.Module]:
@@ -113,8 +128,12 @@ def to_onnx(network: PolicyNetwork) -> bytes:
     if network.normalization is not None:
         value = _normalized(graph, value, network.normalization)
     states: list[str] = []
-    width = 0 if network.lstm is None else network.lstm.hidden_size
+    widths: list[int] = []
+    if network.low_pass is not None:
+        value, states = _low_passed(graph, value, network.low_pass)
+        widths = [network.low_pass.columns.size, 1]
     if network.lstm is not None:
+        widths = [network.lstm.hidden_size] * (2 * network.lstm.num_layers)
         for layer in range(network.lstm.num_layers):
             value, cell = _lstm_layer(graph, value, network.lstm, layer)
             states += [value, cell]
@@ -126,8 +145,8 @@ def to_onnx(network: PolicyNetwork) -> bytes:
     named = {"action": value, **{f"next_state_{i}": state for i, state in enumerate(states)}}
     for name, result in named.items():
         graph.nodes.append(helper.make_node("Identity", [result], [name]))
-    inputs = {"observation": network.n_observation, **{f"state_{i}": width for i in range(len(states))}}
-    outputs = {"action": n_action, **{f"next_state_{i}": width for i in range(len(states))}}
+    inputs = {"observation": network.n_observation, **{f"state_{i}": width for i, width in enumerate(widths)}}
+    outputs = {"action": n_action, **{f"next_state_{i}": width for i, width in enumerate(widths)}}
     model = helper.make_model(
         helper.make_graph(graph.nodes, "policy", _infos(inputs), _infos(outputs), graph.constants),
         opset_imports=[helper.make_opsetid("", OPSET)],
@@ -149,6 +168,16 @@ def _normalized(graph: _Graph, value: str, normalization: Normalization) -> str:
     value = graph.add("Div", value, graph.constant(normalization.std, np.float64))
     bounds = (graph.constant(sign * normalization.bound, np.float64) for sign in (-1.0, 1.0))
     return graph.add("Cast", graph.add("Clip", value, *bounds), to=TensorProto.FLOAT)
+
+
+def _low_passed(graph: _Graph, value: str, low_pass: LowPass) -> tuple[str, list[str]]:
+    """Return the observation with its slow copies behind it, and the next states: the copies, and 1 once started."""
+    seen = graph.add("Gather", value, graph.constant(low_pass.columns, np.int64), axis=1)
+    before = graph.add("Where", graph.add("Greater", "state_1", graph.constant(0.5)), "state_0", seen)
+    step = graph.add("Mul", graph.add("Sub", seen, before), graph.constant(low_pass.gain))
+    slow = graph.add("Add", before, step)
+    started = graph.add("Add", graph.add("Mul", "state_1", graph.constant(0.0)), graph.constant(1.0))
+    return graph.add("Concat", value, slow, axis=1), [slow, started]
 
 
 def _linear(graph: _Graph, value: str, weight: torch.Tensor, bias: torch.Tensor | None) -> str:

@@ -23,8 +23,8 @@ from agents.folders import BEST, loading, new_folder, save_folder
 from agents.gains import Gains, stagger
 from agents.onnx_graph import Normalization, PolicyNetwork, flat_layers
 from agents.runs import Run
-from wtg_gym import ENV_ID
 from wtg_gym.envs import GFMWTGVectorEnv
+from wtg_gym.scenarios import get_suite
 
 #: The algorithm's name in run.json.
 NAME = "single_file_ppo"
@@ -230,7 +230,8 @@ def train(run: Run, folder: Path, h: Hyperparameters) -> None:
     # One thread, so that sums do not depend on which thread ends first.
     torch.set_num_threads(1)
     torch.manual_seed(settings.seed)
-    envs = gym.make_vec(ENV_ID, num_envs=settings.n_envs, autoreset_mode="SameStep", **settings.env_arguments)
+    env_id = get_suite(settings.suite).benchmark.env_id
+    envs = gym.make_vec(env_id, num_envs=settings.n_envs, autoreset_mode="SameStep", **settings.env_arguments)
     assert isinstance(envs, GFMWTGVectorEnv)
     agent = Agent(envs.lanes.n_observation, envs.lanes.n_action, h)
     optimizer = torch.optim.Adam(agent.parameters(), lr=h.learning_rate, eps=1e-5)

@@ -35,6 +35,7 @@ from agents.onnx_graph import to_onnx
 from agents.runs import Run, RunSettings
 from agents.vec_env import GainVecEnv
 from wtg_gym.policies.sb3_archive import NormalizedPolicy
+from wtg_gym.scenarios import get_suite
 
 _DESCRIPTION = """\
 Trains a policy and writes everything about it to a folder: run.json, TensorBoard's files, the policy with the best
@@ -202,7 +203,8 @@ def sb3_settings(given: Mapping[str, Any]) -> RunSettings:
     """
     if "algo" not in given:
         raise ValueError(f"--algo is needed: {', '.join(ALGORITHMS)}")
-    raw = read_config(Path(given.get("config", CONFIG_FOLDER / f"{given['algo']}.yml")))
+    env_id = get_suite(given.get("suite", "standard")).benchmark.env_id
+    raw = read_config(Path(given.get("config", CONFIG_FOLDER / f"{given['algo']}.yml")), env_id)
     file = parse(given["algo"], raw)
     return settings_of(given, given["algo"], raw, timesteps=file.n_timesteps, n_envs=given.get("n_envs", file.n_envs))
 

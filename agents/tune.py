@@ -15,8 +15,8 @@ from optuna.trial import Trial, TrialState
 from agents.command import Parser, given_options, note, run_command
 from agents.runs import Run, RunSettings
 from agents.train import add_sb3_options, sb3_settings, train
-from wtg_gym import ENV_ID
 from wtg_gym.files import to_json, write_atomically
+from wtg_gym.scenarios import get_suite
 
 STUDY_FILE, BEST_FILE = "study.sqlite3", "best.yml"
 #: So many trials run to their end before any is compared with the others' median, and so many others must have been
@@ -170,7 +170,9 @@ def _write_best(study: optuna.Study, settings: RunSettings, folder: Path) -> Non
             f"# {settings.algo}: trial {best.number} of the study here. Its validation score, {best.value:.2f},\n"
             f"# is the largest of {len(complete)} trials on the scenarios that chose it, and thus optimistic.\n"
         )
-        content = yaml.safe_dump({ENV_ID: best.user_attrs["hyperparameters"]}, sort_keys=True)
+        content = yaml.safe_dump(
+            {get_suite(settings.suite).benchmark.env_id: best.user_attrs["hyperparameters"]}, sort_keys=True
+        )
         write_atomically(folder / BEST_FILE, head + content)
 
 

@@ -1,10 +1,11 @@
-"""Coordinated regulation with a prescribed reserve at nominal frequency: the reference, the score's hundred.
+"""Coordinated regulation with a prescribed reserve at nominal frequency: the reference, the paper's law.
 
     P_st = g(ω) ω_m³ + D_p x,    τ ẋ = (ω - ω_st) - x,    τ = 0.8 s
     g piecewise linear through (ω_min, K_opt), (ω_st, K_n), (ω_max, K_pr), constant outside
 
 K_n is the coefficient of 5 % deloading, K_pr that of 10 %: 5 % of the available power are ready upwards and downwards.
-Zero action of the environment, with its default strategy, is exactly this law.
+Zero action of the environment, with its default strategy, is exactly this law. It is the score's hundred in version v0
+and its zero in v1.
 
 Source: Chen et al., equation of the augmented g(ω).
 """

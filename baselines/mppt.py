@@ -1,4 +1,4 @@
-"""Maximum power point tracking with plain droop: the score's zero.
+"""Maximum power point tracking with plain droop: the score's zero in version v0.
 
     P_st = K_opt ω_m³,    2H ω̇ = P_st - p - D_p (ω - ω_st)
 

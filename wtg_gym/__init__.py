@@ -1,7 +1,7 @@
 """Grid-forming wind turbine generators on the modified IEEE 14-bus system, as a Gymnasium benchmark.
 
-Importing this package registers `GFMWTG-14bus-v0`. The environments' classes and what scores a policy are loaded, with
-the numerical packages that they need, when they are first used.
+Importing this package registers `GFMWTG-14bus-v0` and `GFMWTG-14bus-v1`. The environments' classes and what scores a
+policy are loaded, with the numerical packages that they need, when they are first used.
 """
 
 from importlib import import_module
@@ -14,7 +14,16 @@ if TYPE_CHECKING:
     from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
     from wtg_gym.evaluation import Entry, evaluate, leaderboard_rows, load_entries, markdown_table
     from wtg_gym.physics.plant import PlantSettings
-    from wtg_gym.physics.scenario import LineTrip, LoadRamp, LoadStep, LoadTrip, Scenario
+    from wtg_gym.physics.scenario import (
+        GovernorLoss,
+        GroupTrip,
+        LineTrip,
+        LoadRamp,
+        LoadStep,
+        LoadTrip,
+        MachineOutage,
+        Scenario,
+    )
     from wtg_gym.physics.tracking_law import TrackingLaw, get_law
     from wtg_gym.physics.trajectory import Trajectory, simulate
     from wtg_gym.scenarios import get_suite
@@ -24,25 +33,31 @@ try:
 except PackageNotFoundError:  # a checkout that was not installed
     __version__ = "0+unknown"
 
-#: Id of the environment.
-ENV_ID = "GFMWTG-14bus-v0"
+#: Ids of the environments: the paper's system, and the grid that needs the wind.
+ENV_IDS = ("GFMWTG-14bus-v0", "GFMWTG-14bus-v1")
+ENV_ID = ENV_IDS[0]
 
-if ENV_ID not in registry:
-    register(
-        ENV_ID,
-        entry_point="wtg_gym.envs.gfm_wtg:GFMWTGEnv",
-        vector_entry_point="wtg_gym.envs.gfm_wtg:GFMWTGVectorEnv",
-    )
+for _id in ENV_IDS:
+    if _id not in registry:
+        register(
+            _id,
+            entry_point="wtg_gym.envs.gfm_wtg:GFMWTGEnv",
+            vector_entry_point="wtg_gym.envs.gfm_wtg:GFMWTGVectorEnv",
+            kwargs={"version": _id.rpartition("-")[2]},
+        )
 
 #: Public names and their modules, which are imported when a name is first used.
 _PLACES = {
     "Entry": "evaluation",
     "GFMWTGEnv": "envs",
     "GFMWTGVectorEnv": "envs",
+    "GovernorLoss": "physics.scenario",
+    "GroupTrip": "physics.scenario",
     "LineTrip": "physics.scenario",
     "LoadRamp": "physics.scenario",
     "LoadStep": "physics.scenario",
     "LoadTrip": "physics.scenario",
+    "MachineOutage": "physics.scenario",
     "PlantSettings": "physics.plant",
     "Scenario": "physics.scenario",
     "TrackingLaw": "physics.tracking_law",
@@ -58,13 +73,17 @@ _PLACES = {
 
 __all__ = [
     "ENV_ID",
+    "ENV_IDS",
     "Entry",
     "GFMWTGEnv",
     "GFMWTGVectorEnv",
+    "GovernorLoss",
+    "GroupTrip",
     "LineTrip",
     "LoadRamp",
     "LoadStep",
     "LoadTrip",
+    "MachineOutage",
     "PlantSettings",
     "Scenario",
     "TrackingLaw",

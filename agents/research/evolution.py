@@ -13,8 +13,7 @@ import cma
 import numpy as np
 import numpy.typing as npt
 
-from agents.research.rollouts import Rollouts, both, course, linear_feedback
-from wtg_gym.envs.observation import N_LOCAL
+from agents.research.rollouts import HISTORY_COLUMNS, Rollouts, both, course, history_feedback, linear_feedback
 from wtg_gym.envs.settings import ACTION_MODES
 from wtg_gym.scenarios import get_suite
 
@@ -125,21 +124,29 @@ class _Strategy:
         return np.array(self._search.result.xfavorite, dtype=np.float64)
 
 
-def tune_linear(rollouts: Rollouts, generations: int, on_generation: OnGeneration, seed: int = 0) -> Floats:
-    """Return the gains (n_action, N_LOCAL + 1) of a linear feedback, the same for all groups, with a small mean cost.
+def tune_linear(
+    rollouts: Rollouts, generations: int, on_generation: OnGeneration, seed: int = 0, *, history: bool = False
+) -> Floats:
+    """Return the gains of a linear feedback, the same for all groups, that makes :meth:`Rollouts.objective` small.
+
+    They are (n_action, n_local + 1), with history (n_action, n_local + n_history + 1).
 
     Args:
         rollouts: the scenarios, with POPULATION candidates each.
         generations: of the search.
         on_generation: is told after each.
         seed: of the search.
+        history: whether slow copies of the observation are fed back too.
     """
-    shape = (rollouts.n_action, N_LOCAL + 1)
+    shape = (rollouts.n_action, rollouts.lanes.n_local + (len(HISTORY_COLUMNS) if history else 0) + 1)
+    dt = rollouts.lanes.settings.control_dt
     search = _Strategy(np.zeros(shape), 0.15, seed)
     least = np.inf
     for generation in range(generations):
         asked = search.ask()
-        costs = rollouts.play(linear_feedback(asked.reshape(-1, *shape))).sum(axis=-1).mean(axis=0)
+        gains = asked.reshape(-1, *shape)
+        act = history_feedback(gains, dt) if history else linear_feedback(gains)
+        costs = rollouts.objective(rollouts.play(act)).mean(axis=0)
         search.tell(asked, costs)
         least = min(least, float(costs.min()))
         on_generation(generation + 1, least)
@@ -161,7 +168,7 @@ def search_with_foresight(
         rollouts: the scenarios, with POPULATION candidates each.
         scenario_seeds: their seeds: every scenario's search draws from a generator of its own.
         gains: of a linear feedback that the actions are added to and whose gains are searched as well,
-            (n_action, N_LOCAL + 1); None: a course of actions alone.
+            (n_action, n_local + 1); None: a course of actions alone.
         generations: of every scenario's search.
         on_generation: is told after each.
         seed: of the searches.

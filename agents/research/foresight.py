@@ -17,11 +17,12 @@ from agents.command import Parser, Progress, check_output_folder, note, print_ta
 from agents.research import evolution, rollouts
 from agents.research.evolution import N_KNOTS, POPULATION, Search, add_search_options, search_of, search_with_foresight
 from agents.research.rollouts import difference_percent
-from wtg_gym.envs.observation import N_LOCAL
+from wtg_gym.envs.observation import N_LOCAL, N_MEASURED
 from wtg_gym.envs.settings import ACTION_MODES
-from wtg_gym.evaluation import ANCHORS, Entry, evaluate, load_entries
+from wtg_gym.evaluation import Entry, evaluate, load_entries
 from wtg_gym.evaluation.oracle import OracleCosts
 from wtg_gym.files import read_json, sha256, to_json, write_atomically
+from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[np.float64]
 Costs = tuple[float, ...]
@@ -45,14 +46,15 @@ examples:
       --entries agents/policies/* --output wtg_gym/evaluation/oracle_costs"""
 
 
-def read_gains(path: Path, action_mode: str) -> list[list[float]]:
-    """Return the gains (n_action, N_LOCAL + 1) in a file that :mod:`agents.research.linear` wrote.
+def read_gains(path: Path, action_mode: str, suite: str) -> list[list[float]]:
+    """Return the gains (n_action, n_local + 1) in a file that :mod:`agents.research.linear` wrote.
 
     Raises:
-        ValueError: the file cannot be read, or its gains are not those of this action mode.
+        ValueError: the file cannot be read, or its gains are not those of this action mode and suite.
     """
     data = read_json(path, "gains")
-    shape = sum(ACTION_MODES[action_mode]), N_LOCAL + 1
+    n_local = N_MEASURED if get_suite(suite).benchmark.sensed else N_LOCAL
+    shape = sum(ACTION_MODES[action_mode]), n_local + 1
     try:
         mode, gains = data["action_mode"], np.array(data["gains"], dtype=np.float64)
     except (TypeError, KeyError, ValueError) as error:
@@ -105,7 +107,7 @@ def find_oracle(
         search: scenarios and effort.
         entries: known policies; one that is cheaper on a scenario than all that was found counts there.
         parts: folder of the finished chunks; they stay there.
-        gains: of a linear feedback to search on top of as well, (n_action, N_LOCAL + 1); None: without.
+        gains: of a linear feedback to search on top of as well, (n_action, n_local + 1); None: without.
         chunk: scenarios that are searched side by side, and kept together.
         n_threads: threads to step with; None for one per processor.
 
@@ -143,7 +145,7 @@ def find_oracle(
         search={**effort, "chunk": chunk, "gains": gains},
         entries=[{key: entry.to_dict()[key] for key in ("name", "training_seed", "sha256")} for entry in entries],
         seeds=tuple(seeds),
-        reference=tuple(costs[ANCHORS[1]][0].tolist()),
+        reference=tuple(costs[results.benchmark.hundred][0].tolist()),
         found=found,
     )
 
@@ -232,7 +234,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         output = check_output_folder("--output", given.output)
         parts = check_output_folder("--parts", given.parts)
         search = search_of(given, given.split)
-        gains = None if given.gains is None else read_gains(Path(given.gains), given.action_mode)
+        gains = None if given.gains is None else read_gains(Path(given.gains), given.action_mode, given.suite)
         entries = [entry for spec in given.entries for entry in load_entries(spec)]
         costs = find_oracle(search, entries, parts, gains=gains, chunk=given.chunk, n_threads=given.threads)
         for path in costs.write(output):

@@ -15,7 +15,7 @@ import numpy as np
 from agents.command import Parser, Progress, check_page, chosen_entries, run_command, update_page
 from agents.research.probes import CONSTANT, delayed
 from wtg_gym.analysis.steady_states import stable_equilibrium
-from wtg_gym.evaluation import ANCHORS, Entry, EntrySummary, evaluate, leaderboard_rows
+from wtg_gym.evaluation import Entry, EntrySummary, evaluate, leaderboard_rows
 from wtg_gym.files import markdown_table
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
@@ -121,7 +121,7 @@ def incentives(
 
             results = evaluate(entries, suite, split, seeds=seeds, n_threads=n_threads, on_progress=tell)
             rows = leaderboard_rows(results)
-            costs += [_cost_row(suite, row) for row in rows if row.name != ANCHORS[0]]
+            costs += [_cost_row(suite, row) for row in rows if row.name != results.benchmark.zero]
             responses.append(_response_row(suite, mean_response(get_suite(suite).scenarios(seeds))))
     first = markdown_table(_COST_COLUMNS, costs, right=range(2, len(_COST_COLUMNS)))
     second = markdown_table(_RESPONSE_COLUMNS, responses, right=range(1, len(_RESPONSE_COLUMNS)))

@@ -15,13 +15,21 @@ from torch import nn
 
 from agents.command import Parser, Progress, check_output_file, check_output_folder, note, print_table, run_command
 from agents.entry_file import write_entry
-from agents.onnx_graph import PolicyNetwork, to_onnx
+from agents.onnx_graph import LowPass, PolicyNetwork, to_onnx
 from agents.research.evolution import POPULATION, Search, add_search_options, search_of, tune_linear
-from agents.research.rollouts import difference_percent, linear_feedback
+from agents.research.rollouts import (
+    HISTORY_COLUMNS,
+    difference_percent,
+    history_feedback,
+    history_gains,
+    linear_feedback,
+)
+from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task_records import COST_TERMS
-from wtg_gym.evaluation import ANCHORS, NoScaleError, OnnxPolicy, evaluate
+from wtg_gym.evaluation import NoScaleError, OnnxPolicy, evaluate
 from wtg_gym.evaluation.score import pinned
 from wtg_gym.files import to_json, write_atomically
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.policies import Entry
 from wtg_gym.policies.load import POLICY_FILE
 from wtg_gym.scenarios import get_suite
@@ -36,25 +44,37 @@ _EXAMPLES = """\
 examples:
   python -m agents.research.linear --output agents/policies/linear-feedback \\
       --gains agents/research/linear_feedback_gains.json
+  python -m agents.research.linear --suite standard-v1 --history --scenarios 96 --name history-feedback-v1 \\
+      --output agents/policies/history-feedback-v1
   wtg-gym evaluate --entries agents/policies/linear-feedback --suite standard"""
 
 
-def linear_policy(gains: Floats, n_wtg: int) -> bytes:
+def linear_policy(gains: Floats, n_wtg: int, *, history_dt: float | None = None) -> bytes:
     """Return the ONNX file of a = clip(G o + b), the same for each of n_wtg groups, of their local observation.
 
     Args:
-        gains: G and, as the last column, b: (n_action, N_LOCAL + 1).
+        gains: G and, as the last column, b: (n_action, n_local + 1); with history the gains of the slow copies stand
+            before b.
         n_wtg: number of groups.
+        history_dt: control interval of a feedback with history [s]; None without.
     """
     n_action = gains.shape[0]
+    n_history = 0 if history_dt is None else len(HISTORY_COLUMNS)
+    n_local = gains.shape[1] - 1 - n_history
     # A group's observation ends with its last actions, which the feedback does not use.
-    own = np.hstack([gains[:, :-1], np.zeros((n_action, n_action))])
-    weight = np.kron(np.eye(n_wtg), own)
+    own = np.hstack([gains[:, :n_local], np.zeros((n_action, n_action))])
+    weight = np.hstack([np.kron(np.eye(n_wtg), own), np.kron(np.eye(n_wtg), gains[:, n_local:-1])])
     layer = nn.Linear(weight.shape[1], weight.shape[0])
     with torch.no_grad():
         layer.weight.copy_(torch.as_tensor(weight))
         layer.bias.copy_(torch.as_tensor(np.tile(gains[:, -1], n_wtg)))
-    return to_onnx(PolicyNetwork(n_observation=weight.shape[1], normalization=None, lstm=None, layers=[layer]))
+    low_pass = None
+    if history_dt is not None:
+        first = (n_local + n_action) * np.arange(n_wtg)[:, None]
+        columns = (first + np.array(HISTORY_COLUMNS)).ravel()
+        low_pass = LowPass(columns=columns, gain=np.tile(history_gains(history_dt), n_wtg))
+    n_observation = n_wtg * (n_local + n_action)
+    return to_onnx(PolicyNetwork(n_observation, None, None, [layer], low_pass))
 
 
 def make_linear_feedback(
@@ -64,6 +84,7 @@ def make_linear_feedback(
     *,
     name: str = "linear-feedback",
     authors: Sequence[str] = (),
+    history: bool = False,
     n_threads: int | None = None,
 ) -> dict[str, Any]:
     """Tune a feedback, write its folder, and return gains, search and costs.
@@ -74,6 +95,7 @@ def make_linear_feedback(
         gains_file: JSON file to write the returned data into; None for none.
         name: of the entry.
         authors: names.
+        history: whether slow copies of the observation are fed back too.
         n_threads: threads to step with; None for one per processor.
 
     Raises:
@@ -82,8 +104,9 @@ def make_linear_feedback(
     # A name that is refused is refused before the work.
     Entry(name=name)
     seeds = search.scenario_seeds
-    gains, training, n_wtg = _tuned(search, n_threads)
-    write_atomically(output / POLICY_FILE, linear_policy(gains, n_wtg))
+    gains, training, n_wtg = _tuned(search, history, n_threads)
+    history_dt = EnvSettings(suite=search.suite).control_dt if history else None
+    write_atomically(output / POLICY_FILE, linear_policy(gains, n_wtg, history_dt=history_dt))
     data = {
         "suite": search.suite,
         "suite_hash": get_suite(search.suite).hash,
@@ -103,9 +126,10 @@ def make_linear_feedback(
         output,
         {
             "name": name,
-            "description": f"Linear feedback of a group's own observation, the same in every group, tuned by CMA-ES on "
-            f"{len(seeds)} training scenarios of {search.suite}.",
+            "description": f"Linear feedback of a group's own observation{' and its past' if history else ''}, "
+            f"the same in every group, tuned by CMA-ES on {len(seeds)} training scenarios of {search.suite}.",
             "action_mode": search.action_mode,
+            "environment": get_suite(search.suite).benchmark.env_id,
             "training_seed": search.seed,
             "authors": list(authors),
         },
@@ -113,7 +137,7 @@ def make_linear_feedback(
     return data
 
 
-def _tuned(search: Search, n_threads: int | None) -> tuple[Floats, dict[str, float], int]:
+def _tuned(search: Search, history: bool, n_threads: int | None) -> tuple[Floats, dict[str, float], int]:
     """Gains, mean pinned training costs of the feedback and of the reference, and the number of groups."""
     with (
         Progress("generations") as progress,
@@ -124,14 +148,17 @@ def _tuned(search: Search, n_threads: int | None) -> tuple[Floats, dict[str, flo
         def tell(done: int, cost: float) -> None:
             progress.update(f"linear feedback, mean cost {cost:.2f}", done, search.generations)
 
-        gains = tune_linear(rollouts, search.generations, tell, search.seed)
-        terms = {"policy": alone.play(linear_feedback(gains))[:, 0], "reference": alone.reference()}
+        gains = tune_linear(rollouts, search.generations, tell, search.seed, history=history)
+        dt = rollouts.lanes.settings.control_dt
+        act = history_feedback(gains, dt) if history else linear_feedback(gains)
+        terms = {"policy": alone.play(act)[:, 0], "reference": alone.reference()}
         return gains, {who: float(alone.pinned(each).mean()) for who, each in terms.items()}, rollouts.n_wtg
 
 
 def _validate(path: Path, search: Search, n_threads: int | None) -> dict[str, Any]:
     """Costs of the policy and of the reference on all validation scenarios, and its score, if there is one."""
-    entry = Entry(name="linear feedback", policy=OnnxPolicy(path), action_mode=search.action_mode)
+    policy = OnnxPolicy(path)
+    entry = Entry(name="linear feedback", policy=policy, action_mode=search.action_mode)
     with Progress("episodes") as progress:
         results = evaluate([entry], search.suite, "validation", n_threads=n_threads, on_progress=progress.update)
     try:
@@ -140,7 +167,7 @@ def _validate(path: Path, search: Search, n_threads: int | None) -> dict[str, An
         score = None
     cap = float(results.settings["weights"]["cap"])
     found: dict[str, Any] = {"scenarios": len(results.seeds), "score": score}
-    for who, key, name in (("policy", "terms", entry.name), ("reference", "reference_terms", ANCHORS[1])):
+    for who, key, name in (("policy", "terms", entry.name), ("reference", "reference_terms", REFERENCE_STRATEGY)):
         episodes = results.episodes_of(name)
         found[who] = float(np.mean([pinned(episode, cap) for episode in episodes]))
         found[key] = {
@@ -155,6 +182,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--output", required=True, metavar="FOLDER", help="folder of the entry; made if missing")
     parser.add_argument("--gains", metavar="FILE", help="JSON file to write the gains to (default: none)")
     parser.add_argument("--name", default="linear-feedback", help="of the entry (default: linear-feedback)")
+    parser.add_argument("--history", action="store_true", help="feed back slow copies of the observation too")
     parser.add_argument("--authors", nargs="+", default=[], metavar="NAME", help="who tuned it")
     parser.add_argument("--scenarios", type=int, default=64, metavar="N", help="training scenarios (default: 64)")
     add_search_options(parser)
@@ -165,7 +193,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         search = search_of(given, "train")
         gains_file = None if given.gains is None else check_output_file("--gains", given.gains, (".json",))
         data = make_linear_feedback(
-            search, output, gains_file, name=given.name, authors=given.authors, n_threads=given.threads
+            search,
+            output,
+            gains_file,
+            name=given.name,
+            authors=given.authors,
+            history=given.history,
+            n_threads=given.threads,
         )
         note(f"wrote {output}" if gains_file is None else f"wrote {output} and {gains_file}")
         rows = [(split, data[split]) for split in ("training", "validation")]

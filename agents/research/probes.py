@@ -14,11 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.observation import FREQUENCY_UNIT_HZ, N_LOCAL, WtgObservation
-from wtg_gym.envs.task import COEFFICIENT_AUTHORITY
 from wtg_gym.evaluation import Entry, Policy
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
+from wtg_gym.scenarios.benchmark import V0
 
 Floats = npt.NDArray[np.float64]
 #: Observations (n_lanes, n_wtg, n) and number of steps so far to actions on k (n_lanes, n_wtg), or to those of every
@@ -88,7 +88,7 @@ def _static() -> Rule:
     needed = np.array([tracking_point(share).coefficient for share in deloading.tolist()])
     speeds = np.interp(deloading, (0.0, control.deloading_nominal, control.deloading_limit), corners)
     offset = needed - np.interp(speeds, corners, (law.k_min, law.k_nominal, law.k_max))
-    actions = offset / (COEFFICIENT_AUTHORITY * (law.k_min - law.k_max))
+    actions = offset / (V0.k_authority * (law.k_min - law.k_max))
     deviations_hz = 50.0 * (speeds - 1.0)
     return lambda own, _step: np.interp(FREQUENCY_UNIT_HZ * own[..., _FREQUENCY], deviations_hz, actions)
 

@@ -10,10 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.envs.observation import N_LOCAL
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task_records import COST_TERMS
-from wtg_gym.evaluation.score import pinned_cost
+from wtg_gym.evaluation.score import COST_OFFSET, pinned_cost
 
 Floats = npt.NDArray[np.float64]
 #: Observations (n_scenarios, n_candidates, n_wtg, n) of a step to actions (n_scenarios, n_candidates, n_wtg, n_action).
@@ -48,6 +47,7 @@ class Rollouts:
         self.n_scenarios, self.n_candidates = len(seeds), n_candidates
         self.n_wtg = self.lanes.n_wtg
         self.n_action = self.lanes.n_action // self.n_wtg
+        self._n_own = self.n_wtg * (self.lanes.n_local + self.n_action)
         self._episodes = self.lanes.prepare(self.lanes.scenarios(seeds))
         # One candidate's lanes after another's, each in the order of the scenarios.
         self._order = np.arange(self.lanes.n_lanes).reshape(len(seeds), n_candidates).T.ravel().tolist()
@@ -62,7 +62,7 @@ class Rollouts:
         lanes, shape = self.lanes, (self.n_scenarios, self.n_candidates)
         lanes.commit(self._order, [self._episodes] * self.n_candidates)
         for step in range(self.n_steps):
-            own = lanes.observations.reshape(*shape, self.n_wtg, -1).astype(np.float64)
+            own = lanes.observations[:, : self._n_own].reshape(*shape, self.n_wtg, -1).astype(np.float64)
             actions = np.clip(candidates(step, own), -1.0, 1.0)
             lanes.step(np.ascontiguousarray(actions.reshape(lanes.n_lanes, -1)))
         sums = lanes.cost_sums()
@@ -85,6 +85,17 @@ class Rollouts:
         costs: Floats = np.where(terms[..., _FAILURE] > 0.0, worst, terms.sum(axis=-1))
         return costs
 
+    def objective(self, terms: Floats) -> Floats:
+        """Return what a search over many scenarios lowers, (...), from what :meth:`play` gave.
+
+        In version v0 it is the cost; from v1 on what the score counts, ln(J + J0): a few failures outweigh all else in
+        a mean of costs.
+        """
+        if not self.lanes.suite.benchmark.sensed:
+            costs: Floats = terms.sum(axis=-1)
+            return costs
+        return np.log(self.pinned(terms) + COST_OFFSET)
+
     def close(self) -> None:
         """Stop the threads."""
         self.lanes.simulator.close()
@@ -94,13 +105,44 @@ def linear_feedback(gains: Floats) -> Candidates:
     """Return the feedback a = G o + b of a group's own observation.
 
     Args:
-        gains: (..., n_action, N_LOCAL + 1) per candidate, the last column is b; leading axes as for scenarios and
+        gains: (..., n_action, n_local + 1) per candidate, the last column is b; leading axes as for scenarios and
             candidates, or fewer.
     """
 
     def act(_step: int, own: Floats) -> Floats:
-        actions: Floats = np.einsum("...ij,...wj->...wi", gains[..., :-1], own[..., :N_LOCAL])
+        actions: Floats = np.einsum("...ij,...wj->...wi", gains[..., :-1], own[..., : gains.shape[-1] - 1])
         return actions + gains[..., None, :, -1]
+
+    return act
+
+
+#: What a feedback with history sees besides: slow copies of entries of a group's observation (frequency, tip-speed
+#: ratio, rotor speed), and their time constants [s].
+HISTORY_COLUMNS, HISTORY_TIMES_S = (0, 0, 2, 2, 3), (2.0, 10.0, 3.0, 10.0, 10.0)
+
+
+def history_gains(control_dt: float) -> Floats:
+    """Return the gains of the filters behind the slow copies, (n_history,)."""
+    gains: Floats = -np.expm1(-control_dt / np.array(HISTORY_TIMES_S))
+    return gains
+
+
+def history_feedback(gains: Floats, control_dt: float) -> Candidates:
+    """Return the feedback a = G (o, slow copies) + b of a group's own observation.
+
+    Args:
+        gains: (..., n_action, n_local + n_history + 1) per candidate, as for :func:`linear_feedback`.
+        control_dt: control interval [s].
+    """
+    filters, n_local = history_gains(control_dt), gains.shape[-1] - len(HISTORY_COLUMNS) - 1
+    linear = linear_feedback(gains)
+    slow: Floats = np.zeros(0)
+
+    def act(step: int, own: Floats) -> Floats:
+        nonlocal slow
+        seen = own[..., HISTORY_COLUMNS]
+        slow = seen if step == 0 else slow + filters * (seen - slow)
+        return linear(step, np.concatenate([own[..., :n_local], slow], axis=-1))
 
     return act
 

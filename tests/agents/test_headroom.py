@@ -271,7 +271,7 @@ def test_simple_policies_contain_the_reference_and_are_played_as_their_words_say
     found = reference, policies = simple_policies.simple_policies("standard", "validation", 1, n_threads=1)
     costs = {(policy.family, policy.description): policy.cost for policy in policies}
     # Quartiles of what hardly changes are alike when they are rounded.
-    assert len(policies) == 77 + 288
+    assert len(policies) == 77 + 288 + 8 * 2 * 3 * 2
     assert costs["constant", "k +0, tau +0"] == reference
     assert policies == sorted(policies, key=lambda policy: policy.cost)
 
@@ -287,7 +287,7 @@ def test_simple_policies_contain_the_reference_and_are_played_as_their_words_say
     monkeypatch.setattr(simple_policies, "simple_policies", lambda *_: found)
     assert simple_policies.main([]) == 0
     printed = capsys.readouterr().out
-    assert all(text in printed for text in ("constant", "bang-bang", "relay", "sign("))
+    assert all(text in printed for text in ("constant", "bang-bang", "relay", "sign(", "proportional"))
 
 
 def test_too_many_scenarios_are_refused(capsys: pytest.CaptureFixture[str]) -> None:

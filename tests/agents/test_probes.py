@@ -7,11 +7,11 @@ import pytest
 
 from agents.research.incentives import incentives, mean_response
 from agents.research.probes import CHATTER, CONSTANT, PUSH, STATIC, delayed
-from wtg_gym.envs.task import COEFFICIENT_AUTHORITY
 from wtg_gym.evaluation import evaluate, load_entries
 from wtg_gym.physics.aerodynamics import available_power_pu, tracking_point
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios.benchmark import V0
 
 
 def test_each_pays_for_what_it_overdoes() -> None:
@@ -33,9 +33,7 @@ def test_static_correction_gives_the_k_that_captures_what_is_asked_at_rest() -> 
     action, _ = STATIC.policy.predict(observation)
     # Half-way between the set-point, 95 %, and ω_min, 100 %.
     needed = tracking_point(0.025).coefficient - 0.5 * (law.k_min + law.k_nominal)
-    assert action == pytest.approx(
-        np.full((1, 2), needed / (COEFFICIENT_AUTHORITY * (law.k_min - law.k_max))), abs=1e-4
-    )
+    assert action == pytest.approx(np.full((1, 2), needed / (V0.k_authority * (law.k_min - law.k_max))), abs=1e-4)
 
 
 def test_delayed_policy_answers_the_observation_of_one_step_before() -> None:

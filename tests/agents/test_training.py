@@ -17,6 +17,7 @@ import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from agents.entry_file import entry_values
 from agents.export import export, largest_difference
 from agents.export import main as export_command
 from agents.folders import folders, held, new_folder, save_folder
@@ -325,3 +326,9 @@ def test_bad_options_are_refused_before_anything_runs(
     assert error.startswith("error: ") and error.count("\n") == 1
     assert re.search(text, error), error
     assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize(("suite", "environment"), [("standard", None), ("standard-v1", "GFMWTG-14bus-v1")])
+def test_entry_file_names_the_environment_of_a_run_on_v1(suite: str, environment: str | None) -> None:
+    settings = RunSettings(algo="ppo", hyperparameters={}, suite=suite, timesteps=1, n_envs=1, interval=1)
+    assert entry_values(settings, 1).get("environment") == environment

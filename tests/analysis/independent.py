@@ -44,18 +44,14 @@ class Independent:
         for name in ("R", "T1", "T2", "T3", "VMIN", "VMAX", "Dt"):
             setattr(self, name, np.array([g[name] for g in governors]))
         self.reference = self.torque[self.governed] / scale[self.governed]
+        self.lines = {(line["f"], line["t"]): line for line in data["line"]}
+        self.connected = np.ones(len(gens))
 
     def _network(self, data: dict[str, Any]) -> np.ndarray:
         n = len(self.buses)
         y = np.zeros((n, n), dtype=complex)
         for line in data["line"]:
-            f, t = self.index[line["f"]], self.index[line["t"]]
-            series, half = 1.0 / complex(line["r"], line["x"]), 0.5j * line["b"]
-            tap = line["tap"] * np.exp(1j * line["phi"])
-            y[f, f] += (series + half) / abs(tap) ** 2
-            y[t, t] += series + half
-            y[f, t] -= series / np.conj(tap)
-            y[t, f] -= series / tap
+            self._add_line(y, line, 1.0)
         for shunt in data["shunt"]:
             y[self.index[shunt["bus"]], self.index[shunt["bus"]]] += complex(shunt["g"], shunt["b"])
         for bus, load in self.loads.items():
@@ -63,14 +59,23 @@ class Independent:
         np.add.at(y, (self.at, self.at), 1.0 / self.impedance)
         return y
 
+    def _add_line(self, y: np.ndarray, line: dict[str, float], sign: float) -> None:
+        f, t = self.index[int(line["f"])], self.index[int(line["t"])]
+        series, half = 1.0 / complex(line["r"], line["x"]), 0.5j * line["b"]
+        tap = line["tap"] * np.exp(1j * line["phi"])
+        y[f, f] += sign * (series + half) / abs(tap) ** 2
+        y[t, t] += sign * (series + half)
+        y[f, t] -= sign * series / np.conj(tap)
+        y[t, f] -= sign * series / tap
+
     def solve(self, y: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return bus voltages, machine currents and voltages behind the impedances."""
         m = len(self.keys)
         emf = self.emf * np.exp(1j * state[:m])
         injected = np.zeros(len(self.buses), dtype=complex)
-        np.add.at(injected, self.at, emf / self.impedance)
+        np.add.at(injected, self.at, self.connected * emf / self.impedance)
         voltage = np.linalg.solve(y, injected)
-        return voltage, (emf - voltage[self.at]) / self.impedance, emf
+        return voltage, self.connected * (emf - voltage[self.at]) / self.impedance, emf
 
     def rates(self, y: np.ndarray, held: np.ndarray, state: np.ndarray) -> np.ndarray:
         """Return the time derivatives; `held` marks gates at a limit."""
@@ -99,7 +104,23 @@ class Independent:
             found |= {f"w{key}": state[len(self.keys) + i], f"Pe{key}": power[i]}
         return found
 
-    def run(self, events: list[dict[str, float]], times: list[float]) -> dict[str, np.ndarray]:
+    def _strike(self, event: dict[str, Any], y: np.ndarray, held: np.ndarray) -> None:
+        """Change network, machines and gates; a gate that is held with NaN is so for good."""
+        if "opens" in event or "closes" in event:
+            sign, ends = (-1.0, event["opens"]) if "opens" in event else (1.0, event["closes"])
+            self._add_line(y, self.lines[ends], sign)
+            return
+        i = self.index[int(event["bus"])]
+        if event.get("outage"):
+            for k in np.flatnonzero(self.at == i):
+                y[i, i] -= 1.0 / self.impedance[k]
+                self.connected[k] = 0.0
+        elif event.get("governor_loss"):
+            held[self.at[self.governed] == i] = np.nan
+        else:
+            y[i, i] += event["dG_pu"] if "dG_pu" in event else -self.loads[int(event["bus"])]
+
+    def run(self, events: list[dict[str, Any]], times: list[float]) -> dict[str, np.ndarray]:
         """Return the columns at the times [s], and how often a gate has met or left a limit as `switches`."""
         m, g = len(self.keys), len(self.governed)
         state = np.concatenate([self.delta, np.ones(m), self.reference, self.reference])
@@ -107,7 +128,10 @@ class Independent:
         for stop in sorted({event["t"] for event in events} | {times[-1]}):
             while clock < stop:
                 watched = [
-                    self._watch(j, held[j], limit) for j in range(g) for limit in ((1, -1) if not held[j] else (0,))
+                    self._watch(j, held[j], limit)
+                    for j in range(g)
+                    if not np.isnan(held[j])
+                    for limit in ((1, -1) if not held[j] else (0,))
                 ]
                 done = solve_ivp(
                     lambda _t, x, y=y, held=held: self.rates(y, held, x),
@@ -128,8 +152,7 @@ class Independent:
                         switches += 1
             for event in events:
                 if event["t"] == stop:
-                    i = self.index[int(event["bus"])]
-                    y[i, i] += event["dG_pu"] if "dG_pu" in event else -self.loads[int(event["bus"])]
+                    self._strike(event, y, held)
         found = {name: np.array([row[name] for row in rows]) for name in rows[0]}
         return found | {"switches": np.array([switches])}
 

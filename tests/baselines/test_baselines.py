@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import baselines
+from baselines.fast_droop import FastDroop
 from baselines.tip_speed_feedback import TipSpeedFeedback
 from wtg_gym.evaluation import evaluate, leaderboard_rows, load_entries
 from wtg_gym.physics.aerodynamics import tracking_point
@@ -16,18 +17,19 @@ from wtg_gym.physics.converter import Corners, tracking_coefficient
 from wtg_gym.physics.tracking_law import STRATEGIES
 
 FOLDER = Path(baselines.__file__).parent
+MODULES = list(dict.fromkeys(name for order in baselines.ORDER.values() for name in order))
 
 
 def test_entries_are_the_built_in_strategies_in_the_order_of_the_package() -> None:
     entries = load_entries("baselines")
-    assert [entry.name for entry in entries] == [name.replace("_", "-") for name in baselines.ORDER]
+    assert [entry.name for entry in entries] == [name.replace("_", "-") for name in baselines.ORDER["v0"]]
     assert {entry.name: entry.law for entry in entries if entry.kind == "law"} == STRATEGIES
     assert [(entry.name, entry.kind) for entry in entries if entry.kind != "law"] == [
         ("tip-speed-feedback", "feedback")
     ]
 
 
-@pytest.mark.parametrize("name", baselines.ORDER)
+@pytest.mark.parametrize("name", MODULES)
 def test_module_gives_equation_and_source(name: str) -> None:
     module = importlib.import_module(f"baselines.{name}")
     assert "Source:" in module.__doc__ and "P_st =" in module.__doc__
@@ -39,7 +41,7 @@ def test_module_gives_equation_and_source(name: str) -> None:
 
 
 def test_order_names_every_module() -> None:
-    assert sorted(baselines.ORDER) == sorted(path.stem for path in FOLDER.glob("[a-z]*.py"))
+    assert sorted(MODULES) == sorted(path.stem for path in FOLDER.glob("[a-z]*.py"))
 
 
 def test_linear_law_is_the_straight_line_of_its_docstring() -> None:
@@ -82,3 +84,17 @@ def test_feedback_pays_less_for_duty_than_the_law() -> None:
         for name in ("coordinated-piecewise", "tip-speed-feedback")
     }
     assert duty["tip-speed-feedback"] < 0.7 * duty["coordinated-piecewise"]
+
+
+def test_fast_droop_is_one_gain_of_each_groups_own_measured_frequency() -> None:
+    observation = np.random.default_rng(0).normal(size=(1, 28))
+    deviations_hz = np.array([-0.3, 0.1, 0.0, 2.0])
+    observation[0, ::7] = deviations_hz / 0.5
+    action, _ = FastDroop().predict(observation)
+    assert action == pytest.approx(np.array([[0.6, -0.2, 0.0, -1.0]]))
+
+
+def test_fast_droop_holds_the_frequency_better_than_the_papers_law() -> None:
+    results = evaluate("fast-droop", "standard-v1", "validation", seeds=range(10_000, 10_020))
+    rows = {row.name: row for row in results.summaries}
+    assert rows["fast-droop"].median_deviation_mhz < 0.7 * rows["coordinated-piecewise"].median_deviation_mhz

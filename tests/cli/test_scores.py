@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import signal
@@ -16,12 +17,13 @@ import wtg_gym.cli.scoring
 from tests.cli.calls import end_with_parts, error_of, json_of, start
 from tests.submissions import models
 from wtg_gym.cli import main
-from wtg_gym.evaluation import ANCHORS, Results, Workers, load_entries
+from wtg_gym.evaluation import Results, Workers, load_entries
 from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.evaluation.recompute import recompute
 from wtg_gym.files import sha256, to_json
 from wtg_gym.policies import policy_process
 from wtg_gym.scenarios import FROZEN_HASHES
+from wtg_gym.scenarios.benchmark import V0, V1
 
 ROOT = Path(__file__).resolve().parents[2]
 _FEW = ("--suite", "low-wind", "--split", "test", "--seeds", "20000:20003", "20005")
@@ -52,6 +54,38 @@ def test_evaluate_scores_entries_and_writes_results(capsys: pytest.CaptureFixtur
     assert sorted(path.name for path in folder.iterdir()) == ["low-wind-test.csv", "low-wind-test.json"]
 
 
+def test_evaluate_ranks_a_suite_of_v1_in_its_own_grid(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    arguments = ["--suite", "standard-v1", "--split", "validation", "--seeds", "10000:10012"]
+    folder = tmp_path / "mine"
+    entries = ["--entries", "coordinated-piecewise", "fast-droop"]
+    assert main(["evaluate", *entries, *arguments, "--results", str(folder)]) == 0
+    out = capsys.readouterr().out
+    assert all(f"  {name} " in out for name in ("fast-droop", *V1.anchors)) and "mppt" not in out
+    assert all(head in out for head in ("worst decile", "Δf [mHz]", "p95 ΔP [p.u.]", "energy [%]", "failures [%]"))
+    assert max(map(len, out.splitlines())) <= 120
+    results = Results.read(folder / "standard-v1-validation.json")
+    assert [group["bus"] for group in results.settings["groups"]] == [2, 3, 6, 8]
+    assert results.settings["physics"] == "extended"
+    assert main(["results", "recompute", str(folder / "standard-v1-validation.json")]) == 0
+    assert "identical" in capsys.readouterr().out
+
+
+def test_leaderboard_of_v1_goes_into_a_page_and_is_stored(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few = functools.partial(wtg_gym.cli.scoring.evaluate, seeds=range(20_000, 20_012))
+    monkeypatch.setattr(wtg_gym.cli.scoring, "evaluate", few)
+    page = tmp_path / "page.md"
+    page.write_text("<!-- leaderboard:standard-v1:start -->\n<!-- leaderboard:standard-v1:end -->\n")
+    arguments = ["leaderboard", "--suite", "standard-v1", "--results", str(tmp_path), "--readme", str(page)]
+    assert main(arguments) == 0
+    first = page.read_text()
+    assert "| failures by kind [%] | worst decile |" in first and "| coordinated-tuned | 100.0 |" in first
+    played = _count_played(monkeypatch)
+    assert main(arguments) == 0
+    assert played == [[]] and page.read_text() == first
+
+
 def test_evaluate_json_is_the_description_with_the_summary(capsys: pytest.CaptureFixture[str]) -> None:
     data = json_of(capsys, "evaluate", "--entries", "deloaded-5", *_FEW, "--machine-model", "classical", "--json")
     assert data["seeds"] == [20_000, 20_001, 20_002, 20_005]
@@ -78,6 +112,14 @@ def test_share_of_the_oracles_gap_is_shown_or_why_not(capsys: pytest.CaptureFixt
         (("--entries", "best"), "the folder best holds no entry.toml, but 2 folders with one: write best/* for all"),
         (("--entries", "best/empty"), "the folder best/empty holds no entry.toml"),
         (("--suite", "storm"), "unknown suite 'storm'"),
+        (
+            ("--suite", "paper-v1", "--entries", "PPO (k)"),
+            "is for GFMWTG-14bus-v0, these scenarios are of GFMWTG-14bus-v1",
+        ),
+        (
+            ("--suite", "paper", "--entries", "fast-droop"),
+            "is for GFMWTG-14bus-v1, these scenarios are of GFMWTG-14bus-v0",
+        ),
         (("--seeds", "10003", "10003"), "every seed may be given once; given more often: 10003"),
         (("--seeds", "3"), "the validation seeds of suite 'standard' are 10000 … 10099"),
         (("--split", "test", "--seeds", "3"), "the test seeds of suite 'standard' are 20000 … 20199"),
@@ -208,7 +250,9 @@ def test_stored_entry_is_kept_with_its_row_and_dropped_where_its_name_is_another
         )
         assert done.returncode == 0
         entries = Results.read(tmp_path / "r" / "paper-test.json").entries
-        stored.append({(each["name"], each["training_seed"]) for each in entries} - {(name, None) for name in ANCHORS})
+        stored.append(
+            {(each["name"], each["training_seed"]) for each in entries} - {(name, None) for name in V0.anchors}
+        )
     assert stored == [
         {("mine", 0)},
         {("mine", 0), ("mine", 1)},

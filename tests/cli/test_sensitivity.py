@@ -16,7 +16,7 @@ def test_table_names_what_does_not_matter(capsys: pytest.CaptureFixture[str]) ->
     assert main(_FEW) == 0
     said = capsys.readouterr()
     assert "validation: 2 scenarios" in said.out
-    assert "no score: MPPT is not worse than the reference" in said.out
+    assert "no score: the entry at 0 is not worse than that at 100" in said.out
     assert said.out.endswith("Neither a point of any score nor the order depends on: overload.\n")
     assert [line.split()[:3] for line in said.out.splitlines() if line.startswith(("duty", "overload"))] == [
         ["duty", "0", "no"],

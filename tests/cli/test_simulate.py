@@ -12,6 +12,7 @@ import pytest
 
 from tests.cli.calls import ROOT, error_of, json_of
 from wtg_gym.cli import main
+from wtg_gym.evaluation import evaluate
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.scenarios import get_suite
 
@@ -63,6 +64,25 @@ def test_wind_and_groups_follow_each_other(capsys: pytest.CaptureFixture[str]) -
     data = json_of(capsys, "simulate", "--duration", "1", "--wind", "9", "--groups", "3", "--json")
     assert data["scenario"]["mean_wind_m_s"] == [9.0] * 3
     assert "give one or 2" in error_of(capsys, "simulate", "--wind", "9", "8", "7", "--groups", "2")
+
+
+def test_suite_of_v1_runs_in_its_own_grid(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    laws = ("--strategy", "coordinated-piecewise", "coordinated-tuned")
+    data = json_of(capsys, "simulate", "--suite", "standard-v1", "--seed", "10003", *laws, "--json")
+    assert [group["bus"] for group in data["plant"]["groups"]] == [2, 3, 6, 8]
+    assert data["plant"]["physics"] == "extended"
+    played = evaluate([], "standard-v1", seeds=(10_003,))
+    for run in data["runs"]:
+        (episode,) = played.episodes_of(run["strategy"])
+        assert run["nadir_hz"] == pytest.approx(episode.metrics["nadir_hz"], abs=1e-9)
+    # The same scenario as a file, in the suite's grid.
+    assert main(["suites", "standard-v1", "--seed", "10003", "--json"]) == 0
+    path = tmp_path / "scenario.json"
+    path.write_text(capsys.readouterr().out)
+    again = json_of(capsys, "simulate", "--suite", "standard-v1", "--scenario", str(path), *laws, "--json")
+    assert again["runs"] == data["runs"]
+    said = error_of(capsys, "simulate", "--suite", "standard-v1", "--scenario", str(path), "--seed", "10003")
+    assert "leave out --seed" in said
 
 
 def test_traces_hold_every_sample_with_units_in_the_header(tmp_path: Path) -> None:

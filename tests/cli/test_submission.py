@@ -14,7 +14,8 @@ from tests.submissions import models
 from tests.submissions.models import TOML, after, folder, node
 from tests.submissions.models import model as make
 from wtg_gym.cli import main
-from wtg_gym.evaluation import ANCHORS, Results, evaluate, load_entries
+from wtg_gym.evaluation import Results, evaluate, load_entries
+from wtg_gym.scenarios.benchmark import V0
 
 ROOT = Path(__file__).resolve().parents[2]
 OTHER = TOML.replace("Mine", "Other")
@@ -81,7 +82,7 @@ def test_score_ranks_what_is_not_refused(capsys: pytest.CaptureFixture[str], tmp
     assert "b: loading: onnxruntime cannot load the policy" in said.err
     assert {entry["name"] for entry in Results.read(tmp_path / "r" / "standard-test.json").entries} == {
         "Mine",
-        *ANCHORS,
+        *V0.anchors,
     }
     twin = folder(tmp_path / "c")
     assert main(["submission", "score", str(good), str(twin), *_FEW, "--results", str(tmp_path / "s")]) == 1
@@ -91,6 +92,15 @@ def test_score_ranks_what_is_not_refused(capsys: pytest.CaptureFixture[str], tmp
     assert "unknown suite" in error_of(capsys, "submission", "score", str(good), "--suite", "storm")
     for command in ("score", "check"):
         assert "there is no folder nowhere" in error_of(capsys, "submission", command, str(good), "nowhere")
+
+
+def test_score_refuses_what_is_for_another_version(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    few = ("--split", "validation", "--scenarios", "12")
+    old, new = folder(tmp_path / "a"), folder(tmp_path / "b", models.of_v1(), models.TOML_V1.replace("Mine", "New"))
+    assert main(["submission", "score", str(old), str(new), "--suite", "standard-v1", *few]) == 1
+    said = capsys.readouterr()
+    assert "New" in said.out and "coordinated-tuned" in said.out and "Mine" not in said.out
+    assert "a: for GFMWTG-14bus-v0, standard-v1 is of GFMWTG-14bus-v1" in said.err
 
 
 def test_policy_that_fails_in_a_scored_scenario_stops_nobody_else(

@@ -15,10 +15,11 @@ from wtg_gym.scenarios import FROZEN_HASHES, SUITES
 
 def test_suites_lists_every_suite(capsys: pytest.CaptureFixture[str]) -> None:
     listed = json_of(capsys, "suites", "--json")
-    assert {suite["name"]: suite["hash"] for suite in listed} == dict(FROZEN_HASHES)
+    hashes = {suite["name"]: suite["hash"] for suite in listed}
+    assert list(hashes) == list(SUITES) and FROZEN_HASHES.items() <= hashes.items()
     assert main(["suites"]) == 0
     text = capsys.readouterr().out
-    assert all(name in text and FROZEN_HASHES[name][:12] in text for name in SUITES)
+    assert all(name in text and own[:12] in text for name, own in hashes.items())
 
 
 def test_suite_is_shown_with_its_splits(capsys: pytest.CaptureFixture[str]) -> None:
@@ -26,6 +27,17 @@ def test_suite_is_shown_with_its_splits(capsys: pytest.CaptureFixture[str]) -> N
     text = capsys.readouterr().out
     assert "200 scenarios, seeds 20000 … 20199" in text
     assert "mean_wind_m_s" in text
+
+
+def test_suite_of_v1_is_shown_with_its_grid_sensors_and_task(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["suites", "standard-v1"]) == 0
+    text = capsys.readouterr().out
+    assert "GFMWTG-14bus-v1" in text and SUITES["standard-v1"].hash in text
+    assert "20 turbines at bus 2, 14 turbines at bus 3, 10 turbines at bus 6, 8 turbines at bus 8" in text
+    assert "generator_mva              250.0" in text and "delay_s                    (0.1, 0.3)" in text
+    assert "0 coordinated-piecewise, 100 coordinated-tuned" in text
+    (data,) = json_of(capsys, "suites", "no-wind-sensor-v1", "--json")
+    assert data["sensors"]["wind_sensor"] is False and data["plant"]["physics"] == "extended"
 
 
 def test_scenario_is_shown_with_wind_grid_and_events(capsys: pytest.CaptureFixture[str]) -> None:
@@ -45,6 +57,10 @@ def test_hash_check_passes_and_fails_by_exit_code(
     rows = json_of(capsys, "suites", "--check", "--json", code=1)
     assert [row["name"] for row in rows if not row["agrees"]] == ["gust"]
     assert main(["suites", "--check", "paper"]) == 0
+    capsys.readouterr()
+    monkeypatch.setattr(wtg_gym.cli.suites, "FROZEN_HASHES", {})
+    assert main(["suites", "--check", "paper"]) == 0
+    assert "not frozen" in capsys.readouterr().out
 
 
 def test_suites_refuses_unknown_names_and_seeds(capsys: pytest.CaptureFixture[str]) -> None:

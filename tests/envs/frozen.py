@@ -1,7 +1,8 @@
-"""What `GFMWTG-14bus-v0` answers, as numbers: over suites, modes, autoresets and threads, single and batched.
+"""What a frozen environment answers, as numbers: over suites, modes, autoresets and threads, single and batched.
 
-`python -m tests.envs.frozen > tests/envs/frozen_v0.json` wrote the answers of version 0.1.0. They are never written
-anew: another answer is another environment, with another id.
+`python -m tests.envs.frozen v0 > tests/envs/frozen_v0.json` wrote the answers of version 0.1.0. They are never written
+anew: another answer is another environment, with another id. `frozen_v1.json` is written, once, when its suites are
+frozen.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -23,7 +25,8 @@ from wtg_gym.scenarios import SUITES
 #: Longer than an episode of every drawn suite, so that lanes start again.
 _N_STEPS, _N_LANES = 640, 17
 #: Settings besides the modes under which a suite is played once more.
-_VARIANTS: dict[str, dict[str, Any]] = {
+_VARIANTS: dict[str, dict[str, dict[str, Any]]] = {}
+_VARIANTS["v0"] = {
     "stalls": {"suite": "low-wind", "strategy": "mppt"},
     "trips": {"suite": "low-wind", "strategy": "deloaded-5", "on_failure": "trip"},
     "classical": {"suite": "gust", "machine_model": "classical"},
@@ -31,6 +34,18 @@ _VARIANTS: dict[str, dict[str, Any]] = {
     "one group": {"suite": "standard", "groups": [{"bus": 3, "n_turbines": 4.0}]},
     "fine steps": {"suite": "standard", "control_dt": 0.05, "simulation_dt": 0.0125},
     "laws": {"suite": "standard", "strategy": ["coordinated-linear", "coordinated-undamped"]},
+}
+_VARIANTS["v1"] = {
+    "fails": {"suite": "gusty-v1", "strategy": "mppt"},
+    "trips": {"suite": "high-share-v1", "strategy": "deloaded-5", "on_failure": "trip"},
+    "classical": {"suite": "faults-v1", "machine_model": "classical"},
+    "exact": {"suite": "standard-v1", "sensors": "exact", "observation_mode": "privileged"},
+    "late": {"suite": "standard-v1", "sensors": {"delay_s": (0.0, 1.0), "wind_bias": 0.2}},
+    "fine steps": {"suite": "standard-v1", "control_dt": 0.05, "simulation_dt": 0.0125},
+    "laws": {
+        "suite": "low-share-v1",
+        "strategy": ["coordinated-linear", "coordinated-undamped", "mppt", "deloaded-10"],
+    },
 }
 
 
@@ -80,8 +95,8 @@ def _single(**settings: Any) -> dict[str, Any]:
     return answers.as_dict()
 
 
-def cases() -> dict[str, Callable[[], dict[str, Any]]]:
-    """Return what plays each case, by its name."""
+def cases(version: str) -> dict[str, Callable[[], dict[str, Any]]]:
+    """Return what plays each case of a version of the benchmark, by its name."""
     found: dict[str, Callable[[], dict[str, Any]]] = {}
     modes = list(itertools.product(ACTION_MODES, OBSERVATION_MODES))
     splits = itertools.cycle(("train", "validation", "test"))
@@ -93,14 +108,15 @@ def cases() -> dict[str, Callable[[], dict[str, Any]]]:
         found[f"{name}, single"] = lambda: _single(**settings)
         found[f"{name}, batched"] = lambda: _batched(mode, n_threads, **settings)
 
-    for suite, (action, observation) in itertools.product(SUITES, modes):
+    suites = [name for name, suite in SUITES.items() if suite.benchmark.version == version]
+    for suite, (action, observation) in itertools.product(suites, modes):
         chosen = {"suite": suite, "action_mode": action, "observation_mode": observation}
         add(f"{suite}, {action}, {observation}", chosen)
-    for name, settings in _VARIANTS.items():
+    for name, settings in _VARIANTS[version].items():
         add(name, settings)
     return found
 
 
 if __name__ == "__main__":
-    answers = {name: play() for name, play in cases().items()}
+    answers = {name: play() for name, play in cases(sys.argv[1]).items()}
     print(json.dumps({"versions": versions(), "cases": answers}, indent=1))

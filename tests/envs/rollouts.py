@@ -10,7 +10,16 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
-from wtg_gym.physics.scenario import LineTrip, LoadRamp, LoadStep, LoadTrip, Scenario
+from wtg_gym.physics.scenario import (
+    GovernorLoss,
+    GroupTrip,
+    LineTrip,
+    LoadRamp,
+    LoadStep,
+    LoadTrip,
+    MachineOutage,
+    Scenario,
+)
 
 #: One step as plain data: observation bytes, reward, terminated, truncated, info, then the same of an episode's end.
 Step = tuple[Any, ...]
@@ -18,6 +27,9 @@ Step = tuple[Any, ...]
 MODES = (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP, AutoresetMode.DISABLED)
 ACTION_MODES = ("k", "tau", "k+tau")
 OBSERVATION_MODES = ("local", "privileged")
+VERSIONS = ("v0", "v1")
+#: Groups of the standard suite.
+N_WTG = {"v0": 2, "v1": 4}
 
 
 def actions_of(seed: int, n_steps: int, n_lanes: int = 1, n_action: int = 4, scale: float = 1.2) -> np.ndarray:
@@ -25,18 +37,21 @@ def actions_of(seed: int, n_steps: int, n_lanes: int = 1, n_action: int = 4, sca
     return np.random.default_rng(seed).uniform(-scale, scale, (n_steps, n_lanes, n_action))
 
 
-def eventful(wind: float = 9.0, duration_s: float = 4.0, **changes: Any) -> Scenario:
+def eventful(wind: float = 9.0, duration_s: float = 4.0, n_wtg: int = 2, **changes: Any) -> Scenario:
     """Return a short scenario with every kind of event in it, off the control grid as well."""
     events = (
         LoadStep(time_s=0.525, bus=2, power_mw=40.0, reactive_mvar=5.0),
         LoadRamp(time_s=0.9, bus=14, power_mw=-10.0, duration_s=1.1),
-        LineTrip(time_s=1.3, from_bus=5, to_bus=4),
+        LineTrip(time_s=1.3, from_bus=5, to_bus=4, recloses_after_s=0.85),
+        MachineOutage(time_s=1.525, bus=6),
         LoadTrip(time_s=1.975, bus=9),
+        GovernorLoss(time_s=2.2, bus=1),
         LoadStep(time_s=2.5, bus=5, power_mw=15.0),
+        GroupTrip(time_s=2.725, group=1),
     )
     noise = np.r_[0.0, np.random.default_rng(5).normal(0.0, 1.0, round(10 * duration_s))]
     values = {"events": events, "load_noise_mw": noise, "duration_s": duration_s, **changes}
-    return Scenario(name="eventful", wind_speed=np.array([[wind], [wind + 0.5]]), **values)
+    return Scenario(name="eventful", wind_speed=wind + 0.5 * np.arange(n_wtg)[:, None], **values)
 
 
 def sagging(wind: float = 8.0, duration_s: float = 60.0) -> Scenario:
@@ -51,9 +66,9 @@ def rising(duration_s: float = 20.0) -> Scenario:
     return Scenario(name="rising", wind_speed=np.array([wind, wind]), duration_s=duration_s)
 
 
-def calm(wind: float = 9.0, duration_s: float = 4.0, **changes: Any) -> Scenario:
+def calm(wind: float = 9.0, duration_s: float = 4.0, n_wtg: int = 2, **changes: Any) -> Scenario:
     """Return a scenario in which nothing happens."""
-    return Scenario(name="calm", wind_speed=np.full((2, 1), wind), duration_s=duration_s, **changes)
+    return Scenario(name="calm", wind_speed=np.full((n_wtg, 1), wind), duration_s=duration_s, **changes)
 
 
 def as_step(
@@ -166,6 +181,6 @@ def episode(env: GFMWTGEnv, action: Any = 0.0, **reset: Any) -> Iterator[tuple[f
 def digest(n_lanes: int = 17, n_steps: int = 45, n_threads: int | None = None, **settings: Any) -> str:
     """Return the sha256 of a seeded rollout of a batch."""
     env = GFMWTGVectorEnv(n_lanes, n_threads=n_threads, **{"duration_s": 2.0, **settings})
-    lanes = vector_steps(env, actions_of(1, n_steps, n_lanes), seed=11)
+    lanes = vector_steps(env, actions_of(1, n_steps, n_lanes, env.single_action_space.shape[0]), seed=11)
     env.close()
     return hashlib.sha256(repr(lanes).encode()).hexdigest()

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.envs.rollouts import calm
+from wtg_gym import ENV_IDS
 from wtg_gym.envs import EnvArguments, EnvSettings, GFMWTGEnv, GFMWTGVectorEnv
 
 NAN = math.nan
@@ -103,7 +104,9 @@ def test_wrong_scenario_is_refused_when_the_environment_is_made_and_in_reset(cha
         assert absent(named, error) == [], error.value
 
 
-@pytest.mark.parametrize("make", [GFMWTGEnv, GFMWTGVectorEnv, lambda **given: gym.make("GFMWTG-14bus-v0", **given)])
+@pytest.mark.parametrize(
+    "make", [GFMWTGEnv, GFMWTGVectorEnv, *(lambda i=i, **given: gym.make(i, **given) for i in ENV_IDS)]
+)
 def test_unknown_keyword_is_a_type_error_in_the_words_of_python_that_lists_the_known_ones(make: Any):
     with pytest.raises(TypeError, match=r"__init__\(\) got an unexpected keyword argument 'stratgy'") as caught:
         make(stratgy="mppt")

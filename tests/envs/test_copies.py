@@ -13,11 +13,14 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from tests.envs.rollouts import MODES, actions_of, calm, eventful, n_resets, sagging, single_steps, vector_steps
+from wtg_gym import ENV_IDS
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
 from wtg_gym.physics.scenario import LoadStep
 
 BEFORE = actions_of(20, 13, 33)
 AFTER = actions_of(21, 60, 33)
+#: For the four groups of version v1.
+BEFORE_V1, AFTER_V1 = actions_of(20, 13, 33, 8), actions_of(21, 60, 33, 8)
 OTHER = actions_of(22, 25, 33)
 
 COPIES = pytest.mark.parametrize(
@@ -35,6 +38,19 @@ def test_copy_of_a_running_environment_goes_on_alike_through_later_resets(copied
     one = single_steps(env, AFTER[:, 0], AutoresetMode.NEXT_STEP)
     assert one == single_steps(twin, AFTER[:, 0], AutoresetMode.NEXT_STEP)
     assert n_resets(one) == 3
+
+
+@COPIES
+@pytest.mark.parametrize("settings", [{}, {"suite": "faults", "observation_mode": "privileged"}])
+def test_copies_of_version_v1_go_on_alike_with_what_is_on_its_way_to_the_controllers(copied: Copy, settings: dict):
+    given = {"version": "v1", "duration_s": 2.0, "sensors": {"delay_s": (0.3, 0.9)}, **settings}
+    env, batch = GFMWTGEnv(**given), GFMWTGVectorEnv(17, **given)
+    single_steps(env, BEFORE_V1[:, 0], AutoresetMode.NEXT_STEP, seed=3)
+    vector_steps(batch, BEFORE_V1[:, :17], seed=3)
+    twin, other = copied(env), copied(batch)
+    one = single_steps(env, AFTER_V1[:, 0], AutoresetMode.NEXT_STEP)
+    assert one == single_steps(twin, AFTER_V1[:, 0], AutoresetMode.NEXT_STEP) and n_resets(one) == 3
+    assert vector_steps(batch, AFTER_V1[:, :17]) == vector_steps(other, AFTER_V1[:, :17])
 
 
 @COPIES
@@ -72,12 +88,13 @@ def test_copy_of_a_batch_on_several_threads_goes_on_alike(copied: Copy):
 
 
 @COPIES
-def test_wrapped_environment_can_be_copied(copied: Copy):
-    env = gym.make("GFMWTG-14bus-v0", duration_s=2.0)
+@pytest.mark.parametrize("env_id", ENV_IDS)
+def test_wrapped_environment_can_be_copied(copied: Copy, env_id: str):
+    env = gym.make(env_id, duration_s=2.0)
     env.reset(seed=1)
-    env.step(np.zeros(4, dtype=np.float32))
+    action = np.full(env.action_space.shape, 0.5, dtype=np.float32)
+    env.step(0.0 * action)
     twin = copied(env)
-    action = np.full(4, 0.5, dtype=np.float32)
     for _ in range(19):
         (a, x, *ends, _), (b, y, *other, _) = env.step(action), twin.step(action)
         assert a.tobytes() == b.tobytes() and x == y and ends == other
@@ -182,6 +199,7 @@ TWO_BUSES = {"groups": [{"bus": 2, "n_turbines": 10.0}, {"bus": 3, "n_turbines":
         ({"weights": {"duty": 0.0}, "on_failure": "trip"}, "weights, on_failure"),
         ({"strategy": "mppt"}, "strategy"),
         ({"duration_s": 5.0}, "duration_s"),
+        ({"version": "v1"}, "strategy, groups, weights, plant, physics, version"),
         ({"suite": "gust", "split": "test"}, None),
     ],
     ids=str,
@@ -189,7 +207,7 @@ TWO_BUSES = {"groups": [{"bus": 2, "n_turbines": 10.0}, {"bus": 3, "n_turbines":
 def test_snapshot_is_taken_only_by_an_environment_whose_episodes_go_on_alike(settings: dict, named: str | None):
     env, other = GFMWTGEnv(duration_s=4.0), GFMWTGEnv(**{"duration_s": 4.0, **settings})
     single_steps(env, BEFORE[:, 0], AutoresetMode.NEXT_STEP, seed=3)
-    single_steps(other, BEFORE[:, 0], AutoresetMode.NEXT_STEP, seed=8)
+    single_steps(other, (BEFORE_V1 if "version" in settings else BEFORE)[:, 0], AutoresetMode.NEXT_STEP, seed=8)
     before = other.snapshot()
     if named is not None:
         with pytest.raises(ValueError, match=f"of an environment with other settings: {named}$"):

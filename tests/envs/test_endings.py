@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.envs.rollouts import calm, episode, eventful, rising, sagging
+from tests.envs.rollouts import N_WTG, VERSIONS, calm, episode, eventful, rising, sagging
 from wtg_gym.envs import CostWeights, GFMWTGEnv
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
@@ -197,9 +197,46 @@ def test_damping_that_actions_make_too_fast_for_the_step_is_refused():
     GFMWTGEnv(strategy=law)
 
 
-def test_scenario_shorter_than_the_episode_is_cut_at_its_end():
-    env = GFMWTGEnv(duration_s=5.0)
-    steps = list(episode(env, seed=0, options={"scenario": eventful(duration_s=2.0)}))
+def calm_v1(**changes) -> Scenario:
+    return calm(n_wtg=N_WTG["v1"], **{"duration_s": 20.0, **changes})
+
+
+@pytest.mark.parametrize(("power_mw", "limit_hz"), [(150.0, 48.5), (-150.0, 51.5)])
+def test_version_v1_ends_at_its_own_frequency_limits_without_shedding_before(power_mw: float, limit_hz: float):
+    lost = calm_v1(inertia_scale=0.3, events=(LoadStep(time_s=1.0, bus=3, power_mw=power_mw),))
+    rewards, (_, terminated, truncated, info), env = play(lost, version="v1")
+    assert terminated and not truncated and info["termination_reason"] == "frequency limit"
+    assert abs(info["frequency_hz"] - 50.0) > 1.5 > abs(info["frequency_hz"] - 50.0) - 0.5
+    limits = env.lanes.simulator.settings.protection
+    assert 50.0 * getattr(limits, "frequency_min_pu" if limit_hz < 50.0 else "frequency_max_pu") == limit_hz
+    assert env.lanes.simulator.settings.shedding == ()
+    cap = env.settings.cost_weights().cap
+    # The last interval costs the cap as well.
+    assert cap == 15.0 and -rewards[-1] == pytest.approx(cap * (20.0 - info["time_s"] + 1.0 + 0.1), rel=1e-9)
+
+
+def test_stopped_rotor_of_version_v1_ends_the_episode_or_trips_its_group_which_is_charged_on():
+    wind = np.full((N_WTG["v1"], 1), 9.0)
+    wind[1] = 7.0
+    sagging_v1 = Scenario(
+        name="sagging", wind_speed=wind, duration_s=60.0, events=(LoadStep(time_s=2.0, bus=3, power_mw=45.0),)
+    )
+    modes = {"version": "v1", "strategy": "mppt"}
+    _, (_, terminated, _, info), _ = play(sagging_v1, **modes)
+    assert terminated and info["termination_reason"] == "under-speed"
+    rewards, (_, _, _, info), env = play(sagging_v1, on_failure="trip", observation_mode="privileged", **modes)
+    connected = env.lanes.simulator.wtg_values("connected")[0]
+    assert connected[1] == 0.0 and rewards.size > info["time_s"] * 10.0 - 1.0
+    # It failed of itself: no event took it away, and its duty error grows.
+    at = env.observation_names.index("exact1.mean_duty [0.05 of the available power]")
+    assert env.lanes.observations[0, at] < 0.0
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_scenario_shorter_than_the_episode_is_cut_at_its_end(version: str):
+    env = GFMWTGEnv(version=version, duration_s=5.0)
+    short = eventful(duration_s=2.0, n_wtg=N_WTG[version])
+    steps = list(episode(env, seed=0, options={"scenario": short}))
     assert len(steps) == 20 and steps[-1][2] and steps[-1][3]["time_s"] == pytest.approx(2.0)
     assert len(list(episode(env))) == 50
 

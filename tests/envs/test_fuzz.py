@@ -11,7 +11,17 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
-from wtg_gym.physics.scenario import Event, LineTrip, LoadRamp, LoadStep, LoadTrip, Scenario
+from wtg_gym.physics.scenario import (
+    Event,
+    GovernorLoss,
+    GroupTrip,
+    LineTrip,
+    LoadRamp,
+    LoadStep,
+    LoadTrip,
+    MachineOutage,
+    Scenario,
+)
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.scenarios import SUITES, TRIPPABLE_LINES
 
@@ -29,21 +39,25 @@ ACTION = st.sampled_from([-1e30, -1.0, -0.5, -1e-300, 0.0, 1e-9, 0.3, 1.0, 1e308
 
 TWO = st.just(2)
 #: Why episodes may end; a numerical failure would be ours.
-REASONS = ("stall", "over-speed", "frequency limit", "loss of synchronism", "voltage collapse")
+REASONS = ("stall", "over-speed", "under-speed", "frequency limit", "loss of synchronism", "voltage collapse")
 
 
 @st.composite
 def arguments(draw: Any, groups: Any = TWO) -> dict[str, Any]:
     """Return any arguments of the environment."""
-    n = draw(groups)
+    suite = draw(st.sampled_from(sorted(SUITES)))
+    sensed = SUITES[suite].sensors is not None
+    # Of version v1 each suite has its own number of turbines, and delays that are no whole number of long steps.
+    n = len(SUITES[suite].plant.groups) if sensed else draw(groups)
     control_dt, simulation_dt = draw(STEPS)
+    exact = {"sensors": "exact"} if sensed and (control_dt > 0.1 or draw(st.booleans())) else {}
     names = st.sampled_from(sorted(STRATEGIES))
     return {
-        "groups": n,
+        "groups": None if sensed else n,
         "strategy": draw(names | st.lists(names, min_size=n, max_size=n)),
         "action_mode": draw(st.sampled_from(["k", "tau", "k+tau"])),
         "observation_mode": draw(st.sampled_from(["local", "privileged"])),
-        "suite": draw(st.sampled_from(sorted(SUITES))),
+        "suite": suite,
         "split": draw(st.sampled_from(["train", "validation", "test"])),
         "machine_model": draw(st.sampled_from(["genrou", "classical"])),
         "on_failure": draw(st.sampled_from(["terminate", "trip"])),
@@ -51,6 +65,7 @@ def arguments(draw: Any, groups: Any = TWO) -> dict[str, Any]:
         "duration_s": draw(st.sampled_from([3.0, 6.0])),
         "control_dt": control_dt,
         "simulation_dt": simulation_dt,
+        **exact,
     }
 
 
@@ -124,7 +139,15 @@ def scenarios(draw: Any) -> Scenario:
     if ramp is not None:
         events.append(ramp)
     if line is not None:
-        events.append(LineTrip(time_s=draw(TIMES), from_bus=line[0], to_bus=line[1]))
+        after_s = draw(st.none() | st.sampled_from([0.025, 0.5, 10.0]))
+        events.append(LineTrip(time_s=draw(TIMES), from_bus=line[0], to_bus=line[1], recloses_after_s=after_s))
+    # One machine stays.
+    outages = draw(st.lists(st.sampled_from([1, 3, 6, 8]), max_size=3, unique=True))
+    events += [MachineOutage(time_s=draw(TIMES), bus=bus) for bus in outages]
+    tripped = draw(st.lists(st.integers(0, 1), max_size=2, unique=True))
+    events += [GroupTrip(time_s=draw(TIMES), group=group) for group in tripped]
+    if draw(st.booleans()):
+        events.append(GovernorLoss(time_s=draw(TIMES), bus=1))
     winds = [draw(WINDS) for _ in range(2)]
     length = max(len(wind) for wind in winds)
     return Scenario(

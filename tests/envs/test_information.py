@@ -14,6 +14,7 @@ import pytest
 from tests.envs.rollouts import (
     ACTION_MODES,
     OBSERVATION_MODES,
+    VERSIONS,
     actions_of,
     calm,
     episode,
@@ -128,8 +129,12 @@ def test_rate_of_change_is_that_of_the_reported_frequency_over_half_a_second():
 
 @pytest.mark.parametrize("observation_mode", OBSERVATION_MODES)
 @pytest.mark.parametrize("action_mode", ACTION_MODES)
-def test_observations_stay_in_their_space_and_no_entry_is_constant(action_mode: str, observation_mode: str):
-    env = GFMWTGVectorEnv(5, action_mode=action_mode, observation_mode=observation_mode, duration_s=15.0)
+@pytest.mark.parametrize("version", VERSIONS)
+def test_observations_stay_in_their_space_and_no_entry_is_constant(
+    version: str, action_mode: str, observation_mode: str
+):
+    modes = {"action_mode": action_mode, "observation_mode": observation_mode}
+    env = GFMWTGVectorEnv(5, version=version, duration_s=15.0, **modes)
     n_action = env.single_action_space.shape[0]
     seen = [env.reset(seed=0)[0]]
     for action in actions_of(2, 320, 5, n_action):
@@ -144,12 +149,32 @@ def test_observations_stay_in_their_space_and_no_entry_is_constant(action_mode: 
     assert [name for name, width in zip(names, spread, strict=True) if width < 1e-4] == []
 
 
+@pytest.mark.parametrize("suite", [name for name, suite in SUITES.items() if suite.benchmark.version == "v1"])
+@pytest.mark.parametrize("on_failure", ["terminate", "trip"])
+def test_cost_terms_of_version_v1_are_never_negative_and_add_up_to_minus_the_reward(suite: str, on_failure: str):
+    env = GFMWTGVectorEnv(32, suite=suite, strategy="deloaded-10", on_failure=on_failure, n_threads=1)
+    env.reset(seed=0)
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (600, *env.action_space.shape))
+    total = np.zeros((32, len(TERMS)))
+    for action in actions:
+        _, rewards, terminated, _, infos = env.step(action)
+        terms = np.stack([infos[key] for key in TERMS], axis=1)
+        assert (terms >= 0.0).all() and np.isfinite(terms).all()
+        assert -rewards == pytest.approx(terms.sum(axis=1), rel=1e-12, abs=1e-15)
+        assert ((infos["cost_failure"] > 0.0) == terminated).all()
+        assert set(infos["cost"].tolist()) <= {0.0, 1.0}
+        total += terms
+    env.close()
+    means = dict(zip(TERMS, total.mean(axis=0), strict=True))
+    assert min(means[f"cost_{name}"] for name in ("frequency", "rocof", "duty", "effort")) > 0.1
+
+
 @pytest.mark.parametrize("suite", SUITES)
 def test_reference_stays_away_from_the_bounds_of_the_observation(suite: str):
     env = GFMWTGVectorEnv(8, suite=suite, observation_mode="privileged")
     largest = np.abs(env.reset(seed=0)[0]).max(axis=0)
     for _ in range(600):
-        largest = np.maximum(largest, np.abs(env.step(np.zeros((8, 4)))[0]).max(axis=0))
+        largest = np.maximum(largest, np.abs(env.step(np.zeros(env.action_space.shape))[0]).max(axis=0))
     clipped = [name for name, value in zip(env.lanes.observation_names, largest, strict=True) if value >= 5.0]
     assert clipped == []
 

@@ -18,8 +18,12 @@ from gymnasium.vector import AutoresetMode
 import wtg_gym
 from tests.envs.rollouts import actions_of, eventful
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
+from wtg_gym.scenarios import get_suite
 
 ENV_ID = "GFMWTG-14bus-v0"
+BOTH_IDS = pytest.mark.parametrize("env_id", wtg_gym.ENV_IDS)
+#: An error for every warning but Gymnasium's that there is an id with a higher number.
+STRICT = pytest.mark.filterwarnings("error", "ignore:.*is out of date:DeprecationWarning")
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -35,28 +39,33 @@ MODES = pytest.mark.parametrize(
 )
 
 
+@BOTH_IDS
 @MODES
-@pytest.mark.filterwarnings("error")
-def test_gymnasium_checker_has_no_complaint(modes: dict[str, str]):
-    env = gym.make(ENV_ID, duration_s=2.0, **modes)
+@STRICT
+def test_gymnasium_checker_has_no_complaint(modes: dict[str, str], env_id: str):
+    env = gym.make(env_id, duration_s=2.0, **modes)
     check_env(env.unwrapped)
     env.close()
 
 
+@BOTH_IDS
 @MODES
-def test_stable_baselines3_checker_has_no_complaint(modes: dict[str, str], recwarn: Any):
+def test_stable_baselines3_checker_has_no_complaint(modes: dict[str, str], env_id: str, recwarn: Any):
     from stable_baselines3.common.env_checker import check_env as check_sb3
 
+    env = gym.make(env_id, duration_s=2.0, **modes).unwrapped
     recwarn.clear()
-    check_sb3(GFMWTGEnv(duration_s=2.0, **modes), warn=True)
+    check_sb3(env, warn=True)
     assert [str(warning.message) for warning in recwarn] == []
 
 
-@pytest.mark.filterwarnings("error")
-def test_make_after_import_and_make_with_the_module_in_the_id_are_the_same():
-    first, second = gym.make(ENV_ID, duration_s=2.0), gym.make(f"wtg_gym:{ENV_ID}", duration_s=2.0)
+@BOTH_IDS
+@STRICT
+def test_make_after_import_and_make_with_the_module_in_the_id_are_the_same(env_id: str):
+    first, second = gym.make(env_id, duration_s=2.0), gym.make(f"wtg_gym:{env_id}", duration_s=2.0)
     assert isinstance(first.unwrapped, GFMWTGEnv) and isinstance(second.unwrapped, GFMWTGEnv)
-    assert wtg_gym.ENV_ID == ENV_ID == first.spec.id == second.spec.id
+    assert env_id == first.spec.id == second.spec.id and wtg_gym.ENV_ID == ENV_ID
+    assert first.unwrapped.settings.version == env_id[-2:]
     (a, _), (b, _) = first.reset(seed=1), second.reset(seed=1)
     assert a.tobytes() == b.tobytes()
 
@@ -82,7 +91,25 @@ def test_id_with_the_module_works_without_an_import_and_needs_neither_learner_no
     ],
 )
 def test_spec_survives_json_with_its_arguments(arguments: dict[str, Any]):
-    env = gym.make(ENV_ID, **arguments)
+    check_spec(ENV_ID, arguments)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {},
+        {"suite": "gusty", "split": "test", "sensors": {"delay_s": [0.2, 0.4], "wind_sensor": False}},
+        {"sensors": "exact", "observation_mode": "privileged", "physics": "extended", "control_dt": 0.2},
+        {"scenario": get_suite("faults-v1").scenario(20_000, duration_s=4.0).to_dict()},
+    ],
+)
+def test_spec_of_version_v1_survives_json_with_its_arguments(arguments: dict[str, Any]):
+    check_spec("GFMWTG-14bus-v1", arguments)
+
+
+def check_spec(env_id: str, arguments: dict[str, Any]) -> None:
+    """Check that an environment is the same after its spec was JSON."""
+    env = gym.make(env_id, **arguments)
     again = EnvSpec.from_json(env.spec.to_json())
     assert json.loads(again.to_json()) == json.loads(env.spec.to_json())
     copied = gym.make(again)
@@ -105,22 +132,25 @@ def test_arguments_reach_the_environment_through_make():
     assert fixed.unwrapped.lanes.duration_s == 4.0
 
 
-def test_make_vec_gives_the_native_batch_in_the_asked_mode():
+@BOTH_IDS
+def test_make_vec_gives_the_native_batch_in_the_asked_mode(env_id: str):
+    n_observation = {"v0": 20, "v1": 32}[env_id[-2:]]
     for mode in AutoresetMode:
-        env = gym.make_vec(ENV_ID, num_envs=3, duration_s=2.0, autoreset_mode=mode)
+        env = gym.make_vec(env_id, num_envs=3, duration_s=2.0, autoreset_mode=mode)
         assert isinstance(env.unwrapped, GFMWTGVectorEnv) and env.num_envs == 3
         assert env.metadata["autoreset_mode"] == mode
-        assert env.reset(seed=1)[0].shape == env.observation_space.shape == (3, 20)
-    assert gym.make_vec(ENV_ID, num_envs=2).metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
+        assert env.reset(seed=1)[0].shape == env.observation_space.shape == (3, n_observation)
+    assert gym.make_vec(env_id, num_envs=2).metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
     assert GFMWTGVectorEnv.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
 
 
+@BOTH_IDS
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
-def test_native_batch_equals_gymnasiums_own_of_single_environments(mode: AutoresetMode):
-    actions = actions_of(2, 45, 3).astype(np.float32)
+def test_native_batch_equals_gymnasiums_own_of_single_environments(mode: AutoresetMode, env_id: str):
+    actions = actions_of(2, 45, 3, {"v0": 4, "v1": 8}[env_id[-2:]]).astype(np.float32)
     kinds = [
-        gym.make_vec(ENV_ID, 3, duration_s=2.0, autoreset_mode=mode),
-        gym.make_vec(ENV_ID, 3, "sync", vector_kwargs={"autoreset_mode": mode}, duration_s=2.0),
+        gym.make_vec(env_id, 3, duration_s=2.0, autoreset_mode=mode),
+        gym.make_vec(env_id, 3, "sync", vector_kwargs={"autoreset_mode": mode}, duration_s=2.0),
     ]
     n_final = 0
     for env in kinds:
@@ -188,7 +218,7 @@ def test_time_aware_observation_counts_to_the_end_of_the_episode():
     assert times == pytest.approx([step / 20 for step in range(21)])
 
 
-@pytest.mark.filterwarnings("error")
+@STRICT
 def test_statistics_wrappers_see_the_ends_of_a_batch():
     env = gym.wrappers.vector.RecordEpisodeStatistics(gym.make_vec(ENV_ID, num_envs=2, duration_s=2.0))
     env.reset(seed=0)

@@ -15,11 +15,11 @@ from wtg_gym.envs.gfm_wtg import GFMWTGVectorEnv
 N = 1024
 
 
-def staggered(n_threads: int) -> GFMWTGVectorEnv:
+def staggered(n_threads: int, version: str = "v0") -> GFMWTGVectorEnv:
     """A batch of 64 blocks of which one lane waits for its reset and the others run."""
-    env = GFMWTGVectorEnv(N, n_threads=n_threads, duration_s=3.0)
+    env = GFMWTGVectorEnv(N, version=version, n_threads=n_threads, duration_s=3.0)
     env.reset(seed=0)
-    actions = np.zeros((N, 4), dtype=np.float32)
+    actions = np.zeros(env.action_space.shape, dtype=np.float32)
     for _ in range(10):
         env.step(actions)
     env.reset(options={"reset_mask": np.arange(N) > 0})
@@ -28,10 +28,10 @@ def staggered(n_threads: int) -> GFMWTGVectorEnv:
     return env
 
 
-@pytest.mark.parametrize("n_threads", [2, 3, 4, 9])
-def test_resets_while_other_threads_step_change_no_bit(n_threads: int) -> None:
-    one, many = staggered(1), staggered(n_threads)
-    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (45, N, 4)).astype(np.float32)
+@pytest.mark.parametrize(("n_threads", "version"), [(2, "v0"), (3, "v0"), (4, "v0"), (9, "v0"), (3, "v1")])
+def test_resets_while_other_threads_step_change_no_bit(n_threads: int, version: str) -> None:
+    one, many = staggered(1, version), staggered(n_threads, version)
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (45, *one.action_space.shape)).astype(np.float32)
     for own in actions:
         for a, b in zip(one.step(own)[:4], many.step(own)[:4], strict=True):
             assert (a == b).all()

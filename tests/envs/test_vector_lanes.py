@@ -7,6 +7,7 @@ depends on another.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import subprocess
 import sys
 from functools import cache
@@ -17,8 +18,13 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from tests.envs.rollouts import (
+    ACTION_MODES,
     MODES,
+    N_WTG,
+    OBSERVATION_MODES,
+    VERSIONS,
     actions_of,
+    calm,
     digest,
     eventful,
     n_resets,
@@ -28,6 +34,9 @@ from tests.envs.rollouts import (
     vector_steps,
 )
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
+from wtg_gym.physics.scenario import GroupTrip, LoadStep
+from wtg_gym.scenarios import SUITES
+from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 
 ROOT = Path(__file__).resolve().parents[2]
 SEED = 40
@@ -35,21 +44,61 @@ N_STEPS = 50
 
 
 @cache
-def singles(mode: AutoresetMode) -> list[list]:
+def singles(mode: AutoresetMode, version: str) -> list[list]:
     """The rollouts of 33 single environments with neighbouring seeds."""
-    actions = actions_of(3, N_STEPS, 33)
-    env = GFMWTGEnv(duration_s=2.0)
+    actions = actions_of(3, N_STEPS, 33, 2 * N_WTG[version])
+    env = GFMWTGEnv(version=version, duration_s=2.0)
     return [single_steps(env, actions[:, lane], mode, seed=SEED + lane) for lane in range(33)]
 
 
+@pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("n_lanes", [1, 5, 33])
-def test_lane_equals_the_single_environment_with_its_seed_through_resets(n_lanes: int, mode: AutoresetMode):
-    env = GFMWTGVectorEnv(n_lanes, duration_s=2.0, autoreset_mode=mode)
-    lanes = vector_steps(env, actions_of(3, N_STEPS, 33)[:, :n_lanes], seed=SEED)
+def test_lane_equals_the_single_environment_with_its_seed_through_resets(
+    n_lanes: int, mode: AutoresetMode, version: str
+):
+    env = GFMWTGVectorEnv(n_lanes, version=version, duration_s=2.0, autoreset_mode=mode)
+    lanes = vector_steps(env, actions_of(3, N_STEPS, 33, 2 * N_WTG[version])[:, :n_lanes], seed=SEED)
     for lane, steps in enumerate(lanes):
         assert n_resets(steps) == 2
-        assert steps == singles(mode)[lane], f"lane {lane} of {n_lanes}"
+        assert steps == singles(mode, version)[lane], f"lane {lane} of {n_lanes}"
+
+
+SUITES_V1 = [name for name, suite in SUITES.items() if suite.benchmark.version == "v1"]
+
+
+@pytest.mark.parametrize("place", range(len(SUITES_V1)))
+def test_lane_of_version_v1_equals_the_single_environment_in_every_suite_and_mode(place: int):
+    autoresets, threads = itertools.cycle(MODES), itertools.cycle((2, 1))
+    for action_mode, observation_mode in itertools.product(ACTION_MODES, OBSERVATION_MODES):
+        settings = {"suite": SUITES_V1[place], "action_mode": action_mode, "observation_mode": observation_mode}
+        env = GFMWTGVectorEnv(17, duration_s=2.5, autoreset_mode=(mode := next(autoresets)), **settings)
+        n_action = env.single_action_space.shape[0]
+        actions = actions_of(place, 60, 17, n_action)
+        lanes = vector_steps(env, actions, seed=place)
+        twin = GFMWTGVectorEnv(17, duration_s=2.5, autoreset_mode=mode, n_threads=next(threads), **settings)
+        assert vector_steps(twin, actions, seed=place) == lanes
+        env.close(), twin.close()
+        single = GFMWTGEnv(duration_s=2.5, **settings)
+        for lane in (0, 11, 16):
+            assert lanes[lane] == single_steps(single, actions[:, lane], mode, seed=place + lane)
+            assert n_resets(lanes[lane]) >= 2
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_lane_of_version_v1_equals_the_single_environment_where_groups_trip_and_lanes_fail(mode: AutoresetMode):
+    n, n_steps = 9, 200
+    events = (GroupTrip(time_s=1.025, group=2), LoadStep(time_s=2.0, bus=3, power_mw=60.0))
+    sensors = SensorDistribution().draw_many("x", [1], 4)[0]
+    course = calm(8.0, 30.0, 4, events=events, sensors=sensors, inertia_scale=0.3, governor_droop=0.08)
+    settings = {"version": "v1", "strategy": "mppt", "scenario": course.to_dict()}
+    actions = np.repeat(np.linspace(-1.0, 1.0, n)[None, :, None], n_steps, axis=0).repeat(8, axis=2)
+    lanes = vector_steps(GFMWTGVectorEnv(n, autoreset_mode=mode, **settings), actions, seed=0)
+    single = GFMWTGEnv(**settings)
+    for lane, steps in enumerate(lanes):
+        assert steps == single_steps(single, actions[:, lane], mode, seed=lane), f"lane {lane}"
+    ends = {tuple(i for i, step in enumerate(steps) if step[2]) for steps in lanes}
+    assert len(ends) > 2 and reasons(lanes[-1]) == {"under-speed"}
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -77,27 +126,30 @@ def test_lane_equals_the_single_environment_in_other_settings(settings: dict):
         assert steps == single_steps(single, actions[:, lane], AutoresetMode.NEXT_STEP, seed=1 + lane)
 
 
+@pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("mode", MODES)
-def test_lane_plays_its_own_scenario_and_then_draws(mode: AutoresetMode):
-    n = 5
-    actions = actions_of(6, 70, n)
-    scenarios = [eventful(7.0 + lane, duration_s=2.0 + 0.5 * lane) for lane in range(n)]
-    env = GFMWTGVectorEnv(n, duration_s=4.0, autoreset_mode=mode)
+def test_lane_plays_its_own_scenario_and_then_draws(mode: AutoresetMode, version: str):
+    n, n_wtg = 5, N_WTG[version]
+    actions = actions_of(6, 70, n, 2 * n_wtg)
+    scenarios = [eventful(7.0 + lane, duration_s=2.0 + 0.5 * lane, n_wtg=n_wtg) for lane in range(n)]
+    env = GFMWTGVectorEnv(n, version=version, duration_s=4.0, autoreset_mode=mode)
     lanes = vector_steps(env, actions, seed=9, start={"scenarios": scenarios})
     for lane, steps in enumerate(lanes):
-        single, start = GFMWTGEnv(duration_s=4.0), {"scenario": scenarios[lane].to_dict()}
+        single, start = GFMWTGEnv(version=version, duration_s=4.0), {"scenario": scenarios[lane].to_dict()}
         assert steps == single_steps(single, actions[:, lane], mode, seed=9 + lane, start=start)
         assert n_resets(steps) >= 1
 
 
-def test_results_do_not_depend_on_the_number_of_threads():
-    assert len({digest(200, n_threads=n_threads) for n_threads in (1, 3, None)}) == 1
+@pytest.mark.parametrize("version", VERSIONS)
+def test_results_do_not_depend_on_the_number_of_threads(version: str):
+    assert len({digest(200, n_threads=n_threads, version=version) for n_threads in (1, 3, None)}) == 1
 
 
 def test_another_process_finds_the_same_bits():
-    code = "from tests.envs.rollouts import digest; print(digest(17), digest(1))"
+    calls = "digest(17), digest(1), digest(17, version='v1')"
+    code = f"from tests.envs.rollouts import digest; print({calls})"
     run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert run.stdout.split() == [digest(17), digest(1)]
+    assert run.stdout.split() == [digest(17), digest(1), digest(17, version="v1")]
 
 
 def test_one_seed_per_lane_is_the_same_as_the_seed_they_count_from():

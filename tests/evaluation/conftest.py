@@ -1,4 +1,4 @@
-"""One short evaluation that many tests look at."""
+"""Short evaluations that many tests look at, one of each version of the benchmark."""
 
 from __future__ import annotations
 
@@ -19,3 +19,8 @@ def entries() -> list[Entry]:
 @pytest.fixture(scope="session")
 def results(entries: list[Entry]) -> Results:
     return evaluate(entries, "standard", "test", seeds=SEEDS, duration_s=DURATION_S)
+
+
+@pytest.fixture(scope="session")
+def results_v1() -> Results:
+    return evaluate("baselines", "standard-v1", "validation", seeds=range(10_000, 10_012), duration_s=30.0)

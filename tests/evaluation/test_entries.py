@@ -12,8 +12,10 @@ from typing import Any
 
 import pytest
 
-from wtg_gym.evaluation import Entry, load_entries
+from wtg_gym.evaluation import Entry, evaluate, load_entries
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw
+from wtg_gym.policies.entry import check_entries
+from wtg_gym.scenarios.benchmark import V0, V1
 
 POLICIES = Path(__file__).resolve().parents[2] / "agents" / "policies"
 MODULE = """
@@ -155,6 +157,7 @@ def test_learner_whose_normalisation_would_be_left_out_is_refused(normalization:
         ({"name": "a", "observation_mode": "all"}, "local, privileged"),
         ({"name": "a", "training_seed": -1}, "training_seed"),
         ({"name": "a", "source": None}, "source"),
+        ({"name": "a", "environment": "GFMWTG-14bus-v9"}, "GFMWTG-14bus-v0, GFMWTG-14bus-v1"),
     ],
 )
 def test_wrong_entry_says_what_is_allowed(arguments: dict, text: str) -> None:
@@ -179,3 +182,38 @@ def test_identity_of_a_policy_needs_a_fingerprint(package: str) -> None:
 def test_infinite_time_constant_survives_json() -> None:
     assert math.isinf(STRATEGIES["mppt"].damping_time_constant_s)
     assert Entry(name="mppt", strategy="mppt").to_dict()["strategy"]["damping_time_constant_s"] == "inf"
+
+
+def test_baselines_are_those_of_the_version() -> None:
+    laws = ["mppt", "deloaded-5", "deloaded-10", "coordinated-linear", "coordinated-piecewise"]
+    found = {v.version: [entry.name for entry in load_entries("baselines", benchmark=v)] for v in (V0, V1)}
+    assert found["v0"] == [*laws, "coordinated-undamped", "tip-speed-feedback"]
+    assert found["v1"] == [*laws, "coordinated-tuned", "fast-droop"]
+    environments = {name: load_entries(name)[0].environment for name in ("tip-speed-feedback", "fast-droop", "mppt")}
+    assert environments == {"tip-speed-feedback": V0.env_id, "fast-droop": V1.env_id, "mppt": None}
+
+
+@pytest.mark.parametrize(("name", "suite"), [("linear-feedback", "paper-v1"), ("fast-droop", "paper")])
+def test_policy_of_another_version_is_refused(name: str, suite: str) -> None:
+    with pytest.raises(ValueError, match=r"^entry '.*' is for GFMWTG-14bus-v\d, these scenarios are of GFMWTG-14bus-"):
+        evaluate(name, suite, "test")
+
+
+def test_law_plays_in_every_version() -> None:
+    results = evaluate("coordinated-tuned", "paper", "test", duration_s=2.0)
+    assert [entry["name"] for entry in results.entries] == ["coordinated-tuned", *V0.anchors]
+
+
+def test_trained_policy_is_for_v0_unless_its_file_says_otherwise(tmp_path: Path) -> None:
+    shutil.copytree(POLICIES / "ppo-k-2", tmp_path / "mine")
+    assert load_entries(tmp_path / "mine")[0].environment == V0.env_id
+    with (tmp_path / "mine" / "entry.toml").open("a") as file:
+        file.write('environment = "GFMWTG-14bus-v1"\n')
+    assert load_entries(tmp_path / "mine")[0].environment == V1.env_id
+
+
+@pytest.mark.parametrize("name", ["mppt", "coordinated-piecewise", "coordinated-tuned"])
+def test_name_of_an_anchor_of_any_version_is_reserved(name: str) -> None:
+    check_entries([Entry(name=name, strategy=name)])
+    with pytest.raises(ValueError, match=f"the name '{name}' is reserved"):
+        check_entries([Entry(name=name, strategy="deloaded-5")])

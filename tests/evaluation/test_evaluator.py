@@ -12,10 +12,12 @@ import numpy as np
 import pytest
 
 import wtg_gym
-from wtg_gym.evaluation import ANCHORS, METRICS, Entry, PolicyError, Results, evaluate
+from wtg_gym.evaluation import METRICS, Entry, PolicyError, Results, evaluate, load_entries
 from wtg_gym.evaluation.evaluator import Progress
+from wtg_gym.evaluation.recompute import departures, recompute
 from wtg_gym.policies.entry import check_entries
 from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios.benchmark import V0
 
 SHORT = {"seeds": (20_002, 20_000, 20_005), "duration_s": 10.0}
 
@@ -23,13 +25,13 @@ SHORT = {"seeds": (20_002, 20_000, 20_005), "duration_s": 10.0}
 class Linear:
     """A policy of numpy alone: a fixed multiple of the frequency deviation on every action."""
 
-    def __init__(self, gain: float) -> None:
-        self.gain = gain
+    def __init__(self, gain: float, n_actions: int = 4) -> None:
+        self.gain, self.n_actions = gain, n_actions
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> Any:
-        return np.repeat(-self.gain * observation[:, :1], 4, axis=1), None
+        return np.repeat(-self.gain * observation[:, :1], self.n_actions, axis=1), None
 
 
 class Answering(Linear):
@@ -100,9 +102,12 @@ def test_episode_equals_the_single_environment(results: Results) -> None:
             assert episode.metrics["nadir_hz"] <= min(frequency) and episode.metrics["zenith_hz"] >= max(frequency)
 
 
-def test_anchors_are_evaluated_without_being_asked_for() -> None:
-    results = evaluate([Entry(name="linear", policy=Linear(0.1))], "standard", "test", **SHORT)
-    assert [entry["name"] for entry in results.entries] == ["linear", *ANCHORS]
+@pytest.mark.parametrize("suite", ["standard", "standard-v1"])
+def test_anchors_are_evaluated_without_being_asked_for(suite: str) -> None:
+    n_actions = 4 if suite == "standard" else 8
+    results = evaluate([Entry(name="linear", policy=Linear(0.1, n_actions))], suite, "test", **SHORT)
+    anchors = V0.anchors if suite == "standard" else ("coordinated-piecewise", "coordinated-tuned")
+    assert [entry["name"] for entry in results.entries] == ["linear", *anchors]
     assert len(results.episodes) == 9
     assert all(set(episode.metrics) == set(METRICS) for episode in results.episodes)
 
@@ -110,7 +115,7 @@ def test_anchors_are_evaluated_without_being_asked_for() -> None:
 def test_entries_may_be_names_of_the_table() -> None:
     results = evaluate("linear-feedback", seeds=(10_000, 10_001), duration_s=10.0)
     assert (results.suite, results.split) == ("standard", "validation")
-    assert set(results.scores) == {"linear-feedback", *ANCHORS}
+    assert set(results.scores) == {"linear-feedback", *V0.anchors}
     score = results.scores["linear-feedback"]
     assert score.low <= score.value <= score.high and results.scores["mppt"].value == 0.0
 
@@ -298,7 +303,7 @@ def test_kept_parts_serve_a_run_with_more_entries(tmp_path: Path) -> None:
     results = evaluate(
         [again, Entry(name="deloaded-5", strategy="deloaded-5")], "standard", "test", partial=tmp_path, **SHORT
     )
-    assert [entry["name"] for entry in results.entries] == ["first", "deloaded-5", *ANCHORS]
+    assert [entry["name"] for entry in results.entries] == ["first", "deloaded-5", *V0.anchors]
     assert not list(tmp_path.iterdir())
 
 
@@ -399,3 +404,24 @@ def test_a_folder_in_the_place_of_a_finished_part_is_refused_before_anything_is_
     with pytest.raises(ValueError, match=f"{last} must be the file of a finished part"):
         evaluate(entries, "standard", "test", seeds=seeds, duration_s=1.0, partial=tmp_path, on_progress=note)
     assert played == []
+
+
+def test_suite_of_a_version_may_be_named_shortly() -> None:
+    arguments = {"seeds": (10_000,), "duration_s": 2.0}
+    short, whole = evaluate([], "gusty", version="v1", **arguments), evaluate([], "gusty-v1", **arguments)
+    assert short == whole and short.suite == "gusty-v1"
+
+
+def test_sensors_of_an_evaluation_are_in_its_settings_and_decide_its_numbers() -> None:
+    (droop,) = load_entries("fast-droop")
+    arguments = {"seeds": (10_000, 10_001), "duration_s": 30.0}
+    measured = evaluate([droop], "standard-v1", **arguments)
+    exact = evaluate([droop], "standard-v1", sensors="exact", **arguments)
+    assert exact.settings["sensors"] == "exact" != measured.settings["sensors"]
+    assert exact.environment["fingerprint"] != measured.environment["fingerprint"]
+    assert exact.episodes_of("fast-droop") != measured.episodes_of("fast-droop")
+    assert exact.episodes_of("coordinated-tuned") == measured.episodes_of("coordinated-tuned")
+    for results in (measured, exact):
+        assert recompute(results, [droop]).differences == []
+    assert any(text.startswith("sensors is exact") for text in departures(exact))
+    assert not any(text.startswith("sensors") for text in departures(measured))

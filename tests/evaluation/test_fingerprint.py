@@ -27,6 +27,7 @@ def test_is_the_same_whatever_an_entry_chooses(change: dict[str, Any]) -> None:
     "change",
     [
         {"suite": "gust"},
+        {"suite": "standard-v1"},
         {"weights": {"duty": 2.000001}},
         {"groups": 1},
         {"groups": 3},
@@ -38,6 +39,12 @@ def test_is_the_same_whatever_an_entry_chooses(change: dict[str, Any]) -> None:
 )
 def test_is_another_for_another_environment(change: dict[str, Any]) -> None:
     assert fingerprint(**change) != fingerprint()
+
+
+def test_sensors_and_plant_of_v1_count() -> None:
+    settings = ({}, {"sensors": "exact"}, {"sensors": {"wind_sensor": False}}, {"suite": "low-share-v1"})
+    found = {fingerprint(**{"suite": "standard-v1", **own}) for own in settings}
+    assert len(found) == len(settings)
 
 
 def test_fixed_cases_have_one_too() -> None:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import dataclasses
 import itertools
 
+import numpy as np
 import pytest
 
 from wtg_gym.evaluation import Entry, Results, evaluate, leaderboard_rows, markdown_table, table_cells
-from wtg_gym.evaluation.leaderboard import COLUMNS, SHORT_COLUMNS
+from wtg_gym.evaluation.leaderboard import COLUMNS, SHORT_COLUMNS, columns_of, short_columns_of
+from wtg_gym.evaluation.score import pinned
 
 
 def test_rows_are_sorted_by_score(results: Results) -> None:
@@ -69,3 +71,37 @@ def test_table_says_who_sees_the_grid() -> None:
     rows = leaderboard_rows(evaluate([entry], "standard", "test", seeds=(20_002, 20_000), duration_s=10.0))
     kinds = dict(table_cells(rows, ("entry", "kind")))
     assert kinds == {"coordinated-piecewise": "law", "mppt": "law", "sees all": "law, privileged"}
+
+
+def test_table_of_v1_shows_failures_by_kind_the_worst_tenth_and_deviations(results_v1: Results) -> None:
+    reasons = ("stall", "frequency limit", "under-speed", "loss of synchronism")
+    episodes = [
+        dataclasses.replace(e, failure=reasons[e.seed - 10_000])
+        if e.entry == "fast-droop" and e.seed < 10_000 + len(reasons)
+        else dataclasses.replace(e, failure="")
+        for e in results_v1.episodes
+    ]
+    failed = dataclasses.replace(results_v1, episodes=tuple(episodes))
+    row = next(row for row in failed.summaries if row.name == "fast-droop")
+    assert row.failures_percent_by_kind == pytest.approx({"frequency": 100 / 12, "rotor": 200 / 12, "other": 100 / 12})
+    own = failed.episodes_of("fast-droop")
+    worst = sorted(pinned(episode, failed.settings["weights"]["cap"]) for episode in own)[-2:]
+    assert row.worst_decile_cost == pytest.approx(np.mean(worst)) and worst[0] == 15.0 * 31.0
+    deviations = [1e3 * max(50.0 - e.metrics["nadir_hz"], e.metrics["zenith_hz"] - 50.0) for e in own]
+    assert row.median_deviation_mhz == pytest.approx(np.median(deviations))
+    assert row.p95_deviation_mhz == pytest.approx(np.percentile(deviations, 95.0))
+    cells = dict(zip(short_columns_of("v1"), table_cells([row], short_columns_of("v1"))[0], strict=True))
+    assert cells["failures by kind [%]"] == "33.3 (f 8.3, ω 16.7)"
+    assert cells["deviation [mHz]"] == f"{np.median(deviations):.0f}"
+
+
+def test_each_version_has_its_own_columns(results_v1: Results) -> None:
+    rows = leaderboard_rows(results_v1)
+    head = markdown_table(rows).split("\n")[0]
+    assert [name.strip() for name in head.strip("|").split("|")] == list(short_columns_of("v1"))
+    points = [column for column in short_columns_of("v1") if column.endswith("[points]")]
+    assert points[0] == "frequency, RoCoF [points]"
+    assert {len(cells) for cells in table_cells(rows)} == {len(columns_of("v1"))}
+    assert columns_of("v0") == COLUMNS and not {"worst decile", "deviation [mHz]"} & set(COLUMNS)
+    for row in rows:
+        assert sum(row.points_by_term.values()) == pytest.approx(row.score.value - 100.0, abs=1e-9)

@@ -10,7 +10,7 @@ import pytest
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation import METRICS, Entry, Results, evaluate
 from wtg_gym.evaluation.metrics import largest_power_change, last_event_s, steady_metrics
-from wtg_gym.physics.scenario import LoadRamp, LoadStep, LoadTrip, Scenario
+from wtg_gym.physics.scenario import GroupTrip, LineTrip, LoadRamp, LoadStep, LoadTrip, Scenario
 from wtg_gym.physics.simulator import PlantSettings
 from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.physics.trajectory import simulate
@@ -120,6 +120,18 @@ def test_last_event_is_complete_when_its_ramp_is() -> None:
     scenario = Scenario(name="three", wind_speed=np.full((2, 1), 8.0), events=events)
     assert last_event_s(scenario, 60.0) == 19.0
     assert last_event_s(scenario, 5.0) is None
+
+
+def test_last_event_is_complete_when_its_line_is_closed_again() -> None:
+    def last(*, after_s: float | None) -> float | None:
+        line = LineTrip(time_s=10.0, from_bus=1, to_bus=2, recloses_after_s=after_s)
+        events = (line, GroupTrip(time_s=12.0, group=0))
+        return last_event_s(Scenario(name="two", wind_speed=np.full((2, 1), 8.0), events=events), 60.0)
+
+    assert last(after_s=None) == 12.0
+    assert last(after_s=30.0) == 40.0
+    # It is still open at the end.
+    assert last(after_s=50.0) == 12.0
 
 
 def test_tripped_groups_are_counted_where_the_run_goes_on() -> None:

@@ -14,9 +14,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from wtg_gym.evaluation import ANCHORS, METRICS, Entry, NoScaleError, Results, evaluate, leaderboard_rows
+from wtg_gym.evaluation import METRICS, Entry, NoScaleError, Results, evaluate, leaderboard_rows
 from wtg_gym.evaluation.episodes import Episode
+from wtg_gym.evaluation.summary import SINCE_V1
 from wtg_gym.files import sha256, to_json, write_atomically
+from wtg_gym.scenarios.benchmark import V0
 
 
 @pytest.fixture(scope="session")
@@ -51,6 +53,23 @@ def test_read_then_write_gives_the_same_bytes(written: tuple[Path, Path], tmp_pa
         assert one.read_bytes() == other.read_bytes()
 
 
+def test_results_say_what_their_version_adds_and_those_of_v0_stay_as_they_were(
+    results: Results, results_v1: Results, tmp_path: Path
+) -> None:
+    assert Results.read(results_v1.write(tmp_path)[0]) == results_v1
+    assert set(results_v1.settings) - set(results.settings) == {
+        *("version", "plant", "sensors", "duty_time_s", "physics")
+    }
+    assert (results_v1.settings["version"], results_v1.settings["duty_time_s"]) == ("v1", 15.0)
+    assert results_v1.settings["weights"]["rotor"] == 20.0 and results_v1.settings["authority"]["k"] == 1.0
+    assert [group["bus"] for group in results_v1.settings["plant"]["groups"]] == [2, 3, 6, 8]
+    assert results_v1.settings["sensors"]["delay_s"] == [0.1, 0.3]
+    assert results_v1.environment["id"] == "GFMWTG-14bus-v1"
+    for each, has in ((results, False), (results_v1, True)):
+        for row in each.to_dict()["summary"].values():
+            assert (set(SINCE_V1) <= set(row), bool(set(SINCE_V1) & set(row))) == (has, has)
+
+
 def test_json_is_strict_sorted_and_without_time_or_place(written: tuple[Path, Path]) -> None:
     text = written[0].read_text(encoding="utf-8")
     data = json.loads(text, parse_constant=lambda name: pytest.fail(name))
@@ -60,12 +79,20 @@ def test_json_is_strict_sorted_and_without_time_or_place(written: tuple[Path, Pa
     assert str(Path.home()) not in text and not re.search(r"20\d\d-\d\d-\d\dT", text)
 
 
-def test_summary_scores_the_anchors_exactly(results: Results) -> None:
+@pytest.mark.parametrize(
+    ("which", "anchors"),
+    [("results", ("mppt", "coordinated-piecewise")), ("results_v1", ("coordinated-piecewise", "coordinated-tuned"))],
+)
+def test_summary_scores_the_anchors_exactly(
+    which: str, anchors: tuple[str, str], request: pytest.FixtureRequest
+) -> None:
+    results = request.getfixturevalue(which)
+    assert results.benchmark.anchors == anchors
     scores = {summary.name: summary.score for summary in results.summaries}
-    mppt, reference = (scores[name] for name in ANCHORS)
-    assert (mppt.value, mppt.low, mppt.high) == (0.0, 0.0, 0.0)
-    assert (reference.value, reference.low, reference.high) == (100.0, 100.0, 100.0)
-    summary = next(s for s in results.summaries if s.name == ANCHORS[1])
+    zero, hundred = (scores[name] for name in anchors)
+    assert (zero.value, zero.low, zero.high) == (0.0, 0.0, 0.0)
+    assert (hundred.value, hundred.low, hundred.high) == (100.0, 100.0, 100.0)
+    summary = next(s for s in results.summaries if s.name == anchors[1])
     assert summary.difference.value == 0.0 and summary.probability_of_improvement.value == 0.5
 
 
@@ -94,13 +121,13 @@ def test_unknown_entry_in_results_lists_the_known(results: Results) -> None:
 
 def test_no_score_where_mppt_is_not_worse(results: Results, tmp_path: Path) -> None:
     def swapped(episode: Episode) -> Episode:
-        names = {ANCHORS[0]: ANCHORS[1], ANCHORS[1]: ANCHORS[0]}
+        names = {V0.zero: V0.hundred, V0.hundred: V0.zero}
         return dataclasses.replace(episode, entry=names.get(episode.entry, episode.entry))
 
     swapped_ones = [swapped(episode) for episode in results.episodes]
     ordered = [e for entry in results.entries for e in swapped_ones if e.entry == entry["name"]]
     turned = dataclasses.replace(results, episodes=tuple(ordered))
-    with pytest.raises(NoScaleError, match="not worse than the reference"):
+    with pytest.raises(NoScaleError, match=r"mppt \(mean cost .*\) is not worse than coordinated-piecewise"):
         leaderboard_rows(turned)
     # There is no ranking, but what was measured is not lost.
     again = Results.read(turned.write(tmp_path)[0])

@@ -9,6 +9,7 @@ import pytest
 
 from wtg_gym.evaluation import Entry, evaluate, leaderboard_rows
 from wtg_gym.evaluation.sensitivity import WEIGHTS, Sensitivity, compared, study_sensitivity
+from wtg_gym.scenarios.benchmark import V0
 
 ENTRIES = [Entry(name=name, strategy=name) for name in ("deloaded-5", "coordinated-linear")]
 
@@ -18,10 +19,14 @@ def study() -> Sensitivity:
     """One made by hand."""
     before = {"a": 110.0, "coordinated-piecewise": 100.0, "b": 90.0, "mppt": 0.0}
     variants = (
-        compared("duty", 0.0, before, {"b": 111.0, "a": 108.0, "coordinated-piecewise": 100.0, "mppt": 0.0}),
-        compared("duty", 2.0, before, {"a": 110.9, "coordinated-piecewise": 100.0, "b": 89.1, "mppt": 0.0}),
-        compared("effort", 0.0, before, {"a": 110.0, "coordinated-piecewise": 100.0, "b": 90.9, "mppt": 0.0}),
-        compared("rotor", 0.0, before, {}),
+        compared(
+            "duty", 0.0, before, {"b": 111.0, "a": 108.0, "coordinated-piecewise": 100.0, "mppt": 0.0}, V0.anchors
+        ),
+        compared("duty", 2.0, before, {"a": 110.9, "coordinated-piecewise": 100.0, "b": 89.1, "mppt": 0.0}, V0.anchors),
+        compared(
+            "effort", 0.0, before, {"a": 110.0, "coordinated-piecewise": 100.0, "b": 90.9, "mppt": 0.0}, V0.anchors
+        ),
+        compared("rotor", 0.0, before, {}, V0.anchors),
     )
     return Sensitivity(
         suite="standard",
@@ -50,7 +55,7 @@ def test_table_says_it_in_words(study: Sensitivity) -> None:
         ["duty", "0", "changes: b 3 → 1, a 1 → 2, coordinated-piecewise 2 → 3", "b +21.0, a -2.0"],
         ["duty", "2", "same", "none"],
         ["effort", "0", "same", "none"],
-        ["rotor", "0", "no score: MPPT is not worse than the reference", ""],
+        ["rotor", "0", "no score: the entry at 0 is not worse than that at 100", ""],
     ]
     all_matter = dataclasses.replace(study, variants=study.variants[:1])
     assert all_matter.describe_idle().startswith("Each of these weights moves a score by a point")
@@ -106,3 +111,9 @@ def test_impossible_arguments_are_refused(arguments: dict[str, object], said: st
 
 def test_all_weights_but_the_cap_are_varied() -> None:
     assert WEIGHTS == ("frequency", "rocof", "duty", "rotor", "overload", "effort")
+
+
+def test_weights_as_they_are_are_those_of_the_version() -> None:
+    study = study_sensitivity([], "standard-v1", n_scenarios=12, weights=("frequency",), factors=(2.0,))
+    assert (study.weights["rotor"], study.weights["cap"]) == (20.0, 15.0)
+    assert set(study.scores) == {"coordinated-piecewise", "coordinated-tuned"} and study.variants[0].changes == {}

@@ -24,7 +24,7 @@ from wtg_gym.physics.parameters import (
     european_shedding,
 )
 from wtg_gym.physics.plant import PlantSettings
-from wtg_gym.physics.scenario import LoadStep, Scenario
+from wtg_gym.physics.scenario import Event, LoadStep, Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.scenarios import get_suite
@@ -61,7 +61,7 @@ def plant(
     return PlantSettings(**{**given, **more})
 
 
-def scenario(*events: LoadStep, wind: Any = WIND, **more: Any) -> Scenario:
+def scenario(*events: Event, wind: Any = WIND, **more: Any) -> Scenario:
     return Scenario(name="x", wind_speed=np.asarray(wind, dtype=float), events=events, **more)
 
 

@@ -8,7 +8,17 @@ from scipy.integrate import solve_ivp
 
 from wtg_gym.physics.network import assemble_admittance
 from wtg_gym.physics.plant import PlantSettings
-from wtg_gym.physics.scenario import LineTrip, LoadRamp, LoadStep, LoadTrip, Scenario
+from wtg_gym.physics.scenario import (
+    Event,
+    GovernorLoss,
+    GroupTrip,
+    LineTrip,
+    LoadRamp,
+    LoadStep,
+    LoadTrip,
+    MachineOutage,
+    Scenario,
+)
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.scenarios import get_suite
@@ -82,6 +92,12 @@ EVENTS = (
     LineTrip(time_s=0.8, from_bus=2, to_bus=4),
     LoadRamp(time_s=1.0, bus=3, power_mw=30.0, duration_s=0.5),
 )
+OUTAGES = (
+    LineTrip(time_s=0.2, from_bus=2, to_bus=4, recloses_after_s=0.5),
+    MachineOutage(time_s=0.5, bus=6),
+    GovernorLoss(time_s=1.0, bus=1),
+    GroupTrip(time_s=1.3, group=1),
+)
 
 
 def reference_run(scenario: Scenario, until_s: float, method: str) -> tuple[np.ndarray, Simulator]:
@@ -104,14 +120,18 @@ def reference_run(scenario: Scenario, until_s: float, method: str) -> tuple[np.n
             done = solve_ivp(rates, (step * 0.02, following * 0.02), state, method=method, rtol=1e-10, atol=1e-12)
             state, step = done.y[:, -1], int(following)
         simulator.blocks[0, clock] = step
+        simulator.set_state(state)
         refresh_network(simulator.blocks[0], 0, 0, simulator.plant, simulator.data, 1)
         combine_load_noise(simulator.blocks[0], simulator.plant.constants[0], np.zeros(1), simulator.lanes)
     return state, simulator
 
 
+@pytest.mark.parametrize("events", [EVENTS, OUTAGES], ids=["loads", "outages"])
 @pytest.mark.parametrize("method", ["DOP853", "Radau"])
-def test_default_step_agrees_with_tight_integration_through_every_kind_of_event(method: str) -> None:
-    scenario = Scenario(name="x", wind_speed=np.array([[11.4], [8.0]]), events=EVENTS)
+def test_default_step_agrees_with_tight_integration_through_every_kind_of_event(
+    method: str, events: tuple[Event, ...]
+) -> None:
+    scenario = Scenario(name="x", wind_speed=np.array([[11.4], [8.0]]), events=events)
     expected, simulator = reference_run(scenario, 2.0, method)
     fixed = Simulator(PlantSettings())
     fixed.start(0, scenario, (LAW, LAW))

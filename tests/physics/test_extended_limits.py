@@ -38,7 +38,7 @@ from wtg_gym.physics.parameters import (
 from wtg_gym.physics.plant import PlantSettings, build_plant
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.reduction import combine_load_noise, refresh_network
-from wtg_gym.physics.scenario import LoadStep, Scenario
+from wtg_gym.physics.scenario import GovernorLoss, GroupTrip, LoadStep, MachineOutage, Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import get_law
 
@@ -135,6 +135,51 @@ def test_within_the_dead_band_the_governor_does_not_move(table: bool) -> None:
     assert moved[0.0] > 1e-4
     assert 1e-5 < deviation[1e-3] < 1e-3
     assert moved[1e-3] < 1e-12
+
+
+@pytest.mark.parametrize("table", [False, True])
+def test_a_lost_governor_keeps_its_gate_to_the_bit_whatever_its_kind(table: bool) -> None:
+    gate = "hydro_gate" if table else "gate"
+    events = (LoadStep(time_s=1.0, bus=3, power_mw=30.0), GovernorLoss(time_s=3.0, bus=1))
+    simulator = started(plant(table=table), scenario(*events))
+    start = simulator.machine_values(gate)[0, 0]
+    recorded(simulator, 3.0)
+    held = simulator.machine_values(gate)[0, 0]
+    assert abs(held - start) > 1e-3
+    for _ in range(200):
+        simulator.advance()
+        assert simulator.machine_values(gate)[0, 0] == held
+    simulator.start(0, scenario(events[0]), (get_law(LAW, simulator.settings.turbine),) * 2)
+    recorded(simulator, 23.0)
+    assert abs(simulator.machine_values(gate)[0, 0] - held) > 1e-3
+
+
+@pytest.mark.parametrize("table", [False, True])
+def test_balances_hold_when_machines_and_groups_are_disconnected(table: bool) -> None:
+    events = (
+        MachineOutage(time_s=1.0, bus=3),
+        GroupTrip(time_s=1.525, group=1),
+        *fault(2.0, bus=4),
+        MachineOutage(time_s=4.0, bus=1),
+    )
+    simulator = started(plant(table=table), scenario(*events))
+    gone = ("sync1.", "wtg1.")
+    kept: dict[str, float] = {}
+    for interval in range(1, 51):
+        simulator.advance()
+        if simulator.lane_values("active")[0] < 0.5:
+            break
+        given, taken = network_balance(simulator)
+        assert given == pytest.approx(taken, abs=1e-11)
+        states = dict(zip(simulator.layout.state_names, simulator.state(), strict=True))
+        rates = dict(zip(simulator.layout.state_names, simulator.rates(), strict=True))
+        gone += ("sync0.", "hydro0.") if interval == 41 else ()
+        if interval in (16, 41):
+            kept = {name: value for name, value in states.items() if name.startswith(gone)}
+        for name, value in kept.items():
+            assert states[name] == value
+            assert rates[name] == 0.0
+    assert interval > 42 and len(kept) > 20
 
 
 def test_shedding_stages_act_in_their_order_at_their_time_with_their_share() -> None:

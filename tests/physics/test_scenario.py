@@ -7,7 +7,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from wtg_gym.physics.scenario import LineTrip, LoadRamp, LoadStep, LoadTrip, Scenario
+from wtg_gym.physics.scenario import (
+    EVENT_KINDS,
+    GovernorLoss,
+    GroupTrip,
+    LineTrip,
+    LoadRamp,
+    LoadStep,
+    LoadTrip,
+    MachineOutage,
+    Scenario,
+)
 
 WIND = np.full((2, 11), 9.0)
 
@@ -21,6 +31,10 @@ def test_scenario_survives_json_exactly() -> None:
             LoadRamp(time_s=6.0, bus=3, power_mw=-20.0, duration_s=4.0),
             LoadTrip(time_s=7.0, bus=9),
             LineTrip(time_s=8.0, from_bus=2, to_bus=4),
+            LineTrip(time_s=8.5, from_bus=1, to_bus=5, recloses_after_s=0.4),
+            GovernorLoss(time_s=9.0, bus=1),
+            MachineOutage(time_s=10.0, bus=3),
+            GroupTrip(time_s=11.0, group=0),
         ),
         load_noise_mw=np.concatenate([[0.0], np.random.default_rng(1).normal(size=20)]),
         governor_droop=0.04,
@@ -28,10 +42,21 @@ def test_scenario_survives_json_exactly() -> None:
         load_level=0.9,
         seed=3,
     )
+    assert {type(event) for event in scenario.events} == set(EVENT_KINDS.values())
     again = Scenario.from_json(scenario.to_json())
     assert again.to_dict() == scenario.to_dict()
     assert again.events == scenario.events
     assert (again.wind_speed == scenario.wind_speed).all()
+
+
+def test_a_line_that_stays_open_is_written_as_before_lines_could_close_again() -> None:
+    def written(**more: float) -> dict[str, Any]:
+        line = LineTrip(time_s=8.0, from_bus=2, to_bus=4, **more)
+        event: dict[str, Any] = Scenario(name="x", wind_speed=WIND, events=(line,)).to_dict()["events"][0]
+        return event
+
+    assert list(written()) == ["kind", "time_s", "from_bus", "to_bus"]
+    assert written(recloses_after_s=0.5) == {**written(), "recloses_after_s": 0.5}
 
 
 def test_series_cannot_be_changed_afterwards() -> None:
@@ -88,6 +113,37 @@ DESCRIPTIONS: list[tuple[Any, str]] = [
     ({"name": "x", "wind_speed": [[9.0]], "events": [{**STEP, "time_s": -1.0}]}, r"event time = -1 s is outside"),
     ({"name": "x", "wind_speed": [[9.0]], "events": [{**STEP, "bus": 2.5}]}, r"bus"),
     ({"name": "x", "wind_speed": [[9.0]], "events": [{**STEP, "power_mw": float("nan")}]}, r"= nan MW is outside"),
+    *(
+        ({"name": "x", "wind_speed": [[9.0]], "events": [{"time_s": 1.0, **event}]}, message)
+        for event, message in (
+            ({"kind": "group_trip", "group": -1}, r"group must be the index of a WTG group \(0 or more\), got -1"),
+            ({"kind": "group_trip", "group": 1.0}, r"index of a WTG group \(0 or more\), got 1.0"),
+            ({"kind": "group_trip", "group": True}, r"index of a WTG group \(0 or more\), got True"),
+            ({"kind": "group_trip", "bus": 2}, r"unexpected keyword argument 'bus'"),
+            ({"kind": "group_trip", "group": 0, "time_s": -1.0}, r"event time = -1 s is outside"),
+            ({"kind": "governor_loss", "bus": "1"}, r"bus must be a bus number .* got '1'"),
+            ({"kind": "machine_outage", "bus": 0}, r"bus must be a bus number .* got 0"),
+            ({"kind": "machine_outage"}, r"missing 1 required keyword-only argument: 'bus'"),
+        )
+    ),
+    *(
+        (
+            {
+                "name": "x",
+                "wind_speed": [[9.0]],
+                "events": [
+                    {"kind": "line_trip", "time_s": 1.0, "from_bus": 1, "to_bus": 2, "recloses_after_s": after_s}
+                ],
+            },
+            message,
+        )
+        for after_s, message in (
+            (-0.5, r"recloses_after_s = -0.5 s is outside the allowed range 0.001 … 86400 s"),
+            (0.0, r"recloses_after_s = 0 s is outside"),
+            (float("nan"), r"recloses_after_s = nan s is outside"),
+            ("soon", r"recloses_after_s must be a number in .* got 'soon'"),
+        )
+    ),
     (
         {"name": "x", "wind_speed": [[9.0]], "events": [{**STEP, "kind": "load_ramp", "duration_s": 0.0}]},
         r"ramp duration = 0 s is outside",

@@ -13,7 +13,7 @@ import pytest
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.parameters import GridFormingParameters, ProtectionParameters, WtgGroup
 from wtg_gym.physics.plant import PlantSettings
-from wtg_gym.physics.scenario import LineTrip, LoadStep, LoadTrip, Scenario
+from wtg_gym.physics.scenario import GovernorLoss, GroupTrip, LineTrip, LoadStep, LoadTrip, MachineOutage, Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.physics.trajectory import simulate
@@ -95,6 +95,40 @@ def test_a_start_beyond_the_allowed_internal_voltage_names_its_scenario() -> Non
         (
             {"events": tuple(LineTrip(time_s=t, from_bus=1, to_bus=2) for t in (1.0, 2.0))},
             r"opens the line 1-2 twice",
+        ),
+        (
+            {"events": (LineTrip(time_s=1.0, from_bus=1, to_bus=2, recloses_after_s=0.51),)},
+            r"recloses_after_s = 0.51 s is not a whole number of simulation steps of 0.025 s",
+        ),
+        (
+            {"events": (LineTrip(time_s=1.0, from_bus=7, to_bus=8, recloses_after_s=0.5),)},
+            r"would split the network",
+        ),
+        ({"events": (GroupTrip(time_s=1.0, group=2),)}, r"unknown WTG group 2; the plant has 2, counted from 0"),
+        (
+            {"events": tuple(GroupTrip(time_s=t, group=1) for t in (1.0, 2.0))},
+            r"disconnects WTG group 1 at bus 2 twice",
+        ),
+        ({"events": (GovernorLoss(time_s=1.0, bus=15),)}, r"unknown bus 15"),
+        (
+            {"events": (GovernorLoss(time_s=1.0, bus=3),)},
+            r"no machine with a governor at bus 3; buses with one: \[1\]",
+        ),
+        (
+            {"events": tuple(GovernorLoss(time_s=t, bus=1) for t in (1.0, 2.0))},
+            r"loses the governor of the synchronous machine at bus 1 twice",
+        ),
+        (
+            {"events": (MachineOutage(time_s=1.0, bus=2),)},
+            r"no synchronous machine at bus 2; buses with one: \[1, 3, 6, 8\]",
+        ),
+        (
+            {"events": tuple(MachineOutage(time_s=t, bus=6) for t in (1.0, 2.0))},
+            r"disconnects the synchronous machine at bus 6 twice",
+        ),
+        (
+            {"events": tuple(MachineOutage(time_s=1.0, bus=bus) for bus in (8, 1, 6, 3))},
+            r"disconnects every synchronous machine; one must stay connected",
         ),
         ({"load_noise_bus": 77}, r"unknown bus 77"),
         ({"duration_s": 300.0}, r"lasts 300 s, longer than the 120 s held here"),

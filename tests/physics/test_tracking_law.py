@@ -16,10 +16,15 @@ from wtg_gym.analysis.steady_states import stable_equilibrium
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.converter import Corners, tracking_coefficient
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import PlantSettings, plant_settings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import (
     STRATEGIES,
+    STRATEGY_NAMES,
+    TUNED_ABOVE_NOMINAL,
+    TUNED_ABOVE_OPT,
+    TUNED_BELOW_LIMIT,
+    TUNED_TIME_CONSTANT_S,
     TrackingLaw,
     get_law,
     group_laws,
@@ -175,3 +180,21 @@ def test_importing_the_laws_compiles_nothing() -> None:
         "assert not aerodynamics.power_coefficient_at.signatures and 'mppt' in tracking_law.STRATEGIES"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_tuned_law_follows_the_turbine_as_its_equation_says() -> None:
+    # The power curve of the last one is flat: its K_opt - K_pr is so large that the range of a law's k ends before.
+    lowest = {
+        None: K_PR - TUNED_BELOW_LIMIT * (K_OPT - K_PR),
+        LONG_BLADES: None,
+        plant_settings("nrel-5mw").turbine: 1e-3,
+    }
+    for turbine, least in lowest.items():
+        paper, tuned = (get_law(name, turbine) for name in ("coordinated-piecewise", "coordinated-tuned"))
+        span = paper.k_min - paper.k_max
+        corners = ((tuned.k_min, paper.k_min, TUNED_ABOVE_OPT), (tuned.k_nominal, paper.k_nominal, TUNED_ABOVE_NOMINAL))
+        for k, own, share in (*corners, (tuned.k_max, paper.k_max, -TUNED_BELOW_LIMIT)):
+            assert k == pytest.approx(min(max(own + share * span, 1e-3), 3.0), rel=1e-12)
+        assert least is None or tuned.k_max == pytest.approx(least)
+        assert tuned.damping_time_constant_s == TUNED_TIME_CONSTANT_S
+    assert "coordinated-tuned" not in STRATEGIES and "coordinated-tuned" in STRATEGY_NAMES

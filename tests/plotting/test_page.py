@@ -16,13 +16,14 @@ from tests.cli.calls import error_of
 from tests.plotting.pages import DURATION_S, HOSTILE, SEEDS, TRACED, small_page, small_results
 from wtg_gym.cli import main
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import Entry, evaluate, leaderboard_rows
+from wtg_gym.evaluation import Entry, evaluate, leaderboard_rows, load_entries
 from wtg_gym.evaluation.recording import record
 from wtg_gym.physics.parameters import TurbineParameters
 from wtg_gym.plotting.page import leaderboard_page, untraced
 from wtg_gym.plotting.page.data import SCORE_RESOLUTION
 from wtg_gym.plotting.page.packing import MISSING, RESOLUTIONS, packed, quantised, unpacked
 from wtg_gym.scenarios import draw_seeds, get_suite
+from wtg_gym.scenarios.benchmark import V1
 
 pytest.importorskip("bokeh", reason="the page's charts are Bokeh's")
 #: Attributes that a browser loads from.
@@ -243,3 +244,23 @@ def test_results_on_fresh_scenarios_are_a_suite_of_their_own_and_columns_of_the_
     assert ["fresh score" in table for table in tables] == [True, False]
     scores = {row.name: f"{row.score.value:.1f}" for row in leaderboard_rows(fresh)}
     assert f'<td class="number">{scores["coordinated-linear"]}</td><td class="number"></td></tr>' in tables[0]
+
+
+def test_page_of_v1_names_its_environment_anchors_and_columns() -> None:
+    results = evaluate("baselines", "standard-v1", seeds=range(10_000, 10_012), duration_s=30.0)
+    page = leaderboard_page([results], load_entries("baselines", benchmark=V1), n_scenarios=1)
+    head = page.text[page.text.index("<header>") : page.text.index("</header>")]
+    assert "GFMWTG-14bus-v1" in head and "coordinated-tuned" in head and "maximum power" not in head
+    assert all(f">{name}</th>" in page.text for name in ("failures by kind [%]", "worst decile", "deviation [mHz]"))
+    data = _data(page.text)
+    assert data["reference"] == "coordinated-tuned" and data["limits"]["power"] == {"the converter's limit": 1.05}
+    (suite,) = data["suites"]
+    assert sorted(suite["traced"]) == sorted(row.name for row in leaderboard_rows(results))
+    assert untraced([results], load_entries("baselines", benchmark=V1)) == []
+    with pytest.raises(ValueError, match="one version of the benchmark"):
+        leaderboard_page([results, small_results()[1][0]], [], n_scenarios=0)
+
+
+def test_v0_is_described_as_maximum_power_point_tracking_and_the_reference() -> None:
+    assert "Score 0 is\nmaximum power point tracking, 100 the reference strategy; more is better." in small_page()
+    assert "worst decile" not in small_page()

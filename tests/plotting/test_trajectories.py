@@ -9,12 +9,22 @@ import sys
 import numpy as np
 import pytest
 
-from wtg_gym.envs.rendering.diagram import describe_event
+from wtg_gym.envs.rendering.diagram import describe_event, struck_buses
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.scenario import LineTrip, LoadRamp, LoadStep, LoadTrip, Scenario
+from wtg_gym.physics.scenario import (
+    GovernorLoss,
+    GroupTrip,
+    LineTrip,
+    LoadRamp,
+    LoadStep,
+    LoadTrip,
+    MachineOutage,
+    Scenario,
+)
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.physics.trajectory import Trajectory, simulate
 from wtg_gym.plotting import STRATEGY_LOOKS, plot_trajectories
+from wtg_gym.plotting.event_marks import mark_instants
 from wtg_gym.plotting.style import GROUP_STYLES
 
 pytest.importorskip("matplotlib")
@@ -56,7 +66,7 @@ def test_a_run_that_ended_early_is_marked_with_a_cross_where_it_ended(
     figure = plot_trajectories(runs, scenario)
     crosses = [line for axes in figure.axes for line in axes.get_lines() if line.get_marker() == "x"]
     assert crosses
-    assert {float(line.get_xdata()[0]) for line in crosses} == {float(runs["mppt"].time_s[-1])}
+    assert {float(np.asarray(line.get_xdata())[0]) for line in crosses} == {float(runs["mppt"].time_s[-1])}
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
     assert legend == ["mppt", "coordinated-piecewise", "WTG group 1", "WTG group 2", "run ended: stall"]
 
@@ -125,3 +135,29 @@ def test_events_are_described_with_units() -> None:
     assert describe_event(ramp) == "+20 MW at bus 3 over 4 s"
     assert describe_event(LoadTrip(time_s=1.0, bus=4)) == "load of bus 4 lost"
     assert describe_event(LineTrip(time_s=1.0, from_bus=2, to_bus=4)) == "line 2–4 opens"
+    brief = LineTrip(time_s=1.0, from_bus=2, to_bus=4, recloses_after_s=0.5)
+    assert describe_event(brief) == "line 2–4 opens for 0.5 s"
+    assert describe_event(GovernorLoss(time_s=1.0, bus=1)) == "governor at bus 1 lost"
+    assert describe_event(MachineOutage(time_s=1.0, bus=6)) == "machine at bus 6 disconnected"
+    # Counted as in the diagram, where the first group is W1.
+    assert describe_event(GroupTrip(time_s=1.0, group=0)) == "WTG group 1 disconnected"
+
+
+def test_events_strike_both_ends_of_a_line_or_the_bus_of_their_unit() -> None:
+    assert struck_buses(LineTrip(time_s=1.0, from_bus=2, to_bus=4), [2, 5]) == [2, 4]
+    assert struck_buses(MachineOutage(time_s=1.0, bus=6), [2, 5]) == [6]
+    assert struck_buses(GroupTrip(time_s=1.0, group=1), [2, 5]) == [5]
+
+
+def test_a_line_is_marked_where_it_opens_and_where_it_closes() -> None:
+    events = (
+        LineTrip(time_s=2.0, from_bus=1, to_bus=2, recloses_after_s=3.0),
+        LineTrip(time_s=6.0, from_bus=1, to_bus=2, recloses_after_s=30.0),
+    )
+    scenario = Scenario(name="x", wind_speed=np.full((2, 1), 9.0), duration_s=20.0, events=events)
+    from matplotlib.figure import Figure
+
+    axes = Figure().add_subplot()
+    mark_instants(axes, scenario, numbered=True)
+    assert sorted(float(np.asarray(line.get_xdata())[0]) for line in axes.get_lines()) == [2.0, 5.0, 6.0]
+    assert [text.get_text() for text in axes.texts] == ["(1)", "(2)"]

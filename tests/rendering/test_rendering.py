@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import pickle
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
 from wtg_gym.envs.rendering.colours import EVENT, GROUPS, rgb
 from wtg_gym.envs.rendering.frame import FRAME_SIZE, panel_box
 from wtg_gym.envs.rendering.panels import PANELS
+from wtg_gym.physics.scenario import LineTrip
 
 pytest.importorskip("matplotlib")
 
@@ -96,6 +98,18 @@ def test_events_are_shown_once_they_have_struck():
     # Two lines' worth of pixels more: the third event opens a line.
     n_pixels = [int(coloured(playing(n).render()[diagram], EVENT).sum()) for n in (12, 13)]
     assert n_pixels[1] > n_pixels[0] + 20
+
+
+def test_a_line_that_closes_again_is_drawn_as_before():
+    line = LineTrip(time_s=0.5, from_bus=5, to_bus=4, recloses_after_s=0.45)
+    stays = dataclasses.replace(line, recloses_after_s=None)
+    frames = {
+        event: [playing(n, scenario=calm(events=(event,)).to_dict()).render()[134:374, 8:328] for n in (9, 10)]
+        for event in (line, stays)
+    }
+    open_and_closed = [int(coloured(frame, EVENT).sum()) for frame in frames[line]]
+    assert open_and_closed[1] < open_and_closed[0] - 20
+    assert (frames[stays][0] == frames[stays][1]).all()
 
 
 def test_an_axis_widens_when_a_value_leaves_it():
@@ -241,7 +255,7 @@ def test_frames_come_in_real_time(control_dt: float):
     assert env.metadata["render_fps"] == round(1.0 / control_dt) and GFMWTGEnv.metadata["render_fps"] == 10
 
 
-@pytest.mark.filterwarnings("error")
+@pytest.mark.filterwarnings("error", "ignore:.*is out of date:DeprecationWarning")
 def test_both_checkers_have_no_complaint_about_rendering(monkeypatch: pytest.MonkeyPatch):
     from stable_baselines3.common.env_checker import check_env as check_sb3
 
@@ -328,3 +342,14 @@ def test_render_collection_gives_all_frames_since_the_last_call():
     for _ in range(3):
         env.step(np.zeros(4, dtype=np.float32))
     assert [frame.shape for frame in env.render()] == [SHAPE] * 4
+
+
+def test_frames_of_the_versions_name_their_environment():
+    frames = []
+    for version in ("v0", "v1"):
+        env = GFMWTGEnv(version=version, duration_s=2.0, render_mode="rgb_array")
+        env.reset(seed=1)
+        frames.append(env.render())
+        assert env._frames is not None and env._frames._episode(0).env_id == f"GFMWTG-14bus-{version}"
+    heading = np.s_[10:34, 16:320]
+    assert (frames[0][heading] != frames[1][heading]).any()

@@ -3,18 +3,31 @@
 import json
 import math
 import zlib
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wtg_gym.physics.scenario import LineTrip, LoadRamp, LoadStep, LoadTrip, Scenario
-from wtg_gym.scenarios import DRAWN_WIND_RANGE, SUITES, TRIPPABLE_LINES, ScenarioDistribution
+from wtg_gym.physics.aerodynamics import available_power_pu
+from wtg_gym.physics.scenario import (
+    GovernorLoss,
+    GroupTrip,
+    LineTrip,
+    LoadRamp,
+    LoadStep,
+    LoadTrip,
+    MachineOutage,
+    Scenario,
+)
+from wtg_gym.scenarios import DRAWN_WIND_RANGE, SUITES, TRIPPABLE_LINES, ScenarioDistribution, Suite
 from wtg_gym.scenarios.distribution import _noise_amplitude, _noise_decay
 
-DISTRIBUTIONS = [suite.distribution for suite in SUITES.values() if suite.distribution is not None]
+DRAWN = [suite for suite in SUITES.values() if suite.distribution is not None]
+#: With a share of the load few groups fit; those are in DRAWN.
+DISTRIBUTIONS = [replace(suite.distribution, wind_share=None) for suite in DRAWN]
+SHARED = [suite for suite in DRAWN if suite.distribution.wind_share is not None]
 STANDARD = SUITES["standard"].distribution
 assert STANDARD is not None
 #: Loads of the IEEE 14-bus system at load level 1 [MW].
@@ -34,16 +47,31 @@ def check(scenario: Scenario, source: ScenarioDistribution, duration_s: float) -
     for key in ("governor_droop", "inertia_scale", "load_level"):
         first, last = getattr(source, key)
         assert first <= getattr(scenario, key) <= last
-    load_events = [event for event in scenario.events if not isinstance(event, LineTrip)]
+    line_trips = [event for event in scenario.events if isinstance(event, LineTrip)]
+    outages = [event for event in scenario.events if isinstance(event, GovernorLoss | GroupTrip | MachineOutage)]
+    load_events = [event for event in scenario.events if event not in line_trips and event not in outages]
+    machines = [event for event in outages if isinstance(event, MachineOutage)]
     assert source.n_load_events[0] <= len(load_events) <= source.n_load_events[1]
-    assert len(scenario.events) - len(load_events) <= 1
+    assert len(line_trips) <= 1 and len(machines) <= 1 and len(outages) - len(machines) <= 1
     assert sum(isinstance(event, LoadTrip) for event in load_events) <= 1
     load = {bus: scenario.load_level * power for bus, power in BUS_LOAD_MW.items()}
     for event in scenario.events:
+        if isinstance(event, GovernorLoss) and event.time_s == 0.0:
+            continue
         assert min(3.0, 0.5 * duration_s) - 0.05 <= event.time_s <= max(duration_s - 10.0, 0.5 * duration_s) + 0.05
         assert event.time_s == round(event.time_s, 1)
         if isinstance(event, LineTrip):
             assert (event.from_bus, event.to_bus) in source.line_trips
+            after_s = event.recloses_after_s
+            assert (after_s is None) == (source.line_reclosing_s is None)
+            if after_s is not None:
+                assert source.line_reclosing_s[0] <= after_s <= source.line_reclosing_s[1]
+        elif isinstance(event, MachineOutage):
+            assert event.bus in source.machine_outage_buses
+        elif isinstance(event, GroupTrip):
+            assert event.group < scenario.n_wtg
+        elif isinstance(event, GovernorLoss):
+            assert event.bus == 1
         elif isinstance(event, LoadTrip):
             assert event.bus in source.load_trip_buses
             load[event.bus] -= scenario.load_level * BUS_LOAD_MW[event.bus]
@@ -61,6 +89,81 @@ def check(scenario: Scenario, source: ScenarioDistribution, duration_s: float) -
 def test_the_first_scenarios_of_the_test_split_and_many_others_keep_every_promise(source: ScenarioDistribution):
     for scenario in source.draw_many([*range(20_000, 20_500), *range(500)]):
         check(scenario, source, 60.0)
+
+
+@pytest.mark.parametrize("suite", SHARED, ids=lambda suite: suite.name)
+def test_scenarios_of_the_suites_own_groups_keep_every_promise_and_their_share_of_the_load(suite: Suite):
+    source = suite.distribution
+    turbines = [group.n_turbines for group in suite.plant.groups]
+    seeds = [*suite.validation, *range(300)]
+    for scenario in source.draw_many(seeds, len(turbines), turbines):
+        check(scenario, source, 60.0)
+        smallest = turbines.index(min(turbines))
+        assert all(event.group == smallest for event in scenario.events if isinstance(event, GroupTrip))
+    # Without turbulence, gusts and ramps the wind is its mean; the numbers of the stream are the same.
+    still = replace(source, turbulence_intensity=(0.0, 0.0), gust_probability=0.0, wind_ramp_probability=0.0)
+    low, high = source.wind_share
+    shares = []
+    for scenario in still.draw_many(seeds, len(turbines), turbines):
+        assert np.ptp(scenario.wind_speed, axis=1).max() < 1e-9
+        # Turbines of 5 MW; the law holds 5 % of what is available, or of the rated power, in reserve.
+        given_mw = sum(
+            4.75 * n * min(available_power_pu(wind), 1.0)
+            for n, wind in zip(turbines, scenario.wind_speed[:, 0], strict=True)
+        )
+        shares.append(given_mw / (scenario.load_level * sum(BUS_LOAD_MW.values())))
+    assert low <= min(shares) and max(shares) <= high
+    assert np.std(shares) > 0.2 * (high - low), "the range is used"
+
+
+def test_outages_are_as_likely_as_the_settings_say():
+    source = ScenarioDistribution(
+        name="faults",
+        governor_loss_probability=0.2,
+        group_trip_probability=0.3,
+        machine_outage_probability=0.4,
+        line_trip_probability=0.5,
+        line_reclosing_s=(1.0, 5.0),
+    )
+    n = 3000
+    events = [event for scenario in source.draw_many(range(n), 3, [3.0, 1.0, 2.0]) for event in scenario.events]
+    lost = [event for event in events if isinstance(event, GovernorLoss)]
+    assert len(lost) / n == pytest.approx(0.2, abs=4.0 * math.sqrt(0.16 / n))
+    assert sum(event.time_s == 0.0 for event in lost) / len(lost) == pytest.approx(0.5, abs=2.0 / math.sqrt(len(lost)))
+    trips = [event for event in events if isinstance(event, GroupTrip)]
+    assert len(trips) / n == pytest.approx(0.3, abs=4.0 * math.sqrt(0.21 / n)) and {t.group for t in trips} == {1}
+    machines = [event.bus for event in events if isinstance(event, MachineOutage)]
+    assert len(machines) / n == pytest.approx(0.4, abs=4.0 * math.sqrt(0.24 / n))
+    assert {bus: round(3.0 * machines.count(bus) / len(machines)) for bus in set(machines)} == {3: 1, 6: 1, 8: 1}
+    lines = [event.recloses_after_s for event in events if isinstance(event, LineTrip)]
+    assert len(lines) / n == pytest.approx(0.5, abs=4.0 * 0.5 / math.sqrt(n))
+    assert np.mean(lines) == pytest.approx(3.0, abs=0.15) and min(lines) >= 1.0 and max(lines) <= 5.0
+
+
+@pytest.mark.parametrize(("turbines", "named"), [([5.0, 5.0], "10 turbines give"), ([90.0] * 3, "270 turbines give")])
+def test_turbines_that_cannot_give_the_share_are_refused_with_what_they_give(turbines: list[float], named: str):
+    source = SUITES["standard-v1"].distribution
+    with pytest.raises(
+        ValueError, match=rf"{named} .* % of the load at level .* wind_share of 'standard-v1' is 40 … 78 %"
+    ):
+        source.check_share(turbines)
+    with pytest.raises(ValueError, match=r"wind_share: winds of 8.5 … 11 m/s hardly ever give"):
+        source.draw_many(range(20), len(turbines), turbines)
+    replace(source, wind_share=None).check_share(turbines)
+
+
+@pytest.mark.parametrize("suite", SHARED, ids=lambda suite: suite.name)
+def test_turbines_that_pass_the_check_of_the_share_can_be_drawn_for(suite: Suite):
+    own, checked = [group.n_turbines for group in suite.plant.groups], 0
+    for factor in np.geomspace(0.4, 2.5, 15):
+        turbines = [factor * n for n in own]
+        try:
+            suite.distribution.check_share(turbines)
+        except ValueError:
+            continue
+        checked += 1
+        suite.distribution.draw_many(range(300), len(turbines), turbines, 1.0)
+    assert 3 <= checked <= 14
 
 
 @settings(max_examples=60)

@@ -10,23 +10,53 @@ import pytest
 
 from wtg_gym.physics.scenario import LoadStep, LoadTrip
 from wtg_gym.scenarios import FROZEN_HASHES, SPLITS, SUITES, Suite, get_suite
+from wtg_gym.scenarios.benchmark import V1
+from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 
 DRAWN = [suite for suite in SUITES.values() if suite.distribution is not None]
 
 
-def test_suites_are_the_five_of_the_benchmark():
-    assert list(SUITES) == ["paper", "standard", "low-wind", "gust", "weak-grid"]
+FIRST = [name for name, suite in SUITES.items() if suite.benchmark.version == "v0"]
+SECOND = [suite for suite in SUITES.values() if suite.benchmark.version == "v1"]
+
+
+def test_suites_are_those_of_the_benchmark():
+    assert FIRST == ["paper", "standard", "low-wind", "gust", "weak-grid"]
+    kinds = ["standard", "low-share", "high-share", "gusty", "no-wind-sensor", "faults", "paper"]
+    assert [suite.name for suite in SECOND] == [f"{kind}-v1" for kind in kinds]
     assert all(get_suite(name).name == name for name in SUITES)
 
 
-@pytest.mark.parametrize("name", SUITES)
+@pytest.mark.parametrize("name", FROZEN_HASHES)
 def test_hash_is_the_frozen_one(name: str):
     assert get_suite(name).hash == FROZEN_HASHES[name], "a changed suite is a new version of the benchmark"
 
 
 def test_every_frozen_hash_belongs_to_a_suite():
-    assert set(FROZEN_HASHES) == set(SUITES)
-    assert len(set(FROZEN_HASHES.values())) == len(SUITES)
+    assert set(FIRST) <= set(FROZEN_HASHES) <= set(SUITES)
+    assert len(set(FROZEN_HASHES.values())) == len(FROZEN_HASHES)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"plant": dataclasses.replace(get_suite("standard-v1").plant, generator_mva=251.0)},
+        {"sensors": SensorDistribution(delay_s=(0.1, 0.2))},
+        {"sensors": None},
+        {"benchmark": dataclasses.replace(V1, weights=(("rotor", 21.0),))},
+        {"benchmark": dataclasses.replace(V1, duty_time_s=20.0)},
+    ],
+    ids=str,
+)
+def test_hash_of_version_v1_sees_plant_sensors_and_task(change: dict):
+    few = dataclasses.replace(get_suite("standard-v1"), validation=range(10_000, 10_002), test=range(20_000, 20_002))
+    assert dataclasses.replace(few, **change).hash != few.hash
+    assert dataclasses.replace(few).hash == few.hash == pickle.loads(pickle.dumps(few)).hash
+
+
+def test_hash_of_version_v0_is_that_of_its_copies():
+    few = dataclasses.replace(get_suite("standard"), validation=range(10_000, 10_002), test=range(20_000, 20_002))
+    assert pickle.loads(pickle.dumps(few)).hash == few.hash
 
 
 @pytest.mark.parametrize(
@@ -42,7 +72,8 @@ def test_hash_sees_settings_and_seeds_but_not_words(change: dict):
 
 @pytest.mark.parametrize("suite", DRAWN, ids=lambda suite: suite.name)
 def test_splits_are_disjoint_and_of_the_announced_size(suite: Suite):
-    assert (len(suite.seeds("validation")), len(suite.seeds("test"))) == (100, 200)
+    sizes = (100, 200) if suite.benchmark.version == "v0" else (200, 1000)
+    assert (len(suite.seeds("validation")), len(suite.seeds("test"))) == sizes
     spans = sorted((suite.seeds(split) for split in SPLITS), key=lambda seeds: seeds.start)
     assert all(low.stop <= high.start for low, high in pairwise(spans))
 
@@ -58,12 +89,20 @@ def test_suite_needs_a_distribution_or_cases():
 
 
 def test_suites_share_no_random_stream():
-    winds = [suite.scenario(20_000).wind_speed[0] for suite in DRAWN]
+    # But for the one that is another's with other sensors.
+    apart = [suite for suite in DRAWN if suite.name != "no-wind-sensor-v1"]
+    winds = [suite.scenario(20_000).wind_speed[0] for suite in apart]
     for i, first in enumerate(winds):
         for second in winds[:i]:
             assert abs(np.corrcoef(first, second)[0, 1]) < 0.999
-    noises = [suite.scenario(20_000).load_noise_mw for suite in DRAWN]
-    assert np.max(np.abs(np.corrcoef(noises) - np.eye(len(DRAWN)))) < 0.9
+    noises = [suite.scenario(20_000).load_noise_mw for suite in apart]
+    assert np.max(np.abs(np.corrcoef(noises) - np.eye(len(apart)))) < 0.9
+
+
+def test_without_a_wind_sensor_the_scenarios_are_those_of_the_standard_suite():
+    own, other = (get_suite(name).scenario(10_007) for name in ("standard-v1", "no-wind-sensor-v1"))
+    assert dataclasses.replace(own.sensors, wind_sensor=False) == other.sensors
+    assert (own.wind_speed == other.wind_speed).all() and own.events == other.events
 
 
 def test_paper_has_its_two_cases_in_every_split():
@@ -90,8 +129,9 @@ def test_winds_of_the_paper_alternate_over_more_groups(n_wtg: int, winds: list[f
 @pytest.mark.parametrize("name", SUITES)
 def test_duration_and_groups_can_be_chosen(name: str):
     suite = get_suite(name)
-    seed = suite.test[-1]
-    scenario = suite.scenario(seed, n_wtg=3, n_turbines=[1.0, 5.0, 10.0], duration_s=30.0)
+    seed, total = suite.test[-1], sum(group.n_turbines for group in suite.plant.groups)
+    turbines = [0.1 * total, 0.3 * total, 0.6 * total]
+    scenario = suite.scenario(seed, n_wtg=3, n_turbines=turbines, duration_s=30.0)
     assert (scenario.n_wtg, scenario.duration_s, scenario.seed) == (3, 30.0, seed)
     assert suite.scenario(seed).duration_s == suite.duration_s
 

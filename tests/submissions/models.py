@@ -470,3 +470,15 @@ def other(scale: float = 0.02) -> ModelProto:
 def privileged() -> ModelProto:
     """A policy that sees the state of the grid as well."""
     return model(inputs=[info("observation", "batch", 35)], constants=[constant("weights", np.full((35, M), 0.02))])
+
+
+def of_v1() -> ModelProto:
+    """A linear policy for version v1: four groups, each of which sees what its sensors say."""
+    return model(
+        inputs=[info("observation", "batch", 32)],
+        outputs=[info("action", "batch", 8)],
+        constants=[constant("weights", np.full((32, 8), 0.01))],
+    )
+
+
+TOML_V1 = f'{TOML}environment = "GFMWTG-14bus-v1"\n'

@@ -178,6 +178,15 @@ def test_policy_of_other_modes_is_refused(tmp_path: Path) -> None:
     assert "it takes 35 observations and gives 4 actions; in its modes there are 20 and 4" in reason
 
 
+def test_policy_is_judged_in_the_environment_that_it_names(tmp_path: Path) -> None:
+    report = check_submission(folder(tmp_path / "a", models.of_v1(), models.TOML_V1))
+    assert report.accepted and report.played().environment == "GFMWTG-14bus-v1"
+    assert report.actions is not None and report.actions.shape[2] == 8
+    check, reason = refusal(check_submission(folder(tmp_path / "b", models.of_v1())))
+    assert check == "loading"
+    assert "it takes 32 observations and gives 8 actions; in its modes there are 20 and 4" in reason
+
+
 def test_policy_that_is_slow_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(gate, "ANSWER_S", 1e-9)
     check, reason = refusal(check_submission(folder(tmp_path / "a")))

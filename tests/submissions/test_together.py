@@ -44,6 +44,11 @@ def test_seeds_of_one_entry_are_accepted(tmp_path: Path) -> None:
     assert conflicts([first], [report(tmp_path / "c", models.other(), TOML.replace("Mine", "Yours"))]) == []
 
 
+def test_versions_have_tables_and_so_names_of_their_own(tmp_path: Path) -> None:
+    old, new = report(tmp_path / "a"), report(tmp_path / "b", models.of_v1(), models.TOML_V1)
+    assert conflicts([old, new]) == [] == conflicts([new], [old])
+
+
 @pytest.mark.parametrize(
     ("old", "new", "key"),
     [

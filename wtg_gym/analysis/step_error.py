@@ -19,7 +19,7 @@ from wtg_gym.analysis.explicit_methods import CONTROL_DT, METHODS, Integration, 
 from wtg_gym.files import markdown_table
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.plant import PlantSettings
-from wtg_gym.physics.scenario import LoadRamp, Scenario
+from wtg_gym.physics.scenario import LineTrip, LoadRamp, Scenario
 from wtg_gym.scenarios import get_suite
 
 #: Steps of the study [s]; each divides the control interval.
@@ -148,6 +148,8 @@ def on_the_grid(scenario: Scenario) -> Scenario:
         moved: dict[str, Any] = {"time_s": CONTROL_DT * np.ceil(event.time_s / CONTROL_DT - 1e-9)}
         if isinstance(event, LoadRamp):
             moved["duration_s"] = CONTROL_DT * max(1.0, np.ceil(event.duration_s / CONTROL_DT - 1e-9))
+        if isinstance(event, LineTrip) and event.recloses_after_s is not None:
+            moved["recloses_after_s"] = CONTROL_DT * np.ceil(event.recloses_after_s / CONTROL_DT - 1e-9)
         events.append(dataclasses.replace(event, **moved))
     duration_s = CONTROL_DT * np.floor(scenario.duration_s / CONTROL_DT + 1e-9)
     return dataclasses.replace(scenario, events=tuple(events), duration_s=duration_s)

@@ -26,8 +26,8 @@ from wtg_gym.cli.scoring import (
     kept_parts,
     run_evaluation,
 )
-from wtg_gym.evaluation import ANCHORS, Entry, Policy, Results, leaderboard_rows, markdown_table
-from wtg_gym.policies.entry import row_conflict
+from wtg_gym.evaluation import Entry, Policy, Results, leaderboard_rows, markdown_table
+from wtg_gym.policies.entry import check_version, row_conflict
 from wtg_gym.scenarios import get_suite
 
 #: Name and training seed of an entry.
@@ -40,12 +40,14 @@ _TRUST_HELP = (
 )
 
 _EVALUATE = """\
-Plays entries through the scenarios of a suite, many at a time, and scores them: 0 is maximum power point tracking, 100
-the reference strategy. Both are always played too, because they fix the scale. With --results, every episode is
-written to <suite>-<split>.csv and the description and summary to <suite>-<split>.json; an interrupted evaluation goes
-on from its finished parts. An entry whose policy raises, ends, takes too long or gives no action is named with its
-reason and left out with all training seeds of its name; the others are ranked, and the exit code is 1. A policy.onnx
-plays one scenario at a time, in a process of its own that can only compute and answer.
+Plays entries through the scenarios of a suite, many at a time, and scores them: in suites of version v0, 0 is maximum
+power point tracking (mppt) and 100 the reference strategy (coordinated-piecewise); in those of v1, 0 is the reference
+strategy and 100 the same law tuned to that grid (coordinated-tuned). Both are always played too, because they fix the
+scale. A policy plays in the version whose observations it takes. With --results, every episode is written to
+<suite>-<split>.csv and the description and summary to <suite>-<split>.json; an interrupted evaluation goes on from its
+finished parts. An entry whose policy raises, ends, takes too long or gives no action is named with its reason and left
+out with all training seeds of its name; the others are ranked, and the exit code is 1. A policy.onnx plays one scenario
+at a time, in a process of its own that can only compute and answer.
 
 The default split is the one to choose policies on; 'wtg-gym leaderboard' and 'wtg-gym submission score' play the test
 scenarios. --results refuses a folder whose <suite>-<split>.json is of other settings, seeds or another draw; results of
@@ -53,6 +55,7 @@ the same scenarios and settings are replaced, whatever their entries."""
 
 _EVALUATE_EXAMPLES = """\
   wtg-gym evaluate --entries deloaded-5 coordinated-linear --suite low-wind
+  wtg-gym evaluate --entries coordinated-piecewise fast-droop --suite standard-v1 --scenarios 20
   wtg-gym evaluate --entries my_law.toml --suite standard --scenarios 10 --results my_results
   wtg-gym evaluate --entries my_package.controller:make_policy --split test --json
   wtg-gym evaluate --entries runs/mine/best/* --trust-pickle
@@ -122,7 +125,7 @@ def _run_evaluate(arguments: argparse.Namespace) -> int:
     planned = {
         **chosen_scenarios(arguments),
         "duration_s": arguments.duration,
-        "groups": 2 if arguments.groups is None else arguments.groups,
+        "groups": arguments.groups,
         "control_dt": arguments.control_dt,
         "simulation_dt": arguments.simulation_dt,
         "machine_model": arguments.machine_model,
@@ -131,7 +134,7 @@ def _run_evaluate(arguments: argparse.Namespace) -> int:
     }
     check_stored(folder, planned)
     # Last, because it takes longest, and may run code.
-    entries = chosen_entries(arguments.entries, _load_trusted if arguments.trust_pickle else None)
+    entries = chosen_entries(arguments.entries, arguments.suite, _load_trusted if arguments.trust_pickle else None)
     results = run_evaluation(entries, **planned, partial=partial, n_threads=arguments.threads, workers=workers)
     return finish(results, folder, as_json=arguments.json)
 
@@ -148,7 +151,7 @@ def _load_trusted(folder: Path, algorithm: str) -> tuple[Policy, str]:
 
 
 def _run_leaderboard(arguments: argparse.Namespace) -> int:
-    get_suite(arguments.suite)
+    benchmark = get_suite(arguments.suite).benchmark
     folder = check_output_folder("--results", arguments.results)
     section = f"leaderboard:{arguments.suite}"
     readme = check_page("--readme", arguments.readme, section)
@@ -156,7 +159,8 @@ def _run_leaderboard(arguments: argparse.Namespace) -> int:
     # Finished parts are stored results too.
     partial = None if arguments.fresh else kept_parts(folder, arguments)
     workers = chosen_workers(arguments)
-    entries = chosen_entries(arguments.entries)
+    entries = chosen_entries(arguments.entries, arguments.suite)
+    check_version(entries, benchmark)
     scenarios = {"suite": arguments.suite, "split": "test", "n_threads": arguments.threads}
     anchors = run_evaluation([], **scenarios)
     stored = None if arguments.fresh else _stored(folder / f"{anchors.name}.json", anchors)
@@ -186,8 +190,9 @@ def _stored(path: Path, anchors: Results) -> Results | None:
         if getattr(stored, key) != getattr(anchors, key):
             note(f"not used: {path} is of another {key.replace('_', ' ')}; evaluating everything")
             return None
-    if any(stored.episodes_of(name) != anchors.episodes_of(name) for name in ANCHORS):
-        note(f"not used: {path} is not reproduced by a replay of {' and '.join(ANCHORS)}; evaluating everything")
+    names = anchors.benchmark.anchors
+    if any(stored.episodes_of(name) != anchors.episodes_of(name) for name in names):
+        note(f"not used: {path} is not reproduced by a replay of {' and '.join(names)}; evaluating everything")
         return None
     return stored
 
@@ -207,7 +212,7 @@ def _merged(entries: Sequence[Entry], new: Results, stored: Results | None) -> t
     sources = [new] if stored is None else [stored, new]
     described = {_key(data): data for source in sources for data in source.entries}
     wanted = {(entry.name, entry.training_seed): entry.to_dict() for entry in entries}
-    for name in ANCHORS:
+    for name in new.benchmark.anchors:
         wanted.setdefault((name, None), dict(described[name, None]))
     others = {
         key: dict(data)

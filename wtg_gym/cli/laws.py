@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NoReturn
 
 from wtg_gym.cli.output import say
@@ -56,14 +56,16 @@ def add_law_option(parser: argparse.ArgumentParser, default: str) -> None:
     )
 
 
-def chosen_laws(names: Sequence[str], turbine: TurbineParameters | None = None) -> list[TrackingLaw]:
-    """Return the laws of these names, each once, for a turbine; by default the paper's.
+def chosen_laws(
+    names: Sequence[str], turbine: TurbineParameters | None = None, every: Iterable[str] = STRATEGIES
+) -> list[TrackingLaw]:
+    """Return the laws of these names, each once, for a turbine; by default the paper's. `every` are those of "all".
 
     Raises:
         ValueError: a name is unknown, or two laws have the same one.
     """
     laws: dict[str, TrackingLaw] = {}
-    given = [expanded for name in names for expanded in (STRATEGIES if name == "all" else (name,))]
+    given = [expanded for name in names for expanded in (every if name == "all" else (name,))]
     for name in dict.fromkeys(given):
         law = get_law(name, turbine)
         if law.name in laws:

@@ -89,7 +89,7 @@ def add_output_options(
     out.add_argument("--json", action="store_true", help=json)
 
 
-def add_plant_options(parser: argparse.ArgumentParser, *, default_groups: str = "2") -> None:
+def add_plant_options(parser: argparse.ArgumentParser, *, default_groups: str = "the suite's") -> None:
     """Add the options of the plant and of the time steps; `default_groups` describes the default of `--groups`."""
     plant = parser.add_argument_group("plant and time steps")
     plant.add_argument(
@@ -122,8 +122,7 @@ def add_plant_options(parser: argparse.ArgumentParser, *, default_groups: str = 
     plant.add_argument(
         "--physics",
         choices=PHYSICS,
-        default="paper",
         help="the paper's model; extended by what it leaves out (rotor energy, current, power and reactive limits, "
         "voltage control, dead band, load shedding, under-speed trip); or that with the NREL 5 MW turbine (default: "
-        "paper)",
+        "the suite's)",
     )

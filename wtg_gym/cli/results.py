@@ -42,7 +42,7 @@ _PAGE = """\
 Shows stored results as one HTML file that needs nothing but a browser, offline too: the ranking with its intervals,
 performance profiles, physical metrics, and two entries side by side in one scenario, frequency, rotors, power, k, τ
 and wind over one time axis. The traces are recorded anew from those entries of --entries that the results hold, and
-from both anchors."""
+from both anchors. A page shows suites of one version of the benchmark."""
 
 _RECOMPUTE = """\
 Evaluates the entries of a results file again, on the same scenarios with the same settings, and compares every number
@@ -68,8 +68,8 @@ secret afterwards: then 'wtg-gym results recompute --secret-file' shows that the
 _SENSITIVITY = f"""\
 Evaluates entries with the weights of the cost as they are, and with each one multiplied by each factor, all others as
 they are. Shown are the ranks that change, and the scores that change by a point or more. The scale is made anew each
-time: maximum power point tracking has 0 and the reference strategy 100 with any weights, so a rising score means that
-the entry gains on these two. Policies are not trained again and act as before.
+time: the two entries that fix it have 0 and 100 with any weights, so a rising score means that the entry gains on these
+two. Policies are not trained again and act as before.
 
 A weight that changes the ranking matters to the benchmark. Weights that move no score by a point and no rank are named
 at the end: they do not matter among these entries, but may matter to others.
@@ -164,7 +164,7 @@ def add_commands(commands: Commands) -> None:
 def _run_page(arguments: argparse.Namespace) -> int:
     page = check_html("--output", arguments.output)
     results = [Results.read(path) for path in arguments.results]
-    entries = [] if arguments.scenarios == 0 else chosen_entries(arguments.entries)
+    entries = [] if arguments.scenarios == 0 else chosen_entries(arguments.entries, results[0].suite)
     write_html(page, results, entries, arguments.scenarios, arguments.threads)
     return 0
 
@@ -201,7 +201,7 @@ def _run_recompute(arguments: argparse.Namespace) -> int:
     stored = Results.read(arguments.results)
     secret = None if arguments.secret_file is None else read_secret(arguments.secret_file)
     workers = chosen_workers(arguments)
-    entries = chosen_entries(arguments.entries)
+    entries = chosen_entries(arguments.entries, stored.suite)
     with Progress("episodes") as progress:
         found = recompute(
             stored, entries, secret=secret, n_threads=arguments.threads, workers=workers, on_progress=progress.update
@@ -258,7 +258,7 @@ def _run_gap(arguments: argparse.Namespace) -> int:
 
 def _run_sensitivity(arguments: argparse.Namespace) -> int:
     page = check_page("--page", arguments.page, "sensitivity")
-    entries = chosen_entries(arguments.entries)
+    entries = chosen_entries(arguments.entries, arguments.suite)
     with Progress("episodes") as progress:
         study = study_sensitivity(
             entries,

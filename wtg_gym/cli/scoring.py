@@ -13,18 +13,32 @@ from pathlib import Path
 from typing import Any
 
 from wtg_gym.cli.output import Progress, note, print_json, print_table, say
+from wtg_gym.cli.suites import suites_by_version
 from wtg_gym.envs.compile_ahead import compile_ahead
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, NoScaleError, Results, evaluate, leaderboard_rows, load_entries, table_cells
 from wtg_gym.evaluation.evaluator import chosen_seeds, shared_settings
-from wtg_gym.evaluation.leaderboard import COLUMNS, SHORT_COLUMNS
+from wtg_gym.evaluation.leaderboard import columns_of, short_columns_of
 from wtg_gym.evaluation.workers import BACKENDS, Workers
 from wtg_gym.policies.entry import check_entries
 from wtg_gym.policies.load import BASELINES, LoadArchive
-from wtg_gym.scenarios import FRESH, N_DRAWN, SPLITS, SUITES, FreshDraw, draw_seeds, get_suite
+from wtg_gym.scenarios import FRESH, N_DRAWN, SPLITS, FreshDraw, draw_seeds, get_suite
 
 #: Unit of the columns of points.
 _POINTS = " [points]"
+#: A table with more columns than this is two in a terminal: these two columns begin the second one, too.
+_MOST_COLUMNS, _FIRST_COLUMNS = 10, ("rank", "entry")
+#: The last column of the first of them.
+_LAST_OF_FIRST = "failures by kind [%]"
+#: Heads of columns that are too wide for them.
+_SHORT_HEADS = {
+    "failures by kind [%]": "failures [%]",
+    "deviation [mHz]": "Δf [mHz]",
+    "p95 deviation [mHz]": "p95 Δf [mHz]",
+    "p95 peak power [p.u.]": "p95 peak [p.u.]",
+    "p95 power change in 1 s [p.u.]": "p95 ΔP [p.u.]",
+    "energy share [%]": "energy [%]",
+}
 _LARGEST_SEED_RANGE = 100_000
 _LARGEST_SECRET = 4096
 _ENTRIES_HELP = (
@@ -45,8 +59,9 @@ def add_entries_option(parser: argparse.ArgumentParser, text: str = _ENTRIES_HEL
 
 def add_suite_option(parser: argparse.ArgumentParser) -> None:
     """Add `--suite`."""
-    suites = ", ".join(SUITES)
-    parser.add_argument("--suite", default="standard", metavar="NAME", help=f"suite: {suites} (default: standard)")
+    parser.add_argument(
+        "--suite", default="standard", metavar="NAME", help=f"suite, of {suites_by_version()} (default: standard)"
+    )
 
 
 def add_run_options(parser: argparse.ArgumentParser) -> None:
@@ -107,12 +122,15 @@ def add_worker_options(parser: argparse.ArgumentParser) -> None:
 # --- values of options: a ValueError says what is wrong with one -----------------------------------------------------
 
 
-def chosen_entries(specs: Sequence[str], load_archive: LoadArchive | None = None) -> list[Entry]:
-    """Return the entries of `--entries`; `load_archive` is as for :func:`load_entries`."""
+def chosen_entries(
+    specs: Sequence[str], suite: str = "standard", load_archive: LoadArchive | None = None
+) -> list[Entry]:
+    """Return the entries of `--entries` for a suite; `load_archive` is as for :func:`load_entries`."""
+    benchmark = get_suite(suite).benchmark
     # A console script, unlike `python -m`, does not look into the working folder: a checkout's packages are there.
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())
-    entries = [entry for spec in specs for entry in load_entries(spec, load_archive)]
+    entries = [entry for spec in specs for entry in load_entries(spec, load_archive, benchmark)]
     # Stored ones among them are not evaluated, but stand in the same table.
     check_entries(entries)
     return entries
@@ -229,7 +247,7 @@ def kept_parts(folder: Path, arguments: argparse.Namespace) -> Path:
 
 def run_evaluation(entries: Sequence[Entry], *, partial: Path | None = None, **options: Any) -> Results:
     """Evaluate with progress on stderr; a policy that fails is left out; `options` are arguments of `evaluate`."""
-    compile_ahead(EnvSettings())
+    compile_ahead(EnvSettings(suite=options["suite"]))
     with Progress("episodes") as progress:
         results = evaluate(entries, on_progress=progress.update, partial=partial, keep_going=True, **options)
     if partial is not None:
@@ -264,12 +282,27 @@ def finish(results: Results, folder: Path | None, *, as_json: bool, kept: Result
     except NoScaleError as error:
         note(f"no ranking: {error}")
         return code
-    left = [index for index, column in enumerate(SHORT_COLUMNS) if not COLUMNS[column]]
-    # Without their unit, which the line below gives, the heads fit into 120 columns.
-    heads = [column.removesuffix(_POINTS) for column in SHORT_COLUMNS]
-    print_table(heads, table_cells(rows, SHORT_COLUMNS), left=left)
-    terms = ", ".join(head for head, column in zip(heads, SHORT_COLUMNS, strict=True) if column != head)
-    say("", f"{terms}: points by terms of the cost, which add up to score - 100; --json prints more")
+    columns, is_number = short_columns_of(results.benchmark.version), columns_of(results.benchmark.version)
+    parts = _parts(columns)
+    for part in parts:
+        # Without their unit, which the line below gives, the heads fit into 120 columns.
+        heads = [_SHORT_HEADS.get(column, column).removesuffix(_POINTS) for column in part]
+        left = [index for index, column in enumerate(part) if not is_number[column]]
+        print_table(heads, table_cells(rows, part), left=left)
+        say("")
+    terms = ", ".join(column.removesuffix(_POINTS) for column in columns if column.endswith(_POINTS))
+    say(f"{terms}: points by terms of the cost, which add up to score - 100; --json prints more")
+    if len(parts) > 1:
+        say("failures: f of the frequency, ω of rotors; worst decile: mean cost of the worst tenth of the scenarios")
+        say("Δf: largest deviation of the frequency, median and 95th percentile; ΔP: change of a group's power in 1 s")
     if results.oracle.missing:
         note(f"no share of the oracle's gap: {results.oracle.missing}")
     return code
+
+
+def _parts(columns: Sequence[str]) -> list[Sequence[str]]:
+    """Return the columns of a table for a terminal: of all of them, or of two tables where there are many."""
+    if len(columns) <= _MOST_COLUMNS:
+        return [columns]
+    end = columns.index(_LAST_OF_FIRST) + 1
+    return [columns[:end], (*_FIRST_COLUMNS, *columns[end:])]

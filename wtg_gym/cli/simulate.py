@@ -24,28 +24,30 @@ from wtg_gym.cli.output import (
 )
 from wtg_gym.cli.parser import Commands, add_command, add_plant_options
 from wtg_gym.cli.runs import key_figures, print_key_figures, traces_csv
-from wtg_gym.cli.suites import describe_scenario, read_scenario, scenario_summary
-from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.cli.suites import describe_scenario, read_scenario, scenario_summary, suites_by_version
 from wtg_gym.physics.parameters import WtgGroup, default_groups
-from wtg_gym.physics.plant import plant_settings
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.scenario import Scenario
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
+from wtg_gym.physics.scenario import EVENT_KINDS, Scenario
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, STRATEGY_NAMES
 from wtg_gym.physics.trajectory import Trajectory, simulate
-from wtg_gym.scenarios import SUITES, get_suite, read_wind_csv
+from wtg_gym.scenarios import SUITES, Suite, get_suite, read_wind_csv
+from wtg_gym.scenarios.benchmark import V0
 
 _DESCRIPTION = f"""\
 Simulates one scenario under each of the given strategies and prints the key figures: frequency nadir and zenith, the
 largest rate of change of frequency over 500 ms, and where frequency, rotor speeds and powers end. The scenario is one
-of the paper's cases, a seed of a suite, or a file; its wind can be replaced. A run ends early at a stall, an
-over-speed, an under-speed (extended physics), a frequency outside 47.5 … 51.5 Hz, lost synchronism or a voltage
-collapse.
+of the paper's cases, a seed of a suite, or a file; its wind can be replaced. A run ends early at a stall, an over-
+speed, an under-speed (extended physics), a frequency outside 47.5 … 51.5 Hz (in suites of version v1: 48.5 … 51.5),
+lost synchronism or a voltage collapse. A suite's scenarios run in its own grid, all others in the paper's; a scenario
+file from a suite of version v1 needs --suite too, which says whose grid it is.
 
-strategies: {", ".join(STRATEGIES)}"""
+strategies: {", ".join(STRATEGY_NAMES)}
+kinds of event in a file: {", ".join(EVENT_KINDS)}"""
 
 _EXAMPLES = """\
   wtg-gym simulate --case load-increase --strategy mppt deloaded-5 coordinated-piecewise --plot run.png
   wtg-gym simulate --suite standard --seed 20003 --strategy all --csv traces.csv
+  wtg-gym simulate --suite standard-v1 --seed 10003 --strategy coordinated-piecewise coordinated-tuned
   wtg-gym simulate --case load-decrease --wind 9 7.5 --duration 60
   wtg-gym simulate --wind-csv measured.csv --strategy my_law.toml
   wtg-gym suites weak-grid --seed 20010 --json > mine.json     write a scenario, edit it, then
@@ -66,10 +68,11 @@ def add_commands(commands: Commands) -> None:
         examples=_EXAMPLES,
     )
     cases = ", ".join(case.name for case in get_suite("paper").cases)
-    what = parser.add_argument_group("scenario").add_mutually_exclusive_group()
+    group = parser.add_argument_group("scenario")
+    what = group.add_mutually_exclusive_group()
     what.add_argument("--case", metavar="NAME", help=f"case of the paper: {cases} (default: load-increase)")
-    what.add_argument("--suite", metavar="NAME", help=f"suite to draw from: {', '.join(SUITES)}")
-    what.add_argument(
+    what.add_argument("--suite", metavar="NAME", help=f"suite to draw from, of {suites_by_version()}")
+    group.add_argument(
         "--scenario", metavar="FILE", help="scenario file in JSON, as `wtg-gym suites NAME --seed N --json` prints"
     )
     change = parser.add_argument_group("changes to it")
@@ -88,7 +91,7 @@ def add_commands(commands: Commands) -> None:
     wind.add_argument(
         "--wind-csv", metavar="FILE", help="wind series: time_s, then one column per WTG group [m/s], uniform steps"
     )
-    add_plant_options(parser, default_groups="2, or one per given wind")
+    add_plant_options(parser, default_groups="the suite's, or one per given wind")
     add_law_option(parser, REFERENCE_STRATEGY)
     out = parser.add_argument_group("output")
     out.add_argument(
@@ -104,16 +107,18 @@ def run(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym simulate`; return 1 if a run failed numerically."""
     plot = check_plot_file(arguments.plot, (*PLOT_SUFFIXES, _MOVING))
     table = None if arguments.csv is None else check_output_file("--csv", arguments.csv, (".csv",))
-    scenario, groups = _scenario_and_groups(arguments)
-    settings = plant_settings(
-        arguments.physics,
-        case=modified_ieee14(classical=arguments.machine_model == "classical"),
+    suite = get_suite(arguments.suite or "paper")
+    scenario, groups = _scenario_and_groups(arguments, suite)
+    settings = suite.plant.settings(
         groups=groups,
+        physics=arguments.physics,
+        classical=arguments.machine_model == "classical",
         control_dt=arguments.control_dt,
         simulation_dt=arguments.simulation_dt,
         trips_groups=arguments.on_failure == "trip",
     )
-    laws = {law.name: law for law in chosen_laws(arguments.law, settings.turbine)}
+    every = STRATEGIES if suite.benchmark is V0 else STRATEGY_NAMES
+    laws = {law.name: law for law in chosen_laws(arguments.law, settings.turbine, every)}
     with Progress("runs") as progress:
         runs = {}
         for done, (name, law) in enumerate(laws.items()):
@@ -127,7 +132,7 @@ def run(arguments: argparse.Namespace) -> int:
     figures = [key_figures(name, trajectory) for name, trajectory in runs.items()]
     if arguments.json:
         print_json(
-            {"scenario": scenario_summary(scenario), "plant": _plant_summary(arguments, groups), "runs": figures}
+            {"scenario": scenario_summary(scenario), "plant": _plant_summary(arguments, suite, groups), "runs": figures}
         )
     else:
         say(*describe_scenario(scenario), "")
@@ -135,16 +140,20 @@ def run(arguments: argparse.Namespace) -> int:
     return int(any(trajectory.status == Status.NUMERICAL_FAILURE for trajectory in runs.values()))
 
 
-def _scenario_and_groups(arguments: argparse.Namespace) -> tuple[Scenario, tuple[WtgGroup, ...]]:
+def _scenario_and_groups(arguments: argparse.Namespace, suite: Suite) -> tuple[Scenario, tuple[WtgGroup, ...]]:
     """The scenario that was asked for, with its wind replaced, and as many WTG groups as it has wind for."""
     if arguments.seed is not None and arguments.suite is None:
         raise ValueError(f"--seed {arguments.seed} needs a suite: --suite {' | '.join(SUITES)}")
+    for option in ("case", "seed"):
+        if arguments.scenario is not None and getattr(arguments, option) is not None:
+            raise ValueError(f"--scenario {arguments.scenario} is the whole scenario: leave out --{option}")
     from_file = None if arguments.scenario is None else read_scenario(Path(arguments.scenario))
     if from_file is not None and arguments.duration is not None:
         from_file = dataclasses.replace(from_file, duration_s=arguments.duration)
-    n_groups = _n_groups(arguments, from_file)
-    groups = default_groups(n_groups)
-    scenario = from_file if from_file is not None else _named_scenario(arguments, groups)
+    n_groups = _n_groups(arguments, from_file, suite)
+    # Another number of groups stands at bus 2.
+    groups = suite.plant.groups if n_groups == len(suite.plant.groups) else default_groups(n_groups)
+    scenario = from_file if from_file is not None else _named_scenario(arguments, suite, groups)
     if arguments.wind is not None:
         wind = np.resize(np.array(arguments.wind), (n_groups, 1))
         scenario = dataclasses.replace(scenario, wind_speed=wind)
@@ -159,8 +168,8 @@ def _scenario_and_groups(arguments: argparse.Namespace) -> tuple[Scenario, tuple
     return scenario, groups
 
 
-def _n_groups(arguments: argparse.Namespace, from_file: Scenario | None) -> int:
-    """Return how many WTG groups there are: those asked for, else those of the given wind, else those of the file."""
+def _n_groups(arguments: argparse.Namespace, from_file: Scenario | None, suite: Suite) -> int:
+    """Return how many WTG groups there are: those asked for, else those of wind, file or suite."""
     asked: int | None = arguments.groups
     if arguments.wind_csv is not None:
         n_given = int(read_wind_csv(arguments.wind_csv)[0].shape[0])
@@ -174,11 +183,10 @@ def _n_groups(arguments: argparse.Namespace, from_file: Scenario | None) -> int:
         return asked
     if n_given > 1:
         return n_given
-    return 2 if from_file is None else from_file.n_wtg
+    return len(suite.plant.groups) if from_file is None else from_file.n_wtg
 
 
-def _named_scenario(arguments: argparse.Namespace, groups: tuple[WtgGroup, ...]) -> Scenario:
-    suite = get_suite(arguments.suite or "paper")
+def _named_scenario(arguments: argparse.Namespace, suite: Suite, groups: tuple[WtgGroup, ...]) -> Scenario:
     if arguments.suite is not None:
         seed = suite.test[0] if arguments.seed is None else arguments.seed
     else:
@@ -191,14 +199,14 @@ def _named_scenario(arguments: argparse.Namespace, groups: tuple[WtgGroup, ...])
     return suite.scenario(seed, n_wtg=len(groups), n_turbines=turbines, duration_s=arguments.duration)
 
 
-def _plant_summary(arguments: argparse.Namespace, groups: tuple[WtgGroup, ...]) -> dict[str, Any]:
+def _plant_summary(arguments: argparse.Namespace, suite: Suite, groups: tuple[WtgGroup, ...]) -> dict[str, Any]:
     return {
         "groups": [dataclasses.asdict(group) for group in groups],
         "control_dt_s": arguments.control_dt,
         "simulation_dt_s": arguments.simulation_dt,
         "machine_model": arguments.machine_model,
         "on_failure": arguments.on_failure,
-        "physics": arguments.physics,
+        "physics": arguments.physics or suite.plant.physics,
     }
 
 

@@ -26,6 +26,7 @@ from wtg_gym.policies.gate import Report, check_submission
 from wtg_gym.policies.load import POLICY_FILE
 from wtg_gym.policies.policy_process import CPU_S, MEMORY_BYTES, STEP_S
 from wtg_gym.policies.submission_folder import FILES, write_template
+from wtg_gym.scenarios import get_suite
 
 
 def _filled(text: str) -> str:
@@ -159,7 +160,7 @@ def _run_score(arguments: argparse.Namespace) -> int:
     # Anchors first: errors of the arguments come before the work of the gate.
     run_evaluation([], keep_partial=True, **scenarios)
     reports = _reports(arguments)
-    wrong = _together(reports, arguments) + _refused(reports)
+    wrong = _together(reports, arguments) + _refused(reports) + _of_another_version(reports, arguments.suite)
     ranked = _ranked(reports, wrong)
     _name_left_out(ranked, reports, wrong)
     results = run_evaluation([report.played(weak=arguments.weak_isolation) for report in ranked], **scenarios)
@@ -171,6 +172,15 @@ def _check_there(folders: Sequence[str]) -> None:
     for folder in folders:
         if not os.path.lexists(folder):
             raise ValueError(f"there is no folder {folder}")
+
+
+def _of_another_version(reports: Sequence[Report], suite: str) -> list[Conflict]:
+    env_id = get_suite(suite).benchmark.env_id
+    return [
+        Conflict((report.folder,), f"{_shown(report.folder)}: for {report.entry.environment}, {suite} is of {env_id}")
+        for report in reports
+        if report.accepted and report.entry is not None and report.entry.environment != env_id
+    ]
 
 
 def _refused(reports: Sequence[Report]) -> list[Conflict]:

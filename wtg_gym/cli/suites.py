@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +14,13 @@ from wtg_gym.envs.rendering.diagram import describe_event
 from wtg_gym.files import read_json
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.scenarios import FROZEN_HASHES, SPLITS, SUITES, Suite, get_suite
+from wtg_gym.scenarios.benchmark import V0
 
 _DESCRIPTION = """\
 Lists the frozen suites of scenarios with their seeds and hashes, shows or dumps one scenario, or recomputes the hashes.
 Train on the seeds of the split "train", select on "validation", rank on "test". A suite never changes; another hash
-means another version of the benchmark."""
+means another version of the benchmark. Suites of version v1 have a grid, sensors and a cost of their own, which are
+shown with a suite."""
 
 _EXAMPLES = """\
   wtg-gym suites                                       all suites
@@ -24,6 +28,14 @@ _EXAMPLES = """\
   wtg-gym suites standard --seed 20003                 one scenario in words
   wtg-gym suites standard --seed 20003 --json > s.json the same as a file for `wtg-gym simulate --scenario s.json`
   wtg-gym suites --check                               compare the hashes with the frozen ones"""
+
+
+def suites_by_version() -> str:
+    """Return the names of all suites, those of each version of the benchmark together."""
+    found: dict[str, list[str]] = {}
+    for suite in SUITES.values():
+        found.setdefault(suite.benchmark.version, []).append(suite.name)
+    return "; ".join(f"{version}: {', '.join(names)}" for version, names in found.items())
 
 
 def add_commands(commands: Commands) -> None:
@@ -36,7 +48,7 @@ def add_commands(commands: Commands) -> None:
         description=_DESCRIPTION,
         examples=_EXAMPLES,
     )
-    parser.add_argument("name", nargs="?", metavar="NAME", help=f"one suite: {', '.join(SUITES)} (default: all)")
+    parser.add_argument("name", nargs="?", metavar="NAME", help=f"one suite, of {suites_by_version()} (default: all)")
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--seed", type=int, metavar="N", help="show the scenario of this seed of the suite")
     what.add_argument(
@@ -70,15 +82,17 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _check(suites: list[Suite], *, as_json: bool) -> int:
     rows = [
-        {"name": s.name, "hash": s.hash, "frozen": FROZEN_HASHES[s.name], "agrees": s.hash == FROZEN_HASHES[s.name]}
+        {"name": s.name, "hash": s.hash, "frozen": (f := FROZEN_HASHES.get(s.name)), "agrees": f in (None, s.hash)}
         for s in suites
     ]
+    # A suite that is not frozen yet may change.
     differing = [str(row["name"]) for row in rows if not row["agrees"]]
+    verdicts = ["not frozen" if row["frozen"] is None else "ok" if row["agrees"] else "DIFFERS" for row in rows]
     if as_json:
         print_json(rows)
     else:
         print_table(
-            ("suite", "hash", ""), [(str(r["name"]), str(r["hash"]), "ok" if r["agrees"] else "DIFFERS") for r in rows]
+            ("suite", "hash", ""), [(str(r["name"]), str(r["hash"]), v) for r, v in zip(rows, verdicts, strict=True)]
         )
     if differing:
         note(f"wtg-gym: the hash of {', '.join(differing)} differs from the frozen one: scores here cannot be compared")
@@ -86,15 +100,20 @@ def _check(suites: list[Suite], *, as_json: bool) -> int:
 
 
 def _summary(suite: Suite) -> dict[str, Any]:
-    distribution = suite.distribution
+    distribution, benchmark = suite.distribution, suite.benchmark
+    sensors = None if suite.sensors is None else asdict(suite.sensors)
     return {
         "name": suite.name,
+        "environment": benchmark.env_id,
         "description": suite.description,
         "hash": suite.hash,
         "duration_s": suite.duration_s,
         "splits": {split: [suite.seeds(split).start, suite.seeds(split).stop - 1] for split in SPLITS},
         "cases": [case.name for case in suite.cases],
         "distribution": None if distribution is None else distribution.to_dict(),
+        "benchmark": benchmark.to_dict(),
+        "plant": suite.plant.to_dict(),
+        "sensors": sensors,
     }
 
 
@@ -117,12 +136,14 @@ def _print_suites(suites: list[Suite]) -> None:
     ]
     print_table(header, rows, left=(0, 1))
     say("")
+    width = max(len(suite.name) for suite in suites)
     for suite in suites:
-        say(f"{suite.name:<10} {suite.description}")
+        say(f"{suite.name:<{width}} {suite.description}")
 
 
 def _print_suite(suite: Suite) -> None:
     say(f"suite {suite.name}: {suite.description}")
+    say(f"  environment  {suite.benchmark.env_id}")
     say(f"  hash         {suite.hash}")
     say(f"  length       {suite.duration_s:g} s")
     for split in SPLITS:
@@ -130,9 +151,29 @@ def _print_suite(suite: Suite) -> None:
     for seed, case in enumerate(suite.cases):
         say(f"  case {seed:<7} {case.name}")
     if suite.distribution is not None:
-        say("drawn from:")
-        for key, value in suite.distribution.to_dict().items():
-            say(f"  {key:<26} {value}")
+        _print_values("drawn from:", suite.distribution.to_dict())
+    if suite.benchmark is not V0:
+        plant = suite.plant.to_dict()
+        groups = [f"{group['n_turbines']:g} turbines at bus {group['bus']}" for group in plant["groups"]]
+        governor = ", ".join(f"{key} {value}" for key, value in (plant["governor"] or {}).items())
+        _print_values("plant:", {**plant, "groups": ", ".join(groups), "governor": governor})
+        _print_values("sensors:", {} if suite.sensors is None else asdict(suite.sensors))
+        benchmark = suite.benchmark
+        _print_values(
+            "task:",
+            {
+                "anchors": f"0 {benchmark.zero}, 100 {benchmark.hundred}",
+                "k_authority": benchmark.k_authority,
+                "duty_time_s": benchmark.duty_time_s,
+                "weights": ", ".join(f"{key} {value:g}" for key, value in benchmark.weights),
+            },
+        )
+
+
+def _print_values(head: str, values: Mapping[str, Any]) -> None:
+    say(head)
+    for key, value in values.items():
+        say(f"  {key:<26} {value}")
 
 
 # --- scenarios as text -----------------------------------------------------------------------------------------------

@@ -40,5 +40,5 @@ def _compile_step(settings: EnvSettings) -> None:
     data = LaneData(*series, np.zeros((1, 1), dtype=np.complex128), np.zeros((1, 1), dtype=EVENT_DTYPE))
     flags = np.zeros(1, dtype=np.bool_), np.zeros(1, dtype=np.bool_)
     outputs = Outputs(np.zeros((1, 1), dtype=np.float32), np.zeros(1), np.zeros((1, N_INFO)), *flags)
-    start_tasks(blocks, nobody, plant, task, end_steps, outputs, lanes)
+    start_tasks(blocks, nobody, plant, task, end_steps, np.zeros((0, 1)), outputs, lanes)
     step_blocks(blocks, 0, 0, plant, data, task, np.zeros((1, 1)), outputs, lanes)

@@ -22,7 +22,7 @@ CONSTRAINT_FREQUENCY_HZ = 0.8
 class GroupCosts(NamedTuple):
     """Deviations of one WTG group in the units that its costs count in, and its available power [p.u.]."""
 
-    duty: float  # error of the captured power, 0.05 of the available power
+    duty: float  # captured less prescribed power, 0.05 of the available power
     rotor: float  # tip-speed ratio outside its band, 0.1 λ_opt
     overload: float  # power beyond the converter's limit, 0.1 p.u.
     available: float
@@ -45,7 +45,8 @@ def rocof_cost(rocof_hz_s: float) -> float:
 @inlined
 def duty_cost(duty: float) -> float:
     """Return the cost of a duty error: quadratic within one unit, linear outside (Huber)."""
-    return select(duty < 1.0, duty * duty, 2.0 * duty - 1.0)
+    size = abs(duty)
+    return select(size < 1.0, size * size, 2.0 * size - 1.0)
 
 
 @inlined
@@ -67,7 +68,7 @@ def group_costs(s: WtgState, output: WtgOutput, t: Turbine, task: Task) -> Group
     # Above rated the pitch, not the rotor, keeps the tip-speed ratio low.
     low = select(s.pitch.pitch > t.limits.stall_pitch, 0.0, low)
     return GroupCosts(
-        duty=abs(output.captured - prescribed) / (0.05 * available),
+        duty=(output.captured - prescribed) / (0.05 * available),
         rotor=max(0.0, max(low, high)) / (0.1 * best),
         overload=max(0.0, output.power - t.converter.overload) / 0.1,
         available=available,
@@ -82,17 +83,29 @@ def effort(action: float, last: float) -> float:
 
 
 @inlined
-def with_group(terms: CostTerms, costs: GroupCosts, group: GroupRows, task: Task, n_wtg: int) -> CostTerms:
-    """Return the terms with those of one WTG group added."""
+def with_group(
+    terms: CostTerms, costs: GroupCosts, duty: float, there: float, group: GroupRows, task: Task, n_wtg: int
+) -> CostTerms:
+    """Return the terms with those of one WTG group added.
+
+    Args:
+        terms: rates of the terms so far [1/s].
+        costs: the group's deviations.
+        duty: its duty error that is charged.
+        there: 0 for a group that an event has disconnected: its actions move nothing and cost nothing. Else 1.
+        group: its actions.
+        task: constants.
+        n_wtg: number of groups.
+    """
     w = task.weights
     n_actions = n_wtg * (int(task.modulates_k) + int(task.modulates_tau))
-    on_k = w.effort * effort(group.action_k, group.last_action_k) / n_actions
-    on_tau = w.effort * effort(group.action_tau, group.last_action_tau) / n_actions
+    on_k = there * w.effort * effort(group.action_k, group.last_action_k) / n_actions
+    on_tau = there * w.effort * effort(group.action_tau, group.last_action_tau) / n_actions
     acted = terms.effort + select(task.modulates_k, on_k, 0.0)
     return CostTerms(
         frequency=terms.frequency,
         rocof=terms.rocof,
-        duty=terms.duty + w.duty * duty_cost(costs.duty) / n_wtg,
+        duty=terms.duty + w.duty * duty_cost(duty) / n_wtg,
         rotor=terms.rotor + w.rotor * costs.rotor * costs.rotor / n_wtg,
         overload=terms.overload + w.overload * costs.overload * costs.overload / n_wtg,
         effort=acted + select(task.modulates_tau, on_tau, 0.0),

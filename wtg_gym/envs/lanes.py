@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import numbers
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -10,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.bound import Bound, can_bind, step_bound
-from wtg_gym.envs.observation import observation_names
+from wtg_gym.envs.observation import N_LOCAL, N_MEASURED, observation_names
 from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
 from wtg_gym.envs.task import (
     N_INFO,
@@ -26,8 +27,9 @@ from wtg_gym.envs.task_records import CostTerms, Info, TaskRows
 from wtg_gym.physics.layout import LaneData
 from wtg_gym.physics.linearisation import STEP_MARGIN, largest_stable_steps
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.records import leaves
-from wtg_gym.physics.scenario import Event, Scenario
+from wtg_gym.physics.records import flatten, leaves
+from wtg_gym.physics.scenario import Event, GroupTrip, Scenario
+from wtg_gym.physics.sensors import sensor_input
 from wtg_gym.physics.simulator import PreparedLanes, Simulator
 from wtg_gym.ranges import whole_steps
 from wtg_gym.scenarios import get_suite
@@ -90,13 +92,14 @@ class PreparedEpisodes(NamedTuple):
     n_intervals: npt.NDArray[np.int64]
     scenario_seeds: npt.NDArray[np.int64]
     events: tuple[tuple[Event, ...], ...]
+    sensors: Floats  # (n, any number), see start_tasks
 
     def take(self, which: list[int]) -> PreparedEpisodes:
         """Return some of the episodes."""
         rows, data = self.lanes
         lanes = PreparedLanes(rows[which], LaneData._make(array[which] for array in data))
         events = tuple(self.events[place] for place in which)
-        return PreparedEpisodes(lanes, self.n_intervals[which], self.scenario_seeds[which], events)
+        return PreparedEpisodes(lanes, self.n_intervals[which], self.scenario_seeds[which], events, self.sensors[which])
 
 
 class TaskLanes:
@@ -124,18 +127,24 @@ class TaskLanes:
             len(plant.case.machines),
             settings.action_mode,
             privileged=settings.observation_mode == "privileged",
+            sensed=self.suite.benchmark.sensed,
         )
         self.n_observation = len(self.observation_names)
+        #: Numbers that each group has of its own in an observation, before its last actions; groups come first.
+        self.n_local = N_MEASURED if self.suite.benchmark.sensed else N_LOCAL
         self.simulator = Simulator(
             plant,
             n_lanes=n_lanes,
             duration_s=self.duration_s,
-            n_extra=n_extra_rows(self.n_wtg, settings.control_dt, self.n_observation),
+            n_extra=n_extra_rows(
+                self.n_wtg, settings.control_dt, self.n_observation, sensed=self.suite.benchmark.sensed
+            ),
             n_threads=n_threads,
         )
         self.nominal_hz = plant.case.frequency_hz
         self.task = build_task(settings, self.nominal_hz)
         self._check_time_constants()
+        self._check_draws()
         self.n_action = self.n_wtg * sum(ACTION_MODES[settings.action_mode])
         self.outputs = Outputs(
             observations=np.zeros((n_lanes, self.n_observation), dtype=np.float32),
@@ -157,7 +166,9 @@ class TaskLanes:
             "simulation_dt": settings.simulation_dt,
             "weights": settings.cost_weights(),
             "machine_model": settings.machine_model,
+            "plant": self.suite.plant,
             "physics": settings.physics,
+            "version": settings.version,
             "on_failure": settings.on_failure,
         }
         #: What happens in each lane's episode, in its order.
@@ -182,6 +193,16 @@ class TaskLanes:
                 f"allowed: at most {allowed:.3g} s"
             )
 
+    def _check_draws(self) -> None:
+        """Refuse settings under which drawn scenarios do not fit, here rather than at some reset."""
+        if self.settings.scenario is not None:
+            return
+        sensors = self.settings.sensor_distribution()
+        for delay_s in [] if sensors is None else sensors.delays_s():
+            whole_steps("delay_s of the sensors", delay_s, self.settings.control_dt, "control step")
+        if self.suite.distribution is not None:
+            self.suite.distribution.check_share(self.n_turbines)
+
     @property
     def observations(self) -> npt.NDArray[np.float32]:
         """Observation of every lane, (n_lanes, n_observation): the array that the next step writes into."""
@@ -205,7 +226,13 @@ class TaskLanes:
 
     def scenarios(self, seeds: Sequence[int]) -> list[Scenario]:
         """Return the suite's scenarios of seeds, for this plant and episode length."""
-        return self.suite.scenarios(seeds, n_wtg=self.n_wtg, n_turbines=self.n_turbines, duration_s=self.duration_s)
+        return self.suite.scenarios(
+            seeds,
+            n_wtg=self.n_wtg,
+            n_turbines=self.n_turbines,
+            duration_s=self.duration_s,
+            sensors=self.settings.sensor_distribution(),
+        )
 
     def prepare(self, scenarios: Sequence[Scenario]) -> PreparedEpisodes:
         """Find the equilibria that episodes start from; no running lane is touched.
@@ -222,7 +249,32 @@ class TaskLanes:
         ]
         seeds = [-1 if scenario.seed is None else scenario.seed for scenario in scenarios]
         events = tuple(tuple(sorted(scenario.events, key=lambda event: event.time_s)) for scenario in scenarios)
-        return PreparedEpisodes(lanes, np.array(intervals, dtype=np.int64), np.array(seeds, dtype=np.int64), events)
+        return PreparedEpisodes(
+            lanes,
+            np.array(intervals, dtype=np.int64),
+            np.array(seeds, dtype=np.int64),
+            events,
+            np.array([self._sensor_numbers(scenario) for scenario in scenarios]),
+        )
+
+    def _sensor_numbers(self, scenario: Scenario) -> list[float]:
+        """Return what :func:`start_tasks` is to know of a scenario's sensors; nothing without sensors."""
+        sensors = scenario.sensors
+        if not self.suite.benchmark.sensed:
+            if sensors is not None:
+                version = self.suite.benchmark.version
+                raise ValueError(f"scenario {scenario.name!r} has sensors; version {version} measures exactly")
+            return []
+        if sensors is not None:
+            whole_steps("delay_s of the sensors", sensors.delay_s, self.settings.control_dt, "control step")
+        given = sensor_input(sensors, self.settings.control_dt, self.nominal_hz)
+        biases = (0.0,) * self.n_wtg if sensors is None else sensors.wind_bias
+        leaves_at = [math.inf] * self.n_wtg
+        for event in scenario.events:
+            if isinstance(event, GroupTrip):
+                step = round(event.time_s / self.settings.simulation_dt)
+                leaves_at[event.group] = min(leaves_at[event.group], float(step))
+        return [*flatten(given), *biases, *leaves_at]
 
     def prepare_given(self, scenarios: Sequence[Scenario]) -> PreparedEpisodes:
         """Prepare scenarios that somebody chose: unlike drawn ones they must not start below the under-speed trip.
@@ -245,7 +297,16 @@ class TaskLanes:
             first += index.size
             simulator.commit(index, episodes.lanes)
             end_steps = (episodes.n_intervals * simulator.plant.n_substeps).astype(np.float64)
-            start_tasks(simulator.blocks, index, simulator.plant, self.task, end_steps, self.outputs, simulator.lanes)
+            start_tasks(
+                simulator.blocks,
+                index,
+                simulator.plant,
+                self.task,
+                end_steps,
+                episodes.sensors,
+                self.outputs,
+                simulator.lanes,
+            )
             self.scenario_seeds[index] = episodes.scenario_seeds
             for lane, events in zip(index.tolist(), episodes.events, strict=True):
                 self.events[lane] = events
@@ -253,6 +314,24 @@ class TaskLanes:
     def start(self, lanes: Sequence[int], scenarios: Sequence[Scenario]) -> None:
         """Start an episode in each of the lanes: :meth:`prepare`, then :meth:`commit`."""
         self.commit(lanes, [self.prepare(scenarios)])
+
+    def imagine(self, other: TaskLanes, lanes: npt.NDArray[np.int64], wind: Floats) -> None:
+        """Continue episodes of other lanes in these, in a future that holds no surprise: a planner's rollouts.
+
+        Arguments and errors as of :meth:`~wtg_gym.physics.simulator.Simulator.imagine`; and the settings of both must
+        agree.
+        """
+        if other._of_episodes | {"num_envs": 0} != self._of_episodes | {"num_envs": 0}:
+            raise ValueError("imagine() needs lanes with the same settings")
+        self.simulator.imagine(other.simulator, lanes, wind)
+        # New events may have brought new arrays.
+        self._bound = None
+        mine: Any
+        theirs: Any
+        for mine, theirs in zip(self.outputs, other.outputs, strict=True):
+            mine[:] = theirs[lanes]
+        self.scenario_seeds[:] = other.scenario_seeds[lanes]
+        self.events = [other.events[lane] for lane in lanes.tolist()]
 
     def stop(self, lanes: npt.NDArray[np.bool_]) -> None:
         """End the episodes of a mask's lanes, as if their time were over; shape (n_lanes,)."""

@@ -10,6 +10,7 @@ from wtg_gym.physics.compiled import inlined
 from wtg_gym.physics.elementary import clip
 from wtg_gym.physics.machine import Machine, MachineOutput, MachineState
 from wtg_gym.physics.records import elementwise, size, storer
+from wtg_gym.physics.sensors import Measurement
 from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState
 
 #: Every entry of the observation is clipped to ± this.
@@ -31,6 +32,17 @@ class WtgObservation(NamedTuple):
     filter_state: Annotated[float, "0.5 Hz"]
 
 
+class MeasuredObservation(NamedTuple):
+    """What the sensors of a WTG group say."""
+
+    frequency_deviation: Annotated[float, "0.5 Hz"]
+    rocof: Annotated[float, "Hz/s"]
+    tip_speed_ratio: Annotated[float, "0 at λ_opt, 1 at λ_pr"]
+    rotor_speed: Annotated[float, "0.25 p.u. from 1 p.u."]
+    power: Annotated[float, "p.u."]
+    wind: Annotated[float, "5 m/s from 10 m/s"]
+
+
 class MachineObservation(NamedTuple):
     """A synchronous machine, in the privileged observation."""
 
@@ -47,10 +59,10 @@ class GridObservation(NamedTuple):
     torque: Annotated[float, "100 MVA"]
 
 
-N_LOCAL, N_MACHINE = size(WtgObservation), size(MachineObservation)
+N_LOCAL, N_MACHINE, N_MEASURED = size(WtgObservation), size(MachineObservation), size(MeasuredObservation)
 
 store_wtg_observation, store_machine_observation = storer(WtgObservation), storer(MachineObservation)
-store_grid_observation = storer(GridObservation)
+store_grid_observation, store_measured = storer(GridObservation), storer(MeasuredObservation)
 
 
 @inlined
@@ -61,6 +73,7 @@ def _bounded(value: float, bound: float) -> float:
 bounded_wtg = elementwise(WtgObservation, _bounded, "bounded", "observation", "bound")
 bounded_machine = elementwise(MachineObservation, _bounded, "bounded", "observation", "bound")
 bounded_grid = elementwise(GridObservation, _bounded, "bounded", "observation", "bound")
+bounded_measured = elementwise(MeasuredObservation, _bounded, "bounded", "observation", "bound")
 
 
 @inlined
@@ -81,6 +94,21 @@ def observe_wtg(s: WtgState, output: WtgOutput, group: GroupRows, t: Turbine, ta
 
 
 @inlined
+def observe_measured(m: Measurement, wind_sensor: float, t: Turbine, task: Task) -> MeasuredObservation:
+    """Return the observation of what a WTG group measures; without a wind sensor, wind and ratio are 0."""
+    best, limit = t.rotor.tip_speed_ratio_opt, t.rotor.tip_speed_ratio_limit
+    ratio = t.rotor.tip_speed * m.rotor_speed / m.wind
+    return MeasuredObservation(
+        frequency_deviation=(m.frequency - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ,
+        rocof=m.rocof,
+        tip_speed_ratio=wind_sensor * (ratio - best) / (limit - best),
+        rotor_speed=(m.rotor_speed - 1.0) / 0.25,
+        power=m.power,
+        wind=wind_sensor * (m.wind - 10.0) / 5.0,
+    )
+
+
+@inlined
 def observe_machine(s: MachineState, output: MachineOutput, c: Machine, task: Task) -> MachineObservation:
     """Return the measurements at a synchronous machine."""
     return MachineObservation(
@@ -96,18 +124,22 @@ def observe_grid(coi: float, rocof: float, torque: float, task: Task) -> GridObs
     return GridObservation((coi - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ, rocof, torque)
 
 
-def observation_names(n_wtg: int, n_sync: int, action_mode: str, *, privileged: bool) -> list[str]:
+def observation_names(n_wtg: int, n_sync: int, action_mode: str, *, privileged: bool, sensed: bool) -> list[str]:
     """Return the names of the observation's entries, with the unit each is counted in.
 
-    `wtg0` is group 1 of commands and pictures.
+    `wtg0` is group 1 of commands and pictures. With sensors a group has what they say; the privileged part then begins
+    with the exact values, as "exact0" and so on, and the duty error that is charged.
     """
     actions = [
         f"last_action_{name}" for name, used in zip(("k", "tau"), ACTION_MODES[action_mode], strict=True) if used
     ]
     names = []
     for j in range(n_wtg):
-        names += [*_names(f"wtg{j}", WtgObservation), *(f"wtg{j}.{action}" for action in actions)]
+        seen = _names(f"wtg{j}", MeasuredObservation if sensed else WtgObservation)
+        names += [*seen, *(f"wtg{j}.{action}" for action in actions)]
     if privileged:
+        for j in range(n_wtg if sensed else 0):
+            names += [*_names(f"exact{j}", WtgObservation), f"exact{j}.mean_duty [0.05 of the available power]"]
         for i in range(n_sync):
             names += _names(f"sync{i}", MachineObservation)
         names += _names("grid", GridObservation)

@@ -9,18 +9,20 @@ from typing import Any, TypedDict
 
 import numpy as np
 
-from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.parameters import WtgGroup, default_groups, parameter
-from wtg_gym.physics.plant import PHYSICS, SIMULATION_DT_RANGE, PlantSettings, plant_settings
+from wtg_gym.physics.plant import PHYSICS, SIMULATION_DT_RANGE, PlantSettings
 from wtg_gym.physics.scenario import SERIES_DT, Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
 from wtg_gym.ranges import require_range, whole_steps
 from wtg_gym.scenarios import FRESH, SPLITS, SUITES, get_suite
+from wtg_gym.scenarios.benchmark import Benchmark
+from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 
 #: Action modes and which of (k, τ) each of them modulates.
 ACTION_MODES: dict[str, tuple[bool, bool]] = {"k": (True, False), "tau": (False, True), "k+tau": (True, True)}
 OBSERVATION_MODES = ("local", "privileged")
 MACHINE_MODELS = ("genrou", "classical")
+VERSIONS = ("v0", "v1")
 FAILURE_MODES = ("terminate", "trip")
 
 
@@ -96,14 +98,16 @@ class EnvArguments(TypedDict, total=False):
     suite: str
     split: str
     scenario: Scenario | Mapping[str, Any] | None
-    groups: int | Sequence[Mapping[str, Any]]
+    groups: int | Sequence[Mapping[str, Any]] | None
     duration_s: float | None
     control_dt: float
     simulation_dt: float
     weights: Mapping[str, float] | None
     machine_model: str
     on_failure: str
-    physics: str
+    physics: str | None
+    sensors: str | Mapping[str, Any] | None
+    version: str | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,9 +120,9 @@ class EnvSettings:
         action_mode: "k", "tau" or "k+tau".
         observation_mode: "local" (what each group measures itself) or "privileged" (plus the grid's state).
         suite, split: where scenarios are drawn from; besides "train", "validation" and "test" there is "fresh", with
-            seeds that are in none of them.
+            seeds that are in none of them. No suite: the standard one of the version.
         scenario: a fixed scenario, a `Scenario` or (for JSON) its `to_dict()`, played in every episode instead.
-        groups: number of groups at bus 2, or a list of {"bus": …, "n_turbines": …}.
+        groups: number of groups at bus 2, or a list of {"bus": …, "n_turbines": …}; None: the suite's own.
         duration_s: length of an episode [s]; None: the suite's own.
         control_dt: control interval, one step [s].
         simulation_dt: step of the integration [s].
@@ -127,7 +131,11 @@ class EnvSettings:
         on_failure: the failure of a rotor (stall, over-speed, under-speed) is to "terminate" the episode, or to "trip"
             its group and go on.
         physics: "paper", "extended" (what the paper leaves out) or "nrel-5mw" (that, and another turbine); see
-            :func:`wtg_gym.physics.plant.plant_settings`.
+            :func:`wtg_gym.physics.plant.plant_settings`; None: the suite's own.
+        sensors: "exact", or values that replace those of the suite's
+            :class:`~wtg_gym.scenarios.sensor_distribution.SensorDistribution`; None: the suite's own. With a
+            `scenario` they are its own.
+        version: of the benchmark, "v0" or "v1"; None: the suite's. The environment's id sets it.
 
     Raises:
         ValueError: a value is unknown or out of range; the message lists what is allowed.
@@ -136,26 +144,29 @@ class EnvSettings:
     strategy: str | TrackingLaw | Sequence[str | TrackingLaw] = REFERENCE_STRATEGY
     action_mode: str = "k+tau"
     observation_mode: str = "local"
-    suite: str = "standard"
+    suite: str = None  # type: ignore[assignment]  # replaced below
     split: str = "train"
     scenario: Scenario | Mapping[str, Any] | None = None
-    groups: int | Sequence[Mapping[str, Any]] = 2
+    groups: int | Sequence[Mapping[str, Any]] | None = None
     duration_s: float | None = None
     control_dt: float = 0.1
     simulation_dt: float = 0.025
     weights: Mapping[str, float] | None = None
     machine_model: str = "genrou"
     on_failure: str = "terminate"
-    physics: str = "paper"
+    physics: str | None = None
+    sensors: str | Mapping[str, Any] | None = None
+    version: str | None = None
 
     def __post_init__(self) -> None:
+        self._choose_suite()
         _require_choice("action_mode", self.action_mode, tuple(ACTION_MODES))
         _require_choice("observation_mode", self.observation_mode, OBSERVATION_MODES)
         _require_choice("machine_model", self.machine_model, MACHINE_MODELS)
         _require_choice("on_failure", self.on_failure, FAILURE_MODES)
         _require_choice("physics", self.physics, PHYSICS)
         _require_choice("split", self.split, (*SPLITS, FRESH))
-        _require_choice("suite", self.suite, tuple(SUITES))
+        self.sensor_distribution()
         if self.duration_s is not None:
             require_range("duration_s", self.duration_s, 1.0, 3600.0, "s")
         require_range("simulation_dt", self.simulation_dt, *SIMULATION_DT_RANGE, "s")
@@ -163,19 +174,54 @@ class EnvSettings:
             # Drawn events lie on this grid.
             whole_steps("the grid of drawn events", SERIES_DT, self.simulation_dt, "simulation_dt step")
 
+    def _choose_suite(self) -> None:
+        """Find the suite by version and name: of version v1, "standard" is "standard-v1"."""
+        if self.version is not None:
+            _require_choice("version", self.version, VERSIONS)
+        suite = "standard" if self.suite is None else self.suite
+        if isinstance(suite, str) and self.version not in (None, "v0") and f"{suite}-{self.version}" in SUITES:
+            suite = f"{suite}-{self.version}"
+        known = [name for name, own in SUITES.items() if self.version in (None, own.benchmark.version)]
+        _require_choice("suite", suite, known)
+        object.__setattr__(self, "suite", suite)
+        object.__setattr__(self, "version", SUITES[suite].benchmark.version)
+        if self.physics is None:
+            object.__setattr__(self, "physics", SUITES[suite].plant.physics)
+
+    def benchmark(self) -> Benchmark:
+        """Return the version of the benchmark."""
+        return get_suite(self.suite).benchmark
+
+    def sensor_distribution(self) -> SensorDistribution | None:
+        """Return what the sensors' errors are drawn from, None where they measure exactly; errors name the value."""
+        own = get_suite(self.suite).sensors
+        if self.sensors is None:
+            return own
+        if own is None and not self.benchmark().sensed:
+            raise ValueError(f"sensors are part of version v1 and later; version {self.version} measures exactly")
+        if self.scenario is not None:
+            raise ValueError("sensors are those of the scenario where one is given; leave out one of the two")
+        if self.sensors == "exact":
+            return None
+        if not isinstance(self.sensors, Mapping):
+            raise ValueError(f'sensors must be "exact" or a dictionary of names and values, got {self.sensors!r}')
+        return (own or SensorDistribution()).replaced(self.sensors)
+
     def cost_weights(self) -> CostWeights:
         """Return the weights in force; a ValueError names unknown ones."""
         if self.weights is not None and not isinstance(self.weights, Mapping):
             raise ValueError(f"weights must be a dictionary of names and numbers, got {self.weights!r}")
         given = dict(self.weights or {})
         known = [field.name for field in dataclasses.fields(CostWeights)]
-        unknown = sorted(set(given) - set(known))
+        unknown = sorted(map(str, set(given) - set(known)))
         if unknown:
             raise ValueError(f"unknown weights {unknown}; known weights: {', '.join(known)}")
-        return CostWeights(**given)
+        return CostWeights(**{**dict(self.benchmark().weights), **given})
 
     def wtg_groups(self) -> tuple[WtgGroup, ...]:
         """Return the WTG groups; a ValueError says what is wrong with a description."""
+        if self.groups is None:
+            return get_suite(self.suite).plant.groups
         if isinstance(self.groups, (int, np.integer)):
             return default_groups(self.groups if isinstance(self.groups, int) else int(self.groups))
         if isinstance(self.groups, (str, Mapping)) or not isinstance(self.groups, Sequence) or not self.groups:
@@ -196,10 +242,10 @@ class EnvSettings:
 
     def plant(self) -> PlantSettings:
         """Return the plant and its time steps."""
-        return plant_settings(
-            self.physics,
-            case=modified_ieee14(classical=self.machine_model == "classical"),
+        return get_suite(self.suite).plant.settings(
             groups=self.wtg_groups(),
+            physics=self.physics,
+            classical=self.machine_model == "classical",
             control_dt=self.control_dt,
             simulation_dt=self.simulation_dt,
             trips_groups=self.on_failure == "trip",

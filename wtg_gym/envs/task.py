@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from wtg_gym.envs.cost import (
     CONSTRAINT_FREQUENCY_HZ,
+    GroupCosts,
     charged,
     frequency_cost,
     group_costs,
@@ -24,33 +25,44 @@ from wtg_gym.envs.cost import (
 from wtg_gym.envs.observation import (
     N_LOCAL,
     N_MACHINE,
+    N_MEASURED,
     OBSERVATION_BOUND,
     bounded_grid,
     bounded_machine,
+    bounded_measured,
     bounded_wtg,
     observe_grid,
     observe_machine,
+    observe_measured,
     observe_wtg,
     store_grid_observation,
     store_machine_observation,
+    store_measured,
     store_wtg_observation,
 )
 from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
 from wtg_gym.envs.task_records import (
     GROUP,
     N_GROUP_ROWS,
+    N_SENSED_ROWS,
+    N_SENSOR_INPUT,
     N_TASK_ROWS,
+    SENSED,
     TASK,
     CostTerms,
     GroupRows,
     Info,
+    SensedRows,
     Task,
     Weights,
     load_group,
+    load_sensed,
+    load_sensor_input,
     load_terms,
     read_task,
     store_group,
     store_info,
+    store_sensed,
     store_terms,
 )
 from wtg_gym.physics.compiled import compiled, inlined
@@ -78,12 +90,19 @@ from wtg_gym.physics.layout import (
     wtg_row,
 )
 from wtg_gym.physics.records import dtype, elementwise, flatten
+from wtg_gym.physics.sensors import (
+    DELAY_MAX_S,
+    N_CHANNELS,
+    Measurement,
+    measured,
+    noise_key,
+    sensors_advanced,
+    sensors_started,
+)
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law
 
 Observations = npt.NDArray[np.float32]
 
-#: Authority over k at full action, as a share of K_opt - K_pr: half the regulation range, beyond K_opt as well.
-COEFFICIENT_AUTHORITY = 0.5
 #: Full action multiplies or divides the damping time constant by this.
 TIME_CONSTANT_RATIO = 4.0
 #: Window of the rate of change of frequency [s].
@@ -108,12 +127,18 @@ class TaskParts(NamedTuple):
     lane: int
     history: int
     groups: int
+    sensor_input: int
+    sensed: int  # of each WTG group
+    delayed: int  # the latest measurements of all groups, one after the other in a ring
     observation: int
 
 
-def n_extra_rows(n_wtg: int, control_dt: float, n_observation: int) -> int:
+def n_extra_rows(n_wtg: int, control_dt: float, n_observation: int, *, sensed: bool) -> int:
     """Return how many rows the task needs per lane."""
-    return N_TASK_ROWS + rocof_window(control_dt) + 1 + n_wtg * N_GROUP_ROWS + n_observation
+    rows = N_TASK_ROWS + rocof_window(control_dt) + 1 + n_wtg * N_GROUP_ROWS + n_observation
+    if sensed:
+        rows += N_SENSOR_INPUT + n_wtg * (N_SENSED_ROWS + n_delayed(control_dt) * N_MEASURED)
+    return rows
 
 
 def rocof_window(control_dt: float) -> int:
@@ -121,9 +146,19 @@ def rocof_window(control_dt: float) -> int:
     return max(1, round(ROCOF_WINDOW_S / control_dt))
 
 
+def n_delayed(control_dt: float) -> int:
+    """Return how many measurements a lane keeps for the longest delay."""
+    return math.ceil(DELAY_MAX_S / control_dt - 1e-9) + 1
+
+
 def build_task(settings: EnvSettings, nominal_hz: float) -> npt.NDArray[np.void]:
-    """Return the task's constants (1,), of :class:`~wtg_gym.envs.task_records.Task`."""
+    """Return the task's constants (1,): the numbers of :class:`~wtg_gym.envs.task_records.Task`, and "sensed".
+
+    That part takes no space in a task without sensors, whose code then falls away where it is compiled.
+    """
     plant = settings.plant()
+    benchmark = settings.benchmark()
+    sensed = benchmark.sensed
     reference = get_law(REFERENCE_STRATEGY, plant.turbine, plant.control)
     weights = settings.cost_weights()
     modulates_k, modulates_tau = ACTION_MODES[settings.action_mode]
@@ -131,7 +166,7 @@ def build_task(settings: EnvSettings, nominal_hz: float) -> npt.NDArray[np.void]
         modulates_k=modulates_k,
         modulates_tau=modulates_tau,
         privileged=settings.observation_mode == "privileged",
-        k_authority=COEFFICIENT_AUTHORITY * (reference.k_min - reference.k_max),
+        k_authority=benchmark.k_authority * (reference.k_min - reference.k_max),
         k_low=reference.k_max,
         k_span=reference.k_min - reference.k_max,
         share_min=1.0,
@@ -141,8 +176,15 @@ def build_task(settings: EnvSettings, nominal_hz: float) -> npt.NDArray[np.void]
         control_dt=settings.control_dt,
         nominal_hz=nominal_hz,
         n_window=rocof_window(settings.control_dt),
+        n_delayed=n_delayed(settings.control_dt) if sensed else 0,
+        duty_gain=-math.expm1(-settings.control_dt / benchmark.duty_time_s) if benchmark.duty_time_s > 0.0 else 1.0,
     )
-    return np.array([flatten(task)], dtype=dtype(Task))
+    own = dtype(Task)
+    parts = [(name, own[name]) for name in own.names or ()]
+    constants = np.zeros(1, dtype=np.dtype([*parts, ("sensed", np.int64, (int(sensed),))], align=True))
+    for name, value in zip(own.names or (), flatten(task), strict=True):
+        constants[name] = value
+    return constants
 
 
 @inlined
@@ -150,7 +192,13 @@ def _parts(c: Any, task: Task) -> TaskParts:
     lane = rows_of(c).extra
     history = lane + N_TASK_ROWS
     groups = history + task.n_window + 1
-    return TaskParts(lane, history, groups, groups + c["share"].shape[0] * N_GROUP_ROWS)
+    n_wtg, with_sensors = c["share"].shape[0], min(task.n_delayed, 1)
+    sensor_input = groups + n_wtg * N_GROUP_ROWS
+    sensed = sensor_input + with_sensors * N_SENSOR_INPUT
+    delayed = sensed + with_sensors * n_wtg * N_SENSED_ROWS
+    return TaskParts(
+        lane, history, groups, sensor_input, sensed, delayed, delayed + task.n_delayed * n_wtg * N_MEASURED
+    )
 
 
 @compiled
@@ -170,6 +218,7 @@ def start_tasks(
     plant: Plant,
     task: npt.NDArray[np.void],
     end_steps: Floats,
+    sensors: Floats,
     outputs: Outputs,
     lanes: Lanes,
 ) -> None:
@@ -179,8 +228,11 @@ def start_tasks(
         blocks, plant, task, outputs, lanes: as for :func:`step_blocks`.
         starting: the lanes (n,).
         end_steps: simulation step at which each episode is over (n,).
+        sensors: numbers of :class:`~wtg_gym.physics.sensors.SensorInput` of each episode, then the bias of the wind of
+            each WTG group, then the step at which an event disconnects it (n, any number); unused without sensors.
     """
     c, t = plant.constants[0], read_task(task[0])
+    sensed = task[0]["sensed"].shape[0] > 0
     width, parts = len(lanes), _parts(c, t)
     for start in range(starting.shape[0]):
         lane = starting[start]
@@ -196,9 +248,65 @@ def start_tasks(
             speed = load_wtg_state(block, o, width).converter.speed
             group = GroupRows(inv_tau, speed, 0.0, 0.0, 0.0, 0.0, 0.0)
             store_group(group, block, (parts.groups + j * N_GROUP_ROWS) * width + x, width)
+        if sensed:
+            _start_sensors(block, x, c, t, sensors[start], lanes)
         outputs.rewards[lane] = 0.0
-        observe(block, c, t, lanes)
+        observe(block, c, t, sensed, lanes)
         report(block, x, lane, c, t, outputs, width)
+
+
+@inlined
+def _start_sensors(block: Floats, x: int, c: Any, task: Task, numbers: Floats, lanes: Lanes) -> None:
+    """Begin the measurements of a freshly started lane with that at its start."""
+    width, parts, n_wtg = len(lanes), _parts(c, task), c["share"].shape[0]
+    turbine = read_turbine(c["turbine"])
+    for row in range(N_SENSOR_INPUT):
+        block[(parts.sensor_input + row) * width + x] = numbers[row]
+    given = load_sensor_input(block, parts.sensor_input * width + x, width)
+    key = noise_key(int(given.seed), 0)
+    for j in range(n_wtg):
+        exact = _exact(block, x, j, c, task, width)
+        state = sensors_started(exact, key, j * N_CHANNELS)
+        bias, leaves_at = numbers[N_SENSOR_INPUT + j], numbers[N_SENSOR_INPUT + n_wtg + j]
+        own = SensedRows(state, bias, leaves_at, 0.0)
+        store_sensed(own, block, (parts.sensed + j * N_SENSED_ROWS) * width + x, width)
+        seen = observe_measured(
+            measured(state, exact, bias, key, j * N_CHANNELS, given), given.wind_sensor, turbine, task
+        )
+        row = parts.delayed + j * N_MEASURED
+        store_measured(bounded_measured(seen, OBSERVATION_BOUND), block, row * width + x, width)
+
+
+@inlined
+def _exact(block: Floats, x: int, j: int, c: Any, task: Task, width: int) -> Measurement:
+    """Return what WTG group j of a lane would measure without errors."""
+    o = wtg_row(c, j) * width + x
+    state, output = load_wtg_state(block, o, width), load_wtg_output(block, o + WTG.output * width, width)
+    group = load_group(block, (_parts(c, task).groups + j * N_GROUP_ROWS) * width + x, width)
+    return Measurement(state.converter.speed, group.rocof, state.rotor_speed, output.power, output.wind)
+
+
+@inlined
+def measure(block: Floats, c: Any, task: Task, keys: npt.NDArray[np.int64], lanes: Lanes) -> None:
+    """Take the measurements at the end of a control interval, for all lanes of a block; `keys` (width) is scratch."""
+    width, parts, n_wtg = len(lanes), _parts(c, task), c["share"].shape[0]
+    turbine = read_turbine(c["turbine"])
+    interval, seed = (parts.lane + TASK.interval) * width, parts.sensor_input * width
+    for x in range(width):
+        keys[x] = noise_key(int(block[seed + x]), int(block[interval + x]))
+    for j in range(n_wtg):
+        at = (parts.sensed + j * N_SENSED_ROWS) * width
+        for x in range(width):
+            given = load_sensor_input(block, parts.sensor_input * width + x, width)
+            own, exact = load_sensed(block, at + x, width), _exact(block, x, j, c, task, width)
+            state = sensors_advanced(own.sensors, exact, keys[x], j * N_CHANNELS, given)
+            store_sensed(SensedRows(state, own.wind_bias, own.leaves_at, own.mean_duty), block, at + x, width)
+            value = measured(state, exact, own.wind_bias, keys[x], j * N_CHANNELS, given)
+            seen = bounded_measured(observe_measured(value, given.wind_sensor, turbine, task), OBSERVATION_BOUND)
+            # The ring turns by a place per interval; lanes stand at different intervals.
+            place = int(block[interval + x]) % task.n_delayed
+            row = parts.delayed + (place * n_wtg + j) * N_MEASURED
+            store_measured(seen, block, row * width + x, width)
 
 
 @compiled
@@ -224,8 +332,9 @@ def step_blocks(
         lanes: a tuple as long as a block is wide.
     """
     c, t = plant.constants[0], read_task(task[0])
+    sensed = task[0]["sensed"].shape[0] > 0
     width = len(lanes)
-    noise_y = np.empty(width)
+    noise_y, keys = np.empty(width), np.empty(width, dtype=np.int64)
     parts, own = _parts(c, t), rows_of(c).lane
     n_lanes = actions.shape[0]
     for b in range(first, last):
@@ -235,8 +344,10 @@ def step_blocks(
         for x in range(width):
             block[(parts.lane + TASK.was_active) * width + x] = block[(own + LANE.active) * width + x]
         advance_interval(block, b * width, plant, data, noise_y, lanes)
-        charge(block, c, t, lanes)
-        observe(block, c, t, lanes)
+        charge(block, c, t, sensed, lanes)
+        if sensed:
+            measure(block, c, t, keys, lanes)
+        observe(block, c, t, sensed, lanes)
         for x in range(count):
             lane = b * width + x
             outputs.rewards[lane] = 0.0
@@ -269,11 +380,11 @@ def apply_actions(block: Floats, c: Any, task: Task, actions: Floats, lanes: Lan
 
 
 @inlined
-def charge(block: Floats, c: Any, task: Task, lanes: Lanes) -> None:
+def charge(block: Floats, c: Any, task: Task, sensed: bool, lanes: Lanes) -> None:
     """Charge the lanes that ran for the last control interval."""
     _update_rocof(block, c, task, lanes)
     _charge_frequency(block, c, task, lanes)
-    _charge_groups(block, c, task, lanes)
+    _charge_groups(block, c, task, sensed, lanes)
     width, parts = len(lanes), _parts(c, task)
     own, of_task = rows_of(c).lane * width, parts.lane * width
     for x in range(width):
@@ -333,7 +444,7 @@ def _charge_frequency(block: Floats, c: Any, task: Task, lanes: Lanes) -> None:
 
 
 @inlined
-def _charge_groups(block: Floats, c: Any, task: Task, lanes: Lanes) -> None:
+def _charge_groups(block: Floats, c: Any, task: Task, sensed: bool, lanes: Lanes) -> None:
     """Add the rates of every WTG group, and remember its frequency and its actions."""
     width, parts = len(lanes), _parts(c, task)
     of_task = parts.lane * width
@@ -345,14 +456,25 @@ def _charge_groups(block: Floats, c: Any, task: Task, lanes: Lanes) -> None:
             ran = block[of_task + TASK.was_active * width + x] > 0.5
             state, group = load_wtg_state(block, o + x, width), load_group(block, g + x, width)
             costs = group_costs(state, load_wtg_output(block, o + WTG.output * width + x, width), turbine, task)
+            duty, there = costs.duty, 1.0
+            if sensed:
+                own = load_sensed(block, (parts.sensed + j * N_SENSED_ROWS) * width + x, width)
+                # What an event has disconnected owes nothing.
+                there = select(block[rows_of(c).lane * width + LANE.step * width + x] <= own.leaves_at, 1.0, 0.0)
+                costs = GroupCosts(
+                    there * costs.duty, there * costs.rotor, there * costs.overload, there * costs.available
+                )
+                duty = there * (own.mean_duty + select(ran, task.duty_gain, 0.0) * (costs.duty - own.mean_duty))
+                own = SensedRows(own.sensors, own.wind_bias, own.leaves_at, duty)
+                store_sensed(own, block, (parts.sensed + j * N_SENSED_ROWS) * width + x, width)
             rates = load_terms(block, of_task + TASK.rates * width + x, width)
-            rates = with_group(rates, costs, group, task, n_wtg)
+            rates = with_group(rates, costs, duty, there, group, task, n_wtg)
             store_terms(rates, block, of_task + TASK.rates * width + x, width)
             violated = select(
                 (costs.rotor > 0.0) | (costs.overload > 0.0), 1.0, block[of_task + TASK.violated * width + x]
             )
             block[of_task + TASK.violated * width + x] = violated
-            block[of_task + TASK.error * width + x] += 0.05 * costs.duty / n_wtg
+            block[of_task + TASK.error * width + x] += 0.05 * abs(costs.duty) / n_wtg
             energy = c["share"][j] * costs.available * block[of_task + TASK.elapsed * width + x]
             block[of_task + TASK.available_energy * width + x] += select(ran, energy, 0.0)
             speed = state.converter.speed
@@ -406,21 +528,21 @@ def _rounded(value: float) -> float:
 
 
 @inlined
-def observe(block: Floats, c: Any, task: Task, lanes: Lanes) -> None:
+def observe(block: Floats, c: Any, task: Task, sensed: bool, lanes: Lanes) -> None:
     """Write the observations of a block's lanes into its rows.
 
     :func:`~wtg_gym.envs.observation.observation_names` lists their entries.
     """
     width, parts = len(lanes), _parts(c, task)
-    turbine = read_turbine(c["turbine"])
     row = parts.observation
     for j in range(c["share"].shape[0]):
-        o, g = wtg_row(c, j) * width, (parts.groups + j * N_GROUP_ROWS) * width
-        for x in range(width):
-            output, group = load_wtg_output(block, o + WTG.output * width + x, width), load_group(block, g + x, width)
-            seen = observe_wtg(load_wtg_state(block, o + x, width), output, group, turbine, task)
-            store_wtg_observation(bounded_wtg(seen, OBSERVATION_BOUND), block, row * width + x, width)
-        row += N_LOCAL
+        if sensed:
+            _show_delayed(block, j, c, task, row, lanes)
+            row += N_MEASURED
+        else:
+            _observe_group(block, j, c, task, row, lanes)
+            row += N_LOCAL
+        g = (parts.groups + j * N_GROUP_ROWS) * width
         if task.modulates_k:
             _copy_row(block, g + GROUP.last_action_k * width, row * width, width)
             row += 1
@@ -428,7 +550,40 @@ def observe(block: Floats, c: Any, task: Task, lanes: Lanes) -> None:
             _copy_row(block, g + GROUP.last_action_tau * width, row * width, width)
             row += 1
     if task.privileged:
+        if sensed:
+            for j in range(c["share"].shape[0]):
+                _observe_group(block, j, c, task, row, lanes)
+                row += N_LOCAL
+                for x in range(width):
+                    duty = block[(parts.sensed + j * N_SENSED_ROWS + SENSED.mean_duty) * width + x]
+                    block[row * width + x] = clip(duty, -OBSERVATION_BOUND, OBSERVATION_BOUND)
+                row += 1
         _observe_grid(block, c, task, row, lanes)
+
+
+@inlined
+def _observe_group(block: Floats, j: int, c: Any, task: Task, row: int, lanes: Lanes) -> None:
+    """Write the exact observation of WTG group j, which begins at a row."""
+    width, parts = len(lanes), _parts(c, task)
+    turbine = read_turbine(c["turbine"])
+    o, g = wtg_row(c, j) * width, (parts.groups + j * N_GROUP_ROWS) * width
+    for x in range(width):
+        output, group = load_wtg_output(block, o + WTG.output * width + x, width), load_group(block, g + x, width)
+        seen = observe_wtg(load_wtg_state(block, o + x, width), output, group, turbine, task)
+        store_wtg_observation(bounded_wtg(seen, OBSERVATION_BOUND), block, row * width + x, width)
+
+
+@inlined
+def _show_delayed(block: Floats, j: int, c: Any, task: Task, row: int, lanes: Lanes) -> None:
+    """Copy the newest measurement of WTG group j that has arrived to where the observation begins."""
+    width, parts, n_wtg = len(lanes), _parts(c, task), c["share"].shape[0]
+    for x in range(width):
+        interval = block[(parts.lane + TASK.interval) * width + x]
+        delay = load_sensor_input(block, parts.sensor_input * width + x, width).delay
+        place = int(max(interval - delay, 0.0)) % max(task.n_delayed, 1)
+        first = parts.delayed + (place * n_wtg + j) * N_MEASURED
+        for k in range(N_MEASURED):
+            block[(row + k) * width + x] = block[(first + k) * width + x]
 
 
 @inlined

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated, NamedTuple
 
 from wtg_gym.physics.records import loader, offsets, reader, size, storer
+from wtg_gym.physics.sensors import SensorInput, SensorState
 
 
 class Weights(NamedTuple):
@@ -35,6 +36,8 @@ class Task(NamedTuple):
     control_dt: float  # [s]
     nominal_hz: float
     n_window: int  # of the RoCoF, in control intervals
+    n_delayed: int  # measurements that a lane keeps, 0 without sensors
+    duty_gain: float  # of the filter that the duty is charged behind, 1 - exp(-Δt / T) [-]
 
 
 class CostTerms(NamedTuple):
@@ -83,6 +86,15 @@ class GroupRows(NamedTuple):
     action_tau: float
 
 
+class SensedRows(NamedTuple):
+    """Further rows per WTG group of a task with sensors."""
+
+    sensors: SensorState
+    wind_bias: float
+    leaves_at: float  # simulation step at which an event disconnects it
+    mean_duty: float  # signed duty error behind its filter, 0.05 of the available power
+
+
 class Info(NamedTuple):
     """The numbers of `info`, with their units; `cost` is 1 where a constraint was violated, the others are the cost."""
 
@@ -100,10 +112,13 @@ class Info(NamedTuple):
 
 
 COST_TERMS = CostTerms._fields
-TASK, GROUP = offsets(TaskRows), offsets(GroupRows)
+TASK, GROUP, SENSED = offsets(TaskRows), offsets(GroupRows), offsets(SensedRows)
 N_TASK_ROWS, N_GROUP_ROWS = size(TaskRows), size(GroupRows)
+N_SENSED_ROWS, N_SENSOR_INPUT = size(SensedRows), size(SensorInput)
 
 read_task = reader(Task)
 load_terms, store_terms = loader(CostTerms), storer(CostTerms)
 store_info = storer(Info)
 load_group, store_group = loader(GroupRows), storer(GroupRows)
+load_sensed, store_sensed = loader(SensedRows), storer(SensedRows)
+load_sensor_input = loader(SensorInput)

@@ -8,10 +8,9 @@ from wtg_gym.evaluation.score import NoScaleError
 from wtg_gym.evaluation.statistics import Interval
 from wtg_gym.evaluation.summary import EntrySummary
 from wtg_gym.evaluation.workers import Workers
-from wtg_gym.policies import ANCHORS, Entry, OnnxPolicy, Policy, PolicyError, load_entries
+from wtg_gym.policies import Entry, OnnxPolicy, Policy, PolicyError, load_entries
 
 __all__ = [
-    "ANCHORS",
     "METRICS",
     "Entry",
     "EntrySummary",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import dataclasses
+import json
 import os
 from collections import Counter
 from collections.abc import Callable, Generator, Sequence
@@ -14,9 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym import ENV_ID
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.envs.task import COEFFICIENT_AUTHORITY, TIME_CONSTANT_RATIO
+from wtg_gym.envs.task import TIME_CONSTANT_RATIO
 from wtg_gym.evaluation.circumstances import environment_fingerprint, versions
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.metrics import Recorder, measure
@@ -25,12 +25,13 @@ from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.workers import Workers
 from wtg_gym.physics.compiled import source_hash
-from wtg_gym.policies import ANCHORS, Entry, OnnxPolicy, PolicyError
-from wtg_gym.policies.entry import check_entries
+from wtg_gym.policies import Entry, OnnxPolicy, PolicyError
+from wtg_gym.policies.entry import check_entries, check_version
 from wtg_gym.policies.load import load_entries
 from wtg_gym.policies.play import play, started_lanes
 from wtg_gym.policies.policy_process import NotIsolatedError
 from wtg_gym.scenarios import FRESH, FreshDraw, get_suite
+from wtg_gym.scenarios.benchmark import V0, Benchmark
 
 Progress = Callable[[str, int, int], None]
 #: A batch: an entry, and the seeds of the scenarios that it plays at once.
@@ -58,7 +59,7 @@ def evaluate(
     keep_going: bool = False,
     **env_arguments: Any,
 ) -> Results:
-    """Play entries, and the two anchors of the score, through scenarios of a suite, and score them.
+    """Play entries, and the two anchors of the suite's version, through scenarios of a suite, and score them.
 
     `evaluate("linear-feedback").scores["linear-feedback"]` is a score with its 95 % interval.
 
@@ -91,13 +92,16 @@ def evaluate(
 
     Raises:
         PolicyError: a policy raises, ends, takes too long or returns no action; a ValueError that names entry and step.
-        ValueError: an argument is unknown or out of range, or the workers cannot be used; the message names them.
+        ValueError: an entry is for another version, an argument is unknown or out of range, or the workers cannot be
+            used; the message names them.
     """
-    competitors = _with_anchors(entries)
     _check_arguments(batch, partial, env_arguments)
     if workers is not None and n_threads not in (None, 1):
         raise ValueError(f"a worker steps with one thread; leave out the threads, got {n_threads!r}")
     settings = EnvSettings(suite=suite, split=split, duration_s=duration_s, **env_arguments)
+    # That of another version may have been asked for.
+    suite = settings.suite
+    competitors = _with_anchors(entries, settings.benchmark())
     chosen = chosen_seeds(suite, split, seeds, draw)
     shared, suite_hash = shared_settings(settings), get_suite(suite).hash
     store = PartialStore(None if partial is None else Path(partial), [suite, suite_hash, split, shared])
@@ -124,7 +128,7 @@ def evaluate(
         source_hash=source_hash(),
         seeds=tuple(chosen),
         draw=None if draw is None else {"commit": draw.commit, "secret_sha256": draw.secret_sha256},
-        environment={"id": ENV_ID, "fingerprint": environment_fingerprint(settings)},
+        environment={"id": settings.benchmark().env_id, "fingerprint": environment_fingerprint(settings)},
         settings=shared,
         versions=dict(versions()),
         entries=tuple(entry.to_dict() for entry in competitors),
@@ -138,15 +142,16 @@ def evaluate(
 # --- arguments -------------------------------------------------------------------------------------------------------
 
 
-def _with_anchors(given: str | Path | Entry | Sequence[str | Path | Entry]) -> list[Entry]:
-    """Return the entries, and the anchors that are not among them."""
+def _with_anchors(given: str | Path | Entry | Sequence[str | Path | Entry], benchmark: Benchmark) -> list[Entry]:
+    """Return the entries, and the version's anchors that are not among them."""
     entries: list[Any] = []
     if not isinstance(given, (str, Path, Entry, Sequence)):
         raise ValueError(f"entries must be names, paths or Entry, one or a list of them, got {given!r}")
     for each in [given] if isinstance(given, (str, Path, Entry)) else given:
-        entries += load_entries(each) if isinstance(each, (str, Path)) else [each]
+        entries += load_entries(each, benchmark=benchmark) if isinstance(each, (str, Path)) else [each]
     check_entries(entries)
-    missing = [name for name in ANCHORS if name not in {entry.name for entry in entries}]
+    check_version(entries, benchmark)
+    missing = [name for name in benchmark.anchors if name not in {entry.name for entry in entries}]
     return [*entries, *(Entry(name=name, strategy=name, description="Anchor of the score.") for name in missing)]
 
 
@@ -204,12 +209,27 @@ def shared_settings(settings: EnvSettings) -> dict[str, Any]:
         "simulation_dt": float(settings.simulation_dt),
         "weights": {key: float(value) for key, value in dataclasses.asdict(settings.cost_weights()).items()},
         "groups": [{"bus": int(group.bus), "n_turbines": float(group.n_turbines)} for group in settings.wtg_groups()],
-        "authority": {"k": COEFFICIENT_AUTHORITY, "tau": TIME_CONSTANT_RATIO},
+        "authority": {"k": settings.benchmark().k_authority, "tau": TIME_CONSTANT_RATIO},
         "machine_model": settings.machine_model,
         "on_failure": settings.on_failure,
         # Results of the paper's physics look as they did before there was another.
         **({} if settings.physics == "paper" else {"physics": settings.physics}),
+        **({} if settings.benchmark() is V0 else _version_settings(settings)),
     }
+
+
+def _version_settings(settings: EnvSettings) -> dict[str, Any]:
+    """Return what a version after v0 adds to the shared settings: plant, sensors and how the duty is charged."""
+    benchmark, sensors = settings.benchmark(), settings.sensor_distribution()
+    found = {
+        "version": benchmark.version,
+        "plant": get_suite(settings.suite).plant.to_dict(),
+        "sensors": "exact" if sensors is None else dataclasses.asdict(sensors),
+        "duty_time_s": benchmark.duty_time_s,
+    }
+    # Lists, as files hold them, not tuples.
+    data: dict[str, Any] = json.loads(json.dumps(found))
+    return data
 
 
 # --- batches ---------------------------------------------------------------------------------------------------------

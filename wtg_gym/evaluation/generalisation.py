@@ -13,7 +13,6 @@ from wtg_gym.evaluation import statistics
 from wtg_gym.evaluation.leaderboard import leaderboard_rows, signed_interval
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.statistics import Floats, Interval
-from wtg_gym.policies import ANCHORS
 from wtg_gym.scenarios import FRESH
 
 #: With fewer the regression on the controls fits noise.
@@ -69,20 +68,21 @@ def generalisation_gaps(public: Results, fresh: Results) -> list[GeneralisationG
     for key in ("suite", "suite_hash", "source_hash", "settings"):
         if getattr(public, key) != getattr(fresh, key):
             raise ValueError(f"the two results are of another {key.replace('_', ' ')}: evaluate both again")
-    shared = set(_shared(public, fresh)) - {ANCHORS[1]}
+    zero, hundred = public.benchmark.anchors
+    shared = set(_shared(public, fresh)) - {hundred}
     rows = [row for row in leaderboard_rows(public) if row.name in shared]
     controls = [row.name for row in rows if row.kind != "learned"]
     scores, gains = fresh.scores, (public.log_gains, fresh.log_gains)
-    mppt = [own[ANCHORS[0]][0] for own in gains]
+    of_zero = [own[zero][0] for own in gains]
     gaps = []
     for row in rows:
-        if row.name != ANCHORS[0]:
+        if row.name != zero:
             own = [each[row.name] for each in gains]
             excess = None
-            if row.kind == "learned" and mppt[1].size >= _FEWEST_FRESH:
+            if row.kind == "learned" and of_zero[1].size >= _FEWEST_FRESH:
                 others = [np.concatenate([each[name] for name in controls]) for each in gains]
-                excess = excess_gap(*zip(own, others, mppt, strict=True))
-            gap = score_gap(*zip(own, mppt, strict=True))
+                excess = excess_gap(*zip(own, others, of_zero, strict=True))
+            gap = score_gap(*zip(own, of_zero, strict=True))
             gaps.append(
                 GeneralisationGap(name=row.name, public=row.score, fresh=scores[row.name], gap=gap, excess=excess)
             )
@@ -96,7 +96,7 @@ def score_gap(public: tuple[Floats, Floats], fresh: tuple[Floats, Floats]) -> In
     Λ is computed anew from those that were drawn; a resample counts if both sides have a positive Λ.
 
     Args:
-        public, fresh: log gains of the entry (n_runs, n_scenarios) and of MPPT (n_scenarios,), see
+        public, fresh: log gains of the entry (n_runs, n_scenarios) and of the zero (n_scenarios,), see
             :func:`wtg_gym.evaluation.score.log_gains`.
     """
     n_runs = public[0].shape[0]
@@ -104,11 +104,11 @@ def score_gap(public: tuple[Floats, Floats], fresh: tuple[Floats, Floats]) -> In
     runs = streams[0].integers(0, n_runs, size=(statistics.N_RESAMPLES, n_runs))
     value, scored = 0.0, np.ones(statistics.N_RESAMPLES, dtype=np.bool_)
     resampled = np.zeros(statistics.N_RESAMPLES)
-    for sign, stream, (gains, mppt) in zip((1.0, -1.0), streams[1:], (public, fresh), strict=True):
-        value += sign * statistics.mean(gains) / -statistics.mean(mppt)
-        scenarios = stream.integers(0, mppt.size, size=(statistics.N_RESAMPLES, mppt.size))
+    for sign, stream, (gains, zero) in zip((1.0, -1.0), streams[1:], (public, fresh), strict=True):
+        value += sign * statistics.mean(gains) / -statistics.mean(zero)
+        scenarios = stream.integers(0, zero.size, size=(statistics.N_RESAMPLES, zero.size))
         means = np.take_along_axis(gains[:, scenarios].mean(axis=2).T, runs, axis=1).mean(axis=1)
-        scale = -mppt[scenarios].mean(axis=1)
+        scale = -zero[scenarios].mean(axis=1)
         resampled += sign * (100.0 * means / scale)
         scored &= scale > 0.0
     return statistics.percentile_interval(100.0 * value, resampled[scored])
@@ -127,12 +127,12 @@ def excess_gap(public: tuple[Floats, Floats, Floats], fresh: tuple[Floats, Float
 
     Args:
         public, fresh: log gains of the entry (n_runs, n_scenarios), of the controls (n_controls, n_scenarios) and of
-            MPPT (n_scenarios,).
+            the zero (n_scenarios,).
     """
     gains, controls, _ = fresh
     centred = controls - controls.mean(axis=1, keepdims=True)
     weights = np.linalg.lstsq(centred.T, gains.mean(axis=0), rcond=None)[0]
-    one, other = (((own.mean(axis=0) - weights @ those)[np.newaxis], mppt) for own, those, mppt in (public, fresh))
+    one, other = (((own.mean(axis=0) - weights @ those)[np.newaxis], zero) for own, those, zero in (public, fresh))
     return score_gap(one, other)
 
 

@@ -43,6 +43,13 @@ def _kind(row: EntrySummary) -> str:
     return f"{row.kind}, privileged" if row.privileged else row.kind
 
 
+def _failures(row: EntrySummary) -> str:
+    """Return the failures with those of frequency (f) and rotors (ω) in brackets, in percent."""
+    by_kind = row.failures_percent_by_kind
+    kinds = [f"{sign} {by_kind[kind]:.1f}" for sign, kind in (("f", "frequency"), ("ω", "rotor"))]
+    return f"{row.failures_percent:.1f}" + (f" ({', '.join(kinds)})" if row.failures_percent else "")
+
+
 #: The cells of a row by the headings of their columns; the rank stands before them.
 _CELLS: dict[str, Callable[[EntrySummary], str]] = {
     "entry": lambda row: row.name if row.n_runs == 1 else f"{row.name} ({row.n_runs} seeds)",
@@ -57,6 +64,10 @@ _CELLS: dict[str, Callable[[EntrySummary], str]] = {
     "P(improvement)": lambda row: f"{row.probability_of_improvement.value:.2f}",
     "gap closed [%]": _gap_closed,
     "failures [%]": lambda row: f"{row.failures_percent:.1f}",
+    "failures by kind [%]": _failures,
+    "worst decile": lambda row: f"{row.worst_decile_cost:.0f}",
+    "deviation [mHz]": lambda row: f"{row.median_deviation_mhz:.0f}",
+    "p95 deviation [mHz]": lambda row: f"{row.p95_deviation_mhz:.0f}",
     "mean cost": lambda row: f"{row.mean_cost:.1f}",
     "nadir [Hz]": lambda row: f"{row.median_nadir_hz:.3f}",
     "p95 RoCoF [Hz/s]": lambda row: f"{row.p95_rocof_hz_s:.3f}",
@@ -65,9 +76,11 @@ _CELLS: dict[str, Callable[[EntrySummary], str]] = {
     "duty error [%]": lambda row: f"{row.mean_duty_error_percent:.2f}",
     "energy share [%]": lambda row: f"{row.mean_energy_share_percent:.1f}",
 }
-#: Headings of the whole table, and whether the column holds numbers.
-COLUMNS = {column: column not in ("entry", "kind") for column in ("rank", *_CELLS)}
-#: Columns of the table in a README and in a terminal.
+_ALL_COLUMNS = {column: column not in ("entry", "kind") for column in ("rank", *_CELLS)}
+_SINCE_V1 = ("failures by kind [%]", "worst decile", "deviation [mHz]", "p95 deviation [mHz]")
+#: Headings of the whole table of version v0, and whether the column holds numbers.
+COLUMNS = {column: is_number for column, is_number in _ALL_COLUMNS.items() if column not in _SINCE_V1}
+#: Columns of the table in a README and in a terminal, for version v0.
 SHORT_COLUMNS = (
     "rank",
     "entry",
@@ -79,6 +92,25 @@ SHORT_COLUMNS = (
     "failures [%]",
     "nadir [Hz]",
 )
+_SHORT_COLUMNS_SINCE_V1 = (
+    *SHORT_COLUMNS[: SHORT_COLUMNS.index("failures [%]")],
+    *_SINCE_V1,
+    "p95 peak power [p.u.]",
+    "p95 power change in 1 s [p.u.]",
+    "energy share [%]",
+)
+
+
+def columns_of(version: str) -> dict[str, bool]:
+    """Return the headings of the whole table of a version, and whether the column holds numbers."""
+    if version == "v0":
+        return COLUMNS
+    return {column: is_number for column, is_number in _ALL_COLUMNS.items() if column != "failures [%]"}
+
+
+def short_columns_of(version: str) -> tuple[str, ...]:
+    """Return the columns of the short table of a version."""
+    return SHORT_COLUMNS if version == "v0" else _SHORT_COLUMNS_SINCE_V1
 
 
 def leaderboard_rows(results: Results) -> list[EntrySummary]:
@@ -90,8 +122,14 @@ def leaderboard_rows(results: Results) -> list[EntrySummary]:
     return ranked(results.summaries)
 
 
-def table_cells(rows: Sequence[EntrySummary], columns: Sequence[str] = tuple(COLUMNS)) -> list[list[str]]:
-    """Return the texts of the table, one list per row, in the order of the columns; equal scores share a rank."""
+def table_cells(rows: Sequence[EntrySummary], columns: Sequence[str] | None = None) -> list[list[str]]:
+    """Return the texts of the table, one list per row, in the order of the columns; equal scores share a rank.
+
+    Args:
+        rows: of one version.
+        columns: headings; None for those of the version's whole table.
+    """
+    columns = tuple(columns_of(rows[0].version)) if columns is None else columns
     scores = [row.score.value for row in rows]
     ranks = [str(1 + sum(other > score for other in scores)) for score in scores]
     return [
@@ -101,6 +139,7 @@ def table_cells(rows: Sequence[EntrySummary], columns: Sequence[str] = tuple(COL
 
 
 def markdown_table(rows: Sequence[EntrySummary]) -> str:
-    """Return the ranking as a Markdown table of the :data:`SHORT_COLUMNS`, without a line feed at the end."""
-    numbers = [index for index, column in enumerate(SHORT_COLUMNS) if COLUMNS[column]]
-    return files.markdown_table(list(SHORT_COLUMNS), table_cells(rows, SHORT_COLUMNS), right=numbers)
+    """Return the ranking as a Markdown table of the version's short columns, without a line feed at the end."""
+    columns = short_columns_of(rows[0].version)
+    numbers = [index for index, column in enumerate(columns) if _ALL_COLUMNS[column]]
+    return files.markdown_table(list(columns), table_cells(rows, columns), right=numbers)

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from wtg_gym.envs.lanes import TERMINATION_REASONS, TaskLanes
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.scenario import LoadRamp, Scenario
+from wtg_gym.physics.scenario import LineTrip, Scenario
 
 Floats = npt.NDArray[np.float64]
 
@@ -54,7 +54,7 @@ METRICS: Mapping[str, Metric] = MappingProxyType(
         ),
         "settling_time_s": Metric(
             "s",
-            "from the end of the last load or line event until the frequency stays within 0.05 Hz of its mean over "
+            "from the end of the last event until the frequency stays within 0.05 Hz of its mean over "
             "the last 5 s; none without event, after a failure, or where it leaves that band in the last 5 s",
             optional=True,
         ),
@@ -73,7 +73,9 @@ METRICS: Mapping[str, Metric] = MappingProxyType(
             "p.u.", "largest absolute change of the delivered power of any group over 1 s, on its own base"
         ),
         "constraint_time_s": Metric("s", "control steps with a constraint violated"),
-        "tripped_groups": Metric("-", "groups disconnected by their protection, where a failure trips instead of ends"),
+        "tripped_groups": Metric(
+            "-", "groups disconnected by an event, or by their protection where a failure trips instead of ends"
+        ),
         "survived_s": Metric("s", "simulated time until the end or the failure"),
     }
 )
@@ -109,9 +111,14 @@ class Recorder:
 
 
 def last_event_s(scenario: Scenario, duration_s: float) -> float | None:
-    """Return when the last event that begins within `duration_s` [s] is complete [s]; None without one."""
+    """Return when the last event that begins within `duration_s` [s] is complete [s]; None without one.
+
+    A line that would close after the end stays open.
+    """
     begun = [event for event in scenario.events if event.time_s < duration_s]
-    return max((e.time_s + (e.duration_s if isinstance(e, LoadRamp) else 0.0) for e in begun), default=None)
+    return max(
+        (e.time_s if isinstance(e, LineTrip) and e.end_s >= duration_s else e.end_s for e in begun), default=None
+    )
 
 
 def steady_metrics(

@@ -10,11 +10,11 @@ from wtg_gym.evaluation.episodes import COLUMNS
 from wtg_gym.evaluation.evaluator import evaluate, shared_settings
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.workers import Workers
-from wtg_gym.policies import ANCHORS, Entry
+from wtg_gym.policies import Entry
 from wtg_gym.scenarios import N_DRAWN, FreshDraw, get_suite
 
 #: The settings of results that are arguments of the environment, as they are called there.
-_ARGUMENTS = ("control_dt", "simulation_dt", "weights", "groups", "machine_model", "on_failure", "physics")
+_ARGUMENTS = ("control_dt", "simulation_dt", "weights", "groups", "machine_model", "on_failure", "physics", "sensors")
 #: Data of an entry that decide its numbers; the others are texts about it.
 _PLAYED = ("kind", "strategy", "action_mode", "observation_mode", "sha256", "policy_sha256")
 
@@ -71,7 +71,7 @@ def recompute(
         differences = [Difference("seeds", f"those of {draw.secret_sha256[:12]}", "others: not of this secret")]
     given = {(entry.name, entry.training_seed): entry for entry in entries}
     wanted = {_key(entry): entry for entry in (*stored.entries, *stored.failed)}
-    missing = [name for name, seed in wanted if (name, seed) not in given and name not in ANCHORS]
+    missing = [name for name, seed in wanted if (name, seed) not in given and name not in stored.benchmark.anchors]
     if missing:
         raise ValueError(f"the results hold entries that were not given: {', '.join(dict.fromkeys(missing))}")
     now = evaluate(
@@ -101,7 +101,7 @@ def recompute(
             found = _compared(f"{label}: {name}", entry.get(name), other.get(name))
             if name in _PLAYED:
                 differences += found
-            elif key[0] not in ANCHORS:
+            elif key[0] not in stored.benchmark.anchors:
                 texts += found
     differences += _compared_episodes(stored, now)
     circumstances = _compared("source_hash", stored.source_hash, now.source_hash)

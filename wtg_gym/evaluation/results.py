@@ -16,8 +16,9 @@ from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.evaluation.oracle import KnownOracle, known_oracle
 from wtg_gym.evaluation.score import NoScaleError, log_gains, pinned
 from wtg_gym.evaluation.statistics import Floats, Interval
-from wtg_gym.evaluation.summary import EntrySummary, summarise
-from wtg_gym.policies import ANCHORS
+from wtg_gym.evaluation.summary import SINCE_V1, EntrySummary, summarise
+from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios.benchmark import V0, Benchmark
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +55,11 @@ class Results:
     failed: tuple[Mapping[str, Any], ...] = ()
 
     @property
+    def benchmark(self) -> Benchmark:
+        """Version of the benchmark, with the names of the score's anchors."""
+        return get_suite(self.suite).benchmark
+
+    @property
     def scores(self) -> dict[str, Interval]:
         """Mean score of every entry with its 95 % interval, by its name; errors as of :attr:`summaries`."""
         return {row.name: row.score for row in self.summaries}
@@ -63,15 +69,15 @@ class Results:
         """Summary of every entry, in the order of the entries.
 
         Raises:
-            NoScaleError: on these scenarios MPPT is not worse than the reference, so that there is no score.
+            NoScaleError: on these scenarios the zero is not worse than the hundred, so that there is no score.
         """
-        return summarise(self.entries, self.episodes, self._cap, self.oracle.costs)
+        return summarise(self.entries, self.episodes, self._cap, self.oracle.costs, self.benchmark)
 
     @cached_property
     def oracle(self) -> KnownOracle:
         """The lowest costs that are known for these scenarios, or why there are none."""
-        reference = {episode.seed: pinned(episode, self._cap) for episode in self.episodes_of(ANCHORS[1])}
-        return known_oracle(self.suite, self.split, self.suite_hash, self.settings, reference)
+        hundred = {episode.seed: pinned(episode, self._cap) for episode in self.episodes_of(self.benchmark.hundred)}
+        return known_oracle(self.suite, self.split, self.suite_hash, self.settings, hundred)
 
     @cached_property
     def pinned_costs(self) -> dict[str, Floats]:
@@ -83,9 +89,9 @@ class Results:
 
     @property
     def log_gains(self) -> dict[str, Floats]:
-        """Log gains over the reference by the entry's name, (n_runs, n_scenarios)."""
-        reference = self.pinned_costs[ANCHORS[1]][0]
-        return {name: log_gains(costs, reference) for name, costs in self.pinned_costs.items()}
+        """Log gains over the hundred by the entry's name, (n_runs, n_scenarios)."""
+        hundred = self.pinned_costs[self.benchmark.hundred][0]
+        return {name: log_gains(costs, hundred) for name, costs in self.pinned_costs.items()}
 
     @property
     def _cap(self) -> float:
@@ -133,7 +139,10 @@ class Results:
     def to_dict(self) -> dict[str, Any]:
         """Return the description and the summary as JSON-ready data; without a score the summary is empty."""
         try:
-            summary = {row.name: asdict(row) for row in self.summaries}
+            # Results of v0 look as they did before there was another version.
+            left_out = SINCE_V1 if self.benchmark is V0 else ()
+            rows = {row.name: asdict(row) for row in self.summaries}
+            summary = {name: {k: v for k, v in row.items() if k not in left_out} for name, row in rows.items()}
         except NoScaleError:
             summary = {}
         return {

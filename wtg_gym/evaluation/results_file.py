@@ -12,9 +12,8 @@ from typing import Any
 from wtg_gym.evaluation.episodes import Episode, from_csv, to_csv
 from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.files import parse_json, read_text, sha256, to_json, write_atomically
-from wtg_gym.policies import ANCHORS
 from wtg_gym.policies.entry import is_name
-from wtg_gym.scenarios import FRESH, SPLITS, SUITES, FreshDraw
+from wtg_gym.scenarios import FRESH, SPLITS, SUITES, FreshDraw, get_suite
 
 #: Version of the files; another number is another form.
 FORMAT = 3
@@ -53,7 +52,7 @@ def read(json_path: Path) -> tuple[dict[str, Any], list[Episode]]:
             "another run; evaluate again"
         )
     names = [entry["name"] for entry in data["entries"]]
-    missing = [name for name in ANCHORS if name not in names]
+    missing = [name for name in get_suite(data["suite"]).benchmark.anchors if name not in names]
     if missing:
         raise ValueError(f"{csv_path}: the score's anchors {missing} are missing from the entries {names}")
     expected = [(entry["name"], entry["training_seed"], seed) for entry in data["entries"] for seed in data["seeds"]]

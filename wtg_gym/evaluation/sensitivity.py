@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from wtg_gym.envs.settings import CostWeights
+from wtg_gym.envs.settings import CostWeights, EnvSettings
 from wtg_gym.evaluation.evaluator import Progress, evaluate
 from wtg_gym.evaluation.leaderboard import leaderboard_rows
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.score import NoScaleError
 from wtg_gym.files import markdown_table
-from wtg_gym.policies import ANCHORS, Entry
+from wtg_gym.policies import Entry
 from wtg_gym.ranges import require_range
 from wtg_gym.scenarios import get_suite
 
@@ -33,7 +33,7 @@ class Variant:
     Args:
         weight: name of the weight.
         factor: factor on it.
-        scores: by name, the best first; empty where there is no score, because MPPT is not worse than the reference.
+        scores: by name, the best first; empty where there is no score, because the zero is not worse than the hundred.
         changes: how much each score changes [points]; without the two anchors, whose scores are fixed.
         ranks: rank before and after of every entry whose rank changes.
     """
@@ -60,7 +60,7 @@ class Variant:
         order = "changes: " + ", ".join(f"{name} {old} → {new}" for name, (old, new) in self.ranks.items())
         changes = ", ".join(f"{name} {change:+.1f}" for name, change in self.large_changes.items())
         if not self.scores:
-            return [self.weight, f"{self.factor:g}", "no score: MPPT is not worse than the reference", ""]
+            return [self.weight, f"{self.factor:g}", "no score: the entry at 0 is not worse than that at 100", ""]
         return [self.weight, f"{self.factor:g}", order if self.ranks else "same", changes or "none"]
 
 
@@ -133,7 +133,7 @@ def study_sensitivity(
         on_progress: called with (what is under way, episodes done, episodes in all).
 
     Raises:
-        NoScaleError: with the weights as they are, MPPT is not worse than the reference.
+        NoScaleError: with the weights as they are, the zero is not worse than the hundred.
         ValueError: an argument is unknown or out of range.
     """
     if not weights or not set(weights) <= set(WEIGHTS) or len(set(weights)) < len(weights):
@@ -142,7 +142,7 @@ def study_sensitivity(
         require_range("a factor", factor, 0.0, 1000.0, "")
     if not factors or len({1.0, *factors}) < 1 + len(factors):
         raise ValueError(f"factors must be different numbers other than 1, which changes nothing; got {list(factors)}")
-    base = CostWeights()
+    base = EnvSettings(suite=suite).cost_weights()
     chosen = [(name, float(factor)) for name in weights for factor in factors]
     seeds = None
     if n_scenarios is not None:
@@ -164,9 +164,9 @@ def study_sensitivity(
     for number, (name, factor) in enumerate(chosen, start=1):
         other = played(number, f"{name} × {factor:g}", {name: factor * getattr(base, name)})
         try:
-            variants.append(compared(name, factor, scores, _scores(other)))
+            variants.append(compared(name, factor, scores, _scores(other), results.benchmark.anchors))
         except NoScaleError:
-            variants.append(compared(name, factor, scores, {}))
+            variants.append(compared(name, factor, scores, {}, results.benchmark.anchors))
     return Sensitivity(
         suite=results.suite,
         split=results.split,
@@ -182,14 +182,16 @@ def _scores(results: Results) -> dict[str, float]:
     return {row.name: row.score.value for row in leaderboard_rows(results)}
 
 
-def compared(weight: str, factor: float, before: Mapping[str, float], after: Mapping[str, float]) -> Variant:
-    """Return the variant with the scores `after` instead of `before`, each the best first."""
+def compared(
+    weight: str, factor: float, before: Mapping[str, float], after: Mapping[str, float], anchors: Sequence[str]
+) -> Variant:
+    """Return the variant with the scores `after` instead of `before`, each the best first; two are `anchors`."""
     old, new = list(before), list(after)
     ranks = {name: (old.index(name) + 1, new.index(name) + 1) for name in new}
     return Variant(
         weight=weight,
         factor=factor,
         scores=after,
-        changes={name: after[name] - before[name] for name in after if name not in ANCHORS},
+        changes={name: after[name] - before[name] for name in after if name not in anchors},
         ranks={name: places for name, places in ranks.items() if places[0] != places[1]},
     )

@@ -47,9 +47,9 @@ def interquartile_mean(values: Floats) -> Floats:
     return means
 
 
-def improvement(costs: Floats, reference: Floats) -> Floats:
-    """Return 1 where a cost is below the reference's on the same scenario, ½ where equal, else 0; the mean is P."""
-    better: Floats = (costs < reference) + 0.5 * (costs == reference)
+def improvement(costs: Floats, hundred: Floats) -> Floats:
+    """Return 1 where a cost is below the hundred's on the same scenario, ½ where equal, else 0; the mean is P."""
+    better: Floats = (costs < hundred) + 0.5 * (costs == hundred)
     return better
 
 
@@ -91,7 +91,7 @@ def mean_interval(values: Floats) -> Interval:
     return percentile_interval(mean(values), _resampled_means(values))
 
 
-def resampled_scores(gains: Floats, mppt: Floats, side: int = 0) -> Floats:
+def resampled_scores(gains: Floats, zero: Floats, side: int = 0) -> Floats:
     """Return the mean score in every resample of the bootstrap.
 
     Λ is a mean over the same scenarios as the gains, so it is computed anew from the scenarios of each resample: with a
@@ -100,61 +100,61 @@ def resampled_scores(gains: Floats, mppt: Floats, side: int = 0) -> Floats:
 
     Args:
         gains: :func:`log_gains` of the entry (n_runs, n_scenarios).
-        mppt: log gains of MPPT (n_scenarios,).
+        zero: log gains of the zero (n_scenarios,).
         side: 0 or 1. The training seeds of two different entries are drawn independently if their sides differ.
     """
-    scale = -_resampled_means(mppt[np.newaxis])
+    scale = -_resampled_means(zero[np.newaxis])
     scored = scale > 0.0
     scores: Floats = 100.0 * (1.0 + _resampled_means(gains, side)[scored] / scale[scored])
     return scores
 
 
-def score_interval(gains: Floats, mppt: Floats) -> Interval:
+def score_interval(gains: Floats, zero: Floats) -> Interval:
     """Return the mean score with its bootstrap interval, see :func:`resampled_scores`."""
-    return percentile_interval(100.0 * (1.0 + mean(gains) / -mean(mppt)), resampled_scores(gains, mppt))
+    return percentile_interval(100.0 * (1.0 + mean(gains) / -mean(zero)), resampled_scores(gains, zero))
 
 
-def score_difference(gains: Floats, other: Floats, mppt: Floats) -> Interval:
+def score_difference(gains: Floats, other: Floats, zero: Floats) -> Interval:
     """Return the mean score of one entry minus that of another, with the interval of the paired difference.
 
     Args:
         gains, other: log gains of the two entries, (n_runs, n_scenarios) each.
-        mppt: log gains of MPPT (n_scenarios,).
+        zero: log gains of the zero (n_scenarios,).
     """
-    value = 100.0 * (mean(gains) - mean(other)) / -mean(mppt)
-    return percentile_interval(value, resampled_scores(gains, mppt) - resampled_scores(other, mppt, side=1))
+    value = 100.0 * (mean(gains) - mean(other)) / -mean(zero)
+    return percentile_interval(value, resampled_scores(gains, zero) - resampled_scores(other, zero, side=1))
 
 
-def interquartile_interval(gains: Floats, mppt: Floats) -> Interval:
+def interquartile_interval(gains: Floats, zero: Floats) -> Interval:
     """Return the interquartile mean of the scenarios' scores with its bootstrap interval, Λ resampled too.
 
     Args:
         gains: log gains of the entry (n_runs, n_scenarios).
-        mppt: log gains of MPPT (n_scenarios,).
+        zero: log gains of the zero (n_scenarios,).
     """
-    runs, scenarios = _drawn_runs(gains.shape[0], 0), _drawn_scenarios(mppt.size)
+    runs, scenarios = _drawn_runs(gains.shape[0], 0), _drawn_scenarios(zero.size)
     means = interquartile_mean(gains[runs[:, :, np.newaxis], scenarios[:, np.newaxis]].reshape(N_RESAMPLES, gains.size))
-    scale = -_resampled_means(mppt[np.newaxis])
+    scale = -_resampled_means(zero[np.newaxis])
     scored = scale > 0.0
-    value = 100.0 * (1.0 + float(interquartile_mean(gains.ravel())) / -mean(mppt))
+    value = 100.0 * (1.0 + float(interquartile_mean(gains.ravel())) / -mean(zero))
     return percentile_interval(value, 100.0 * (1.0 + means[scored] / scale[scored]))
 
 
-def gap_closed(costs: Floats, reference: Floats, oracle: Floats) -> Interval | None:
-    """Return 100 · (mean J_ref - mean J) / (mean J_ref - mean J_oracle) with its bootstrap interval [%].
+def gap_closed(costs: Floats, hundred: Floats, oracle: Floats) -> Interval | None:
+    """Return 100 · (mean J_100 - mean J) / (mean J_100 - mean J_oracle) with its bootstrap interval [%].
 
     All three means are over the same scenarios, in every resample too. A resample whose scenarios the oracle does not
     improve has no share and is left out.
 
     Args:
         costs: pinned costs (n_runs, n_scenarios).
-        reference, oracle: pinned costs of the two, (n_scenarios,).
+        hundred, oracle: pinned costs of the two, (n_scenarios,).
 
     Returns:
-        None where the mean cost is not below the reference's, which closes no part of the gap, and where the oracle's
+        None where the mean cost is not below the hundred's, which closes no part of the gap, and where the oracle's
         is not.
     """
-    gains, gaps = reference - costs, reference - oracle
+    gains, gaps = hundred - costs, hundred - oracle
     if not mean(gaps) > 0.0 or not mean(gains) > 0.0:
         return None
     gained, gap = _resampled_means(gains), _resampled_means(gaps[np.newaxis])

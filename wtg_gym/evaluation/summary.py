@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -15,13 +16,23 @@ from wtg_gym.evaluation import statistics
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.score import log_gains, pinned, points_by_term, score_scale
 from wtg_gym.evaluation.statistics import Floats, Interval
-from wtg_gym.policies import ANCHORS
+from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.scenarios.benchmark import Benchmark
 
 #: The cost's terms that the points of a score are counted by; the others, and the cost of failures, are "rest".
 POINTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"frequency_rocof": ("frequency", "rocof"), "duty": ("duty",), "overload": ("overload",)}
 )
 REST = "rest"
+#: Kinds of failure: what frequency and rotors end in; all others are "other".
+FAILURE_KINDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {"frequency": ("frequency limit",), "rotor": ("stall", "over-speed", "under-speed")}
+)
+_OTHER = "other"
+#: Share of the scenarios that count as the worst.
+_WORST = 0.1
+#: What the summaries of results of v0 do not hold.
+SINCE_V1 = ("version", "failures_percent_by_kind", "worst_decile_cost", "median_deviation_mhz", "p95_deviation_mhz")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,15 +45,15 @@ class EntrySummary:
         privileged: whether it sees the state of the grid, which no turbine measures.
         n_runs: number of training seeds, 1 for a law.
         n_episodes: number of episodes.
-        score: mean of the scenarios' scores: 0 is MPPT, 100 the reference.
+        score: mean of the scenarios' scores: 0 and 100 are those of the version's anchors, the zero and the hundred.
         interquartile_mean: of the scenarios' scores.
-        difference: mean of the scenarios' scores minus the reference's on the same scenario.
+        difference: mean of the scenarios' scores minus the hundred's on the same scenario.
         difference_to_above: the same, minus that of the entry above in the ranking; None for the first.
         points_by_term: points above 100 by the cost terms they come from, by the names in :data:`POINTS` and
             :data:`REST`; they add up to the score minus 100, see :func:`points_by_term`.
-        probability_of_improvement: P(J < J_ref) + ½ P(J = J_ref) of the pinned costs [-].
-        gap_closed_percent: (mean J_ref - mean J) / (mean J_ref - mean J_oracle) of the pinned costs, all means over the
-            scenarios that have an oracle [%]; None where none has, or the mean cost is not below the reference's.
+        probability_of_improvement: P(J < J_100) + ½ P(J = J_100) of the pinned costs [-].
+        gap_closed_percent: (mean J_100 - mean J) / (mean J_100 - mean J_oracle) of the pinned costs, all means over the
+            scenarios that have an oracle [%]; None where none has, or the mean cost is not below the hundred's.
         n_oracle: number of scenarios that have an oracle.
         failures_percent: episodes that failed [%].
         mean_cost: mean pinned cost [-].
@@ -53,6 +64,11 @@ class EntrySummary:
         p95_power_change_pu: 95th percentile of the largest changes of any group's power over 1 s [p.u.].
         mean_duty_error_percent: mean of the duty errors [%].
         mean_energy_share_percent: mean of the shares of the available energy [%].
+        version: of the benchmark.
+        failures_percent_by_kind: episodes that failed, by the kinds in :data:`FAILURE_KINDS` and "other" [%].
+        worst_decile_cost: mean pinned cost of the worst tenth of the scenarios of each training seed [-].
+        median_deviation_mhz, p95_deviation_mhz: median and 95th percentile of the largest deviations of the frequency
+            of the centre of inertia from the nominal one, up or down [mHz].
     """
 
     name: str
@@ -77,10 +93,19 @@ class EntrySummary:
     p95_power_change_pu: float
     mean_duty_error_percent: float
     mean_energy_share_percent: float
+    version: str
+    failures_percent_by_kind: Mapping[str, float]
+    worst_decile_cost: float
+    median_deviation_mhz: float
+    p95_deviation_mhz: float
 
 
 def summarise(
-    entries: Sequence[Mapping[str, Any]], episodes: Sequence[Episode], cap: float, oracle: Mapping[int, float]
+    entries: Sequence[Mapping[str, Any]],
+    episodes: Sequence[Episode],
+    cap: float,
+    oracle: Mapping[int, float],
+    benchmark: Benchmark,
 ) -> list[EntrySummary]:
     """Return one summary per name, in the order of the entries.
 
@@ -89,24 +114,26 @@ def summarise(
         episodes: their episodes, each entry on the same scenarios in the same order.
         cap: largest cost rate [1/s].
         oracle: the oracle's costs by the scenarios' seeds, of those that have one.
+        benchmark: the version, which names the anchors.
 
     Raises:
-        NoScaleError: MPPT is not worse than the reference, so that there is no scale.
+        NoScaleError: the zero is not worse than the hundred, so that there is no scale.
     """
     runs: dict[str, dict[int | None, list[Episode]]] = {}
     for episode in episodes:
         runs.setdefault(episode.entry, {}).setdefault(episode.training_seed, []).append(episode)
     described = {entry["name"]: entry for entry in entries}
-    mppt, reference = (_costs(list(runs[name].values()), cap)[0] for name in ANCHORS)
-    score_scale(mppt, reference)
-    anchor = next(iter(runs[ANCHORS[1]].values()))
+    zero, hundred = (_costs(list(runs[name].values()), cap)[0] for name in benchmark.anchors)
+    score_scale(zero, hundred, benchmark.anchors)
+    anchor = next(iter(runs[benchmark.hundred].values()))
     known = np.array([oracle.get(episode.seed, np.nan) for episode in anchor])
-    gains = {name: log_gains(_costs(list(runs[name].values()), cap), reference) for name in described}
-    against = _Anchors(gains[ANCHORS[0]][0], reference, _terms([anchor], reference[np.newaxis])[:, 0], known)
+    gains = {name: log_gains(_costs(list(runs[name].values()), cap), hundred) for name in described}
+    hundred_terms = _terms([anchor], hundred[np.newaxis])[:, 0]
+    against = _Anchors(benchmark.version, gains[benchmark.zero][0], hundred, hundred_terms, known)
     rows = [_summary(entry, list(runs[name].values()), gains[name], against, cap) for name, entry in described.items()]
     order = ranked(rows)
     above = {
-        row.name: statistics.score_difference(gains[row.name], gains[better.name], against.mppt_gains)
+        row.name: statistics.score_difference(gains[row.name], gains[better.name], against.zero_gains)
         for better, row in itertools.pairwise(order)
     }
     return [replace(row, difference_to_above=above.get(row.name)) for row in rows]
@@ -138,21 +165,23 @@ def _terms(runs: Sequence[Sequence[Episode]], costs: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class _Anchors:
-    """The arrays over the scenarios that every entry is compared with."""
+    """The version, and the arrays over the scenarios that every entry is compared with."""
 
-    mppt_gains: Floats
-    reference: Floats
-    reference_terms: Floats
+    version: str
+    zero_gains: Floats
+    hundred: Floats
+    hundred_terms: Floats
     oracle: Floats
 
 
 def _summary(
     entry: Mapping[str, Any], runs: Sequence[Sequence[Episode]], gains: Floats, against: _Anchors, cap: float
 ) -> EntrySummary:
-    costs, reference, mppt = _costs(runs, cap), against.reference, against.mppt_gains
-    score = statistics.score_interval(gains, mppt)
-    points = points_by_term(costs, reference, _terms(runs, costs), against.reference_terms, -statistics.mean(mppt))
+    costs, hundred, zero = _costs(runs, cap), against.hundred, against.zero_gains
+    score = statistics.score_interval(gains, zero)
+    points = points_by_term(costs, hundred, _terms(runs, costs), against.hundred_terms, -statistics.mean(zero))
     has = np.isfinite(against.oracle)
+    deviations = _deviations_mhz(runs)
     return EntrySummary(
         name=entry["name"],
         kind=str(entry["kind"]),
@@ -160,13 +189,13 @@ def _summary(
         n_runs=costs.shape[0],
         n_episodes=costs.size,
         score=score,
-        interquartile_mean=statistics.interquartile_interval(gains, mppt),
+        interquartile_mean=statistics.interquartile_interval(gains, zero),
         difference=Interval(score.value - 100.0, score.low - 100.0, score.high - 100.0),
         difference_to_above=None,
         points_by_term=dict(zip((*POINTS, REST), points.tolist(), strict=True)),
-        probability_of_improvement=statistics.mean_interval(statistics.improvement(costs, reference)),
+        probability_of_improvement=statistics.mean_interval(statistics.improvement(costs, hundred)),
         gap_closed_percent=(
-            statistics.gap_closed(costs[:, has], reference[has], against.oracle[has]) if has.any() else None
+            statistics.gap_closed(costs[:, has], hundred[has], against.oracle[has]) if has.any() else None
         ),
         n_oracle=int(has.sum()),
         failures_percent=100.0 * float(np.mean([episode.failed for run in runs for episode in run])),
@@ -178,4 +207,22 @@ def _summary(
         p95_power_change_pu=float(np.percentile(_values(runs, "largest_power_change_pu"), 95.0)),
         mean_duty_error_percent=statistics.mean(_values(runs, "duty_error_percent")),
         mean_energy_share_percent=statistics.mean(_values(runs, "energy_share_percent")),
+        version=against.version,
+        failures_percent_by_kind=_failures_by_kind(runs),
+        worst_decile_cost=statistics.mean(np.sort(costs, axis=1)[:, -math.ceil(_WORST * costs.shape[1]) :]),
+        median_deviation_mhz=float(np.median(deviations)),
+        p95_deviation_mhz=float(np.percentile(deviations, 95.0)),
     )
+
+
+def _deviations_mhz(runs: Sequence[Sequence[Episode]]) -> Floats:
+    nominal_hz = modified_ieee14().frequency_hz
+    below, above = nominal_hz - _values(runs, "nadir_hz"), _values(runs, "zenith_hz") - nominal_hz
+    return 1000.0 * np.maximum(below, above)
+
+
+def _failures_by_kind(runs: Sequence[Sequence[Episode]]) -> dict[str, float]:
+    kinds = {reason: kind for kind, reasons in FAILURE_KINDS.items() for reason in reasons}
+    failed = [kinds.get(episode.failure, _OTHER) for run in runs for episode in run if episode.failed]
+    n_episodes = sum(map(len, runs))
+    return {kind: 100.0 * failed.count(kind) / n_episodes for kind in (*FAILURE_KINDS, _OTHER)}

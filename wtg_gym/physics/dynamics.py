@@ -301,6 +301,15 @@ _advance_extension = _advancer(ExtensionState, extension_limited)
 
 
 @inlined
+def _share(rate: float, connected: float) -> float:
+    return connected * rate
+
+
+_share_of_machine: Callable[..., Any] = elementwise(MachineState, _share, "share", "rates", "connected")
+_share_of_hydro: Callable[..., Any] = elementwise(HydroState, _share, "share", "rates", "connected")
+
+
+@inlined
 def unit_rates(block: Floats, c: Any, fraction: float, stage: np.int64, ahead: float, lanes: Lanes) -> None:
     """Evaluate the units' rates and outputs, and move their states by one stage of the Runge-Kutta method.
 
@@ -333,7 +342,9 @@ def _hydro_governors(block: Floats, c: Any, stage: np.int64, ahead: float, lanes
             given = load_machine_input(block, machine + MACHINE.input * width + x, width)
             rates, torque = hydro_rates(state, speed, given.gate_reference, given.inv_droop, governor)
             block[machine + MACHINE_TORQUE * width + x] = rating * torque
-            active = block[(rows.lane + LANE.active) * width + x]
+            active = block[(rows.lane + LANE.active) * width + x] * given.connected
+            if stage == EVALUATE:
+                rates = _share_of_hydro(rates, given.connected)
             _advance_hydro(state, rates, governor, block, o + x, rate + x, active, stage, ahead, width)
 
 
@@ -358,11 +369,15 @@ def _machines(block: Floats, c: Any, stage: np.int64, ahead: float, lanes: Lanes
                 block[lane + LANE.reference_speed * width + x],
                 omega_n,
             )
-            active = block[lane + LANE.active * width + x]
+            # After an outage a machine keeps its states. The first one's speed goes on turning the frame of all angles.
+            active = block[lane + LANE.active * width + x] * given.connected
             if c["hydro"].shape[0] > 0:
                 torque = select(machine.governor.is_hydro > 0.5, block[o + MACHINE_TORQUE * width + x], output.torque)
                 rates = driven_by(torque, rates, output, given)
                 output = MachineOutput(output.power, output.voltage, torque)
+            output = MachineOutput(output.power, output.voltage, given.connected * output.torque)
+            if stage == EVALUATE:
+                rates = _share_of_machine(rates, given.connected)
             store_machine_output(output, block, o + MACHINE.output * width + x, width)
             _advance_machine(state, rates, machine, block, o + x, rate + x, active, stage, ahead, width)
 

@@ -271,7 +271,7 @@ def _start_units(
                     store_hydro_state(water, block, rows.hydro + h * N_HYDRO_ROWS, 1)
                     gate_ref = water.hydro_gate
             store_machine_input(
-                MachineInput(v_ref, gate_ref, known.inv_two_h, known.inv_droop), block, o + MACHINE.input, 1
+                MachineInput(v_ref, gate_ref, known.inv_two_h, known.inv_droop, 1.0), block, o + MACHINE.input, 1
             )
         else:
             o = wtg_row(c, i - n_sync)

@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from wtg_gym.physics.compiled import inlined
-from wtg_gym.physics.elementary import clip, limited_rate
+from wtg_gym.physics.elementary import clip, limited_rate, select
 from wtg_gym.physics.governor import beyond_dead_band
 from wtg_gym.physics.parameters import HydroGovernorParameters
 
@@ -70,7 +70,11 @@ def hydro_constants(machine: int, p: HydroGovernorParameters) -> HydroGovernor:
 def hydro_rates(
     s: HydroState, speed: float, reference: float, inv_droop: float, c: HydroGovernor
 ) -> tuple[HydroState, float]:
-    """Return the rates [p.u./s] and the torque [p.u.]; speed ω [p.u.], reference g_ref [p.u.], 1/R in use."""
+    """Return the rates [p.u./s] and the torque [p.u.]; speed ω [p.u.], reference g_ref [p.u.], 1/R in use.
+
+    Without a droop the governor is lost: it and its gate stand still.
+    """
+    acts = select(inv_droop > 0.0, 1.0, 0.0)
     deviation = beyond_dead_band(speed - 1.0, c.dead_band)
     permanent = (reference - s.gate_order) / max(inv_droop, 1e-6)
     error_rate = c.inv_filter_time * (permanent - deviation - s.speed_error)
@@ -79,9 +83,9 @@ def hydro_rates(
     ratio = s.flow / max(s.hydro_gate, _LEAST_GATE)
     head = ratio * ratio
     rates = HydroState(
-        speed_error=error_rate,
-        gate_order=limited_rate(order_rate, s.gate_order, c.gate_min, c.gate_max),
-        hydro_gate=c.inv_gate_time * (s.gate_order - s.hydro_gate),
+        speed_error=acts * error_rate,
+        gate_order=acts * limited_rate(order_rate, s.gate_order, c.gate_min, c.gate_max),
+        hydro_gate=acts * c.inv_gate_time * (s.gate_order - s.hydro_gate),
         flow=c.inv_water_time * (1.0 - head),
     )
     torque = c.turbine_gain * head * (s.flow - c.no_load_flow) - c.turbine_damping * s.hydro_gate * (speed - 1.0)

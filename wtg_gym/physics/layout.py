@@ -95,7 +95,7 @@ class LaneRows(NamedTuple):
     base: float  # of `angle`, for the integration [rad]
     sum: float  # of rates of `angle` [rad/s]
     rate: float  # of `angle` [rad/s]
-    reference_speed: float  # of the first unit [p.u.]
+    reference_speed: float  # of the first unit, or where it stands still after an outage [p.u.]
     active: float  # 1 while it runs, 0 once it has ended
     step: float  # simulation steps since the reset
     next_change: float  # simulation step of the next network change
@@ -152,17 +152,19 @@ read_hydro, read_extension = reader(HydroGovernor), reader(Extension)
 
 
 class NetworkEvent(NamedTuple):
-    """A change of the network; times in simulation steps."""
+    """A change of the network; times in simulation steps, indices -1 for none."""
 
     start: float
-    end: float  # later than start for a ramp
-    bus: int  # index, or -1
-    admittance: complex  # [p.u.]; power P + jQ until the lane's start turns it into an admittance
-    branch: int  # index of a branch that opens, or -1
+    end: float  # later than start for a ramp, and for a branch that closes again
+    bus: int = -1  # of a load
+    admittance: complex = 0j  # [p.u.]; power P + jQ until the lane's start turns it into an admittance
+    branch: int = -1  # that opens
+    unit: int = -1  # that is disconnected; machines first
+    governor: int = -1  # that stops acting: its machine
 
 
 EVENT_DTYPE = dtype(NetworkEvent)
-NO_EVENT = np.array((np.inf, np.inf, -1, 0j, -1), dtype=EVENT_DTYPE)
+NO_EVENT = np.array(NetworkEvent(np.inf, np.inf), dtype=EVENT_DTYPE)
 
 
 class BranchConstants(NamedTuple):

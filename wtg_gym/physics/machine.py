@@ -69,12 +69,13 @@ class MachineState(NamedTuple):
 
 
 class MachineInput(NamedTuple):
-    """Constant over a run."""
+    """Constant between events."""
 
     voltage_reference: float  # V_ref [p.u.]
     gate_reference: float  # g_ref [p.u. of the machine]
     inv_two_h: float  # [1/s]
-    inv_droop: float  # 1/R [p.u. of the machine]
+    inv_droop: float  # 1/R [p.u. of the machine]; 0 without a governor, or once it is lost
+    connected: float  # 1, or 0 after an outage
 
 
 class MachineVoltage(NamedTuple):

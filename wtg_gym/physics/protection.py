@@ -60,7 +60,8 @@ def track_extremes(block: Floats, c: Any, lanes: Lanes) -> None:
         momentum, inertia = 0.0, 0.0
         for i in range(n_sync):
             o = i * N_MACHINE_ROWS * width + x
-            two_h = 1.0 / load_machine_input(block, o + MACHINE.input * width, width).inv_two_h
+            given = load_machine_input(block, o + MACHINE.input * width, width)
+            two_h = given.connected / given.inv_two_h
             momentum += two_h * (load_machine_state(block, o, width).speed - 1.0)
             inertia += two_h
         for j in range(n_wtg):
@@ -105,16 +106,17 @@ def look_at_grid(block: Floats, c: Any, lanes: Lanes) -> None:
     least_angle, largest_angle = (rows.lane + LANE.least_angle) * width, (rows.lane + LANE.largest_angle) * width
     least_voltage = (rows.lane + LANE.least_voltage) * width
     for x in range(width):
-        block[least_angle + x] = block[largest_angle + x] = 0.0
+        block[least_angle + x], block[largest_angle + x] = math.inf, -math.inf
         block[least_voltage + x] = math.inf
     for i in range(n_sync):
         o = i * N_MACHINE_ROWS * width
         for x in range(width):
+            connected = load_machine_input(block, o + MACHINE.input * width + x, width).connected > 0.5
             angle = load_machine_state(block, o + x, width).angle
             voltage = load_machine_output(block, o + MACHINE.output * width + x, width).voltage
-            block[least_angle + x] = min(block[least_angle + x], angle)
-            block[largest_angle + x] = max(block[largest_angle + x], angle)
-            block[least_voltage + x] = min(block[least_voltage + x], voltage * voltage)
+            block[least_angle + x] = min(block[least_angle + x], select(connected, angle, math.inf))
+            block[largest_angle + x] = max(block[largest_angle + x], select(connected, angle, -math.inf))
+            block[least_voltage + x] = min(block[least_voltage + x], select(connected, voltage * voltage, math.inf))
     for j in range(c["share"].shape[0]):
         o, unit = wtg_row(c, j) * width, 2 * (n_sync + j)
         reactance = turbine.converter.reactance / c["share"][j]
@@ -123,10 +125,10 @@ def look_at_grid(block: Floats, c: Any, lanes: Lanes) -> None:
             current = load_phasor(block, (rows.current + unit) * width + x, width)
             connected = load_wtg_input(block, o + WTG.input * width + x, width).connected > 0.5
             v_re, v_im = e.re + reactance * current.im, e.im - reactance * current.re
-            angle = select(connected, load_wtg_state(block, o + x, width).converter.angle, 0.0)
+            angle = load_wtg_state(block, o + x, width).converter.angle
             voltage = select(connected, v_re * v_re + v_im * v_im, math.inf)
-            block[least_angle + x] = min(block[least_angle + x], angle)
-            block[largest_angle + x] = max(block[largest_angle + x], angle)
+            block[least_angle + x] = min(block[least_angle + x], select(connected, angle, math.inf))
+            block[largest_angle + x] = max(block[largest_angle + x], select(connected, angle, -math.inf))
             block[least_voltage + x] = min(block[least_voltage + x], voltage)
 
 

@@ -11,26 +11,35 @@ import numpy.typing as npt
 from wtg_gym.physics.compiled import compiled, inlined
 from wtg_gym.physics.layout import (
     LANE,
+    MACHINE,
+    N_MACHINE_ROWS,
     WTG,
     Floats,
     LaneData,
     Lanes,
     Phasor,
     Plant,
+    load_machine_input,
+    load_machine_state,
     load_phasor,
     load_wtg_input,
     rows_of,
+    store_machine_input,
     store_phasor,
+    store_wtg_input,
     wtg_row,
 )
+from wtg_gym.physics.machine import MachineInput
 from wtg_gym.physics.network import assemble_admittance, solve_in_place, transfer_impedances
+from wtg_gym.physics.wind_turbine import WtgInput
 
 
 @compiled
 def refresh_network(block: Floats, x: int, lane: int, plant: Plant, data: LaneData, width: int) -> None:
     """Kron-reduce the network of one lane as it is from its present step on, and note when it changes next.
 
-    Load ramps are staircases: constant over a control interval at the value of its middle.
+    Units and governors that events take away are switched off. Load ramps are staircases: constant over a control
+    interval at the value of its middle.
     """
     c = plant.constants[0]
     own = rows_of(c).lane * width + x
@@ -40,8 +49,13 @@ def refresh_network(block: Floats, x: int, lane: int, plant: Plant, data: LaneDa
         if step < event["start"]:
             following = min(following, event["start"])
         elif step < event["end"]:
-            boundary = (math.floor(step / c["n_substeps"]) + 1.0) * c["n_substeps"]
+            boundary = (math.floor(step / c["n_substeps"]) + 1.0) * c["n_substeps"] if event["bus"] >= 0 else math.inf
             following = min(following, min(boundary, event["end"]))
+        # A second time it changes nothing.
+        if step >= event["start"] and event["unit"] >= 0:
+            _disconnect(block, x, c, event["unit"], width)
+        if step >= event["start"] and event["governor"] >= 0:
+            _lose_governor(block, x, c, event["governor"], width)
     block[own + LANE.last_change * width] = step
     block[own + LANE.next_change * width] = following
     unit_y = _connected_units(block, x, c, width)
@@ -53,10 +67,39 @@ def refresh_network(block: Floats, x: int, lane: int, plant: Plant, data: LaneDa
 
 
 @compiled
+def _disconnect(block: Floats, x: int, c: Any, unit: int, width: int) -> None:
+    """Disconnect a machine or WTG group."""
+    n_sync = c["machines"].shape[0]
+    if unit < n_sync:
+        at = (unit * N_MACHINE_ROWS + MACHINE.input) * width + x
+        m = load_machine_input(block, at, width)
+        out = MachineInput(m.voltage_reference, m.gate_reference, m.inv_two_h, m.inv_droop, 0.0)
+        store_machine_input(out, block, at, width)
+    else:
+        at = (wtg_row(c, unit - n_sync) + WTG.input) * width + x
+        g = load_wtg_input(block, at, width)
+        store_wtg_input(WtgInput(g.emf, g.law, 0.0, g.wind_start, g.wind_end), block, at, width)
+
+
+@compiled
+def _lose_governor(block: Floats, x: int, c: Any, machine: int, width: int) -> None:
+    """Let a machine's gate stay where it is, whatever its speed."""
+    o = machine * N_MACHINE_ROWS * width + x
+    m = load_machine_input(block, o + MACHINE.input * width, width)
+    if m.inv_droop > 0.0:
+        gate = load_machine_state(block, o, width).governor.gate
+        held = MachineInput(m.voltage_reference, gate, m.inv_two_h, 0.0, m.connected)
+        store_machine_input(held, block, o + MACHINE.input * width, width)
+
+
+@compiled
 def _connected_units(block: Floats, x: int, c: Any, width: int) -> npt.NDArray[np.complex128]:
-    """Return the internal admittance of every unit, zero for a group that has tripped [p.u.]."""
+    """Return the internal admittance of every unit, zero for one that is disconnected [p.u.]."""
     n_sync = c["machines"].shape[0]
     unit_y: npt.NDArray[np.complex128] = c["unit_y"].copy()
+    for i in range(n_sync):
+        at = (i * N_MACHINE_ROWS + MACHINE.input) * width + x
+        unit_y[i] *= load_machine_input(block, at, width).connected
     for j in range(c["share"].shape[0]):
         at = (wtg_row(c, j) + WTG.input) * width + x
         unit_y[n_sync + j] *= load_wtg_input(block, at, width).connected
@@ -96,10 +139,11 @@ def _full_admittance(
     open_branch = np.zeros(plant.branches.shape[0], dtype=np.bool_)
     for event in data.events[lane]:
         if step >= event["start"]:
-            level = 1.0 if step >= event["end"] else (ramp_step - event["start"]) / (event["end"] - event["start"])
-            if event["branch"] >= 0:
+            over = step >= event["end"]
+            level = 1.0 if over else (ramp_step - event["start"]) / (event["end"] - event["start"])
+            if event["branch"] >= 0 and not (over and event["end"] > event["start"]):
                 open_branch[event["branch"]] = True
-            else:
+            elif event["bus"] >= 0:
                 bus_y[event["bus"]] += served * level * event["admittance"]
     for i in range(unit_y.shape[0]):
         bus_y[c["unit_bus"][i]] += unit_y[i]

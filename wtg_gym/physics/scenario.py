@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.files import parse_json
+from wtg_gym.physics.sensors import Sensors
 from wtg_gym.ranges import require_bus, require_range
 
 #: Wind speeds the turbine model covers: cut-in and cut-out of the NREL 5 MW machine [m/s].
@@ -46,7 +47,33 @@ def _plain(record: Any, **checked: Any) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LoadStep:
+class _At:
+    """Something that happens at `time_s` [s]."""
+
+    time_s: float
+
+    def __post_init__(self) -> None:
+        _plain(self, time_s=require_range("event time", self.time_s, 0.0, LONGEST_RUN_S, "s"))
+
+    @property
+    def end_s(self) -> float:
+        """When the event is complete [s]."""
+        return self.time_s
+
+
+@dataclass(frozen=True, kw_only=True)
+class _AtBus(_At):
+    """Something that happens at a bus of the network, at `time_s` [s]."""
+
+    bus: int
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _plain(self, bus=require_bus("bus", self.bus))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoadStep(_AtBus):
     """A constant-impedance load switched on at a bus (negative power: switched off).
 
     The admittance is (P - jQ)/V0² with V0 the bus voltage of the initial power flow.
@@ -58,16 +85,13 @@ class LoadStep:
         reactive_mvar: reactive power at V0 [Mvar].
     """
 
-    time_s: float
-    bus: int
     power_mw: float
     reactive_mvar: float = 0.0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _plain(
             self,
-            time_s=require_range("event time", self.time_s, 0.0, LONGEST_RUN_S, "s"),
-            bus=require_bus("bus", self.bus),
             power_mw=require_range("load step", self.power_mw, *LOAD_CHANGE_RANGE, "MW"),
             reactive_mvar=require_range("load step", self.reactive_mvar, *LOAD_CHANGE_RANGE, "Mvar"),
         )
@@ -83,45 +107,79 @@ class LoadRamp(LoadStep):
         super().__post_init__()
         _plain(self, duration_s=require_range("ramp duration", self.duration_s, 0.1, 3600.0, "s"))
 
+    @property
+    def end_s(self) -> float:
+        """When the ramp is complete [s]."""
+        return self.time_s + self.duration_s
+
 
 @dataclass(frozen=True, kw_only=True)
-class LoadTrip:
+class LoadTrip(_AtBus):
     """The whole initial load of a bus is disconnected at `time_s` [s]."""
 
-    time_s: float
-    bus: int
+
+@dataclass(frozen=True, kw_only=True)
+class LineTrip(_At):
+    """The branch between two buses opens at both ends at `time_s` [s].
+
+    It closes again `recloses_after_s` [s] later; None: never.
+    """
+
+    from_bus: int
+    to_bus: int
+    recloses_after_s: float | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
+        after = self.recloses_after_s
         _plain(
             self,
-            time_s=require_range("event time", self.time_s, 0.0, LONGEST_RUN_S, "s"),
-            bus=require_bus("bus", self.bus),
+            from_bus=require_bus("from_bus", self.from_bus),
+            to_bus=require_bus("to_bus", self.to_bus),
+            recloses_after_s=None
+            if after is None
+            else require_range("recloses_after_s", after, 1e-3, LONGEST_RUN_S, "s"),
         )
+
+    @property
+    def end_s(self) -> float:
+        """When the line closes again, or opens for good [s]."""
+        return self.time_s + (self.recloses_after_s or 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class LineTrip:
-    """The branch between two buses opens at both ends at `time_s` [s]."""
+class GovernorLoss(_AtBus):
+    """The governors at a bus stop acting at `time_s` [s]: gates stay where they are, and droop no longer acts."""
 
-    time_s: float
-    from_bus: int
-    to_bus: int
+
+@dataclass(frozen=True, kw_only=True)
+class MachineOutage(_AtBus):
+    """All synchronous machines at a bus are disconnected at `time_s` [s]; what they feed in is lost."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroupTrip(_At):
+    """A WTG group, the row `group` of the scenario's wind, is disconnected at `time_s` [s]; the run goes on."""
+
+    group: int
 
     def __post_init__(self) -> None:
-        _plain(
-            self,
-            time_s=require_range("event time", self.time_s, 0.0, LONGEST_RUN_S, "s"),
-            from_bus=require_bus("from_bus", self.from_bus),
-            to_bus=require_bus("to_bus", self.to_bus),
-        )
+        super().__post_init__()
+        group = self.group
+        if isinstance(group, bool) or not isinstance(group, (int, np.integer)) or group < 0:
+            raise ValueError(f"group must be the index of a WTG group (0 or more), got {group!r}")
+        _plain(self, group=int(group))
 
 
-Event = LoadStep | LoadRamp | LoadTrip | LineTrip
+Event = LoadStep | LoadRamp | LoadTrip | LineTrip | GovernorLoss | MachineOutage | GroupTrip
 EVENT_KINDS: dict[str, type[Any]] = {
     "load_step": LoadStep,
     "load_ramp": LoadRamp,
     "load_trip": LoadTrip,
     "line_trip": LineTrip,
+    "governor_loss": GovernorLoss,
+    "machine_outage": MachineOutage,
+    "group_trip": GroupTrip,
 }
 _KIND_OF = {cls: kind for kind, cls in EVENT_KINDS.items()}
 
@@ -136,13 +194,14 @@ class Scenario:
             grid without any; linear between samples, the last one holds.
         wind_dt_s: sampling step of `wind_speed` [s].
         duration_s: length of the run [s].
-        events: load and line events, in any order; those after the end of the run do not happen.
+        events: of the kinds above, in any order; those after the end of the run do not happen.
         load_noise_mw: extra resistive load at `load_noise_bus`, one value per `SERIES_DT` [MW], 0 after the last.
             The first value must be zero, so that the run starts in equilibrium.
         load_noise_bus: bus of the load noise.
         load_level: factor on every load of the case in the initial power flow.
         governor_droop: droop R of every governor on its machine's base [p.u.]; None keeps the case's.
         inertia_scale: factor on the inertia of every synchronous machine.
+        sensors: errors of what the WTG groups measure; None: exact and at once.
         seed: the seed it was drawn from, if any.
 
     Raises:
@@ -159,6 +218,7 @@ class Scenario:
     load_level: float = 1.0
     governor_droop: float | None = None
     inertia_scale: float = 1.0
+    sensors: Sensors | None = None
     seed: int | None = None
 
     def __post_init__(self) -> None:
@@ -192,6 +252,14 @@ class Scenario:
         for event in self.events:
             if type(event) not in _KIND_OF:
                 raise ValueError(f"unknown event {event!r}; known kinds: {', '.join(EVENT_KINDS)}")
+        if self.sensors is not None:
+            if not isinstance(self.sensors, Sensors):
+                raise ValueError(f"sensors must be Sensors or None, got {self.sensors!r:.80}")
+            if len(self.sensors.wind_bias) != wind.shape[0]:
+                raise ValueError(
+                    f"wind_bias of the sensors must have one number per WTG group ({wind.shape[0]}), "
+                    f"got {len(self.sensors.wind_bias)}"
+                )
         droop, seed = self.governor_droop, self.seed
         if droop is not None:
             droop = require_range("governor_droop", droop, 0.005, 1.0, "p.u.")
@@ -226,7 +294,18 @@ class Scenario:
         data = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         data["wind_speed"] = self.wind_speed.tolist()
         data["load_noise_mw"] = self.load_noise_mw.tolist()
-        data["events"] = [{"kind": _KIND_OF[type(e)], **dataclasses.asdict(e)} for e in self.events]
+        data["events"] = [
+            {
+                "kind": _KIND_OF[type(e)],
+                **{key: value for key, value in dataclasses.asdict(e).items() if value is not None},
+            }
+            for e in self.events
+        ]
+        if self.sensors is None:
+            # Older scenarios know no sensors: their form, and its hash, stay.
+            del data["sensors"]
+        else:
+            data["sensors"] = {**vars(self.sensors), "wind_bias": list(self.sensors.wind_bias)}
         return data
 
     @classmethod
@@ -247,6 +326,8 @@ class Scenario:
             raise ValueError(f"events must be a list, got {data['events']!r}")
         try:
             fields["events"] = tuple(_event_from_dict(e) for e in data.get("events", ()))
+            if fields.get("sensors") is not None:
+                fields["sensors"] = _sensors_from_dict(fields["sensors"])
             return cls(**fields)
         except TypeError as error:
             raise ValueError(f"not a scenario: {error}") from error
@@ -259,6 +340,16 @@ class Scenario:
     def from_json(cls, text: str) -> Scenario:
         """Read :meth:`to_json`'s form; a ValueError says what is wrong with the text."""
         return cls.from_dict(parse_json(text, "the text"))
+
+
+def _sensors_from_dict(data: Any) -> Sensors:
+    if not isinstance(data, dict):
+        raise ValueError(f"sensors must be an object with named values, got {data!r:.80}")
+    known = {f.name for f in dataclasses.fields(Sensors)}
+    unknown = sorted(map(str, set(data) - known))
+    if unknown:
+        raise ValueError(f"unknown values of sensors {unknown}; known values: {sorted(known)}")
+    return Sensors(**data)
 
 
 def _event_from_dict(data: Any) -> Event:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any, NamedTuple
 
@@ -20,7 +20,18 @@ from wtg_gym.physics.linearisation import check_step
 from wtg_gym.physics.parameters import ConverterLimitParameters, HydroGovernorParameters, VoltageControlParameters
 from wtg_gym.physics.plant import PlantSettings, build_plant
 from wtg_gym.physics.reduction import bus_voltages
-from wtg_gym.physics.scenario import LONGEST_RUN_S, SERIES_DT, Event, LineTrip, LoadRamp, LoadTrip, Scenario
+from wtg_gym.physics.scenario import (
+    LONGEST_RUN_S,
+    SERIES_DT,
+    Event,
+    GovernorLoss,
+    GroupTrip,
+    LineTrip,
+    LoadRamp,
+    LoadTrip,
+    MachineOutage,
+    Scenario,
+)
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, get_law
 from wtg_gym.ranges import require_range, whole_steps
 
@@ -72,7 +83,7 @@ class Simulator:
     The integration step must suit the plant's fastest mode (:func:`~wtg_gym.physics.linearisation.check_step`). The
     constructor checks it with nominal load and inertia under the reference law, at 8 and 16 m/s. :meth:`prepare` checks
     every new law, and every inertia below those checked before: a lighter machine swings faster. Load level, line trips
-    and governor droop hardly matter.
+    and governor droop hardly matter, and with fewer units the modes are slower.
 
     Args:
         settings: the plant and its time steps.
@@ -242,12 +253,16 @@ class Simulator:
             return
         lane, unit = np.argwhere(~(voltages <= limit))[0]
         bus = self.settings.case.buses[self.plant.constants["unit_bus"][0, unit]]
-        name = "the synchronous machine" if unit < layout.n_sync else f"WTG group {unit - layout.n_sync}"
         task = "for its share of the power" if bus.voltage_pu is None else f"to hold {bus.voltage_pu:g} p.u. there"
         raise ValueError(
-            f"{_subject(scenarios[lane])} cannot start: {name} at bus {bus.number} needs an internal voltage of "
+            f"{_subject(scenarios[lane])} cannot start: {self._name_of_unit(int(unit))} needs an internal voltage of "
             f"{voltages[lane, unit]:.3g} p.u. {task}; allowed: at most {limit:g} p.u. (a larger rating needs less)"
         )
+
+    def _name_of_unit(self, unit: int) -> str:
+        bus = self.settings.case.buses[self.plant.constants["unit_bus"][0, unit]].number
+        n_sync = self.layout.n_sync
+        return f"{'the synchronous machine' if unit < n_sync else f'WTG group {unit - n_sync}'} at bus {bus}"
 
     def _equilibria(self, scenarios: Sequence[Scenario], laws: Sequence[TrackingLaw]) -> PreparedLanes:
         for scenario in scenarios:
@@ -257,10 +272,11 @@ class Simulator:
                     f"given; the plant has {self.layout.n_wtg} groups"
                 )
         n = len(scenarios)
-        data = self._allocate_data(n, max([1, *(len(scenario.events) for scenario in scenarios)]))
+        events = [self._network_events(scenario) for scenario in scenarios]
+        data = self._allocate_data(n, max([1, *map(len, events)]))
         for lane, scenario in enumerate(scenarios):
             self._write_series(data, lane, scenario)
-            self._write_events(data.events[lane], scenario)
+            data.events[lane, : len(events[lane])] = events[lane]
         rows = np.zeros((n, self.layout.n_rows))
         self._write_constants(rows, scenarios)
         rows[:, self.layout.wtg("k_min")] = [law.k_min for law in laws]
@@ -360,40 +376,83 @@ class Simulator:
             index = (np.arange(n) * dt / SERIES_DT + 1e-9).astype(np.int64)
             data.noise[lane] = np.where(index < noise.size, noise[np.minimum(index, noise.size - 1)], 0.0)
 
-    def _write_events(self, table: npt.NDArray[np.void], scenario: Scenario) -> None:
+    def _network_events(self, scenario: Scenario) -> list[NetworkEvent]:
+        """Return what a scenario's events change, one by one.
+
+        Raises:
+            ValueError: an event does not fit the plant, or the events do not fit each other.
+        """
+        name = f"scenario {scenario.name!r}"
         lost = [event.bus for event in scenario.events if isinstance(event, LoadTrip)]
         if len(set(lost)) < len(lost):
-            raise ValueError(f"scenario {scenario.name!r} disconnects a load twice; load trips at buses {lost}")
-        case, opened = self.settings.case, list[int]()
-        for row, event in enumerate(scenario.events):
-            values = self._network_event(event, scenario.load_level)
-            table[row] = values
-            if values.branch >= 0:
-                if values.branch in opened:
-                    ends = case.branches[values.branch]
-                    raise ValueError(f"scenario {scenario.name!r} opens the line {ends.from_bus}-{ends.to_bus} twice")
-                opened.append(values.branch)
-        if not case.bridges.isdisjoint(opened) or (len(opened) > 1 and not case.connected_without(tuple(opened))):
-            raise ValueError(f"scenario {scenario.name!r}: its line trips would split the network")
+            raise ValueError(f"{name} disconnects a load twice; load trips at buses {lost}")
+        found = [each for event in scenario.events for each in self._changes(event, scenario.load_level)]
+        self._check_lines(name, [event for event in found if event.branch >= 0])
+        units = [event.unit for event in found if event.unit >= 0]
+        governed = [event.governor for event in found if event.governor >= 0]
+        for verb, given in (("disconnects", units), ("loses the governor of", governed)):
+            for unit in given:
+                if given.count(unit) > 1:
+                    raise ValueError(f"{name} {verb} {self._name_of_unit(unit)} twice")
+        if sum(unit < self.layout.n_sync for unit in units) == self.layout.n_sync:
+            raise ValueError(f"{name} disconnects every synchronous machine; one must stay connected")
+        return found
 
-    def _network_event(self, event: Event, load_level: float) -> NetworkEvent:
-        """Return an event with its times in steps and its load as power [p.u.]."""
+    def _check_lines(self, name: str, trips: list[NetworkEvent]) -> None:
+        """Refuse a line that opens while it is open, and lines whose opening splits the network."""
+        case = self.settings.case
+        trips = sorted(trips, key=lambda trip: trip.start)
+        for place, trip in enumerate(trips):
+            opened = [
+                before.branch for before in trips[:place] if before.end == before.start or trip.start < before.end
+            ]
+            if trip.branch in opened:
+                ends = case.branches[trip.branch]
+                raise ValueError(f"{name} opens the line {ends.from_bus}-{ends.to_bus} twice")
+            opened.append(trip.branch)
+            if trip.branch in case.bridges or (len(opened) > 1 and not case.connected_without(tuple(opened))):
+                raise ValueError(f"{name}: its line trips would split the network")
+
+    def _changes(self, event: Event, load_level: float) -> list[NetworkEvent]:
+        """Return what an event changes, with its times in steps and its load as power [p.u.]."""
         case, dt = self.settings.case, self.settings.simulation_dt
         start = end = float(whole_steps("event time", event.time_s, dt, "simulation step"))
+        if isinstance(event, GroupTrip):
+            if event.group >= self.layout.n_wtg:
+                raise ValueError(f"unknown WTG group {event.group}; the plant has {self.layout.n_wtg}, counted from 0")
+            return [NetworkEvent(start, end, unit=self.layout.n_sync + event.group)]
         if isinstance(event, LineTrip):
-            return NetworkEvent(start, end, -1, 0j, case.branch_index(event.from_bus, event.to_bus))
+            if event.recloses_after_s is not None:
+                end += whole_steps("recloses_after_s", event.recloses_after_s, dt, "simulation step")
+            return [NetworkEvent(start, end, branch=case.branch_index(event.from_bus, event.to_bus))]
         bus = case.bus_index(event.bus)
+        if isinstance(event, MachineOutage):
+            machines = self._machines_at(event.bus, "synchronous machine", range(self.layout.n_sync))
+            return [NetworkEvent(start, end, unit=machine) for machine in machines]
+        if isinstance(event, GovernorLoss):
+            governed = [index for index, machine in enumerate(case.machines) if machine.governor is not None]
+            machines = self._machines_at(event.bus, "machine with a governor", governed)
+            return [NetworkEvent(start, end, governor=machine) for machine in machines]
         if isinstance(event, LoadTrip):
             power = -load_level * complex(self.plant.buses["load"][bus])
         else:
             power = complex(event.power_mw, event.reactive_mvar) / case.base_mva
         if isinstance(event, LoadRamp):
             end = start + whole_steps("ramp duration", event.duration_s, dt, "simulation step")
-        return NetworkEvent(start, end, bus, power, -1)
+        return [NetworkEvent(start, end, bus, power)]
+
+    def _machines_at(self, bus: int, what: str, machines: Iterable[int]) -> list[int]:
+        """Return those of some machines that are at a bus, by their indices."""
+        buses = {machine: self.settings.case.machines[machine].bus for machine in machines}
+        found = [machine for machine, at in buses.items() if at == bus]
+        if not found:
+            raise ValueError(f"no {what} at bus {bus}; buses with one: {sorted(set(buses.values()))}")
+        return found
 
     def _write_constants(self, rows: Floats, scenarios: Sequence[Scenario]) -> None:
         machines = self.plant.constants["machines"][0]
         scale = np.array([[scenario.inertia_scale] for scenario in scenarios])
+        rows[:, self.layout.machine("connected")] = 1.0
         rows[:, self.layout.machine("inv_two_h")] = 1.0 / (machines["two_h"] * scale)
         given = np.array([[np.nan if s.governor_droop is None else 1.0 / s.governor_droop] for s in scenarios])
         nominal = machines["governor.inv_droop"]
@@ -407,6 +466,49 @@ class Simulator:
     def advance(self) -> None:
         """Advance every running lane by one control interval."""
         self.for_blocks(lambda a, b: advance_blocks(self.blocks, a, b, self.plant, self.data, self.lanes))
+
+    def imagine(self, other: Simulator, lanes: npt.NDArray[np.int64], wind: Floats) -> None:
+        """Continue runs of another simulator in this one's lanes, in a future that holds no surprise.
+
+        Events that have not struck yet are forgotten; a ramp that has begun goes on, and the load noise stays.
+
+        Args:
+            other: of the same plant, with rows of the same kind.
+            lanes: the lane of `other` that each lane of this one continues (n_lanes,).
+            wind: from now on, one value per control interval, the last one holds (n_lanes, n_wtg, n_ahead + 1) [m/s].
+
+        Raises:
+            ValueError: the simulators are of different plants, or a shape is wrong.
+        """
+        if other.settings != self.settings or other.layout != self.layout or other.n_intervals != self.n_intervals:
+            raise ValueError("imagine() needs a simulator of the same plant, with rows of the same kind and run length")
+        if lanes.shape != (self.n_lanes,) or wind.shape[:2] != (self.n_lanes, self.layout.n_wtg) or not wind.size:
+            raise ValueError(
+                f"imagine() needs a lane for each of {self.n_lanes} lanes and wind of shape (n_lanes, n_wtg, n), got "
+                f"shapes {lanes.shape} and {wind.shape}"
+            )
+        own = np.arange(self.n_lanes)
+        rows = other._view[lanes // other.width, :, lanes % other.width]
+        step = rows[:, self.layout.lane("step")]
+        # The network is reduced anew at once: what was due may have been forgotten.
+        rows[:, self.layout.lane("next_change")] = step
+        self._view[own // self.width, :, own % self.width] = rows
+        for mine, theirs in zip(self.data, other.data, strict=True):
+            if mine is not self.data.events:
+                mine[: self.n_lanes] = theirs[lanes]
+        events = other.data.events[lanes]
+        events[events["start"] >= step[:, np.newaxis]] = NO_EVENT
+        if events.shape[1] > self.data.events.shape[1]:
+            grown = np.full((self.data.events.shape[0], events.shape[1]), NO_EVENT, dtype=EVENT_DTYPE)
+            self.data = self.data._replace(events=grown)
+        self.data.events[: self.n_lanes] = NO_EVENT
+        self.data.events[: self.n_lanes, : events.shape[1]] = events
+        intervals = (step / self.plant.n_substeps).astype(np.int64)
+        for lane, first in enumerate(intervals.tolist()):
+            ahead = min(wind.shape[2], self.n_intervals + 1 - first)
+            self.data.wind[lane, :, first : first + ahead] = wind[lane, :, :ahead]
+            self.data.wind[lane, :, first + ahead :] = wind[lane, :, ahead - 1 : ahead]
+            self.data.noise[lane, first:] = self.data.noise[lane, max(first - 1, 0)]
 
     def for_blocks(
         self, work: Callable[[int, int], Any], meanwhile: Callable[[], Any] | None = None, meanwhile_blocks: int = 0
@@ -455,8 +557,8 @@ class Simulator:
     def bus_voltages(self, lane: int = 0) -> npt.NDArray[np.complex128]:
         """Return the bus voltages where a lane stands, shape (n_bus,) [p.u.].
 
-        Angles count from the rotor of the first machine; evaluated with the state as of the last step or
-        :meth:`evaluate`.
+        Angles count from the rotor of the first machine, which goes on at its last speed after an outage; evaluated
+        with the state as of the last step or :meth:`evaluate`.
         """
         interval = max(0, math.ceil(self._lane_view(lane)[self.layout.lane("step")] / self.plant.n_substeps) - 1)
         noise_mw = self.data.noise[lane, min(interval, self.n_intervals - 1)]

@@ -20,10 +20,15 @@ from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.ranges import require_range
 
-#: Largest tracking coefficient a law may ask for [p.u.]: three times K_opt.
-LARGEST_COEFFICIENT = 3.0
+#: Smallest and largest tracking coefficient a law may ask for [p.u.]: nearly no power, and three times K_opt.
+LEAST_COEFFICIENT, LARGEST_COEFFICIENT = 1e-3, 3.0
 #: Damping time constants of a law besides 0 and ∞ [s]; a slower filter is plain droop for as long as an episode takes.
 TIME_CONSTANT_RANGE = (0.05, 1e5)
+
+#: The tuned law: how far k lies above K_opt at ω_min, above K_n at ω_st and below K_pr at ω_max, as shares of
+#: K_opt - K_pr [-], and τ [s]. `python -m agents.research.tuned_law` finds them.
+TUNED_ABOVE_OPT, TUNED_ABOVE_NOMINAL, TUNED_BELOW_LIMIT = 1.52, 0.017, 1.05
+TUNED_TIME_CONSTANT_S = 0.6
 
 #: A smaller deloading in a law file is taken for a fraction that was meant [%].
 _LEAST_PERCENT = 0.5
@@ -54,7 +59,9 @@ class TrackingLaw:
         if not isinstance(self.name, str):
             raise ValueError(f"name of a law must be text, got {self.name!r}")
         for key in ("k_min", "k_nominal", "k_max"):
-            require_range(f"{key} of law {self.name!r}", getattr(self, key), 1e-3, LARGEST_COEFFICIENT, "p.u.")
+            require_range(
+                f"{key} of law {self.name!r}", getattr(self, key), LEAST_COEFFICIENT, LARGEST_COEFFICIENT, "p.u."
+            )
         tau = self.damping_time_constant_s
         low, high = TIME_CONSTANT_RANGE
         is_number = isinstance(tau, (int, float, np.integer, np.floating)) and not isinstance(tau, bool)
@@ -136,6 +143,30 @@ def coordinated_undamped(
     return dataclasses.replace(coordinated_piecewise(name, turbine, control), damping_time_constant_s=0.0)
 
 
+def coordinated_tuned(
+    name: str = "coordinated-tuned",
+    turbine: TurbineParameters | None = None,
+    control: GridFormingParameters | None = None,
+) -> TrackingLaw:
+    """Return the piecewise law with steeper slopes and a faster filter, tuned to a grid that needs the wind.
+
+    It was tuned with the paper's turbine; on one with a flatter power curve k ends where a law's range does.
+    """
+    law = coordinated_piecewise(name, turbine, control)
+    span = law.k_min - law.k_max
+
+    def bounded(k: float) -> float:
+        return min(max(k, LEAST_COEFFICIENT), LARGEST_COEFFICIENT)
+
+    return dataclasses.replace(
+        law,
+        k_min=bounded(law.k_min + TUNED_ABOVE_OPT * span),
+        k_nominal=bounded(law.k_nominal + TUNED_ABOVE_NOMINAL * span),
+        k_max=bounded(law.k_max - TUNED_BELOW_LIMIT * span),
+        damping_time_constant_s=TUNED_TIME_CONSTANT_S,
+    )
+
+
 #: The reference policy's strategy: zero action is exactly this.
 REFERENCE_STRATEGY = "coordinated-piecewise"
 
@@ -147,7 +178,11 @@ _BUILDERS: dict[str, Callable[[TurbineParameters | None, GridFormingParameters |
     "coordinated-linear": functools.partial(coordinated_linear, "coordinated-linear"),
     "coordinated-piecewise": functools.partial(coordinated_piecewise, "coordinated-piecewise"),
     "coordinated-undamped": functools.partial(coordinated_undamped, "coordinated-undamped"),
+    "coordinated-tuned": functools.partial(coordinated_tuned, "coordinated-tuned"),
 }
+#: Every built-in strategy, and those of them that the paper has.
+STRATEGY_NAMES = tuple(_BUILDERS)
+_PAPER_NAMES = STRATEGY_NAMES[:-1]
 
 
 @functools.lru_cache(maxsize=64)
@@ -159,18 +194,18 @@ class _PaperStrategies(Mapping[str, TrackingLaw]):
     """Laws by name, worked out when they are first asked for: importing this module compiles nothing."""
 
     def __getitem__(self, name: str) -> TrackingLaw:
-        if name not in _BUILDERS:
+        if name not in _PAPER_NAMES:
             raise KeyError(name)
         return _strategy(name, None, None)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(_BUILDERS)
+        return iter(_PAPER_NAMES)
 
     def __len__(self) -> int:
-        return len(_BUILDERS)
+        return len(_PAPER_NAMES)
 
 
-#: The strategies for the paper's turbine; :func:`get_law` makes them for another one.
+#: The paper's strategies for the paper's turbine; :func:`get_law` makes any built-in one, for any turbine.
 STRATEGIES: Mapping[str, TrackingLaw] = _PaperStrategies()
 
 
@@ -188,10 +223,9 @@ def get_law(
         return strategy
     if str(strategy).endswith(".toml"):
         return read_law(Path(strategy), turbine)
-    if not isinstance(strategy, str) or strategy not in STRATEGIES:
-        raise ValueError(
-            f"unknown strategy {str(strategy)!r}; known strategies: {', '.join(STRATEGIES)}, or a .toml file with a law"
-        )
+    if not isinstance(strategy, str) or strategy not in STRATEGY_NAMES:
+        known = ", ".join(STRATEGY_NAMES)
+        raise ValueError(f"unknown strategy {str(strategy)!r}; known strategies: {known}, or a .toml file with a law")
     return _strategy(strategy, turbine, control)
 
 
@@ -248,12 +282,12 @@ def read_law(path: Path, turbine: TurbineParameters | None = None) -> TrackingLa
             coefficients[f"k_{corner}"] = tracking_point(percent / 100.0, turbine).coefficient
         else:
             coefficients[f"k_{corner}"] = require_range(
-                f"{given[0]} in {path}", value, 1e-3, LARGEST_COEFFICIENT, "p.u."
+                f"{given[0]} in {path}", value, LEAST_COEFFICIENT, LARGEST_COEFFICIENT, "p.u."
             )
     name = data.get("name", path.stem)
     if not isinstance(name, str):
         raise ValueError(f"name in {path} must be text, got {name!r}")
-    if name in STRATEGIES:
+    if name in STRATEGY_NAMES:
         raise ValueError(f"name {name!r} in {path} is that of a built-in strategy; choose another")
     tau = data.get("tau_s", math.inf)
     if isinstance(tau, bool) or not isinstance(tau, (int, float)):
@@ -267,9 +301,11 @@ def read_law(path: Path, turbine: TurbineParameters | None = None) -> TrackingLa
 __all__ = [
     "REFERENCE_STRATEGY",
     "STRATEGIES",
+    "STRATEGY_NAMES",
     "TrackingLaw",
     "coordinated_linear",
     "coordinated_piecewise",
+    "coordinated_tuned",
     "coordinated_undamped",
     "deloaded",
     "get_law",

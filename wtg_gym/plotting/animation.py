@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.rendering.colours import INK
-from wtg_gym.envs.rendering.diagram import describe_event, draw_diagram
+from wtg_gym.envs.rendering.diagram import describe_event, draw_diagram, reclosed
 from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.scenario import Scenario
+from wtg_gym.physics.scenario import LineTrip, Scenario
 from wtg_gym.physics.trajectory import Trajectory
 from wtg_gym.plotting.event_marks import endings, numbered_events
 from wtg_gym.plotting.style import GROUP_STYLES, REFERENCE_GREY, new_figure, print_style, strategy_looks
@@ -80,7 +80,7 @@ class _MovingPicture:
         self._events = self._figure.text(0.02, 0.345, "", va="top", linespacing=1.45)
         #: Lines with the whole of their data; a cross is a line of one point.
         self._lines: list[tuple[Line2D, Floats, Floats]] = []
-        self._n_struck = -1
+        self._drawn: tuple[int, tuple[LineTrip, ...]] = (-1, ())
         #: The picture without lines and time, which is drawn anew at events only.
         self._background: Any = None
         self._draw_panels()
@@ -155,10 +155,12 @@ class _MovingPicture:
         # Instants of samples are rounded differently.
         end = instant + 1e-6
         struck = [(number, events) for number, events in numbered_events(self._scenario) if events[0].time_s <= end]
-        if len(struck) != self._n_struck:
-            self._n_struck = len(struck)
+        so_far = [event for _, events in struck for event in events]
+        closed = reclosed(so_far, end)
+        if (len(struck), closed) != self._drawn:
+            self._drawn = (len(struck), closed)
             self._diagram.clear()
-            draw_diagram(self._diagram, self._buses, [event for _, events in struck for event in events], lambda _: INK)
+            draw_diagram(self._diagram, self._buses, so_far, closed, lambda _: INK)
             texts = [
                 f"{number}  {events[0].time_s:g} s: " + " and ".join(map(describe_event, events))
                 for number, events in struck[-_N_EVENTS:]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from wtg_gym.envs.rendering.diagram import describe_event
+from wtg_gym.envs.rendering.diagram import describe_event, reclosed
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Event, Scenario
 from wtg_gym.physics.trajectory import Trajectory
@@ -57,9 +57,14 @@ def event_lines(scenario: Scenario, width: int = 130) -> list[str]:
 
 
 def mark_instants(axes: Axes, scenario: Scenario, *, numbered: bool) -> None:
-    """Draw a dotted line at every instant with an event, with its number above where `numbered`."""
-    for _, events in numbered_events(scenario):
-        axes.axvline(events[0].time_s, color=REFERENCE_GREY, linewidth=0.7, linestyle=(0.0, (1.0, 1.5)), zorder=1)
+    """Draw a dotted line at every instant with an event, with its number above where `numbered`.
+
+    One without a number is where a line closes again.
+    """
+    instants = [events[0].time_s for _, events in numbered_events(scenario)]
+    instants += [event.end_s for event in reclosed(scenario.events, scenario.duration_s)]
+    for instant in instants:
+        axes.axvline(instant, color=REFERENCE_GREY, linewidth=0.7, linestyle=(0.0, (1.0, 1.5)), zorder=1)
     if numbered:
         above = axes.get_xaxis_transform()
         for place, text in instant_labels(scenario):

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.scenario import LoadRamp, Scenario
+from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import coordinated_piecewise
 from wtg_gym.physics.trajectory import Trajectory
 from wtg_gym.plotting.event_marks import endings, event_lines, instant_labels, numbered_events
@@ -156,8 +156,9 @@ def _mark_events(axes: Axes, scenario: Scenario, *, numbered: bool) -> None:
         start = events[0].time_s
         axes.axvline(start, color=_GREY, linewidth=0.8, linestyle=":", zorder=1)
         for event in events:
-            if isinstance(event, LoadRamp):
-                axes.axvspan(start, start + event.duration_s, color="0.5", alpha=0.08, linewidth=0, zorder=0)
+            end = min(event.end_s, scenario.duration_s)
+            if end > start:
+                axes.axvspan(start, end, color="0.5", alpha=0.08, linewidth=0, zorder=0)
     if numbered:
         where = axes.get_xaxis_transform()
         for place, text in instant_labels(scenario):

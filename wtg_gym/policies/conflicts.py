@@ -68,6 +68,9 @@ def _same_place(one: Report, other: Report) -> str:
 def _look_alike(one: Report, other: Report) -> tuple[EntryFile, EntryFile] | None:
     if one.entry is None or other.entry is None or plain_name(one.entry.name) != plain_name(other.entry.name):
         return None
+    # They are never in one table.
+    if one.entry.environment != other.entry.environment:
+        return None
     return one.entry, other.entry
 
 
@@ -100,9 +103,9 @@ def _copies(one: Report, other: Report) -> str:
         return f"the same policy file is given twice: {folders}"
     if one.entry is None or other.entry is None or one.actions is None or other.actions is None:
         return ""
-    # Actions of other modes mean something else.
-    different_modes = one.entry.action_mode != other.entry.action_mode
-    if different_modes or action_difference(one.actions, other.actions) > COPY_TOLERANCE:
+    # Actions of other modes mean something else, and another version has other scenarios.
+    first, second = ((entry.action_mode, entry.environment) for entry in (one.entry, other.entry))
+    if first != second or action_difference(one.actions, other.actions) > COPY_TOLERANCE:
         return ""
     return (
         f"the policies are one policy, their actions in {one.actions.shape[1]} scenarios differ by less than "

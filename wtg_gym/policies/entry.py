@@ -10,10 +10,9 @@ from typing import Any, Protocol, runtime_checkable
 
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import sha256
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, TrackingLaw, get_law
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, get_law
+from wtg_gym.scenarios.benchmark import ANCHOR_NAMES, BENCHMARKS, Benchmark
 
-#: Names of the two entries that fix the score's 0 and 100.
-ANCHORS = ("mppt", REFERENCE_STRATEGY)
 #: What entries of one name must agree on, as they share a row.
 _OF_A_ROW = ("kind", "strategy", "action_mode", "observation_mode", "source")
 _NOT_IN_NAMES = "|<>`*\\"
@@ -42,6 +41,7 @@ class Entry:
             both in a :class:`~wtg_gym.policies.sb3_archive.NormalizedPolicy`.
         action_mode: "k", "tau" or "k+tau".
         observation_mode: "local" or "privileged".
+        environment: id of the environment whose observations the policy takes; None: those of any that it is played in.
         description: one sentence on what it is.
         equation: the control law in short.
         source: citation.
@@ -59,6 +59,7 @@ class Entry:
     policy: Policy | None = None
     action_mode: str = "k+tau"
     observation_mode: str = "local"
+    environment: str | None = None
     description: str = ""
     equation: str = ""
     source: str = ""
@@ -76,6 +77,10 @@ class Entry:
         object.__setattr__(self, "law", get_law(self.strategy))
         # Checks the two modes.
         EnvSettings(action_mode=self.action_mode, observation_mode=self.observation_mode)
+        if self.environment not in (None, *BENCHMARKS):
+            raise ValueError(
+                f"environment of entry {name!r} must be one of {', '.join(BENCHMARKS)}, got {self.environment!r}"
+            )
         if self.policy is not None and not is_policy(self.policy):
             raise ValueError(
                 f"the policy of entry {name!r} must have predict(observation, state, episode_start, deterministic), "
@@ -158,8 +163,18 @@ def check_entries(entries: Sequence[Entry]) -> None:
         first = rows.setdefault(entry.name, entry)
         if first is not entry:
             _check_row(first, entry)
-        if entry.name in ANCHORS and (entry.policy is not None or entry.law != STRATEGIES[entry.name]):
+        if entry.name in ANCHOR_NAMES and (entry.policy is not None or entry.law != get_law(entry.name)):
             raise ValueError(f"the name {entry.name!r} is reserved for the strategy itself, which fixes the score")
+
+
+def check_version(entries: Sequence[Entry], benchmark: Benchmark) -> None:
+    """Raise a ValueError if an entry's policy takes the observations of another version of the benchmark."""
+    for entry in entries:
+        if entry.environment not in (None, benchmark.env_id):
+            raise ValueError(
+                f"entry {entry.label!r} is for {entry.environment}, these scenarios are of {benchmark.env_id}, "
+                "whose observations are others"
+            )
 
 
 def _check_row(first: Entry, other: Entry) -> None:

@@ -20,6 +20,7 @@ from wtg_gym.policies.play import play, started_lanes
 from wtg_gym.policies.policy_process import NotIsolatedError
 from wtg_gym.policies.submission_folder import EntryFile, parse_entry, read_files
 from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios.benchmark import BENCHMARKS
 
 #: All checks in their order.
 CHECKS = ("folder", "entry.toml", "loading", "speed", "rollout", "repeated")
@@ -29,7 +30,7 @@ ANSWER_S = 1e-3
 #: Scenarios that are answered then, as many as a process ever plays: a policy that keeps to its limits here does so
 #: wherever it is played later. The fastest of five steps counts, as a busy machine slows down the others.
 _TIMED_LANES, _TIMES = 256, 5
-_ROLLOUT_SUITE, _ROLLOUT_LANES = "standard", 32
+_ROLLOUT_LANES = 32
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,7 @@ class Report:
         """Return an accepted submission as an entry; `weak` is as for :func:`check_submission`."""
         assert self.accepted and self.entry is not None
         policy = OnnxPolicy(self.content, isolated=not weak)
-        same = ("name", "action_mode", "observation_mode", "description", "training_seed")
+        same = ("name", "action_mode", "observation_mode", "environment", "description", "training_seed")
         data: dict[str, Any] = {key: getattr(self.entry, key) for key in same}
         return Entry(policy=policy, source=", ".join(self.entry.authors), fingerprint=policy.sha256, **data)
 
@@ -124,7 +125,7 @@ def check_submission(folder: Path, *, weak: bool = False, rollout_only: bool = F
             report.notes = policy.not_isolated
             passed(_check_widths(policy, entry))
             passed("passed before" if rollout_only else check_speed(policy))
-        modes = entry.action_mode, entry.observation_mode
+        modes = entry.action_mode, entry.observation_mode, BENCHMARKS[entry.environment].version
         actions = report.actions = rollout(policy, *modes)
         passed(f"{_ROLLOUT_LANES} scenarios of the validation split, up to {len(actions)} steps")
         if not rollout_only and not np.array_equal(actions, rollout(policy, *modes, backwards=True)):
@@ -140,7 +141,11 @@ def check_submission(folder: Path, *, weak: bool = False, rollout_only: bool = F
 
 def _check_widths(policy: OnnxPolicy, entry: EntryFile) -> str:
     """Compare a policy's widths with those of the benchmark's plant in its modes."""
-    settings = EnvSettings(action_mode=entry.action_mode, observation_mode=entry.observation_mode)
+    settings = EnvSettings(
+        action_mode=entry.action_mode,
+        observation_mode=entry.observation_mode,
+        version=BENCHMARKS[entry.environment].version,
+    )
     lanes = TaskLanes(settings, 1, 1)
     wanted = lanes.n_observation, lanes.n_action
     lanes.simulator.close()
@@ -169,14 +174,19 @@ def check_speed(policy: OnnxPolicy) -> str:
     return f"{taken_ms:.3f} ms for an action, allowed are {allowed_ms:g}"
 
 
-def rollout(policy: OnnxPolicy, action_mode: str, observation_mode: str, *, backwards: bool = False) -> Floats:
-    """Play scenarios of the validation split in a new process; return the actions, (steps, lanes, n_action), within ±1.
+def rollout(
+    policy: OnnxPolicy, action_mode: str, observation_mode: str, version: str = "v0", *, backwards: bool = False
+) -> Floats:
+    """Play validation scenarios of the standard suite in a new process.
+
+    The actions come back within ±1, (steps, lanes, n_action).
 
     A lane's actions are zero once its episode is over.
 
     Args:
         policy: the policy.
         action_mode, observation_mode: what it acts on and sees.
+        version: of the benchmark.
         backwards: play the last scenario first; the actions come in the usual order all the same.
 
     Raises:
@@ -184,9 +194,9 @@ def rollout(policy: OnnxPolicy, action_mode: str, observation_mode: str, *, back
     """
     listener = _Listener(policy)
     entry = Entry(name="the policy", policy=listener, action_mode=action_mode, observation_mode=observation_mode)
-    settings = EnvSettings(suite=_ROLLOUT_SUITE, split="validation")
+    settings = EnvSettings(version=version, split="validation")
     order = -1 if backwards else 1
-    seeds = get_suite(_ROLLOUT_SUITE).validation[:_ROLLOUT_LANES][::order]
+    seeds = get_suite(settings.suite).validation[:_ROLLOUT_LANES][::order]
     with started_lanes(entry, settings, seeds) as (lanes, _), policy:
         for step, running in enumerate(play(entry, lanes)):
             listener.actions[step][~running] = 0.0

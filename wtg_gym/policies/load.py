@@ -10,15 +10,16 @@ import dataclasses
 import importlib
 import os
 import pkgutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from wtg_gym.files import read_toml
-from wtg_gym.physics.tracking_law import STRATEGIES, get_law
+from wtg_gym.physics.tracking_law import STRATEGY_NAMES, get_law
 from wtg_gym.policies.entry import Entry, Policy, is_policy
 from wtg_gym.policies.onnx_policy import OnnxPolicy
+from wtg_gym.scenarios.benchmark import BENCHMARKS, V0, Benchmark
 
 #: The package with the baselines, and the name of all trained policies together.
 BASELINES, POLICIES = "baselines", "policies"
@@ -31,6 +32,7 @@ _ENTRY_KEYS = (
     "description",
     "action_mode",
     "observation_mode",
+    "environment",
     "training_seed",
     "authors",
     "trained_on",
@@ -44,7 +46,7 @@ _ROOT = _PACKAGE / "shipped" if _INSTALLED else _PACKAGE.parent
 LoadArchive = Callable[[Path, str], tuple[Policy, str]]
 
 
-def load_entries(spec: str | Path, load_archive: LoadArchive | None = None) -> list[Entry]:
+def load_entries(spec: str | Path, load_archive: LoadArchive | None = None, benchmark: Benchmark = V0) -> list[Entry]:
     """Return the entries that a text names.
 
     Args:
@@ -52,9 +54,10 @@ def load_entries(spec: str | Path, load_archive: LoadArchive | None = None) -> l
             (k)" stands for all of its seeds, "ppo-k-0" for one of them, "policies" for all policies); a .toml file with
             a law; a folder with an entry.toml and a policy.onnx, see :func:`load_entry_folder`; a package such as
             "baselines", of which every module with an `ENTRY` counts, in the order of the package's `ORDER` and then by
-            name; or "module:ATTRIBUTE", an entry, a policy, or a callable that returns one. Importing runs the module's
-            code.
+            name (if `ORDER` gives one for each version of the benchmark, only the modules of `benchmark`); or
+            "module:ATTRIBUTE", an entry, a policy, or a callable that returns one. Importing runs the module's code.
         load_archive: as for :func:`load_entry_folder`.
+        benchmark: the version whose baselines are meant, and whose trained policies, where some of a name are for it.
 
     Raises:
         ValueError: nothing of that name, or it holds no entry; the message says what is allowed.
@@ -62,7 +65,7 @@ def load_entries(spec: str | Path, load_archive: LoadArchive | None = None) -> l
     if not isinstance(spec, (str, Path)):
         raise ValueError(f"load_entries() takes one name or path, got {spec!r}")
     text = str(spec)
-    if text in STRATEGIES:
+    if text in STRATEGY_NAMES:
         return _baselines_named(text)
     if text.endswith(".toml"):
         law = get_law(text)
@@ -76,12 +79,12 @@ def load_entries(spec: str | Path, load_archive: LoadArchive | None = None) -> l
             f"write {text.rstrip('/')}/* for all of them, or name one, such as {text.rstrip('/')}/{folders[0]}"
         )
     if shipped := [load_entry_folder(folder) for folder in _policy_folders(text)]:
-        return shipped
+        return [entry for entry in shipped if entry.environment == benchmark.env_id] or shipped
     if named := _baselines_named(text):
         return named
     module_name, colon, attribute = text.partition(":")
     module = _import(module_name, text)
-    return [_entry_of(module, attribute, text)] if colon else _entries_of(module, text)
+    return [_entry_of(module, attribute, text)] if colon else _entries_of(module, text, benchmark.version)
 
 
 def _baselines_named(name: str) -> list[Entry]:
@@ -114,9 +117,10 @@ def _entry_name(folder: Path) -> str | None:
 def load_entry_folder(folder: Path, load_archive: LoadArchive | None = None) -> Entry:
     """Return the entry of a folder with a policy that modulates the reference strategy.
 
-    Its entry.toml has the keys name and action_mode, and may have description, observation_mode, training_seed,
-    authors (a list of names), trained_on (text) and links (a list of addresses). An :class:`OnnxPolicy` plays its
-    policy.onnx in a process of its own; nothing of that file is looked at before.
+    Its entry.toml has the keys name and action_mode, and may have description, observation_mode, environment (without
+    it: that of version v0), training_seed, authors (a list of names), trained_on (text) and links (a list of
+    addresses). An :class:`OnnxPolicy` plays its policy.onnx in a process of its own; nothing of that file is looked at
+    before.
 
     Args:
         folder: the folder.
@@ -167,7 +171,7 @@ def _entry_data(path: Path, further: tuple[str, ...]) -> dict[str, Any]:
             raise ValueError(f"{key} in {path} must be a list of texts, got {value!r}")
     if not isinstance(trained_on, str):
         raise ValueError(f"trained_on in {path} must be text, got {trained_on!r}")
-    return {**data, "source": ", ".join(authors)}
+    return {"environment": V0.env_id, **data, "source": ", ".join(authors)}
 
 
 # --- modules ---------------------------------------------------------------------------------------------------------
@@ -191,7 +195,7 @@ def _import(name: str, spec: str) -> ModuleType:
 
 def _allowed() -> str:
     names = [name for folder in _policy_folders(POLICIES) if (name := _entry_name(folder))]
-    shipped = ", ".join(repr(known) for known in dict.fromkeys((*STRATEGIES, BASELINES, *names, POLICIES)))
+    shipped = ", ".join(repr(known) for known in dict.fromkeys((*STRATEGY_NAMES, BASELINES, *names, POLICIES)))
     return (
         f"allowed are {shipped}, a .toml file with a law, "
         f'a folder with {ENTRY_FILE}, an importable package or module with entries, or "module:ATTRIBUTE"'
@@ -215,21 +219,38 @@ def _entry_of(module: ModuleType, attribute: str, spec: str) -> Entry:
     )
 
 
-def _entries_of(module: ModuleType, spec: str) -> list[Entry]:
+def _entries_of(module: ModuleType, spec: str, version: str | None = None) -> list[Entry]:
+    """Return the entries of a module or package.
+
+    The ORDER of a package may be by version of the benchmark: it has then only the entries of `version` (None: of
+    all), and a policy that stands in the order of one version alone is for that one.
+    """
+    orders: Mapping[str, Sequence[str]] = {}
+    modules = [module]
     path = getattr(module, "__path__", None)
-    if path is None:
-        modules = [module]
-    else:
+    if path is not None:
         names = sorted(info.name for info in pkgutil.iter_modules(path))
-        order: Sequence[str] = getattr(module, "ORDER", ())
+        given: Any = getattr(module, "ORDER", ())
+        orders = given if isinstance(given, Mapping) else {}
+        order = list(dict.fromkeys(name for each in orders.values() for name in each)) if orders else list(given)
         missing = [name for name in order if name not in names]
         if missing:
             raise ValueError(f"ORDER of package {spec!r} names modules {missing} that it has not; it has {names}")
         names = [*order, *(name for name in names if name not in order)]
+        if orders and version is not None:
+            names = list(orders[version])
         modules = [_import(f"{module.__name__}.{name}", spec) for name in names]
-    entries = [vars(each)["ENTRY"] for each in modules if "ENTRY" in vars(each)]
-    if not entries or not all(isinstance(entry, Entry) for entry in entries):
+    entries = [(each, vars(each)["ENTRY"]) for each in modules if "ENTRY" in vars(each)]
+    if not entries or not all(isinstance(entry, Entry) for _, entry in entries):
         raise ValueError(
             f"{spec!r} has no entry: a folder needs an {ENTRY_FILE}, a package or module an ENTRY, which is an Entry"
         )
-    return entries
+    return [_of_its_version(entry, each.__name__.rpartition(".")[2], orders) for each, entry in entries]
+
+
+def _of_its_version(entry: Entry, name: str, orders: Mapping[str, Sequence[str]]) -> Entry:
+    """Return an entry with the environment that the orders by version give it, if it has a policy and none yet."""
+    own = [env_id for env_id, each in BENCHMARKS.items() if name in orders.get(each.version, ())]
+    if entry.policy is None or entry.environment is not None or len(own) != 1:
+        return entry
+    return dataclasses.replace(entry, environment=own[0])

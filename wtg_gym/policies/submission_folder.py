@@ -13,6 +13,7 @@ from wtg_gym.envs.settings import ACTION_MODES, OBSERVATION_MODES
 from wtg_gym.files import LARGEST_TOML_BYTES, parse_toml, write_atomically
 from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
 from wtg_gym.policies.submission_texts import check_author, check_link, check_name, check_text, short
+from wtg_gym.scenarios.benchmark import BENCHMARKS, V0
 
 #: The files of a folder and their largest sizes [bytes]; every limit is far above what a policy here needs.
 FILES = {ENTRY_FILE: LARGEST_TOML_BYTES, POLICY_FILE: 5_000_000, "README.md": 65_536}
@@ -20,8 +21,12 @@ _FOLDER = re.compile(r"(?!.*(\.|\.toml)$)[A-Za-z0-9][A-Za-z0-9+._-]{0,79}", re.I
 #: Names, with any ending, that Windows keeps for devices: a repository with one cannot be checked out there.
 _DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 _REQUIRED = ("name", "authors", "training_seed", "action_mode")
-_OPTIONAL = ("observation_mode", "description", "trained_on", "links")
-_MODES = {"action_mode": tuple(ACTION_MODES), "observation_mode": OBSERVATION_MODES}
+_OPTIONAL = ("observation_mode", "environment", "description", "trained_on", "links")
+_CHOICES = {
+    "action_mode": tuple(ACTION_MODES),
+    "observation_mode": OBSERVATION_MODES,
+    "environment": tuple(BENCHMARKS),
+}
 _LARGEST_SEED = 2**32 - 1
 _MOST_AUTHORS, _MOST_LINKS = 40, 5
 
@@ -48,6 +53,9 @@ action_mode = "k+tau"
 # What it sees: "local", what a group's own controller measures, or "privileged", the state of the grid as well.
 observation_mode = "local"
 
+# Which environment it is for: "GFMWTG-14bus-v0" or "GFMWTG-14bus-v1", whose observations differ.
+environment = "GFMWTG-14bus-v0"
+
 # What it was trained on: suite, split, steps. Test scenarios are for scoring only.
 trained_on = "standard, split train"
 
@@ -65,6 +73,7 @@ class EntryFile:
     training_seed: int
     action_mode: str
     observation_mode: str = "local"
+    environment: str = V0.env_id
     description: str = ""
     trained_on: str = ""
     links: tuple[str, ...] = ()
@@ -143,7 +152,7 @@ def parse_entry(content: bytes) -> EntryFile:
             f"it must have the keys {', '.join(_REQUIRED)} and may have {', '.join(_OPTIONAL)}; "
             f"missing: {missing}, unknown: {ascii(unknown)[:120]}"
         )
-    for key, allowed in _MODES.items():
+    for key, allowed in _CHOICES.items():
         if key in data and (not isinstance(data[key], str) or data[key] not in allowed):
             raise ValueError(f"{key} must be one of {', '.join(allowed)}, got {short(data[key])}")
     seed = data["training_seed"]

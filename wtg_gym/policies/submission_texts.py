@@ -6,7 +6,7 @@ import re
 import unicodedata
 from typing import Any
 
-from wtg_gym.physics.tracking_law import STRATEGIES
+from wtg_gym.physics.tracking_law import STRATEGY_NAMES
 
 _NAME_SIGNS = " ()+-.,=_"
 #: Quantities that a name may speak of, and the letters that some of them look like.
@@ -15,7 +15,7 @@ _LOOKS = str.maketrans("βγκτω", "byktw")
 #: Small letters and digits that are one line or one ring in many typefaces.
 _SAME = str.maketrans("1i0", "llo")
 #: Names of a checkout's own entries that submissions cannot have: one row, one maker.
-TAKEN = (*STRATEGIES, "tip-speed-feedback")
+TAKEN = (*STRATEGY_NAMES, "tip-speed-feedback", "fast-droop")
 #: The table says itself how many seeds a row has.
 _SEEDS = re.compile(r"\d\W*seeds?\b", re.IGNORECASE)
 #: All signs of ASCII that a text may have; a colon and an ampersand only before a blank, an underscore within a word.

@@ -12,7 +12,21 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from wtg_gym.physics.scenario import SERIES_DT, Event, LineTrip, LoadRamp, LoadStep, LoadTrip, Scenario
+from wtg_gym.physics.aerodynamics import available_power_pu
+from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
+from wtg_gym.physics.scenario import (
+    SERIES_DT,
+    Event,
+    GovernorLoss,
+    GroupTrip,
+    LineTrip,
+    LoadRamp,
+    LoadStep,
+    LoadTrip,
+    MachineOutage,
+    Scenario,
+)
 from wtg_gym.ranges import require_range
 from wtg_gym.scenarios.stream import Words, draw_normals, draw_uniforms, seed_streams
 from wtg_gym.scenarios.wind import (
@@ -38,6 +52,8 @@ TRIPPABLE_LINES = (
 #: The same without 1-2, which carries most of the output of bus 1: with a load event on top, no wind
 #: controller could save the run.
 _SURVIVABLE_LINES = TRIPPABLE_LINES[1:]
+#: Mean winds that are drawn for a share of the load before it counts as impossible.
+_MOST_DRAWS = 1000
 #: Uniform numbers that are taken from a stream at a time.
 _N_UNIFORMS = 64
 #: Bus, largest load increase and largest decrease there [MW]: less at the buses behind weak lines; the
@@ -52,7 +68,7 @@ def _number(default: float | None, allowed: Span, unit: str, meaning: str) -> An
     return field(default=default, metadata={"allowed": allowed, "unit": unit, "meaning": meaning})
 
 
-def _span(default: Span, allowed: Span, unit: str, meaning: str) -> Any:
+def _span(default: Span | None, allowed: Span, unit: str, meaning: str) -> Any:
     return field(default=default, metadata={"allowed": allowed, "unit": unit, "meaning": meaning, "span": True})
 
 
@@ -112,6 +128,23 @@ class ScenarioDistribution:
         (0.5, 1.0), (0.05, 5.0), "", "factor on the inertia of the synchronous machines"
     )
     load_level: tuple[float, float] = _span((0.85, 1.1), (0.3, 1.5), "", "factor on the loads of the case")
+    wind_share: tuple[float, float] | None = _span(
+        None,
+        (0.0, 1.0),
+        "",
+        "share of the load that the mean winds give to turbines at nominal reserve; others are drawn again",
+    )
+    governor_loss_probability: float = _number(
+        0.0, (0.0, 1.0), "", "chance that the governor is lost, every other time from the start"
+    )
+    group_trip_probability: float = _number(
+        0.0, (0.0, 1.0), "", "chance that the smallest WTG group trips, if the governor is not lost"
+    )
+    machine_outage_probability: float = _number(0.0, (0.0, 1.0), "", "chance that a synchronous machine disconnects")
+    machine_outage_buses: tuple[int, ...] = _table((3, 6, 8), "buses whose machine may disconnect")
+    line_reclosing_s: tuple[float, float] | None = _span(
+        None, (0.1, 3600.0), "s", "time after which a tripped line comes back; None: it does not"
+    )
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name:
@@ -120,10 +153,12 @@ class ScenarioDistribution:
             if "allowed" not in item.metadata:
                 continue
             value, (low, high), unit = getattr(self, item.name), item.metadata["allowed"], item.metadata["unit"]
+            if value is None and item.default is None:
+                continue
             if item.metadata.get("span"):
                 pair = _require_span(item.name, value, low, high, unit)
                 object.__setattr__(self, item.name, pair)
-            elif value is not None or item.default is not None:
+            else:
                 object.__setattr__(self, item.name, require_range(item.name, value, low, high, unit))
         if any(n != int(n) for n in self.n_load_events):
             raise ValueError(f"n_load_events must be two whole numbers, got {self.n_load_events}")
@@ -152,8 +187,16 @@ class ScenarioDistribution:
             raise ValueError(f"line_trips must be one or more of {TRIPPABLE_LINES}, got {self.line_trips}")
 
     def to_dict(self) -> dict[str, Any]:
-        """Return every setting as JSON-ready data; the keyword arguments to build the distribution again."""
-        return dataclasses.asdict(self)
+        """Return every setting as JSON-ready data; the keyword arguments to build the distribution again.
+
+        Settings that older suites do not have are left out where they do nothing, so that those keep their hashes.
+        """
+        data = dataclasses.asdict(self)
+        names = list(data)
+        for name in names[names.index("wind_share") :]:
+            if data[name] == getattr(type(self), name):
+                del data[name]
+        return data
 
     def draw(
         self,
@@ -199,7 +242,7 @@ class ScenarioDistribution:
         # The name is part of the seed, so that two suites share no scenario.
         states = np.empty((len(seeds), 4), dtype=np.uint64)
         seed_streams(np.array(seeds, dtype=np.uint64), zlib.crc32(self.name.encode()), states)
-        plans = [self._plan(pick, len(turbines), n_samples, window) for pick in _pickers(states)]
+        plans = [self._plan(pick, turbines, n_samples, window) for pick in _pickers(states)]
         winds, noises = self._series(states, plans, turbines, n_samples)
         return [
             Scenario(
@@ -217,16 +260,19 @@ class ScenarioDistribution:
             for seed, plan, wind, noise in zip(seeds, plans, winds, noises, strict=True)
         ]
 
-    def _plan(self, pick: _Picker, n_wtg: int, n_samples: int, window: Span) -> _Plan:
-        return _Plan(
+    def _plan(self, pick: _Picker, turbines: list[float], n_samples: int, window: Span) -> _Plan:
+        load_level: float
+        plan = _Plan(
             governor_droop=pick.between(self.governor_droop),
             inertia_scale=pick.between(self.inertia_scale),
-            load_level=pick.between(self.load_level),
+            load_level=(load_level := pick.between(self.load_level)),
             events=(*self._load_events(pick, window), *self._line_events(pick, window)),
             intensity=pick.between(self.turbulence_intensity),
-            mean_winds=self._mean_winds(pick, n_wtg),
-            wind_event=self._wind_event(pick, n_wtg, n_samples, window),
+            mean_winds=self._mean_winds(pick, turbines, load_level),
+            wind_event=self._wind_event(pick, len(turbines), n_samples, window),
         )
+        # Last in the stream, so that suites without them draw what they always drew.
+        return plan._replace(events=(*plan.events, *self._outages(pick, turbines, window)))
 
     def _load_events(self, pick: _Picker, window: Span) -> list[Event]:
         n_events = pick.whole(*self.n_load_events)
@@ -267,7 +313,23 @@ class ScenarioDistribution:
         if not pick.chance(self.line_trip_probability):
             return []
         from_bus, to_bus = pick.choice(self.line_trips)
-        return [LineTrip(time_s=pick.instant(window), from_bus=from_bus, to_bus=to_bus)]
+        trip = LineTrip(time_s=pick.instant(window), from_bus=from_bus, to_bus=to_bus)
+        if self.line_reclosing_s is None:
+            return [trip]
+        return [dataclasses.replace(trip, recloses_after_s=round(pick.between(self.line_reclosing_s), 1))]
+
+    def _outages(self, pick: _Picker, turbines: list[float], window: Span) -> list[Event]:
+        events: list[Event] = []
+        if self.governor_loss_probability + self.group_trip_probability > 0.0:
+            kind = pick.uniform()
+            if kind < self.governor_loss_probability:
+                time_s = 0.0 if pick.chance(0.5) else pick.instant(window)
+                events.append(GovernorLoss(time_s=time_s, bus=1))
+            elif kind < self.governor_loss_probability + self.group_trip_probability:
+                events.append(GroupTrip(time_s=pick.instant(window), group=turbines.index(min(turbines))))
+        if self.machine_outage_probability > 0.0 and pick.chance(self.machine_outage_probability):
+            events.append(MachineOutage(time_s=pick.instant(window), bus=pick.choice(self.machine_outage_buses)))
+        return events
 
     def _series(
         self, states: Words, plans: Sequence[_Plan], turbines: list[float], n_samples: int
@@ -294,7 +356,39 @@ class ScenarioDistribution:
         noise -= noise[:, :1] * _noise_decay(self.load_noise_correlation_s, n_samples)
         return wind, noise
 
-    def _mean_winds(self, pick: _Picker, n_wtg: int) -> list[float]:
+    def _mean_winds(self, pick: _Picker, turbines: list[float], load_level: float) -> list[float]:
+        if self.wind_share is None:
+            return self._any_mean_winds(pick, len(turbines))
+        low, high = self.wind_share
+        for _ in range(_MOST_DRAWS):
+            winds = self._any_mean_winds(pick, len(turbines))
+            if low <= _share_of_load(winds, turbines, load_level) <= high:
+                return winds
+        raise ValueError(
+            f"wind_share: winds of {self.mean_wind_m_s[0]:g} … {self.mean_wind_m_s[1]:g} m/s hardly ever give these "
+            f"{sum(turbines):g} turbines {100.0 * low:g} … {100.0 * high:g} % of the load"
+        )
+
+    def check_share(self, n_turbines: Sequence[float]) -> None:
+        """Refuse turbines per group that hardly any mean winds let give the `wind_share`; a ValueError says why."""
+        if self.wind_share is None:
+            return
+        low, high = self.mean_wind_m_s
+        # A twentieth of the range at either end: that many draws at least must fit.
+        margin = 0.05 * (high - low)
+        for load_level in self.load_level:
+            least, most = (
+                _share_of_load([wind] * len(n_turbines), n_turbines, load_level)
+                for wind in (low + margin, high - margin)
+            )
+            if most < self.wind_share[0] or least > self.wind_share[1]:
+                raise ValueError(
+                    f"these {sum(n_turbines):g} turbines give {100.0 * least:.0f} … {100.0 * most:.0f} % of the load "
+                    f"at level {load_level:g}; the wind_share of {self.name!r} is {100.0 * self.wind_share[0]:g} … "
+                    f"{100.0 * self.wind_share[1]:g} %: other groups or another suite are needed"
+                )
+
+    def _any_mean_winds(self, pick: _Picker, n_wtg: int) -> list[float]:
         spread = self.mean_wind_spread_m_s
         if spread is None:
             return [pick.between(self.mean_wind_m_s) for _ in range(n_wtg)]
@@ -369,6 +463,22 @@ class _Picker:
 
     def instant(self, window: Span) -> float:
         return round(self.between(window), 1)
+
+
+def _share_of_load(mean_winds: Sequence[float], turbines: Sequence[float], load_level: float) -> float:
+    """Return the share of the system's load that turbines at nominal reserve give in mean winds [m/s]."""
+    turbine_mw, per_cubic_wind, load_mw = _share_constants()
+    given_mw = (
+        n * turbine_mw * min(per_cubic_wind * wind**3, 1.0) for n, wind in zip(turbines, mean_winds, strict=True)
+    )
+    return sum(given_mw) / (load_level * load_mw)
+
+
+@lru_cache(maxsize=1)
+def _share_constants() -> tuple[float, float, float]:
+    """Return a turbine's power at nominal reserve [MW], its available power at 1 m/s [p.u.] and the load [MW]."""
+    full, rated_mw = 1.0 - GridFormingParameters().deloading_nominal, TurbineParameters().rated_power_mw
+    return rated_mw * full, float(available_power_pu(1.0)), sum(bus.load_mw for bus in modified_ieee14().buses)
 
 
 @lru_cache(maxsize=64)

@@ -8,16 +8,19 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from types import MappingProxyType
+from types import EllipsisType, MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from wtg_gym.physics.parameters import GovernorParameters, WtgGroup
 from wtg_gym.physics.scenario import Event, LoadStep, LoadTrip, Scenario
+from wtg_gym.scenarios.benchmark import V0, V1, Benchmark, SuitePlant
 from wtg_gym.scenarios.distribution import ScenarioDistribution
+from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 
 #: Names of the frozen splits, in the order of the seeds' use.
 SPLITS = ("train", "validation", "test")
@@ -53,6 +56,9 @@ class Suite:
         name: name of the suite.
         description: one line on what it is about.
         duration_s: length of its runs [s].
+        benchmark: version of the benchmark that it belongs to.
+        plant: its grid and turbines.
+        sensors: what the errors of the measurements are drawn from; None for exact ones.
         distribution: what its scenarios are drawn from; None for fixed cases.
         cases: the fixed cases, case i having the seed i in every split; empty with a distribution.
         train: seeds to train on.
@@ -66,6 +72,9 @@ class Suite:
     name: str
     description: str
     duration_s: float
+    benchmark: Benchmark = V0
+    plant: SuitePlant = field(default_factory=SuitePlant)
+    sensors: SensorDistribution | None = None
     distribution: ScenarioDistribution | None = None
     cases: tuple[FixedCase, ...] = ()
     train: range = _TRAIN_SEEDS
@@ -112,7 +121,7 @@ class Suite:
         self,
         seed: int,
         *,
-        n_wtg: int = 2,
+        n_wtg: int | None = None,
         n_turbines: Sequence[float] | None = None,
         duration_s: float | None = None,
     ) -> Scenario:
@@ -120,7 +129,7 @@ class Suite:
 
         Args:
             seed: a seed of one of the splits.
-            n_wtg: number of WTG groups.
+            n_wtg: number of WTG groups; None: the suite's own.
             n_turbines: turbines per group, shape (n_wtg,), see :meth:`ScenarioDistribution.draw`; fixed cases have
                 no turbulence to average.
             duration_s: length of the run [s]; None: the suite's own.
@@ -134,19 +143,38 @@ class Suite:
         self,
         seeds: Sequence[int],
         *,
-        n_wtg: int = 2,
+        n_wtg: int | None = None,
         n_turbines: Sequence[float] | None = None,
         duration_s: float | None = None,
+        sensors: SensorDistribution | EllipsisType | None = ...,
     ) -> list[Scenario]:
-        """Return the scenarios of several seeds; everything else as for :meth:`scenario`."""
+        """Return the scenarios of several seeds; everything else as for :meth:`scenario`.
+
+        `sensors` replaces the suite's own; None measures exactly.
+        """
         splits = [self.seeds(split) for split in self._splits]
         for seed in seeds:
             is_whole = isinstance(seed, (int, np.integer)) and not isinstance(seed, bool)
             if not is_whole or not any(int(seed) in split for split in splits):
                 raise ValueError(f"seed {seed!r} is in no split of suite {self.name!r}: {self._split_text()}")
         duration = self.duration_s if duration_s is None else duration_s
+        if n_wtg is None:
+            n_wtg = len(self.plant.groups)
+            n_turbines = [group.n_turbines for group in self.plant.groups] if n_turbines is None else n_turbines
         if self.distribution is not None:
-            return self.distribution.draw_many(seeds, n_wtg, n_turbines, duration)
+            drawn = self.distribution.draw_many(seeds, n_wtg, n_turbines, duration)
+        else:
+            drawn = self._fixed_scenarios(seeds, n_wtg, n_turbines, duration)
+        measuring = self.sensors if sensors is ... else sensors
+        if measuring is None:
+            return drawn
+        name = self.name if self.distribution is None else self.distribution.name
+        errors = measuring.draw_many(name, seeds, n_wtg)
+        return [replace(scenario, sensors=own) for scenario, own in zip(drawn, errors, strict=True)]
+
+    def _fixed_scenarios(
+        self, seeds: Sequence[int], n_wtg: int, n_turbines: Sequence[float] | None, duration: float
+    ) -> list[Scenario]:
         if isinstance(n_wtg, bool) or not isinstance(n_wtg, (int, np.integer)) or n_wtg < 1:
             raise ValueError(f"n_wtg must be a positive integer, got {n_wtg!r}")
         if n_turbines is not None and len(n_turbines) != n_wtg:
@@ -179,6 +207,9 @@ class Suite:
             "splits": {split: [s.start, s.stop, s.step] for split, s in seeds.items()},
             "drawn": drawn,
         }
+        if self.benchmark != V0:
+            data["benchmark"], data["plant"] = self.benchmark.to_dict(), self.plant.to_dict()
+            data["sensors"] = None if self.sensors is None else asdict(self.sensors)
         text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -226,6 +257,84 @@ def _drawn(name: str, description: str, **settings: Any) -> Suite:
     return Suite(name=name, description=description, duration_s=60.0, distribution=distribution)
 
 
+def _wind_plant(generator_mva: float, *turbines: float) -> SuitePlant:
+    """Return the grid of version v1: a small generator at bus 1, WTG groups in place of others."""
+    return SuitePlant(
+        groups=tuple(WtgGroup(bus=bus, n_turbines=n) for bus, n in zip((2, 3, 6, 8), turbines, strict=True)),
+        physics="extended",
+        generator_mva=generator_mva,
+        governor=GovernorParameters(lead_time_s=1.0, reheat_time_s=10.0),
+        frequency_limits_hz=(48.5, 51.5),
+        overload_from_pu=1.05,
+    )
+
+
+_WIND_PLANT = _wind_plant(250.0, 20.0, 14.0, 10.0, 8.0)
+#: What the scenarios of version v1 have in common; a suite replaces some of it.
+_WIND_SCENARIOS: Mapping[str, Any] = MappingProxyType(
+    {
+        "mean_wind_m_s": (8.5, 11.0),
+        "mean_wind_spread_m_s": 1.0,
+        "wind_share": (0.4, 0.78),
+        "wind_ramp_probability": 0.15,
+        "wind_ramp_m_s": (0.5, 1.8),
+        "load_event_mw": (10.0, 34.0),
+        "net_load_change_mw": 38.0,
+        "load_trip_probability": 0.1,
+        # The load of bus 4 is more than all other events together.
+        "load_trip_buses": (9, 14),
+        "line_trip_probability": 0.1,
+        "governor_droop": (0.03, 0.08),
+        "inertia_scale": (0.25, 0.6),
+        "governor_loss_probability": 0.05,
+        "group_trip_probability": 0.05,
+    }
+)
+
+
+def _drawn_v1(
+    name: str,
+    description: str,
+    plant: SuitePlant = _WIND_PLANT,
+    sensors: SensorDistribution | None = None,
+    scenarios_of: str | None = None,
+    **settings: Any,
+) -> Suite:
+    """Return a suite of version v1; `scenarios_of` names one whose scenarios, but for the sensors, it shares."""
+    return Suite(
+        name=f"{name}-v1",
+        description=description,
+        duration_s=60.0,
+        benchmark=V1,
+        plant=plant,
+        sensors=sensors or SensorDistribution(),
+        distribution=ScenarioDistribution(name=f"{scenarios_of or name}-v1", **{**_WIND_SCENARIOS, **settings}),
+        validation=range(10_000, 10_200),
+        test=range(20_000, 21_000),
+    )
+
+
+_PAPER_V1 = Suite(
+    name="paper-v1",
+    description="The paper's cases in this grid: 35 MW more at bus 2 and at bus 3; the loads of buses 4 and 9 lost.",
+    duration_s=120.0,
+    benchmark=V1,
+    plant=_WIND_PLANT,
+    sensors=SensorDistribution(),
+    cases=(
+        FixedCase(
+            name="load-increase",
+            wind_speed_m_s=(11.0, 9.0),
+            events=(LoadStep(time_s=5.0, bus=2, power_mw=35.0), LoadStep(time_s=30.0, bus=3, power_mw=35.0)),
+        ),
+        FixedCase(
+            name="load-decrease",
+            wind_speed_m_s=(11.0, 9.0),
+            events=(LoadTrip(time_s=5.0, bus=4), LoadTrip(time_s=30.0, bus=9)),
+        ),
+    ),
+)
+
 #: Every suite by its name.
 SUITES: Mapping[str, Suite] = MappingProxyType(
     {
@@ -260,6 +369,52 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
                 load_noise_mw=1.5,
                 line_trip_probability=0.3,
             ),
+            _drawn_v1("standard", "Three fifths of the power from wind beside one small generator: the wind decides."),
+            _drawn_v1(
+                "low-share",
+                "Two fifths of the power from wind, and larger events.",
+                _wind_plant(300.0, 14.0, 10.0, 7.0, 5.0),
+                wind_share=(0.25, 0.6),
+                load_event_mw=(12.0, 42.0),
+                net_load_change_mw=48.0,
+            ),
+            _drawn_v1(
+                "high-share",
+                "Three quarters of the power from wind beside a generator of 150 MVA.",
+                _wind_plant(150.0, 26.0, 18.0, 13.0, 10.0),
+                wind_share=(0.6, 0.83),
+                load_event_mw=(6.0, 24.0),
+                net_load_change_mw=27.0,
+                inertia_scale=(0.35, 0.7),
+            ),
+            _drawn_v1(
+                "gusty",
+                "A gust on one group or a wind ramp on all in nearly every run, in turbulence of class A.",
+                mean_wind_m_s=(9.0, 11.5),
+                turbulence_intensity=(0.16, 0.16),
+                gust_probability=0.5,
+                gust_m_s=(2.5, 4.0),
+                wind_ramp_probability=0.4,
+                wind_ramp_m_s=(1.0, 1.8),
+                wind_share=(0.4, 0.74),
+                n_load_events=(1, 2),
+                load_event_mw=(10.0, 30.0),
+            ),
+            _drawn_v1(
+                "no-wind-sensor",
+                "The scenarios of standard-v1, but nobody measures the wind.",
+                sensors=SensorDistribution(wind_sensor=False),
+                scenarios_of="standard",
+            ),
+            _drawn_v1(
+                "faults",
+                "Lines that open and close again, machines and groups that trip, besides the load events.",
+                line_trip_probability=0.6,
+                line_reclosing_s=(1.0, 10.0),
+                machine_outage_probability=0.4,
+                group_trip_probability=0.15,
+            ),
+            _PAPER_V1,
         )
     }
 )

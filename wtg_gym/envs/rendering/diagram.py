@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from wtg_gym.envs.rendering.colours import EVENT, INK, PAGE, SOFT, group_colour
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.scenario import Event, LineTrip, LoadRamp, LoadTrip
+from wtg_gym.physics.scenario import Event, GovernorLoss, GroupTrip, LineTrip, LoadRamp, LoadTrip, MachineOutage
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,7 +38,11 @@ _PLATE: Mapping[str, Any] = {"facecolor": PAGE, "edgecolor": "none", "pad": 0.8}
 
 
 def draw_diagram(
-    axes: Axes, group_buses: Sequence[int], events: Sequence[Event], colour_of: Callable[[int], str] = group_colour
+    axes: Axes,
+    group_buses: Sequence[int],
+    events: Sequence[Event],
+    closed: Collection[LineTrip] = (),
+    colour_of: Callable[[int], str] = group_colour,
 ) -> None:
     """Draw the diagram.
 
@@ -46,13 +50,18 @@ def draw_diagram(
         axes: empty; its limits become :data:`EXTENT`.
         group_buses: bus of each WTG group.
         events: those that have struck; they are numbered in this order.
+        closed: those whose line is closed again, see :func:`reclosed`.
         colour_of: colour of each WTG group.
     """
     axes.set_axis_off()
     axes.set_xlim(*EXTENT[0])
     axes.set_ylim(*EXTENT[1])
     case = modified_ieee14()
-    opened = {frozenset((event.from_bus, event.to_bus)) for event in events if isinstance(event, LineTrip)}
+    opened = {
+        frozenset((event.from_bus, event.to_bus))
+        for event in events
+        if isinstance(event, LineTrip) and event not in closed
+    }
     for branch in case.branches:
         (x0, y0), (x1, y1) = BUS_PLACES[branch.from_bus], BUS_PLACES[branch.to_bus]
         if frozenset((branch.from_bus, branch.to_bus)) in opened:
@@ -70,7 +79,7 @@ def draw_diagram(
             _draw_unit(axes, number, gap * (place - (len(groups) - 1) / 2), f"W{group + 1}", colour_of(group))
         axes.plot([x - half, x + half], [y, y], color=INK, linewidth=3.0, solid_capstyle="butt")
         axes.text(x + half - 0.03, y + 0.08, str(number), fontsize=10, color=INK, va="bottom", bbox=_PLATE)
-    _draw_strikes(axes, events)
+    _draw_strikes(axes, group_buses, events)
 
 
 def _draw_unit(axes: Axes, bus: int, beside: float, text: str, colour: str) -> None:
@@ -81,10 +90,10 @@ def _draw_unit(axes: Axes, bus: int, beside: float, text: str, colour: str) -> N
     axes.text(x, y - 0.87, text, fontsize=9, color=colour, ha="center", va="center")
 
 
-def _draw_strikes(axes: Axes, events: Sequence[Event]) -> None:
+def _draw_strikes(axes: Axes, group_buses: Sequence[int], events: Sequence[Event]) -> None:
     struck: dict[int, list[str]] = {}
     for number, event in enumerate(events, start=1):
-        for bus in [event.from_bus, event.to_bus] if isinstance(event, LineTrip) else [event.bus]:
+        for bus in struck_buses(event, group_buses):
             struck.setdefault(bus, []).append(str(number))
     for bus, numbers in struck.items():
         x, y = BUS_PLACES[bus]
@@ -100,12 +109,35 @@ def _draw_strikes(axes: Axes, events: Sequence[Event]) -> None:
         axes.text(x - 0.35, y + 0.25, ", ".join(numbers), bbox=_PLATE, **style)
 
 
-def describe_event(event: Event) -> str:
-    """Return an event in words, with its units, without its instant."""
+def reclosed(events: Sequence[Event], now_s: float) -> tuple[LineTrip, ...]:
+    """Return the events whose line is closed again at an instant [s]."""
+    return tuple(
+        event
+        for event in events
+        if isinstance(event, LineTrip) and event.recloses_after_s is not None and event.end_s <= now_s
+    )
+
+
+def struck_buses(event: Event, group_buses: Sequence[int]) -> list[int]:
+    """Return the buses that an event strikes, both ends of a line; given the bus of each WTG group."""
     if isinstance(event, LineTrip):
-        return f"line {event.from_bus}–{event.to_bus} opens"
+        return [event.from_bus, event.to_bus]
+    return [group_buses[event.group] if isinstance(event, GroupTrip) else event.bus]
+
+
+def describe_event(event: Event) -> str:
+    """Return an event in words, with its units, without its instant; WTG groups count from 1."""
+    if isinstance(event, LineTrip):
+        again = "" if event.recloses_after_s is None else f" for {event.recloses_after_s:g} s"
+        return f"line {event.from_bus}–{event.to_bus} opens{again}"
     if isinstance(event, LoadTrip):
         return f"load of bus {event.bus} lost"
+    if isinstance(event, GovernorLoss):
+        return f"governor at bus {event.bus} lost"
+    if isinstance(event, MachineOutage):
+        return f"machine at bus {event.bus} disconnected"
+    if isinstance(event, GroupTrip):
+        return f"WTG group {event.group + 1} disconnected"
     text = f"{event.power_mw:+g} MW"
     if event.reactive_mvar:
         text += f", {event.reactive_mvar:+g} Mvar"

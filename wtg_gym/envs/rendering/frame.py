@@ -23,10 +23,10 @@ from wtg_gym.envs.rendering.colours import (
     require_matplotlib,
     rgb,
 )
-from wtg_gym.envs.rendering.diagram import describe_event, draw_diagram
+from wtg_gym.envs.rendering.diagram import describe_event, draw_diagram, reclosed
 from wtg_gym.envs.rendering.lines import draw_traces
 from wtg_gym.envs.rendering.panels import PANELS, Episode, Panel, fitting_levels, panels_of_traces
-from wtg_gym.physics.scenario import Event
+from wtg_gym.physics.scenario import Event, LineTrip
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -74,7 +74,8 @@ class FramePainter:
         struck = tuple(event for event in episode.events if event.time_s <= now + 1e-6)
         frame = self._axes(episode.duration_s, levels).copy()
         left, top, right, bottom = _LEFT
-        frame[top:bottom, left:right] = self._left(episode.heading, episode.group_buses, struck)
+        closed = reclosed(struck, now + 1e-6)
+        frame[top:bottom, left:right] = self._left(episode.env_id, episode.heading, episode.group_buses, struck, closed)
         _draw_instants(frame, episode.duration_s, struck)
         owners = panels_of_traces(len(episode.group_buses))
         ranges = np.array([PANELS[owner].ranges[levels[owner]] for owner in owners])
@@ -175,8 +176,10 @@ def _draw_axes(axes: Axes, panel: Panel, limits: tuple[float, float], duration_s
         axes.axhline(value, color=SOFT, linewidth=0.8, linestyle=(0, (2, 3)), zorder=1)
 
 
-def _left_picture(heading: str, group_buses: tuple[int, ...], events: tuple[Event, ...]) -> Image:
-    """Return the left part of a frame: heading, diagram, and the events so far in words."""
+def _left_picture(
+    env_id: str, heading: str, group_buses: tuple[int, ...], events: tuple[Event, ...], closed: tuple[LineTrip, ...]
+) -> Image:
+    """Return the left part of a frame: the environment, heading, diagram, and the events so far in words."""
     width, height = size = _LEFT[2] - _LEFT[0], _LEFT[3] - _LEFT[1]
     with plain_matplotlib():
         figure = _new_figure(width, height)
@@ -184,9 +187,9 @@ def _left_picture(heading: str, group_buses: tuple[int, ...], events: tuple[Even
         def write(x: int, y: int, text: str, points: float, **style: Any) -> None:
             figure.text(x / width, 1.0 - y / height, text, fontsize=points, va="top", **style)
 
-        write(16, 14, "GFMWTG-14bus-v0", 16, fontweight="bold", color=INK)
+        write(16, 14, env_id, 16, fontweight="bold", color=INK)
         write(16, 36, heading, 12, color=SOFT)
-        draw_diagram(_add_axes(figure, _DIAGRAM, size), group_buses, events)
+        draw_diagram(_add_axes(figure, _DIAGRAM, size), group_buses, events, closed)
         # The latest ones, where there are more than fit.
         for line, (number, event) in enumerate(list(enumerate(events, start=1))[-_N_EVENT_LINES:]):
             y = _EVENTS_TOP + _EVENT_LINE * line

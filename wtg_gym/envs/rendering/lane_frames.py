@@ -42,7 +42,7 @@ class LaneFrames:
 
     def _make_tools(self) -> None:
         self._painter = FramePainter(self._lanes.n_lanes)
-        self._window = Window("GFMWTG-14bus-v0", self._fps) if self._opens_window else None
+        self._window = Window(self._lanes.suite.benchmark.env_id, self._fps) if self._opens_window else None
 
     def __getstate__(self) -> dict[str, Any]:
         return {key: value for key, value in self.__dict__.items() if key not in ("_painter", "_window")}
@@ -111,6 +111,7 @@ class LaneFrames:
         reason = TERMINATION_REASONS[Status(int(lanes.statuses()[lane]))]
         seed = int(lanes.scenario_seeds[lane])
         return Episode(
+            env_id=lanes.suite.benchmark.env_id,
             heading="scenario of one's own" if seed < 0 else f"scenario {seed}",
             duration_s=float(lanes.task_values("end_step")[lane]) * lanes.simulator.plant.simulation_dt,
             time_s=samples[:, 0],

@@ -24,6 +24,7 @@ class Episode:
     """An episode up to now.
 
     Args:
+        env_id: id of the environment.
         heading: which episode it is.
         duration_s: length of the episode if nothing ends it before [s].
         time_s: instants of the samples so far, at least one (n,) [s].
@@ -37,6 +38,7 @@ class Episode:
         failed: whether that is a failure.
     """
 
+    env_id: str
     heading: str
     duration_s: float
     time_s: Floats

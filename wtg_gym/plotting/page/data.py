@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs.rendering.diagram import BUS_PLACES, describe_event
+from wtg_gym.envs.rendering.diagram import BUS_PLACES, describe_event, struck_buses
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import (
-    ANCHORS,
     Entry,
     EntrySummary,
     Interval,
@@ -26,7 +26,7 @@ from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.compiled import source_hash
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.parameters import GridFormingParameters, PitchParameters, TurbineParameters
-from wtg_gym.physics.scenario import Event, LineTrip, LoadRamp, LoadStep, Scenario
+from wtg_gym.physics.scenario import Event, LoadStep, Scenario
 from wtg_gym.plotting.page.packing import (
     MISSING,
     RESOLUTIONS,
@@ -74,12 +74,16 @@ def page_data(
         on_progress: called with (name of the entry, entries done, entries in all) after every entry.
 
     Raises:
-        ValueError: no results, two of one suite, or traces of results that another source code gave.
+        ValueError: no results, two of one suite, suites of two versions, or traces of results that another source code
+            gave.
         NoScaleError: there is no score, see :attr:`Results.summaries`.
     """
     names = [each.name for each in results]
     if not names or len(set(names)) < len(names):
         raise ValueError(f"the page needs results, one of each suite and split; got {', '.join(names) or 'none'}")
+    version = results[0].benchmark
+    if any(each.benchmark is not version for each in results):
+        raise ValueError(f"a page shows one version of the benchmark; got {', '.join(names)}")
     if n_scenarios < 0:
         raise ValueError(f"the number of scenarios with traces must be 0 or more, got {n_scenarios}")
     for each in results:
@@ -108,8 +112,8 @@ def page_data(
         "missing": MISSING,
         "nominal": modified_ieee14().frequency_hz,
         "tip_speed": TurbineParameters().tip_speed_ratio_per_speed_m_s,
-        "reference": ANCHORS[1],
-        "limits": limits(),
+        "reference": version.hundred,
+        "limits": limits(get_suite(results[0].suite).plant.overload_from_pu),
         "case": _case(),
         "suites": suites,
     }
@@ -130,13 +134,14 @@ def _played(results: Results, entries: Sequence[Entry]) -> list[Entry]:
     for entry in entries:
         if entry.name not in found and entry.to_dict() in results.entries:
             found[entry.name] = entry
-    for name in ANCHORS:
+    for name in results.benchmark.anchors:
         found.setdefault(name, Entry(name=name, strategy=name))
     return list(found.values())
 
 
 def _settings(results: Results) -> EnvSettings:
-    shared = {key: value for key, value in results.settings.items() if key != "authority"}
+    known = {field.name for field in dataclasses.fields(EnvSettings)}
+    shared = {key: value for key, value in results.settings.items() if key in known}
     return EnvSettings(suite=results.suite, split=results.split, **shared)
 
 
@@ -149,6 +154,7 @@ def _scenarios(results: Results, n: int) -> list[Scenario]:
         n_wtg=len(groups),
         n_turbines=[group["n_turbines"] for group in groups],
         duration_s=results.settings["duration_s"],
+        sensors=_settings(results).sensor_distribution(),
     )
 
 
@@ -157,7 +163,8 @@ def _suite(
 ) -> dict[str, Any]:
     rows = leaderboard_rows(results)
     gains = results.log_gains
-    scale = score_scale(*(results.pinned_costs[name][0] for name in ANCHORS))
+    zero, hundred = (results.pinned_costs[name][0] for name in results.benchmark.anchors)
+    scale = score_scale(zero, hundred, results.benchmark.anchors)
     scores = {name: scenario_scores(own, scale) for name, own in gains.items()}
     order = [row.name for row in rows if row.name in recordings]
     seeds = {entry.name: entry.training_seed for entry in played}
@@ -176,7 +183,9 @@ def _suite(
         # Rows of every entry's runs, in the order of the entries.
         "scores": packed(quantised(np.vstack([scores[row.name] for row in rows]), SCORE_RESOLUTION)),
         "differences": packed(
-            quantised(_lower_bounds([gains[row.name] for row in rows], gains[ANCHORS[0]][0]), SCORE_RESOLUTION)
+            quantised(
+                _lower_bounds([gains[row.name] for row in rows], gains[results.benchmark.zero][0]), SCORE_RESOLUTION
+            )
         ),
         "traced": order,
         "scenarios": [
@@ -186,19 +195,19 @@ def _suite(
     }
 
 
-def _lower_bounds(gains: Sequence[Floats], mppt: Floats) -> Floats:
+def _lower_bounds(gains: Sequence[Floats], zero: Floats) -> Floats:
     """Return lower ends of the intervals of the differences of mean scores, (n, n): row minus column.
 
     The upper end is minus the lower one the other way round.
 
     Args:
         gains: log gains of the entries in the order of the ranking, (n_runs, n_scenarios) each.
-        mppt: log gains of MPPT (n_scenarios,).
+        zero: log gains of the zero (n_scenarios,).
     """
     bounds = np.zeros((len(gains), len(gains)))
-    above = [statistics.resampled_scores(own, mppt, side=1) for own in gains]
+    above = [statistics.resampled_scores(own, zero, side=1) for own in gains]
     for row, own in enumerate(gains):
-        samples = statistics.resampled_scores(own, mppt)
+        samples = statistics.resampled_scores(own, zero)
         for column in range(row):
             interval = statistics.percentile_interval(0.0, samples - above[column])
             bounds[row, column], bounds[column, row] = interval.low, -interval.high
@@ -247,12 +256,13 @@ def _scenario(
     seed = results.seeds[place]
     droop = "" if scenario.governor_droop is None else f", governor droop {100 * scenario.governor_droop:.1f} %"
     wind = ", ".join(f"{series.mean():.1f}" for series in scenario.wind_speed)
+    buses = [group["bus"] for group in results.settings["groups"]]
     return {
         "seed": seed,
         "name": scenario.name,
         "facts": f"mean wind {wind} m/s, load level {scenario.load_level:.2f}, "
         f"inertia {100 * scenario.inertia_scale:.0f} %{droop}",
-        "events": [_event(event) for event in sorted(scenario.events, key=lambda event: event.time_s)],
+        "events": [_event(event, buses) for event in sorted(scenario.events, key=lambda event: event.time_s)],
         "failures": {
             episode.entry: [episode.failure, round(float(episode.metrics["survived_s"] or 0.0), 1)]
             for episode in results.episodes
@@ -262,18 +272,22 @@ def _scenario(
     }
 
 
-def _event(event: Event) -> dict[str, Any]:
+def _event(event: Event, group_buses: Sequence[int]) -> dict[str, Any]:
     return {
         "time": round(event.time_s, 2),
-        "lasts": round(event.duration_s if isinstance(event, LoadRamp) else 0.0, 2),
-        "buses": [event.from_bus, event.to_bus] if isinstance(event, LineTrip) else [event.bus],
+        "lasts": round(event.end_s - event.time_s, 2),
+        "buses": struck_buses(event, group_buses),
         "text": describe_event(event),
         "load": event.power_mw if isinstance(event, LoadStep) else 0.0,
     }
 
 
-def limits() -> dict[str, dict[str, float]]:
-    """Return the dotted lines of the panels of traces: by panel, their names and values."""
+def limits(overload_from_pu: float | None = None) -> dict[str, dict[str, float]]:
+    """Return the dotted lines of the panels of traces: by panel, their names and values.
+
+    Args:
+        overload_from_pu: power above which a converter counts as overloaded, None for the paper's [p.u.].
+    """
     control, nominal = GridFormingParameters(), modified_ieee14().frequency_hz
     best, deloaded = tracking_point(0.0), tracking_point(control.deloading_limit)
     return {
@@ -282,7 +296,7 @@ def limits() -> dict[str, dict[str, float]]:
         "rotor": {"the pitch's limit": PitchParameters().rotor_speed_limit_pu},
         # Beyond them a rotor outside its range costs.
         "ratio": {"0.9 λ_opt": 0.9 * best.tip_speed_ratio, "1.1 λ_pr": 1.1 * deloaded.tip_speed_ratio},
-        "power": {"the converter's limit": control.overload_limit_pu},
+        "power": {"the converter's limit": overload_from_pu or control.overload_limit_pu},
         "k": {"K_pr": deloaded.coefficient, "K_opt": best.coefficient},
         "tau": {"the reference's τ": control.damping_time_constant_s},
     }

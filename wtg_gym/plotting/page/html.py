@@ -16,9 +16,10 @@ from typing import Any
 from wtg_gym import __version__
 from wtg_gym.evaluation import Entry, EntrySummary, Results, leaderboard_rows, table_cells
 from wtg_gym.evaluation.generalisation import GeneralisationGap, generalisation_gaps
-from wtg_gym.evaluation.leaderboard import COLUMNS, signed_interval
+from wtg_gym.evaluation.leaderboard import columns_of, signed_interval
 from wtg_gym.plotting.page.data import Progress, page_data
 from wtg_gym.scenarios import FRESH
+from wtg_gym.scenarios.benchmark import V0
 
 #: Largest size of the file [B]: larger ones open slowly from a mail or over a network.
 SIZE_LIMIT = 3_000_000
@@ -26,6 +27,16 @@ SIZE_LIMIT = 3_000_000
 N_SCENARIOS = 20
 _SCRIPTS = ("base.js", "ranking.js", "compare.js", "drill.js", "controls.js")
 _GAP = "gap closed [%]"
+#: What the page calls the two anchors of a version: in its head, and shortly.
+_ANCHORS = {
+    "v0": ("maximum power point tracking", "the reference strategy", "MPPT", "the reference"),
+    "v1": (
+        "the paper's law (coordinated-piecewise)",
+        "the same law tuned to this grid (coordinated-tuned), the reference",
+        "the paper's law",
+        "the reference",
+    ),
+}
 #: Columns where there are results on fresh scenarios.
 _FRESH = ("fresh score", "excess")
 
@@ -84,7 +95,12 @@ def leaderboard_page(
     data["dashes"] = GROUP_DASHES
     library = "\n".join(Resources(mode="inline", components=["bokeh"], minified=True, log_level="error").js_raw)
     script = _script()
+    names = ("zero", "hundred", "short_zero", "short_hundred")
+    version = results[0].benchmark
     fields = {
+        "environment": html.escape(version.env_id),
+        **dict(zip(names, map(html.escape, _ANCHORS[version.version]), strict=True)),
+        "more_columns": "" if version is V0 else _asset("columns_since_v1.html").removesuffix("\n"),
         "policy": html.escape(_policy([library, script])),
         "style": _asset("page.css"),
         "tables": "\n".join(_table(each, _gaps(each, results), hidden=place > 0) for place, each in enumerate(results)),
@@ -177,11 +193,11 @@ def _gaps(public: Results, results: Sequence[Results]) -> dict[str, Generalisati
 def _table(results: Results, gaps: Mapping[str, GeneralisationGap], *, hidden: bool) -> str:
     """Return the ranking of a suite as a table, in the order of the scores."""
     rows = leaderboard_rows(results)
-    filled = [i for i, _ in enumerate(COLUMNS) if any(cells[i] for cells in table_cells(rows))]
-    heads = list(COLUMNS.items())
+    heads = list(columns_of(results.benchmark.version).items())
+    filled = [i for i, _ in enumerate(heads) if any(cells[i] for cells in table_cells(rows))]
     head = "".join(_head(*heads[i]) for i in filled) + "".join(_head(name, True) for name in _FRESH if gaps)
     body = [
-        f'<tr data-name="{html.escape(row.name)}">{"".join(_cell(heads[i][0], cells[i], row) for i in filled)}'
+        f'<tr data-name="{html.escape(row.name)}">{"".join(_cell(*heads[i], cells[i], row) for i in filled)}'
         f"{_fresh_cells(gaps.get(row.name)) if gaps else ''}</tr>"
         for row, cells in zip(rows, table_cells(rows), strict=True)
     ]
@@ -200,13 +216,13 @@ def _head(name: str, is_number: bool) -> str:
     return f'<th scope="col"{" class=number" if is_number else ""}>{text}</th>'
 
 
-def _cell(name: str, text: str, row: EntrySummary) -> str:
+def _cell(name: str, is_number: bool, text: str, row: EntrySummary) -> str:
     if name == "entry":
         return f'<th scope="row">{html.escape(text)}</th>'
     if name == _GAP and row.gap_closed_percent is not None:
         share = min(row.gap_closed_percent.value, 100.0)
         return f'<td class="number share" style="--share: {share:.1f}%">{_number(text)}</td>'
-    return f'<td class="number">{_number(text)}</td>' if COLUMNS[name] else f"<td>{html.escape(text)}</td>"
+    return f'<td class="number">{_number(text)}</td>' if is_number else f"<td>{html.escape(text)}</td>"
 
 
 def _number(text: str) -> str:

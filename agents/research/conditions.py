@@ -1,0 +1,299 @@
+"""`python -m agents.research.conditions`: whether a suite of version v1 is a good problem to learn on, in figures."""
+
+from __future__ import annotations
+
+import itertools
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from agents.command import Parser, Progress, run_command
+from agents.research.simple_policies import SimplePolicy, simple_policies
+from wtg_gym.cli.output import check_page, update_page
+from wtg_gym.envs.task_records import COST_TERMS
+from wtg_gym.evaluation import Entry, Results, evaluate, load_entries
+from wtg_gym.evaluation.oracle import OracleCosts
+from wtg_gym.evaluation.score import COST_OFFSET
+from wtg_gym.evaluation.summary import EntrySummary
+from wtg_gym.files import markdown_table
+from wtg_gym.scenarios import get_suite
+
+Floats = npt.NDArray[np.float64]
+
+_SECTION = "conditions"
+#: Laws whose rotors must keep the paper's order, the safest first.
+LAWS = ("coordinated-piecewise", "deloaded-10", "deloaded-5", "mppt")
+#: Ends of a rotor.
+_ROTOR_ENDS = ("stall", "over-speed", "under-speed")
+_DESCRIPTION = """\
+Measures the conditions under which a suite of version v1 counts as a good problem to learn on, on validation scenarios:
+what a feedback gains is support of the frequency; foresight and planning are worth much more than any feedback; no
+trivial policy beats the anchor; a step of delay more costs an agent little; every term of the cost matters; failures
+are rare but there; the laws keep the paper's order of rotor safety."""
+_EXAMPLES = """\
+examples:
+  python -m agents.research.conditions --feedbacks agents/policies/linear-feedback-v1 \\
+      --oracle results/oracle/standard-v1-validation.json --planners results/planners/standard-v1-validation.json"""
+
+
+class Condition(NamedTuple):
+    """A row of the table."""
+
+    letter: str
+    demand: str
+    measured: str
+    met: bool | None  # None: not measured
+
+
+class Evidence(NamedTuple):
+    """What the conditions are judged by.
+
+    Args:
+        results: of laws, rules and feedbacks on validation scenarios, the anchors among them.
+        feedbacks: names of the tuned feedbacks.
+        rules: names of what a person writes down in a line: laws and one-gain rules.
+        oracle: costs with foresight; None: not searched.
+        planners: results of planners; None: not played.
+        simple: trivial policies on top of each anchor's law; None: not played.
+        n_simple: scenarios that they played, the first ones.
+        late: results with one more step of delay; None: not played.
+        agents: names of agents that were trained with random delay.
+    """
+
+    results: Results
+    feedbacks: Sequence[str]
+    oracle: OracleCosts | None
+    planners: Results | None
+    simple: Sequence[SimplePolicy] | None
+    n_simple: int
+    late: Results | None
+    agents: Sequence[str]
+
+
+def judged(e: Evidence) -> list[Condition]:
+    """Return the conditions (a) … (h) with what was measured."""
+    zero, anchor = get_suite(e.results.suite).benchmark.anchors
+    rows = {row.name: row for row in e.results.summaries}
+    costs = {name: own.mean(axis=0) for name, own in e.results.pinned_costs.items()}
+    best = max((rows[name] for name in (*e.feedbacks, anchor)), key=lambda row: row.score.value)
+    return [
+        _support(e.results, best, zero),
+        _foresight(e, costs[anchor]),
+        _planning(e, costs, anchor),
+        _trivial(e, costs, zero, anchor),
+        _delay(e, rows),
+        _terms(rows),
+        _failures(rows, zero, anchor),
+        _rotors(e.results),
+    ]
+
+
+def _deviations(results: Results, name: str) -> Floats:
+    episodes = results.episodes_of(name)
+    largest = [max(50.0 - e.metrics["nadir_hz"], e.metrics["zenith_hz"] - 50.0) for e in episodes]  # type: ignore[operator]
+    return 1000.0 * np.array(largest)
+
+
+def _support(results: Results, best: EntrySummary, zero: str) -> Condition:
+    own, base = ({row.name: row for row in results.summaries}[name].points_by_term for name in (best.name, zero))
+    gains = {term: own[term] - base[term] for term in own}
+    share = gains["frequency_rocof"] / sum(gains.values())
+    medians = [float(np.median(_deviations(results, name))) for name in (best.name, zero)]
+    smaller = 1.0 - medians[0] / medians[1]
+    return Condition(
+        "a",
+        "against the zero action, more than half of the best feedback's gain is frequency and RoCoF, and its median "
+        "deviation is at least 30 % smaller",
+        f"{best.name}: {100 * share:.0f} % of the gain; {medians[1]:.0f} → {medians[0]:.0f} mHz, "
+        f"{100 * smaller:.0f} % smaller",
+        share > 0.5 and smaller >= 0.3,
+    )
+
+
+def _on(oracle: OracleCosts, results: Results, costs: Floats) -> Floats:
+    """Costs of the oracle's scenarios only."""
+    place = {seed: i for i, seed in enumerate(results.seeds)}
+    return costs[[place[seed] for seed in oracle.seeds]]
+
+
+def _foresight(e: Evidence, anchor: Floats) -> Condition:
+    demand = "the oracle lowers the anchor's mean cost by at least 40 %"
+    if e.oracle is None:
+        return Condition("b", demand, "not searched", None)
+    before, after = float(_on(e.oracle, e.results, anchor).mean()), float(np.mean(e.oracle.oracle))
+    lower = 1.0 - after / before
+    text = f"{before:.1f} → {after:.1f}, {100 * lower:.0f} % ({len(e.oracle.seeds)} scenarios)"
+    return Condition("b", demand, text, lower >= 0.4)
+
+
+def _planning(e: Evidence, costs: Mapping[str, Floats], anchor: str) -> Condition:
+    demand = "of that gap, tuned feedbacks close at most 20 %, a planner without foresight at least 40 %"
+    if e.oracle is None or e.planners is None:
+        return Condition("c", demand, "not measured", None)
+    before = _on(e.oracle, e.results, costs[anchor])
+    gap = float(before.mean() - np.mean(e.oracle.oracle))
+    closed = {name: float(before.mean() - _on(e.oracle, e.results, costs[name]).mean()) / gap for name in e.feedbacks}
+    played = {name: own[0] for name, own in e.planners.pinned_costs.items() if name.startswith("planner-")}
+    planned = {name: float(before.mean() - _on(e.oracle, e.planners, own).mean()) / gap for name, own in played.items()}
+    text = ", ".join(f"{name} {100 * share:.0f} %" for name, share in {**closed, **planned}.items())
+    met = all(share <= 0.2 for share in closed.values()) and max(planned.values()) >= 0.4
+    return Condition("c", demand, text, met)
+
+
+def _trivial(e: Evidence, costs: Mapping[str, Floats], zero: str, anchor: str) -> Condition:
+    demand = "no constant, relay or one-gain rule scores above 102"
+    if e.simple is None:
+        return Condition("d", demand, "not played", None)
+    logs = {name: float(np.log(costs[name][: e.n_simple] + COST_OFFSET).mean()) for name in (zero, anchor)}
+    best = min(e.simple, key=lambda policy: policy.log_cost)
+    score = 100.0 * (logs[zero] - best.log_cost) / (logs[zero] - logs[anchor])
+    return Condition("d", demand, f"{score:.1f}: {best.description} ({len(e.simple)} tried)", score <= 102.0)
+
+
+def _delay(e: Evidence, rows: Mapping[str, EntrySummary]) -> Condition:
+    demand = "one more step of delay costs an agent that was trained with random delay less than 5 points"
+    if e.late is None or not e.agents:
+        return Condition("e", demand, "no agent yet", None)
+    late = e.late.scores
+    losses = {name: rows[name].score.value - late[name].value for name in e.agents}
+    text = ", ".join(f"{name} {loss:+.1f}" for name, loss in losses.items())
+    return Condition("e", demand, f"points lost: {text}", max(losses.values()) < 5.0)
+
+
+def _terms(rows: Mapping[str, EntrySummary]) -> Condition:
+    """Find for every term a pair that would change places without it."""
+    found: dict[str, str] = {}
+    for term in COST_TERMS:
+        for one, other in itertools.permutations(rows.values(), 2):
+            total = sum(one.mean_cost_terms.values()) - sum(other.mean_cost_terms.values())
+            without = total - (one.mean_cost_terms[term] - other.mean_cost_terms[term])
+            if total < 0.0 < without:
+                found.setdefault(term, f"{one.name} before {other.name}")
+    needed = [term for term in COST_TERMS if term != "effort"]
+    text = "; ".join(f"{term}: {found.get(term, 'no pair')}" for term in needed)
+    return Condition(
+        "f",
+        "every term of the cost but effort decides the order of some pair of entries",
+        text,
+        all(term in found for term in needed),
+    )
+
+
+def _failures(rows: Mapping[str, EntrySummary], zero: str, anchor: str) -> Condition:
+    own, base = rows[anchor].failures_percent, rows[zero].failures_percent
+    return Condition(
+        "g",
+        "the anchor fails in 0.5 … 5 % of the scenarios, the zero action in at most 8 %",
+        f"{own:.1f} %, {base:.1f} %",
+        0.5 <= own <= 5.0 and base <= 8.0,
+    )
+
+
+def _rotors(results: Results) -> Condition:
+    lost = {
+        name: 100.0 * float(np.mean([episode.failure in _ROTOR_ENDS for episode in results.episodes_of(name)]))
+        for name in LAWS
+    }
+    values = list(lost.values())
+    return Condition(
+        "h",
+        "the laws keep the paper's order of rotor safety",
+        "rotors lost: " + ", ".join(f"{name} {value:.1f} %" for name, value in lost.items()),
+        values == sorted(values),
+    )
+
+
+def table(conditions: Sequence[Condition], results: Results) -> str:
+    """Return the conditions as Markdown."""
+    words = {True: "yes", False: "**no**", None: "–"}
+    rows = [(f"({c.letter})", c.demand, c.measured, words[c.met]) for c in conditions]
+    text = markdown_table(("", "condition", "measured", "met"), rows)
+    return f"On {len(results.seeds)} {results.split} scenarios of `{results.suite}`:\n\n{text}"
+
+
+def gathered(
+    suite: str,
+    *,
+    feedbacks: Sequence[Entry],
+    agents: Sequence[Entry],
+    oracle: OracleCosts | None,
+    planners: Results | None,
+    n_simple: int,
+    n_threads: int | None = None,
+) -> Evidence:
+    """Play what the conditions need on validation scenarios.
+
+    Args:
+        suite: of version v1.
+        feedbacks: tuned feedbacks.
+        agents: trained with random delay.
+        oracle, planners: as of :class:`Evidence`.
+        n_simple: scenarios that the trivial policies play; 0 for none.
+        n_threads: threads to step with; None for one per processor.
+    """
+    laws = [entry for name in LAWS for entry in load_entries(name)]
+    entries = [*laws, *load_entries("fast-droop"), *feedbacks, *agents]
+    with Progress("episodes") as progress:
+        results = evaluate(entries, suite, "validation", n_threads=n_threads, on_progress=progress.update)
+        late = None
+        if agents:
+            delay = get_suite(suite).sensors
+            assert delay is not None
+            shifted = [value + 0.1 for value in delay.delay_s]
+            late = evaluate(
+                list(agents),
+                suite,
+                "validation",
+                n_threads=n_threads,
+                on_progress=progress.update,
+                sensors={"delay_s": shifted},
+            )
+    simple: list[SimplePolicy] | None = None
+    if n_simple:
+        simple = [
+            policy._replace(description=f"{strategy} with {policy.description}")
+            for strategy in get_suite(suite).benchmark.anchors
+            for policy in simple_policies(suite, "validation", n_simple, n_threads, strategy=strategy)[1]
+        ]
+    names = [entry.name for entry in feedbacks]
+    return Evidence(results, names, oracle, planners, simple, n_simple, late, [entry.name for entry in agents])
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    parser = Parser(prog="python -m agents.research.conditions", description=_DESCRIPTION, epilog=_EXAMPLES)
+    parser.add_argument("--suite", default="standard-v1", metavar="NAME", help="of version v1 (default: standard-v1)")
+    parser.add_argument("--feedbacks", nargs="+", default=[], metavar="ENTRY", help="tuned feedbacks")
+    parser.add_argument("--agents", nargs="+", default=[], metavar="ENTRY", help="trained with random delay")
+    parser.add_argument("--oracle", metavar="FILE", help="of agents.research.foresight")
+    parser.add_argument("--planners", metavar="FILE", help="of agents.research.planner")
+    parser.add_argument("--simple", type=int, default=200, metavar="N", help="scenarios of trivial policies")
+    parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
+    parser.add_argument("--page", metavar="FILE", help=f"Markdown file with markers '{_SECTION}'")
+
+    def work() -> None:
+        given = parser.parse_args(argv)
+        page = check_page("--page", given.page, _SECTION)
+        evidence = gathered(
+            given.suite,
+            feedbacks=[entry for name in given.feedbacks for entry in load_entries(name)],
+            agents=[entry for name in given.agents for entry in load_entries(name)],
+            oracle=None if given.oracle is None else OracleCosts.read(Path(given.oracle)),
+            planners=None if given.planners is None else Results.read(Path(given.planners)),
+            n_simple=given.simple,
+            n_threads=given.threads,
+        )
+        text = table(judged(evidence), evidence.results)
+        if page is not None:
+            update_page(page, {_SECTION: text})
+        print(text)
+
+    return run_command(work)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

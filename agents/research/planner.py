@@ -1,0 +1,395 @@
+"""Planning without foresight: at every moment the best course of actions for the future that is to be expected.
+
+A planner copies the running episode into a population of lanes, lets the wind go on as its observer expects and no
+further event strike, and searches a course of actions on top of a feedback by the cross-entropy method (R. Rubinstein,
+1999). It plays the first actions, and plans again. What it knows of the wind is what makes it different:
+
+* `exact`: the wind of the moment; turbulence is expected to die away towards the mean of the last seconds.
+* `measured`: what the sensors said, late and wrong; an observer corrects their error by the rotor's own balance.
+
+Both know the state of grid and rotors exactly, and outages that have struck.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from agents.command import Parser, Progress, check_output_folder, note, run_command
+from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.observation import N_LOCAL, N_MEASURED
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.evaluation import Entry, Results, evaluate, leaderboard_rows, markdown_table
+from wtg_gym.evaluation.episodes import Episode
+from wtg_gym.evaluation.metrics import Recorder, measure
+from wtg_gym.physics.aerodynamics import power_coefficient
+from wtg_gym.ranges import require_range
+from wtg_gym.scenarios import SPLITS, get_suite
+
+Floats = npt.NDArray[np.float64]
+KNOWLEDGE = ("exact", "measured")
+#: Winds that an observer believes in [m/s].
+_WIND_RANGE = (3.5, 24.5)
+#: Time constants of the observer's filters: rotor speed and power, the wind sensor, its correction [s].
+_ROTOR_FILTER_S, _SENSOR_FILTER_S, _CORRECTION_S = 2.0, 2.0, 10.0
+#: Candidates that the next generation is drawn around.
+_N_ELITE = 6
+
+_DESCRIPTION = """\
+Plays scenarios with a planner without foresight: every 2 s it searches the best course of actions over the next 30 s,
+in copies of the episode whose wind goes on as expected and in which nothing else happens. It shows what planning is
+worth, and how far learning could get: a bound of neither. Written are results as of `wtg-gym evaluate`; 100 scenarios
+take about a quarter of an hour on two processors."""
+_EXAMPLES = """\
+examples:
+  python -m agents.research.planner --scenarios 24 --output results/planners
+  python -m agents.research.planner --knowledge measured --entries fast-droop --output results/planners"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Planning:
+    """Effort of a planner.
+
+    Args:
+        knowledge: of the wind, "exact" or "measured".
+        horizon_s: how far ahead a plan looks [s].
+        interval_s: how often it plans again [s].
+        population: candidates of a search.
+        generations: of a search.
+        n_knots: of a course of actions, linear in between.
+        gain: of the feedback that the course is added to: action on k per 0.5 Hz.
+        spread: standard deviation of the first candidates.
+        wind_memory_s: time constant of the mean that the wind returns to [s].
+        wind_decay_s: time constant with which it returns [s].
+        seed: of the search.
+
+    Raises:
+        ValueError: a value is unknown or out of range; the message says what is allowed.
+    """
+
+    knowledge: str = "exact"
+    horizon_s: float = 30.0
+    interval_s: float = 2.0
+    population: int = 24
+    generations: int = 4
+    n_knots: int = 4
+    gain: float = 1.0
+    spread: float = 0.25
+    wind_memory_s: float = 20.0
+    wind_decay_s: float = 10.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.knowledge not in KNOWLEDGE:
+            raise ValueError(f"unknown knowledge {self.knowledge!r}; choose one of {', '.join(KNOWLEDGE)}")
+        for name, low, high, unit in (
+            ("horizon_s", 1.0, 600.0, "s"),
+            # A plan is played until the next one: it must reach that far.
+            ("interval_s", 0.1, self.horizon_s, "s"),
+            ("population", _N_ELITE, 10_000, ""),
+            ("generations", 1, 1000, ""),
+            ("n_knots", 2, 100, ""),
+            ("gain", -10.0, 10.0, ""),
+            ("spread", 0.001, 2.0, ""),
+            ("wind_memory_s", 0.1, 1e4, "s"),
+            ("wind_decay_s", 0.1, 1e4, "s"),
+            ("seed", 0, 2**32 - 1, ""),
+        ):
+            require_range(name, getattr(self, name), low, high, unit)
+
+
+class WindObserver:
+    """Estimates the wind of every lane and group, and its mean.
+
+    Where the wind is only measured, the sensor says how it changes, and the rotor how large it is: the power balance
+    p_w = p + 2H_m ω_m ω̇_m of measured power and speed gives the wind that the rotor must have seen, slowly but without
+    bias. While the blades may be turned, that is not known.
+
+    Args:
+        lanes: the episodes that are played.
+        planning: time constants and what is known.
+    """
+
+    def __init__(self, lanes: TaskLanes, planning: Planning) -> None:
+        self._lanes, self._planning = lanes, planning
+        self._dt = lanes.settings.control_dt
+        sensors = lanes.settings.sensor_distribution()
+        self._has_sensor = sensors is None or sensors.wind_sensor
+        turbine = lanes.simulator.settings.turbine
+        self._two_h = 2.0 * turbine.inertia_constant_s
+        #: Wind per rotor speed, and the captured power per cubed rotor speed that belongs to it.
+        self._ratio = turbine.tip_speed_ratio_per_speed_m_s / np.linspace(20.0, 3.5, 400)
+        coefficient = power_coefficient(
+            turbine.tip_speed_ratio_per_speed_m_s / self._ratio, 0.0, turbine.power_coefficient
+        )
+        self._power = np.maximum.accumulate(
+            turbine.wind_power_pu_per_cubic_wind * self._ratio**3 * np.asarray(coefficient)
+        )
+        speed, power, wind = self._measured()
+        self._speed, self._power_now = speed, power
+        self._correction = np.zeros_like(wind)
+        self.now = self.mean = self._seen()
+
+    def _measured(self) -> tuple[Floats, Floats, Floats]:
+        """Rotor speed [p.u.], power [p.u.] and wind [m/s] as the sensors say, (n_lanes, n_wtg) each."""
+        n_wtg = self._lanes.n_wtg
+        own = self._lanes.observations[:, : n_wtg * (self._lanes.n_local + 2)].reshape(-1, n_wtg, N_MEASURED + 2)
+        values = own.astype(np.float64)
+        return 1.0 + 0.25 * values[..., 3], values[..., 4], 10.0 + 5.0 * values[..., 5]
+
+    def _low_pass(self, old: Floats, new: Floats, time_s: float) -> Floats:
+        share = np.exp(-self._dt / time_s)
+        filtered: Floats = share * old + (1.0 - share) * new
+        return filtered
+
+    def _seen(self) -> Floats:
+        if self._planning.knowledge == "exact":
+            return self._lanes.simulator.wtg_values("wind")
+        speed, power, wind = self._measured()
+        rate = (speed - self._speed) / _ROTOR_FILTER_S
+        self._speed = self._low_pass(self._speed, speed, _ROTOR_FILTER_S)
+        self._power_now = self._low_pass(self._power_now, power, _ROTOR_FILTER_S)
+        captured = self._power_now + self._two_h * self._speed * rate
+        of_rotor = self._speed * np.interp(captured / self._speed**3, self._power, self._ratio)
+        if not self._has_sensor:
+            return np.clip(of_rotor, *_WIND_RANGE)
+        wind = np.clip(wind, *_WIND_RANGE)
+        known = (captured < 0.9) & (self._speed < 1.05)
+        error = np.where(known, np.log(np.maximum(of_rotor, 1.0) / wind), self._correction)
+        self._correction = self._low_pass(self._correction, error, _CORRECTION_S)
+        return np.clip(wind * np.exp(self._correction), *_WIND_RANGE)
+
+    def update(self) -> None:
+        """Take in the newest measurement."""
+        seen = self._seen()
+        self.now = seen if self._planning.knowledge == "exact" else self._low_pass(self.now, seen, _SENSOR_FILTER_S)
+        self.mean = self._low_pass(self.mean, seen, self._planning.wind_memory_s)
+
+    def expected(self, n_steps: int) -> Floats:
+        """Return the wind from now on, (n_lanes, n_wtg, n_steps + 1) [m/s]."""
+        decay = np.exp(-self._dt / self._planning.wind_decay_s * np.arange(n_steps + 1))
+        ahead: Floats = self.mean[..., None] + (self.now - self.mean)[..., None] * decay
+        return np.clip(ahead, *_WIND_RANGE)
+
+
+def played_by_planner(
+    suite: str,
+    split: str,
+    seeds: Sequence[int],
+    planning: Planning,
+    n_threads: int | None = None,
+    on_step: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Episode]:
+    """Play scenarios with a planner each, and measure the episodes.
+
+    Args:
+        suite, split, seeds: the scenarios.
+        planning: effort and knowledge.
+        n_threads: threads to step with; None for one per processor.
+        on_step: is told how many steps are done, and how many there are.
+    """
+    settings = EnvSettings(suite=suite, split=split, action_mode="k+tau", observation_mode="privileged")
+    if not settings.benchmark().sensed:
+        raise ValueError(f"the planner plays suites of version v1 and later, got {suite!r}")
+    lanes = TaskLanes(settings, len(seeds), n_threads)
+    imagined = TaskLanes(settings, len(seeds) * planning.population, n_threads)
+    with closing(lanes.simulator), closing(imagined.simulator):
+        scenarios = lanes.scenarios(seeds)
+        lanes.start(range(len(seeds)), scenarios)
+        recorder, planner = Recorder(lanes), _Planner(lanes, imagined, planning)
+        running = np.ones(len(seeds), dtype=np.bool_)
+        n_steps = round(lanes.duration_s / settings.control_dt)
+        for step in range(n_steps):
+            lanes.step(planner.act(step, n_steps))
+            recorder.record(running)
+            terminated, truncated = lanes.ended()
+            running = ~(terminated | truncated)
+            on_step(step + 1, n_steps)
+        return [
+            Episode(
+                entry=f"planner-{planning.knowledge}",
+                training_seed=None,
+                seed=int(lanes.scenario_seeds[lane]),
+                scenario=scenario.name,
+                duration_s=min(scenario.duration_s, lanes.duration_s),
+                **measure(lanes, recorder, lane, scenario),
+            )
+            for lane, scenario in enumerate(scenarios)
+        ]
+
+
+class _Planner:
+    """Plans for every lane.
+
+    Args:
+        lanes: the episodes that are played.
+        imagined: `planning.population` times as many lanes for its rollouts.
+        planning: effort and knowledge.
+    """
+
+    def __init__(self, lanes: TaskLanes, imagined: TaskLanes, planning: Planning) -> None:
+        self._lanes, self._imagined, self._planning = lanes, imagined, planning
+        dt = lanes.settings.control_dt
+        self._interval = round(planning.interval_s / dt)
+        self._shares = _shares(planning.n_knots, round(planning.horizon_s / dt))
+        self._observer = WindObserver(lanes, planning)
+        self._rng = np.random.default_rng(planning.seed)
+        self._plan = np.zeros((lanes.n_lanes, planning.n_knots, lanes.n_wtg, 2))
+
+    def act(self, step: int, n_steps: int) -> Floats:
+        """Return the actions of a step, (n_lanes, n_action); the episode has `n_steps`."""
+        if step:
+            self._observer.update()
+        if step % self._interval == 0:
+            if step:
+                self._plan = _shifted(self._plan, self._shares, self._interval)
+            self._search(min(len(self._shares), n_steps - step))
+        course: Floats = np.einsum("k,nkwa->nwa", self._shares[step % self._interval], self._plan)
+        return _actions(self._lanes, course, self._planning.gain)
+
+    def _search(self, n_ahead: int) -> None:
+        """Search the best course by the cross-entropy method, starting from the present plan."""
+        p, lanes, imagined = self._planning, self._lanes, self._imagined
+        n, rows = lanes.n_lanes, np.arange(lanes.n_lanes)
+        source = np.repeat(rows, p.population)
+        wind = np.repeat(self._observer.expected(n_ahead), p.population, axis=0)
+        paid = lanes.cost_sums().sum(axis=1)[:, np.newaxis]
+        mean, deviation = self._plan, np.full_like(self._plan, p.spread)
+        best, best_cost = self._plan.copy(), np.full(n, np.inf)
+        for _ in range(p.generations):
+            noise = self._rng.standard_normal((n, p.population, *mean.shape[1:]))
+            asked = np.clip(mean[:, np.newaxis] + deviation[:, np.newaxis] * noise, -2.0, 2.0)
+            # What is known to be good is not lost, and the feedback alone is always tried.
+            asked[:, 0], asked[:, 1], asked[:, 2] = best, mean, 0.0
+            imagined.imagine(lanes, source, wind)
+            flat = asked.reshape(n * p.population, *mean.shape[1:])
+            for share in self._shares[:n_ahead]:
+                imagined.step(_actions(imagined, np.einsum("k,nkwa->nwa", share, flat), p.gain))
+            costs = imagined.cost_sums().sum(axis=1).reshape(n, p.population) - paid
+            elite = np.take_along_axis(asked, costs.argsort(axis=1)[:, :_N_ELITE, None, None, None], axis=1)
+            mean = 0.3 * mean + 0.7 * elite.mean(axis=1)
+            deviation = np.maximum(0.03, 0.4 * deviation + 0.6 * elite.std(axis=1))
+            least = costs.argmin(axis=1)
+            better = costs[rows, least] < best_cost
+            best[better] = asked[rows[better], least[better]]
+            best_cost = np.minimum(best_cost, costs[rows, least])
+        self._plan = best
+
+
+def _shares(n_knots: int, horizon: int) -> Floats:
+    """Share of every knot in the action of a step, (horizon, n_knots)."""
+    position = np.linspace(0.0, n_knots - 1.0, horizon)
+    return np.maximum(1.0 - np.abs(position[:, None] - np.arange(n_knots)), 0.0)
+
+
+def _shifted(plan: Floats, shares: Floats, interval: int) -> Floats:
+    """The same course, an interval later."""
+    at = np.minimum(np.linspace(0, len(shares) - 1, plan.shape[1]).astype(np.int64) + interval, len(shares) - 1)
+    shifted: Floats = np.einsum("jk,nkwa->njwa", shares[at], plan)
+    return shifted
+
+
+def _actions(lanes: TaskLanes, course: Floats, gain: float) -> Floats:
+    """Actions of a course (n_lanes, n_wtg, 2) on top of the feedback of the exact frequency."""
+    first, n = lanes.n_wtg * (lanes.n_local + 2), N_LOCAL + 1
+    exact = lanes.observations[:, first : first + lanes.n_wtg * n].reshape(lanes.n_lanes, lanes.n_wtg, n)
+    actions: Floats = course.copy()
+    actions[..., 0] -= gain * exact[..., 0].astype(np.float64)
+    return np.ascontiguousarray(np.clip(actions, -1.0, 1.0).reshape(lanes.n_lanes, -1))
+
+
+def results_with_planners(
+    suite: str,
+    split: str,
+    seeds: Sequence[int],
+    plannings: Sequence[Planning],
+    entries: Sequence[str | Entry] = (),
+    *,
+    chunk: int = 50,
+    n_threads: int | None = None,
+    on_progress: Callable[[str, int, int], None] = lambda name, done, total: None,
+) -> Results:
+    """Evaluate planners beside the anchors and other entries.
+
+    Args:
+        suite, split, seeds: the scenarios.
+        plannings: one per planner, each with knowledge of its own.
+        entries: further entries.
+        chunk: scenarios that are planned side by side.
+        n_threads: threads to step with; None for one per processor.
+        on_progress: called with (name, steps done, steps in all).
+    """
+    results = evaluate(list(entries), suite, split, seeds=list(seeds), n_threads=n_threads, on_progress=on_progress)
+    for planning in plannings:
+        entry = Entry(
+            name=f"planner-{planning.knowledge}",
+            policy=_NoPolicy(),
+            observation_mode="privileged",
+            learned=False,
+            description=f"Plans every {planning.interval_s:g} s over {planning.horizon_s:g} s without foresight; "
+            f"knows the state exactly, the wind: {planning.knowledge}.",
+            equation=", ".join(f"{key} = {value}" for key, value in asdict(planning).items()),
+        )
+        episodes: list[Episode] = []
+        for first in range(0, len(seeds), chunk):
+            own = list(seeds[first : first + chunk])
+
+            def tell(done: int, total: int, first: int = first, name: str = entry.name, n: int = len(own)) -> None:
+                on_progress(name, first * total + done * n, len(seeds) * total)
+
+            episodes += played_by_planner(suite, split, own, planning, n_threads, tell)
+        results = replace(results, entries=(*results.entries, entry.to_dict()), episodes=(*results.episodes, *episodes))
+    return results
+
+
+class _NoPolicy:
+    """Stands for a planner in its entry's data: it needs more than an observation."""
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> tuple[Any, Any]:
+        raise TypeError("a planner is played by agents.research.planner")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    parser = Parser(prog="python -m agents.research.planner", description=_DESCRIPTION, epilog=_EXAMPLES)
+    parser.add_argument("--suite", default="standard-v1", metavar="NAME", help="of version v1 (default: standard-v1)")
+    parser.add_argument("--split", default="validation", choices=SPLITS, help="(default: validation)")
+    parser.add_argument("--scenarios", type=int, metavar="N", help="the first ones (default: all)")
+    parser.add_argument("--knowledge", nargs="+", choices=KNOWLEDGE, default=list(KNOWLEDGE), help="(default: both)")
+    parser.add_argument("--entries", nargs="+", default=[], metavar="ENTRY", help="to play beside them")
+    parser.add_argument("--generations", type=int, default=Planning().generations, metavar="N", help="of a search")
+    parser.add_argument("--output", required=True, metavar="FOLDER", help="results as of wtg-gym evaluate")
+    parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
+
+    def work() -> None:
+        given = parser.parse_args(argv)
+        output = check_output_folder("--output", given.output)
+        seeds = list(get_suite(given.suite).seeds(given.split)[: given.scenarios])
+        plannings = [Planning(knowledge=own, generations=given.generations) for own in given.knowledge]
+        with Progress("scenarios × steps") as progress:
+            results = results_with_planners(
+                given.suite,
+                given.split,
+                seeds,
+                plannings,
+                given.entries,
+                n_threads=given.threads,
+                on_progress=progress.update,
+            )
+        print(markdown_table(leaderboard_rows(results)))
+        for path in results.write(output):
+            note(f"wrote {path}")
+
+    return run_command(work)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

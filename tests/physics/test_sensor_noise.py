@@ -1,0 +1,227 @@
+"""Facts about the noise, the filters and the errors of sensors, by themselves."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from wtg_gym.physics import sensors as module
+from wtg_gym.physics.compiled import compiled
+from wtg_gym.physics.sensors import (
+    DELAY_MAX_S,
+    N_CHANNELS,
+    SENSOR_RANGES,
+    Measurement,
+    Sensors,
+    SensorState,
+    measured,
+    noise_key,
+    normal,
+    scrambled,
+    sensor_input,
+    sensors_advanced,
+    sensors_started,
+)
+
+Floats = npt.NDArray[np.float64]
+#: Channels of four WTG groups.
+N = 4 * N_CHANNELS
+EXACT = Measurement(frequency=1.0, rocof=0.0, rotor_speed=1.1, power=0.7, wind=9.0)
+
+
+@compiled
+def fill(first_seed: int, numbers: Any) -> None:
+    """Fill numbers (n_seeds, n_steps, n_channels) with the noise of neighbouring seeds."""
+    for s in range(numbers.shape[0]):
+        for step in range(numbers.shape[1]):
+            key = noise_key(first_seed + s, step)
+            for channel in range(numbers.shape[2]):
+                numbers[s, step, channel] = normal(key, channel)
+
+
+def drawn(n_seeds: int, n_steps: int, n_channels: int = N, first_seed: int = 0) -> Floats:
+    numbers = np.empty((n_seeds, n_steps, n_channels))
+    fill(first_seed, numbers)
+    return numbers
+
+
+def test_noise_is_the_same_in_plain_python_and_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    seeds, steps, channels = (0, 1, 12345, 2**31 - 1), (0, 1, 599, 86_399), (0, 1, N - 1, 5119)
+    cases = [(seed, step, channel) for seed in seeds for step in steps for channel in channels]
+    fast = [(noise_key(seed, step), normal(noise_key(seed, step), channel)) for seed, step, channel in cases]
+    for function in (scrambled, noise_key, normal):
+        monkeypatch.setattr(module, function.py_func.__name__, function.py_func)
+    slow = [
+        (module.noise_key(seed, step), module.normal(module.noise_key(seed, step), channel))
+        for seed, step, channel in cases
+    ]
+    assert fast == slow
+    assert all(0 <= key < 2**32 for key, _ in slow) and len({key for key, _ in slow}) == len(seeds) * len(steps)
+
+
+def test_a_word_is_scrambled_one_to_one_and_every_bit_moves_half_of_the_others() -> None:
+    words = np.random.default_rng(0).integers(0, 2**32, 4000)
+    assert len({scrambled(int(word)) for word in words}) == len(set(words.tolist()))
+    flips = np.array(
+        [[(scrambled(int(w)) ^ scrambled(int(w) ^ (1 << bit))).bit_count() for bit in range(32)] for w in words[:500]]
+    )
+    # A fair coin per bit: 16 of 32 on average, with a standard deviation of 2.8 / √500 per bit of the input.
+    assert np.abs(flips.mean(axis=0) - 16.0).max() < 5.0 * math.sqrt(8.0 / 500)
+
+
+def test_noise_has_mean_0_variance_1_the_shape_of_four_uniform_numbers_and_their_bound() -> None:
+    numbers = drawn(60, 600).ravel()
+    n = numbers.size
+    # The sum of four uniform numbers has kurtosis 3 - 6/5/4, so the variance's standard error is √(1.7 / n).
+    assert abs(numbers.mean()) < 4.0 / math.sqrt(n)
+    assert numbers.var() == pytest.approx(1.0, abs=4.0 * math.sqrt(1.7 / n))
+    assert (numbers**3).mean() == pytest.approx(0.0, abs=0.02)
+    assert (numbers**4).mean() == pytest.approx(2.7, abs=0.03)
+    bound = 131070.0 * math.sqrt(3.0 / (65536.0**2 - 1.0))
+    assert bound == pytest.approx(3.4641, abs=1e-4)
+    # P(|ξ| > 2.9), by the density of the sum near its end: 2 · (4 u)^4 / 24, u the distance in widths of a uniform.
+    u = (2.0 - 2.9 / math.sqrt(3.0)) ** 4 / 24.0
+    assert np.abs(numbers).max() <= bound
+    assert (np.abs(numbers) > 2.9).mean() == pytest.approx(2.0 * u, rel=0.1)
+
+
+def correlations(rows: Floats) -> Floats:
+    """Return the correlations between every two of some rows."""
+    found = np.corrcoef(rows)
+    return found[np.triu_indices(len(rows), 1)]
+
+
+@pytest.mark.parametrize(
+    ("name", "rows"),
+    [
+        ("channels and groups", lambda: drawn(20, 600).reshape(-1, N).T),
+        ("seeds", lambda: drawn(40, 600).reshape(40, -1)),
+        ("far seeds", lambda: np.concatenate([drawn(1, 600, first_seed=s).reshape(1, -1) for s in 2 ** np.arange(31)])),
+        ("steps", lambda: drawn(600, 30).transpose(1, 0, 2).reshape(30, -1)),
+        ("squares of seeds", lambda: drawn(40, 600).reshape(40, -1) ** 2),
+        ("squares of channels", lambda: drawn(20, 600).reshape(-1, N).T ** 2),
+    ],
+)
+def test_nothing_is_correlated(name: str, rows: Any) -> None:
+    values = rows()
+    found = correlations(values)
+    # Each is nearly normal with a standard deviation of 1/√n; 5.5 of them are exceeded once in 25 million.
+    assert np.abs(found).max() < 5.5 / math.sqrt(values.shape[1]), name
+    assert found.std() == pytest.approx(1.0 / math.sqrt(values.shape[1]), rel=0.3)
+
+
+def test_a_step_says_nothing_about_later_ones() -> None:
+    numbers = drawn(20, 600)
+    for lag in (1, 2, 3, 7, 10, 100):
+        pairs = numbers[:, lag:] * numbers[:, :-lag]
+        assert abs(pairs.mean()) < 5.0 / math.sqrt(pairs.size), lag
+        # Neighbouring steps and seeds neither: a seed's noise is not that of another one, shifted.
+        moved = numbers[1:, lag:] * numbers[:-1, :-lag]
+        assert abs(moved.mean()) < 5.0 / math.sqrt(moved.size), lag
+
+
+def advance(sensors: Sensors, exact: list[Measurement], control_dt: float = 0.1) -> tuple[list[Measurement], Floats]:
+    """Return what group 1 of a run measures, and the states of its sensors."""
+    given = sensor_input(sensors, control_dt, 50.0)
+    state = sensors_started(exact[0], noise_key(sensors.seed, 0), 0)
+    seen, states = [], []
+    for step, now in enumerate(exact):
+        key = noise_key(sensors.seed, step)
+        if step:
+            state = SensorState(*sensors_advanced(state, now, key, 0, given))
+        states.append(tuple(state))
+        seen.append(Measurement(*measured(state, now, sensors.wind_bias[0], key, 0, given)))
+    return seen, np.array(states)
+
+
+@pytest.mark.parametrize("control_dt", [0.05, 0.1, 0.5])
+@pytest.mark.parametrize("time_constant_s", [0.02, 0.1, 2.0])
+def test_filters_answer_a_step_as_a_first_order_lag_does(time_constant_s: float, control_dt: float) -> None:
+    sensors = Sensors(seed=1, wind_bias=(0.0,), frequency_filter_s=time_constant_s, rocof_filter_s=2 * time_constant_s)
+    after = EXACT._replace(frequency=1.01, rocof=0.4)
+    seen, _ = advance(sensors, [EXACT, *[after] * 30], control_dt)
+    time_s = control_dt * np.arange(31)
+    assert [m.frequency for m in seen] == pytest.approx((1.01 - 0.01 * np.exp(-time_s / time_constant_s)).tolist())
+    assert [m.rocof for m in seen] == pytest.approx((0.4 - 0.4 * np.exp(-0.5 * time_s / time_constant_s)).tolist())
+    assert {m[2:] for m in seen} == {EXACT[2:]}
+
+
+def test_without_filters_and_noise_what_is_measured_is_what_there_is() -> None:
+    course = [EXACT._replace(frequency=1.0 + 1e-3 * n, rocof=0.1 * n, wind=8.0 + n) for n in range(20)]
+    for sensors in (Sensors(seed=3, wind_bias=(0.0,)), Sensors(seed=4, wind_bias=(0.0,), wind_sensor=False)):
+        for seen, exact in zip(advance(sensors, course)[0], course, strict=True):
+            assert seen == pytest.approx(exact, rel=1e-15, abs=1e-15)
+    assert sensor_input(None, 0.1, 50.0) == sensor_input(Sensors(seed=0, wind_bias=(0.0,)), 0.1, 50.0)._replace(
+        wind_persistence=0.0
+    )
+
+
+def test_error_of_the_wind_keeps_its_variance_and_its_correlation_time() -> None:
+    correlation_s, n = 3.0, 400
+    errors = np.array(
+        [
+            advance(
+                Sensors(seed=seed, wind_bias=(0.0,), wind_noise=0.08, wind_noise_correlation_s=correlation_s),
+                [EXACT] * 121,
+            )[1][:, 2]
+            for seed in range(n)
+        ]
+    )
+    # The errors of different seeds are independent: mean and variance are as sure at the start as later.
+    for step in (0, 1, 30, 120):
+        assert abs(errors[:, step].mean()) < 4.0 / math.sqrt(n)
+        assert errors[:, step].var() == pytest.approx(1.0, abs=4.0 * math.sqrt(2.0 / n))
+    for lag in (1, 10, 30, 90):
+        found = (errors[:, lag:] * errors[:, :-lag]).mean()
+        # As many independent values as there are seeds and correlation times.
+        assert found == pytest.approx(math.exp(-0.1 * lag / correlation_s), abs=4.0 / math.sqrt(2 * n))
+
+
+def test_errors_of_the_wind_add_up_and_never_take_more_than_nine_tenths_of_it() -> None:
+    sensors = Sensors(seed=1, wind_bias=(0.2,), wind_noise=0.1)
+    seen, states = advance(sensors, [EXACT] * 50)
+    assert [m.wind for m in seen] == pytest.approx((9.0 * (1.2 + 0.1 * states[:, 2])).tolist())
+    assert max(abs(states[:, 2])) > 1.0
+    worst = Sensors(seed=1, wind_bias=(-0.5,), wind_noise=0.3, wind_noise_correlation_s=0.1)
+    seen, states = advance(worst, [EXACT] * 400)
+    winds = np.array([m.wind for m in seen])
+    assert (0.5 + 0.3 * states[:, 2]).min() < 0.1, "the bound is reached"
+    assert winds.min() == pytest.approx(0.9)
+
+
+GIVEN: dict[str, Any] = {"seed": 1, "wind_bias": (0.0, 0.0)}
+NAN = math.nan
+WRONG = [
+    *(
+        ({name: NAN}, [f"{name} = nan", f"{low:g} … {high:g}", unit])
+        for name, (low, high, unit) in SENSOR_RANGES.items()
+    ),
+    *(({name: low - 0.01}, [name, f"{low - 0.01:g}", unit]) for name, (low, _, unit) in SENSOR_RANGES.items()),
+    *(({name: 1e3}, [name, "1000", unit]) for name, (_, _, unit) in SENSOR_RANGES.items()),
+    ({"delay_s": 1.1}, ["delay_s = 1.1 s", f"0 … {DELAY_MAX_S:g} s"]),
+    ({"delay_s": "0.1"}, ["delay_s", "'0.1'", "0 … 1 s"]),
+    ({"power_noise_pu": True}, ["power_noise_pu", "True"]),
+    ({"seed": -1}, ["seed of the sensors", "0 … 2^31 - 1", "-1"]),
+    ({"seed": 2**31}, ["seed of the sensors", "2147483648"]),
+    ({"seed": 1.0}, ["seed of the sensors", "1.0"]),
+    ({"seed": True}, ["seed of the sensors", "True"]),
+    ({"wind_bias": 0.1}, ["wind_bias", "one number per WTG group", "0.1"]),
+    ({"wind_bias": ()}, ["wind_bias", "one number per WTG group"]),
+    ({"wind_bias": (0.1, 0.6)}, ["wind_bias = 0.6", "-0.5 … 0.5"]),
+    ({"wind_bias": (NAN, 0.1)}, ["wind_bias = nan", "-0.5 … 0.5"]),
+    ({"wind_sensor": 1}, ["wind_sensor must be true or false", "1"]),
+]
+
+
+@pytest.mark.parametrize(("changes", "named"), WRONG, ids=lambda value: str(value)[:40])
+def test_impossible_sensors_are_refused_in_one_line_that_names_value_unit_and_range(
+    changes: dict[str, Any], named: list[str]
+) -> None:
+    with pytest.raises(ValueError) as error:
+        Sensors(**{**GIVEN, **changes})
+    text = str(error.value)
+    assert "\n" not in text and [word for word in named if word not in text] == []

@@ -1,0 +1,208 @@
+"""What the controller of a WTG group measures: filters, noise, errors of the wind sensor, delay.
+
+    f̂ += a_f (f - f̂),    a = 1 - exp(-Δt / T)         frequency and its rate of change pass a low-pass filter
+    v̂ = v (1 + b + σ_v n),    n += (φ - 1) n + √(1 - φ²) ξ     the wind has a constant error b and a slow one
+
+Each measurement has white noise σ ξ, drawn anew at every control step, and reaches the controller some steps late. A
+number ξ is a function of the seed, the step and the channel alone: the sum of four uniform ones, so |ξ| < 3.47.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from wtg_gym.physics.compiled import inlined
+from wtg_gym.ranges import require_range
+
+#: Longest delay [s].
+DELAY_MAX_S = 1.0
+#: Random numbers of a WTG group per step: frequency, RoCoF, rotor speed, power, wind.
+N_CHANNELS = 5
+_WORD = 0xFFFFFFFF
+#: Numbers that differ by a whole number of golden sections of the words lie as far apart as they can.
+_GOLDEN = 0x1E3779B1
+#: Mean and standard deviation of the sum of four uniform whole numbers 0 … 65535.
+_SUM_MEAN, _SUM_DEVIATION = 131070.0, math.sqrt((65536.0**2 - 1.0) / 3.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensors:
+    """Errors of the measurements of one run, the same sensors in every WTG group.
+
+    Args:
+        seed: of the noise, 0 … 2³¹ - 1.
+        delay_s: age of the newest measurement, a whole number of control intervals [s].
+        frequency_filter_s: time constant of the frequency's filter, 0 for none [s].
+        frequency_noise_hz: standard deviation [Hz].
+        rocof_filter_s: time constant of the filter of its rate of change [s].
+        rocof_noise_hz_s: standard deviation [Hz/s].
+        rotor_speed_noise_pu: standard deviation [p.u.].
+        power_noise_pu: standard deviation [p.u.].
+        wind_bias: constant relative error of the wind speed, one per WTG group [-].
+        wind_noise: standard deviation of its slow relative error [-].
+        wind_noise_correlation_s: correlation time of that error [s].
+        wind_sensor: False: wind and tip-speed ratio are not measured; both read zero.
+
+    Raises:
+        ValueError: a value is not finite or outside its range; the message names value, unit and range.
+    """
+
+    seed: int
+    wind_bias: tuple[float, ...]
+    delay_s: float = 0.0
+    frequency_filter_s: float = 0.0
+    frequency_noise_hz: float = 0.0
+    rocof_filter_s: float = 0.0
+    rocof_noise_hz_s: float = 0.0
+    rotor_speed_noise_pu: float = 0.0
+    power_noise_pu: float = 0.0
+    wind_noise: float = 0.0
+    wind_noise_correlation_s: float = 1.0
+    wind_sensor: bool = True
+
+    def __post_init__(self) -> None:
+        seed = self.seed
+        if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or not 0 <= seed < 2**31:
+            raise ValueError(f"seed of the sensors must be a whole number in 0 … 2^31 - 1, got {seed!r}")
+        if not isinstance(self.wind_bias, (tuple, list)) or not self.wind_bias:
+            raise ValueError(f"wind_bias must have one number per WTG group, got {self.wind_bias!r}")
+        if not isinstance(self.wind_sensor, bool):
+            raise ValueError(f"wind_sensor must be true or false, got {self.wind_sensor!r}")
+        bias = tuple(require_range("wind_bias", value, -0.5, 0.5, "") for value in self.wind_bias)
+        object.__setattr__(self, "seed", int(seed))
+        object.__setattr__(self, "wind_bias", bias)
+        for name, (low, high, unit) in SENSOR_RANGES.items():
+            object.__setattr__(self, name, require_range(name, getattr(self, name), low, high, unit))
+
+
+#: Allowed range and unit of the sensors' numbers.
+SENSOR_RANGES: dict[str, tuple[float, float, str]] = {
+    "delay_s": (0.0, DELAY_MAX_S, "s"),
+    "frequency_filter_s": (0.0, 10.0, "s"),
+    "frequency_noise_hz": (0.0, 1.0, "Hz"),
+    "rocof_filter_s": (0.0, 10.0, "s"),
+    "rocof_noise_hz_s": (0.0, 10.0, "Hz/s"),
+    "rotor_speed_noise_pu": (0.0, 0.1, "p.u."),
+    "power_noise_pu": (0.0, 0.5, "p.u."),
+    "wind_noise": (0.0, 0.3, ""),
+    "wind_noise_correlation_s": (0.1, 600.0, "s"),
+}
+
+
+class SensorInput(NamedTuple):
+    """Constants of a run's sensors."""
+
+    seed: float
+    delay: float  # [control intervals]
+    frequency_gain: float  # a of the filters [-]
+    rocof_gain: float
+    frequency_noise: float  # standard deviations [p.u.]
+    rocof_noise: float  # [Hz/s]
+    rotor_speed_noise: float  # [p.u.]
+    power_noise: float  # [p.u.]
+    wind_noise: float  # [-]
+    wind_persistence: float  # φ
+    wind_sensor: float  # 1, or 0 without
+
+
+class SensorState(NamedTuple):
+    """States of a WTG group's sensors."""
+
+    frequency: float  # filtered [p.u.]
+    rocof: float  # filtered [Hz/s]
+    wind_error: float  # slow error of the wind, in standard deviations
+
+
+class Measurement(NamedTuple):
+    """What a WTG group measures."""
+
+    frequency: float  # [p.u.]
+    rocof: float  # [Hz/s]
+    rotor_speed: float  # [p.u.]
+    power: float  # [p.u.]
+    wind: float  # [m/s]
+
+
+def sensor_input(sensors: Sensors | None, control_dt: float, nominal_hz: float) -> SensorInput:
+    """Return the constants of a run's sensors; None gives exact measurements without delay."""
+    if sensors is None:
+        return SensorInput(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+
+    def gain(time_constant: float) -> float:
+        return 1.0 if time_constant == 0.0 else -math.expm1(-control_dt / time_constant)
+
+    return SensorInput(
+        seed=float(sensors.seed),
+        delay=float(round(sensors.delay_s / control_dt)),
+        frequency_gain=gain(sensors.frequency_filter_s),
+        rocof_gain=gain(sensors.rocof_filter_s),
+        frequency_noise=sensors.frequency_noise_hz / nominal_hz,
+        rocof_noise=sensors.rocof_noise_hz_s,
+        rotor_speed_noise=sensors.rotor_speed_noise_pu,
+        power_noise=sensors.power_noise_pu,
+        wind_noise=sensors.wind_noise,
+        wind_persistence=math.exp(-control_dt / sensors.wind_noise_correlation_s),
+        wind_sensor=float(sensors.wind_sensor),
+    )
+
+
+@inlined
+def scrambled(word: int) -> int:
+    """Return a word of 32 bits that looks unrelated to the given one, a one-to-one function of it.
+
+    Source of the multipliers: C. Wellons and T. Ellis, hash-prospector. Both have 31 bits, so that a product of two
+    numbers fits a signed word of 64 bits.
+    """
+    word = ((word ^ (word >> 16)) * 0x21F0AAAD) & _WORD
+    word = ((word ^ (word >> 15)) * 0x735A2D97) & _WORD
+    return word ^ (word >> 15)
+
+
+@inlined
+def noise_key(seed: int, step: int) -> int:
+    """Return the word from which a step's random numbers are drawn."""
+    return scrambled(seed ^ scrambled(step + 1))
+
+
+@inlined
+def normal(key: int, channel: int) -> float:
+    """Return the random number of a channel: mean 0, variance 1, nearly normal."""
+    first = scrambled((key + 2 * channel * _GOLDEN) & _WORD)
+    second = scrambled((key + (2 * channel + 1) * _GOLDEN) & _WORD)
+    total = (first & 0xFFFF) + (first >> 16) + (second & 0xFFFF) + (second >> 16)
+    return (total - _SUM_MEAN) * (1.0 / _SUM_DEVIATION)
+
+
+@inlined
+def sensors_started(exact: Measurement, key: int, first_channel: int) -> SensorState:
+    """Return the states at the start of a run: filters at rest, the wind's error drawn."""
+    return SensorState(exact.frequency, exact.rocof, normal(key, first_channel + N_CHANNELS - 1))
+
+
+@inlined
+def sensors_advanced(s: SensorState, exact: Measurement, key: int, first_channel: int, u: SensorInput) -> SensorState:
+    """Return the states one control step later."""
+    innovation = math.sqrt(1.0 - u.wind_persistence * u.wind_persistence)
+    return SensorState(
+        frequency=s.frequency + u.frequency_gain * (exact.frequency - s.frequency),
+        rocof=s.rocof + u.rocof_gain * (exact.rocof - s.rocof),
+        wind_error=u.wind_persistence * s.wind_error + innovation * normal(key, first_channel + N_CHANNELS - 1),
+    )
+
+
+@inlined
+def measured(
+    s: SensorState, exact: Measurement, wind_bias: float, key: int, first_channel: int, u: SensorInput
+) -> Measurement:
+    """Return what a WTG group measures now; `exact` is what there is."""
+    return Measurement(
+        frequency=s.frequency + u.frequency_noise * normal(key, first_channel),
+        rocof=s.rocof + u.rocof_noise * normal(key, first_channel + 1),
+        rotor_speed=exact.rotor_speed + u.rotor_speed_noise * normal(key, first_channel + 2),
+        power=exact.power + u.power_noise * normal(key, first_channel + 3),
+        wind=exact.wind * max(1.0 + wind_bias + u.wind_noise * s.wind_error, 0.1),
+    )

@@ -1,0 +1,140 @@
+"""What a version of the benchmark fixes besides its suites' scenarios: plant, task, anchors of the score."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.parameters import (
+    GovernorParameters,
+    GridFormingParameters,
+    ProtectionParameters,
+    WtgGroup,
+    default_groups,
+)
+from wtg_gym.physics.plant import ROTOR_SPEED_MIN_PU, PlantSettings, plant_settings
+
+
+@dataclass(frozen=True, kw_only=True)
+class Benchmark:
+    """A version of the benchmark.
+
+    Args:
+        version: "v0", "v1".
+        k_authority: offset on k at full action, as a share of K_opt - K_pr [-].
+        sensed: whether policies see what sensors measure, not what there is.
+        duty_time_s: time constant of the filter behind which the duty is charged; 0 for none [s].
+        weights: name and value of the cost's weights that are not those of
+            :class:`~wtg_gym.envs.settings.CostWeights`.
+        anchors: names of the entries that score 0 and 100.
+    """
+
+    version: str
+    k_authority: float
+    sensed: bool
+    duty_time_s: float
+    weights: tuple[tuple[str, float], ...] = ()
+    anchors: tuple[str, str]
+
+    @property
+    def env_id(self) -> str:
+        """Id of the environment."""
+        return f"GFMWTG-14bus-{self.version}"
+
+    @property
+    def zero(self) -> str:
+        """Name of the entry that scores 0."""
+        return self.anchors[0]
+
+    @property
+    def hundred(self) -> str:
+        """Name of the entry that scores 100, with which all others are compared."""
+        return self.anchors[1]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the version as JSON-ready data."""
+        return {**vars(self), "weights": dict(self.weights)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class SuitePlant:
+    """The modified IEEE 14-bus system of a suite: how much of it is wind, how strong the rest is.
+
+    Args:
+        groups: WTG groups.
+        physics: kind of physics, see :func:`~wtg_gym.physics.plant.plant_settings`.
+        generator_mva: rating of the generator at bus 1, None for the paper's [MVA].
+        governor: of that generator, None for the paper's.
+        frequency_limits_hz: beyond which a run has failed, None for the paper's [Hz].
+        overload_from_pu: power above which a converter counts as overloaded [p.u.].
+    """
+
+    groups: tuple[WtgGroup, ...] = field(default_factory=default_groups)
+    physics: str = "paper"
+    generator_mva: float | None = None
+    governor: GovernorParameters | None = None
+    frequency_limits_hz: tuple[float, float] | None = None
+    overload_from_pu: float | None = None
+
+    def settings(
+        self, *, groups: tuple[WtgGroup, ...] | None = None, physics: str | None = None, classical: bool, **steps: Any
+    ) -> PlantSettings:
+        """Return the plant, with other groups or physics if given.
+
+        Args:
+            groups, physics: replace the suite's own.
+            classical: whether machines are a constant voltage behind x'_d.
+            steps: control_dt, simulation_dt and trips_groups of :class:`~wtg_gym.physics.plant.PlantSettings`.
+        """
+        physics = physics or self.physics
+        case = modified_ieee14(classical=classical)
+        own: dict[str, Any] = {}
+        changes: dict[str, Any] = {}
+        if self.generator_mva is not None:
+            changes["rating_mva"] = self.generator_mva
+        if self.governor is not None:
+            changes["governor"] = self.governor
+        if changes:
+            machines = [dataclasses.replace(m, **changes) if m.bus == case.slack_bus else m for m in case.machines]
+            case = dataclasses.replace(case, machines=tuple(machines))
+        if self.frequency_limits_hz is not None:
+            low, high = (limit / case.frequency_hz for limit in self.frequency_limits_hz)
+            least = 0.0 if physics == "paper" else ROTOR_SPEED_MIN_PU
+            own["protection"] = ProtectionParameters(
+                frequency_min_pu=low, frequency_max_pu=high, rotor_speed_min_pu=least
+            )
+            # A run that sheds load has failed before.
+            own["shedding"] = ()
+        if self.overload_from_pu is not None:
+            own["control"] = GridFormingParameters(overload_limit_pu=self.overload_from_pu)
+        return plant_settings(physics, case=case, groups=groups or self.groups, **own, **steps)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the plant as JSON-ready data."""
+        return dataclasses.asdict(self)
+
+
+#: The paper's system. 0 is MPPT, 100 the paper's law.
+V0 = Benchmark(version="v0", k_authority=0.5, sensed=False, duty_time_s=0.0, anchors=("mppt", "coordinated-piecewise"))
+#: The grid that needs the wind. 0 is the paper's law, 100 the same law tuned to this grid.
+V1 = Benchmark(
+    version="v1",
+    k_authority=1.0,
+    sensed=True,
+    duty_time_s=15.0,
+    # Duty weighs as much as frequency, since the wind is most of the power; RoCoF five times as much as in v0, since
+    # the inertia is a third of that.
+    weights=(("rocof", 20.0), ("duty", 1.0), ("rotor", 20.0), ("cap", 15.0)),
+    anchors=("coordinated-piecewise", "coordinated-tuned"),
+)
+
+#: The versions by the id of their environment.
+BENCHMARKS: Mapping[str, Benchmark] = MappingProxyType({benchmark.env_id: benchmark for benchmark in (V0, V1)})
+#: Names that an entry fixes the scale with in some version; no other entry can have one.
+ANCHOR_NAMES = tuple(dict.fromkeys(name for benchmark in BENCHMARKS.values() for name in benchmark.anchors))
+
+__all__ = ["ANCHOR_NAMES", "BENCHMARKS", "V0", "V1", "Benchmark", "SuitePlant"]

@@ -1,0 +1,99 @@
+"""The distribution that the errors of a run's sensors are drawn from."""
+
+from __future__ import annotations
+
+import dataclasses
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from wtg_gym.physics.sensors import SENSOR_RANGES, Sensors
+from wtg_gym.ranges import require_range
+from wtg_gym.scenarios.stream import draw_uniforms, seed_streams
+
+#: The delay is drawn from whole numbers of these [s].
+DELAY_STEP_S = 0.1
+#: A drawn bias lies within this many standard deviations.
+_MOST_DEVIATIONS = 2.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorDistribution:
+    """What the sensors of scenarios are drawn from.
+
+    Args:
+        delay_s: shortest and longest delay, whole numbers of 0.1 s; every one between is as likely [s].
+        wind_bias: standard deviation of the constant relative errors of the wind speed, one per WTG group; none is
+            larger than 2.5 times this [-].
+        wind_sensor: whether the wind is measured.
+
+    The others are those of :class:`~wtg_gym.physics.sensors.Sensors`, the same in every scenario.
+
+    Raises:
+        ValueError: a value is outside its range; the message names value, unit and range.
+    """
+
+    delay_s: tuple[float, float] = (0.1, 0.3)
+    frequency_filter_s: float = 0.1
+    frequency_noise_hz: float = 0.005
+    rocof_filter_s: float = 0.2
+    rocof_noise_hz_s: float = 0.05
+    rotor_speed_noise_pu: float = 0.003
+    power_noise_pu: float = 0.01
+    wind_bias: float = 0.05
+    wind_noise: float = 0.08
+    wind_noise_correlation_s: float = 3.0
+    wind_sensor: bool = True
+
+    def __post_init__(self) -> None:
+        low, high, unit = SENSOR_RANGES["delay_s"]
+        if not isinstance(self.delay_s, (tuple, list)) or len(self.delay_s) != 2:
+            raise ValueError(
+                f"delay_s must be a pair (shortest, longest) in {low:g} … {high:g} s, got {self.delay_s!r}"
+            )
+        delays = tuple(require_range("delay_s", value, low, high, unit) for value in self.delay_s)
+        if delays[0] > delays[1] or any(abs(d / DELAY_STEP_S - round(d / DELAY_STEP_S)) > 1e-6 for d in delays):
+            raise ValueError(
+                f"delay_s must be two whole numbers of {DELAY_STEP_S:g} s, the shorter first, got {delays} s"
+            )
+        object.__setattr__(self, "delay_s", delays)
+        object.__setattr__(self, "wind_bias", require_range("wind_bias", self.wind_bias, 0.0, 0.2, ""))
+        self._sensors(0, 0.0, (0.0,))
+
+    def _sensors(self, seed: int, delay_s: float, wind_bias: tuple[float, ...]) -> Sensors:
+        drawn = {"seed": seed, "delay_s": delay_s, "wind_bias": wind_bias}
+        return Sensors(**{**{f.name: getattr(self, f.name) for f in dataclasses.fields(self)}, **drawn})
+
+    def replaced(self, changes: Mapping[str, Any]) -> SensorDistribution:
+        """Return the distribution with some of its values replaced; a ValueError lists the known names."""
+        known = [field.name for field in dataclasses.fields(self)]
+        unknown = sorted(map(str, set(changes) - set(known)))
+        if unknown:
+            raise ValueError(f"unknown values of the sensors {unknown}; known values: {', '.join(known)}")
+        return dataclasses.replace(self, **changes)
+
+    def delays_s(self) -> list[float]:
+        """Return every delay that may be drawn [s]."""
+        shortest, longest = (round(delay / DELAY_STEP_S) for delay in self.delay_s)
+        return [round(DELAY_STEP_S * steps, 9) for steps in range(shortest, longest + 1)]
+
+    def draw_many(self, name: str, seeds: Sequence[int], n_wtg: int) -> list[Sensors]:
+        """Draw the sensors of several seeds; `name` is that of the scenarios' distribution.
+
+        What is drawn scales with the distribution: with twice the `wind_bias`, every bias is twice as large.
+        """
+        states = np.empty((len(seeds), 4), dtype=np.uint64)
+        seed_streams(np.array(seeds, dtype=np.uint64), zlib.crc32(f"{name}/sensors".encode()), states)
+        uniform = np.empty((len(seeds), 2 + 12 * n_wtg))
+        draw_uniforms(states, uniform)
+        delays = self.delays_s()
+        # The sum of twelve uniform numbers is nearly normal; platforms agree on its last bit.
+        deviations = uniform[:, 2:].reshape(len(seeds), n_wtg, 12).sum(axis=2) - 6.0
+        biases = self.wind_bias * np.clip(deviations, -_MOST_DEVIATIONS, _MOST_DEVIATIONS)
+        return [
+            self._sensors(int(own[0] * 2**31), delays[int(own[1] * len(delays))], tuple(bias))
+            for own, bias in zip(uniform.tolist(), biases.tolist(), strict=True)
+        ]
