@@ -11,9 +11,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from agents.command import Parser, Progress, run_command
+from agents.command import Parser, Progress, check_page, run_command, update_page
 from agents.research.simple_policies import SimplePolicy, simple_policies
-from wtg_gym.cli.output import check_page, update_page
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation import Entry, Results, evaluate, load_entries
 from wtg_gym.evaluation.oracle import OracleCosts
