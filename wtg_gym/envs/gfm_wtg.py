@@ -136,7 +136,7 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
 
     ## Action Space
     `Box(-1, 1, (n_wtg · n_modes,), float32)`, per group: the offset on k (full action: half the regulation range
-    K_opt - K_pr, beyond K_opt too), then the scale of τ (full action: four times, or a quarter). Zero action leaves
+    K_opt - K_pr, in v1 all of it, beyond K_opt too), then the scale of τ (full action: four times, or a quarter). Zero action leaves
     the law `strategy` as it is, to the last bit; by default that is the reference controller. Values outside are
     clipped; values that are not finite raise a ValueError.
 
@@ -145,6 +145,9 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
     ratio between λ_opt and λ_pr, rotor speed, power, rotor-effective wind, k, filter state, last action. With
     `observation_mode="privileged"` the grid follows: speed, power and voltage of each synchronous machine, then
     frequency deviation, RoCoF and the machines' torque. `observation_names` lists every entry with its unit.
+
+    In v1 a group sees what its sensors say: frequency deviation, RoCoF, tip-speed ratio, rotor speed, power, wind, with
+    noise and bias, 0.1 … 0.3 s late, and its last action. The privileged part begins with the exact values.
 
     ## Rewards
     Minus the cost of the step: frequency deviation, RoCoF, regulation duty, rotor range, converter overload, actuator
@@ -157,7 +160,7 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
 
     ## Episode End
     Terminated (`info["termination_reason"]`) at a "stall", "over-speed" or, in extended physics, "under-speed" of a
-    rotor, at a "frequency limit" (outside 47.5 … 51.5 Hz), a "loss of synchronism" (two units more than 180° apart), a
+    rotor, at a "frequency limit" (outside 47.5 … 51.5 Hz, in v1 48.5 … 51.5 Hz), a "loss of synchronism" (two units more than 180° apart), a
     "voltage collapse" (a unit's terminal below 0.85 p.u. for more than 3 s), or a "numerical failure". Protections look
     every 0.1 s, and at the end of shorter control intervals. Truncated when the time is over.
 
@@ -175,7 +178,9 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
     environment seeded with s + i, bit for bit.
 
     ## Version History
-    * v0: first version.
+    * v1: a grid that needs the wind, extended physics, sensors, outages, a score that pays for the frequency first. Not
+      frozen yet.
+    * v0: first version, the paper's system.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (Gymnasium sets it so)
