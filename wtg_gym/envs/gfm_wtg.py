@@ -136,9 +136,9 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
 
     ## Action Space
     `Box(-1, 1, (n_wtg · n_modes,), float32)`, per group: the offset on k (full action: half the regulation range
-    K_opt - K_pr, in v1 all of it, beyond K_opt too), then the scale of τ (full action: four times, or a quarter). Zero action leaves
-    the law `strategy` as it is, to the last bit; by default that is the reference controller. Values outside are
-    clipped; values that are not finite raise a ValueError.
+    K_opt - K_pr, in v1 all of it, beyond K_opt too), then the scale of τ (full action: four times, or a quarter). Zero
+    action leaves the law `strategy` as it is, to the last bit; by default that is the reference controller. Values
+    outside are clipped; values that are not finite raise a ValueError.
 
     ## Observation Space
     `Box(-5, 5, (n,), float32)`, per group what its own controller measures: frequency deviation, RoCoF, tip-speed
@@ -160,9 +160,10 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
 
     ## Episode End
     Terminated (`info["termination_reason"]`) at a "stall", "over-speed" or, in extended physics, "under-speed" of a
-    rotor, at a "frequency limit" (outside 47.5 … 51.5 Hz, in v1 48.5 … 51.5 Hz), a "loss of synchronism" (two units more than 180° apart), a
-    "voltage collapse" (a unit's terminal below 0.85 p.u. for more than 3 s), or a "numerical failure". Protections look
-    every 0.1 s, and at the end of shorter control intervals. Truncated when the time is over.
+    rotor, at a "frequency limit" (outside 47.5 … 51.5 Hz, in v1 48.5 … 51.5 Hz), a "loss of synchronism" (two units
+    more than 180° apart), a "voltage collapse" (a unit's terminal below 0.85 p.u. for more than 3 s), or a "numerical
+    failure". Protections look every 0.1 s, and at the end of shorter control intervals. Truncated when the time is
+    over.
 
     ## Arguments
     `help(wtg_gym.envs.EnvSettings)` lists them; `render_mode` is one more. An unknown one raises a TypeError, a value
