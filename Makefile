@@ -99,6 +99,13 @@ docs: pictures ## Measure everything that docs/ shows again, but for performance
 	$(LEADERBOARD_VENV)/bin/python -m agents.research.incentives --entries $(filter %/linear-feedback,$(POLICIES)) $(filter agents/policies/ppo-k-%,$(POLICIES)) deloaded-5 --page docs/benchmark.md
 	$(LEADERBOARD_VENV)/bin/python -m tests.submissions.hostile --page docs/submissions.md
 
+.PHONY: conditions
+conditions: $(TEST_READY) ## Measure whether standard-v1 is a good problem, and put the table into docs/benchmark.md (a quarter of an hour)
+	$(TEST_VENV)/bin/python -m agents.research.linear --suite standard-v1 --generations 80 --name linear-feedback-v1 --gains results/v1/gains.json --output results/v1/linear-feedback-v1
+	$(TEST_VENV)/bin/python -m agents.research.foresight --suite standard-v1 --split validation --scenarios 24 --generations 100 --chunk 24 --gains results/v1/gains.json --entries coordinated-tuned fast-droop results/v1/linear-feedback-v1 --output results/v1/oracle
+	$(TEST_VENV)/bin/python -m agents.research.planner --suite standard-v1 --scenarios 24 --output results/v1/planners
+	$(TEST_VENV)/bin/python -m agents.research.conditions --simple 100 --feedbacks results/v1/linear-feedback-v1 --oracle results/v1/oracle/standard-v1-validation.json --planners results/v1/planners/standard-v1-validation.json --page docs/benchmark.md
+
 .PHONY: docs-check
 docs-check: $(LEADERBOARD_READY) ## Draw the pictures into a copy of docs/ and name those that differ from the ones in docs/
 	rm -rf build/docs

@@ -163,7 +163,8 @@ def power_margin_pu(
     """Return the largest surplus of captured over demanded power that a steady rotor can have [p.u.].
 
     max over ω_m of p_w(ω_m) - g(ω) ω_m³ + D_p (ω - ω_st), the last term only where the law keeps its droop (τ = ∞).
-    Negative: there is no equilibrium. Source: paper, section on MPPT.
+    Negative: there is no equilibrium. Positive: there is one, unless the droop draws so much power from the grid that
+    no pitch angle holds the rotor at its speed limit. Source: paper, section on MPPT.
 
     Args:
         frequency_pu: grid frequency ω, 0.5 … 1.5 [p.u.].
