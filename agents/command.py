@@ -27,6 +27,7 @@ from wtg_gym.cli.output import (
 from wtg_gym.cli.parser import Parser
 from wtg_gym.cli.scoring import chosen_entries
 from wtg_gym.envs.settings import ACTION_MODES, OBSERVATION_MODES
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 
 
 def run_command(work: Callable[[], None], after_interrupt: str | None = None) -> int:
@@ -49,11 +50,19 @@ def run_command(work: Callable[[], None], after_interrupt: str | None = None) ->
     return 0
 
 
+def add_strategy_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option that names the law under the actions; None where it is not given."""
+    parser.add_argument(
+        "--strategy", metavar="NAME", help=f"law that the actions modulate (default: {REFERENCE_STRATEGY})"
+    )
+
+
 def add_training_options(parser: argparse.ArgumentParser, *, timesteps: str) -> None:
     """Add the options that every training shares; all of them are None where they are not given."""
     parser.add_argument("--action-mode", choices=tuple(ACTION_MODES), help="what the policy modulates (default: k+tau)")
     parser.add_argument("--observation-mode", choices=OBSERVATION_MODES, help="what it sees (default: local)")
     parser.add_argument("--suite", metavar="NAME", help="suite to train and validate on (default: standard)")
+    add_strategy_option(parser)
     parser.add_argument("--seed", type=int, metavar="N", help="seed of everything random (default: 0)")
     parser.add_argument("--timesteps", type=int, metavar="N", help=f"environment steps in all (default: {timesteps})")
     parser.add_argument("--interval", type=int, metavar="N", help="steps between validations (default: a 20th of all)")
@@ -91,7 +100,7 @@ def settings_of(
     Raises:
         ValueError: a value is unknown or out of range.
     """
-    names = ("action_mode", "observation_mode", "suite", "seed", "validation_episodes", "device")
+    names = ("action_mode", "observation_mode", "suite", "strategy", "seed", "validation_episodes", "device")
     timesteps = given.get("timesteps", timesteps)
     return RunSettings(
         algo=algo,
@@ -150,6 +159,7 @@ __all__ = [
     "Parser",
     "Progress",
     "add_folder_options",
+    "add_strategy_option",
     "add_training_options",
     "check_output_file",
     "check_output_folder",

@@ -10,6 +10,7 @@ from typing import Any
 from agents.runs import RunSettings
 from wtg_gym.evaluation import Entry
 from wtg_gym.files import write_atomically
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.policies.load import ENTRY_FILE
 from wtg_gym.scenarios import get_suite
 from wtg_gym.scenarios.benchmark import V0
@@ -36,11 +37,16 @@ def entry_values(
         "observation_mode": settings.observation_mode,
         "training_seed": settings.seed,
     }
-    benchmark = get_suite(settings.suite).benchmark
-    if benchmark is not V0:
-        values["environment"] = benchmark.env_id
+    values |= played_in(settings.suite, settings.strategy)
     Entry(**values)
     return values
+
+
+def played_in(suite: str, strategy: str) -> dict[str, str]:
+    """Return the keys for a suite's environment and a law, where they are not those of v0 and the published one."""
+    benchmark = get_suite(suite).benchmark
+    values = {} if strategy == REFERENCE_STRATEGY else {"strategy": strategy}
+    return values if benchmark is V0 else {**values, "environment": benchmark.env_id}
 
 
 def write_entry(folder: Path, values: Mapping[str, Any]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -15,10 +16,11 @@ Floats = npt.NDArray[np.float64]
 
 
 class Gains:
-    """Gains of lanes over the reference controller, in per cent: 100 (c_ref - c) / (J_ref + J0) in each step.
+    """Gains of lanes over the reference, in per cent: 100 (c_ref - c) / (J_ref + J0) in each step.
 
-    c is the step's cost, c_ref the cost of the zero action in the same step of the same scenario, J_ref its sum over
-    the episode, and J0 the score's offset.
+    The reference is the law that scores 100: in v0 the zero action, in v1 that law tuned to its grid. c is the step's
+    cost, c_ref the reference's in the same step of the same scenario, J_ref its sum over the episode, and J0 the
+    score's offset.
 
     - Loads and wind cause most of the cost, alike for both: the difference leaves what the actions changed (common
       random numbers).
@@ -34,7 +36,8 @@ class Gains:
 
     def __init__(self, lanes: TaskLanes) -> None:
         self._lanes = lanes
-        self._reference = TaskLanes(lanes.settings, 1)
+        benchmark = lanes.settings.benchmark()
+        self._reference = TaskLanes(replace(lanes.settings, strategy=benchmark.hundred), 1)
         self.n_steps = round(lanes.settings.episode_duration_s() / lanes.settings.control_dt)
         self._costs = np.zeros((lanes.n_lanes, self.n_steps))
         #: The cost that counts one per cent.
@@ -77,7 +80,7 @@ class Gains:
 
 
 def stagger(env: GFMWTGVectorEnv) -> npt.NDArray[np.float32]:
-    """Spread lanes that have just been reset evenly over an episode, under the reference controller.
+    """Spread lanes that have just been reset evenly over an episode, under the zero action.
 
     Lanes that start together stay together as long as episodes are equally long: a rollout would show the same few
     seconds of all of them, and the learner would swing from one part of an episode to the next.

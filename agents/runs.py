@@ -20,6 +20,7 @@ from wtg_gym.envs import EnvSettings
 from wtg_gym.evaluation import Entry, Policy, evaluate
 from wtg_gym.files import read_json, to_json, write_atomically
 from wtg_gym.physics.compiled import source_hash
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.scenarios import get_suite
 
 RUN_FILE = "run.json"
@@ -35,7 +36,7 @@ class RunSettings:
     Args:
         algo: name of the algorithm.
         hyperparameters: section of a configuration file, as written there.
-        action_mode, observation_mode, suite: as for the environment.
+        action_mode, observation_mode, suite, strategy: as for the environment.
         seed: seed of the weights, the exploration and the scenarios.
         timesteps: environment steps of all lanes together.
         n_envs: number of lanes.
@@ -52,6 +53,7 @@ class RunSettings:
     action_mode: str = "k+tau"
     observation_mode: str = "local"
     suite: str = "standard"
+    strategy: str = REFERENCE_STRATEGY
     seed: int = 0
     timesteps: int
     n_envs: int
@@ -80,7 +82,8 @@ class RunSettings:
     @property
     def env_arguments(self) -> dict[str, Any]:
         """Arguments of the environment."""
-        return {"action_mode": self.action_mode, "observation_mode": self.observation_mode, "suite": self.suite}
+        names = ("action_mode", "observation_mode", "suite", "strategy")
+        return {name: getattr(self, name) for name in names}
 
 
 @dataclass(kw_only=True)
@@ -130,7 +133,13 @@ class Run:
             NoScaleError: MPPT is not worse than the reference on these scenarios.
         """
         s = self.settings
-        entry = Entry(name="policy", policy=policy, action_mode=s.action_mode, observation_mode=s.observation_mode)
+        entry = Entry(
+            name="policy",
+            policy=policy,
+            strategy=s.strategy,
+            action_mode=s.action_mode,
+            observation_mode=s.observation_mode,
+        )
         seeds = get_suite(s.suite).seeds("validation")[: s.validation_episodes]
         results = evaluate([entry], s.suite, "validation", seeds=seeds)
         (summary,) = (summary for summary in results.summaries if summary.name == entry.name)

@@ -27,7 +27,14 @@ FULL_ACTION_HZ = 0.5
 
 
 class FastDroop:
-    """The droop as a policy: it adds to k, in every group after its own measured frequency."""
+    """The droop as a policy: it adds to k, in every group after its own measured frequency.
+
+    Args:
+        full_action_hz: deviation of the frequency that takes the whole authority [Hz].
+    """
+
+    def __init__(self, full_action_hz: float = FULL_ACTION_HZ) -> None:
+        self.full_action_hz = full_action_hz
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
@@ -35,7 +42,7 @@ class FastDroop:
         """Return (actions (n_lanes, n_wtg) on k in [-1, 1], no state)."""
         own = np.asarray(observation, dtype=np.float64).reshape(len(observation), -1, N_MEASURED + 1)
         deviation_hz = FREQUENCY_UNIT_HZ * own[..., 0]
-        return np.clip(-deviation_hz / FULL_ACTION_HZ, -1.0, 1.0), state
+        return np.clip(-deviation_hz / self.full_action_hz, -1.0, 1.0), state
 
 
 ENTRY = Entry(

@@ -13,8 +13,10 @@ import cma
 import numpy as np
 import numpy.typing as npt
 
+from agents.command import add_strategy_option
 from agents.research.rollouts import HISTORY_COLUMNS, Rollouts, both, course, history_feedback, linear_feedback
 from wtg_gym.envs.settings import ACTION_MODES
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[np.float64]
@@ -34,6 +36,7 @@ class Search:
         suite, split: of the scenarios.
         n_scenarios: how many of them, the first ones; None for all.
         action_mode: what the actions modulate.
+        strategy: law that they modulate.
         generations: of the search, or of every scenario's search.
         seed: of the search.
 
@@ -47,6 +50,7 @@ class Search:
     action_mode: str
     generations: int
     seed: int
+    strategy: str = REFERENCE_STRATEGY
 
     def __post_init__(self) -> None:
         largest = min(len(get_suite(self.suite).seeds(self.split)), 10_000)
@@ -65,13 +69,15 @@ class Search:
 
     def rollouts(self, scenario_seeds: Sequence[int], n_threads: int | None = None) -> Rollouts:
         """Return rollouts of scenarios with a population in each."""
-        return Rollouts(self.suite, self.split, scenario_seeds, POPULATION, n_threads, action_mode=self.action_mode)
+        modes = {"action_mode": self.action_mode, "strategy": self.strategy}
+        return Rollouts(self.suite, self.split, scenario_seeds, POPULATION, n_threads, **modes)
 
 
 def add_search_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that the commands with a search share."""
     parser.add_argument("--suite", metavar="NAME", default="standard", help="(default: standard)")
     parser.add_argument("--action-mode", choices=tuple(ACTION_MODES), default="k+tau", help="(default: k+tau)")
+    add_strategy_option(parser)
     parser.add_argument("--generations", type=int, default=150, metavar="N", help="of a search (default: 150)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the search (default: 0)")
     parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
@@ -86,6 +92,7 @@ def search_of(given: argparse.Namespace, split: str) -> Search:
         action_mode=given.action_mode,
         generations=given.generations,
         seed=given.seed,
+        strategy=given.strategy or REFERENCE_STRATEGY,
     )
 
 

@@ -14,7 +14,7 @@ import torch
 from torch import nn
 
 from agents.command import Parser, Progress, check_output_file, check_output_folder, note, print_table, run_command
-from agents.entry_file import write_entry
+from agents.entry_file import played_in, write_entry
 from agents.onnx_graph import LowPass, PolicyNetwork, to_onnx
 from agents.research.evolution import POPULATION, Search, add_search_options, search_of, tune_linear
 from agents.research.rollouts import (
@@ -29,7 +29,6 @@ from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation import NoScaleError, OnnxPolicy, evaluate
 from wtg_gym.evaluation.score import pinned
 from wtg_gym.files import to_json, write_atomically
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.policies import Entry
 from wtg_gym.policies.load import POLICY_FILE
 from wtg_gym.scenarios import get_suite
@@ -111,6 +110,7 @@ def make_linear_feedback(
         "suite": search.suite,
         "suite_hash": get_suite(search.suite).hash,
         "action_mode": search.action_mode,
+        "strategy": search.strategy,
         "seed": search.seed,
         "generations": search.generations,
         "population": POPULATION,
@@ -129,7 +129,7 @@ def make_linear_feedback(
             "description": f"Linear feedback of a group's own observation{' and its past' if history else ''}, "
             f"the same in every group, tuned by CMA-ES on {len(seeds)} training scenarios of {search.suite}.",
             "action_mode": search.action_mode,
-            "environment": get_suite(search.suite).benchmark.env_id,
+            **played_in(search.suite, search.strategy),
             "training_seed": search.seed,
             "authors": list(authors),
         },
@@ -158,7 +158,7 @@ def _tuned(search: Search, history: bool, n_threads: int | None) -> tuple[Floats
 def _validate(path: Path, search: Search, n_threads: int | None) -> dict[str, Any]:
     """Costs of the policy and of the reference on all validation scenarios, and its score, if there is one."""
     policy = OnnxPolicy(path)
-    entry = Entry(name="linear feedback", policy=policy, action_mode=search.action_mode)
+    entry = Entry(name="linear feedback", policy=policy, action_mode=search.action_mode, strategy=search.strategy)
     with Progress("episodes") as progress:
         results = evaluate([entry], search.suite, "validation", n_threads=n_threads, on_progress=progress.update)
     try:
@@ -167,7 +167,10 @@ def _validate(path: Path, search: Search, n_threads: int | None) -> dict[str, An
         score = None
     cap = float(results.settings["weights"]["cap"])
     found: dict[str, Any] = {"scenarios": len(results.seeds), "score": score}
-    for who, key, name in (("policy", "terms", entry.name), ("reference", "reference_terms", REFERENCE_STRATEGY)):
+    for who, key, name in (
+        ("policy", "terms", entry.name),
+        ("reference", "reference_terms", results.benchmark.hundred),
+    ):
         episodes = results.episodes_of(name)
         found[who] = float(np.mean([pinned(episode, cap) for episode in episodes]))
         found[key] = {
