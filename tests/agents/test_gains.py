@@ -138,7 +138,8 @@ def test_failure_forfeits_what_the_reference_would_still_have_paid() -> None:
         total += float(gains.of(before, rewards)[0])
         cost, n_steps, failed = cost - float(rewards[0]), n_steps + 1, bool(terminated[0])
         assert not truncated[0]
-    single = gym.make(ENV_ID, **arguments)
+    # The reference is the law that scores 100, not the zero action of this environment.
+    single = gym.make(ENV_ID, duration_s=30.0)
     single.reset(options={"scenario": scenario})
     paid = [-float(single.step(np.zeros(4, np.float32))[1]) for _ in range(300)]
     scale = 100.0 / (sum(paid) + 5.0)
