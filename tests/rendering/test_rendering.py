@@ -17,10 +17,12 @@ from gymnasium.vector import AutoresetMode
 import wtg_gym
 from tests.envs.rollouts import actions_of, calm, eventful, sagging, single_steps, vector_steps
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
-from wtg_gym.envs.rendering.colours import EVENT, GROUPS, rgb
+from wtg_gym.envs.rendering.colours import EVENT, GROUPS, INK, LIMIT, rgb
+from wtg_gym.envs.rendering.diagram import EXTENT, draw_diagram
 from wtg_gym.envs.rendering.frame import FRAME_SIZE, panel_box
-from wtg_gym.envs.rendering.panels import PANELS
-from wtg_gym.physics.scenario import LineTrip
+from wtg_gym.envs.rendering.panels import MEASURED, PANELS, Episode, n_traces, panels_of_traces
+from wtg_gym.physics.scenario import GovernorLoss, GroupTrip, LineTrip, MachineOutage
+from wtg_gym.physics.sensors import SENSOR_RANGES
 
 pytest.importorskip("matplotlib")
 
@@ -353,3 +355,138 @@ def test_frames_of_the_versions_name_their_environment():
         assert env._frames is not None and env._frames._episode(0).env_id == f"GFMWTG-14bus-{version}"
     heading = np.s_[10:34, 16:320]
     assert (frames[0][heading] != frames[1][heading]).any()
+
+
+# --- what version v1 adds --------------------------------------------------------------------------------------------
+
+#: Sensors whose only error is their delay.
+LATE = {
+    "delay_s": (0.2, 0.2),
+    "wind_bias": 0.0,
+    **{name: 0.0 for name, (low, _, _) in SENSOR_RANGES.items() if name != "delay_s" and low == 0.0},
+}
+
+
+def of_v1(n_steps: int, **settings: Any) -> GFMWTGEnv:
+    """Return an environment of v1 that renders, so many steps into an episode."""
+    env = GFMWTGEnv(version="v1", render_mode="rgb_array", duration_s=6.0, **settings)
+    env.reset(seed=4)
+    for action in actions_of(2, n_steps, 1, env.action_space.shape[0]):
+        env.step(np.clip(action[0], -1.0, 1.0))
+    return env
+
+
+def shown(env: GFMWTGEnv) -> Episode:
+    assert env._frames is not None
+    return env._frames._episode(0)
+
+
+@pytest.mark.parametrize("action_mode", ["k", "k+tau"])
+def test_pale_lines_are_the_true_ones_as_late_as_the_sensors(action_mode: str):
+    env = of_v1(0, sensors=LATE, action_mode=action_mode, observation_mode="privileged")
+    exact = [env.reset(seed=4)[0]]
+    for action in actions_of(2, 40, 1, env.action_space.shape[0]):
+        exact.append(env.step(np.clip(action[0], -1.0, 1.0))[0])
+    own = {
+        name: [i for i, text in enumerate(env.observation_names) if f".{name} " in text and text.startswith("exact")]
+        for name in ("frequency_deviation", "rocof")
+    }
+    episode, expected = shown(env), np.array(exact, dtype=np.float64)
+    owners = panels_of_traces(4, measured=True)[: n_traces(4)]
+    true, seen = episode.traces[:, : n_traces(4)], episode.traces[:, n_traces(4) :]
+    lines = {panel.name: true[:, owners == index] for index, panel in enumerate(PANELS) if panel.name in MEASURED}
+    # A group measures its own frequency, not that of the centre of inertia.
+    lines["frequency"] = 50.0 + 0.5 * expected[:, own["frequency_deviation"]]
+    lines["rocof"] = expected[:, own["rocof"]]
+    for place, name in enumerate(MEASURED):
+        late = seen[2:, 4 * place : 4 * place + 4]
+        np.testing.assert_allclose(late, lines[name][:-2], atol=1e-5, err_msg=name)
+    assert episode.note == "pale lines: measured, 0.2 s late"
+
+
+def test_sensors_err_about_the_true_lines():
+    episode = shown(of_v1(40))
+    true, seen = (
+        episode.traces[:, panels_of_traces(4, measured=True) == 7][:, part] for part in (slice(4), slice(4, 8))
+    )
+    assert 0.01 < np.abs(seen / true - 1.0).mean() < 0.25
+
+
+def test_without_a_wind_sensor_the_frame_says_so_and_has_no_pale_wind():
+    blind, seeing = (of_v1(40, suite=suite) for suite in ("no-wind-sensor-v1", "standard-v1"))
+    titles = [[panel.title for panel in shown(env).panels if "not measured" in panel.title] for env in (blind, seeing)]
+    assert titles == [["tip-speed ratio [–], not measured", "wind speed [m/s], not measured"], []]
+    assert shown(blind).note.endswith(", no wind sensor") and "wind" not in shown(seeing).note
+    owners = panels_of_traces(4, measured=True)[n_traces(4) :]
+    unseen = np.isnan(shown(blind).traces[:, n_traces(4) :]).all(axis=0)
+    assert sorted(set(owners[unseen])) == [3, 7] and not np.isnan(shown(seeing).traces[:, n_traces(4) :]).any()
+    assert blind.render().shape == SHAPE
+
+
+def test_limits_of_the_plant_are_drawn_in_v1_alone():
+    panels = {panel.name: panel for panel in shown(of_v1(1)).panels}
+    assert panels["frequency"].limits == pytest.approx((48.5, 51.5))
+    assert panels["rotor"].limits == (0.5, 1.4) and panels["power"].limits == (1.1,)
+    assert panels["power"].rules == (1.05,)
+    for env, drawn in ((of_v1(1), True), (playing(1), False)):
+        frame = env.render()
+        assert [has_colour(panel(frame, name)[:, 150:], LIMIT) for name in ("rotor", "power")] == [drawn, drawn]
+
+
+def test_units_of_a_bus_stand_apart_and_what_is_out_is_marked():
+    from matplotlib.figure import Figure
+
+    trip, outage, loss = (
+        GroupTrip(time_s=1.0, group=2),
+        MachineOutage(time_s=1.0, bus=6),
+        GovernorLoss(time_s=1.0, bus=1),
+    )
+    buses = (2, 3, 6, 8)
+    drawn = {}
+    for events in ((), (trip, outage, loss)):
+        axes = Figure().add_axes((0, 0, 1, 1))
+        draw_diagram(axes, buses, events)
+        drawn[events] = axes
+    for axes in drawn.values():
+        names = [(text.get_text(), text.get_position()) for text in axes.texts if text.get_text()[0] in "GCW"]
+        assert sorted(name for name, _ in names) == ["C", "C", "C", "G", "W1", "W2", "W3", "W4"]
+        places = np.array([place for _, place in names])
+        apart = np.hypot(*(places[:, None] - places[None]).T)[~np.eye(len(names), dtype=bool)]
+        # A unit's circle has a radius of 0.3.
+        assert apart.min() > 0.6
+        assert all(abs(x - EXTENT[0][0]) > 0.3 and abs(x - EXTENT[0][1]) > 0.3 for x, _ in places)
+    dashed = [sum(line.get_linestyle() == "--" for line in axes.lines) for axes in drawn.values()]
+    assert dashed == [0, 2]
+    colours = [next(text.get_color() for text in axes.texts if text.get_text() == "G") for axes in drawn.values()]
+    assert colours == [INK, EVENT]
+
+
+def test_where_a_line_closes_again_a_dotted_line_stands():
+    line = LineTrip(time_s=0.5, from_bus=5, to_bus=4, recloses_after_s=1.5)
+    frames = [playing(n, scenario=calm(events=(line,)).to_dict()).render() for n in (19, 20)]
+    n_pixels = [int(coloured(panel(frame, "tau"), EVENT).sum()) for frame in frames]
+    # Half of the panel's rows, less those under its lines; a dotted line has as many.
+    assert 40 <= n_pixels[0] <= 48 and 80 <= n_pixels[1] <= 96
+
+
+def test_a_restored_episode_of_v1_shows_what_was_measured():
+    env = of_v1(20)
+    at_20, kept = env.render(), env.snapshot()
+    for _ in range(15):
+        env.step(np.ones(8))
+    assert env.render().tobytes() != at_20.tobytes()
+    env.restore(kept)
+    assert env.render().tobytes() == at_20.tobytes()
+
+
+def test_a_batch_of_v1_gives_the_frames_of_single_environments():
+    batch = GFMWTGVectorEnv(2, version="v1", duration_s=2.0, render_mode="rgb_array")
+    batch.reset(seed=5)
+    singles = [GFMWTGEnv(version="v1", duration_s=2.0, render_mode="rgb_array") for _ in range(2)]
+    for lane, env in enumerate(singles):
+        env.reset(seed=5 + lane)
+    for actions in np.clip(actions_of(1, 8, 2, 8), -1, 1).astype(np.float32):
+        batch.step(actions)
+        for lane, env in enumerate(singles):
+            env.step(actions[lane])
+    assert [frame.tobytes() for frame in batch.render()] == [env.render().tobytes() for env in singles]

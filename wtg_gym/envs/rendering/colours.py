@@ -14,6 +14,8 @@ EVENT = "#a8276b"
 WHOLE_GRID = "#1b2128"
 #: One per WTG group; further groups begin again.
 GROUPS = ("#0063a6", "#c14a00", "#00724f", "#7a5ab8")
+#: Limits beyond which a run fails, or that converters keep.
+LIMIT = "#c98aa9"
 #: Shaded ranges of values.
 BAND = "#eef6f2"
 
@@ -26,6 +28,12 @@ def group_colour(group: int) -> str:
 def rgb(colour: str) -> tuple[int, int, int]:
     """Return a colour "#rrggbb" as three numbers of 0 … 255."""
     return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
+
+
+def pale(colour: str) -> tuple[int, int, int]:
+    """Return a colour halfway to the page's as three numbers of 0 … 255."""
+    red, green, blue = ((a + b) // 2 for a, b in zip(rgb(colour), rgb(PAGE), strict=True))
+    return red, green, blue
 
 
 def require_matplotlib() -> None:

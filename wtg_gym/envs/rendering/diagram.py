@@ -33,6 +33,7 @@ BUS_PLACES: Mapping[int, tuple[float, float]] = {
 EXTENT = ((-0.6, 9.8), (-0.9, 6.1))
 #: The groups of one bus stand within this; many of them overlap.
 _GROUPS_WIDTH = 4.4
+_OPENED: Mapping[str, Any] = {"linewidth": 2.5, "linestyle": (0, (1.6, 1.2))}
 #: Behind numbers, for a line may run there.
 _PLATE: Mapping[str, Any] = {"facecolor": PAGE, "edgecolor": "none", "pad": 0.8}
 
@@ -65,27 +66,39 @@ def draw_diagram(
     for branch in case.branches:
         (x0, y0), (x1, y1) = BUS_PLACES[branch.from_bus], BUS_PLACES[branch.to_bus]
         if frozenset((branch.from_bus, branch.to_bus)) in opened:
-            axes.plot([x0, x1], [y0, y1], color=EVENT, linewidth=2.5, linestyle=(0, (1.6, 1.2)))
+            axes.plot([x0, x1], [y0, y1], color=EVENT, **_OPENED)
         else:
             axes.plot([x0, x1], [y0, y1], color=SOFT, linewidth=1.0)
-    for machine in case.machines:
-        # The machine with a governor is the generator; the others are condensers.
-        _draw_unit(axes, machine.bus, -0.35, "G" if machine.governor is not None else "C", INK)
+    # The machine with a governor is the generator; the others are condensers.
+    machines = {machine.bus: "G" if machine.governor is not None else "C" for machine in case.machines}
+    stopped = {event.bus for event in events if isinstance(event, GovernorLoss)}
+    out = {event.bus for event in events if isinstance(event, MachineOutage)}
+    tripped = {event.group for event in events if isinstance(event, GroupTrip)}
     for number, (x, y) in BUS_PLACES.items():
         groups = [group for group, bus in enumerate(group_buses) if bus == number]
-        gap = min(0.8, _GROUPS_WIDTH / max(1, len(groups) - 1))
-        half = max(0.45, 0.5 * gap * (len(groups) - 1) + 0.15)
+        n_units = len(groups) + (number in machines)
+        gap = min(0.8, _GROUPS_WIDTH / max(1, n_units - 1))
+        half = max(0.45, 0.5 * gap * (n_units - 1) + 0.15)
+        first = -0.5 * gap * (n_units - 1)
+        if number in machines:
+            colour = EVENT if number in stopped else INK
+            _draw_unit(axes, number, first if groups else -0.35, machines[number], colour, is_out=number in out)
+            first += gap
         for place, group in enumerate(groups):
-            _draw_unit(axes, number, gap * (place - (len(groups) - 1) / 2), f"W{group + 1}", colour_of(group))
+            beside, colour = first + gap * place, colour_of(group)
+            _draw_unit(axes, number, beside, f"W{group + 1}", colour, is_out=group in tripped)
         axes.plot([x - half, x + half], [y, y], color=INK, linewidth=3.0, solid_capstyle="butt")
         axes.text(x + half - 0.03, y + 0.08, str(number), fontsize=10, color=INK, va="bottom", bbox=_PLATE)
     _draw_strikes(axes, group_buses, events)
 
 
-def _draw_unit(axes: Axes, bus: int, beside: float, text: str, colour: str) -> None:
+def _draw_unit(axes: Axes, bus: int, beside: float, text: str, colour: str, *, is_out: bool) -> None:
     x, y = BUS_PLACES[bus]
     x += beside
-    axes.plot([x, x], [y, y - 0.85], color=colour, linewidth=1.0)
+    if is_out:
+        axes.plot([x, x], [y, y - 0.85], color=EVENT, **_OPENED)
+    else:
+        axes.plot([x, x], [y, y - 0.85], color=colour, linewidth=1.0)
     axes.plot([x], [y - 0.85], "o", markersize=18, markerfacecolor=PAGE, markeredgecolor=colour, markeredgewidth=1.4)
     axes.text(x, y - 0.87, text, fontsize=9, color=colour, ha="center", va="center")
 

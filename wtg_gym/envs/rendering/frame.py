@@ -14,18 +14,20 @@ from wtg_gym.envs.rendering.colours import (
     EVENT,
     GRID,
     INK,
+    LIMIT,
     LINE,
     PAGE,
     SOFT,
     WHOLE_GRID,
     group_colour,
+    pale,
     plain_matplotlib,
     require_matplotlib,
     rgb,
 )
 from wtg_gym.envs.rendering.diagram import describe_event, draw_diagram, reclosed
 from wtg_gym.envs.rendering.lines import draw_traces
-from wtg_gym.envs.rendering.panels import PANELS, Episode, Panel, fitting_levels, panels_of_traces
+from wtg_gym.envs.rendering.panels import PANELS, Episode, Panel, fitting_levels, n_traces, panels_of_traces
 from wtg_gym.physics.scenario import Event, LineTrip
 
 if TYPE_CHECKING:
@@ -44,8 +46,10 @@ _NUMBERS: Box = (16, 56, 328, 126)
 _DIAGRAM: Box = (8, 134, 328, 374)
 _PANEL_COLUMNS = ((372, 644), (684, 948))
 _PANEL_ROWS = ((26, 122), (152, 248), (278, 374), (404, 500))
-_EVENTS_TOP, _EVENT_LINE, _N_EVENT_LINES = 394, 17, 6
+_EVENTS_TOP, _EVENT_LINE, _N_EVENT_LINES, _NOTE_TOP = 394, 17, 6, 510
 _HALF_WIDTH, _DOT_RADIUS = 0.85, 2.6
+#: Of what sensors measure: a thinner line that ends without a dot.
+_MEASURED_HALF_WIDTH, _NO_DOT = 0.4, -1.0
 #: Pictures of the axes (1.5 MB) and of the left part (0.5 MB) that are kept beyond one per episode.
 _N_KEPT = 8
 
@@ -72,17 +76,25 @@ class FramePainter:
         now = float(episode.time_s[-1])
         # A hair, for the instants of events and of samples are rounded differently.
         struck = tuple(event for event in episode.events if event.time_s <= now + 1e-6)
-        frame = self._axes(episode.duration_s, levels).copy()
+        frame = self._axes(episode.panels, episode.duration_s, levels).copy()
         left, top, right, bottom = _LEFT
         closed = reclosed(struck, now + 1e-6)
-        frame[top:bottom, left:right] = self._left(episode.env_id, episode.heading, episode.group_buses, struck, closed)
-        _draw_instants(frame, episode.duration_s, struck)
-        owners = panels_of_traces(len(episode.group_buses))
-        ranges = np.array([PANELS[owner].ranges[levels[owner]] for owner in owners])
-        boxes, colours = _boxes_and_colours(len(episode.group_buses))
+        texts = episode.env_id, episode.heading, episode.note
+        frame[top:bottom, left:right] = self._left(*texts, episode.group_buses, struck, closed)
+        _draw_instants(frame, episode.duration_s, struck, closed)
+        n_groups = len(episode.group_buses)
+        n, measured = n_traces(n_groups), episode.traces.shape[1] > n_traces(n_groups)
+        owners = panels_of_traces(n_groups, measured=measured)
+        ranges = np.array([episode.panels[owner].ranges[levels[owner]] for owner in owners])
+        boxes, colours = _boxes_and_colours(n_groups, measured=measured)
         x = np.ascontiguousarray(episode.time_s) / episode.duration_s
-        traces = np.ascontiguousarray(episode.traces, dtype=np.float64)
-        draw_traces(frame, x, traces, boxes, ranges, colours, _HALF_WIDTH, _DOT_RADIUS)
+        # What is measured lies beneath what is.
+        for own, half_width, radius in (
+            (slice(n, None), _MEASURED_HALF_WIDTH, _NO_DOT),
+            (slice(n), _HALF_WIDTH, _DOT_RADIUS),
+        ):
+            traces = np.ascontiguousarray(episode.traces[:, own], dtype=np.float64)
+            draw_traces(frame, x, traces, boxes[own], ranges[own], colours[own], half_width, radius)
         _draw_numbers(frame, episode, now)
         return frame
 
@@ -94,24 +106,29 @@ def panel_box(panel: int) -> Box:
 
 
 @functools.cache
-def _boxes_and_colours(n_groups: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+def _boxes_and_colours(n_groups: int, *, measured: bool) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
     """Return the box (n_traces, 4) and the colour (n_traces, 3) of every trace."""
     boxes, colours = [], []
     for index, panel in enumerate(PANELS):
         for group in range(n_groups if panel.per_group else 1):
             boxes.append(panel_box(index))
             colours.append(rgb(group_colour(group) if panel.per_group else WHOLE_GRID))
+    for index in panels_of_traces(n_groups, measured=measured)[len(boxes) :: n_groups]:
+        for group in range(n_groups):
+            boxes.append(panel_box(int(index)))
+            colours.append(pale(group_colour(group)))
     return np.array(boxes, dtype=np.int64), np.array(colours, dtype=np.float64)
 
 
-def _draw_instants(frame: Image, duration_s: float, events: tuple[Event, ...]) -> None:
-    """Draw a dashed line through every panel where an event struck."""
+def _draw_instants(frame: Image, duration_s: float, events: tuple[Event, ...], closed: tuple[LineTrip, ...]) -> None:
+    """Draw a dashed line through every panel where an event struck, a dotted one where a line closed again."""
+    instants = [(event.time_s, 3) for event in events] + [(event.end_s, 1) for event in closed]
     for panel in range(len(PANELS)):
         left, top, right, bottom = panel_box(panel)
-        for event in events:
-            column = min(left + int(event.time_s / duration_s * (right - left)), right - 1)
-            for row in range(top, bottom, 6):
-                frame[row : min(row + 3, bottom), column] = rgb(EVENT)
+        for instant, length in instants:
+            column = min(left + int(instant / duration_s * (right - left)), right - 1)
+            for row in range(top, bottom, 2 * length):
+                frame[row : min(row + length, bottom), column] = rgb(EVENT)
 
 
 def _draw_numbers(frame: Image, episode: Episode, now: float) -> None:
@@ -140,11 +157,11 @@ def _font(size: int, *, bold: bool = False) -> Any:
     return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name, size)
 
 
-def _axes_picture(duration_s: float, levels: tuple[int, ...]) -> Image:
+def _axes_picture(panels: tuple[Panel, ...], duration_s: float, levels: tuple[int, ...]) -> Image:
     """Return a frame with the panels' axes and nothing else."""
     with plain_matplotlib():
         figure = _new_figure(*FRAME_SIZE)
-        for index, (panel, level) in enumerate(zip(PANELS, levels, strict=True)):
+        for index, (panel, level) in enumerate(zip(panels, levels, strict=True)):
             axes = _add_axes(figure, panel_box(index), FRAME_SIZE)
             _draw_axes(axes, panel, panel.ranges[level], duration_s)
             if index % 4 == 3:
@@ -174,12 +191,19 @@ def _draw_axes(axes: Axes, panel: Panel, limits: tuple[float, float], duration_s
         axes.axhspan(*panel.band, color=BAND, linewidth=0, zorder=0)
     for value in panel.rules:
         axes.axhline(value, color=SOFT, linewidth=0.8, linestyle=(0, (2, 3)), zorder=1)
+    for value in panel.limits:
+        axes.axhline(value, color=LIMIT, linewidth=0.8, zorder=1)
 
 
 def _left_picture(
-    env_id: str, heading: str, group_buses: tuple[int, ...], events: tuple[Event, ...], closed: tuple[LineTrip, ...]
+    env_id: str,
+    heading: str,
+    note: str,
+    group_buses: tuple[int, ...],
+    events: tuple[Event, ...],
+    closed: tuple[LineTrip, ...],
 ) -> Image:
-    """Return the left part of a frame: the environment, heading, diagram, and the events so far in words."""
+    """Return the left part of a frame: the environment, heading, diagram, the events so far in words, and a note."""
     width, height = size = _LEFT[2] - _LEFT[0], _LEFT[3] - _LEFT[1]
     with plain_matplotlib():
         figure = _new_figure(width, height)
@@ -195,6 +219,7 @@ def _left_picture(
             y = _EVENTS_TOP + _EVENT_LINE * line
             write(16, y, str(number), 12, fontweight="bold", color=EVENT)
             write(34, y, f"{event.time_s:g} s: {describe_event(event)}", 12, color=INK)
+        write(16, _NOTE_TOP, note, 12, color=SOFT)
         return _picture(figure)
 
 

@@ -8,11 +8,15 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.lanes import TERMINATION_REASONS, TaskLanes
+from wtg_gym.envs.observation import FREQUENCY_UNIT_HZ, MeasuredObservation
 from wtg_gym.envs.rendering.frame import FramePainter
-from wtg_gym.envs.rendering.panels import Episode, n_traces
+from wtg_gym.envs.rendering.panels import MEASURED, PANELS, Episode, limited_panels, n_traces
 from wtg_gym.envs.rendering.window import Window
+from wtg_gym.envs.settings import ACTION_MODES
+from wtg_gym.envs.task import n_extra_rows
 from wtg_gym.physics.parameters import TurbineParameters
 from wtg_gym.physics.protection import Status
+from wtg_gym.physics.sensors import SensorInput
 
 #: A frame, (height, width, 3).
 Frame = npt.NDArray[np.uint8]
@@ -37,7 +41,11 @@ class LaneFrames:
         self._lanes = lanes
         self._opens_window, self._fps = opens_window, fps
         n = lanes.simulator.n_intervals + 1
-        self._samples = np.full((lanes.n_lanes, n, 1 + n_traces(lanes.n_wtg)), np.nan, dtype=np.float32)
+        self._sensed = lanes.suite.benchmark.sensed
+        n_columns = 1 + n_traces(lanes.n_wtg) + self._sensed * len(MEASURED) * lanes.n_wtg
+        self._samples = np.full((lanes.n_lanes, n, n_columns), np.nan, dtype=np.float32)
+        plant = lanes.settings.plant()
+        self._panels = [limited_panels(plant, wind_sensor=has_wind) for has_wind in (False, True)]
         self._make_tools()
 
     def _make_tools(self) -> None:
@@ -61,13 +69,35 @@ class LaneFrames:
             lanes.nominal_hz * simulator.lane_values("coi")[:, None],
             lanes.task_values("rocof")[:, None],
             rotor,
-            TurbineParameters().tip_speed_ratio_per_speed_m_s * _quotients(rotor, wind),
+            _tip_speed_ratios(rotor, wind),
             simulator.wtg_values("power"),
             simulator.wtg_values("coefficient"),
             _quotients(np.ones_like(rate), rate),
             wind,
+            *(self._measurements() if self._sensed else ()),
         ]
         self._samples[np.arange(lanes.n_lanes), self._places()] = np.concatenate(columns, axis=1)
+
+    def _measurements(self) -> tuple[npt.NDArray[np.float64], ...]:
+        """Return what the sensors of every lane say, in the order of :data:`MEASURED`, each (n_lanes, n_wtg)."""
+        lanes = self._lanes
+        n_own = lanes.n_local + sum(ACTION_MODES[lanes.settings.action_mode])
+        own = lanes.observations[:, : lanes.n_wtg * n_own].reshape(lanes.n_lanes, lanes.n_wtg, n_own)
+        values = np.moveaxis(own[..., : lanes.n_local].astype(np.float64), -1, 0)
+        seen = dict(zip(MeasuredObservation._fields, values, strict=True))
+        # Without a sensor there is no wind to divide by either.
+        has_wind = self._sensor_values("wind_sensor")[:, None] > 0.5
+        rotor, wind = 1.0 + 0.25 * seen["rotor_speed"], np.where(has_wind, 10.0 + 5.0 * seen["wind"], np.nan)
+        frequency = lanes.nominal_hz + FREQUENCY_UNIT_HZ * seen["frequency_deviation"]
+        return frequency, seen["rocof"], _tip_speed_ratios(rotor, wind), rotor, seen["power"], wind
+
+    def _sensor_values(self, name: str) -> npt.NDArray[np.float64]:
+        """Return a number of :class:`~wtg_gym.physics.sensors.SensorInput` of every lane (n_lanes,)."""
+        lanes = self._lanes
+        # The sensors' rows follow those that a task without sensors has, less its observation.
+        first = n_extra_rows(lanes.n_wtg, lanes.settings.control_dt, 0, sensed=False)
+        row = lanes.simulator.layout.rows.extra + first + SensorInput._fields.index(name)
+        return lanes.simulator.values(row)
 
     def _places(self) -> npt.NDArray[np.int64]:
         """Return the control step at which each lane stands (n_lanes,); an end within one counts as its end."""
@@ -110,11 +140,19 @@ class LaneFrames:
         failed, over = bool(lanes.outputs.terminated[lane]), bool(lanes.outputs.truncated[lane])
         reason = TERMINATION_REASONS[Status(int(lanes.statuses()[lane]))]
         seed = int(lanes.scenario_seeds[lane])
+        panels, note = PANELS, ""
+        if self._sensed:
+            has_wind = bool(self._sensor_values("wind_sensor")[lane] > 0.5)
+            panels = self._panels[has_wind]
+            delay_s = self._sensor_values("delay")[lane] * lanes.settings.control_dt
+            note = "pale lines: measured" + (f", {delay_s:g} s late" if delay_s > 0.0 else "")
+            note += "" if has_wind else ", no wind sensor"
         return Episode(
             env_id=lanes.suite.benchmark.env_id,
             heading="scenario of one's own" if seed < 0 else f"scenario {seed}",
             duration_s=float(lanes.task_values("end_step")[lane]) * lanes.simulator.plant.simulation_dt,
             time_s=samples[:, 0],
+            panels=panels,
             traces=samples[:, 1:],
             events=lanes.events[lane],
             group_buses=tuple(group.bus for group in lanes.simulator.settings.groups),
@@ -122,7 +160,12 @@ class LaneFrames:
             n_violated=round(float(lanes.task_values("constraint_sum")[lane])),
             outcome=reason if failed else "time over" if over else "",
             failed=failed,
+            note=note,
         )
+
+
+def _tip_speed_ratios(rotor: npt.NDArray[np.float64], wind: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    return TurbineParameters().tip_speed_ratio_per_speed_m_s * _quotients(rotor, wind)
 
 
 def _quotients(values: npt.NDArray[np.float64], divisors: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -38,7 +38,7 @@ def draw_traces(
         ranges: values at bottom and top of the box (n_lines, 2).
         colours: 0 … 255 (n_lines, 3).
         half_width: half the width of a line [pixels].
-        dot_radius: of the dot at the end [pixels].
+        dot_radius: of the dot at the end, -1 for none [pixels].
     """
     n, n_lines = traces.shape
     for line in range(n_lines):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,7 @@ import numpy.typing as npt
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.parameters import GridFormingParameters
+from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Event
 from wtg_gym.physics.tracking_law import coordinated_piecewise
 
@@ -28,20 +29,24 @@ class Episode:
         heading: which episode it is.
         duration_s: length of the episode if nothing ends it before [s].
         time_s: instants of the samples so far, at least one (n,) [s].
-        traces: the panels' quantities then, in the order of :data:`PANELS` with one column per WTG group where
-            `per_group` (n, n_traces); not a number where there is none.
+        panels: what is shown; as many as :data:`PANELS`.
+        traces: the panels' quantities then, in their order with one column per WTG group where `per_group`; after them
+            what sensors measure, a column per WTG group for each of :data:`MEASURED` (n, n_traces); not a number where
+            there is none.
         events: of the whole episode; those to come are not shown.
         group_buses: bus of each WTG group.
         total_reward: sum of the rewards so far.
         n_violated: number of steps so far that violated a constraint.
         outcome: why the episode is over, empty while it runs.
         failed: whether that is a failure.
+        note: a last line in words.
     """
 
     env_id: str
     heading: str
     duration_s: float
     time_s: Floats
+    panels: tuple[Panel, ...]
     traces: Floats
     events: tuple[Event, ...]
     group_buses: tuple[int, ...]
@@ -49,6 +54,7 @@ class Episode:
     n_violated: int
     outcome: str
     failed: bool
+    note: str
 
 
 class Panel(NamedTuple):
@@ -61,6 +67,7 @@ class Panel(NamedTuple):
         ranges: of its axis, each within the next; the first that holds all values so far is shown.
         rules: values with a dashed line.
         band: a shaded range of values.
+        limits: beyond which a run fails, or that converters keep; with a coloured line.
     """
 
     name: str
@@ -69,6 +76,7 @@ class Panel(NamedTuple):
     ranges: tuple[Range, ...]
     rules: tuple[float, ...] = ()
     band: Range | None = None
+    limits: tuple[float, ...] = ()
 
 
 def _panels() -> tuple[Panel, ...]:
@@ -93,27 +101,55 @@ def _panels() -> tuple[Panel, ...]:
 
 #: From top to bottom, first the left column.
 PANELS = _panels()
+#: Panels with the quantities that sensors measure, in the order of
+#: :class:`~wtg_gym.envs.observation.MeasuredObservation`.
+MEASURED = ("frequency", "rocof", "ratio", "rotor", "power", "wind")
+
+
+def limited_panels(plant: PlantSettings, *, wind_sensor: bool) -> tuple[Panel, ...]:
+    """Return :data:`PANELS` with the limits of a plant, and with words where the wind is not measured."""
+    protection, nominal = plant.protection, plant.case.frequency_hz
+    low, high = nominal * protection.frequency_min_pu, nominal * protection.frequency_max_pu
+    of_power = () if plant.limits is None else (plant.limits.power_max_pu,)
+    unseen = "" if wind_sensor else ", not measured"
+    frequency, _, rotor, ratio, *_, wind = PANELS
+    changed: dict[str, dict[str, Any]] = {
+        "frequency": {"ranges": (*frequency.ranges[:-1], (low - 0.25, high + 0.25)), "limits": (low, high)},
+        # The least speed is not to hide in the axis.
+        "rotor": {
+            "ranges": ((0.4, 1.3), *rotor.ranges[1:]),
+            "limits": (protection.rotor_speed_min_pu, protection.over_speed_pu),
+        },
+        "ratio": {"title": ratio.title + unseen, "limits": (protection.stall_tip_speed_ratio,)},
+        "power": {"rules": (plant.control.overload_limit_pu,), "limits": of_power},
+        "wind": {"title": wind.title + unseen},
+    }
+    return tuple(panel._replace(**changed.get(panel.name, {})) for panel in PANELS)
 
 
 def n_traces(n_groups: int) -> int:
-    """Return how many lines all panels have together."""
+    """Return how many lines all panels have together, but for what sensors measure."""
     return sum(n_groups if panel.per_group else 1 for panel in PANELS)
 
 
 @functools.cache
-def panels_of_traces(n_groups: int) -> npt.NDArray[np.int64]:
+def panels_of_traces(n_groups: int, *, measured: bool) -> npt.NDArray[np.int64]:
     """Return the index of the panel of every trace (n_traces,)."""
-    return np.repeat(np.arange(len(PANELS)), [n_groups if panel.per_group else 1 for panel in PANELS])
+    names = [panel.name for panel in PANELS]
+    owners = np.repeat(np.arange(len(PANELS)), [n_groups if panel.per_group else 1 for panel in PANELS])
+    seen = np.repeat([names.index(name) for name in MEASURED], n_groups)
+    return np.concatenate([owners, seen]) if measured else owners
 
 
 def fitting_levels(episode: Episode) -> tuple[int, ...]:
     """Return which of its ranges each panel shows: the first that holds all values so far, else the last."""
-    owners = panels_of_traces(len(episode.group_buses))
+    n_groups = len(episode.group_buses)
+    owners = panels_of_traces(n_groups, measured=episode.traces.shape[1] > n_traces(n_groups))
     # fmin and fmax pass over what is not a number.
     lows = np.fmin.reduce(episode.traces, axis=0)
     highs = np.fmax.reduce(episode.traces, axis=0)
     levels = []
-    for index, panel in enumerate(PANELS):
+    for index, panel in enumerate(episode.panels):
         low, high = np.fmin.reduce(lows[owners == index]), np.fmax.reduce(highs[owners == index])
         wide = [not (low < bottom or high > top) for bottom, top in panel.ranges]
         levels.append(wide.index(True) if True in wide else len(wide) - 1)
