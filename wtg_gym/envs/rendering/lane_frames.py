@@ -13,7 +13,7 @@ from wtg_gym.envs.rendering.frame import FramePainter
 from wtg_gym.envs.rendering.panels import MEASURED, PANELS, Episode, limited_panels, n_traces
 from wtg_gym.envs.rendering.window import Window
 from wtg_gym.envs.settings import ACTION_MODES
-from wtg_gym.envs.task import n_extra_rows
+from wtg_gym.envs.task_records import N_GROUP_ROWS, N_TASK_ROWS
 from wtg_gym.physics.parameters import TurbineParameters
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.sensors import SensorInput
@@ -94,8 +94,8 @@ class LaneFrames:
     def _sensor_values(self, name: str) -> npt.NDArray[np.float64]:
         """Return a number of :class:`~wtg_gym.physics.sensors.SensorInput` of every lane (n_lanes,)."""
         lanes = self._lanes
-        # The sensors' rows follow those that a task without sensors has, less its observation.
-        first = n_extra_rows(lanes.n_wtg, lanes.settings.control_dt, 0, sensed=False)
+        # They follow the task's own rows, the frequency's history and the groups' rows.
+        first = N_TASK_ROWS + int(lanes.task["n_window"][0]) + 1 + lanes.n_wtg * N_GROUP_ROWS
         row = lanes.simulator.layout.rows.extra + first + SensorInput._fields.index(name)
         return lanes.simulator.values(row)
 
