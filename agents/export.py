@@ -137,9 +137,10 @@ def largest_difference(policy: Policy, other: Policy, settings: RunSettings) -> 
 def _model_card(run: Run, best: Mapping[str, float], name: str, authors: Sequence[str], content: bytes) -> str:
     """Return the README.md of an exported policy; `best` is its row of the run's curve, `content` its policy.onnx."""
     settings, provenance = run.settings, run.provenance
+    benchmark = get_suite(settings.suite).benchmark
     last = run.curve[-1]
     facts = {
-        "environment": f"`{get_suite(settings.suite).benchmark.env_id}`, suite `{settings.suite}`",
+        "environment": f"`{benchmark.env_id}`, suite `{settings.suite}`",
         "actions": f"`{settings.action_mode}`, deterministic",
         "observations": f"`{settings.observation_mode}`",
         "algorithm": f"`{settings.algo}`",
@@ -147,7 +148,7 @@ def _model_card(run: Run, best: Mapping[str, float], name: str, authors: Sequenc
         "steps": f"{best['timesteps']:,} for this policy, {last['timesteps']:,} of {settings.timesteps:,} in the run",
         "wall time": f"{last['wall_time_s']:,.0f} s, {run.resumed} interruptions",
         "validation score": f"{best['score']:.1f} on {settings.validation_episodes} scenarios "
-        "(MPPT 0, reference 100), chosen as the best of the curve: a little optimistic",
+        f"({benchmark.zero} 0, {benchmark.hundred} 100), chosen as the best of the curve: a little optimistic",
         "authors": ", ".join(authors) or "not given",
         "sha256 of policy.onnx": f"`{sha256(content)}`",
     }
@@ -168,7 +169,7 @@ A policy that modulates the grid-forming control of wind turbines on the IEEE 14
 With the checkout's root as the working folder, and this folder in place of `FOLDER`:
 
 ```
-wtg-gym evaluate --entries FOLDER --suite standard
+wtg-gym evaluate --entries FOLDER --suite {settings.suite}
 ```
 
 ## Hyperparameters

@@ -130,7 +130,7 @@ class Run:
             wall_time_s: time that it was trained for [s].
 
         Raises:
-            NoScaleError: MPPT is not worse than the reference on these scenarios.
+            NoScaleError: the anchor that scores 0 is not worse than the one that scores 100 on these scenarios.
         """
         s = self.settings
         entry = Entry(

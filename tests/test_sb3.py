@@ -124,6 +124,18 @@ def test_every_step_equals_that_of_single_environments_with_the_same_seeds():
     assert len(ends) == 7
 
 
+@pytest.mark.parametrize("suite", ["gusty-v1", "no-wind-sensor-v1"])
+def test_lanes_of_v1_equal_single_environments(suite: str):
+    settings: dict[str, Any] = {"suite": suite, "duration_s": 3.0}
+    reference = DummyVecEnv([lambda: gym.make("wtg_gym:GFMWTG-14bus-v1", **settings)] * 2)
+    env = make_sb3_vec_env(2, seed=40, **settings)
+    reference.seed(40)
+    assert same(reference.reset(), env.reset()) and env.observation_space.shape == (32,)
+    for actions in actions_of(1, 70, 2, 8).astype(np.float32):
+        for a, b in zip(reference.step(actions)[:3], env.step(actions)[:3], strict=True):
+            assert same(a, b)
+
+
 def test_ppo_learns_the_same_as_with_single_environments():
     (model_a, curve_a), (model_b, curve_b) = [trained(VecMonitor(venv)) for venv in both()]
     reasons = {(end["termination_reason"], end["TimeLimit.truncated"]) for end in curve_b.ends}

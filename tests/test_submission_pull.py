@@ -83,6 +83,24 @@ def test_new_folder_is_checked_and_scored(
     assert (tmp_path / "results" / "standard-test.csv").is_file()
 
 
+def test_folders_are_scored_on_the_standard_suite_of_their_version(
+    judge: Callable[[Callable[[Path], object]], tuple[int, str]], tmp_path: Path
+) -> None:
+    (tmp_path / "bin" / "wtg-gym").write_text('#!/bin/sh\necho "$@"\ncase "$*" in *v1*) exit 1;; esac\n')
+
+    def both(pull: Path) -> None:
+        for name in ("old", "new"):
+            shutil.copytree(POLICIES / "ppo-k-0", pull / "agents" / "policies" / name)
+        with (pull / "agents" / "policies" / "new" / "entry.toml").open("a") as file:
+            file.write('environment = "GFMWTG-14bus-v1"\n')
+
+    code, said = judge(both)
+    old, new = said.splitlines()
+    assert "policies/old --beside" in old and "policies/new" not in old and "--suite standard --results" in old
+    assert "policies/new --beside" in new and "policies/old" not in new and "--suite standard-v1 --results" in new
+    assert code == 1
+
+
 def test_copy_of_an_entry_that_is_there_is_refused(
     judge: Callable[[Callable[[Path], object]], tuple[int, str]],
 ) -> None:

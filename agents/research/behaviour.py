@@ -21,7 +21,7 @@ from agents.command import (
     update_page,
     write_and_say,
 )
-from agents.research.learning_curves import curves_by_setup, read_csv, read_runs, to_csv
+from agents.research.learning_curves import anchors_of, curves_by_setup, read_csv, read_runs, to_csv
 from agents.research.slopes import policy_slopes, slopes_csv, slopes_tables
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.task_records import COST_TERMS
@@ -97,7 +97,8 @@ def _behaviour(given: argparse.Namespace) -> None:
     # A pattern such as runs/* names logs beside the folders as well.
     runs = [path for path in map(Path, given.runs) if not path.is_file()]
     validations = read_runs(runs) if runs else read_csv(csv_file) if csv_file.is_file() else []
-    entries = _entries(given.entries) if given.entries else []
+    anchors = anchors_of(validations)
+    entries = _entries(given.entries, given.suite) if given.entries else []
     sections = (*(ENTRY_SECTIONS if entries else ()), *((CURVE_SECTION,) if validations else ()))
     page = check_page("--page", given.page, *sections)
     allowed = get_suite(given.suite).seeds(given.split)
@@ -111,7 +112,8 @@ def _behaviour(given: argparse.Namespace) -> None:
         write_and_say(csv_file, to_csv(validations))
     if entries:
         played = _play(entries, given.suite, given.split, list(allowed[:n]))
-        cases = _play(entries, "paper", "test", [0, 1])
+        paper = EnvSettings(suite="paper", version=get_suite(given.suite).benchmark.version).suite
+        cases = _play(entries, paper, "test", [0, 1])
         policies = list(dict.fromkeys(entry.name for entry in entries if entry.policy is not None))
         pictures += _pictures(policies, played, cases, given.suite, given.split)
         found = {name: policy_slopes(pooled(played.recordings[name])) for name in policies}
@@ -122,7 +124,7 @@ def _behaviour(given: argparse.Namespace) -> None:
     from wtg_gym.plotting import plot_learning_curves, save_figure
 
     if validations:
-        curves = plot_learning_curves(curves_by_setup(validations))
+        curves = plot_learning_curves(curves_by_setup(validations), anchors)
         above = "Validation score: mean over the training seeds, band from the worst to the best."
         pictures.append(_Picture("learning-curves", CURVE_SECTION, "Learning curves", curves, above))
     for picture in pictures:
@@ -142,10 +144,10 @@ def _behaviour(given: argparse.Namespace) -> None:
         update_page(page, texts)
 
 
-def _entries(specs: Sequence[str]) -> list[Entry]:
+def _entries(specs: Sequence[str], suite: str) -> list[Entry]:
     """Return the entries with the reference before them."""
     (reference,) = chosen_entries([REFERENCE_STRATEGY])
-    entries = [reference, *(entry for entry in chosen_entries(specs) if entry.name != REFERENCE_STRATEGY)]
+    entries = [reference, *(entry for entry in chosen_entries(specs, suite) if entry.name != REFERENCE_STRATEGY)]
     names = list(dict.fromkeys(entry.name for entry in entries))
     slugs = [_slug(name) for name in names]
     alike = [name for name, slug in zip(names, slugs, strict=True) if slugs.count(slug) > 1]
@@ -176,6 +178,7 @@ def _pictures(policies: Sequence[str], played: _Played, cases: _Played, suite: s
     looks = strategy_looks(list(played.recordings))
     reference = played.recordings[REFERENCE_STRATEGY][0]
     where = f"{len(played.scenarios)} {split} scenarios of `{suite}`"
+    overload = EnvSettings(suite=suite).plant().control.overload_limit_pu
     pictures = []
     for name in policies:
         figure = plot_responses(name, pooled(played.recordings[name]), reference, looks)
@@ -189,7 +192,7 @@ def _pictures(policies: Sequence[str], played: _Played, cases: _Played, suite: s
                 key: [one_scenario(each, index) for each in group.recordings[key]] for key in (REFERENCE_STRATEGY, name)
             }
             file, text = f"run-{_slug(name)}-{_slug(scenario.name)}", f"{name}: {scenario.name}"
-            pictures.append(_Picture(file, "runs", text, plot_runs(scenario, runs, looks), above))
+            pictures.append(_Picture(file, "runs", text, plot_runs(scenario, runs, looks, overload), above))
             above = ""
     means = {name: pooled(own).cost_terms.mean(axis=0).tolist() for name, own in played.recordings.items()}
     costs = {name: dict(zip(COST_TERMS, values, strict=True)) for name, values in means.items()}

@@ -13,6 +13,8 @@ import numpy as np
 from agents.runs import Run
 from wtg_gym.files import read_text
 from wtg_gym.plotting import LearningCurve
+from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios.benchmark import V0
 
 
 class Validation(NamedTuple):
@@ -79,6 +81,18 @@ def read_csv(path: Path) -> list[Validation]:
         except ValueError as error:
             raise ValueError(f"{path}, line {number}: {error}") from error
     return sorted(rows)
+
+
+def anchors_of(rows: Iterable[Validation]) -> tuple[str, str]:
+    """Return the names of the entries that score 0 and 100 in the runs' version of the benchmark.
+
+    Raises:
+        ValueError: the runs are of several versions, whose scores cannot be compared.
+    """
+    found = {get_suite(row.suite).benchmark.anchors: row.suite for row in rows}
+    if len(found) > 1:
+        raise ValueError(f"runs on {' and '.join(sorted(found.values()))} have different scales: draw them apart")
+    return next(iter(found), V0.anchors)
 
 
 def curves_by_setup(rows: Sequence[Validation]) -> dict[str, list[LearningCurve]]:

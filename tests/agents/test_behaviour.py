@@ -50,9 +50,10 @@ def entry_folder(path: Path, name: str = "linear", seed: int = 0) -> str:
     return str(path)
 
 
-def run_folder(path: Path, seed: int = 0, algo: str = "ppo", n: int = 3) -> str:
+def run_folder(path: Path, seed: int = 0, algo: str = "ppo", n: int = 3, suite: str = "standard") -> str:
     """Write the description of a run with n validations and return its folder."""
-    settings = RunSettings(algo=algo, hyperparameters={}, seed=seed, timesteps=3000, n_envs=1, interval=1000)
+    steps = {"timesteps": 3000, "n_envs": 1, "interval": 1000}
+    settings = RunSettings(algo=algo, hyperparameters={}, suite=suite, seed=seed, **steps)
     numbers = {"cost": 30.0, "failures_percent": 0.0}
     curve = [{"timesteps": 1000 * i, "wall_time_s": 2.0 * i, "score": 100.0 + i + seed, **numbers} for i in range(n)]
     path.mkdir(parents=True)
@@ -120,6 +121,21 @@ def test_everything_is_written_small_and_the_same_each_time(tmp_path: Path) -> N
     assert "2 training seeds" in text.read_text() and "| wind | 1 m/s | +0.0139 (" in text.read_text()
     rows = list(csv.DictReader((tmp_path / "one" / "slopes.csv").open()))
     assert {row["entry"] for row in rows} == {"linear"} and {row["action"] for row in rows} == {"k", "tau"}
+
+
+def test_suite_of_v1_is_drawn_with_its_own_cases_and_anchors(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    of_v1 = run_folder(tmp_path / "run", suite="standard-v1")
+    folder = tmp_path / "out"
+    options = ["--suite", "standard-v1", "--entries", "fast-droop", "--split", "validation", "--scenarios", "2"]
+    assert main([*options, "--runs", of_v1, "--output", str(folder)]) == 0
+    cases = ("paper-v1-load-increase", "paper-v1-load-decrease", "standard-v1-10000")
+    assert {f"run-fast-droop-{case}.svg" for case in cases} <= {path.name for path in folder.iterdir()}
+    assert "coordinated-tuned" in (folder / "learning-curves.svg").read_text()
+    capsys.readouterr()
+    assert main(["--runs", of_v1, run_folder(tmp_path / "old"), "--output", str(tmp_path / "no")]) == 2
+    assert "different scales" in capsys.readouterr().err and not (tmp_path / "no").exists()
 
 
 def test_curves_are_drawn_again_from_the_file_alone(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from agents.entry_file import entry_values
-from agents.export import export, largest_difference
+from agents.export import _model_card, export, largest_difference
 from agents.export import main as export_command
 from agents.folders import folders, held, new_folder, save_folder
 from agents.hyperparameters import ALGORITHMS
@@ -332,3 +332,20 @@ def test_bad_options_are_refused_before_anything_runs(
 def test_entry_file_names_the_environment_of_a_run_on_v1(suite: str, environment: str | None) -> None:
     settings = RunSettings(algo="ppo", hyperparameters={}, suite=suite, timesteps=1, n_envs=1, interval=1)
     assert entry_values(settings, 1).get("environment") == environment
+
+
+@pytest.mark.parametrize(
+    ("suite", "scale"),
+    [
+        ("weak-grid", "(mppt 0, coordinated-piecewise 100)"),
+        ("gusty-v1", "(coordinated-piecewise 0, coordinated-tuned 100)"),
+    ],
+)
+def test_model_card_names_the_scale_and_the_suite_of_its_run(suite: str, scale: str) -> None:
+    settings = RunSettings(algo="ppo", hyperparameters={}, suite=suite, timesteps=1, n_envs=1, interval=1)
+    row = dict.fromkeys(("timesteps", "wall_time_s", "score", "cost", "failures_percent"), 1.0)
+    row |= dict.fromkeys(("nadir_hz", "rocof_hz_s", "duty_error_percent"), 1.0)
+    run = Run.new(settings)
+    run.curve.append(row)
+    card = _model_card(run, row, "mine", (), b"")
+    assert scale in card and f"--entries FOLDER --suite {suite}\n" in card

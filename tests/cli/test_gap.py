@@ -46,6 +46,21 @@ def test_gap_is_printed_and_put_on_a_page(folder: Path, capsys: pytest.CaptureFi
     assert [gap["name"] for gap in said["gaps"]] == ["deloaded-5"] and said["draw"]["commit"] == COMMIT
 
 
+def test_gap_of_v1_is_between_scenarios_of_its_suite(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "secret.txt").write_text(SECRET)
+    short = ["--entries", "fast-droop", "deloaded-5", "--duration", "10"]
+    common = ["evaluate", "--suite", "standard-v1", *short, "--results", str(tmp_path)]
+    assert main([*common, "--split", "test", "--seeds", "20000:20012"]) == 0
+    drawn = ["--split", "fresh", "--commit", COMMIT, "--secret-file", str(tmp_path / "secret.txt")]
+    assert main([*common, *drawn, "--scenarios", "12"]) == 0
+    capsys.readouterr()
+    files = [str(tmp_path / f"standard-v1-{split}.json") for split in ("test", "fresh")]
+    assert main(["results", "gap", *files, "--json"]) == 0
+    # The anchors of v1 fix the scale and have no gap.
+    assert {gap["name"] for gap in json.loads(capsys.readouterr().out)["gaps"]} == {"fast-droop", "deloaded-5"}
+    assert main(["results", "recompute", files[1], "--secret-file", str(tmp_path / "secret.txt")]) == 0
+
+
 @pytest.mark.parametrize("command", ["gap", "page", "recompute"])
 def test_results_of_an_older_version_are_one_line(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str

@@ -83,6 +83,8 @@ def test_suite_of_v1_runs_in_its_own_grid(capsys: pytest.CaptureFixture[str], tm
     assert again["runs"] == data["runs"]
     said = error_of(capsys, "simulate", "--suite", "standard-v1", "--scenario", str(path), "--seed", "10003")
     assert "leave out --seed" in said
+    # In the paper's grid it would be another scenario.
+    assert "say with --suite whose grid it is" in error_of(capsys, "simulate", "--scenario", str(path))
 
 
 def test_traces_hold_every_sample_with_units_in_the_header(tmp_path: Path) -> None:

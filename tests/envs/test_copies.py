@@ -135,6 +135,22 @@ def test_snapshot_survives_a_reset_in_between(between: dict):
     assert single_steps(env, AFTER[:27, 0], AutoresetMode.NEXT_STEP) == expected
 
 
+def test_snapshot_of_v1_keeps_what_is_on_its_way_to_the_controllers():
+    env = GFMWTGEnv(version="v1", suite="faults", duration_s=4.0, sensors={"delay_s": (0.9, 0.9)})
+    single_steps(env, BEFORE_V1[:, 0], AutoresetMode.NEXT_STEP, seed=3)
+    start = env.snapshot()
+    expected = single_steps(env, AFTER_V1[:27, 0], AutoresetMode.NEXT_STEP)
+    env.reset(seed=8)
+    env.restore(start)
+    assert single_steps(env, AFTER_V1[:27, 0], AutoresetMode.NEXT_STEP) == expected
+    batch = GFMWTGVectorEnv(3, version="v1", suite="faults", duration_s=4.0, sensors={"delay_s": (0.9, 0.9)})
+    vector_steps(batch, BEFORE_V1[:, :3], seed=3)
+    kept = batch.snapshot()
+    branch = vector_steps(batch, AFTER_V1[:27, :3])
+    batch.restore(kept)
+    assert vector_steps(batch, AFTER_V1[:27, :3]) == branch
+
+
 def test_snapshot_taken_with_many_events_survives_an_episode_with_few():
     env = GFMWTGEnv(duration_s=4.0)
     env.reset(options={"scenario": many_events()})

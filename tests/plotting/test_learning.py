@@ -38,6 +38,15 @@ def test_bad_scores_do_not_squeeze_the_good_ones() -> None:
     assert by_steps.get_ylim()[0] == -5.0 and by_steps.get_ylim()[1] > 103.0
 
 
+def test_anchors_in_sight_are_named() -> None:
+    curves = {"ppo, k": [curve(-3.0, 60.0, 101.0)]}
+    for anchors in (None, ("coordinated-piecewise", "coordinated-tuned")):
+        figure = plot_learning_curves(curves) if anchors is None else plot_learning_curves(curves, anchors)
+        named = {text.get_text(): text.get_position()[1] for text in figure.axes[1].texts}
+        zero, hundred = anchors or ("mppt", "coordinated-piecewise")
+        assert (named[zero], named[hundred]) == (0.0, 100.0)
+
+
 @pytest.mark.parametrize(
     ("curves", "text"),
     [

@@ -45,6 +45,13 @@ def test_every_axis_has_a_unit(two_runs: tuple[Scenario, dict[str, Trajectory]])
     assert {axes.get_xlabel() for axes in figure.axes} == {"", "time [s]"}
 
 
+def test_overload_begins_where_the_grid_says(two_runs: tuple[Scenario, dict[str, Trajectory]]) -> None:
+    for given, expected in (((), 1.1), ((1.05,), 1.05)):
+        figure = plot_trajectories(two_runs[1], two_runs[0], *given)
+        (name,) = [text for axes in figure.axes for text in axes.texts if text.get_text() == "overload"]
+        assert name.get_position()[1] == expected
+
+
 def test_a_strategy_keeps_its_colour_and_a_group_its_dashes(
     two_runs: tuple[Scenario, dict[str, Trajectory]],
 ) -> None:

@@ -26,6 +26,7 @@ from wtg_gym.cli.parser import Commands, add_command, add_plant_options
 from wtg_gym.cli.runs import key_figures, print_key_figures, traces_csv
 from wtg_gym.cli.suites import describe_scenario, read_scenario, scenario_summary, suites_by_version
 from wtg_gym.physics.parameters import WtgGroup, default_groups
+from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import EVENT_KINDS, Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, STRATEGY_NAMES
@@ -126,7 +127,7 @@ def run(arguments: argparse.Namespace) -> int:
                 scenario, law, settings, on_progress=partial(progress.update_part, name, done, len(laws))
             )
     if plot is not None:
-        _write_plot(plot, runs, scenario, groups)
+        _write_plot(plot, runs, scenario, settings)
     if table is not None:
         write_and_say(table, traces_csv(runs))
     figures = [key_figures(name, trajectory) for name, trajectory in runs.items()]
@@ -148,6 +149,11 @@ def _scenario_and_groups(arguments: argparse.Namespace, suite: Suite) -> tuple[S
         if arguments.scenario is not None and getattr(arguments, option) is not None:
             raise ValueError(f"--scenario {arguments.scenario} is the whole scenario: leave out --{option}")
     from_file = None if arguments.scenario is None else read_scenario(Path(arguments.scenario))
+    if from_file is not None and from_file.sensors is not None and not suite.benchmark.sensed:
+        raise ValueError(
+            f"{arguments.scenario} has sensors, as scenarios of version v1: say with --suite whose grid it is, "
+            "such as standard-v1"
+        )
     if from_file is not None and arguments.duration is not None:
         from_file = dataclasses.replace(from_file, duration_s=arguments.duration)
     n_groups = _n_groups(arguments, from_file, suite)
@@ -210,12 +216,13 @@ def _plant_summary(arguments: argparse.Namespace, suite: Suite, groups: tuple[Wt
     }
 
 
-def _write_plot(path: Path, runs: Mapping[str, Trajectory], scenario: Scenario, groups: tuple[WtgGroup, ...]) -> None:
+def _write_plot(path: Path, runs: Mapping[str, Trajectory], scenario: Scenario, settings: PlantSettings) -> None:
     from wtg_gym.plotting import animate_trajectories, plot_trajectories
 
+    overload = settings.control.overload_limit_pu
     if path.suffix.lower() == _MOVING:
-        write_and_say(path, animate_trajectories(runs, scenario, [group.bus for group in groups]))
+        write_and_say(path, animate_trajectories(runs, scenario, [group.bus for group in settings.groups], overload))
         return
     picture = io.BytesIO()
-    plot_trajectories(runs, scenario).savefig(picture, format=path.suffix[1:].lower(), dpi=150)
+    plot_trajectories(runs, scenario, overload).savefig(picture, format=path.suffix[1:].lower(), dpi=150)
     write_and_say(path, picture.getvalue())

@@ -11,12 +11,11 @@ import numpy.typing as npt
 
 from wtg_gym.envs.rendering.colours import INK
 from wtg_gym.envs.rendering.diagram import describe_event, draw_diagram, reclosed
-from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import LineTrip, Scenario
 from wtg_gym.physics.trajectory import Trajectory
 from wtg_gym.plotting.event_marks import endings, numbered_events
-from wtg_gym.plotting.style import GROUP_STYLES, REFERENCE_GREY, new_figure, print_style, strategy_looks
+from wtg_gym.plotting.style import GROUP_STYLES, OVERLOAD_PU, REFERENCE_GREY, new_figure, print_style, strategy_looks
 from wtg_gym.plotting.trajectories import line_of_group
 
 if TYPE_CHECKING:
@@ -44,7 +43,12 @@ _FONT_SIZES: dict[Any, Any] = {
 _N_EVENTS = 4
 
 
-def animate_trajectories(runs: Mapping[str, Trajectory], scenario: Scenario, group_buses: Sequence[int]) -> bytes:
+def animate_trajectories(
+    runs: Mapping[str, Trajectory],
+    scenario: Scenario,
+    group_buses: Sequence[int],
+    overload_pu: float = OVERLOAD_PU,
+) -> bytes:
     """Return a GIF of runs over time, which repeats: the same bytes each time.
 
     Frequency, rotor speeds and powers grow from left to right; one colour per run, one dash pattern per WTG group; a
@@ -54,12 +58,13 @@ def animate_trajectories(runs: Mapping[str, Trajectory], scenario: Scenario, gro
         runs: recorded runs of the scenario by label, at least one, all with the same number of WTG groups.
         scenario: what happened in them.
         group_buses: bus of each WTG group.
+        overload_pu: power above which a converter counts as overloaded [p.u.].
     """
     import matplotlib
 
     with print_style():
         matplotlib.rcParams.update(_FONT_SIZES)
-        picture = _MovingPicture(runs, scenario, group_buses)
+        picture = _MovingPicture(runs, scenario, group_buses, overload_pu)
         frames = [picture.at(instant) for instant in np.linspace(0.0, scenario.duration_s, N_PICTURES + 1)]
     return _gif(frames)
 
@@ -67,7 +72,9 @@ def animate_trajectories(runs: Mapping[str, Trajectory], scenario: Scenario, gro
 class _MovingPicture:
     """A figure whose curves are cut off at an instant."""
 
-    def __init__(self, runs: Mapping[str, Trajectory], scenario: Scenario, group_buses: Sequence[int]) -> None:
+    def __init__(
+        self, runs: Mapping[str, Trajectory], scenario: Scenario, group_buses: Sequence[int], overload_pu: float
+    ) -> None:
         self._runs, self._scenario, self._buses = runs, scenario, group_buses
         self._looks = strategy_looks(runs)
         width, height = (side / _DPI * _MM_PER_INCH for side in SIZE)
@@ -83,11 +90,10 @@ class _MovingPicture:
         self._drawn: tuple[int, tuple[LineTrip, ...]] = (-1, ())
         #: The picture without lines and time, which is drawn anew at events only.
         self._background: Any = None
-        self._draw_panels()
+        self._draw_panels(overload_pu)
         self._draw_legend()
 
-    def _draw_panels(self) -> None:
-        control = GridFormingParameters()
+    def _draw_panels(self, overload_pu: float) -> None:
         panels: dict[str, Any] = {
             "frequency [Hz]": lambda run: run.frequency_hz[:, None],
             "rotor speed [p.u.]": lambda run: run.rotor_speed_pu,
@@ -104,15 +110,15 @@ class _MovingPicture:
             axes.yaxis.set_label_coords(-0.115, 0.5)
             axes.locator_params(axis="y", nbins=5)
             low, high = axes.get_ylim()
-            if label.startswith("power") and low < control.overload_limit_pu < high:
-                axes.axhline(control.overload_limit_pu, color=REFERENCE_GREY, linewidth=0.8, linestyle=":")
+            if label.startswith("power") and low < overload_pu < high:
+                axes.axhline(overload_pu, color=REFERENCE_GREY, linewidth=0.8, linestyle=":")
                 above: dict[str, Any] = {
                     "xytext": (-2.0, 2.0),
                     "textcoords": "offset points",
                     "ha": "right",
                     "color": REFERENCE_GREY,
                 }
-                axes.annotate("overload", (self._scenario.duration_s, control.overload_limit_pu), **above)
+                axes.annotate("overload", (self._scenario.duration_s, overload_pu), **above)
             # The limits are those of the whole runs, from the first picture on.
             axes.set_ylim(axes.get_ylim())
             if row < len(panels) - 1:

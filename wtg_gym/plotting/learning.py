@@ -20,6 +20,7 @@ from wtg_gym.plotting.style import (
     printed,
     strategy_looks,
 )
+from wtg_gym.scenarios.benchmark import V0
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float64]
 
-#: The score of MPPT, of the reference.
-_ANCHORS = {"MPPT": 0.0, "reference": 100.0}
 #: Longer times are counted in hours [s].
 _HOURS_FROM_S = 3.0 * 3600.0
 #: Ends of curves that lie further apart than this share a logarithmic axis.
@@ -51,7 +50,9 @@ class LearningCurve:
 
 
 @printed
-def plot_learning_curves(curves: Mapping[str, Sequence[LearningCurve]]) -> Figure:
+def plot_learning_curves(
+    curves: Mapping[str, Sequence[LearningCurve]], anchors: tuple[str, str] = V0.anchors
+) -> Figure:
     """Draw the validation score against (a) environment steps and (b) wall time, one colour per set-up.
 
     Lines are means over the training seeds, bands reach from the worst to the best; both end with the shortest run.
@@ -59,6 +60,7 @@ def plot_learning_curves(curves: Mapping[str, Sequence[LearningCurve]]) -> Figur
 
     Args:
         curves: at least one, by set-up, one per training seed.
+        anchors: names of the entries that score 0 and 100.
 
     Raises:
         ValueError: there is no curve, or a set-up's curves have no step in common.
@@ -87,11 +89,11 @@ def plot_learning_curves(curves: Mapping[str, Sequence[LearningCurve]]) -> Figur
                 )
     _scale(by_steps, [own.timesteps[-1] for own in means.values()])
     _scale(by_time, [own.wall_time_s[-1] for own in means.values()])
-    # Scores far below MPPT's are cut off, so that the better ones stay readable.
+    # Scores far below 0 are cut off, so that the better ones stay readable.
     low, high = by_steps.get_ylim()
     by_steps.set_ylim(max(low, -5.0), max(high, 102.0))
     for axes in (by_steps, by_time):
-        for name, score in _ANCHORS.items():
+        for name, score in zip(anchors, (0.0, 100.0), strict=True):
             if by_steps.get_ylim()[0] < score:
                 axes.axhline(score, color=REFERENCE_GREY, linewidth=0.8, linestyle=(0.0, (5.0, 2.0)), zorder=1.5)
                 if axes is by_time:

@@ -18,6 +18,7 @@ from wtg_gym.plotting.event_marks import explain_events, mark_end, mark_instants
 from wtg_gym.plotting.style import (
     DOUBLE_COLUMN_MM,
     GROUP_STYLES,
+    OVERLOAD_PU,
     REFERENCE_GREY,
     SINGLE_COLUMN_MM,
     SMALL_PT,
@@ -45,7 +46,10 @@ _THIN_DASHES = (0.0, (5.0, 2.0))
 
 @printed
 def plot_runs(
-    scenario: Scenario, runs: Mapping[str, Sequence[Recording]], looks: Mapping[str, Look] | None = None
+    scenario: Scenario,
+    runs: Mapping[str, Sequence[Recording]],
+    looks: Mapping[str, Look] | None = None,
+    overload_pu: float = OVERLOAD_PU,
 ) -> Figure:
     """Draw frequency, power, tip-speed ratio, k and τ of each WTG group over time, one column per group.
 
@@ -55,6 +59,7 @@ def plot_runs(
         scenario: what happened.
         runs: recordings of this one scenario, of one to four WTG groups, by entry; one per training seed.
         looks: of the entries by name; None for ones of their own.
+        overload_pu: power above which a converter counts as overloaded [p.u.].
     """
     first = next(recordings[0] for recordings in runs.values() if recordings)
     looks = looks or strategy_looks(runs)
@@ -66,7 +71,8 @@ def plot_runs(
     grid = figure.subplots(n_rows, first.n_wtg, sharex=True, sharey="row", squeeze=False)
     for group in range(first.n_wtg):
         wind = float(np.nanmean(longest.wind_m_s[0, :, group]))
-        letter_panel(grid[0, group], "abcd"[group], f"GFM-WTG {group + 1} (mean wind {wind:.3g} m/s)")
+        mean = "mean wind " if first.n_wtg < 3 else ""
+        letter_panel(grid[0, group], "abcd"[group], f"GFM-WTG {group + 1} ({mean}{wind:.3g} m/s)")
         for axes, (label, quantity) in zip(grid[:, group], _OVER_TIME.items(), strict=False):
             for name, recordings in runs.items():
                 for run in recordings:
@@ -79,7 +85,7 @@ def plot_runs(
         for axes in grid[:, group]:
             mark_instants(axes, scenario, numbered=axes is grid[0, group])
         grid[-1, group].set_xlabel("time [s]")
-    _draw_limits(grid)
+    _draw_limits(grid, overload_pu)
     scale_time_constant(grid[4, 0], [run.time_constant_s for each in runs.values() for run in each])
     grid[0, 0].set_xlim(0.0, float(first.time_s[-1]))
     for axes in grid.ravel():
@@ -153,11 +159,11 @@ def needed_points(x: Floats, y: Floats, tolerance: float) -> npt.NDArray[np.bool
     return kept
 
 
-def _draw_limits(grid: npt.NDArray[Any]) -> None:
+def _draw_limits(grid: npt.NDArray[Any], overload_pu: float) -> None:
     """Draw the limits of power and tip-speed ratio that are in sight, named at the last column."""
     control = GridFormingParameters()
     limits = {
-        1: {"overload": control.overload_limit_pu},
+        1: {"overload": overload_pu},
         2: {
             r"$\lambda_{opt}$": tracking_point(0.0).tip_speed_ratio,
             r"$\lambda_{pr}$": tracking_point(control.deloading_limit).tip_speed_ratio,

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, ParamSpec
 
 from wtg_gym.files import write_atomically
+from wtg_gym.physics.parameters import GridFormingParameters
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,6 +41,8 @@ SUFFIXES = ("png", "svg", "pdf")
 #: Grey of reference lines and their names.
 REFERENCE_GREY = "0.4"
 SMALL_PT = 7.0
+#: Power above which a converter counts as overloaded in version v0 [p.u.].
+OVERLOAD_PU = GridFormingParameters().overload_limit_pu
 
 _MM_PER_INCH = 25.4
 _SOLID: Dashes = "-"

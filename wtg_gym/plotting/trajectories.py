@@ -14,7 +14,7 @@ from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import coordinated_piecewise
 from wtg_gym.physics.trajectory import Trajectory
 from wtg_gym.plotting.event_marks import endings, event_lines, instant_labels, numbered_events
-from wtg_gym.plotting.style import GROUP_STYLES, LineStyle, name_at_right, strategy_looks
+from wtg_gym.plotting.style import GROUP_STYLES, OVERLOAD_PU, LineStyle, name_at_right, strategy_looks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,7 +38,9 @@ class _Panel(NamedTuple):
     shows_all_references: bool = False
 
 
-def plot_trajectories(trajectories: Mapping[str, Trajectory], scenario: Scenario) -> Figure:
+def plot_trajectories(
+    trajectories: Mapping[str, Trajectory], scenario: Scenario, overload_pu: float = OVERLOAD_PU
+) -> Figure:
     """Draw frequency, RoCoF, wind, rotor speeds, powers and tracking coefficients on a shared time axis.
 
     One colour per run and one dash pattern per WTG group. Events are numbered and explained above the panels. A cross
@@ -47,6 +49,7 @@ def plot_trajectories(trajectories: Mapping[str, Trajectory], scenario: Scenario
     Args:
         trajectories: recorded runs of the scenario by label, at least one, all with the same number of WTG groups.
         scenario: what happened in them.
+        overload_pu: power above which a converter counts as overloaded [p.u.].
 
     Returns:
         The figure, with an Agg canvas: `figure.savefig("run.pdf")` writes it in any format of matplotlib.
@@ -58,7 +61,7 @@ def plot_trajectories(trajectories: Mapping[str, Trajectory], scenario: Scenario
     figure = Figure(figsize=(11.5, 9.0), facecolor="white")
     FigureCanvasAgg(figure)
     grid = figure.subplots(3, 2, sharex=True, height_ratios=(1.15, 1.2, 0.9))
-    panels = _panels(trajectories)
+    panels = _panels(trajectories, overload_pu)
     for column in range(2):
         for row in range(3):
             _draw_panel(grid[row, column], panels[3 * column + row], trajectories, colours)
@@ -79,7 +82,7 @@ def plot_trajectories(trajectories: Mapping[str, Trajectory], scenario: Scenario
     return figure
 
 
-def _panels(trajectories: Mapping[str, Trajectory]) -> tuple[_Panel, ...]:
+def _panels(trajectories: Mapping[str, Trajectory], overload_pu: float) -> tuple[_Panel, ...]:
     """The six panels, down the left column and then down the right one."""
     control, law = GridFormingParameters(), coordinated_piecewise()
     nominal = next(iter(trajectories.values())).nominal_frequency_hz
@@ -97,7 +100,7 @@ def _panels(trajectories: Mapping[str, Trajectory]) -> tuple[_Panel, ...]:
         _Panel("RoCoF, 500 ms [Hz/s]", series(lambda run: run.rocof_hz_s()), {"": 0.0}),
         _Panel("wind speed [m/s]", {}),
         _Panel("rotor speed [p.u.]", series(lambda run: run.rotor_speed_pu)),
-        _Panel("power [p.u.]", series(lambda run: run.power_pu), {"overload": control.overload_limit_pu}),
+        _Panel("power [p.u.]", series(lambda run: run.power_pu), {"overload": overload_pu}),
         _Panel("coefficient k [p.u.]", series(lambda run: run.coefficient_pu), coefficients, shows_all_references=True),
     )
 
