@@ -13,7 +13,7 @@ Both know the state of grid and rotors exactly, and outages that have struck.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -198,19 +198,13 @@ def played_by_planner(
     if not settings.benchmark().sensed:
         raise ValueError(f"the planner plays suites of version v1 and later, got {suite!r}")
     lanes = TaskLanes(settings, len(seeds), n_threads)
-    imagined = TaskLanes(settings, len(seeds) * planning.population, n_threads)
-    with closing(lanes.simulator), closing(imagined.simulator):
+    with closing(lanes.simulator):
         scenarios = lanes.scenarios(seeds)
         lanes.start(range(len(seeds)), scenarios)
-        recorder, planner = Recorder(lanes), _Planner(lanes, imagined, planning)
-        running = np.ones(len(seeds), dtype=np.bool_)
-        n_steps = round(lanes.duration_s / settings.control_dt)
-        for step in range(n_steps):
-            lanes.step(planner.act(step, n_steps))
-            recorder.record(running)
-            terminated, truncated = lanes.ended()
-            running = ~(terminated | truncated)
-            on_step(step + 1, n_steps)
+        recorder, n_steps = Recorder(lanes), round(lanes.duration_s / settings.control_dt)
+        for step, stepped in enumerate(plan(lanes, planning, n_threads), start=1):
+            recorder.record(stepped)
+            on_step(step, n_steps)
         return [
             Episode(
                 entry=f"planner-{planning.knowledge}",
@@ -222,6 +216,28 @@ def played_by_planner(
             )
             for lane, scenario in enumerate(scenarios)
         ]
+
+
+def plan(lanes: TaskLanes, planning: Planning, n_threads: int | None = None) -> Iterator[npt.NDArray[np.bool_]]:
+    """Play the started episodes of all lanes to their ends; after every step, yield which lanes made it, (n_lanes,).
+
+    Args:
+        lanes: with both actions and the privileged observation.
+        planning: effort and knowledge.
+        n_threads: threads to imagine with; None for one per processor.
+    """
+    imagined = TaskLanes(lanes.settings, lanes.n_lanes * planning.population, n_threads)
+    with closing(imagined.simulator):
+        planner = _Planner(lanes, imagined, planning)
+        running = np.ones(lanes.n_lanes, dtype=np.bool_)
+        n_steps = round(lanes.duration_s / lanes.settings.control_dt)
+        for step in range(n_steps):
+            if not running.any():
+                return
+            lanes.step(planner.act(step, n_steps))
+            yield running
+            terminated, truncated = lanes.ended()
+            running = ~(terminated | truncated)
 
 
 class _Planner:
