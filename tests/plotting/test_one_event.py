@@ -33,4 +33,8 @@ def test_lines_are_the_runs_and_a_run_that_fails_ends_with_a_cross_at_the_limit(
     assert np.array_equal(rotor.lines[0].get_ydata(), run.rotor_speed_pu[0].min(axis=1), equal_nan=True)
     crosses = [line for line in frequency.lines if line.get_marker() not in ("None", None, "")]
     assert len(crosses) == len(runs)
-    assert any(np.allclose(line.get_ydata(), 48.5) for line in frequency.lines)
+    drawn = [
+        any(np.allclose(line.get_ydata(), value) for line in axes.lines)
+        for axes, value in ((frequency, 48.5), (rotor, 0.5))
+    ]
+    assert any(drawn)

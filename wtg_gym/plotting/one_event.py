@@ -59,6 +59,8 @@ def plot_one_event(scenario: Scenario, runs: Mapping[str, Recording], plant: Pla
             last = int(np.flatnonzero(np.isfinite(values))[-1])
             if last < run.time_s.size - 1:
                 mark_end(axes, float(run.time_s[last]), float(values[last]), looks[name].colour)
+        # A run that fails ends a step before the limit.
+        axes.margins(y=0.12)
         low, high = axes.get_ylim()
         for limit in limits:
             if low < limit < high:
