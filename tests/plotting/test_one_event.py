@@ -18,7 +18,7 @@ def test_lines_are_the_runs_and_a_run_that_fails_ends_with_a_cross_at_the_limit(
     settings = EnvSettings(suite="paper-v1")
     (scenario,) = get_suite("paper-v1").scenarios([0])
     # More than governor and turbines can bear.
-    scenario = dataclasses.replace(scenario, events=(LoadStep(time_s=5.0, bus=2, power_mw=250.0),), duration_s=30.0)
+    scenario = dataclasses.replace(scenario, events=(LoadStep(time_s=5.0, bus=2, power_mw=200.0),), duration_s=30.0)
     names = ("coordinated-piecewise", "coordinated-tuned")
     runs = {name: record(Entry(name=name, strategy=name), settings, [scenario]) for name in names}
     plant = settings.plant()
@@ -33,8 +33,4 @@ def test_lines_are_the_runs_and_a_run_that_fails_ends_with_a_cross_at_the_limit(
     assert np.array_equal(rotor.lines[0].get_ydata(), run.rotor_speed_pu[0].min(axis=1), equal_nan=True)
     crosses = [line for line in frequency.lines if line.get_marker() not in ("None", None, "")]
     assert len(crosses) == len(runs)
-    drawn = [
-        any(np.allclose(line.get_ydata(), value) for line in axes.lines)
-        for axes, value in ((frequency, 48.5), (rotor, 0.5))
-    ]
-    assert any(drawn)
+    assert any(np.allclose(line.get_ydata(), 48.5) for line in frequency.lines)
