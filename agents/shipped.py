@@ -13,14 +13,12 @@ from typing import NamedTuple
 from agents.command import Parser, Progress, note, run_command
 from agents.runs import RUN_FILE
 
-#: Training seeds of each of them.
-SEEDS = range(5)
 _AUTHORS = "The wtg_gym authors"
 
 _DESCRIPTION = """\
-Trains the policies of agents/policies, five seeds each, and exports them. A run that is there already goes on from its
-last checkpoint, or is exported at once. The output of a run goes to the file NAME.log beside its folder. Nothing in
-agents/policies changes, unless --policies names it."""
+Trains the policies of agents/policies, three or five seeds each, and exports them. A run that is there already goes on
+from its last checkpoint, or is exported at once. The output of a run goes to the file NAME.log beside its folder.
+Nothing in agents/policies changes, unless --policies names it."""
 _EXAMPLES = """\
 examples:
   python -m agents.shipped --only ppo-k+tau-0         the first PPO alone
@@ -34,8 +32,11 @@ class Shipped(NamedTuple):
     name: str  # of its row
     description: str
     options: tuple[str, ...]  # of its training
+    n_seeds: int = 5  # training seeds, from 0 on
 
 
+#: In v1 agents modulate the law that is tuned to the grid.
+_V1 = ("--suite", "standard-v1", "--strategy", "coordinated-tuned", "--validation-episodes", "200")
 _TAU_CONFIG = "agents/configs/ppo_tau.yml"
 SHIPPED = (
     Shipped("ppo-k+tau", "PPO (k, τ)", "PPO that modulates k and τ.", ("--algo", "ppo", "--action-mode", "k+tau")),
@@ -47,12 +48,15 @@ SHIPPED = (
         ("--algo", "ppo", "--action-mode", "tau", "--config", _TAU_CONFIG),
     ),
     Shipped("sac-k+tau", "SAC (k, τ)", "SAC that modulates k and τ.", ("--algo", "sac", "--action-mode", "k+tau")),
+    Shipped("ppo-v1", "PPO", "PPO on top of the tuned law.", ("--algo", "ppo", *_V1), 3),
+    Shipped("recurrent-ppo-v1", "recurrent PPO", "PPO with LSTMs, likewise.", ("--algo", "recurrent_ppo", *_V1), 3),
+    Shipped("sac-v1", "SAC", "SAC on top of the tuned law.", ("--algo", "sac", *_V1), 3),
 )
 
 
 def names() -> dict[str, tuple[Shipped, int]]:
     """Return set-up and training seed of every policy by the name of its folder."""
-    return {f"{shipped.key}-{seed}": (shipped, seed) for seed in SEEDS for shipped in SHIPPED}
+    return {f"{shipped.key}-{seed}": (shipped, seed) for shipped in SHIPPED for seed in range(shipped.n_seeds)}
 
 
 def _make(name: str, runs: Path, policies: Path) -> None:

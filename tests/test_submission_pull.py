@@ -95,7 +95,7 @@ def test_folders_are_scored_on_the_standard_suite_of_their_version(
             file.write('environment = "GFMWTG-14bus-v1"\n')
 
     code, said = judge(both)
-    old, new = said.splitlines()
+    new, old = sorted(said.splitlines(), key=lambda line: "--suite standard-v1" not in line)
     assert "policies/old --beside" in old and "policies/new" not in old and "--suite standard --results" in old
     assert "policies/new --beside" in new and "policies/old" not in new and "--suite standard-v1 --results" in new
     assert code == 1

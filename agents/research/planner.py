@@ -13,7 +13,7 @@ Both know the state of grid and rotors exactly, and outages that have struck.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from agents.command import Parser, Progress, check_output_folder, note, run_command
+from agents.research.rollouts import between, positions
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.observation import N_LOCAL, N_MEASURED
 from wtg_gym.envs.settings import EnvSettings
@@ -196,21 +197,15 @@ def played_by_planner(
     """
     settings = EnvSettings(suite=suite, split=split, action_mode="k+tau", observation_mode="privileged")
     if not settings.benchmark().sensed:
-        raise ValueError(f"the planner plays suites of version v1 and later, got {suite!r}")
+        raise ValueError(f"the planner reads sensors, which suites have from version v1 on, got {suite!r}")
     lanes = TaskLanes(settings, len(seeds), n_threads)
-    imagined = TaskLanes(settings, len(seeds) * planning.population, n_threads)
-    with closing(lanes.simulator), closing(imagined.simulator):
+    with closing(lanes.simulator):
         scenarios = lanes.scenarios(seeds)
         lanes.start(range(len(seeds)), scenarios)
-        recorder, planner = Recorder(lanes), _Planner(lanes, imagined, planning)
-        running = np.ones(len(seeds), dtype=np.bool_)
-        n_steps = round(lanes.duration_s / settings.control_dt)
-        for step in range(n_steps):
-            lanes.step(planner.act(step, n_steps))
-            recorder.record(running)
-            terminated, truncated = lanes.ended()
-            running = ~(terminated | truncated)
-            on_step(step + 1, n_steps)
+        recorder, n_steps = Recorder(lanes), round(lanes.duration_s / settings.control_dt)
+        for step, stepped in enumerate(plan(lanes, planning, n_threads), start=1):
+            recorder.record(stepped)
+            on_step(step, n_steps)
         return [
             Episode(
                 entry=f"planner-{planning.knowledge}",
@@ -222,6 +217,28 @@ def played_by_planner(
             )
             for lane, scenario in enumerate(scenarios)
         ]
+
+
+def plan(lanes: TaskLanes, planning: Planning, n_threads: int | None = None) -> Iterator[npt.NDArray[np.bool_]]:
+    """Play the started episodes of all lanes to their ends; after every step, yield which lanes made it, (n_lanes,).
+
+    Args:
+        lanes: with both actions and the privileged observation.
+        planning: effort and knowledge.
+        n_threads: threads to imagine with; None for one per processor.
+    """
+    imagined = TaskLanes(lanes.settings, lanes.n_lanes * planning.population, n_threads)
+    with closing(imagined.simulator):
+        planner = _Planner(lanes, imagined, planning)
+        running = np.ones(lanes.n_lanes, dtype=np.bool_)
+        n_steps = round(lanes.duration_s / lanes.settings.control_dt)
+        for step in range(n_steps):
+            if not running.any():
+                return
+            lanes.step(planner.act(step, n_steps))
+            yield running
+            terminated, truncated = lanes.ended()
+            running = ~(terminated | truncated)
 
 
 class _Planner:
@@ -237,7 +254,7 @@ class _Planner:
         self._lanes, self._imagined, self._planning = lanes, imagined, planning
         dt = lanes.settings.control_dt
         self._interval = round(planning.interval_s / dt)
-        self._shares = _shares(planning.n_knots, round(planning.horizon_s / dt))
+        self._positions = positions(planning.n_knots, round(planning.horizon_s / dt))
         self._observer = WindObserver(lanes, planning)
         self._rng = np.random.default_rng(planning.seed)
         self._plan = np.zeros((lanes.n_lanes, planning.n_knots, lanes.n_wtg, 2))
@@ -248,9 +265,9 @@ class _Planner:
             self._observer.update()
         if step % self._interval == 0:
             if step:
-                self._plan = _shifted(self._plan, self._shares, self._interval)
-            self._search(min(len(self._shares), n_steps - step))
-        course: Floats = np.einsum("k,nkwa->nwa", self._shares[step % self._interval], self._plan)
+                self._plan = _shifted(self._plan, self._positions, self._interval)
+            self._search(min(len(self._positions), n_steps - step))
+        course = between(self._plan, self._positions[step % self._interval])
         return _actions(self._lanes, course, self._planning.gain)
 
     def _search(self, n_ahead: int) -> None:
@@ -269,8 +286,8 @@ class _Planner:
             asked[:, 0], asked[:, 1], asked[:, 2] = best, mean, 0.0
             imagined.imagine(lanes, source, wind)
             flat = asked.reshape(n * p.population, *mean.shape[1:])
-            for share in self._shares[:n_ahead]:
-                imagined.step(_actions(imagined, np.einsum("k,nkwa->nwa", share, flat), p.gain))
+            for position in self._positions[:n_ahead]:
+                imagined.step(_actions(imagined, between(flat, position), p.gain))
             costs = imagined.cost_sums().sum(axis=1).reshape(n, p.population) - paid
             elite = np.take_along_axis(asked, costs.argsort(axis=1)[:, :_N_ELITE, None, None, None], axis=1)
             mean = 0.3 * mean + 0.7 * elite.mean(axis=1)
@@ -282,17 +299,11 @@ class _Planner:
         self._plan = best
 
 
-def _shares(n_knots: int, horizon: int) -> Floats:
-    """Share of every knot in the action of a step, (horizon, n_knots)."""
-    position = np.linspace(0.0, n_knots - 1.0, horizon)
-    return np.maximum(1.0 - np.abs(position[:, None] - np.arange(n_knots)), 0.0)
-
-
-def _shifted(plan: Floats, shares: Floats, interval: int) -> Floats:
-    """The same course, an interval later."""
-    at = np.minimum(np.linspace(0, len(shares) - 1, plan.shape[1]).astype(np.int64) + interval, len(shares) - 1)
-    shifted: Floats = np.einsum("jk,nkwa->njwa", shares[at], plan)
-    return shifted
+def _shifted(plan: Floats, steps: Sequence[float], interval: int) -> Floats:
+    """The same course, an interval later; `steps` are the positions of its steps."""
+    last = len(steps) - 1
+    later = np.minimum(np.linspace(0, last, plan.shape[1]).astype(np.int64) + interval, last)
+    return np.stack([between(plan, steps[step]) for step in later], axis=1)
 
 
 def _actions(lanes: TaskLanes, course: Floats, gain: float) -> Floats:

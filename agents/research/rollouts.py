@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.lanes import PreparedEpisodes, TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation.score import COST_OFFSET, pinned_cost
+from wtg_gym.physics.tracking_law import TrackingLaw
+from wtg_gym.scenarios.benchmark import V0
 
 Floats = npt.NDArray[np.float64]
 #: Observations (n_scenarios, n_candidates, n_wtg, n) of a step to actions (n_scenarios, n_candidates, n_wtg, n_action).
@@ -48,19 +50,26 @@ class Rollouts:
         self.n_wtg = self.lanes.n_wtg
         self.n_action = self.lanes.n_action // self.n_wtg
         self._n_own = self.n_wtg * (self.lanes.n_local + self.n_action)
-        self._episodes = self.lanes.prepare(self.lanes.scenarios(seeds))
-        # One candidate's lanes after another's, each in the order of the scenarios.
-        self._order = np.arange(self.lanes.n_lanes).reshape(len(seeds), n_candidates).T.ravel().tolist()
+        self._scenarios = self.lanes.scenarios(seeds)
+        self._episodes = self.lanes.prepare(self._scenarios)
+        # Each candidate's lanes, in the order of the scenarios.
+        self._order = np.arange(self.lanes.n_lanes).reshape(len(seeds), n_candidates).T.tolist()
         self.n_steps = int(self._episodes.n_intervals.max())
 
     def with_candidates(self, n_candidates: int) -> Rollouts:
         """Return rollouts of the same scenarios with another number of candidates in each."""
         return Rollouts(*self._arguments, n_candidates, self._n_threads, **self._settings)
 
-    def play(self, candidates: Candidates) -> Floats:
-        """Return the sums of the cost's terms over an episode, (n_scenarios, n_candidates, n_terms)."""
+    def play(self, candidates: Candidates, laws: Sequence[TrackingLaw] | None = None) -> Floats:
+        """Return the sums of the cost's terms over an episode, (n_scenarios, n_candidates, n_terms).
+
+        Args:
+            candidates: their actions.
+            laws: the law of all groups under each candidate; None: that of the settings.
+        """
         lanes, shape = self.lanes, (self.n_scenarios, self.n_candidates)
-        lanes.commit(self._order, [self._episodes] * self.n_candidates)
+        for candidate, order in enumerate(self._order):
+            lanes.commit(order, [self._episodes if laws is None else self._under(laws[candidate])])
         for step in range(self.n_steps):
             own = lanes.observations[:, : self._n_own].reshape(*shape, self.n_wtg, -1).astype(np.float64)
             actions = np.clip(candidates(step, own), -1.0, 1.0)
@@ -68,11 +77,18 @@ class Rollouts:
         sums = lanes.cost_sums()
         return sums.reshape(*shape, -1)
 
+    def _under(self, law: TrackingLaw) -> PreparedEpisodes:
+        self.lanes.laws = (law,) * self.n_wtg
+        return self.lanes.prepare(self._scenarios)
+
+    def no_action(self, _step: int, own: Floats) -> Floats:
+        """Return the zero action: a candidate that leaves everything to the law."""
+        return np.zeros((*own.shape[:-1], self.n_action))
+
     def reference(self) -> Floats:
         """Return what :meth:`play` gives for the zero action, (n_scenarios, n_terms)."""
-        zero = np.zeros((self.n_scenarios, 1, self.n_wtg, self.n_action))
         with closing(self.with_candidates(1)) as alone:
-            return alone.play(lambda _step, _own: zero)[:, 0]
+            return alone.play(alone.no_action)[:, 0]
 
     def pinned(self, terms: Floats) -> Floats:
         """Return the costs that the leaderboard counts, (...): a failed episode's is the largest there is.
@@ -91,7 +107,7 @@ class Rollouts:
         In version v0 it is the cost; from v1 on what the score counts, ln(J + J0): a few failures outweigh all else in
         a mean of costs.
         """
-        if not self.lanes.suite.benchmark.sensed:
+        if self.lanes.suite.benchmark is V0:
             costs: Floats = terms.sum(axis=-1)
             return costs
         return np.log(self.pinned(terms) + COST_OFFSET)
@@ -147,17 +163,24 @@ def history_feedback(gains: Floats, control_dt: float) -> Candidates:
     return act
 
 
+def positions(n_knots: int, n_steps: int) -> list[float]:
+    """Return where steps lie between the knots of a course: 0 at the first knot, n_knots - 1 at the last."""
+    found: list[float] = np.linspace(0.0, n_knots - 1.0, n_steps).tolist()
+    return found
+
+
+def between(knots: Floats, position: float) -> Floats:
+    """Return actions at one of :func:`positions`, linear between knots (..., n_knots, n_wtg, n_action)."""
+    left = min(int(position), knots.shape[-3] - 2)
+    before, after = knots[..., left, :, :], knots[..., left + 1, :, :]
+    actions: Floats = before + (position - left) * (after - before)
+    return actions
+
+
 def course(knots: Floats, n_steps: int) -> Candidates:
     """Return actions that are linear in time between knots, (n_scenarios, n_candidates, n_knots, n_wtg, n_action)."""
-    position = np.linspace(0.0, knots.shape[2] - 1.0, n_steps)
-    left = np.minimum(position.astype(np.int64), knots.shape[2] - 2)
-    share = position - left
-
-    def act(step: int, _own: Floats) -> Floats:
-        before, after = knots[:, :, left[step]], knots[:, :, left[step] + 1]
-        return before + float(share[step]) * (after - before)
-
-    return act
+    steps = positions(knots.shape[2], n_steps)
+    return lambda step, _own: between(knots, steps[step])
 
 
 def both(one: Candidates, other: Candidates) -> Candidates:

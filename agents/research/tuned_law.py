@@ -9,20 +9,14 @@ from contextlib import closing
 
 import cma
 import numpy as np
-import numpy.typing as npt
 
 from agents.command import Parser, Progress, print_table, run_command, say
-from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation.score import COST_OFFSET, pinned_cost
+from agents.research.rollouts import Rollouts
+from wtg_gym.evaluation.score import COST_OFFSET
 from wtg_gym.physics.tracking_law import LARGEST_COEFFICIENT, TIME_CONSTANT_RANGE, TrackingLaw, coordinated_piecewise
 from wtg_gym.scenarios import get_suite
 
-Floats = npt.NDArray[np.float64]
-
 POPULATION = 16
-#: Runs whose equilibria are found together.
-_AT_ONCE = 16
 #: Least coefficient that is tried [p.u.]: at 0 a group would give nothing.
 _LEAST_COEFFICIENT = 0.05
 
@@ -42,31 +36,6 @@ def law_of(x: Sequence[float]) -> TrackingLaw:
     low, high = TIME_CONSTANT_RANGE
     tau = min(max(paper.damping_time_constant_s * math.exp(x[3]), low), high)
     return TrackingLaw(name="tuned", k_min=k_min, k_nominal=k_nominal, k_max=k_max, damping_time_constant_s=tau)
-
-
-class _Laws:
-    """Plays a population of laws through scenarios, all at once."""
-
-    def __init__(self, suite: str, seeds: Sequence[int], n_threads: int | None) -> None:
-        settings = EnvSettings(suite=suite, split="train")
-        self.lanes = TaskLanes(settings, len(seeds) * POPULATION, n_threads)
-        self._scenarios = self.lanes.scenarios(seeds)
-        self._order = np.arange(self.lanes.n_lanes).reshape(len(seeds), POPULATION).T.tolist()
-        self._worst = pinned_cost(0.0, failed=True, duration_s=self.lanes.duration_s, cap=settings.cost_weights().cap)
-
-    def costs(self, laws: Sequence[TrackingLaw]) -> Floats:
-        """Return pinned costs, (POPULATION, n_scenarios)."""
-        lanes = self.lanes
-        for law, own in zip(laws, self._order, strict=True):
-            lanes.laws = (law,) * lanes.n_wtg
-            for first in range(0, len(own), _AT_ONCE):
-                lanes.start(own[first : first + _AT_ONCE], self._scenarios[first : first + _AT_ONCE])
-        zero = np.zeros((lanes.n_lanes, lanes.n_action))
-        for _ in range(round(lanes.duration_s / lanes.settings.control_dt)):
-            lanes.step(zero)
-        failed, _ = lanes.ended()
-        costs: Floats = np.where(failed, self._worst, lanes.cost_sums().sum(axis=1))
-        return costs.reshape(-1, POPULATION).T
 
 
 def tune_law(
@@ -90,11 +59,12 @@ def tune_law(
     seeds = list(get_suite(suite).train[:n_scenarios])
     options = {"popsize": POPULATION, "seed": seed, "verbose": -9}
     search = cma.CMAEvolutionStrategy([1.2, 0.0, 1.0, 0.0], 0.5, options)
-    laws, least = _Laws(suite, seeds, n_threads), math.inf
-    with closing(laws.lanes.simulator):
+    least = math.inf
+    with closing(Rollouts(suite, "train", seeds, POPULATION, n_threads)) as rollouts:
         for generation in range(generations):
             asked = search.ask()
-            costs = np.log(laws.costs([law_of(x) for x in asked]) + COST_OFFSET).mean(axis=1)
+            terms = rollouts.play(rollouts.no_action, [law_of(x) for x in asked])
+            costs = np.log(rollouts.pinned(terms) + COST_OFFSET).mean(axis=0)
             search.tell(asked, costs.tolist())
             least = min(least, float(costs.min()))
             on_generation(generation + 1, least)

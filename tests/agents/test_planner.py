@@ -14,6 +14,7 @@ from agents.research.planner import Planning, WindObserver, results_with_planner
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Results
+from wtg_gym.evaluation.recording import recorded
 from wtg_gym.physics.scenario import LineTrip, LoadRamp, LoadStep, Scenario
 from wtg_gym.scenarios import get_suite
 
@@ -118,6 +119,16 @@ def test_planners_are_rows_beside_the_anchors_and_play_the_same_twice(tmp_path: 
     again = Results.read(tmp_path / f"{SUITE}-validation.json")
     assert again.scores["planner-exact"] == runs[0].scores["planner-exact"]
     assert again.scores["coordinated-tuned"].value == 100.0
+
+
+def test_a_recorded_planner_plays_as_a_scored_one() -> None:
+    settings = EnvSettings(suite=SUITE, split="validation", action_mode="k+tau", observation_mode="privileged")
+    (episode,) = planner.played_by_planner(SUITE, "validation", [10_000], QUICK, 1)
+    lanes = TaskLanes(settings, 1, 1)
+    lanes.start([0], lanes.scenarios([10_000]))
+    recording = recorded(lanes, planner.plan(lanes, QUICK, 1))
+    assert recording.cost_terms.sum() == pytest.approx(episode.metrics["cost"], rel=1e-12)
+    assert recording.time_s[-1] == 60.0
 
 
 @pytest.mark.parametrize(

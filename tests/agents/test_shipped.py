@@ -49,9 +49,8 @@ def test_command_trains_exports_and_goes_on(tmp_path: Path, monkeypatch: pytest.
             main = {"agents.train": train.main, "agents.export": export.main}[command[2]]
             return SimpleNamespace(returncode=main(command[3:]))
 
-    tiny = shipped.Shipped("tiny", "Tiny", "A test.", (*options(tmp_path, "ppo"), "--timesteps", "256"))
+    tiny = shipped.Shipped("tiny", "Tiny", "A test.", (*options(tmp_path, "ppo"), "--timesteps", "256"), 2)
     monkeypatch.setattr(shipped, "SHIPPED", (tiny,))
-    monkeypatch.setattr(shipped, "SEEDS", range(2))
     monkeypatch.setattr(shipped, "subprocess", SimpleNamespace(run=run_here))
     folders = ["--runs", str(tmp_path / "runs"), "--policies", str(tmp_path / "policies")]
     assert shipped.main(["--only", "tiny-1", *folders]) == 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -81,6 +82,11 @@ def test_leaderboard_of_v1_goes_into_a_page_and_is_stored(
     assert main(arguments) == 0
     first = page.read_text()
     assert "| failures by kind [%] | worst decile |" in first and "| coordinated-tuned | 100.0 |" in first
+    # The sentence has the numbers of the table's column.
+    said = [int(n) for n in re.findall(r"(\d+) mHz with", first)]
+    rows = {cells[2].strip(): cells for line in first.splitlines() if len(cells := line.split("|")) > 2}
+    column = [cell.strip() for cell in rows["entry"]].index("deviation [mHz]")
+    assert said == [int(rows[name][column]) for name in V1.anchors]
     played = _count_played(monkeypatch)
     assert main(arguments) == 0
     assert played == [[]] and page.read_text() == first

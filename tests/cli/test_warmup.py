@@ -15,7 +15,14 @@ from wtg_gym.physics.compiled import cache_folder
 _COMMANDS = """
 from wtg_gym.cli import main
 
-for arguments in ("warmup", "simulate --duration 3", "evaluate --suite paper --entries mppt", "analyse modes"):
+for arguments in (
+    "warmup",
+    "simulate --duration 3",
+    "evaluate --suite paper --entries mppt",
+    "analyse modes",
+    "simulate --suite standard-v1 --duration 3",
+    "evaluate --suite standard-v1 --scenarios 2 --duration 3 --entries mppt",
+):
     assert main(arguments.split()) == 0
 """
 

@@ -70,6 +70,21 @@ def test_make_after_import_and_make_with_the_module_in_the_id_are_the_same(env_i
     assert a.tobytes() == b.tobytes()
 
 
+@BOTH_IDS
+@pytest.mark.parametrize("mode", [None, "vector_entry_point", "sync"])
+def test_an_id_is_not_made_with_another_version(env_id: str, mode: str | None):
+    other = {"v0": "v1", "v1": "v0"}[env_id[-2:]]
+    with pytest.raises(ValueError) as error:
+        if mode is None:
+            gym.make(env_id, version=other)
+        else:
+            gym.make_vec(env_id, num_envs=2, vectorization_mode=mode, version=other)
+    assert str(error.value).startswith(f"{env_id} cannot be made with version = {other!r}") and "\n" not in str(
+        error.value
+    )
+    assert gym.make(env_id, version=env_id[-2:]).unwrapped.settings.version == env_id[-2:]
+
+
 def test_id_with_the_module_works_without_an_import_and_needs_neither_learner_nor_plotting():
     code = (
         f"import sys, gymnasium; env = gymnasium.make('wtg_gym:{ENV_ID}'); print(env.reset(seed=0)[0].shape,"

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from wtg_gym.evaluation import Entry, evaluate, load_entries
-from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, TrackingLaw, get_law
 from wtg_gym.policies.entry import check_entries
 from wtg_gym.scenarios.benchmark import V0, V1
 
@@ -210,6 +210,19 @@ def test_trained_policy_is_for_v0_unless_its_file_says_otherwise(tmp_path: Path)
     with (tmp_path / "mine" / "entry.toml").open("a") as file:
         file.write('environment = "GFMWTG-14bus-v1"\n')
     assert load_entries(tmp_path / "mine")[0].environment == V1.env_id
+
+
+def test_trained_policy_modulates_the_law_that_its_file_names(tmp_path: Path) -> None:
+    shutil.copytree(POLICIES / "ppo-k-2", tmp_path / "mine")
+    assert load_entries(tmp_path / "mine")[0].strategy == REFERENCE_STRATEGY
+    text = (tmp_path / "mine" / "entry.toml").read_text()
+    (tmp_path / "mine" / "entry.toml").write_text(f'{text}strategy = "deloaded-5"\n')
+    (entry,) = load_entries(tmp_path / "mine")
+    assert entry.law == get_law("deloaded-5")
+    # A file of somebody else must not read other files.
+    (tmp_path / "mine" / "entry.toml").write_text(f'{text}strategy = "other.toml"\n')
+    with pytest.raises(ValueError, match=r"strategy in .* must be one of mppt, .*, got 'other.toml'"):
+        load_entries(tmp_path / "mine")
 
 
 @pytest.mark.parametrize("name", ["mppt", "coordinated-piecewise", "coordinated-tuned"])

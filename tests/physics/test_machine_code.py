@@ -9,7 +9,11 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import numba
 import pytest
+
+from wtg_gym.physics.compiled import is_compiled
+from wtg_gym.physics.machine_code import DiskCache
 
 #: Two functions, of which one calls the other, compiled as the simulator's are; the folder is an argument.
 PROGRAM = """
@@ -73,6 +77,18 @@ def first_run(tmp_path_factory: pytest.TempPathFactory, program: Path) -> tuple[
     assert (values, n_compiled) == (RESULT, 4)
     assert len(list(folder.iterdir())) == 4
     return folder, said
+
+
+def test_what_is_compiled_is_known_for_each_type(tmp_path: Path) -> None:
+    def doubled(x: float) -> float:
+        return 2.0 * x
+
+    function = numba.njit(doubled)
+    function._cache = DiskCache(doubled, tmp_path, "0" * 64)
+    assert not is_compiled(function, 1.0)
+    function(1.0)
+    assert is_compiled(function, 1.0) and not is_compiled(function, 1)
+    assert is_compiled(doubled, 1)
 
 
 @pytest.fixture

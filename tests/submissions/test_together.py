@@ -106,7 +106,7 @@ def test_shipped_policies_are_far_from_being_copies(monkeypatch: pytest.MonkeyPa
     # Not those that others have submitted: they only have to differ.
     for name in [*shipped.names(), "linear-feedback"]:
         (entry,) = load_entries(Path(shipped.__file__).parent / "policies" / name)
-        by_mode.setdefault(entry.action_mode, []).append(rollout(entry.policy, entry.action_mode, "local"))
+        by_mode.setdefault(entry.action_mode, []).append(rollout(entry.policy, entry))
     pairs = [pair for actions in by_mode.values() for pair in itertools.combinations(actions, 2)]
     assert len(pairs) == 55 + 10 + 10
     assert min(itertools.starmap(action_difference, pairs)) > 7 * COPY_TOLERANCE

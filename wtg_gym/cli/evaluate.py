@@ -26,7 +26,8 @@ from wtg_gym.cli.scoring import (
     kept_parts,
     run_evaluation,
 )
-from wtg_gym.evaluation import Entry, Policy, Results, leaderboard_rows, markdown_table
+from wtg_gym.evaluation import Entry, Policy, Results
+from wtg_gym.evaluation.leaderboard import markdown_section
 from wtg_gym.policies.entry import check_version, row_conflict
 from wtg_gym.scenarios import get_suite
 
@@ -171,7 +172,7 @@ def _run_leaderboard(arguments: argparse.Namespace) -> int:
     results, kept = _merged(entries, new, stored)
     code = finish(results, folder, as_json=arguments.json, kept=kept)
     if readme is not None:
-        update_page(readme, {section: markdown_table(leaderboard_rows(results))})
+        update_page(readme, {section: markdown_section(results)})
     if page is not None:
         write_html(page, [results], entries, None, arguments.threads)
     return code

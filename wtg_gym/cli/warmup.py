@@ -9,18 +9,18 @@ from wtg_gym.cli.output import say
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.envs.compile_ahead import compile_ahead
 from wtg_gym.envs.gfm_wtg import GFMWTGEnv, GFMWTGVectorEnv
-from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.envs.settings import VERSIONS, EnvSettings
 from wtg_gym.evaluation import evaluate
 from wtg_gym.physics.compiled import cache_folder, compilation
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.physics.trajectory import simulate
 from wtg_gym.scenarios import get_suite
 
 _DESCRIPTION = """\
 Compiles the simulator to machine code, which the first use of a version does otherwise: the single environment, the
-vector environment, simulate, evaluate and analyse modes, for two groups of turbines. It takes about a minute. The
-machine code is kept, so that every later start is quick; running the command again compiles nothing. Another number of
-groups or machines is compiled at its own first use."""
+vector environment, simulate, evaluate and analyse modes, for the plants of `standard` and `standard-v1`. It takes a few
+minutes. The machine code is kept, so that every later start is quick; running the command again compiles nothing.
+Another number of groups or machines is compiled at its own first use."""
 _EXAMPLES = """\
   wtg-gym warmup
   XDG_CACHE_HOME=/opt/cache wtg-gym warmup            keep the machine code in /opt/cache/wtg_gym, as for an image"""
@@ -41,16 +41,8 @@ def add_commands(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym warmup`."""
-    compile_ahead(EnvSettings())
-    environment: GFMWTGEnv | GFMWTGVectorEnv
-    for environment in (GFMWTGEnv(), GFMWTGVectorEnv(2)):
-        environment.reset(seed=0)
-        environment.step(environment.action_space.sample())
-        environment.close()
-    scenario, law = get_suite("paper").scenario(0), get_law(REFERENCE_STRATEGY)
-    simulate(scenario, law)
-    linearise(scenario, law)
-    evaluate("mppt", seeds=(10_000,), duration_s=1.0)
+    for version in VERSIONS:
+        _compile(version)
     done, folder = compilation(), cache_folder()
     where = "not kept, since no folder can be written to" if folder is None else f"kept in {folder}"
     if done.n_functions == 0:
@@ -58,3 +50,20 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         say(f"functions compiled: {done.n_functions}, in {done.seconds:.0f} s; {where}")
     return 0
+
+
+def _compile(version: str) -> None:
+    """Use everything of a version of the benchmark once."""
+    settings = EnvSettings(version=version)
+    compile_ahead(settings)
+    environment: GFMWTGEnv | GFMWTGVectorEnv
+    for environment in (GFMWTGEnv(version=version), GFMWTGVectorEnv(2, version=version)):
+        environment.reset(seed=0)
+        environment.step(environment.action_space.sample())
+        environment.close()
+    suite, plant = get_suite(settings.suite), settings.plant()
+    seed = suite.validation[0]
+    scenario = suite.scenario(seed)
+    simulate(scenario, REFERENCE_STRATEGY, plant)
+    linearise(scenario, REFERENCE_STRATEGY, plant)
+    evaluate([], settings.suite, seeds=(seed,), duration_s=1.0)

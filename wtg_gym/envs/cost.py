@@ -50,6 +50,19 @@ def duty_cost(duty: float) -> float:
 
 
 @inlined
+def filtered_duty(mean: float, duty: float, ran: bool, task: Task) -> float:
+    """Return the duty error behind its filter, one control interval later; an early end counts as a whole interval.
+
+    Args:
+        mean: what it was before.
+        duty: the duty error now.
+        ran: whether the lane ran in that interval.
+        task: constants.
+    """
+    return mean + select(ran, task.duty_gain, 0.0) * (duty - mean)
+
+
+@inlined
 def group_costs(s: WtgState, output: WtgOutput, t: Turbine, task: Task) -> GroupCosts:
     """Return the deviations of one WTG group.
 

@@ -20,6 +20,7 @@ from wtg_gym.envs.one_thread import Use, in_use, one_thread
 from wtg_gym.envs.rendering import Frame, LaneFrames
 from wtg_gym.envs.settings import EnvArguments, EnvSettings
 from wtg_gym.physics.scenario import Scenario
+from wtg_gym.scenarios.benchmark import BENCHMARKS
 
 Observation = npt.NDArray[np.float32]
 Action = npt.NDArray[np.float32]
@@ -49,7 +50,13 @@ def _with_episode_steps(spec: EnvSpec | None, lanes: TaskLanes, limit: int | Non
     """Return a spec that says how many steps an episode has at most.
 
     Gymnasium leaves this empty because the environment is registered without a time limit: it ends episodes itself.
+
+    Raises:
+        ValueError: the spec's id is that of another version.
     """
+    version = lanes.settings.version
+    if spec is not None and spec.id in BENCHMARKS and BENCHMARKS[spec.id].version != version:
+        raise ValueError(f"{spec.id} cannot be made with version = {version!r}: its id is its version; leave it out")
     if spec is None or spec.max_episode_steps is not None:
         return spec
     n_steps = round(lanes.duration_s / lanes.settings.control_dt)
@@ -179,8 +186,7 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
     environment seeded with s + i, bit for bit.
 
     ## Version History
-    * v1: a grid that needs the wind, extended physics, sensors, outages, a score that pays for the frequency first. Not
-      frozen yet.
+    * v1: a grid that needs the wind, extended physics, sensors, outages, a score that pays for the frequency first.
     * v0: first version, the paper's system.
     """
 

@@ -19,17 +19,17 @@ from wtg_gym.envs.task import (
     Outputs,
     build_task,
     first_invalid_action,
-    n_extra_rows,
     start_tasks,
     step_blocks,
 )
+from wtg_gym.envs.task_layout import n_extra_rows
 from wtg_gym.envs.task_records import CostTerms, Info, TaskRows
 from wtg_gym.physics.layout import LaneData
 from wtg_gym.physics.linearisation import STEP_MARGIN, largest_stable_steps
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.records import flatten, leaves
 from wtg_gym.physics.scenario import Event, GroupTrip, Scenario
-from wtg_gym.physics.sensors import sensor_input
+from wtg_gym.physics.sensors import delay_intervals, sensor_input
 from wtg_gym.physics.simulator import PreparedLanes, Simulator
 from wtg_gym.ranges import whole_steps
 from wtg_gym.scenarios import get_suite
@@ -199,7 +199,7 @@ class TaskLanes:
             return
         sensors = self.settings.sensor_distribution()
         for delay_s in [] if sensors is None else sensors.delays_s():
-            whole_steps("delay_s of the sensors", delay_s, self.settings.control_dt, "control step")
+            delay_intervals(delay_s, self.settings.control_dt)
         if self.suite.distribution is not None:
             self.suite.distribution.check_share(self.n_turbines)
 
@@ -265,8 +265,6 @@ class TaskLanes:
                 version = self.suite.benchmark.version
                 raise ValueError(f"scenario {scenario.name!r} has sensors; version {version} measures exactly")
             return []
-        if sensors is not None:
-            whole_steps("delay_s of the sensors", sensors.delay_s, self.settings.control_dt, "control step")
         given = sensor_input(sensors, self.settings.control_dt, self.nominal_hz)
         biases = (0.0,) * self.n_wtg if sensors is None else sensors.wind_bias
         leaves_at = [math.inf] * self.n_wtg

@@ -1,7 +1,8 @@
 """One step of the task over the lanes of a block: actions, physics, cost, observation, information.
 
 The equations stand in :mod:`wtg_gym.envs.cost` and :mod:`wtg_gym.envs.observation`, their records in
-:mod:`wtg_gym.envs.task_records`; here are the loops, in the same compiled call that advances the physics.
+:mod:`wtg_gym.envs.task_records`; here are the loops, in the same compiled call that advances the physics. Those of the
+sensors are in :mod:`wtg_gym.envs.measuring`.
 """
 
 from __future__ import annotations
@@ -16,12 +17,14 @@ from wtg_gym.envs.cost import (
     CONSTRAINT_FREQUENCY_HZ,
     GroupCosts,
     charged,
+    filtered_duty,
     frequency_cost,
     group_costs,
     rocof_cost,
     total_cost,
     with_group,
 )
+from wtg_gym.envs.measuring import measure, show_delayed, start_sensors
 from wtg_gym.envs.observation import (
     N_LOCAL,
     N_MACHINE,
@@ -29,24 +32,20 @@ from wtg_gym.envs.observation import (
     OBSERVATION_BOUND,
     bounded_grid,
     bounded_machine,
-    bounded_measured,
     bounded_wtg,
     observe_grid,
     observe_machine,
-    observe_measured,
     observe_wtg,
     store_grid_observation,
     store_machine_observation,
-    store_measured,
     store_wtg_observation,
 )
 from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
+from wtg_gym.envs.task_layout import n_delayed, parts_of, rocof_window
 from wtg_gym.envs.task_records import (
     GROUP,
     N_GROUP_ROWS,
     N_SENSED_ROWS,
-    N_SENSOR_INPUT,
-    N_TASK_ROWS,
     SENSED,
     TASK,
     CostTerms,
@@ -57,7 +56,6 @@ from wtg_gym.envs.task_records import (
     Weights,
     load_group,
     load_sensed,
-    load_sensor_input,
     load_terms,
     read_task,
     store_group,
@@ -90,23 +88,12 @@ from wtg_gym.physics.layout import (
     wtg_row,
 )
 from wtg_gym.physics.records import dtype, elementwise, flatten
-from wtg_gym.physics.sensors import (
-    DELAY_MAX_S,
-    N_CHANNELS,
-    Measurement,
-    measured,
-    noise_key,
-    sensors_advanced,
-    sensors_started,
-)
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law
 
 Observations = npt.NDArray[np.float32]
 
 #: Full action multiplies or divides the damping time constant by this.
 TIME_CONSTANT_RATIO = 4.0
-#: Window of the rate of change of frequency [s].
-ROCOF_WINDOW_S = 0.5
 
 N_INFO = len(Info._fields)
 
@@ -119,36 +106,6 @@ class Outputs(NamedTuple):
     infos: Floats  # (n_lanes, N_INFO)
     terminated: npt.NDArray[np.bool_]  # (n_lanes,)
     truncated: npt.NDArray[np.bool_]  # (n_lanes,)
-
-
-class TaskParts(NamedTuple):
-    """First row of each part of the task's rows."""
-
-    lane: int
-    history: int
-    groups: int
-    sensor_input: int
-    sensed: int  # of each WTG group
-    delayed: int  # the latest measurements of all groups, one after the other in a ring
-    observation: int
-
-
-def n_extra_rows(n_wtg: int, control_dt: float, n_observation: int, *, sensed: bool) -> int:
-    """Return how many rows the task needs per lane."""
-    rows = N_TASK_ROWS + rocof_window(control_dt) + 1 + n_wtg * N_GROUP_ROWS + n_observation
-    if sensed:
-        rows += N_SENSOR_INPUT + n_wtg * (N_SENSED_ROWS + n_delayed(control_dt) * N_MEASURED)
-    return rows
-
-
-def rocof_window(control_dt: float) -> int:
-    """Return the RoCoF window in control intervals, at least one."""
-    return max(1, round(ROCOF_WINDOW_S / control_dt))
-
-
-def n_delayed(control_dt: float) -> int:
-    """Return how many measurements a lane keeps for the longest delay."""
-    return math.ceil(DELAY_MAX_S / control_dt - 1e-9) + 1
 
 
 def build_task(settings: EnvSettings, nominal_hz: float) -> npt.NDArray[np.void]:
@@ -187,20 +144,6 @@ def build_task(settings: EnvSettings, nominal_hz: float) -> npt.NDArray[np.void]
     return constants
 
 
-@inlined
-def _parts(c: Any, task: Task) -> TaskParts:
-    lane = rows_of(c).extra
-    history = lane + N_TASK_ROWS
-    groups = history + task.n_window + 1
-    n_wtg, with_sensors = c["share"].shape[0], min(task.n_delayed, 1)
-    sensor_input = groups + n_wtg * N_GROUP_ROWS
-    sensed = sensor_input + with_sensors * N_SENSOR_INPUT
-    delayed = sensed + with_sensors * n_wtg * N_SENSED_ROWS
-    return TaskParts(
-        lane, history, groups, sensor_input, sensed, delayed, delayed + task.n_delayed * n_wtg * N_MEASURED
-    )
-
-
 @compiled
 def first_invalid_action(actions: Floats) -> int:
     """Return the index of the first row (lane) with an action that is not finite, or -1."""
@@ -233,7 +176,7 @@ def start_tasks(
     """
     c, t = plant.constants[0], read_task(task[0])
     sensed = task[0]["sensed"].shape[0] > 0
-    width, parts = len(lanes), _parts(c, t)
+    width, parts = len(lanes), parts_of(c, t)
     for start in range(starting.shape[0]):
         lane = starting[start]
         block, x = blocks[lane // width], lane % width
@@ -249,64 +192,10 @@ def start_tasks(
             group = GroupRows(inv_tau, speed, 0.0, 0.0, 0.0, 0.0, 0.0)
             store_group(group, block, (parts.groups + j * N_GROUP_ROWS) * width + x, width)
         if sensed:
-            _start_sensors(block, x, c, t, sensors[start], lanes)
+            start_sensors(block, x, c, t, sensors[start], lanes)
         outputs.rewards[lane] = 0.0
         observe(block, c, t, sensed, lanes)
         report(block, x, lane, c, t, outputs, width)
-
-
-@inlined
-def _start_sensors(block: Floats, x: int, c: Any, task: Task, numbers: Floats, lanes: Lanes) -> None:
-    """Begin the measurements of a freshly started lane with that at its start."""
-    width, parts, n_wtg = len(lanes), _parts(c, task), c["share"].shape[0]
-    turbine = read_turbine(c["turbine"])
-    for row in range(N_SENSOR_INPUT):
-        block[(parts.sensor_input + row) * width + x] = numbers[row]
-    given = load_sensor_input(block, parts.sensor_input * width + x, width)
-    key = noise_key(int(given.seed), 0)
-    for j in range(n_wtg):
-        exact = _exact(block, x, j, c, task, width)
-        state = sensors_started(exact, key, j * N_CHANNELS)
-        bias, leaves_at = numbers[N_SENSOR_INPUT + j], numbers[N_SENSOR_INPUT + n_wtg + j]
-        own = SensedRows(state, bias, leaves_at, 0.0)
-        store_sensed(own, block, (parts.sensed + j * N_SENSED_ROWS) * width + x, width)
-        seen = observe_measured(
-            measured(state, exact, bias, key, j * N_CHANNELS, given), given.wind_sensor, turbine, task
-        )
-        row = parts.delayed + j * N_MEASURED
-        store_measured(bounded_measured(seen, OBSERVATION_BOUND), block, row * width + x, width)
-
-
-@inlined
-def _exact(block: Floats, x: int, j: int, c: Any, task: Task, width: int) -> Measurement:
-    """Return what WTG group j of a lane would measure without errors."""
-    o = wtg_row(c, j) * width + x
-    state, output = load_wtg_state(block, o, width), load_wtg_output(block, o + WTG.output * width, width)
-    group = load_group(block, (_parts(c, task).groups + j * N_GROUP_ROWS) * width + x, width)
-    return Measurement(state.converter.speed, group.rocof, state.rotor_speed, output.power, output.wind)
-
-
-@inlined
-def measure(block: Floats, c: Any, task: Task, keys: npt.NDArray[np.int64], lanes: Lanes) -> None:
-    """Take the measurements at the end of a control interval, for all lanes of a block; `keys` (width) is scratch."""
-    width, parts, n_wtg = len(lanes), _parts(c, task), c["share"].shape[0]
-    turbine = read_turbine(c["turbine"])
-    interval, seed = (parts.lane + TASK.interval) * width, parts.sensor_input * width
-    for x in range(width):
-        keys[x] = noise_key(int(block[seed + x]), int(block[interval + x]))
-    for j in range(n_wtg):
-        at = (parts.sensed + j * N_SENSED_ROWS) * width
-        for x in range(width):
-            given = load_sensor_input(block, parts.sensor_input * width + x, width)
-            own, exact = load_sensed(block, at + x, width), _exact(block, x, j, c, task, width)
-            state = sensors_advanced(own.sensors, exact, keys[x], j * N_CHANNELS, given)
-            store_sensed(SensedRows(state, own.wind_bias, own.leaves_at, own.mean_duty), block, at + x, width)
-            value = measured(state, exact, own.wind_bias, keys[x], j * N_CHANNELS, given)
-            seen = bounded_measured(observe_measured(value, given.wind_sensor, turbine, task), OBSERVATION_BOUND)
-            # The ring turns by a place per interval; lanes stand at different intervals.
-            place = int(block[interval + x]) % task.n_delayed
-            row = parts.delayed + (place * n_wtg + j) * N_MEASURED
-            store_measured(seen, block, row * width + x, width)
 
 
 @compiled
@@ -335,7 +224,7 @@ def step_blocks(
     sensed = task[0]["sensed"].shape[0] > 0
     width = len(lanes)
     noise_y, keys = np.empty(width), np.empty(width, dtype=np.int64)
-    parts, own = _parts(c, t), rows_of(c).lane
+    parts, own = parts_of(c, t), rows_of(c).lane
     n_lanes = actions.shape[0]
     for b in range(first, last):
         block = blocks[b]
@@ -362,7 +251,7 @@ def step_blocks(
 @inlined
 def apply_actions(block: Floats, c: Any, task: Task, actions: Floats, lanes: Lanes) -> None:
     """Turn actions (count, n_action) into offsets on k and scales on τ; zero leaves the law to the last bit."""
-    width, parts = len(lanes), _parts(c, task)
+    width, parts = len(lanes), parts_of(c, task)
     n_action = int(task.modulates_k) + int(task.modulates_tau)
     for x in range(actions.shape[0]):
         for j in range(c["share"].shape[0]):
@@ -385,7 +274,7 @@ def charge(block: Floats, c: Any, task: Task, sensed: bool, lanes: Lanes) -> Non
     _update_rocof(block, c, task, lanes)
     _charge_frequency(block, c, task, lanes)
     _charge_groups(block, c, task, sensed, lanes)
-    width, parts = len(lanes), _parts(c, task)
+    width, parts = len(lanes), parts_of(c, task)
     own, of_task = rows_of(c).lane * width, parts.lane * width
     for x in range(width):
         ran = block[of_task + TASK.was_active * width + x] > 0.5
@@ -426,7 +315,7 @@ _added = elementwise(CostTerms, _add, "added", "new, total", "ran")
 @inlined
 def _charge_frequency(block: Floats, c: Any, task: Task, lanes: Lanes) -> None:
     """Begin the rates of the cost with those of the frequency, and find how long the interval lasted."""
-    width, parts = len(lanes), _parts(c, task)
+    width, parts = len(lanes), parts_of(c, task)
     own, of_task = rows_of(c).lane * width, parts.lane * width
     n_substeps, dt = float(c["n_substeps"]), c["simulation_dt"]
     for x in range(width):
@@ -446,7 +335,7 @@ def _charge_frequency(block: Floats, c: Any, task: Task, lanes: Lanes) -> None:
 @inlined
 def _charge_groups(block: Floats, c: Any, task: Task, sensed: bool, lanes: Lanes) -> None:
     """Add the rates of every WTG group, and remember its frequency and its actions."""
-    width, parts = len(lanes), _parts(c, task)
+    width, parts = len(lanes), parts_of(c, task)
     of_task = parts.lane * width
     turbine = read_turbine(c["turbine"])
     n_wtg = c["share"].shape[0]
@@ -464,7 +353,7 @@ def _charge_groups(block: Floats, c: Any, task: Task, sensed: bool, lanes: Lanes
                 costs = GroupCosts(
                     there * costs.duty, there * costs.rotor, there * costs.overload, there * costs.available
                 )
-                duty = there * (own.mean_duty + select(ran, task.duty_gain, 0.0) * (costs.duty - own.mean_duty))
+                duty = there * filtered_duty(own.mean_duty, costs.duty, ran, task)
                 own = SensedRows(own.sensors, own.wind_bias, own.leaves_at, duty)
                 store_sensed(own, block, (parts.sensed + j * N_SENSED_ROWS) * width + x, width)
             rates = load_terms(block, of_task + TASK.rates * width + x, width)
@@ -494,7 +383,7 @@ def _charge_groups(block: Floats, c: Any, task: Task, sensed: bool, lanes: Lanes
 @inlined
 def _update_rocof(block: Floats, c: Any, task: Task, lanes: Lanes) -> None:
     """Put the new frequency into the history of lanes that ran, and find its rate of change over the window [Hz/s]."""
-    width, parts = len(lanes), _parts(c, task)
+    width, parts = len(lanes), parts_of(c, task)
     own, of_task, newest = rows_of(c).lane * width, parts.lane * width, (parts.groups - 1) * width
     n_substeps = float(c["n_substeps"])
     for x in range(width):
@@ -533,11 +422,11 @@ def observe(block: Floats, c: Any, task: Task, sensed: bool, lanes: Lanes) -> No
 
     :func:`~wtg_gym.envs.observation.observation_names` lists their entries.
     """
-    width, parts = len(lanes), _parts(c, task)
+    width, parts = len(lanes), parts_of(c, task)
     row = parts.observation
     for j in range(c["share"].shape[0]):
         if sensed:
-            _show_delayed(block, j, c, task, row, lanes)
+            show_delayed(block, j, c, task, row, lanes)
             row += N_MEASURED
         else:
             _observe_group(block, j, c, task, row, lanes)
@@ -564,7 +453,7 @@ def observe(block: Floats, c: Any, task: Task, sensed: bool, lanes: Lanes) -> No
 @inlined
 def _observe_group(block: Floats, j: int, c: Any, task: Task, row: int, lanes: Lanes) -> None:
     """Write the exact observation of WTG group j, which begins at a row."""
-    width, parts = len(lanes), _parts(c, task)
+    width, parts = len(lanes), parts_of(c, task)
     turbine = read_turbine(c["turbine"])
     o, g = wtg_row(c, j) * width, (parts.groups + j * N_GROUP_ROWS) * width
     for x in range(width):
@@ -574,22 +463,9 @@ def _observe_group(block: Floats, j: int, c: Any, task: Task, row: int, lanes: L
 
 
 @inlined
-def _show_delayed(block: Floats, j: int, c: Any, task: Task, row: int, lanes: Lanes) -> None:
-    """Copy the newest measurement of WTG group j that has arrived to where the observation begins."""
-    width, parts, n_wtg = len(lanes), _parts(c, task), c["share"].shape[0]
-    for x in range(width):
-        interval = block[(parts.lane + TASK.interval) * width + x]
-        delay = load_sensor_input(block, parts.sensor_input * width + x, width).delay
-        place = int(max(interval - delay, 0.0)) % max(task.n_delayed, 1)
-        first = parts.delayed + (place * n_wtg + j) * N_MEASURED
-        for k in range(N_MEASURED):
-            block[(row + k) * width + x] = block[(first + k) * width + x]
-
-
-@inlined
 def _observe_grid(block: Floats, c: Any, task: Task, row: int, lanes: Lanes) -> None:
     """Write the privileged part of the observations, which begins at a row."""
-    width, rows, parts = len(lanes), rows_of(c), _parts(c, task)
+    width, rows, parts = len(lanes), rows_of(c), parts_of(c, task)
     n_sync = c["machines"].shape[0]
     for i in range(n_sync):
         o, machine = i * N_MACHINE_ROWS * width, read_machine(c["machines"][i])
@@ -618,7 +494,7 @@ def _copy_row(block: Floats, source: int, target: int, width: int) -> None:
 @inlined
 def report(block: Floats, x: int, lane: int, c: Any, task: Task, outputs: Outputs, width: int) -> None:
     """Copy a lane's observation and the numbers of its `info`, and say whether its episode is over."""
-    parts = _parts(c, task)
+    parts = parts_of(c, task)
     own, of_task = rows_of(c).lane * width + x, parts.lane * width + x
     for k in range(outputs.observations.shape[1]):
         outputs.observations[lane, k] = block[(parts.observation + k) * width + x]

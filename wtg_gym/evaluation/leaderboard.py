@@ -138,6 +138,29 @@ def table_cells(rows: Sequence[EntrySummary], columns: Sequence[str] | None = No
     ]
 
 
+def markdown_section(results: Results) -> str:
+    """Return the ranking for a Markdown page: since v1 with a sentence on the frequency before the table."""
+    rows = leaderboard_rows(results)
+    return f"{frequency_sentence(results)}{markdown_table(rows)}"
+
+
+def frequency_sentence(results: Results) -> str:
+    """Return what the anchors and the best learned entry do for the frequency [mHz], "" in v0; then an empty line."""
+    benchmark, rows = results.benchmark, leaderboard_rows(results)
+    if benchmark.version == "v0":
+        return ""
+    learned = next((row for row in rows if row.kind == "learned"), None)
+    who = {benchmark.zero: "the published law", benchmark.hundred: "that law tuned to this grid"}
+    if learned is not None:
+        who[learned.name] = f"`{learned.name}`, the best learned entry"
+    deviations = {row.name: row.median_deviation_mhz for row in rows}
+    said = [f"{deviations[name]:.0f} mHz with {words}" for name, words in who.items()]
+    return (
+        f"Median over {len(results.seeds)} {results.split} scenarios of the largest deviation of the frequency: "
+        f"{', '.join(said)}.\n\n"
+    )
+
+
 def markdown_table(rows: Sequence[EntrySummary]) -> str:
     """Return the ranking as a Markdown table of the version's short columns, without a line feed at the end."""
     columns = short_columns_of(rows[0].version)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -92,13 +92,23 @@ def record(
         ValueError: a scenario has no equilibrium under the entry's law, or its policy returns no action.
     """
     with started_lanes(entry, settings, scenarios, n_threads) as (lanes, _):
-        samples = [_sample(lanes)]
-        for stepped in play(entry, lanes):
-            samples.append(_sample(lanes))
-            for values in samples[-1].values():
-                values[~stepped] = np.nan
-        costs = lanes.cost_sums()
-        n = 1 + int(lanes.task_values("end_step").max()) // lanes.simulator.plant.n_substeps
+        return recorded(lanes, play(entry, lanes))
+
+
+def recorded(lanes: TaskLanes, steps: Iterable[npt.NDArray[np.bool_]]) -> Recording:
+    """Record started episodes while they are played.
+
+    Args:
+        lanes: the episodes.
+        steps: plays them; after every step it yields which lanes made it, (n_lanes,).
+    """
+    samples = [_sample(lanes)]
+    for stepped in steps:
+        samples.append(_sample(lanes))
+        for values in samples[-1].values():
+            values[~stepped] = np.nan
+    costs = lanes.cost_sums()
+    n = 1 + int(lanes.task_values("end_step").max()) // lanes.simulator.plant.n_substeps
     samples += [{key: np.full_like(values, np.nan) for key, values in samples[0].items()}] * (n - len(samples))
     table = {key: np.stack([sample[key] for sample in samples], axis=1) for key in samples[0]}
     names = tuple(lanes.observation_names)

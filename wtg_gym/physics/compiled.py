@@ -97,6 +97,12 @@ def _compile(function: F, *, forceinline: bool) -> F:
     return result
 
 
+def is_compiled(function: Callable[..., Any], *arguments: Any) -> bool:
+    """Return whether the machine code of a compiled function for such arguments is kept; True where none is made."""
+    cache = getattr(function, "_cache", None)
+    return cache is None or cache.holds(tuple(map(numba.typeof, arguments)), function.targetctx)  # type: ignore[attr-defined]
+
+
 @functools.cache
 def compilation() -> Compilation:
     """Return what this process has compiled so far."""

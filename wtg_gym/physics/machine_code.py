@@ -92,6 +92,10 @@ class DiskCache(NullCache):  # type: ignore[misc]
                 temporary.unlink()
             _warn_that_nothing_is_kept(self._folder, error.strerror)
 
+    def holds(self, sig: Any, target_context: Any) -> bool:
+        """Return whether there is machine code for a signature, intact or not."""
+        return self._folder is not None and self._path(self._folder, self._key(sig, target_context.codegen())).exists()
+
     def _key(self, sig: Any, codegen: Any) -> bytes:
         return _digest(repr((self._source, sig, codegen.magic_tuple())).encode())
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from wtg_gym.physics.compiled import inlined
-from wtg_gym.ranges import require_range
+from wtg_gym.ranges import require_range, whole_steps
 
 #: Longest delay [s].
 DELAY_MAX_S = 1.0
@@ -127,8 +127,17 @@ class Measurement(NamedTuple):
     wind: float  # [m/s]
 
 
+def delay_intervals(delay_s: float, control_dt: float) -> int:
+    """Return a delay in control intervals; a ValueError says that it is no whole number of them."""
+    return whole_steps("delay_s of the sensors", delay_s, control_dt, "control step")
+
+
 def sensor_input(sensors: Sensors | None, control_dt: float, nominal_hz: float) -> SensorInput:
-    """Return the constants of a run's sensors; None gives exact measurements without delay."""
+    """Return the constants of a run's sensors; None gives exact measurements without delay.
+
+    Raises:
+        ValueError: the delay is no whole number of control intervals.
+    """
     if sensors is None:
         return SensorInput(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
@@ -137,7 +146,7 @@ def sensor_input(sensors: Sensors | None, control_dt: float, nominal_hz: float) 
 
     return SensorInput(
         seed=float(sensors.seed),
-        delay=float(round(sensors.delay_s / control_dt)),
+        delay=float(delay_intervals(sensors.delay_s, control_dt)),
         frequency_gain=gain(sensors.frequency_filter_s),
         rocof_gain=gain(sensors.rocof_filter_s),
         frequency_noise=sensors.frequency_noise_hz / nominal_hz,

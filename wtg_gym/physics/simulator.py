@@ -487,28 +487,19 @@ class Simulator:
                 f"imagine() needs a lane for each of {self.n_lanes} lanes and wind of shape (n_lanes, n_wtg, n), got "
                 f"shapes {lanes.shape} and {wind.shape}"
             )
-        own = np.arange(self.n_lanes)
         rows = other._view[lanes // other.width, :, lanes % other.width]
         step = rows[:, self.layout.lane("step")]
         # The network is reduced anew at once: what was due may have been forgotten.
         rows[:, self.layout.lane("next_change")] = step
-        self._view[own // self.width, :, own % self.width] = rows
-        for mine, theirs in zip(self.data, other.data, strict=True):
-            if mine is not self.data.events:
-                mine[: self.n_lanes] = theirs[lanes]
-        events = other.data.events[lanes]
-        events[events["start"] >= step[:, np.newaxis]] = NO_EVENT
-        if events.shape[1] > self.data.events.shape[1]:
-            grown = np.full((self.data.events.shape[0], events.shape[1]), NO_EVENT, dtype=EVENT_DTYPE)
-            self.data = self.data._replace(events=grown)
-        self.data.events[: self.n_lanes] = NO_EVENT
-        self.data.events[: self.n_lanes, : events.shape[1]] = events
+        data = LaneData._make(array[lanes] for array in other.data)
+        data.events[data.events["start"] >= step[:, np.newaxis]] = NO_EVENT
         intervals = (step / self.plant.n_substeps).astype(np.int64)
         for lane, first in enumerate(intervals.tolist()):
             ahead = min(wind.shape[2], self.n_intervals + 1 - first)
-            self.data.wind[lane, :, first : first + ahead] = wind[lane, :, :ahead]
-            self.data.wind[lane, :, first + ahead :] = wind[lane, :, ahead - 1 : ahead]
-            self.data.noise[lane, first:] = self.data.noise[lane, max(first - 1, 0)]
+            data.wind[lane, :, first : first + ahead] = wind[lane, :, :ahead]
+            data.wind[lane, :, first + ahead :] = wind[lane, :, ahead - 1 : ahead]
+            data.noise[lane, first:] = data.noise[lane, max(first - 1, 0)]
+        self.commit(range(self.n_lanes), PreparedLanes(rows, data))
 
     def for_blocks(
         self, work: Callable[[int, int], Any], meanwhile: Callable[[], Any] | None = None, meanwhile_blocks: int = 0

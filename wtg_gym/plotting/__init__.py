@@ -9,6 +9,7 @@ from wtg_gym.plotting.characteristics import plot_characteristic
 from wtg_gym.plotting.eigenvalue_plane import plot_modes
 from wtg_gym.plotting.learning import LearningCurve, plot_learning_curves
 from wtg_gym.plotting.measurements import plot_accuracy, plot_growth
+from wtg_gym.plotting.one_event import plot_one_event
 from wtg_gym.plotting.paper_figures import plot_bode, plot_case_study, plot_power_coefficient
 from wtg_gym.plotting.physics_figures import plot_plant_parts, plot_plant_runs, plot_stiffness
 from wtg_gym.plotting.policy_runs import plot_costs, plot_runs
@@ -34,6 +35,7 @@ __all__ = [
     "plot_machine_models",
     "plot_margins",
     "plot_modes",
+    "plot_one_event",
     "plot_plant_parts",
     "plot_plant_runs",
     "plot_power_coefficient",

@@ -18,7 +18,7 @@ from wtg_gym.policies.submission_texts import plain_name
 #: shipped training seeds that are most alike differ by more than seven times as much.
 COPY_TOLERANCE = 5e-3
 #: Keys on which folders of one name must agree; they share a row.
-_SHARED = ("authors", "action_mode", "observation_mode", "description", "trained_on")
+_SHARED = ("authors", "action_mode", "observation_mode", "strategy", "description", "trained_on")
 
 
 @dataclass(frozen=True)
@@ -103,8 +103,9 @@ def _copies(one: Report, other: Report) -> str:
         return f"the same policy file is given twice: {folders}"
     if one.entry is None or other.entry is None or one.actions is None or other.actions is None:
         return ""
-    # Actions of other modes mean something else, and another version has other scenarios.
-    first, second = ((entry.action_mode, entry.environment) for entry in (one.entry, other.entry))
+    # Actions of other modes or on other laws mean something else, and another version has other scenarios.
+    entries = one.entry, other.entry
+    first, second = ((entry.action_mode, entry.environment, entry.strategy) for entry in entries)
     if first != second or action_difference(one.actions, other.actions) > COPY_TOLERANCE:
         return ""
     return (

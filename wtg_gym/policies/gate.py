@@ -20,7 +20,7 @@ from wtg_gym.policies.play import play, started_lanes
 from wtg_gym.policies.policy_process import NotIsolatedError
 from wtg_gym.policies.submission_folder import EntryFile, parse_entry, read_files
 from wtg_gym.scenarios import get_suite
-from wtg_gym.scenarios.benchmark import BENCHMARKS
+from wtg_gym.scenarios.benchmark import BENCHMARKS, V0
 
 #: All checks in their order.
 CHECKS = ("folder", "entry.toml", "loading", "speed", "rollout", "repeated")
@@ -81,7 +81,7 @@ class Report:
         """Return an accepted submission as an entry; `weak` is as for :func:`check_submission`."""
         assert self.accepted and self.entry is not None
         policy = OnnxPolicy(self.content, isolated=not weak)
-        same = ("name", "action_mode", "observation_mode", "environment", "description", "training_seed")
+        same = ("name", "action_mode", "observation_mode", "environment", "strategy", "description", "training_seed")
         data: dict[str, Any] = {key: getattr(self.entry, key) for key in same}
         return Entry(policy=policy, source=", ".join(self.entry.authors), fingerprint=policy.sha256, **data)
 
@@ -125,10 +125,9 @@ def check_submission(folder: Path, *, weak: bool = False, rollout_only: bool = F
             report.notes = policy.not_isolated
             passed(_check_widths(policy, entry))
             passed("passed before" if rollout_only else check_speed(policy))
-        modes = entry.action_mode, entry.observation_mode, BENCHMARKS[entry.environment].version
-        actions = report.actions = rollout(policy, *modes)
+        actions = report.actions = rollout(policy, entry)
         passed(f"{_ROLLOUT_LANES} scenarios of the validation split, up to {len(actions)} steps")
-        if not rollout_only and not np.array_equal(actions, rollout(policy, *modes, backwards=True)):
+        if not rollout_only and not np.array_equal(actions, rollout(policy, entry, backwards=True)):
             raise ValueError("the same scenarios in another order, in another process, give other actions")
         passed("passed before" if rollout_only else "the same actions to the last bit, in another order")
     except NotIsolatedError:
@@ -174,9 +173,7 @@ def check_speed(policy: OnnxPolicy) -> str:
     return f"{taken_ms:.3f} ms for an action, allowed are {allowed_ms:g}"
 
 
-def rollout(
-    policy: OnnxPolicy, action_mode: str, observation_mode: str, version: str = "v0", *, backwards: bool = False
-) -> Floats:
+def rollout(policy: OnnxPolicy, described: Entry | EntryFile, *, backwards: bool = False) -> Floats:
     """Play validation scenarios of the standard suite in a new process.
 
     The actions come back within ±1, (steps, lanes, n_action).
@@ -185,16 +182,16 @@ def rollout(
 
     Args:
         policy: the policy.
-        action_mode, observation_mode: what it acts on and sees.
-        version: of the benchmark.
+        described: has its modes, environment and strategy.
         backwards: play the last scenario first; the actions come in the usual order all the same.
 
     Raises:
         ValueError: an action is not finite, or the policy cannot answer.
     """
     listener = _Listener(policy)
-    entry = Entry(name="the policy", policy=listener, action_mode=action_mode, observation_mode=observation_mode)
-    settings = EnvSettings(version=version, split="validation")
+    keys = ("action_mode", "observation_mode", "environment", "strategy")
+    entry = Entry(name="the policy", policy=listener, **{key: getattr(described, key) for key in keys})
+    settings = EnvSettings(version=BENCHMARKS[described.environment or V0.env_id].version, split="validation")
     order = -1 if backwards else 1
     seeds = get_suite(settings.suite).validation[:_ROLLOUT_LANES][::order]
     with started_lanes(entry, settings, seeds) as (lanes, _), policy:

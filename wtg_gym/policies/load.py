@@ -33,6 +33,7 @@ _ENTRY_KEYS = (
     "action_mode",
     "observation_mode",
     "environment",
+    "strategy",
     "training_seed",
     "authors",
     "trained_on",
@@ -115,12 +116,12 @@ def _entry_name(folder: Path) -> str | None:
 
 
 def load_entry_folder(folder: Path, load_archive: LoadArchive | None = None) -> Entry:
-    """Return the entry of a folder with a policy that modulates the reference strategy.
+    """Return the entry of a folder with a policy.
 
     Its entry.toml has the keys name and action_mode, and may have description, observation_mode, environment (without
-    it: that of version v0), training_seed, authors (a list of names), trained_on (text) and links (a list of
-    addresses). An :class:`OnnxPolicy` plays its policy.onnx in a process of its own; nothing of that file is looked at
-    before.
+    it: that of version v0), strategy (the name of a built-in one; without it: the reference strategy), training_seed,
+    authors (a list of names), trained_on (text) and links (a list of addresses). An :class:`OnnxPolicy` plays its
+    policy.onnx in a process of its own; nothing of that file is looked at before.
 
     Args:
         folder: the folder.
@@ -171,6 +172,8 @@ def _entry_data(path: Path, further: tuple[str, ...]) -> dict[str, Any]:
             raise ValueError(f"{key} in {path} must be a list of texts, got {value!r}")
     if not isinstance(trained_on, str):
         raise ValueError(f"trained_on in {path} must be text, got {trained_on!r}")
+    if "strategy" in data and data["strategy"] not in STRATEGY_NAMES:
+        raise ValueError(f"strategy in {path} must be one of {', '.join(STRATEGY_NAMES)}, got {data['strategy']!r}")
     return {"environment": V0.env_id, **data, "source": ", ".join(authors)}
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from wtg_gym.envs.settings import ACTION_MODES, OBSERVATION_MODES
 from wtg_gym.files import LARGEST_TOML_BYTES, parse_toml, write_atomically
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGY_NAMES
 from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
 from wtg_gym.policies.submission_texts import check_author, check_link, check_name, check_text, short
 from wtg_gym.scenarios.benchmark import BENCHMARKS, V0
@@ -21,11 +22,12 @@ _FOLDER = re.compile(r"(?!.*(\.|\.toml)$)[A-Za-z0-9][A-Za-z0-9+._-]{0,79}", re.I
 #: Names, with any ending, that Windows keeps for devices: a repository with one cannot be checked out there.
 _DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 _REQUIRED = ("name", "authors", "training_seed", "action_mode")
-_OPTIONAL = ("observation_mode", "environment", "description", "trained_on", "links")
+_OPTIONAL = ("observation_mode", "environment", "strategy", "description", "trained_on", "links")
 _CHOICES = {
     "action_mode": tuple(ACTION_MODES),
     "observation_mode": OBSERVATION_MODES,
     "environment": tuple(BENCHMARKS),
+    "strategy": STRATEGY_NAMES,
 }
 _LARGEST_SEED = 2**32 - 1
 _MOST_AUTHORS, _MOST_LINKS = 40, 5
@@ -56,6 +58,9 @@ observation_mode = "local"
 # Which environment it is for: "GFMWTG-14bus-v0" or "GFMWTG-14bus-v1", whose observations differ.
 environment = "GFMWTG-14bus-v0"
 
+# Which law its actions modulate, by name: "coordinated-piecewise" is the published one.
+strategy = "coordinated-piecewise"
+
 # What it was trained on: suite, split, steps. Test scenarios are for scoring only.
 trained_on = "standard, split train"
 
@@ -74,6 +79,7 @@ class EntryFile:
     action_mode: str
     observation_mode: str = "local"
     environment: str = V0.env_id
+    strategy: str = REFERENCE_STRATEGY
     description: str = ""
     trained_on: str = ""
     links: tuple[str, ...] = ()

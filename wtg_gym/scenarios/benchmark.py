@@ -9,14 +9,8 @@ from types import MappingProxyType
 from typing import Any
 
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.parameters import (
-    GovernorParameters,
-    GridFormingParameters,
-    ProtectionParameters,
-    WtgGroup,
-    default_groups,
-)
-from wtg_gym.physics.plant import ROTOR_SPEED_MIN_PU, PlantSettings, plant_settings
+from wtg_gym.physics.parameters import GovernorParameters, WtgGroup, default_groups
+from wtg_gym.physics.plant import PlantSettings, plant_settings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,9 +84,7 @@ class SuitePlant:
             classical: whether machines are a constant voltage behind x'_d.
             steps: control_dt, simulation_dt and trips_groups of :class:`~wtg_gym.physics.plant.PlantSettings`.
         """
-        physics = physics or self.physics
         case = modified_ieee14(classical=classical)
-        own: dict[str, Any] = {}
         changes: dict[str, Any] = {}
         if self.generator_mva is not None:
             changes["rating_mva"] = self.generator_mva
@@ -101,17 +93,16 @@ class SuitePlant:
         if changes:
             machines = [dataclasses.replace(m, **changes) if m.bus == case.slack_bus else m for m in case.machines]
             case = dataclasses.replace(case, machines=tuple(machines))
+        plant = plant_settings(physics or self.physics, case=case, groups=groups or self.groups, **steps)
         if self.frequency_limits_hz is not None:
             low, high = (limit / case.frequency_hz for limit in self.frequency_limits_hz)
-            least = 0.0 if physics == "paper" else ROTOR_SPEED_MIN_PU
-            own["protection"] = ProtectionParameters(
-                frequency_min_pu=low, frequency_max_pu=high, rotor_speed_min_pu=least
-            )
+            protection = dataclasses.replace(plant.protection, frequency_min_pu=low, frequency_max_pu=high)
             # A run that sheds load has failed before.
-            own["shedding"] = ()
+            plant = dataclasses.replace(plant, protection=protection, shedding=())
         if self.overload_from_pu is not None:
-            own["control"] = GridFormingParameters(overload_limit_pu=self.overload_from_pu)
-        return plant_settings(physics, case=case, groups=groups or self.groups, **own, **steps)
+            control = dataclasses.replace(plant.control, overload_limit_pu=self.overload_from_pu)
+            plant = dataclasses.replace(plant, control=control)
+        return plant
 
     def to_dict(self) -> dict[str, Any]:
         """Return the plant as JSON-ready data."""
