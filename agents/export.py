@@ -141,7 +141,7 @@ def _model_card(run: Run, best: Mapping[str, float], name: str, authors: Sequenc
     last = run.curve[-1]
     facts = {
         "environment": f"`{benchmark.env_id}`, suite `{settings.suite}`",
-        "actions": f"`{settings.action_mode}`, deterministic",
+        "actions": f"`{settings.action_mode}` of `{settings.strategy}`, deterministic",
         "observations": f"`{settings.observation_mode}`",
         "algorithm": f"`{settings.algo}`",
         "training seed": str(settings.seed),

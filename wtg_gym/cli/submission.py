@@ -101,7 +101,7 @@ def add_commands(commands: Commands) -> None:
         _run_score,
         summary="check folders, then play them in isolation and rank them",
         description=_SCORE,
-        examples="  wtg-gym submission score my-policy\n"
+        examples="  wtg-gym submission score my-policy --suite standard-v1\n"
         "  wtg-gym submission score my-policy-* --suite low-wind --results my_results",
     )
     _add_common(parser)
@@ -177,7 +177,10 @@ def _check_there(folders: Sequence[str]) -> None:
 def _of_another_version(reports: Sequence[Report], suite: str) -> list[Conflict]:
     env_id = get_suite(suite).benchmark.env_id
     return [
-        Conflict((report.folder,), f"{_shown(report.folder)}: for {report.entry.environment}, {suite} is of {env_id}")
+        Conflict(
+            (report.folder,),
+            f"{_shown(report.folder)}: for {report.entry.environment}, {suite} is of {env_id}; choose with --suite",
+        )
         for report in reports
         if report.accepted and report.entry is not None and report.entry.environment != env_id
     ]
