@@ -41,6 +41,7 @@ first steps:
   wtg-gym simulate                                   the paper's load increase under the reference strategy
   wtg-gym simulate --strategy all --plot run.png     under every strategy, with a figure
   wtg-gym suites                                     the suites of scenarios
+  wtg-gym evaluate --suite standard-v1               score the baselines of version v1
   wtg-gym leaderboard --suite paper                  rank the baselines on the paper's cases
   wtg-gym reproduce                                  the paper's figures and claims, measured
 
