@@ -100,11 +100,11 @@ docs: pictures ## Measure everything that docs/ shows again, but for performance
 	$(LEADERBOARD_VENV)/bin/python -m tests.submissions.hostile --page docs/submissions.md
 
 .PHONY: conditions
-conditions: $(TEST_READY) ## Measure whether standard-v1 is a good problem, and put the table into docs/benchmark.md (a quarter of an hour)
-	$(TEST_VENV)/bin/python -m agents.research.linear --suite standard-v1 --generations 80 --name linear-feedback-v1 --gains results/v1/gains.json --output results/v1/linear-feedback-v1
-	$(TEST_VENV)/bin/python -m agents.research.foresight --suite standard-v1 --split validation --scenarios 24 --generations 100 --chunk 24 --gains results/v1/gains.json --entries coordinated-tuned fast-droop results/v1/linear-feedback-v1 --output results/v1/oracle
-	$(TEST_VENV)/bin/python -m agents.research.planner --suite standard-v1 --scenarios 24 --output results/v1/planners
-	$(TEST_VENV)/bin/python -m agents.research.conditions --simple 100 --feedbacks results/v1/linear-feedback-v1 --oracle results/v1/oracle/standard-v1-validation.json --planners results/v1/planners/standard-v1-validation.json --page docs/benchmark.md
+conditions: $(TEST_READY) ## Measure whether standard-v1 is a good problem, and put the tables into docs/benchmark.md (half an hour)
+	$(TEST_VENV)/bin/python -m agents.research.foresight --suite standard-v1 --split validation --scenarios 48 --generations 100 --strategy coordinated-tuned --gains agents/research/linear_feedback_v1_gains.json --entries coordinated-tuned fast-droop agents/policies/linear-feedback-v1 --output results/oracle
+	$(TEST_VENV)/bin/python -m agents.research.planner --scenarios 48 --output results/planners
+	$(TEST_VENV)/bin/python -m agents.research.planner --split test --scenarios 48 --entries "recurrent PPO" --output results/planners --page docs/benchmark.md
+	$(TEST_VENV)/bin/python -m agents.research.conditions --feedbacks agents/policies/linear-feedback-v1 agents/policies/history-feedback-v1 --agents agents/policies/ppo-v1-? agents/policies/recurrent-ppo-v1-? --oracle results/oracle/standard-v1-validation.json --planners results/planners/standard-v1-validation.json --page docs/benchmark.md
 
 .PHONY: docs-check
 docs-check: $(LEADERBOARD_READY) ## Draw the pictures into a copy of docs/ and name those that differ from the ones in docs/

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from agents.command import Parser, Progress, check_output_folder, note, run_command
+from agents.command import Parser, Progress, check_output_folder, check_page, note, run_command, update_page
 from agents.research.rollouts import between, positions
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.observation import N_LOCAL, N_MEASURED
@@ -34,6 +34,7 @@ from wtg_gym.ranges import require_range
 from wtg_gym.scenarios import SPLITS, get_suite
 
 Floats = npt.NDArray[np.float64]
+_SECTION = "planners"
 KNOWLEDGE = ("exact", "measured")
 #: Winds that an observer believes in [m/s].
 _WIND_RANGE = (3.5, 24.5)
@@ -378,11 +379,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--entries", nargs="+", default=[], metavar="ENTRY", help="to play beside them")
     parser.add_argument("--generations", type=int, default=Planning().generations, metavar="N", help="of a search")
     parser.add_argument("--output", required=True, metavar="FOLDER", help="results as of wtg-gym evaluate")
+    parser.add_argument("--page", metavar="FILE", help=f"Markdown file with markers '{_SECTION}'")
     parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
 
     def work() -> None:
         given = parser.parse_args(argv)
         output = check_output_folder("--output", given.output)
+        page = check_page("--page", given.page, _SECTION)
         seeds = list(get_suite(given.suite).seeds(given.split)[: given.scenarios])
         plannings = [Planning(knowledge=own, generations=given.generations) for own in given.knowledge]
         with Progress("scenarios × steps") as progress:
@@ -395,7 +398,11 @@ def main(argv: Sequence[str] | None = None) -> int:
                 n_threads=given.threads,
                 on_progress=progress.update,
             )
-        print(markdown_table(leaderboard_rows(results)))
+        text = markdown_table(leaderboard_rows(results))
+        if page is not None:
+            where = f"{len(results.seeds)} {results.split} scenarios of `{results.suite}`"
+            update_page(page, {_SECTION: f"The first {where}:\n\n{text}"})
+        print(text)
         for path in results.write(output):
             note(f"wrote {path}")
 
