@@ -1,4 +1,4 @@
-"""`wtg-gym results`: stored results shown, computed again, compared with fresh scenarios; and other weights."""
+"""`wtg-gym results`: stored results shown, computed again, compared; other suites, sensors and weights."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from wtg_gym.cli.matrix import add_matrix
 from wtg_gym.cli.output import (
     Progress,
     check_output_file,
@@ -42,7 +43,8 @@ _PAGE = """\
 Shows stored results as one HTML file that needs nothing but a browser, offline too: the ranking with its intervals,
 performance profiles, physical metrics, and two entries side by side in one scenario, frequency, rotors, power, k, τ
 and wind over one time axis. The traces are recorded anew from those entries of --entries that the results hold, and
-from both anchors. A page shows suites of one version of the benchmark."""
+from both anchors. Results of several suites stand side by side in a matrix, too, and beside them those that 'wtg-gym
+results matrix' played with other sensors. Suites of the latest version of the benchmark come first."""
 
 _RECOMPUTE = """\
 Evaluates the entries of a results file again, on the same scenarios with the same settings, and compares every number
@@ -78,11 +80,11 @@ weights: {", ".join(WEIGHTS)}"""
 
 
 def add_commands(commands: Commands) -> None:
-    """Add `wtg-gym results` with its four commands."""
+    """Add `wtg-gym results` with its commands."""
     own = add_group(
         commands,
         "results",
-        summary="stored results: show them, compute them again, compare with fresh scenarios; other weights",
+        summary="stored results: show them, compute them again, compare; all suites, other sensors and weights",
         description="Works with the stored results of 'wtg-gym evaluate' and 'wtg-gym leaderboard'.",
     )
     parser = add_command(
@@ -134,6 +136,7 @@ def add_commands(commands: Commands) -> None:
         "--page", metavar="FILE", help="Markdown file with markers 'gap:SUITE' to put the table between"
     )
     parser.add_argument("--json", action="store_true", help="print JSON, and nothing else, on stdout")
+    add_matrix(own)
     parser = add_command(
         own,
         "sensitivity",
@@ -164,9 +167,18 @@ def add_commands(commands: Commands) -> None:
 def _run_page(arguments: argparse.Namespace) -> int:
     page = check_html("--output", arguments.output)
     results = [Results.read(path) for path in arguments.results]
-    entries = [] if arguments.scenarios == 0 else chosen_entries(arguments.entries, results[0].suite)
+    entries = [] if arguments.scenarios == 0 else _entries_of_versions(arguments.entries, results)
+    for each in results:
+        if not each.has_scale:
+            note(f"no ranking of {each.name}, where {each.benchmark.hundred} is no better than {each.benchmark.zero}")
     write_html(page, results, entries, arguments.scenarios, arguments.threads)
     return 0
+
+
+def _entries_of_versions(specs: Sequence[str], results: Sequence[Results]) -> list[Entry]:
+    """Return the entries of `--entries` that play in the versions of the results; names may repeat across versions."""
+    suites = {each.benchmark.env_id: each.suite for each in results}
+    return [entry for suite in suites.values() for entry in chosen_entries(specs, suite, others=False)]
 
 
 def check_html(option: str, text: str) -> Path:
