@@ -8,9 +8,11 @@ from pathlib import Path
 
 from wtg_gym.cli.matrix import add_matrix
 from wtg_gym.cli.output import (
+    PLOT_SUFFIXES,
     Progress,
     check_output_file,
     check_page,
+    check_plot_file,
     note,
     print_json,
     print_table,
@@ -29,9 +31,11 @@ from wtg_gym.cli.scoring import (
     chosen_workers,
     read_secret,
 )
-from wtg_gym.evaluation import Entry, Results, generalisation
+from wtg_gym.evaluation import Entry, Results, generalisation, leaderboard_rows
 from wtg_gym.evaluation.recompute import departures, recompute
 from wtg_gym.evaluation.sensitivity import COLUMNS, FACTORS, WEIGHTS, study_sensitivity
+from wtg_gym.plotting import figure_bytes, plot_front
+from wtg_gym.plotting.front import MOST_FAILURES_PERCENT, undominated
 from wtg_gym.plotting.page import N_SCENARIOS, SIZE_LIMIT, leaderboard_page, untraced
 from wtg_gym.policies.load import BASELINES
 from wtg_gym.scenarios import SPLITS
@@ -66,6 +70,12 @@ which happens to one honest entry in forty by chance.
 Fresh scenarios are played by 'wtg-gym evaluate' or 'wtg-gym submission score' with --split fresh, --commit, the full
 hash of the commit with the entries, and --secret-file. Publish the sha256 of the secret before anybody submits and the
 secret afterwards: then 'wtg-gym results recompute --secret-file' shows that the seeds were not chosen."""
+
+_FRONT = f"""\
+Draws what frequency and RoCoF add to a score of 100 against the captured share of the available energy, one marker for
+each entry. A line joins the entries that no other one beats in both. Entries that fail in more than
+{MOST_FAILURES_PERCENT:g} % of the scenarios are hollow and not joined: a run that fails pays for the frequency only
+until it ends."""
 
 _SENSITIVITY = f"""\
 Evaluates entries with the weights of the cost as they are, and with each one multiplied by each factor, all others as
@@ -139,13 +149,24 @@ def add_commands(commands: Commands) -> None:
     add_matrix(own)
     parser = add_command(
         own,
+        "front",
+        _run_front,
+        summary="draw points of frequency and RoCoF against captured energy",
+        description=_FRONT,
+        examples="  wtg-gym results front results/standard-v1-test.json --plot front.svg",
+    )
+    parser.add_argument("results", metavar="RESULTS.json", help="results of evaluate or leaderboard, the CSV beside it")
+    parser.add_argument("--plot", required=True, metavar="FILE", help=f"the figure: {', '.join(PLOT_SUFFIXES)}")
+    parser = add_command(
+        own,
         "sensitivity",
         _run_sensitivity,
         summary="how scores and ranking depend on each weight of the cost",
         description=_SENSITIVITY,
         examples="  wtg-gym results sensitivity --entries baselines\n"
         "  wtg-gym results sensitivity --entries deloaded-5 --weights duty --factors 0.5 2 4 --scenarios 20\n"
-        "  wtg-gym results sensitivity --entries baselines agents/policies/ppo-k-0 --page docs/benchmark.md",
+        "  wtg-gym results sensitivity --entries baselines agents/policies/ppo-k-0 --page docs/benchmark.md\n"
+        "  wtg-gym results sensitivity --suite standard-v1 --scenarios 50",
     )
     add_entries_option(parser)
     add_suite_option(parser)
@@ -157,7 +178,7 @@ def add_commands(commands: Commands) -> None:
         "--factors", nargs="+", type=float, default=FACTORS, metavar="X", help="0 … 1000, but 1 (default: 0 2)"
     )
     parser.add_argument(
-        "--page", metavar="FILE", help="Markdown file with markers 'sensitivity' to put the table between"
+        "--page", metavar="FILE", help="Markdown file with markers 'sensitivity:SUITE' to put the table between"
     )
 
 
@@ -265,11 +286,25 @@ def _run_gap(arguments: argparse.Namespace) -> int:
     return 0
 
 
+# --- front ------------------------------------------------------------------------------------------------------------
+
+
+def _run_front(arguments: argparse.Namespace) -> int:
+    plot = check_plot_file(arguments.plot)
+    assert plot is not None
+    rows = leaderboard_rows(Results.read(arguments.results))
+    write_and_say(plot, figure_bytes(plot_front(rows), plot.suffix))
+    best = ", ".join(row.name for row in undominated(rows))
+    say(f"no other entry has more support and more energy than: {best}")
+    return 0
+
+
 # --- sensitivity -----------------------------------------------------------------------------------------------------
 
 
 def _run_sensitivity(arguments: argparse.Namespace) -> int:
-    page = check_page("--page", arguments.page, "sensitivity")
+    section = f"sensitivity:{arguments.suite}"
+    page = check_page("--page", arguments.page, section)
     entries = chosen_entries(arguments.entries, arguments.suite)
     with Progress("episodes") as progress:
         study = study_sensitivity(
@@ -283,7 +318,7 @@ def _run_sensitivity(arguments: argparse.Namespace) -> int:
             on_progress=progress.update,
         )
     if page is not None:
-        update_page(page, {"sensitivity": study.page()})
+        update_page(page, {section: study.page()})
     if arguments.json:
         print_json(study.to_dict())
         return 0
@@ -294,5 +329,5 @@ def _run_sensitivity(arguments: argparse.Namespace) -> int:
     print_table(("rank", "entry", "score"), ranking, left=(1,))
     say("")
     print_table(COLUMNS, [variant.cells() for variant in study.variants], left=(0, 2, 3))
-    say("", study.describe_idle())
+    say("", study.describe())
     return 0

@@ -159,7 +159,7 @@ def matrix_of(results: Sequence[Results]) -> Matrix:
     """Return the matrix of results of one version, one column each.
 
     Args:
-        results: in the order of the columns, but for those with changed sensors, which come last.
+        results: in any order; the columns have that of the suites, those with changed sensors come last.
 
     Raises:
         ValueError: no results, those of two versions, or two of the same scenarios with the same sensors.
@@ -167,7 +167,8 @@ def matrix_of(results: Sequence[Results]) -> Matrix:
     versions = {each.benchmark.version for each in results}
     if len(versions) != 1:
         raise ValueError(f"a matrix is of one version of the benchmark, got {', '.join(sorted(versions)) or 'none'}")
-    ordered = sorted(results, key=lambda each: bool(changed_sensors(each)))
+    suites = list(SUITES)
+    ordered = sorted(results, key=lambda each: (bool(changed_sensors(each)), suites.index(each.suite)))
     splits = {each.split for each in results}
     columns = tuple(_column(each, with_split=len(splits) > 1) for each in ordered)
     headings = [column.heading for column in columns]

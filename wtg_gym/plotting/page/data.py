@@ -28,6 +28,7 @@ from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.parameters import GridFormingParameters, PitchParameters, TurbineParameters
 from wtg_gym.physics.scenario import Event, LoadStep, Scenario
 from wtg_gym.physics.tracking_law import get_law
+from wtg_gym.plotting.front import MOST_FAILURES_PERCENT
 from wtg_gym.plotting.page.packing import (
     MISSING,
     RESOLUTIONS,
@@ -80,7 +81,10 @@ def page_data(
     """
     names = [each.name for each in results]
     if not names or len(set(names)) < len(names):
-        raise ValueError(f"the page needs results, one of each suite and split; got {', '.join(names) or 'none'}")
+        raise ValueError(
+            "the page needs results with the suites' own sensors, one of each suite and split; "
+            f"got {', '.join(names) or 'none'}"
+        )
     if n_scenarios < 0:
         raise ValueError(f"the number of scenarios with traces must be 0 or more, got {n_scenarios}")
     for each in results:
@@ -106,6 +110,7 @@ def page_data(
         "series": [{"name": name, "step": step} for name, step in RESOLUTIONS.items()],
         "wind_step": WIND_RESOLUTION,
         "score_step": SCORE_RESOLUTION,
+        "most_failures": MOST_FAILURES_PERCENT,
         "missing": MISSING,
         "nominal": modified_ieee14().frequency_hz,
         "tip_speed": TurbineParameters().tip_speed_ratio_per_speed_m_s,

@@ -111,8 +111,9 @@ def _front() -> Any:
     chart.add_layout(Span(location=0.0, dimension="width", line_dash=[4, 4], tags=["rule"]))
     dots = []
     for kind, marker in _MARKERS.items():
-        source = _source(f"front-{kind}", "x", "y", "name", "colour", "values")
-        dots.append(chart.scatter("x", "y", size=10, marker=marker, color="colour", source=source))
+        source = _source(f"front-{kind}", "x", "y", "name", "colour", "fill", "values")
+        look = {"marker": marker, "color": "colour", "fill_alpha": "fill", "line_width": 1.5}
+        dots.append(chart.scatter("x", "y", size=10, source=source, **look))
     names = _source("front-names", "x", "y", "text", "align", "dx")
     _write(chart, "x", "y", "text", names, "ink", text_align="align", x_offset="dx", y_offset=-6)
     chart.add_tools(HoverTool(renderers=dots, tooltips=[("", "@name"), ("points, energy", "@values")]))

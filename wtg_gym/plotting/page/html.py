@@ -18,6 +18,7 @@ from wtg_gym.evaluation import Entry, EntrySummary, Results, leaderboard_rows, t
 from wtg_gym.evaluation.generalisation import GeneralisationGap, generalisation_gaps
 from wtg_gym.evaluation.leaderboard import columns_of, signed_interval
 from wtg_gym.evaluation.matrix import SCALE, Cell, Matrix, changed_sensors, matrix_of, score_text, worst_text
+from wtg_gym.plotting.front import MOST_FAILURES_PERCENT
 from wtg_gym.plotting.page.data import Progress, page_data
 from wtg_gym.scenarios import FRESH
 
@@ -110,6 +111,7 @@ def leaderboard_page(
         "short_scales": _scales(versions, "0 for {2} and 100 for {3}"),
         "more_columns": "" if versions == ["v0"] else _asset("columns_since_v1.html").removesuffix("\n"),
         "matrix": _matrices(results),
+        "most_failures": f"{MOST_FAILURES_PERCENT:g}",
         "policy": html.escape(_policy([library, script])),
         "style": _asset("page.css"),
         "tables": "\n".join(_table(each, _gaps(each, results), hidden=place > 0) for place, each in enumerate(ranked)),
@@ -136,7 +138,7 @@ def _ranked(results: Sequence[Results]) -> list[Results]:
 def _scales(versions: Sequence[str], text: str) -> str:
     """Return what 0 and 100 are in each version; `text` takes what :data:`_ANCHORS` calls them."""
     texts = {version: text.format(*map(html.escape, _ANCHORS[version])) for version in versions}
-    return "; ".join(own if len(texts) == 1 else f"{own} in {version}" for version, own in texts.items())
+    return "; ".join(own if len(texts) == 1 else f"in {version}: {own}" for version, own in texts.items())
 
 
 def _filled(fields: Mapping[str, str], data: Mapping[str, Any]) -> str:
@@ -238,10 +240,15 @@ def _matrices(results: Sequence[Results]) -> str:
     by_version: dict[str, list[Results]] = {}
     for each in results:
         by_version.setdefault(each.benchmark.env_id, []).append(each)
-    tables = [_matrix(matrix_of(own)) for own in by_version.values() if len(own) > 1]
-    if not tables:
+    matrices = [_matrix(matrix_of(own)) for own in by_version.values() if len(own) > 1]
+    if not matrices:
         return ""
-    return Template(_asset("matrix.html")).substitute(tables="\n".join(tables), scale=html.escape(SCALE))
+    return Template(_asset("matrix.html")).substitute(
+        matrices="\n".join(matrices),
+        scale=html.escape(SCALE),
+        above=f"{_DEEPEST_ABOVE:g}",
+        below=f"{_DEEPEST_BELOW:g}",
+    )
 
 
 def _matrix(matrix: Matrix) -> str:
@@ -252,10 +259,11 @@ def _matrix(matrix: Matrix) -> str:
         for row in matrix.rows
     ]
     environment = html.escape(matrix.benchmark.env_id)
-    caption = f"{environment}: {html.escape(matrix.describe())}"
     return (
-        f'<table class="matrix" data-environment="{environment}"><caption>{caption}</caption>'
-        f"<thead><tr>{heads}</tr></thead><tbody>\n" + "\n".join(body) + "\n</tbody></table>"
+        f'<div data-environment="{environment}"><p class="note">{environment}: {html.escape(matrix.describe())}</p>\n'
+        f'<div class="scroll" tabindex="0" role="region" aria-label="Generalisation in {environment}">'
+        f'<table class="matrix"><thead><tr>{heads}</tr></thead><tbody>\n' + "\n".join(body) + "\n"
+        "</tbody></table></div></div>"
     )
 
 

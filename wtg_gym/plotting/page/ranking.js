@@ -20,7 +20,7 @@ const drawRanking = (all) => {
   const paints = colours();
   const y = (entry) => n - 1 - entries.indexOf(entry);
   const interval = (e) => `${e.score[0].toFixed(1)} (${e.score[1].toFixed(1)} … ${e.score[2].toFixed(1)})`;
-  chart.ranking.setv({ height: 60 + 24 * Math.max(n, 3) });
+  chart.ranking.setv({ height: (innerWidth < 600 ? 96 : 60) + 24 * Math.max(n, 3) });
   chart.ranking.y_range.setv({ start: -0.7, end: n - 0.3 });
   chart.ranking.x_range.setv(around([0, 100, ...entries.flatMap((entry) => entry.score)], 0.05));
   sources.intervals.data = {
@@ -34,9 +34,9 @@ const drawRanking = (all) => {
       colour: own.map((e) => paints[tone(e.name)]), interval: own.map(interval),
     };
   }
-  // The scale, on two lines where one would be too long.
-  const anchors = `0 is ${suite().zero}, 100 is ${suite().hundred}`;
-  chart.ranking.below[0].axis_label = `score${innerWidth < 600 ? "\n" : ": "}${anchors}`;
+  // On a phone the scale takes lines of its own.
+  const scale = ["score", `0 is ${suite().zero}`, `100 is ${suite().hundred}`], narrow = innerWidth < 600;
+  chart.ranking.below[0].axis_label = narrow ? scale.join("\n") : `${scale[0]}: ${scale[1]}, ${scale[2]}`;
   const mark = { a: "A  ", b: "B  ", rest: "" };
   const label = (entry) => mark[tone(entry.name)] + plain(short(entry.name, innerWidth < 600 ? 22 : 30));
   const axis = chart.ranking.left[0];
@@ -77,11 +77,18 @@ const drawProfile = (groups, entries) => {
     `Performance profiles of ${entries.length} entries; the table under them holds percentiles of the scores.`);
 };
 
-// The entries that no other one beats in both, by what they capture.
-const ENERGY = data.metrics.findIndex((metric) => metric.name === "mean_energy_share_percent");
-const place = (entry) => ({ entry, x: entry.physical[ENERGY], y: entry.points.frequency_rocof });
-const front = (places) =>
-  places.filter((p) => !places.some((q) => q.x >= p.x && q.y >= p.y && (q.x > p.x || q.y > p.y))).sort((p, q) => p.x - q.x);
+// A run that fails pays for the frequency only until it ends: an entry that fails too often is no part of the front.
+const metric = (name) => data.metrics.findIndex((each) => each.name === name);
+const ENERGY = metric("mean_energy_share_percent"), FAILURES = metric("failures_percent");
+const place = (entry) => ({
+  entry, x: entry.physical[ENERGY], y: entry.points.frequency_rocof,
+  holds: entry.physical[FAILURES] <= data.most_failures,
+});
+const beats = (q, p) => q.x >= p.x && q.y >= p.y && (q.x > p.x || q.y > p.y);
+const front = (places) => {
+  const own = places.filter((each) => each.holds);
+  return own.filter((p) => !own.some((q) => beats(q, p))).sort((p, q) => p.x - q.x);
+};
 const drawFront = (entries) => {
   const paints = colours(), places = entries.map(place), best = front(places);
   const columns = (own) => ({ x: own.map((each) => each.x), y: own.map((each) => each.y) });
@@ -90,7 +97,7 @@ const drawFront = (entries) => {
     const own = places.filter((each) => each.entry.kind === kind);
     sources[`front-${kind}`].data = {
       ...columns(own), name: own.map((each) => plain(each.entry.name)),
-      colour: own.map((each) => paints[tone(each.entry.name)]),
+      colour: own.map((each) => paints[tone(each.entry.name)]), fill: own.map((each) => (each.holds ? 1 : 0)),
       values: own.map((each) => `${signed(each.y)}, ${each.x.toFixed(2)} %`),
     };
   }
@@ -186,9 +193,9 @@ const fillRanking = () => {
     row.hidden = !names.has(row.dataset.name);
     row.className = tone(row.dataset.name);
   }
-  for (const table of document.querySelectorAll("table.matrix")) {
-    table.hidden = table.dataset.environment !== suite().environment;
-    for (const row of table.tBodies[0].rows) {
+  for (const each of document.querySelectorAll("[data-environment]")) {
+    each.hidden = each.dataset.environment !== suite().environment;
+    for (const row of each.querySelector("table").tBodies[0].rows) {
       row.hidden = Boolean(entryOf(row.dataset.name)) && !names.has(row.dataset.name);
       row.className = tone(row.dataset.name);
     }
