@@ -18,6 +18,8 @@ from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 #: What would run or load something where it is taken for HTML, and what a chart would take for mathematics.
 HOSTILE = '</script><script>window.hacked=1</script><img src="https://example.org/x" onerror="window.hacked=1">$$x$$'
 DURATION_S = 12.0
+#: What the changes of the sensors are called, those in `both_results`.
+OTHER_SENSORS = ("delay +0.1 s", "delay +0.2 s", "wind bias × 2")
 SEEDS = (20_000, 20_001, 20_002)
 TRACED = ("deloaded-10", "mppt", "coordinated-piecewise")
 
@@ -83,7 +85,7 @@ def both_results() -> list[Results]:
         *reversed(small_results()[1]),
         evaluate(droop, "paper-v1", "validation"),
         evaluate("baselines", "standard-v1", **own),
-        evaluate(droop, "standard-v1", **own, sensors=PERTURBATIONS["delay-plus-1"](SensorDistribution())),
+        *(evaluate(droop, "standard-v1", **own, sensors=each(SensorDistribution())) for each in PERTURBATIONS.values()),
     ]
 
 

@@ -13,7 +13,17 @@ import numpy as np
 import pytest
 
 from tests.cli.calls import error_of
-from tests.plotting.pages import DURATION_S, HOSTILE, SEEDS, TRACED, both_page, both_results, small_page, small_results
+from tests.plotting.pages import (
+    DURATION_S,
+    HOSTILE,
+    OTHER_SENSORS,
+    SEEDS,
+    TRACED,
+    both_page,
+    both_results,
+    small_page,
+    small_results,
+)
 from wtg_gym.cli import main
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, NoScaleError, evaluate, leaderboard_rows, load_entries
@@ -291,7 +301,7 @@ def test_matrix_holds_every_column_and_the_ranking_those_with_own_sensors_and_a_
     tables = dict(re.findall(r'<div data-environment="([^"]*)">(.*?)</table>', both_page(), flags=re.DOTALL))
     heads = {name: re.findall(r'<th scope="col"[^>]*>([^<]*)</th>', table) for name, table in tables.items()}
     assert heads == {
-        "GFMWTG-14bus-v1": ["entry", "standard", "paper", "standard, delay +0.1 s"],
+        "GFMWTG-14bus-v1": ["entry", "standard", "paper", *(f"standard, {text}" for text in OTHER_SENSORS)],
         "GFMWTG-14bus-v0": ["entry", "paper", "standard"],
     }
     text = tables["GFMWTG-14bus-v1"]
@@ -307,8 +317,8 @@ def test_matrix_holds_every_column_and_the_ranking_those_with_own_sensors_and_a_
     )
     assert cells[1] == f'<td class="number"><small>{own[1].worst_decile_cost:.0f}</small></td>'
     # One suite alone is no matrix.
-    assert "h-matrix" not in leaderboard_page([both_results()[-2]], [], n_scenarios=0).text
-    with pytest.raises(ValueError, match="needs results with the suites' own sensors, .* got none"):
+    assert "h-matrix" not in leaderboard_page([both_results()[-4]], [], n_scenarios=0).text
+    with pytest.raises(ValueError, match=r"needs results with the suites' own sensors, .* got none"):
         leaderboard_page([both_results()[-1]], [], n_scenarios=0)
 
 

@@ -16,7 +16,16 @@ from typing import Any
 
 import pytest
 
-from tests.plotting.pages import DURATION_S, HOSTILE, both_page, both_results, small_page, small_results, wide_page
+from tests.plotting.pages import (
+    DURATION_S,
+    HOSTILE,
+    OTHER_SENSORS,
+    both_page,
+    both_results,
+    small_page,
+    small_results,
+    wide_page,
+)
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, leaderboard_rows
 from wtg_gym.evaluation.leaderboard import COLUMNS
@@ -216,7 +225,8 @@ def open_both(browser: Any, tmp_path: Path) -> Iterator[Any]:
 def _span(opened: Opened, chart: str, name: str) -> float:
     """Return where a line across a chart is."""
     place: float = opened.page.evaluate(
-        "([chart, name]) => Bokeh.documents[0].get_model_by_name(chart).center.find((one) => one.name === name).location",
+        "([chart, name]) => Bokeh.documents[0].get_model_by_name(chart).center.find((each) => each.name === name)"
+        ".location",
         [chart, name],
     )
     return place
@@ -235,7 +245,7 @@ def test_each_version_has_its_own_scale_matrix_and_limits(open_both: Any) -> Non
         "entry",
         "standard",
         "paper",
-        "standard, delay +0.1 s",
+        *(f"standard, {text}" for text in OTHER_SENSORS),
     ]
     assert _span(opened, "panel-power", "limit-0") == 1.05
     # A and B are marked in the matrix as in the ranking.
