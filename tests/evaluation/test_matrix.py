@@ -101,7 +101,7 @@ def test_cells_are_the_scores_and_worst_deciles_of_the_results(usual: Results, p
     data = json.loads(json.dumps(matrix.to_dict()))
     assert data["version"] == "v1" and data["columns"][1]["change"] == "delay +0.1 s"
     page = matrix.page()
-    assert page.startswith("Scores on 12 validation scenarios a column. Each suite's own anchors")
+    assert page.startswith("Scores on 12 validation scenarios a column. 0 and 100 are each suite's own anchors.")
     assert page.count("| entry | standard | standard, delay +0.1 s |") == 2
 
 

@@ -34,8 +34,8 @@ PERTURBATIONS: Mapping[str, Callable[[SensorDistribution], Changes]] = MappingPr
 )
 #: Why one scale does for a suite and for its perturbed sensors.
 SCALE = (
-    "Each suite's own anchors have 0 and 100 on it. They are laws, which no sensor's error reaches, so that other "
-    "sensors leave the scale as it is, and a point that an entry loses by them is its own."
+    "0 and 100 are each suite's own anchors. They are laws, which no sensor's error reaches: other sensors leave the "
+    "scale as it is, and a point that an entry loses by them is its own."
 )
 
 
@@ -127,10 +127,10 @@ class Matrix:
         scores, costs = (
             files.markdown_table(self.header(), self.texts(text), right=right) for text in (score_text, worst_text)
         )
-        return f"Scores on {self.describe()} {SCALE}\n\n{scores}\n\nMean cost of the worst tenth:\n\n{costs}"
+        return f"Scores on {self.describe()}\n\n{scores}\n\nMean cost of the worst tenth:\n\n{costs}"
 
     def describe(self) -> str:
-        """Return how many scenarios of which split the columns have, and which have no scale, as sentences."""
+        """Return how many scenarios of which split the columns have, which have no scale, and what the scale is."""
         counts: dict[str, list[str]] = {}
         for column in self.columns:
             counts.setdefault(f"{column.n_scenarios} {column.split} scenarios", []).append(column.heading)
@@ -142,7 +142,7 @@ class Matrix:
         if unscored:
             zero, hundred = self.benchmark.anchors
             text += f" No score on {', '.join(unscored)}: {hundred}, which has 100, is no better there than {zero}."
-        return text
+        return f"{text} {SCALE}" if any(column.change for column in self.columns) else text
 
 
 def score_text(cell: Cell) -> str:
@@ -159,7 +159,7 @@ def matrix_of(results: Sequence[Results]) -> Matrix:
     """Return the matrix of results of one version, one column each.
 
     Args:
-        results: in any order; the columns have that of the suites, those with changed sensors come last.
+        results: in any order; the columns have that of the suites, with fixed cases and then changed sensors last.
 
     Raises:
         ValueError: no results, those of two versions, or two of the same scenarios with the same sensors.
@@ -167,8 +167,7 @@ def matrix_of(results: Sequence[Results]) -> Matrix:
     versions = {each.benchmark.version for each in results}
     if len(versions) != 1:
         raise ValueError(f"a matrix is of one version of the benchmark, got {', '.join(sorted(versions)) or 'none'}")
-    suites = list(SUITES)
-    ordered = sorted(results, key=lambda each: (bool(changed_sensors(each)), suites.index(each.suite)))
+    ordered = sorted(results, key=_order)
     splits = {each.split for each in results}
     columns = tuple(_column(each, with_split=len(splits) > 1) for each in ordered)
     headings = [column.heading for column in columns]
@@ -186,6 +185,12 @@ def matrix_of(results: Sequence[Results]) -> Matrix:
         for name, data in entries.items()
     )
     return Matrix(benchmark=results[0].benchmark, columns=columns, rows=tuple(sorted(rows, key=_place)))
+
+
+def _order(results: Results) -> tuple[bool, bool, int]:
+    """Return what columns are sorted by: changed sensors come last, before them suites of fixed cases."""
+    suite = get_suite(results.suite)
+    return bool(changed_sensors(results)), bool(suite.cases), list(SUITES).index(suite.name)
 
 
 def _cells(results: Results) -> dict[str, Cell]:

@@ -17,7 +17,7 @@ from wtg_gym import __version__
 from wtg_gym.evaluation import Entry, EntrySummary, Results, leaderboard_rows, table_cells
 from wtg_gym.evaluation.generalisation import GeneralisationGap, generalisation_gaps
 from wtg_gym.evaluation.leaderboard import columns_of, signed_interval
-from wtg_gym.evaluation.matrix import SCALE, Cell, Matrix, changed_sensors, matrix_of, score_text, worst_text
+from wtg_gym.evaluation.matrix import Cell, Matrix, changed_sensors, matrix_of, score_text, worst_text
 from wtg_gym.plotting.front import MOST_FAILURES_PERCENT
 from wtg_gym.plotting.page.data import Progress, page_data
 from wtg_gym.scenarios import FRESH
@@ -245,7 +245,6 @@ def _matrices(results: Sequence[Results]) -> str:
         return ""
     return Template(_asset("matrix.html")).substitute(
         matrices="\n".join(matrices),
-        scale=html.escape(SCALE),
         above=f"{_DEEPEST_ABOVE:g}",
         below=f"{_DEEPEST_BELOW:g}",
     )
