@@ -15,8 +15,10 @@ TEST_READY := $(TEST_VENV)/ready-$(PYTHON_VERSION)
 GOLDEN_READY := $(GOLDEN_VENV)/ready-$(PYTHON_VERSION)
 RLLIB_READY := $(RLLIB_VENV)/ready-$(PYTHON_VERSION)
 
-# Trained policies, one folder each, ranked beside the baselines.
-POLICIES := $(patsubst %/entry.toml,%,$(sort $(wildcard agents/policies/*/entry.toml)))
+# Trained policies, one folder each, ranked beside the baselines of the version that they say they play in.
+EVERY_POLICY := $(patsubst %/entry.toml,%,$(sort $(wildcard agents/policies/*/entry.toml)))
+POLICIES_V1 := $(patsubst %/entry.toml,%,$(sort $(shell grep -ls '^environment = "GFMWTG-14bus-v1"' $(EVERY_POLICY:%=%/entry.toml) /dev/null)))
+POLICIES := $(filter-out $(POLICIES_V1),$(EVERY_POLICY))
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
@@ -61,13 +63,22 @@ verification: $(LEADERBOARD_READY) ## Score every entry of the last round on its
 	$(LEADERBOARD_VENV)/bin/wtg-gym results gap results/standard-test.json results/standard-fresh.json --page docs/benchmark.md
 
 PAGE_SUITES := standard weak-grid low-wind gust paper
+PAGE_SUITES_V1 := standard-v1 low-share-v1 high-share-v1 gusty-v1 no-wind-sensor-v1 faults-v1 paper-v1
+# Folders in results/ of standard-v1 with other sensors.
+PAGE_SENSORS := delay-plus-1 delay-plus-2 wind-bias-times-2
+
+.PHONY: matrix
+matrix: $(LEADERBOARD_READY) ## Play every entry of v1 on all of its suites and with other sensors, and put the scores into docs/benchmark.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym results matrix --entries baselines $(POLICIES_V1) --suites $(PAGE_SUITES_V1) --results results \
+	    --page docs/benchmark.md
 
 .PHONY: page
-page: verification ## Rank every entry on all suites and on fresh scenarios, and show them in docs/leaderboard.html
+page: matrix verification ## Rank every entry on all suites and on fresh scenarios, and show them in docs/leaderboard.html
 	for suite in $(PAGE_SUITES); do \
 	    $(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite $$suite --entries baselines $(POLICIES) --results results || exit; done
-	$(LEADERBOARD_VENV)/bin/wtg-gym results page $(PAGE_SUITES:%=results/%-test.json) results/standard-fresh.json \
-	    --entries baselines $(POLICIES) --output docs/leaderboard.html
+	$(LEADERBOARD_VENV)/bin/wtg-gym results page $(PAGE_SUITES_V1:%=results/%-test.json) $(PAGE_SENSORS:%=results/%/standard-v1-test.json) \
+	    $(PAGE_SUITES:%=results/%-test.json) results/standard-fresh.json \
+	    --entries baselines $(EVERY_POLICY) --output docs/leaderboard.html
 
 # Its fonts and its browser are those of the machine: `make docs-check` leaves this picture out.
 CHROMIUM ?= $(firstword $(foreach name,chromium chromium-browser google-chrome,$(shell command -v $(name))) chromium)
@@ -89,6 +100,8 @@ pictures: $(LEADERBOARD_READY) ## Draw every picture of the README and of docs/ 
 	$(LEADERBOARD_VENV)/bin/wtg-gym reproduce --output $(DOCS)/validation --formats svg --page $(DOCS)/validation.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym analyse physics --output $(DOCS)/physics --formats svg --page $(DOCS)/physics.md
 	$(LEADERBOARD_VENV)/bin/python -m agents.research.behaviour --entries $(POLICIES) --output $(DOCS)/agents --page $(DOCS)/agents.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym evaluate --suite standard-v1 --entries baselines $(POLICIES_V1) --results results
+	$(LEADERBOARD_VENV)/bin/wtg-gym results front results/standard-v1-validation.json --plot $(DOCS)/images/front-v1.svg
 
 .PHONY: docs
 docs: pictures ## Measure everything that docs/ shows again, but for performance and the page, and renew its tables and pictures
@@ -97,6 +110,7 @@ docs: pictures ## Measure everything that docs/ shows again, but for performance
 	$(LEADERBOARD_VENV)/bin/wtg-gym analyse aggregation --page docs/physics.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym analyse accuracy --output docs/validation --formats svg --page docs/validation.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym results sensitivity --entries baselines $(POLICIES) agents.research.probes:CHATTER agents.research.probes:PUSH --page docs/benchmark.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym results sensitivity --suite standard-v1 --entries baselines $(POLICIES_V1) agents.research.probes:CHATTER_V1 agents.research.probes:PUSH_V1 --page docs/benchmark.md
 	$(LEADERBOARD_VENV)/bin/python -m agents.research.incentives --entries $(filter %/linear-feedback,$(POLICIES)) $(filter agents/policies/ppo-k-%,$(POLICIES)) deloaded-5 --page docs/benchmark.md
 	$(LEADERBOARD_VENV)/bin/python -m tests.submissions.hostile --page docs/submissions.md
 

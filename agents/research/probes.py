@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs.observation import FREQUENCY_UNIT_HZ, N_LOCAL, WtgObservation
+from wtg_gym.envs.observation import FREQUENCY_UNIT_HZ, N_LOCAL, N_MEASURED, WtgObservation
 from wtg_gym.evaluation import Entry, Policy
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
-from wtg_gym.scenarios.benchmark import V0
+from wtg_gym.scenarios.benchmark import V0, V1
 
 Floats = npt.NDArray[np.float64]
 #: Observations (n_lanes, n_wtg, n) and number of steps so far to actions on k (n_lanes, n_wtg), or to those of every
@@ -30,18 +30,25 @@ _FREQUENCY, _ROCOF = (WtgObservation._fields.index(name) for name in ("frequency
 
 
 class Probe:
-    """A rule as a policy, the same in every group; `n_action` is the number of actions of a group."""
+    """A rule as a policy, the same in every group.
 
-    def __init__(self, rule: Rule, n_action: int = 1) -> None:
+    Args:
+        rule: the rule.
+        n_action: actions of a group.
+        n_own: how many numbers a group sees besides its last actions, :data:`N_MEASURED` in version v1.
+    """
+
+    def __init__(self, rule: Rule, n_action: int = 1, n_own: int = N_LOCAL) -> None:
         self._rule = rule
         self._n_action = n_action
+        self._n_own = n_own
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[Any, Any]:
         """Return (actions (n_lanes, n_action), number of steps so far)."""
         step = 0 if state is None else state
-        own = np.asarray(observation, dtype=np.float64).reshape(len(observation), -1, N_LOCAL + self._n_action)
+        own = np.asarray(observation, dtype=np.float64).reshape(len(observation), -1, self._n_own + self._n_action)
         return np.clip(self._rule(own, step), -1.0, 1.0), step + 1
 
 
@@ -113,6 +120,10 @@ CONSTANT = Entry(
 )
 CHATTER = _entry("chatter", _chatter, "Alternates k by ± 0.3 of its authority at every step.")
 PUSH = _entry("push", _push, "Spends k on frequency and RoCoF alone, whatever the rotor does.")
+CHATTER_V1, PUSH_V1 = (
+    dataclasses.replace(entry, policy=Probe(rule, n_own=N_MEASURED), environment=V1.env_id)
+    for entry, rule in ((CHATTER, _chatter), (PUSH, _push))
+)
 STATIC = _entry("static", _static(), "Adds to g(ω) what makes the captured power linear in frequency, at rest.")
 
-__all__ = ["CHATTER", "CONSTANT", "PUSH", "STATIC", "Delayed", "Probe", "delayed", "late_name"]
+__all__ = ["CHATTER", "CHATTER_V1", "CONSTANT", "PUSH", "PUSH_V1", "STATIC", "Delayed", "Probe", "delayed", "late_name"]

@@ -33,7 +33,7 @@ COMMANDS = (
     "warmup",
 )
 OWN = {
-    "results": ("page", "recompute", "gap", "sensitivity"),
+    "results": ("page", "recompute", "gap", "matrix", "front", "sensitivity"),
     "submission": ("new", "check", "score"),
     "analyse": ("statics", "margins", "modes", "physics", "aggregation", "accuracy"),
 }

@@ -37,12 +37,14 @@ def test_json_is_the_whole_study(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_page_gets_the_table_between_its_markers(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     page = tmp_path / "page.md"
-    page.write_text("before\n<!-- sensitivity:start -->\n<!-- sensitivity:end -->\nafter\n", encoding="utf-8")
+    page.write_text(
+        "before\n<!-- sensitivity:standard:start -->\n<!-- sensitivity:standard:end -->\nafter\n", encoding="utf-8"
+    )
     assert main([*_FEW, "--page", str(page)]) == 0
     text = page.read_text(encoding="utf-8")
-    assert text.startswith("before\n<!-- sensitivity:start -->\n2 validation scenarios of `standard`.")
+    assert text.startswith("before\n<!-- sensitivity:standard:start -->\n2 validation scenarios of `standard`.")
     assert "| weight | factor | order | scores that change by a point or more |" in text
-    assert text.endswith("depends on: overload.\n<!-- sensitivity:end -->\nafter\n")
+    assert text.endswith("depends on: overload.\n<!-- sensitivity:standard:end -->\nafter\n")
 
 
 @pytest.mark.parametrize(

@@ -48,6 +48,11 @@ def test_changes_ranks_and_idle_weights_are_those_counted_by_hand(study: Sensiti
     assert [variant.matters for variant in study.variants] == [True, False, False, True]
     assert rotor.changes == {} and rotor.ranks == {}
     assert study.idle == ["effort"]
+    # With twice the duty nothing moves, but without it the order does; without rotor there is nothing to order by.
+    assert study.ordering == ["duty", "rotor"]
+    assert dataclasses.replace(study, variants=study.variants[1:3]).describe() == (
+        "The order depends on none. Neither a point of any score nor the order depends on: duty, effort."
+    )
 
 
 def test_table_says_it_in_words(study: Sensitivity) -> None:
@@ -62,7 +67,10 @@ def test_table_says_it_in_words(study: Sensitivity) -> None:
     assert study.describe_idle() == "Neither a point of any score nor the order depends on: effort."
     page = study.page()
     assert page.startswith("7 validation scenarios of `standard`. Scores with the weights as they are: a 110.0, ")
-    assert page.endswith(study.describe_idle()) and "| duty | 2 | same | none |" in page
+    assert (
+        page.endswith(f"\n\nThe order depends on: duty, rotor. {study.describe_idle()}")
+        and "| duty | 2 | same | none |" in page
+    )
 
 
 def test_variants_are_evaluations_with_that_weight() -> None:

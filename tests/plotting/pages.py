@@ -9,12 +9,17 @@ import numpy as np
 
 from baselines import tip_speed_feedback
 from wtg_gym.evaluation import Entry, Results, evaluate, load_entries
+from wtg_gym.evaluation.matrix import PERTURBATIONS
 from wtg_gym.plotting.page import leaderboard_page
 from wtg_gym.scenarios import draw_seeds
+from wtg_gym.scenarios.benchmark import V0, V1
+from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 
 #: What would run or load something where it is taken for HTML, and what a chart would take for mathematics.
 HOSTILE = '</script><script>window.hacked=1</script><img src="https://example.org/x" onerror="window.hacked=1">$$x$$'
 DURATION_S = 12.0
+#: What the changes of the sensors are called, those in `both_results`.
+OTHER_SENSORS = ("delay +0.1 s", "delay +0.2 s", "wind bias × 2")
 SEEDS = (20_000, 20_001, 20_002)
 TRACED = ("deloaded-10", "mppt", "coordinated-piecewise")
 
@@ -69,3 +74,23 @@ def wide_page() -> str:
     draw = draw_seeds("standard", "a" * 40, b"a secret for these tests", 30)
     fresh = evaluate(entries, "standard", "fresh", draw=draw)
     return leaderboard_page([public, fresh], [], n_scenarios=0).text
+
+
+@functools.cache
+def both_results() -> list[Results]:
+    """Return results of both versions, the earlier one first: with other sensors, without a scale, and usual ones."""
+    own = {"split": "validation", "seeds": range(10_000, 10_012), "duration_s": 30.0}
+    droop = load_entries("fast-droop")
+    return [
+        *reversed(small_results()[1]),
+        evaluate(droop, "paper-v1", "validation"),
+        evaluate("baselines", "standard-v1", **own),
+        *(evaluate(droop, "standard-v1", **own, sensors=each(SensorDistribution())) for each in PERTURBATIONS.values()),
+    ]
+
+
+@functools.cache
+def both_page() -> str:
+    """Return their page."""
+    baselines = [load_entries("baselines", benchmark=benchmark) for benchmark in (V0, V1)]
+    return leaderboard_page(both_results(), [entry for own in baselines for entry in own], n_scenarios=1).text

@@ -13,12 +13,24 @@ import numpy as np
 import pytest
 
 from tests.cli.calls import error_of
-from tests.plotting.pages import DURATION_S, HOSTILE, SEEDS, TRACED, small_page, small_results
+from tests.plotting.pages import (
+    DURATION_S,
+    HOSTILE,
+    OTHER_SENSORS,
+    SEEDS,
+    TRACED,
+    both_page,
+    both_results,
+    small_page,
+    small_results,
+)
 from wtg_gym.cli import main
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import Entry, evaluate, leaderboard_rows, load_entries
+from wtg_gym.evaluation import Entry, NoScaleError, evaluate, leaderboard_rows, load_entries
+from wtg_gym.evaluation.matrix import matrix_of
 from wtg_gym.evaluation.recording import record
 from wtg_gym.physics.parameters import TurbineParameters
+from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.plotting.page import leaderboard_page, untraced
 from wtg_gym.plotting.page.data import SCORE_RESOLUTION
 from wtg_gym.plotting.page.packing import MISSING, RESOLUTIONS, packed, quantised, unpacked
@@ -227,6 +239,14 @@ def test_colours_have_the_contrast_of_wcag_aa(scheme: str) -> None:
     for ink in ("ink", "soft", "a", "b", "event", "wind"):
         assert min(contrast(ink, "page"), contrast(ink, "card")) >= 4.5, ink
     assert contrast("ink", "bar") >= 4.5
+    # The deepest colours of the matrix, as its rules mix them.
+    share = float(re.findall(r"rgb\(var\(--more\) / calc\(([\d.]+) \* var\(--shade\)\)\)", small_page())[0])
+    triples = dict(re.findall(r"--(more|less): (\d+ \d+ \d+);", light if scheme == "light" else dark))
+    page = [int(inks["page"][place : place + 2], 16) for place in (1, 3, 5)]
+    for side in ("more", "less"):
+        mixed = zip(map(int, triples[side].split()), page, strict=True)
+        inks[side] = "#" + "".join(f"{round(share * one + (1 - share) * other):02x}" for one, other in mixed)
+        assert contrast("ink", side) >= 4.5, side
     for ink in ("rest", "edge", "focus"):
         assert contrast(ink, "page") >= 3.0, ink
 
@@ -252,13 +272,60 @@ def test_page_of_v1_names_its_environment_anchors_and_columns() -> None:
     head = page.text[page.text.index("<header>") : page.text.index("</header>")]
     assert "GFMWTG-14bus-v1" in head and "coordinated-tuned" in head and "maximum power" not in head
     assert all(f">{name}</th>" in page.text for name in ("failures by kind [%]", "worst decile", "deviation [mHz]"))
-    data = _data(page.text)
-    assert data["reference"] == "coordinated-tuned" and data["limits"]["power"] == {"the converter's limit": 1.05}
-    (suite,) = data["suites"]
+    (suite,) = _data(page.text)["suites"]
+    assert (suite["zero"], suite["hundred"]) == ("coordinated-piecewise", "coordinated-tuned")
+    assert suite["limits"]["power"] == {"the converter's limit": 1.05}
+    assert suite["limits"]["tau"] == {
+        "the τ of coordinated-tuned": get_law("coordinated-tuned").damping_time_constant_s
+    }
     assert sorted(suite["traced"]) == sorted(row.name for row in leaderboard_rows(results))
     assert untraced([results], load_entries("baselines", benchmark=V1)) == []
-    with pytest.raises(ValueError, match="one version of the benchmark"):
-        leaderboard_page([results, small_results()[1][0]], [], n_scenarios=0)
+
+
+def test_page_of_two_versions_has_the_later_one_first_each_with_its_own_anchors_and_limits() -> None:
+    head = both_page()[both_page().index("<header>") : both_page().index("</header>")]
+    assert "<code>GFMWTG-14bus-v1</code> and <code>GFMWTG-14bus-v0</code>" in head
+    assert head.index("in v1: 0 is\nthe paper") < head.index("in v0: 0 is\nmaximum power point tracking")
+    suites = _data(both_page())["suites"]
+    assert [(suite["name"], suite["environment"], suite["zero"], suite["hundred"]) for suite in suites] == [
+        ("standard-v1, validation", "GFMWTG-14bus-v1", "coordinated-piecewise", "coordinated-tuned"),
+        ("paper", "GFMWTG-14bus-v0", "mppt", "coordinated-piecewise"),
+        ("standard", "GFMWTG-14bus-v0", "mppt", "coordinated-piecewise"),
+    ]
+    limits = [suite["limits"]["power"]["the converter's limit"] for suite in suites]
+    assert limits == [1.05, 1.1, 1.1]
+    assert "fast-droop" in suites[0]["traced"] and "fast-droop" not in suites[1]["traced"]
+
+
+def test_matrix_holds_every_column_and_the_ranking_those_with_own_sensors_and_a_scale() -> None:
+    tables = dict(re.findall(r'<div data-environment="([^"]*)">(.*?)</table>', both_page(), flags=re.DOTALL))
+    heads = {name: re.findall(r'<th scope="col"[^>]*>([^<]*)</th>', table) for name, table in tables.items()}
+    assert heads == {
+        "GFMWTG-14bus-v1": ["entry", "standard", "paper", *(f"standard, {text}" for text in OTHER_SENSORS)],
+        "GFMWTG-14bus-v0": ["entry", "standard", "paper"],
+    }
+    text = tables["GFMWTG-14bus-v1"]
+    assert "No score on paper: coordinated-tuned, which has 100, is no better there than coordinated-piecewise." in text
+    cells = re.findall(r"<td.*?</td>", text[text.index('data-name="fast-droop"') :])[:3]
+    matrix = matrix_of([each for each in both_results() if each.benchmark is V1])
+    (row,) = [row for row in matrix.rows if row.name == "fast-droop"]
+    own = [cell for cell in row.cells if cell is not None]
+    shade = 1.0 - own[0].score.value / 100.0
+    assert cells[0] == (
+        f'<td class="number less" style="--shade: {shade:.2f}">{own[0].score.value:.1f} '
+        f"<small>{own[0].worst_decile_cost:.0f}</small></td>"
+    )
+    assert cells[1] == f'<td class="number"><small>{own[1].worst_decile_cost:.0f}</small></td>'
+    # One suite alone is no matrix.
+    assert "h-matrix" not in leaderboard_page([both_results()[-4]], [], n_scenarios=0).text
+    with pytest.raises(ValueError, match=r"needs results with the suites' own sensors, .* got none"):
+        leaderboard_page([both_results()[-1]], [], n_scenarios=0)
+
+
+def test_results_without_a_scale_alone_say_so() -> None:
+    (paper,) = [each for each in both_results() if each.suite == "paper-v1"]
+    with pytest.raises(NoScaleError, match="is not worse than coordinated-tuned"):
+        leaderboard_page([paper], [], n_scenarios=0)
 
 
 def test_v0_is_described_as_maximum_power_point_tracking_and_the_reference() -> None:

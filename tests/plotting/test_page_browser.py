@@ -16,11 +16,21 @@ from typing import Any
 
 import pytest
 
-from tests.plotting.pages import DURATION_S, HOSTILE, small_page, small_results, wide_page
+from tests.plotting.pages import (
+    DURATION_S,
+    HOSTILE,
+    OTHER_SENSORS,
+    both_page,
+    both_results,
+    small_page,
+    small_results,
+    wide_page,
+)
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, leaderboard_rows
 from wtg_gym.evaluation.leaderboard import COLUMNS
 from wtg_gym.evaluation.recording import record
+from wtg_gym.plotting.front import support_points, undominated
 from wtg_gym.scenarios import get_suite
 
 pytest.importorskip("bokeh", reason="the page's charts are Bokeh's")
@@ -193,6 +203,92 @@ def test_a_phone_shows_name_and_score_without_scrolling_sideways(open_page: Any)
         " cell.getBoundingClientRect().right <= width)",
         PHONE["width"],
     )
+
+
+@pytest.fixture
+def open_both(browser: Any, tmp_path: Path) -> Iterator[Any]:
+    """The page of both versions."""
+    path = tmp_path / "both.html"
+    path.write_text(both_page(), encoding="utf-8")
+    opened: list[Opened] = []
+
+    def opening(**settings: Any) -> Opened:
+        opened.append(Opened(browser, path, **{"viewport": LAPTOP, **settings}))
+        return opened[-1]
+
+    yield opening
+    for each in opened:
+        each.check()
+        each.page.context.close()
+
+
+def _span(opened: Opened, chart: str, name: str) -> float:
+    """Return where a line across a chart is."""
+    place: float = opened.page.evaluate(
+        "([chart, name]) => Bokeh.documents[0].get_model_by_name(chart).center.find((each) => each.name === name)"
+        ".location",
+        [chart, name],
+    )
+    return place
+
+
+def test_each_version_has_its_own_scale_matrix_and_limits(open_both: Any) -> None:
+    opened = open_both()
+    page = opened.page
+    label = "Bokeh.documents[0].get_model_by_name('ranking').below[0].axis_label"
+    assert page.locator("#suite optgroup").evaluate_all("(groups) => groups.map((group) => group.label)") == [
+        "GFMWTG-14bus-v1",
+        "GFMWTG-14bus-v0",
+    ]
+    assert page.evaluate(label) == "score: 0 is coordinated-piecewise, 100 is coordinated-tuned"
+    assert page.locator("table.matrix:visible thead th").all_inner_texts() == [
+        "entry",
+        "standard",
+        "paper",
+        *(f"standard, {text}" for text in OTHER_SENSORS),
+    ]
+    assert _span(opened, "panel-power", "limit-0") == 1.05
+    # A and B are marked in the matrix as in the ranking.
+    b = page.locator("table.matrix:visible tr.b")
+    assert b.count() == 1 and b.get_attribute("data-name") == "coordinated-tuned" == page.input_value("#b")
+    page.select_option("#suite", label="paper (2 scenarios)")
+    opened.wait_until(f"{label} === 'score: 0 is mppt, 100 is coordinated-piecewise'")
+    assert page.locator("table.matrix:visible thead th").all_inner_texts() == ["entry", "standard", "paper"]
+    assert _span(opened, "panel-power", "limit-0") == 1.1
+    assert "the τ of coordinated-piecewise" in page.inner_text("#rules")
+
+
+def test_front_joins_the_entries_that_no_other_one_beats(open_both: Any) -> None:
+    opened = open_both()
+    (results,) = [each for each in both_results() if each.name == "standard-v1-validation" and len(each.entries) > 3]
+    best = undominated(results.summaries)
+    assert 1 < len(best) < len(results.summaries)
+    assert opened.source("front-line", "x") == pytest.approx([row.mean_energy_share_percent for row in best], abs=1e-4)
+    assert opened.source("front-line", "y") == pytest.approx([support_points(row) for row in best], abs=1e-2)
+    drawn = [name for kind in ("law", "feedback") for name in opened.source(f"front-{kind}", "name")]
+    filled = [value for kind in ("law", "feedback") for value in opened.source(f"front-{kind}", "fill")]
+    assert {name for name, value in zip(drawn, filled, strict=True) if not value} == {
+        row.name for row in results.summaries if row.failures_percent > 5.0
+    }
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_phone_scrolls_the_matrix_and_not_the_page_and_names_the_scale_below_each_other(
+    open_both: Any, scheme: str
+) -> None:
+    opened = open_both(viewport=PHONE, color_scheme=scheme)
+    page = opened.page
+    assert page.evaluate("document.documentElement.scrollWidth") == PHONE["width"]
+    box = page.locator(".scroll:has(table.matrix:visible)")
+    assert box.evaluate("(box) => box.scrollWidth > box.clientWidth")
+    # Name and first score are seen at once; the name stays when the rest is scrolled to.
+    first = page.locator("table.matrix:visible tbody tr").first
+    assert first.locator("td").first.evaluate("(cell) => cell.getBoundingClientRect().right") <= PHONE["width"]
+    left = first.locator("th").evaluate("(cell) => cell.getBoundingClientRect().left")
+    box.evaluate("(box) => { box.scrollLeft = box.scrollWidth; }")
+    assert first.locator("th").evaluate("(cell) => cell.getBoundingClientRect().left") == left
+    label = page.evaluate("Bokeh.documents[0].get_model_by_name('ranking').below[0].axis_label")
+    assert label.split("\n") == ["score", "0 is coordinated-piecewise", "100 is coordinated-tuned"]
 
 
 def test_filters_leave_out_entries(open_page: Any) -> None:
@@ -419,7 +515,8 @@ def test_differences_of_two_entries_are_seen_and_chosen(open_page: Any) -> None:
     opened.wait_until(f"document.getElementById('facts').textContent.includes('{seeds[wanted]}')")
     assert opened.source("gains-shown", "seed") == [seeds[wanted]]
     page.get_by_text("Every scenario as a table").click()
-    assert page.locator("#gains tbody tr").count() == 3
+    # A browser tells of an opened part a little later.
+    opened.wait_until("document.querySelectorAll('#gains tbody tr').length === 3")
     page.get_by_role("button", name="Show scenario 20000").click()
     opened.wait_until("document.getElementById('facts').textContent.includes('20000')")
 

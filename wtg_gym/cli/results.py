@@ -1,4 +1,4 @@
-"""`wtg-gym results`: stored results shown, computed again, compared with fresh scenarios; and other weights."""
+"""`wtg-gym results`: stored results shown, computed again, compared; other suites, sensors and weights."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from wtg_gym.cli.matrix import add_matrix
 from wtg_gym.cli.output import (
+    PLOT_SUFFIXES,
     Progress,
     check_output_file,
     check_page,
+    check_plot_file,
     note,
     print_json,
     print_table,
@@ -28,9 +31,11 @@ from wtg_gym.cli.scoring import (
     chosen_workers,
     read_secret,
 )
-from wtg_gym.evaluation import Entry, Results, generalisation
+from wtg_gym.evaluation import Entry, Results, generalisation, leaderboard_rows
 from wtg_gym.evaluation.recompute import departures, recompute
 from wtg_gym.evaluation.sensitivity import COLUMNS, FACTORS, WEIGHTS, study_sensitivity
+from wtg_gym.plotting import figure_bytes, plot_front
+from wtg_gym.plotting.front import MOST_FAILURES_PERCENT, undominated
 from wtg_gym.plotting.page import N_SCENARIOS, SIZE_LIMIT, leaderboard_page, untraced
 from wtg_gym.policies.load import BASELINES
 from wtg_gym.scenarios import SPLITS
@@ -42,7 +47,8 @@ _PAGE = """\
 Shows stored results as one HTML file that needs nothing but a browser, offline too: the ranking with its intervals,
 performance profiles, physical metrics, and two entries side by side in one scenario, frequency, rotors, power, k, τ
 and wind over one time axis. The traces are recorded anew from those entries of --entries that the results hold, and
-from both anchors. A page shows suites of one version of the benchmark."""
+from both anchors. Results of several suites stand side by side in a matrix, too, and beside them those that 'wtg-gym
+results matrix' played with other sensors. Suites of the latest version of the benchmark come first."""
 
 _RECOMPUTE = """\
 Evaluates the entries of a results file again, on the same scenarios with the same settings, and compares every number
@@ -65,6 +71,12 @@ Fresh scenarios are played by 'wtg-gym evaluate' or 'wtg-gym submission score' w
 hash of the commit with the entries, and --secret-file. Publish the sha256 of the secret before anybody submits and the
 secret afterwards: then 'wtg-gym results recompute --secret-file' shows that the seeds were not chosen."""
 
+_FRONT = f"""\
+Draws what frequency and RoCoF add to a score of 100 against the captured share of the available energy, one marker for
+each entry. A line joins the entries that no other one beats in both. Entries that fail in more than
+{MOST_FAILURES_PERCENT:g} % of the scenarios are hollow and not joined: a run that fails pays for the frequency only
+until it ends."""
+
 _SENSITIVITY = f"""\
 Evaluates entries with the weights of the cost as they are, and with each one multiplied by each factor, all others as
 they are. Shown are the ranks that change, and the scores that change by a point or more. The scale is made anew each
@@ -78,11 +90,11 @@ weights: {", ".join(WEIGHTS)}"""
 
 
 def add_commands(commands: Commands) -> None:
-    """Add `wtg-gym results` with its four commands."""
+    """Add `wtg-gym results` with its commands."""
     own = add_group(
         commands,
         "results",
-        summary="stored results: show them, compute them again, compare with fresh scenarios; other weights",
+        summary="stored results: show them, compute them again, compare; all suites, other sensors and weights",
         description="Works with the stored results of 'wtg-gym evaluate' and 'wtg-gym leaderboard'.",
     )
     parser = add_command(
@@ -134,6 +146,17 @@ def add_commands(commands: Commands) -> None:
         "--page", metavar="FILE", help="Markdown file with markers 'gap:SUITE' to put the table between"
     )
     parser.add_argument("--json", action="store_true", help="print JSON, and nothing else, on stdout")
+    add_matrix(own)
+    parser = add_command(
+        own,
+        "front",
+        _run_front,
+        summary="draw points of frequency and RoCoF against captured energy",
+        description=_FRONT,
+        examples="  wtg-gym results front results/standard-v1-test.json --plot front.svg",
+    )
+    parser.add_argument("results", metavar="RESULTS.json", help="results of evaluate or leaderboard, the CSV beside it")
+    parser.add_argument("--plot", required=True, metavar="FILE", help=f"the figure: {', '.join(PLOT_SUFFIXES)}")
     parser = add_command(
         own,
         "sensitivity",
@@ -142,7 +165,8 @@ def add_commands(commands: Commands) -> None:
         description=_SENSITIVITY,
         examples="  wtg-gym results sensitivity --entries baselines\n"
         "  wtg-gym results sensitivity --entries deloaded-5 --weights duty --factors 0.5 2 4 --scenarios 20\n"
-        "  wtg-gym results sensitivity --entries baselines agents/policies/ppo-k-0 --page docs/benchmark.md",
+        "  wtg-gym results sensitivity --entries baselines agents/policies/ppo-k-0 --page docs/benchmark.md\n"
+        "  wtg-gym results sensitivity --suite standard-v1 --scenarios 50",
     )
     add_entries_option(parser)
     add_suite_option(parser)
@@ -154,7 +178,7 @@ def add_commands(commands: Commands) -> None:
         "--factors", nargs="+", type=float, default=FACTORS, metavar="X", help="0 … 1000, but 1 (default: 0 2)"
     )
     parser.add_argument(
-        "--page", metavar="FILE", help="Markdown file with markers 'sensitivity' to put the table between"
+        "--page", metavar="FILE", help="Markdown file with markers 'sensitivity:SUITE' to put the table between"
     )
 
 
@@ -164,9 +188,18 @@ def add_commands(commands: Commands) -> None:
 def _run_page(arguments: argparse.Namespace) -> int:
     page = check_html("--output", arguments.output)
     results = [Results.read(path) for path in arguments.results]
-    entries = [] if arguments.scenarios == 0 else chosen_entries(arguments.entries, results[0].suite)
+    entries = [] if arguments.scenarios == 0 else _entries_of_versions(arguments.entries, results)
+    for each in results:
+        if not each.has_scale:
+            note(f"no ranking of {each.name}, where {each.benchmark.hundred} is no better than {each.benchmark.zero}")
     write_html(page, results, entries, arguments.scenarios, arguments.threads)
     return 0
+
+
+def _entries_of_versions(specs: Sequence[str], results: Sequence[Results]) -> list[Entry]:
+    """Return the entries of `--entries` that play in the versions of the results; names may repeat across versions."""
+    suites = {each.benchmark.env_id: each.suite for each in results}
+    return [entry for suite in suites.values() for entry in chosen_entries(specs, suite, others=False)]
 
 
 def check_html(option: str, text: str) -> Path:
@@ -253,11 +286,25 @@ def _run_gap(arguments: argparse.Namespace) -> int:
     return 0
 
 
+# --- front ------------------------------------------------------------------------------------------------------------
+
+
+def _run_front(arguments: argparse.Namespace) -> int:
+    plot = check_plot_file(arguments.plot)
+    assert plot is not None
+    rows = leaderboard_rows(Results.read(arguments.results))
+    write_and_say(plot, figure_bytes(plot_front(rows), plot.suffix))
+    best = ", ".join(row.name for row in undominated(rows))
+    say(f"no other entry has more support and more energy than: {best}")
+    return 0
+
+
 # --- sensitivity -----------------------------------------------------------------------------------------------------
 
 
 def _run_sensitivity(arguments: argparse.Namespace) -> int:
-    page = check_page("--page", arguments.page, "sensitivity")
+    section = f"sensitivity:{arguments.suite}"
+    page = check_page("--page", arguments.page, section)
     entries = chosen_entries(arguments.entries, arguments.suite)
     with Progress("episodes") as progress:
         study = study_sensitivity(
@@ -271,7 +318,7 @@ def _run_sensitivity(arguments: argparse.Namespace) -> int:
             on_progress=progress.update,
         )
     if page is not None:
-        update_page(page, {"sensitivity": study.page()})
+        update_page(page, {section: study.page()})
     if arguments.json:
         print_json(study.to_dict())
         return 0
@@ -282,5 +329,5 @@ def _run_sensitivity(arguments: argparse.Namespace) -> int:
     print_table(("rank", "entry", "score"), ranking, left=(1,))
     say("")
     print_table(COLUMNS, [variant.cells() for variant in study.variants], left=(0, 2, 3))
-    say("", study.describe_idle())
+    say("", study.describe())
     return 0

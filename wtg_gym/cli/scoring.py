@@ -22,7 +22,7 @@ from wtg_gym.evaluation.leaderboard import columns_of, short_columns_of
 from wtg_gym.evaluation.workers import BACKENDS, Workers
 from wtg_gym.policies.entry import check_entries
 from wtg_gym.policies.load import BASELINES, LoadArchive
-from wtg_gym.scenarios import FRESH, N_DRAWN, SPLITS, FreshDraw, draw_seeds, get_suite
+from wtg_gym.scenarios import FRESH, SPLITS, FreshDraw, draw_seeds, get_suite
 
 #: Unit of the columns of points.
 _POINTS = " [points]"
@@ -85,7 +85,7 @@ def add_split_options(parser: argparse.ArgumentParser, default: str) -> None:
         "--scenarios",
         type=int,
         metavar="N",
-        help=f"the first N of the split (default: all); with --split {FRESH} how many to draw (default: {N_DRAWN})",
+        help=f"the first N of the split (default: all); with --split {FRESH} how many to draw (default: as many as test)",
     )
     group = parser.add_argument_group("fresh scenarios", f"for --split {FRESH}")
     group.add_argument("--commit", metavar="HASH", help="full hash of the git commit with the entries")
@@ -123,14 +123,27 @@ def add_worker_options(parser: argparse.ArgumentParser) -> None:
 
 
 def chosen_entries(
-    specs: Sequence[str], suite: str = "standard", load_archive: LoadArchive | None = None
+    specs: Sequence[str],
+    suite: str = "standard",
+    load_archive: LoadArchive | None = None,
+    *,
+    others: bool = True,
 ) -> list[Entry]:
-    """Return the entries of `--entries` for a suite; `load_archive` is as for :func:`load_entries`."""
+    """Return the entries of `--entries` for a suite.
+
+    Args:
+        specs: texts of the option.
+        suite: the suite.
+        load_archive: as for :func:`load_entries`.
+        others: whether policies for another version may be among them, which nothing plays but a message names.
+    """
     benchmark = get_suite(suite).benchmark
     # A console script, unlike `python -m`, does not look into the working folder: a checkout's packages are there.
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())
     entries = [entry for spec in specs for entry in load_entries(spec, load_archive, benchmark)]
+    if not others:
+        entries = [entry for entry in entries if entry.environment in (None, benchmark.env_id)]
     # Stored ones among them are not evaluated, but stand in the same table.
     check_entries(entries)
     return entries
@@ -148,7 +161,7 @@ def chosen_scenarios(arguments: argparse.Namespace) -> dict[str, Any]:
         if arguments.scenarios is not None:
             if arguments.seeds is not None:
                 raise ValueError("--scenarios takes the first of the split, --seeds others: give one of the two")
-            return {**chosen, "seeds": _first_seeds(arguments.suite, arguments.split, arguments.scenarios)}
+            return {**chosen, "seeds": first_seeds(arguments.suite, arguments.split, arguments.scenarios)}
         return {**chosen, "seeds": None if arguments.seeds is None else _seeds(arguments.seeds)}
     missing = [option for option in ("--commit", "--secret-file") if option not in given]
     if missing or arguments.seeds is not None:
@@ -156,12 +169,13 @@ def chosen_scenarios(arguments: argparse.Namespace) -> dict[str, Any]:
             f"--split {FRESH} draws its seeds from --commit and --secret-file, without --seeds; "
             f"missing: {', '.join(missing) or 'none'}"
         )
-    n = N_DRAWN if arguments.scenarios is None else arguments.scenarios
-    draw: FreshDraw = draw_seeds(arguments.suite, arguments.commit, read_secret(arguments.secret_file), n)
+    secret = read_secret(arguments.secret_file)
+    draw: FreshDraw = draw_seeds(arguments.suite, arguments.commit, secret, arguments.scenarios)
     return {**chosen, "draw": draw}
 
 
-def _first_seeds(suite: str, split: str, n: int) -> list[int]:
+def first_seeds(suite: str, split: str, n: int) -> list[int]:
+    """Return the first n seeds of a split, as many as `--scenarios` says."""
     seeds = get_suite(suite).seeds(split)
     largest = min(len(seeds), _LARGEST_SEED_RANGE)
     if not 1 <= n <= largest:
@@ -257,6 +271,14 @@ def run_evaluation(entries: Sequence[Entry], *, partial: Path | None = None, **o
     return results
 
 
+def note_failures(results: Results) -> int:
+    """Name the entries that failed, with their reasons; return 1 if there are some, else 0."""
+    for entry in results.failed:
+        seed = "" if entry["training_seed"] is None else f" (training seed {entry['training_seed']})"
+        note(f"failed, and left out: {entry['name']}{seed}: {entry['reason']}")
+    return int(bool(results.failed))
+
+
 def finish(results: Results, folder: Path | None, *, as_json: bool, kept: Results | None = None) -> int:
     """Write the results, print the ranking or the description as JSON; return 1 if an entry failed, else 0.
 
@@ -266,10 +288,7 @@ def finish(results: Results, folder: Path | None, *, as_json: bool, kept: Result
         as_json: print JSON in the place of the ranking.
         kept: what is written, if not the same: stored results beside those that were asked for.
     """
-    code = int(bool(results.failed))
-    for entry in results.failed:
-        seed = "" if entry["training_seed"] is None else f" (training seed {entry['training_seed']})"
-        note(f"failed, and left out: {entry['name']}{seed}: {entry['reason']}")
+    code = note_failures(results)
     if folder is not None:
         for path in (results if kept is None else kept).write(folder):
             note(f"wrote {path}")

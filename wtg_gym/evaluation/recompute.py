@@ -11,7 +11,7 @@ from wtg_gym.evaluation.evaluator import evaluate, shared_settings
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.workers import Workers
 from wtg_gym.policies import Entry
-from wtg_gym.scenarios import N_DRAWN, FreshDraw, get_suite
+from wtg_gym.scenarios import FreshDraw, get_suite
 
 #: The settings of results that are arguments of the environment, as they are called there.
 _ARGUMENTS = ("control_dt", "simulation_dt", "weights", "groups", "machine_model", "on_failure", "physics", "sensors")
@@ -119,7 +119,7 @@ def departures(stored: Results) -> list[str]:
     for key, value in usual.items():
         if own.get(key) != value:
             found.append(f"{key} is {own.get(key)}, that of the benchmark {value}")
-    n_all = len(get_suite(stored.suite).seeds(stored.split)) if stored.draw is None else N_DRAWN
+    n_all = len(get_suite(stored.suite).seeds(stored.split if stored.draw is None else "test"))
     if len(stored.seeds) != n_all:
         found.append(f"{len(stored.seeds)} scenarios, those of the benchmark are {n_all}")
     return found

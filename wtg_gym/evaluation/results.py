@@ -15,7 +15,7 @@ from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.evaluation.oracle import KnownOracle, known_oracle
 from wtg_gym.evaluation.score import NoScaleError, log_gains, pinned
-from wtg_gym.evaluation.statistics import Floats, Interval
+from wtg_gym.evaluation.statistics import Floats, Interval, mean
 from wtg_gym.evaluation.summary import SINCE_V1, EntrySummary, summarise
 from wtg_gym.scenarios import get_suite
 from wtg_gym.scenarios.benchmark import V0, Benchmark
@@ -72,6 +72,11 @@ class Results:
             NoScaleError: on these scenarios the zero is not worse than the hundred, so that there is no score.
         """
         return summarise(self.entries, self.episodes, self._cap, self.oracle.costs, self.benchmark)
+
+    @property
+    def has_scale(self) -> bool:
+        """Whether the zero is worse than the hundred, so that there is a score."""
+        return mean(self.log_gains[self.benchmark.zero]) < 0.0
 
     @cached_property
     def oracle(self) -> KnownOracle:

@@ -90,9 +90,19 @@ class Sensitivity:
         names = dict.fromkeys(variant.weight for variant in self.variants)
         return [name for name in names if not any(v.matters for v in self.variants if v.weight == name)]
 
+    @property
+    def ordering(self) -> list[str]:
+        """The weights of which a variant changes the order, or leaves no scale to order by."""
+        return list(dict.fromkeys(v.weight for v in self.variants if v.ranks or not v.scores))
+
     def to_dict(self) -> dict[str, Any]:
         """Return everything as JSON-ready data."""
-        return {**dataclasses.asdict(self), "idle": self.idle}
+        return {**dataclasses.asdict(self), "ordering": self.ordering, "idle": self.idle}
+
+    def describe(self) -> str:
+        """Return two sentences: which weights the order depends on, and which do not matter."""
+        order = f"The order depends on: {', '.join(self.ordering)}." if self.ordering else "The order depends on none."
+        return f"{order} {self.describe_idle()}"
 
     def describe_idle(self) -> str:
         """Return a sentence that names the weights that do not matter."""
@@ -105,7 +115,7 @@ class Sensitivity:
         scores = ", ".join(f"{name} {round(score, 1) + 0.0:.1f}" for name, score in self.scores.items())
         scenarios = f"{self.n_scenarios} {self.split} scenarios of `{self.suite}`"
         table = markdown_table(COLUMNS, [variant.cells() for variant in self.variants], right=(1,))
-        return f"{scenarios}. Scores with the weights as they are: {scores}.\n\n{table}\n\n{self.describe_idle()}"
+        return f"{scenarios}. Scores with the weights as they are: {scores}.\n\n{table}\n\n{self.describe()}"
 
 
 def study_sensitivity(

@@ -209,10 +209,15 @@ def _summary(
         mean_energy_share_percent=statistics.mean(_values(runs, "energy_share_percent")),
         version=against.version,
         failures_percent_by_kind=_failures_by_kind(runs),
-        worst_decile_cost=statistics.mean(np.sort(costs, axis=1)[:, -math.ceil(_WORST * costs.shape[1]) :]),
+        worst_decile_cost=worst_decile(costs),
         median_deviation_mhz=float(np.median(deviations)),
         p95_deviation_mhz=float(np.percentile(deviations, 95.0)),
     )
+
+
+def worst_decile(costs: Floats) -> float:
+    """Return the mean cost of the worst tenth of the scenarios of each training seed, from (n_runs, n_scenarios)."""
+    return statistics.mean(np.sort(costs, axis=1)[:, -math.ceil(_WORST * costs.shape[1]) :])
 
 
 def _deviations_mhz(runs: Sequence[Sequence[Episode]]) -> Floats:

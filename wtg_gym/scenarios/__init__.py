@@ -1,7 +1,7 @@
 """What happens in a run: random wind, load events and grid strength, frozen suites, and measured wind."""
 
 from wtg_gym.scenarios.distribution import TRIPPABLE_LINES, ScenarioDistribution
-from wtg_gym.scenarios.fresh import N_DRAWN, FreshDraw, draw_seeds
+from wtg_gym.scenarios.fresh import FreshDraw, draw_seeds
 from wtg_gym.scenarios.suites import FRESH, FROZEN_HASHES, SPLITS, SUITES, FixedCase, Suite, get_suite
 from wtg_gym.scenarios.wind import DRAWN_WIND_RANGE, TURBULENCE_CLASSES
 from wtg_gym.scenarios.wind_csv import read_wind_csv
@@ -10,7 +10,6 @@ __all__ = [
     "DRAWN_WIND_RANGE",
     "FRESH",
     "FROZEN_HASHES",
-    "N_DRAWN",
     "SPLITS",
     "SUITES",
     "TRIPPABLE_LINES",

@@ -15,8 +15,6 @@ from dataclasses import dataclass
 
 from wtg_gym.scenarios.suites import FRESH, get_suite
 
-#: Scenarios of a draw, as many as the test split has.
-N_DRAWN = 200
 _MOST_DRAWN = 100_000
 _SHORTEST_SECRET = 16
 _COMMIT = re.compile("[0-9a-f]{40}|[0-9a-f]{64}")
@@ -59,14 +57,14 @@ class FreshDraw:
         return self == draw_seeds(self.suite, self.commit, secret, len(self.seeds))
 
 
-def draw_seeds(suite: str, commit: str, secret: bytes, n: int = N_DRAWN) -> FreshDraw:
+def draw_seeds(suite: str, commit: str, secret: bytes, n: int | None = None) -> FreshDraw:
     """Draw seeds: HMAC-SHA256 of suite, its hash, commit and a counter under the secret, 8 bytes of each digest.
 
     Args:
         suite: name of a suite whose scenarios are drawn.
         commit: full hash of a git commit, 40 or 64 hexadecimal digits.
         secret: 16 bytes or more; as many as cannot be guessed.
-        n: how many, 1 … 100000; fewer seeds are the first of more.
+        n: how many, 1 … 100000, fewer seeds are the first of more; None: as many as the test split has.
 
     Raises:
         ValueError: an argument is out of range, or the suite has fixed cases only.
@@ -76,6 +74,7 @@ def draw_seeds(suite: str, commit: str, secret: bytes, n: int = N_DRAWN) -> Fres
     _check_commit(commit)
     if len(secret) < _SHORTEST_SECRET:
         raise ValueError(f"the secret must have {_SHORTEST_SECRET} bytes or more, got {len(secret)}")
+    n = len(drawn.test) if n is None else n
     if type(n) is not int or not 1 <= n <= _MOST_DRAWN:
         raise ValueError(f"the number of scenarios to draw must be 1 … {_MOST_DRAWN}, got {n!r}")
     seeds: dict[int, None] = {}
@@ -94,4 +93,4 @@ def _check_commit(commit: str) -> None:
         raise ValueError(f"commit must be a full git hash of 40 or 64 hexadecimal digits, got {commit!r}")
 
 
-__all__ = ["N_DRAWN", "FreshDraw", "draw_seeds"]
+__all__ = ["FreshDraw", "draw_seeds"]

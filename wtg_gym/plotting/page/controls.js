@@ -3,12 +3,12 @@
 const boxes = [...document.querySelectorAll("input[name=kind]")];
 const KINDS = boxes.map((box) => box.value);
 
-// Both menus hold what the filters leave, the reference, and what is chosen.
+// Both menus hold what the filters leave, the entry at 100, and what is chosen.
 const fillMenus = () => {
   const kept = new Set(shown());
   for (const side of ["a", "b"]) {
     const entries = suite().entries.filter((entry) =>
-      kept.has(entry) || entry.name === data.reference || entry.name === state[side]);
+      kept.has(entry) || entry.name === suite().hundred || entry.name === state[side]);
     $(side).replaceChildren(...entries.map((entry) => option(entry.name, `${entry.rank}. ${entry.name}`)));
     $(side).value = state[side];
   }
@@ -16,10 +16,10 @@ const fillMenus = () => {
 const fillSuite = () => {
   const { entries, scenarios, seeds, split } = suite();
   const keep = (name, other) => (entryOf(name) ? name : other);
-  const best = entries.find((entry) => entry.name !== data.reference && suite().traced.includes(entry.name)) ??
-    entries.find((entry) => entry.name !== data.reference);
+  const best = entries.find((entry) => entry.name !== suite().hundred && suite().traced.includes(entry.name)) ??
+    entries.find((entry) => entry.name !== suite().hundred);
   state.a = keep(state.a, best.name);
-  state.b = keep(state.b, keep(data.reference, entries[1].name));
+  state.b = keep(state.b, keep(suite().hundred, entries[1].name));
   $("scenario").replaceChildren(...scenarios.map((each, i) => {
     const what = each.events.map((event) => event.text).join("; ") || "wind alone";
     return option(i, short(`${each.seed}: ${what}`, 90));
@@ -40,6 +40,7 @@ const refresh = (settings) => {
   for (const box of boxes) box.checked = state.kinds.includes(box.value);
   $("limits").checked = state.limits;
   fillMenus();
+  fillRules();
   fillRanking();
   fillCompare();
   remember();
@@ -124,7 +125,13 @@ const pick = (step) => {
   return n ? choose((state.scenario + step + n) % n) : undefined;
 };
 const connectControls = () => {
-  $("suite").replaceChildren(...data.suites.map((each, i) => option(i, `${each.name} (${each.seeds.length} scenarios)`)));
+  const groups = new Map();
+  data.suites.forEach((each, i) => {
+    const group = groups.get(each.environment) ?? make("optgroup", undefined, { label: each.environment });
+    group.append(option(i, `${each.name} (${each.seeds.length} scenarios)`));
+    groups.set(each.environment, group);
+  });
+  $("suite").replaceChildren(...groups.values());
   $("suite").onchange = guarded(() => {
     Object.assign(state, { suite: Number($("suite").value), scenario: 0 });
     return refresh();
@@ -185,7 +192,6 @@ try {
   addSortButtons();
   connectControls();
   connectCharts();
-  fillRules();
   paint();
   setTools();
   await restore();

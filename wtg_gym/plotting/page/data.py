@@ -27,6 +27,8 @@ from wtg_gym.physics.compiled import source_hash
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.parameters import GridFormingParameters, PitchParameters, TurbineParameters
 from wtg_gym.physics.scenario import Event, LoadStep, Scenario
+from wtg_gym.physics.tracking_law import get_law
+from wtg_gym.plotting.front import MOST_FAILURES_PERCENT
 from wtg_gym.plotting.page.packing import (
     MISSING,
     RESOLUTIONS,
@@ -74,16 +76,15 @@ def page_data(
         on_progress: called with (name of the entry, entries done, entries in all) after every entry.
 
     Raises:
-        ValueError: no results, two of one suite, suites of two versions, or traces of results that another source code
-            gave.
+        ValueError: no results, two of one suite, or traces of results that another source code gave.
         NoScaleError: there is no score, see :attr:`Results.summaries`.
     """
     names = [each.name for each in results]
     if not names or len(set(names)) < len(names):
-        raise ValueError(f"the page needs results, one of each suite and split; got {', '.join(names) or 'none'}")
-    version = results[0].benchmark
-    if any(each.benchmark is not version for each in results):
-        raise ValueError(f"a page shows one version of the benchmark; got {', '.join(names)}")
+        raise ValueError(
+            "the page needs results with the suites' own sensors, one of each suite and split; "
+            f"got {', '.join(names) or 'none'}"
+        )
     if n_scenarios < 0:
         raise ValueError(f"the number of scenarios with traces must be 0 or more, got {n_scenarios}")
     for each in results:
@@ -109,11 +110,10 @@ def page_data(
         "series": [{"name": name, "step": step} for name, step in RESOLUTIONS.items()],
         "wind_step": WIND_RESOLUTION,
         "score_step": SCORE_RESOLUTION,
+        "most_failures": MOST_FAILURES_PERCENT,
         "missing": MISSING,
         "nominal": modified_ieee14().frequency_hz,
         "tip_speed": TurbineParameters().tip_speed_ratio_per_speed_m_s,
-        "reference": version.hundred,
-        "limits": limits(get_suite(results[0].suite).plant.overload_from_pu),
         "case": _case(),
         "suites": suites,
     }
@@ -170,6 +170,10 @@ def _suite(
     seeds = {entry.name: entry.training_seed for entry in played}
     return {
         "name": results.suite if results.split == "test" else f"{results.suite}, {results.split}",
+        "environment": results.benchmark.env_id,
+        "zero": results.benchmark.zero,
+        "hundred": results.benchmark.hundred,
+        "limits": limits(results.suite),
         "split": results.split,
         "description": get_suite(results.suite).description,
         "hash": results.suite_hash,
@@ -282,23 +286,21 @@ def _event(event: Event, group_buses: Sequence[int]) -> dict[str, Any]:
     }
 
 
-def limits(overload_from_pu: float | None = None) -> dict[str, dict[str, float]]:
-    """Return the dotted lines of the panels of traces: by panel, their names and values.
-
-    Args:
-        overload_from_pu: power above which a converter counts as overloaded, None for the paper's [p.u.].
-    """
+def limits(suite: str) -> dict[str, dict[str, float]]:
+    """Return the dotted lines of the panels of traces in a suite: by panel, their names and values."""
+    own = get_suite(suite)
     control, nominal = GridFormingParameters(), modified_ieee14().frequency_hz
     best, deloaded = tracking_point(0.0), tracking_point(control.deloading_limit)
+    hundred = own.benchmark.hundred
     return {
         # Beyond it the deviation costs four times as much.
         "frequency": {"nominal − 0.2 Hz": nominal - 0.2, "nominal + 0.2 Hz": nominal + 0.2},
         "rotor": {"the pitch's limit": PitchParameters().rotor_speed_limit_pu},
         # Beyond them a rotor outside its range costs.
         "ratio": {"0.9 λ_opt": 0.9 * best.tip_speed_ratio, "1.1 λ_pr": 1.1 * deloaded.tip_speed_ratio},
-        "power": {"the converter's limit": overload_from_pu or control.overload_limit_pu},
+        "power": {"the converter's limit": own.plant.overload_from_pu or control.overload_limit_pu},
         "k": {"K_pr": deloaded.coefficient, "K_opt": best.coefficient},
-        "tau": {"the reference's τ": control.damping_time_constant_s},
+        "tau": {f"the τ of {hundred}": get_law(hundred).damping_time_constant_s},
     }
 
 

@@ -69,7 +69,7 @@ const fit = () => {
   // Every panel shows what lies in the chosen time, with a margin, and the limits where they are asked for.
   const t = state.table.t;
   for (const [i, panel] of data.panels.entries()) {
-    const limits = state.limits ? Object.values(data.limits[panel.name] ?? {}) : [];
+    const limits = state.limits ? Object.values(suite().limits[panel.name] ?? {}) : [];
     let low = Math.min(...limits), high = Math.max(...limits);
     for (const [name, values] of Object.entries(state.table))
       if (name.split("-")[1] === panel.name)
@@ -153,7 +153,11 @@ const fillLegend = () => {
 };
 const fillRules = () => {
   const units = Object.fromEntries(data.panels.map((panel) => [panel.name, /\[(.*)\]/.exec(panel.title)[1].replace("–", "")]));
-  $("rules").textContent = Object.entries(data.limits).flatMap(([name, each]) =>
+  for (const [name, each] of Object.entries(suite().limits))
+    Object.values(each).forEach((value, i) => {
+      chart[`panel-${name}`].center.find((line) => line.name === `limit-${i}`).location = value;
+    });
+  $("rules").textContent = Object.entries(suite().limits).flatMap(([name, each]) =>
     Object.entries(each).map(([what, value]) => `${what} (${Number(value.toPrecision(4))} ${units[name]}`.trim() + ")")).join(", ");
 };
 

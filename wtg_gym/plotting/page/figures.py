@@ -41,14 +41,14 @@ _WIDTHS = {"a": 2.4, "b": 1.4, "rest": 1.0}
 
 
 def page_document(n_groups: int, metric_labels: list[str]) -> Document:
-    """Return the document: figures "ranking", "profile", "compare", "physical", "grid" and one per panel.
+    """Return the document: figures "ranking", "profile", "front", "compare", "physical", "grid" and one per panel.
 
     Args:
         n_groups: largest number of WTG groups of a suite.
         metric_labels: heads of the axes of the physical metrics.
     """
     document = Document()
-    for chart in (_ranking(), _profile(), _compare(), _physical(metric_labels), _grid(), *_panels(n_groups)):
+    for chart in (_ranking(), _profile(), _front(), _compare(), _physical(metric_labels), _grid(), *_panels(n_groups)):
         document.add_root(chart)
     return document
 
@@ -98,6 +98,25 @@ def _profile() -> Any:
     chart = _chart("profile", 320, x_axis_label="score s", y_axis_label="share of scenarios above s", **ranges)
     lines = _lines(chart, "profile")
     chart.add_tools(HoverTool(renderers=lines, tooltips=[("", "@name")], line_policy="none"))
+    return chart
+
+
+def _front() -> Any:
+    """Return the entries by energy and support; a line joins those that no other one beats in both."""
+    ranges = {"x_range": Range1d(90.0, 100.0), "y_range": Range1d(-100.0, 100.0)}
+    labels = {"x_axis_label": "captured energy [%]", "y_axis_label": "frequency and RoCoF [points]"}
+    chart = _chart("front", 360, **labels, **ranges)
+    line = _source("front-line", "x", "y")
+    chart.line("x", "y", source=line, line_width=1.5, line_dash=[5, 4], tags=["axis"])
+    chart.add_layout(Span(location=0.0, dimension="width", line_dash=[4, 4], tags=["rule"]))
+    dots = []
+    for kind, marker in _MARKERS.items():
+        source = _source(f"front-{kind}", "x", "y", "name", "colour", "fill", "values")
+        look = {"marker": marker, "color": "colour", "fill_alpha": "fill", "line_width": 1.5}
+        dots.append(chart.scatter("x", "y", size=10, source=source, **look))
+    names = _source("front-names", "x", "y", "text", "align", "dx")
+    _write(chart, "x", "y", "text", names, "ink", text_align="align", x_offset="dx", y_offset=-6)
+    chart.add_tools(HoverTool(renderers=dots, tooltips=[("", "@name"), ("points, energy", "@values")]))
     return chart
 
 
@@ -184,7 +203,8 @@ def _panels(n_groups: int) -> list[Any]:
     """Return the panels of the traces, over one time axis and one source, with one cursor."""
     columns = [f"{side}-{name}-{j}" for side in "ab" for name, _, own in PANELS for j in range(n_groups if own else 1)]
     source = _source("traces", "t", *columns)
-    lines = limits()
+    # The page moves them to the limits of the suite that it shows.
+    lines = limits("standard")
     events = _source("events", "x")
     time = Range1d(0.0, 60.0, name="time")
     cursor = Span(location=0.0, dimension="height", name="cursor", tags=["cursor"])
@@ -215,8 +235,9 @@ def _panels(n_groups: int) -> list[Any]:
                     line_dash=GROUP_DASHES[j % len(GROUP_DASHES)],
                     tags=["wind" if name == "wind" else side],
                 )
-        for value in lines.get(name, {}).values():
-            chart.add_layout(Span(location=value, dimension="width", line_dash=[2, 4], tags=["rule"]))
+        for i, value in enumerate(lines.get(name, {}).values()):
+            span = Span(location=value, dimension="width", line_dash=[2, 4], name=f"limit-{i}", tags=["rule"])
+            chart.add_layout(span)
         chart.add_layout(cursor)
         zoom = BoxZoomTool(dimensions="width", name="drag")
         chart.add_tools(zoom, WheelZoomTool(dimensions="width", modifiers={"ctrl": True}))

@@ -17,9 +17,10 @@ from wtg_gym import __version__
 from wtg_gym.evaluation import Entry, EntrySummary, Results, leaderboard_rows, table_cells
 from wtg_gym.evaluation.generalisation import GeneralisationGap, generalisation_gaps
 from wtg_gym.evaluation.leaderboard import columns_of, signed_interval
+from wtg_gym.evaluation.matrix import Cell, Matrix, changed_sensors, matrix_of, score_text, worst_text
+from wtg_gym.plotting.front import MOST_FAILURES_PERCENT
 from wtg_gym.plotting.page.data import Progress, page_data
 from wtg_gym.scenarios import FRESH
-from wtg_gym.scenarios.benchmark import V0
 
 #: Largest size of the file [B]: larger ones open slowly from a mail or over a network.
 SIZE_LIMIT = 3_000_000
@@ -32,11 +33,13 @@ _ANCHORS = {
     "v0": ("maximum power point tracking", "the reference strategy", "MPPT", "the reference"),
     "v1": (
         "the paper's law (coordinated-piecewise)",
-        "the same law tuned to this grid (coordinated-tuned), the reference",
+        "the same law tuned to this grid (coordinated-tuned)",
         "the paper's law",
-        "the reference",
+        "that law tuned to this grid",
     ),
 }
+#: Scores from which on a cell of the matrix has its deepest colour, above and below 100.
+_DEEPEST_ABOVE, _DEEPEST_BELOW = 120.0, 0.0
 #: Columns where there are results on fresh scenarios.
 _FRESH = ("fresh score", "excess")
 
@@ -69,8 +72,11 @@ def leaderboard_page(
     The same arguments give the same text. No text of an entry is taken as HTML, and the file asks the browser to run
     no other scripts than its own and to load nothing.
 
+    The suites of the latest version come first. Results with other sensors than the suite's own, and those of scenarios
+    without a scale, are columns of the matrix alone.
+
     Args:
-        results: one of each suite.
+        results: one of each suite and each kind of sensors.
         entries: those whose traces are shown, where the results are theirs.
         n_scenarios: scenarios with traces, the first ones of each suite's results; None for as many of the first
             :data:`N_SCENARIOS` as keep the file below :data:`SIZE_LIMIT`.
@@ -80,7 +86,7 @@ def leaderboard_page(
     Raises:
         ImportError: Bokeh, of the leaderboard extra, is missing.
         ValueError: no results, two of one suite, or traces of results that another source code gave.
-        NoScaleError: there is no score, see :attr:`Results.summaries`.
+        NoScaleError: there is no score on any of the suites, see :attr:`Results.summaries`.
     """
     from bokeh.core.json_encoder import serialize_json
     from bokeh.resources import Resources
@@ -88,22 +94,27 @@ def leaderboard_page(
     from wtg_gym.plotting.page.figures import GROUP_DASHES, PANELS, page_document
 
     wanted = N_SCENARIOS if n_scenarios is None else n_scenarios
-    data = page_data(results, entries, n_scenarios=wanted, n_threads=n_threads, on_progress=on_progress)
+    results = sorted(results, key=lambda each: each.benchmark.version, reverse=True)
+    ranked = _ranked(results)
+    versions = list(dict.fromkeys(each.benchmark.version for each in results))
+    data = page_data(ranked, entries, n_scenarios=wanted, n_threads=n_threads, on_progress=on_progress)
     n_groups = max(len(suite["groups"]) for suite in data["suites"])
     document = page_document(n_groups, [metric["label"] for metric in data["metrics"]])
     data["panels"] = [{"name": name, "title": title, "own": own} for name, title, own in PANELS]
     data["dashes"] = GROUP_DASHES
     library = "\n".join(Resources(mode="inline", components=["bokeh"], minified=True, log_level="error").js_raw)
     script = _script()
-    names = ("zero", "hundred", "short_zero", "short_hundred")
-    version = results[0].benchmark
+    environments = dict.fromkeys(each.benchmark.env_id for each in results)
     fields = {
-        "environment": html.escape(version.env_id),
-        **dict(zip(names, map(html.escape, _ANCHORS[version.version]), strict=True)),
-        "more_columns": "" if version is V0 else _asset("columns_since_v1.html").removesuffix("\n"),
+        "environments": " and ".join(f"<code>{html.escape(name)}</code>" for name in environments),
+        "scales": _scales(versions, "0 is\n{0}, 100 {1}"),
+        "short_scales": _scales(versions, "0 for {2} and 100 for {3}"),
+        "more_columns": "" if versions == ["v0"] else _asset("columns_since_v1.html").removesuffix("\n"),
+        "matrix": _matrices(results),
+        "most_failures": f"{MOST_FAILURES_PERCENT:g}",
         "policy": html.escape(_policy([library, script])),
         "style": _asset("page.css"),
-        "tables": "\n".join(_table(each, _gaps(each, results), hidden=place > 0) for place, each in enumerate(results)),
+        "tables": "\n".join(_table(each, _gaps(each, results), hidden=place > 0) for place, each in enumerate(ranked)),
         "version": html.escape(__version__),
         "library": _deflated(library),
         "charts": _deflated(json.dumps(_plain_ids(json.loads(serialize_json(document.to_json()))))),
@@ -114,6 +125,20 @@ def leaderboard_page(
         text = _filled(fields, data)
     n_traced = {suite["name"]: len(suite["scenarios"]) for suite in data["suites"]}
     return Page(text=text, size=len(text.encode()), n_traced=n_traced)
+
+
+def _ranked(results: Sequence[Results]) -> list[Results]:
+    """Return the results that have a ranking of their own: with the suite's own sensors and with a scale."""
+    own = [each for each in results if not changed_sensors(each)]
+    scaled = [each for each in own if each.has_scale]
+    # Without any the page says why.
+    return scaled or own
+
+
+def _scales(versions: Sequence[str], text: str) -> str:
+    """Return what 0 and 100 are in each version; `text` takes what :data:`_ANCHORS` calls them."""
+    texts = {version: text.format(*map(html.escape, _ANCHORS[version])) for version in versions}
+    return "; ".join(own if len(texts) == 1 else f"in {version}: {own}" for version, own in texts.items())
 
 
 def _filled(fields: Mapping[str, str], data: Mapping[str, Any]) -> str:
@@ -208,6 +233,49 @@ def _table(results: Results, gaps: Mapping[str, GeneralisationGap], *, hidden: b
         f'<table data-suite="{suite}"{" hidden" if hidden else ""}><caption>{caption}</caption>'
         f"<thead><tr>{head}</tr></thead><tbody>\n" + "\n".join(body) + "\n</tbody></table>"
     )
+
+
+def _matrices(results: Sequence[Results]) -> str:
+    """Return the section with the matrix of each version that has several columns, "" where none has."""
+    by_version: dict[str, list[Results]] = {}
+    for each in results:
+        by_version.setdefault(each.benchmark.env_id, []).append(each)
+    matrices = [_matrix(matrix_of(own)) for own in by_version.values() if len(own) > 1]
+    if not matrices:
+        return ""
+    return Template(_asset("matrix.html")).substitute(
+        matrices="\n".join(matrices),
+        above=f"{_DEEPEST_ABOVE:g}",
+        below=f"{_DEEPEST_BELOW:g}",
+    )
+
+
+def _matrix(matrix: Matrix) -> str:
+    heads = "".join(_head(text, i > 0) for i, text in enumerate(matrix.header()))
+    body = [
+        f'<tr data-name="{html.escape(row.name)}"><th scope="row">{html.escape(row.label)}</th>'
+        f"{''.join(map(_matrix_cell, row.cells))}</tr>"
+        for row in matrix.rows
+    ]
+    environment = html.escape(matrix.benchmark.env_id)
+    return (
+        f'<div data-environment="{environment}"><p class="note">{environment}: {html.escape(matrix.describe())}</p>\n'
+        f'<div class="scroll" tabindex="0" role="region" aria-label="Generalisation in {environment}">'
+        f'<table class="matrix"><thead><tr>{heads}</tr></thead><tbody>\n' + "\n".join(body) + "\n"
+        "</tbody></table></div></div>"
+    )
+
+
+def _matrix_cell(cell: Cell | None) -> str:
+    if cell is None:
+        return "<td></td>"
+    small = f"<small>{worst_text(cell)}</small>"
+    if cell.score is None:
+        return f'<td class="number">{small}</td>'
+    above = cell.score.value - 100.0
+    shade = min(1.0, above / ((_DEEPEST_ABOVE if above > 0.0 else _DEEPEST_BELOW) - 100.0))
+    side = "more" if above > 0.0 else "less"
+    return f'<td class="number {side}" style="--shade: {shade:.2f}">{score_text(cell)} {small}</td>'
 
 
 def _head(name: str, is_number: bool) -> str:

@@ -20,7 +20,7 @@ const drawRanking = (all) => {
   const paints = colours();
   const y = (entry) => n - 1 - entries.indexOf(entry);
   const interval = (e) => `${e.score[0].toFixed(1)} (${e.score[1].toFixed(1)} … ${e.score[2].toFixed(1)})`;
-  chart.ranking.setv({ height: 60 + 24 * Math.max(n, 3) });
+  chart.ranking.setv({ height: (innerWidth < 600 ? 96 : 60) + 24 * Math.max(n, 3) });
   chart.ranking.y_range.setv({ start: -0.7, end: n - 0.3 });
   chart.ranking.x_range.setv(around([0, 100, ...entries.flatMap((entry) => entry.score)], 0.05));
   sources.intervals.data = {
@@ -34,12 +34,15 @@ const drawRanking = (all) => {
       colour: own.map((e) => paints[tone(e.name)]), interval: own.map(interval),
     };
   }
+  // On a phone the scale takes lines of its own.
+  const scale = ["score", `0 is ${suite().zero}`, `100 is ${suite().hundred}`], narrow = innerWidth < 600;
+  chart.ranking.below[0].axis_label = narrow ? scale.join("\n") : `${scale[0]}: ${scale[1]}, ${scale[2]}`;
   const mark = { a: "A  ", b: "B  ", rest: "" };
   const label = (entry) => mark[tone(entry.name)] + plain(short(entry.name, innerWidth < 600 ? 22 : 30));
   const axis = chart.ranking.left[0];
   axis.ticker.ticks = entries.map(y);
   axis.major_label_overrides = new Map(entries.map((entry) => [y(entry), label(entry)]));
-  $("ranking").setAttribute("aria-label", `Dot and interval chart of the scores, 0 to 100 marked by lines. ` +
+  $("ranking").setAttribute("aria-label", `Dot and interval chart of the scores; lines mark 0, ${suite().zero}, and 100, ${suite().hundred}. ` +
     (n ? `From ${entries[0].name}, ${interval(entries[0])}, to ${entries[n - 1].name}, ${interval(entries[n - 1])}. ` : "") +
     "The table below holds the numbers.");
   $("cut").textContent = all.length > n ? `The first ${MOST_ROWS} of ${all.length} entries, and A and B; the table holds all.` : "";
@@ -74,17 +77,55 @@ const drawProfile = (groups, entries) => {
     `Performance profiles of ${entries.length} entries; the table under them holds percentiles of the scores.`);
 };
 
+// A run that fails pays for the frequency only until it ends: an entry that fails too often is no part of the front.
+const metric = (name) => data.metrics.findIndex((each) => each.name === name);
+const ENERGY = metric("mean_energy_share_percent"), FAILURES = metric("failures_percent");
+const place = (entry) => ({
+  entry, x: entry.physical[ENERGY], y: entry.points.frequency_rocof,
+  holds: entry.physical[FAILURES] <= data.most_failures,
+});
+const beats = (q, p) => q.x >= p.x && q.y >= p.y && (q.x > p.x || q.y > p.y);
+const front = (places) => {
+  const own = places.filter((each) => each.holds);
+  return own.filter((p) => !own.some((q) => beats(q, p))).sort((p, q) => p.x - q.x);
+};
+const drawFront = (entries) => {
+  const paints = colours(), places = entries.map(place), best = front(places);
+  const columns = (own) => ({ x: own.map((each) => each.x), y: own.map((each) => each.y) });
+  sources["front-line"].data = columns(best);
+  for (const kind of ["law", "feedback", "learned"]) {
+    const own = places.filter((each) => each.entry.kind === kind);
+    sources[`front-${kind}`].data = {
+      ...columns(own), name: own.map((each) => plain(each.entry.name)),
+      colour: own.map((each) => paints[tone(each.entry.name)]), fill: own.map((each) => (each.holds ? 1 : 0)),
+      values: own.map((each) => `${signed(each.y)}, ${each.x.toFixed(2)} %`),
+    };
+  }
+  const x = around(places.length ? places.map((each) => each.x) : [0, 100], 0.06);
+  const named = places.filter((each) => best.includes(each) || tone(each.entry.name) !== "rest");
+  // Names at the right end stand left of their dots.
+  const left = named.map((each) => each.x > (x.start + x.end) / 2);
+  sources["front-names"].data = {
+    ...columns(named), text: named.map((each) => plain(short(each.entry.name, 24))),
+    align: left.map((is) => (is ? "right" : "left")), dx: left.map((is) => (is ? -9 : 9)),
+  };
+  chart.front.x_range.setv(x);
+  chart.front.y_range.setv(around([0, ...places.map((each) => each.y)], 0.08));
+  $("front").setAttribute("aria-label", `Points of frequency and RoCoF against captured energy, ${entries.length} entries. ` +
+    `None beats in both: ${best.map((each) => each.entry.name).join(", ")}. The ranking's table holds the same numbers.`);
+};
+
 const drawPhysical = (groups, entries) => {
   const bounds = data.metrics.map((metric, i) => {
     const values = entries.map((entry) => entry.physical[i]);
     const least = Math.min(...values), most = Math.max(...values);
     return metric.up ? { worst: least, best: most } : { worst: most, best: least };
   });
-  const place = (value, { worst, best }) => (best === worst ? 1 : (value - worst) / (best - worst));
+  const height = (value, { worst, best }) => (best === worst ? 1 : (value - worst) / (best - worst));
   for (const [tag, own] of Object.entries(groups))
     sources[`physical-${tag}`].data = {
       xs: own.map((entry) => entry.physical.map((_, i) => i)),
-      ys: own.map((entry) => entry.physical.map((value, i) => place(value, bounds[i]))),
+      ys: own.map((entry) => entry.physical.map((value, i) => height(value, bounds[i]))),
       name: own.map((entry) => plain(entry.name)),
     };
   const digits = (value) => // The nominal frequency is what small differences count from.
@@ -144,12 +185,20 @@ const fillRanking = () => {
   for (const entry of entries) groups[tone(entry.name)].push(entry);
   drawRanking(entries);
   drawProfile(groups, entries);
+  drawFront(entries);
   drawPhysical(groups, entries);
   const names = new Set(entries.map((entry) => entry.name));
   tables.forEach((table, i) => { table.hidden = i !== state.suite; });
   for (const row of tables[state.suite].tBodies[0].rows) {
     row.hidden = !names.has(row.dataset.name);
     row.className = tone(row.dataset.name);
+  }
+  for (const each of document.querySelectorAll("[data-environment]")) {
+    each.hidden = each.dataset.environment !== suite().environment;
+    for (const row of each.querySelector("table").tBodies[0].rows) {
+      row.hidden = Boolean(entryOf(row.dataset.name)) && !names.has(row.dataset.name);
+      row.className = tone(row.dataset.name);
+    }
   }
   sortTable();
   $("shown").textContent = `${n} of ${suite().entries.length} entries shown.`;
