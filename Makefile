@@ -18,7 +18,7 @@ RLLIB_READY := $(RLLIB_VENV)/ready-$(PYTHON_VERSION)
 # Trained policies, one folder each, ranked beside the baselines of the version that they say they play in.
 EVERY_POLICY := $(patsubst %/entry.toml,%,$(sort $(wildcard agents/policies/*/entry.toml)))
 POLICIES_V1 := $(patsubst %/entry.toml,%,$(sort $(shell grep -ls '^environment = "GFMWTG-14bus-v1"' $(EVERY_POLICY:%=%/entry.toml) /dev/null)))
-POLICIES := $(filter-out $(POLICIES_V1),$(EVERY_POLICY))
+POLICIES_V0 := $(filter-out $(POLICIES_V1),$(EVERY_POLICY))
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
@@ -36,8 +36,9 @@ help: ## Show this list
 	@echo 'PYTHON is the interpreter that makes the environments: 3.11, 3.12, 3.13 or 3.14 (now: $(PYTHON), $(or $(PYTHON_VERSION),not found)).'
 
 .PHONY: leaderboard
-leaderboard: $(LEADERBOARD_READY) ## Score every entry on the standard suite and write the ranking to the README
-	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard --entries baselines $(POLICIES) --results results --readme README.md
+leaderboard: $(LEADERBOARD_READY) ## Score every entry on the standard suites and write the rankings to the README (v1) and docs/benchmark.md (v0)
+	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard-v1 --entries baselines $(POLICIES_V1) --results results --readme README.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard --entries baselines $(POLICIES_V0) --results results --readme docs/benchmark.md
 
 # What the fresh scenarios of the last round were drawn from: the commit with the entries, and the published secret.
 VERIFICATION_COMMIT := 82f6cbcc21a2b949267e19126c0e7868f44b4e5d
@@ -46,17 +47,17 @@ VERIFICATION_SECRET := docs/verification/2026-11.txt
 # Entries that the commit does not hold may be fitted to its fresh scenarios, once their secret is published.
 .PHONY: verification
 verification: $(LEADERBOARD_READY) ## Score every entry of the last round on its fresh scenarios, and put the gap to the public ones into docs/benchmark.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard --entries baselines $(POLICIES) --results results
+	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard --entries baselines $(POLICIES_V0) --results results
 	@drawn=; \
 	if git cat-file -e '$(VERIFICATION_COMMIT)^{commit}' 2>/dev/null; then \
-	    for folder in $(POLICIES); do \
+	    for folder in $(POLICIES_V0); do \
 	        held=$$(git rev-parse --quiet --verify "$(VERIFICATION_COMMIT):$$folder/policy.onnx"); \
 	        if [ "$$held" = "$$(git hash-object "$$folder/policy.onnx")" ]; then drawn="$$drawn $$folder"; \
 	        else echo "left out, not in the commit that the fresh scenarios were drawn from: $$folder" >&2; fi; \
 	    done; \
 	else \
 	    echo 'The commit $(VERIFICATION_COMMIT) is not in this checkout: whether its entries are these is not known.' >&2; \
-	    drawn='$(POLICIES)'; \
+	    drawn='$(POLICIES_V0)'; \
 	fi; \
 	$(LEADERBOARD_VENV)/bin/wtg-gym evaluate --suite standard --entries baselines $$drawn --results results \
 	    --split fresh --commit $(VERIFICATION_COMMIT) --secret-file $(VERIFICATION_SECRET)
@@ -75,7 +76,7 @@ matrix: $(LEADERBOARD_READY) ## Play every entry of v1 on all of its suites and 
 .PHONY: page
 page: matrix verification ## Rank every entry on all suites and on fresh scenarios, and show them in docs/leaderboard.html
 	for suite in $(PAGE_SUITES); do \
-	    $(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite $$suite --entries baselines $(POLICIES) --results results || exit; done
+	    $(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite $$suite --entries baselines $(POLICIES_V0) --results results || exit; done
 	$(LEADERBOARD_VENV)/bin/wtg-gym results page $(PAGE_SUITES_V1:%=results/%-test.json) $(PAGE_SENSORS:%=results/%/standard-v1-test.json) \
 	    $(PAGE_SUITES:%=results/%-test.json) results/standard-fresh.json \
 	    --entries baselines $(EVERY_POLICY) --output docs/leaderboard.html
@@ -99,7 +100,7 @@ pictures: $(LEADERBOARD_READY) ## Draw every picture of the README and of docs/ 
 	$(LEADERBOARD_VENV)/bin/python -m agents.research.one_event --suite standard-v1 --seed 20000 --entries coordinated-piecewise coordinated-tuned recurrent-ppo-v1-0 --planner measured --output $(DOCS)/images/one-event.svg
 	$(LEADERBOARD_VENV)/bin/wtg-gym reproduce --output $(DOCS)/validation --formats svg --page $(DOCS)/validation.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym analyse physics --output $(DOCS)/physics --formats svg --page $(DOCS)/physics.md
-	$(LEADERBOARD_VENV)/bin/python -m agents.research.behaviour --entries $(POLICIES) --output $(DOCS)/agents --page $(DOCS)/agents.md
+	$(LEADERBOARD_VENV)/bin/python -m agents.research.behaviour --entries $(POLICIES_V0) --output $(DOCS)/agents --page $(DOCS)/agents.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym evaluate --suite standard-v1 --entries baselines $(POLICIES_V1) --results results
 	$(LEADERBOARD_VENV)/bin/wtg-gym results front results/standard-v1-validation.json --plot $(DOCS)/images/front-v1.svg
 
@@ -109,9 +110,9 @@ docs: pictures ## Measure everything that docs/ shows again, but for performance
 	$(LEADERBOARD_VENV)/bin/wtg-gym compare tests/golden/*/ --page docs/validation.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym analyse aggregation --page docs/physics.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym analyse accuracy --output docs/validation --formats svg --page docs/validation.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym results sensitivity --entries baselines $(POLICIES) agents.research.probes:CHATTER agents.research.probes:PUSH --page docs/benchmark.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym results sensitivity --entries baselines $(POLICIES_V0) agents.research.probes:CHATTER agents.research.probes:PUSH --page docs/benchmark.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym results sensitivity --suite standard-v1 --entries baselines $(POLICIES_V1) agents.research.probes:CHATTER_V1 agents.research.probes:PUSH_V1 --page docs/benchmark.md
-	$(LEADERBOARD_VENV)/bin/python -m agents.research.incentives --entries $(filter %/linear-feedback,$(POLICIES)) $(filter agents/policies/ppo-k-%,$(POLICIES)) deloaded-5 --page docs/benchmark.md
+	$(LEADERBOARD_VENV)/bin/python -m agents.research.incentives --entries $(filter %/linear-feedback,$(POLICIES_V0)) $(filter agents/policies/ppo-k-%,$(POLICIES_V0)) deloaded-5 --page docs/benchmark.md
 	$(LEADERBOARD_VENV)/bin/python -m tests.submissions.hostile --page docs/submissions.md
 
 .PHONY: conditions

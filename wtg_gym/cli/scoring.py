@@ -85,7 +85,7 @@ def add_split_options(parser: argparse.ArgumentParser, default: str) -> None:
         "--scenarios",
         type=int,
         metavar="N",
-        help=f"the first N of the split (default: all); with --split {FRESH} how many to draw (default: as many as test)",
+        help=f"the first N of the split (default: all); with --split {FRESH} how many to draw (default: as test has)",
     )
     group = parser.add_argument_group("fresh scenarios", f"for --split {FRESH}")
     group.add_argument("--commit", metavar="HASH", help="full hash of the git commit with the entries")
