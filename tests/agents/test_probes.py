@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agents.research.incentives import incentives, mean_response
-from agents.research.probes import CHATTER, CONSTANT, PUSH, STATIC, delayed
+from agents.research.probes import CHATTER, CHATTER_V1, CONSTANT, PUSH, PUSH_V1, STATIC, delayed
 from wtg_gym.evaluation import evaluate, load_entries
 from wtg_gym.physics.aerodynamics import available_power_pu, tracking_point
 from wtg_gym.physics.tracking_law import STRATEGIES
@@ -24,6 +24,14 @@ def test_each_pays_for_what_it_overdoes() -> None:
     assert mean("push", "duty") > 2.0 * mean("coordinated-piecewise", "duty")
     assert mean("push", "frequency") < mean("coordinated-piecewise", "frequency")
     assert mean("static", "effort") < 0.1
+
+
+def test_each_pays_for_what_it_overdoes_in_v1() -> None:
+    results = evaluate([CHATTER_V1, PUSH_V1], "standard-v1", seeds=range(10_000, 10_012))
+    terms = {row.name: row.mean_cost_terms for row in results.summaries}
+    tuned = terms["coordinated-tuned"]
+    assert terms["chatter"]["effort"] > 1.0 > tuned["effort"] == 0.0
+    assert terms["push"]["overload"] > 0.1 > tuned["overload"]
 
 
 def test_static_correction_gives_the_k_that_captures_what_is_asked_at_rest() -> None:
