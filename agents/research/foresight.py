@@ -43,7 +43,7 @@ _EXAMPLES = """\
 examples:
   python -m agents.research.foresight --split validation --scenarios 24 --output results
   python -m agents.research.foresight --gains agents/research/linear_feedback_gains.json \\
-      --entries agents/policies/* --output wtg_gym/evaluation/oracle_costs"""
+      --entries policies --output wtg_gym/evaluation/oracle_costs"""
 
 
 def read_gains(path: Path, action_mode: str, suite: str) -> list[list[float]]:

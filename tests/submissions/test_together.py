@@ -102,11 +102,11 @@ def test_what_is_there_is_compared_as_far_as_it_can_be_read(tmp_path: Path) -> N
 def test_shipped_policies_are_far_from_being_copies(monkeypatch: pytest.MonkeyPatch) -> None:
     # The difference is that of the gate, over all its scenarios.
     monkeypatch.undo()
-    by_mode: dict[str, list[Any]] = {}
+    compared: dict[tuple[str | None, str], list[Any]] = {}
     # Not those that others have submitted: they only have to differ.
-    for name in [*shipped.names(), "linear-feedback"]:
+    for name in [*shipped.names(), "linear-feedback", "linear-feedback-v1", "history-feedback-v1"]:
         (entry,) = load_entries(Path(shipped.__file__).parent / "policies" / name)
-        by_mode.setdefault(entry.action_mode, []).append(rollout(entry.policy, entry))
-    pairs = [pair for actions in by_mode.values() for pair in itertools.combinations(actions, 2)]
-    assert len(pairs) == 55 + 10 + 10
+        compared.setdefault((entry.environment, entry.action_mode), []).append(rollout(entry.policy, entry))
+    pairs = [pair for actions in compared.values() for pair in itertools.combinations(actions, 2)]
+    assert [len(actions) for actions in compared.values()] == [11, 5, 5, 11]
     assert min(itertools.starmap(action_difference, pairs)) > 7 * COPY_TOLERANCE
