@@ -49,7 +49,13 @@ SHIPPED = (
     ),
     Shipped("sac-k+tau", "SAC (k, τ)", "SAC that modulates k and τ.", ("--algo", "sac", "--action-mode", "k+tau")),
     Shipped("ppo-v1", "PPO", "PPO on top of the tuned law.", ("--algo", "ppo", *_V1), 3),
-    Shipped("recurrent-ppo-v1", "recurrent PPO", "PPO with LSTMs on top of the tuned law.", ("--algo", "recurrent_ppo", *_V1), 3),
+    Shipped(
+        "recurrent-ppo-v1",
+        "recurrent PPO",
+        "PPO with LSTMs on top of the tuned law.",
+        ("--algo", "recurrent_ppo", *_V1),
+        3,
+    ),
     Shipped("sac-v1", "SAC", "SAC on top of the tuned law.", ("--algo", "sac", *_V1), 3),
 )
 

@@ -296,10 +296,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     def work() -> None:
         given = parser.parse_args(argv)
         page = check_page("--page", given.page, _SECTION)
+        benchmark = get_suite(given.suite).benchmark
         evidence = gathered(
             given.suite,
-            feedbacks=[entry for name in given.feedbacks for entry in load_entries(name)],
-            agents=[entry for name in given.agents for entry in load_entries(name)],
+            feedbacks=[entry for name in given.feedbacks for entry in load_entries(name, benchmark=benchmark)],
+            agents=[entry for name in given.agents for entry in load_entries(name, benchmark=benchmark)],
             oracle=None if given.oracle is None else OracleCosts.read(Path(given.oracle)),
             planners=None if given.planners is None else Results.read(Path(given.planners)),
             n_simple=given.simple,

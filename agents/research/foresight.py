@@ -235,7 +235,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         parts = check_output_folder("--parts", given.parts)
         search = search_of(given, given.split)
         gains = None if given.gains is None else read_gains(Path(given.gains), given.action_mode, given.suite)
-        entries = [entry for spec in given.entries for entry in load_entries(spec)]
+        benchmark = get_suite(given.suite).benchmark
+        entries = [entry for spec in given.entries for entry in load_entries(spec, benchmark=benchmark)]
         costs = find_oracle(search, entries, parts, gains=gains, chunk=given.chunk, n_threads=given.threads)
         for path in costs.write(output):
             note(f"wrote {path}")
