@@ -23,9 +23,11 @@ jax.config.update("jax_enable_x64", True)
 
 def _either(traced: Any, plain: Any) -> Any:
     """Sizes and row numbers stay Python's."""
-    return lambda *given: (
-        traced(*given) if any(isinstance(one, jax.Array | np.ndarray) for one in given) else plain(*given)
-    )
+
+    def call(*given: Any) -> Any:
+        return traced(*given) if any(isinstance(one, jax.Array | np.ndarray) for one in given) else plain(*given)
+
+    return call
 
 
 ARITHMETIC: dict[str, Any] = {

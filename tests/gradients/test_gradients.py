@@ -18,7 +18,8 @@ from wtg_gym.gradients.adjoint import replay
 from wtg_gym.gradients.generated import programs_of
 from wtg_gym.gradients.tape import Gradient, Tape
 from wtg_gym.physics.elementary import exponential, fma, sine_cosine
-from wtg_gym.physics.scenario import Scenario
+from wtg_gym.physics.protection import Status
+from wtg_gym.physics.scenario import GovernorLoss, LineTrip, LoadStep, MachineOutage, Scenario
 
 Floats = npt.NDArray[np.float64]
 N_LANES = 3
@@ -139,3 +140,178 @@ def _measured_slopes() -> Floats:
     tape = tape_of()
     actions = actions_of(tape, 300)
     return slopes(tape, drawn(tape), actions, np.random.default_rng(2).normal(size=actions.shape))
+
+
+def given(n_wtg: int, *events: Any, wind: float = 9.0) -> Scenario:
+    return Scenario(name="given", wind_speed=np.full((n_wtg, 1), wind), events=events, load_noise_bus=3)
+
+
+def agrees(tape: Tape, scenarios: list[Scenario], actions: Floats, tolerance: float = 1e-5) -> Gradient:
+    """Check the gradient of the cost with respect to the actions, along some way; return it."""
+    found = tape.gradient(scenarios, actions)
+    way = np.random.default_rng(3).normal(size=actions.shape)
+    expected = slopes(tape, scenarios, actions, way).sum(axis=1)
+    assert np.abs(expected).max() > 1e-3
+    assert along(found, way) == pytest.approx(expected, rel=tolerance, abs=tolerance * np.abs(expected).max())
+    return found
+
+
+def test_the_gradient_with_respect_to_the_law_is_that_of_central_differences() -> None:
+    tape = tape_of()
+    scenarios, actions, h = drawn(tape), actions_of(tape, 200), 1e-5
+    found = tape.gradient(scenarios, actions)
+    tape.start(scenarios)
+    law = tape.law()
+    assert np.array_equal(
+        law[0, 0, :3], [getattr(tape.lanes.laws[0], name) for name in ("k_min", "k_nominal", "k_max")]
+    )
+    for place in np.ndindex(law.shape[1:]):
+        step = np.zeros_like(law)
+        step[:, *place] = h
+        up, down = (played(tape, scenarios, actions, law + sign * step).sum(axis=1) for sign in (1.0, -1.0))
+        expected = (up - down) / (2.0 * h)
+        assert found.law[:, *place] == pytest.approx(expected, rel=1e-5, abs=1e-5 * np.abs(expected).max())
+
+
+def test_the_gradient_goes_through_outages_and_lost_governors() -> None:
+    tape = tape_of()
+    buses = [machine.bus for machine in tape.lanes.simulator.settings.case.machines if machine.governor is not None]
+    step = LoadStep(time_s=0.525, bus=4, power_mw=15.0)
+    scenarios = [
+        given(2, step, GovernorLoss(time_s=2.35, bus=buses[0])),
+        given(2, step, MachineOutage(time_s=1.05, bus=3)),
+        given(2, step, LineTrip(time_s=1.075, from_bus=4, to_bus=5, recloses_after_s=0.225)),
+    ]
+    agrees(tape, scenarios, actions_of(tape, 80))
+
+
+def test_a_lost_governor_holds_a_gate_that_actions_have_moved() -> None:
+    tape = tape_of()
+    buses = [machine.bus for machine in tape.lanes.simulator.settings.case.machines if machine.governor is not None]
+    step = LoadStep(time_s=0.5, bus=4, power_mw=15.0)
+    scenarios = [given(2, step, GovernorLoss(time_s=4.0, bus=buses[0]))] * N_LANES
+    actions = actions_of(tape, 80)
+    found = tape.gradient(scenarios, actions)
+    # Only actions before the loss act on the gate, and only frequencies after it tell of the reference.
+    way = np.random.default_rng(4).normal(size=actions.shape) * (np.arange(80) < 40)[:, np.newaxis, np.newaxis]
+    expected = slopes(tape, scenarios, actions, way).sum(axis=1)
+    assert along(found, way) == pytest.approx(expected, rel=1e-5)
+
+
+def test_an_episode_that_ends_early_has_the_gradient_of_what_it_paid() -> None:
+    tape = tape_of()
+    scenarios = [given(2, LoadStep(time_s=1.0, bus=4, power_mw=power)) for power in (600.0, -300.0, 20.0)]
+    actions = actions_of(tape, 60, 0.2)
+    found = agrees(tape, scenarios, actions)
+    played(tape, scenarios, actions)
+    ended = tape.lanes.simulator.lane_values("step") / tape.lanes.simulator.plant.n_substeps
+    statuses = tape.lanes.statuses()
+    assert (statuses[:2] != Status.RUNNING).all() and (ended[:2] < 50).all()
+    assert statuses[2] == Status.RUNNING
+    # What is charged for the failure is constant, and what comes after it does nothing.
+    assert found.terms[0, COST_TERMS.index("failure")] > 0.0
+    failure = tape.gradient(scenarios, actions, {"failure": 1.0})
+    assert not failure.actions.any() and not failure.law.any()
+    last = math.ceil(ended[0]) - 1
+    assert found.actions[last, 0].any() and not found.actions[last + 1 :, 0].any()
+
+
+def test_observations_have_gradients() -> None:
+    tape = tape_of()
+    scenarios, actions = drawn(tape), actions_of(tape, 60)
+    rng = np.random.default_rng(5)
+    way, weights = rng.normal(size=actions.shape), rng.normal(size=(60, N_LANES, tape.lanes.n_observation))
+
+    def weighed(given: Floats) -> Floats:
+        # As the kernels know them, before they are rounded to 32 bits.
+        tape.start(scenarios)
+        found = []
+        for own in given:
+            tape.step(own)
+            found.append(tape._take(tape._values(), tape._rules.observation))
+        return np.einsum("klo,klo->l", weights, np.array(found))
+
+    h = 1e-6
+    expected = (weighed(actions + h * way) - weighed(actions - h * way)) / (2.0 * h)
+    carried, terms, total = np.zeros((N_LANES, tape.n_carried)), np.zeros((N_LANES, len(COST_TERMS))), np.zeros(N_LANES)
+    for step in range(59, -1, -1):
+        carried, own, _ = tape.pull(step, carried, terms, weights[step])
+        total += np.einsum("la,la->l", own, way[step])
+    assert total == pytest.approx(expected, rel=1e-5)
+
+
+def test_other_settings_have_gradients_of_their_own() -> None:
+    """Ends within a control interval too: this one is longer than that of the protections."""
+    tape = tape_of(
+        machine_model="classical",
+        action_mode="tau",
+        observation_mode="privileged",
+        strategy="coordinated-piecewise",
+        control_dt=0.5,
+    )
+    scenarios = [given(2, LoadStep(time_s=1.0, bus=4, power_mw=power)) for power in (600.0, -300.0, 20.0)]
+    actions = actions_of(tape, 40)
+    agrees(tape, scenarios, actions)
+    played(tape, scenarios, actions)
+    ended = tape.lanes.simulator.lane_values("step") / tape.lanes.simulator.plant.n_substeps
+    assert (ended[:2] < 40).all() and (ended[:2] % 1.0 > 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("settings", "reason"),
+    [({"version": "v1"}, "sensors"), ({"physics": "extended"}, "extended"), ({"on_failure": "trip"}, "on_failure")],
+)
+def test_what_gradients_are_not_known_for_is_refused(settings: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        Tape(EnvSettings(**settings), 1, 1)
+
+
+def test_a_policy_trains_by_backward() -> None:
+    torch = pytest.importorskip("torch", reason="PyTorch is not installed here")
+    from wtg_gym.gradients.torch import TorchEpisodes
+
+    episodes = TorchEpisodes(EnvSettings(), N_LANES, 1)
+    scenarios = drawn(episodes.tape)
+    episodes.start(scenarios)
+    torch.manual_seed(0)
+    policy = torch.nn.Linear(episodes.tape.lanes.n_observation, episodes.tape.lanes.n_action).double()
+    law = torch.tensor(episodes.tape.law()[0], requires_grad=True)
+
+    def cost() -> Any:
+        observations, total = episodes.start(scenarios, law), 0.0
+        for _ in range(50):
+            observations, terms = episodes.step(torch.tanh(policy(observations.double())))
+            total = total + terms.sum()
+        return total
+
+    parameters = [*policy.parameters(), law]
+    before = cost()
+    before.backward()
+    found = [parameter.grad.clone() for parameter in parameters]
+    for parameter, gradient in zip(parameters, found, strict=True):
+        way, h, ends = gradient / gradient.norm(), 1e-3, []
+        for sign in (1.0, -2.0, 1.0):
+            with torch.no_grad():
+                parameter += sign * h * way
+            ends.append(cost().item())
+        # Observations have 32 bits: the environment's answers are no smoother than that.
+        assert (ends[0] - ends[1]) / (2.0 * h) == pytest.approx(float(gradient.norm()), rel=1e-3)
+    with torch.no_grad():
+        for parameter, gradient in zip(policy.parameters(), found[:-1], strict=True):
+            parameter -= 0.01 * gradient
+    assert cost() < before
+    with pytest.raises(RuntimeError, match="before the next start"):
+        before.backward()
+
+
+def test_torch_and_numpy_agree_to_the_last_bit() -> None:
+    torch = pytest.importorskip("torch", reason="PyTorch is not installed here")
+    from wtg_gym.gradients.torch import TorchEpisodes
+
+    episodes = TorchEpisodes(EnvSettings(), N_LANES, 1)
+    scenarios, actions = drawn(episodes.tape), actions_of(episodes.tape, 20)
+    found = episodes.tape.gradient(scenarios, actions)
+    episodes.start(scenarios)
+    given = torch.tensor(actions, requires_grad=True)
+    torch.stack([episodes.step(own)[1] for own in given]).sum().backward()
+    assert np.array_equal(given.grad.numpy(), found.actions)

@@ -124,12 +124,7 @@ def programs_of(plant: Plant, task: npt.NDArray[np.void], n_rows: int, n_action:
 
 
 def build_rules(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_action: int, n_observation: int) -> Rules:
-    """Differentiate the kernels of a plant and task, and compile what comes of it (some seconds, cached on disk).
-
-    Raises:
-        ValueError: see :func:`require_known`.
-    """
-    require_known(plant, task)
+    """Differentiate the kernels of a known plant and task; what comes of it is compiled when it is first called."""
     own = layout.n_rows
     n_rows = own + n_action
     programs = programs_of(plant, task, own, n_action)

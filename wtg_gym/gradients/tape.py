@@ -10,9 +10,11 @@ import numpy.typing as npt
 
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.envs.task import build_task
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.gradients.adjoint import build_pull
-from wtg_gym.gradients.generated import Rules, build_rules
+from wtg_gym.gradients.generated import Rules, build_rules, require_known
+from wtg_gym.physics.plant import build_plant
 from wtg_gym.physics.scenario import Scenario
 
 Floats = npt.NDArray[np.float64]
@@ -54,6 +56,8 @@ class Tape:
     """
 
     def __init__(self, settings: EnvSettings, n_lanes: int = 1, n_threads: int | None = None) -> None:
+        plant = settings.plant()
+        require_known(build_plant(plant), build_task(settings, plant.case.frequency_hz))
         self.lanes = TaskLanes(settings, n_lanes, n_threads)
         simulator = self.lanes.simulator
         key = b"".join(
@@ -71,6 +75,8 @@ class Tape:
         self._rules, self._pull = _RULES[key]
         n_blocks = simulator.blocks.shape[0]
         self._works = np.zeros((n_blocks, 2 * self._rules.n_rows * simulator.width))
+        #: How often episodes have been started.
+        self.n_starts = 0
         self._blocks: list[Floats] = []
         self._actions: list[Floats] = []
 
@@ -93,6 +99,7 @@ class Tape:
         """Start an episode in every lane and return the first observations."""
         self.lanes.start(list(range(self.lanes.n_lanes)), scenarios)
         self._blocks, self._actions = [], []
+        self.n_starts += 1
         return self.observations
 
     def set_law(self, law: Floats) -> None:
