@@ -26,8 +26,8 @@ N_LANES = 3
 
 
 @functools.cache
-def tape_of(**settings: Any) -> Tape:
-    return Tape(EnvSettings(**settings), N_LANES, 1)
+def tape_of(cap: float = 50.0, **settings: Any) -> Tape:
+    return Tape(EnvSettings(weights={"cap": cap}, **settings), N_LANES, 1)
 
 
 def drawn(tape: Tape, first: int = 1_000_000) -> list[Scenario]:
@@ -198,6 +198,24 @@ def test_a_lost_governor_holds_a_gate_that_actions_have_moved() -> None:
     assert along(found, way) == pytest.approx(expected, rel=1e-5)
 
 
+def test_the_gradient_goes_through_the_limits_of_the_pitch() -> None:
+    tape = tape_of()
+    time = np.arange(0.0, 31.0, 0.1)
+    step = LoadStep(time_s=1.0, bus=4, power_mw=60.0)
+    scenarios = [
+        Scenario(name="gusts", wind_speed=np.tile(mean + 5.0 * np.sin(0.5 * time), (2, 1)), events=(step,))
+        for mean in (9.5, 10.0, 10.5)
+    ]
+    actions = actions_of(tape, 300, 0.3)
+    way = np.random.default_rng(3).normal(size=actions.shape)
+    found, expected = tape.gradient(scenarios, actions), slopes(tape, scenarios, actions, way, 1e-6).sum(axis=1)
+    row = tape.lanes.simulator.layout.wtg("pitch_integral")
+    turned = np.array([tape._take(block.reshape(1, -1, 16), row) > 0.0 for block in tape._blocks]).any(axis=(1, 2))
+    # The controller acts, comes to rest at its limit, and acts again.
+    assert np.count_nonzero(np.diff(turned.astype(int))) >= 3
+    assert along(found, way) == pytest.approx(expected, rel=1e-5, abs=1e-5 * np.abs(expected).max())
+
+
 def test_an_episode_that_ends_early_has_the_gradient_of_what_it_paid() -> None:
     tape = tape_of()
     scenarios = [given(2, LoadStep(time_s=1.0, bus=4, power_mw=power)) for power in (600.0, -300.0, 20.0)]
@@ -248,10 +266,14 @@ def test_other_settings_have_gradients_of_their_own() -> None:
         observation_mode="privileged",
         strategy="coordinated-piecewise",
         control_dt=0.5,
+        # So high that the failing lanes' last costs are not cut.
+        cap=5000.0,
     )
     scenarios = [given(2, LoadStep(time_s=1.0, bus=4, power_mw=power)) for power in (600.0, -300.0, 20.0)]
     actions = actions_of(tape, 40)
-    agrees(tape, scenarios, actions)
+    found = tape.gradient(scenarios, actions)
+    way = np.random.default_rng(3).normal(size=actions.shape)
+    assert along(found, way) == pytest.approx(slopes(tape, scenarios, actions, way).sum(axis=1), rel=1e-5)
     played(tape, scenarios, actions)
     ended = tape.lanes.simulator.lane_values("step") / tape.lanes.simulator.plant.n_substeps
     assert (ended[:2] < 40).all() and (ended[:2] % 1.0 > 0.0).all()

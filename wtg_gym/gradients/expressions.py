@@ -238,8 +238,9 @@ def _of_select(g: Any, _: Any, condition: Any, *__: Any) -> tuple[Any, ...]:
     return None, select(condition, g, 0.0), select(condition, 0.0, g)
 
 
-def _quotient(g: Any, divisor: Any) -> Any:
-    return select(divisor == 0.0, 0.0, g / divisor)
+def _of_quotient(g: Any, y: Any, _: Any, b: Any) -> tuple[Any, ...]:
+    # A quotient by zero is one that a `select` leaves out: nothing may come back from it, not even 0/0.
+    return select(b == 0.0, 0.0, g / b), select(b == 0.0, 0.0, -(g / b) * y)
 
 
 #: The cotangents of the arguments, given that of the result, the result and the arguments; None for none.
@@ -247,15 +248,14 @@ _REVERSE: dict[str, Callable[..., tuple[Any, ...]]] = {
     "add": lambda g, y, a, b: (g, g),
     "sub": lambda g, y, a, b: (g, -g),
     "mul": lambda g, y, a, b: (g * b, g * a),
-    # A quotient by zero is one that a `select` leaves out: nothing may come back from it, not even 0/0.
-    "div": lambda g, y, a, b: (_quotient(g, b), -_quotient(g, b) * y),
+    "div": _of_quotient,
     "power": lambda g, y, a, b: (None, g * y * math.log(a)),
     "neg": lambda g, y, a: (-g,),
     "abs": lambda g, y, a: (select(a < 0.0, -g, g),),
     # Where both are equal: as if the first were chosen, like the functions themselves.
     "min": lambda g, y, a, b: (select(b < a, 0.0, g), select(b < a, g, 0.0)),
     "max": lambda g, y, a, b: (select(a < b, 0.0, g), select(a < b, g, 0.0)),
-    "sqrt": lambda g, y, a: (_quotient(0.5 * g, y),),
+    "sqrt": lambda g, y, a: (select(y == 0.0, 0.0, 0.5 * g / y),),
     # It stays where it is below -40.
     "exponential": lambda g, y, a: (select(a < -40.0, 0.0, g * y),),
     "sine": lambda g, y, a: (g * sine_cosine(a)[1],),

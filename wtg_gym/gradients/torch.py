@@ -21,7 +21,7 @@ from wtg_gym.gradients.tape import Tape
 from wtg_gym.physics.scenario import Scenario
 
 
-class _Step(torch.autograd.Function):  # type: ignore[misc]
+class _Step(torch.autograd.Function):
     """A step of a tape. What one step leaves to the next is a tensor of zeros, whose gradient alone has a meaning."""
 
     @staticmethod
@@ -31,7 +31,7 @@ class _Step(torch.autograd.Function):  # type: ignore[misc]
         return torch.zeros_like(left), torch.from_numpy(observations), torch.from_numpy(terms)
 
     @staticmethod
-    @once_differentiable  # type: ignore[untyped-decorator]
+    @once_differentiable
     def backward(ctx: Any, left: Any, observations: Any, terms: Any) -> tuple[Any, Any, Any, Any]:
         if ctx.start != ctx.tape.n_starts:
             raise RuntimeError("backward() must come before the next start(): the steps of these episodes are gone")
@@ -44,6 +44,9 @@ class _Step(torch.autograd.Function):  # type: ignore[misc]
             torch.from_numpy(pulled.law).to(of_law),
             torch.from_numpy(pulled.actions).to(of_actions),
         )
+
+
+_apply: Any = _Step.apply
 
 
 class TorchEpisodes:
@@ -76,7 +79,7 @@ class TorchEpisodes:
         Returns:
             observations (n_lanes, n_observation), floats of 32 bits, and terms of the cost (n_lanes, n_terms), of 64.
         """
-        self._left, observations, terms = _Step.apply(self.tape, self._left, self._law, actions)
+        self._left, observations, terms = _apply(self.tape, self._left, self._law, actions)
         return observations, terms
 
 
