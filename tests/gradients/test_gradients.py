@@ -279,6 +279,32 @@ def test_other_settings_have_gradients_of_their_own() -> None:
     assert (ended[:2] < 40).all() and (ended[:2] % 1.0 > 0.0).all()
 
 
+def test_an_episode_alone_has_the_bits_of_one_in_a_batch() -> None:
+    batch, alone = tape_of(), Tape(EnvSettings(), 1, 1)
+    scenarios, actions = drawn(batch), actions_of(batch, 40)
+    found, single = batch.gradient(scenarios, actions), alone.gradient(scenarios[1:2], actions[:, 1:2])
+    assert np.array_equal(single.actions, found.actions[:, 1:2])
+    assert np.array_equal(single.law, found.law[1:2])
+
+
+@pytest.mark.parametrize(
+    ("call", "reason"),
+    [
+        (lambda tape, scenarios: tape.gradient(scenarios, np.zeros((5, N_LANES, 9))), "shape"),
+        (lambda tape, scenarios: tape.gradient(scenarios, np.zeros((5, 4))), "n_steps"),
+        (lambda tape, scenarios: tape.gradient(scenarios, np.zeros((5, N_LANES, 4)), {"noise": 1.0}), "noise"),
+        (lambda tape, scenarios: Tape(EnvSettings(), N_LANES, 1).step(np.zeros((N_LANES, 4))), "start"),
+        (lambda tape, scenarios: tape.set_law(tape.law()), "first step"),
+    ],
+)
+def test_bad_input_is_refused(call: Any, reason: str) -> None:
+    tape = tape_of()
+    scenarios = drawn(tape)
+    tape.gradient(scenarios, np.zeros((1, N_LANES, 4)))
+    with pytest.raises(ValueError, match=reason):
+        call(tape, scenarios)
+
+
 @pytest.mark.parametrize(
     ("settings", "reason"),
     [({"version": "v1"}, "sensors"), ({"physics": "extended"}, "extended"), ({"on_failure": "trip"}, "on_failure")],

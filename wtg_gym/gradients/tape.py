@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.lanes import TaskLanes, as_actions
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task import build_task
 from wtg_gym.envs.task_records import COST_TERMS
@@ -44,7 +44,7 @@ class Tape:
     derivatives of what is differentiated with respect to the step's outputs, and returns those with respect to its
     inputs. What happens at discrete times counts as given: the ends of episodes, which a protection may bring forward,
     do not move. The gradient of an episode that ends early is that of what it paid until then; what its failure costs
-    is constant.
+    is constant. At a corner of a law, a limit or a cost it is the slope on one side.
 
     Args:
         settings: of the environment; the paper's physics and version v0.
@@ -139,7 +139,9 @@ class Tape:
             observations (n_lanes, n_observation) and the terms of the step's cost (n_lanes, n_terms), in the order of
             `COST_TERMS`; zero for lanes that had ended.
         """
-        simulator = self.lanes.simulator
+        if not self.n_starts:
+            raise ValueError("step() needs episodes: call start() first")
+        simulator, actions = self.lanes.simulator, as_actions(actions, (self.lanes.n_lanes, self.lanes.n_action))
         running = simulator.lane_values("active") > 0.5
         before = simulator.blocks.copy()
         self.lanes.step(actions)
@@ -195,7 +197,15 @@ class Tape:
             scenarios: one per lane.
             actions: of as many steps as are to count (n_steps, n_lanes, n_action).
             weights: of the terms of the cost by name, those left out count nothing; None for the cost itself.
+
+        Raises:
+            ValueError: a term is unknown, or there are no actions.
         """
+        if unknown := sorted(set(weights or ()) - set(COST_TERMS)):
+            raise ValueError(f"unknown terms {unknown} of the cost; known: {', '.join(COST_TERMS)}")
+        actions = np.asarray(actions, dtype=np.float64)
+        if actions.ndim != 3 or not actions.size:
+            raise ValueError(f"actions must have the shape (n_steps, n_lanes, n_action), got {actions.shape}")
         weight = np.array([1.0 if weights is None else weights.get(term, 0.0) for term in COST_TERMS])
         self.start(scenarios)
         terms = np.sum([self.step(own)[1] for own in actions], axis=0)
