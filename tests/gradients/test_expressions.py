@@ -54,7 +54,7 @@ POINTS = [(0.3, 0.8), (1.7, 0.4), (0.9, -1.3), (-0.6, 2.5)]
 
 def worked_out(stores: dict[int, Any], *rows: float) -> list[float]:
     # Compiled code divides by zero without a word, as numpy's numbers do here.
-    names = {"fma": fma, "sine_cosine": sine_cosine, "exponential": exponential, "inf": math.inf}
+    names = {"chosen": select, "fma": fma, "sine_cosine": sine_cosine, "exponential": exponential, "inf": math.inf}
     space: dict[str, Any] = {"math": SimpleNamespace(sqrt=np.sqrt, floor=math.floor, ceil=math.ceil), **names}
     exec(ex.function_source("traced", (), stores), space)
     block = np.array([*rows, *np.zeros(4)])

@@ -17,7 +17,7 @@ from wtg_gym.gradients import expressions as ex
 from wtg_gym.gradients.adjoint import replay
 from wtg_gym.gradients.generated import programs_of
 from wtg_gym.gradients.tape import Gradient, Tape
-from wtg_gym.physics.elementary import exponential, fma, sine_cosine
+from wtg_gym.physics.elementary import exponential, fma, select, sine_cosine
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import GovernorLoss, LineTrip, LoadStep, MachineOutage, Scenario
 
@@ -58,7 +58,7 @@ def along(found: Gradient, way: Floats) -> Floats:
 
 
 def compiled_by_python(source: str) -> Any:
-    space: dict[str, Any] = {"fma": fma, "sine_cosine": sine_cosine, "exponential": exponential}
+    space: dict[str, Any] = {"chosen": select, "fma": fma, "sine_cosine": sine_cosine, "exponential": exponential}
     exec(source, {**space, "math": math, "inf": math.inf}, space)
     return space["traced"]
 

@@ -229,7 +229,7 @@ _SOURCE = {
     "exponential": "exponential({})",
     "sine": "sine_cosine({})[0]",
     "cosine": "sine_cosine({})[1]",
-    "select": "{1} if {0} else {2}",
+    "select": "chosen({}, {}, {})",
     "fma": "fma({}, {}, {})",
 }
 

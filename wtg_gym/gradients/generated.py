@@ -16,6 +16,8 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 import numpy.typing as npt
+from numba import types
+from numba.extending import intrinsic
 
 from wtg_gym.envs.task import apply_actions, charge, observe, rocof_window
 from wtg_gym.envs.task_records import GROUP, N_GROUP_ROWS, N_TASK_ROWS, TASK, CostTerms, read_task
@@ -47,6 +49,16 @@ Floats = npt.NDArray[np.float64]
 
 #: Parameters of a tracking law that gradients are taken with respect to.
 LAW_PARAMETERS = ("k_min", "k_nominal", "k_max", "inverse_time_constant")
+
+
+@intrinsic
+def _chosen(typing_context: Any, condition: Any, value: Any, other: Any) -> Any:
+    """`select` as an instruction: a branch apiece would take the compiler twice as long."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.select(*arguments)
+
+    return types.float64(types.boolean, types.float64, types.float64), code
 
 
 class Steps(NamedTuple):
@@ -170,18 +182,11 @@ def build_rules(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_acti
         gates=layout.machine("gate"),
     )
 
-    def add(row: int, value: Any) -> Any:
-        return ex.row_of_block(n_rows + row) + value
-
     # What a kernel writes loses its cotangent to what it reads. The method wants those of the states for themselves.
     sources = (
-        _stores(of_act, programs.act, add, "pull_act", (), n_rows),
-        ex.function_source(
-            "pull_rates",
-            ("fraction",),
-            {n_rows + row: value if row in states else add(row, value) for row, value in of_rates.items()},
-        ),
-        _stores(of_charge, seeds, add, "pull_charge", (), n_rows),
+        _source("pull_act", (), of_act, programs.act, n_rows),
+        _source("pull_rates", ("fraction",), of_rates, states, n_rows),
+        _source("pull_charge", (), of_charge, seeds, n_rows),
     )
     carried = states | (set(of_charge) & seeds) | set(references.tolist())
     carried -= {*programs.act, *law.ravel().tolist(), *terms.tolist(), *observation.tolist()}
@@ -202,17 +207,11 @@ def build_rules(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_acti
     )
 
 
-def _stores(
-    pulled: dict[int, Any],
-    written: Iterable[int],
-    add: Callable[[int, Any], Any],
-    name: str,
-    arguments: Sequence[str],
-    n_rows: int,
-) -> str:
-    """Return the source of a rule that replaces the cotangents of the rows written and adds to the others."""
-    stores = {n_rows + row: pulled.get(row, 0.0) for row in sorted(written)}
-    stores |= {n_rows + row: add(row, value) for row, value in pulled.items() if n_rows + row not in stores}
+def _source(name: str, arguments: Sequence[str], pulled: dict[int, Any], replaced: Iterable[int], n_rows: int) -> str:
+    """Return the source of a rule that replaces the cotangents of some rows and adds to those of others."""
+    stores = {n_rows + row: pulled.get(row, 0.0) for row in sorted(replaced)}
+    for row, value in pulled.items():
+        stores.setdefault(n_rows + row, ex.row_of_block(n_rows + row) + value)
     return ex.function_source(name, arguments, stores)
 
 
@@ -238,6 +237,7 @@ def _compiled(source: str, digest: str) -> Any:
     linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
     space: dict[str, Any] = {
         "__name__": __name__,
+        "chosen": _chosen,
         "exponential": exponential,
         "fma": fma,
         "inf": math.inf,
