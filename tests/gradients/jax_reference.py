@@ -69,7 +69,7 @@ class JaxEpisode:
         return jax.jit(over)
 
     def _before(self, step: int) -> npt.NDArray[np.float64]:
-        blocks = [*self.tape._blocks, self.tape.lanes.simulator.blocks][step]
+        blocks = self.tape.before(step) if step < self.tape.n_steps else self.tape.lanes.simulator.blocks
         view = blocks.reshape(blocks.shape[0], -1, self.tape.lanes.simulator.width)
         return view.transpose(1, 0, 2).reshape(view.shape[1], -1)[:, : self.tape.lanes.n_lanes]
 

@@ -15,7 +15,7 @@ from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.gradients import expressions as ex
 from wtg_gym.gradients.adjoint import replay
-from wtg_gym.gradients.generated import programs_of
+from wtg_gym.gradients.generated import build_rules, programs_of
 from wtg_gym.gradients.tape import Gradient, Tape
 from wtg_gym.physics.elementary import exponential, fma, select, sine_cosine
 from wtg_gym.physics.protection import Status
@@ -88,7 +88,8 @@ def test_a_step_is_replayed_to_the_last_bit() -> None:
     simulator, steps = tape.lanes.simulator, tape._rules.steps
     width, n = simulator.width, steps.states.size
     lane = [int(simulator.layout.lane(name)) for name in ("step", "active", "status", "coi", "least_voltage")]
-    for block, after in zip(tape._blocks, [*tape._blocks[1:], simulator.blocks], strict=True):
+    blocks = [tape.before(step) for step in range(60)]
+    for block, after in zip(blocks, [*blocks[1:], simulator.blocks], strict=True):
         # Actions and events have long been tested; the next step's rows hold those of this one.
         work = block[0].copy()
         for rows in (simulator.layout.wtg("k_offset"), simulator.layout.wtg("inv_tau")):
@@ -210,7 +211,9 @@ def test_the_gradient_goes_through_the_limits_of_the_pitch() -> None:
     way = np.random.default_rng(3).normal(size=actions.shape)
     found, expected = tape.gradient(scenarios, actions), slopes(tape, scenarios, actions, way, 1e-6).sum(axis=1)
     row = tape.lanes.simulator.layout.wtg("pitch_integral")
-    turned = np.array([tape._take(block.reshape(1, -1, 16), row) > 0.0 for block in tape._blocks]).any(axis=(1, 2))
+    turned = np.array([tape._take(block.reshape(1, -1, 16), row) > 0.0 for block in map(tape.before, range(300))]).any(
+        axis=(1, 2)
+    )
     # The controller acts, comes to rest at its limit, and acts again.
     assert np.count_nonzero(np.diff(turned.astype(int))) >= 3
     assert along(found, way) == pytest.approx(expected, rel=1e-5, abs=1e-5 * np.abs(expected).max())
@@ -277,6 +280,15 @@ def test_other_settings_have_gradients_of_their_own() -> None:
     played(tape, scenarios, actions)
     ended = tape.lanes.simulator.lane_values("step") / tape.lanes.simulator.plant.n_substeps
     assert (ended[:2] < 40).all() and (ended[:2] % 1.0 > 0.0).all()
+
+
+def test_generated_code_does_not_depend_on_what_was_traced_before() -> None:
+    """Its machine code would not be found on disk again."""
+    lanes = tape_of().lanes
+    simulator = lanes.simulator
+    given = (simulator.plant, lanes.task, simulator.layout, lanes.n_action, lanes.n_observation)
+    ex.exponential(ex.row_of_block(400) * ex.row_of_block(0) + 1.0)
+    assert build_rules(*given).digest == build_rules(*given).digest == tape_of()._rules.digest
 
 
 def test_an_episode_alone_has_the_bits_of_one_in_a_batch() -> None:

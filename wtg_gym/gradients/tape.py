@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from wtg_gym.envs.lanes import TaskLanes, as_actions
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.envs.task import build_task
+from wtg_gym.envs.task import Outputs, build_task, step_blocks
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.gradients.adjoint import build_pull
 from wtg_gym.gradients.generated import Rules, build_rules, require_known
@@ -18,6 +18,8 @@ from wtg_gym.physics.plant import build_plant
 from wtg_gym.physics.scenario import Scenario
 
 Floats = npt.NDArray[np.float64]
+#: A copy of all blocks takes 5 kB a lane: kept at every step of a long run it would fill the memory.
+_STEPS_PER_CHECKPOINT = 25
 _RULES: dict[bytes, tuple[Rules, Any]] = {}
 
 
@@ -77,7 +79,10 @@ class Tape:
         self._works = np.zeros((n_blocks, 2 * self._rules.n_rows * simulator.width))
         #: How often episodes have been started.
         self.n_starts = 0
-        self._blocks: list[Floats] = []
+        #: Blocks as they stood before every so many steps, and before each step from the latest of these asked for.
+        self._checkpoints: list[Floats] = []
+        self._replayed: tuple[int, list[Floats]] = (-1, [])
+        self._scratch = Outputs._make(np.zeros_like(array) for array in self.lanes.outputs)
         self._actions: list[Floats] = []
 
     @property
@@ -98,7 +103,7 @@ class Tape:
     def start(self, scenarios: Sequence[Scenario]) -> npt.NDArray[np.float32]:
         """Start an episode in every lane and return the first observations."""
         self.lanes.start(list(range(self.lanes.n_lanes)), scenarios)
-        self._blocks, self._actions = [], []
+        self._checkpoints, self._actions, self._replayed = [], [], (-1, [])
         self.n_starts += 1
         return self.observations
 
@@ -143,18 +148,39 @@ class Tape:
             raise ValueError("step() needs episodes: call start() first")
         simulator, actions = self.lanes.simulator, as_actions(actions, (self.lanes.n_lanes, self.lanes.n_action))
         running = simulator.lane_values("active") > 0.5
-        before = simulator.blocks.copy()
+        before = simulator.blocks.copy() if self.n_steps % _STEPS_PER_CHECKPOINT == 0 else None
         self.lanes.step(actions)
-        self._blocks.append(before)
+        if before is not None:
+            self._checkpoints.append(before)
         self._actions.append(actions.copy())
+        self._replayed = (-1, [])
         terms = self._take(self._values(), self._rules.terms)
         return self.observations, np.where(running[:, np.newaxis], terms, 0.0)
+
+    def before(self, step: int) -> Floats:
+        """Return the simulator's blocks as they stood before a step, from the nearest checkpoint on."""
+        place, offset = divmod(step, _STEPS_PER_CHECKPOINT)
+        if self._replayed[0] != place:
+            blocks, found = self._checkpoints[place].copy(), []
+            first = place * _STEPS_PER_CHECKPOINT
+            for own in self._actions[first : first + _STEPS_PER_CHECKPOINT]:
+                found.append(blocks.copy())
+                self._again(blocks, own)
+            self._replayed = place, found
+        return self._replayed[1][offset]
+
+    def _again(self, blocks: Floats, actions: Floats) -> None:
+        simulator, task = self.lanes.simulator, self.lanes.task
+        plant, data, lanes = simulator.plant, simulator.data, simulator.lanes
+        simulator.for_blocks(
+            lambda first, last: step_blocks(blocks, first, last, plant, data, task, actions, self._scratch, lanes)
+        )
 
     def pull(self, step: int, carried: Floats, terms: Floats, observations: Floats | None = None) -> Pulled:
         """Go back through a step.
 
         Args:
-            step: its number, 0 for the first.
+            step: its number, 0 for the first; steps are best gone through in turn.
             carried: derivatives with respect to what the step left behind (n_lanes, n_carried): those that the pull
                 through the following step has returned, zeros for the last.
             terms: with respect to the terms of the step's cost (n_lanes, n_terms).
@@ -162,7 +188,7 @@ class Tape:
         """
         simulator, rules = self.lanes.simulator, self._rules
         works = self._works.reshape(self._works.shape[0], 2, rules.n_rows, simulator.width)
-        before = self._blocks[step].reshape(works.shape[0], -1, simulator.width)
+        before = self.before(step).reshape(works.shape[0], -1, simulator.width)
         works[:, 0, : before.shape[1]] = before
         cotangents = works[:, 1]
         cotangents[:] = 0.0
