@@ -133,7 +133,7 @@ docs-check: $(LEADERBOARD_READY) ## Draw the pictures into a copy of docs/ and n
 
 .PHONY: performance
 performance: $(TEST_READY) $(GOLDEN_READY) ## Measure speed, growth and arithmetic again; on a machine that does nothing else (a quarter of an hour)
-	$(TEST_VENV)/bin/wtg-gym bench --only environments physics rendering training peers --page docs/performance.md
+	$(TEST_VENV)/bin/wtg-gym bench --only environments physics gradients rendering training peers --page docs/performance.md
 	$(GOLDEN_VENV)/bin/python tests/golden/time_andes_env.py --page docs/performance.md
 	$(TEST_VENV)/bin/wtg-gym bench --only growth roofline --full --output docs/performance --formats svg --page docs/performance.md
 

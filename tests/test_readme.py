@@ -1,4 +1,4 @@
-"""The examples of the README and of docs/usage.md run as printed, and the links of every page lead somewhere.
+"""The examples of the README, docs/usage.md and docs/gradients.md run as printed; links of every page lead somewhere.
 
 The README's first program and all commands run on what `pip install .` installs: a wheel that is built here, in an
 empty folder, without the extras' packages. The other programs run with everything that the tests need.
@@ -79,7 +79,7 @@ def test_commands_run_after_a_plain_install_in_an_empty_folder(plain: dict[str, 
             assert "coordinated-piecewise" in said, said
 
 
-@pytest.mark.parametrize(("page", "first"), [("README.md", 1), ("docs/usage.md", 0)])
+@pytest.mark.parametrize(("page", "first"), [("README.md", 1), ("docs/usage.md", 0), ("docs/gradients.md", 0)])
 def test_every_other_program_runs_as_printed(page: str, first: int, tmp_path: Path) -> None:
     for program in blocks(page, "python")[first:]:
         run([sys.executable, "-c", program], tmp_path)

@@ -11,7 +11,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from wtg_gym.analysis.benchmarks.timing import Case, Stepper, step_batch, step_single
+from wtg_gym.analysis.benchmarks.timing import Case, Stepper, repeat, step_batch, step_single
 from wtg_gym.physics.plant import PHYSICS
 from wtg_gym.scenarios import get_suite
 
@@ -61,6 +61,22 @@ def _on(physics: str, n_envs: int) -> Stepper:
     envs = gym.make_vec(OURS, num_envs=n_envs, physics=physics)
     envs.reset(seed=0)
     return step_batch(envs, envs.single_action_space, envs.num_envs)
+
+
+def gradient_cases() -> Iterator[Case]:
+    """Yield episodes of our environment in a batch, with the gradient of their cost with respect to all actions."""
+    for n in (1, 64):
+        yield Case("gradients", f"{OURS}, gradients of {n}", n, partial(_gradients, n), least_s=0.5)
+
+
+def _gradients(n_lanes: int) -> Stepper:
+    from wtg_gym.envs.settings import EnvSettings
+    from wtg_gym.gradients import Tape
+
+    tape = Tape(EnvSettings(), n_lanes)
+    scenarios = tape.lanes.scenarios(list(get_suite("standard").validation)[:n_lanes])
+    actions = np.random.default_rng(0).uniform(-0.3, 0.3, (600, n_lanes, tape.lanes.n_action))
+    return repeat(lambda _: tape.gradient(scenarios, actions), actions[:, :, 0].size)
 
 
 def can_render() -> bool:

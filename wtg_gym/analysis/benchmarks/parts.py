@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from wtg_gym.analysis.benchmarks.environments import (
     can_render,
     environment_cases,
+    gradient_cases,
     has_sb3,
     physics_cases,
     rendering_cases,
@@ -23,6 +24,7 @@ from wtg_gym.analysis.benchmarks.training import training_cases
 PARTS = {
     "environments": "environment steps per second, of ours and of Gymnasium's own",
     "physics": "environment steps per second of ours, on the paper's physics and on what extends it",
+    "gradients": "environment steps per second of ours, with the gradient of the cost with respect to every action",
     "rendering": "steps per second with a frame drawn at each, of ours and of Gymnasium's own",
     "training": "steps per second of PPO learning, on our adapter and on Stable-Baselines3's vector environments",
     "peers": "other projects' environments, those that are installed",
@@ -70,6 +72,8 @@ class Benchmark:
             cases += environment_cases()
         if "physics" in parts:
             cases += physics_cases()
+        if "gradients" in parts:
+            cases += gradient_cases()
         if "rendering" in parts and can_render():
             cases += rendering_cases()
         elif "rendering" in parts:

@@ -1,0 +1,100 @@
+"""Traced numbers: what they come to, and their derivatives, operation by operation."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from wtg_gym.gradients import expressions as ex
+from wtg_gym.physics.elementary import exponential, fma, select, sine_cosine
+
+#: Of two numbers, by what traces and by what computes.
+FUNCTIONS: dict[str, Any] = {
+    "sum": lambda m, a, b: a + 2.0 * b - 3.0 + (1.0 - a),
+    "product": lambda m, a, b: a * b * 0.5,
+    "quotient": lambda m, a, b: a / b + 2.0 / a,
+    "power": lambda m, a, b: 4.0**-a + 1.0 * b,
+    "size": lambda m, a, b: abs(a) - abs(-b),
+    "bounds": lambda m, a, b: m["min"](a, b) * 3.0 + m["max"](a, 0.5) + m["max"](-1.0, b),
+    "root": lambda m, a, b: m["sqrt"](a * a + b * b),
+    "waves": lambda m, a, b: m["sine_cosine"](a)[0] * m["sine_cosine"](b)[1],
+    "exponential": lambda m, a, b: m["exponential"](-a * b) + m["exponential"](b - 50.0),
+    "choice": lambda m, a, b: m["select"]((a > b) | (b >= 2.0), a * a, b) + m["select"]((a < b) & (a <= 9.0), b, 0.0),
+    "multiply-add": lambda m, a, b: m["fma"](a, b, a) + m["fma"](0.0, b, a),
+    "steps": lambda m, a, b: m["floor"](a) * b + m["ceil"](b) * a,
+}
+TRACED = {
+    "min": ex.smallest,
+    "max": ex.largest,
+    "sqrt": ex.square_root,
+    "sine_cosine": ex.sine_cosine,
+    "exponential": ex.exponential,
+    "select": ex.select,
+    "fma": ex.multiply_add,
+    "floor": ex.floor,
+    "ceil": ex.ceil,
+}
+COMPUTED: dict[str, Any] = {
+    "min": min,
+    "max": max,
+    "sqrt": math.sqrt,
+    "sine_cosine": sine_cosine,
+    "exponential": exponential,
+    "select": select,
+    "fma": fma,
+    "floor": math.floor,
+    "ceil": math.ceil,
+}
+POINTS = [(0.3, 0.8), (1.7, 0.4), (0.9, -1.3), (-0.6, 2.5)]
+
+
+def worked_out(stores: dict[int, Any], *rows: float) -> list[float]:
+    # Compiled code divides by zero without a word, as numpy's numbers do here.
+    names = {"chosen": select, "fma": fma, "sine_cosine": sine_cosine, "exponential": exponential, "inf": math.inf}
+    space: dict[str, Any] = {"math": SimpleNamespace(sqrt=np.sqrt, floor=math.floor, ceil=math.ceil), **names}
+    exec(ex.function_source("traced", (), stores), space)
+    block = np.array([*rows, *np.zeros(4)])
+    with np.errstate(all="ignore"):
+        space["traced"](block, (0,))
+    return block[len(rows) :].tolist()
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+@pytest.mark.parametrize("point", POINTS)
+def test_an_operation_and_its_derivatives(name: str, point: tuple[float, float]) -> None:
+    ex.begin()
+    function, h = FUNCTIONS[name], 1e-6
+    traced = function(TRACED, ex.row_of_block(0), ex.row_of_block(1))
+    slopes = ex.pulled_back([(traced, ex.row_of_block(2))], (0, 1))
+    stores = {3: traced, 4: slopes.get(0, 0.0), 5: slopes.get(1, 0.0)}
+    value, by_first, by_second, _ = worked_out(stores, *point, 2.0)
+    a, b = point
+    assert value == pytest.approx(function(COMPUTED, a, b), rel=1e-14)
+    first = (function(COMPUTED, a + h, b) - function(COMPUTED, a - h, b)) / h
+    second = (function(COMPUTED, a, b + h) - function(COMPUTED, a, b - h)) / h
+    assert (by_first, by_second) == pytest.approx((first, second), rel=1e-8, abs=1e-8)
+
+
+def test_what_a_choice_leaves_out_comes_back_as_nothing() -> None:
+    """0/0 in the branch not taken would be the gradient else."""
+    ex.begin()
+    x = ex.row_of_block(0)
+    for guarded in (ex.select(x > 0.0, ex.smallest(x, 5.0) / x, 1.0), ex.select(x > 0.0, ex.square_root(x), 0.0)):
+        slope = ex.pulled_back([(guarded, 1.0)], (0,))[0]
+        assert worked_out({1: slope}, 0.0)[0] == 0.0
+
+
+def test_nothing_is_worked_out_twice() -> None:
+    ex.begin()
+    a, b = ex.row_of_block(0), ex.row_of_block(1)
+    assert a * b + 1.0 is a * b + 1.0
+    assert 0.0 * a == 0.0 and a + 0.0 is a and 1.0 * a is a and ex.select(a > b, a, a) is a
+
+
+def test_a_branch_on_a_traced_number_is_refused() -> None:
+    with pytest.raises(TypeError, match="select"):
+        bool(ex.row_of_block(0) > 1.0)

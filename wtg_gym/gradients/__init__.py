@@ -1,0 +1,16 @@
+"""Gradients of what episodes cost, with respect to actions and to the parameters of the tracking laws.
+
+    expressions   numbers that remember how they came about, their derivatives, their source
+    tracing       the kernels' own source over such numbers
+    generated     the vector-Jacobian products of the kernels, compiled
+    adjoint       back through one control step
+    tape          episodes that can be differentiated: the interface for NumPy
+    torch         the same for PyTorch; not imported here
+
+Nothing else of wtg_gym imports this package, but its speed is measured by `wtg-gym bench`.
+"""
+
+from wtg_gym.gradients.generated import LAW_PARAMETERS
+from wtg_gym.gradients.tape import Gradient, Pulled, Tape
+
+__all__ = ["LAW_PARAMETERS", "Gradient", "Pulled", "Tape"]

@@ -1,0 +1,337 @@
+"""Numbers that remember how they came about, their derivatives in reverse, and the code that works them out.
+
+A :class:`Number` is an operation on other numbers. Equal operations on equal numbers are the same number, and what only
+depends on constants is worked out at once, so that a program of numbers holds nothing twice.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+
+class Number:
+    """A number of a program: an operation and what it is applied to."""
+
+    #: Constants of a plant are numpy's: they leave arithmetic to this class.
+    __array_ufunc__ = None
+    __slots__ = ("arguments", "operation", "order")
+    _made: dict[tuple[Any, ...], Number] = {}  # noqa: RUF012
+
+    def __init__(self, operation: str, arguments: tuple[Any, ...], order: int) -> None:
+        self.operation, self.arguments, self.order = operation, arguments, order
+
+    def __add__(self, other: Any) -> Any:
+        return number("add", self, other)
+
+    def __radd__(self, other: Any) -> Any:
+        return number("add", other, self)
+
+    def __sub__(self, other: Any) -> Any:
+        return number("sub", self, other)
+
+    def __rsub__(self, other: Any) -> Any:
+        return number("sub", other, self)
+
+    def __mul__(self, other: Any) -> Any:
+        return number("mul", self, other)
+
+    def __rmul__(self, other: Any) -> Any:
+        return number("mul", other, self)
+
+    def __truediv__(self, other: Any) -> Any:
+        return number("div", self, other)
+
+    def __rtruediv__(self, other: Any) -> Any:
+        return number("div", other, self)
+
+    def __rpow__(self, base: float) -> Any:
+        return number("power", float(base), self)
+
+    def __neg__(self) -> Any:
+        return number("neg", self)
+
+    def __abs__(self) -> Any:
+        return number("abs", self)
+
+    def __lt__(self, other: Any) -> Any:
+        return number("lt", self, other)
+
+    def __gt__(self, other: Any) -> Any:
+        return number("lt", other, self)
+
+    def __le__(self, other: Any) -> Any:
+        return number("le", self, other)
+
+    def __ge__(self, other: Any) -> Any:
+        return number("le", other, self)
+
+    def __eq__(self, other: object) -> Any:
+        return number("eq", self, other)
+
+    def __ne__(self, other: object) -> Any:
+        return number("ne", self, other)
+
+    def __and__(self, other: Any) -> Any:
+        return number("and", self, other)
+
+    def __or__(self, other: Any) -> Any:
+        return number("or", self, other)
+
+    __rand__, __ror__ = __and__, __or__
+
+    def __hash__(self) -> int:
+        return id(self)
+
+    def __bool__(self) -> bool:
+        raise TypeError("a traced number is neither true nor false: equations say `select` instead of branching")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Number):
+        return value
+    return bool(value) if type(value).__name__ in ("bool", "bool_") else float(value)
+
+
+def number(operation: str, *arguments: Any) -> Any:
+    """Return an operation's result: a plain number where all arguments are, or where it follows from them."""
+    given = tuple(_plain(argument) for argument in arguments)
+    if operation != "row" and not any(isinstance(argument, Number) for argument in given):
+        return _CONSTANT[operation](*given)
+    known = _simplified(operation, given)
+    if known is not None:
+        return known
+    key = (operation, *((id(a),) if isinstance(a, Number) else (a, math.copysign(1.0, a)) for a in given))
+    if key not in Number._made:
+        Number._made[key] = Number(operation, given, len(Number._made))
+    return Number._made[key]
+
+
+def begin() -> None:
+    """Forget all numbers: the order in which a program is written down shall not depend on those before it."""
+    Number._made.clear()
+
+
+def row_of_block(row: int) -> Any:
+    """Return what a row of a block holds."""
+    return number("row", row)
+
+
+def argument(place: int) -> Any:
+    """Return an argument of the function that the program becomes, by its place: a row with a negative number."""
+    return number("row", -1 - place)
+
+
+def _is(value: Any, constant: float) -> bool:
+    return not isinstance(value, Number) and value == constant
+
+
+def _simplified(operation: str, given: tuple[Any, ...]) -> Any:
+    """Return what an operation comes to without being worked out; None where it must be."""
+    first, second = given[0], given[1] if len(given) > 1 else None
+    if operation == "mul" and (_is(first, 0.0) or _is(second, 0.0)):
+        return 0.0
+    if operation == "mul" and (_is(first, 1.0) or _is(second, 1.0)):
+        return second if _is(first, 1.0) else first
+    if operation == "add" and (_is(first, 0.0) or _is(second, 0.0)):
+        return second if _is(first, 0.0) else first
+    if operation == "sub" and _is(second, 0.0):
+        return first
+    if operation == "div" and (_is(first, 0.0) or _is(second, 1.0)):
+        return first
+    if operation == "select" and not isinstance(first, Number):
+        return second if first else given[2]
+    if operation == "select" and second is given[2]:
+        return second
+    return None
+
+
+# --- what kernels call ----------------------------------------------------------------------------------------------
+
+
+def select(condition: Any, value: Any, other: Any) -> Any:
+    """Return one of two numbers."""
+    return number("select", condition, value, other)
+
+
+def multiply_add(a: Any, b: Any, c: Any) -> Any:
+    """Return a·b + c."""
+    if isinstance(a, Number) or isinstance(b, Number):
+        return number("fma", a, b, c) if not (_is(_plain(a), 0.0) or _is(_plain(b), 0.0)) else c
+    return a * b + c
+
+
+def _two(operation: str) -> Callable[..., Any]:
+    return lambda a, b: number(operation, a, b)
+
+
+def _one(operation: str) -> Callable[..., Any]:
+    return lambda a: number(operation, a)
+
+
+smallest, largest, absolute = _two("min"), _two("max"), _one("abs")
+square_root, exponential, floor, ceil = _one("sqrt"), _one("exponential"), _one("floor"), _one("ceil")
+
+
+def sine_cosine(angle: Any) -> tuple[Any, Any]:
+    """Return sine and cosine."""
+    return number("sine", angle), number("cosine", angle)
+
+
+# --- the operations: on constants, as source, in reverse --------------------------------------------------------------
+
+_CONSTANT: dict[str, Callable[..., Any]] = {
+    "add": operator.add,
+    "sub": operator.sub,
+    "mul": operator.mul,
+    "div": operator.truediv,
+    "power": operator.pow,
+    "neg": operator.neg,
+    "abs": abs,
+    "lt": operator.lt,
+    "le": operator.le,
+    "eq": operator.eq,
+    "ne": operator.ne,
+    "and": operator.and_,
+    "or": operator.or_,
+    "min": min,
+    "max": max,
+    "sqrt": math.sqrt,
+    "floor": math.floor,
+    "ceil": math.ceil,
+    "exponential": math.exp,
+    "sine": math.sin,
+    "cosine": math.cos,
+    "select": lambda condition, value, other: value if condition else other,
+    "fma": lambda a, b, c: a * b + c,
+}
+_SOURCE = {
+    "add": "{} + {}",
+    "sub": "{} - {}",
+    "mul": "{} * {}",
+    "div": "{} / {}",
+    "power": "{} ** {}",
+    "neg": "-{}",
+    "abs": "abs({})",
+    "lt": "{} < {}",
+    "le": "{} <= {}",
+    "eq": "{} == {}",
+    "ne": "{} != {}",
+    "and": "{} & {}",
+    "or": "{} | {}",
+    "min": "min({}, {})",
+    "max": "max({}, {})",
+    "sqrt": "math.sqrt({})",
+    "floor": "math.floor({})",
+    "ceil": "math.ceil({})",
+    "exponential": "exponential({})",
+    "sine": "sine_cosine({})[0]",
+    "cosine": "sine_cosine({})[1]",
+    "select": "chosen({}, {}, {})",
+    "fma": "fma({}, {}, {})",
+}
+
+
+def _of_select(g: Any, _: Any, condition: Any, *__: Any) -> tuple[Any, ...]:
+    return None, select(condition, g, 0.0), select(condition, 0.0, g)
+
+
+def _of_quotient(g: Any, y: Any, _: Any, b: Any) -> tuple[Any, ...]:
+    # A quotient by zero is one that a `select` leaves out: nothing may come back from it, not even 0/0.
+    return select(b == 0.0, 0.0, g / b), select(b == 0.0, 0.0, -(g / b) * y)
+
+
+#: The cotangents of the arguments, given that of the result, the result and the arguments; None for none.
+_REVERSE: dict[str, Callable[..., tuple[Any, ...]]] = {
+    "add": lambda g, y, a, b: (g, g),
+    "sub": lambda g, y, a, b: (g, -g),
+    "mul": lambda g, y, a, b: (g * b, g * a),
+    "div": _of_quotient,
+    "power": lambda g, y, a, b: (None, g * y * math.log(a)),
+    "neg": lambda g, y, a: (-g,),
+    "abs": lambda g, y, a: (select(a < 0.0, -g, g),),
+    # Where both are equal: as if the first were chosen, like the functions themselves.
+    "min": lambda g, y, a, b: (select(b < a, 0.0, g), select(b < a, g, 0.0)),
+    "max": lambda g, y, a, b: (select(a < b, 0.0, g), select(a < b, g, 0.0)),
+    "sqrt": lambda g, y, a: (select(y == 0.0, 0.0, 0.5 * g / y),),
+    # It stays where it is below -40.
+    "exponential": lambda g, y, a: (select(a < -40.0, 0.0, g * y),),
+    "sine": lambda g, y, a: (g * sine_cosine(a)[1],),
+    "cosine": lambda g, y, a: (-(g * sine_cosine(a)[0]),),
+    "select": _of_select,
+    "fma": lambda g, y, a, b, c: (g * b, g * a, g),
+}
+
+
+def _needed(values: Iterable[Any]) -> list[Number]:
+    """Return the numbers that some values depend on, and themselves, each after those that it depends on."""
+    found: set[Number] = set()
+    open_ = [value for value in values if isinstance(value, Number)]
+    while open_:
+        one = open_.pop()
+        if one not in found:
+            found.add(one)
+            open_ += [a for a in one.arguments if isinstance(a, Number)]
+    return sorted(found, key=lambda one: one.order)
+
+
+def rows_read(values: Iterable[Any]) -> set[int]:
+    """Return the rows that some values depend on."""
+    return {int(one.arguments[0]) for one in _needed(values) if one.operation == "row" and one.arguments[0] >= 0}
+
+
+def pulled_back(outputs: Sequence[tuple[Any, Any]], rows: Iterable[int]) -> dict[int, Any]:
+    """Return the cotangents of rows, given pairs of an output and its cotangent; rows without one are left out."""
+    wanted = set(rows)
+    values = _needed(value for value, _ in outputs)
+    depends: set[Number] = set()
+    for one in values:
+        if one.operation == "row":
+            if one.arguments[0] in wanted:
+                depends.add(one)
+        elif one.operation in _REVERSE and any(a in depends for a in one.arguments if isinstance(a, Number)):
+            depends.add(one)
+    cotangents: dict[Number, Any] = {}
+
+    def add(value: Any, cotangent: Any) -> None:
+        if isinstance(value, Number) and cotangent is not None and value in depends:
+            cotangents[value] = cotangent + cotangents[value] if value in cotangents else cotangent
+
+    for value, cotangent in outputs:
+        add(value, cotangent)
+    for one in reversed(values):
+        if one in cotangents and one.operation != "row":
+            parts = _REVERSE[one.operation](cotangents[one], one, *one.arguments)
+            for given, part in zip(one.arguments, parts, strict=True):
+                add(given, part)
+    return {int(one.arguments[0]): value for one, value in cotangents.items() if one.operation == "row"}
+
+
+def function_source(name: str, arguments: Sequence[str], stores: Mapping[int, Any]) -> str:
+    """Return the source of a function of a block that stores values in rows, for every lane.
+
+    Args:
+        name: of the function.
+        arguments: names of its arguments between `block` and `lanes`; see :func:`argument`.
+        stores: the value of each row; rows are read before any is stored.
+    """
+    names: dict[Number, str] = {}
+
+    def said(value: Any) -> str:
+        return names[value] if isinstance(value, Number) else repr(value)
+
+    lines = []
+    for one in _needed(stores.values()):
+        if one.operation == "row" and one.arguments[0] < 0:
+            names[one] = arguments[-1 - int(one.arguments[0])]
+            continue
+        names[one] = f"v{len(names)}"
+        if one.operation == "row":
+            lines.append(f"{names[one]} = block[{int(one.arguments[0])} * width + x]")
+        else:
+            lines.append(f"{names[one]} = " + _SOURCE[one.operation].format(*(said(a) for a in one.arguments)))
+    lines += [f"block[{row} * width + x] = {said(value)}" for row, value in stores.items()]
+    head = f"def {name}({', '.join(['block', *arguments, 'lanes'])}):\n    width = len(lanes)\n"
+    return f"{head}    for x in range(width):\n" + "".join(f"        {line}\n" for line in lines)

@@ -1,0 +1,243 @@
+"""Episodes that remember their steps, and the way back through them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from wtg_gym.envs.lanes import TaskLanes, as_actions
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.envs.task import Outputs, build_task, step_blocks
+from wtg_gym.envs.task_records import COST_TERMS
+from wtg_gym.gradients.adjoint import build_pull
+from wtg_gym.gradients.generated import Rules, build_rules, require_known
+from wtg_gym.physics.plant import build_plant
+from wtg_gym.physics.scenario import Scenario
+
+Floats = npt.NDArray[np.float64]
+#: A copy of all blocks takes 5 kB a lane: kept at every step of a long run it would fill the memory.
+_STEPS_PER_CHECKPOINT = 25
+_RULES: dict[bytes, tuple[Rules, Any]] = {}
+
+
+class Pulled(NamedTuple):
+    """Cotangents before a control step."""
+
+    carried: Floats  # of what the step began from (n_lanes, n_carried)
+    actions: Floats  # (n_lanes, n_action)
+    law: Floats  # what the step adds to those of each group's law (n_lanes, n_wtg, 4), of LAW_PARAMETERS
+
+
+class Gradient(NamedTuple):
+    """What episodes cost, and how that follows their actions and laws."""
+
+    terms: Floats  # terms of the cost, sums over the steps (n_lanes, n_terms), in the order of COST_TERMS
+    actions: Floats  # of the weighted sum of the terms, with respect to the actions (n_steps, n_lanes, n_action)
+    law: Floats  # with respect to each group's law (n_lanes, n_wtg, 4), in the order of LAW_PARAMETERS
+
+
+class Tape:
+    """Episodes side by side that can be differentiated, step by step in reverse.
+
+    :meth:`step` is that of the environment, to the last bit. :meth:`pull` goes back through one step: it needs the
+    derivatives of what is differentiated with respect to the step's outputs, and returns those with respect to its
+    inputs. What happens at discrete times counts as given: the ends of episodes, which a protection may bring forward,
+    do not move. The gradient of an episode that ends early is that of what it paid until then; what its failure costs
+    is constant. At a corner of a law, a limit or a cost it is the slope on one side.
+
+    Args:
+        settings: of the environment; the paper's physics and version v0.
+        n_lanes: episodes side by side.
+        n_threads: threads to step with; None for one per processor.
+
+    Raises:
+        ValueError: gradients are not known for the settings.
+    """
+
+    def __init__(self, settings: EnvSettings, n_lanes: int = 1, n_threads: int | None = None) -> None:
+        plant = settings.plant()
+        require_known(build_plant(plant), build_task(settings, plant.case.frequency_hz))
+        self.lanes = TaskLanes(settings, n_lanes, n_threads)
+        simulator = self.lanes.simulator
+        key = b"".join(
+            (
+                simulator.plant.constants.tobytes(),
+                repr((simulator.plant.constants.dtype, simulator.layout)).encode(),
+                self.lanes.task.tobytes(),
+            )
+        )
+        if key not in _RULES:
+            rules = build_rules(
+                simulator.plant, self.lanes.task, simulator.layout, self.lanes.n_action, self.lanes.n_observation
+            )
+            _RULES[key] = rules, build_pull(rules)
+        self._rules, self._pull = _RULES[key]
+        n_blocks = simulator.blocks.shape[0]
+        self._works = np.zeros((n_blocks, 2 * self._rules.n_rows * simulator.width))
+        #: How often episodes have been started.
+        self.n_starts = 0
+        #: Blocks as they stood before every so many steps, and before each step from the latest of these asked for.
+        self._checkpoints: list[Floats] = []
+        self._replayed: tuple[int, list[Floats]] = (-1, [])
+        self._scratch = Outputs._make(np.zeros_like(array) for array in self.lanes.outputs)
+        self._actions: list[Floats] = []
+
+    @property
+    def n_steps(self) -> int:
+        """Steps taken since the start."""
+        return len(self._actions)
+
+    @property
+    def n_carried(self) -> int:
+        """How many numbers a lane carries from one step to the next, as far as cost and observations depend on them."""
+        return self._rules.carried.size
+
+    @property
+    def observations(self) -> npt.NDArray[np.float32]:
+        """Observation of every lane (n_lanes, n_observation): a copy."""
+        return self.lanes.observations.copy()
+
+    def start(self, scenarios: Sequence[Scenario]) -> npt.NDArray[np.float32]:
+        """Start an episode in every lane and return the first observations."""
+        self.lanes.start(list(range(self.lanes.n_lanes)), scenarios)
+        self._checkpoints, self._actions, self._replayed = [], [], (-1, [])
+        self.n_starts += 1
+        return self.observations
+
+    def set_law(self, law: Floats) -> None:
+        """Replace the parameters of each group's law (n_lanes, n_wtg, 4) before the first step.
+
+        The episodes start where they would have started: a k_nominal other than the law's own is a change at time 0.
+        """
+        if self._actions:
+            raise ValueError("the law can be replaced before the first step only")
+        self._put(self._values(), self._rules.law, law)
+
+    def law(self) -> Floats:
+        """Return the parameters of each group's law (n_lanes, n_wtg, 4), in the order of LAW_PARAMETERS."""
+        return self._take(self._values(), self._rules.law)
+
+    def _values(self) -> Floats:
+        blocks = self.lanes.simulator.blocks
+        return blocks.reshape(blocks.shape[0], -1, self.lanes.simulator.width)
+
+    def _take(self, view: Floats, rows: npt.NDArray[np.int64]) -> Floats:
+        """Return rows of every lane (n_lanes, …) of a view (n_blocks, n_rows, width)."""
+        found = view[:, rows.ravel(), :].transpose(0, 2, 1)
+        return found.reshape(-1, *rows.shape)[: self.lanes.n_lanes]
+
+    def _put(self, view: Floats, rows: npt.NDArray[np.int64], values: Floats) -> None:
+        own = np.arange(self.lanes.n_lanes)
+        width = view.shape[2]
+        view[(own // width)[:, np.newaxis], rows.ravel(), (own % width)[:, np.newaxis]] = values.reshape(own.size, -1)
+
+    def step(self, actions: Floats) -> tuple[npt.NDArray[np.float32], Floats]:
+        """Step every running lane.
+
+        Args:
+            actions: (n_lanes, n_action); clipped to [-1, 1].
+
+        Returns:
+            observations (n_lanes, n_observation) and the terms of the step's cost (n_lanes, n_terms), in the order of
+            `COST_TERMS`; zero for lanes that had ended.
+        """
+        if not self.n_starts:
+            raise ValueError("step() needs episodes: call start() first")
+        simulator, actions = self.lanes.simulator, as_actions(actions, (self.lanes.n_lanes, self.lanes.n_action))
+        running = simulator.lane_values("active") > 0.5
+        before = simulator.blocks.copy() if self.n_steps % _STEPS_PER_CHECKPOINT == 0 else None
+        self.lanes.step(actions)
+        if before is not None:
+            self._checkpoints.append(before)
+        self._actions.append(actions.copy())
+        self._replayed = (-1, [])
+        terms = self._take(self._values(), self._rules.terms)
+        return self.observations, np.where(running[:, np.newaxis], terms, 0.0)
+
+    def before(self, step: int) -> Floats:
+        """Return the simulator's blocks as they stood before a step, from the nearest checkpoint on."""
+        place, offset = divmod(step, _STEPS_PER_CHECKPOINT)
+        if self._replayed[0] != place:
+            blocks, found = self._checkpoints[place].copy(), []
+            first = place * _STEPS_PER_CHECKPOINT
+            for own in self._actions[first : first + _STEPS_PER_CHECKPOINT]:
+                found.append(blocks.copy())
+                self._again(blocks, own)
+            self._replayed = place, found
+        return self._replayed[1][offset]
+
+    def _again(self, blocks: Floats, actions: Floats) -> None:
+        simulator, task = self.lanes.simulator, self.lanes.task
+        plant, data, lanes = simulator.plant, simulator.data, simulator.lanes
+        simulator.for_blocks(
+            lambda first, last: step_blocks(blocks, first, last, plant, data, task, actions, self._scratch, lanes)
+        )
+
+    def pull(self, step: int, carried: Floats, terms: Floats, observations: Floats | None = None) -> Pulled:
+        """Go back through a step.
+
+        Args:
+            step: its number, 0 for the first; steps are best gone through in turn.
+            carried: derivatives with respect to what the step left behind (n_lanes, n_carried): those that the pull
+                through the following step has returned, zeros for the last.
+            terms: with respect to the terms of the step's cost (n_lanes, n_terms).
+            observations: with respect to the observations after the step (n_lanes, n_observation); None for zeros.
+        """
+        simulator, rules = self.lanes.simulator, self._rules
+        works = self._works.reshape(self._works.shape[0], 2, rules.n_rows, simulator.width)
+        before = self.before(step).reshape(works.shape[0], -1, simulator.width)
+        works[:, 0, : before.shape[1]] = before
+        cotangents = works[:, 1]
+        cotangents[:] = 0.0
+        running = self._take(before, np.array([simulator.layout.lane("active")])) > 0.5
+        self._put(cotangents, rules.carried, carried * running)
+        self._put(cotangents, rules.terms, terms * running)
+        if observations is not None:
+            self._put(cotangents, rules.observation, observations * running)
+        simulator.for_blocks(
+            lambda first, last: self._pull(
+                self._works,
+                first,
+                last,
+                simulator.plant,
+                simulator.data,
+                self.lanes.task,
+                self._actions[step],
+                rules.steps,
+                simulator.lanes,
+            )
+        )
+        # Of a lane that had ended nothing depends on anything, whatever its numbers.
+        found = (self._take(cotangents, rows) for rows in (rules.carried, rules.actions, rules.law))
+        return Pulled(*(np.where(running.reshape(-1, *(1,) * (own.ndim - 1)), own, 0.0) for own in found))
+
+    def gradient(
+        self, scenarios: Sequence[Scenario], actions: Floats, weights: Mapping[str, float] | None = None
+    ) -> Gradient:
+        """Play episodes with given actions and return their costs and the gradients of these.
+
+        Args:
+            scenarios: one per lane.
+            actions: of as many steps as are to count (n_steps, n_lanes, n_action).
+            weights: of the terms of the cost by name, those left out count nothing; None for the cost itself.
+
+        Raises:
+            ValueError: a term is unknown, or there are no actions.
+        """
+        if unknown := sorted(set(weights or ()) - set(COST_TERMS)):
+            raise ValueError(f"unknown terms {unknown} of the cost; known: {', '.join(COST_TERMS)}")
+        actions = np.asarray(actions, dtype=np.float64)
+        if actions.ndim != 3 or not actions.size:
+            raise ValueError(f"actions must have the shape (n_steps, n_lanes, n_action), got {actions.shape}")
+        weight = np.array([1.0 if weights is None else weights.get(term, 0.0) for term in COST_TERMS])
+        self.start(scenarios)
+        terms = np.sum([self.step(own)[1] for own in actions], axis=0)
+        pulled, law = np.empty_like(actions), np.zeros((self.lanes.n_lanes, *self._rules.law.shape))
+        carried, seed = np.zeros((self.lanes.n_lanes, self.n_carried)), np.tile(weight, (self.lanes.n_lanes, 1))
+        for step in range(self.n_steps - 1, -1, -1):
+            carried, pulled[step], of_law = self.pull(step, carried, seed)
+            law += of_law
+        return Gradient(terms, pulled, law)

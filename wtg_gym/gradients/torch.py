@@ -1,0 +1,86 @@
+"""Episodes that PyTorch differentiates: a policy trains by `loss.backward()`.
+
+episodes = TorchEpisodes(EnvSettings(), n_lanes=64)
+observations, cost = episodes.start(scenarios), 0.0
+for _ in range(600):
+    observations, terms = episodes.step(policy(observations))
+    cost = cost + terms.sum(dim=1)
+cost.mean().backward()
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch.autograd.function import once_differentiable
+
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.gradients.tape import Tape
+from wtg_gym.physics.scenario import Scenario
+
+
+class _Step(torch.autograd.Function):
+    """A step of a tape. What one step leaves to the next is a tensor of zeros, whose gradient alone has a meaning."""
+
+    @staticmethod
+    def forward(ctx: Any, tape: Tape, left: Any, law: Any, actions: Any) -> tuple[Any, Any, Any]:
+        ctx.tape, ctx.step, ctx.start, ctx.dtypes = tape, tape.n_steps, tape.n_starts, (law.dtype, actions.dtype)
+        observations, terms = tape.step(actions.detach().to("cpu", torch.float64).contiguous().numpy())
+        return torch.zeros_like(left), torch.from_numpy(observations), torch.from_numpy(terms)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, left: Any, observations: Any, terms: Any) -> tuple[Any, Any, Any, Any]:
+        if ctx.start != ctx.tape.n_starts:
+            raise RuntimeError("backward() must come before the next start(): the steps of these episodes are gone")
+        seeds = (seed.to(torch.float64).numpy() for seed in (left, terms, observations))
+        pulled = ctx.tape.pull(ctx.step, *seeds)
+        of_law, of_actions = ctx.dtypes
+        return (
+            None,
+            torch.from_numpy(pulled.carried),
+            torch.from_numpy(pulled.law).to(of_law),
+            torch.from_numpy(pulled.actions).to(of_actions),
+        )
+
+
+_apply: Any = _Step.apply
+
+
+class TorchEpisodes:
+    """A :class:`~wtg_gym.gradients.tape.Tape` of tensors, on the CPU; its arguments and errors are the tape's."""
+
+    def __init__(self, settings: EnvSettings, n_lanes: int = 1, n_threads: int | None = None) -> None:
+        self.tape = Tape(settings, n_lanes, n_threads)
+        self._left: Any = None
+        self._law: Any = None
+
+    def start(self, scenarios: Sequence[Scenario], law: Any = None) -> Any:
+        """Start an episode in every lane and return the first observations.
+
+        Args:
+            scenarios: one per lane.
+            law: parameters of the groups' laws to differentiate with respect to (n_wtg, 4) or (n_lanes, n_wtg, 4), in
+                the order of `LAW_PARAMETERS`; None for those of the settings.
+        """
+        observations = self.tape.start(scenarios)
+        own = torch.from_numpy(self.tape.law())
+        self._law = own if law is None else law.expand(own.shape)
+        if law is not None:
+            self.tape.set_law(self._law.detach().to("cpu", torch.float64).numpy())
+        self._left = torch.zeros((self.tape.lanes.n_lanes, self.tape.n_carried), dtype=torch.float64)
+        return torch.from_numpy(observations)
+
+    def step(self, actions: Any) -> tuple[Any, Any]:
+        """Step every running lane with actions (n_lanes, n_action).
+
+        Returns:
+            observations (n_lanes, n_observation), floats of 32 bits, and terms of the cost (n_lanes, n_terms), of 64.
+        """
+        self._left, observations, terms = _apply(self.tape, self._left, self._law, actions)
+        return observations, terms
+
+
+__all__ = ["TorchEpisodes"]
