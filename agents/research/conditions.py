@@ -281,6 +281,20 @@ def gathered(
     return Evidence(results, names, oracle, planners, simple, n_simple, late, [entry.name for entry in agents])
 
 
+def _check_scenarios(suite: str, oracle: OracleCosts | None, planners: Results | None) -> None:
+    """Raise a ValueError if files given are of other scenarios than those that the conditions compare."""
+    for what, given in (("oracle", oracle), ("planners", planners)):
+        if given is not None and (given.suite, given.split) != (suite, "validation"):
+            raise ValueError(f"--{what} is of {given.suite}/{given.split}; {suite}/validation is needed")
+    if planners is None:
+        return
+    if not any(name.startswith("planner-") for name in planners.pinned_costs):
+        raise ValueError("--planners holds no planner; agents.research.planner writes such files")
+    missing = set() if oracle is None else set(oracle.seeds) - set(planners.seeds)
+    if missing:
+        raise ValueError(f"--planners lacks {len(missing)} of the oracle's scenarios, such as seed {min(missing)}")
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     parser = Parser(prog="python -m agents.research.conditions", description=_DESCRIPTION, epilog=_EXAMPLES)
@@ -297,12 +311,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         given = parser.parse_args(argv)
         page = check_page("--page", given.page, _SECTION)
         benchmark = get_suite(given.suite).benchmark
+        oracle = None if given.oracle is None else OracleCosts.read(Path(given.oracle))
+        planners = None if given.planners is None else Results.read(Path(given.planners))
+        _check_scenarios(given.suite, oracle, planners)
         evidence = gathered(
             given.suite,
             feedbacks=[entry for name in given.feedbacks for entry in load_entries(name, benchmark=benchmark)],
             agents=[entry for name in given.agents for entry in load_entries(name, benchmark=benchmark)],
-            oracle=None if given.oracle is None else OracleCosts.read(Path(given.oracle)),
-            planners=None if given.planners is None else Results.read(Path(given.planners)),
+            oracle=oracle,
+            planners=planners,
             n_simple=given.simple,
             n_threads=given.threads,
         )

@@ -386,7 +386,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         given = parser.parse_args(argv)
         output = check_output_folder("--output", given.output)
         page = check_page("--page", given.page, _SECTION)
-        seeds = list(get_suite(given.suite).seeds(given.split)[: given.scenarios])
+        every = get_suite(given.suite).seeds(given.split)
+        n = len(every) if given.scenarios is None else given.scenarios
+        if not 1 <= n <= len(every):
+            raise ValueError(f"--scenarios = {n} is outside the allowed range 1 … {len(every)}")
+        seeds = list(every[:n])
         plannings = [Planning(knowledge=own, generations=given.generations) for own in given.knowledge]
         with Progress("scenarios × steps") as progress:
             results = results_with_planners(

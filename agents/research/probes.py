@@ -124,6 +124,35 @@ CHATTER_V1, PUSH_V1 = (
     dataclasses.replace(entry, policy=Probe(rule, n_own=N_MEASURED), environment=V1.env_id)
     for entry, rule in ((CHATTER, _chatter), (PUSH, _push))
 )
+#: Steps of an episode of v1, and those at its end in which the stopwatch acts.
+_N_STEPS, _LAST = 600, 100
+
+
+def _stopwatch(own: Floats, step: int) -> Floats:
+    return np.where(step >= _N_STEPS - _LAST, -own[..., _FREQUENCY], 0.0)
+
+
+STOPWATCH_V1 = Entry(
+    name="stopwatch",
+    strategy="coordinated-tuned",
+    policy=Probe(_stopwatch, n_own=N_MEASURED),
+    action_mode="k",
+    environment=V1.env_id,
+    learned=False,
+    description="Adds the droop of fast-droop in the last 10 s, after which nobody has to give back what was lent.",
+)
 STATIC = _entry("static", _static(), "Adds to g(ω) what makes the captured power linear in frequency, at rest.")
 
-__all__ = ["CHATTER", "CHATTER_V1", "CONSTANT", "PUSH", "PUSH_V1", "STATIC", "Delayed", "Probe", "delayed", "late_name"]
+__all__ = [
+    "CHATTER",
+    "CHATTER_V1",
+    "CONSTANT",
+    "PUSH",
+    "PUSH_V1",
+    "STATIC",
+    "STOPWATCH_V1",
+    "Delayed",
+    "Probe",
+    "delayed",
+    "late_name",
+]

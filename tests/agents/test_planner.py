@@ -148,3 +148,9 @@ def test_impossible_efforts_are_refused(change: dict[str, Any], message: str) ->
 def test_a_suite_without_sensors_is_refused() -> None:
     with pytest.raises(ValueError, match="version v1"):
         planner.played_by_planner("standard", "validation", [10_000], QUICK)
+
+
+@pytest.mark.parametrize("n", ["0", "-3", "201"])
+def test_number_of_scenarios_is_checked(n: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert planner.main(["--scenarios", n, "--output", str(tmp_path)]) == 2
+    assert f"--scenarios = {n} is outside the allowed range 1 … 200" in capsys.readouterr().err

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 pytest.importorskip("cma")
 
 from agents.research.conditions import LAWS, gathered, judged, table
+from agents.research.conditions import main as conditions
 from agents.research.linear import linear_policy
 from agents.research.rollouts import HISTORY_COLUMNS, Rollouts, history_feedback
 from agents.research.tuned_law import law_of, tune_law
@@ -79,3 +80,11 @@ def test_conditions_say_what_was_not_measured_and_judge_what_was() -> None:
     assert lost[-1] > 0 and found["h"].met == (lost == sorted(lost))
     text = table(judged(evidence), evidence.results)
     assert "200 validation scenarios" in text and text.count("\n| (") == 8
+
+
+def test_conditions_refuse_files_of_other_scenarios(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert conditions(["--oracle", "wtg_gym/evaluation/oracle_costs/standard-test.json"]) == 2
+    assert "--oracle is of standard/test; standard-v1/validation is needed" in capsys.readouterr().err
+    described, _ = evaluate([], SUITE, "validation", seeds=SEEDS).write(tmp_path)
+    assert conditions(["--planners", str(described)]) == 2
+    assert "--planners holds no planner" in capsys.readouterr().err

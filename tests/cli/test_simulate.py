@@ -64,6 +64,13 @@ def test_wind_and_groups_follow_each_other(capsys: pytest.CaptureFixture[str]) -
     data = json_of(capsys, "simulate", "--duration", "1", "--wind", "9", "--groups", "3", "--json")
     assert data["scenario"]["mean_wind_m_s"] == [9.0] * 3
     assert "give one or 2" in error_of(capsys, "simulate", "--wind", "9", "8", "7", "--groups", "2")
+    # A suite of v1 keeps its grid unless another one is asked for.
+    other = ("simulate", "--suite", "paper-v1", "--duration", "1", "--wind", "9", "8")
+    assert "wind for 2 WTG groups, paper-v1 has 4" in error_of(capsys, *other)
+    data = json_of(capsys, *other, "8.5", "7.5", "--json")
+    assert [group["bus"] for group in data["plant"]["groups"]] == [2, 3, 6, 8]
+    data = json_of(capsys, *other, "--groups", "2", "--json")
+    assert [group["bus"] for group in data["plant"]["groups"]] == [2, 2]
 
 
 def test_suite_of_v1_runs_in_its_own_grid(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

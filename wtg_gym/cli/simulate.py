@@ -157,6 +157,12 @@ def _scenario_and_groups(arguments: argparse.Namespace, suite: Suite) -> tuple[S
     if from_file is not None and arguments.duration is not None:
         from_file = dataclasses.replace(from_file, duration_s=arguments.duration)
     n_groups = _n_groups(arguments, from_file, suite)
+    if suite.benchmark is not V0 and arguments.groups is None and n_groups != len(suite.plant.groups):
+        # They would all stand at bus 2: another grid than the suite's.
+        raise ValueError(
+            f"there is wind for {n_groups} WTG groups, {suite.name} has {len(suite.plant.groups)}; "
+            f"--groups {n_groups} puts as many at bus 2"
+        )
     # Another number of groups stands at bus 2.
     groups = suite.plant.groups if n_groups == len(suite.plant.groups) else default_groups(n_groups)
     scenario = from_file if from_file is not None else _named_scenario(arguments, suite, groups)

@@ -94,6 +94,7 @@ SHORT_COLUMNS = (
 )
 _SHORT_COLUMNS_SINCE_V1 = (
     *SHORT_COLUMNS[: SHORT_COLUMNS.index("failures [%]")],
+    "mean cost",
     *_SINCE_V1,
     "p95 peak power [p.u.]",
     "p95 power change in 1 s [p.u.]",
