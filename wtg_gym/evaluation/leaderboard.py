@@ -94,8 +94,9 @@ SHORT_COLUMNS = (
 )
 _SHORT_COLUMNS_SINCE_V1 = (
     *SHORT_COLUMNS[: SHORT_COLUMNS.index("failures [%]")],
+    _SINCE_V1[0],
     "mean cost",
-    *_SINCE_V1,
+    *_SINCE_V1[1:],
     "p95 peak power [p.u.]",
     "p95 power change in 1 s [p.u.]",
     "energy share [%]",

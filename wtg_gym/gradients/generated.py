@@ -19,7 +19,8 @@ import numpy.typing as npt
 from numba import types
 from numba.extending import intrinsic
 
-from wtg_gym.envs.task import apply_actions, charge, observe, rocof_window
+from wtg_gym.envs.task import apply_actions, charge, observe
+from wtg_gym.envs.task_layout import rocof_window
 from wtg_gym.envs.task_records import GROUP, N_GROUP_ROWS, N_TASK_ROWS, TASK, CostTerms, read_task
 from wtg_gym.gradients import expressions as ex
 from wtg_gym.gradients.tracing import Actions, Rows, retargeted, traced
