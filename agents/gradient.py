@@ -41,7 +41,7 @@ from wtg_gym.physics.scenario import Scenario
 #: The algorithm's name in run.json.
 NAME = "gradient"
 _WEIGHTS, _STATE = "weights.pt", "state.pt"
-_TIMESTEPS, _N_ENVS = 2_400_000, 32
+_TIMESTEPS, _N_ENVS = 1_920_000, 32
 
 
 @dataclass(frozen=True)
