@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from agents import ppo, rllib
+from agents import gradient, ppo, rllib
 from agents.command import Parser, note, run_command
 from agents.entry_file import entry_values, write_entry
 from agents.folders import BEST, folders
@@ -102,6 +102,9 @@ def _trained(best: Path, algo: str) -> tuple[Policy, PolicyNetwork]:
     if algo in (rllib.NAME, ppo.NAME):
         agent = ppo.load(best)
         return agent, agent.network()
+    if algo == gradient.NAME:
+        found = gradient.load(best)
+        return found, found.network()
     # Imported here, because the policies above are exported where Stable-Baselines3 is not installed.
     from agents.hyperparameters import ALGORITHMS
     from agents.learners import network_of

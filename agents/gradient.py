@@ -1,0 +1,214 @@
+"""`python -m agents.gradient`: trains a policy by back-propagation through whole episodes of the environment itself.
+
+The gradients are those of `wtg_gym.gradients`. Nothing is explored and no value function is learned: Adam lowers the
+mean over training scenarios of log(cost + J0), which is what the score rewards.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from agents.command import (
+    Parser,
+    Progress,
+    add_folder_options,
+    add_training_options,
+    given_options,
+    opened_run,
+    run_command,
+    settings_of,
+)
+from agents.folders import BEST, CHECKPOINTS, folders, loading, save_folder
+from agents.onnx_graph import PolicyNetwork, flat_layers
+from agents.runs import Run, RunSettings
+from wtg_gym.envs import EnvSettings
+from wtg_gym.evaluation.score import COST_OFFSET
+from wtg_gym.gradients.torch import TorchEpisodes
+from wtg_gym.physics.scenario import Scenario
+
+#: The algorithm's name in run.json.
+NAME = "gradient"
+_WEIGHTS, _STATE = "weights.pt", "state.pt"
+_TIMESTEPS, _N_ENVS = 1_920_000, 32
+
+
+@dataclass(frozen=True)
+class Hyperparameters:
+    """Hyperparameters; the learning rate falls along half a cosine to `last_rate` of it."""
+
+    hidden: Sequence[int] = (64, 64)
+    loss: str = "log"
+    learning_rate: float = 1e-2
+    last_rate: float = 0.05
+    betas: Sequence[float] = (0.9, 0.99)
+    max_grad_norm: float = 1.0
+
+    def __post_init__(self) -> None:
+        if any(type(width) is not int or width < 1 for width in self.hidden):
+            raise ValueError(f"hidden must be positive whole numbers, got {list(self.hidden)}")
+
+
+class GradientPolicy(nn.Module):
+    """tanh layers from the observation to the actions; no layers but one make it linear up to its tanh."""
+
+    def __init__(self, n_observation: int, n_action: int, hidden: Sequence[int] = ()) -> None:
+        super().__init__()
+        self.n_observation = n_observation
+        widths = [n_observation, *hidden, n_action]
+        layers = [nn.Linear(n_in, n_out) for n_in, n_out in itertools.pairwise(widths)]
+        for layer in layers:
+            # The last layer starts almost at zero, which is the reference controller.
+            nn.init.orthogonal_(layer.weight, 0.01 if layer is layers[-1] else 1.0)
+            nn.init.zeros_(layer.bias)
+        # Tanh at the end too: a clipped action would have no gradient to come back by.
+        self.layers = nn.Sequential(*(module for layer in layers for module in (layer, nn.Tanh())))
+
+    def forward(self, observations: Tensor) -> Tensor:
+        actions: Tensor = self.layers(observations)
+        return actions
+
+    @torch.no_grad()
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> tuple[Any, Any]:
+        """Return (actions (n_lanes, n_action), state), in the manner of Stable-Baselines3."""
+        return self(torch.as_tensor(observation, dtype=torch.float32)).numpy(), state
+
+    def network(self) -> PolicyNetwork:
+        """Return the policy for the export."""
+        return PolicyNetwork(self.n_observation, None, lstm=None, layers=flat_layers([self.layers]))
+
+
+def costs_of(episodes: TorchEpisodes, policy: nn.Module, scenarios: Sequence[Scenario], n_steps: int) -> Tensor:
+    """Return what the first steps of a scenario in every lane cost, (n_lanes,)."""
+    observations, costs = episodes.start(scenarios), torch.zeros(len(scenarios), dtype=torch.float64)
+    for _ in range(n_steps):
+        observations, terms = episodes.step(policy(observations))
+        costs = costs + terms.sum(dim=1)
+    return costs
+
+
+def descend(policy: nn.Module, optimizer: torch.optim.Optimizer, costs: Tensor, h: Hyperparameters) -> float:
+    """Take one step of the optimiser against what episodes cost, and return the loss before it."""
+    loss = torch.log(costs + COST_OFFSET).mean() if h.loss == "log" else costs.mean()
+    optimizer.zero_grad()
+    loss.backward()  # type: ignore[no-untyped-call]
+    nn.utils.clip_grad_norm_(policy.parameters(), h.max_grad_norm)
+    optimizer.step()
+    return loss.item()
+
+
+def train(run: Run, folder: Path, h: Hyperparameters) -> None:
+    """Train from the last checkpoint, if there is one, to the end; checkpoints and run.json go to `folder`."""
+    if run.finished:
+        return
+    settings = run.settings
+    # One thread, so that sums do not depend on which thread ends first; more would only wait for each other.
+    torch.set_num_threads(1)
+    torch.manual_seed(settings.seed)
+    episodes = TorchEpisodes(EnvSettings(**settings.env_arguments), settings.n_envs)
+    lanes = episodes.tape.lanes
+    policy = GradientPolicy(lanes.n_observation, lanes.n_action, h.hidden)
+    optimizer = torch.optim.Adam(policy.parameters(), lr=h.learning_rate, betas=(h.betas[0], h.betas[1]))
+    n_steps = round(lanes.duration_s / lanes.settings.control_dt)
+    per_batch = n_steps * settings.n_envs
+    n_batches, first = -(-settings.timesteps // per_batch), 0
+    if saved := folders(folder / CHECKPOINTS):
+        first = int(saved[-1].name) // per_batch
+        load_state(saved[-1], policy, optimizer)
+    run.write(folder)
+    began = time.monotonic() - (run.curve[-1]["wall_time_s"] if run.curve else 0.0)
+    with Progress("batches") as progress:
+        for index in range(first, n_batches + 1):
+            steps, run.finished = index * per_batch, index == n_batches
+            if run.is_due(steps) or run.finished:
+                run.validate(policy, steps, time.monotonic() - began)
+                # The checkpoint comes first: one whose row is missing in run.json is validated again on resumption.
+                save_folder(folder / CHECKPOINTS, steps, lambda path: save_state(path, policy, optimizer))
+                if run.best is run.curve[-1]:
+                    save_folder(folder / BEST, steps, lambda path: save(path, policy))
+                run.write(folder)
+            if not run.finished:
+                fallen = 0.5 + 0.5 * math.cos(math.pi * index / n_batches)
+                optimizer.param_groups[0]["lr"] = h.learning_rate * (h.last_rate + (1.0 - h.last_rate) * fallen)
+                # A generator of its own for each batch: a resumed run draws what an undisturbed one would have drawn.
+                rng = np.random.default_rng((settings.seed, index))
+                costs = costs_of(episodes, policy, lanes.draw([rng] * settings.n_envs), n_steps)
+                loss = descend(policy, optimizer, costs, h)
+                name = f"loss {loss:.3f}, score {run.curve[-1]['score']:.1f}"
+                progress.update(name, index + 1 - first, n_batches - first)
+
+
+def save_state(folder: Path, policy: nn.Module, optimizer: torch.optim.Optimizer) -> None:
+    torch.save({"policy": policy.state_dict(), "optimizer": optimizer.state_dict()}, folder / _STATE)
+
+
+def load_state(folder: Path, policy: nn.Module, optimizer: torch.optim.Optimizer) -> None:
+    """Set policy and optimiser to those that :func:`save_state` wrote.
+
+    Raises:
+        ValueError: the file is missing or damaged; the message names it.
+    """
+    with loading(folder / _STATE):
+        state = torch.load(folder / _STATE, weights_only=True)
+        policy.load_state_dict(state["policy"])
+        optimizer.load_state_dict(state["optimizer"])
+
+
+def save(folder: Path, policy: GradientPolicy) -> None:
+    torch.save(policy.state_dict(), folder / _WEIGHTS)
+
+
+def load(folder: Path) -> GradientPolicy:
+    """Return the policy of a folder that :func:`save` wrote; no code in it is run.
+
+    Raises:
+        ValueError: the file is missing or damaged; the message names it.
+    """
+    with loading(folder / _WEIGHTS):
+        weights: Mapping[str, Tensor] = torch.load(folder / _WEIGHTS, weights_only=True)
+        shapes = [value.shape for key, value in weights.items() if key.endswith("weight")]
+        policy = GradientPolicy(shapes[0][1], shapes[-1][0], [shape[0] for shape in shapes[:-1]])
+        policy.load_state_dict(weights)
+        return policy
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    parser = Parser(prog="python -m agents.gradient", description=__doc__)
+    add_training_options(parser, timesteps=str(_TIMESTEPS))
+    parser.add_argument("--n-envs", type=int, metavar="N", help=f"episodes per gradient (default: {_N_ENVS})")
+    parser.add_argument(
+        "--hidden", type=int, nargs="*", metavar="N", help="widths of hidden layers, none for none (default: 64 64)"
+    )
+    parser.add_argument("--loss", choices=("log", "mean"), help="mean of log(cost + J0) or of the cost (default: log)")
+    add_folder_options(parser)
+
+    def work() -> None:
+        given = given_options(parser.parse_args(argv))
+
+        def settings() -> RunSettings:
+            h = Hyperparameters(**{key: given[key] for key in ("hidden", "loss") if key in given})
+            n_envs = given.get("n_envs", _N_ENVS)
+            return settings_of(given, NAME, dataclasses.asdict(h), timesteps=_TIMESTEPS, n_envs=n_envs)
+
+        with opened_run(given, (NAME,), settings) as (run, folder):
+            train(run, folder, Hyperparameters(**run.settings.hyperparameters))
+
+    return run_command(work, "go on with --resume")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,89 @@
+"""Facts about training by gradients: it learns, repeats, goes on after an interruption, and is exported."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from agents import gradient
+from agents.export import export
+from agents.folders import folders
+from agents.gradient import GradientPolicy, Hyperparameters, costs_of, descend, load, main
+from agents.runs import Run
+from wtg_gym.envs import EnvSettings
+from wtg_gym.gradients.torch import TorchEpisodes
+from wtg_gym.policies.load import load_entries
+
+#: Two gradients, with a validation before, between and after them.
+OPTIONS = ["--timesteps", "2400", "--interval", "1200", "--n-envs", "2", "--validation-episodes", "2"]
+
+
+@pytest.mark.parametrize("hidden", [(), (8,)])
+def test_loss_falls_on_the_scenarios_that_it_is_of(hidden: tuple[int, ...]) -> None:
+    torch.manual_seed(0)
+    episodes, h = TorchEpisodes(EnvSettings(), 4, 1), Hyperparameters(hidden=hidden)
+    lanes = episodes.tape.lanes
+    policy = GradientPolicy(lanes.n_observation, lanes.n_action, hidden)
+    optimizer = torch.optim.Adam(policy.parameters(), lr=h.learning_rate)
+    scenarios = lanes.scenarios(range(1_000_000, 1_000_004))
+    losses = [descend(policy, optimizer, costs_of(episodes, policy, scenarios, 100), h) for _ in range(10)]
+    assert losses[-1] < losses[0] - 0.01
+
+
+def checkpoint(folder: Path) -> dict[str, Any]:
+    (path,) = folders(folder / "checkpoints")
+    assert int(path.name) == 2400
+    found: dict[str, Any] = torch.load(path / "state.pt", weights_only=True)
+    return found
+
+
+def test_run_repeats_also_after_an_interruption_and_is_exported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, two = tmp_path / "one", tmp_path / "two"
+    assert main([*OPTIONS, "--output", str(one)]) == 0
+
+    def interrupted(*arguments: Any) -> float:
+        if Run.read(two).curve[-1]["timesteps"] == 1200:
+            raise KeyboardInterrupt
+        return descend(*arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(gradient, "descend", interrupted)
+        assert main([*OPTIONS, "--output", str(two)]) == 130
+    assert main(["--resume", str(two)]) == 0
+    states = [checkpoint(folder)["policy"] for folder in (one, two)]
+    assert all(torch.equal(states[0][key], states[1][key]) for key in states[0])
+    runs = [Run.read(folder) for folder in (one, two)]
+    curves = [[{**row, "wall_time_s": 0.0} for row in run.curve] for run in runs]
+    assert curves[0] == curves[1] and len(curves[0]) == 3
+    assert [(run.finished, run.resumed) for run in runs] == [(True, 0), (True, 1)]
+    assert main(["--resume", str(two)]) == 0
+    assert len(Run.read(two).curve) == 3
+
+    assert export(one, tmp_path / "entry", name="mine") <= 1e-6
+    (entry,) = load_entries(tmp_path / "entry")
+    observations = np.random.default_rng(0).normal(size=(5, states[0]["layers.0.weight"].shape[1])).astype(np.float32)
+    (best,) = folders(one / "best")
+    expected, _ = load(best).predict(observations)
+    actions, _ = entry.policy.predict(observations, None, np.ones(5, dtype=np.bool_), deterministic=True)
+    assert actions == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--suite", "standard-v1"], "gradients are for the paper's physics"),
+        (["--hidden", "8", "0"], "hidden must be positive whole numbers"),
+    ],
+)
+def test_bad_input_is_refused_and_leaves_nothing(
+    options: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*options, "--output", str(tmp_path / "run")]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
