@@ -12,8 +12,10 @@ import gymnasium as gym
 import numpy as np
 
 from wtg_gym.analysis.benchmarks.timing import Case, Stepper, repeat, step_batch, step_single
+from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.physics.plant import PHYSICS
 from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios.benchmark import BENCHMARKS, Benchmark
 
 #: The id under which importing `wtg_gym` registers our environment.
 OURS = "GFMWTG-14bus-v0"
@@ -35,9 +37,10 @@ def environment_cases() -> Iterator[Case]:
     """Yield the environments other than the yardstick; Stable-Baselines3's where it is installed."""
     part = "environments"
     yield Case(part, "CartPole-v1", 1, partial(_single, "CartPole-v1"))
-    yield Case(part, OURS, 1, partial(_single, OURS))
-    for n in (64, 1024):
-        yield Case(part, f"{OURS}, vector of {n}", n, partial(_our_vector, n))
+    for env_id, benchmark in BENCHMARKS.items():
+        yield Case(part, env_id, 1, partial(_single, env_id))
+        for n in (64, 1024):
+            yield Case(part, f"{env_id}, vector of {n}", n, partial(_our_vector, benchmark, n))
     yield Case(part, "CartPole-v1, vector of 1024", 1024, _cart_poles)
     if not has_sb3():
         return
@@ -70,7 +73,6 @@ def gradient_cases() -> Iterator[Case]:
 
 
 def _gradients(n_lanes: int) -> Stepper:
-    from wtg_gym.envs.settings import EnvSettings
     from wtg_gym.gradients import Tape
 
     tape = Tape(EnvSettings(), n_lanes)
@@ -132,10 +134,10 @@ def _single(name: str) -> Stepper:
     return step_single(gym.make(name))
 
 
-def _our_vector(n_envs: int) -> Stepper:
+def _our_vector(benchmark: Benchmark, n_envs: int) -> Stepper:
     """Return a batch whose first episodes are of all lengths, so that resets come evenly from then on."""
-    envs = gym.make_vec(OURS, num_envs=n_envs)
-    suite = get_suite("standard")
+    envs = gym.make_vec(benchmark.env_id, num_envs=n_envs)
+    suite = get_suite(EnvSettings(version=benchmark.version).suite)
     lengths = np.random.default_rng(0).integers(10, round(10.0 * suite.duration_s), n_envs) / 10.0
     scenarios = [suite.scenario(suite.validation[i % 100], duration_s=float(s)) for i, s in enumerate(lengths)]
     envs.reset(seed=0)
