@@ -193,7 +193,7 @@ def test_baselines_are_those_of_the_version() -> None:
     assert environments == {"tip-speed-feedback": V0.env_id, "fast-droop": V1.env_id, "mppt": None}
 
 
-@pytest.mark.parametrize(("name", "suite"), [("linear-feedback", "paper-v1"), ("fast-droop", "paper")])
+@pytest.mark.parametrize(("name", "suite"), [("PPO (k)", "paper-v1"), ("fast-droop", "paper")])
 def test_policy_of_another_version_is_refused(name: str, suite: str) -> None:
     with pytest.raises(ValueError, match=r"^entry '.*' is for GFMWTG-14bus-v\d, these scenarios are of GFMWTG-14bus-"):
         evaluate(name, suite, "test")

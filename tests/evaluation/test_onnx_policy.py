@@ -178,7 +178,8 @@ def test_folder_is_an_entry_and_zero_action_scores_a_hundred(tmp_path: Path) -> 
     [
         ("name = ", "is not TOML"),
         ('name = "a"\n', r"missing: \['action_mode'\]"),
-        (TOML + "strategy = 1\n", r"unknown: \['strategy'\]"),
+        (TOML + "strategy = 1\n", "strategy in .* must be one of mppt, .*, got 1"),
+        (TOML + "law = 1\n", r"unknown: \['law'\]"),
         (TOML + 'authors = "me"\n', "authors in"),
         (TOML + "training_seed = -1\n", "training_seed"),
         (TOML.replace("k+tau", "pitch"), "unknown action_mode 'pitch'"),
