@@ -25,7 +25,7 @@ _FEW = ("--seeds", "20000:20002")
 def test_template_with_a_policy_is_accepted_once_it_is_filled_in(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    (tmp_path / "some.onnx").write_bytes(make().SerializeToString())
+    (tmp_path / "some.onnx").write_bytes(models.of_v1().SerializeToString())
     target = tmp_path / "new"
     assert main(["submission", "new", str(target), "--policy", str(tmp_path / "some.onnx")]) == 0
     assert sorted(path.name for path in target.iterdir()) == ["entry.toml", "policy.onnx"]
@@ -100,7 +100,7 @@ def test_score_refuses_what_is_for_another_version(capsys: pytest.CaptureFixture
     assert main(["submission", "score", str(old), str(new), "--suite", "standard-v1", *few]) == 1
     said = capsys.readouterr()
     assert "New" in said.out and "coordinated-tuned" in said.out and "Mine" not in said.out
-    assert "a: for GFMWTG-14bus-v0, standard-v1 is of GFMWTG-14bus-v1" in said.err
+    assert "entry.toml says environment GFMWTG-14bus-v0, standard-v1 is a suite of GFMWTG-14bus-v1" in said.err
 
 
 def test_policy_that_fails_in_a_scored_scenario_stops_nobody_else(

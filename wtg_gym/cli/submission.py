@@ -179,7 +179,8 @@ def _of_another_version(reports: Sequence[Report], suite: str) -> list[Conflict]
     return [
         Conflict(
             (report.folder,),
-            f"{_shown(report.folder)}: for {report.entry.environment}, {suite} is of {env_id}; choose with --suite",
+            f"{_shown(report.folder)}: entry.toml says environment {report.entry.environment}, {suite} is a suite of "
+            f"{env_id}: give another --suite, or mend entry.toml",
         )
         for report in reports
         if report.accepted and report.entry is not None and report.entry.environment != env_id

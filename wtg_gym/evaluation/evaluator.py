@@ -8,7 +8,7 @@ import dataclasses
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,9 @@ from wtg_gym.scenarios.benchmark import V0, Benchmark
 Progress = Callable[[str, int, int], None]
 #: A batch: an entry, and the seeds of the scenarios that it plays at once.
 _Part = tuple[Entry, list[int]]
+#: Scenarios of an ONNX policy that run side by side: each has its own session, and more of them than the processor's
+#: cache holds take three times as long a step.
+_ONNX_BATCH = 64
 #: Settings that an entry or an argument of its own decides.
 _TAKEN = ("strategy", "action_mode", "observation_mode", "suite", "split", "scenario", "duration_s")
 #: More scenarios than this must be asked for by their seeds.
@@ -75,7 +78,7 @@ def evaluate(
         seeds: some of the split's seeds; None for all.
         draw: the seeds of the split "fresh".
         duration_s: length of the episodes [s]; None for the suite's own.
-        batch: scenarios that run side by side.
+        batch: scenarios that run side by side, of an ONNX policy 64 at most.
         n_threads: threads to step with, and ONNX policies that play side by side; None for one per processor. Workers
             have one each.
         on_progress: called with (name of the entry, episodes done, episodes in all) after every batch.
@@ -105,7 +108,7 @@ def evaluate(
     chosen = chosen_seeds(suite, split, seeds, draw)
     shared, suite_hash = shared_settings(settings), get_suite(suite).hash
     store = PartialStore(None if partial is None else Path(partial), [suite, suite_hash, split, shared])
-    parts = [(entry, chosen[first : first + batch]) for entry in competitors for first in range(0, len(chosen), batch)]
+    parts = [part for entry in competitors for part in _parts(entry, chosen, batch)]
     played: dict[int, list[Episode]] = {}
     failures: dict[tuple[str, int | None], PolicyError] = {}
     n_done = 0
@@ -230,6 +233,13 @@ def _version_settings(settings: EnvSettings) -> dict[str, Any]:
     # Lists, as files hold them, not tuples.
     data: dict[str, Any] = json.loads(json.dumps(found))
     return data
+
+
+def _parts(entry: Entry, seeds: Sequence[int], batch: int) -> Iterator[_Part]:
+    """Cut an entry's scenarios into batches."""
+    size = min(batch, _ONNX_BATCH) if isinstance(entry.policy, OnnxPolicy) else batch
+    for first in range(0, len(seeds), size):
+        yield entry, list(seeds[first : first + size])
 
 
 # --- batches ---------------------------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ from wtg_gym.files import printable
 from wtg_gym.policies import onnx_worker
 from wtg_gym.policies.onnx_worker import ACTIONS, LENGTH
 
-#: Address space [bytes] and processor time [s] of the process; it plays up to 256 scenarios and then ends.
+#: Address space [bytes] and processor time [s] of the process; it plays a batch of scenarios and then ends.
 MEMORY_BYTES = 4 * 2**30
 CPU_S = 600
 #: How long a policy is waited for [s]: until it is loaded and for the first step, which opens the sessions of its

@@ -56,13 +56,13 @@ action_mode = "k+tau"
 observation_mode = "local"
 
 # Which environment it is for: "GFMWTG-14bus-v0" or "GFMWTG-14bus-v1", whose observations differ.
-environment = "GFMWTG-14bus-v0"
+environment = "GFMWTG-14bus-v1"
 
 # Which law its actions modulate, by name: "coordinated-piecewise" is the published one.
 strategy = "coordinated-piecewise"
 
 # What it was trained on: suite, split, steps. Test scenarios are for scoring only.
-trained_on = "standard, split train"
+trained_on = "standard-v1, split train"
 
 # https addresses of a paper or of the training code.
 links = []

@@ -102,7 +102,12 @@ const drawFront = (entries) => {
     };
   }
   const x = around(places.length ? places.map((each) => each.x) : [0, 100], 0.06);
-  const named = places.filter((each) => best.includes(each) || tone(each.entry.name) !== "rest");
+  const y = around([0, ...places.map((each) => each.y)], 0.08);
+  const chosen = (each) => tone(each.entry.name) !== "rest";
+  // Of names that would lie on each other, the chosen entry's or the better one's stands there.
+  const meet = (p, q) => Math.abs(p.x - q.x) < 0.2 * (x.end - x.start) && Math.abs(p.y - q.y) < 0.06 * (y.end - y.start);
+  const named = places.filter((each) => best.includes(each) || chosen(each)).sort((p, q) => chosen(q) - chosen(p))
+    .reduce((kept, each) => (kept.some((other) => meet(other, each)) ? kept : [...kept, each]), []);
   // Names at the right end stand left of their dots.
   const left = named.map((each) => each.x > (x.start + x.end) / 2);
   sources["front-names"].data = {
@@ -110,7 +115,7 @@ const drawFront = (entries) => {
     align: left.map((is) => (is ? "right" : "left")), dx: left.map((is) => (is ? -9 : 9)),
   };
   chart.front.x_range.setv(x);
-  chart.front.y_range.setv(around([0, ...places.map((each) => each.y)], 0.08));
+  chart.front.y_range.setv(y);
   $("front").setAttribute("aria-label", `Points of frequency and RoCoF against captured energy, ${entries.length} entries. ` +
     `None beats in both: ${best.map((each) => each.entry.name).join(", ")}. The ranking's table holds the same numbers.`);
 };
