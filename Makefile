@@ -120,7 +120,7 @@ docs: pictures ## Measure everything that docs/ shows again, but for performance
 
 .PHONY: site
 site: $(SITE_READY) ## Build the site of the documentation into build/site; broken links and pages that nothing lists are errors
-	NO_MKDOCS_2_WARNING=1 $(SITE_VENV)/bin/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(SITE_VENV)/bin/mkdocs build --strict
 
 .PHONY: conditions
 conditions: $(TEST_READY) ## Measure whether standard-v1 is a good problem, and put the tables into docs/benchmark.md (half an hour)
