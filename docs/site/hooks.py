@@ -12,32 +12,32 @@ import re
 from pathlib import Path
 from typing import Any
 
-from mkdocs.structure.files import File
-
 ROOT = Path(__file__).resolve().parents[2]
 #: Files outside docs/, and what they are called as pages of the site.
 OUTSIDE = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md", "agents/README.md": "training.md"}
 #: Where the sections of README.md are on the site; the rest of it is on the home page.
 README = {"": "index.md", "train": "start.md#train", "leaderboard": "leaderboard.md"}
-#: Code, or a link with its text, file and anchor; a link in code is left alone.
+#: Code, or a link or picture with its text, file and anchor; a link in code is left alone.
 _LINK = re.compile(
-    r"^```.*?^```|`[^`\n]+`|(?<!!)\[((?:`[^`]*`|!\[[^\]]*\]\([^)]*\)|[^\[\]`])*)\]\(([^()\s:#]*)(#[^()\s]*)?\)",
+    r"^```.*?^```|`[^`\n]+`|(!?)\[((?:`[^`]*`|[^\[\]`])*)\]\(([^()\s:#]*)(#[^()\s]*)?\)",
     flags=re.MULTILINE | re.DOTALL,
 )
 _INCLUDED = re.compile(r"^.*\]\(\.\./README\.md#([\w-]+)\) *<!-- include -->$", flags=re.MULTILINE)
 
 
-def section(text: str, anchor: str) -> str:
-    """Return a section of a page with its heading, up to the next heading of its level.
+def section(text: str, anchor: str, title: str) -> str:
+    """Return a section of a page, up to the next heading of its level; with its heading, unless that is `title`.
 
     Raises:
         ValueError: there is no such heading.
     """
-    for found in re.finditer(r"^(##+) (.*)$", text, flags=re.MULTILINE):
+    # A comment in code is no heading.
+    bare = re.sub(r"^```.*?^```", lambda code: " " * len(code[0]), text, flags=re.MULTILINE | re.DOTALL)
+    for found in re.finditer(r"^(##+) (.*)$", bare, flags=re.MULTILINE):
         if found[2].lower().replace(" ", "-") == anchor:
-            rest = text[found.end() :]
-            end = re.search(rf"^#{{1,{len(found[1])}}} ", rest, flags=re.MULTILINE)
-            return found[0] + (rest[: end.start()] if end else rest)
+            end = re.search(rf"^#{{1,{len(found[1])}}} ", bare[found.end() :], flags=re.MULTILINE)
+            start = found.end() if found[2] == title else found.start()
+            return text[start : found.end() + end.start() if end else len(text)]
     raise ValueError(f"README.md has no heading {anchor!r}")
 
 
@@ -53,7 +53,7 @@ def rewritten(text: str, here: str, source: str, repository: str, known: frozens
     """
 
     def replaced(found: re.Match[str]) -> str:
-        label, file, anchor = found[1], found[2], found[3] or ""
+        mark, label, file, anchor = found[1], found[2], found[3], found[4] or ""
         if label is None or not file:
             return found[0]
         path = posixpath.normpath(posixpath.join(posixpath.dirname(source), file))
@@ -62,8 +62,8 @@ def rewritten(text: str, here: str, source: str, repository: str, known: frozens
             target, _, anchor = README.get(anchor.removeprefix("#"), README[""]).partition("#")
             anchor = anchor and f"#{anchor}"
         if target in known:
-            return f"[{label}]({posixpath.relpath(target, posixpath.dirname(here) or '.')}{anchor})"
-        if not (ROOT / path).exists():
+            return f"{mark}[{label}]({posixpath.relpath(target, posixpath.dirname(here) or '.')}{anchor})"
+        if mark or not (ROOT / path).exists():
             return found[0]  # a mistake, which the site's own check of links names
         if not repository:
             return label
@@ -74,6 +74,8 @@ def rewritten(text: str, here: str, source: str, repository: str, known: frozens
 
 def on_files(files: Any, config: Any) -> Any:
     """Add the pages from outside docs/."""
+    from mkdocs.structure.files import File  # the tests of the rest need no MkDocs
+
     for path, name in OUTSIDE.items():
         files.append(File.generated(config, name, abs_src_path=str(ROOT / path)))
     return files
@@ -96,7 +98,13 @@ def on_page_markdown(text: str, page: Any, config: Any, files: Any) -> str:
     # Every second part is the anchor of a section.
     parts = _INCLUDED.split(text)
     parts[0::2] = [rewritten(part, here, source, repository, known) for part in parts[0::2]]
-    parts[1::2] = [rewritten(section(readme, part), here, "README.md", repository, known) for part in parts[1::2]]
+    for place, anchor in enumerate(parts[1::2]):
+        found = section(readme, anchor, text.partition("\n")[0].removeprefix("# "))
+        parts[2 * place + 1] = rewritten(found, here, "README.md", repository, known)
     if here == "leaderboard.md" and "leaderboard.html" in known:
         parts.append("\n- [The same with filters, profiles and single runs](leaderboard.html)\n")
+    if here == "leaderboard.md":
+        page.meta["hide"] = ["navigation", "toc"]  # the table has the whole width
+    elif page.parent is None:
+        page.meta["hide"] = ["navigation"]  # there is no other page beside it
     return "".join(parts)

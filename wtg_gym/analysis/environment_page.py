@@ -32,7 +32,7 @@ _MEAN_DUTY = ("mean_duty", "0.05 of the available power", "duty error that is ch
 
 def environment_page() -> str:
     """Return the environments' description as Markdown: one chapter for each of Gymnasium's headings."""
-    newest = list(reversed(BENCHMARKS.values()))
+    newest = list(BENCHMARKS.values())[::-1]
     parts = [_overview(newest)]
     for title, text in _chapters():
         parts.append(f"## {title}\n\n{text}")

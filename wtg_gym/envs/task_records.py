@@ -96,7 +96,7 @@ class SensedRows(NamedTuple):
 
 
 class Info(NamedTuple):
-    """The numbers of `info`, with units and meanings; `cost` is 1 where a constraint was violated, the others are the cost."""
+    """The numbers of `info`, with their units and meanings."""
 
     time_s: Annotated[float, "s", "time since the start of the episode"]
     frequency_hz: Annotated[float, "Hz", "frequency of the centre of inertia"]
