@@ -2,7 +2,7 @@
 
 - A docstring names other objects as Sphinx does, :class:`Name`; on the site these are links.
 - The comment `#:` above a constant is its description.
-- What several modules offer is described once, on the page of the package that holds it; the others link there.
+- A name that several modules offer is described once, on the page of the package that holds it; the others link there.
 """
 
 from __future__ import annotations

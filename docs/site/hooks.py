@@ -1,4 +1,4 @@
-"""What the site does to pages that GitHub shows as they are.
+"""Changes that the site makes to pages; GitHub shows them unchanged.
 
 - A few files outside docs/ are pages of the site too.
 - A link to another file of the repository leads to the repository's address; while that is unknown, it is text.

@@ -22,7 +22,7 @@ from wtg_gym.files import markdown_table
 from wtg_gym.scenarios import SUITES
 from wtg_gym.scenarios.benchmark import BENCHMARKS, Benchmark
 
-#: What of a group's action and last action is which of (k, τ).
+#: Meaning of a group's two actions.
 _ACTIONS = {
     "k": "offset on k: at full action {share} of K_opt − K_pr",
     "tau": "factor on τ: 4 at full action, ¼ at the least",
