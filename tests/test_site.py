@@ -29,7 +29,7 @@ def hooks() -> Any:
         ("docs/howto/law.md", "howto/law.md", "[`a`](../../agents/README.md)", "[`a`](../training.md)"),
         ("docs/usage.md", "usage.md", "[a](../README.md#train)", "[a](start.md#train)"),
         ("docs/howto/law.md", "howto/law.md", "[a](../../README.md#leaderboard)", "[a](../leaderboard.md)"),
-        ("docs/usage.md", "usage.md", "[a](../README.md#cite)", "[a](index.md)"),
+        ("docs/usage.md", "usage.md", "[a](../README.md#no-section)", "[a](index.md)"),
         ("agents/README.md", "training.md", "[a](../docs/usage.md#suites)", "[a](usage.md#suites)"),
         ("README.md", "start.md", "![a](docs/images/a.png)", "![a](images/a.png)"),
         (

@@ -16,7 +16,15 @@ ROOT = Path(__file__).resolve().parents[2]
 #: Files outside docs/, and what they are called as pages of the site.
 OUTSIDE = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md", "agents/README.md": "training.md"}
 #: Where the sections of README.md are on the site; the rest of it is on the home page.
-README = {"": "index.md", "train": "start.md#train", "leaderboard": "leaderboard.md"}
+README = {
+    "": "index.md",
+    "install": "start.md#install",
+    "play-an-episode": "start.md#play-an-episode",
+    "score-and-compare": "start.md#score-and-compare",
+    "train": "start.md#train",
+    "leaderboard": "leaderboard.md",
+    "cite": "index.md#cite",
+}
 #: Code, or a link or picture with its text, file and anchor; a link in code is left alone.
 _LINK = re.compile(
     r"^```.*?^```|`[^`\n]+`|(!?)\[((?:`[^`]*`|[^\[\]`])*)\]\(([^()\s:#]*)(#[^()\s]*)?\)",
@@ -103,8 +111,8 @@ def on_page_markdown(text: str, page: Any, config: Any, files: Any) -> str:
         parts[2 * place + 1] = rewritten(found, here, "README.md", repository, known)
     if here == "leaderboard.md" and "leaderboard.html" in known:
         parts.append("\n- [The same with filters, profiles and single runs](leaderboard.html)\n")
-    if here == "leaderboard.md":
-        page.meta["hide"] = ["navigation", "toc"]  # the table has the whole width
+    if here in ("index.md", "leaderboard.md"):
+        page.meta["hide"] = ["navigation", "toc"]  # figure and table have the whole width
     elif page.parent is None:
         page.meta["hide"] = ["navigation"]  # there is no other page beside it
     return "".join(parts)
