@@ -7,6 +7,7 @@ LEADERBOARD_VENV := .venv
 TEST_VENV := .venv-test
 GOLDEN_VENV := .venv-golden
 RLLIB_VENV := .venv-rllib
+SITE_VENV := .venv-site
 
 # Part of the stamps' names, so that another Python starts another environment.
 PYTHON_VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
@@ -14,6 +15,7 @@ LEADERBOARD_READY := $(LEADERBOARD_VENV)/ready-$(PYTHON_VERSION)
 TEST_READY := $(TEST_VENV)/ready-$(PYTHON_VERSION)
 GOLDEN_READY := $(GOLDEN_VENV)/ready-$(PYTHON_VERSION)
 RLLIB_READY := $(RLLIB_VENV)/ready-$(PYTHON_VERSION)
+SITE_READY := $(SITE_VENV)/ready-$(PYTHON_VERSION)
 
 # Trained policies, one folder each, ranked beside the baselines of the version that they say they play in.
 EVERY_POLICY := $(patsubst %/entry.toml,%,$(sort $(wildcard agents/policies/*/entry.toml)))
@@ -106,6 +108,7 @@ pictures: $(LEADERBOARD_READY) ## Draw every picture of the README and of docs/ 
 
 .PHONY: docs
 docs: pictures ## Measure everything that docs/ shows again, but for performance and the page, and renew its tables and pictures
+	$(LEADERBOARD_VENV)/bin/wtg-gym environment --page docs/environment.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym parameters --page docs/parameters.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym compare tests/golden/*/ --page docs/validation.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym analyse aggregation --page docs/physics.md
@@ -114,6 +117,10 @@ docs: pictures ## Measure everything that docs/ shows again, but for performance
 	$(LEADERBOARD_VENV)/bin/wtg-gym results sensitivity --suite standard-v1 --entries baselines $(POLICIES_V1) agents.research.probes:CHATTER_V1 agents.research.probes:PUSH_V1 agents.research.probes:STOPWATCH_V1 --page docs/benchmark.md
 	$(LEADERBOARD_VENV)/bin/python -m agents.research.incentives --entries $(filter %/linear-feedback,$(POLICIES_V0)) $(filter agents/policies/ppo-k-%,$(POLICIES_V0)) deloaded-5 --page docs/benchmark.md
 	$(LEADERBOARD_VENV)/bin/python -m tests.submissions.hostile --page docs/submissions.md
+
+.PHONY: site
+site: $(SITE_READY) ## Build the site of the documentation into build/site; broken links and pages that nothing lists are errors
+	NO_MKDOCS_2_WARNING=1 $(SITE_VENV)/bin/mkdocs build --strict
 
 .PHONY: conditions
 conditions: $(TEST_READY) ## Measure whether standard-v1 is a good problem, and put the tables into docs/benchmark.md (half an hour)
@@ -181,23 +188,24 @@ format: $(TEST_READY) ## Format the code and mend what can be mended by itself
 
 .PHONY: clean
 clean: ## Remove the environments, caches and built files; results stay
-	rm -rf $(LEADERBOARD_VENV) $(TEST_VENV) $(GOLDEN_VENV) $(RLLIB_VENV) .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache build dist
+	rm -rf $(LEADERBOARD_VENV) $(TEST_VENV) $(GOLDEN_VENV) $(RLLIB_VENV) $(SITE_VENV) .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache build dist
 	find wtg_gym baselines agents tests -type d -name __pycache__ -prune -exec rm -rf {} +
 
 $(LEADERBOARD_READY): EXTRA := leaderboard,agents
 $(TEST_READY): EXTRA := dev
 $(GOLDEN_READY): EXTRA := golden
 $(RLLIB_READY): EXTRA := rllib
+$(SITE_READY): EXTRA := docs
 $(RLLIB_READY): ALSO := hypothesis pytest
 
-$(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY): CONSTRAINTS := constraints.txt
-$(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY): constraints.txt
+$(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY) $(SITE_READY): CONSTRAINTS := constraints.txt
+$(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY) $(SITE_READY): constraints.txt
 $(RLLIB_READY): CONSTRAINTS := constraints-rllib.txt
 $(RLLIB_READY): constraints-rllib.txt
 
 # An environment whose stamp is merely out of date is brought up to date; any other is started over. The two
 # variables hold the build of the package itself to the constraints too, by either pip's way of saying so.
-$(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY) $(RLLIB_READY): pyproject.toml
+$(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY) $(RLLIB_READY) $(SITE_READY): pyproject.toml
 	@case '$(PYTHON_VERSION)' in 3.11|3.12|3.13|3.14) ;; *) \
 	    echo 'wtg_gym needs Python 3.11, 3.12, 3.13 or 3.14, but $(PYTHON) is $(or $(PYTHON_VERSION),not found).' >&2; \
 	    echo 'Name another one: make $(MAKECMDGOALS) PYTHON=python3.12' >&2; exit 1;; esac

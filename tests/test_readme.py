@@ -1,4 +1,4 @@
-"""The examples of the README, docs/usage.md and docs/gradients.md run as printed; links of every page lead somewhere.
+"""The examples of the README and of every page of docs/ run as printed; links of every page lead somewhere.
 
 The README's first program and all commands run on what `pip install .` installs: a wheel that is built here, in an
 empty folder, without the extras' packages. The other programs run with everything that the tests need.
@@ -22,6 +22,10 @@ EXTRAS = ("bokeh", "joblib", "matplotlib", "onnx", "PIL", "pygame", "rich", "sta
 def blocks(page: str, language: str) -> list[str]:
     text = (ROOT / page).read_text(encoding="utf-8")
     return re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
+
+
+#: Every page of docs/.
+DOCS = sorted(str(page.relative_to(ROOT)) for page in (ROOT / "docs").rglob("*.md"))
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +59,8 @@ def run(command: list[str], folder: Path, environment: dict[str, str] | None = N
 def test_readme_is_short_and_has_programs_and_commands() -> None:
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
     assert [len(blocks("README.md", "python")), len(blocks("README.md", "sh"))] == [2, 1]
-    assert len(blocks("docs/usage.md", "python")) >= 3 and len(blocks("docs/usage.md", "sh")) >= 2
+    assert sum(len(blocks(page, "python")) for page in DOCS) >= 7
+    assert sum(len(blocks(page, "sh")) for page in DOCS) >= 2
 
 
 def test_wheel_is_what_runs_and_holds_no_package_of_another_name(plain: dict[str, str], tmp_path: Path) -> None:
@@ -70,18 +75,19 @@ def test_first_program_runs_after_a_plain_install_in_an_empty_folder_and_prints(
 ) -> None:
     said = run([sys.executable, "-c", blocks("README.md", "python")[0]], tmp_path, plain)
     assert re.fullmatch(r"cost \d+\.\d, \d\d\.\d\d … \d\d\.\d\d Hz, no failure\n", said)
+    assert said in blocks("docs/start.md", "text")
 
 
 def test_commands_run_after_a_plain_install_in_an_empty_folder(plain: dict[str, str], tmp_path: Path) -> None:
-    for page in ("README.md", "docs/usage.md"):
+    for page in ("README.md", *DOCS):
         for block in blocks(page, "sh"):
             said = run(["bash", "-euc", block], tmp_path, plain)
             assert "coordinated-piecewise" in said, said
 
 
-@pytest.mark.parametrize(("page", "first"), [("README.md", 1), ("docs/usage.md", 0), ("docs/gradients.md", 0)])
-def test_every_other_program_runs_as_printed(page: str, first: int, tmp_path: Path) -> None:
-    for program in blocks(page, "python")[first:]:
+@pytest.mark.parametrize("page", ["README.md", *(page for page in DOCS if blocks(page, "python"))])
+def test_every_other_program_runs_as_printed(page: str, tmp_path: Path) -> None:
+    for program in blocks(page, "python")[1 if page == "README.md" else 0 :]:
         run([sys.executable, "-c", program], tmp_path)
 
 
@@ -89,7 +95,7 @@ PAGES = [
     ROOT / "README.md",
     ROOT / "CHANGELOG.md",
     ROOT / "CONTRIBUTING.md",
-    *sorted((ROOT / "docs").glob("*.md")),
+    *(ROOT / page for page in DOCS),
     ROOT / "agents/README.md",
     ROOT / "tests/golden/README.md",
 ]

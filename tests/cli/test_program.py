@@ -28,6 +28,7 @@ COMMANDS = (
     "analyse",
     "reproduce",
     "compare",
+    "environment",
     "parameters",
     "bench",
     "warmup",

@@ -72,7 +72,7 @@ def test_info_has_numpys_floats_which_json_takes_as_well():
 
 
 def test_page_lists_every_key_of_info_with_its_unit():
-    page = (Path(__file__).resolve().parents[2] / "docs" / "usage.md").read_text(encoding="utf-8")
+    page = (Path(__file__).resolve().parents[2] / "docs" / "environment.md").read_text(encoding="utf-8")
     table = page[page.index("| key of `info` |") :].partition("\n\n")[0]
     listed = dict(re.findall(r"^\| `([a-z_]+)` \| (.*?) \|", table, re.MULTILINE))
     units = {key: hint.__metadata__[0] for key, hint in get_type_hints(Info, include_extras=True).items()}

@@ -17,6 +17,7 @@ from wtg_gym.cli import (
     aggregation,
     bench,
     compare,
+    environment,
     evaluate,
     parameters,
     physics,
@@ -65,7 +66,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
     for module in (statics, small_signal, physics, aggregation, accuracy):
         module.add_commands(analyse)
-    for module in (reproduce, compare, parameters, bench, warmup):
+    for module in (reproduce, compare, environment, parameters, bench, warmup):
         module.add_commands(commands)
     return parser
 

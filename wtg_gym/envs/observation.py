@@ -20,43 +20,43 @@ FREQUENCY_UNIT_HZ = 0.5
 
 
 class WtgObservation(NamedTuple):
-    """Local measurements of a WTG group."""
+    """Local measurements of a WTG group: what each is counted in, and what it is."""
 
-    frequency_deviation: Annotated[float, "0.5 Hz"]
-    rocof: Annotated[float, "Hz/s"]
-    tip_speed_ratio: Annotated[float, "0 at λ_opt, 1 at λ_pr"]
-    rotor_speed: Annotated[float, "0.25 p.u. from 1 p.u."]
-    power: Annotated[float, "p.u."]
-    wind: Annotated[float, "5 m/s from 10 m/s"]
-    coefficient: Annotated[float, "0 at K_pr, 1 at K_opt"]
-    filter_state: Annotated[float, "0.5 Hz"]
+    frequency_deviation: Annotated[float, "0.5 Hz", "frequency of the converter, less 50 Hz"]
+    rocof: Annotated[float, "Hz/s", "rate of change of that frequency over the last control interval"]
+    tip_speed_ratio: Annotated[float, "0 at λ_opt, 1 at λ_pr", "speed of the blade tips over wind speed"]
+    rotor_speed: Annotated[float, "0.25 p.u. from 1 p.u.", "rotor speed, of the nominal one"]
+    power: Annotated[float, "p.u.", "power into the grid, of the group's rating"]
+    wind: Annotated[float, "5 m/s from 10 m/s", "wind, averaged over the rotor"]
+    coefficient: Annotated[float, "0 at K_pr, 1 at K_opt", "k in use"]
+    filter_state: Annotated[float, "0.5 Hz", "state of the damping filter"]
 
 
 class MeasuredObservation(NamedTuple):
     """What the sensors of a WTG group say."""
 
-    frequency_deviation: Annotated[float, "0.5 Hz"]
-    rocof: Annotated[float, "Hz/s"]
-    tip_speed_ratio: Annotated[float, "0 at λ_opt, 1 at λ_pr"]
-    rotor_speed: Annotated[float, "0.25 p.u. from 1 p.u."]
-    power: Annotated[float, "p.u."]
-    wind: Annotated[float, "5 m/s from 10 m/s"]
+    frequency_deviation: Annotated[float, "0.5 Hz", "frequency of the converter, filtered, less 50 Hz"]
+    rocof: Annotated[float, "Hz/s", "rate of change of the frequency, filtered"]
+    tip_speed_ratio: Annotated[float, "0 at λ_opt, 1 at λ_pr", "measured speed of the blade tips over measured wind"]
+    rotor_speed: Annotated[float, "0.25 p.u. from 1 p.u.", "rotor speed, of the nominal one"]
+    power: Annotated[float, "p.u.", "power into the grid, of the group's rating"]
+    wind: Annotated[float, "5 m/s from 10 m/s", "wind, with a constant and a slow error"]
 
 
 class MachineObservation(NamedTuple):
     """A synchronous machine, in the privileged observation."""
 
-    speed: Annotated[float, "0.5 Hz"]
-    power: Annotated[float, "rating"]
-    voltage: Annotated[float, "0.1 p.u. from 1 p.u."]
+    speed: Annotated[float, "0.5 Hz", "speed as a frequency, less 50 Hz"]
+    power: Annotated[float, "rating", "power into the grid"]
+    voltage: Annotated[float, "0.1 p.u. from 1 p.u.", "voltage at the terminal"]
 
 
 class GridObservation(NamedTuple):
     """The grid, in the privileged observation."""
 
-    frequency_deviation: Annotated[float, "0.5 Hz"]
-    rocof: Annotated[float, "Hz/s"]
-    torque: Annotated[float, "100 MVA"]
+    frequency_deviation: Annotated[float, "0.5 Hz", "frequency of the centre of inertia, less 50 Hz"]
+    rocof: Annotated[float, "Hz/s", "its rate of change over 0.5 s"]
+    torque: Annotated[float, "100 MVA", "mechanical torque of all machines"]
 
 
 N_LOCAL, N_MACHINE, N_MEASURED = size(WtgObservation), size(MachineObservation), size(MeasuredObservation)

@@ -115,26 +115,27 @@ class EnvSettings:
     """Arguments of the environment; all of them survive JSON, but a `TrackingLaw` and a `Scenario`.
 
     Args:
-        strategy: law that the actions modulate, by name, .toml file or as a `TrackingLaw`; one for all groups, or one
-            per group.
-        action_mode: "k", "tau" or "k+tau".
-        observation_mode: "local" (what each group measures itself) or "privileged" (plus the grid's state).
-        suite, split: where scenarios are drawn from; besides "train", "validation" and "test" there is "fresh", with
-            seeds that are in none of them. No suite: the standard one of the version.
-        scenario: a fixed scenario, a `Scenario` or (for JSON) its `to_dict()`, played in every episode instead.
-        groups: number of groups at bus 2, or a list of {"bus": …, "n_turbines": …}; None: the suite's own.
-        duration_s: length of an episode [s]; None: the suite's own.
+        strategy: control law that the actions adjust: a name, a TOML file, a `TrackingLaw`, or one for each group.
+        action_mode: what the actions adjust: `"k"`, `"tau"` or `"k+tau"`.
+        observation_mode: `"local"`, what each group measures itself, or `"privileged"`, which adds the grid's state.
+        suite: where scenarios are drawn from, in v1 also as `"standard-v1"`; None: the standard suite of the version.
+        split: `"train"`, `"validation"` or `"test"`, or `"fresh"`, with seeds that are in none of them.
+        scenario: one scenario for every episode, a `Scenario` or its `to_dict()`.
+        groups: number of turbine groups at bus 2, or a list of `{"bus": …, "n_turbines": …}`; None: the suite's own.
+        duration_s: length of an episode [s]; None: the suite's own, 60 s except in `paper`.
         control_dt: control interval, one step [s].
         simulation_dt: step of the integration [s].
-        weights: replaces single weights of :class:`CostWeights`.
-        machine_model: "genrou" (with exciters) or "classical".
-        on_failure: the failure of a rotor (stall, over-speed, under-speed) is to "terminate" the episode, or to "trip"
-            its group and go on.
-        physics: "paper", "extended" (what the paper leaves out) or "nrel-5mw" (that, and another turbine); see
-            :func:`wtg_gym.physics.plant.plant_settings`; None: the suite's own.
-        sensors: "exact", or values that replace those of the suite's
-            :class:`~wtg_gym.scenarios.sensor_distribution.SensorDistribution`; None: the suite's own. With a
-            `scenario` they are its own.
+        weights: replaces single weights of the cost, see :class:`CostWeights`.
+        machine_model: synchronous machines: `"genrou"`, with exciters, or `"classical"`.
+        on_failure: what the failure of a rotor (stall, over-speed, under-speed) does: `"terminate"` the episode, or
+            `"trip"` its group and go on.
+        physics: `"paper"`: the paper's model, v0's; `"extended"`, v1's, adds rotor energy, current, power and reactive
+            limits, voltage control, a rotor under-speed trip, a governor dead band and load shedding; `"nrel-5mw"` has
+            the NREL 5 MW turbine besides. None: the suite's own.
+        sensors: of v1: `"exact"`, or values that replace what the errors of the measurements are drawn from
+            (:class:`~wtg_gym.scenarios.sensor_distribution.SensorDistribution`), such as
+            `{"delay_s": (0.2, 0.4), "wind_bias": 0.1}`. A delay is drawn between the two, in whole steps of 0.1 s up
+            to 1 s, and must be a whole number of `control_dt`. None: the suite's own; with a `scenario` its own.
         version: of the benchmark, "v0" or "v1"; None: the suite's. The environment's id sets it.
 
     Raises:

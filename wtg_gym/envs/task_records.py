@@ -96,19 +96,24 @@ class SensedRows(NamedTuple):
 
 
 class Info(NamedTuple):
-    """The numbers of `info`, with their units; `cost` is 1 where a constraint was violated, the others are the cost."""
+    """The numbers of `info`, with their units and meanings."""
 
-    time_s: Annotated[float, "s"]
-    frequency_hz: Annotated[float, "Hz"]
-    rocof_hz_s: Annotated[float, "Hz/s"]
-    cost: Annotated[float, "-"]
-    cost_frequency: Annotated[float, "-"]
-    cost_rocof: Annotated[float, "-"]
-    cost_duty: Annotated[float, "-"]
-    cost_rotor: Annotated[float, "-"]
-    cost_overload: Annotated[float, "-"]
-    cost_effort: Annotated[float, "-"]
-    cost_failure: Annotated[float, "-"]
+    time_s: Annotated[float, "s", "time since the start of the episode"]
+    frequency_hz: Annotated[float, "Hz", "frequency of the centre of inertia"]
+    rocof_hz_s: Annotated[float, "Hz/s", "its rate of change over 0.5 s"]
+    cost: Annotated[
+        float,
+        "-",
+        "1 for a step with a failure, an overload, a frequency beyond 50 ± 0.8 Hz or a tip-speed ratio outside its "
+        "range, else 0: the cost of safe reinforcement learning",
+    ]
+    cost_frequency: Annotated[float, "-", "terms of the cost of this step: frequency deviation"]
+    cost_rocof: Annotated[float, "-", "rate of change of frequency"]
+    cost_duty: Annotated[float, "-", "captured power away from the prescribed power; in v1 on average over 15 s"]
+    cost_rotor: Annotated[float, "-", "tip-speed ratio outside its range"]
+    cost_overload: Annotated[float, "-", "power above 1.05 p.u., in v0 1.1 p.u."]
+    cost_effort: Annotated[float, "-", "actions and their changes"]
+    cost_failure: Annotated[float, "-", "what a failure costs at the end"]
 
 
 COST_TERMS = CostTerms._fields

@@ -1,0 +1,118 @@
+"""Changes that the site makes to pages; GitHub shows them unchanged.
+
+- A few files outside docs/ are pages of the site too.
+- A link to another file of the repository leads to the repository's address; while that is unknown, it is text.
+- A link that `<!-- include -->` follows, to a heading of README.md, becomes that section: the README says it once.
+"""
+
+from __future__ import annotations
+
+import posixpath
+import re
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+#: Files outside docs/, and what they are called as pages of the site.
+OUTSIDE = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md", "agents/README.md": "training.md"}
+#: Where the sections of README.md are on the site; the rest of it is on the home page.
+README = {
+    "": "index.md",
+    "install": "start.md#install",
+    "play-an-episode": "start.md#play-an-episode",
+    "score-and-compare": "start.md#score-and-compare",
+    "train": "start.md#train",
+    "leaderboard": "leaderboard.md",
+    "cite": "index.md#cite",
+}
+#: Code, or a link or picture with its text, file and anchor; a link in code is left alone.
+_LINK = re.compile(
+    r"^```.*?^```|`[^`\n]+`|(!?)\[((?:`[^`]*`|[^\[\]`])*)\]\(([^()\s:#]*)(#[^()\s]*)?\)",
+    flags=re.MULTILINE | re.DOTALL,
+)
+_INCLUDED = re.compile(r"^.*\]\(\.\./README\.md#([\w-]+)\) *<!-- include -->$", flags=re.MULTILINE)
+
+
+def section(text: str, anchor: str, title: str) -> str:
+    """Return a section of a page, up to the next heading of its level; with its heading, unless that is `title`.
+
+    Raises:
+        ValueError: there is no such heading.
+    """
+    # A comment in code is no heading.
+    bare = re.sub(r"^```.*?^```", lambda code: " " * len(code[0]), text, flags=re.MULTILINE | re.DOTALL)
+    for found in re.finditer(r"^(##+) (.*)$", bare, flags=re.MULTILINE):
+        if found[2].lower().replace(" ", "-") == anchor:
+            end = re.search(rf"^#{{1,{len(found[1])}}} ", bare[found.end() :], flags=re.MULTILINE)
+            start = found.end() if found[2] == title else found.start()
+            return text[start : found.end() + end.start() if end else len(text)]
+    raise ValueError(f"README.md has no heading {anchor!r}")
+
+
+def rewritten(text: str, here: str, source: str, repository: str, known: frozenset[str]) -> str:
+    """Return a page's text with links that hold on the site.
+
+    Args:
+        text: Markdown.
+        here: path of the page on the site.
+        source: path of the file in the repository, which the links start from.
+        repository: address of the repository, "" if it is unknown.
+        known: paths of all files on the site.
+    """
+
+    def replaced(found: re.Match[str]) -> str:
+        mark, label, file, anchor = found[1], found[2], found[3], found[4] or ""
+        if label is None or not file:
+            return found[0]
+        path = posixpath.normpath(posixpath.join(posixpath.dirname(source), file))
+        target = OUTSIDE.get(path, path.removeprefix("docs/") if path.startswith("docs/") else "")
+        if path == "README.md":
+            target, _, anchor = README.get(anchor.removeprefix("#"), README[""]).partition("#")
+            anchor = anchor and f"#{anchor}"
+        if target in known:
+            return f"{mark}[{label}]({posixpath.relpath(target, posixpath.dirname(here) or '.')}{anchor})"
+        if mark or not (ROOT / path).exists():
+            return found[0]  # a mistake, which the site's own check of links names
+        if not repository:
+            return label
+        return f"[{label}]({repository}/{'tree' if (ROOT / path).is_dir() else 'blob'}/main/{path}{anchor})"
+
+    return _LINK.sub(replaced, text)
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """Add the pages from outside docs/."""
+    from mkdocs.structure.files import File  # the tests of the rest need no MkDocs
+
+    for path, name in OUTSIDE.items():
+        files.append(File.generated(config, name, abs_src_path=str(ROOT / path)))
+    return files
+
+
+def on_config(config: Any) -> Any:
+    """Show the way to the repository, if it is known."""
+    if config.extra["repository"]:
+        config.extra["social"] = [{"icon": "fontawesome/brands/github", "link": config.extra["repository"]}]
+    return config
+
+
+def on_page_markdown(text: str, page: Any, config: Any, files: Any) -> str:
+    """Put sections of the README where they are asked for, and mend links."""
+    here = page.file.src_uri
+    source = next((path for path, name in OUTSIDE.items() if name == here), f"docs/{here}")
+    known = frozenset(file.src_uri for file in files)
+    repository = config.extra["repository"].rstrip("/")
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    # Every second part is the anchor of a section.
+    parts = _INCLUDED.split(text)
+    parts[0::2] = [rewritten(part, here, source, repository, known) for part in parts[0::2]]
+    for place, anchor in enumerate(parts[1::2]):
+        found = section(readme, anchor, text.partition("\n")[0].removeprefix("# "))
+        parts[2 * place + 1] = rewritten(found, here, "README.md", repository, known)
+    if here == "leaderboard.md" and "leaderboard.html" in known:
+        parts.append("\n- [The same with filters, profiles and single runs](leaderboard.html)\n")
+    if here in ("index.md", "leaderboard.md"):
+        page.meta["hide"] = ["navigation", "toc"]  # figure and table have the whole width
+    elif page.parent is None:
+        page.meta["hide"] = ["navigation"]  # there is no other page beside it
+    return "".join(parts)
