@@ -243,6 +243,11 @@ class FunctionalEnv:
         """
         return jax.checkpoint(self._step_env)(state, jnp.asarray(action, jnp.float64), self._given(params))
 
+    @staticmethod
+    def _held(rows: Sequence[int], values: Mapping[int, Any]) -> tuple[Any, ...]:
+        # What is stored before it is read may begin as anything.
+        return tuple(jnp.asarray(values.get(row, 0.0), jnp.float64) for row in rows)
+
     def _given(self, params: EnvParams | None) -> EnvParams:
         return jax.tree.map(jnp.asarray, self._default if params is None else params)
 
@@ -260,20 +265,26 @@ class FunctionalEnv:
             values |= zip(rows, given, strict=True)
         values[inputs.noise] = noise
         values |= _run(programs.begin, values)
-        # What a simulation step stores before it reads it may begin as anything.
-        moved = tuple(jnp.asarray(values.get(row, 0.0), jnp.float64) for row in programs.moved)
 
         def advance(carried: Any, given: Any) -> Any:
-            rows, network = carried
+            (rows, network), (stages, looks) = carried, given
             own = values | dict(zip(programs.moved, rows, strict=True))
             network = network + (own[self._step] >= params.until[network]).astype(jnp.int32)
             own |= zip((*programs.network, *inputs.lost), params.network[network], strict=True)
-            own |= {inputs.step: given[0], inputs.looks: given[1]}
-            found = _run(programs.advance, own)
-            return (tuple(found[row] for row in programs.moved), network), None
+            own |= _run(programs.enter, own)
 
-        steps = (np.arange(self._n_substeps, dtype=np.float64), self._looks)
-        (moved, network), _ = jax.lax.scan(advance, (moved, state.network), steps)
+            def stage(rows: Any, given: Any) -> Any:
+                here = own | dict(zip((*programs.staged, *inputs.stage), (*rows, *given), strict=True))
+                found = _run(programs.stage, here)
+                return tuple(found[row] for row in programs.staged), None
+
+            staged, _ = jax.lax.scan(stage, self._held(programs.staged, own), stages)
+            own |= zip((*programs.staged, inputs.looks), (*staged, looks), strict=True)
+            own |= _run(programs.leave, own)
+            return (self._held(programs.moved, own), network), None
+
+        begun = (self._held(programs.moved, values), state.network)
+        (moved, network), _ = jax.lax.scan(advance, begun, (programs.stages, self._looks))
         values |= zip(programs.moved, moved, strict=True)
         values |= zip(programs.network, params.network[network][: len(programs.network)], strict=True)
         values |= _run(programs.end, values)

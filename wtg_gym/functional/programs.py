@@ -19,9 +19,9 @@ from wtg_gym.envs.task_records import read_task
 from wtg_gym.functional.branches import Cells, is_finite, where, without_branches
 from wtg_gym.gradients import expressions as ex
 from wtg_gym.gradients.tracing import ARITHMETIC, Actions, Rows, retargeted
-from wtg_gym.physics.dynamics import advance_step, derivatives
+from wtg_gym.physics.dynamics import FIRST, LAST, MIDDLE, _stage, advance_step, derivatives
 from wtg_gym.physics.integration import _count_step, enter_interval
-from wtg_gym.physics.layout import LANE, Layout, Plant
+from wtg_gym.physics.layout import LANE, Floats, Layout, Plant
 from wtg_gym.physics.protection import look_at_grid, track_extremes, update_status
 from wtg_gym.physics.reduction import _lose_governor, combine_load_noise
 
@@ -49,7 +49,7 @@ class Inputs(NamedTuple):
     wind_end: range
     noise: int  # load noise [MW]
     noise_y: int  # that noise as an admittance [p.u.]
-    step: int  # simulation steps since the control interval began
+    stage: range  # of the Runge-Kutta method: share of the interval that has passed, step [s], 1 if first, 1 if last
     looks: int  # 1 where the protections look at the end of the simulation step
     lost: range  # 1 for machines whose governor is lost
 
@@ -92,13 +92,17 @@ class Programs(NamedTuple):
     """The programs of a control step, and the rows that they are about."""
 
     begin: Program
-    advance: Program  # a simulation step
+    enter: Program  # a simulation step
+    stage: Program  # of the Runge-Kutta method
+    leave: Program
     end: Program
     inputs: Inputs
     reported: Reported
+    stages: Floats  # the inputs `stage` of each stage of each simulation step (n_substeps, 4, 4)
     network: tuple[int, ...]  # rows that are given anew where an event changes the network
     kept: tuple[int, ...]  # rows that go from one control step to the next
     moved: tuple[int, ...]  # rows that go from one simulation step to the next
+    staged: tuple[int, ...]  # rows that go from one stage to the next
 
 
 class _Actions(Actions):
@@ -125,13 +129,13 @@ class _Table(dict[Any, Any]):
 
 def _rows_behind(layout: Layout, n_action: int, n_observation: int) -> tuple[Inputs, Reported]:
     n_wtg, n_sync = layout.n_wtg, layout.n_sync
-    sizes = [n_action, n_wtg, n_wtg, 1, 1, 1, 1, n_sync, 1, 1, 1, N_INFO, n_observation]
+    sizes = [n_action, n_wtg, n_wtg, 1, 1, 4, 1, n_sync, 1, 1, 1, N_INFO, n_observation]
     ends = np.cumsum([layout.n_rows, *sizes]).tolist()
-    actions, start, end, noise, noise_y, step, looks, lost, reward, terminated, truncated, info, seen = (
+    actions, start, end, noise, noise_y, stage, looks, lost, reward, terminated, truncated, info, seen = (
         range(*pair) for pair in zip(ends[:-1], ends[1:], strict=True)
     )
     return (
-        Inputs(actions, start, end, noise[0], noise_y[0], step[0], looks[0], lost),
+        Inputs(actions, start, end, noise[0], noise_y[0], stage, looks[0], lost),
         Reported(reward[0], terminated[0], truncated[0], info, seen),
     )
 
@@ -158,7 +162,7 @@ def trace(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_action: in
         return plain(without_branches(kernel), **names)
 
     combine, rates, look = plain(combine_load_noise), plain(derivatives), plain(look_at_grid)
-    move, count, track = plain(advance_step), plain(_count_step), plain(track_extremes)
+    move, count, track = plain(_stage), plain(_count_step), plain(track_extremes)
     protect, lose = unbranched(update_status), unbranched(_lose_governor)
     enter = plain(enter_interval, int=lambda _: 0)
     given = SimpleNamespace(wind=_Series(inputs.wind_start, inputs.wind_end), noise=_Series([inputs.noise]))
@@ -185,24 +189,39 @@ def trace(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_action: in
     after |= {reported.info[k]: value for k, value in infos[0].items()}
     after |= {reported.observation[k]: observations[0, k] for k in range(n_observation)}
 
-    block = Cells(row)
+    entered = Cells(row)
     for machine in range(layout.n_sync):
         if c["machines"][machine]["governor.inv_droop"] > 0.0:
             with where(row(inputs.lost[machine]) > 0.5):
-                lose(block, 0, c, machine, 1)
-    combine(block, c, [row(inputs.noise_y)], _LANES)
-    move(block, c, row(inputs.step), _LANES)
-    count(block, c, _LANES)
-    track(block, c, _LANES)
-    look(block, c, _LANES)
-    with where(row(inputs.looks) > 0.5):
-        protect(block, c, 1)
-    return _linked(
-        *(Program(_changes(stores)) for stores in (before, block, after)),
-        inputs,
-        reported,
-        layout,
+                lose(entered, 0, c, machine, 1)
+    combine(entered, c, [row(inputs.noise_y)], _LANES)
+
+    fraction, ahead, first, last = (row(at) for at in inputs.stage)
+    moving: list[Program] = []
+    for kind in (FIRST, MIDDLE, LAST):
+        block = Rows(row)
+        move(block, c, fraction, np.int64(kind), ahead, _LANES)
+        moving.append(Program(_changes(block)))
+    # One right-hand side for all stages: their numbers are the same up to what is made of the rates.
+    stored = {at for program in moving for at in program.stores}
+    by_kind = {at: [program.stores.get(at, row(at)) for program in moving] for at in stored}
+    staged = {at: ex.select(first > 0.5, f, ex.select(last > 0.5, l, m)) for at, (f, m, l) in by_kind.items()}
+    steps: list[tuple[float, ...]] = []
+    record = plain(
+        advance_step, _stage=lambda _, c, at, kind, h, lanes: steps.append((at, h, kind == FIRST, kind == LAST))
     )
+    for k in range(c["n_substeps"]):
+        record(None, c, k, _LANES)
+
+    left = Cells(row)
+    count(left, c, _LANES)
+    track(left, c, _LANES)
+    look(left, c, _LANES)
+    with where(row(inputs.looks) > 0.5):
+        protect(left, c, 1)
+    programs = (Program(_changes(stores)) for stores in (before, entered, staged, left, after))
+    stages = np.array(steps, dtype=np.float64).reshape(c["n_substeps"], -1, len(inputs.stage))
+    return _linked(*programs, moving, stages, inputs, reported, layout)
 
 
 def _changes(stores: Mapping[int, Any]) -> dict[int, Any]:
@@ -211,21 +230,48 @@ def _changes(stores: Mapping[int, Any]) -> dict[int, Any]:
 
 
 def _linked(
-    begin: Program, advance: Program, end: Program, inputs: Inputs, reported: Reported, layout: Layout
+    begin: Program,
+    enter: Program,
+    stage: Program,
+    leave: Program,
+    end: Program,
+    moving: list[Program],
+    stages: Floats,
+    inputs: Inputs,
+    reported: Reported,
+    layout: Layout,
 ) -> Programs:
     """Leave out what nothing depends on, and find which rows go from one program to another."""
     network = network_rows(layout).tolist()
     outside = {*network, *range(inputs.actions.start, inputs.lost.stop)}
     said = {reported.reward, reported.terminated, reported.truncated, *reported.info, *reported.observation}
     kept, size = {*layout.state_rows.tolist(), layout.lane("status")}, -1
-    own = (begin.of(()), advance.of(()), end.of(()))
+    own = [program.of(()) for program in (begin, enter, stage, leave, end)]
+    exposed = set[int]()
     while sum(len(program.stores) for program in own) + len(kept) > size:
         size = sum(len(program.stores) for program in own) + len(kept)
-        last = end.of(said | kept)
-        middle = advance.of(last.reads | own[1].reads | kept)
-        first = begin.of(last.reads | middle.reads | kept)
-        own = (first, middle, last)
-        kept |= first.reads | (middle.reads - set(first.stores))
-        kept |= last.reads - set(first.stores) - set(middle.stores)
+        own[4] = end.of(said | kept)
+        after = own[4].reads | kept | exposed
+        own[3] = leave.of(after)
+        own[2] = _closed(stage, after | own[3].reads)
+        own[1] = enter.of(after | own[3].reads | own[2].reads)
+        entered, staged, left = (set(program.stores) for program in own[1:4])
+        # What the stages read that none of them has stored before, and what a simulation step reads so.
+        first, middle, last = (program.of(staged) for program in moving)
+        of_stages = first.reads | ((middle.reads | last.reads) - set(first.stores))
+        exposed = own[1].reads | (of_stages - entered) | (own[3].reads - entered - staged)
+        own[0] = begin.of(exposed | own[4].reads | kept)
+        begun = set(own[0].stores)
+        moved = (entered | staged | left) & (exposed | own[4].reads | kept)
+        kept |= own[0].reads | (exposed - begun) | (own[4].reads - begun - moved)
         kept -= outside
-    return Programs(*own, inputs, reported, tuple(network), tuple(sorted(kept)), tuple(sorted(own[1].stores)))
+    rows = (tuple(sorted(each)) for each in (kept, moved, staged))
+    return Programs(*own, inputs, reported, stages, tuple(network), *rows)
+
+
+def _closed(program: Program, rows: set[int]) -> Program:
+    """Return the program that stores some rows and those of its own that it reads."""
+    found = program.of(rows)
+    while len(more := program.of(rows | found.reads).stores) > len(found.stores):
+        found = program.of(more)
+    return found
