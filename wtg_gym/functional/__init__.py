@@ -1,9 +1,9 @@
 """The environment as pure functions, for JAX. Experimental; it needs the `jax` extra.
 
-    branches      branches of a kernel as choices between numbers
-    programs      the kernels of a control step, traced from their own source
-    bank          scenarios as arrays
-    environment   the environment: the only module that imports JAX
+branches      branches of a kernel as choices between numbers
+programs      the kernels of a control step, traced from their own source
+bank          scenarios as arrays
+environment   the environment: the only module that imports JAX
 """
 
 from typing import Any

@@ -55,7 +55,8 @@ def prepare(lanes: TaskLanes, programs: Programs, scenarios: Sequence[Scenario])
     simulator = lanes.simulator
     episodes = lanes.prepare_given(scenarios)
     data, n_steps = episodes.lanes.data, (episodes.n_intervals * simulator.plant.n_substeps).tolist()
-    start, observations, networks, until, first = [], [], [], [], []
+    start, observations, networks = list[Floats](), list[Floats](), list[Floats]()
+    until, first = list[float](), list[int]()
     for place in range(len(scenarios)):
         lanes.commit([0], [episodes.take([place])])
         block = simulator.blocks[0].copy()

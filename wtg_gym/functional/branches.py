@@ -8,8 +8,6 @@ branch as always. Both sides of `and` and `or` are evaluated.
 
 from __future__ import annotations
 
-import __future__
-
 import ast
 import inspect
 import math
@@ -129,8 +127,8 @@ def without_branches(function: Any) -> Callable[..., Any]:
     definition.body[:0] = ast.parse("".join(f"{name} = _UNSET\n" for name in names)).body
     space = {**source.__globals__, **_HELPERS}
     ast.increment_lineno(tree, source.__code__.co_firstlineno - 1)
-    flags = __future__.annotations.compiler_flag
-    exec(compile(ast.fix_missing_locations(tree), source.__code__.co_filename, "exec", flags), space)
+    # Annotations are not evaluated: `compile` inherits this module's import from the future.
+    exec(compile(ast.fix_missing_locations(tree), source.__code__.co_filename, "exec"), space)
     found: types.FunctionType = space[source.__name__]
     return found
 

@@ -1,10 +1,10 @@
-"""The environment as pure functions of JAX, in the form of gymnax: `reset` and `step` with a key, a state and parameters.
+"""The environment as pure functions of JAX, in the form of gymnax: `reset` and `step` with key, state and parameters.
 
-    jax.config.update("jax_enable_x64", True)
-    env = FunctionalEnv(EnvSettings())
-    params = env.default_params
-    observation, state = env.reset(key, params)
-    observation, state, reward, done, info = env.step(key, state, action, params)
+jax.config.update("jax_enable_x64", True)
+env = FunctionalEnv(EnvSettings())
+params = env.default_params
+observation, state = env.reset(key, params)
+observation, state, reward, done, info = env.step(key, state, action, params)
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from wtg_gym.envs.observation import OBSERVATION_BOUND
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task_records import Info
 from wtg_gym.functional.bank import EnvParams, prepare
-from wtg_gym.functional.programs import Program, trace
+from wtg_gym.functional.programs import COTANGENT, Both, trace
 from wtg_gym.physics.protection import PROTECTION_INTERVAL_S
 from wtg_gym.physics.scenario import Scenario
 
@@ -57,29 +57,19 @@ class Box(NamedTuple):
         return jnp.all((x >= self.low) & (x <= self.high))
 
 
-def _quotient(a: Any, b: Any) -> Any:
-    # A quotient by zero is one that a `select` leaves out: its derivative, too, must be a number.
-    zero = b == 0.0
-    return _select(zero, 0.0, a / _select(zero, 1.0, b))
+def _number(value: Any) -> Any:
+    return value if isinstance(value, jax.Array) else np.float64(value)
 
 
-def _root(a: Any) -> Any:
-    return _select(a == 0.0, 0.0, jnp.sqrt(_select(a == 0.0, 1.0, a)))
-
-
-def _select(condition: Any, value: Any, other: Any) -> Any:
-    return jax.lax.select(condition, jnp.asarray(value, jnp.float64), jnp.asarray(other, jnp.float64))
-
-
-#: The operations of traced numbers. At a corner the derivative is that of the first side, as in `wtg_gym.gradients`.
+#: What the operations of traced numbers mean.
 _OPERATIONS: dict[str, Callable[..., Any]] = {
     "add": operator.add,
     "sub": operator.sub,
     "mul": operator.mul,
-    "div": _quotient,
+    "div": operator.truediv,
     "power": jnp.power,
     "neg": operator.neg,
-    "abs": lambda a: _select(a < 0.0, -a, a),
+    "abs": jnp.abs,
     "lt": operator.lt,
     "le": operator.le,
     "eq": operator.eq,
@@ -88,26 +78,46 @@ _OPERATIONS: dict[str, Callable[..., Any]] = {
     "or": operator.or_,
     "not": operator.invert,
     "finite": jnp.isfinite,
-    "min": lambda a, b: _select(b < a, b, a),
-    "max": lambda a, b: _select(a < b, b, a),
-    "sqrt": _root,
+    "min": jnp.minimum,
+    "max": jnp.maximum,
+    "sqrt": jnp.sqrt,
     "floor": jnp.floor,
     "ceil": jnp.ceil,
-    "exponential": lambda a: jnp.exp(_select(a < -40.0, -40.0, a)),
+    # As the kernels' own, it stays where it is below -40.
+    "exponential": lambda a: jnp.exp(jnp.maximum(a, -40.0)),
     "sine": jnp.sin,
     "cosine": jnp.cos,
-    "select": _select,
+    "select": lambda condition, *values: jax.lax.select(condition, *map(_number, values)),
     "fma": lambda a, b, c: a * b + c,
 }
 
 
-def _run(program: Program, values: Mapping[int, Any]) -> dict[int, Any]:
-    found = program.run(_OPERATIONS, values)
-    return {row: jnp.asarray(value) if isinstance(value, bool) else _number(value) for row, value in found.items()}
+def _runner(program: Both) -> Callable[[Mapping[int, Any]], dict[int, Any]]:
+    """Return a program as a function of what rows hold, which returns what it stores.
+
+    JAX goes back through it by the rules of `wtg_gym.gradients`: it need not differentiate thousands of operations one
+    by one, and at corners both have the same slope.
+    """
+    reads, rows = sorted(program.forward.reads), list(program.forward.stores)
+
+    # Compiled functions are traced once, however often JAX goes through the loops around them.
+    @jax.custom_vjp
+    @jax.jit
+    def call(given: tuple[Any, ...]) -> tuple[Any, ...]:
+        return _stored(program.forward.run(_OPERATIONS, dict(zip(reads, given, strict=True))), rows)
+
+    @jax.jit
+    def back(given: tuple[Any, ...], cotangents: tuple[Any, ...]) -> tuple[tuple[Any, ...]]:
+        known = dict(zip((*reads, *(COTANGENT + row for row in rows)), (*given, *cotangents), strict=True))
+        return (_stored(program.pulled.run(_OPERATIONS, known), reads),)
+
+    call.defvjp(lambda given: (call(given), given), back)
+    return lambda values: dict(zip(rows, call(_stored(values, reads)), strict=True))
 
 
-def _number(value: Any) -> Any:
-    return value if isinstance(value, jax.Array) else jnp.asarray(value, jnp.float64)
+def _stored(values: Mapping[int, Any], rows: Sequence[int]) -> tuple[Any, ...]:
+    """Return what rows hold; those that hold nothing may hold anything."""
+    return tuple(jnp.asarray(values.get(row, 0.0), jnp.float64) for row in rows)
 
 
 class FunctionalEnv:
@@ -139,6 +149,9 @@ class FunctionalEnv:
         plant, layout = simulator.plant, simulator.layout
         n_action, n_observation = self._lanes.n_action, self._lanes.n_observation
         self._programs = trace(plant, self._lanes.task, layout, n_action, n_observation)
+        own = self._programs
+        self._begin, self._end = _runner(own.begin), _runner(own.end)
+        self._enter, self._stage, self._leave = _runner(own.enter), _runner(own.stage), _runner(own.leave)
         self._n_substeps, self._step = plant.n_substeps, layout.lane("step")
         self._status = layout.lane("status")
         between_looks = max(1, int(PROTECTION_INTERVAL_S / plant.simulation_dt + 1e-6))
@@ -189,9 +202,10 @@ class FunctionalEnv:
         """
         return prepare(self._lanes, self._programs, scenarios)
 
-    def state_values(self, state: EnvState) -> dict[int, Any]:
-        """Return what a state holds, by rows of the environment's blocks."""
-        return dict(zip(self._programs.kept, jnp.moveaxis(state.rows, -1, 0), strict=True))
+    @property
+    def rows(self) -> tuple[int, ...]:
+        """Rows of the environment's blocks that a state holds, in its order."""
+        return self._programs.kept
 
     def start(self, scenario: Any, params: EnvParams | None = None) -> tuple[Any, EnvState]:
         """Return first observation and state of an episode of the bank's scenario at a place."""
@@ -241,15 +255,12 @@ class FunctionalEnv:
 
         The way back works a step out anew, so that of every step only its state is remembered.
         """
-        return jax.checkpoint(self._step_env)(state, jnp.asarray(action, jnp.float64), self._given(params))
-
-    @staticmethod
-    def _held(rows: Sequence[int], values: Mapping[int, Any]) -> tuple[Any, ...]:
-        # What is stored before it is read may begin as anything.
-        return tuple(jnp.asarray(values.get(row, 0.0), jnp.float64) for row in rows)
+        step: Callable[..., tuple[Any, EnvState, Any, Any, dict[str, Any]]] = jax.checkpoint(self._step_env)
+        return step(state, jnp.asarray(action, jnp.float64), self._given(params))
 
     def _given(self, params: EnvParams | None) -> EnvParams:
-        return jax.tree.map(jnp.asarray, self._default if params is None else params)
+        params = self._default if params is None else params
+        return EnvParams(*map(jnp.asarray, params))
 
     def _step_env(
         self, state: EnvState, action: Any, params: EnvParams
@@ -264,37 +275,37 @@ class FunctionalEnv:
         for rows, given in zip((inputs.actions, inputs.wind_start, inputs.wind_end), (action, *winds), strict=True):
             values |= zip(rows, given, strict=True)
         values[inputs.noise] = noise
-        values |= _run(programs.begin, values)
+        values |= self._begin(values)
 
         def advance(carried: Any, given: Any) -> Any:
             (rows, network), (stages, looks) = carried, given
             own = values | dict(zip(programs.moved, rows, strict=True))
             network = network + (own[self._step] >= params.until[network]).astype(jnp.int32)
             own |= zip((*programs.network, *inputs.lost), params.network[network], strict=True)
-            own |= _run(programs.enter, own)
+            own |= self._enter(own)
 
             def stage(rows: Any, given: Any) -> Any:
                 here = own | dict(zip((*programs.staged, *inputs.stage), (*rows, *given), strict=True))
-                found = _run(programs.stage, here)
+                found = self._stage(here)
                 return tuple(found[row] for row in programs.staged), None
 
-            staged, _ = jax.lax.scan(stage, self._held(programs.staged, own), stages)
+            staged, _ = jax.lax.scan(stage, _stored(own, programs.staged), stages)
             own |= zip((*programs.staged, inputs.looks), (*staged, looks), strict=True)
-            own |= _run(programs.leave, own)
-            return (self._held(programs.moved, own), network), None
+            own |= self._leave(own)
+            return (_stored(own, programs.moved), network), None
 
-        begun = (self._held(programs.moved, values), state.network)
+        begun = (_stored(values, programs.moved), state.network)
         (moved, network), _ = jax.lax.scan(advance, begun, (programs.stages, self._looks))
         values |= zip(programs.moved, moved, strict=True)
         values |= zip(programs.network, params.network[network][: len(programs.network)], strict=True)
-        values |= _run(programs.end, values)
+        values |= self._end(values)
         after = EnvState(
             rows=jnp.stack([values[row] for row in programs.kept]),
             scenario=state.scenario,
             network=network,
             time=state.time + 1,
         )
-        terminated, truncated = values[reported.terminated], values[reported.truncated]
+        terminated, truncated = (values[row] > 0.5 for row in (reported.terminated, reported.truncated))
         info = {name: values[row] for name, row in zip(Info._fields, reported.info, strict=True)}
         info |= {"terminated": terminated, "truncated": truncated, "status": values[self._status].astype(jnp.int32)}
         info["scenario_seed"] = params.scenario_seed[state.scenario]

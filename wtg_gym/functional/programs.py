@@ -7,6 +7,7 @@ in rows behind its own, :class:`Inputs`; behind these is what a step reports, :c
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Mapping
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -64,22 +65,31 @@ class Reported(NamedTuple):
     observation: range
 
 
+#: The cotangent of a row stands so many rows behind it.
+COTANGENT = 1_000_000
+
+
 class Program:
     """Numbers to store in rows, in an order in which they can be worked out."""
 
     def __init__(self, stores: Mapping[int, Any]) -> None:
         self.stores = dict(stores)
-        self.order = ex.needed(self.stores.values())
         self.reads = ex.rows_read(self.stores.values())
+        self._order = ex.needed(self.stores.values())
 
     def of(self, rows: Iterable[int]) -> Program:
         """Return the program that stores only some of the rows."""
         return Program({row: self.stores[row] for row in sorted(rows) if row in self.stores})
 
+    def pulled(self) -> Program:
+        """Return the program in reverse: it stores the cotangents of the rows read, given those of the rows stored."""
+        outputs = [(value, ex.row_of_block(COTANGENT + row)) for row, value in self.stores.items()]
+        return Program(ex.pulled_back(outputs, self.reads))
+
     def run(self, operations: Mapping[str, Callable[..., Any]], values: Mapping[int, Any]) -> dict[int, Any]:
         """Return what the program stores, given what the operations mean and what the rows hold."""
         found: dict[Any, Any] = {}
-        for one in self.order:
+        for one in self._order:
             if one.operation == "row":
                 found[one] = values[int(one.arguments[0])]
             else:
@@ -88,14 +98,21 @@ class Program:
         return {row: found[v] if isinstance(v, ex.Number) else v for row, v in self.stores.items()}
 
 
+class Both(NamedTuple):
+    """A program and itself in reverse."""
+
+    forward: Program
+    pulled: Program
+
+
 class Programs(NamedTuple):
     """The programs of a control step, and the rows that they are about."""
 
-    begin: Program
-    enter: Program  # a simulation step
-    stage: Program  # of the Runge-Kutta method
-    leave: Program
-    end: Program
+    begin: Both
+    enter: Both  # a simulation step
+    stage: Both  # of the Runge-Kutta method
+    leave: Both
+    end: Both
     inputs: Inputs
     reported: Reported
     stages: Floats  # the inputs `stage` of each stage of each simulation step (n_substeps, 4, 4)
@@ -132,7 +149,7 @@ def _rows_behind(layout: Layout, n_action: int, n_observation: int) -> tuple[Inp
     sizes = [n_action, n_wtg, n_wtg, 1, 1, 4, 1, n_sync, 1, 1, 1, N_INFO, n_observation]
     ends = np.cumsum([layout.n_rows, *sizes]).tolist()
     actions, start, end, noise, noise_y, stage, looks, lost, reward, terminated, truncated, info, seen = (
-        range(*pair) for pair in zip(ends[:-1], ends[1:], strict=True)
+        range(*pair) for pair in itertools.pairwise(ends)
     )
     return (
         Inputs(actions, start, end, noise[0], noise_y[0], stage, looks[0], lost),
@@ -140,13 +157,11 @@ def _rows_behind(layout: Layout, n_action: int, n_observation: int) -> tuple[Inp
     )
 
 
-def network_rows(layout: Layout) -> npt.NDArray[np.int64]:
+def network_rows(layout: Layout) -> list[int]:
     """Return the rows that follow from the network: its reduction, and which units are connected."""
-    rows = layout.rows
-    noise_z = rows.lane + LANE.noise_z
-    return np.r_[
-        rows.transfer : rows.extra, noise_z, noise_z + 1, layout.machine("connected"), layout.wtg("connected")
-    ].astype(np.int64)
+    rows, noise_z = layout.rows, layout.rows.lane + LANE.noise_z
+    connected = (*layout.machine("connected").tolist(), *layout.wtg("connected").tolist())
+    return [*range(rows.transfer, rows.extra), noise_z, noise_z + 1, *connected]
 
 
 def trace(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_action: int, n_observation: int) -> Programs:
@@ -185,7 +200,9 @@ def trace(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_action: in
     observations, infos, terminated, truncated = _Table(1, n_observation), [_Table()], _Table(), _Table()
     said = SimpleNamespace(observations=observations, infos=infos, terminated=terminated, truncated=truncated)
     unbranched(report)(after, 0, 0, c, plain(read_task)(task[0]), said, 1)
-    after |= {reported.reward: rewards[0], reported.terminated: terminated[0], reported.truncated: truncated[0]}
+    after |= {reported.reward: rewards[0]}
+    for at, flag in ((reported.terminated, terminated[0]), (reported.truncated, truncated[0])):
+        after[at] = ex.select(flag, 1.0, 0.0)
     after |= {reported.info[k]: value for k, value in infos[0].items()}
     after |= {reported.observation[k]: observations[0, k] for k in range(n_observation)}
 
@@ -204,8 +221,10 @@ def trace(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_action: in
         moving.append(Program(_changes(block)))
     # One right-hand side for all stages: their numbers are the same up to what is made of the rates.
     stored = {at for program in moving for at in program.stores}
-    by_kind = {at: [program.stores.get(at, row(at)) for program in moving] for at in stored}
-    staged = {at: ex.select(first > 0.5, f, ex.select(last > 0.5, l, m)) for at, (f, m, l) in by_kind.items()}
+    staged = {}
+    for at in stored:
+        of_first, of_middle, of_last = (program.stores.get(at, row(at)) for program in moving)
+        staged[at] = ex.select(first > 0.5, of_first, ex.select(last > 0.5, of_last, of_middle))
     steps: list[tuple[float, ...]] = []
     record = plain(
         advance_step, _stage=lambda _, c, at, kind, h, lanes: steps.append((at, h, kind == FIRST, kind == LAST))
@@ -219,9 +238,9 @@ def trace(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_action: in
     look(left, c, _LANES)
     with where(row(inputs.looks) > 0.5):
         protect(left, c, 1)
-    programs = (Program(_changes(stores)) for stores in (before, entered, staged, left, after))
+    programs = [Program(_changes(stores)) for stores in (before, entered, staged, left, after)]
     stages = np.array(steps, dtype=np.float64).reshape(c["n_substeps"], -1, len(inputs.stage))
-    return _linked(*programs, moving, stages, inputs, reported, layout)
+    return _linked(programs, moving, stages, inputs, reported, layout)
 
 
 def _changes(stores: Mapping[int, Any]) -> dict[int, Any]:
@@ -230,23 +249,15 @@ def _changes(stores: Mapping[int, Any]) -> dict[int, Any]:
 
 
 def _linked(
-    begin: Program,
-    enter: Program,
-    stage: Program,
-    leave: Program,
-    end: Program,
-    moving: list[Program],
-    stages: Floats,
-    inputs: Inputs,
-    reported: Reported,
-    layout: Layout,
+    given: list[Program], moving: list[Program], stages: Floats, inputs: Inputs, reported: Reported, layout: Layout
 ) -> Programs:
     """Leave out what nothing depends on, and find which rows go from one program to another."""
-    network = network_rows(layout).tolist()
+    begin, enter, stage, leave, end = given
+    network = network_rows(layout)
     outside = {*network, *range(inputs.actions.start, inputs.lost.stop)}
     said = {reported.reward, reported.terminated, reported.truncated, *reported.info, *reported.observation}
     kept, size = {*layout.state_rows.tolist(), layout.lane("status")}, -1
-    own = [program.of(()) for program in (begin, enter, stage, leave, end)]
+    own = [program.of(()) for program in given]
     exposed = set[int]()
     while sum(len(program.stores) for program in own) + len(kept) > size:
         size = sum(len(program.stores) for program in own) + len(kept)
@@ -265,8 +276,22 @@ def _linked(
         moved = (entered | staged | left) & (exposed | own[4].reads | kept)
         kept |= own[0].reads | (exposed - begun) | (own[4].reads - begun - moved)
         kept -= outside
-    rows = (tuple(sorted(each)) for each in (kept, moved, staged))
-    return Programs(*own, inputs, reported, stages, tuple(network), *rows)
+    kept_rows, moved_rows, staged_rows = (tuple(sorted(each)) for each in (kept, moved, staged))
+    both = [Both(program, program.pulled()) for program in own]
+    return Programs(
+        begin=both[0],
+        enter=both[1],
+        stage=both[2],
+        leave=both[3],
+        end=both[4],
+        inputs=inputs,
+        reported=reported,
+        stages=stages,
+        network=tuple(network),
+        kept=kept_rows,
+        moved=moved_rows,
+        staged=staged_rows,
+    )
 
 
 def _closed(program: Program, rows: set[int]) -> Program:
