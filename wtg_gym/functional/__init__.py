@@ -6,7 +6,10 @@ bank          scenarios as arrays
 environment   the environment: the only module that imports JAX
 """
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from wtg_gym.functional.environment import EnvParams, EnvState, FunctionalEnv
 
 
 def __getattr__(name: str) -> Any:
