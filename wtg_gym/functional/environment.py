@@ -112,7 +112,7 @@ def _runner(program: Both) -> Callable[[Mapping[int, Any]], dict[int, Any]]:
         return (_stored(program.pulled.run(_OPERATIONS, known), reads),)
 
     call.defvjp(lambda given: (call(given), given), back)
-    return lambda values: dict(zip(rows, call(_stored(values, reads)), strict=True))
+    return lambda values: dict(zip(rows, call(_stored({row: values[row] for row in reads}, reads)), strict=True))
 
 
 def _stored(values: Mapping[int, Any], rows: Sequence[int]) -> tuple[Any, ...]:
@@ -154,6 +154,7 @@ class FunctionalEnv:
         self._enter, self._stage, self._leave = _runner(own.enter), _runner(own.stage), _runner(own.leave)
         self._n_substeps, self._step = plant.n_substeps, layout.lane("step")
         self._status = layout.lane("status")
+        # As `advance_interval` has it.
         between_looks = max(1, int(PROTECTION_INTERVAL_S / plant.simulation_dt + 1e-6))
         steps = np.arange(1, self._n_substeps + 1)
         self._looks = ((steps % between_looks == 0) | (steps == self._n_substeps)).astype(np.float64)
