@@ -16,7 +16,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 #: Packages that extras bring and `pip install .` does not.
-EXTRAS = ("bokeh", "joblib", "matplotlib", "onnx", "PIL", "pygame", "rich", "stable_baselines3", "torch")
+EXTRAS = ("bokeh", "jax", "joblib", "matplotlib", "onnx", "PIL", "pygame", "rich", "stable_baselines3", "torch")
 
 
 def blocks(page: str, language: str) -> list[str]:
@@ -88,7 +88,14 @@ def test_commands_run_after_a_plain_install_in_an_empty_folder(plain: dict[str, 
 @pytest.mark.parametrize("page", ["README.md", *(page for page in DOCS if blocks(page, "python"))])
 def test_every_other_program_runs_as_printed(page: str, tmp_path: Path) -> None:
     for program in blocks(page, "python")[1 if page == "README.md" else 0 :]:
-        run([sys.executable, "-c", program], tmp_path)
+        if "import jax" not in program:
+            run([sys.executable, "-c", program], tmp_path)
+
+
+def test_the_program_with_jax_runs_as_printed(tmp_path: Path) -> None:
+    (program,) = [program for program in blocks("docs/gradients.md", "python") if "import jax" in program]
+    pytest.importorskip("jax", reason="JAX is not installed here: pip install 'wtg-gym[jax]'")
+    run([sys.executable, "-c", program], tmp_path)
 
 
 PAGES = [

@@ -265,7 +265,7 @@ _REVERSE: dict[str, Callable[..., tuple[Any, ...]]] = {
 }
 
 
-def _needed(values: Iterable[Any]) -> list[Number]:
+def needed(values: Iterable[Any]) -> list[Number]:
     """Return the numbers that some values depend on, and themselves, each after those that it depends on."""
     found: set[Number] = set()
     open_ = [value for value in values if isinstance(value, Number)]
@@ -279,13 +279,13 @@ def _needed(values: Iterable[Any]) -> list[Number]:
 
 def rows_read(values: Iterable[Any]) -> set[int]:
     """Return the rows that some values depend on."""
-    return {int(one.arguments[0]) for one in _needed(values) if one.operation == "row" and one.arguments[0] >= 0}
+    return {int(one.arguments[0]) for one in needed(values) if one.operation == "row" and one.arguments[0] >= 0}
 
 
 def pulled_back(outputs: Sequence[tuple[Any, Any]], rows: Iterable[int]) -> dict[int, Any]:
     """Return the cotangents of rows, given pairs of an output and its cotangent; rows without one are left out."""
     wanted = set(rows)
-    values = _needed(value for value, _ in outputs)
+    values = needed(value for value, _ in outputs)
     depends: set[Number] = set()
     for one in values:
         if one.operation == "row":
@@ -323,7 +323,7 @@ def function_source(name: str, arguments: Sequence[str], stores: Mapping[int, An
         return names[value] if isinstance(value, Number) else repr(value)
 
     lines = []
-    for one in _needed(stores.values()):
+    for one in needed(stores.values()):
         if one.operation == "row" and one.arguments[0] < 0:
             names[one] = arguments[-1 - int(one.arguments[0])]
             continue

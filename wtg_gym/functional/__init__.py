@@ -1,0 +1,24 @@
+"""The environment as pure functions, for JAX. Experimental; it needs the `jax` extra.
+
+branches      branches of a kernel as choices between numbers
+programs      the kernels of a control step, traced from their own source
+bank          scenarios as arrays
+environment   the environment: the only module that imports JAX
+"""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from wtg_gym.functional.environment import EnvParams, EnvState, FunctionalEnv
+
+
+def __getattr__(name: str) -> Any:
+    # JAX takes seconds to import.
+    if name in __all__:
+        from wtg_gym.functional import environment
+
+        return getattr(environment, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+__all__ = ["EnvParams", "EnvState", "FunctionalEnv"]
