@@ -332,6 +332,6 @@ def function_source(name: str, arguments: Sequence[str], stores: Mapping[int, An
             lines.append(f"{names[one]} = block[{int(one.arguments[0])} * width + x]")
         else:
             lines.append(f"{names[one]} = " + _SOURCE[one.operation].format(*(said(a) for a in one.arguments)))
-    lines += [f"block[{row} * width + x] = {said(value)}" for row, value in stores.items()]
+    lines += [f"block[{row} * width + x] = {said(value)}" for row, value in stores.items()] or ["pass"]
     head = f"def {name}({', '.join(['block', *arguments, 'lanes'])}):\n    width = len(lanes)\n"
     return f"{head}    for x in range(width):\n" + "".join(f"        {line}\n" for line in lines)
