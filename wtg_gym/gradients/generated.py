@@ -8,6 +8,7 @@ pulls cotangents back through one kernel, in place: those of the rows that it wr
 from __future__ import annotations
 
 import hashlib
+import itertools
 import linecache
 import math
 from collections.abc import Callable, Iterable, Sequence
@@ -165,7 +166,7 @@ class Further(NamedTuple):
     def of(cls, n_rows: int, n_action: int, n_sensed: int) -> Further:
         """Return them for a block's number of rows; `n_sensed` is the number of WTG groups, 0 without sensors."""
         edges = np.cumsum([n_rows, n_action, n_sensed * N_MEASURED, n_sensed * N_CHANNELS, min(n_sensed, 1)])
-        actions, seen, noise, interval = (np.arange(*edge) for edge in zip(edges[:-1], edges[1:], strict=True))
+        actions, seen, noise, interval = (np.arange(*edge) for edge in itertools.pairwise(edges))
         return cls(
             actions, seen.reshape(n_sensed, N_MEASURED), noise.reshape(n_sensed, N_CHANNELS), interval, int(edges[-1])
         )
@@ -246,7 +247,7 @@ def _dynamics_of(plant: Plant) -> dict[str, dict[int, Any]]:
 def build_rules(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_action: int, n_observation: int) -> Rules:
     """Differentiate the kernels of a known plant and task; what comes of it is compiled when it is first called."""
     own = layout.n_rows
-    parts = retargeted(parts_of)(plant.constants[0], retargeted(read_task)(task[0]))
+    parts = retargeted(parts_of, {})(plant.constants[0], retargeted(read_task)(task[0]))
     further = Further.of(own, n_action, layout.n_wtg * (task["sensed"].shape[1] > 0))
     n_rows = further.end
     programs = programs_of(plant, task, own, n_action)
@@ -275,12 +276,8 @@ def build_rules(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_acti
     of_sweep = back(programs.sweep, limited, {*limited, *sources})
     of_network = back(programs.network, programs.network, {*rate_of, *held})
     shown = {int(row) for row in observation} & set(programs.charge)
-    seeds, states, outputs, before = (
-        {int(row) for row in terms} | shown | set(further.seen.ravel().tolist()),
-        set[int](),
-        set[int](),
-        -1,
-    )
+    seeds = {*terms.tolist(), *shown, *further.seen.ravel().tolist()}
+    states, outputs, before = set[int](), set[int](), -1
     while len(seeds) + len(states) + len(outputs) > before:
         before = len(seeds) + len(states) + len(outputs)
         of_charge = back(programs.charge, seeds, moved)
