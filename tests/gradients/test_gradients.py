@@ -79,8 +79,9 @@ def test_the_traced_right_hand_side_is_that_of_the_kernel() -> None:
     assert block[simulator.layout.rate_rows] == pytest.approx(rates, rel=1e-12, abs=1e-12)
 
 
-def test_a_step_is_replayed_to_the_last_bit() -> None:
-    tape = tape_of()
+@pytest.mark.parametrize("settings", [{}, {"version": "v1", "suite": "faults"}])
+def test_a_step_is_replayed_to_the_last_bit(settings: dict[str, Any]) -> None:
+    tape = tape_of(**settings)
     scenarios = drawn(tape)
     tape.start(scenarios)
     for own in actions_of(tape, 60):
@@ -237,8 +238,9 @@ def test_an_episode_that_ends_early_has_the_gradient_of_what_it_paid() -> None:
     assert found.actions[last, 0].any() and not found.actions[last + 1 :, 0].any()
 
 
-def test_observations_have_gradients() -> None:
-    tape = tape_of()
+@pytest.mark.parametrize("version", ["v0", "v1"])
+def test_observations_have_gradients(version: str) -> None:
+    tape = tape_of(version=version)
     scenarios, actions = drawn(tape), actions_of(tape, 60)
     rng = np.random.default_rng(5)
     way, weights = rng.normal(size=actions.shape), rng.normal(size=(60, N_LANES, tape.lanes.n_observation))
@@ -319,7 +321,7 @@ def test_bad_input_is_refused(call: Any, reason: str) -> None:
 
 @pytest.mark.parametrize(
     ("settings", "reason"),
-    [({"version": "v1"}, "sensors"), ({"physics": "extended"}, "extended"), ({"on_failure": "trip"}, "on_failure")],
+    [({"physics": "nrel-5mw"}, "C_p table"), ({"version": "v1", "physics": "nrel-5mw"}, "C_p table")],
 )
 def test_what_gradients_are_not_known_for_is_refused(settings: dict[str, Any], reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
@@ -364,11 +366,12 @@ def test_a_policy_trains_by_backward() -> None:
         before.backward()
 
 
-def test_torch_and_numpy_agree_to_the_last_bit() -> None:
+@pytest.mark.parametrize("version", ["v0", "v1"])
+def test_torch_and_numpy_agree_to_the_last_bit(version: str) -> None:
     torch = pytest.importorskip("torch", reason="PyTorch is not installed here")
     from wtg_gym.gradients.torch import TorchEpisodes
 
-    episodes = TorchEpisodes(EnvSettings(), N_LANES, 1)
+    episodes = TorchEpisodes(EnvSettings(version=version, weights={"cap": 50.0}), N_LANES, 1)
     scenarios, actions = drawn(episodes.tape), actions_of(episodes.tape, 20)
     found = episodes.tape.gradient(scenarios, actions)
     episodes.start(scenarios)

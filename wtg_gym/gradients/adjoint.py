@@ -164,11 +164,9 @@ def replay(
     _evaluate(work, plant, 1.0, lanes)
 
 
-def build_pull(rules: Rules) -> Any:
-    """Return the compiled function that goes back through one control step."""
-    n_rows, first_action, foresee = rules.n_rows, int(rules.actions[0]), rules.foresee
-    pull_act, pull_charge, pull_finish = rules.pull_act, rules.pull_charge, rules.pull_finish
-    pull_network, pull_sweep, pull_units = rules.pull_network, rules.pull_sweep, rules.pull_rates
+def build_pull_limits(rules: Rules) -> Any:
+    """Return the compiled function that goes back through the limits of currents."""
+    n_rows, pull_sweep = rules.n_rows, rules.pull_sweep
 
     def pull_limits(work: Floats, steps: Steps, lanes: Lanes) -> None:
         """Go back through the sweeps that held the currents of some lanes.
@@ -209,6 +207,15 @@ def build_pull(rules: Rules) -> Any:
                 from_source = work[(n_rows + steps.sources[i]) * width + x] if settled[x] else np.nan
                 work[(n_rows + steps.limited[i]) * width + x] += from_source
 
+    return compiled_with(pull_limits, rules.digest)
+
+
+def build_pull(rules: Rules) -> Any:
+    """Return the compiled function that goes back through one control step."""
+    n_rows, first_action, foresee = rules.n_rows, int(rules.actions[0]), rules.foresee
+    pull_act, pull_charge, pull_finish = rules.pull_act, rules.pull_charge, rules.pull_finish
+    pull_network, pull_units, pull_limits = rules.pull_network, rules.pull_rates, build_pull_limits(rules)
+
     def pull_rates(work: Floats, plant: Plant, fraction: float, steps: Steps, lanes: Lanes) -> None:
         """Go back through the right-hand side."""
         if plant.constants[0]["extension"].shape[0] == 0:
@@ -216,7 +223,7 @@ def build_pull(rules: Rules) -> Any:
         else:
             _find_currents(work, plant, lanes)
             pull_units(work, fraction, lanes)
-            compiled_limits(work, steps, lanes)
+            pull_limits(work, steps, lanes)
             pull_network(work, lanes)
 
     def pull_steps(
@@ -290,7 +297,6 @@ def build_pull(rules: Rules) -> Any:
             for x in range(width):
                 work[(n_rows + steps.outputs[i]) * width + x] = 0.0
 
-    compiled_limits = compiled_with(pull_limits, rules.digest)
     compiled_rates = compiled_with(pull_rates, rules.digest)
     compiled_outputs = compiled_with(pull_outputs, rules.digest)
     compiled_steps = compiled_with(pull_steps, rules.digest)
