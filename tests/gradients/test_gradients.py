@@ -319,15 +319,6 @@ def test_bad_input_is_refused(call: Any, reason: str) -> None:
         call(tape, scenarios)
 
 
-@pytest.mark.parametrize(
-    ("settings", "reason"),
-    [({"physics": "nrel-5mw"}, "C_p table"), ({"version": "v1", "physics": "nrel-5mw"}, "C_p table")],
-)
-def test_what_gradients_are_not_known_for_is_refused(settings: dict[str, Any], reason: str) -> None:
-    with pytest.raises(ValueError, match=reason):
-        Tape(EnvSettings(**settings), 1, 1)
-
-
 def test_a_policy_trains_by_backward() -> None:
     torch = pytest.importorskip("torch", reason="PyTorch is not installed here")
     from wtg_gym.gradients.torch import TorchEpisodes

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -25,8 +26,11 @@ from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.gradients import expressions as ex
 from wtg_gym.gradients import generated
 from wtg_gym.gradients.adjoint import build_pull_limits
-from wtg_gym.gradients.generated import programs_of
+from wtg_gym.gradients.generated import programs_of, require_known
 from wtg_gym.gradients.tape import Tape
+from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.parameters import HydroGovernorParameters
+from wtg_gym.physics.plant import PlantSettings, build_plant
 from wtg_gym.physics.scenario import GroupTrip, LoadStep, Scenario
 
 Floats = npt.NDArray[np.float64]
@@ -186,6 +190,11 @@ def test_the_gradient_with_respect_to_the_law_is_that_of_central_differences() -
         assert found.law[:, *place] == pytest.approx(expected, rel=1e-5, abs=1e-5 * np.abs(expected).max())
 
 
+def test_the_gradient_goes_through_a_table_of_power_coefficients() -> None:
+    tape = tape_of(version="v1", suite="gusty", physics="nrel-5mw")
+    agrees(tape, drawn(tape), actions_of(tape, 200, 0.2))
+
+
 def test_the_gradient_goes_through_shed_load_and_groups_that_their_rotor_trips() -> None:
     tape = tape_of(physics="extended", on_failure="trip", cap=5000.0)
     wind = np.full((2, 301), 9.0)
@@ -202,6 +211,13 @@ def test_the_gradient_goes_through_shed_load_and_groups_that_their_rotor_trips()
     simulator = tape.lanes.simulator
     shed = tape._take(tape._values(), simulator.layout.rows.shedding + np.arange(simulator.layout.n_stages)) < 0.0
     assert shed.any(axis=1)[[0, 2]].all() and (simulator.wtg_values("connected") == 0.0).any()
+
+
+def test_hydro_governors_are_refused() -> None:
+    hydro = [dataclasses.replace(m, governor=HydroGovernorParameters()) for m in modified_ieee14().machines]
+    case = dataclasses.replace(modified_ieee14(), machines=tuple(hydro))
+    with pytest.raises(ValueError, match="hydro"):
+        require_known(build_plant(PlantSettings(case=case)))
 
 
 #: Kernels of a control step that gradients do not go through: what they do counts as given.

@@ -218,11 +218,12 @@ def build_pull(rules: Rules) -> Any:
 
     def pull_rates(work: Floats, plant: Plant, fraction: float, steps: Steps, lanes: Lanes) -> None:
         """Go back through the right-hand side."""
-        if plant.constants[0]["extension"].shape[0] == 0:
-            pull_units(work, fraction, lanes)
+        c = plant.constants[0]
+        if c["extension"].shape[0] == 0:
+            pull_units(work, fraction, c["cells"], lanes)
         else:
             _find_currents(work, plant, lanes)
-            pull_units(work, fraction, lanes)
+            pull_units(work, fraction, c["cells"], lanes)
             pull_limits(work, steps, lanes)
             pull_network(work, lanes)
 

@@ -175,6 +175,16 @@ smallest, largest, absolute = _two("min"), _two("max"), _one("abs")
 square_root, exponential, floor, ceil = _one("sqrt"), _one("exponential"), _one("floor"), _one("ceil")
 
 
+class Cells:
+    """A table (n, m, k), named `cells` where the program runs; which cell it is has no slope."""
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self.shape = shape
+
+    def __getitem__(self, place: tuple[Any, Any, int]) -> Any:
+        return number("cell", *place)
+
+
 def sine_cosine(angle: Any) -> tuple[Any, Any]:
     """Return sine and cosine."""
     return number("sine", angle), number("cosine", angle)
@@ -231,6 +241,7 @@ _SOURCE = {
     "cosine": "sine_cosine({})[1]",
     "select": "chosen({}, {}, {})",
     "fma": "fma({}, {}, {})",
+    "cell": "cells[int({}), int({}), int({})]",
 }
 
 

@@ -63,6 +63,7 @@ from wtg_gym.physics.machine import machine_limited
 from wtg_gym.physics.machine_code import DiskCache
 from wtg_gym.physics.protection import track_extremes
 from wtg_gym.physics.records import size
+from wtg_gym.physics.rotor_table import tabulated_power_coefficient
 from wtg_gym.physics.sensors import N_CHANNELS
 from wtg_gym.physics.wind_turbine import extension_limited, wtg_limited
 
@@ -142,15 +143,10 @@ class Rules(NamedTuple):
     digest: str  # of the generated code
 
 
-def require_known(plant: Plant, task: npt.NDArray[np.void]) -> None:
+def require_known(plant: Plant) -> None:
     """Raise a ValueError for a plant that gradients are not known for."""
-    c = plant.constants[0]
-    reasons = {
-        "a C_p table (physics='nrel-5mw')": c["cells"].shape[0] > 0,
-        "hydro governors": c["hydro"].shape[0] > 0,
-    }
-    if found := [reason for reason, there in reasons.items() if there]:
-        raise ValueError(f"gradients are for physics='paper' and 'extended'; not known: {', '.join(found)}")
+    if plant.constants[0]["hydro"].shape[0] > 0:
+        raise ValueError("gradients are not known for hydro governors")
 
 
 class Further(NamedTuple):
@@ -213,10 +209,16 @@ def programs_of(plant: Plant, task: npt.NDArray[np.void], n_rows: int, n_action:
 def _dynamics_of(plant: Plant) -> dict[str, dict[int, Any]]:
     """Trace the right-hand side and the end of a simulation step."""
     c, lanes, fraction = plant.constants[0], (0,), ex.argument(0)
+    whole = {**ARITHMETIC, "np": SimpleNamespace(int64=lambda value: value)}
+    surface = retargeted(tabulated_power_coefficient, whole, {})
+    # What a cell of the C_p table holds is looked up where the program runs.
+    whole["tabulated_power_coefficient"] = lambda ratio, pitch, cells, grid: surface(
+        ratio, pitch, ex.Cells(cells.shape), grid
+    )
     if c["extension"].shape[0] == 0:
-        rates = retargeted(derivatives)
+        rates = retargeted(derivatives, whole, {})
         return {"network": {}, "sweep": {}, "rates": traced(lambda b: rates(b, c, fraction, lanes)), "finish": {}}
-    voltages, rates, finish = retargeted(unit_voltages), retargeted(unit_rates), retargeted(keep_energy)
+    voltages, rates, finish = retargeted(unit_voltages), retargeted(unit_rates, whole, {}), retargeted(keep_energy)
     currents = retargeted(unit_currents, {**ARITHMETIC, "_limit_currents": lambda *_: None}, {})
     # However little a voltage moves: where it stands is where the limit holds.
     sweeping = {"_SETTLED": -1.0, "np": SimpleNamespace(int64=lambda _: 0)}
@@ -321,7 +323,7 @@ def build_rules(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_acti
         _source("pull_act", (), of_act, programs.act, n_rows),
         _source("pull_network", (), of_network, (), n_rows),
         _source("pull_sweep", (), of_sweep, limited, n_rows),
-        _source("pull_rates", ("fraction",), of_rates, {*states, *programs.network}, n_rows),
+        _source("pull_rates", ("fraction", "cells"), of_rates, {*states, *programs.network}, n_rows),
         _source("pull_finish", (), of_finish, {*programs.finish, *steps.bases.tolist()}, n_rows),
         _source("pull_charge", (), of_charge, seeds, n_rows),
         ex.function_source("foresee", (), {int(row): programs.charge[interval] for row in further.interval}),
