@@ -119,7 +119,8 @@ def newest_row(block: Floats, x: int, j: int, c: Any, task: Task, width: int) ->
     """
     parts = parts_of(c, task)
     place = int(block[(parts.lane + TASK.interval) * width + x]) % task.n_delayed
-    return parts.delayed + (place * c["share"].shape[0] + j) * N_MEASURED
+    row: int = parts.delayed + (place * c["share"].shape[0] + j) * N_MEASURED
+    return row
 
 
 @inlined
@@ -129,7 +130,8 @@ def arrived_row(block: Floats, x: int, j: int, c: Any, task: Task, width: int) -
     interval = block[(parts.lane + TASK.interval) * width + x]
     delay = load_sensor_input(block, parts.sensor_input * width + x, width).delay
     place = int(max(interval - delay, 0.0)) % max(task.n_delayed, 1)
-    return parts.delayed + (place * c["share"].shape[0] + j) * N_MEASURED
+    row: int = parts.delayed + (place * c["share"].shape[0] + j) * N_MEASURED
+    return row
 
 
 @inlined

@@ -296,7 +296,6 @@ def build_rules(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_acti
     read -= {*programs.network, *programs.sweep, *sources}
     low, high = (_limited(plant, bound) for bound in (-math.inf, math.inf))
     ends = [i for i, row in enumerate(moving.tolist()) if base_of.get(row) in of_finish]
-    sensed_rows = range(parts.delayed, parts.observation) if further.seen.size else range(0)
     steps = Steps(
         states=moving,
         rates=np.array([rate_of[row] for row in moving.tolist()]),
@@ -319,20 +318,21 @@ def build_rules(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_acti
     )
     # What a kernel writes loses its cotangent to what it reads. The method wants those of the states for themselves.
     interval = layout.rows.extra + TASK.interval
-    sources_of = (
-        _source("pull_act", (), of_act, programs.act, n_rows),
-        _source("pull_network", (), of_network, (), n_rows),
-        _source("pull_sweep", (), of_sweep, limited, n_rows),
-        _source("pull_rates", ("fraction", "cells"), of_rates, {*states, *programs.network}, n_rows),
-        _source("pull_finish", (), of_finish, {*programs.finish, *steps.bases.tolist()}, n_rows),
-        _source("pull_charge", (), of_charge, seeds, n_rows),
-        ex.function_source("foresee", (), {int(row): programs.charge[interval] for row in further.interval}),
-    )
-    carried = states | (set(of_charge) & seeds) | set(references.tolist()) | set(sensed_rows)
+    code = {
+        "pull_act": _source("pull_act", (), of_act, programs.act, n_rows),
+        "pull_network": _source("pull_network", (), of_network, (), n_rows),
+        "pull_sweep": _source("pull_sweep", (), of_sweep, limited, n_rows),
+        "pull_rates": _source("pull_rates", ("fraction", "cells"), of_rates, {*states, *programs.network}, n_rows),
+        "pull_finish": _source("pull_finish", (), of_finish, {*programs.finish, *steps.bases.tolist()}, n_rows),
+        "pull_charge": _source("pull_charge", (), of_charge, seeds, n_rows),
+        "foresee": ex.function_source("foresee", (), {int(row): programs.charge[interval] for row in further.interval}),
+    }
+    ring = range(parts.delayed, parts.observation) if further.seen.size else range(0)
+    carried = states | (set(of_charge) & seeds) | set(references.tolist()) | set(ring)
     carried -= {*programs.act, *law.ravel().tolist(), *terms.tolist(), *observation.tolist()}
-    digest = hashlib.sha256("".join((source_hash(), *sources_of)).encode()).hexdigest()
+    digest = hashlib.sha256("".join((source_hash(), *code.values())).encode()).hexdigest()
     return Rules(
-        *(_compiled(source, digest) for source in sources_of),
+        **{name: _compiled(source, digest) for name, source in code.items()},
         steps=steps,
         carried=np.array(sorted(carried)),
         terms=terms,
@@ -354,7 +354,7 @@ def _source(name: str, arguments: Sequence[str], pulled: dict[int, Any], replace
 
 def _bases(layout: Layout) -> dict[int, int]:
     """Return the rows that hold the states of WTG groups at a step's start, by those of the states."""
-    found = {}
+    found: dict[int, int] = {}
     for j in range(layout.n_wtg):
         first = layout.rows.wtg + j * layout.rows.wtg_stride
         found |= {first + k: first + N_WTG_STATES + k for k in range(N_WTG_STATES)}
