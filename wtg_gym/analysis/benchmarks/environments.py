@@ -67,16 +67,17 @@ def _on(physics: str, n_envs: int) -> Stepper:
 
 
 def gradient_cases() -> Iterator[Case]:
-    """Yield episodes of our environment in a batch, with the gradient of their cost with respect to all actions."""
-    for n in (1, 64):
-        yield Case("gradients", f"{OURS}, gradients of {n}", n, partial(_gradients, n), least_s=0.5)
+    """Yield episodes of our environments in a batch, with the gradient of their cost with respect to all actions."""
+    for env_id, benchmark in BENCHMARKS.items():
+        for n in (1, 64):
+            yield Case("gradients", f"{env_id}, gradients of {n}", n, partial(_gradients, benchmark, n), least_s=0.5)
 
 
-def _gradients(n_lanes: int) -> Stepper:
+def _gradients(benchmark: Benchmark, n_lanes: int) -> Stepper:
     from wtg_gym.gradients import Tape
 
-    tape = Tape(EnvSettings(), n_lanes)
-    scenarios = tape.lanes.scenarios(list(get_suite("standard").validation)[:n_lanes])
+    tape = Tape(EnvSettings(version=benchmark.version), n_lanes)
+    scenarios = tape.lanes.scenarios(list(tape.lanes.suite.validation)[:n_lanes])
     actions = np.random.default_rng(0).uniform(-0.3, 0.3, (600, n_lanes, tape.lanes.n_action))
     return repeat(lambda _: tape.gradient(scenarios, actions), actions[:, :, 0].size)
 
