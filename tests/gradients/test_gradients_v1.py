@@ -11,6 +11,7 @@ import pytest
 
 from tests.gradients.test_gradients import (
     N_LANES,
+    V1,
     actions_of,
     agrees,
     along,
@@ -40,7 +41,7 @@ OVERLOAD = (GroupTrip(time_s=1.0, group=0), LoadStep(time_s=1.6, bus=4, power_mw
 
 def limited_tape() -> tuple[Tape, Floats]:
     """Return a tape that stands where currents of its lanes are limited, and the values of its rows."""
-    tape = tape_of(version="v1")
+    tape = tape_of(**V1)
     tape.start([given(4, *OVERLOAD, wind=11.5)] * N_LANES)
     for own in actions_of(tape, 60, 0.2):
         tape.step(own)
@@ -149,7 +150,7 @@ def drop(re: complex, im: complex, y: complex, largest: float) -> npt.NDArray[np
     ],
 )
 def test_the_gradient_is_that_of_central_differences(suite: str, silent: set[str]) -> None:
-    tape = tape_of(version="v1", suite=suite)
+    tape = tape_of(**V1, suite=suite)
     scenarios, actions = drawn(tape), actions_of(tape, 300)
     way = np.random.default_rng(2).normal(size=actions.shape)
     measured = slopes(tape, scenarios, actions, way)
@@ -162,7 +163,7 @@ def test_the_gradient_is_that_of_central_differences(suite: str, silent: set[str
 
 
 def test_the_gradient_goes_through_the_limits_of_currents_and_powers() -> None:
-    tape = tape_of(version="v1")
+    tape = tape_of(**V1)
     step = LoadStep(time_s=1.0, bus=2, power_mw=60.0, reactive_mvar=60.0)
     scenarios = [given(4, *OVERLOAD, wind=11.5), given(4, step, wind=11.5), given(4, *OVERLOAD, wind=11.5)]
     actions = actions_of(tape, 80, 0.2)
@@ -177,7 +178,7 @@ def test_the_gradient_goes_through_the_limits_of_currents_and_powers() -> None:
 
 
 def test_the_gradient_with_respect_to_the_law_is_that_of_central_differences() -> None:
-    tape = tape_of(version="v1")
+    tape = tape_of(**V1)
     scenarios, actions, h = drawn(tape), actions_of(tape, 200), 1e-5
     found = tape.gradient(scenarios, actions)
     tape.start(scenarios)
@@ -191,7 +192,7 @@ def test_the_gradient_with_respect_to_the_law_is_that_of_central_differences() -
 
 
 def test_the_gradient_goes_through_a_table_of_power_coefficients() -> None:
-    tape = tape_of(version="v1", suite="gusty", physics="nrel-5mw")
+    tape = tape_of(**V1, suite="gusty", physics="nrel-5mw")
     agrees(tape, drawn(tape), actions_of(tape, 200, 0.2))
 
 
@@ -239,7 +240,7 @@ FOLLOWED = {"_limit_currents", "_stage", "advance_interval", "advance_step", "de
 
 
 def test_every_kernel_of_a_step_is_traced_or_counts_as_given(monkeypatch: pytest.MonkeyPatch) -> None:
-    tape = tape_of(version="v1")
+    tape = tape_of(**V1)
     lanes, simulator = tape.lanes, tape.lanes.simulator
     called: set[str] = set()
     own = generated.retargeted
