@@ -17,7 +17,7 @@ from wtg_gym.gradients.generated import Rules, build_rules, require_known
 from wtg_gym.physics.scenario import Scenario
 
 Floats = npt.NDArray[np.float64]
-#: A copy of all blocks takes 5 kB a lane: kept at every step of a long run it would fill the memory.
+#: A copy of all blocks takes 5 kB a lane, 10 in v1: kept at every step of a long run it would fill the memory.
 _STEPS_PER_CHECKPOINT = 25
 _RULES: dict[bytes, tuple[Rules, Any]] = {}
 
