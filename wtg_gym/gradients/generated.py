@@ -200,15 +200,15 @@ def programs_of(plant: Plant, task: npt.NDArray[np.void], n_rows: int, n_action:
 
     return Programs(
         act=traced(lambda block: act(block, c, t, Actions(n_rows, n_action, ex.row_of_block), lanes)),
-        **_dynamics_of(plant),
+        **_dynamics_of(c),
         charge=traced(at_end),
         measured=measured,
     )
 
 
-def _dynamics_of(plant: Plant) -> dict[str, dict[int, Any]]:
+def _dynamics_of(c: Any) -> dict[str, dict[int, Any]]:
     """Trace the right-hand side and the end of a simulation step."""
-    c, lanes, fraction = plant.constants[0], (0,), ex.argument(0)
+    lanes, fraction = (0,), ex.argument(0)
     whole = {**ARITHMETIC, "np": SimpleNamespace(int64=lambda value: value)}
     surface = retargeted(tabulated_power_coefficient, whole, {})
     # What a cell of the C_p table holds is looked up where the program runs.
@@ -277,8 +277,8 @@ def build_rules(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_acti
     of_finish = back(programs.finish, programs.finish, {*rate_of, *base_of.values()})
     of_sweep = back(programs.sweep, limited, {*limited, *sources})
     of_network = back(programs.network, programs.network, {*rate_of, *held})
-    shown = {int(row) for row in observation} & set(programs.charge)
-    seeds = {*terms.tolist(), *shown, *further.seen.ravel().tolist()}
+    exact = {int(row) for row in observation} & set(programs.charge)
+    seeds = {*terms.tolist(), *exact, *further.seen.ravel().tolist()}
     states, outputs, before = set[int](), set[int](), -1
     while len(seeds) + len(states) + len(outputs) > before:
         before = len(seeds) + len(states) + len(outputs)
@@ -330,7 +330,7 @@ def build_rules(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_acti
     ring = range(parts.delayed, parts.observation) if further.seen.size else range(0)
     carried = states | (set(of_charge) & seeds) | set(references.tolist()) | set(ring)
     carried -= {*programs.act, *law.ravel().tolist(), *terms.tolist(), *observation.tolist()}
-    digest = hashlib.sha256("".join((source_hash(), *code.values())).encode()).hexdigest()
+    digest = hashlib.sha256("".join((source_hash(), str((own, n_rows)), *code.values())).encode()).hexdigest()
     return Rules(
         **{name: _compiled(source, digest) for name, source in code.items()},
         steps=steps,
@@ -405,6 +405,8 @@ def _compiled(source: str, digest: str) -> Any:
 def compiled_with(function: Callable[..., Any], digest: str) -> Any:
     """Compile a function like those of the kernels; `digest` names the generated code that it calls."""
     compilation()
+    # Machine code is linked by names: of two functions with one name, loaded from disk, the first would be called.
+    function.__qualname__ = f"{function.__qualname__}_{digest[:16]}"
     result = numba.njit(nogil=True, error_model="numpy")(function)
     if result is not function:
         result._cache = DiskCache(function, cache_folder(), digest)
