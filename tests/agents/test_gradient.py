@@ -22,10 +22,16 @@ from wtg_gym.policies.load import load_entries
 OPTIONS = ["--timesteps", "2400", "--interval", "1200", "--n-envs", "2", "--validation-episodes", "2"]
 
 
-@pytest.mark.parametrize("hidden", [(), (8,)])
-def test_loss_falls_on_the_scenarios_that_it_is_of(hidden: tuple[int, ...]) -> None:
+#: Version v1 as `tests/gradients` has it, whose machine code is shared.
+V1: dict[str, Any] = {"version": "v1", "observation_mode": "privileged", "weights": {"cap": 50.0}}
+
+
+@pytest.mark.parametrize(
+    ("hidden", "settings"), [((), {}), ((8,), {}), ((8,), {**V1, "strategy": "coordinated-tuned"})]
+)
+def test_loss_falls_on_the_scenarios_that_it_is_of(hidden: tuple[int, ...], settings: dict[str, Any]) -> None:
     torch.manual_seed(0)
-    episodes, h = TorchEpisodes(EnvSettings(), 4, 1), Hyperparameters(hidden=hidden)
+    episodes, h = TorchEpisodes(EnvSettings(**settings), 4, 1), Hyperparameters(hidden=hidden)
     lanes = episodes.tape.lanes
     policy = GradientPolicy(lanes.n_observation, lanes.n_action, hidden)
     optimizer = torch.optim.Adam(policy.parameters(), lr=h.learning_rate)

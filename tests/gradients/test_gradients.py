@@ -23,6 +23,8 @@ from wtg_gym.physics.scenario import GovernorLoss, LineTrip, LoadStep, MachineOu
 
 Floats = npt.NDArray[np.float64]
 N_LANES = 3
+#: Version v1 with all that can be observed in it.
+V1 = {"version": "v1", "observation_mode": "privileged"}
 
 
 @functools.cache
@@ -79,8 +81,9 @@ def test_the_traced_right_hand_side_is_that_of_the_kernel() -> None:
     assert block[simulator.layout.rate_rows] == pytest.approx(rates, rel=1e-12, abs=1e-12)
 
 
-def test_a_step_is_replayed_to_the_last_bit() -> None:
-    tape = tape_of()
+@pytest.mark.parametrize("settings", [{}, {**V1, "suite": "faults"}])
+def test_a_step_is_replayed_to_the_last_bit(settings: dict[str, Any]) -> None:
+    tape = tape_of(**settings)
     scenarios = drawn(tape)
     tape.start(scenarios)
     for own in actions_of(tape, 60):
@@ -237,8 +240,9 @@ def test_an_episode_that_ends_early_has_the_gradient_of_what_it_paid() -> None:
     assert found.actions[last, 0].any() and not found.actions[last + 1 :, 0].any()
 
 
-def test_observations_have_gradients() -> None:
-    tape = tape_of()
+@pytest.mark.parametrize("settings", [{}, V1])
+def test_observations_have_gradients(settings: dict[str, Any]) -> None:
+    tape = tape_of(**settings)
     scenarios, actions = drawn(tape), actions_of(tape, 60)
     rng = np.random.default_rng(5)
     way, weights = rng.normal(size=actions.shape), rng.normal(size=(60, N_LANES, tape.lanes.n_observation))
@@ -317,15 +321,6 @@ def test_bad_input_is_refused(call: Any, reason: str) -> None:
         call(tape, scenarios)
 
 
-@pytest.mark.parametrize(
-    ("settings", "reason"),
-    [({"version": "v1"}, "sensors"), ({"physics": "extended"}, "extended"), ({"on_failure": "trip"}, "on_failure")],
-)
-def test_what_gradients_are_not_known_for_is_refused(settings: dict[str, Any], reason: str) -> None:
-    with pytest.raises(ValueError, match=reason):
-        Tape(EnvSettings(**settings), 1, 1)
-
-
 def test_a_policy_trains_by_backward() -> None:
     torch = pytest.importorskip("torch", reason="PyTorch is not installed here")
     from wtg_gym.gradients.torch import TorchEpisodes
@@ -364,11 +359,12 @@ def test_a_policy_trains_by_backward() -> None:
         before.backward()
 
 
-def test_torch_and_numpy_agree_to_the_last_bit() -> None:
+@pytest.mark.parametrize("settings", [{}, V1])
+def test_torch_and_numpy_agree_to_the_last_bit(settings: dict[str, Any]) -> None:
     torch = pytest.importorskip("torch", reason="PyTorch is not installed here")
     from wtg_gym.gradients.torch import TorchEpisodes
 
-    episodes = TorchEpisodes(EnvSettings(), N_LANES, 1)
+    episodes = TorchEpisodes(EnvSettings(weights={"cap": 50.0}, **settings), N_LANES, 1)
     scenarios, actions = drawn(episodes.tape), actions_of(episodes.tape, 20)
     found = episodes.tape.gradient(scenarios, actions)
     episodes.start(scenarios)

@@ -105,24 +105,40 @@ def _keep(
     width: int,
 ) -> None:
     """Keep the sensors of WTG group j of a lane, and what they measure now."""
-    parts = parts_of(c, task)
-    store_sensed(own, block, (parts.sensed + j * N_SENSED_ROWS) * width + x, width)
+    store_sensed(own, block, (parts_of(c, task).sensed + j * N_SENSED_ROWS) * width + x, width)
     value = measured(own.sensors, exact, own.wind_bias, key, j * N_CHANNELS, given)
     seen = bounded_measured(observe_measured(value, given.wind_sensor, turbine, task), OBSERVATION_BOUND)
-    # The ring turns by a place per interval; lanes stand at different intervals.
+    store_measured(seen, block, newest_row(block, x, j, c, task, width) * width + x, width)
+
+
+@inlined
+def newest_row(block: Floats, x: int, j: int, c: Any, task: Task, width: int) -> int:
+    """Return where the measurement of WTG group j of a lane at its present interval begins in the ring.
+
+    The ring turns by a place per interval; lanes stand at different intervals.
+    """
+    parts = parts_of(c, task)
     place = int(block[(parts.lane + TASK.interval) * width + x]) % task.n_delayed
-    row = parts.delayed + (place * c["share"].shape[0] + j) * N_MEASURED
-    store_measured(seen, block, row * width + x, width)
+    row: int = parts.delayed + (place * c["share"].shape[0] + j) * N_MEASURED
+    return row
+
+
+@inlined
+def arrived_row(block: Floats, x: int, j: int, c: Any, task: Task, width: int) -> int:
+    """Return where the newest measurement of WTG group j of a lane that has arrived begins in the ring."""
+    parts = parts_of(c, task)
+    interval = block[(parts.lane + TASK.interval) * width + x]
+    delay = load_sensor_input(block, parts.sensor_input * width + x, width).delay
+    place = int(max(interval - delay, 0.0)) % max(task.n_delayed, 1)
+    row: int = parts.delayed + (place * c["share"].shape[0] + j) * N_MEASURED
+    return row
 
 
 @inlined
 def show_delayed(block: Floats, j: int, c: Any, task: Task, row: int, lanes: Lanes) -> None:
     """Copy the newest measurement of WTG group j that has arrived to where the observation begins."""
-    width, parts, n_wtg = len(lanes), parts_of(c, task), c["share"].shape[0]
+    width = len(lanes)
     for x in range(width):
-        interval = block[(parts.lane + TASK.interval) * width + x]
-        delay = load_sensor_input(block, parts.sensor_input * width + x, width).delay
-        place = int(max(interval - delay, 0.0)) % max(task.n_delayed, 1)
-        first = parts.delayed + (place * n_wtg + j) * N_MEASURED
+        first = arrived_row(block, x, j, c, task, width)
         for k in range(N_MEASURED):
             block[(row + k) * width + x] = block[(first + k) * width + x]

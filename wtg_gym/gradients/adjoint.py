@@ -6,20 +6,34 @@ from typing import Any
 
 import numpy as np
 
+from wtg_gym.envs.measuring import arrived_row, newest_row
 from wtg_gym.envs.task import apply_actions
-from wtg_gym.envs.task_records import TASK, read_task
+from wtg_gym.envs.task_layout import parts_of
+from wtg_gym.envs.task_records import TASK, load_sensor_input, read_task
 from wtg_gym.gradients.generated import Rules, Steps, compiled_with
 from wtg_gym.physics.compiled import compiled, inlined
-from wtg_gym.physics.dynamics import derivatives
+from wtg_gym.physics.dynamics import derivatives, keep_energy, unit_currents, unit_voltages
 from wtg_gym.physics.elementary import fma
 from wtg_gym.physics.integration import apply_network_changes, enter_interval
-from wtg_gym.physics.layout import LANE, Floats, LaneData, Lanes, Plant, rows_of
-from wtg_gym.physics.protection import PROTECTION_INTERVAL_S, look_at_grid, track_extremes, update_status
+from wtg_gym.physics.layout import LANE, Floats, LaneData, Lanes, Plant, read_turbine, rows_of
+from wtg_gym.physics.protection import PROTECTION_INTERVAL_S, look_at_grid, shed_load, track_extremes, update_status
+from wtg_gym.physics.sensors import noise_key, normal
+
+#: The way back through the sweeps that hold currents ends where no cotangent changes by more than this share of the
+#: lane's largest. They come some thirty times at most; if ever this many were too few, not a number comes back.
+_SWEEPS = 1000
+_SETTLED = 1e-13
 
 
 @compiled
 def _evaluate(work: Floats, plant: Plant, fraction: float, lanes: Lanes) -> None:
     derivatives(work, plant.constants[0], fraction, lanes)
+
+
+@compiled
+def _find_currents(work: Floats, plant: Plant, lanes: Lanes) -> None:
+    unit_voltages(work, plant.constants[0], lanes)
+    unit_currents(work, plant.constants[0], lanes)
 
 
 @inlined
@@ -32,6 +46,50 @@ def _copy(source: Floats, row: int, target: Floats, target_row: int, width: int)
 def _ahead(stage: int, h: float) -> float:
     """Return how far a stage's rates move the states for the next one [s]."""
     return h if stage == 2 else 0.5 * h
+
+
+@inlined
+def _enter_bases(work: Floats, steps: Steps, start: Floats, width: int) -> None:
+    """Write the states at a step's start to where the end of the step looks for them."""
+    for k in range(steps.ends.size):
+        _copy(start, steps.ends[k], work, steps.bases[k], width)
+
+
+@inlined
+def _keep_energies(work: Floats, plant: Plant, steps: Steps, path: Floats, lanes: Lanes) -> None:
+    c, width = plant.constants[0], len(lanes)
+    turbine = read_turbine(c["turbine"])
+    _enter_bases(work, steps, path[0], width)
+    for j in range(c["share"].shape[0]):
+        for x in range(width):
+            keep_energy(work, c, j, x, turbine, width)
+
+
+@inlined
+def _note_measurement(work: Floats, c: Any, task: Any, steps: Steps, n_rows: int, lanes: Lanes) -> None:
+    """Go back through the ring of measurements, and draw the random numbers of the one that is taken.
+
+    The cotangent of what is shown goes to the place in the ring that it was copied from; then that of the newest place
+    goes to what was measured.
+    """
+    width, parts = len(lanes), parts_of(c, task)
+    interval = (parts.lane + TASK.interval) * width
+    for x in range(width):
+        before = work[interval + x]
+        work[interval + x] = work[steps.interval[0] * width + x]
+        seed = load_sensor_input(work, parts.sensor_input * width + x, width).seed
+        key = noise_key(int(seed), int(work[interval + x]))
+        for j in range(steps.measured.size):
+            arrived = arrived_row(work, x, j, c, task, width)
+            newest = newest_row(work, x, j, c, task, width)
+            for k in range(steps.seen.shape[1]):
+                shown = work[(n_rows + steps.measured[j] + k) * width + x]
+                work[(n_rows + arrived + k) * width + x] += shown
+                work[(n_rows + steps.seen[j, k]) * width + x] = work[(n_rows + newest + k) * width + x]
+                work[(n_rows + newest + k) * width + x] = 0.0
+            for k in range(steps.noise.shape[1]):
+                work[steps.noise[j, k] * width + x] = normal(key, j * steps.noise.shape[1] + k)
+        work[interval + x] = before
 
 
 @compiled
@@ -94,18 +152,80 @@ def replay(
                     end = end if ran[step, x] > 0.5 else base
                     path[step, stage + 1, at] = end
                     work[steps.states[i] * width + x] = end
+        if c["extension"].shape[0] > 0:
+            _keep_energies(work, plant, steps, path[step], lanes)
         for x in range(width):
             work[clock + x] += 1.0 if ran[step, x] > 0.5 else 0.0
         track_extremes(work, c, lanes)
+        shed_load(work, c, lanes)
         if (step + 1) % between_looks == 0 or step + 1 == c["n_substeps"]:
             look_at_grid(work, c, lanes)
             update_status(work, c, width)
     _evaluate(work, plant, 1.0, lanes)
 
 
+def build_pull_limits(rules: Rules) -> Any:
+    """Return the compiled function that goes back through the limits of currents."""
+    n_rows, pull_sweep = rules.n_rows, rules.pull_sweep
+
+    def pull_limits(work: Floats, steps: Steps, lanes: Lanes) -> None:
+        """Go back through the sweeps that held the currents of some lanes.
+
+        As the sweeps end at a fixed point, each has the derivatives of the last: this is the adjoint of that point,
+        approached as the sweeps approached it. Lanes without a limited current keep their bits.
+        """
+        width, n, m = len(lanes), steps.limited.size, steps.sources.size
+        settled, last = np.ones(width, dtype=np.bool_), np.empty((n + m) * width)
+        for j in range(steps.reactances.size):
+            for x in range(width):
+                settled[x] &= not work[steps.reactances[j] * width + x] > 0.0
+        if settled.all():
+            return
+        for i in range(m):
+            for x in range(width):
+                work[(n_rows + steps.sources[i]) * width + x] = 0.0
+        for _ in range(_SWEEPS):
+            for i in range(n):
+                _copy(work, n_rows + steps.limited[i], last, i, width)
+            for i in range(m):
+                _copy(work, n_rows + steps.sources[i], last, n + i, width)
+            pull_sweep(work, lanes)
+            for x in range(width):
+                largest, change = 0.0, 0.0
+                for i in range(n + m):
+                    row = steps.limited[i] if i < n else steps.sources[i - n]
+                    at = (n_rows + row) * width + x
+                    if settled[x]:
+                        work[at] = last[i * width + x]
+                    largest, change = max(largest, abs(work[at])), max(change, abs(work[at] - last[i * width + x]))
+                settled[x] |= not change > _SETTLED * largest
+            if settled.all():
+                break
+        for i in range(m):
+            for x in range(width):
+                # The sweeps began with the voltages that they reduce: those are the first of the rows, group by group.
+                from_source = work[(n_rows + steps.sources[i]) * width + x] if settled[x] else np.nan
+                work[(n_rows + steps.limited[i]) * width + x] += from_source
+
+    return compiled_with(pull_limits, rules.digest)
+
+
 def build_pull(rules: Rules) -> Any:
     """Return the compiled function that goes back through one control step."""
-    pull_act, pull_rates, pull_charge, n_rows = rules.pull_act, rules.pull_rates, rules.pull_charge, rules.n_rows
+    n_rows, first_action, foresee = rules.n_rows, int(rules.actions[0]), rules.foresee
+    pull_act, pull_charge, pull_finish = rules.pull_act, rules.pull_charge, rules.pull_finish
+    pull_network, pull_units, pull_limits = rules.pull_network, rules.pull_rates, build_pull_limits(rules)
+
+    def pull_rates(work: Floats, plant: Plant, fraction: float, steps: Steps, lanes: Lanes) -> None:
+        """Go back through the right-hand side."""
+        c = plant.constants[0]
+        if c["extension"].shape[0] == 0:
+            pull_units(work, fraction, c["cells"], lanes)
+        else:
+            _find_currents(work, plant, lanes)
+            pull_units(work, fraction, c["cells"], lanes)
+            pull_limits(work, steps, lanes)
+            pull_network(work, lanes)
 
     def pull_steps(
         work: Floats, plant: Plant, steps: Steps, path: Floats, inputs: Floats, held: Floats, ran: Floats, lanes: Lanes
@@ -113,11 +233,19 @@ def build_pull(rules: Rules) -> Any:
         """Go back through the simulation steps of a control interval: the adjoint of the Runge-Kutta method."""
         c = plant.constants[0]
         width, h, n = len(lanes), c["simulation_dt"], steps.states.size
+        active = (rows_of(c).lane + LANE.active) * width
         part = 1.0 / c["n_substeps"]
         end, through = np.empty(n * width), np.empty(n * width)
         for step in range(c["n_substeps"] - 1, -1, -1):
             for i in range(steps.inputs.size):
                 _copy(inputs[step], i, work, steps.inputs[i], width)
+            if c["extension"].shape[0] > 0:
+                for i in range(n):
+                    _copy(path[step, 4], i, work, steps.states[i], width)
+                _enter_bases(work, steps, path[step, 0], width)
+                for x in range(width):
+                    work[active + x] = ran[step, x]
+                pull_finish(work, lanes)
             for i in range(n):
                 for x in range(width):
                     # A state at its limit does not follow.
@@ -126,6 +254,9 @@ def build_pull(rules: Rules) -> Any:
                     given = work[(n_rows + steps.states[i]) * width + x] if free else 0.0
                     end[i * width + x] = given
                     through[i * width + x] = given
+            for k in range(steps.ends.size):
+                for x in range(width):
+                    through[steps.ends[k] * width + x] += work[(n_rows + steps.bases[k]) * width + x]
             for stage in range(3, -1, -1):
                 offset = 0.0 if stage == 0 else 1.0 if stage == 3 else 0.5
                 weight = h / 6.0 if stage == 0 or stage == 3 else h / 3.0
@@ -137,7 +268,7 @@ def build_pull(rules: Rules) -> Any:
                         if stage < 3:
                             seed += _ahead(stage, h) * work[(n_rows + steps.states[i]) * width + x]
                         work[(n_rows + steps.rates[i]) * width + x] = seed if ran[step, x] > 0.5 else 0.0
-                pull_rates(work, (step + offset) * part, lanes)
+                compiled_rates(work, plant, (step + offset) * part, steps, lanes)
                 for i in range(n):
                     for x in range(width):
                         through[i * width + x] += work[(n_rows + steps.states[i]) * width + x]
@@ -151,7 +282,7 @@ def build_pull(rules: Rules) -> Any:
                         work[(n_rows + steps.gates[i]) * width + x] += work[at]
                         work[at] = 0.0
 
-    def pull_outputs(work: Floats, steps: Steps, lanes: Lanes) -> None:
+    def pull_outputs(work: Floats, plant: Plant, steps: Steps, lanes: Lanes) -> None:
         """Go back through the evaluation at the end of a control interval, whose outputs are charged and observed."""
         width, n = len(lanes), steps.states.size
         end = np.empty(n * width)
@@ -159,7 +290,7 @@ def build_pull(rules: Rules) -> Any:
             _copy(work, n_rows + steps.states[i], end, i, width)
             for x in range(width):
                 work[(n_rows + steps.rates[i]) * width + x] = 0.0
-        pull_rates(work, 1.0, lanes)
+        compiled_rates(work, plant, 1.0, steps, lanes)
         for i in range(n):
             for x in range(width):
                 work[(n_rows + steps.states[i]) * width + x] += end[i * width + x]
@@ -167,6 +298,7 @@ def build_pull(rules: Rules) -> Any:
             for x in range(width):
                 work[(n_rows + steps.outputs[i]) * width + x] = 0.0
 
+    compiled_rates = compiled_with(pull_rates, rules.digest)
     compiled_outputs = compiled_with(pull_outputs, rules.digest)
     compiled_steps = compiled_with(pull_steps, rules.digest)
 
@@ -202,11 +334,14 @@ def build_pull(rules: Rules) -> Any:
             apply_actions(work, c, t, given, lanes)
             for x in range(width):
                 for a in range(actions.shape[1]):
-                    work[(n_rows - actions.shape[1] + a) * width + x] = given[x, a] if x < count else 0.0
+                    work[(first_action + a) * width + x] = given[x, a] if x < count else 0.0
                 work[(of_task + TASK.was_active) * width + x] = work[(own + LANE.active) * width + x]
             replay(work, b * width, plant, data, steps, path, inputs, held, ran, lanes)
+            if task[0]["sensed"].shape[0] > 0:
+                foresee(work, lanes)
+                _note_measurement(work, c, t, steps, n_rows, lanes)
             pull_charge(work, lanes)
-            compiled_outputs(work, steps, lanes)
+            compiled_outputs(work, plant, steps, lanes)
             compiled_steps(work, plant, steps, path, inputs, held, ran, lanes)
             pull_act(work, lanes)
 

@@ -175,6 +175,16 @@ smallest, largest, absolute = _two("min"), _two("max"), _one("abs")
 square_root, exponential, floor, ceil = _one("sqrt"), _one("exponential"), _one("floor"), _one("ceil")
 
 
+class Cells:
+    """A table (n, m, k), named `cells` where the program runs; which cell it is has no slope."""
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self.shape = shape
+
+    def __getitem__(self, place: tuple[Any, Any, int]) -> Any:
+        return number("cell", *place)
+
+
 def sine_cosine(angle: Any) -> tuple[Any, Any]:
     """Return sine and cosine."""
     return number("sine", angle), number("cosine", angle)
@@ -231,6 +241,7 @@ _SOURCE = {
     "cosine": "sine_cosine({})[1]",
     "select": "chosen({}, {}, {})",
     "fma": "fma({}, {}, {})",
+    "cell": "cells[int({}), int({}), int({})]",
 }
 
 
@@ -332,6 +343,6 @@ def function_source(name: str, arguments: Sequence[str], stores: Mapping[int, An
             lines.append(f"{names[one]} = block[{int(one.arguments[0])} * width + x]")
         else:
             lines.append(f"{names[one]} = " + _SOURCE[one.operation].format(*(said(a) for a in one.arguments)))
-    lines += [f"block[{row} * width + x] = {said(value)}" for row, value in stores.items()]
+    lines += [f"block[{row} * width + x] = {said(value)}" for row, value in stores.items()] or ["pass"]
     head = f"def {name}({', '.join(['block', *arguments, 'lanes'])}):\n    width = len(lanes)\n"
     return f"{head}    for x in range(width):\n" + "".join(f"        {line}\n" for line in lines)

@@ -8,9 +8,11 @@ pulls cotangents back through one kernel, in place: those of the rows that it wr
 from __future__ import annotations
 
 import hashlib
+import itertools
 import linecache
 import math
 from collections.abc import Callable, Iterable, Sequence
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numba
@@ -19,22 +21,40 @@ import numpy.typing as npt
 from numba import types
 from numba.extending import intrinsic
 
+from wtg_gym.envs.measuring import measure
+from wtg_gym.envs.observation import N_MEASURED
 from wtg_gym.envs.task import apply_actions, charge, observe
-from wtg_gym.envs.task_layout import rocof_window
-from wtg_gym.envs.task_records import GROUP, N_GROUP_ROWS, N_TASK_ROWS, TASK, CostTerms, read_task
+from wtg_gym.envs.task_layout import parts_of
+from wtg_gym.envs.task_records import GROUP, N_GROUP_ROWS, TASK, CostTerms, Task, read_task
 from wtg_gym.gradients import expressions as ex
-from wtg_gym.gradients.tracing import Actions, Rows, retargeted, traced
+from wtg_gym.gradients.tracing import ARITHMETIC, Actions, Rows, retargeted, traced
 from wtg_gym.physics.compiled import cache_folder, compilation, source_hash
-from wtg_gym.physics.dynamics import derivatives
+from wtg_gym.physics.dynamics import (
+    EVALUATE,
+    _limit_current,
+    derivatives,
+    extension_at,
+    keep_energy,
+    unit_currents,
+    unit_rates,
+    unit_voltages,
+)
 from wtg_gym.physics.elementary import exponential, fma, sine_cosine
 from wtg_gym.physics.layout import (
+    EXTENSION,
+    N_EXTENSION_STATES,
     N_MACHINE_ROWS,
+    N_WTG_ROWS,
+    N_WTG_STATES,
     Layout,
     Plant,
+    load_extension_state,
     load_machine_state,
     load_wtg_state,
+    read_extension,
     read_machine,
     read_turbine,
+    store_extension_state,
     store_machine_state,
     store_wtg_state,
     wtg_row,
@@ -43,7 +63,9 @@ from wtg_gym.physics.machine import machine_limited
 from wtg_gym.physics.machine_code import DiskCache
 from wtg_gym.physics.protection import track_extremes
 from wtg_gym.physics.records import size
-from wtg_gym.physics.wind_turbine import wtg_limited
+from wtg_gym.physics.rotor_table import tabulated_power_coefficient
+from wtg_gym.physics.sensors import N_CHANNELS
+from wtg_gym.physics.wind_turbine import extension_limited, wtg_limited
 
 Indices = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
@@ -74,22 +96,43 @@ class Steps(NamedTuple):
     references: Indices  # of the machines' gates, which a lost governor holds where they are
     droops: Indices
     gates: Indices
+    ends: Indices  # of those states whose value at a step's start counts at its end too, the place among `states`
+    bases: Indices  # and the row that holds that value
+    limited: Indices  # voltages and currents that limits of the current change
+    sources: Indices  # voltages before they do
+    reactances: Indices  # of each WTG group whose current can be limited
+    measured: Indices  # first row of each WTG group in the observation, where sensors show it
+    seen: Indices  # rows of a work block with what each group measures now (n_wtg, N_MEASURED)
+    noise: Indices  # with its random numbers (n_wtg, N_CHANNELS)
+    interval: Indices  # with the control interval that ends (1,)
 
 
 class Programs(NamedTuple):
-    """The kernels of a control step, one lane wide: what each row holds that they write, from the rows they read."""
+    """The kernels of a control step, one lane wide: what each row holds that they write, from the rows they read.
+
+    Where a current can be limited the right-hand side has three parts: voltages and currents without that limit, the
+    sweeps that go on until it holds, and the rates.
+    """
 
     act: dict[int, Any]
+    network: dict[int, Any]  # empty where no current can be limited
+    sweep: dict[int, Any]  # empty too
     rates: dict[int, Any]
+    finish: dict[int, Any]  # what a simulation step does after its last stage
     charge: dict[int, Any]
+    measured: dict[int, int]  # by WTG group: first row in the observation, where sensors show it
 
 
 class Rules(NamedTuple):
     """Compiled vector-Jacobian products, and the rows they are about."""
 
     pull_act: Callable[..., None]
+    pull_network: Callable[..., None]
+    pull_sweep: Callable[..., None]
     pull_rates: Callable[..., None]
+    pull_finish: Callable[..., None]
     pull_charge: Callable[..., None]
+    foresee: Callable[..., None]  # no rule: finds the control interval that ends
     steps: Steps
     carried: Indices  # rows whose cotangent goes from one control step to the one before
     terms: Indices  # of the cost of a step
@@ -100,50 +143,118 @@ class Rules(NamedTuple):
     digest: str  # of the generated code
 
 
-def require_known(plant: Plant, task: npt.NDArray[np.void]) -> None:
-    """Raise a ValueError for a plant or a task that gradients are not known for."""
-    c = plant.constants[0]
-    reasons = {
-        "extended WTG groups (physics='extended' or 'nrel-5mw')": c["extension"].shape[0] > 0,
-        "a C_p table": c["cells"].shape[0] > 0,
-        "hydro governors": c["hydro"].shape[0] > 0,
-        "load shedding": c["shedding"].shape[0] > 0,
-        "sensors (version v1)": task["sensed"].shape[1] > 0,
-        "on_failure='trip'": bool(c["trips_groups"]),
-    }
-    if found := [reason for reason, there in reasons.items() if there]:
-        raise ValueError(f"gradients are for the paper's physics (version v0); not known: {', '.join(found)}")
+def require_known(plant: Plant) -> None:
+    """Raise a ValueError for a plant that gradients are not known for."""
+    if plant.constants[0]["hydro"].shape[0] > 0:
+        raise ValueError("gradients are not known for hydro governors")
+
+
+class Further(NamedTuple):
+    """Rows of a work block behind those of the block: actions, and of a task with sensors what :class:`Steps` says."""
+
+    actions: Indices
+    seen: Indices
+    noise: Indices
+    interval: Indices
+    end: int
+
+    @classmethod
+    def of(cls, n_rows: int, n_action: int, n_sensed: int) -> Further:
+        """Return them for a block's number of rows; `n_sensed` is the number of WTG groups, 0 without sensors."""
+        edges = np.cumsum([n_rows, n_action, n_sensed * N_MEASURED, n_sensed * N_CHANNELS, min(n_sensed, 1)])
+        actions, seen, noise, interval = (np.arange(*edge) for edge in itertools.pairwise(edges))
+        return cls(
+            actions, seen.reshape(n_sensed, N_MEASURED), noise.reshape(n_sensed, N_CHANNELS), interval, int(edges[-1])
+        )
 
 
 def programs_of(plant: Plant, task: npt.NDArray[np.void], n_rows: int, n_action: int) -> Programs:
-    """Trace the kernels of a control step; actions are in rows n_rows … of a work block."""
+    """Trace the kernels of a control step; actions and what else :class:`Further` names are in rows n_rows … ."""
     ex.begin()
-    c, lanes = plant.constants[0], (0,)
+    c, lanes, sensed = plant.constants[0], (0,), task["sensed"].shape[1] > 0
     t = retargeted(read_task)(task[0])
-    act, rates, extremes = retargeted(apply_actions), retargeted(derivatives), retargeted(track_extremes)
-    charged, observed = retargeted(charge), retargeted(observe)
+    further = Further.of(n_rows, n_action, c["share"].size * sensed)
+    act, extremes, charged = retargeted(apply_actions), retargeted(track_extremes), retargeted(charge)
+    measured: dict[int, int] = {}
+
+    def show(block: Rows, j: int, c: Any, task: Task, row: int, lanes: Any) -> None:
+        measured[j] = row
+
+    # Random numbers are given, and so is the place in the ring of measurements, which is none that a program knows.
+    sensing = {
+        "noise_key": lambda seed, step: None,
+        "normal": lambda key, channel: ex.row_of_block(int(further.noise.ravel()[channel])),
+        "newest_row": lambda block, x, j, *_: int(further.seen[j, 0]),
+        "int": lambda value: value if isinstance(value, ex.Number) else int(value),
+    }
+    taken = retargeted(measure, {**ARITHMETIC, **sensing}, {})
+    observed = retargeted(observe, {**ARITHMETIC, "show_delayed": show}, {})
 
     def at_end(block: Rows) -> None:
         # For the frequency of the centre of inertia: that of the states at the interval's end.
         extremes(block, c, lanes)
-        charged(block, c, t, False, lanes)
-        observed(block, c, t, False, lanes)
+        charged(block, c, t, sensed, lanes)
+        if sensed:
+            taken(block, c, t, [0], lanes)
+        observed(block, c, t, sensed, lanes)
 
     return Programs(
         act=traced(lambda block: act(block, c, t, Actions(n_rows, n_action, ex.row_of_block), lanes)),
-        rates=traced(lambda block: rates(block, c, ex.argument(0), lanes)),
+        **_dynamics_of(c),
         charge=traced(at_end),
+        measured=measured,
     )
+
+
+def _dynamics_of(c: Any) -> dict[str, dict[int, Any]]:
+    """Trace the right-hand side and the end of a simulation step."""
+    lanes, fraction = (0,), ex.argument(0)
+    whole = {**ARITHMETIC, "np": SimpleNamespace(int64=lambda value: value)}
+    surface = retargeted(tabulated_power_coefficient, whole, {})
+    # What a cell of the C_p table holds is looked up where the program runs.
+    whole["tabulated_power_coefficient"] = lambda ratio, pitch, cells, grid: surface(
+        ratio, pitch, ex.Cells(cells.shape), grid
+    )
+    if c["extension"].shape[0] == 0:
+        rates = retargeted(derivatives, whole, {})
+        return {"network": {}, "sweep": {}, "rates": traced(lambda b: rates(b, c, fraction, lanes)), "finish": {}}
+    voltages, rates, finish = retargeted(unit_voltages), retargeted(unit_rates, whole, {}), retargeted(keep_energy)
+    currents = retargeted(unit_currents, {**ARITHMETIC, "_limit_currents": lambda *_: None}, {})
+    # However little a voltage moves: where it stands is where the limit holds.
+    sweeping = {"_SETTLED": -1.0, "np": SimpleNamespace(int64=lambda _: 0)}
+    limit_current = retargeted(_limit_current, {**ARITHMETIC, **sweeping}, {})
+    limit = retargeted(read_extension)(c["extension"][0]).limits.current_max
+    turbine, n_wtg = retargeted(read_turbine)(c["turbine"]), c["share"].size
+
+    def network(block: Rows) -> None:
+        voltages(block, c, lanes)
+        currents(block, c, lanes)
+
+    def sweep(block: Rows) -> None:
+        for j in range(n_wtg):
+            limit_current(block, c, j, limit * c["share"][j], lanes)
+
+    def energies(block: Rows) -> None:
+        for j in range(n_wtg):
+            finish(block, c, j, 0, turbine, 1)
+
+    return {
+        "network": traced(network),
+        "sweep": traced(sweep),
+        "rates": traced(lambda block: rates(block, c, fraction, EVALUATE, 0.0, lanes)),
+        "finish": traced(energies),
+    }
 
 
 def build_rules(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_action: int, n_observation: int) -> Rules:
     """Differentiate the kernels of a known plant and task; what comes of it is compiled when it is first called."""
     own = layout.n_rows
-    n_rows = own + n_action
+    parts = retargeted(parts_of, {})(plant.constants[0], retargeted(read_task)(task[0]))
+    further = Further.of(own, n_action, layout.n_wtg * (task["sensed"].shape[1] > 0))
+    n_rows = further.end
     programs = programs_of(plant, task, own, n_action)
-    groups = layout.rows.extra + N_TASK_ROWS + rocof_window(float(task["control_dt"][0])) + 1
     # Where actions scale 1/τ, the law's own is kept beside them.
-    inv_tau = groups + np.arange(layout.n_wtg) * N_GROUP_ROWS + GROUP.base_inv_tau
+    inv_tau = parts.groups + np.arange(layout.n_wtg) * N_GROUP_ROWS + GROUP.base_inv_tau
     if not task["modulates_tau"][0]:
         inv_tau = layout.wtg("inv_tau")
     law = np.stack([*(layout.wtg(name) for name in LAW_PARAMETERS[:3]), inv_tau], axis=1)
@@ -159,18 +270,32 @@ def build_rules(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_acti
 
     # What the cost and the observations depend on: found from the end, until nothing is added.
     moved = set(rate_of) | set(programs.rates) | set(programs.charge) | set(programs.act) | held
-    seeds, states, outputs, before = {int(row) for row in (*terms, *observation)}, set[int](), set[int](), -1
+    base_of = _bases(layout)
+    limited = sorted({*programs.network} & {*programs.sweep})
+    extensions = layout.wtg("over_power") if limited else np.zeros(0, dtype=np.int64)
+    sources = {int(first) + EXTENSION.source + part for first in extensions for part in range(2)}
+    of_finish = back(programs.finish, programs.finish, {*rate_of, *base_of.values()})
+    of_sweep = back(programs.sweep, limited, {*limited, *sources})
+    of_network = back(programs.network, programs.network, {*rate_of, *held})
+    exact = {int(row) for row in observation} & set(programs.charge)
+    seeds = {*terms.tolist(), *exact, *further.seen.ravel().tolist()}
+    states, outputs, before = set[int](), set[int](), -1
     while len(seeds) + len(states) + len(outputs) > before:
         before = len(seeds) + len(states) + len(outputs)
         of_charge = back(programs.charge, seeds, moved)
         outputs |= set(of_charge) & set(programs.rates)
-        of_rates = back(programs.rates, {*(rate_of[row] for row in states), *outputs}, {*rate_of, *held})
-        states |= (set(of_charge) | set(of_rates)) & set(rate_of)
+        of_rates = back(
+            programs.rates, {*(rate_of[row] for row in states), *outputs}, {*rate_of, *held, *programs.network}
+        )
+        states |= (set(of_charge) | set(of_rates) | set(of_network) | set(of_finish)) & set(rate_of)
         seeds |= set(of_charge) & set(programs.charge)
     moving = np.array(sorted(states))
-    of_act = back(programs.act, programs.act, {*range(own, n_rows), *held})
+    of_act = back(programs.act, programs.act, {*further.actions.tolist(), *held})
     read = ex.rows_read(programs.rates[row] for row in (*(rate_of[row] for row in states), *outputs))
+    read |= ex.rows_read((*programs.network.values(), *programs.sweep.values()))
+    read -= {*programs.network, *programs.sweep, *sources}
     low, high = (_limited(plant, bound) for bound in (-math.inf, math.inf))
+    ends = [i for i, row in enumerate(moving.tolist()) if base_of.get(row) in of_finish]
     steps = Steps(
         states=moving,
         rates=np.array([rate_of[row] for row in moving.tolist()]),
@@ -181,27 +306,38 @@ def build_rules(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_acti
         references=references,
         droops=layout.machine("inv_droop"),
         gates=layout.machine("gate"),
+        ends=np.array(ends, dtype=np.int64),
+        bases=np.array([base_of[int(moving[i])] for i in ends], dtype=np.int64),
+        limited=np.array(limited, dtype=np.int64),
+        sources=np.array(sorted(sources), dtype=np.int64),
+        reactances=extensions + EXTENSION.output,
+        measured=np.array(list(programs.measured.values()), dtype=np.int64),
+        seen=further.seen,
+        noise=further.noise,
+        interval=further.interval,
     )
-
     # What a kernel writes loses its cotangent to what it reads. The method wants those of the states for themselves.
-    sources = (
-        _source("pull_act", (), of_act, programs.act, n_rows),
-        _source("pull_rates", ("fraction",), of_rates, states, n_rows),
-        _source("pull_charge", (), of_charge, seeds, n_rows),
-    )
-    carried = states | (set(of_charge) & seeds) | set(references.tolist())
+    interval = layout.rows.extra + TASK.interval
+    code = {
+        "pull_act": _source("pull_act", (), of_act, programs.act, n_rows),
+        "pull_network": _source("pull_network", (), of_network, (), n_rows),
+        "pull_sweep": _source("pull_sweep", (), of_sweep, limited, n_rows),
+        "pull_rates": _source("pull_rates", ("fraction", "cells"), of_rates, {*states, *programs.network}, n_rows),
+        "pull_finish": _source("pull_finish", (), of_finish, {*programs.finish, *steps.bases.tolist()}, n_rows),
+        "pull_charge": _source("pull_charge", (), of_charge, seeds, n_rows),
+        "foresee": ex.function_source("foresee", (), {int(row): programs.charge[interval] for row in further.interval}),
+    }
+    ring = range(parts.delayed, parts.observation) if further.seen.size else range(0)
+    carried = states | (set(of_charge) & seeds) | set(references.tolist()) | set(ring)
     carried -= {*programs.act, *law.ravel().tolist(), *terms.tolist(), *observation.tolist()}
-    digest = hashlib.sha256("".join((source_hash(), *sources)).encode()).hexdigest()
-    pull_act, pull_rates, pull_charge = (_compiled(source, digest) for source in sources)
+    digest = hashlib.sha256("".join((source_hash(), str((own, n_rows)), *code.values())).encode()).hexdigest()
     return Rules(
-        pull_act=pull_act,
-        pull_rates=pull_rates,
-        pull_charge=pull_charge,
+        **{name: _compiled(source, digest) for name, source in code.items()},
         steps=steps,
         carried=np.array(sorted(carried)),
         terms=terms,
         observation=observation,
-        actions=np.arange(own, n_rows),
+        actions=further.actions,
         law=law,
         n_rows=n_rows,
         digest=digest,
@@ -216,11 +352,24 @@ def _source(name: str, arguments: Sequence[str], pulled: dict[int, Any], replace
     return ex.function_source(name, arguments, stores)
 
 
+def _bases(layout: Layout) -> dict[int, int]:
+    """Return the rows that hold the states of WTG groups at a step's start, by those of the states."""
+    found: dict[int, int] = {}
+    for j in range(layout.n_wtg):
+        first = layout.rows.wtg + j * layout.rows.wtg_stride
+        found |= {first + k: first + N_WTG_STATES + k for k in range(N_WTG_STATES)}
+        if layout.n_extended:
+            first += N_WTG_ROWS
+            found |= {first + k: first + N_EXTENSION_STATES + k for k in range(N_EXTENSION_STATES)}
+    return found
+
+
 def _limited(plant: Plant, bound: float) -> Rows:
     """Return what the limits leave of states that are all at one bound: the limits themselves."""
     c, rows = plant.constants[0], Rows(lambda _: bound)
     load_machine, load_wtg = retargeted(load_machine_state), retargeted(load_wtg_state)
     limited_machine, limited_wtg = retargeted(machine_limited), retargeted(wtg_limited)
+    load_extension, limited_extension = retargeted(load_extension_state), retargeted(extension_limited)
     for i in range(c["machines"].size):
         o = i * N_MACHINE_ROWS
         limited = limited_machine(load_machine(rows, o, 1), retargeted(read_machine)(c["machines"][i]))
@@ -229,6 +378,10 @@ def _limited(plant: Plant, bound: float) -> Rows:
         o = retargeted(wtg_row)(c, j)
         limited = limited_wtg(load_wtg(rows, o, 1), retargeted(read_turbine)(c["turbine"]))
         retargeted(store_wtg_state)(limited, rows, o, 1)
+        if c["extension"].shape[0] > 0:
+            at, extension = retargeted(extension_at)(c, j, 1), retargeted(read_extension)(c["extension"][0])
+            limited = limited_extension(load_extension(rows, at, 1), extension)
+            retargeted(store_extension_state)(limited, rows, at, 1)
     return rows
 
 
@@ -252,6 +405,8 @@ def _compiled(source: str, digest: str) -> Any:
 def compiled_with(function: Callable[..., Any], digest: str) -> Any:
     """Compile a function like those of the kernels; `digest` names the generated code that it calls."""
     compilation()
+    # Machine code is linked by names: of two functions with one name, loaded from disk, the first would be called.
+    function.__qualname__ = f"{function.__qualname__}_{digest[:16]}"
     result = numba.njit(nogil=True, error_model="numpy")(function)
     if result is not function:
         result._cache = DiskCache(function, cache_folder(), digest)

@@ -10,15 +10,14 @@ import numpy.typing as npt
 
 from wtg_gym.envs.lanes import TaskLanes, as_actions
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.envs.task import Outputs, build_task, step_blocks
+from wtg_gym.envs.task import Outputs, step_blocks
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.gradients.adjoint import build_pull
 from wtg_gym.gradients.generated import Rules, build_rules, require_known
-from wtg_gym.physics.plant import build_plant
 from wtg_gym.physics.scenario import Scenario
 
 Floats = npt.NDArray[np.float64]
-#: A copy of all blocks takes 5 kB a lane: kept at every step of a long run it would fill the memory.
+#: A copy of all blocks takes 5 kB a lane, 10 in v1: kept at every step of a long run it would fill the memory.
 _STEPS_PER_CHECKPOINT = 25
 _RULES: dict[bytes, tuple[Rules, Any]] = {}
 
@@ -49,7 +48,7 @@ class Tape:
     is constant. At a corner of a law, a limit or a cost it is the slope on one side.
 
     Args:
-        settings: of the environment; the paper's physics and version v0.
+        settings: of the environment.
         n_lanes: episodes side by side.
         n_threads: threads to step with; None for one per processor.
 
@@ -58,10 +57,9 @@ class Tape:
     """
 
     def __init__(self, settings: EnvSettings, n_lanes: int = 1, n_threads: int | None = None) -> None:
-        plant = settings.plant()
-        require_known(build_plant(plant), build_task(settings, plant.case.frequency_hz))
         self.lanes = TaskLanes(settings, n_lanes, n_threads)
         simulator = self.lanes.simulator
+        require_known(simulator.plant)
         key = b"".join(
             (
                 simulator.plant.constants.tobytes(),

@@ -66,6 +66,7 @@ from wtg_gym.physics.machine import (
 from wtg_gym.physics.records import elementwise, loader, size, storer
 from wtg_gym.physics.wind_turbine import (
     ExtensionState,
+    Turbine,
     WtgState,
     at_terminal,
     captured_power,
@@ -81,9 +82,9 @@ from wtg_gym.physics.wind_turbine import (
 #: Stages of :func:`unit_rates`.
 EVALUATE, FIRST, MIDDLE, LAST = -1, 0, 1, 2
 #: Gauss-Seidel sweeps over the groups whose current is limited, at most: a few, but some thirty for large groups at a
-#: weak bus. They end where no voltage moves by more than this any more [p.u.].
+#: weak bus. They end where no voltage moves by more than 1e-12 p.u. any more; what is compared is the square.
 _SWEEPS = 100
-_SETTLED = 1e-12
+_SETTLED = 1e-12 * 1e-12
 
 
 @inlined
@@ -202,7 +203,7 @@ def _limit_current(block: Floats, c: Any, j: int, limit: float, lanes: Lanes) ->
         drop_re = size * fma(free.re, d_re, free.im * d_im)
         drop_im = size * fma(free.im, d_re, -(free.re * d_im))
         change = Phasor(source.re + drop_im - e.re, source.im - drop_re - e.im)
-        moves = fma(change.re, change.re, change.im * change.im) > _SETTLED * _SETTLED
+        moves = fma(change.re, change.re, change.im * change.im) > _SETTLED
         change = Phasor(select(moves, change.re, 0.0), select(moves, change.im, 0.0))
         moved += np.int64(moves)
         block[o + EXTENSION.output * width + x] = reactance
@@ -432,14 +433,21 @@ def _wtgs(block: Floats, c: Any, fraction: float, stage: np.int64, ahead: float,
             store_wtg_output(output, block, o + WTG.output * width + x, width)
             _advance_wtg(state, rates, turbine, block, o + x, rate + x, active, stage, ahead, width)
             if c["extension"].shape[0] > 0 and stage == LAST:
-                before = load_wtg_state(block, o + N_WTG_STATES * width + x, width)
-                after = load_wtg_state(block, o + x, width)
-                at = extension_at(c, j, width) + x
-                own_before = load_extension_state(block, at + N_EXTENSION_STATES * width, width)
-                own_after = load_extension_state(block, at, width)
-                chopped = own_after.limits.energy_chopped - own_before.limits.energy_chopped
-                speed = rotor_of_energy(before, after, chopped, turbine, read_extension(c["extension"][0]))
-                block[o + WTG_ROTOR_SPEED * width + x] = select(active > 0.5, speed, after.rotor_speed)
+                keep_energy(block, c, j, x, turbine, width)
+
+
+@inlined
+def keep_energy(block: Floats, c: Any, j: int, x: int, turbine: Turbine, width: int) -> None:
+    """Put the rotor of extended WTG group j of a running lane where the energies of a whole step leave it."""
+    o, at = wtg_row(c, j) * width + x, extension_at(c, j, width) + x
+    before = load_wtg_state(block, o + N_WTG_STATES * width, width)
+    after = load_wtg_state(block, o, width)
+    own_before = load_extension_state(block, at + N_EXTENSION_STATES * width, width)
+    own_after = load_extension_state(block, at, width)
+    chopped = own_after.limits.energy_chopped - own_before.limits.energy_chopped
+    speed = rotor_of_energy(before, after, chopped, turbine, read_extension(c["extension"][0]))
+    active = block[(rows_of(c).lane + LANE.active) * width + x]
+    block[o + WTG_ROTOR_SPEED * width] = select(active > 0.5, speed, after.rotor_speed)
 
 
 @inlined

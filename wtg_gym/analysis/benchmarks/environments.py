@@ -74,12 +74,13 @@ def has_jax() -> bool:
 
 
 def gradient_cases() -> Iterator[Case]:
-    """Yield episodes of our environment in a batch, with the gradient of their cost with respect to all actions.
+    """Yield episodes of our environments in a batch, with the gradient of their cost with respect to all actions.
 
-    Where JAX is installed, its twin of the environment follows: steps alone, and with the gradient too.
+    Where JAX is installed, its twin of v0 follows: steps alone, and with the gradient too.
     """
-    for n in (1, 64):
-        yield Case("gradients", f"{OURS}, gradients of {n}", n, partial(_gradients, n), least_s=0.5)
+    for env_id, benchmark in BENCHMARKS.items():
+        for n in (1, 64):
+            yield Case("gradients", f"{env_id}, gradients of {n}", n, partial(_gradients, benchmark, n), least_s=0.5)
     if not has_jax():
         return
     for n in (1, 64, 1024):
@@ -88,11 +89,11 @@ def gradient_cases() -> Iterator[Case]:
     yield Case("gradients", name, JAX_BATCH, _jax_gradients, preparation_s=60.0, least_s=2.0)
 
 
-def _gradients(n_lanes: int) -> Stepper:
+def _gradients(benchmark: Benchmark, n_lanes: int) -> Stepper:
     from wtg_gym.gradients import Tape
 
-    tape = Tape(EnvSettings(), n_lanes)
-    scenarios = tape.lanes.scenarios(list(get_suite("standard").validation)[:n_lanes])
+    tape = Tape(EnvSettings(version=benchmark.version), n_lanes)
+    scenarios = tape.lanes.scenarios(list(tape.lanes.suite.validation)[:n_lanes])
     actions = np.random.default_rng(0).uniform(-0.3, 0.3, (600, n_lanes, tape.lanes.n_action))
     return repeat(lambda _: tape.gradient(scenarios, actions), actions[:, :, 0].size)
 
