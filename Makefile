@@ -8,6 +8,7 @@ TEST_VENV := .venv-test
 GOLDEN_VENV := .venv-golden
 RLLIB_VENV := .venv-rllib
 SITE_VENV := .venv-site
+NOTEBOOKS_VENV := .venv-notebooks
 
 # Part of the stamps' names, so that another Python starts another environment.
 PYTHON_VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
@@ -16,6 +17,7 @@ TEST_READY := $(TEST_VENV)/ready-$(PYTHON_VERSION)
 GOLDEN_READY := $(GOLDEN_VENV)/ready-$(PYTHON_VERSION)
 RLLIB_READY := $(RLLIB_VENV)/ready-$(PYTHON_VERSION)
 SITE_READY := $(SITE_VENV)/ready-$(PYTHON_VERSION)
+NOTEBOOKS_READY := $(NOTEBOOKS_VENV)/ready-$(PYTHON_VERSION)
 
 # Trained policies, one folder each, ranked beside the baselines of the version that they say they play in.
 EVERY_POLICY := $(patsubst %/entry.toml,%,$(sort $(wildcard agents/policies/*/entry.toml)))
@@ -122,6 +124,12 @@ docs: pictures ## Measure everything that docs/ shows again, but for performance
 site: $(SITE_READY) ## Build the site of the documentation into build/site; broken links and pages that nothing lists are errors
 	NO_MKDOCS_2_WARNING=1 $(SITE_VENV)/bin/mkdocs build --strict
 
+# A notebook may rely on nothing but the wheel, so the checkout is not installed as editable, nor is it their folder.
+.PHONY: notebooks
+notebooks: $(NOTEBOOKS_READY) ## Run every notebook from the built wheel and keep what it shows (some minutes)
+	PIP_BUILD_CONSTRAINT=constraints.txt $(NOTEBOOKS_VENV)/bin/python -m pip install --quiet --no-deps --force-reinstall .
+	cd docs/notebooks && PATH="$(CURDIR)/$(NOTEBOOKS_VENV)/bin:$$PATH" jupyter nbconvert --to notebook --execute --inplace *.ipynb
+
 .PHONY: conditions
 conditions: $(TEST_READY) ## Measure whether standard-v1 is a good problem, and put the tables into docs/benchmark.md (half an hour)
 	$(TEST_VENV)/bin/python -m agents.research.foresight --suite standard-v1 --split validation --scenarios 25 --generations 100 --strategy coordinated-tuned --gains agents/research/linear_feedback_v1_gains.json --entries coordinated-tuned fast-droop agents/policies/linear-feedback-v1 --output results/oracle
@@ -188,7 +196,7 @@ format: $(TEST_READY) ## Format the code and mend what can be mended by itself
 
 .PHONY: clean
 clean: ## Remove the environments, caches and built files; results stay
-	rm -rf $(LEADERBOARD_VENV) $(TEST_VENV) $(GOLDEN_VENV) $(RLLIB_VENV) $(SITE_VENV) .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache build dist
+	rm -rf $(LEADERBOARD_VENV) $(TEST_VENV) $(GOLDEN_VENV) $(RLLIB_VENV) $(SITE_VENV) $(NOTEBOOKS_VENV) .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache build dist
 	find wtg_gym baselines agents tests -type d -name __pycache__ -prune -exec rm -rf {} +
 
 $(LEADERBOARD_READY): EXTRA := leaderboard,agents
@@ -196,16 +204,17 @@ $(TEST_READY): EXTRA := dev
 $(GOLDEN_READY): EXTRA := golden
 $(RLLIB_READY): EXTRA := rllib
 $(SITE_READY): EXTRA := docs
+$(NOTEBOOKS_READY): EXTRA := notebooks
 $(RLLIB_READY): ALSO := hypothesis pytest
 
-$(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY) $(SITE_READY): CONSTRAINTS := constraints.txt
-$(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY) $(SITE_READY): constraints.txt
+$(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY) $(SITE_READY) $(NOTEBOOKS_READY): CONSTRAINTS := constraints.txt
+$(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY) $(SITE_READY) $(NOTEBOOKS_READY): constraints.txt
 $(RLLIB_READY): CONSTRAINTS := constraints-rllib.txt
 $(RLLIB_READY): constraints-rllib.txt
 
 # An environment whose stamp is merely out of date is brought up to date; any other is started over. The two
 # variables hold the build of the package itself to the constraints too, by either pip's way of saying so.
-$(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY) $(RLLIB_READY) $(SITE_READY): pyproject.toml
+$(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY) $(RLLIB_READY) $(SITE_READY) $(NOTEBOOKS_READY): pyproject.toml
 	@case '$(PYTHON_VERSION)' in 3.11|3.12|3.13|3.14) ;; *) \
 	    echo 'wtg_gym needs Python 3.11, 3.12, 3.13 or 3.14, but $(PYTHON) is $(or $(PYTHON_VERSION),not found).' >&2; \
 	    echo 'Name another one: make $(MAKECMDGOALS) PYTHON=python3.12' >&2; exit 1;; esac
