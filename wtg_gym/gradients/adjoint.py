@@ -106,6 +106,7 @@ def replay(
 def build_pull(rules: Rules) -> Any:
     """Return the compiled function that goes back through one control step."""
     pull_act, pull_rates, pull_charge, n_rows = rules.pull_act, rules.pull_rates, rules.pull_charge, rules.n_rows
+    first_action = int(rules.actions[0]) if rules.actions.size else n_rows
 
     def pull_steps(
         work: Floats, plant: Plant, steps: Steps, path: Floats, inputs: Floats, held: Floats, ran: Floats, lanes: Lanes
@@ -145,8 +146,9 @@ def build_pull(rules: Rules) -> Any:
                 _copy(through, i, work, n_rows + steps.states[i], width)
             for i in range(steps.references.size):
                 for x in range(width):
-                    # The reference of a governor that is lost here is where its gate was.
+                    # The reference of a governor that is lost here is where its gate was; no droop acts from here on.
                     if held[step, i * width + x] > 0.5:
+                        work[(n_rows + steps.droops[i]) * width + x] = 0.0
                         at = (n_rows + steps.references[i]) * width + x
                         work[(n_rows + steps.gates[i]) * width + x] += work[at]
                         work[at] = 0.0
@@ -202,7 +204,7 @@ def build_pull(rules: Rules) -> Any:
             apply_actions(work, c, t, given, lanes)
             for x in range(width):
                 for a in range(actions.shape[1]):
-                    work[(n_rows - actions.shape[1] + a) * width + x] = given[x, a] if x < count else 0.0
+                    work[(first_action + a) * width + x] = given[x, a] if x < count else 0.0
                 work[(of_task + TASK.was_active) * width + x] = work[(own + LANE.active) * width + x]
             replay(work, b * width, plant, data, steps, path, inputs, held, ran, lanes)
             pull_charge(work, lanes)

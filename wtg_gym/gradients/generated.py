@@ -1,8 +1,9 @@
 """The vector-Jacobian products of the kernels, as compiled code of one plant and task.
 
-A *work* block is a block with further rows: behind the block's own come the actions, and behind these as many rows
-again, which hold the cotangent (the derivative of what is differentiated) of each of those before. Every function here
-pulls cotangents back through one kernel, in place: those of the rows that it wrote become those of the rows it read.
+A *work* block is a block with further rows: behind the block's own come the actions, then the constants of the plant
+that are differentiated with respect to, and behind these as many rows again, which hold the cotangent (the derivative
+of what is differentiated) of each of those before. Every function here pulls cotangents back through one kernel, in
+place: those of the rows that it wrote become those of the rows it read.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import linecache
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numba
@@ -23,6 +24,7 @@ from wtg_gym.envs.task import apply_actions, charge, observe
 from wtg_gym.envs.task_layout import rocof_window
 from wtg_gym.envs.task_records import GROUP, N_GROUP_ROWS, N_TASK_ROWS, TASK, CostTerms, read_task
 from wtg_gym.gradients import expressions as ex
+from wtg_gym.gradients.parameters import Leaf
 from wtg_gym.gradients.tracing import Actions, Rows, retargeted, traced
 from wtg_gym.physics.compiled import cache_folder, compilation, source_hash
 from wtg_gym.physics.dynamics import derivatives
@@ -50,6 +52,8 @@ Floats = npt.NDArray[np.float64]
 
 #: Parameters of a tracking law that gradients are taken with respect to.
 LAW_PARAMETERS = ("k_min", "k_nominal", "k_max", "inverse_time_constant")
+#: Constants of a machine that every lane has in a row of its own, since a scenario may replace them.
+ROW_OF_LEAF = {"two_h": "inv_two_h", "governor.inv_droop": "inv_droop"}
 
 
 @intrinsic
@@ -96,6 +100,8 @@ class Rules(NamedTuple):
     observation: Indices
     actions: Indices
     law: Indices  # (n_wtg, 4), of LAW_PARAMETERS
+    leaves: Indices  # of the constants that are differentiated with respect to
+    outputs: Indices  # frequency of the centre of inertia, its RoCoF, each group's rotor speed
     n_rows: int  # of the block with the actions; the cotangents follow
     digest: str  # of the generated code
 
@@ -115,10 +121,22 @@ def require_known(plant: Plant, task: npt.NDArray[np.void]) -> None:
         raise ValueError(f"gradients are for the paper's physics (version v0); not known: {', '.join(found)}")
 
 
-def programs_of(plant: Plant, task: npt.NDArray[np.void], n_rows: int, n_action: int) -> Programs:
-    """Trace the kernels of a control step; actions are in rows n_rows … of a work block."""
+def _with_rows(c: Any, rows: Mapping[Leaf, int]) -> dict[str, Any]:
+    """Return a plant's constants, some of which are what rows hold."""
+    found: dict[str, Any] = {name: c[name] for name in c.dtype.names}
+    machines = [{name: machine[name] for name in machine.dtype.names} for machine in c["machines"]]
+    turbine = {name: c["turbine"][name] for name in c["turbine"].dtype.names}
+    for leaf, row in rows.items():
+        (machines[leaf.place] if leaf.part == "machines" else turbine)[leaf.name] = ex.row_of_block(row)
+    return {**found, "machines": np.array(machines, dtype=object), "turbine": turbine}
+
+
+def programs_of(
+    plant: Plant, task: npt.NDArray[np.void], n_rows: int, n_action: int, constants: Mapping[Leaf, int] | None = None
+) -> Programs:
+    """Trace the kernels of a control step; actions are in rows n_rows … of a work block, `constants` in those given."""
     ex.begin()
-    c, lanes = plant.constants[0], (0,)
+    c, lanes = _with_rows(plant.constants[0], constants or {}), (0,)
     t = retargeted(read_task)(task[0])
     act, rates, extremes = retargeted(apply_actions), retargeted(derivatives), retargeted(track_extremes)
     charged, observed = retargeted(charge), retargeted(observe)
@@ -136,11 +154,24 @@ def programs_of(plant: Plant, task: npt.NDArray[np.void], n_rows: int, n_action:
     )
 
 
-def build_rules(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_action: int, n_observation: int) -> Rules:
+def build_rules(
+    plant: Plant,
+    task: npt.NDArray[np.void],
+    layout: Layout,
+    n_action: int,
+    n_observation: int,
+    leaves: Sequence[Leaf] = (),
+) -> Rules:
     """Differentiate the kernels of a known plant and task; what comes of it is compiled when it is first called."""
     own = layout.n_rows
-    n_rows = own + n_action
-    programs = programs_of(plant, task, own, n_action)
+    first_constant = own + n_action
+    constants = {leaf: first_constant + i for i, leaf in enumerate(leaf for leaf in leaves if not _of_lane(leaf))}
+    n_rows = first_constant + len(constants)
+    programs = programs_of(plant, task, own, n_action, constants)
+    of_leaves = [
+        int(layout.machine(ROW_OF_LEAF[leaf.name])[leaf.place]) if _of_lane(leaf) else constants[leaf]
+        for leaf in leaves
+    ]
     groups = layout.rows.extra + N_TASK_ROWS + rocof_window(float(task["control_dt"][0])) + 1
     # Where actions scale 1/τ, the law's own is kept beside them.
     inv_tau = groups + np.arange(layout.n_wtg) * N_GROUP_ROWS + GROUP.base_inv_tau
@@ -152,6 +183,8 @@ def build_rules(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_acti
     rate_of = dict(zip(layout.state_rows.tolist(), layout.rate_rows.tolist(), strict=True))
     references = layout.machine("gate_reference")
     held = {int(row) for row in (*law.ravel(), *layout.wtg("inv_tau"), *layout.wtg("k_offset"), *references)}
+    held |= set(of_leaves)
+    shown = [int(layout.lane("coi")), layout.rows.extra + TASK.rocof, *layout.wtg("rotor_speed").tolist()]
 
     def back(program: dict[int, Any], outputs: Iterable[int], rows: Iterable[int]) -> dict[int, Any]:
         pairs = [(program[row], ex.row_of_block(n_rows + row)) for row in sorted(outputs)]
@@ -160,6 +193,8 @@ def build_rules(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_acti
     # What the cost and the observations depend on: found from the end, until nothing is added.
     moved = set(rate_of) | set(programs.rates) | set(programs.charge) | set(programs.act) | held
     seeds, states, outputs, before = {int(row) for row in (*terms, *observation)}, set[int](), set[int](), -1
+    seeds |= set(shown) & set(programs.charge)
+    states |= set(shown) & set(rate_of)
     while len(seeds) + len(states) + len(outputs) > before:
         before = len(seeds) + len(states) + len(outputs)
         of_charge = back(programs.charge, seeds, moved)
@@ -191,7 +226,7 @@ def build_rules(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_acti
     )
     carried = states | (set(of_charge) & seeds) | set(references.tolist())
     carried -= {*programs.act, *law.ravel().tolist(), *terms.tolist(), *observation.tolist()}
-    digest = hashlib.sha256("".join((source_hash(), *sources)).encode()).hexdigest()
+    digest = hashlib.sha256("".join((source_hash(), str((own, n_rows)), *sources)).encode()).hexdigest()
     pull_act, pull_rates, pull_charge = (_compiled(source, digest) for source in sources)
     return Rules(
         pull_act=pull_act,
@@ -201,11 +236,17 @@ def build_rules(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_acti
         carried=np.array(sorted(carried)),
         terms=terms,
         observation=observation,
-        actions=np.arange(own, n_rows),
+        actions=np.arange(own, first_constant),
         law=law,
+        leaves=np.array(of_leaves, dtype=np.int64),
+        outputs=np.array(shown),
         n_rows=n_rows,
         digest=digest,
     )
+
+
+def _of_lane(leaf: Leaf) -> bool:
+    return leaf.part == "machines" and leaf.name in ROW_OF_LEAF
 
 
 def _source(name: str, arguments: Sequence[str], pulled: dict[int, Any], replaced: Iterable[int], n_rows: int) -> str:
@@ -252,6 +293,8 @@ def _compiled(source: str, digest: str) -> Any:
 def compiled_with(function: Callable[..., Any], digest: str) -> Any:
     """Compile a function like those of the kernels; `digest` names the generated code that it calls."""
     compilation()
+    # Machine code is linked by names: of two functions with one name, loaded from disk, the first would be called.
+    function.__qualname__ = f"{function.__qualname__}_{digest[:16]}"
     result = numba.njit(nogil=True, error_model="numpy")(function)
     if result is not function:
         result._cache = DiskCache(function, cache_folder(), digest)
