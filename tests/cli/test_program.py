@@ -35,7 +35,7 @@ COMMANDS = (
 OWN = {
     "results": ("page", "recompute", "gap", "matrix", "front", "sensitivity"),
     "submission": ("new", "check", "score"),
-    "analyse": ("statics", "margins", "modes", "physics", "aggregation", "accuracy"),
+    "analyse": ("statics", "margins", "modes", "physics", "aggregation", "accuracy", "estimate"),
 }
 _QUICK = ("--duration", "6")
 

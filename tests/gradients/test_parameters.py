@@ -45,7 +45,7 @@ def given() -> tuple[list[Scenario], Floats, Floats]:
         Scenario(name="given", wind_speed=wind[lane], events=(LoadStep(time_s=1.0, bus=4, power_mw=power[lane]),))
         for lane in range(N_LANES)
     ]
-    return scenarios, actions, rng.normal(size=(N_STEPS, N_LANES, 4))
+    return scenarios, actions, rng.normal(size=(N_STEPS, N_LANES, 8))
 
 
 def weighed(plant: PlantSettings, scenarios: list[Scenario], actions: Floats, weights: Floats) -> Floats:
@@ -57,7 +57,8 @@ def weighed(plant: PlantSettings, scenarios: list[Scenario], actions: Floats, we
         lanes.step(own)
         shown = [lanes.simulator.lane_values("coi"), lanes.task_values("rocof")]
         total += weight[:, 0] * shown[0] + weight[:, 1] * shown[1]
-        total += (weight[:, 2:] * lanes.simulator.wtg_values("rotor_speed")).sum(axis=1)
+        total += (weight[:, 2:4] * lanes.simulator.wtg_values("rotor_speed")).sum(axis=1)
+        total += (weight[:, 4:] * lanes.simulator.machine_values("speed")).sum(axis=1)
     return total + lanes.cost_sums().sum(axis=1)
 
 
@@ -185,7 +186,7 @@ def test_the_nadir_has_a_gradient() -> None:
     name = "control.droop_gain_pu"
     own = Tape(SETTINGS, N_LANES, 1, (name,))
     frequency = own.play(scenarios, 0.0 * actions).outputs[:, :, own.output_names.index("frequency_pu")]
-    seeds = np.zeros((N_STEPS, N_LANES, 4))
+    seeds = np.zeros((N_STEPS, N_LANES, 8))
     seeds[frequency.argmin(axis=0), np.arange(N_LANES), 0] = 1.0
     by_tape = own.back(None, seeds)[2][:, 0]
     ends = []

@@ -101,7 +101,7 @@ class Rules(NamedTuple):
     actions: Indices
     law: Indices  # (n_wtg, 4), of LAW_PARAMETERS
     leaves: Indices  # of the constants that are differentiated with respect to
-    outputs: Indices  # frequency of the centre of inertia, its RoCoF, each group's rotor speed
+    outputs: Indices  # that Tape.output_names names
     n_rows: int  # of the block with the actions; the cotangents follow
     digest: str  # of the generated code
 
@@ -184,7 +184,8 @@ def build_rules(
     references = layout.machine("gate_reference")
     held = {int(row) for row in (*law.ravel(), *layout.wtg("inv_tau"), *layout.wtg("k_offset"), *references)}
     held |= set(of_leaves)
-    shown = [int(layout.lane("coi")), layout.rows.extra + TASK.rocof, *layout.wtg("rotor_speed").tolist()]
+    speeds = (*layout.wtg("rotor_speed").tolist(), *layout.machine("speed").tolist())
+    shown = [int(layout.lane("coi")), layout.rows.extra + TASK.rocof, *speeds]
 
     def back(program: dict[int, Any], outputs: Iterable[int], rows: Iterable[int]) -> dict[int, Any]:
         pairs = [(program[row], ex.row_of_block(n_rows + row)) for row in sorted(outputs)]

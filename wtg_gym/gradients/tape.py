@@ -136,8 +136,9 @@ class Tape:
     @property
     def output_names(self) -> tuple[str, ...]:
         """Names of the outputs at the end of each step, with their units."""
-        speeds = (f"rotor_speed_{j}_pu" for j in range(self.lanes.n_wtg))
-        return ("frequency_pu", "rocof_hz_s", *speeds)
+        rotors = (f"rotor_{j}_speed_pu" for j in range(self.lanes.n_wtg))
+        machines = (f"machine_{i}_speed_pu" for i in range(self.lanes.simulator.layout.n_sync))
+        return ("frequency_pu", "rocof_hz_s", *rotors, *machines)
 
     def set_parameters(self, values: Mapping[str, float]) -> None:
         """Give the plant other values of some of the tape's parameters; episodes need to be started again.
