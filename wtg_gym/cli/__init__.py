@@ -19,6 +19,7 @@ from wtg_gym.cli import (
     compare,
     estimation,
     evaluate,
+    influence,
     parameters,
     physics,
     reproduce,
@@ -65,7 +66,7 @@ def build_parser() -> argparse.ArgumentParser:
         description="Analyses the system, and measures what its model leaves out, what follows its parameters, and the "
         "error of the time step.",
     )
-    for module in (statics, small_signal, physics, aggregation, accuracy, estimation):
+    for module in (statics, small_signal, physics, aggregation, accuracy, influence, estimation):
         module.add_commands(analyse)
     for module in (reproduce, compare, parameters, bench, warmup):
         module.add_commands(commands)
