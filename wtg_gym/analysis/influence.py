@@ -37,7 +37,7 @@ class Influences:
 
     `scenarios` names the runs; `values` holds each measure in each (n_scenarios, 3), [Hz, Hz/s, p.u.]; `effects` what
     one per cent more of each parameter does to it (n_scenarios, n_parameters, 3), in the units of `MEASURES`;
-    `parameters` names them, with their `nominal` values in the first scenario.
+    `parameters` names them, with their `nominal` values, means over the scenarios.
     """
 
     scenarios: tuple[str, ...]
@@ -118,9 +118,9 @@ def measure_influences(
         values.append(found)
         effects.append(finer * np.concatenate([0.01 * of_plant * in_force, law], axis=1).T)
         on_progress(done + 1)
-    own, first = tape.lanes.laws[0], scenarios[0]
+    own = tape.lanes.laws[0]
     names = LAW_NAMES if own.inverse_time_constant > 0.0 else LAW_NAMES[:3]
-    nominal = [_in_force(name, value, first) for name, value in known.items()]
+    nominal = [float(np.mean([_in_force(name, value, each) for each in scenarios])) for name, value in known.items()]
     return Influences(
         scenarios=tuple(scenario.name for scenario in scenarios),
         parameters=(*known, *names),
