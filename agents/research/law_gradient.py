@@ -108,7 +108,7 @@ class LawLoss:
 def held(points: Floats) -> Floats:
     """Return points within the ranges that laws have."""
     low = [_LEAST_COEFFICIENT] * 3 + [math.log(_LEAST_TAU_S)]
-    return np.clip(points, low, [LARGEST_COEFFICIENT] * 3 + [math.log(TIME_CONSTANT_RANGE[1])])
+    return np.clip(points, low, [LARGEST_COEFFICIENT] * 3 + [math.log(TIME_CONSTANT_RANGE[1]) - 1e-9])
 
 
 def tune(

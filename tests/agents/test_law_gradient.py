@@ -33,17 +33,14 @@ def test_the_gradient_is_that_of_other_laws_with_their_own_starts(n_laws: int) -
     assert own == pytest.approx(np.mean(ends), rel=1e-4)
 
 
-def test_tuning_is_repeatable_and_better_on_what_it_was_tuned_on() -> None:
-    runs = [
-        tune("standard", per_group=True, n_batches=4, n_scenarios=8, seed=1, learning_rate=0.05, n_threads=1)
-        for _ in range(2)
-    ]
+def test_tuning_is_repeatable_and_finds_a_better_law_than_the_papers() -> None:
+    runs = [tune("standard", per_group=True, n_batches=4, n_scenarios=16, seed=1, n_threads=1) for _ in range(2)]
     assert runs[0].laws == runs[1].laws and runs[0].losses == runs[1].losses
     first, second = runs[0].laws
     assert first != second
     paper = get_law("coordinated-piecewise")
     before, after = scores("standard", [(paper, paper), runs[0].laws], 20, 1)
-    assert before[0] == pytest.approx(100.0) and after[0] > 100.5 and after[1] < before[1]
+    assert before[0] == pytest.approx(100.0) and after[0] > 100.3 and after[1] < before[1]
 
 
 def test_scores_are_those_of_the_evaluator() -> None:
@@ -79,7 +76,6 @@ def test_the_command_prints_tables_and_writes_them(tmp_path: Path, capsys: pytes
     ("arguments", "reason"),
     [
         (("--suite", "standard-v1"), "not known"),
-        (("--suite", "paper"), "train"),
         (("--batches", "0"), "--batches = 0"),
         (("--page", "missing.md"), "missing.md"),
     ],
