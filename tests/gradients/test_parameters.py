@@ -216,3 +216,19 @@ def test_classical_machines_have_no_fluxes_and_no_exciter() -> None:
     known = known_parameters(EnvSettings(machine_model="classical").plant())
     assert "machines.3.two_h_s" in known and "machines.1.governor.droop_pu" in known
     assert not any("exciter" in name or "t_d0" in name for name in known)
+
+
+def test_parameters_of_v1_act_through_limits_and_sensors() -> None:
+    """A scenario of v1 has a droop of its own: that one is not compared."""
+    names = ("machines.1.two_h_s", "control.droop_gain_pu", "control.inertia_constant_s", "turbine.inertia_constant_s")
+    v1 = Tape(EnvSettings(version="v1"), 2, 1, names)
+    seeds, actions = [1_000_000, 1_000_001], np.zeros((120, 2, v1.lanes.n_action))
+    of_parameters = v1.gradient(v1.lanes.scenarios(seeds), actions).parameters
+    assert np.abs(of_parameters).min() > 1e-4
+    for i, (name, value) in enumerate(v1.parameter_values().items()):
+        ends = []
+        for moved in (value * (1.0 - 1e-5), value * (1.0 + 1e-5)):
+            v1.set_parameters({name: moved})
+            ends.append(v1.play(v1.lanes.scenarios(seeds), actions).terms.sum(axis=(0, 2)))
+        v1.set_parameters({name: value})
+        assert of_parameters[:, i] == pytest.approx((ends[1] - ends[0]) / (2e-5 * value), rel=1e-5)
