@@ -115,6 +115,10 @@ docs: pictures ## Measure everything that docs/ shows again, but for performance
 	$(LEADERBOARD_VENV)/bin/wtg-gym compare tests/golden/*/ --page docs/validation.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym analyse aggregation --page docs/physics.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym analyse accuracy --output docs/validation --formats svg --page docs/validation.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym analyse influence --suite standard --seed 10000-10019 --rows 12 --page docs/gradients.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym analyse estimate --page docs/gradients.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym analyse estimate --recorded tests/golden/grid-forming/params.json tests/golden/grid-forming/a.csv --page docs/gradients.md
+	$(LEADERBOARD_VENV)/bin/python -m agents.research.law_gradient --page docs/gradients.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym results sensitivity --entries baselines $(POLICIES_V0) agents.research.probes:CHATTER agents.research.probes:PUSH --page docs/benchmark.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym results sensitivity --suite standard-v1 --entries baselines $(POLICIES_V1) agents.research.probes:CHATTER_V1 agents.research.probes:PUSH_V1 agents.research.probes:STOPWATCH_V1 --page docs/benchmark.md
 	$(LEADERBOARD_VENV)/bin/python -m agents.research.incentives --entries $(filter %/linear-feedback,$(POLICIES_V0)) $(filter agents/policies/ppo-k-%,$(POLICIES_V0)) deloaded-5 --page docs/benchmark.md

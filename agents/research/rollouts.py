@@ -60,12 +60,14 @@ class Rollouts:
         """Return rollouts of the same scenarios with another number of candidates in each."""
         return Rollouts(*self._arguments, n_candidates, self._n_threads, **self._settings)
 
-    def play(self, candidates: Candidates, laws: Sequence[TrackingLaw] | None = None) -> Floats:
+    def play(
+        self, candidates: Candidates, laws: Sequence[TrackingLaw | tuple[TrackingLaw, ...]] | None = None
+    ) -> Floats:
         """Return the sums of the cost's terms over an episode, (n_scenarios, n_candidates, n_terms).
 
         Args:
             candidates: their actions.
-            laws: the law of all groups under each candidate; None: that of the settings.
+            laws: under each candidate the law of all groups, or one for each; None: those of the settings.
         """
         lanes, shape = self.lanes, (self.n_scenarios, self.n_candidates)
         for candidate, order in enumerate(self._order):
@@ -77,8 +79,8 @@ class Rollouts:
         sums = lanes.cost_sums()
         return sums.reshape(*shape, -1)
 
-    def _under(self, law: TrackingLaw) -> PreparedEpisodes:
-        self.lanes.laws = (law,) * self.n_wtg
+    def _under(self, law: TrackingLaw | tuple[TrackingLaw, ...]) -> PreparedEpisodes:
+        self.lanes.laws = law if isinstance(law, tuple) else (law,) * self.n_wtg
         return self.lanes.prepare(self._scenarios)
 
     def no_action(self, _step: int, own: Floats) -> Floats:

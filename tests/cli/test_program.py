@@ -36,7 +36,7 @@ COMMANDS = (
 OWN = {
     "results": ("page", "recompute", "gap", "matrix", "front", "sensitivity"),
     "submission": ("new", "check", "score"),
-    "analyse": ("statics", "margins", "modes", "physics", "aggregation", "accuracy"),
+    "analyse": ("statics", "margins", "modes", "physics", "aggregation", "accuracy", "influence", "estimate"),
 }
 _QUICK = ("--duration", "6")
 

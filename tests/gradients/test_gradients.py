@@ -260,7 +260,7 @@ def test_observations_have_gradients(settings: dict[str, Any]) -> None:
     expected = (weighed(actions + h * way) - weighed(actions - h * way)) / (2.0 * h)
     carried, terms, total = np.zeros((N_LANES, tape.n_carried)), np.zeros((N_LANES, len(COST_TERMS))), np.zeros(N_LANES)
     for step in range(59, -1, -1):
-        carried, own, _ = tape.pull(step, carried, terms, weights[step])
+        carried, own, *_ = tape.pull(step, carried, terms, weights[step])
         total += np.einsum("la,la->l", own, way[step])
     assert total == pytest.approx(expected, rel=1e-5)
 

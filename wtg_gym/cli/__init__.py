@@ -18,7 +18,9 @@ from wtg_gym.cli import (
     bench,
     compare,
     environment,
+    estimation,
     evaluate,
+    influence,
     parameters,
     physics,
     reproduce,
@@ -61,10 +63,11 @@ def build_parser() -> argparse.ArgumentParser:
     analyse = add_group(
         commands,
         "analyse",
-        summary="equilibria, margins and modes of the system, its omissions, and the error of the time step",
-        description="Analyses the system, and measures what its model leaves out and the error of the time step.",
+        summary="equilibria, margins and modes of the system, omissions, parameters, the error of the time step",
+        description="Analyses the system, and measures what its model leaves out, what follows its parameters, and the "
+        "error of the time step.",
     )
-    for module in (statics, small_signal, physics, aggregation, accuracy):
+    for module in (statics, small_signal, physics, aggregation, accuracy, influence, estimation):
         module.add_commands(analyse)
     for module in (reproduce, compare, environment, parameters, bench, warmup):
         module.add_commands(commands)

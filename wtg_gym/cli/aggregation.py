@@ -52,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print_json(plain_json(dataclasses.asdict(study)))
     elif page is None:
-        say(text)
+        say(*text.splitlines())
     return 0
 
 

@@ -1,8 +1,9 @@
-"""Gradients of what episodes cost, with respect to actions and to the parameters of the tracking laws.
+"""Gradients of what episodes cost, with respect to actions, the parameters of the tracking laws and those of the plant.
 
     expressions   numbers that remember how they came about, their derivatives, their source
     tracing       the kernels' own source over such numbers
     generated     the vector-Jacobian products of the kernels, compiled
+    parameters    of a plant: which there are, and what constants they move
     adjoint       back through one control step
     tape          episodes that can be differentiated: the interface for NumPy
     torch         the same for PyTorch; not imported here
@@ -11,6 +12,7 @@ Nothing else of wtg_gym imports this package, but its speed is measured by `wtg-
 """
 
 from wtg_gym.gradients.generated import LAW_PARAMETERS
-from wtg_gym.gradients.tape import Gradient, Pulled, Tape
+from wtg_gym.gradients.parameters import known_parameters
+from wtg_gym.gradients.tape import Gradient, Played, Pulled, Tape
 
-__all__ = ["LAW_PARAMETERS", "Gradient", "Pulled", "Tape"]
+__all__ = ["LAW_PARAMETERS", "Gradient", "Played", "Pulled", "Tape", "known_parameters"]

@@ -276,8 +276,9 @@ def build_pull(rules: Rules) -> Any:
                 _copy(through, i, work, n_rows + steps.states[i], width)
             for i in range(steps.references.size):
                 for x in range(width):
-                    # The reference of a governor that is lost here is where its gate was.
+                    # The reference of a governor that is lost here is where its gate was; no droop acts from here on.
                     if held[step, i * width + x] > 0.5:
+                        work[(n_rows + steps.droops[i]) * width + x] = 0.0
                         at = (n_rows + steps.references[i]) * width + x
                         work[(n_rows + steps.gates[i]) * width + x] += work[at]
                         work[at] = 0.0

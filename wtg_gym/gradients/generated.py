@@ -1,8 +1,9 @@
 """The vector-Jacobian products of the kernels, as compiled code of one plant and task.
 
-A *work* block is a block with further rows: behind the block's own come the actions, and behind these as many rows
-again, which hold the cotangent (the derivative of what is differentiated) of each of those before. Every function here
-pulls cotangents back through one kernel, in place: those of the rows that it wrote become those of the rows it read.
+A *work* block is a block with further rows: behind the block's own come the actions, then the constants of the plant
+that are differentiated with respect to, and behind these as many rows again, which hold the cotangent (the derivative
+of what is differentiated) of each of those before. Every function here pulls cotangents back through one kernel, in
+place: those of the rows that it wrote become those of the rows it read.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import hashlib
 import itertools
 import linecache
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -27,6 +28,7 @@ from wtg_gym.envs.task import apply_actions, charge, observe
 from wtg_gym.envs.task_layout import parts_of
 from wtg_gym.envs.task_records import GROUP, N_GROUP_ROWS, TASK, CostTerms, Task, read_task
 from wtg_gym.gradients import expressions as ex
+from wtg_gym.gradients.parameters import Leaf
 from wtg_gym.gradients.tracing import ARITHMETIC, Actions, Rows, retargeted, traced
 from wtg_gym.physics.compiled import cache_folder, compilation, source_hash
 from wtg_gym.physics.dynamics import (
@@ -72,6 +74,8 @@ Floats = npt.NDArray[np.float64]
 
 #: Parameters of a tracking law that gradients are taken with respect to.
 LAW_PARAMETERS = ("k_min", "k_nominal", "k_max", "inverse_time_constant")
+#: Constants of a machine that every lane has in a row of its own, since a scenario may replace them.
+ROW_OF_LEAF = {"two_h": "inv_two_h", "governor.inv_droop": "inv_droop"}
 
 
 @intrinsic
@@ -139,6 +143,8 @@ class Rules(NamedTuple):
     observation: Indices
     actions: Indices
     law: Indices  # (n_wtg, 4), of LAW_PARAMETERS
+    leaves: Indices  # of the constants that are differentiated with respect to
+    outputs: Indices  # that Tape.output_names names
     n_rows: int  # of the block with the actions; the cotangents follow
     digest: str  # of the generated code
 
@@ -156,24 +162,44 @@ class Further(NamedTuple):
     seen: Indices
     noise: Indices
     interval: Indices
+    constants: dict[Leaf, int]
     end: int
 
     @classmethod
-    def of(cls, n_rows: int, n_action: int, n_sensed: int) -> Further:
+    def of(cls, n_rows: int, n_action: int, n_sensed: int, leaves: Sequence[Leaf]) -> Further:
         """Return them for a block's number of rows; `n_sensed` is the number of WTG groups, 0 without sensors."""
-        edges = np.cumsum([n_rows, n_action, n_sensed * N_MEASURED, n_sensed * N_CHANNELS, min(n_sensed, 1)])
-        actions, seen, noise, interval = (np.arange(*edge) for edge in itertools.pairwise(edges))
+        own = [leaf for leaf in leaves if not _of_lane(leaf)]
+        edges = np.cumsum([n_rows, n_action, n_sensed * N_MEASURED, n_sensed * N_CHANNELS, min(n_sensed, 1), len(own)])
+        actions, seen, noise, interval, constants = (np.arange(*edge) for edge in itertools.pairwise(edges))
         return cls(
-            actions, seen.reshape(n_sensed, N_MEASURED), noise.reshape(n_sensed, N_CHANNELS), interval, int(edges[-1])
+            actions=actions,
+            seen=seen.reshape(n_sensed, N_MEASURED),
+            noise=noise.reshape(n_sensed, N_CHANNELS),
+            interval=interval,
+            constants=dict(zip(own, constants.tolist(), strict=True)),
+            end=int(edges[-1]),
         )
 
 
-def programs_of(plant: Plant, task: npt.NDArray[np.void], n_rows: int, n_action: int) -> Programs:
-    """Trace the kernels of a control step; actions and what else :class:`Further` names are in rows n_rows … ."""
+def _with_rows(c: Any, rows: Mapping[Leaf, int]) -> dict[str, Any]:
+    """Return a plant's constants, some of which are what rows hold."""
+    found: dict[str, Any] = {name: c[name] for name in c.dtype.names}
+    machines = [{name: machine[name] for name in machine.dtype.names} for machine in c["machines"]]
+    turbine = {name: c["turbine"][name] for name in c["turbine"].dtype.names}
+    for leaf, row in rows.items():
+        (machines[leaf.place] if leaf.part == "machines" else turbine)[leaf.name] = ex.row_of_block(row)
+    return {**found, "machines": np.array(machines, dtype=object), "turbine": turbine}
+
+
+def programs_of(
+    plant: Plant, task: npt.NDArray[np.void], n_rows: int, n_action: int, leaves: Sequence[Leaf] = ()
+) -> Programs:
+    """Trace the kernels of a control step; what :class:`Further` names is in rows n_rows … of a work block."""
     ex.begin()
-    c, lanes, sensed = plant.constants[0], (0,), task["sensed"].shape[1] > 0
+    lanes, sensed = (0,), task["sensed"].shape[1] > 0
     t = retargeted(read_task)(task[0])
-    further = Further.of(n_rows, n_action, c["share"].size * sensed)
+    further = Further.of(n_rows, n_action, plant.constants[0]["share"].size * sensed, leaves)
+    c = _with_rows(plant.constants[0], further.constants)
     act, extremes, charged = retargeted(apply_actions), retargeted(track_extremes), retargeted(charge)
     measured: dict[int, int] = {}
 
@@ -246,13 +272,30 @@ def _dynamics_of(c: Any) -> dict[str, dict[int, Any]]:
     }
 
 
-def build_rules(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_action: int, n_observation: int) -> Rules:
-    """Differentiate the kernels of a known plant and task; what comes of it is compiled when it is first called."""
+def build_rules(
+    plant: Plant,
+    task: npt.NDArray[np.void],
+    layout: Layout,
+    n_action: int,
+    n_observation: int,
+    leaves: Sequence[Leaf] = (),
+) -> Rules:
+    """Differentiate the kernels of a known plant and task; what comes of it is compiled when it is first called.
+
+    Args:
+        plant, task, layout: of the environment.
+        n_action, n_observation: their sizes.
+        leaves: constants of the plant that are differentiated with respect to.
+    """
     own = layout.n_rows
     parts = retargeted(parts_of, {})(plant.constants[0], retargeted(read_task)(task[0]))
-    further = Further.of(own, n_action, layout.n_wtg * (task["sensed"].shape[1] > 0))
+    further = Further.of(own, n_action, layout.n_wtg * (task["sensed"].shape[1] > 0), leaves)
     n_rows = further.end
-    programs = programs_of(plant, task, own, n_action)
+    programs = programs_of(plant, task, own, n_action, leaves)
+    of_leaves = [
+        int(layout.machine(ROW_OF_LEAF[leaf.name])[leaf.place]) if _of_lane(leaf) else further.constants[leaf]
+        for leaf in leaves
+    ]
     # Where actions scale 1/τ, the law's own is kept beside them.
     inv_tau = parts.groups + np.arange(layout.n_wtg) * N_GROUP_ROWS + GROUP.base_inv_tau
     if not task["modulates_tau"][0]:
@@ -263,6 +306,9 @@ def build_rules(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_acti
     rate_of = dict(zip(layout.state_rows.tolist(), layout.rate_rows.tolist(), strict=True))
     references = layout.machine("gate_reference")
     held = {int(row) for row in (*law.ravel(), *layout.wtg("inv_tau"), *layout.wtg("k_offset"), *references)}
+    held |= set(of_leaves)
+    speeds = (*layout.wtg("rotor_speed").tolist(), *layout.machine("speed").tolist())
+    shown = [int(layout.lane("coi")), layout.rows.extra + TASK.rocof, *speeds]
 
     def back(program: dict[int, Any], outputs: Iterable[int], rows: Iterable[int]) -> dict[int, Any]:
         pairs = [(program[row], ex.row_of_block(n_rows + row)) for row in sorted(outputs)]
@@ -274,12 +320,12 @@ def build_rules(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_acti
     limited = sorted({*programs.network} & {*programs.sweep})
     extensions = layout.wtg("over_power") if limited else np.zeros(0, dtype=np.int64)
     sources = {int(first) + EXTENSION.source + part for first in extensions for part in range(2)}
-    of_finish = back(programs.finish, programs.finish, {*rate_of, *base_of.values()})
+    of_finish = back(programs.finish, programs.finish, {*rate_of, *base_of.values(), *of_leaves})
     of_sweep = back(programs.sweep, limited, {*limited, *sources})
     of_network = back(programs.network, programs.network, {*rate_of, *held})
     exact = {int(row) for row in observation} & set(programs.charge)
-    seeds = {*terms.tolist(), *exact, *further.seen.ravel().tolist()}
-    states, outputs, before = set[int](), set[int](), -1
+    seeds = {*terms.tolist(), *exact, *further.seen.ravel().tolist(), *(set(shown) & set(programs.charge))}
+    states, outputs, before = set(shown) & set(rate_of), set[int](), -1
     while len(seeds) + len(states) + len(outputs) > before:
         before = len(seeds) + len(states) + len(outputs)
         of_charge = back(programs.charge, seeds, moved)
@@ -339,9 +385,15 @@ def build_rules(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_acti
         observation=observation,
         actions=further.actions,
         law=law,
+        leaves=np.array(of_leaves, dtype=np.int64),
+        outputs=np.array(shown),
         n_rows=n_rows,
         digest=digest,
     )
+
+
+def _of_lane(leaf: Leaf) -> bool:
+    return leaf.part == "machines" and leaf.name in ROW_OF_LEAF
 
 
 def _source(name: str, arguments: Sequence[str], pulled: dict[int, Any], replaced: Iterable[int], n_rows: int) -> str:

@@ -13,7 +13,16 @@ from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task import Outputs, step_blocks
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.gradients.adjoint import build_pull
-from wtg_gym.gradients.generated import Rules, build_rules, require_known
+from wtg_gym.gradients.generated import ROW_OF_LEAF, Rules, build_rules, require_known
+from wtg_gym.gradients.parameters import (
+    PlantEnvSettings,
+    known_parameters,
+    leaves_of,
+    require_known_parameters,
+    slopes_of,
+    with_parameters,
+)
+from wtg_gym.physics.plant import PlantSettings, build_plant
 from wtg_gym.physics.scenario import Scenario
 
 Floats = npt.NDArray[np.float64]
@@ -28,14 +37,23 @@ class Pulled(NamedTuple):
     carried: Floats  # of what the step began from (n_lanes, n_carried)
     actions: Floats  # (n_lanes, n_action)
     law: Floats  # what the step adds to those of each group's law (n_lanes, n_wtg, 4), of LAW_PARAMETERS
+    parameters: Floats  # and to those of the plant's parameters (n_lanes, n_parameters)
+
+
+class Played(NamedTuple):
+    """What episodes came to, step by step."""
+
+    terms: Floats  # of the cost (n_steps, n_lanes, n_terms), in the order of COST_TERMS
+    outputs: Floats  # at the end of each step (n_steps, n_lanes, n_outputs), see Tape.output_names
 
 
 class Gradient(NamedTuple):
-    """What episodes cost, and how that follows their actions and laws."""
+    """What episodes cost, and how that follows their actions, laws and plant."""
 
     terms: Floats  # terms of the cost, sums over the steps (n_lanes, n_terms), in the order of COST_TERMS
     actions: Floats  # of the weighted sum of the terms, with respect to the actions (n_steps, n_lanes, n_action)
     law: Floats  # with respect to each group's law (n_lanes, n_wtg, 4), in the order of LAW_PARAMETERS
+    parameters: Floats  # with respect to the plant's parameters that the tape was asked for (n_lanes, n_parameters)
 
 
 class Tape:
@@ -51,25 +69,47 @@ class Tape:
         settings: of the environment.
         n_lanes: episodes side by side.
         n_threads: threads to step with; None for one per processor.
+        parameters: of the plant that gradients are wanted for as well, by name; see :func:`known_parameters`.
 
     Raises:
-        ValueError: gradients are not known for the settings.
+        ValueError: gradients are not known for the settings, or a parameter is unknown.
     """
 
-    def __init__(self, settings: EnvSettings, n_lanes: int = 1, n_threads: int | None = None) -> None:
+    def __init__(
+        self,
+        settings: EnvSettings,
+        n_lanes: int = 1,
+        n_threads: int | None = None,
+        parameters: Sequence[str] = (),
+    ) -> None:
+        plant = settings.plant()
+        built = build_plant(plant)
+        require_known(built)
+        require_known_parameters(plant, parameters)
+        #: Names of the plant's parameters that gradients are taken with respect to.
+        self.parameters = tuple(parameters)
         self.lanes = TaskLanes(settings, n_lanes, n_threads)
+        self._measure_parameters(plant)
         simulator = self.lanes.simulator
-        require_known(simulator.plant)
+        # Constants that are differentiated with respect to are read from rows: the code is the same whatever they are.
+        for leaf in self._leaves:
+            part = built.constants[leaf.part][0]
+            (part[leaf.place] if leaf.part == "machines" else part)[leaf.name] = 0.0
         key = b"".join(
             (
-                simulator.plant.constants.tobytes(),
-                repr((simulator.plant.constants.dtype, simulator.layout)).encode(),
+                built.constants.tobytes(),
+                repr((simulator.plant.constants.dtype, simulator.layout, self._leaves)).encode(),
                 self.lanes.task.tobytes(),
             )
         )
         if key not in _RULES:
             rules = build_rules(
-                simulator.plant, self.lanes.task, simulator.layout, self.lanes.n_action, self.lanes.n_observation
+                simulator.plant,
+                self.lanes.task,
+                simulator.layout,
+                self.lanes.n_action,
+                self.lanes.n_observation,
+                self._leaves,
             )
             _RULES[key] = rules, build_pull(rules)
         self._rules, self._pull = _RULES[key]
@@ -82,6 +122,42 @@ class Tape:
         self._replayed: tuple[int, list[Floats]] = (-1, [])
         self._scratch = Outputs._make(np.zeros_like(array) for array in self.lanes.outputs)
         self._actions: list[Floats] = []
+
+    def _measure_parameters(self, plant: PlantSettings) -> None:
+        """Find which constants the parameters move, and how far."""
+        slopes = [slopes_of(plant, name) for name in self.parameters]
+        self._leaves = tuple(sorted({leaf for each in slopes for leaf in each}))
+        self._slopes = np.array([[each.get(leaf, 0.0) for each in slopes] for leaf in self._leaves]).reshape(
+            len(self._leaves), len(slopes)
+        )
+        values = leaves_of(plant)
+        self._constants = np.array([values[leaf] for leaf in self._leaves])
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Names of the outputs at the end of each step, with their units."""
+        rotors = (f"rotor_{j}_speed_pu" for j in range(self.lanes.n_wtg))
+        machines = (f"machine_{i}_speed_pu" for i in range(self.lanes.simulator.layout.n_sync))
+        return ("frequency_pu", "rocof_hz_s", *rotors, *machines)
+
+    def set_parameters(self, values: Mapping[str, float]) -> None:
+        """Give the plant other values of some of the tape's parameters; episodes need to be started again.
+
+        Raises:
+            ValueError: a parameter is none of the tape's, or its value is not allowed.
+        """
+        if unknown := sorted(set(values) - set(self.parameters)):
+            raise ValueError(f"the tape has no parameters {unknown}; it has: {', '.join(self.parameters) or 'none'}")
+        plant = with_parameters(self.lanes.simulator.settings, values)
+        settings = PlantEnvSettings.of(self.lanes.settings, plant)
+        self.lanes = TaskLanes(settings, self.lanes.n_lanes, self.lanes.simulator.n_threads)
+        self._measure_parameters(plant)
+        self._checkpoints, self._actions, self._replayed, self.n_starts = [], [], (-1, []), 0
+
+    def parameter_values(self) -> dict[str, float]:
+        """Return the plant's values of the tape's parameters."""
+        values = known_parameters(self.lanes.simulator.settings)
+        return {name: values[name] for name in self.parameters}
 
     @property
     def n_steps(self) -> int:
@@ -125,7 +201,7 @@ class Tape:
     def _take(self, view: Floats, rows: npt.NDArray[np.int64]) -> Floats:
         """Return rows of every lane (n_lanes, …) of a view (n_blocks, n_rows, width)."""
         found = view[:, rows.ravel(), :].transpose(0, 2, 1)
-        return found.reshape(-1, *rows.shape)[: self.lanes.n_lanes]
+        return found.reshape(view.shape[0] * view.shape[2], *rows.shape)[: self.lanes.n_lanes]
 
     def _put(self, view: Floats, rows: npt.NDArray[np.int64], values: Floats) -> None:
         own = np.arange(self.lanes.n_lanes)
@@ -174,7 +250,18 @@ class Tape:
             lambda first, last: step_blocks(blocks, first, last, plant, data, task, actions, self._scratch, lanes)
         )
 
-    def pull(self, step: int, carried: Floats, terms: Floats, observations: Floats | None = None) -> Pulled:
+    def outputs(self) -> Floats:
+        """Return the outputs at the end of the latest step (n_lanes, n_outputs), in the order of `output_names`."""
+        return self._take(self._values(), self._rules.outputs)
+
+    def pull(
+        self,
+        step: int,
+        carried: Floats,
+        terms: Floats,
+        observations: Floats | None = None,
+        outputs: Floats | None = None,
+    ) -> Pulled:
         """Go back through a step.
 
         Args:
@@ -183,11 +270,14 @@ class Tape:
                 through the following step has returned, zeros for the last.
             terms: with respect to the terms of the step's cost (n_lanes, n_terms).
             observations: with respect to the observations after the step (n_lanes, n_observation); None for zeros.
+            outputs: with respect to the outputs after the step (n_lanes, n_outputs); None for zeros.
         """
         simulator, rules = self.lanes.simulator, self._rules
         works = self._works.reshape(self._works.shape[0], 2, rules.n_rows, simulator.width)
         before = self.before(step).reshape(works.shape[0], -1, simulator.width)
         works[:, 0, : before.shape[1]] = before
+        of_plant = rules.leaves >= before.shape[1]
+        works[:, 0, rules.leaves[of_plant]] = self._constants[of_plant, np.newaxis]
         cotangents = works[:, 1]
         cotangents[:] = 0.0
         running = self._take(before, np.array([simulator.layout.lane("active")])) > 0.5
@@ -195,6 +285,9 @@ class Tape:
         self._put(cotangents, rules.terms, terms * running)
         if observations is not None:
             self._put(cotangents, rules.observation, observations * running)
+        if outputs is not None:
+            so_far = self._take(cotangents, rules.outputs)
+            self._put(cotangents, rules.outputs, so_far + outputs * running)
         simulator.for_blocks(
             lambda first, last: self._pull(
                 self._works,
@@ -209,8 +302,56 @@ class Tape:
             )
         )
         # Of a lane that had ended nothing depends on anything, whatever its numbers.
-        found = (self._take(cotangents, rows) for rows in (rules.carried, rules.actions, rules.law))
-        return Pulled(*(np.where(running.reshape(-1, *(1,) * (own.ndim - 1)), own, 0.0) for own in found))
+        found = (self._take(cotangents, rows) for rows in (rules.carried, rules.actions, rules.law, rules.leaves))
+        carried, of_actions, law, leaves = (
+            np.where(running.reshape(-1, *(1,) * (own.ndim - 1)), own, 0.0) for own in found
+        )
+        return Pulled(carried, of_actions, law, leaves * self._in_force(before) @ self._slopes)
+
+    def _in_force(self, blocks: Floats) -> Floats:
+        """Return how far a lane's own row follows each constant of the plant (n_lanes, n_leaves); 1 for the others.
+
+        A scenario scales inertias, 1/2H = 1/(scale · 2H). Its droop takes the place of the plant's, which then means
+        the droop in force; a lost governor has none.
+        """
+        found = np.ones((self.lanes.n_lanes, len(self._leaves)))
+        for i, leaf in enumerate(self._leaves):
+            if self._rules.leaves[i] < blocks.shape[1]:
+                row = self._take(blocks, self._rules.leaves[i : i + 1])[:, 0]
+                square = ROW_OF_LEAF[leaf.name] == "inv_droop"
+                found[:, i] = (row / self._constants[i]) ** 2 if square else -row / self._constants[i]
+        return found
+
+    def play(self, scenarios: Sequence[Scenario], actions: Floats) -> Played:
+        """Start episodes and step them with given actions (n_steps, n_lanes, n_action)."""
+        self.start(scenarios)
+        terms, outputs = [], []
+        for own in actions:
+            terms.append(self.step(own)[1])
+            outputs.append(self.outputs())
+        return Played(np.array(terms), np.array(outputs))
+
+    def back(self, terms: Floats | None = None, outputs: Floats | None = None) -> tuple[Floats, Floats, Floats]:
+        """Go back through all steps.
+
+        Args:
+            terms: derivatives of what is differentiated with respect to the terms of each step's cost (n_terms) or
+                (n_steps, n_lanes, n_terms); None for zeros.
+            outputs: with respect to the outputs at each step's end (n_steps, n_lanes, n_outputs); None for zeros.
+
+        Returns:
+            those with respect to actions, laws and parameters, as :class:`Gradient` has them.
+        """
+        n_lanes, n_steps = self.lanes.n_lanes, self.n_steps
+        seeds = np.broadcast_to(0.0 if terms is None else terms, (n_steps, n_lanes, len(COST_TERMS)))
+        actions, law = np.empty((n_steps, n_lanes, self.lanes.n_action)), np.zeros((n_lanes, *self._rules.law.shape))
+        parameters, carried = np.zeros((n_lanes, len(self.parameters))), np.zeros((n_lanes, self.n_carried))
+        for step in range(n_steps - 1, -1, -1):
+            shown = None if outputs is None else outputs[step]
+            carried, actions[step], of_law, of_parameters = self.pull(step, carried, seeds[step], outputs=shown)
+            law += of_law
+            parameters += of_parameters
+        return actions, law, parameters
 
     def gradient(
         self, scenarios: Sequence[Scenario], actions: Floats, weights: Mapping[str, float] | None = None
@@ -231,11 +372,5 @@ class Tape:
         if actions.ndim != 3 or not actions.size:
             raise ValueError(f"actions must have the shape (n_steps, n_lanes, n_action), got {actions.shape}")
         weight = np.array([1.0 if weights is None else weights.get(term, 0.0) for term in COST_TERMS])
-        self.start(scenarios)
-        terms = np.sum([self.step(own)[1] for own in actions], axis=0)
-        pulled, law = np.empty_like(actions), np.zeros((self.lanes.n_lanes, *self._rules.law.shape))
-        carried, seed = np.zeros((self.lanes.n_lanes, self.n_carried)), np.tile(weight, (self.lanes.n_lanes, 1))
-        for step in range(self.n_steps - 1, -1, -1):
-            carried, pulled[step], of_law = self.pull(step, carried, seed)
-            law += of_law
-        return Gradient(terms, pulled, law)
+        terms = self.play(scenarios, actions).terms.sum(axis=0)
+        return Gradient(terms, *self.back(weight))

@@ -8,6 +8,7 @@ from wtg_gym.plotting.animation import animate_trajectories
 from wtg_gym.plotting.characteristics import plot_characteristic
 from wtg_gym.plotting.eigenvalue_plane import plot_modes
 from wtg_gym.plotting.front import plot_front
+from wtg_gym.plotting.influence import plot_influences
 from wtg_gym.plotting.learning import LearningCurve, plot_learning_curves
 from wtg_gym.plotting.measurements import plot_accuracy, plot_growth
 from wtg_gym.plotting.one_event import plot_one_event
@@ -33,6 +34,7 @@ __all__ = [
     "plot_equilibria",
     "plot_front",
     "plot_growth",
+    "plot_influences",
     "plot_learning_curves",
     "plot_machine_models",
     "plot_margins",

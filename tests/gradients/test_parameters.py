@@ -1,0 +1,234 @@
+"""Gradients with respect to a plant's parameters, of costs and of outputs: checked by rebuilt plants."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.envs.task_records import COST_TERMS
+from wtg_gym.gradients.parameters import PlantEnvSettings, known_parameters, with_parameters
+from wtg_gym.gradients.tape import Tape
+from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.scenario import GovernorLoss, LoadStep, MachineOutage, Scenario
+
+Floats = npt.NDArray[np.float64]
+N_STEPS, N_LANES = 120, 3
+SETTINGS = EnvSettings()
+#: At 0 the dead band is a corner.
+PLANT = with_parameters(SETTINGS.plant(), {"machines.1.governor.dead_band_pu": 2e-4})
+KNOWN = known_parameters(PLANT)
+#: The condensers at buses 6 and 8 have nothing that the one at bus 3 has not.
+COMPARED = [name for name in KNOWN if not name.startswith(("machines.6.", "machines.8.")) or name.endswith("two_h_s")]
+
+
+@functools.cache
+def tape() -> Tape:
+    return Tape(PlantEnvSettings.of(SETTINGS, PLANT), N_LANES, 1, tuple(KNOWN))
+
+
+@functools.cache
+def given() -> tuple[list[Scenario], Floats, Floats]:
+    """Scenarios (a pitch controller acts in the last), actions, and weights of the outputs."""
+    rng = np.random.default_rng(1)
+    actions = rng.uniform(-0.4, 0.4, (N_STEPS, N_LANES, 4))
+    time = np.arange(0.0, 31.0, 0.1)
+    wind = (np.full((2, 1), 8.0), np.full((2, 1), 9.0), np.tile(11.5 + 1.5 * np.sin(time), (2, 1)))
+    power = (20.0, -30.0, 15.0)
+    scenarios = [
+        Scenario(name="given", wind_speed=wind[lane], events=(LoadStep(time_s=1.0, bus=4, power_mw=power[lane]),))
+        for lane in range(N_LANES)
+    ]
+    return scenarios, actions, rng.normal(size=(N_STEPS, N_LANES, 8))
+
+
+def weighed(plant: PlantSettings, scenarios: list[Scenario], actions: Floats, weights: Floats) -> Floats:
+    """Cost and weighed outputs of each episode (n_lanes,), in a plant built anew, by the environment alone."""
+    lanes = TaskLanes(PlantEnvSettings.of(SETTINGS, plant), N_LANES, 1)
+    lanes.start(list(range(N_LANES)), scenarios)
+    total = np.zeros(N_LANES)
+    for own, weight in zip(actions, weights, strict=True):
+        lanes.step(own)
+        shown = [lanes.simulator.lane_values("coi"), lanes.task_values("rocof")]
+        total += weight[:, 0] * shown[0] + weight[:, 1] * shown[1]
+        total += (weight[:, 2:4] * lanes.simulator.wtg_values("rotor_speed")).sum(axis=1)
+        total += (weight[:, 4:] * lanes.simulator.machine_values("speed")).sum(axis=1)
+    return total + lanes.cost_sums().sum(axis=1)
+
+
+@functools.cache
+def found() -> Floats:
+    scenarios, actions, weights = given()
+    played = tape().play(scenarios, actions)
+    total = weighed(PLANT, scenarios, actions, weights)
+    assert np.einsum("slt->l", played.terms) + np.einsum("slo,slo->l", weights, played.outputs) == pytest.approx(total)
+    return tape().back(np.ones(len(COST_TERMS)), weights)[2]
+
+
+@pytest.mark.parametrize("name", COMPARED)
+def test_the_gradient_with_respect_to_a_parameter_is_that_of_rebuilt_plants(name: str) -> None:
+    scenarios, actions, weights = given()
+    value = KNOWN[name]
+    h = 5e-4 * (value or 1.0)
+    places = (-2.0, -1.0, 1.0, 2.0) if value else (0.0, 1.0, 2.0, 3.0)
+    # Both formulas are exact for polynomials of the third degree.
+    factors = np.array((1.0, -8.0, 8.0, -1.0) if value else (-11.0, 18.0, -9.0, 2.0)) / ((12.0 if value else 6.0) * h)
+    ends = [weighed(with_parameters(PLANT, {name: value + place * h}), scenarios, actions, weights) for place in places]
+    expected = factors @ ends
+    by_tape = found()[:, list(KNOWN).index(name)]
+    assert by_tape == pytest.approx(expected, rel=1e-5, abs=1e-5 * np.abs(expected).max() + 1e-10)
+
+
+def test_parameters_matter() -> None:
+    """The test above compares no zeros, but where there is nothing to see."""
+    without = {name for name, column in zip(KNOWN, found().T, strict=True) if not column.any()}
+    # The generator's x'_q is its x_q, its rotor is never faster than the pitch allows, and no blade moves at its limit.
+    assert without <= {"machines.1.t_q0_transient_s", "pitch.speed_weight", "pitch.rate_limit_deg_s"}
+
+
+def test_no_parameter_moves_the_start() -> None:
+    scenarios = given()[0]
+    lanes = TaskLanes(SETTINGS, N_LANES, 1)
+    own = lanes.prepare(scenarios).lanes.rows
+    layout = lanes.simulator.layout
+    for name, value in KNOWN.items():
+        plant = with_parameters(SETTINGS.plant(), {name: value * 1.01 + 1e-3})
+        rows = TaskLanes(PlantEnvSettings.of(SETTINGS, plant), N_LANES, 1).prepare(scenarios).lanes.rows
+        inputs = {*layout.machine("inv_two_h").tolist(), *layout.machine("inv_droop").tolist()}
+        # Nothing moves, but to rounding: rates that are almost zero.
+        moved = set(np.flatnonzero(np.abs(rows - own).max(axis=0) > 1e-9).tolist())
+        assert moved <= inputs, name
+
+
+def slope_of_droop(scenarios: list[Scenario], actions: Floats, weights: Floats) -> tuple[Floats, Floats]:
+    """Gradient with respect to the droop of scenarios that set it, and central differences."""
+    own = Tape(SETTINGS, N_LANES, 1, ("machines.1.governor.droop_pu", "machines.1.two_h_s"))
+    own.play(scenarios, actions)
+    by_tape = own.back(np.ones(len(COST_TERMS)), weights)[2][:, 0]
+    ends = []
+    for sign in (1.0, -1.0):
+        moved = [
+            dataclasses.replace(scenario, governor_droop=scenario.governor_droop + sign * 1e-6)
+            for scenario in scenarios
+            if scenario.governor_droop is not None
+        ]
+        ends.append(weighed(SETTINGS.plant(), moved, actions, weights))
+    return by_tape, (ends[0] - ends[1]) / 2e-6
+
+
+def test_a_scenarios_droop_is_the_droop_in_force_until_a_governor_is_lost() -> None:
+    scenarios, actions, weights = given()
+    losses = ((), (GovernorLoss(time_s=2.35, bus=1),), (GovernorLoss(time_s=0.0, bus=1),))
+    scenarios = [
+        dataclasses.replace(scenario, governor_droop=0.04, inertia_scale=0.7, events=(*scenario.events, *loss))
+        for scenario, loss in zip(scenarios, losses, strict=True)
+    ]
+    by_tape, expected = slope_of_droop(scenarios, actions, weights)
+    assert np.abs(expected[:2]).min() > 0.1
+    assert by_tape == pytest.approx(expected, rel=1e-5, abs=1e-7)
+    assert by_tape[2] == 0.0
+
+
+def test_inertia_is_scaled_by_scenarios_and_gone_with_its_machine() -> None:
+    scenarios, actions, weights = given()
+    name = "machines.3.two_h_s"
+    lost = (*scenarios[0].events, MachineOutage(time_s=3.05, bus=3))
+    early = (*scenarios[0].events, LoadStep(time_s=4.0, bus=4, power_mw=600.0))
+    scenarios = [
+        dataclasses.replace(scenarios[0], inertia_scale=0.6),
+        dataclasses.replace(scenarios[0], events=lost),
+        dataclasses.replace(scenarios[0], events=early),
+    ]
+    own = Tape(SETTINGS, N_LANES, 1, (name,))
+    # After its end an episode shows what it showed last, which is not differentiated.
+    own.play(scenarios, actions)
+    ended = int(own.lanes.simulator.lane_values("step")[2] // 4)
+    assert ended < N_STEPS - 20
+    weights = weights.copy()
+    weights[ended:, 2] = 0.0
+    by_tape = own.back(np.ones(len(COST_TERMS)), weights)[2][:, 0]
+    ends = [
+        weighed(with_parameters(SETTINGS.plant(), {name: 13.08 + sign * 1e-3}), scenarios, actions, weights)
+        for sign in (1.0, -1.0)
+    ]
+    assert by_tape == pytest.approx((ends[0] - ends[1]) / 2e-3, rel=1e-5)
+
+
+def test_other_values_need_no_other_code() -> None:
+    names = ("control.inertia_constant_s", "control.droop_gain_pu", "machines.1.governor.droop_pu")
+    scenarios, actions, weights = given()
+    values = {"control.inertia_constant_s": 3.5, "machines.1.governor.droop_pu": 0.03}
+    own, rebuilt = (
+        Tape(SETTINGS, N_LANES, 1, names),
+        Tape(PlantEnvSettings.of(SETTINGS, with_parameters(SETTINGS.plant(), values)), N_LANES, 1, names),
+    )
+    rules = own._rules
+    own.play(scenarios, actions)
+    own.set_parameters(values)
+    assert own.parameter_values() == {**values, "control.droop_gain_pu": 62.5}
+    with pytest.raises(ValueError, match="start"):
+        own.step(actions[0])
+    own.play(scenarios, actions)
+    rebuilt.play(scenarios, actions)
+    assert np.array_equal(own.back(None, weights)[2], rebuilt.back(None, weights)[2])
+    assert rebuilt._rules is own._rules is rules
+
+
+def test_the_nadir_has_a_gradient() -> None:
+    """Any function of the outputs has: the nadir is the least of the frequencies at the steps' ends."""
+    scenarios, actions, _ = given()
+    name = "control.droop_gain_pu"
+    own = Tape(SETTINGS, N_LANES, 1, (name,))
+    frequency = own.play(scenarios, 0.0 * actions).outputs[:, :, own.output_names.index("frequency_pu")]
+    seeds = np.zeros((N_STEPS, N_LANES, 8))
+    seeds[frequency.argmin(axis=0), np.arange(N_LANES), 0] = 1.0
+    by_tape = own.back(None, seeds)[2][:, 0]
+    ends = []
+    for value in (62.6, 62.4):
+        own.set_parameters({name: value})
+        ends.append(own.play(scenarios, 0.0 * actions).outputs[:, :, 0].min(axis=0))
+    assert frequency.argmin(axis=0)[0] not in (0, N_STEPS - 1)
+    assert by_tape[[0, 2]] == pytest.approx(((ends[0] - ends[1]) / 0.2)[[0, 2]], rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("call", "reason"),
+    [
+        (lambda: Tape(SETTINGS, 1, 1, ("control.reactance_pu",)), r"known: machines\.1\.two_h_s, .*control\.droop"),
+        (lambda: Tape(SETTINGS, 1, 1, ("machines.2.two_h_s",)), "unknown parameters"),
+        (lambda: tape().set_parameters({"machines.3.governor.droop_pu": 0.02}), "the tape has no parameters"),
+        (lambda: tape().set_parameters({"control.inertia_constant_s": -1.0}), "inertia_constant_s"),
+        (lambda: Tape(EnvSettings(), 1, 1).set_parameters({"control.droop_gain_pu": 1.0}), "it has: none"),
+    ],
+)
+def test_bad_input_is_refused(call: Any, reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        call()
+
+
+def test_classical_machines_have_no_fluxes_and_no_exciter() -> None:
+    known = known_parameters(EnvSettings(machine_model="classical").plant())
+    assert "machines.3.two_h_s" in known and "machines.1.governor.droop_pu" in known
+    assert not any("exciter" in name or "t_d0" in name for name in known)
+
+
+def test_parameters_of_v1_act_through_limits_and_sensors() -> None:
+    """A scenario of v1 has a droop of its own: that one is not compared."""
+    names = ("machines.1.two_h_s", "control.droop_gain_pu", "control.inertia_constant_s", "turbine.inertia_constant_s")
+    v1 = Tape(EnvSettings(version="v1"), 2, 1, names)
+    seeds, actions = [1_000_000, 1_000_001], np.zeros((120, 2, v1.lanes.n_action))
+    of_parameters = v1.gradient(v1.lanes.scenarios(seeds), actions).parameters
+    assert np.abs(of_parameters).min() > 1e-4
+    for i, (name, value) in enumerate(v1.parameter_values().items()):
+        ends = []
+        for moved in (value * (1.0 - 1e-5), value * (1.0 + 1e-5)):
+            v1.set_parameters({name: moved})
+            ends.append(v1.play(v1.lanes.scenarios(seeds), actions).terms.sum(axis=(0, 2)))
+        v1.set_parameters({name: value})
+        assert of_parameters[:, i] == pytest.approx((ends[1] - ends[0]) / (2e-5 * value), rel=1e-5)
