@@ -27,6 +27,7 @@ from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.observation import OBSERVATION_BOUND
 from wtg_gym.evaluation import Policy
 from wtg_gym.policies.sb3_archive import NormalizedPolicy
+from wtg_gym.scenarios import get_suite
 
 Array = npt.NDArray[Any]
 Infos = list[dict[str, Any]]
@@ -191,6 +192,18 @@ def training_env(settings: RunSettings) -> VecEnv:
     if sees_grid:
         arguments["observation_mode"] = "privileged"
     return GroupVecEnv(GainVecEnv(settings.n_envs // n_wtg, **arguments), sees_grid=sees_grid)
+
+
+def as_played(settings: RunSettings) -> RunSettings:
+    """Return a run's settings with the groups of its suite, with which its policy is an entry.
+
+    Raises:
+        ValueError: a single agent's policy takes the observations of other groups.
+    """
+    own = len(get_suite(settings.suite).plant.groups)
+    if settings.algo not in ALGORITHMS and settings.groups not in (None, own):
+        raise ValueError(f"the policy acts for {settings.groups} WTG groups, suite {settings.suite!r} has {own}")
+    return dataclasses.replace(settings, groups=None)
 
 
 def n_groups(settings: RunSettings) -> int:

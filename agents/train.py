@@ -31,7 +31,7 @@ from agents.command import (
 from agents.entry_file import entry_values, write_entry
 from agents.folders import BEST, CHECKPOINTS, folders, save_folder
 from agents.groups import ALGORITHMS as OF_GROUPS
-from agents.groups import ARCHIVE_FOLDER, learner_of, network_played, played, training_env, with_policy
+from agents.groups import ARCHIVE_FOLDER, as_played, learner_of, network_played, played, training_env, with_policy
 from agents.hyperparameters import ALGORITHMS, CONFIG_FOLDER, parse, read_config
 from agents.learners import build_model, load_checkpoint, save_checkpoint, save_policy
 from agents.onnx_graph import to_onnx
@@ -197,7 +197,8 @@ class _Supervision(BaseCallback):
             # An archive takes what one group sees, and is for the export alone.
             (folder / ARCHIVE_FOLDER).mkdir()
             save_policy(folder / ARCHIVE_FOLDER, self.model)
-            (folder / POLICY_FILE).write_bytes(to_onnx(network_played(settings, _policy_of(self.model))))
+            content = to_onnx(network_played(as_played(settings), _policy_of(self.model)))
+            (folder / POLICY_FILE).write_bytes(content)
         else:
             save_policy(folder, self.model)
             entry["algorithm"] = type(self.model).__name__
