@@ -1,4 +1,4 @@
-"""The examples of the README, docs/usage.md and docs/gradients.md run as printed; links of every page lead somewhere.
+"""The examples of the README and of pages in docs/ run as printed; links of every page lead somewhere.
 
 The README's first program and all commands run on what `pip install .` installs: a wheel that is built here, in an
 empty folder, without the extras' packages. The other programs run with everything that the tests need.
@@ -16,7 +16,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 #: Packages that extras bring and `pip install .` does not.
-EXTRAS = ("bokeh", "joblib", "matplotlib", "onnx", "PIL", "pygame", "rich", "stable_baselines3", "torch")
+EXTRAS = ("bokeh", "joblib", "matplotlib", "onnx", "pettingzoo", "PIL", "pygame", "rich", "stable_baselines3", "torch")
 
 
 def blocks(page: str, language: str) -> list[str]:
@@ -79,7 +79,10 @@ def test_commands_run_after_a_plain_install_in_an_empty_folder(plain: dict[str, 
             assert "coordinated-piecewise" in said, said
 
 
-@pytest.mark.parametrize(("page", "first"), [("README.md", 1), ("docs/usage.md", 0), ("docs/gradients.md", 0)])
+@pytest.mark.parametrize(
+    ("page", "first"),
+    [("README.md", 1), ("docs/usage.md", 0), ("docs/gradients.md", 0), ("docs/many-agents.md", 0)],
+)
 def test_every_other_program_runs_as_printed(page: str, first: int, tmp_path: Path) -> None:
     for program in blocks(page, "python")[first:]:
         run([sys.executable, "-c", program], tmp_path)
