@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import json
 from collections.abc import Callable, Container, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -69,6 +70,24 @@ def add_training_options(parser: argparse.ArgumentParser, *, timesteps: str) -> 
     parser.add_argument("--validation-episodes", type=int, metavar="N", help="scenarios per validation (default: 50)")
 
 
+def add_plant_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that replace groups and sensors of the suite."""
+    parser.add_argument("--groups", type=int, metavar="N", help="WTG groups at bus 2 (default: the suite's)")
+    parser.add_argument(
+        "--sensors",
+        type=_sensors,
+        metavar="VALUES",
+        help="\"exact\", or what replaces the suite's, such as '{\"delay_s\": [0, 0]}' (default: the suite's)",
+    )
+
+
+def _sensors(text: str) -> Any:
+    """Return the sensors that an option names; the environment says what it takes."""
+    with contextlib.suppress(json.JSONDecodeError):
+        return json.loads(text)
+    return text
+
+
 def add_folder_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that name the folder of a new run or of one to go on with, see :func:`opened_run`."""
     parser.add_argument("--output", metavar="FOLDER", help="folder of the new run")
@@ -100,7 +119,8 @@ def settings_of(
     Raises:
         ValueError: a value is unknown or out of range.
     """
-    names = ("action_mode", "observation_mode", "suite", "strategy", "seed", "validation_episodes", "device")
+    of_env = ("action_mode", "observation_mode", "suite", "strategy", "groups", "sensors")
+    names = (*of_env, "seed", "validation_episodes", "device")
     timesteps = given.get("timesteps", timesteps)
     return RunSettings(
         algo=algo,
@@ -159,6 +179,7 @@ __all__ = [
     "Parser",
     "Progress",
     "add_folder_options",
+    "add_plant_options",
     "add_strategy_option",
     "add_training_options",
     "check_output_file",

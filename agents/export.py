@@ -81,7 +81,7 @@ def export(
         raise ValueError(f"{run_folder} was interrupted while it wrote the policy of step {timesteps}: resume it first")
     # A name that the leaderboard refuses is refused before the work.
     entry = entry_values(settings, timesteps, name=name, description=description)
-    policy, network = _trained(best[-1], settings.algo)
+    policy, network, settings = _trained(best[-1], settings)
     content = to_onnx(network)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / POLICY_FILE
@@ -97,21 +97,24 @@ def export(
     return difference
 
 
-def _trained(best: Path, algo: str) -> tuple[Policy, PolicyNetwork]:
-    """Return the policy in a folder and the network in it."""
+def _trained(best: Path, settings: RunSettings) -> tuple[Policy, PolicyNetwork, RunSettings]:
+    """Return the policy in a folder of a run, the network in it, and the run's settings with its suite's groups."""
+    algo = settings.algo
     if algo in (rllib.NAME, ppo.NAME):
         agent = ppo.load(best)
-        return agent, agent.network()
+        return agent, agent.network(), settings
     if algo == gradient.NAME:
         found = gradient.load(best)
-        return found, found.network()
+        return found, found.network(), settings
     # Imported here, because the policies above are exported where Stable-Baselines3 is not installed.
+    from agents import groups
     from agents.hyperparameters import ALGORITHMS
-    from agents.learners import network_of
     from wtg_gym.policies.sb3_archive import load_archive
 
-    policy, _ = load_archive(best, ALGORITHMS[algo].__name__)
-    return policy, network_of(policy.policy, policy.vec_normalize)
+    folder = best / groups.ARCHIVE_FOLDER if algo in groups.ALGORITHMS else best
+    policy, _ = load_archive(folder, ALGORITHMS[groups.learner_of(algo)].__name__)
+    settings = groups.as_played(settings)
+    return groups.played(settings, policy), groups.network_played(settings, policy), settings
 
 
 def largest_difference(policy: Policy, other: Policy, settings: RunSettings) -> float:

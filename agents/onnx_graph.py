@@ -75,6 +75,8 @@ class PolicyNetwork:
         lstm: None for a policy without memory.
         layers: applied one after the other, each of :data:`LAYERS`.
         low_pass: its slow copies follow the observation in what the layers see; not beside an LSTM.
+        n_groups: so many equal parts of the observation follow each other, and the network acts for each by itself;
+            all its other numbers are of one part. More than one not beside an LSTM or a low pass.
     """
 
     n_observation: int
@@ -82,6 +84,7 @@ class PolicyNetwork:
     lstm: nn.LSTM | None
     layers: Sequence[nn.Module]
     low_pass: LowPass | None = None
+    n_groups: int = 1
 
 
 def flat_layers(modules: Sequence[nn.Module]) -> list[nn.Module]:
@@ -125,6 +128,8 @@ def to_onnx(network: PolicyNetwork) -> bytes:
     """Return the file of the policy as ONNX."""
     graph = _Graph()
     value = "observation"
+    if network.n_groups > 1:
+        value = graph.add("Reshape", value, graph.constant([-1, network.n_observation], np.int64))
     if network.normalization is not None:
         value = _normalized(graph, value, network.normalization)
     states: list[str] = []
@@ -142,10 +147,14 @@ def to_onnx(network: PolicyNetwork) -> bytes:
         value = _layer(graph, value, module)
         n_action = module.out_features if isinstance(module, nn.Linear) else n_action
     value = graph.add("Clip", value, graph.constant(-1.0), graph.constant(1.0))
+    n_action *= network.n_groups
+    if network.n_groups > 1:
+        value = graph.add("Reshape", value, graph.constant([-1, n_action], np.int64))
     named = {"action": value, **{f"next_state_{i}": state for i, state in enumerate(states)}}
     for name, result in named.items():
         graph.nodes.append(helper.make_node("Identity", [result], [name]))
-    inputs = {"observation": network.n_observation, **{f"state_{i}": width for i, width in enumerate(widths)}}
+    n_observation = network.n_groups * network.n_observation
+    inputs = {"observation": n_observation, **{f"state_{i}": width for i, width in enumerate(widths)}}
     outputs = {"action": n_action, **{f"next_state_{i}": width for i, width in enumerate(widths)}}
     model = helper.make_model(
         helper.make_graph(graph.nodes, "policy", _infos(inputs), _infos(outputs), graph.constants),

@@ -36,9 +36,9 @@ class RunSettings:
     Args:
         algo: name of the algorithm.
         hyperparameters: section of a configuration file, as written there.
-        action_mode, observation_mode, suite, strategy: as for the environment.
+        action_mode, observation_mode, suite, strategy, groups, sensors: as for the environment.
         seed: seed of the weights, the exploration and the scenarios.
-        timesteps: environment steps of all lanes together.
+        timesteps: steps of all lanes together.
         n_envs: number of lanes.
         interval: steps between two validations with a checkpoint each.
         validation_episodes: scenarios of a validation, the first ones of the suite's validation split.
@@ -54,6 +54,8 @@ class RunSettings:
     observation_mode: str = "local"
     suite: str = "standard"
     strategy: str = REFERENCE_STRATEGY
+    groups: int | None = None
+    sensors: str | Mapping[str, Any] | None = None
     seed: int = 0
     timesteps: int
     n_envs: int
@@ -83,7 +85,13 @@ class RunSettings:
     def env_arguments(self) -> dict[str, Any]:
         """Arguments of the environment."""
         names = ("action_mode", "observation_mode", "suite", "strategy")
-        return {name: getattr(self, name) for name in names}
+        return {name: getattr(self, name) for name in names} | self.plant_arguments
+
+    @property
+    def plant_arguments(self) -> dict[str, Any]:
+        """Those of them that are not the suite's own."""
+        given = {"groups": self.groups, "sensors": self.sensors}
+        return {name: value for name, value in given.items() if value is not None}
 
 
 @dataclass(kw_only=True)
@@ -141,7 +149,7 @@ class Run:
             observation_mode=s.observation_mode,
         )
         seeds = get_suite(s.suite).seeds("validation")[: s.validation_episodes]
-        results = evaluate([entry], s.suite, "validation", seeds=seeds)
+        results = evaluate([entry], s.suite, "validation", seeds=seeds, **s.plant_arguments)
         (summary,) = (summary for summary in results.summaries if summary.name == entry.name)
         metrics = {
             "score": summary.score.value,

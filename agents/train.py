@@ -21,6 +21,7 @@ from agents.command import (
     Parser,
     Progress,
     add_folder_options,
+    add_plant_options,
     add_training_options,
     given_options,
     opened_run,
@@ -29,11 +30,13 @@ from agents.command import (
 )
 from agents.entry_file import entry_values, write_entry
 from agents.folders import BEST, CHECKPOINTS, folders, save_folder
+from agents.groups import ALGORITHMS as OF_GROUPS
+from agents.groups import ARCHIVE_FOLDER, as_played, learner_of, network_played, played, training_env, with_policy
 from agents.hyperparameters import ALGORITHMS, CONFIG_FOLDER, parse, read_config
-from agents.learners import build_model, load_checkpoint, network_of, save_checkpoint, save_policy
+from agents.learners import build_model, load_checkpoint, save_checkpoint, save_policy
 from agents.onnx_graph import to_onnx
 from agents.runs import Run, RunSettings
-from agents.vec_env import GainVecEnv
+from wtg_gym.policies.load import POLICY_FILE
 from wtg_gym.policies.sb3_archive import NormalizedPolicy
 from wtg_gym.scenarios import get_suite
 
@@ -61,18 +64,24 @@ def start(run: Run) -> BaseAlgorithm:
     # networks this small gain nothing from them.
     torch.set_num_threads(1)
     settings = run.settings
-    hyperparameters = parse(settings.algo, settings.hyperparameters)
-    env: VecEnv = VecMonitor(GainVecEnv(settings.n_envs, **settings.env_arguments))
+    hyperparameters = parse(learner_of(settings.algo), settings.hyperparameters)
+    env: VecEnv = VecMonitor(training_env(settings))
+    hyperparameters = with_policy(settings, hyperparameters, env)
     if hyperparameters.normalize is not None:
         env = VecNormalize(env, **hyperparameters.normalize)
     try:
-        model = build_model(settings.algo, hyperparameters, env, seed=settings.seed, device=settings.device)
+        algo = learner_of(settings.algo)
+        model = build_model(algo, hyperparameters, env, seed=settings.seed, device=settings.device)
         # A policy that cannot be written is refused now rather than after the training.
-        to_onnx(network_of(model.policy, model.get_vec_normalize_env()))
+        to_onnx(network_played(settings, _policy_of(model)))
     except ValueError:
         env.close()
         raise
     return model
+
+
+def _policy_of(model: BaseAlgorithm) -> NormalizedPolicy:
+    return NormalizedPolicy(model.policy, model.get_vec_normalize_env())
 
 
 def train(run: Run, folder: Path | None = None, on_score: OnScore | None = None) -> None:
@@ -91,7 +100,8 @@ def train(run: Run, folder: Path | None = None, on_score: OnScore | None = None)
     if run.curve and not checkpoints:
         raise ValueError(f"{folder} has validations, but no checkpoint to go on from; begin anew in another folder")
     settings = run.settings
-    model = load_checkpoint(checkpoints[-1], settings.algo, settings.device) if checkpoints else start(run)
+    algo = learner_of(settings.algo)
+    model = load_checkpoint(checkpoints[-1], algo, settings.device) if checkpoints else start(run)
     restored_at = model.num_timesteps if checkpoints else None
     if folder is not None:
         # First of all, so that a run can go on whenever it is interrupted.
@@ -158,7 +168,7 @@ class _Supervision(BaseCallback):
     def take_stock(self) -> None:
         """Validate, keep the best policy, and write a checkpoint."""
         run, model = self._run, self.model
-        policy = NormalizedPolicy(model.policy, model.get_vec_normalize_env())
+        policy = played(run.settings, _policy_of(model))
         metrics = run.validate(policy, model.num_timesteps, time.monotonic() - self._began)
         for key, value in metrics.items():
             self.logger.record(f"validation/{key}", value)
@@ -180,19 +190,34 @@ class _Supervision(BaseCallback):
         run.write(folder)
 
     def _write_best(self, folder: Path) -> None:
-        """Write the policy as an entry for `wtg-gym evaluate --trust-pickle`."""
-        save_policy(folder, self.model)
-        entry = entry_values(self._run.settings, self.model.num_timesteps)
-        write_entry(folder, {**entry, "algorithm": type(self.model).__name__})
+        """Write the policy as an entry: an archive for `wtg-gym evaluate --trust-pickle`; of many agents ONNX."""
+        settings = self._run.settings
+        entry = entry_values(settings, self.model.num_timesteps)
+        if settings.algo in OF_GROUPS:
+            # An archive takes what one group sees, and is for the export alone.
+            (folder / ARCHIVE_FOLDER).mkdir()
+            save_policy(folder / ARCHIVE_FOLDER, self.model)
+            content = to_onnx(network_played(as_played(settings), _policy_of(self.model)))
+            (folder / POLICY_FILE).write_bytes(content)
+        else:
+            save_policy(folder, self.model)
+            entry["algorithm"] = type(self.model).__name__
+        write_entry(folder, entry)
 
 
 def add_sb3_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that training and tuning share."""
     parser.add_argument("--algo", choices=tuple(ALGORITHMS), help="the algorithm")
+    add_learner_options(parser, config="<algo>")
+
+
+def add_learner_options(parser: argparse.ArgumentParser, *, config: str) -> None:
+    """Add the options of every learner; `config` names its file of hyperparameters."""
     add_training_options(parser, timesteps="the file's")
-    parser.add_argument("--n-envs", type=int, metavar="N", help="episodes side by side (default: the file's)")
+    add_plant_options(parser)
+    parser.add_argument("--n-envs", type=int, metavar="N", help="lanes side by side (default: the file's)")
     parser.add_argument("--device", choices=("cpu", "cuda"), help="where the networks are (default: cpu)")
-    parser.add_argument("--config", metavar="FILE", help="hyperparameters (default: agents/configs/<algo>.yml)")
+    parser.add_argument("--config", metavar="FILE", help=f"hyperparameters (default: agents/configs/{config}.yml)")
 
 
 def sb3_settings(given: Mapping[str, Any]) -> RunSettings:
@@ -203,10 +228,24 @@ def sb3_settings(given: Mapping[str, Any]) -> RunSettings:
     """
     if "algo" not in given:
         raise ValueError(f"--algo is needed: {', '.join(ALGORITHMS)}")
+    return learner_settings(given, given["algo"], given["algo"])
+
+
+def learner_settings(given: Mapping[str, Any], algo: str, learner: str) -> RunSettings:
+    """Return the settings that the options of :func:`add_learner_options` and the hyperparameter file ask for.
+
+    Args:
+        given: options on the command line.
+        algo: the algorithm.
+        learner: one of :data:`agents.hyperparameters.ALGORITHMS`, whose hyperparameters it takes.
+
+    Raises:
+        ValueError: a value is unknown or out of range.
+    """
     env_id = get_suite(given.get("suite", "standard")).benchmark.env_id
-    raw = read_config(Path(given.get("config", CONFIG_FOLDER / f"{given['algo']}.yml")), env_id)
-    file = parse(given["algo"], raw)
-    return settings_of(given, given["algo"], raw, timesteps=file.n_timesteps, n_envs=given.get("n_envs", file.n_envs))
+    raw = read_config(Path(given.get("config", CONFIG_FOLDER / f"{learner}.yml")), env_id)
+    file = parse(learner, raw)
+    return settings_of(given, algo, raw, timesteps=file.n_timesteps, n_envs=given.get("n_envs", file.n_envs))
 
 
 def main(argv: Sequence[str] | None = None) -> int:

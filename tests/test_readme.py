@@ -16,7 +16,19 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 #: Packages that extras bring and `pip install .` does not.
-EXTRAS = ("bokeh", "jax", "joblib", "matplotlib", "onnx", "PIL", "pygame", "rich", "stable_baselines3", "torch")
+EXTRAS = (
+    "bokeh",
+    "jax",
+    "joblib",
+    "matplotlib",
+    "onnx",
+    "pettingzoo",
+    "PIL",
+    "pygame",
+    "rich",
+    "stable_baselines3",
+    "torch",
+)
 
 
 def blocks(page: str, language: str) -> list[str]:

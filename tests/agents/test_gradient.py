@@ -26,9 +26,7 @@ OPTIONS = ["--timesteps", "2400", "--interval", "1200", "--n-envs", "2", "--vali
 V1: dict[str, Any] = {"version": "v1", "observation_mode": "privileged", "weights": {"cap": 50.0}}
 
 
-@pytest.mark.parametrize(
-    ("hidden", "settings"), [((), {}), ((8,), {}), ((8,), {**V1, "strategy": "coordinated-tuned"})]
-)
+@pytest.mark.parametrize(("hidden", "settings"), [((), {}), ((8,), {}), ((8,), V1)])
 def test_loss_falls_on_the_scenarios_that_it_is_of(hidden: tuple[int, ...], settings: dict[str, Any]) -> None:
     torch.manual_seed(0)
     episodes, h = TorchEpisodes(EnvSettings(**settings), 4, 1), Hyperparameters(hidden=hidden)

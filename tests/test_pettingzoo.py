@@ -1,0 +1,276 @@
+"""Facts about the environment for many agents."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pettingzoo")
+
+from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
+from pettingzoo.utils import parallel_to_aec
+
+from tests.envs.rollouts import N_WTG, VERSIONS, actions_of, calm, eventful, rising, sagging
+from wtg_gym.envs import GFMWTGEnv
+from wtg_gym.envs.task_records import COST_TERMS
+from wtg_gym.pettingzoo import REWARDS, GFMWTGParallelEnv, _last_actions, cost_shares, parallel_env
+from wtg_gym.physics.scenario import GroupTrip, Scenario
+
+OF_GROUPS = ("duty", "rotor", "overload", "effort")
+#: The first group stalls and is disconnected, the second goes on.
+HALF: dict[str, Any] = {
+    "scenario": Scenario(name="half", wind_speed=np.array([[8.0], [12.0]]), duration_s=60.0, events=sagging().events),
+    "strategy": ["mppt", "coordinated-piecewise"],
+    "on_failure": "trip",
+}
+#: Wind, load events and what takes groups away, by their version.
+CASES: dict[str, dict[str, Any]] = {
+    "v0": {"version": "v0", "suite": "gust"},
+    "v0, one action": {"version": "v0", "action_mode": "tau", "groups": 3, "duration_s": 20.0},
+    "v0, a rotor stalls": HALF,
+    "v0, a cap": {"version": "v0", "weights": {"cap": 0.05}, "duration_s": 20.0},
+    "v1": {"version": "v1", "strategy": "coordinated-tuned"},
+    "v1, faults": {"version": "v1", "suite": "faults", "on_failure": "trip", "strategy": "mppt"},
+    "v1, a group trips": {"version": "v1", "scenario": eventful(n_wtg=4)},
+}
+
+
+def split(env: GFMWTGParallelEnv, joint: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the action of each agent that is there."""
+    parts = dict(zip(env.possible_agents, joint.reshape(len(env.possible_agents), -1), strict=True))
+    return {agent: parts[agent] for agent in env.agents}
+
+
+@pytest.mark.parametrize("reward", REWARDS)
+@pytest.mark.parametrize("name", CASES)
+def test_joint_run_is_that_of_the_single_environment_bit_for_bit_and_rewards_have_its_mean(
+    name: str, reward: str
+) -> None:
+    env = parallel_env(reward=reward, **CASES[name])
+    local, privileged = (GFMWTGEnv(observation_mode=mode, **CASES[name]) for mode in ("local", "privileged"))
+    observations, infos = env.reset(seed=3)
+    expected, info = local.reset(seed=3)
+    seen, _ = privileged.reset(seed=3)
+    n_local = expected.size // len(env.possible_agents)
+    differ = 0
+    for (joint,) in actions_of(4, 600, n_action=local.action_space.shape[0]):
+        for agent in env.agents:
+            block = env.possible_agents.index(agent) * n_local
+            assert observations[agent].tobytes() == expected[block : block + n_local].tobytes()
+            assert env.observation_space(agent).contains(observations[agent])
+            assert infos[agent] == info and infos[agent] is not info
+        assert env.state().tobytes() == seen.tobytes() and env.state_space.contains(env.state())
+        actions = split(env, joint)
+        # What has left does nothing.
+        for group, agent in enumerate(env.possible_agents):
+            if agent not in actions:
+                joint.reshape(len(env.possible_agents), -1)[group] = 0.0
+        observations, rewards, terminations, truncations, infos = env.step(actions)
+        expected, value, terminated, truncated, info = local.step(joint)
+        seen, *_ = privileged.step(joint)
+        assert set(observations) == set(rewards) == set(terminations) == set(truncations) == set(infos) == set(actions)
+        assert np.mean(list(rewards.values())) == pytest.approx(value, rel=1e-12, abs=1e-15)
+        differ += len(set(rewards.values())) > 1
+        if reward == "shared":
+            assert set(rewards.values()) == {value}
+        if terminated or truncated:
+            assert not env.agents
+            assert all(terminations[a] or truncations[a] for a in actions)
+        if not env.agents:
+            break
+    assert not env.agents and (differ > 0) == (reward == "own")
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_shares_of_the_groups_are_the_terms_that_the_environment_charges(name: str) -> None:
+    env = parallel_env(**CASES[name])
+    env.reset(seed=3)
+    lanes = env.single_env.lanes
+    charged = {term: 0 for term in COST_TERMS}
+    for (joint,) in actions_of(4, 600, n_action=lanes.n_action):
+        last = _last_actions(lanes)
+        _, _, _, _, infos = env.step(split(env, joint))
+        info = next(iter(infos.values()))
+        shares = dict(zip(COST_TERMS, cost_shares(lanes, last).T, strict=True))
+        for term, share in shares.items():
+            assert share.sum() == pytest.approx(info[f"cost_{term}"] if term in OF_GROUPS else 0.0, rel=1e-12)
+            assert (share >= 0.0).all()
+            charged[term] += np.count_nonzero(share) > 1
+        if not env.agents:
+            break
+    assert charged["duty"] and charged["effort"]
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_own_reward_is_that_of_what_the_own_group_does(version: str) -> None:
+    """In a calm grid only the effort of the one agent that acts tells the agents apart, and that of its group."""
+    n = N_WTG[version]
+    settings: dict[str, Any] = {"version": version, "scenario": calm(n_wtg=n)}
+    weights = {"duty": 0.0, "rotor": 0.0, "overload": 0.0}
+    env = parallel_env(reward="own", weights=weights, **settings)
+    env.reset()
+    for size in (1.0, 1.0, 0.0):
+        actions = {agent: np.full(2, size if agent == "wtg1" else 0.0) for agent in env.agents}
+        _, rewards, _, _, infos = env.step(actions)
+        effort = infos["wtg1"]["cost_effort"]
+        assert effort > 0.0
+        others = {rewards[agent] for agent in env.agents if agent != "wtg1"}
+        assert len(others) == 1
+        assert others.pop() - rewards["wtg1"] == pytest.approx(n * effort, rel=1e-12)
+
+
+def test_agent_leaves_with_the_rotor_that_stalls_and_the_others_go_on() -> None:
+    env = parallel_env(reward="own", **HALF)
+    env.reset()
+    assert env.agents == ["wtg0", "wtg1"]
+    zero = np.zeros(2, dtype=np.float32)
+    n_steps, left_at = 0, None
+    while env.agents:
+        # The action of an agent that has left may be given and is ignored, whatever it is.
+        actions = {"wtg0": zero if "wtg0" in env.agents else np.array([np.nan, 1.0]), "wtg1": zero}
+        observations, rewards, terminations, truncations, _ = env.step(actions)
+        n_steps += 1
+        if terminations.get("wtg0"):
+            left_at = n_steps
+            assert set(observations) == {"wtg0", "wtg1"} and env.agents == ["wtg1"] and not truncations["wtg0"]
+            # The agent's last reward is its own: from now on the other one bears what a lost group costs.
+            assert env.single_env.lanes.simulator.wtg_values("connected").tolist() == [[0.0, 1.0]]
+    assert left_at is not None and 1 < left_at < n_steps == 600
+    assert truncations == {"wtg1": True} and terminations == {"wtg1": False} and set(rewards) == {"wtg1"}
+
+
+def test_agents_leave_one_by_one_as_events_take_their_groups_away_and_come_back_with_the_next_episode() -> None:
+    events = tuple(GroupTrip(time_s=0.5 + 0.3 * group, group=group) for group in (2, 0))
+    env = parallel_env(version="v1", reward="own", scenario=calm(n_wtg=4, events=events))
+    for _ in range(2):
+        env.reset()
+        there = []
+        while env.agents:
+            there.append(list(env.agents))
+            env.step({agent: np.ones(2) for agent in env.agents})
+        # What happens at 0.5 s is seen after the step that begins then.
+        assert [agents for n, agents in enumerate(there) if n == 0 or agents != there[n - 1]] == [
+            ["wtg0", "wtg1", "wtg2", "wtg3"],
+            ["wtg1", "wtg2", "wtg3"],
+            ["wtg1", "wtg3"],
+        ]
+        assert len(there) == 40
+    both = tuple(GroupTrip(time_s=0.5, group=group) for group in range(4))
+    env.reset(options={"scenario": calm(n_wtg=4, events=both)})
+    while env.agents:
+        _, _, terminations, truncations, infos = env.step({agent: np.zeros(2) for agent in env.agents})
+    assert all(terminations.values()) and not any(truncations.values()) and infos["wtg0"]["time_s"] < 1.0
+    with pytest.raises(RuntimeError, match=r"call reset\(\)"):
+        env.step({})
+
+
+def test_failure_of_the_grid_terminates_all_agents() -> None:
+    env = parallel_env(scenario=rising(20.0))
+    env.reset()
+    while env.agents:
+        _, _, terminations, truncations, infos = env.step({agent: -np.ones(2) for agent in env.agents})
+    assert terminations == {"wtg0": True, "wtg1": True} and not any(truncations.values())
+    assert infos["wtg0"]["termination_reason"] == "over-speed"
+
+
+@pytest.mark.parametrize("reward", REWARDS)
+@pytest.mark.parametrize("version", VERSIONS)
+def test_official_tests_of_pettingzoo_pass(version: str, reward: str) -> None:
+    def make() -> GFMWTGParallelEnv:
+        return parallel_env(version=version, reward=reward, duration_s=10.0, on_failure="trip", strategy="mppt")
+
+    with warnings.catch_warnings():
+        # Every other warning of theirs is a failure here.
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", message=".*unknown reset options \\['options'\\] are ignored")
+        warnings.filterwarnings("ignore", message=".*agents to be named in the format")
+        parallel_api_test(make(), num_cycles=1000)
+        parallel_seed_test(make, num_cycles=500)
+        api_test(parallel_to_aec(make()), num_cycles=500)
+
+
+def test_spaces_and_names_are_of_each_agent() -> None:
+    env = parallel_env(version="v1")
+    assert (
+        env.possible_agents == ["wtg0", "wtg1", "wtg2", "wtg3"] and env.agents == [] and str(env) == "GFMWTG-14bus-v1"
+    )
+    for agent in env.possible_agents:
+        assert env.observation_space(agent).shape == (8,) and env.action_space(agent).shape == (2,)
+        assert all(name.startswith(f"{agent}.") for name in env.observation_names[agent])
+        assert len(env.observation_names[agent]) == 8
+    assert len({id(space) for space in (*env.observation_spaces.values(), *env.action_spaces.values())}) == 8
+    assert env.state_space == GFMWTGEnv(version="v1", observation_mode="privileged").observation_space
+
+
+def test_frames_are_those_of_the_single_environment() -> None:
+    settings: dict[str, Any] = {"version": "v1", "duration_s": 2.0, "render_mode": "rgb_array"}
+    env, single = parallel_env(**settings), GFMWTGEnv(**settings)
+    env.reset(seed=1)
+    single.reset(seed=1)
+    env.step({agent: np.ones(2) for agent in env.agents})
+    single.step(np.ones(8))
+    assert env.metadata["render_fps"] == 10 and env.render_mode == "rgb_array"
+    assert np.array_equal(env.render(), single.render())
+    env.close()
+
+
+BAD: list[tuple[dict[str, Any], type[Exception], str]] = [
+    ({"reward": "each"}, ValueError, "unknown reward 'each'; choose one of shared, own"),
+    ({"reward": None}, ValueError, "unknown reward None"),
+    ({"observation_mode": "local"}, TypeError, r"observation_mode cannot be chosen: .* state\(\)"),
+    ({"wind": 3}, TypeError, "unexpected keyword argument 'wind'; known settings: "),
+    ({"version": "v9"}, ValueError, "unknown version 'v9'"),
+    ({"render_mode": "text"}, ValueError, "unknown render_mode 'text'"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "kind", "text"), BAD)
+def test_bad_arguments_are_named(arguments: dict[str, Any], kind: type[Exception], text: str) -> None:
+    with pytest.raises(kind, match=text):
+        parallel_env(**arguments)
+
+
+BAD_ACTIONS: list[tuple[Any, str]] = [
+    ({"wtg0": np.zeros(2)}, "actions are missing of wtg1; needed: wtg0, wtg1"),
+    (
+        {"wtg0": np.zeros(2), "wtg1": np.zeros(2), "wtg2": np.zeros(2)},
+        r"unknown agents \['wtg2'\]; the agents are wtg0",
+    ),
+    ({"wtg0": np.zeros(2), "wtg1": np.zeros(4)}, r"wtg1: the action must be .* shape \(2,\), got shape \(4,\)"),
+    ({"wtg0": np.zeros(2), "wtg1": "up"}, "wtg1: the action must be real numbers"),
+    ({"wtg0": np.zeros(2), "wtg1": [0.0, np.nan]}, r"wtg1: the action \[0.0, nan\] is not finite"),
+    (np.zeros(4), "actions must be a dictionary by agent, got ndarray"),
+]
+
+
+@pytest.mark.parametrize(("actions", "text"), BAD_ACTIONS)
+def test_bad_actions_are_named_and_change_nothing(actions: Any, text: str) -> None:
+    env = parallel_env(version="v0")
+    env.reset(seed=1)
+    before = env.state()
+    with pytest.raises(ValueError, match=text):
+        env.step(actions)
+    assert env.state().tobytes() == before.tobytes() and env.agents == ["wtg0", "wtg1"]
+
+
+def test_what_needs_an_episode_says_so() -> None:
+    env = parallel_env(version="v0")
+    for call in (env.state, lambda: env.step({})):
+        with pytest.raises(RuntimeError, match=r"call reset\(\)"):
+            call()
+    with pytest.warns(UserWarning, match=r"unknown reset options \['sceanrio'\] are ignored; known options: scenario"):
+        env.reset(options={"sceanrio": calm()})
+    with pytest.raises(ValueError, match="must be a Scenario"):
+        env.reset(options={"scenario": "calm"})
+
+
+def test_without_pettingzoo_the_import_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pettingzoo", None)
+    monkeypatch.delitem(sys.modules, "wtg_gym.pettingzoo")
+    with pytest.raises(ImportError, match=r"wtg_gym.pettingzoo needs PettingZoo: pip install 'wtg-gym\[marl\]'"):
+        importlib.import_module("wtg_gym.pettingzoo")

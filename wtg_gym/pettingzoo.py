@@ -1,0 +1,318 @@
+"""The environment for many agents, one per WTG group; needs `pip install 'wtg-gym[marl]'`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Unpack
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+
+from wtg_gym.envs.cost import GroupCosts, group_costs, with_group
+from wtg_gym.envs.gfm_wtg import GFMWTGEnv
+from wtg_gym.envs.lanes import TaskLanes, as_actions
+from wtg_gym.envs.observation import OBSERVATION_BOUND
+from wtg_gym.envs.rendering import Frame
+from wtg_gym.envs.settings import ACTION_MODES, EnvArguments, EnvSettings
+from wtg_gym.envs.task_layout import parts_of
+from wtg_gym.envs.task_records import (
+    COST_TERMS,
+    GROUP,
+    N_GROUP_ROWS,
+    N_SENSED_ROWS,
+    SENSED,
+    CostTerms,
+    GroupRows,
+    load_group,
+    read_task,
+    store_terms,
+)
+from wtg_gym.physics.compiled import compiled
+from wtg_gym.physics.elementary import select
+from wtg_gym.physics.layout import (
+    LANE,
+    WTG,
+    Floats,
+    load_wtg_output,
+    load_wtg_state,
+    read_turbine,
+    rows_of,
+    wtg_row,
+)
+
+try:
+    from pettingzoo import ParallelEnv
+except ImportError as error:
+    raise ImportError("wtg_gym.pettingzoo needs PettingZoo: pip install 'wtg-gym[marl]'") from error
+
+Observation = npt.NDArray[np.float32]
+Action = npt.NDArray[np.float32]
+#: Observations, rewards, terminations, truncations and infos, by agent.
+Step = tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]
+
+#: What agents earn: the reward of all, or that with their own group's part of the cost.
+REWARDS = ("shared", "own")
+
+
+class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[misc]
+    """:class:`wtg_gym.envs.GFMWTGEnv` with one agent per WTG group, as an environment of PettingZoo.
+
+    The agents are "wtg0", "wtg1", … in the order of the groups. Their joint run equals that of the single environment
+    with the same seed and actions, bit for bit.
+
+    - An agent observes what its own group measures, and its own last action: its part of the local observation.
+      `observation_names` has the units. It gives its own group's part of the action.
+    - :meth:`state` is the privileged observation of the whole grid, for a central critic.
+    - `reward="shared"`: every agent earns the reward of the single environment.
+    - `reward="own"`: frequency, its rate of change and failure cost every agent the same; duty, rotor, overload and
+      effort cost each what its own group does, times the number of agents. The mean over the agents of a step is the
+      single environment's reward. What a group costs after its agent has left is borne by the others, in equal parts.
+    - An agent leaves, terminated, with the step in which its group is disconnected, by an event or, with
+      `on_failure="trip"`, by its rotor's speed. The group's action is zero from then on. At the end of the episode all
+      agents that are left are terminated or truncated.
+
+    Every info is that of the single environment.
+
+    Args:
+        reward: "shared" or "own".
+        render_mode: as for the single environment.
+        arguments: as for :class:`wtg_gym.envs.GFMWTGEnv`, but `observation_mode`.
+
+    Raises:
+        TypeError: an argument is unknown.
+        ValueError: an argument is out of range.
+    """
+
+    def __init__(
+        self, *, reward: str = "shared", render_mode: str | None = None, **arguments: Unpack[EnvArguments]
+    ) -> None:
+        if "observation_mode" in arguments:
+            raise TypeError(
+                "observation_mode cannot be chosen: agents see what their own groups measure, and state() is the "
+                "privileged observation"
+            )
+        if not isinstance(reward, str) or reward not in REWARDS:
+            raise ValueError(f"unknown reward {reward!r}; choose one of {', '.join(REWARDS)}")
+        self.reward = reward
+        #: The environment that the agents share.
+        seen: EnvArguments = {**arguments, "observation_mode": "privileged"}
+        self.single_env = GFMWTGEnv(render_mode=render_mode, **seen)
+        self.render_mode = render_mode
+        lanes, settings = self.single_env.lanes, self.single_env.settings
+        self.metadata = {**self.single_env.metadata, "name": settings.benchmark().env_id, "is_parallelizable": True}
+        self.possible_agents = [f"wtg{group}" for group in range(lanes.n_wtg)]
+        self.agents: list[str] = []
+        n_modes = sum(ACTION_MODES[settings.action_mode])
+        width = lanes.n_local + n_modes
+        bound, one = np.full(width, OBSERVATION_BOUND, dtype=np.float32), np.ones(n_modes, dtype=np.float32)
+        # Each its own, so that each can be seeded by itself.
+        self.observation_spaces = {agent: gym.spaces.Box(-bound, bound) for agent in self.possible_agents}
+        self.action_spaces = {agent: gym.spaces.Box(-one, one) for agent in self.possible_agents}
+        self.state_space = self.single_env.observation_space
+        self._action_shape = (n_modes,)
+        self._seen = {agent: slice(j * width, (j + 1) * width) for j, agent in enumerate(self.possible_agents)}
+        self._done_by = {agent: slice(j * n_modes, (j + 1) * n_modes) for j, agent in enumerate(self.possible_agents)}
+        #: Names and units of each agent's observation.
+        self.observation_names = {agent: lanes.observation_names[own] for agent, own in self._seen.items()}
+
+    @property
+    def settings(self) -> EnvSettings:
+        """Settings of the single environment."""
+        return self.single_env.settings
+
+    def observation_space(self, agent: str) -> gym.spaces.Box:
+        """Return what an agent observes: Box(-5, 5, (n,))."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> gym.spaces.Box:
+        """Return what an agent does: Box(-1, 1, (n_modes,))."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
+        """Start an episode.
+
+        Args:
+            seed: seeds the generator that scenarios are drawn with; None goes on with it.
+            options: {"scenario": Scenario or its to_dict()} plays that scenario. Others are ignored with a warning, as
+                PettingZoo's own tests want it.
+
+        Returns:
+            observations and infos by agent.
+
+        Raises:
+            ValueError: a scenario that does not fit; nothing has changed then.
+            gymnasium.error.Error: the seed is no whole number of 0 or more.
+        """
+        if isinstance(options, Mapping):
+            unknown = sorted(str(key) for key in options if key != "scenario")
+            if unknown:
+                gym.logger.warn(f"unknown reset options {unknown} are ignored; known options: scenario")
+            options = {key: value for key, value in options.items() if key == "scenario"}
+        observation, info = self.single_env.reset(seed=seed, options=options)
+        self.agents = list(self.possible_agents)
+        return self._parts(observation), {agent: dict(info) for agent in self.agents}
+
+    def _parts(self, observation: Observation) -> dict[str, Observation]:
+        return {agent: observation[self._seen[agent]].copy() for agent in self.agents}
+
+    def step(self, actions: Mapping[str, Action]) -> Step:
+        """Hold the actions for one control interval.
+
+        Args:
+            actions: (n_modes,) of every agent that is there, clipped to [-1, 1]; those of agents that have left are
+                ignored.
+
+        Returns:
+            observations, rewards, terminations, truncations and infos of the agents that acted.
+
+        Raises:
+            ValueError: an action is missing, has the wrong shape or a value that is not finite; nothing has been
+                stepped then.
+            RuntimeError: no agent is there, call reset().
+        """
+        if not self.agents:
+            raise RuntimeError("the episode is over or was never started; call reset() before step()")
+        joint = self._joint(actions)
+        lanes = self.single_env.lanes
+        last = _last_actions(lanes)
+        observation, reward, terminated, truncated, info = self.single_env.step(joint)
+        acted = self.agents
+        observations = self._parts(observation)
+        rewards = self._rewards(reward, last)
+        connected = lanes.simulator.wtg_values("connected")[0] > 0.5
+        there = dict(zip(self.possible_agents, connected.tolist(), strict=True))
+        terminations = {agent: terminated or not there[agent] for agent in acted}
+        truncations = {agent: truncated and there[agent] for agent in acted}
+        self.agents = [agent for agent in acted if not (terminations[agent] or truncations[agent])]
+        return observations, rewards, terminations, truncations, {agent: dict(info) for agent in acted}
+
+    def _joint(self, actions: Mapping[str, Action]) -> npt.NDArray[Any]:
+        """Return the action of the single environment, zero for groups whose agents have left."""
+        if not isinstance(actions, Mapping):
+            raise ValueError(f"actions must be a dictionary by agent, got {type(actions).__name__}")
+        unknown = [str(agent) for agent in actions if agent not in self._done_by]
+        if unknown:
+            raise ValueError(f"unknown agents {unknown}; the agents are {', '.join(self.possible_agents)}")
+        missing = [agent for agent in self.agents if agent not in actions]
+        if missing:
+            raise ValueError(f"actions are missing of {', '.join(missing)}; needed: {', '.join(self.agents)}")
+        joint = np.zeros(len(self._done_by) * self._action_shape[0])
+        for agent in self.agents:
+            try:
+                own = as_actions(actions[agent], self._action_shape)
+            except ValueError as error:
+                raise ValueError(f"{agent}: {error}") from None
+            if not np.isfinite(own).all():
+                raise ValueError(f"{agent}: the action {own.tolist()} is not finite; allowed: -1 … 1")
+            joint[self._done_by[agent]] = own
+        return joint
+
+    def _rewards(self, reward: float, last_actions: Floats) -> dict[str, float]:
+        """Return what the agents that acted earn; their mean is the reward of the single environment."""
+        if self.reward == "shared":
+            return dict.fromkeys(self.agents, reward)
+        costs = cost_shares(self.single_env.lanes, last_actions).sum(axis=1)
+        acted = [agent in self.agents for agent in self.possible_agents]
+        # Everybody bears what is nobody's.
+        common = -reward - costs[acted].sum()
+        own = zip(self.agents, costs[acted].tolist(), strict=True)
+        return {agent: -float(common + len(self.agents) * cost) for agent, cost in own}
+
+    def state(self) -> Observation:
+        """Return the privileged observation of the whole grid, `state_space`.
+
+        Raises:
+            RuntimeError: no episode was started.
+        """
+        if not self.single_env.lanes.task_values("end_step")[0] > 0.0:
+            raise RuntimeError("no episode was started; call reset() before state()")
+        state: Observation = self.single_env.lanes.observations[0].copy()
+        return state
+
+    def render(self) -> Frame | None:
+        """Draw the episode up to now, as the single environment does."""
+        return self.single_env.render()
+
+    def close(self) -> None:
+        """Release the worker threads, and close the window; the environment can still be used."""
+        self.single_env.close()
+
+
+def _last_actions(lanes: TaskLanes) -> Floats:
+    """Return the actions on k and τ of each group in the last step, (n_wtg, 2)."""
+    layout = lanes.simulator.layout
+    first = parts_of(lanes.simulator.plant.constants[0], read_task(lanes.task[0])).groups
+    rows = first + np.arange(layout.n_wtg)[:, None] * N_GROUP_ROWS + [GROUP.last_action_k, GROUP.last_action_tau]
+    last: Floats = lanes.simulator.blocks[0, rows]
+    return last
+
+
+def cost_shares(lanes: TaskLanes, last_actions: Floats) -> Floats:
+    """Return what each WTG group adds to the terms of the last step's cost, (n_wtg, n_terms), as `COST_TERMS`.
+
+    Frequency, its rate of change and failure are nobody's: 0.
+
+    Args:
+        lanes: one episode, after a step.
+        last_actions: of the groups on k and τ in the step before that one, (n_wtg, 2).
+    """
+    rates = np.zeros((lanes.n_wtg, len(COST_TERMS)))
+    simulator = lanes.simulator
+    _group_rates(simulator.blocks[0], simulator.plant.constants, lanes.task, last_actions, rates)
+    terms = np.array([lanes.task_values(f"terms.{term}")[0] for term in COST_TERMS])
+    total = rates.sum(axis=0)
+    # A cap may have scaled the terms of all groups alike.
+    shares: Floats = np.divide(rates, total, out=np.zeros_like(rates), where=total > 0.0) * terms
+    return shares
+
+
+@compiled
+def _group_rates(
+    block: Floats,
+    constants: npt.NDArray[np.void],
+    task: npt.NDArray[np.void],
+    last_actions: Floats,
+    rates: Floats,
+) -> None:
+    """Write the rates of the cost's terms that each WTG group of a lane's last step adds [1/s], (n_wtg, n_terms)."""
+    c, t = constants[0], read_task(task[0])
+    sensed = task[0]["sensed"].shape[0] > 0
+    parts, turbine, n_wtg = parts_of(c, t), read_turbine(c["turbine"]), c["share"].shape[0]
+    for j in range(n_wtg):
+        o = wtg_row(c, j)
+        now = load_group(block, parts.groups + j * N_GROUP_ROWS, 1)
+        group = GroupRows(
+            base_inv_tau=now.base_inv_tau,
+            last_speed=now.last_speed,
+            rocof=now.rocof,
+            last_action_k=last_actions[j, 0],
+            last_action_tau=last_actions[j, 1],
+            action_k=now.action_k,
+            action_tau=now.action_tau,
+        )
+        costs = group_costs(load_wtg_state(block, o, 1), load_wtg_output(block, o + WTG.output, 1), turbine, t)
+        duty, there = costs.duty, 1.0
+        if sensed:
+            own = parts.sensed + j * N_SENSED_ROWS
+            there = select(block[rows_of(c).lane + LANE.step] <= block[own + SENSED.leaves_at], 1.0, 0.0)
+            costs = GroupCosts(costs.duty, there * costs.rotor, there * costs.overload, costs.available)
+            duty = block[own + SENSED.mean_duty]
+        store_terms(
+            with_group(CostTerms(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), costs, duty, there, group, t, n_wtg),
+            rates[j],
+            0,
+            1,
+        )
+
+
+def parallel_env(
+    *, reward: str = "shared", render_mode: str | None = None, **arguments: Unpack[EnvArguments]
+) -> GFMWTGParallelEnv:
+    """Return the environment for many agents; arguments and errors are those of :class:`GFMWTGParallelEnv`."""
+    return GFMWTGParallelEnv(reward=reward, render_mode=render_mode, **arguments)
+
+
+__all__ = ["REWARDS", "GFMWTGParallelEnv", "cost_shares", "parallel_env"]
