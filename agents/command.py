@@ -12,7 +12,6 @@ from agents.folders import held, new_folder
 from agents.runs import Run, RunSettings
 from wtg_gym.cli.output import (
     FIGURE_FORMATS,
-    Progress,
     check_output_file,
     check_output_folder,
     check_page,
@@ -28,6 +27,7 @@ from wtg_gym.cli.parser import Parser
 from wtg_gym.cli.scoring import chosen_entries
 from wtg_gym.envs.settings import ACTION_MODES, OBSERVATION_MODES
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
+from wtg_gym.progress import Progress
 
 
 def run_command(work: Callable[[], None], after_interrupt: str | None = None) -> int:
