@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     )
     from wtg_gym.physics.tracking_law import TrackingLaw, get_law
     from wtg_gym.physics.trajectory import Trajectory, simulate
+    from wtg_gym.policies.torch_export import export_onnx
     from wtg_gym.scenarios import get_suite
 
 try:
@@ -63,6 +64,7 @@ _PLACES = {
     "TrackingLaw": "physics.tracking_law",
     "Trajectory": "physics.trajectory",
     "evaluate": "evaluation",
+    "export_onnx": "policies.torch_export",
     "get_law": "physics.tracking_law",
     "get_suite": "scenarios",
     "leaderboard_rows": "evaluation",
@@ -91,6 +93,7 @@ __all__ = [
     "Trajectory",
     "__version__",
     "evaluate",
+    "export_onnx",
     "get_law",
     "get_suite",
     "leaderboard_rows",
