@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import importlib
 from collections.abc import Callable, Container, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -48,6 +49,16 @@ def run_command(work: Callable[[], None], after_interrupt: str | None = None) ->
         note(f"interrupted; {after_interrupt}")
         return 130
     return 0
+
+
+def require_package(package: str, extra: str) -> None:
+    """Raise a ValueError that names the extra if a package cannot be imported."""
+    try:
+        importlib.import_module(package)
+    except ImportError as error:
+        raise ValueError(
+            f"{package} of the {extra} extra is needed: pip install 'wtg-gym[{extra}]' ({error})"
+        ) from error
 
 
 def add_strategy_option(parser: argparse.ArgumentParser) -> None:
@@ -170,6 +181,7 @@ __all__ = [
     "opened_run",
     "print_table",
     "require_extra",
+    "require_package",
     "run_command",
     "say",
     "settings_of",
