@@ -172,6 +172,10 @@ rllib: $(RLLIB_READY) ## Train with RLlib for a minute, in an environment of its
 test-rllib: $(RLLIB_READY) ## Run the tests that need Ray, which `make test` skips
 	$(RLLIB_VENV)/bin/python -m pytest tests/agents/test_rllib.py tests/evaluation/test_workers.py
 
+.PHONY: integrations
+integrations: $(TEST_READY) ## Run the programs of docs/integrations.md, each in an environment of its own, and renew its table (an hour)
+	$(TEST_VENV)/bin/python -m tests.integrations
+
 .PHONY: test
 test: lint types contracts pytest ## Check everything, stopping at the first failure: the four targets below, in order
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import importlib
 import json
 from collections.abc import Callable, Container, Iterator, Mapping
 from pathlib import Path
@@ -13,7 +14,6 @@ from agents.folders import held, new_folder
 from agents.runs import Run, RunSettings
 from wtg_gym.cli.output import (
     FIGURE_FORMATS,
-    Progress,
     check_output_file,
     check_output_folder,
     check_page,
@@ -29,6 +29,7 @@ from wtg_gym.cli.parser import Parser
 from wtg_gym.cli.scoring import chosen_entries
 from wtg_gym.envs.settings import ACTION_MODES, OBSERVATION_MODES
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
+from wtg_gym.progress import Progress
 
 
 def run_command(work: Callable[[], None], after_interrupt: str | None = None) -> int:
@@ -49,6 +50,16 @@ def run_command(work: Callable[[], None], after_interrupt: str | None = None) ->
         note(f"interrupted; {after_interrupt}")
         return 130
     return 0
+
+
+def require_package(package: str, extra: str) -> None:
+    """Raise a ValueError that names the extra if a package cannot be imported."""
+    try:
+        importlib.import_module(package)
+    except ImportError as error:
+        raise ValueError(
+            f"{package} of the {extra} extra is needed: pip install 'wtg-gym[{extra}]' ({error})"
+        ) from error
 
 
 def add_strategy_option(parser: argparse.ArgumentParser) -> None:
@@ -191,6 +202,7 @@ __all__ = [
     "opened_run",
     "print_table",
     "require_extra",
+    "require_package",
     "run_command",
     "say",
     "settings_of",

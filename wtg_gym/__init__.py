@@ -12,7 +12,7 @@ from gymnasium.envs.registration import register, registry
 
 if TYPE_CHECKING:
     from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
-    from wtg_gym.evaluation import Entry, evaluate, leaderboard_rows, load_entries, markdown_table
+    from wtg_gym.evaluation import Entry, evaluate, leaderboard_rows, load_entries, markdown_table, to_xarray
     from wtg_gym.physics.plant import PlantSettings
     from wtg_gym.physics.scenario import (
         GovernorLoss,
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     )
     from wtg_gym.physics.tracking_law import TrackingLaw, get_law
     from wtg_gym.physics.trajectory import Trajectory, simulate
+    from wtg_gym.policies.torch_export import export_onnx
     from wtg_gym.scenarios import get_suite
 
 try:
@@ -63,12 +64,14 @@ _PLACES = {
     "TrackingLaw": "physics.tracking_law",
     "Trajectory": "physics.trajectory",
     "evaluate": "evaluation",
+    "export_onnx": "policies.torch_export",
     "get_law": "physics.tracking_law",
     "get_suite": "scenarios",
     "leaderboard_rows": "evaluation",
     "load_entries": "evaluation",
     "markdown_table": "evaluation",
     "simulate": "physics.trajectory",
+    "to_xarray": "evaluation",
 }
 
 __all__ = [
@@ -90,12 +93,14 @@ __all__ = [
     "Trajectory",
     "__version__",
     "evaluate",
+    "export_onnx",
     "get_law",
     "get_suite",
     "leaderboard_rows",
     "load_entries",
     "markdown_table",
     "simulate",
+    "to_xarray",
 ]
 
 

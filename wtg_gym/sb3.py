@@ -13,6 +13,8 @@ from gymnasium.vector import AutoresetMode
 from wtg_gym.envs import GFMWTGVectorEnv
 
 try:
+    import torch
+    from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 except ImportError as error:
     raise ImportError("wtg_gym.sb3 needs Stable-Baselines3: pip install 'wtg-gym[train]'") from error
@@ -200,4 +202,44 @@ def make_sb3_vec_env(num_envs: int = 1, *, seed: int | None = None, **arguments:
     return env
 
 
-__all__ = ["SB3VecEnv", "make_sb3_vec_env"]
+class DeterministicPolicy(torch.nn.Module):
+    """The deterministic action of a learner, its normalisation of observations included, for `wtg_gym.export_onnx`.
+
+    Args:
+        model: a learner of Stable-Baselines3 or sb3-contrib with continuous actions.
+    """
+
+    _mean: torch.Tensor
+    _std: torch.Tensor
+
+    def __init__(self, model: BaseAlgorithm) -> None:
+        super().__init__()
+        self._policy: Any = model.policy
+        self._lstm: Any = getattr(model.policy, "lstm_actor", None)
+        #: Widths of the states: hidden and cell of every layer of an LSTM, else none.
+        self.state_widths: tuple[int, ...] = ()
+        if self._lstm is not None:
+            self.state_widths = (self._lstm.hidden_size,) * (2 * self._lstm.num_layers)
+        normalization: Any = model.get_vec_normalize_env()
+        self._clip = None
+        if normalization is not None and normalization.norm_obs:
+            # In double precision, as VecNormalize does it.
+            moments, self._clip = normalization.obs_rms, normalization.clip_obs
+            self.register_buffer("_mean", torch.as_tensor(moments.mean))
+            self.register_buffer("_std", torch.sqrt(torch.as_tensor(moments.var + normalization.epsilon)))
+
+    def forward(self, observation: torch.Tensor, *states: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Return actions (batch, n_action) and next states for raw observations (batch, n_observation)."""
+        if self._clip is not None:
+            observation = ((observation.double() - self._mean) / self._std).clamp(-self._clip, self._clip).float()
+        policy = self._policy
+        if self._lstm is None:
+            return (policy._predict(observation, deterministic=True),)
+        features = policy.extract_features(observation, policy.pi_features_extractor)
+        hidden, cell = (torch.stack(states[first::2]) for first in (0, 1))
+        output, (hidden, cell) = self._lstm(features[None], (hidden, cell))
+        mean = policy.action_net(policy.mlp_extractor.forward_actor(output[0]))
+        return mean, *(each for layer in zip(hidden, cell, strict=True) for each in layer)
+
+
+__all__ = ["DeterministicPolicy", "SB3VecEnv", "make_sb3_vec_env"]

@@ -12,8 +12,10 @@ import pytest
 
 import wtg_gym.cli
 from tests.cli.calls import error_of
-from wtg_gym.cli import main, output
-from wtg_gym.cli.output import Progress, note, print_json, print_table, say
+from wtg_gym import progress as progress_module
+from wtg_gym.cli import main
+from wtg_gym.cli.output import note, print_json, print_table, say
+from wtg_gym.progress import Progress
 from wtg_gym.scenarios import get_suite
 
 #: Colours, the title of a window, C1 controls, a changed direction, a line of its own, half a surrogate pair.
@@ -38,7 +40,7 @@ def test_remaining_time_counts_from_the_first_call_since_compiling_comes_before_
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock = iter((0.0, 60.0, 70.0, 130.0))
-    monkeypatch.setattr(output, "time", SimpleNamespace(monotonic=lambda: next(clock)))
+    monkeypatch.setattr(progress_module, "time", SimpleNamespace(monotonic=lambda: next(clock)))
     with Progress("episodes") as progress:
         progress.update("mppt", 10, 80)
         progress.update("mppt", 20, 80)

@@ -19,7 +19,6 @@ from wtg_gym.analysis.step_error import (
     study_accuracy,
 )
 from wtg_gym.cli.output import (
-    Progress,
     check_output_folder,
     check_page,
     note,
@@ -32,6 +31,7 @@ from wtg_gym.cli.output import (
 )
 from wtg_gym.cli.parser import Commands, add_command, add_output_options
 from wtg_gym.files import to_json, write_atomically
+from wtg_gym.progress import Progress
 from wtg_gym.scenarios import SUITES
 
 _DESCRIPTION = f"""\

@@ -6,9 +6,10 @@ import argparse
 import dataclasses
 
 from wtg_gym.analysis.aggregation import STRATEGIES, AggregationStudy, aggregation_table, study_aggregation
-from wtg_gym.cli.output import Progress, check_page, plain_json, print_json, say, update_page
+from wtg_gym.cli.output import check_page, plain_json, print_json, say, update_page
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.physics.plant import PHYSICS
+from wtg_gym.progress import Progress
 from wtg_gym.scenarios import SUITES
 
 _DESCRIPTION = f"""\

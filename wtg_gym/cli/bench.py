@@ -17,7 +17,6 @@ from wtg_gym.analysis.benchmarks.peers import peer_packages
 from wtg_gym.analysis.benchmarks.timing import machine, versions
 from wtg_gym.analysis.benchmarks.training import describe_training
 from wtg_gym.cli.output import (
-    Progress,
     check_output_folder,
     check_page,
     note,
@@ -30,6 +29,7 @@ from wtg_gym.cli.output import (
 )
 from wtg_gym.cli.parser import Commands, add_command, add_output_options
 from wtg_gym.files import markdown_table, read_text, to_json, write_atomically
+from wtg_gym.progress import Progress
 from wtg_gym.ranges import require_range
 
 #: Packages whose versions matter, besides those of the peers.

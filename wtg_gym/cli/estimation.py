@@ -7,8 +7,9 @@ import dataclasses
 from pathlib import Path
 
 from wtg_gym.analysis.estimation import UNKNOWNS, EstimationStudy, estimation_table, study_own_run, study_recorded_run
-from wtg_gym.cli.output import Progress, check_page, plain_json, print_json, say, update_page
+from wtg_gym.cli.output import check_page, plain_json, print_json, say, update_page
 from wtg_gym.cli.parser import Commands, add_command
+from wtg_gym.progress import Progress
 
 _DESCRIPTION = f"""\
 Finds parameters of a plant from a record of its frequency: least squares by Gauss-Newton, with derivatives from

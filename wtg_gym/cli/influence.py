@@ -9,7 +9,6 @@ import numpy as np
 from wtg_gym.analysis.influence import MEASURES, Influences, influences_table, measure_influences
 from wtg_gym.cli.output import (
     PLOT_SUFFIXES,
-    Progress,
     check_page,
     check_plot_file,
     plain_json,
@@ -21,6 +20,7 @@ from wtg_gym.cli.output import (
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
+from wtg_gym.progress import Progress
 from wtg_gym.scenarios import get_suite
 
 _MEASURES = "\n".join(f"  {name:12} [{unit}] {text}" for name, (unit, _, text) in MEASURES.items())

@@ -15,7 +15,6 @@ from wtg_gym.analysis.physics_study import (
 )
 from wtg_gym.analysis.physics_tables import physics_sections
 from wtg_gym.cli.output import (
-    Progress,
     check_output_folder,
     check_page,
     note,
@@ -30,6 +29,7 @@ from wtg_gym.evaluation.limited_converters import LimitedPlay, limited_table, pl
 from wtg_gym.files import to_json, write_atomically
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.policies.load import load_entries
+from wtg_gym.progress import Progress
 from wtg_gym.ranges import require_range
 from wtg_gym.scenarios import get_suite
 

@@ -32,7 +32,6 @@ from wtg_gym.analysis.loops import Side, SingleMachine, ideal_source_loop, singl
 from wtg_gym.analysis.paper_claims import paper_claims
 from wtg_gym.analysis.tables import claims_table, margins_table, modes_table
 from wtg_gym.cli.output import (
-    Progress,
     check_output_folder,
     check_page,
     note,
@@ -46,6 +45,7 @@ from wtg_gym.cli.parser import Commands, add_command, add_output_options
 from wtg_gym.files import to_json, write_atomically
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
+from wtg_gym.progress import Progress
 from wtg_gym.scenarios import get_suite
 
 if TYPE_CHECKING:

@@ -9,7 +9,6 @@ from pathlib import Path
 from wtg_gym.cli.matrix import add_matrix
 from wtg_gym.cli.output import (
     PLOT_SUFFIXES,
-    Progress,
     check_output_file,
     check_page,
     check_plot_file,
@@ -38,6 +37,7 @@ from wtg_gym.plotting import figure_bytes, plot_front
 from wtg_gym.plotting.front import MOST_FAILURES_PERCENT, undominated
 from wtg_gym.plotting.page import N_SCENARIOS, SIZE_LIMIT, leaderboard_page, untraced
 from wtg_gym.policies.load import BASELINES
+from wtg_gym.progress import Progress
 from wtg_gym.scenarios import SPLITS
 
 #: Differences that are printed.

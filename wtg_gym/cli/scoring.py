@@ -12,7 +12,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from wtg_gym.cli.output import Progress, note, print_json, print_table, say
+from wtg_gym.cli.output import note, print_json, print_table, say
 from wtg_gym.cli.suites import suites_by_version
 from wtg_gym.envs.compile_ahead import compile_ahead
 from wtg_gym.envs.settings import EnvSettings
@@ -22,6 +22,7 @@ from wtg_gym.evaluation.leaderboard import columns_of, short_columns_of
 from wtg_gym.evaluation.workers import BACKENDS, Workers
 from wtg_gym.policies.entry import check_entries
 from wtg_gym.policies.load import BASELINES, LoadArchive
+from wtg_gym.progress import Progress
 from wtg_gym.scenarios import FRESH, SPLITS, FreshDraw, draw_seeds, get_suite
 
 #: Unit of the columns of points.

@@ -15,7 +15,6 @@ import numpy as np
 from wtg_gym.cli.laws import add_law_option, chosen_laws
 from wtg_gym.cli.output import (
     PLOT_SUFFIXES,
-    Progress,
     check_output_file,
     check_plot_file,
     print_json,
@@ -31,6 +30,7 @@ from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import EVENT_KINDS, Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, STRATEGY_NAMES
 from wtg_gym.physics.trajectory import Trajectory, simulate
+from wtg_gym.progress import Progress
 from wtg_gym.scenarios import SUITES, Suite, get_suite, read_wind_csv
 from wtg_gym.scenarios.benchmark import V0
 

@@ -30,6 +30,7 @@ from wtg_gym.policies.entry import check_entries, check_version
 from wtg_gym.policies.load import load_entries
 from wtg_gym.policies.play import play, started_lanes
 from wtg_gym.policies.policy_process import NotIsolatedError
+from wtg_gym.progress import Progress as ProgressBar
 from wtg_gym.scenarios import FRESH, FreshDraw, get_suite
 from wtg_gym.scenarios.benchmark import V0, Benchmark
 
@@ -55,6 +56,7 @@ def evaluate(
     duration_s: float | None = None,
     batch: int = 256,
     n_threads: int | None = None,
+    progress: bool = False,
     on_progress: Progress | None = None,
     partial: str | Path | None = None,
     workers: Workers | None = None,
@@ -81,6 +83,7 @@ def evaluate(
         batch: scenarios that run side by side, of an ONNX policy 64 at most.
         n_threads: threads to step with, and ONNX policies that play side by side; None for one per processor. Workers
             have one each.
+        progress: show progress on stderr: a bar in a terminal that has rich, else a line every few seconds.
         on_progress: called with (name of the entry, episodes done, episodes in all) after every batch.
         partial: folder for finished batches: a run that was killed goes on from them; in the end they are removed, the
             folder stays.
@@ -112,8 +115,12 @@ def evaluate(
     played: dict[int, list[Episode]] = {}
     failures: dict[tuple[str, int | None], PolicyError] = {}
     n_done = 0
-    with contextlib.closing(_stored_and_played(store, parts, settings, n_threads, workers)) as batches:
-        for index, rows in batches:
+    with contextlib.ExitStack() as stack:
+        told = [] if on_progress is None else [on_progress]
+        if progress:
+            told.append(stack.enter_context(ProgressBar("episodes")).update)
+        batches = _stored_and_played(store, parts, settings, n_threads, workers)
+        for index, rows in stack.enter_context(contextlib.closing(batches)):
             entry, own = parts[index]
             if isinstance(rows, PolicyError):
                 if not keep_going:
@@ -122,8 +129,8 @@ def evaluate(
             else:
                 played[index] = rows
             n_done += len(own)
-            if on_progress is not None:
-                on_progress(entry.name, n_done, len(competitors) * len(chosen))
+            for tell in told:
+                tell(entry.name, n_done, len(competitors) * len(chosen))
     results = Results(
         suite=suite,
         split=split,

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from html import escape
 
 from wtg_gym import files
 from wtg_gym.evaluation.results import Results
+from wtg_gym.evaluation.score import NoScaleError
 from wtg_gym.evaluation.statistics import Interval
 from wtg_gym.evaluation.summary import REST, EntrySummary, ranked
 
@@ -168,3 +170,18 @@ def markdown_table(rows: Sequence[EntrySummary]) -> str:
     columns = short_columns_of(rows[0].version)
     numbers = [index for index, column in enumerate(columns) if _ALL_COLUMNS[column]]
     return files.markdown_table(list(columns), table_cells(rows, columns), right=numbers)
+
+
+def html_table(results: Results) -> str:
+    """Return the ranking as an HTML table of the version's short columns, or why there is none."""
+    columns = short_columns_of(results.benchmark.version)
+    scenarios = f"{results.suite}, {results.split}: {len(results.seeds)} scenarios"
+    try:
+        rows = table_cells(leaderboard_rows(results), columns)
+    except NoScaleError as error:
+        return f"<p>{escape(scenarios)}; no ranking: {escape(str(error))}</p>"
+    head = "".join(f"<th>{escape(column)}</th>" for column in columns)
+    cells = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in rows)
+    body = "".join(f"<tr>{row}</tr>" for row in cells)
+    caption = f"<caption>{escape(scenarios)}</caption>"
+    return f"<table>{caption}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"

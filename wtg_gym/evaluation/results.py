@@ -6,22 +6,26 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from wtg_gym.evaluation import results_file
 from wtg_gym.evaluation.episodes import Episode
+from wtg_gym.evaluation.labelled import episodes_frame
 from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.evaluation.oracle import KnownOracle, known_oracle
 from wtg_gym.evaluation.score import NoScaleError, log_gains, pinned
 from wtg_gym.evaluation.statistics import Floats, Interval, mean
-from wtg_gym.evaluation.summary import SINCE_V1, EntrySummary, summarise
+from wtg_gym.evaluation.summary import SINCE_V1, EntrySummary, ranked, summarise
 from wtg_gym.scenarios import get_suite
 from wtg_gym.scenarios.benchmark import V0, Benchmark
 
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
-@dataclass(frozen=True, kw_only=True)
+
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Results:
     """Every episode of an evaluation, with what is needed to repeat it.
 
@@ -53,6 +57,22 @@ class Results:
     entries: tuple[Mapping[str, Any], ...]
     episodes: tuple[Episode, ...]
     failed: tuple[Mapping[str, Any], ...] = ()
+
+    def __repr__(self) -> str:
+        """Return suite, split, number of scenarios and the ranking's scores in a line."""
+        try:
+            rows = ranked(self.summaries)
+            entries = ", ".join(f"{row.name} {row.score.value:.1f}" for row in rows)
+        except NoScaleError:
+            entries = ", ".join(dict.fromkeys(entry["name"] for entry in self.entries)) + ", without a score"
+        return f"<Results of {self.suite}, {self.split}, {len(self.seeds)} scenarios: {entries}>"
+
+    def _repr_html_(self) -> str:
+        """Return the ranking as a table, which notebooks show."""
+        # The ranking's module needs this one.
+        from wtg_gym.evaluation.leaderboard import html_table
+
+        return html_table(self)
 
     @property
     def benchmark(self) -> Benchmark:
@@ -140,6 +160,16 @@ class Results:
             episodes=tuple(episode for episode in self.episodes if episode.entry not in first),
             failed=(*self.failed, *left_out),
         )
+
+    def to_pandas(self) -> DataFrame:
+        """Return the episodes as a table of pandas, a row per entry and scenario; extra `data`.
+
+        Columns are those of the CSV: entry, training_seed, seed, scenario, duration_s, failure, and every metric.
+
+        Raises:
+            ImportError: pandas is not installed.
+        """
+        return episodes_frame(self.episodes)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the description and the summary as JSON-ready data; without a score the summary is empty."""

@@ -139,8 +139,8 @@ def load_entry_folder(folder: Path, load_archive: LoadArchive | None = None) -> 
         raise ValueError(
             f"entry {folder}: {ARCHIVE_FILE} is an archive of Stable-Baselines3 and was not opened, because loading it "
             f"would run whatever code its maker put in it, with your rights. The leaderboard takes {POLICY_FILE}, "
-            "an ONNX file that 'python -m agents.export' writes; a file that you made yourself, and only that, can be "
-            "scored as it is with 'wtg-gym evaluate --trust-pickle'"
+            "an ONNX file that 'python -m agents.export' or wtg_gym.export_onnx() writes; a file that you made "
+            "yourself, and only that, can be scored as it is with 'wtg-gym evaluate --trust-pickle'"
         )
     data = _entry_data(folder / ENTRY_FILE, (_ALGORITHM,) if is_archive else ())
     algorithm = data.pop(_ALGORITHM, "")

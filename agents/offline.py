@@ -1,0 +1,166 @@
+"""`python -m agents.offline`: policies learned from a dataset alone, by d3rlpy, as entries with their scores.
+
+d3rlpy comes with no extra: it goes into an environment of its own, as docs/integrations.md shows.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+
+from agents.command import Parser, check_page, note, print_table, run_command, update_page
+from wtg_gym.evaluation import evaluate
+from wtg_gym.files import markdown_table
+from wtg_gym.policies.torch_export import export_onnx
+
+#: Names of the algorithms and of their configurations in d3rlpy.
+ALGORITHMS = {"bc": ("BC", "BCConfig"), "td3_bc": ("TD3+BC", "TD3PlusBCConfig"), "iql": ("IQL", "IQLConfig")}
+_CLIP = 10.0
+_GAMMA = 0.99
+_HIDDEN = (64, 64)
+
+_DESCRIPTION = """\
+Trains policies on a dataset that python -m agents.datasets made, without a step in the environment, exports each as an
+entry and scores them on validation scenarios. It needs d3rlpy 2.8 and the extra data."""
+_EXAMPLES = """\
+examples:
+  python -m agents.datasets --versions v1 --policies mixed
+  python -m agents.offline gfmwtg/v1/mixed-v0 --output runs/offline
+  wtg-gym evaluate --suite standard-v1 --entries runs/offline/*"""
+
+
+class Actor(nn.Module):
+    """Normalised observations through a policy of d3rlpy."""
+
+    def __init__(self, policy: nn.Module, mean: npt.NDArray[np.float32], std: npt.NDArray[np.float32]) -> None:
+        super().__init__()
+        self.policy = policy
+        self.register_buffer("mean", torch.as_tensor(mean))
+        self.register_buffer("std", torch.as_tensor(std))
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """Return the deterministic actions (batch, n_action)."""
+        mean: Any = self.mean
+        answer: Tensor = self.policy(((observation - mean) / self.std).clamp(-_CLIP, _CLIP)).squashed_mu
+        return answer
+
+
+def train(dataset: Any, algorithm: str, n_steps: int, seed: int) -> Actor:
+    """Return what an algorithm of :data:`ALGORITHMS` learns from a dataset of Minari in a number of gradient steps."""
+    import d3rlpy
+
+    d3rlpy.seed(seed)
+    torch.set_num_threads(1)
+    episodes = list(dataset.iterate_episodes())
+    observations, actions, rewards, terminals, timeouts = (
+        np.concatenate(column)
+        for column in zip(
+            # The last observation is no start of a step.
+            *((e.observations[:-1], e.actions, e.rewards, e.terminations, e.truncations) for e in episodes),
+            strict=True,
+        )
+    )
+    mean, std = observations.mean(axis=0), observations.std(axis=0) + 1e-6
+    data = d3rlpy.dataset.MDPDataset(
+        observations=((observations - mean) / std).clip(-_CLIP, _CLIP),
+        actions=actions,
+        # A failure costs as much as minutes of life.
+        rewards=(rewards / rewards.std()).clip(-_CLIP, _CLIP).astype(np.float32),
+        terminals=terminals,
+        timeouts=timeouts,
+        # Zero actions look like numbers of discrete ones.
+        action_space=d3rlpy.constants.ActionSpace.CONTINUOUS,
+    )
+    encoder = d3rlpy.models.VectorEncoderFactory(list(_HIDDEN), activation="tanh")
+    named = "encoder_factory" if algorithm == "bc" else "actor_encoder_factory"
+    arguments: dict[str, Any] = {"batch_size": 256, named: encoder}
+    if algorithm != "bc":
+        arguments |= {"critic_encoder_factory": encoder, "gamma": _GAMMA}
+    if algorithm == "iql":
+        arguments["value_encoder_factory"] = encoder
+    learner = getattr(d3rlpy.algos, ALGORITHMS[algorithm][1])(**arguments).create()
+    silent = d3rlpy.logging.NoopAdapterFactory()
+    learner.fit(data, n_steps=n_steps, n_steps_per_epoch=n_steps, logger_adapter=silent, show_progress=False)
+    return Actor(learner.impl.policy, mean.astype(np.float32), std.astype(np.float32))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    parser = Parser(prog="python -m agents.offline", description=_DESCRIPTION, epilog=_EXAMPLES)
+    parser.add_argument("dataset", help="id, such as gfmwtg/v1/mixed-v0")
+    parser.add_argument("--datasets", metavar="FOLDER", help="folder of the datasets (default: Minari's own)")
+    parser.add_argument("--algos", nargs="+", choices=list(ALGORITHMS), default=list(ALGORITHMS), help="who learns")
+    parser.add_argument("--steps", type=int, default=20_000, metavar="N", help="gradient steps (default: 20000)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the training (default: 0)")
+    parser.add_argument("--scenarios", type=int, default=200, metavar="N", help="to score on (default: 200)")
+    parser.add_argument("--page", metavar="FILE", help="put the table between this file's markers")
+    parser.add_argument("--output", required=True, metavar="FOLDER", help="folder of the entries' folders")
+
+    def work() -> None:
+        given = parser.parse_args(argv)
+        page = check_page("--page", given.page, "offline")
+        if given.datasets is not None:
+            os.environ["MINARI_DATASETS_PATH"] = str(Path(given.datasets).resolve())
+        try:
+            import d3rlpy  # noqa: F401
+            import minari
+        except ImportError as error:
+            raise ValueError(
+                f"this needs d3rlpy and minari: pip install d3rlpy==2.8.0 'minari[hdf5]' ({error})"
+            ) from error
+        if given.dataset not in minari.list_local_datasets():
+            raise ValueError(f"there is no dataset {given.dataset}; python -m agents.datasets makes it")
+        dataset = minari.load_dataset(given.dataset)
+        said = dataset.storage.metadata
+        folders = []
+        for algorithm in given.algos:
+            began = time.monotonic()
+            actor = train(dataset, algorithm, given.steps, given.seed)
+            note(f"{algorithm}: {given.steps} steps in {time.monotonic() - began:.0f} s")
+            folders.append(
+                export_onnx(
+                    actor,
+                    Path(given.output) / algorithm,
+                    name=f"{ALGORITHMS[algorithm][0]} ({dataset.spec.dataset_name})",
+                    environment=dataset.spec.env_spec.id,
+                    strategy=said["strategy"],
+                    training_seed=given.seed,
+                    description=f"Learned from {given.dataset}, sha256 {said['data_sha256'][:12]}.",
+                    trained_on=f"{said['suite']}, split train, {given.steps} gradient steps",
+                )
+            )
+        first = 10_000
+        seeds = range(first, first + given.scenarios)
+        results = evaluate([*folders, said["policy"]], said["suite"], "validation", seeds=seeds)
+        rows = sorted(results.summaries, key=lambda row: -row.score.value)
+        cells = [
+            [
+                row.name,
+                f"{row.score.value:.1f} ({row.score.low:.1f} … {row.score.high:.1f})",
+                f"{row.failures_percent:.1f}",
+            ]
+            for row in rows
+        ]
+        header = ["entry", "score", "failures [%]"]
+        print_table(header, cells)
+        if page is not None:
+            said_of = f"{given.steps} gradient steps, seed {given.seed}; {given.scenarios} validation scenarios:"
+            table = markdown_table(header, cells, right=(1, 2))
+            update_page(
+                page, {"offline": f"`{given.dataset}`, {dataset.total_episodes} episodes; {said_of}\n\n{table}"}
+            )
+
+    return run_command(work)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,42 @@
+"""Facts about offline learning that need no d3rlpy, and one that does."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from agents import datasets, offline
+
+
+def test_command_without_d3rlpy_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "d3rlpy", None)
+    assert offline.main(["gfmwtg/v1/mixed-v0", "--output", str(tmp_path / "out")]) == 2
+    assert "pip install d3rlpy==2.8.0" in capsys.readouterr().err
+
+
+def test_actor_normalises_and_clips_as_the_data_was() -> None:
+    class Sees(nn.Module):
+        def forward(self, observation: torch.Tensor) -> Any:
+            return SimpleNamespace(squashed_mu=observation)
+
+    mean, std = np.array([1.0, -2.0], dtype=np.float32), np.array([2.0, 0.1], dtype=np.float32)
+    seen = offline.Actor(Sees(), mean, std)(torch.tensor([[3.0, -2.05], [1.0, 5.0]]))
+    assert torch.allclose(seen, torch.tensor([[1.0, -0.5], [0.0, 10.0]]), atol=1e-6)
+
+
+def test_clone_of_the_zero_action_is_almost_the_zero_action(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("d3rlpy")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    actor = offline.train(datasets.make_dataset("v1", "reference", 2), "bc", 200, seed=0)
+    observation = torch.as_tensor(np.random.default_rng(0).normal(size=(100, 32)).astype(np.float32))
+    with torch.no_grad():
+        assert actor(observation).abs().mean() < 0.05

@@ -1,0 +1,184 @@
+"""Facts about `export_onnx`: any policy of torch becomes an entry that the gate accepts, or an error says why not."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+import wtg_gym
+from wtg_gym import export_onnx
+from wtg_gym.evaluation import OnnxPolicy
+from wtg_gym.policies.gate import check_submission
+from wtg_gym.policies.load import load_entries
+
+M = 8
+ENTRY: dict[str, Any] = {"name": "mine", "authors": ["Jane Doe"], "environment": "GFMWTG-14bus-v1"}
+
+
+@pytest.fixture(autouse=True)
+def _seeded(one_thread: None) -> None:
+    torch.manual_seed(0)
+
+
+def observation_width() -> int:
+    (width,) = gym.make("wtg_gym:GFMWTG-14bus-v1").observation_space.shape
+    return int(width)
+
+
+class Memory(nn.Module):
+    """A GRU beside a network with what libraries like: layer norms, dropout, SiLU; a double in between."""
+
+    state_widths = (6,)
+
+    def __init__(self, n: int) -> None:
+        super().__init__()
+        self.cell = nn.GRUCell(n, 6)
+        self.head = nn.Sequential(nn.LayerNorm(6), nn.Linear(6, 16), nn.SiLU(), nn.Dropout(0.5), nn.Linear(16, M))
+
+    def forward(self, observation: Any, state: Any) -> tuple[Any, Any]:
+        state = self.cell(observation.double().clamp(-2.0, 2.0).float(), state)
+        return 3.0 * self.head(state), state
+
+
+def test_plain_module_becomes_one_file_that_the_gate_accepts(tmp_path: Path) -> None:
+    n = observation_width()
+    module = nn.Sequential(nn.Linear(n, 32), nn.ELU(), nn.Linear(32, 32), nn.GELU(), nn.Linear(32, M), nn.Tanh())
+    folder = export_onnx(module, tmp_path / "mine", training_seed=3, trained_on="nothing", **ENTRY)
+    assert sorted(path.name for path in folder.iterdir()) == ["entry.toml", "policy.onnx"]
+    report = check_submission(folder)
+    assert report.accepted, report.refusal
+    assert report.entry is not None and (report.entry.training_seed, report.entry.trained_on) == (3, "nothing")
+    (entry,) = load_entries(folder)
+    assert (entry.name, entry.environment) == ("mine", "GFMWTG-14bus-v1")
+    observations = np.random.default_rng(1).normal(size=(5, n)).astype(np.float32)
+    assert isinstance(entry.policy, OnnxPolicy)
+    with entry.policy as policy, torch.no_grad():
+        actions, _ = policy.predict(observations)
+        assert np.abs(actions - module(torch.as_tensor(observations)).numpy()).max() < 1e-6
+        assert actions.std() > 0.01
+
+
+def test_module_with_memory_keeps_it_and_stays_in_its_mode(tmp_path: Path) -> None:
+    n = observation_width()
+    module = Memory(n).train()
+    folder = export_onnx(module, tmp_path / "mine", **ENTRY)
+    assert check_submission(folder).accepted and module.training and module.head[3].training
+    module.eval()
+    observations = torch.as_tensor(np.random.default_rng(1).normal(size=(4, 3, n)).astype(np.float32))
+    state, other = torch.zeros(3, 6), None
+    with OnnxPolicy(folder / "policy.onnx") as policy, torch.no_grad():
+        for each in observations:
+            action, state = module(each, state)
+            actions, other = policy.predict(each.numpy(), other)
+            assert np.abs(action.clamp(-1.0, 1.0).numpy() - actions).max() < 1e-6
+    assert state.abs().max() > 0.1
+
+
+@pytest.mark.parametrize("algorithm", ["PPO", "SAC", "TD3", "TQC", "RecurrentPPO"])
+def test_learners_of_stable_baselines3_are_exported_with_their_normalisation(algorithm: str, tmp_path: Path) -> None:
+    pytest.importorskip("stable_baselines3")
+    sb3_contrib = pytest.importorskip("sb3_contrib")
+    import stable_baselines3
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    from wtg_gym.policies.sb3_archive import NormalizedPolicy
+    from wtg_gym.sb3 import DeterministicPolicy, make_sb3_vec_env
+
+    envs = VecNormalize(make_sb3_vec_env(4, seed=0, suite="standard-v1", duration_s=2.0))
+    recurrent, actor_critic = algorithm == "RecurrentPPO", algorithm.endswith("PPO")
+    learner = getattr(stable_baselines3, algorithm, None) or getattr(sb3_contrib, algorithm)
+    sizes = {"net_arch": [8], **({"lstm_hidden_size": 4, "n_lstm_layers": 2} if recurrent else {})}
+    steps = {"n_steps": 8, "batch_size": 16, "use_sde": True} if actor_critic else {"learning_starts": 8}
+    if recurrent:
+        steps["use_sde"] = False
+    model = learner("MlpLstmPolicy" if recurrent else "MlpPolicy", envs, policy_kwargs=sizes, seed=0, **steps)
+    model.learn(64)
+    folder = export_onnx(DeterministicPolicy(model), tmp_path / "mine", **ENTRY)
+    learned = NormalizedPolicy(model.policy, model.get_vec_normalize_env())
+    observations = np.random.default_rng(1).normal(size=(6, 5, observation_width())).astype(np.float32)
+    one = two = None
+    spread = []
+    with OnnxPolicy(folder / "policy.onnx") as policy:
+        for each in observations:
+            actions, one = learned.predict(each, one, np.zeros(5, dtype=np.bool_), deterministic=True)
+            others, two = policy.predict(each, two)
+            assert np.abs(actions - others).max() < 1e-5
+            spread.append(others)
+    assert np.std(spread) > 1e-3
+    envs.close()
+
+
+class Draws(nn.Linear):
+    def forward(self, observation: Any) -> Any:
+        return super().forward(observation) + torch.randn(observation.shape[0], M)
+
+
+class Branches(nn.Linear):
+    def forward(self, observation: Any) -> Any:
+        return super().forward(observation) * (1.0 if observation.sum() < 0.5 else -1.0)
+
+
+class NoOperator(nn.Linear):
+    def forward(self, observation: Any) -> Any:
+        return torch.special.airy_ai(super().forward(observation))
+
+
+class NotANumber(nn.Linear):
+    def forward(self, observation: Any) -> Any:
+        return super().forward(observation) / 0.0 * 0.0
+
+
+class TwoAnswers(nn.Linear):
+    def forward(self, observation: Any) -> Any:
+        return super().forward(observation), observation
+
+
+REFUSED = {
+    "no module": (lambda n: lambda x: x, "takes a torch.nn.Module, got function"),
+    "other width": (lambda n: nn.Linear(n + 1, M), "cannot answer inputs of shapes"),
+    "too few actions": (lambda n: nn.Linear(n, M - 1), r"of shapes \[\(2, 8\)\], got \[\(2, 7\)\]"),
+    "undeclared states": (lambda n: TwoAnswers(n, M), r"of shapes \[\(2, 8\)\], got \[\(2, 8\), "),
+    "random": (lambda n: Draws(n, M), "draws random numbers"),
+    "branch": (lambda n: Branches(n, M), "branches on its input cannot be exported"),
+    "no operator": (lambda n: NoOperator(n, M), "torch cannot export the module NoOperator: .*airy_ai"),
+    "not a number": (lambda n: NotANumber(n, M), "differ by inf"),
+    "too large": (lambda n: nn.Sequential(nn.Linear(n, 35_000), nn.Linear(35_000, M)), "allowed are 5000000"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_exported_is_refused_and_nothing_is_written(case: str, tmp_path: Path) -> None:
+    make, said = REFUSED[case]
+    with pytest.raises(ValueError, match=said):
+        export_onnx(make(observation_width()), tmp_path / "mine", **ENTRY)  # type: ignore[no-untyped-call]
+    assert not (tmp_path / "mine").exists()
+
+
+def test_wrong_keys_of_the_entry_are_refused_before_the_work(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"unknown: \['seed'\]"):
+        export_onnx(nn.Linear(1, 1), tmp_path / "mine", seed=0, **ENTRY)
+    with pytest.raises(ValueError, match="action_mode must be one of"):
+        export_onnx(nn.Linear(1, 1), tmp_path / "mine", action_mode="nothing", **ENTRY)
+
+
+@pytest.mark.parametrize("missing", ["torch", "onnx"])
+def test_error_without_a_package_says_what_to_install(missing: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, missing, None)
+    monkeypatch.delitem(sys.modules, "wtg_gym.policies.torch_export")
+    with pytest.raises(
+        ImportError, match=r"needs torch, and onnx of the agents extra: pip install 'wtg-gym\[agents\]'"
+    ):
+        wtg_gym.export_onnx  # noqa: B018
+
+
+def test_export_needs_no_onnxscript(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "onnxscript", None)
+    export_onnx(nn.Linear(observation_width(), M), tmp_path / "mine", **ENTRY)
+    assert (tmp_path / "mine" / "policy.onnx").is_file()

@@ -1,0 +1,201 @@
+"""Any policy of PyTorch as an entry: `policy.onnx` with its weights inside, and `entry.toml`; needs torch and onnx.
+
+Torch's exporter of traced graphs writes the file: it needs no onnxscript, and the weights are in the file itself.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.files import write_atomically
+from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
+from wtg_gym.policies.onnx_policy import OnnxPolicy
+from wtg_gym.policies.policy_process import PolicyError
+from wtg_gym.policies.submission_folder import FILES, parse_entry
+from wtg_gym.scenarios.benchmark import BENCHMARKS
+
+try:
+    # Torch's exporter needs it.
+    import onnx  # noqa: F401
+    import torch
+    from torch import Tensor, nn
+except ImportError as error:
+    raise ImportError(
+        f"export_onnx() needs torch, and onnx of the agents extra: pip install 'wtg-gym[agents]' torch ({error})"
+    ) from error
+
+#: Old enough for every onnxruntime that is still around.
+_OPSET = 17
+_CHECKED_LANES, _CHECKED_STEPS = 16, 20
+
+
+def export_onnx(
+    module: nn.Module,
+    folder: str | Path,
+    *,
+    name: str,
+    state_widths: Sequence[int] | None = None,
+    tolerance: float = 1e-5,
+    **entry: Any,
+) -> Path:
+    """Write a policy as `policy.onnx` and `entry.toml` into a folder, which is then an entry.
+
+    The file's actions are compared with the module's on 320 random observations, episode starts among them.
+
+    Args:
+        module: maps observations (batch, n_observation) to actions (batch, n_action), float32; with memory, also one
+            state (batch, n) after the other, and returns (actions, next states …). States are zero at the start of an
+            episode. Actions are clipped to [-1, 1]. It is exported in evaluation mode.
+        folder: where to write; made if missing.
+        name: of the entry.
+        state_widths: width of every state; None for the module's own `state_widths`, or no memory.
+        tolerance: largest difference between the actions of the file and the module, [-1, 1].
+        entry: further keys of entry.toml: environment (default "GFMWTG-14bus-v1"), action_mode ("k+tau"),
+            observation_mode, strategy, training_seed (0), authors (["unnamed"]), description, trained_on, links.
+
+    Returns:
+        the folder.
+
+    Raises:
+        ValueError: an argument is out of range, the module answers in another form, torch cannot export it, or the
+            file gives other actions or is too large; the message says which.
+    """
+    if not isinstance(module, nn.Module):
+        raise ValueError(f"export_onnx() takes a torch.nn.Module, got {type(module).__name__}")
+    values = {
+        "name": name,
+        "environment": "GFMWTG-14bus-v1",
+        "action_mode": "k+tau",
+        "training_seed": 0,
+        "authors": ["unnamed"],
+        **entry,
+    }
+    # Values are written alike in JSON and TOML.
+    text = "".join(f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in values.items())
+    checked = parse_entry(text.encode())
+    settings = EnvSettings(
+        action_mode=checked.action_mode,
+        observation_mode=checked.observation_mode,
+        version=BENCHMARKS[checked.environment].version,
+    )
+    lanes = TaskLanes(settings, 1, 1)
+    n_observation, n_action = lanes.n_observation, lanes.n_action
+    lanes.simulator.close()
+    widths = tuple(getattr(module, "state_widths", ()) if state_widths is None else state_widths)
+    modes = [(each, each.training) for each in module.modules()]
+    playable = _Playable(module).eval()
+    try:
+        _check_form(playable, n_observation, n_action, widths)
+        content = _exported(playable, n_observation, widths)
+        difference = _largest_difference(playable, content, n_observation, widths)
+    finally:
+        for each, training in modes:
+            each.training = training
+    if len(content) > FILES[POLICY_FILE]:
+        raise ValueError(f"the file has {len(content)} bytes, allowed are {FILES[POLICY_FILE]}: use a smaller network")
+    if not difference <= tolerance:
+        raise ValueError(
+            f"the actions of the ONNX file differ by {difference:.2g} from those of the {playable.label}, allowed are "
+            f"{tolerance:g}: a module that draws random numbers, has memory of its own or branches on its input cannot "
+            "be exported; return the mean, pass the memory as states, use torch.where"
+        )
+    write_atomically(Path(folder) / POLICY_FILE, content)
+    # Last, because it makes the folder an entry.
+    write_atomically(Path(folder) / ENTRY_FILE, text)
+    return Path(folder)
+
+
+class _Playable(nn.Module):
+    """A module whose answer is a tuple with clipped actions; inputs go to its device, answers come from it."""
+
+    def __init__(self, module: nn.Module) -> None:
+        super().__init__()
+        self.label = f"module {type(module).__name__}"
+        self.module = module
+        self._device = next((each.device for each in (*module.parameters(), *module.buffers())), torch.device("cpu"))
+
+    def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
+        answer = self.module(*(each.to(self._device) for each in inputs))
+        action, *following = answer if isinstance(answer, (tuple, list)) else (answer,)
+        return action.float().clamp(-1.0, 1.0).cpu(), *(each.float().cpu() for each in following)
+
+
+@torch.no_grad()
+def _check_form(playable: _Playable, n_observation: int, n_action: int, widths: Sequence[int]) -> None:
+    """Raise a ValueError if the module cannot answer observations, or answers in another form."""
+    given = [torch.zeros(2, width) for width in (n_observation, *widths)]
+    shapes = ", ".join(str(tuple(each.shape)) for each in given)
+    try:
+        answer = playable(*given)
+    except Exception as error:
+        raise ValueError(
+            f"the {playable.label} cannot answer inputs of shapes {shapes}: {_first_line(error)}"
+        ) from error
+    wanted = [(2, width) for width in (n_action, *widths)]
+    got = [tuple(each.shape) for each in answer]
+    if got != wanted:
+        raise ValueError(
+            f"the {playable.label} must answer inputs of shapes {shapes} by actions and next states of shapes "
+            f"{wanted}, got {got}"
+        )
+
+
+def _exported(playable: _Playable, n_observation: int, widths: Sequence[int]) -> bytes:
+    """Return the file; a ValueError says what torch cannot export."""
+    states = [f"state_{index}" for index in range(len(widths))]
+    inputs, outputs = ["observation", *states], ["action", *(f"next_{name}" for name in states)]
+    # It is always played one scenario at a time.
+    given = tuple(torch.zeros(1, width) for width in (n_observation, *widths))
+    try:
+        with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(), torch.no_grad():
+            file = Path(folder) / POLICY_FILE
+            # Traced branches are found by comparing the actions; that this exporter is the older one is known.
+            warnings.simplefilter("ignore")
+            torch.onnx.export(
+                playable,
+                given,
+                file,
+                dynamo=False,
+                opset_version=_OPSET,
+                input_names=inputs,
+                output_names=outputs,
+                dynamic_axes={name: {0: "batch"} for name in (*inputs, *outputs)},
+            )
+            return file.read_bytes()
+    except Exception as error:
+        raise ValueError(f"torch cannot export the {playable.label}: {_first_line(error)}") from error
+
+
+@torch.no_grad()
+def _largest_difference(playable: _Playable, content: bytes, n_observation: int, widths: Sequence[int]) -> float:
+    """Return the largest difference between the actions of a file and its module."""
+    rng = np.random.default_rng(0)
+    largest, file_state = 0.0, None
+    states = [torch.zeros(_CHECKED_LANES, width) for width in widths]
+    with OnnxPolicy(content) as policy:
+        for step in range(_CHECKED_STEPS):
+            observations = rng.normal(0.0, 1.0, (_CHECKED_LANES, n_observation)).astype(np.float32)
+            start = np.full(_CHECKED_LANES, step == 0) | (rng.random(_CHECKED_LANES) < 0.1)
+            keeps = torch.as_tensor(~start, dtype=torch.float32)[:, None]
+            actions, *states = playable(torch.as_tensor(observations), *(keeps * state for state in states))
+            try:
+                other, file_state = policy.predict(observations, file_state, start)
+            except PolicyError as error:
+                raise ValueError(f"the ONNX file of the {playable.label} cannot be played: {error}") from error
+            difference = np.abs(actions.numpy() - other).max()
+            largest = max(largest, float(np.inf if np.isnan(difference) else difference))
+    return largest
+
+
+def _first_line(error: Exception) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__

@@ -1,0 +1,72 @@
+"""Progress of long work, on stderr."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+import time
+from types import TracebackType
+from typing import Any
+
+from wtg_gym.files import printable
+
+#: Lines of progress come this far apart, the first one after as long [s].
+_PROGRESS_INTERVAL_S = 5.0
+
+
+class Progress:
+    """Progress on stderr: a bar with the remaining time in a terminal, a line now and then elsewhere.
+
+    Args:
+        unit: what is counted, in the plural.
+    """
+
+    def __init__(self, unit: str) -> None:
+        self._unit = unit
+        self._bar: Any = None
+        self._task: Any = None
+        self._last_line = time.monotonic()
+        self._first: tuple[float, float] | None = None
+
+    def __enter__(self) -> Progress:
+        if sys.stderr.isatty() and importlib.util.find_spec("rich") is not None:
+            from rich.console import Console
+            from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+            from rich.progress import Progress as Bar
+
+            count = TextColumn("{task.fields[count]}")
+            columns = (TextColumn("{task.description}"), BarColumn(), count, TimeRemainingColumn())
+            self._bar = Bar(*columns, console=Console(stderr=True), transient=True)
+            self._task = self._bar.add_task("", total=None, count="")
+            self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def update(self, name: str, done: float, total: int) -> None:
+        """Say that `done` of `total` are done, and the name of what is under way."""
+        count = f"{round(done, 1):g} of {total} {self._unit}"
+        if self._bar is not None:
+            from rich.markup import escape
+
+            self._bar.update(self._task, description=escape(printable(name)), completed=done, total=total, count=count)
+            return
+        now = time.monotonic()
+        # Compiling and reading stored results come before it, and say nothing about the pace after it.
+        self._first = self._first or (now, done)
+        if now - self._last_line >= _PROGRESS_INTERVAL_S:
+            self._last_line = now
+            began, before = self._first
+            new = done - before
+            # Training ends with a whole rollout, beyond its total.
+            paced = new > 0.02 * total and done < total
+            left = f", about {(now - began) / new * (total - done):.0f} s left" if paced else ""
+            print(printable(f"{name}: {count}{left}"), file=sys.stderr)
+
+    def update_part(self, name: str, done: int, total: int, steps_done: int, n_steps: int) -> None:
+        """Say the same where `done` are complete and the next one has done some of its steps."""
+        self.update(name, done + steps_done / n_steps, total)
