@@ -24,7 +24,9 @@ from wtg_gym.evaluation import Results, evaluate
 from wtg_gym.files import markdown_table
 from wtg_gym.policies.torch_export import export_onnx
 
-_SUITE, _ENVIRONMENT, _STRATEGY = "standard-v1", "GFMWTG-14bus-v1", "coordinated-tuned"
+_SUITE, _ENVIRONMENT = "standard-v1", "GFMWTG-14bus-v1"
+#: The published law violates less than the tuned one, and learning from it is a trade between violations and score.
+_STRATEGY, _TUNED = "coordinated-piecewise", "coordinated-tuned"
 #: The multiplier at the start [% of an episode's cost for a violating step], and its rise in a rollout, per unit of the
 #: share of violating steps above the bound.
 _START, _RATE = 0.2, 10.0
@@ -32,10 +34,10 @@ _NAME = "Lagrangian PPO"
 
 _DESCRIPTION = f"""\
 Trains PPO on {_SUITE} under a bound on the share of steps that violate a constraint, exports it as an entry, and
-compares score and share on validation scenarios with the zero action and the trained PPO."""
+compares score and share on validation scenarios with the zero action, the tuned law, and the trained PPO."""
 _EXAMPLES = """\
 examples:
-  python -m agents.lagrangian --bound 4 --output runs/lagrangian
+  python -m agents.lagrangian --bound 3.5 --output runs/lagrangian
   wtg-gym evaluate --suite standard-v1 --entries runs/lagrangian PPO"""
 
 
@@ -136,7 +138,9 @@ def violated_percent(results: Results, name: str) -> float:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     parser = Parser(prog="python -m agents.lagrangian", description=_DESCRIPTION, epilog=_EXAMPLES)
-    parser.add_argument("--bound", type=float, default=4.0, metavar="X", help="on the share of steps [%%] (default: 4)")
+    parser.add_argument(
+        "--bound", type=float, default=3.5, metavar="X", help="on the share of steps [%%] (default: 3.5)"
+    )
     parser.add_argument("--timesteps", type=int, default=3_000_000, metavar="N", help="in all (default: 3000000)")
     parser.add_argument("--n-envs", type=int, default=512, metavar="N", help="episodes side by side (default: 512)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of everything random (default: 0)")
@@ -161,9 +165,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             trained_on=f"{_SUITE}, split train, {given.timesteps} steps",
         )
         seeds = range(10_000, 10_000 + given.scenarios)
-        results = evaluate([folder, _STRATEGY, "PPO"], _SUITE, "validation", seeds=seeds)
+        results = evaluate([folder, _STRATEGY, _TUNED, "PPO"], _SUITE, "validation", seeds=seeds)
         rows = []
-        for name in (_STRATEGY, "PPO", _NAME):
+        for name in (_STRATEGY, _TUNED, "PPO", _NAME):
             failed = 100.0 * sum(each.failed for each in results.episodes_of(name)) / len(results.episodes_of(name))
             score = results.scores[name].value
             rows.append([name, f"{score:.1f}", f"{violated_percent(results, name):.2f}", f"{failed:.1f}"])

@@ -71,7 +71,11 @@ def test_command_writes_an_entry_and_a_table(tmp_path: Path, capsys: pytest.Capt
     sizes = ["--timesteps", "1200", "--n-envs", "8", "--scenarios", "4", "--page", str(page)]
     assert lagrangian.main([*sizes, "--output", str(tmp_path / "mine")]) == 0
     (entry,) = load_entries(tmp_path / "mine")
-    assert (entry.name, entry.environment, entry.law.name) == ("Lagrangian PPO", "GFMWTG-14bus-v1", "coordinated-tuned")
+    assert (entry.name, entry.environment, entry.law.name) == (
+        "Lagrangian PPO",
+        "GFMWTG-14bus-v1",
+        lagrangian._STRATEGY,
+    )
     assert page.read_text().count("| Lagrangian PPO |") == 1 and "| coordinated-tuned | 100.0 |" in page.read_text()
     assert lagrangian.main(["--bound", "0", "--output", str(tmp_path / "other")]) == 2
     assert "--bound must be between 0 and 100 %" in capsys.readouterr().err
