@@ -33,8 +33,8 @@ Trains policies on a dataset that python -m agents.datasets made, without a step
 entry and scores them on validation scenarios. It needs d3rlpy 2.8 and the extra data."""
 _EXAMPLES = """\
 examples:
-  python -m agents.datasets --versions v1 --policies mixed
-  python -m agents.offline gfmwtg/v1/mixed-v0 --output runs/offline
+  python -m agents.datasets --versions v1 --policies ppo mixed
+  python -m agents.offline gfmwtg/v1/ppo-v0 gfmwtg/v1/mixed-v0 --output runs/offline
   wtg-gym evaluate --suite standard-v1 --entries runs/offline/*"""
 
 
@@ -93,10 +93,28 @@ def train(dataset: Any, algorithm: str, n_steps: int, seed: int) -> Actor:
     return Actor(learner.impl.policy, mean.astype(np.float32), std.astype(np.float32))
 
 
+def _exported(dataset: Any, algorithm: str, n_steps: int, seed: int, output: Path) -> Path:
+    """Train on a dataset and return the folder of the entry, in `output`."""
+    name, said = dataset.spec.dataset_name, dataset.storage.metadata
+    began = time.monotonic()
+    actor = train(dataset, algorithm, n_steps, seed)
+    note(f"{algorithm} on {name}: {n_steps} steps in {time.monotonic() - began:.0f} s")
+    return export_onnx(
+        actor,
+        output / f"{algorithm}-{name}",
+        name=f"{ALGORITHMS[algorithm][0]} ({name})",
+        environment=dataset.spec.env_spec.id,
+        strategy=said["strategy"],
+        training_seed=seed,
+        description=f"Learned from {dataset.spec.dataset_id}, sha256 {said['data_sha256'][:12]}.",
+        trained_on=f"{said['suite']}, split train, {n_steps} gradient steps",
+    )
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     parser = Parser(prog="python -m agents.offline", description=_DESCRIPTION, epilog=_EXAMPLES)
-    parser.add_argument("dataset", help="id, such as gfmwtg/v1/mixed-v0")
+    parser.add_argument("ids", nargs="+", metavar="DATASET", help="id, such as gfmwtg/v1/mixed-v0; all of one version")
     parser.add_argument("--datasets", metavar="FOLDER", help="folder of the datasets (default: Minari's own)")
     parser.add_argument("--algos", nargs="+", choices=list(ALGORITHMS), default=list(ALGORITHMS), help="who learns")
     parser.add_argument("--steps", type=int, default=20_000, metavar="N", help="gradient steps (default: 20000)")
@@ -117,30 +135,20 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise ValueError(
                 f"this needs d3rlpy and minari: pip install d3rlpy==2.8.0 'minari[hdf5]' ({error})"
             ) from error
-        if given.dataset not in minari.list_local_datasets():
-            raise ValueError(f"there is no dataset {given.dataset}; python -m agents.datasets makes it")
-        dataset = minari.load_dataset(given.dataset)
-        said = dataset.storage.metadata
-        folders = []
-        for algorithm in given.algos:
-            began = time.monotonic()
-            actor = train(dataset, algorithm, given.steps, given.seed)
-            note(f"{algorithm}: {given.steps} steps in {time.monotonic() - began:.0f} s")
-            folders.append(
-                export_onnx(
-                    actor,
-                    Path(given.output) / algorithm,
-                    name=f"{ALGORITHMS[algorithm][0]} ({dataset.spec.dataset_name})",
-                    environment=dataset.spec.env_spec.id,
-                    strategy=said["strategy"],
-                    training_seed=given.seed,
-                    description=f"Learned from {given.dataset}, sha256 {said['data_sha256'][:12]}.",
-                    trained_on=f"{said['suite']}, split train, {given.steps} gradient steps",
-                )
-            )
+        if missing := [name for name in given.ids if name not in minari.list_local_datasets()]:
+            raise ValueError(f"there is no dataset {missing[0]}; python -m agents.datasets makes it")
+        datasets = [minari.load_dataset(name) for name in given.ids]
+        said = datasets[0].storage.metadata
+        if any(each.storage.metadata["suite"] != said["suite"] for each in datasets):
+            raise ValueError(f"the datasets must be of one version, got {', '.join(given.ids)}")
+        folders = [
+            _exported(each, algorithm, given.steps, given.seed, Path(given.output))
+            for each in datasets
+            for algorithm in given.algos
+        ]
         first = 10_000
         seeds = range(first, first + given.scenarios)
-        results = evaluate([*folders, said["policy"]], said["suite"], "validation", seeds=seeds)
+        results = evaluate([*folders, "PPO"], said["suite"], "validation", seeds=seeds)
         rows = sorted(results.summaries, key=lambda row: -row.score.value)
         cells = [
             [
@@ -153,11 +161,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         header = ["entry", "score", "failures [%]"]
         print_table(header, cells)
         if page is not None:
-            said_of = f"{given.steps} gradient steps, seed {given.seed}; {given.scenarios} validation scenarios:"
             table = markdown_table(header, cells, right=(1, 2))
-            update_page(
-                page, {"offline": f"`{given.dataset}`, {dataset.total_episodes} episodes; {said_of}\n\n{table}"}
-            )
+            text = f"{given.steps} gradient steps, seed {given.seed}; {given.scenarios} validation scenarios:"
+            update_page(page, {"offline": f"{text}\n\n{table}"})
 
     return run_command(work)
 
