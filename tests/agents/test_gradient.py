@@ -78,16 +78,7 @@ def test_run_repeats_also_after_an_interruption_and_is_exported(
     assert actions == pytest.approx(expected, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--suite", "standard-v1"], "gradients are for the paper's physics"),
-        (["--hidden", "8", "0"], "hidden must be positive whole numbers"),
-    ],
-)
-def test_bad_input_is_refused_and_leaves_nothing(
-    options: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([*options, "--output", str(tmp_path / "run")]) == 2
-    assert message in capsys.readouterr().err
+def test_bad_input_is_refused_and_leaves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--hidden", "8", "0", "--output", str(tmp_path / "run")]) == 2
+    assert "hidden must be positive whole numbers" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
