@@ -21,6 +21,7 @@ from wtg_gym.cli import (
     evaluate,
     parameters,
     physics,
+    play,
     reproduce,
     results,
     simulate,
@@ -56,7 +57,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser = Parser(prog="wtg-gym", description=_DESCRIPTION, epilog=_EPILOG)
     parser.add_argument("--version", action="version", version=f"wtg-gym {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for module in (simulate, evaluate, results, submission, suites):
+    for module in (simulate, play, evaluate, results, submission, suites):
         module.add_commands(commands)
     analyse = add_group(
         commands,
