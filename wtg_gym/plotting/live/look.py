@@ -8,15 +8,14 @@ from importlib import resources
 from typing import Any
 
 from bokeh.document import Document
-from bokeh.models import ColumnDataSource, Div, InlineStyleSheet, Range1d, Span
+from bokeh.models import ColumnDataSource, Div, Range1d, Span
 from bokeh.plotting import figure
 
 from wtg_gym.envs.rendering.colours import EVENT, GRID, INK, LINE, SOFT, group_colour
 
 #: Colours of your run and of the reference, those of A and B on the leaderboard's page.
 YOURS, OTHER = "#0063a6", "#b84600"
-_TEXTS = InlineStyleSheet(
-    css=f"""
+_TEXTS = f"""
     :host {{ font: 14px/1.45 system-ui, -apple-system, "Segoe UI", Roboto, "DejaVu Sans", sans-serif; color: {INK}; }}
     .bk-clearfix {{ width: 100%; }}
     p {{ margin: 0.2rem 0; }}
@@ -30,8 +29,7 @@ _TEXTS = InlineStyleSheet(
     th:first-child, td:first-child {{ text-align: left; font-weight: 500; }}
     thead th {{ color: {SOFT}; font-weight: 600; vertical-align: bottom; }}
     code {{ font-size: 0.85rem; overflow-wrap: anywhere; }}
-    """
-)
+"""
 
 
 def text(name: str, content: str = "") -> Div:

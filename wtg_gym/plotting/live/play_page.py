@@ -233,7 +233,7 @@ class PlayPage:
     def _say(self) -> None:
         match = self._match
         state = "over" if match.over else "running" if self._running else "paused" if match.you.time_s else "ready"
-        self._start.label = "Again" if match.over else "Pause" if self._running else "Start"
+        self._start.label, self._start.disabled = "Pause" if self._running else "Start", match.over
         now = match.you.sample()
         behind = "" if not match.reference.over or match.over else " The reference has failed."
         self._status.text = (
@@ -252,7 +252,7 @@ def verdict_text(verdicts: list[Verdict], failure: str, scale: Scale) -> str:
         head = f"<p class=big>Cost {you.cost:.1f}</p><p class=soft>There is no score: {look.escaped(scale.missing)}.</p>"
     else:
         head = (
-            f"<p class=big>Score {you.score:.1f}</p><p class=soft>On average over the suite {benchmark.zero} has 0; "
+            f"<p class=big>Score {_number(you.score)}</p><p class=soft>On average over the suite {benchmark.zero} has 0; "
             f"in every scenario {benchmark.hundred} has 100. Points by terms add up to the score − 100. A failure "
             "costs as much as if it had come at once.</p>"
         )
@@ -262,7 +262,7 @@ def verdict_text(verdicts: list[Verdict], failure: str, scale: Scale) -> str:
     for each in verdicts:
         score = ["–"] * (2 + len(POINTS))
         if each.score is not None:
-            score = [f"{each.score:.1f}", *(_signed(each.points[name]) for name in (*POINTS, REST))]
+            score = [_number(each.score), *(_signed(each.points[name]) for name in (*POINTS, REST))]
         end = each.failure or "none"
         rows.append([each.name, score[0], f"{each.cost:.1f}", *score[1:], f"{1000.0 * each.deviation_hz:.0f}", end])
     header = ["", "score", "cost", *(_HEADS[name] for name in (*POINTS, REST)), "deviation [mHz]", "failure"]
@@ -271,3 +271,7 @@ def verdict_text(verdicts: list[Verdict], failure: str, scale: Scale) -> str:
 
 def _signed(points: float) -> str:
     return f"{points:+.1f}".replace("-", "−") if abs(points) >= 0.05 else "0.0"
+
+
+def _number(score: float) -> str:
+    return f"{score:.1f}".replace("-", "−")
