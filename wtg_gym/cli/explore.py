@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from typing import Any
 
 from wtg_gym.cli.output import note, require_extra
 from wtg_gym.cli.parser import Commands, add_command
@@ -38,8 +39,12 @@ def run(arguments: argparse.Namespace) -> int:
     from wtg_gym.plotting.live.explore_page import ExplorePage
     from wtg_gym.plotting.live.server import make_server, serve
 
-    server = make_server(ExplorePage, arguments.port)
+    def fill(document: Any) -> None:
+        ExplorePage(document)
+
+    server = make_server(fill, arguments.port)
     # Compiles now, not while the first visitor waits.
-    default_experiment(next(iter(PLANTS))).run()
+    for plant in PLANTS:
+        default_experiment(plant).run()
     serve(server, opens_browser=not arguments.no_browser, say=note)
     return 0

@@ -6,8 +6,7 @@ import functools
 import json
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -17,16 +16,7 @@ from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.recording import Recording, recorded
 from wtg_gym.physics.parameters import default_groups
-from wtg_gym.physics.scenario import (
-    Event,
-    GovernorLoss,
-    GroupTrip,
-    LineTrip,
-    LoadStep,
-    LoadTrip,
-    MachineOutage,
-    Scenario,
-)
+from wtg_gym.physics.scenario import EVENT_KINDS, Event, GroupTrip, LineTrip, LoadStep, Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, get_law
 from wtg_gym.plotting.live.episode import LiveEpisode
 from wtg_gym.scenarios import TRIPPABLE_LINES, get_suite
@@ -48,8 +38,8 @@ KINDS: Mapping[str, str] = {
     "machine_outage": "machine lost",
     "group_trip": "WTG group lost",
 }
-#: Where each kind may strike, in words: a bus, a line or a group.
-_FREQUENCIES = np.linspace(0.97, 1.03, 25)
+#: At which the steady states are shown [p.u.]: as far as the law's k changes, and a little more.
+_FREQUENCIES = np.linspace(0.985, 1.015, 25)
 
 
 def places(kind: str, n_groups: int) -> list[str]:
@@ -99,8 +89,7 @@ class Strike:
             return LineTrip(time_s=self.time_s, from_bus=first, to_bus=numbers[-1])
         if self.kind == "group_trip":
             return GroupTrip(time_s=self.time_s, group=first - 1)
-        at_bus = {"load_trip": LoadTrip, "governor_loss": GovernorLoss, "machine_outage": MachineOutage}
-        event: Event = at_bus[self.kind](time_s=self.time_s, bus=first)
+        event: Event = EVENT_KINDS[self.kind](time_s=self.time_s, bus=first)
         return event
 
 
@@ -119,7 +108,7 @@ class Experiment:
     """
 
     plant: str = "paper-v1"
-    wind_m_s: tuple[float, ...] = (10.0, 10.0, 10.0, 10.0)
+    wind_m_s: tuple[float, ...] = (10.5, 10.0, 9.5, 9.0)
     strikes: tuple[Strike, ...] = (Strike(kind="load_step", place="3"),)
     law: TrackingLaw = field(default_factory=lambda: get_law(REFERENCE_STRATEGY))
     inertia_scale: float = 0.5
@@ -167,19 +156,13 @@ class Experiment:
                 yield np.ones(1, dtype=np.bool_)
 
         recording = recorded(live.lanes, steps())
-        groups = live.lanes.settings.plant().groups
         return Explored(
             experiment=self,
             recording=recording,
             episode=live.measured(self.law.name),
             failure=live.failure(),
-            group_buses=tuple(group.bus for group in groups),
+            nominal_hz=live.lanes.nominal_hz,
         )
-
-    def with_groups(self, n: int) -> Experiment:
-        """Return it with another number of groups: the wind of the last one is that of the new ones."""
-        wind = (*self.wind_m_s, *[self.wind_m_s[-1]] * n)[:n]
-        return replace(self, wind_m_s=wind)
 
     def to_json(self) -> str:
         """Return the scenario as JSON on one line, which `wtg-gym simulate --scenario` takes."""
@@ -187,7 +170,7 @@ class Experiment:
 
     def command(self) -> str:
         """Return the command that runs the same on that JSON, in a file explored.json."""
-        built_in = get_law_or_none(self.law)
+        built_in = _built_in(self.law)
         law = "law.toml" if built_in is None else built_in
         n, suite = len(self.wind_m_s), get_suite(self.plant)
         grid = "" if self.plant == "paper" else f" --suite {suite.name}"
@@ -196,7 +179,7 @@ class Experiment:
 
     def law_toml(self) -> str:
         """Return the law as the file law.toml that the command needs; empty for a built-in strategy."""
-        if get_law_or_none(self.law) is not None:
+        if _built_in(self.law) is not None:
             return ""
         tau = self.law.damping_time_constant_s
         return "\n".join(
@@ -211,7 +194,7 @@ class Experiment:
         )
 
 
-def get_law_or_none(law: TrackingLaw) -> str | None:
+def _built_in(law: TrackingLaw) -> str | None:
     """Return the name of the built-in strategy that a law is; None if it is none."""
     try:
         return law.name if get_law(law.name) == law else None
@@ -228,14 +211,14 @@ class Explored:
         recording: its course, of one scenario.
         episode: its numbers.
         failure: in words why it ended before its time; empty where it did not.
-        group_buses: bus of each WTG group.
+        nominal_hz: [Hz].
     """
 
     experiment: Experiment
     recording: Recording
     episode: Episode
     failure: str
-    group_buses: tuple[int, ...]
+    nominal_hz: float
 
     def numbers(self) -> dict[str, str]:
         """Return its key figures in words and with units."""
@@ -273,4 +256,4 @@ def default_experiment(plant: str) -> Experiment:
     return Experiment(plant=plant)
 
 
-__all__ = ["KINDS", "MOST_GROUPS", "PLANTS", "Any", "Experiment", "Explored", "Strike", "default_experiment", "places"]
+__all__ = ["KINDS", "MOST_GROUPS", "PLANTS", "Experiment", "Explored", "Strike", "default_experiment", "places"]

@@ -77,12 +77,14 @@ class ExplorePage:
             for name in ("run", "pin-A", "pin-B")
         ]
         self._strikes = ColumnDataSource(name="strikes", data={"x": []})
-        self._curve = ColumnDataSource(name="curve", data={"f": [], "stable": [], "unstable": []})
+        self._curve = ColumnDataSource(name="curve", data={"f": [], "p": []})
         self._path = ColumnDataSource(name="path", data={"f": [], "p": []})
         self._point = ColumnDataSource(name="point", data={"f": [], "p": []})
         self._charts = self._make_charts()
         self._texts = {name: look.text(name) for name in ("problem", "numbers", "pins", "command")}
-        legend = look.text("legend", f"{look.groups_in_colour(MOST_GROUPS)}; pinned runs are dashed (A) and dotted (B).")
+        legend = look.text(
+            "legend", f"{look.groups_in_colour(MOST_GROUPS)}; pinned runs are dashed (A) and dotted (B)."
+        )
         for root in (*self._widgets.values(), *self._charts.values(), *self._texts.values(), legend):
             document.add_root(root)
         variables = {"n_groups": MOST_GROUPS, "n_strikes": N_STRIKES}
@@ -100,13 +102,15 @@ class ExplorePage:
             self._widgets[name] = widget
             widget.on_change(attribute, changed or self._changed)
 
-        def slider(name: str, title: str, low: float, high: float, step: float, changed: Any = None, **more: Any) -> None:
+        def slider(
+            name: str, title: str, low: float, high: float, step: float, changed: Any = None, **more: Any
+        ) -> None:
             own = Slider(name=name, title=title, start=low, end=high, step=step, value=low, **wide, **more)
             add(name, own, changed)
 
         add("plant", Select(name="plant", options=list(PLANTS.items()), value=start.plant, **wide), self._other_plant)
         slider("inertia", "inertia, factor", 0.1, 2.0, 0.05)
-        slider("droop", "governor droop [p.u.]", 0.01, 0.15, 0.005, format="0.000")
+        slider("droop", "droop [p.u.]", 0.01, 0.15, 0.005, format="0.000")
         slider("groups", "WTG groups", 1, MOST_GROUPS, 1, self._other_groups)
         slider("duration", "length [s]", 20, 120, 10)
         add("common", Checkbox(name="common", label="one wind for all groups", active=True), None, "active")
@@ -114,9 +118,9 @@ class ExplorePage:
             slider(f"wind{j}", f"group {1 + j} [m/s]", 3.0, 25.0, 0.1, self._wind(j), bar_color=group_colour(j))
         options = [*STRATEGY_NAMES, (_OWN, "changed by hand")]
         add("law", Select(name="law", options=options, value=REFERENCE_STRATEGY, **wide), self._other_law)
-        for corner, where in (("min", "49.5 Hz"), ("nominal", "50 Hz"), ("max", "50.5 Hz")):
+        for corner in ("min", "nominal", "max"):
             slider(f"k_{corner}", f"k_{corner} [p.u.]", 0.2, 1.5, 0.005, self._changed_law, format="0.000")
-        tau = CategoricalSlider(name="tau", title="τ of the damping [s]", categories=list(_TAUS), value="∞", **wide)
+        tau = CategoricalSlider(name="tau", title="τ [s]", categories=list(_TAUS), value="∞", **wide)
         add("tau", tau, self._changed_law)
         for i in range(N_STRIKES):
             kinds = list(KINDS.items())
@@ -315,11 +319,10 @@ class ExplorePage:
                 for j in range(MOST_GROUPS):
                     look_of_line = {"color": group_colour(j), "line_dash": dash, "line_width": width}
                     made.line("t", f"{name}-{j}", source=source, **look_of_line)
-        title = "power over frequency: the law's steady states (unstable: dashed), the run's path, and where it ends"
+        title = "power over frequency: steady states, path and end"
         made = look.plain_chart("characteristic", title, 240, x_axis_label="frequency [Hz]")
         made.yaxis.axis_label = "power [p.u.]"
-        made.line("f", "stable", source=self._curve, color=SOFT, line_width=2)
-        made.line("f", "unstable", source=self._curve, color=SOFT, line_width=1.2, line_dash=[5, 4])
+        made.line("f", "p", source=self._curve, color=SOFT, line_width=2)
         self._path_line = made.line("f", "p", source=self._path, line_width=2)
         self._point_mark = made.scatter("f", "p", source=self._point, size=10)
         charts["characteristic"] = made
@@ -351,10 +354,11 @@ class ExplorePage:
             source.data = self._data(None if run is None else run.recording)
         self._charts["frequency"].x_range.end = max(run.experiment.duration_s for run in runs if run is not None)
         self._strikes.data = {"x": [event.time_s for event in shown.experiment.scenario().events]}
-        columns = {"this run": shown.numbers(), **{f"pin {p}": r.numbers() for p, r in zip(_PINS, self._pinned)}}
-        rows = [[name, *(numbers[name] for numbers in columns.values())] for name in shown.numbers()]
-        self._texts["numbers"].text = look.table(["", *columns], rows)
-        pins = [f"{p}: {describe(run.experiment)}" for p, run in zip(_PINS, self._pinned)]
+        pinned = list(zip(_PINS, self._pinned, strict=False))
+        rows = [["this run", *shown.numbers().values()]]
+        rows += [[f"pin {name}", *run.numbers().values()] for name, run in pinned]
+        self._texts["numbers"].text = look.table(["", *shown.numbers()], rows)
+        pins = [f"{name}: {describe(run.experiment)}" for name, run in pinned]
         self._texts["pins"].text = "<br>".join(f"<span class=soft>{look.escaped(pin)}</span>" for pin in pins)
         self._widgets["pin"].disabled = len(self._pinned) == N_PINS
         self._widgets["unpin"].disabled = not self._pinned
@@ -388,12 +392,7 @@ class ExplorePage:
         if shown is None or group >= shown.recording.n_wtg:
             return
         curve, recording = shown.group_characteristic(group), shown.recording
-        nominal = 50.0
-        self._curve.data = {
-            "f": nominal * curve.frequency_pu,
-            "stable": curve.power_pu,
-            "unstable": curve.unstable_power_pu,
-        }
+        self._curve.data = {"f": shown.nominal_hz * curve.frequency_pu, "p": curve.power_pu}
         frequency, power = recording.frequency_hz[0], recording.power_pu[0][:, group]
         there = np.flatnonzero(np.isfinite(frequency))
         self._path.data = {"f": frequency[there], "p": power[there]}

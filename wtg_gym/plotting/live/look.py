@@ -117,5 +117,3 @@ def frame(document: Document, page: str, title: str, variables: Mapping[str, Any
 
 def _read(name: str) -> str:
     return resources.files("wtg_gym.plotting.live").joinpath(name).read_text(encoding="utf-8")
-
-

@@ -121,7 +121,9 @@ class Match:
         anchors = {name: results.episodes_of(name)[0] for name in results.benchmark.anchors}
         cap = float(results.settings["weights"]["cap"])
         hundred = anchors[results.benchmark.hundred]
-        return [verdict(episode, hundred, self.scale.value, cap) for episode in (self.you.measured(YOU), *anchors.values())]
+        return [
+            verdict(episode, hundred, self.scale.value, cap) for episode in (self.you.measured(YOU), *anchors.values())
+        ]
 
     def next_seed(self) -> int:
         """Return the seed after this one in its split; after the last one the first."""

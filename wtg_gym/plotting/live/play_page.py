@@ -50,7 +50,7 @@ class PlayPage:
         self._seen: list[tuple[float, str]] = []
         #: The clock when the run was started or went on, and the control steps that were done then.
         self._since, self._done = 0.0, 0
-        self._traces = ColumnDataSource(name="traces", data=dict.fromkeys(self._columns(), []))
+        self._traces = ColumnDataSource(name="traces", data={name: [] for name in self._columns()})
         self._strikes = ColumnDataSource(name="strikes", data={"x": []})
         self._start = Button(name="start", label="Start", button_type="primary", width=110)
         self._start.on_click(self._toggle)
@@ -249,11 +249,13 @@ def verdict_text(verdicts: list[Verdict], failure: str, scale: Scale) -> str:
     you = verdicts[0]
     benchmark = scale.suite.benchmark
     if you.score is None:
-        head = f"<p class=big>Cost {you.cost:.1f}</p><p class=soft>There is no score: {look.escaped(scale.missing)}.</p>"
+        head = (
+            f"<p class=big>Cost {you.cost:.1f}</p><p class=soft>There is no score: {look.escaped(scale.missing)}.</p>"
+        )
     else:
         head = (
-            f"<p class=big>Score {_number(you.score)}</p><p class=soft>On average over the suite {benchmark.zero} has 0; "
-            f"in every scenario {benchmark.hundred} has 100. Points by terms add up to the score − 100. A failure "
+            f"<p class=big>Score {_number(you.score)}</p>"
+            f"<p class=soft>On average over the suite {benchmark.zero} has 0; in every scenario {benchmark.hundred} has 100. Points by terms add up to the score − 100. A failure "
             "costs as much as if it had come at once.</p>"
         )
     if failure:
