@@ -226,7 +226,7 @@ class Explored:
         return {
             "nadir": f"{metrics['nadir_hz']:.3f} Hz",
             "zenith": f"{metrics['zenith_hz']:.3f} Hz",
-            "largest RoCoF, 0.5 s": f"{metrics['largest_rocof_hz_s']:.3f} Hz/s",
+            "RoCoF (0.5 s)": f"{metrics['largest_rocof_hz_s']:.3f} Hz/s",
             "slowest rotor": f"{metrics['least_rotor_speed_pu']:.3f} p.u.",
             "peak power": f"{metrics['peak_power_pu']:.3f} p.u.",
             "cost": f"{metrics['cost']:.2f}",

@@ -119,7 +119,7 @@ class ExplorePage:
         options = [*STRATEGY_NAMES, (_OWN, "changed by hand")]
         add("law", Select(name="law", options=options, value=REFERENCE_STRATEGY, **wide), self._other_law)
         for corner in ("min", "nominal", "max"):
-            slider(f"k_{corner}", f"k_{corner} [p.u.]", 0.2, 1.5, 0.005, self._changed_law, format="0.000")
+            slider(f"k_{corner}", f"k_{corner}", 0.2, 1.5, 0.005, self._changed_law, format="0.000")
         tau = CategoricalSlider(name="tau", title="τ [s]", categories=list(_TAUS), value="∞", **wide)
         add("tau", tau, self._changed_law)
         for i in range(N_STRIKES):
@@ -319,7 +319,7 @@ class ExplorePage:
                 for j in range(MOST_GROUPS):
                     look_of_line = {"color": group_colour(j), "line_dash": dash, "line_width": width}
                     made.line("t", f"{name}-{j}", source=source, **look_of_line)
-        title = "power over frequency: steady states, path and end"
+        title = "power over frequency: steady states, path"
         made = look.plain_chart("characteristic", title, 240, x_axis_label="frequency [Hz]")
         made.yaxis.axis_label = "power [p.u.]"
         made.line("f", "p", source=self._curve, color=SOFT, line_width=2)

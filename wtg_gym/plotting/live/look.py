@@ -25,7 +25,8 @@ _TEXTS = f"""
     .event {{ color: {EVENT}; }}
     .scroll {{ overflow-x: auto; }}
     table {{ border-collapse: collapse; font-variant-numeric: tabular-nums; }}
-    th, td {{ padding: 0.2rem 0.55rem 0.2rem 0; text-align: right; border-bottom: 1px solid {LINE}; white-space: nowrap; }}
+    th, td {{ padding: 0.2rem 0.55rem 0.2rem 0; text-align: right; white-space: nowrap; }}
+    th, td {{ border-bottom: 1px solid {LINE}; }}
     th:first-child, td:first-child {{ text-align: left; font-weight: 500; }}
     thead th {{ color: {SOFT}; font-weight: 600; vertical-align: bottom; }}
     code {{ font-size: 0.85rem; overflow-wrap: anywhere; }}
