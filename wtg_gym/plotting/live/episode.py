@@ -122,7 +122,7 @@ class LiveEpisode:
             Status.VOLTAGE_COLLAPSE: "the voltage collapsed: a terminal was below 0.85 p.u. for more than 3 s",
             Status.NUMERICAL_FAILURE: "the numbers left every range: a numerical failure",
         }
-        return f"after {now.time_s:.1f} s {words[status]}"
+        return f"after {now.time_s:.1f} s: {words[status]}"
 
 
 def happened(scenario: Scenario, before_s: float, now_s: float) -> list[tuple[float, str]]:

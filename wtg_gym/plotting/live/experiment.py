@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import math
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
@@ -148,7 +149,13 @@ class Experiment:
 
     def run(self) -> Explored:
         """Return what happens; a ValueError says why it cannot."""
-        live = LiveEpisode(self.settings(), self.scenario())
+        settings, scenario = self.settings(), self.scenario()
+        try:
+            live = LiveEpisode(settings, scenario)
+        except ValueError as error:
+            # The simulator counts groups from 0, the page from 1.
+            said = re.sub(r"(?<=WTG group )\d+(?= at bus)", lambda found: str(1 + int(found[0])), str(error))
+            raise ValueError(said) from None
 
         def steps() -> Iterator[npt.NDArray[np.bool_]]:
             while not live.over:

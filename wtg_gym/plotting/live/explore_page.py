@@ -22,6 +22,7 @@ from bokeh.models import (
 )
 
 from wtg_gym.envs.rendering.colours import SOFT, group_colour
+from wtg_gym.envs.rendering.diagram import describe_event
 from wtg_gym.evaluation.recording import Recording
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGY_NAMES, TrackingLaw, get_law
 from wtg_gym.plotting.live import look
@@ -335,12 +336,12 @@ class ExplorePage:
             self._shown = self._experiment().run()
         except ValueError as error:
             before = " Shown is the last run that was possible." if self._shown is not None else ""
-            words = f"<p class=bad><b>This cannot be run:</b> {look.escaped(str(error))}.{before}</p>"
+            words = f"<p class=bad><b>This cannot be run:</b> {look.sentence(str(error))}{before}</p>"
             self._texts["problem"].text = words
             return
         failure = self._shown.failure
         self._texts["problem"].text = (
-            f"<p class=bad><b>The run failed</b> {look.escaped(failure)}.</p>" if failure else ""
+            f"<p class=bad><b>The run failed</b> {look.sentence(failure)}</p>" if failure else ""
         )
         self._show()
 
@@ -405,10 +406,7 @@ class ExplorePage:
 def describe(experiment: Experiment) -> str:
     """Return an experiment in one line."""
     wind = "/".join(f"{v:g}" for v in dict.fromkeys(experiment.wind_m_s))
-    strikes = ", ".join(
-        f"{KINDS[s.kind]} {f'{s.power_mw:+g} MW ' if s.kind == 'load_step' else ''}at {s.place}, {s.time_s:g} s"
-        for s in experiment.strikes
-    )
+    strikes = ", ".join(f"{describe_event(event)} at {event.time_s:g} s" for event in experiment.scenario().events)
     return (
         f"{experiment.law.name}, {wind} m/s, inertia {experiment.inertia_scale:g}, "
         f"droop {experiment.governor_droop:g}; {strikes or 'no event'}"

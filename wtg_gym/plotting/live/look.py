@@ -43,6 +43,11 @@ def escaped(content: str) -> str:
     return html.escape(content)
 
 
+def sentence(content: str) -> str:
+    """Return a text safe to show, with one full stop at its end, which a unit may have brought."""
+    return escaped(content.rstrip(".")) + "."
+
+
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Return a table as HTML; the first column is text."""
     head = "".join(f"<th scope=col>{escaped(cell)}</th>" for cell in header)

@@ -28,7 +28,7 @@ _KEY_STEPS = {
     "ArrowLeft": ("tau", -0.25),
 }
 #: Heads of the points in the table of scores.
-_HEADS = {"frequency_rocof": "frequency, RoCoF", "duty": "duty", "overload": "overload", REST: "rest"}
+_HEADS = {"frequency_rocof": "f, RoCoF", "duty": "duty", "overload": "overload", REST: "rest"}
 
 
 class PlayPage:
@@ -250,16 +250,16 @@ def verdict_text(verdicts: list[Verdict], failure: str, scale: Scale) -> str:
     benchmark = scale.suite.benchmark
     if you.score is None:
         head = (
-            f"<p class=big>Cost {you.cost:.1f}</p><p class=soft>There is no score: {look.escaped(scale.missing)}.</p>"
+            f"<p class=big>Cost {you.cost:.1f}</p><p class=soft>There is no score: {look.sentence(scale.missing)}</p>"
         )
     else:
         head = (
             f"<p class=big>Score {_number(you.score)}</p>"
             f"<p class=soft>On average over the suite {benchmark.zero} has 0; in every scenario {benchmark.hundred} "
-            "has 100. Points by terms add up to the score − 100. A failure costs as much as if it had come at once.</p>"
+            "has 100. Points by terms add up to the score − 100; Δf is the largest deviation. A failure costs as much as if it had come at once.</p>"
         )
     if failure:
-        head = f"<p class=bad><b>Your run failed</b> {look.escaped(failure)}.</p>{head}"
+        head = f"<p class=bad><b>Your run failed</b> {look.sentence(failure)}</p>{head}"
     rows = []
     for each in verdicts:
         score = ["–"] * (2 + len(POINTS))
@@ -267,7 +267,7 @@ def verdict_text(verdicts: list[Verdict], failure: str, scale: Scale) -> str:
             score = [_number(each.score), *(_signed(each.points[name]) for name in (*POINTS, REST))]
         end = each.failure or "none"
         rows.append([each.name, score[0], f"{each.cost:.1f}", *score[1:], f"{1000.0 * each.deviation_hz:.0f}", end])
-    header = ["", "score", "cost", *(_HEADS[name] for name in (*POINTS, REST)), "deviation [mHz]", "failure"]
+    header = ["", "score", "cost", *(_HEADS[name] for name in (*POINTS, REST)), "Δf [mHz]", "failure"]
     return head + look.table(header, rows)
 
 
