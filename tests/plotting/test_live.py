@@ -17,7 +17,7 @@ from tests.cli.calls import error_of, json_of
 from wtg_gym.evaluation import Entry, evaluate
 from wtg_gym.evaluation.summary import POINTS, REST
 from wtg_gym.physics.scenario import LineTrip, LoadStep, Scenario
-from wtg_gym.physics.tracking_law import get_law
+from wtg_gym.physics.tracking_law import STRATEGY_NAMES, get_law
 from wtg_gym.plotting.live.episode import happened
 from wtg_gym.plotting.live.experiment import KINDS, PLANTS, Experiment, Strike, default_experiment, places
 from wtg_gym.plotting.live.match import Match, Scale
@@ -152,6 +152,13 @@ def test_simulate_plays_the_same_scenario(
     row = json_of(capsys, *arguments, "--json")["runs"][0]
     assert row["final_frequency_hz"] == pytest.approx(float(run.recording.frequency_hz[0, -1]), abs=1e-9)
     assert row["final_power_pu"] == pytest.approx(run.recording.power_pu[0, -1].tolist(), abs=1e-9)
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_strategies_are_those_of_the_plant(plant: str) -> None:
+    own = get_suite(plant).plant.settings(classical=False)
+    for name in STRATEGY_NAMES:
+        assert get_law(name) == get_law(name, own.turbine, own.control)
 
 
 def test_a_built_in_law_goes_by_its_name() -> None:

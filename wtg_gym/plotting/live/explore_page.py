@@ -120,7 +120,7 @@ class ExplorePage:
         options = [*STRATEGY_NAMES, (_OWN, "changed by hand")]
         add("law", Select(name="law", options=options, value=REFERENCE_STRATEGY, **wide), self._other_law)
         for corner in ("min", "nominal", "max"):
-            slider(f"k_{corner}", f"k_{corner}", 0.2, 1.5, 0.005, self._changed_law, format="0.000")
+            slider(f"k_{corner}", f"k_{corner}", 0.0, 2.0, 0.005, self._changed_law, format="0.000")
         tau = CategoricalSlider(name="tau", title="τ [s]", categories=list(_TAUS), value="∞", **wide)
         add("tau", tau, self._changed_law)
         for i in range(N_STRIKES):

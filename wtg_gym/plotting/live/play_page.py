@@ -256,7 +256,8 @@ def verdict_text(verdicts: list[Verdict], failure: str, scale: Scale) -> str:
         head = (
             f"<p class=big>Score {_number(you.score)}</p>"
             f"<p class=soft>On average over the suite {benchmark.zero} has 0; in every scenario {benchmark.hundred} "
-            "has 100. Points by terms add up to the score − 100; Δf is the largest deviation. A failure costs as much as if it had come at once.</p>"
+            "has 100. Points by terms add up to the score − 100; Δf is the largest deviation. A failure costs as much "
+            "as if it had come at once.</p>"
         )
     if failure:
         head = f"<p class=bad><b>Your run failed</b> {look.sentence(failure)}</p>{head}"
