@@ -9,6 +9,7 @@ from wtg_gym.cli.output import note, require_extra
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.cli.suites import suites_by_version
 from wtg_gym.envs.settings import VERSIONS, EnvSettings
+from wtg_gym.plotting.live.match import Scale, split_of
 from wtg_gym.ranges import require_range
 from wtg_gym.scenarios import get_suite
 
@@ -63,10 +64,8 @@ def run(arguments: argparse.Namespace) -> int:
     settings = EnvSettings(suite=arguments.suite or "standard", version=version, duration_s=arguments.duration)
     suite = get_suite(settings.suite)
     seed = suite.test[0] if arguments.seed is None else arguments.seed
-    # Refuses a seed or a length before anything is played.
-    suite.scenario(seed, duration_s=arguments.duration)
+    split_of(suite, seed)
     require_extra("bokeh", "wtg-gym play")
-    from wtg_gym.plotting.live.match import Scale
     from wtg_gym.plotting.live.play_page import PlayPage
     from wtg_gym.plotting.live.server import make_server, serve
 

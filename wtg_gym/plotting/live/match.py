@@ -89,6 +89,7 @@ class Match:
     def __init__(self, scale: Scale, seed: int) -> None:
         self.scale, self.seed = scale, seed
         suite = scale.suite
+        self._split = split_of(suite, seed)
         self.scenario = suite.scenario(seed, duration_s=scale.duration_s)
         settings = EnvSettings(suite=suite.name, scenario=self.scenario)
         self.you, self.reference = LiveEpisode(settings, self.scenario), LiveEpisode(settings, self.scenario)
@@ -116,8 +117,9 @@ class Match:
     def verdicts(self) -> list[Verdict]:
         """Return yours first, then those of the suite's anchors, of which the reference is one, once you are over."""
         suite = self.scale.suite
-        split = next(split for split in SPLITS if self.seed in suite.seeds(split))
-        results = evaluate([], suite.name, split, seeds=[self.seed], duration_s=self.scale.duration_s, n_threads=1)
+        results = evaluate(
+            [], suite.name, self._split, seeds=[self.seed], duration_s=self.scale.duration_s, n_threads=1
+        )
         anchors = {name: results.episodes_of(name)[0] for name in results.benchmark.anchors}
         cap = float(results.settings["weights"]["cap"])
         hundred = anchors[results.benchmark.hundred]
@@ -127,8 +129,17 @@ class Match:
 
     def next_seed(self) -> int:
         """Return the seed after this one in its split; after the last one the first."""
-        seeds = next(s for s in map(self.scale.suite.seeds, SPLITS) if self.seed in s)
+        seeds = self.scale.suite.seeds(self._split)
         return seeds[(seeds.index(self.seed) + 1) % len(seeds)]
+
+
+def split_of(suite: Suite, seed: int) -> str:
+    """Return the split that a seed is in; a ValueError says which seeds there are."""
+    for split in SPLITS:
+        if seed in suite.seeds(split):
+            return split
+    known = ", ".join(f"{split} {(s := suite.seeds(split)).start} … {s.stop - 1}" for split in SPLITS)
+    raise ValueError(f"seed {seed} is in no split of suite {suite.name!r} that can be played: {known}")
 
 
 def verdict(episode: Episode, hundred: Episode, scale: float | None, cap: float) -> Verdict:
