@@ -20,6 +20,8 @@ from wtg_gym.cli import main
 
 COMMANDS = (
     "simulate",
+    "play",
+    "explore",
     "evaluate",
     "leaderboard",
     "results",

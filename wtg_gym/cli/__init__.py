@@ -20,9 +20,11 @@ from wtg_gym.cli import (
     environment,
     estimation,
     evaluate,
+    explore,
     influence,
     parameters,
     physics,
+    play,
     reproduce,
     results,
     simulate,
@@ -43,6 +45,7 @@ _EPILOG = """\
 first steps:
   wtg-gym simulate                                   the paper's load increase under the reference strategy
   wtg-gym simulate --strategy all --plot run.png     under every strategy, with a figure
+  wtg-gym play                                       hold the frequency by hand, in the browser
   wtg-gym suites                                     the suites of scenarios
   wtg-gym evaluate --suite standard-v1               score the baselines of version v1
   wtg-gym leaderboard --suite paper                  rank the baselines on the paper's cases
@@ -58,7 +61,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser = Parser(prog="wtg-gym", description=_DESCRIPTION, epilog=_EPILOG)
     parser.add_argument("--version", action="version", version=f"wtg-gym {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for module in (simulate, evaluate, results, submission, suites):
+    for module in (simulate, play, explore, evaluate, results, submission, suites):
         module.add_commands(commands)
     analyse = add_group(
         commands,
