@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
 from scipy.optimize import least_squares
+from scipy.special import stdtrit
 
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.gradients.parameters import known_parameters, require_known_parameters
@@ -175,7 +175,7 @@ class Estimator:
         covariance = variance * np.linalg.inv(information)
         errors = np.sqrt(np.diag(covariance))
         values = np.array([unknown.value for unknown in self.unknowns])
-        reach = stats.t.ppf(0.5 + 0.5 * confidence, freedom) * errors
+        reach = stdtrit(freedom, 0.5 + 0.5 * confidence) * errors
         return Estimate(
             values=values * found.x,
             low=values * (found.x - reach),
