@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "integrations.md"
 #: The programs by their names.
 PROGRAMS = {path.stem.removeprefix("with_"): path for path in sorted((ROOT / "docs" / "integrations").glob("with_*"))}
-#: Libraries that cannot stand beside Gymnasium 1.2.2 or newer; the command tries it again.
+#: Libraries that could not be installed beside this package; the command tries it again.
 TRIED = {"safety-gymnasium": "safety-gymnasium", "OmniSafe": "omnisafe", "imitation": "imitation"}
 _TABLE = "integrations"
 _HEAD = re.compile(r"\A# /// script\n(.*?)^# ///\n\n?", re.MULTILINE | re.DOTALL)
@@ -81,11 +81,10 @@ def tried(package: str, environments: Path) -> str:
     python = _environment(environments / "tried")
     command = [python, "-m", "pip", "install", "--quiet", "--dry-run", "--ignore-installed", package]
     done = subprocess.run([*command, "gymnasium>=1.2.2", "torch==2.13.0"], capture_output=True, text=True)
-    return (
-        "can be installed, not tested"
-        if done.returncode == 0
-        else "cannot be installed beside Gymnasium 1.2.2 or newer"
-    )
+    if done.returncode == 0:
+        return "can be installed, not tested"
+    conflict = "conflicting dependencies" in done.stderr or "ResolutionImpossible" in done.stderr
+    return f"cannot be {'installed beside Gymnasium 1.2.2 or newer' if conflict else 'built where this was run'}"
 
 
 def _environment(folder: Path) -> str:
