@@ -1,4 +1,4 @@
-"""`python -m agents.research.law_gradient`: tunes the paper's law of version v0 by gradients of whole episodes."""
+"""`python -m agents.research.law_gradient`: tunes the paper's law by gradients of whole episodes."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ _DESCRIPTION = """\
 Tunes k_min, k_nominal, k_max and τ of the paper's law by Adam on the gradients of wtg_gym.gradients: the mean of
 ln(J + J0) over random training scenarios, which decides the score, is lowered. What k_nominal does, which moves the
 equilibrium before an episode too, a difference of two runs tells. The laws that come of it, one for all groups and one
-for each, are played on the validation scenarios beside the paper's. For version v1, whose laws have no gradient, there
-is agents.research.tuned_law."""
+for each, are played on the validation scenarios beside the paper's. The law of version v1 was found without gradients,
+by agents.research.tuned_law."""
 
 
 class Tuned(NamedTuple):
@@ -56,7 +56,7 @@ class LawLoss:
     """Mean of ln(J + J0) over scenarios as a function of the laws' parameters, and its gradient.
 
     Args:
-        suite: of the scenarios, of version v0.
+        suite: of the scenarios.
         n_lanes: scenarios at a time.
         n_threads: threads to step with; None for one per processor.
     """
@@ -174,7 +174,7 @@ def scores(
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     parser = Parser(prog="python -m agents.research.law_gradient", description=_DESCRIPTION)
-    parser.add_argument("--suite", default="standard", metavar="NAME", help="of version v0 (default: standard)")
+    parser.add_argument("--suite", default="standard", metavar="NAME", help="(default: standard)")
     parser.add_argument("--batches", type=int, default=100, metavar="N", help="steps of Adam (default: 100)")
     parser.add_argument("--scenarios", type=int, default=32, metavar="N", help="per batch (default: 32)")
     parser.add_argument("--validation", type=int, default=100, metavar="N", help="validation scenarios (default: 100)")

@@ -75,7 +75,6 @@ def test_the_command_prints_tables_and_writes_them(tmp_path: Path, capsys: pytes
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
-        (("--suite", "standard-v1"), "not known"),
         (("--batches", "0"), "--batches = 0"),
         (("--page", "missing.md"), "missing.md"),
     ],

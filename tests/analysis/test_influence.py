@@ -115,7 +115,6 @@ def test_droop_is_that_in_force(capsys: pytest.CaptureFixture[str]) -> None:
         (("--case", "storm"), "known cases: load-increase"),
         (("--seed", "3"), "needs a suite"),
         (("--suite", "standard", "--seed", "7-3"), "--seed must be"),
-        (("--suite", "standard-v1"), "not known"),
         (("--rows", "0"), "1 or more"),
         (("--strategy", "best"), "known strategies"),
         (("--plot", "bars.txt"), "bars.txt"),

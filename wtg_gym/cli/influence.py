@@ -56,7 +56,7 @@ def add_commands(commands: Commands) -> None:
     cases = ", ".join(case.name for case in get_suite("paper").cases)
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--case", metavar="NAME", help=f"case of the paper: {cases} (default: load-increase)")
-    what.add_argument("--suite", metavar="NAME", help="suite of version v0 to draw from: standard, low-wind, …")
+    what.add_argument("--suite", metavar="NAME", help="suite to draw from: standard, standard-v1, low-wind, …")
     parser.add_argument(
         "--seed", metavar="N[-M]", help="seed of the suite, or its seeds from N to M (default: its first test seed)"
     )
