@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import re
-import shutil
 import signal
 import subprocess
 from collections.abc import Iterator
@@ -16,19 +14,7 @@ import pytest
 from tests.cli.calls import start
 
 pytest.importorskip("bokeh", reason="the pages are Bokeh's")
-playwright = pytest.importorskip("playwright.sync_api", reason="a browser is driven by playwright")
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with playwright.sync_playwright() as driver:
-        names = ("chromium", "chromium-browser", "google-chrome")
-        found = next(filter(None, map(shutil.which, names)), None) or driver.chromium.executable_path
-        if not os.path.exists(found):
-            pytest.skip("there is no Chromium to look at the page with")
-        started = driver.chromium.launch(executable_path=found)
-        yield started
-        started.close()
+pytest.importorskip("playwright.sync_api", reason="a browser is driven by playwright")
 
 
 @contextmanager

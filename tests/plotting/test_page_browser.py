@@ -5,9 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
 import re
-import shutil
 import time
 import urllib.parse
 from collections.abc import Iterator
@@ -34,23 +32,11 @@ from wtg_gym.plotting.front import support_points, undominated
 from wtg_gym.scenarios import get_suite
 
 pytest.importorskip("bokeh", reason="the page's charts are Bokeh's")
-playwright = pytest.importorskip("playwright.sync_api", reason="a browser is driven by playwright")
+pytest.importorskip("playwright.sync_api", reason="a browser is driven by playwright")
 
 #: Width of a scroll bar, which a page in a window has less [px].
 SCROLL_BAR = 15
 LAPTOP, PHONE = {"width": 1440, "height": 900}, {"width": 390, "height": 844}
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with playwright.sync_playwright() as driver:
-        names = ("chromium", "chromium-browser", "google-chrome")
-        found = next(filter(None, map(shutil.which, names)), None) or driver.chromium.executable_path
-        if not os.path.exists(found):
-            pytest.skip("there is no Chromium to look at the page with")
-        started = driver.chromium.launch(executable_path=found)
-        yield started
-        started.close()
 
 
 class Opened:

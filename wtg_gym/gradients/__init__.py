@@ -1,14 +1,14 @@
 """Gradients of what episodes cost, with respect to actions, the parameters of the tracking laws and those of the plant.
 
-    expressions   numbers that remember how they came about, their derivatives, their source
-    tracing       the kernels' own source over such numbers
-    generated     the vector-Jacobian products of the kernels, compiled
-    parameters    of a plant: which there are, and what constants they move
-    adjoint       back through one control step
-    tape          episodes that can be differentiated: the interface for NumPy
-    torch         the same for PyTorch; not imported here
-
-Nothing else of wtg_gym imports this package, but its speed is measured by `wtg-gym bench`.
+expressions   numbers that remember how they came about, their derivatives, their source
+tracing       the kernels' own source over such numbers
+generated     the vector-Jacobian products of the kernels, compiled
+parameters    of a plant: which there are, and what constants they move
+adjoint       back through one control step
+tape          episodes that can be differentiated: the interface for NumPy
+responses     the derivative of every output at every step with respect to every parameter
+estimation    parameters found in a record of the frequency
+torch         what tape does, for PyTorch; not imported here
 """
 
 from wtg_gym.gradients.generated import LAW_PARAMETERS

@@ -212,7 +212,9 @@ def build_pull_limits(rules: Rules) -> Any:
 
 def build_pull(rules: Rules) -> Any:
     """Return the compiled function that goes back through one control step."""
-    n_rows, first_action, foresee = rules.n_rows, int(rules.actions[0]), rules.foresee
+    n_rows, foresee = rules.n_rows, rules.foresee
+    # A plant without WTG groups has none.
+    first_action = int(rules.actions[0]) if rules.actions.size else n_rows
     pull_act, pull_charge, pull_finish = rules.pull_act, rules.pull_charge, rules.pull_finish
     pull_network, pull_units, pull_limits = rules.pull_network, rules.pull_rates, build_pull_limits(rules)
 
