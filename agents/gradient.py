@@ -49,6 +49,7 @@ class Hyperparameters:
     """Hyperparameters; the learning rate falls along half a cosine to `last_rate` of it."""
 
     hidden: Sequence[int] = (64, 64)
+    lstm: int = 0
     loss: str = "log"
     learning_rate: float = 1e-2
     last_rate: float = 0.05
@@ -58,15 +59,18 @@ class Hyperparameters:
     def __post_init__(self) -> None:
         if any(type(width) is not int or width < 1 for width in self.hidden):
             raise ValueError(f"hidden must be positive whole numbers, got {list(self.hidden)}")
+        if type(self.lstm) is not int or self.lstm < 0:
+            raise ValueError(f"lstm must be a whole number, 0 for none, got {self.lstm!r}")
 
 
 class GradientPolicy(nn.Module):
-    """tanh layers from the observation to the actions; no layers but one make it linear up to its tanh."""
+    """An LSTM, if its width is not zero, then tanh layers to the actions; one layer alone is linear up to its tanh."""
 
-    def __init__(self, n_observation: int, n_action: int, hidden: Sequence[int] = ()) -> None:
+    def __init__(self, n_observation: int, n_action: int, hidden: Sequence[int] = (), lstm: int = 0) -> None:
         super().__init__()
         self.n_observation = n_observation
-        widths = [n_observation, *hidden, n_action]
+        self.lstm = nn.LSTM(n_observation, lstm) if lstm else None
+        widths = [lstm or n_observation, *hidden, n_action]
         layers = [nn.Linear(n_in, n_out) for n_in, n_out in itertools.pairwise(widths)]
         for layer in layers:
             # The last layer starts almost at zero, which is the reference controller.
@@ -75,27 +79,36 @@ class GradientPolicy(nn.Module):
         # Tanh at the end too: a clipped action would have no gradient to come back by.
         self.layers = nn.Sequential(*(module for layer in layers for module in (layer, nn.Tanh())))
 
-    def forward(self, observations: Tensor) -> Tensor:
-        actions: Tensor = self.layers(observations)
-        return actions
+    def forward(self, observations: Tensor, state: Any = None) -> tuple[Tensor, Any]:
+        """Return the actions (n_lanes, n_action) and the state of the LSTM, which is None before the first step."""
+        seen = observations
+        if self.lstm is not None:
+            (seen,), state = self.lstm(seen[None], state)
+        return self.layers(seen), state
 
     @torch.no_grad()
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[Any, Any]:
         """Return (actions (n_lanes, n_action), state), in the manner of Stable-Baselines3."""
-        return self(torch.as_tensor(observation, dtype=torch.float32)).numpy(), state
+        if state is not None and episode_start is not None:
+            goes_on = torch.as_tensor(~np.asarray(episode_start, dtype=np.bool_), dtype=torch.float32)[:, None]
+            state = tuple(part * goes_on for part in state)
+        actions, state = self(torch.as_tensor(observation, dtype=torch.float32), state)
+        return actions.numpy(), state
 
     def network(self) -> PolicyNetwork:
         """Return the policy for the export."""
-        return PolicyNetwork(self.n_observation, None, lstm=None, layers=flat_layers([self.layers]))
+        return PolicyNetwork(self.n_observation, None, lstm=self.lstm, layers=flat_layers([self.layers]))
 
 
-def costs_of(episodes: TorchEpisodes, policy: nn.Module, scenarios: Sequence[Scenario], n_steps: int) -> Tensor:
+def costs_of(episodes: TorchEpisodes, policy: GradientPolicy, scenarios: Sequence[Scenario], n_steps: int) -> Tensor:
     """Return what the first steps of a scenario in every lane cost, (n_lanes,)."""
     observations, costs = episodes.start(scenarios), torch.zeros(len(scenarios), dtype=torch.float64)
+    state = None
     for _ in range(n_steps):
-        observations, terms = episodes.step(policy(observations))
+        actions, state = policy(observations, state)
+        observations, terms = episodes.step(actions)
         costs = costs + terms.sum(dim=1)
     return costs
 
@@ -120,7 +133,7 @@ def train(run: Run, folder: Path, h: Hyperparameters) -> None:
     torch.manual_seed(settings.seed)
     episodes = TorchEpisodes(EnvSettings(**settings.env_arguments), settings.n_envs)
     lanes = episodes.tape.lanes
-    policy = GradientPolicy(lanes.n_observation, lanes.n_action, h.hidden)
+    policy = GradientPolicy(lanes.n_observation, lanes.n_action, h.hidden, h.lstm)
     optimizer = torch.optim.Adam(policy.parameters(), lr=h.learning_rate, betas=(h.betas[0], h.betas[1]))
     n_steps = round(lanes.duration_s / lanes.settings.control_dt)
     per_batch = n_steps * settings.n_envs
@@ -180,7 +193,11 @@ def load(folder: Path) -> GradientPolicy:
     with loading(folder / _WEIGHTS):
         weights: Mapping[str, Tensor] = torch.load(folder / _WEIGHTS, weights_only=True)
         shapes = [value.shape for key, value in weights.items() if key.endswith("weight")]
-        policy = GradientPolicy(shapes[0][1], shapes[-1][0], [shape[0] for shape in shapes[:-1]])
+        n_observation, lstm = shapes[0][1], 0
+        if "lstm.weight_ih_l0" in weights:
+            gates, n_observation = weights["lstm.weight_ih_l0"].shape
+            lstm = gates // 4
+        policy = GradientPolicy(n_observation, shapes[-1][0], [shape[0] for shape in shapes[:-1]], lstm)
         policy.load_state_dict(weights)
         return policy
 
@@ -193,6 +210,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--hidden", type=int, nargs="*", metavar="N", help="widths of hidden layers, none for none (default: 64 64)"
     )
+    parser.add_argument("--lstm", type=int, metavar="N", help="width of an LSTM before them (default: 0, none)")
     parser.add_argument("--loss", choices=("log", "mean"), help="mean of log(cost + J0) or of the cost (default: log)")
     add_folder_options(parser)
 
@@ -200,7 +218,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         given = given_options(parser.parse_args(argv))
 
         def settings() -> RunSettings:
-            h = Hyperparameters(**{key: given[key] for key in ("hidden", "loss") if key in given})
+            h = Hyperparameters(**{key: given[key] for key in ("hidden", "lstm", "loss") if key in given})
             n_envs = given.get("n_envs", _N_ENVS)
             return settings_of(given, NAME, dataclasses.asdict(h), timesteps=_TIMESTEPS, n_envs=n_envs)
 

@@ -26,12 +26,14 @@ OPTIONS = ["--timesteps", "2400", "--interval", "1200", "--n-envs", "2", "--vali
 V1: dict[str, Any] = {"version": "v1", "observation_mode": "privileged", "weights": {"cap": 50.0}}
 
 
-@pytest.mark.parametrize(("hidden", "settings"), [((), {}), ((8,), {}), ((8,), V1)])
-def test_loss_falls_on_the_scenarios_that_it_is_of(hidden: tuple[int, ...], settings: dict[str, Any]) -> None:
+@pytest.mark.parametrize(("hidden", "lstm", "settings"), [((), 0, {}), ((8,), 0, {}), ((8,), 0, V1), ((), 8, {})])
+def test_loss_falls_on_the_scenarios_that_it_is_of(
+    hidden: tuple[int, ...], lstm: int, settings: dict[str, Any]
+) -> None:
     torch.manual_seed(0)
-    episodes, h = TorchEpisodes(EnvSettings(**settings), 4, 1), Hyperparameters(hidden=hidden)
+    episodes, h = TorchEpisodes(EnvSettings(**settings), 4, 1), Hyperparameters(hidden=hidden, lstm=lstm)
     lanes = episodes.tape.lanes
-    policy = GradientPolicy(lanes.n_observation, lanes.n_action, hidden)
+    policy = GradientPolicy(lanes.n_observation, lanes.n_action, hidden, lstm)
     optimizer = torch.optim.Adam(policy.parameters(), lr=h.learning_rate)
     scenarios = lanes.scenarios(range(1_000_000, 1_000_004))
     losses = [descend(policy, optimizer, costs_of(episodes, policy, scenarios, 100), h) for _ in range(10)]
@@ -45,11 +47,13 @@ def checkpoint(folder: Path) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.parametrize("network", [[], ["--hidden", "8", "--lstm", "4"]])
 def test_run_repeats_also_after_an_interruption_and_is_exported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, network: list[str]
 ) -> None:
     one, two = tmp_path / "one", tmp_path / "two"
-    assert main([*OPTIONS, "--output", str(one)]) == 0
+    options = [*OPTIONS, *network]
+    assert main([*options, "--output", str(one)]) == 0
 
     def interrupted(*arguments: Any) -> float:
         if Run.read(two).curve[-1]["timesteps"] == 1200:
@@ -58,7 +62,7 @@ def test_run_repeats_also_after_an_interruption_and_is_exported(
 
     with monkeypatch.context() as patch:
         patch.setattr(gradient, "descend", interrupted)
-        assert main([*OPTIONS, "--output", str(two)]) == 130
+        assert main([*options, "--output", str(two)]) == 130
     assert main(["--resume", str(two)]) == 0
     states = [checkpoint(folder)["policy"] for folder in (one, two)]
     assert all(torch.equal(states[0][key], states[1][key]) for key in states[0])
@@ -71,14 +75,24 @@ def test_run_repeats_also_after_an_interruption_and_is_exported(
 
     assert export(one, tmp_path / "entry", name="mine") <= 1e-6
     (entry,) = load_entries(tmp_path / "entry")
-    observations = np.random.default_rng(0).normal(size=(5, states[0]["layers.0.weight"].shape[1])).astype(np.float32)
     (best,) = folders(one / "best")
-    expected, _ = load(best).predict(observations)
-    actions, _ = entry.policy.predict(observations, None, np.ones(5, dtype=np.bool_), deterministic=True)
-    assert actions == pytest.approx(expected, abs=1e-6)
+    learned, states, start = load(best), (None, None), np.ones(5, dtype=np.bool_)
+    observations = np.random.default_rng(0).normal(size=(3, 5, learned.n_observation)).astype(np.float32)
+    # The third step begins an episode in one lane.
+    for seen, begins in zip(observations, (start, ~start, np.arange(5) == 2), strict=True):
+        (expected, first), (actions, second) = (
+            each.predict(seen, state, begins, deterministic=True)
+            for each, state in zip((learned, entry.policy), states, strict=True)
+        )
+        states = first, second
+        assert actions == pytest.approx(expected, abs=1e-6)
+    fresh, _ = learned.predict(observations[2])
+    assert np.array_equal(fresh[2], expected[2]) and np.array_equal(fresh, expected) == (not network)
 
 
 def test_bad_input_is_refused_and_leaves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--hidden", "8", "0", "--output", str(tmp_path / "run")]) == 2
     assert "hidden must be positive whole numbers" in capsys.readouterr().err
+    assert main(["--lstm", "-1", "--output", str(tmp_path / "run")]) == 2
+    assert "lstm must be a whole number, 0 for none, got -1" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
