@@ -76,15 +76,14 @@ def test_run_repeats_also_after_an_interruption_and_is_exported(
     assert export(one, tmp_path / "entry", name="mine") <= 1e-6
     (entry,) = load_entries(tmp_path / "entry")
     (best,) = folders(one / "best")
-    learned, states, start = load(best), (None, None), np.ones(5, dtype=np.bool_)
+    learned, exported, start = load(best), entry.policy, np.ones(5, dtype=np.bool_)
+    assert exported is not None
     observations = np.random.default_rng(0).normal(size=(3, 5, learned.n_observation)).astype(np.float32)
+    state, kept = None, None
     # The third step begins an episode in one lane.
     for seen, begins in zip(observations, (start, ~start, np.arange(5) == 2), strict=True):
-        (expected, first), (actions, second) = (
-            each.predict(seen, state, begins, deterministic=True)
-            for each, state in zip((learned, entry.policy), states, strict=True)
-        )
-        states = first, second
+        expected, state = learned.predict(seen, state, begins, deterministic=True)
+        actions, kept = exported.predict(seen, kept, begins, deterministic=True)
         assert actions == pytest.approx(expected, abs=1e-6)
     fresh, _ = learned.predict(observations[2])
     assert np.array_equal(fresh[2], expected[2]) and np.array_equal(fresh, expected) == (not network)
