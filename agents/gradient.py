@@ -1,7 +1,8 @@
 """`python -m agents.gradient`: trains a policy by back-propagation through whole episodes of the environment itself.
 
 The gradients are those of `wtg_gym.gradients`. Nothing is explored and no value function is learned: Adam lowers the
-mean over training scenarios of log(cost + J0), which is what the score rewards.
+mean over training scenarios of log(cost + J0), which is what the score rewards. A failure is a step and has no
+gradient: in the loss it comes gradually, while rotors or frequency near the limits of the protections.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ from agents.folders import BEST, CHECKPOINTS, folders, loading, save_folder
 from agents.onnx_graph import PolicyNetwork, flat_layers
 from agents.runs import Run, RunSettings
 from wtg_gym.envs import EnvSettings
-from wtg_gym.evaluation.score import COST_OFFSET
+from wtg_gym.envs.task_records import CostTerms
+from wtg_gym.evaluation.score import COST_OFFSET, pinned_cost
 from wtg_gym.gradients.torch import TorchEpisodes
 from wtg_gym.physics.scenario import Scenario
 
@@ -42,6 +44,8 @@ from wtg_gym.physics.scenario import Scenario
 NAME = "gradient"
 _WEIGHTS, _STATE = "weights.pt", "state.pt"
 _TIMESTEPS, _N_ENVS = 1_920_000, 32
+#: How gradually a failure comes, in rotor speed and in frequency [p.u.].
+ROTOR_SPREAD_PU, FREQUENCY_SPREAD_PU = 0.02, 0.001
 
 
 @dataclass(frozen=True)
@@ -102,15 +106,61 @@ class GradientPolicy(nn.Module):
         return PolicyNetwork(self.n_observation, None, lstm=self.lstm, layers=flat_layers([self.layers]))
 
 
-def costs_of(episodes: TorchEpisodes, policy: GradientPolicy, scenarios: Sequence[Scenario], n_steps: int) -> Tensor:
-    """Return what the first steps of a scenario in every lane cost, (n_lanes,)."""
-    observations, costs = episodes.start(scenarios), torch.zeros(len(scenarios), dtype=torch.float64)
-    state = None
+class Failures:
+    """Costs in which failures by slow rotors or low frequency come gradually.
+
+    A logistic function of the least rotor speed and of the least frequency takes an episode's cost towards that of a
+    failed one in the score. It is 0.5 a spread above the limit of the protection, and 0.73 at the limit.
+
+    Args:
+        episodes: give the limits.
+    """
+
+    def __init__(self, episodes: TorchEpisodes) -> None:
+        settings = episodes.tape.lanes.settings
+        protection, cap = settings.plant().protection, settings.cost_weights().cap
+        frequency = (protection.frequency_min_pu, FREQUENCY_SPREAD_PU)
+        rotor = (protection.rotor_speed_min_pu, ROTOR_SPREAD_PU)
+        watched = {
+            index: frequency if name == "frequency_pu" else rotor
+            for index, name in enumerate(episodes.tape.output_names)
+            if name == "frequency_pu" or name.startswith("rotor")
+        }
+        self._columns = list(watched)
+        self._limits, self._spreads = torch.tensor(list(watched.values()), dtype=torch.float64).T
+        self._cost = pinned_cost(0.0, failed=True, duration_s=settings.episode_duration_s(), cap=cap)
+
+    def watched(self, outputs: Tensor) -> Tensor:
+        """Return the outputs that failures depend on, (n_lanes, n), of all outputs of a step."""
+        return outputs[:, self._columns]
+
+    def costs(self, alive: Tensor, least: Tensor) -> Tensor:
+        """Return costs (n_lanes,), from those without failures and the least of what is watched (n_lanes, n)."""
+        survives = torch.sigmoid((least - self._limits) / self._spreads - 1.0).prod(dim=1)
+        return survives * alive + (1.0 - survives) * self._cost
+
+
+def costs_of(
+    episodes: TorchEpisodes,
+    policy: GradientPolicy,
+    scenarios: Sequence[Scenario],
+    n_steps: int,
+    failures: Failures | None = None,
+) -> Tensor:
+    """Return what the first steps of a scenario in every lane cost (n_lanes,), by `failures` if they are given."""
+    observations = episodes.start(scenarios)
+    state, spent, watched = None, [], []
     for _ in range(n_steps):
         actions, state = policy(observations, state)
         observations, terms = episodes.step(actions)
-        costs = costs + terms.sum(dim=1)
-    return costs
+        spent.append(terms)
+        if failures is not None:
+            watched.append(failures.watched(episodes.outputs))
+    costs = torch.stack(spent).sum(dim=0)
+    if failures is None:
+        return costs.sum(dim=1)
+    alive = costs.sum(dim=1) - costs[:, CostTerms._fields.index("failure")]
+    return failures.costs(alive, torch.stack(watched).amin(dim=0))
 
 
 def descend(policy: nn.Module, optimizer: torch.optim.Optimizer, costs: Tensor, h: Hyperparameters) -> float:
@@ -133,6 +183,7 @@ def train(run: Run, folder: Path, h: Hyperparameters) -> None:
     torch.manual_seed(settings.seed)
     episodes = TorchEpisodes(EnvSettings(**settings.env_arguments), settings.n_envs)
     lanes = episodes.tape.lanes
+    failures = Failures(episodes)
     policy = GradientPolicy(lanes.n_observation, lanes.n_action, h.hidden, h.lstm)
     optimizer = torch.optim.Adam(policy.parameters(), lr=h.learning_rate, betas=(h.betas[0], h.betas[1]))
     n_steps = round(lanes.duration_s / lanes.settings.control_dt)
@@ -158,7 +209,7 @@ def train(run: Run, folder: Path, h: Hyperparameters) -> None:
                 optimizer.param_groups[0]["lr"] = h.learning_rate * (h.last_rate + (1.0 - h.last_rate) * fallen)
                 # A generator of its own for each batch: a resumed run draws what an undisturbed one would have drawn.
                 rng = np.random.default_rng((settings.seed, index))
-                costs = costs_of(episodes, policy, lanes.draw([rng] * settings.n_envs), n_steps)
+                costs = costs_of(episodes, policy, lanes.draw([rng] * settings.n_envs), n_steps, failures)
                 loss = descend(policy, optimizer, costs, h)
                 name = f"loss {loss:.3f}, score {run.curve[-1]['score']:.1f}"
                 progress.update(name, index + 1 - first, n_batches - first)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import torch
 from agents import gradient
 from agents.export import export
 from agents.folders import folders
-from agents.gradient import GradientPolicy, Hyperparameters, costs_of, descend, load, main
+from agents.gradient import Failures, GradientPolicy, Hyperparameters, costs_of, descend, load, main
 from agents.runs import Run
 from wtg_gym.envs import EnvSettings
 from wtg_gym.gradients.torch import TorchEpisodes
@@ -38,6 +39,27 @@ def test_loss_falls_on_the_scenarios_that_it_is_of(
     scenarios = lanes.scenarios(range(1_000_000, 1_000_004))
     losses = [descend(policy, optimizer, costs_of(episodes, policy, scenarios, 100), h) for _ in range(10)]
     assert losses[-1] < losses[0] - 0.01
+
+
+def test_a_failure_comes_gradually_and_its_approach_has_a_gradient() -> None:
+    settings = EnvSettings(suite="standard-v1", **V1)
+    episodes = TorchEpisodes(settings, 4, 1)
+    failures, n_watched = Failures(episodes), 1 + episodes.tape.lanes.n_wtg
+    limits = torch.tensor([0.97] + [0.5] * (n_watched - 1), dtype=torch.float64)
+    alive, worst = torch.tensor([40.0], dtype=torch.float64), 50.0 * 61.0
+    assert failures.costs(alive, limits[None] + 0.5).item() == pytest.approx(40.0)
+    one_at_its_limit = limits + 0.5
+    one_at_its_limit[1] = 0.5
+    share = 1.0 / (1.0 + math.exp(-1.0))
+    assert failures.costs(alive, one_at_its_limit[None]).item() == pytest.approx(40.0 + share * (worst - 40.0))
+    # Nothing is near a failure in the first 2 s.
+    policy = GradientPolicy(episodes.tape.lanes.n_observation, episodes.tape.lanes.n_action)
+    scenarios = episodes.tape.lanes.scenarios(range(1_000_000, 1_000_004))
+    plain, gradual = (costs_of(episodes, policy, scenarios, 20, each) for each in (None, failures))
+    assert gradual.tolist() == pytest.approx(plain.tolist(), abs=1e-6 * worst)
+    least = (limits + 0.05).repeat(4, 1).requires_grad_()
+    failures.costs(alive.repeat(4), least).sum().backward()  # type: ignore[no-untyped-call]
+    assert least.grad is not None and (least.grad < 0.0).all()
 
 
 def checkpoint(folder: Path) -> dict[str, Any]:

@@ -371,3 +371,14 @@ def test_torch_and_numpy_agree_to_the_last_bit(settings: dict[str, Any]) -> None
     given = torch.tensor(actions, requires_grad=True)
     torch.stack([episodes.step(own)[1] for own in given]).sum().backward()
     assert np.array_equal(given.grad.numpy(), found.actions)
+
+    played = episodes.tape.play(scenarios, actions)
+    of_actions, _, _ = episodes.tape.back(outputs=np.ones_like(played.outputs))
+    episodes.start(scenarios)
+    given, outputs = torch.tensor(actions, requires_grad=True), []
+    for own in given:
+        episodes.step(own)
+        outputs.append(episodes.outputs)
+    torch.stack(outputs).sum().backward()
+    assert np.array_equal(torch.stack(outputs).detach().numpy(), played.outputs)
+    assert np.array_equal(given.grad.numpy(), of_actions)

@@ -25,17 +25,18 @@ class _Step(torch.autograd.Function):
     """A step of a tape. What one step leaves to the next is a tensor of zeros, whose gradient alone has a meaning."""
 
     @staticmethod
-    def forward(ctx: Any, tape: Tape, left: Any, law: Any, actions: Any) -> tuple[Any, Any, Any]:
+    def forward(ctx: Any, tape: Tape, left: Any, law: Any, actions: Any) -> tuple[Any, ...]:
         ctx.tape, ctx.step, ctx.start, ctx.dtypes = tape, tape.n_steps, tape.n_starts, (law.dtype, actions.dtype)
         observations, terms = tape.step(actions.detach().to("cpu", torch.float64).contiguous().numpy())
-        return torch.zeros_like(left), torch.from_numpy(observations), torch.from_numpy(terms)
+        shown = (torch.from_numpy(array) for array in (observations, terms, tape.outputs()))
+        return torch.zeros_like(left), *shown
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, left: Any, observations: Any, terms: Any) -> tuple[Any, Any, Any, Any]:
+    def backward(ctx: Any, left: Any, observations: Any, terms: Any, outputs: Any) -> tuple[Any, Any, Any, Any]:
         if ctx.start != ctx.tape.n_starts:
             raise RuntimeError("backward() must come before the next start(): the steps of these episodes are gone")
-        seeds = (seed.to(torch.float64).numpy() for seed in (left, terms, observations))
+        seeds = (seed.to(torch.float64).numpy() for seed in (left, terms, observations, outputs))
         pulled = ctx.tape.pull(ctx.step, *seeds)
         of_law, of_actions = ctx.dtypes
         return (
@@ -56,6 +57,8 @@ class TorchEpisodes:
         self.tape = Tape(settings, n_lanes, n_threads)
         self._left: Any = None
         self._law: Any = None
+        #: Those of the tape at the end of the latest step (n_lanes, n_outputs), in the order of its `output_names`.
+        self.outputs: Any = None
 
     def start(self, scenarios: Sequence[Scenario], law: Any = None) -> Any:
         """Start an episode in every lane and return the first observations.
@@ -79,7 +82,7 @@ class TorchEpisodes:
         Returns:
             observations (n_lanes, n_observation), floats of 32 bits, and terms of the cost (n_lanes, n_terms), of 64.
         """
-        self._left, observations, terms = _apply(self.tape, self._left, self._law, actions)
+        self._left, observations, terms, self.outputs = _apply(self.tape, self._left, self._law, actions)
         return observations, terms
 
 
