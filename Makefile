@@ -156,9 +156,11 @@ docs-check: $(LEADERBOARD_READY) ## Draw the pictures into a copy of docs/ and n
 	$(LEADERBOARD_VENV)/bin/python -m tests.pictures docs build/docs
 
 .PHONY: performance
-performance: $(TEST_READY) $(GOLDEN_READY) ## Measure speed, growth and arithmetic again; on a machine that does nothing else (a quarter of an hour)
+performance: $(TEST_READY) $(GOLDEN_READY) ## Measure speed, growth and arithmetic again; on a machine that does nothing else (half an hour)
+	PIP_CONSTRAINT=constraints.txt $(TEST_VENV)/bin/python -m pip install --quiet --editable '.[jax]' diffpssi
 	$(TEST_VENV)/bin/wtg-gym bench --only environments physics gradients rendering training peers --page docs/performance.md
 	$(GOLDEN_VENV)/bin/python tests/golden/time_andes_env.py --page docs/performance.md
+	$(TEST_VENV)/bin/python tests/gradients/time_diffpssi.py --page docs/performance.md
 	$(TEST_VENV)/bin/wtg-gym bench --only growth roofline --full --output docs/performance --formats svg --page docs/performance.md
 
 .PHONY: golden

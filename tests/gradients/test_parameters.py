@@ -232,3 +232,12 @@ def test_parameters_of_v1_act_through_limits_and_sensors() -> None:
             ends.append(v1.play(v1.lanes.scenarios(seeds), actions).terms.sum(axis=(0, 2)))
         v1.set_parameters({name: value})
         assert of_parameters[:, i] == pytest.approx((ends[1] - ends[0]) / (2e-5 * value), rel=1e-5)
+
+
+def test_a_plant_without_groups_has_gradients() -> None:
+    """Its cost reads nothing of groups: rows of which there are none must be whole numbers, or nothing compiles."""
+    plant = PlantSettings(groups=())
+    own = Tape(PlantEnvSettings.of(SETTINGS, plant), 1, 1, ("machines.1.two_h_s",))
+    assert own.output_names == ("frequency_pu", "rocof_hz_s", *(f"machine_{i}_speed_pu" for i in range(4)))
+    fractions = {name for name, rows in own._rules.steps._asdict().items() if rows.dtype != np.int64}
+    assert fractions == {"low", "high"}

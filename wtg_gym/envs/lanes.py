@@ -184,7 +184,7 @@ class TaskLanes:
 
     def _check_time_constants(self) -> None:
         """Refuse a law whose damping the actions can make faster than the integration step follows."""
-        fastest = TIME_CONSTANT_RATIO * max(law.inverse_time_constant for law in self.laws)
+        fastest = TIME_CONSTANT_RATIO * max((law.inverse_time_constant for law in self.laws), default=0.0)
         allowed = float(largest_stable_steps(-fastest)) / STEP_MARGIN
         if ACTION_MODES[self.settings.action_mode][1] and self.settings.simulation_dt > allowed:
             raise ValueError(

@@ -347,7 +347,7 @@ def build_rules(
         rates=np.array([rate_of[row] for row in moving.tolist()]),
         low=np.array([low[row] for row in moving.tolist()]),
         high=np.array([high[row] for row in moving.tolist()]),
-        outputs=np.array(sorted(outputs)),
+        outputs=np.array(sorted(outputs), dtype=np.int64),
         inputs=np.array(sorted(read - states)),
         references=references,
         droops=layout.machine("inv_droop"),
