@@ -33,10 +33,12 @@ class Shipped(NamedTuple):
     description: str
     options: tuple[str, ...]  # of its training
     n_seeds: int = 5  # training seeds, from 0 on
+    command: str = "agents.train"
 
 
 #: In v1 agents modulate the law that is tuned to the grid.
 _V1 = ("--suite", "standard-v1", "--strategy", "coordinated-tuned", "--validation-episodes", "200")
+_RECURRENT = ("--lstm", "32", "--hidden", "32")
 _TAU_CONFIG = "agents/configs/ppo_tau.yml"
 SHIPPED = (
     Shipped("ppo-k+tau", "PPO (k, τ)", "PPO that modulates k and τ.", ("--algo", "ppo", "--action-mode", "k+tau")),
@@ -57,6 +59,20 @@ SHIPPED = (
         3,
     ),
     Shipped("sac-v1", "SAC", "SAC on top of the tuned law.", ("--algo", "sac", *_V1), 3),
+    Shipped(
+        "gradient",
+        "gradient LSTM (k, τ)",
+        "An LSTM trained by gradients of whole episodes.",
+        (*_RECURRENT, "--validation-episodes", "100"),
+        command="agents.gradient",
+    ),
+    Shipped(
+        "gradient-v1",
+        "gradient LSTM",
+        "An LSTM on top of the tuned law, trained by gradients of whole episodes.",
+        (*_RECURRENT, *_V1, "--timesteps", "2880000"),
+        command="agents.gradient",
+    ),
 )
 
 
@@ -76,7 +92,7 @@ def _make(name: str, runs: Path, policies: Path) -> None:
     new = [*shipped.options, "--seed", str(seed), "--output", str(run)]
     described = ["--name", shipped.name, "--description", shipped.description, "--authors", _AUTHORS]
     commands = (
-        ["agents.train", *(["--resume", str(run)] if (run / RUN_FILE).is_file() else new)],
+        [shipped.command, *(["--resume", str(run)] if (run / RUN_FILE).is_file() else new)],
         ["agents.export", str(run), "--output", str(policies / name), *described],
     )
     # Several trainings at a time on one thread each are faster than one after another on all of them.
