@@ -109,6 +109,7 @@ pictures: $(LEADERBOARD_READY) ## Draw every picture of the README and of docs/ 
 	$(LEADERBOARD_VENV)/bin/python -m agents.research.one_event --suite standard-v1 --seed 20000 --entries coordinated-piecewise coordinated-tuned recurrent-ppo-v1-0 --planner measured --output $(DOCS)/images/one-event.svg
 	$(LEADERBOARD_VENV)/bin/wtg-gym reproduce --output $(DOCS)/validation --formats svg --page $(DOCS)/validation.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym analyse physics --output $(DOCS)/physics --formats svg --page $(DOCS)/physics.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym analyse influence --suite standard --seed 10000-10019 --rows 12 --plot $(DOCS)/images/influence.svg --page $(DOCS)/gradients.md
 	$(LEADERBOARD_VENV)/bin/python -m agents.research.behaviour --entries $(POLICIES_V0) --output $(DOCS)/agents --page $(DOCS)/agents.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym evaluate --suite standard-v1 --entries baselines $(POLICIES_V1) --results results
 	$(LEADERBOARD_VENV)/bin/wtg-gym results front results/standard-v1-validation.json --plot $(DOCS)/images/front-v1.svg
@@ -120,7 +121,6 @@ docs: pictures ## Measure everything that docs/ shows again, but for performance
 	$(LEADERBOARD_VENV)/bin/wtg-gym compare tests/golden/*/ --page docs/validation.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym analyse aggregation --page docs/physics.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym analyse accuracy --output docs/validation --formats svg --page docs/validation.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym analyse influence --suite standard --seed 10000-10019 --rows 12 --page docs/gradients.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym analyse estimate --page docs/gradients.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym analyse estimate --recorded tests/golden/grid-forming/params.json tests/golden/grid-forming/a.csv --page docs/gradients.md
 	$(LEADERBOARD_VENV)/bin/python -m agents.research.law_gradient --page docs/gradients.md

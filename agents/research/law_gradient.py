@@ -185,9 +185,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     def work() -> None:
         given = parser.parse_args(argv)
         page = check_page("--page", given.page, "law")
-        for name in ("batches", "scenarios", "validation"):
-            if getattr(given, name) < 1:
-                raise ValueError(f"--{name} = {getattr(given, name)} is outside the allowed range: 1 or more")
+        for name, least in (("batches", 1), ("scenarios", 1), ("validation", 1), ("seed", 0)):
+            if getattr(given, name) < least:
+                raise ValueError(f"--{name} = {getattr(given, name)} is outside the allowed range: {least} or more")
         found = {}
         with Progress("batches") as progress:
             for number, per_group in enumerate((False, True)):

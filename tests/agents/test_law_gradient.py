@@ -76,6 +76,7 @@ def test_the_command_prints_tables_and_writes_them(tmp_path: Path, capsys: pytes
     ("arguments", "reason"),
     [
         (("--batches", "0"), "--batches = 0"),
+        (("--seed", "-1"), "--seed = -1"),
         (("--page", "missing.md"), "missing.md"),
     ],
 )

@@ -87,6 +87,27 @@ def test_values_are_those_of_the_run_and_the_largest_effects_come_first() -> Non
     assert 0.0 not in found().nominal
 
 
+def test_effects_in_v1_are_what_other_plants_show() -> None:
+    """Of four groups, through sensors and limits, in a scenario with a droop and an inertia of its own."""
+    settings = EnvSettings(suite="standard-v1", duration_s=20.0)
+    own = get_suite("standard-v1").scenario(20_000, n_wtg=4)
+    scenario = dataclasses.replace(own, duration_s=20.0)
+    influences = measure_influences(settings, [scenario], n_threads=1)
+    names = tuple(name for name in influences.parameters if not name.startswith("law."))
+    # Three lanes and all parameters: the code that is compiled already.
+    tape = Tape(settings, 3, 1, names)
+    for name in ("machines.1.two_h_s", "control.droop_gain_pu"):
+        value, ends = tape.parameter_values()[name], []
+        for share in (1e-5, -1e-5):
+            tape.set_parameters({name: value * (1.0 + share)})
+            run = tape.play([scenario] * 3, np.zeros((200, 3, tape.lanes.n_action))).outputs[:, 0]
+            ends.append(1e3 * np.array([50.0 * run[:, 0].min(), np.abs(run[:, 1]).max(), run[:, 2:6].min()]))
+        expected = 500.0 * (ends[0] - ends[1])
+        assert np.abs(expected).max() > 0.02
+        effect = influences.effects[0, influences.parameters.index(name)]
+        assert effect == pytest.approx(expected, rel=1e-3, abs=1e-5)
+
+
 def test_the_command_prints_draws_and_writes(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     plot, page = tmp_path / "bars.png", tmp_path / "page.md"

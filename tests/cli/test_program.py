@@ -120,6 +120,15 @@ def test_help_lists_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
         assert re.findall(r"^    (\w+)", _help(capsys, name), re.MULTILINE) == list(own)
 
 
+def test_help_is_there_before_the_simulator() -> None:
+    """And any other command needs its own packages alone: importing all of them takes a second or two."""
+    code = "import sys, wtg_gym.cli as cli\nfor name in ('', 'analyse'): cli.build_parser([name]).format_help()\n"
+    code += "print({'numba', 'scipy'} & set(sys.modules))\n"
+    code += "cli.build_parser(['analyse', 'modes'])\nprint('wtg_gym.cli.accuracy' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, timeout=100)
+    assert done.stdout == "set()\nFalse\n", done.stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -80,8 +80,8 @@ def judged(block: Any, x: int, limits: tuple[float, float], trips: bool) -> None
 
 
 @pytest.mark.parametrize("trips", [False, True])
+@ex.making()
 def test_branches_become_choices_with_the_same_outcome(trips: bool) -> None:
-    ex.begin()
     block = Cells(ex.row_of_block)
     without_branches(judged)(block, 0, (-1.0, 2.0), trips)
     program, outcomes = Program(block), set()
@@ -149,8 +149,8 @@ def test_the_programs_play_the_episodes_of_the_environment(control_dt: float) ->
     assert statuses[0] != Status.RUNNING and statuses[1] == Status.RUNNING
 
 
+@ex.making()
 def test_a_program_in_reverse_is_its_derivative() -> None:
-    ex.begin()
     x, y = ex.row_of_block(0), ex.row_of_block(1)
     pulled = Program({5: x * y + ex.exponential(y), 6: ex.select(x < 1.0, x, 2.0 * y)}).pulled()
     found = pulled.run(OPERATIONS, {0: 0.5, 1: -2.0, COTANGENT + 5: 3.0, COTANGENT + 6: 7.0})

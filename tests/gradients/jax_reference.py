@@ -1,4 +1,7 @@
-"""An episode's cost by JAX: the kernels' own source over its arrays, and a Runge-Kutta method of its own."""
+"""An episode's cost by JAX: the kernels' own source over its arrays, and a Runge-Kutta method of its own.
+
+Where currents are limited JAX goes back through every one of a given number of sweeps.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +16,15 @@ import numpy.typing as npt
 
 from wtg_gym.envs.task import apply_actions, charge
 from wtg_gym.envs.task_records import TASK, read_task
+from wtg_gym.gradients.generated import _bases
 from wtg_gym.gradients.tape import Tape
 from wtg_gym.gradients.tracing import Actions, Rows, retargeted
-from wtg_gym.physics.dynamics import derivatives
+from wtg_gym.physics.dynamics import _limit_current, derivatives, keep_energy
+from wtg_gym.physics.layout import EXTENSION, read_turbine
 from wtg_gym.physics.protection import track_extremes
+
+#: Sweeps over the groups whose currents are limited; each brings the currents some ten times closer.
+N_SWEEPS = 40
 
 jax.config.update("jax_enable_x64", True)
 
@@ -53,12 +61,39 @@ class JaxEpisode:
         self.tape, self.c, self.layout = tape, simulator.plant.constants[0], simulator.layout
         self.task = retargeted(read_task)(lanes.task[0])
         self.n_rows = self.layout.n_rows
-        self._rates = self._kernel(derivatives, lambda f, rows, fraction: f(rows, self.c, fraction, (0,)))
+        sensed = lanes.task["sensed"].shape[1] > 0
+        self._rates = self._kernel(
+            derivatives, lambda f, rows, fraction: f(rows, self.c, fraction, (0,)), _limit_currents=self._limit_currents
+        )
+        turbine = read_turbine(self.c["turbine"])
+        self._energies = self._kernel(
+            keep_energy, lambda f, rows: [f(rows, self.c, j, 0, turbine, 1) for j in range(self.layout.n_wtg)]
+        )
         self._extremes = self._kernel(track_extremes, lambda f, rows: f(rows, self.c, (0,)))
-        self._charge = self._kernel(charge, lambda f, rows: f(rows, self.c, self.task, False, (0,)))
+        self._charge = self._kernel(charge, lambda f, rows: f(rows, self.c, self.task, sensed, (0,)))
 
-    def _kernel(self, kernel: Any, call: Any) -> Any:
-        function = retargeted(kernel, ARITHMETIC, {})
+    def _limit_currents(self, block: Rows, c: Any, lanes: Any) -> None:
+        names = {"_SETTLED": -1.0, "np": SimpleNamespace(int64=lambda _: 0)}
+        limit_current = retargeted(_limit_current, {**ARITHMETIC, **names}, {})
+        largest = float(c["extension"][0]["limits.current_max"])
+        sources = self.layout.wtg("over_power") + EXTENSION.source
+        voltages = self.layout.rows.voltage + 2 * (self.layout.n_sync + np.arange(self.layout.n_wtg))
+        for part in range(2):
+            for source, voltage in zip(sources.tolist(), voltages.tolist(), strict=True):
+                block[source + part] = block[voltage + part]
+
+        def swept(held: dict[int, Any]) -> dict[int, Any]:
+            rows = Rows(lambda row: held[row] if row in held else block[row])
+            for j in range(self.layout.n_wtg):
+                limit_current(rows, c, j, largest * float(c["share"][j]), lanes)
+            return {int(row): rows[row] for row in rows}
+
+        first = swept({})
+        last, _ = jax.lax.scan(lambda held, _: (swept(held), None), first, None, length=N_SWEEPS)
+        block.update(last)
+
+    def _kernel(self, kernel: Any, call: Any, **names: Any) -> Any:
+        function = retargeted(kernel, {**ARITHMETIC, **names}, {})
 
         def over(values: Any, *given: Any) -> Any:
             rows = Rows(lambda row: values[row])
@@ -78,7 +113,9 @@ class JaxEpisode:
         rules, layout, h = self.tape._rules, self.layout, float(self.c["simulation_dt"])
         values = jnp.array(self._before(0)).at[rules.law].set(jnp.transpose(law, (1, 2, 0)))
         act = retargeted(apply_actions, {**ARITHMETIC, "abs": abs}, {})
-        given = np.r_[layout.wtg("wind_start"), layout.wtg("wind_end"), layout.machine("connected")]
+        given = np.r_[
+            layout.wtg("wind_start"), layout.wtg("wind_end"), layout.machine("connected"), layout.wtg("connected")
+        ]
         given = np.r_[given, layout.rows.admittance : layout.rows.lane, layout.lane("status")]
         found = []
         for step in range(self.tape.n_steps):
@@ -105,4 +142,9 @@ class JaxEpisode:
         last = self._rates(values.at[y].set(start + h * k3), (step + 1.0) * part)
         values = last.at[y].set(start + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + last[rates]))
         limited = jnp.clip(values[steps.states], steps.low[:, np.newaxis], steps.high[:, np.newaxis])
-        return values.at[steps.states].set(limited)
+        values = values.at[steps.states].set(limited)
+        if not self.layout.n_extended:
+            return values
+        bases = _bases(self.layout)
+        began = np.array([y.tolist().index(row) for row in bases])
+        return self._energies(values.at[np.array(list(bases.values()))].set(start[began]))

@@ -65,8 +65,8 @@ def worked_out(stores: dict[int, Any], *rows: float) -> list[float]:
 
 @pytest.mark.parametrize("name", FUNCTIONS)
 @pytest.mark.parametrize("point", POINTS)
+@ex.making()
 def test_an_operation_and_its_derivatives(name: str, point: tuple[float, float]) -> None:
-    ex.begin()
     function, h = FUNCTIONS[name], 1e-6
     traced = function(TRACED, ex.row_of_block(0), ex.row_of_block(1))
     slopes = ex.pulled_back([(traced, ex.row_of_block(2))], (0, 1))
@@ -79,17 +79,17 @@ def test_an_operation_and_its_derivatives(name: str, point: tuple[float, float])
     assert (by_first, by_second) == pytest.approx((first, second), rel=1e-8, abs=1e-8)
 
 
+@ex.making()
 def test_what_a_choice_leaves_out_comes_back_as_nothing() -> None:
     """0/0 in the branch not taken would be the gradient else."""
-    ex.begin()
     x = ex.row_of_block(0)
     for guarded in (ex.select(x > 0.0, ex.smallest(x, 5.0) / x, 1.0), ex.select(x > 0.0, ex.square_root(x), 0.0)):
         slope = ex.pulled_back([(guarded, 1.0)], (0,))[0]
         assert worked_out({1: slope}, 0.0)[0] == 0.0
 
 
+@ex.making()
 def test_nothing_is_worked_out_twice() -> None:
-    ex.begin()
     a, b = ex.row_of_block(0), ex.row_of_block(1)
     assert a * b + 1.0 is a * b + 1.0
     assert 0.0 * a == 0.0 and a + 0.0 is a and 1.0 * a is a and ex.select(a > b, a, a) is a

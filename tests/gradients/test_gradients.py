@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+import threading
 from typing import Any
 
 import numpy as np
@@ -108,21 +109,28 @@ def test_a_step_is_replayed_to_the_last_bit(settings: dict[str, Any]) -> None:
 
 def test_the_gradient_is_that_of_jax() -> None:
     pytest.importorskip("jax", reason="JAX, the second opinion on gradients, is not installed here")
+    agrees_with_jax(tape_of(), drawn(tape_of()), actions_of(tape_of(), 25))
+
+
+def agrees_with_jax(tape: Tape, scenarios: list[Scenario], actions: Floats) -> None:
     import jax
 
     from tests.gradients.jax_reference import JaxEpisode
 
-    tape = tape_of()
-    scenarios, actions = drawn(tape), actions_of(tape, 25)
     found = tape.gradient(scenarios, actions)
     episode = JaxEpisode(tape)
     tape.start(scenarios)
     law = tape.law()
     for own in actions:
         tape.step(own)
-    by_jax = episode.terms(actions, law)
+    # Compiling takes far longer than running.
+    jax.config.update("jax_disable_most_optimizations", True)
+    try:
+        by_jax = episode.terms(actions, law)
+        by_actions, by_law = jax.grad(lambda *given: episode.terms(*given).sum(), argnums=(0, 1))(actions, law)
+    finally:
+        jax.config.update("jax_disable_most_optimizations", False)
     assert pytest.approx(found.terms, rel=1e-10, abs=1e-12) == np.asarray(by_jax.sum(0)).T
-    by_actions, by_law = jax.grad(lambda *given: episode.terms(*given).sum(), argnums=(0, 1))(actions, law)
     assert np.abs(by_actions).max() > 1e-2
     assert np.abs(found.actions - by_actions).max() <= 1e-10 * np.abs(by_actions).max()
     assert np.abs(found.law - by_law).max() <= 1e-10 * np.abs(by_law).max()
@@ -295,6 +303,22 @@ def test_generated_code_does_not_depend_on_what_was_traced_before() -> None:
     assert build_rules(*given).digest == build_rules(*given).digest == tape_of()._rules.digest
 
 
+def test_threads_may_make_their_tapes_at_once() -> None:
+    lanes = tape_of().lanes
+    simulator, digests = lanes.simulator, list[str]()
+
+    def build() -> None:
+        rules = build_rules(simulator.plant, lanes.task, simulator.layout, lanes.n_action, lanes.n_observation)
+        digests.append(rules.digest)
+
+    threads = [threading.Thread(target=build) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert digests == [tape_of()._rules.digest] * 3
+
+
 def test_an_episode_alone_has_the_bits_of_one_in_a_batch() -> None:
     batch, alone = tape_of(), Tape(EnvSettings(), 1, 1)
     scenarios, actions = drawn(batch), actions_of(batch, 40)
@@ -309,8 +333,30 @@ def test_an_episode_alone_has_the_bits_of_one_in_a_batch() -> None:
         (lambda tape, scenarios: tape.gradient(scenarios, np.zeros((5, N_LANES, 9))), "shape"),
         (lambda tape, scenarios: tape.gradient(scenarios, np.zeros((5, 4))), "n_steps"),
         (lambda tape, scenarios: tape.gradient(scenarios, np.zeros((5, N_LANES, 4)), {"noise": 1.0}), "noise"),
+        (lambda tape, scenarios: tape.gradient(scenarios, np.zeros((5, N_LANES, 4)), {"duty": np.nan}), "finite"),
+        (lambda tape, scenarios: tape.gradient(scenarios, np.zeros((5, N_LANES, 4)), np.ones(7)), "names of terms"),
+        # One would have been played in all lanes.
+        (lambda tape, scenarios: tape.start(scenarios[:1]), "3 scenarios, one per lane"),
+        (lambda tape, scenarios: tape.start([1_000_000] * N_LANES), "scenarios"),
         (lambda tape, scenarios: Tape(EnvSettings(), N_LANES, 1).step(np.zeros((N_LANES, 4))), "start"),
+        (lambda tape, scenarios: Tape(EnvSettings(), N_LANES, 1).law(), "start"),
+        (lambda tape, scenarios: Tape(EnvSettings(), N_LANES, 1).outputs(), "start"),
+        (lambda tape, scenarios: Tape(EnvSettings(), N_LANES, 1).back(), "start"),
         (lambda tape, scenarios: tape.set_law(tape.law()), "first step"),
+        (
+            lambda tape, scenarios: restarted(tape, scenarios).set_law(tape.law()[:, :, :3]),
+            r"law must have the shape \(3, 2, 4\), got",
+        ),
+        (lambda tape, scenarios: restarted(tape, scenarios).set_law(tape.law() * np.nan), "finite"),
+        (lambda tape, scenarios: pulled(tape, 1), "no step 1: since start.. 1 have"),
+        (lambda tape, scenarios: pulled(tape, -1), "no step -1"),
+        (lambda tape, scenarios: pulled(tape, 0, carried=0.0), "carried must have the shape"),
+        (lambda tape, scenarios: pulled(tape, 0, terms=np.zeros(7)), "terms must have the shape"),
+        (lambda tape, scenarios: pulled(tape, 0, observations=np.zeros(3)), "observations must have the shape"),
+        (lambda tape, scenarios: pulled(tape, 0, outputs=np.zeros(3)), "outputs must have the shape"),
+        # More steps than were taken, the last of which would have counted nothing.
+        (lambda tape, scenarios: tape.back(outputs=np.zeros((2, N_LANES, 8))), r"\(1, 3, 8\), got \(2, 3, 8\)"),
+        (lambda tape, scenarios: tape.back(np.ones(3)), r"or \(7,\), got \(3,\)"),
     ],
 )
 def test_bad_input_is_refused(call: Any, reason: str) -> None:
@@ -319,6 +365,16 @@ def test_bad_input_is_refused(call: Any, reason: str) -> None:
     tape.gradient(scenarios, np.zeros((1, N_LANES, 4)))
     with pytest.raises(ValueError, match=reason):
         call(tape, scenarios)
+
+
+def restarted(tape: Tape, scenarios: list[Scenario]) -> Tape:
+    tape.start(scenarios)
+    return tape
+
+
+def pulled(tape: Tape, step: int, **other: Any) -> Any:
+    given = {"carried": np.zeros((N_LANES, tape.n_carried)), "terms": np.zeros((N_LANES, len(COST_TERMS)))}
+    return tape.pull(step, **given | other)
 
 
 def test_a_policy_trains_by_backward() -> None:
@@ -357,6 +413,10 @@ def test_a_policy_trains_by_backward() -> None:
     assert cost() < before
     with pytest.raises(RuntimeError, match="before the next start"):
         before.backward()
+    with pytest.raises(ValueError, match=r"law must have the shape \(2, 4\)"):
+        episodes.start(scenarios, torch.ones(4))
+    with pytest.raises(ValueError, match="start"):
+        TorchEpisodes(EnvSettings(), N_LANES, 1).step(torch.zeros(N_LANES, 4))
 
 
 @pytest.mark.parametrize("settings", [{}, V1])

@@ -14,6 +14,7 @@ from tests.gradients.test_gradients import (
     V1,
     actions_of,
     agrees,
+    agrees_with_jax,
     along,
     compiled_by_python,
     drawn,
@@ -177,6 +178,20 @@ def test_the_gradient_goes_through_the_limits_of_currents_and_powers() -> None:
     assert (limited[[0, 2]] > 2).all() and over_power[1] < -1e-4
 
 
+def test_the_gradient_is_that_of_jax() -> None:
+    """Whose way back goes through each sweep."""
+    pytest.importorskip("jax", reason="JAX, the second opinion on gradients, is not installed here")
+    tape, n_steps = tape_of(**V1), 8
+    overload = LoadStep(time_s=0.1, bus=2, power_mw=150.0, reactive_mvar=150.0)
+    scenarios = [given(4, overload, wind=11.5), *drawn(tape)[:2]]
+    agrees_with_jax(tape, scenarios, actions_of(tape, n_steps, 0.2))
+    limited = np.zeros(N_LANES, dtype=int)
+    for step in range(n_steps):
+        rows = tape.before(step).reshape(1, -1, tape.lanes.simulator.width)
+        limited += (tape._take(rows, tape.lanes.simulator.layout.wtg("limiting_reactance")) > 0.0).any(axis=1)
+    assert limited[0] >= 3 and not limited[1:].any()
+
+
 def test_the_gradient_with_respect_to_the_law_is_that_of_central_differences() -> None:
     tape = tape_of(**V1)
     scenarios, actions, h = drawn(tape), actions_of(tape, 200), 1e-5
@@ -231,12 +246,13 @@ GIVEN = {
     "newest_row",
     "noise_key",
     "normal",
+    "protections_look",
     "report",
     "shed_load",
     "update_status",
 }
 #: Those that the way back has rules of its own for; the kernels that they call are traced.
-FOLLOWED = {"_limit_currents", "_stage", "advance_interval", "advance_step", "derivatives", "show_delayed"}
+FOLLOWED = {"_limit_currents", "_stage", "advance_interval", "advance_step", "derivatives", "end_step", "show_delayed"}
 
 
 def test_every_kernel_of_a_step_is_traced_or_counts_as_given(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -135,6 +135,7 @@ def study_own_run(
     Raises:
         ValueError: a name or a value is not allowed.
     """
+    _require_noise(noise_mhz, n_draws, seed)
     step = LoadStep(time_s=1.0, bus=4, power_mw=power_mw)
     scenario = Scenario(name="load step", wind_speed=np.array([[8.0], [9.0]]), events=(step,), duration_s=duration_s)
     settings = EnvSettings(scenario=scenario)
@@ -178,6 +179,7 @@ def study_recorded_run(
     Raises:
         ValueError: a file, a name or a value is not allowed.
     """
+    _require_noise(noise_mhz, n_draws, seed)
     case = read_parameters(parameters)
     trace, _ = read_trace(trace_path, case)
     happens = choose_events(case, trace_path, events)
@@ -197,6 +199,14 @@ def study_recorded_run(
     return _study(estimator, record, text, hz, duration_s, noise_mhz, n_draws, seed, on_progress)
 
 
+def _require_noise(noise_mhz: float, n_draws: int, seed: int) -> None:
+    require_range("noise", noise_mhz, 1e-3, 1e3, "mHz")
+    if n_draws < 1:
+        raise ValueError(f"the noise must be drawn once or more, got {n_draws}")
+    if seed < 0:
+        raise ValueError(f"the seed of the noise must be 0 or more, got {seed}")
+
+
 def _study(
     estimator: Estimator,
     record: Floats,
@@ -208,9 +218,6 @@ def _study(
     seed: int,
     on_progress: Callable[[int], None],
 ) -> EstimationStudy:
-    require_range("noise", noise_mhz, 1e-3, 1e3, "mHz")
-    if n_draws < 1:
-        raise ValueError(f"the noise must be drawn once or more, got {n_draws}")
     start = np.resize(STARTS, len(estimator.unknowns))
     found = estimates(estimator, record, 1e-3 * noise_mhz / hz, n_draws, seed, start, on_progress)
     first, values = found[0], np.array([unknown.value for unknown in estimator.unknowns])

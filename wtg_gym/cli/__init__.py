@@ -9,33 +9,52 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from importlib import import_module
 
 from wtg_gym import __version__
-from wtg_gym.cli import (
-    accuracy,
-    aggregation,
-    bench,
-    compare,
-    environment,
-    estimation,
-    evaluate,
-    explore,
-    influence,
-    parameters,
-    physics,
-    play,
-    reproduce,
-    results,
-    simulate,
-    small_signal,
-    statics,
-    submission,
-    suites,
-    warmup,
-)
 from wtg_gym.cli.output import note, one_line
-from wtg_gym.cli.parser import Parser, add_group
+from wtg_gym.cli.parser import Commands, Parser, add_group
+
+#: What commands do, by module and name, in the order of the help.
+_COMMANDS = {
+    "simulate": {"simulate": "one scenario under one or several strategies: key figures, figure, traces"},
+    "play": {"play": "hold the frequency by hand, in the browser, against the reference"},
+    "explore": {"explore": "try out wind, events, laws and grids, in the browser"},
+    "evaluate": {
+        "evaluate": "score entries on scenarios of a suite",
+        "leaderboard": "rank entries on a suite and write the table to a README",
+    },
+    "results": {
+        "results": "stored results: show them, compute them again, compare; all suites, other sensors and weights"
+    },
+    "submission": {"submission": "policies of others: write a template, check a folder, score it in isolation"},
+    "suites": {"suites": "the suites of scenarios, one scenario, or a check of the hashes"},
+    "analyse": {
+        "analyse": "equilibria, margins and modes of the system, omissions, parameters, the error of the time step"
+    },
+    "reproduce": {"reproduce": "the paper's figures and claims, measured; and studies beyond the paper"},
+    "compare": {"compare": "cases of another simulator against its traces; exit code 1 above a tolerance"},
+    "environment": {"environment": "actions, observations, rewards and arguments of the environments"},
+    "parameters": {"parameters": "every number of the model with its unit and source"},
+    "bench": {
+        "bench": "speed against other environments, training throughput, growth with size, share of the machine's peak"
+    },
+    "warmup": {"warmup": "compile the simulator before its first use"},
+}
+#: Those of `wtg-gym analyse`.
+_ANALYSES = {
+    "statics": {"statics": "equilibria, power-frequency characteristics, critical frequencies of laws"},
+    "small_signal": {
+        "margins": "stability margins of the single-machine loops",
+        "modes": "eigenvalues, damping ratios and participation factors of the whole system",
+    },
+    "physics": {"physics": "what the paper's model leaves out, and whether its conclusions survive"},
+    "aggregation": {"aggregation": "what it costs to take ten turbines for one"},
+    "accuracy": {"accuracy": "error of the integration step against its cost"},
+    "influence": {"influence": "what every parameter does to nadir, RoCoF and rotor speed, by gradients"},
+    "estimation": {"estimate": "inertia and droop from a record of the frequency, with confidence intervals"},
+}
 
 _DESCRIPTION = """\
 Primary frequency regulation with grid-forming wind turbine generators on the modified IEEE 14-bus system: simulate
@@ -56,25 +75,33 @@ exit codes: 0 fine, 1 a check failed, 2 bad input, 130 interrupted, 141 the outp
 """
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """Return the parser of the whole command line."""
+def build_parser(argv: Sequence[str]) -> argparse.ArgumentParser:
+    """Return the parser of a command line; of the commands only the one that it names has more than a summary.
+
+    Each needs other packages, some of which take half a second to import.
+    """
+    words = [word for word in argv if not word.startswith("-")]
     parser = Parser(prog="wtg-gym", description=_DESCRIPTION, epilog=_EPILOG)
     parser.add_argument("--version", action="version", version=f"wtg-gym {__version__}")
-    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for module in (simulate, play, explore, evaluate, results, submission, suites):
-        module.add_commands(commands)
-    analyse = add_group(
-        commands,
-        "analyse",
-        summary="equilibria, margins and modes of the system, omissions, parameters, the error of the time step",
-        description="Analyses the system, and measures what its model leaves out, what follows its parameters, and the "
-        "error of the time step.",
-    )
-    for module in (statics, small_signal, physics, aggregation, accuracy, influence, estimation):
-        module.add_commands(analyse)
-    for module in (reproduce, compare, environment, parameters, bench, warmup):
-        module.add_commands(commands)
+    _add(parser.add_subparsers(title="commands", metavar="COMMAND", required=True), _COMMANDS, words)
     return parser
+
+
+def _add(commands: Commands, modules: Mapping[str, Mapping[str, str]], words: Sequence[str]) -> None:
+    for module, summaries in modules.items():
+        if not words or words[0] not in summaries:
+            for name, summary in summaries.items():
+                commands.add_parser(name, help=summary)
+        elif module == "analyse":
+            own = add_group(
+                commands,
+                "analyse",
+                description="Analyses the system, and measures what its model leaves out, what follows its parameters, "
+                "and the error of the time step.",
+            )
+            _add(own, _ANALYSES, words[1:])
+        else:
+            import_module(f"wtg_gym.cli.{module}").add_commands(commands)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -88,7 +115,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     arguments = argparse.Namespace(after_interrupt="nothing was written")
     try:
-        build_parser().parse_args(argv, arguments)
+        given = sys.argv[1:] if argv is None else argv
+        build_parser(given).parse_args(given, arguments)
         code: int = arguments.run(arguments)
         sys.stdout.flush()
         return code

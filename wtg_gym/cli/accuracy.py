@@ -48,7 +48,6 @@ def add_commands(commands: Commands) -> None:
         commands,
         "accuracy",
         run,
-        summary="error of the integration step against its cost",
         description=_DESCRIPTION,
         examples="  wtg-gym analyse accuracy --scenarios 5\n  wtg-gym analyse accuracy --suite gust --json\n"
         "  wtg-gym analyse accuracy --output docs/validation --page docs/validation.md",

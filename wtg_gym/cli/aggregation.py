@@ -25,7 +25,6 @@ def add_commands(commands: Commands) -> None:
         commands,
         "aggregation",
         run,
-        summary="what it costs to take ten turbines for one",
         description=_DESCRIPTION,
         examples="  wtg-gym analyse aggregation --scenarios 10\n  wtg-gym analyse aggregation --suite gust --json\n"
         "  wtg-gym analyse aggregation --page docs/physics.md",

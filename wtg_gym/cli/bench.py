@@ -55,7 +55,6 @@ def add_commands(commands: Commands) -> None:
         commands,
         "bench",
         run,
-        summary="speed against other environments, training throughput, growth with size, share of the machine's peak",
         description=_DESCRIPTION,
         examples="  wtg-gym bench --only environments\n"
         "  wtg-gym bench --only environments training --seconds 0.5 --repeats 3 --json\n"

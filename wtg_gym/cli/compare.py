@@ -55,7 +55,6 @@ def add_commands(commands: Commands) -> None:
         commands,
         "compare",
         run,
-        summary="cases of another simulator against its traces; exit code 1 above a tolerance",
         description=_DESCRIPTION,
         examples=_EXAMPLES,
     )

@@ -20,7 +20,6 @@ def add_commands(commands: Commands) -> None:
         commands,
         "environment",
         run,
-        summary="actions, observations, rewards and arguments of the environments",
         description=_DESCRIPTION,
         examples="  wtg-gym environment\n  wtg-gym environment --page docs/environment.md",
     )

@@ -37,7 +37,6 @@ def add_commands(commands: Commands) -> None:
         commands,
         "estimate",
         run,
-        summary="inertia and droop from a record of the frequency, with confidence intervals",
         description=_DESCRIPTION,
         examples=_EXAMPLES,
     )

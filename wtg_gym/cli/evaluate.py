@@ -80,7 +80,6 @@ def add_commands(commands: Commands) -> None:
         commands,
         "evaluate",
         _run_evaluate,
-        summary="score entries on scenarios of a suite",
         description=_EVALUATE,
         examples=_EVALUATE_EXAMPLES,
         after_interrupt="nothing was written; with --results DIR the finished parts are kept",
@@ -98,7 +97,6 @@ def add_commands(commands: Commands) -> None:
         commands,
         "leaderboard",
         _run_leaderboard,
-        summary="rank entries on a suite and write the table to a README",
         description=_LEADERBOARD,
         examples=_LEADERBOARD_EXAMPLES,
     )

@@ -25,7 +25,6 @@ def add_commands(commands: Commands) -> None:
         commands,
         "explore",
         run,
-        summary="try out wind, events, laws and grids, in the browser",
         description=_DESCRIPTION,
         examples=_EXAMPLES,
     )

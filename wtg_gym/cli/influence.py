@@ -49,7 +49,6 @@ def add_commands(commands: Commands) -> None:
         commands,
         "influence",
         run,
-        summary="what every parameter does to nadir, RoCoF and rotor speed, by gradients",
         description=_DESCRIPTION,
         examples=_EXAMPLES,
     )

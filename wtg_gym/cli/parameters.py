@@ -21,7 +21,6 @@ def add_commands(commands: Commands) -> None:
         commands,
         "parameters",
         run,
-        summary="every number of the model with its unit and source",
         description=_DESCRIPTION,
         examples="  wtg-gym parameters\n  wtg-gym parameters --json\n  wtg-gym parameters --page docs/parameters.md",
     )

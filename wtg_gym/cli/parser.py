@@ -7,8 +7,6 @@ from collections.abc import Callable
 from typing import Any, NoReturn
 
 from wtg_gym.cli.output import FIGURE_FORMATS
-from wtg_gym.envs.settings import FAILURE_MODES, MACHINE_MODELS
-from wtg_gym.physics.plant import PHYSICS
 
 #: The return value of `add_subparsers`, to which commands are added.
 Commands = Any
@@ -33,9 +31,9 @@ class Parser(argparse.ArgumentParser):
         raise ValueError(f"{message} (see: {self.prog} --help)")
 
 
-def add_group(commands: Commands, name: str, *, summary: str, description: str) -> Commands:
+def add_group(commands: Commands, name: str, *, description: str) -> Commands:
     """Add a command with sub-commands; return the object that these are added to."""
-    parser = commands.add_parser(name, help=summary, description=description)
+    parser = commands.add_parser(name, description=description)
     return parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
 
 
@@ -44,9 +42,9 @@ def add_command(
     name: str,
     run: Callable[[argparse.Namespace], int],
     *,
-    summary: str,
     description: str,
     examples: str,
+    summary: str | None = None,
     after_interrupt: str = "nothing was written",
 ) -> argparse.ArgumentParser:
     """Add a command.
@@ -55,9 +53,9 @@ def add_command(
         commands: the return value of `add_subparsers`.
         name: of the command.
         run: carries it out and returns the exit code.
-        summary: one line for the list of commands.
         description: a paragraph for its own help.
         examples: command lines for its own help.
+        summary: one line for the list of commands; None for those that `wtg_gym.cli` lists.
         after_interrupt: printed after Ctrl-C: the files that are left, and how to go on.
 
     Returns:
@@ -91,6 +89,10 @@ def add_output_options(
 
 def add_plant_options(parser: argparse.ArgumentParser, *, default_groups: str = "the suite's") -> None:
     """Add the options of the plant and of the time steps; `default_groups` describes the default of `--groups`."""
+    # They bring the simulator, which the list of commands does without.
+    from wtg_gym.envs.settings import FAILURE_MODES, MACHINE_MODELS
+    from wtg_gym.physics.plant import PHYSICS
+
     plant = parser.add_argument_group("plant and time steps")
     plant.add_argument(
         "--groups",

@@ -55,7 +55,6 @@ def add_commands(commands: Commands) -> None:
         commands,
         "physics",
         run,
-        summary="what the paper's model leaves out, and whether its conclusions survive",
         description=_DESCRIPTION,
         examples="  wtg-gym analyse physics --scenarios 10\n"
         "  wtg-gym analyse physics --output docs/physics --formats svg --page docs/physics.md",

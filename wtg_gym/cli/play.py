@@ -39,7 +39,6 @@ def add_commands(commands: Commands) -> None:
         commands,
         "play",
         run,
-        summary="hold the frequency by hand, in the browser, against the reference",
         description=_DESCRIPTION,
         examples=_EXAMPLES,
     )

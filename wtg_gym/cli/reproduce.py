@@ -72,7 +72,6 @@ def add_commands(commands: Commands) -> None:
         commands,
         "reproduce",
         run,
-        summary="the paper's figures and claims, measured; and studies beyond the paper",
         description=_DESCRIPTION,
         examples="  wtg-gym reproduce\n  wtg-gym reproduce --output figures-for-print --formats svg pdf\n"
         "  wtg-gym reproduce --output docs/validation --formats png --page docs/validation.md",

@@ -94,7 +94,6 @@ def add_commands(commands: Commands) -> None:
     own = add_group(
         commands,
         "results",
-        summary="stored results: show them, compute them again, compare; all suites, other sensors and weights",
         description="Works with the stored results of 'wtg-gym evaluate' and 'wtg-gym leaderboard'.",
     )
     parser = add_command(

@@ -64,7 +64,6 @@ def add_commands(commands: Commands) -> None:
         commands,
         "simulate",
         run,
-        summary="one scenario under one or several strategies: key figures, figure, traces",
         description=_DESCRIPTION,
         examples=_EXAMPLES,
     )

@@ -50,7 +50,6 @@ def add_commands(commands: Commands) -> None:
         commands,
         "margins",
         run_margins,
-        summary="stability margins of the single-machine loops",
         description=_MARGINS,
         examples="  wtg-gym analyse margins --wind 8 11.4\n  wtg-gym analyse margins --law my_law.toml --kp 2.0 --json",
     )
@@ -75,7 +74,6 @@ def _add_modes(commands: Commands) -> None:
         commands,
         "modes",
         run_modes,
-        summary="eigenvalues, damping ratios and participation factors of the whole system",
         description=_MODES,
         examples=(
             "  wtg-gym analyse modes\n  wtg-gym analyse modes --law mppt deloaded-10 --wind 9 7 --plot modes.svg\n"

@@ -59,7 +59,6 @@ def add_commands(commands: Commands) -> None:
         commands,
         "statics",
         run,
-        summary="equilibria, power-frequency characteristics, critical frequencies of laws",
         description=_DESCRIPTION,
         examples=_EXAMPLES,
     )

@@ -72,8 +72,7 @@ With --results, an interrupted command goes on from its finished parts.
 
 def add_commands(commands: Commands) -> None:
     """Add `wtg-gym submission` with its three commands."""
-    summary = "policies of others: write a template, check a folder, score it in isolation"
-    own = add_group(commands, "submission", summary=summary, description=_GATE)
+    own = add_group(commands, "submission", description=_GATE)
     parser = add_command(
         own,
         "new",

@@ -44,7 +44,6 @@ def add_commands(commands: Commands) -> None:
         commands,
         "suites",
         run,
-        summary="the suites of scenarios, one scenario, or a check of the hashes",
         description=_DESCRIPTION,
         examples=_EXAMPLES,
     )

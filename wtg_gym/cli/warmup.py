@@ -32,7 +32,6 @@ def add_commands(commands: Commands) -> None:
         commands,
         "warmup",
         run,
-        summary="compile the simulator before its first use",
         description=_DESCRIPTION,
         examples=_EXAMPLES,
         after_interrupt="the functions compiled so far are kept",

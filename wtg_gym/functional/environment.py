@@ -24,7 +24,7 @@ from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task_records import Info
 from wtg_gym.functional.bank import EnvParams, prepare
 from wtg_gym.functional.programs import COTANGENT, Both, trace
-from wtg_gym.physics.protection import PROTECTION_INTERVAL_S
+from wtg_gym.physics.integration import protections_look
 from wtg_gym.physics.scenario import Scenario
 
 #: Scenarios of the parameters that an environment has by default.
@@ -154,10 +154,7 @@ class FunctionalEnv:
         self._enter, self._stage, self._leave = _runner(own.enter), _runner(own.stage), _runner(own.leave)
         self._n_substeps, self._step = plant.n_substeps, layout.lane("step")
         self._status = layout.lane("status")
-        # As `advance_interval` has it.
-        between_looks = max(1, int(PROTECTION_INTERVAL_S / plant.simulation_dt + 1e-6))
-        steps = np.arange(1, self._n_substeps + 1)
-        self._looks = ((steps % between_looks == 0) | (steps == self._n_substeps)).astype(np.float64)
+        self._looks = np.array([protections_look(plant.constants[0], k) for k in range(self._n_substeps)], np.float64)
         fixed = settings.fixed_scenario()
         seeds = self._lanes.suite.seeds(settings.split)
         given = self.scenarios(list(seeds[:n_scenarios])) if fixed is None else [fixed]

@@ -21,9 +21,9 @@ from wtg_gym.functional.branches import Cells, is_finite, where, without_branche
 from wtg_gym.gradients import expressions as ex
 from wtg_gym.gradients.tracing import ARITHMETIC, Actions, Rows, retargeted
 from wtg_gym.physics.dynamics import FIRST, LAST, MIDDLE, _stage, advance_step, derivatives
-from wtg_gym.physics.integration import _count_step, enter_interval
+from wtg_gym.physics.integration import end_step, enter_interval
 from wtg_gym.physics.layout import LANE, Floats, Layout, Plant
-from wtg_gym.physics.protection import look_at_grid, track_extremes, update_status
+from wtg_gym.physics.protection import update_status
 from wtg_gym.physics.reduction import _lose_governor, combine_load_noise
 
 _LANES = (0,)
@@ -164,9 +164,9 @@ def network_rows(layout: Layout) -> list[int]:
     return [*range(rows.transfer, rows.extra), noise_z, noise_z + 1, *connected]
 
 
+@ex.making()
 def trace(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_action: int, n_observation: int) -> Programs:
     """Trace the kernels of a plant and a task."""
-    ex.begin()
     inputs, reported = _rows_behind(layout, n_action, n_observation)
     c, done, row = plant.constants[0], dict[Any, Any](), ex.row_of_block
 
@@ -176,8 +176,7 @@ def trace(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_action: in
     def unbranched(kernel: Any, **names: Any) -> Callable[..., Any]:
         return plain(without_branches(kernel), **names)
 
-    combine, rates, look = plain(combine_load_noise), plain(derivatives), plain(look_at_grid)
-    move, count, track = plain(_stage), plain(_count_step), plain(track_extremes)
+    combine, rates, move = plain(combine_load_noise), plain(derivatives), plain(_stage)
     protect, lose = unbranched(update_status), unbranched(_lose_governor)
     enter = plain(enter_interval, int=lambda _: 0)
     given = SimpleNamespace(wind=_Series(inputs.wind_start, inputs.wind_end), noise=_Series([inputs.noise]))
@@ -232,12 +231,13 @@ def trace(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_action: in
     for k in range(c["n_substeps"]):
         record(None, c, k, _LANES)
 
+    def protect_at_looks(block: Cells, c: Any, width: int) -> None:
+        with where(row(inputs.looks) > 0.5):
+            protect(block, c, width)
+
     left = Cells(row)
-    count(left, c, _LANES)
-    track(left, c, _LANES)
-    look(left, c, _LANES)
-    with where(row(inputs.looks) > 0.5):
-        protect(left, c, 1)
+    # What the grid looks like is worked out at every step, so that no step carries it to the next.
+    plain(end_step, update_status=protect_at_looks)(left, c, True, _LANES)
     programs = [Program(_changes(stores)) for stores in (before, entered, staged, left, after)]
     stages = np.array(steps, dtype=np.float64).reshape(c["n_substeps"], -1, len(inputs.stage))
     return _linked(programs, moving, stages, inputs, reported, layout)

@@ -14,9 +14,8 @@ from wtg_gym.gradients.generated import Rules, Steps, compiled_with
 from wtg_gym.physics.compiled import compiled, inlined
 from wtg_gym.physics.dynamics import derivatives, keep_energy, unit_currents, unit_voltages
 from wtg_gym.physics.elementary import fma
-from wtg_gym.physics.integration import apply_network_changes, enter_interval
+from wtg_gym.physics.integration import apply_network_changes, end_step, enter_interval, protections_look
 from wtg_gym.physics.layout import LANE, Floats, LaneData, Lanes, Plant, read_turbine, rows_of
-from wtg_gym.physics.protection import PROTECTION_INTERVAL_S, look_at_grid, shed_load, track_extremes, update_status
 from wtg_gym.physics.sensors import noise_key, normal
 
 #: The way back through the sweeps that hold currents ends where no cotangent changes by more than this share of the
@@ -116,11 +115,10 @@ def replay(
         ran: takes 1 for lanes that the step moves (n_substeps, width).
     """
     c = plant.constants[0]
-    width, rows, h, n = len(lanes), rows_of(c), c["simulation_dt"], steps.states.size
+    width, h, n = len(lanes), c["simulation_dt"], steps.states.size
     part = 1.0 / c["n_substeps"]
     noise_y, total = np.empty(width), np.empty(n * width)
-    active, clock = (rows.lane + LANE.active) * width, (rows.lane + LANE.step) * width
-    between_looks = max(1, int(PROTECTION_INTERVAL_S / h + 1e-6))
+    active = (rows_of(c).lane + LANE.active) * width
     enter_interval(work, first_lane, c, data, noise_y, lanes)
     for step in range(c["n_substeps"]):
         for i in range(steps.droops.size):
@@ -154,13 +152,7 @@ def replay(
                     work[steps.states[i] * width + x] = end
         if c["extension"].shape[0] > 0:
             _keep_energies(work, plant, steps, path[step], lanes)
-        for x in range(width):
-            work[clock + x] += 1.0 if ran[step, x] > 0.5 else 0.0
-        track_extremes(work, c, lanes)
-        shed_load(work, c, lanes)
-        if (step + 1) % between_looks == 0 or step + 1 == c["n_substeps"]:
-            look_at_grid(work, c, lanes)
-            update_status(work, c, width)
+        end_step(work, c, protections_look(c, step), lanes)
     _evaluate(work, plant, 1.0, lanes)
 
 

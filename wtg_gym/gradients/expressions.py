@@ -8,8 +8,13 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
+
+#: Numbers are known to all threads.
+_LOCK = threading.RLock()
 
 
 class Number:
@@ -109,9 +114,12 @@ def number(operation: str, *arguments: Any) -> Any:
     return Number._made[key]
 
 
-def begin() -> None:
-    """Forget all numbers: the order in which a program is written down shall not depend on those before it."""
-    Number._made.clear()
+@contextmanager
+def making() -> Iterator[None]:
+    """Make programs in one thread at a time, from no numbers: those of programs before would change their order."""
+    with _LOCK:
+        Number._made.clear()
+        yield
 
 
 def row_of_block(row: int) -> Any:

@@ -191,11 +191,11 @@ def _with_rows(c: Any, rows: Mapping[Leaf, int]) -> dict[str, Any]:
     return {**found, "machines": np.array(machines, dtype=object), "turbine": turbine}
 
 
+@ex.making()
 def programs_of(
     plant: Plant, task: npt.NDArray[np.void], n_rows: int, n_action: int, leaves: Sequence[Leaf] = ()
 ) -> Programs:
     """Trace the kernels of a control step; what :class:`Further` names is in rows n_rows … of a work block."""
-    ex.begin()
     lanes, sensed = (0,), task["sensed"].shape[1] > 0
     t = retargeted(read_task)(task[0])
     further = Further.of(n_rows, n_action, plant.constants[0]["share"].size * sensed, leaves)
@@ -272,6 +272,7 @@ def _dynamics_of(c: Any) -> dict[str, dict[int, Any]]:
     }
 
 
+@ex.making()
 def build_rules(
     plant: Plant,
     task: npt.NDArray[np.void],

@@ -124,10 +124,13 @@ def _replaced(owner: Any, path: list[str], value: float) -> Any:
 
 
 def require_known_parameters(plant: PlantSettings, names: Iterable[str]) -> None:
-    """Raise a ValueError for a name that is no parameter's; it lists those there are."""
+    """Raise a ValueError for a name that is none of :func:`known_parameters`; it lists these."""
     known = known_parameters(plant)
     if unknown := sorted(set(names) - set(known)):
-        raise ValueError(f"unknown parameters {unknown}; known: {', '.join(known)}")
+        raise ValueError(
+            f"unknown parameters {unknown}: gradients are not known for those that move the equilibrium before a run; "
+            f"known: {', '.join(known)}"
+        )
 
 
 def leaves_of(plant: PlantSettings) -> dict[Leaf, float]:

@@ -56,6 +56,13 @@ class Gradient(NamedTuple):
     parameters: Floats  # with respect to the plant's parameters that the tape was asked for (n_lanes, n_parameters)
 
 
+def _shaped(name: str, given: Any, *shapes: tuple[int, ...]) -> Floats:
+    array: Floats = np.asarray(given, dtype=np.float64)
+    if array.shape not in shapes:
+        raise ValueError(f"{name} must have the shape {' or '.join(map(str, shapes))}, got {array.shape}")
+    return array
+
+
 class Tape:
     """Episodes side by side that can be differentiated, step by step in reverse.
 
@@ -82,12 +89,13 @@ class Tape:
         n_threads: int | None = None,
         parameters: Sequence[str] = (),
     ) -> None:
+        parameters = (parameters,) if isinstance(parameters, str) else tuple(parameters)
         plant = settings.plant()
         built = build_plant(plant)
         require_known(built)
         require_known_parameters(plant, parameters)
         #: Names of the plant's parameters that gradients are taken with respect to.
-        self.parameters = tuple(parameters)
+        self.parameters = parameters
         self.lanes = TaskLanes(settings, n_lanes, n_threads)
         self._measure_parameters(plant)
         simulator = self.lanes.simulator
@@ -115,13 +123,14 @@ class Tape:
         self._rules, self._pull = _RULES[key]
         n_blocks = simulator.blocks.shape[0]
         self._works = np.zeros((n_blocks, 2 * self._rules.n_rows * simulator.width))
-        #: How often episodes have been started.
+        #: Counts what makes the tape forget its steps: starts, and other values of parameters.
         self.n_starts = 0
         #: Blocks as they stood before every so many steps, and before each step from the latest of these asked for.
-        self._checkpoints: list[Floats] = []
-        self._replayed: tuple[int, list[Floats]] = (-1, [])
+        self._checkpoints: list[Floats]
+        self._replayed: tuple[int, list[Floats]]
+        self._actions: list[Floats]
+        self._begin(started=False)
         self._scratch = Outputs._make(np.zeros_like(array) for array in self.lanes.outputs)
-        self._actions: list[Floats] = []
 
     def _measure_parameters(self, plant: PlantSettings) -> None:
         """Find which constants the parameters move, and how far."""
@@ -152,7 +161,7 @@ class Tape:
         settings = PlantEnvSettings.of(self.lanes.settings, plant)
         self.lanes = TaskLanes(settings, self.lanes.n_lanes, self.lanes.simulator.n_threads)
         self._measure_parameters(plant)
-        self._checkpoints, self._actions, self._replayed, self.n_starts = [], [], (-1, []), 0
+        self._begin(started=False)
 
     def parameter_values(self) -> dict[str, float]:
         """Return the plant's values of the tape's parameters."""
@@ -175,23 +184,39 @@ class Tape:
         return self.lanes.observations.copy()
 
     def start(self, scenarios: Sequence[Scenario]) -> npt.NDArray[np.float32]:
-        """Start an episode in every lane and return the first observations."""
-        self.lanes.start(list(range(self.lanes.n_lanes)), scenarios)
-        self._checkpoints, self._actions, self._replayed = [], [], (-1, [])
-        self.n_starts += 1
+        """Start an episode in every lane, of one scenario each, and return the first observations."""
+        n_lanes = self.lanes.n_lanes
+        if len(scenarios) != n_lanes or not all(isinstance(scenario, Scenario) for scenario in scenarios):
+            raise ValueError(f"episodes need {n_lanes} scenarios, one per lane, got {scenarios!r:.60}")
+        self.lanes.start(list(range(n_lanes)), scenarios)
+        self._begin(started=True)
         return self.observations
+
+    def _begin(self, *, started: bool) -> None:
+        self._checkpoints, self._actions, self._replayed, self._started = [], [], (-1, []), started
+        self.n_starts += 1
+
+    def require_started(self) -> None:
+        """Raise a ValueError before the first start."""
+        if not self._started:
+            raise ValueError("there are no episodes yet: call start() first")
 
     def set_law(self, law: Floats) -> None:
         """Replace the parameters of each group's law (n_lanes, n_wtg, 4) before the first step.
 
         The episodes start where they would have started: a k_nominal other than the law's own is a change at time 0.
         """
+        self.require_started()
         if self._actions:
             raise ValueError("the law can be replaced before the first step only")
+        law = _shaped("law", law, (self.lanes.n_lanes, *self._rules.law.shape))
+        if not np.isfinite(law).all():
+            raise ValueError("the parameters of laws must be finite numbers")
         self._put(self._values(), self._rules.law, law)
 
     def law(self) -> Floats:
         """Return the parameters of each group's law (n_lanes, n_wtg, 4), in the order of LAW_PARAMETERS."""
+        self.require_started()
         return self._take(self._values(), self._rules.law)
 
     def _values(self) -> Floats:
@@ -218,8 +243,7 @@ class Tape:
             observations (n_lanes, n_observation) and the terms of the step's cost (n_lanes, n_terms), in the order of
             `COST_TERMS`; zero for lanes that had ended.
         """
-        if not self.n_starts:
-            raise ValueError("step() needs episodes: call start() first")
+        self.require_started()
         simulator, actions = self.lanes.simulator, as_actions(actions, (self.lanes.n_lanes, self.lanes.n_action))
         running = simulator.lane_values("active") > 0.5
         before = simulator.blocks.copy() if self.n_steps % _STEPS_PER_CHECKPOINT == 0 else None
@@ -233,6 +257,8 @@ class Tape:
 
     def before(self, step: int) -> Floats:
         """Return the simulator's blocks as they stood before a step, from the nearest checkpoint on."""
+        if not 0 <= step < self.n_steps:
+            raise ValueError(f"there is no step {step}: since start() {self.n_steps} have been taken, the first is 0")
         place, offset = divmod(step, _STEPS_PER_CHECKPOINT)
         if self._replayed[0] != place:
             blocks, found = self._checkpoints[place].copy(), []
@@ -252,6 +278,7 @@ class Tape:
 
     def outputs(self) -> Floats:
         """Return the outputs at the end of the latest step (n_lanes, n_outputs), in the order of `output_names`."""
+        self.require_started()
         return self._take(self._values(), self._rules.outputs)
 
     def pull(
@@ -271,8 +298,13 @@ class Tape:
             terms: with respect to the terms of the step's cost (n_lanes, n_terms).
             observations: with respect to the observations after the step (n_lanes, n_observation); None for zeros.
             outputs: with respect to the outputs after the step (n_lanes, n_outputs); None for zeros.
+
+        Raises:
+            ValueError: there is no such step, or derivatives have another shape.
         """
-        simulator, rules = self.lanes.simulator, self._rules
+        simulator, rules, n_lanes = self.lanes.simulator, self._rules, self.lanes.n_lanes
+        carried = _shaped("carried", carried, (n_lanes, self.n_carried))
+        terms = _shaped("terms", terms, (n_lanes, len(COST_TERMS)))
         works = self._works.reshape(self._works.shape[0], 2, rules.n_rows, simulator.width)
         before = self.before(step).reshape(works.shape[0], -1, simulator.width)
         works[:, 0, : before.shape[1]] = before
@@ -284,8 +316,10 @@ class Tape:
         self._put(cotangents, rules.carried, carried * running)
         self._put(cotangents, rules.terms, terms * running)
         if observations is not None:
+            observations = _shaped("observations", observations, (n_lanes, self.lanes.n_observation))
             self._put(cotangents, rules.observation, observations * running)
         if outputs is not None:
+            outputs = _shaped("outputs", outputs, (n_lanes, len(self.output_names)))
             so_far = self._take(cotangents, rules.outputs)
             self._put(cotangents, rules.outputs, so_far + outputs * running)
         simulator.for_blocks(
@@ -337,13 +371,18 @@ class Tape:
         Args:
             terms: derivatives of what is differentiated with respect to the terms of each step's cost (n_terms) or
                 (n_steps, n_lanes, n_terms); None for zeros.
-            outputs: with respect to the outputs at each step's end (n_steps, n_lanes, n_outputs); None for zeros.
+            outputs: with respect to the outputs at each step's end (n_steps, n_lanes, n_outputs); None for zeros. Those
+                after the end of an episode, where its outputs stay as they were, count nothing.
 
         Returns:
             those with respect to actions, laws and parameters, as :class:`Gradient` has them.
         """
         n_lanes, n_steps = self.lanes.n_lanes, self.n_steps
-        seeds = np.broadcast_to(0.0 if terms is None else terms, (n_steps, n_lanes, len(COST_TERMS)))
+        self.require_started()
+        shape = (n_steps, n_lanes, len(COST_TERMS))
+        seeds = np.zeros(shape) if terms is None else np.broadcast_to(_shaped("terms", terms, shape, shape[2:]), shape)
+        if outputs is not None:
+            outputs = _shaped("outputs", outputs, (n_steps, n_lanes, len(self.output_names)))
         actions, law = np.empty((n_steps, n_lanes, self.lanes.n_action)), np.zeros((n_lanes, *self._rules.law.shape))
         parameters, carried = np.zeros((n_lanes, len(self.parameters))), np.zeros((n_lanes, self.n_carried))
         for step in range(n_steps - 1, -1, -1):
@@ -364,13 +403,16 @@ class Tape:
             weights: of the terms of the cost by name, those left out count nothing; None for the cost itself.
 
         Raises:
-            ValueError: a term is unknown, or there are no actions.
+            ValueError: a term is unknown, a weight not finite, or there are no actions.
         """
-        if unknown := sorted(set(weights or ()) - set(COST_TERMS)):
+        weights = dict.fromkeys(COST_TERMS, 1.0) if weights is None else weights
+        if not isinstance(weights, Mapping) or not np.isfinite(list(weights.values())).all():
+            raise ValueError(f"weights must be finite numbers by the names of terms, got {weights!r:.60}")
+        if unknown := [term for term in weights if term not in COST_TERMS]:
             raise ValueError(f"unknown terms {unknown} of the cost; known: {', '.join(COST_TERMS)}")
         actions = np.asarray(actions, dtype=np.float64)
         if actions.ndim != 3 or not actions.size:
             raise ValueError(f"actions must have the shape (n_steps, n_lanes, n_action), got {actions.shape}")
-        weight = np.array([1.0 if weights is None else weights.get(term, 0.0) for term in COST_TERMS])
+        weight = np.array([weights.get(term, 0.0) for term in COST_TERMS])
         terms = self.play(scenarios, actions).terms.sum(axis=0)
         return Gradient(terms, *self.back(weight))

@@ -70,8 +70,14 @@ class TorchEpisodes:
         """
         observations = self.tape.start(scenarios)
         own = torch.from_numpy(self.tape.law())
-        self._law = own if law is None else law.expand(own.shape)
+        self._law = own
         if law is not None:
+            law = torch.as_tensor(law)
+            if law.shape not in (own.shape, own.shape[1:]):
+                raise ValueError(
+                    f"law must have the shape {tuple(own.shape[1:])}, or one more per lane, got {tuple(law.shape)}"
+                )
+            self._law = law.expand(own.shape)
             self.tape.set_law(self._law.detach().to("cpu", torch.float64).numpy())
         self._left = torch.zeros((self.tape.lanes.n_lanes, self.tape.n_carried), dtype=torch.float64)
         return torch.from_numpy(observations)
@@ -82,6 +88,8 @@ class TorchEpisodes:
         Returns:
             observations (n_lanes, n_observation), floats of 32 bits, and terms of the cost (n_lanes, n_terms), of 64.
         """
+        self.tape.require_started()
+        actions = torch.as_tensor(actions)
         self._left, observations, terms, self.outputs = _apply(self.tape, self._left, self._law, actions)
         return observations, terms
 

@@ -76,6 +76,24 @@ def _count_step(block: Floats, c: Any, lanes: Lanes) -> None:
 
 
 @inlined
+def protections_look(c: Any, step: int) -> bool:
+    """Return whether protections look at the grid after a simulation step of the control interval, 0 for the first."""
+    between = max(1, int(PROTECTION_INTERVAL_S / c["simulation_dt"] + 1e-6))
+    return (step + 1) % between == 0 or step + 1 == c["n_substeps"]
+
+
+@inlined
+def end_step(block: Floats, c: Any, looks: bool, lanes: Lanes) -> None:
+    """Do what follows the integration of a simulation step; `looks`: whether protections look at the grid."""
+    _count_step(block, c, lanes)
+    track_extremes(block, c, lanes)
+    shed_load(block, c, lanes)
+    if looks:
+        look_at_grid(block, c, lanes)
+        update_status(block, c, len(lanes))
+
+
+@inlined
 def advance_interval(
     block: Floats, first_lane: int, plant: Plant, data: LaneData, noise_y: Floats, lanes: Lanes
 ) -> None:
@@ -86,16 +104,10 @@ def advance_interval(
     """
     c = plant.constants[0]
     enter_interval(block, first_lane, c, data, noise_y, lanes)
-    between_looks = max(1, int(PROTECTION_INTERVAL_S / c["simulation_dt"] + 1e-6))
     for step in range(c["n_substeps"]):
         apply_network_changes(block, first_lane, plant, data, noise_y, lanes)
         advance_step(block, c, step, lanes)
-        _count_step(block, c, lanes)
-        track_extremes(block, c, lanes)
-        shed_load(block, c, lanes)
-        if (step + 1) % between_looks == 0 or step + 1 == c["n_substeps"]:
-            look_at_grid(block, c, lanes)
-            update_status(block, c, len(lanes))
+        end_step(block, c, protections_look(c, step), lanes)
     derivatives(block, c, 1.0, lanes)
 
 
