@@ -59,7 +59,8 @@ class _Page:
 
 
 class _Config:
-    extra = {"repository": ""}
+    def __init__(self) -> None:
+        self.extra = {"repository": ""}
 
 
 @pytest.mark.parametrize("made", [True, False])
