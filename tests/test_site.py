@@ -53,6 +53,24 @@ def test_links_to_other_files_lead_to_the_repository_or_are_text(hooks: Any) -> 
     assert hooks.rewritten(links, "usage.md", "docs/usage.md", "", KNOWN) == "`law`, tests and [x](index.md)"
 
 
+class _Page:
+    def __init__(self, path: str) -> None:
+        self.src_uri, self.file, self.parent, self.meta = path, self, None, {}
+
+
+class _Config:
+    def __init__(self) -> None:
+        self.extra = {"repository": ""}
+
+
+@pytest.mark.parametrize("made", [True, False])
+def test_the_leaderboard_is_shown_where_it_was_made(hooks: Any, made: bool) -> None:
+    files = [_Page("leaderboard.html")] if made else []
+    text = hooks.on_page_markdown("# Leaderboard\n", _Page("leaderboard.md"), _Config(), files)
+    # A page of the site is the folder `leaderboard/`.
+    assert ('<iframe class="leaderboard" src="../leaderboard.html"' in text) is made
+
+
 def test_sections_of_the_readme_end_where_the_next_begins(hooks: Any) -> None:
     text = "# T\n\n## One\n\n```\n# a\n```\n\n### Deep\n\nb\n\n## Two words\n\nc\n"
     assert hooks.section(text, "one", "") == "## One\n\n```\n# a\n```\n\n### Deep\n\nb\n\n"

@@ -25,6 +25,18 @@ README = {
     "leaderboard": "leaderboard.md",
     "cite": "index.md#cite",
 }
+#: What `make page` writes, if it has.
+LEADERBOARD = "leaderboard.html"
+# A page of the site is a folder, so its files are one level up. The frame is as tall as what it shows.
+_EMBEDDED = f"""
+## Filters, profiles and single runs
+
+[Open this page alone]({LEADERBOARD}): its address then keeps what you choose.
+
+<iframe class="leaderboard" src="../{LEADERBOARD}" title="Leaderboard with filters, profiles and single runs"
+  onload="const page = this.contentDocument.body;
+    new ResizeObserver(() => this.style.height = page.offsetHeight + 40 + 'px').observe(page)"></iframe>
+"""
 #: Code, or a link or picture with its text, file and anchor; a link in code is left alone.
 _LINK = re.compile(
     r"^```.*?^```|`[^`\n]+`|(!?)\[((?:`[^`]*`|[^\[\]`])*)\]\(([^()\s:#]*)(#[^()\s]*)?\)",
@@ -109,8 +121,8 @@ def on_page_markdown(text: str, page: Any, config: Any, files: Any) -> str:
     for place, anchor in enumerate(parts[1::2]):
         found = section(readme, anchor, text.partition("\n")[0].removeprefix("# "))
         parts[2 * place + 1] = rewritten(found, here, "README.md", repository, known)
-    if here == "leaderboard.md" and "leaderboard.html" in known:
-        parts.append("\n- [The same with filters, profiles and single runs](leaderboard.html)\n")
+    if here == "leaderboard.md" and LEADERBOARD in known:
+        parts.append(_EMBEDDED)
     if here in ("index.md", "leaderboard.md"):
         page.meta["hide"] = ["navigation", "toc"]  # figure and table have the whole width
     elif page.parent is None:
