@@ -26,7 +26,7 @@ ALGORITHMS = {"bc": ("BC", "BCConfig"), "td3_bc": ("TD3+BC", "TD3PlusBCConfig"),
 _CLIP = 10.0
 _GAMMA = 0.99
 #: Weight of the value against cloning in TD3+BC.
-_ALPHA = 0.05
+_ALPHA = 0.4
 _HIDDEN = (64, 64)
 
 _DESCRIPTION = """\
