@@ -6,7 +6,7 @@ import argparse
 import contextlib
 import importlib
 import json
-from collections.abc import Callable, Container, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +28,11 @@ from wtg_gym.cli.output import (
 from wtg_gym.cli.parser import Parser
 from wtg_gym.cli.scoring import chosen_entries
 from wtg_gym.envs.settings import ACTION_MODES, OBSERVATION_MODES
+from wtg_gym.evaluation import Results, evaluate
+from wtg_gym.files import markdown_table
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.progress import Progress
+from wtg_gym.scenarios import get_suite
 
 
 def run_command(work: Callable[[], None], after_interrupt: str | None = None) -> int:
@@ -185,6 +188,44 @@ def opened_run(
     note(f"best validation score {run.best['score']:.1f} at step {run.best['timesteps']}; wrote {folder}")
 
 
+def compare(
+    entries: Sequence[str | Path],
+    suite: str,
+    n_scenarios: int,
+    trained: str,
+    page: Path | None,
+    markers: str,
+    more: Mapping[str, Callable[[Results, str], str]] | None = None,
+) -> None:
+    """Print a table of entries, the best first, scored on the first validation scenarios of a suite.
+
+    Args:
+        entries: as for :func:`wtg_gym.evaluation.evaluate`.
+        suite: name of the suite.
+        n_scenarios: how many.
+        trained: how the entries were trained, for the line over the table.
+        page: file that takes the table, between its markers of that name; None for none.
+        markers: their name.
+        more: further columns: their heads, and what says the number of an entry by its name.
+    """
+    results = evaluate(list(entries), suite, "validation", seeds=get_suite(suite).seeds("validation")[:n_scenarios])
+    more = more or {}
+    rows = [
+        [
+            row.name,
+            f"{row.score.value:.1f} ({row.score.low:.1f} … {row.score.high:.1f})",
+            *(column(results, row.name) for column in more.values()),
+            f"{row.failures_percent:.1f}",
+        ]
+        for row in sorted(results.summaries, key=lambda row: -row.score.value)
+    ]
+    header = ["entry", "score", *more, "failures [%]"]
+    print_table(header, rows)
+    if page is not None:
+        table = markdown_table(header, rows, right=range(1, len(header)))
+        update_page(page, {markers: f"{trained}; {n_scenarios} validation scenarios:\n\n{table}"})
+
+
 __all__ = [
     "FIGURE_FORMATS",
     "Parser",
@@ -197,6 +238,7 @@ __all__ = [
     "check_output_folder",
     "check_page",
     "chosen_entries",
+    "compare",
     "given_options",
     "note",
     "opened_run",

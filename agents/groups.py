@@ -3,6 +3,9 @@
 "ippo" is independent PPO with shared parameters (de Witt et al., "Is Independent Learning All You Need in the StarCraft
 Multi-Agent Challenge?", 2020); "mappo" adds a value function that sees the whole grid (Yu et al., "The Surprising
 Effectiveness of PPO in Cooperative Multi-Agent Games", 2022). A lane of the learner is one group of one episode.
+
+Besides what it measures, a group sees its size: every group's duty counts alike in the cost, but a large one moves the
+frequency by more, so that one policy for all must tell them apart.
 """
 
 from __future__ import annotations
@@ -40,6 +43,20 @@ LEARNER = "ppo"
 ARCHIVE_FOLDER = "learner"
 
 
+def group_sizes(settings: EnvSettings) -> Array:
+    """Return the number of turbines of each WTG group, as a multiple of their mean, (n_wtg,) float32."""
+    turbines = np.array([group.n_turbines for group in settings.wtg_groups()])
+    sizes: Array = (turbines / turbines.mean()).astype(np.float32)
+    return sizes
+
+
+def with_sizes(observations: Array, sizes: Array) -> Array:
+    """Return what each group measures and its size, (n · n_wtg, n_own), of local observations (n, n_observation)."""
+    measured = observations.reshape(len(observations), sizes.size, -1)
+    column = np.broadcast_to(sizes[:, None], (*measured.shape[:2], 1))
+    return np.concatenate([measured, column], axis=2).reshape(len(observations) * sizes.size, -1)
+
+
 class GroupVecEnv(VecEnvWrapper):
     """A batch of episodes with a lane for every WTG group: lane i is group i % n_wtg of episode i // n_wtg.
 
@@ -55,8 +72,9 @@ class GroupVecEnv(VecEnvWrapper):
         self.n_wtg = lanes.n_wtg
         self._sees_grid = sees_grid
         n_modes = lanes.n_action // self.n_wtg
-        #: Entries of the observation that a group measures itself; they come first.
-        self.n_own = lanes.n_local + n_modes
+        self._sizes = group_sizes(lanes.settings)
+        #: Entries of the observation that are a group's own; they come first.
+        self.n_own = lanes.n_local + n_modes + 1
         width = self.n_own + (lanes.n_observation if sees_grid else 0)
         bound = np.full(width, OBSERVATION_BOUND, dtype=np.float32)
         one = np.ones(n_modes, dtype=np.float32)
@@ -65,7 +83,7 @@ class GroupVecEnv(VecEnvWrapper):
 
     def _split(self, observations: Array) -> Array:
         """Return what each group sees, (n · n_wtg, width), of observations (n, n_observation)."""
-        own = observations[:, : self.n_wtg * self.n_own].reshape(-1, self.n_own)
+        own = with_sizes(observations[:, : self.n_wtg * (self.n_own - 1)], self._sizes)
         if not self._sees_grid:
             return own
         return np.concatenate([own, np.repeat(observations, self.n_wtg, axis=0)], axis=1)
@@ -143,16 +161,18 @@ class SharedPolicy:
 
     Args:
         policy: takes what one group sees.
+        sizes: of the groups, :func:`group_sizes`.
     """
 
     policy: NormalizedPolicy
+    sizes: Array
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[Any, Any]:
         """Return (actions (n_lanes, n_action), state) for raw local observations (n_lanes, n_observation)."""
         n_own, width = _widths(self.policy.policy)
-        own = np.asarray(observation).reshape(-1, n_own)
+        own = with_sizes(np.asarray(observation), self.sizes)
         # Of the grid the actor sees nothing.
         unseen = np.zeros((own.shape[0], width - n_own), dtype=own.dtype)
         actions, _ = self.policy.predict(np.concatenate([own, unseen], axis=1), None, None, deterministic)
@@ -185,7 +205,7 @@ def training_env(settings: RunSettings) -> VecEnv:
         return GainVecEnv(settings.n_envs, **settings.env_arguments)
     if settings.observation_mode != "local":
         raise ValueError(f"agents of {settings.algo} see what their own groups measure: leave out the observation mode")
-    n_wtg = n_groups(settings)
+    n_wtg = sizes_of(settings).size
     if settings.n_envs % n_wtg:
         raise ValueError(f"n_envs must be a whole multiple of the {n_wtg} WTG groups, got {settings.n_envs}")
     arguments, sees_grid = settings.env_arguments, settings.algo == "mappo"
@@ -206,9 +226,9 @@ def as_played(settings: RunSettings) -> RunSettings:
     return dataclasses.replace(settings, groups=None)
 
 
-def n_groups(settings: RunSettings) -> int:
-    """Return how many WTG groups a run's episodes have."""
-    return len(EnvSettings(**settings.env_arguments).wtg_groups())
+def sizes_of(settings: RunSettings) -> Array:
+    """Return the sizes of the WTG groups of a run's episodes, see :func:`group_sizes`."""
+    return group_sizes(EnvSettings(**settings.env_arguments))
 
 
 def with_policy(settings: RunSettings, hyperparameters: Hyperparameters, env: VecEnv) -> Hyperparameters:
@@ -224,7 +244,7 @@ def with_policy(settings: RunSettings, hyperparameters: Hyperparameters, env: Ve
 
 def played(settings: RunSettings, policy: NormalizedPolicy) -> Policy:
     """Return a run's policy as one that acts for all groups."""
-    return SharedPolicy(policy) if settings.algo in ALGORITHMS else policy
+    return SharedPolicy(policy, sizes_of(settings)) if settings.algo in ALGORITHMS else policy
 
 
 def network_played(settings: RunSettings, policy: NormalizedPolicy) -> PolicyNetwork:
@@ -239,4 +259,4 @@ def network_played(settings: RunSettings, policy: NormalizedPolicy) -> PolicyNet
     seen, (n_own, _) = network.normalization, _widths(policy.policy)
     if seen is not None:
         seen = dataclasses.replace(seen, mean=seen.mean[:n_own], std=seen.std[:n_own])
-    return dataclasses.replace(network, n_observation=n_own, normalization=seen, n_groups=n_groups(settings))
+    return dataclasses.replace(network, n_observation=n_own, normalization=seen, sizes=sizes_of(settings))

@@ -75,8 +75,9 @@ class PolicyNetwork:
         lstm: None for a policy without memory.
         layers: applied one after the other, each of :data:`LAYERS`.
         low_pass: its slow copies follow the observation in what the layers see; not beside an LSTM.
-        n_groups: so many equal parts of the observation follow each other, and the network acts for each by itself;
-            all its other numbers are of one part. More than one not beside an LSTM or a low pass.
+        sizes: one for each of the equal parts of which the observation consists; the network acts for each part by
+            itself, and sees its size behind it; all its other numbers are of one part. Not beside an LSTM or a low
+            pass. None for a network that sees and does all.
     """
 
     n_observation: int
@@ -84,7 +85,7 @@ class PolicyNetwork:
     lstm: nn.LSTM | None
     layers: Sequence[nn.Module]
     low_pass: LowPass | None = None
-    n_groups: int = 1
+    sizes: npt.NDArray[np.float32] | None = None
 
 
 def flat_layers(modules: Sequence[nn.Module]) -> list[nn.Module]:
@@ -128,8 +129,11 @@ def to_onnx(network: PolicyNetwork) -> bytes:
     """Return the file of the policy as ONNX."""
     graph = _Graph()
     value = "observation"
-    if network.n_groups > 1:
-        value = graph.add("Reshape", value, graph.constant([-1, network.n_observation], np.int64))
+    n_parts, n_observation = 1, network.n_observation
+    if network.sizes is not None:
+        n_parts = network.sizes.size
+        n_observation = n_parts * (network.n_observation - 1)
+        value = _parts(graph, value, network.sizes, network.n_observation)
     if network.normalization is not None:
         value = _normalized(graph, value, network.normalization)
     states: list[str] = []
@@ -147,13 +151,12 @@ def to_onnx(network: PolicyNetwork) -> bytes:
         value = _layer(graph, value, module)
         n_action = module.out_features if isinstance(module, nn.Linear) else n_action
     value = graph.add("Clip", value, graph.constant(-1.0), graph.constant(1.0))
-    n_action *= network.n_groups
-    if network.n_groups > 1:
+    n_action *= n_parts
+    if network.sizes is not None:
         value = graph.add("Reshape", value, graph.constant([-1, n_action], np.int64))
     named = {"action": value, **{f"next_state_{i}": state for i, state in enumerate(states)}}
     for name, result in named.items():
         graph.nodes.append(helper.make_node("Identity", [result], [name]))
-    n_observation = network.n_groups * network.n_observation
     inputs = {"observation": n_observation, **{f"state_{i}": width for i, width in enumerate(widths)}}
     outputs = {"action": n_action, **{f"next_state_{i}": width for i, width in enumerate(widths)}}
     model = helper.make_model(
@@ -168,6 +171,18 @@ def to_onnx(network: PolicyNetwork) -> bytes:
 
 def _infos(widths: dict[str, int]) -> list[onnx.ValueInfoProto]:
     return [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", width]) for name, width in widths.items()]
+
+
+def _parts(graph: _Graph, value: str, sizes: npt.NDArray[np.float32], width: int) -> str:
+    """Return the parts of the observation, each with its size behind it, (batch · parts, width)."""
+    n_measured = width - 1
+    # As many rows as the batch has: zeros plus the sizes.
+    zeros = graph.add("Mul", graph.add("Gather", value, graph.constant([0], np.int64), axis=1), graph.constant(0.0))
+    value = graph.add("Concat", value, graph.add("Add", zeros, graph.constant(sizes)), axis=1)
+    n = sizes.size
+    columns = [[*range(i * n_measured, (i + 1) * n_measured), n * n_measured + i] for i in range(n)]
+    value = graph.add("Gather", value, graph.constant(np.concatenate(columns), np.int64), axis=1)
+    return graph.add("Reshape", value, graph.constant([-1, width], np.int64))
 
 
 def _normalized(graph: _Graph, value: str, normalization: Normalization) -> str:

@@ -42,14 +42,21 @@ from wtg_gym.scenarios import get_suite
 
 _DESCRIPTION = """\
 Trains a policy and writes everything about it to a folder: run.json, TensorBoard's files, the policy with the best
-validation score, and a checkpoint to go on from with --resume after an interruption of any kind."""
+validation score, and a checkpoint to go on from with --resume after an interruption of any kind.
+
+With "ippo" and "mappo" every WTG group plays the same policy by itself, from what it measures itself: "ippo" is
+independent PPO with shared parameters, "mappo" learns with a value function that sees the whole grid. A lane is then
+one group of one episode: one step of an episode is as many steps as it has groups."""
 _EXAMPLES = """\
 examples:
   python -m agents.train --algo ppo --output runs/ppo-0 --seed 0
   python -m agents.train --algo sac --action-mode k --timesteps 200000 --output runs/sac-k
+  python -m agents.train --algo ippo --groups 4 --output runs/ippo-4
   python -m agents.train --resume runs/ppo-0
   tensorboard --logdir runs"""
 
+#: The algorithms to choose from, those of many agents last.
+TRAINED = (*ALGORITHMS, *OF_GROUPS)
 #: Called with (timesteps, score) after each validation; an exception that it raises ends the run.
 OnScore = Callable[[int, float], None]
 
@@ -205,19 +212,14 @@ class _Supervision(BaseCallback):
         write_entry(folder, entry)
 
 
-def add_sb3_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that training and tuning share."""
-    parser.add_argument("--algo", choices=tuple(ALGORITHMS), help="the algorithm")
-    add_learner_options(parser, config="<algo>")
-
-
-def add_learner_options(parser: argparse.ArgumentParser, *, config: str) -> None:
-    """Add the options of every learner; `config` names its file of hyperparameters."""
+def add_sb3_options(parser: argparse.ArgumentParser, algos: Sequence[str]) -> None:
+    """Add the options that training and tuning share; `algos` are the algorithms to choose from."""
+    parser.add_argument("--algo", choices=tuple(algos), help="the algorithm")
     add_training_options(parser, timesteps="the file's")
     add_plant_options(parser)
     parser.add_argument("--n-envs", type=int, metavar="N", help="lanes side by side (default: the file's)")
     parser.add_argument("--device", choices=("cpu", "cuda"), help="where the networks are (default: cpu)")
-    parser.add_argument("--config", metavar="FILE", help=f"hyperparameters (default: agents/configs/{config}.yml)")
+    parser.add_argument("--config", metavar="FILE", help="hyperparameters (default: agents/configs/<algo>.yml)")
 
 
 def sb3_settings(given: Mapping[str, Any]) -> RunSettings:
@@ -227,36 +229,24 @@ def sb3_settings(given: Mapping[str, Any]) -> RunSettings:
         ValueError: a value is missing, unknown or out of range.
     """
     if "algo" not in given:
-        raise ValueError(f"--algo is needed: {', '.join(ALGORITHMS)}")
-    return learner_settings(given, given["algo"], given["algo"])
-
-
-def learner_settings(given: Mapping[str, Any], algo: str, learner: str) -> RunSettings:
-    """Return the settings that the options of :func:`add_learner_options` and the hyperparameter file ask for.
-
-    Args:
-        given: options on the command line.
-        algo: the algorithm.
-        learner: one of :data:`agents.hyperparameters.ALGORITHMS`, whose hyperparameters it takes.
-
-    Raises:
-        ValueError: a value is unknown or out of range.
-    """
+        raise ValueError(f"--algo is needed: {', '.join(TRAINED)}")
+    algo = given["algo"]
     env_id = get_suite(given.get("suite", "standard")).benchmark.env_id
-    raw = read_config(Path(given.get("config", CONFIG_FOLDER / f"{learner}.yml")), env_id)
-    file = parse(learner, raw)
+    # Many agents learn with the same hyperparameters, whatever their value function sees.
+    raw = read_config(Path(given.get("config", CONFIG_FOLDER / f"{'ippo' if algo in OF_GROUPS else algo}.yml")), env_id)
+    file = parse(learner_of(algo), raw)
     return settings_of(given, algo, raw, timesteps=file.n_timesteps, n_envs=given.get("n_envs", file.n_envs))
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     parser = Parser(prog="python -m agents.train", description=_DESCRIPTION, epilog=_EXAMPLES)
-    add_sb3_options(parser)
+    add_sb3_options(parser, TRAINED)
     add_folder_options(parser)
 
     def work() -> None:
         given = given_options(parser.parse_args(argv))
-        with opened_run(given, ALGORITHMS, lambda: sb3_settings(given)) as (run, folder):
+        with opened_run(given, TRAINED, lambda: sb3_settings(given)) as (run, folder):
             train(run, folder)
 
     return run_command(work, "go on with --resume")

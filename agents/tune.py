@@ -13,6 +13,7 @@ import yaml
 from optuna.trial import Trial, TrialState
 
 from agents.command import Parser, given_options, note, run_command
+from agents.hyperparameters import ALGORITHMS
 from agents.runs import Run, RunSettings
 from agents.train import add_sb3_options, sb3_settings, train
 from wtg_gym.files import to_json, write_atomically
@@ -179,7 +180,7 @@ def _write_best(study: optuna.Study, settings: RunSettings, folder: Path) -> Non
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     parser = Parser(prog="python -m agents.tune", description=_DESCRIPTION, epilog=_EXAMPLES)
-    add_sb3_options(parser)
+    add_sb3_options(parser, tuple(ALGORITHMS))
     parser.add_argument("--trials", type=int, default=30, metavar="N", help="trials in all (default: 30)")
     parser.add_argument("--output", required=True, metavar="FOLDER", help="folder of the study")
 

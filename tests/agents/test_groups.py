@@ -13,14 +13,13 @@ import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.policies import ActorCriticPolicy
 
-from agents import marl
 from agents.export import export, largest_difference
 from agents.export import main as export_command
 from agents.folders import folders
 from agents.groups import ALGORITHMS, CentralCriticPolicy, GroupVecEnv, SharedPolicy, training_env
 from agents.onnx_graph import PolicyNetwork, to_onnx
 from agents.runs import Run, RunSettings
-from agents.train import main as train_one
+from agents.train import main as train_command
 from agents.train import start, train
 from agents.vec_env import GainVecEnv
 from tests.agents.small import CONFIGS, config_file
@@ -35,7 +34,7 @@ NO_DELAY = '{"delay_s": [0, 0]}'
 
 def options(folder: Path, algorithm: str, *others: str) -> list[str]:
     """Return the options of a small run that validates after every 256 of its 768 steps."""
-    given = ["--algorithm", algorithm, "--config", config_file(folder, "ppo")]
+    given = ["--algo", algorithm, "--config", config_file(folder, "ppo")]
     return [*given, "--interval", "256", "--validation-episodes", "2", *others]
 
 
@@ -43,7 +42,7 @@ def options(folder: Path, algorithm: str, *others: str) -> list[str]:
 def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, short_validations: None) -> Path:
     """A finished run that tests read only."""
     folder = tmp_path_factory.mktemp("runs")
-    assert marl.main([*options(folder, request.param), "--output", str(folder / "whole")]) == 0
+    assert train_command([*options(folder, request.param), "--output", str(folder / "whole")]) == 0
     return folder / "whole"
 
 
@@ -61,13 +60,14 @@ def test_lanes_are_the_groups_of_the_episodes(sees_grid: bool) -> None:
         env.seed(3)
     seen, split = episodes.reset(), groups.reset()
     names = groups.get_attr("observation_names")[0]
-    assert (groups.num_envs, groups.n_wtg, groups.n_own) == (6, 3, 10)
+    # What a group measures, its last actions, and its size.
+    assert (groups.num_envs, groups.n_wtg, groups.n_own) == (6, 3, 11)
     rng, ends = np.random.default_rng(0), 0
     for _ in range(60):
         for lane in range(6):
             episode, group = divmod(lane, 3)
             own = [index for index, name in enumerate(names) if name.startswith(f"wtg{group}.")]
-            expected = [*seen[episode, own], *(seen[episode] if sees_grid else [])]
+            expected = [*seen[episode, own], 1.0, *(seen[episode] if sees_grid else [])]
             assert split[lane].tolist() == expected and groups.observation_space.contains(split[lane])
         actions = rng.uniform(-1.0, 1.0, (6, 2)).astype(np.float32)
         seen, gains, dones, infos = episodes.step(actions.reshape(2, 6))
@@ -80,7 +80,7 @@ def test_lanes_are_the_groups_of_the_episodes(sees_grid: bool) -> None:
                 info.pop("terminal_observation") for info in (dict(infos[episode]), dict(own_infos[lane]))
             )
             assert own_last[:10].tolist() == last[10 * group : 10 * group + 10].tolist()
-            assert own_last[10:].tolist() == (last.tolist() if sees_grid else [])
+            assert own_last[11:].tolist() == (last.tolist() if sees_grid else [])
             assert own_infos[lane]["metrics"] == infos[episode]["metrics"]
             assert own_infos[lane]["TimeLimit.truncated"] == infos[episode]["TimeLimit.truncated"]
     assert ends >= 6
@@ -98,7 +98,7 @@ def test_interrupted_run_goes_on_to_the_same_weights(whole: Path, tmp_path: Path
 
     with pytest.raises(KeyboardInterrupt):
         train(new, tmp_path / "stopped", stop)
-    assert marl.main(["--resume", str(tmp_path / "stopped")]) == 0
+    assert train_command(["--resume", str(tmp_path / "stopped")]) == 0
     ours, theirs = weights(tmp_path / "stopped"), weights(whole)
     assert ours.keys() == theirs.keys() and all(torch.equal(ours[key], theirs[key]) for key in ours)
 
@@ -127,10 +127,12 @@ def test_every_group_acts_by_what_it_sees_itself_and_in_any_number() -> None:
     layers = [torch.nn.Linear(10, 8), torch.nn.Tanh(), torch.nn.Linear(8, 2)]
     rng = np.random.default_rng(0)
     for n in (1, 2, 5):
-        content = to_onnx(PolicyNetwork(10, None, None, layers, n_groups=n))
-        observations = rng.normal(size=(3, 10 * n)).astype(np.float32)
+        sizes = rng.uniform(0.5, 2.0, n).astype(np.float32)
+        content = to_onnx(PolicyNetwork(10, None, None, layers, sizes=sizes))
+        observations = rng.normal(size=(3, 9 * n)).astype(np.float32)
         with torch.no_grad():
-            own = torch.from_numpy(observations.reshape(-1, 10))
+            measured = torch.from_numpy(observations.reshape(-1, 9))
+            own = torch.cat([measured, torch.from_numpy(np.tile(sizes, 3))[:, None]], dim=1)
             expected = torch.nn.Sequential(*layers)(own).clamp(-1.0, 1.0).reshape(3, 2 * n)
         assert played(content, observations) == pytest.approx(expected.numpy(), abs=1e-6)
 
@@ -141,19 +143,27 @@ def played(content: bytes, observations: np.ndarray) -> np.ndarray:
     return actions
 
 
+def test_group_sees_its_turbines_as_a_multiple_of_their_mean() -> None:
+    arguments: dict[str, Any] = {"suite": "standard-v1", "strategy": "coordinated-tuned", "duration_s": 5.0}
+    groups = GroupVecEnv(GainVecEnv(2, **arguments), sees_grid=False)
+    turbines = np.array([20.0, 14.0, 10.0, 8.0])
+    assert groups.reset()[:, -1].tolist() == pytest.approx(np.tile(turbines / turbines.mean(), 2).tolist())
+    groups.close()
+
+
 def test_value_function_sees_the_grid_and_the_policy_its_own_group_alone() -> None:
     raw = CONFIGS["ppo"]
     settings = RunSettings(algo="mappo", hyperparameters=raw, timesteps=64, n_envs=8, interval=64)
     model = start(Run.new(settings))
     policy = model.policy
-    assert isinstance(policy, CentralCriticPolicy) and isinstance(policy, ActorCriticPolicy) and policy.n_own == 10
+    assert isinstance(policy, CentralCriticPolicy) and isinstance(policy, ActorCriticPolicy) and policy.n_own == 11
     observations = torch.rand(1, *policy.observation_space.shape, requires_grad=True)
-    for value, seen in ((policy.get_distribution(observations).distribution.mean, 10), (None, observations.shape[1])):
+    for value, seen in ((policy.get_distribution(observations).distribution.mean, 11), (None, observations.shape[1])):
         value = policy.predict_values(observations) if value is None else value
         (slope,) = torch.autograd.grad(value.sum(), observations)
         assert (slope[0, :seen] != 0.0).any() and not slope[0, seen:].any()
     (slope,) = torch.autograd.grad(policy.predict_values(observations).sum(), observations)
-    assert (slope[0, 10:] != 0.0).all()
+    assert (slope[0, 11:] != 0.0).all()
     model.get_env().close()
 
 
@@ -162,8 +172,8 @@ def test_run_with_other_groups_is_validated_with_them_and_is_an_entry_of_its_sui
 ) -> None:
     changed = ["--groups", "3", "--n-envs", "12", "--timesteps", "96"]
     single = ["--algo", "ppo", "--config", config_file(tmp_path, "ppo"), "--validation-episodes", "2"]
-    assert marl.main([*options(tmp_path, "ippo", *changed), "--output", str(tmp_path / "many")]) == 0
-    assert train_one([*single, *changed, "--output", str(tmp_path / "one")]) == 0
+    assert train_command([*options(tmp_path, "ippo", *changed), "--output", str(tmp_path / "many")]) == 0
+    assert train_command([*single, *changed, "--output", str(tmp_path / "one")]) == 0
     many, one = (Run.read(tmp_path / name) for name in ("many", "one"))
     assert many.settings.plant_arguments == one.settings.plant_arguments == {"groups": 3}
     # The actor of many agents does not know how many they are.
@@ -186,7 +196,7 @@ def test_run_with_other_sensors_is_validated_with_them(tmp_path: Path, monkeypat
 
     monkeypatch.setattr("agents.runs.evaluate", listen)
     given = [*suite, "--sensors", NO_DELAY, "--output", str(tmp_path / "run")]
-    assert marl.main(["--algorithm", "ippo", *given]) == 0
+    assert train_command(["--algo", "ippo", *given]) == 0
     assert asked and all(keywords["sensors"] == {"delay_s": [0, 0]} for keywords in asked)
     settings = Run.read(tmp_path / "run").settings
     assert training_env(settings).venv.vector_env.settings.sensor_distribution().delay_s == (0.0, 0.0)
@@ -196,9 +206,9 @@ def test_policy_of_two_groups_plays_in_a_grid_with_three(whole: Path) -> None:
     settings = Run.read(whole).settings
     (best,) = folders(whole / "best")
     policy, _ = load_archive(best / "learner", "PPO")
-    shared = SharedPolicy(policy)
-    assert largest_difference(shared, OnnxPolicy(best / POLICY_FILE), settings) <= 1e-6
-    entry = Entry(name="shared", policy=shared)
+    two, three = (SharedPolicy(policy, np.ones(n, dtype=np.float32)) for n in (2, 3))
+    assert largest_difference(two, OnnxPolicy(best / POLICY_FILE), settings) <= 1e-6
+    entry = Entry(name="shared", policy=three)
     results = evaluate([entry], "standard", "validation", seeds=[10_000], duration_s=6.0, groups=3)
     assert len(results.episodes_of("shared")) == 1
 
@@ -206,23 +216,21 @@ def test_policy_of_two_groups_plays_in_a_grid_with_three(whole: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (["--output", "new"], "--algorithm is needed: ippo, mappo"),
-        (["--algorithm", "qmix", "--output", "new"], "invalid choice"),
-        (["--algorithm", "ippo"], "--output FOLDER is needed"),
-        (["--algorithm", "ippo", "--n-envs", "7", "--output", "new"], "whole multiple of the 2 WTG groups, got 7"),
-        (["--algorithm", "mappo", "--observation-mode", "privileged", "--output", "new"], "leave out the observation"),
-        (["--algorithm", "ippo", "--groups", "0", "--output", "new"], "group"),
-        (["--algorithm", "ippo", "--sensors", "exact", "--output", "new"], "sensors are part of version v1 and later"),
-        (["--algorithm", "ippo", "--suite", "standard-v1", "--sensors", "{}x", "--output", "new"], "sensors must be"),
-        (["--resume", "single"], "a run of ppo: go on with it by the command that began it"),
+        (["--output", "new"], "--algo is needed: ppo, sac, td3, tqc, recurrent_ppo, ippo, mappo"),
+        (["--algo", "qmix", "--output", "new"], "invalid choice"),
+        (["--algo", "ippo"], "--output FOLDER is needed"),
+        (["--algo", "ippo", "--n-envs", "7", "--output", "new"], "whole multiple of the 2 WTG groups, got 7"),
+        (["--algo", "mappo", "--observation-mode", "privileged", "--output", "new"], "leave out the observation"),
+        (["--algo", "ippo", "--groups", "0", "--output", "new"], "group"),
+        (["--algo", "ippo", "--sensors", "exact", "--output", "new"], "sensors are part of version v1 and later"),
+        (["--algo", "ippo", "--suite", "standard-v1", "--sensors", "{}x", "--output", "new"], "sensors must be"),
     ],
 )
 def test_bad_options_are_refused_before_anything_runs(
     arguments: list[str], text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    Run.new(RunSettings(algo="ppo", hyperparameters={}, timesteps=1, n_envs=1, interval=1)).write(tmp_path / "single")
-    assert marl.main(arguments) == 2
+    assert train_command(arguments) == 2
     error = capsys.readouterr().err
     assert error.startswith("error: ") and error.count("\n") == 1
     assert text in error, error

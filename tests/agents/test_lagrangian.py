@@ -8,74 +8,105 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
+from torch import nn
 
 from agents import lagrangian
-from agents.ppo import Collector
+from agents.gains import stagger
+from agents.vec_env import GainVecEnv
 from wtg_gym.envs import GFMWTGVectorEnv
 from wtg_gym.policies.load import load_entries
 
 N = 8
 
 
-def test_every_violating_step_is_counted_also_an_episodes_last() -> None:
-    plain = GFMWTGVectorEnv(N, autoreset_mode="SameStep", suite="standard-v1", duration_s=5.0)
-    envs = lagrangian.CountingEnvs(N, autoreset_mode="SameStep", suite="standard-v1", duration_s=5.0)
-    plain.reset(seed=0)
-    envs.reset(seed=0)
-    actions = np.ones((N, plain.lanes.n_action), dtype=np.float32)
-    violated = n_ends = 0.0
-    for _ in range(120):
-        observations, rewards, terminated, truncated, infos = plain.step(actions)
-        others, same, *_ = envs.step(actions)
-        over = terminated | truncated
-        costs = np.where(over, infos["final_info"]["cost"] if over.any() else 0.0, infos["cost"])
-        assert np.array_equal(observations, others) and np.array_equal(rewards, same)
-        assert np.array_equal(envs.costs, costs)
-        violated += costs.sum()
-        n_ends += over.sum()
-    assert violated > 0 and n_ends >= 2 * N
-    assert envs.share_since_last() == violated / (120 * N) and envs.share_since_last() == 0.0
-    plain.close()
+SHORT: dict[str, Any] = {"suite": "standard-v1", "strategy": "mppt", "duration_s": 20.0}
+
+
+def test_guard_lowers_the_k_of_groups_with_much_power_alone() -> None:
+    envs = GFMWTGVectorEnv(2, suite="standard-v1")
+    names = envs.lanes.observation_names
+    powers = [index for index, name in enumerate(names) if name.split(".")[1].startswith("power")]
+    observations = torch.rand(2, len(names)) + 2.0
+    observations[:, powers] = torch.tensor([[0.2, 0.85, 0.95, 1.05], [0.95, 0.2, 0.3, 0.4]])
+    expected = torch.zeros(2, 8)
+    expected[:, ::2] = torch.tensor([[0.0, 0.0, -0.2, -0.4], [-0.2, 0.0, 0.0, 0.0]])
+    assert torch.allclose(lagrangian.guard(observations), expected, atol=1e-6)
     envs.close()
 
 
-def test_violating_steps_cost_the_multiplier(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Collector, "_scaled", lambda self, rewards, done: rewards)
-    envs = object.__new__(lagrangian.CountingEnvs)
-    envs.costs = np.array([0.0, 1.0, 1.0])
-    collector: Any = object.__new__(lagrangian.LagrangianCollector)
-    collector._envs, collector.multiplier = envs, 0.25
-    assert collector._scaled(np.array([0.5, 0.5, -1.0]), None).tolist() == [0.5, 0.25, -1.25]
+def test_violating_steps_cost_the_multiplier_also_an_episodes_last() -> None:
+    plain, penalised = GainVecEnv(N, **SHORT), lagrangian.PenalisedVecEnv(N, **SHORT)
+    for env in (plain, penalised):
+        env.seed(0)
+        seen = env.reset()
+    penalised.multiplier = 0.25
+    actions = np.ones((N, 8), dtype=np.float32)
+    violated = at_ends = 0.0
+    for _ in range(250):
+        guarded = np.clip(actions + lagrangian.guard(torch.as_tensor(seen)).numpy(), -1.0, 1.0)
+        seen, gains, dones, infos = plain.step(guarded)
+        now = plain.vector_env.lanes.info_arrays()["cost"]
+        costs = np.array([infos[lane]["cost"] if dones[lane] else now[lane] for lane in range(N)])
+        # All that is left of an episode, where it failed.
+        costs += [round((20.0 - infos[lane]["time_s"]) / 0.1) if dones[lane] else 0.0 for lane in range(N)]
+        _, less, *_ = penalised.step(actions)
+        assert less.tolist() == pytest.approx((gains - 0.25 * costs).tolist(), abs=1e-5)
+        violated += costs.sum()
+        at_ends += costs[dones].sum()
+    assert violated > at_ends > 0
+    plain.close()
+    penalised.close()
 
 
-def test_multiplier_follows_the_share_above_the_bound() -> None:
-    # No share is below it, so that the multiplier must rise whatever the few lanes do.
-    bound = -0.01
-    _, course = lagrangian.train(bound, 2 * 150 * N, N, seed=0)
-    (first, start), (_, multiplier) = course
-    assert (start, multiplier) == (lagrangian._START, lagrangian._START + lagrangian._RATE * (first - bound))
-    assert multiplier > start
+def test_measure_counts_the_steps_of_the_policy_without_noise() -> None:
+    class Brakes(nn.Module):
+        def forward(self, observation: torch.Tensor) -> torch.Tensor:
+            return torch.ones(observation.shape[0], 8)
+
+    envs = GFMWTGVectorEnv(N, autoreset_mode="SameStep", suite="standard-v1", strategy="coordinated-tuned")
+    measure = lagrangian.Measure(N, 3)
+    envs.reset(seed=3)
+    stagger(envs)
+    violated = 0.0
+    for _ in range(400):
+        *_, terminated, truncated, infos = envs.step(np.ones((N, 8), dtype=np.float32))
+        for lane in range(N):
+            over = terminated[lane] or truncated[lane]
+            violated += float(infos["final_info"]["cost"][lane] if over else infos["cost"][lane])
+    assert violated > 0 and measure.share(Brakes(), 400) == violated / (400 * N)
+    measure.close()
+    envs.close()
+
+
+@pytest.mark.parametrize("bound", [-0.01, 1.01])
+def test_multiplier_follows_the_share_above_the_bound(bound: float, tmp_path: Path) -> None:
+    # A share is never below the one and never above the other, whatever the few lanes do.
+    (first, start), (_, multiplier) = lagrangian.train(bound, 2 * 150 * 128, 128, 0, tmp_path)
+    assert start == 0.0
+    assert multiplier == max(0.0, lagrangian._RATE * (first - bound))
+    assert (multiplier > 0.0) == (bound < 0.0)
 
 
 def test_share_is_that_of_the_steps_that_were_made() -> None:
-    def episode(constraint_s: float, survived_s: float) -> SimpleNamespace:
-        return SimpleNamespace(metrics={"constraint_time_s": constraint_s, "survived_s": survived_s})
+    def episode(seed: int, constraint_s: float, survived_s: float) -> SimpleNamespace:
+        metrics = {"constraint_time_s": constraint_s, "survived_s": survived_s}
+        return SimpleNamespace(metrics=metrics, training_seed=None, seed=seed)
 
-    results: Any = SimpleNamespace(episodes_of=lambda name: [episode(1.0, 10.0), episode(0.5, 5.0)])
-    assert lagrangian.violated_percent(results, "mine") == 10.0
+    results: Any = SimpleNamespace(episodes_of=lambda name: [episode(0, 1.0, 10.0), episode(1, 0.5, 5.0)])
+    assert lagrangian.violated_percent(results, "mine").mean() == pytest.approx(10.0)
 
 
-def test_command_writes_an_entry_and_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_writes_entries_and_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = tmp_path / "page.md"
     page.write_text("<!-- lagrangian:start -->\n<!-- lagrangian:end -->\n")
-    sizes = ["--timesteps", "1200", "--n-envs", "8", "--scenarios", "4", "--page", str(page)]
+    sizes = ["--timesteps", "19200", "--n-envs", "128", "--seeds", "0", "1", "--scenarios", "4", "--page", str(page)]
     assert lagrangian.main([*sizes, "--output", str(tmp_path / "mine")]) == 0
-    (entry,) = load_entries(tmp_path / "mine")
-    assert (entry.name, entry.environment, entry.law.name) == (
-        "Lagrangian PPO",
-        "GFMWTG-14bus-v1",
-        lagrangian._STRATEGY,
-    )
-    assert page.read_text().count("| Lagrangian PPO |") == 1 and "| coordinated-tuned | 100.0 |" in page.read_text()
+    entries = [entry for seed in (0, 1) for entry in load_entries(tmp_path / "mine" / f"seed-{seed}")]
+    assert [(entry.name, entry.training_seed, entry.environment) for entry in entries] == [
+        ("Lagrangian PPO", 0, "GFMWTG-14bus-v1"),
+        ("Lagrangian PPO", 1, "GFMWTG-14bus-v1"),
+    ]
+    assert page.read_text().count("| Lagrangian PPO |") == 1 and "| coordinated-tuned | 100.0 (" in page.read_text()
     assert lagrangian.main(["--bound", "0", "--output", str(tmp_path / "other")]) == 2
     assert "--bound must be between 0 and 100 %" in capsys.readouterr().err

@@ -7,6 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 import torch
@@ -29,8 +30,14 @@ def test_actor_normalises_and_clips_as_the_data_was() -> None:
             return SimpleNamespace(squashed_mu=observation)
 
     mean, std = np.array([1.0, -2.0], dtype=np.float32), np.array([2.0, 0.1], dtype=np.float32)
-    seen = offline.Actor(Sees(), mean, std)(torch.tensor([[3.0, -2.05], [1.0, 5.0]]))
+    seen = offline.Actor(Sees(), [0, 2], mean, std)(torch.tensor([[3.0, 7.0, -2.05], [1.0, 7.0, 5.0]]))
     assert torch.allclose(seen, torch.tensor([[1.0, -0.5], [0.0, 10.0]]), atol=1e-6)
+
+
+def test_policies_do_not_see_their_last_actions() -> None:
+    env = gym.make("wtg_gym:GFMWTG-14bus-v1")
+    dataset = SimpleNamespace(recover_environment=lambda: env)
+    assert offline.seen_columns(dataset) == [i for i in range(32) if i % 8 < 6]
 
 
 def test_clone_of_the_zero_action_is_almost_the_zero_action(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
