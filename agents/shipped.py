@@ -38,7 +38,6 @@ class Shipped(NamedTuple):
 
 #: In v1 agents modulate the law that is tuned to the grid.
 _V1 = ("--suite", "standard-v1", "--strategy", "coordinated-tuned", "--validation-episodes", "200")
-_RECURRENT = ("--lstm", "32", "--hidden", "32")
 _TAU_CONFIG = "agents/configs/ppo_tau.yml"
 SHIPPED = (
     Shipped("ppo-k+tau", "PPO (k, τ)", "PPO that modulates k and τ.", ("--algo", "ppo", "--action-mode", "k+tau")),
@@ -61,16 +60,16 @@ SHIPPED = (
     Shipped("sac-v1", "SAC", "SAC on top of the tuned law.", ("--algo", "sac", *_V1), 3),
     Shipped(
         "gradient",
-        "gradient LSTM (k, τ)",
-        "An LSTM trained by gradients of whole episodes.",
-        (*_RECURRENT, "--validation-episodes", "100"),
+        "gradient MLP (k, τ)",
+        "An MLP trained by gradients of whole episodes.",
+        ("--validation-episodes", "100"),
         command="agents.gradient",
     ),
     Shipped(
         "gradient-v1",
         "gradient LSTM",
         "An LSTM on top of the tuned law, trained by gradients of whole episodes.",
-        (*_RECURRENT, *_V1, "--timesteps", "2880000"),
+        ("--lstm", "32", "--hidden", "32", *_V1, "--timesteps", "2880000"),
         command="agents.gradient",
     ),
 )
