@@ -196,8 +196,9 @@ def compare(
     page: Path | None,
     markers: str,
     more: Mapping[str, Callable[[Results, str], str]] | None = None,
+    split: str = "validation",
 ) -> None:
-    """Print a table of entries, the best first, scored on the first validation scenarios of a suite.
+    """Print a table of entries, the best first, scored on scenarios of a suite.
 
     Args:
         entries: as for :func:`wtg_gym.evaluation.evaluate`.
@@ -207,8 +208,12 @@ def compare(
         page: file that takes the table, between its markers of that name; None for none.
         markers: their name.
         more: further columns: their heads, and what says the number of an entry by its name.
+        split: "validation", whose first scenarios are played, or "train", of which the last ones are: training draws
+            from two thousand million.
     """
-    results = evaluate(list(entries), suite, "validation", seeds=get_suite(suite).seeds("validation")[:n_scenarios])
+    seeds = get_suite(suite).seeds(split)
+    seeds = seeds[-n_scenarios:] if split == "train" else seeds[:n_scenarios]
+    results = evaluate(list(entries), suite, split, seeds=seeds)
     more = more or {}
     rows = [
         [
@@ -223,7 +228,7 @@ def compare(
     print_table(header, rows)
     if page is not None:
         table = markdown_table(header, rows, right=range(1, len(header)))
-        update_page(page, {markers: f"{trained}; {n_scenarios} validation scenarios:\n\n{table}"})
+        update_page(page, {markers: f"{trained}; {n_scenarios} scenarios of split {split}:\n\n{table}"})
 
 
 __all__ = [

@@ -23,29 +23,16 @@ N = 8
 SHORT: dict[str, Any] = {"suite": "standard-v1", "strategy": "mppt", "duration_s": 20.0}
 
 
-def test_guard_lowers_the_k_of_groups_with_much_power_alone() -> None:
-    envs = GFMWTGVectorEnv(2, suite="standard-v1")
-    names = envs.lanes.observation_names
-    powers = [index for index, name in enumerate(names) if name.split(".")[1].startswith("power")]
-    observations = torch.rand(2, len(names)) + 2.0
-    observations[:, powers] = torch.tensor([[0.2, 0.85, 0.95, 1.05], [0.95, 0.2, 0.3, 0.4]])
-    expected = torch.zeros(2, 8)
-    expected[:, ::2] = torch.tensor([[0.0, 0.0, -0.2, -0.4], [-0.2, 0.0, 0.0, 0.0]])
-    assert torch.allclose(lagrangian.guard(observations), expected, atol=1e-6)
-    envs.close()
-
-
 def test_violating_steps_cost_the_multiplier_also_an_episodes_last() -> None:
     plain, penalised = GainVecEnv(N, **SHORT), lagrangian.PenalisedVecEnv(N, **SHORT)
     for env in (plain, penalised):
         env.seed(0)
-        seen = env.reset()
+        env.reset()
     penalised.multiplier = 0.25
     actions = np.ones((N, 8), dtype=np.float32)
     violated = at_ends = 0.0
     for _ in range(250):
-        guarded = np.clip(actions + lagrangian.guard(torch.as_tensor(seen)).numpy(), -1.0, 1.0)
-        seen, gains, dones, infos = plain.step(guarded)
+        _, gains, dones, infos = plain.step(actions)
         now = plain.vector_env.lanes.info_arrays()["cost"]
         costs = np.array([infos[lane]["cost"] if dones[lane] else now[lane] for lane in range(N)])
         # All that is left of an episode, where it failed.
@@ -62,15 +49,15 @@ def test_violating_steps_cost_the_multiplier_also_an_episodes_last() -> None:
 def test_measure_counts_the_steps_of_the_policy_without_noise() -> None:
     class Brakes(nn.Module):
         def forward(self, observation: torch.Tensor) -> torch.Tensor:
-            return torch.ones(observation.shape[0], 8)
+            return torch.ones(observation.shape[0], 4)
 
-    envs = GFMWTGVectorEnv(N, autoreset_mode="SameStep", suite="standard-v1", strategy="coordinated-tuned")
+    envs = GFMWTGVectorEnv(N, autoreset_mode="SameStep", suite=lagrangian._SUITE)
     measure = lagrangian.Measure(N, 3)
     envs.reset(seed=3)
     stagger(envs)
     violated = 0.0
     for _ in range(400):
-        *_, terminated, truncated, infos = envs.step(np.ones((N, 8), dtype=np.float32))
+        *_, terminated, truncated, infos = envs.step(np.ones((N, 4), dtype=np.float32))
         for lane in range(N):
             over = terminated[lane] or truncated[lane]
             violated += float(infos["final_info"]["cost"][lane] if over else infos["cost"][lane])
@@ -100,13 +87,12 @@ def test_share_is_that_of_the_steps_that_were_made() -> None:
 def test_command_writes_entries_and_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = tmp_path / "page.md"
     page.write_text("<!-- lagrangian:start -->\n<!-- lagrangian:end -->\n")
-    sizes = ["--timesteps", "19200", "--n-envs", "128", "--seeds", "0", "1", "--scenarios", "4", "--page", str(page)]
+    sizes = ["--timesteps", "19200", "--n-envs", "128", "--scenarios", "4", "--page", str(page)]
     assert lagrangian.main([*sizes, "--output", str(tmp_path / "mine")]) == 0
-    entries = [entry for seed in (0, 1) for entry in load_entries(tmp_path / "mine" / f"seed-{seed}")]
-    assert [(entry.name, entry.training_seed, entry.environment) for entry in entries] == [
-        ("Lagrangian PPO", 0, "GFMWTG-14bus-v1"),
-        ("Lagrangian PPO", 1, "GFMWTG-14bus-v1"),
-    ]
-    assert page.read_text().count("| Lagrangian PPO |") == 1 and "| coordinated-tuned | 100.0 (" in page.read_text()
+    for folder, name in (("bound-0", "Lagrangian PPO"), ("free-0", "PPO without bound")):
+        (entry,) = load_entries(tmp_path / "mine" / folder)
+        assert (entry.name, entry.training_seed, entry.environment) == (name, 0, "GFMWTG-14bus-v0")
+        assert page.read_text().count(f"| {name} |") == 1
+    assert "| coordinated-piecewise | 100.0 (" in page.read_text()
     assert lagrangian.main(["--bound", "0", "--output", str(tmp_path / "other")]) == 2
     assert "--bound must be between 0 and 100 %" in capsys.readouterr().err
