@@ -1,8 +1,8 @@
 """`python -m agents.gradient`: trains a policy by back-propagation through whole episodes of the environment itself.
 
-The gradients are those of `wtg_gym.gradients`. Nothing is explored and no value function is learned: Adam lowers the
-mean over training scenarios of log(cost + J0), which is what the score rewards. A failure is a step and has no
-gradient: in the loss it comes gradually, while rotors or frequency near the limits of the protections.
+The gradients are those of wtg_gym.gradients. Nothing is explored and no value function is learned: Adam lowers the mean
+over training scenarios of log(cost + J0), which the score rewards. Failures by slow rotors or low frequency are steps
+without a gradient: in the loss they come gradually.
 """
 
 from __future__ import annotations
@@ -44,6 +44,7 @@ from wtg_gym.physics.scenario import Scenario
 NAME = "gradient"
 _WEIGHTS, _STATE = "weights.pt", "state.pt"
 _TIMESTEPS, _N_ENVS = 1_920_000, 32
+_FAILURE = CostTerms._fields.index("failure")
 #: How gradually a failure comes, in rotor speed and in frequency [p.u.].
 ROTOR_SPREAD_PU, FREQUENCY_SPREAD_PU = 0.02, 0.001
 
@@ -55,6 +56,7 @@ class Hyperparameters:
     hidden: Sequence[int] = (64, 64)
     lstm: int = 0
     loss: str = "log"
+    failures: str = "gradual"
     learning_rate: float = 1e-2
     last_rate: float = 0.05
     betas: Sequence[float] = (0.9, 0.99)
@@ -110,7 +112,8 @@ class Failures:
     """Costs in which failures by slow rotors or low frequency come gradually.
 
     A logistic function of the least rotor speed and of the least frequency takes an episode's cost towards that of a
-    failed one in the score. It is 0.5 a spread above the limit of the protection, and 0.73 at the limit.
+    failed one in the score. It is 0.5 a spread above the limit of the protection, and 0.73 at the limit. Failures of
+    other kinds keep their constant charge.
 
     Args:
         episodes: give the limits.
@@ -134,10 +137,12 @@ class Failures:
         """Return the outputs that failures depend on, (n_lanes, n), of all outputs of a step."""
         return outputs[:, self._columns]
 
-    def costs(self, alive: Tensor, least: Tensor) -> Tensor:
-        """Return costs (n_lanes,), from those without failures and the least of what is watched (n_lanes, n)."""
+    def costs(self, terms: Tensor, least: Tensor) -> Tensor:
+        """Return costs (n_lanes,), from the sums of their terms and the least of what is watched (n_lanes, n)."""
         survives = torch.sigmoid((least - self._limits) / self._spreads - 1.0).prod(dim=1)
-        return survives * alive + (1.0 - survives) * self._cost
+        charge = terms[:, _FAILURE]
+        spent = terms.sum(dim=1) - torch.where(survives < 0.5, charge, 0.0)
+        return survives * spent + (1.0 - survives) * self._cost
 
 
 def costs_of(
@@ -159,8 +164,7 @@ def costs_of(
     costs = torch.stack(spent).sum(dim=0)
     if failures is None:
         return costs.sum(dim=1)
-    alive = costs.sum(dim=1) - costs[:, CostTerms._fields.index("failure")]
-    return failures.costs(alive, torch.stack(watched).amin(dim=0))
+    return failures.costs(costs, torch.stack(watched).amin(dim=0))
 
 
 def descend(policy: nn.Module, optimizer: torch.optim.Optimizer, costs: Tensor, h: Hyperparameters) -> float:
@@ -183,7 +187,7 @@ def train(run: Run, folder: Path, h: Hyperparameters) -> None:
     torch.manual_seed(settings.seed)
     episodes = TorchEpisodes(EnvSettings(**settings.env_arguments), settings.n_envs)
     lanes = episodes.tape.lanes
-    failures = Failures(episodes)
+    failures = Failures(episodes) if h.failures == "gradual" else None
     policy = GradientPolicy(lanes.n_observation, lanes.n_action, h.hidden, h.lstm)
     optimizer = torch.optim.Adam(policy.parameters(), lr=h.learning_rate, betas=(h.betas[0], h.betas[1]))
     n_steps = round(lanes.duration_s / lanes.settings.control_dt)
@@ -263,13 +267,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--lstm", type=int, metavar="N", help="width of an LSTM before them (default: 0, none)")
     parser.add_argument("--loss", choices=("log", "mean"), help="mean of log(cost + J0) or of the cost (default: log)")
+    parser.add_argument(
+        "--failures",
+        choices=("gradual", "charged"),
+        help="in the loss: gradual, or a constant charge (default: gradual)",
+    )
     add_folder_options(parser)
 
     def work() -> None:
         given = given_options(parser.parse_args(argv))
 
         def settings() -> RunSettings:
-            h = Hyperparameters(**{key: given[key] for key in ("hidden", "lstm", "loss") if key in given})
+            h = Hyperparameters(**{key: given[key] for key in ("hidden", "lstm", "loss", "failures") if key in given})
             n_envs = given.get("n_envs", _N_ENVS)
             return settings_of(given, NAME, dataclasses.asdict(h), timesteps=_TIMESTEPS, n_envs=n_envs)
 

@@ -46,19 +46,23 @@ def test_a_failure_comes_gradually_and_its_approach_has_a_gradient() -> None:
     episodes = TorchEpisodes(settings, 4, 1)
     failures, n_watched = Failures(episodes), 1 + episodes.tape.lanes.n_wtg
     limits = torch.tensor([0.97] + [0.5] * (n_watched - 1), dtype=torch.float64)
-    alive, worst = torch.tensor([40.0], dtype=torch.float64), 50.0 * 61.0
+    alive, worst = torch.tensor([[40.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]], dtype=torch.float64), 50.0 * 61.0
     assert failures.costs(alive, limits[None] + 0.5).item() == pytest.approx(40.0)
+    # A failure of another kind keeps its charge; in the one that comes gradually it is counted once.
+    charged = alive + torch.tensor([0.0] * 6 + [1000.0], dtype=torch.float64)
+    assert failures.costs(charged, limits[None] + 0.5).item() == pytest.approx(1040.0)
     one_at_its_limit = limits + 0.5
     one_at_its_limit[1] = 0.5
     share = 1.0 / (1.0 + math.exp(-1.0))
-    assert failures.costs(alive, one_at_its_limit[None]).item() == pytest.approx(40.0 + share * (worst - 40.0))
+    for terms in (alive, charged):
+        assert failures.costs(terms, one_at_its_limit[None]).item() == pytest.approx(40.0 + share * (worst - 40.0))
     # Nothing is near a failure in the first 2 s.
     policy = GradientPolicy(episodes.tape.lanes.n_observation, episodes.tape.lanes.n_action)
     scenarios = episodes.tape.lanes.scenarios(range(1_000_000, 1_000_004))
     plain, gradual = (costs_of(episodes, policy, scenarios, 20, each) for each in (None, failures))
     assert gradual.tolist() == pytest.approx(plain.tolist(), abs=1e-6 * worst)
     least = (limits + 0.005).repeat(4, 1).requires_grad_()
-    failures.costs(alive.repeat(4), least).sum().backward()  # type: ignore[no-untyped-call]
+    failures.costs(alive.repeat(4, 1), least).sum().backward()  # type: ignore[no-untyped-call]
     assert least.grad is not None and (least.grad < 0.0).all()
 
 

@@ -15,8 +15,10 @@ if TYPE_CHECKING:
 def __getattr__(name: str) -> Any:
     # JAX takes seconds to import.
     if name in __all__:
-        from wtg_gym.functional import environment
-
+        try:
+            from wtg_gym.functional import environment
+        except ImportError as error:
+            raise ImportError("wtg_gym.functional needs JAX: pip install 'wtg-gym[jax]'") from error
         return getattr(environment, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 

@@ -13,8 +13,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import torch
-from torch.autograd.function import once_differentiable
+try:
+    import torch
+    from torch.autograd.function import once_differentiable
+except ImportError as error:
+    raise ImportError("wtg_gym.gradients.torch needs PyTorch: pip install 'wtg-gym[train]'") from error
 
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.gradients.tape import Tape
@@ -51,13 +54,17 @@ _apply: Any = _Step.apply
 
 
 class TorchEpisodes:
-    """A :class:`~wtg_gym.gradients.tape.Tape` of tensors, on the CPU; its arguments and errors are the tape's."""
+    """A :class:`~wtg_gym.gradients.tape.Tape` of tensors, on the CPU; its arguments and errors are the tape's.
+
+    Parameters of the plant are the tape's alone.
+    """
 
     def __init__(self, settings: EnvSettings, n_lanes: int = 1, n_threads: int | None = None) -> None:
         self.tape = Tape(settings, n_lanes, n_threads)
         self._left: Any = None
         self._law: Any = None
-        #: Those of the tape at the end of the latest step (n_lanes, n_outputs), in the order of its `output_names`.
+        #: Those of the tape at the end of the latest step (n_lanes, n_outputs), in the order of its `output_names`;
+        #: None before the first.
         self.outputs: Any = None
 
     def start(self, scenarios: Sequence[Scenario], law: Any = None) -> Any:
@@ -79,6 +86,7 @@ class TorchEpisodes:
                 )
             self._law = law.expand(own.shape)
             self.tape.set_law(self._law.detach().to("cpu", torch.float64).numpy())
+        self.outputs = None
         self._left = torch.zeros((self.tape.lanes.n_lanes, self.tape.n_carried), dtype=torch.float64)
         return torch.from_numpy(observations)
 
