@@ -42,7 +42,7 @@ _LEARNING_RATE = 0.0003
 #: for a violating step].
 _RATE = 300.0
 #: The share that training aims at, of the bound: on other scenarios it is another one.
-_AIM = 0.75
+_AIM = 0.8
 
 _DESCRIPTION = f"""\
 Trains PPO on {_SUITE} to support the frequency, under a bound on the share of steps that violate a constraint, and once
@@ -50,7 +50,7 @@ more without the bound. Exports both as entries, and compares them with the law 
 training split that they have not seen: violations are rare, and validation scenarios too few to count them."""
 _EXAMPLES = f"""\
 examples:
-  python -m agents.lagrangian --bound 1 --output runs/lagrangian
+  python -m agents.lagrangian --bound 1.25 --output runs/lagrangian
   wtg-gym evaluate --suite {_SUITE} --entries runs/lagrangian/*"""
 
 
@@ -220,7 +220,9 @@ def _paid_for(results: Results, name: str) -> str:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     parser = Parser(prog="python -m agents.lagrangian", description=_DESCRIPTION, epilog=_EXAMPLES)
-    parser.add_argument("--bound", type=float, default=1.0, metavar="X", help="on the share of steps [%%] (default: 1)")
+    parser.add_argument(
+        "--bound", type=float, default=1.25, metavar="X", help="on the share of steps [%%] (default: 1.25)"
+    )
     parser.add_argument(
         "--timesteps", type=int, default=3_000_000, metavar="N", help="of each training (default: 3000000)"
     )
@@ -228,7 +230,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--seeds", type=int, nargs="+", default=[0], metavar="N", help="two trainings for each (default: 0)"
     )
-    parser.add_argument("--scenarios", type=int, default=1000, metavar="N", help="to compare on (default: 1000)")
+    parser.add_argument("--scenarios", type=int, default=2000, metavar="N", help="to compare on (default: 2000)")
     parser.add_argument("--page", metavar="FILE", help="put the table between this file's markers")
     parser.add_argument("--output", required=True, metavar="FOLDER", help="folder of the entries' folders")
 
