@@ -14,7 +14,7 @@ from tests.agents.small import CONFIGS, ON_POLICY
 from wtg_gym import ENV_ID
 
 #: The files that are not named after their algorithm.
-OTHER_FILES = {"ppo_tau": "ppo"}
+OTHER_FILES = {"ppo_tau": "ppo", "ippo": "ppo"}
 
 
 @pytest.mark.parametrize("name", [*ALGORITHMS, *OTHER_FILES])

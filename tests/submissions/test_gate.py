@@ -228,4 +228,4 @@ def test_shipped_entries_pass_every_check(name: str) -> None:
 
 def test_folders_and_texts_of_all_shipped_entries_pass() -> None:
     folders = list(POLICIES.iterdir())
-    assert len(folders) == 21 + 11 and all(parse_entry(read_files(path)["entry.toml"]).authors for path in folders)
+    assert len(folders) == 26 + 16 and all(parse_entry(read_files(path)["entry.toml"]).authors for path in folders)
