@@ -164,9 +164,9 @@ def study_equilibria() -> EquilibriumStudy:
     return EquilibriumStudy(
         winds,
         critical,
-        f"A deloaded WTG keeps its equilibrium down to {50 * lowest:.1f} Hz, the end of the regulation range, only above "
-        f"{safe_from('deloaded-5'):.2f} m/s (5 %) or {safe_from('deloaded-10'):.2f} m/s (10 %); the coordinated laws "
-        "do so at every wind speed. The pitch protection makes the bend above 11.5 m/s.",
+        f"A deloaded WTG keeps its equilibrium down to {50 * lowest:.1f} Hz, the end of the regulation range, only "
+        f"above {safe_from('deloaded-5'):.2f} m/s (5 %) or {safe_from('deloaded-10'):.2f} m/s (10 %); the coordinated "
+        "laws do so at every wind speed. The pitch protection makes the bend above 11.5 m/s.",
     )
 
 
