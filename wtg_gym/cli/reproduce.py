@@ -183,7 +183,7 @@ def _paper_pictures(evidence: _Evidence) -> list[_Picture]:
         _Picture(
             f"characteristic-{name}",
             "Power-frequency characteristic",
-            f"Power-frequency characteristic: {words}.",
+            f"Characteristic: {words}.",
             lambda name=name: plotting.plot_characteristic(STRATEGIES[name]),  # type: ignore[misc]
         )
         for name, words in (
