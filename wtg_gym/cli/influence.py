@@ -125,5 +125,5 @@ def _summary(found: Influences, arguments: argparse.Namespace) -> str:
     what = found.scenarios[0] if n == 1 else f"{n} scenarios of {arguments.suite} from seed {arguments.seed}, means"
     return (
         f"{what}, {arguments.strategy}: nadir {nadir:.3f} Hz, largest RoCoF {rocof:.3f} Hz/s, least rotor speed "
-        f"{rotor:.4f} p.u. What one per cent more does:"
+        f"{rotor:.4f} p.u. Effect of one per cent more:"
     )
