@@ -40,6 +40,7 @@ from wtg_gym.physics.layout import (
     rows_of,
     wtg_row,
 )
+from wtg_gym.ranges import ByName
 
 try:
     from pettingzoo import ParallelEnv
@@ -94,6 +95,9 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
             )
         if not isinstance(reward, str) or reward not in REWARDS:
             raise ValueError(f"unknown reward {reward!r}; choose one of {', '.join(REWARDS)}")
+        known = ["reward", "render_mode", *sorted(EnvArguments.__annotations__.keys() - {"observation_mode"})]
+        if unknown := sorted(arguments.keys() - set(known)):
+            raise TypeError(f"unexpected keyword argument {unknown[0]!r}; known arguments: {', '.join(known)}")
         self.reward = reward
         #: The environment that the agents share.
         seen: EnvArguments = {**arguments, "observation_mode": "privileged"}
@@ -107,14 +111,17 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
         width = lanes.n_local + n_modes
         bound, one = np.full(width, OBSERVATION_BOUND, dtype=np.float32), np.ones(n_modes, dtype=np.float32)
         # Each its own, so that each can be seeded by itself.
-        self.observation_spaces = {agent: gym.spaces.Box(-bound, bound) for agent in self.possible_agents}
-        self.action_spaces = {agent: gym.spaces.Box(-one, one) for agent in self.possible_agents}
+        self.observation_spaces = ByName(
+            "agent", {each: gym.spaces.Box(-bound, bound) for each in self.possible_agents}
+        )
+        self.action_spaces = ByName("agent", {each: gym.spaces.Box(-one, one) for each in self.possible_agents})
         self.state_space = self.single_env.observation_space
         self._action_shape = (n_modes,)
         self._seen = {agent: slice(j * width, (j + 1) * width) for j, agent in enumerate(self.possible_agents)}
         self._done_by = {agent: slice(j * n_modes, (j + 1) * n_modes) for j, agent in enumerate(self.possible_agents)}
         #: Names and units of each agent's observation.
-        self.observation_names = {agent: lanes.observation_names[own] for agent, own in self._seen.items()}
+        names = {agent: lanes.observation_names[own] for agent, own in self._seen.items()}
+        self.observation_names = ByName("agent", names)
 
     @property
     def settings(self) -> EnvSettings:
@@ -122,11 +129,11 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
         return self.single_env.settings
 
     def observation_space(self, agent: str) -> gym.spaces.Box:
-        """Return what an agent observes: Box(-5, 5, (n,))."""
+        """Return what an agent observes: Box(-5, 5, (n,)); a KeyError lists the agents."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> gym.spaces.Box:
-        """Return what an agent does: Box(-1, 1, (n_modes,))."""
+        """Return what an agent does: Box(-1, 1, (n_modes,)); a KeyError lists the agents."""
         return self.action_spaces[agent]
 
     def reset(
