@@ -32,7 +32,13 @@ from wtg_gym.evaluation import Results, evaluate
 from wtg_gym.files import markdown_table
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.progress import Progress
+from wtg_gym.ranges import require_range
 from wtg_gym.scenarios import get_suite
+
+#: What :func:`compare` leaves after an interruption, for :func:`run_command`.
+KEPT = "the entries that were complete stay; begin anew in another folder"
+#: More are not compared at a time.
+_MOST_SCENARIOS = 100_000
 
 
 def run_command(work: Callable[[], None], after_interrupt: str | None = None) -> int:
@@ -188,30 +194,49 @@ def opened_run(
     note(f"best validation score {run.best['score']:.1f} at step {run.best['timesteps']}; wrote {folder}")
 
 
+def add_comparison_options(parser: argparse.ArgumentParser, *, scenarios: int) -> None:
+    """Add the options of :func:`compare`."""
+    parser.add_argument(
+        "--scenarios", type=int, default=scenarios, metavar="N", help=f"to score on (default: {scenarios})"
+    )
+    parser.add_argument("--page", metavar="FILE", help="put the table between this file's markers")
+    parser.add_argument(
+        "--output",
+        required=True,
+        metavar="FOLDER",
+        help="new folder for the entries' folders; after an interruption, start anew in another one",
+    )
+
+
 def compare(
-    entries: Sequence[str | Path],
+    given: argparse.Namespace,
+    train: Callable[[Path], Sequence[str | Path]],
     suite: str,
-    n_scenarios: int,
     trained: str,
-    page: Path | None,
     markers: str,
     more: Mapping[str, Callable[[Results, str], str]] | None = None,
     split: str = "validation",
 ) -> None:
-    """Print a table of entries, the best first, scored on scenarios of a suite.
+    """Train entries, score them on scenarios of a suite, and print a table of them, the best first.
 
     Args:
-        entries: as for :func:`wtg_gym.evaluation.evaluate`.
+        given: options, those of :func:`add_comparison_options` among them, which are checked before anything runs.
+        train: writes folders of entries into a folder, and returns the entries to compare.
         suite: name of the suite.
-        n_scenarios: how many.
         trained: how the entries were trained, for the line over the table.
-        page: file that takes the table, between its markers of that name; None for none.
-        markers: their name.
+        markers: name of the page's markers.
         more: further columns: their heads, and what says the number of an entry by its name.
         split: "validation", whose first scenarios are played, or "train", of which the last ones are: training draws
             from two thousand million.
+
+    Raises:
+        ValueError: an option is out of range, or a file or folder cannot be used.
     """
-    seeds = get_suite(suite).seeds(split)
+    page, seeds = check_page("--page", given.page, markers), get_suite(suite).seeds(split)
+    n_scenarios = given.scenarios
+    require_range("--scenarios", n_scenarios, 1, min(len(seeds), _MOST_SCENARIOS), "")
+    with new_folder(Path(given.output)) as folder:
+        entries = train(folder)
     seeds = seeds[-n_scenarios:] if split == "train" else seeds[:n_scenarios]
     results = evaluate(list(entries), suite, split, seeds=seeds)
     more = more or {}
@@ -233,8 +258,10 @@ def compare(
 
 __all__ = [
     "FIGURE_FORMATS",
+    "KEPT",
     "Parser",
     "Progress",
+    "add_comparison_options",
     "add_folder_options",
     "add_plant_options",
     "add_strategy_option",
@@ -250,6 +277,7 @@ __all__ = [
     "print_table",
     "require_extra",
     "require_package",
+    "require_range",
     "run_command",
     "say",
     "settings_of",

@@ -26,7 +26,9 @@ def new_folder(path: Path) -> Iterator[Path]:
     """
     made = not path.exists()
     if not made and (not path.is_dir() or any(each.name != _LOCK_FILE for each in path.iterdir())):
-        raise ValueError(f"{path} exists and is not an empty folder; give a new one, or go on with --resume {path}")
+        raise ValueError(
+            f"{path} exists and is not an empty folder; give a new one, or --resume {path} where there is that option"
+        )
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -18,11 +18,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from agents.command import Parser, Progress, add_training_options, given_options, note, run_command, settings_of
-from agents.folders import BEST, loading, new_folder, save_folder
+from agents.command import Parser, Progress, add_training_options, given_options, opened_run, run_command, settings_of
+from agents.folders import BEST, loading, save_folder
 from agents.gains import Gains, stagger
-from agents.onnx_graph import Normalization, PolicyNetwork, flat_layers
-from agents.runs import Run
+from agents.onnx_graph import Normalization, PolicyNetwork, flat_layers, normalized
+from agents.runs import Run, RunSettings
 from wtg_gym.envs import GFMWTGVectorEnv
 from wtg_gym.scenarios import get_suite
 
@@ -100,8 +100,7 @@ class Agent(nn.Module):
         self.log_std = nn.Parameter(torch.full((n_action,), h.log_std_init))
 
     def normalized(self, observations: Any) -> Tensor:
-        values = (torch.as_tensor(observations, dtype=torch.float64) - self.moments.mean) / self.moments.std
-        return values.clamp(-_CLIP, _CLIP).float()
+        return normalized(torch.as_tensor(observations), self.moments.mean, self.moments.std, _CLIP)
 
     def sample(self, normalized: Tensor) -> Tensor:
         mean: Tensor = self.actor(normalized)
@@ -282,19 +281,23 @@ def agent_of(weights: Mapping[str, Tensor]) -> Agent:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     parser = Parser(prog="python -m agents.ppo", description=__doc__)
-    parser.add_argument("--output", required=True, metavar="FOLDER", help="folder of the new run")
+    parser.add_argument(
+        "--output", required=True, metavar="FOLDER", help="folder of the new run, which cannot go on later"
+    )
     add_training_options(parser, timesteps=str(_TIMESTEPS))
     parser.add_argument("--n-envs", type=int, metavar="N", help=f"episodes side by side (default: {_N_ENVS})")
 
     def work() -> None:
         given, h = given_options(parser.parse_args(argv)), Hyperparameters()
-        n_envs = given.get("n_envs", _N_ENVS)
-        run = Run.new(settings_of(given, NAME, dataclasses.asdict(h), timesteps=_TIMESTEPS, n_envs=n_envs))
-        with new_folder(Path(given["output"])) as folder:
-            train(run, folder, h)
-        note(f"best validation score {run.best['score']:.1f} at step {run.best['timesteps']}; wrote {folder}")
 
-    return run_command(work)
+        def settings() -> RunSettings:
+            n_envs = given.get("n_envs", _N_ENVS)
+            return settings_of(given, NAME, dataclasses.asdict(h), timesteps=_TIMESTEPS, n_envs=n_envs)
+
+        with opened_run(given, (NAME,), settings) as (run, folder):
+            train(run, folder, h)
+
+    return run_command(work, "the best policy stays; begin anew in another folder")
 
 
 if __name__ == "__main__":
