@@ -63,7 +63,7 @@ def held(folder: Path) -> Iterator[None]:
         yield
 
 
-def save_folder(parent: Path, timesteps: int, write: Callable[[Path], None]) -> None:
+def save_folder(parent: Path, timesteps: int, write: Callable[[Path], object]) -> None:
     """Write a folder that is named after a number of timesteps, then remove the older ones beside it.
 
     The folder gets its name when it is complete, so that a complete one remains after a kill at any moment. One of the

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor, nn
 
 from agents.command import Parser, Progress, add_training_options, given_options, opened_run, run_command, settings_of
-from agents.folders import BEST, loading, save_folder
+from agents.folders import loading
 from agents.gains import Gains, stagger
 from agents.onnx_graph import Normalization, PolicyNetwork, flat_layers, normalized
 from agents.runs import Run, RunSettings
@@ -244,9 +244,7 @@ def train(run: Run, folder: Path, h: Hyperparameters) -> None:
             steps, run.finished = index * per_rollout, index == n_rollouts
             if run.is_due(steps) or run.finished:
                 run.validate(agent, steps, time.monotonic() - began)
-                if run.best is run.curve[-1]:
-                    save_folder(folder / BEST, steps, lambda path: save(path, agent))
-                run.write(folder)
+                run.keep(folder, lambda path: save(path, agent))
             if not run.finished:
                 optimizer.param_groups[0]["lr"] = h.learning_rate * (1.0 - index / n_rollouts)
                 batch, gain = collector.rollout()

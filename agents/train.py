@@ -29,7 +29,7 @@ from agents.command import (
     settings_of,
 )
 from agents.entry_file import entry_values, write_entry
-from agents.folders import BEST, CHECKPOINTS, folders, save_folder
+from agents.folders import CHECKPOINTS, folders
 from agents.hyperparameters import ALGORITHMS, CONFIG_FOLDER, parse, read_config
 from agents.learners import build_model, load_checkpoint, save_checkpoint, save_policy
 from agents.multi_agent import (
@@ -188,21 +188,13 @@ class _Supervision(BaseCallback):
         for key, value in metrics.items():
             self.logger.record(f"validation/{key}", value)
         if self._folder is not None:
-            self._save(self._folder)
+            run.keep(self._folder, self._write_best, functools.partial(save_checkpoint, model=model))
         if model.num_timesteps != self._restored_at and getattr(model, "use_sde", False):
             # A learner draws the noise of its next rollout before it calls us, and once more after a resumption.
             actor: Any = model.policy
             actor.reset_noise(model.n_envs)
         if self._on_score is not None:
             self._on_score(model.num_timesteps, metrics["score"])
-
-    def _save(self, folder: Path) -> None:
-        # The checkpoint comes first: one whose row is missing in run.json is validated again on resumption.
-        run, steps = self._run, self.model.num_timesteps
-        save_folder(folder / CHECKPOINTS, steps, functools.partial(save_checkpoint, model=self.model))
-        if run.best is run.curve[-1]:
-            save_folder(folder / BEST, steps, self._write_best)
-        run.write(folder)
 
     def _write_best(self, folder: Path) -> None:
         """Write the policy as an entry: an archive for `wtg-gym evaluate --trust-pickle`; of many agents ONNX."""
