@@ -26,7 +26,7 @@ from wtg_gym.cli.output import (
     write_and_say,
 )
 from wtg_gym.cli.parser import Parser
-from wtg_gym.cli.scoring import chosen_entries
+from wtg_gym.cli.scoring import chosen_entries, first_seeds
 from wtg_gym.envs.settings import ACTION_MODES, OBSERVATION_MODES
 from wtg_gym.evaluation import Results, evaluate
 from wtg_gym.files import markdown_table
@@ -37,8 +37,6 @@ from wtg_gym.scenarios import get_suite
 
 #: What :func:`compare` leaves after an interruption, for :func:`run_command`.
 KEPT = "the entries that were complete stay; begin anew in another folder"
-#: More are not compared at a time.
-_MOST_SCENARIOS = 100_000
 
 
 def run_command(work: Callable[[], None], after_interrupt: str | None = None) -> int:
@@ -61,14 +59,12 @@ def run_command(work: Callable[[], None], after_interrupt: str | None = None) ->
     return 0
 
 
-def require_package(package: str, extra: str) -> None:
-    """Raise a ValueError that names the extra if a package cannot be imported."""
+def require_package(package: str, requirement: str) -> None:
+    """Raise a ValueError that says what to install if a package cannot be imported."""
     try:
         importlib.import_module(package)
     except ImportError as error:
-        raise ValueError(
-            f"{package} of the {extra} extra is needed: pip install 'wtg-gym[{extra}]' ({error})"
-        ) from error
+        raise ValueError(f"{package} is needed: pip install {requirement} ({error})") from error
 
 
 def add_strategy_option(parser: argparse.ArgumentParser) -> None:
@@ -232,12 +228,11 @@ def compare(
     Raises:
         ValueError: an option is out of range, or a file or folder cannot be used.
     """
-    page, seeds = check_page("--page", given.page, markers), get_suite(suite).seeds(split)
-    n_scenarios = given.scenarios
-    require_range("--scenarios", n_scenarios, 1, min(len(seeds), _MOST_SCENARIOS), "")
+    page, seeds = check_page("--page", given.page, markers), first_seeds(suite, split, given.scenarios)
     with new_folder(Path(given.output)) as folder:
         entries = train(folder)
-    seeds = seeds[-n_scenarios:] if split == "train" else seeds[:n_scenarios]
+    if split == "train":
+        seeds = list(get_suite(suite).train[-len(seeds) :])
     results = evaluate(list(entries), suite, split, seeds=seeds)
     more = more or {}
     rows = [
@@ -253,7 +248,7 @@ def compare(
     print_table(header, rows)
     if page is not None:
         table = markdown_table(header, rows, right=range(1, len(header)))
-        update_page(page, {markers: f"{trained}; {n_scenarios} scenarios of split {split}:\n\n{table}"})
+        update_page(page, {markers: f"{trained}; {len(seeds)} scenarios of split {split}:\n\n{table}"})
 
 
 __all__ = [

@@ -111,7 +111,7 @@ def _trained(best: Path, settings: RunSettings) -> tuple[Policy, PolicyNetwork, 
     from agents.hyperparameters import ALGORITHMS
     from wtg_gym.policies.sb3_archive import load_archive
 
-    folder = best / multi_agent.ARCHIVE_FOLDER if algo in multi_agent.MULTI_AGENT else best
+    folder = best / multi_agent.ARCHIVE_FOLDER if algo in multi_agent.ALGORITHMS else best
     policy, _ = load_archive(folder, ALGORITHMS[multi_agent.base_algorithm(algo)].__name__)
     settings = multi_agent.entry_settings(settings)
     return multi_agent.joint_policy(settings, policy), multi_agent.joint_network(settings, policy), settings

@@ -216,8 +216,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise ValueError(f"--bound must be between 0 and 100 %, got {given.bound:g}")
         require_range("--timesteps", given.timesteps, 1, 10**12, "steps")
         require_range("--n-envs", given.n_envs, 1, 100_000, "episodes")
-        # Each once: a seed has one folder.
-        seeds = list(dict.fromkeys(given.seeds))
+        seeds = sorted(set(given.seeds))
         for seed in seeds:
             require_range("--seeds", seed, 0, 2**31 - 1, "")
 

@@ -37,7 +37,7 @@ Array = npt.NDArray[Any]
 Infos = list[dict[str, Any]]
 
 #: The multi-agent algorithms.
-MULTI_AGENT = ("ippo", "mappo")
+ALGORITHMS = ("ippo", "mappo")
 #: Where the archive of the learner is in the folder of its best policy.
 ARCHIVE_FOLDER = "learner"
 
@@ -190,7 +190,7 @@ def _widths(policy: BasePolicy) -> tuple[int, int]:
 
 def base_algorithm(algo: str) -> str:
     """Return the algorithm of :data:`agents.hyperparameters.ALGORITHMS` that an algorithm is made of."""
-    return "ppo" if algo in MULTI_AGENT else algo
+    return "ppo" if algo in ALGORITHMS else algo
 
 
 def training_env(settings: RunSettings) -> VecEnv:
@@ -200,7 +200,7 @@ def training_env(settings: RunSettings) -> VecEnv:
         ValueError: lanes are agents, and their number is no multiple of the episodes' agents, or the observations are
             not local.
     """
-    if settings.algo not in MULTI_AGENT:
+    if settings.algo not in ALGORITHMS:
         return GainVecEnv(settings.n_envs, **settings.env_arguments)
     if settings.observation_mode != "local":
         raise ValueError(f"agents of {settings.algo} see what their own groups measure: leave out the observation mode")
@@ -220,7 +220,7 @@ def entry_settings(settings: RunSettings) -> RunSettings:
         ValueError: a single agent's policy takes the observations of other groups.
     """
     own = len(get_suite(settings.suite).plant.groups)
-    if settings.algo not in MULTI_AGENT and settings.groups not in (None, own):
+    if settings.algo not in ALGORITHMS and settings.groups not in (None, own):
         raise ValueError(f"the policy acts for {settings.groups} WTG groups, suite {settings.suite!r} has {own}")
     return dataclasses.replace(settings, groups=None)
 
@@ -243,7 +243,7 @@ def with_central_critic(settings: RunSettings, hyperparameters: Hyperparameters,
 
 def joint_policy(settings: RunSettings, policy: NormalizedPolicy) -> Policy:
     """Return a run's policy as one that acts for all agents."""
-    return SharedPolicy(policy, sizes_of(settings)) if settings.algo in MULTI_AGENT else policy
+    return SharedPolicy(policy, sizes_of(settings)) if settings.algo in ALGORITHMS else policy
 
 
 def joint_network(settings: RunSettings, policy: NormalizedPolicy) -> PolicyNetwork:
@@ -253,7 +253,7 @@ def joint_network(settings: RunSettings, policy: NormalizedPolicy) -> PolicyNetw
         ValueError: it has a layer that the export cannot write.
     """
     network = network_of(policy.policy, policy.vec_normalize)
-    if settings.algo not in MULTI_AGENT:
+    if settings.algo not in ALGORITHMS:
         return network
     seen, (n_actor, _) = network.normalization, _widths(policy.policy)
     if seen is not None:

@@ -19,7 +19,16 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from agents.command import KEPT, Parser, add_comparison_options, compare, note, require_range, run_command
+from agents.command import (
+    KEPT,
+    Parser,
+    add_comparison_options,
+    compare,
+    note,
+    require_package,
+    require_range,
+    run_command,
+)
 from agents.datasets import VERSIONS
 from agents.onnx_graph import normalized
 from wtg_gym.policies.load import load_entries
@@ -162,15 +171,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         require_range("--seed", given.seed, 0, 2**31 - 1, "")
         if given.datasets is not None:
             os.environ["MINARI_DATASETS_PATH"] = str(Path(given.datasets).resolve())
-        try:
-            import d3rlpy  # noqa: F401
-            import minari
-        except ImportError as error:
-            raise ValueError(
-                f"this needs d3rlpy and minari: pip install d3rlpy==2.8.0 'minari[hdf5]' ({error})"
-            ) from error
-        # Each once: an algorithm has one folder for a dataset.
-        ids, algorithms = list(dict.fromkeys(given.ids)), list(dict.fromkeys(given.algos))
+        require_package("d3rlpy", "d3rlpy==2.8.0")
+        require_package("minari", "'minari[hdf5]'")
+        import minari
+
+        ids, algorithms = dict.fromkeys(given.ids), dict.fromkeys(given.algos)
         if missing := [name for name in ids if name not in minari.list_local_datasets()]:
             raise ValueError(f"there is no dataset {missing[0]}; python -m agents.datasets makes it")
         datasets = [minari.load_dataset(name) for name in ids]

@@ -41,16 +41,16 @@ class Hyperparameters:
     discount that looks 7 s ahead and for larger steps. A million steps reach a validation score of about 105.
     """
 
-    n_steps: int = 150
-    n_minibatches: int = 8
-    n_epochs: int = 5
-    gamma: float = 0.985
-    gae_lambda: float = 0.95
-    learning_rate: float = 1e-3
-    clip_range: float = 0.2
+    n_steps: int = 150  # steps per lane in an update
+    n_minibatches: int = 8  # parts of them, each learned from in turn
+    n_epochs: int = 5  # times that each part is learned from
+    gamma: float = 0.985  # discount per step of 0.1 s
+    gae_lambda: float = 0.95  # decay of the advantage estimate
+    learning_rate: float = 1e-3  # at the start; it falls linearly to zero at the last step
+    clip_range: float = 0.2  # of the ratio of new to old probability
     max_grad_norm: float = 0.5
-    hidden: int = 64
-    log_std_init: float = -1.0
+    hidden: int = 64  # width of the two layers of tanh in the policy and in the value function
+    log_std_init: float = -1.0  # logarithm of the first exploration's standard deviation [full action]
 
 
 class RunningMoments(nn.Module):

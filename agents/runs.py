@@ -167,12 +167,9 @@ class Run:
     def keep(
         self, folder: Path, best: Callable[[Path], object], checkpoint: Callable[[Path], object] | None = None
     ) -> None:
-        """Write what the last validation is of: a checkpoint, the policy if it is the best yet, and run.json.
+        """Write `checkpoint`, `best` where the last validation was the best, and run.json, into the folder of the run.
 
-        Args:
-            folder: of the run.
-            best: writes the policy into the folder that it is given.
-            checkpoint: writes the checkpoint likewise; None for none.
+        Either writes its files into the folder that it is given.
         """
         timesteps = int(self.curve[-1]["timesteps"])
         # First, because one whose row is missing in run.json is validated again on resumption.

@@ -17,6 +17,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 
+from agents import multi_agent
 from agents.command import (
     Parser,
     Progress,
@@ -32,16 +33,6 @@ from agents.entry_file import entry_values, write_entry
 from agents.folders import CHECKPOINTS, folders
 from agents.hyperparameters import ALGORITHMS, CONFIG_FOLDER, parse, read_config
 from agents.learners import build_model, load_checkpoint, save_checkpoint, save_policy
-from agents.multi_agent import (
-    ARCHIVE_FOLDER,
-    MULTI_AGENT,
-    base_algorithm,
-    entry_settings,
-    joint_network,
-    joint_policy,
-    training_env,
-    with_central_critic,
-)
 from agents.onnx_graph import to_onnx
 from agents.runs import Run, RunSettings
 from wtg_gym.policies.load import POLICY_FILE
@@ -64,7 +55,7 @@ examples:
   tensorboard --logdir runs"""
 
 #: The algorithms to choose from, the multi-agent ones last.
-TRAINED = (*ALGORITHMS, *MULTI_AGENT)
+TRAINED = (*ALGORITHMS, *multi_agent.ALGORITHMS)
 #: Called with (timesteps, score) after each validation; an exception that it raises ends the run.
 OnScore = Callable[[int, float], None]
 
@@ -79,16 +70,16 @@ def start(run: Run) -> BaseAlgorithm:
     # networks this small gain nothing from them.
     torch.set_num_threads(1)
     settings = run.settings
-    hyperparameters = parse(base_algorithm(settings.algo), settings.hyperparameters)
-    env: VecEnv = VecMonitor(training_env(settings))
-    hyperparameters = with_central_critic(settings, hyperparameters, env)
+    hyperparameters = parse(multi_agent.base_algorithm(settings.algo), settings.hyperparameters)
+    env: VecEnv = VecMonitor(multi_agent.training_env(settings))
+    hyperparameters = multi_agent.with_central_critic(settings, hyperparameters, env)
     if hyperparameters.normalize is not None:
         env = VecNormalize(env, **hyperparameters.normalize)
     try:
-        algo = base_algorithm(settings.algo)
+        algo = multi_agent.base_algorithm(settings.algo)
         model = build_model(algo, hyperparameters, env, seed=settings.seed, device=settings.device)
         # A policy that cannot be written is refused now rather than after the training.
-        to_onnx(joint_network(settings, _policy_of(model)))
+        to_onnx(multi_agent.joint_network(settings, _policy_of(model)))
     except ValueError:
         env.close()
         raise
@@ -115,7 +106,7 @@ def train(run: Run, folder: Path | None = None, on_score: OnScore | None = None)
     if run.curve and not checkpoints:
         raise ValueError(f"{folder} has validations, but no checkpoint to go on from; begin anew in another folder")
     settings = run.settings
-    algo = base_algorithm(settings.algo)
+    algo = multi_agent.base_algorithm(settings.algo)
     model = load_checkpoint(checkpoints[-1], algo, settings.device) if checkpoints else start(run)
     restored_at = model.num_timesteps if checkpoints else None
     if folder is not None:
@@ -183,7 +174,7 @@ class _Supervision(BaseCallback):
     def take_stock(self) -> None:
         """Validate, keep the best policy, and write a checkpoint."""
         run, model = self._run, self.model
-        policy = joint_policy(run.settings, _policy_of(model))
+        policy = multi_agent.joint_policy(run.settings, _policy_of(model))
         metrics = run.validate(policy, model.num_timesteps, time.monotonic() - self._began)
         for key, value in metrics.items():
             self.logger.record(f"validation/{key}", value)
@@ -200,11 +191,11 @@ class _Supervision(BaseCallback):
         """Write the policy as an entry: an archive for `wtg-gym evaluate --trust-pickle`; of many agents ONNX."""
         settings = self._run.settings
         entry = entry_values(settings, self.model.num_timesteps)
-        if settings.algo in MULTI_AGENT:
+        if settings.algo in multi_agent.ALGORITHMS:
             # An archive takes what one group sees, and is for the export alone.
-            (folder / ARCHIVE_FOLDER).mkdir()
-            save_policy(folder / ARCHIVE_FOLDER, self.model)
-            content = to_onnx(joint_network(entry_settings(settings), _policy_of(self.model)))
+            (folder / multi_agent.ARCHIVE_FOLDER).mkdir()
+            save_policy(folder / multi_agent.ARCHIVE_FOLDER, self.model)
+            content = to_onnx(multi_agent.joint_network(multi_agent.entry_settings(settings), _policy_of(self.model)))
             (folder / POLICY_FILE).write_bytes(content)
         else:
             save_policy(folder, self.model)
@@ -234,9 +225,9 @@ def sb3_settings(given: Mapping[str, Any]) -> RunSettings:
     env_id = get_suite(given.get("suite", "standard")).benchmark.env_id
     # Both have the same hyperparameters, whatever their critics see.
     raw = read_config(
-        Path(given.get("config", CONFIG_FOLDER / f"{'ippo' if algo in MULTI_AGENT else algo}.yml")), env_id
+        Path(given.get("config", CONFIG_FOLDER / f"{'ippo' if algo in multi_agent.ALGORITHMS else algo}.yml")), env_id
     )
-    file = parse(base_algorithm(algo), raw)
+    file = parse(multi_agent.base_algorithm(algo), raw)
     return settings_of(given, algo, raw, timesteps=file.n_timesteps, n_envs=given.get("n_envs", file.n_envs))
 
 

@@ -12,15 +12,7 @@ from gymnasium.envs.registration import register, registry
 
 if TYPE_CHECKING:
     from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
-    from wtg_gym.evaluation import (
-        Entry,
-        Results,
-        evaluate,
-        leaderboard_rows,
-        load_entries,
-        markdown_table,
-        to_xarray,
-    )
+    from wtg_gym.evaluation import Entry, Results, evaluate, leaderboard_rows, load_entries, markdown_table, to_xarray
     from wtg_gym.physics.plant import PlantSettings
     from wtg_gym.physics.scenario import (
         GovernorLoss,

@@ -112,16 +112,15 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
         bound, one = np.full(width, OBSERVATION_BOUND, dtype=np.float32), np.ones(n_modes, dtype=np.float32)
         # Each its own, so that each can be seeded by itself.
         self.observation_spaces = ByName(
-            "agent", {each: gym.spaces.Box(-bound, bound) for each in self.possible_agents}
+            "agent", {name: gym.spaces.Box(-bound, bound) for name in self.possible_agents}
         )
-        self.action_spaces = ByName("agent", {each: gym.spaces.Box(-one, one) for each in self.possible_agents})
+        self.action_spaces = ByName("agent", {name: gym.spaces.Box(-one, one) for name in self.possible_agents})
         self.state_space = self.single_env.observation_space
         self._action_shape = (n_modes,)
         self._seen = {agent: slice(j * width, (j + 1) * width) for j, agent in enumerate(self.possible_agents)}
         self._done_by = {agent: slice(j * n_modes, (j + 1) * n_modes) for j, agent in enumerate(self.possible_agents)}
         #: Names and units of each agent's observation.
-        names = {agent: lanes.observation_names[own] for agent, own in self._seen.items()}
-        self.observation_names = ByName("agent", names)
+        self.observation_names = {agent: lanes.observation_names[own] for agent, own in self._seen.items()}
 
     @property
     def settings(self) -> EnvSettings:
@@ -129,11 +128,11 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
         return self.single_env.settings
 
     def observation_space(self, agent: str) -> gym.spaces.Box:
-        """Return what an agent observes: Box(-5, 5, (n,)); a KeyError lists the agents."""
+        """Return what an agent observes: Box(-5, 5, (n,))."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> gym.spaces.Box:
-        """Return what an agent does: Box(-1, 1, (n_modes,)); a KeyError lists the agents."""
+        """Return what an agent does: Box(-1, 1, (n_modes,))."""
         return self.action_spaces[agent]
 
     def reset(

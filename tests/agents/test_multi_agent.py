@@ -16,7 +16,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from agents.export import export, largest_difference
 from agents.export import main as export_command
 from agents.folders import folders
-from agents.multi_agent import MULTI_AGENT, AgentVecEnv, CentralCriticPolicy, SharedPolicy, training_env
+from agents.multi_agent import ALGORITHMS, AgentVecEnv, CentralCriticPolicy, SharedPolicy, training_env
 from agents.onnx_graph import PolicyNetwork, to_onnx
 from agents.runs import Run, RunSettings
 from agents.train import main as train_command
@@ -38,7 +38,7 @@ def options(folder: Path, algorithm: str, *others: str) -> list[str]:
     return [*given, "--interval", "256", "--validation-episodes", "2", *others]
 
 
-@pytest.fixture(scope="module", params=MULTI_AGENT)
+@pytest.fixture(scope="module", params=ALGORITHMS)
 def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, short_validations: None) -> Path:
     """A finished run that tests read only."""
     folder = tmp_path_factory.mktemp("runs")
