@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import gymnasium as gym
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -24,7 +23,6 @@ from agents.gains import Gains, stagger
 from agents.onnx_graph import Normalization, PolicyNetwork, flat_layers, normalized
 from agents.runs import Run, RunSettings
 from wtg_gym.envs import GFMWTGVectorEnv
-from wtg_gym.scenarios import get_suite
 
 #: The algorithm's name in run.json.
 NAME = "single_file_ppo"
@@ -229,9 +227,7 @@ def train(run: Run, folder: Path, h: Hyperparameters) -> None:
     # One thread, so that sums do not depend on which thread ends first.
     torch.set_num_threads(1)
     torch.manual_seed(settings.seed)
-    env_id = get_suite(settings.suite).benchmark.env_id
-    envs = gym.make_vec(env_id, num_envs=settings.n_envs, autoreset_mode="SameStep", **settings.env_arguments)
-    assert isinstance(envs, GFMWTGVectorEnv)
+    envs = GFMWTGVectorEnv(settings.n_envs, autoreset_mode="SameStep", **settings.env_arguments)
     agent = Agent(envs.lanes.n_observation, envs.lanes.n_action, h)
     optimizer = torch.optim.Adam(agent.parameters(), lr=h.learning_rate, eps=1e-5)
     collector = Collector(envs, agent, h, settings.seed)
