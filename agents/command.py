@@ -26,13 +26,17 @@ from wtg_gym.cli.output import (
     write_and_say,
 )
 from wtg_gym.cli.parser import Parser
-from wtg_gym.cli.scoring import chosen_entries
+from wtg_gym.cli.scoring import chosen_entries, first_seeds
 from wtg_gym.envs.settings import ACTION_MODES, OBSERVATION_MODES
 from wtg_gym.evaluation import Results, evaluate
 from wtg_gym.files import markdown_table
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.progress import Progress
+from wtg_gym.ranges import require_range
 from wtg_gym.scenarios import get_suite
+
+#: What :func:`compare` leaves after an interruption, for :func:`run_command`.
+KEPT = "the entries that were complete stay; begin anew in another folder"
 
 
 def run_command(work: Callable[[], None], after_interrupt: str | None = None) -> int:
@@ -55,14 +59,12 @@ def run_command(work: Callable[[], None], after_interrupt: str | None = None) ->
     return 0
 
 
-def require_package(package: str, extra: str) -> None:
-    """Raise a ValueError that names the extra if a package cannot be imported."""
+def require_package(package: str, requirement: str) -> None:
+    """Raise a ValueError that says what to install if a package cannot be imported."""
     try:
         importlib.import_module(package)
     except ImportError as error:
-        raise ValueError(
-            f"{package} of the {extra} extra is needed: pip install 'wtg-gym[{extra}]' ({error})"
-        ) from error
+        raise ValueError(f"{package} is needed: pip install {requirement} ({error})") from error
 
 
 def add_strategy_option(parser: argparse.ArgumentParser) -> None:
@@ -188,31 +190,49 @@ def opened_run(
     note(f"best validation score {run.best['score']:.1f} at step {run.best['timesteps']}; wrote {folder}")
 
 
+def add_comparison_options(parser: argparse.ArgumentParser, *, scenarios: int) -> None:
+    """Add the options of :func:`compare`."""
+    parser.add_argument(
+        "--scenarios", type=int, default=scenarios, metavar="N", help=f"to score on (default: {scenarios})"
+    )
+    parser.add_argument("--page", metavar="FILE", help="put the table between this file's markers")
+    parser.add_argument(
+        "--output",
+        required=True,
+        metavar="FOLDER",
+        help="new folder for the entries' folders; after an interruption, start anew in another one",
+    )
+
+
 def compare(
-    entries: Sequence[str | Path],
+    given: argparse.Namespace,
+    train: Callable[[Path], Sequence[str | Path]],
     suite: str,
-    n_scenarios: int,
     trained: str,
-    page: Path | None,
     markers: str,
     more: Mapping[str, Callable[[Results, str], str]] | None = None,
     split: str = "validation",
 ) -> None:
-    """Print a table of entries, the best first, scored on scenarios of a suite.
+    """Train entries, score them on scenarios of a suite, and print a table of them, the best first.
 
     Args:
-        entries: as for :func:`wtg_gym.evaluation.evaluate`.
+        given: options, those of :func:`add_comparison_options` among them, which are checked before anything runs.
+        train: writes folders of entries into a folder, and returns the entries to compare.
         suite: name of the suite.
-        n_scenarios: how many.
         trained: how the entries were trained, for the line over the table.
-        page: file that takes the table, between its markers of that name; None for none.
-        markers: their name.
+        markers: name of the page's markers.
         more: further columns: their heads, and what says the number of an entry by its name.
         split: "validation", whose first scenarios are played, or "train", of which the last ones are: training draws
             from two thousand million.
+
+    Raises:
+        ValueError: an option is out of range, or a file or folder cannot be used.
     """
-    seeds = get_suite(suite).seeds(split)
-    seeds = seeds[-n_scenarios:] if split == "train" else seeds[:n_scenarios]
+    page, seeds = check_page("--page", given.page, markers), first_seeds(suite, split, given.scenarios)
+    with new_folder(Path(given.output)) as folder:
+        entries = train(folder)
+    if split == "train":
+        seeds = list(get_suite(suite).train[-len(seeds) :])
     results = evaluate(list(entries), suite, split, seeds=seeds)
     more = more or {}
     rows = [
@@ -228,13 +248,15 @@ def compare(
     print_table(header, rows)
     if page is not None:
         table = markdown_table(header, rows, right=range(1, len(header)))
-        update_page(page, {markers: f"{trained}; {n_scenarios} scenarios of split {split}:\n\n{table}"})
+        update_page(page, {markers: f"{trained}; {len(seeds)} scenarios of split {split}:\n\n{table}"})
 
 
 __all__ = [
     "FIGURE_FORMATS",
+    "KEPT",
     "Parser",
     "Progress",
+    "add_comparison_options",
     "add_folder_options",
     "add_plant_options",
     "add_strategy_option",
@@ -250,6 +272,7 @@ __all__ = [
     "print_table",
     "require_extra",
     "require_package",
+    "require_range",
     "run_command",
     "say",
     "settings_of",

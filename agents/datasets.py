@@ -66,19 +66,6 @@ examples:
   python -m agents.datasets --check --versions v1 --policies mixed"""
 
 
-@dataclass
-class Played:
-    """One episode, a row per step; observations and infos have one more, the start."""
-
-    seed: int
-    observations: npt.NDArray[np.float32]
-    actions: npt.NDArray[np.float32]
-    rewards: npt.NDArray[np.float64]
-    terminations: npt.NDArray[np.bool_]
-    truncations: npt.NDArray[np.bool_]
-    infos: dict[str, npt.NDArray[Any]]
-
-
 def dataset_id(version: str, policy: str) -> str:
     """Return the id under which Minari has a dataset."""
     return f"gfmwtg/{version}/{policy}-v0"
@@ -111,7 +98,7 @@ def make_dataset(version: str, policy: str, episodes: int, *, overwrite: bool = 
         buffers = []
         for first in range(0, episodes, _BATCH):
             seeds = range(first, min(first + _BATCH, episodes))
-            buffers += [_buffer(each) for each in _played(version, entry, POLICIES[policy], seeds)]
+            buffers += _played(version, entry, POLICIES[policy], seeds)
             progress.update(name, len(buffers), episodes)
     with warnings.catch_warnings():
         # It asks for an address and for the commit: the metadata has the hashes of the sources.
@@ -223,13 +210,21 @@ def _arguments(version: str, entry: Entry) -> dict[str, Any]:
     return {**arguments, "action_mode": entry.action_mode, "observation_mode": entry.observation_mode}
 
 
-def _played(version: str, entry: Entry, in_turn: Sequence[tuple[bool, bool]], seeds: range) -> list[Played]:
-    """Play the episodes of neighbouring seeds side by side, which gives each the bits that it has alone."""
+def _played(version: str, entry: Entry, in_turn: Sequence[tuple[bool, bool]], seeds: range) -> list[Any]:
+    """Play the episodes of neighbouring seeds side by side, which gives each the bits that it has alone.
+
+    Returns:
+        an `EpisodeBuffer` of each; observations and infos have a row more than there are steps, the start.
+    """
+    from minari.data_collector import EpisodeBuffer
+
+    policy = entry.policy
+    assert isinstance(policy, OnnxPolicy)
     n = len(seeds)
     ways = [in_turn[seed % len(in_turn)] for seed in seeds]
     acts, noisy = (np.array([way[index] for way in ways], dtype=np.float32)[:, None] for index in (0, 1))
     envs = GFMWTGVectorEnv(n, version=version, **_arguments(version, entry))
-    with contextlib.closing(envs), _fresh(entry.policy) as policy:
+    with contextlib.closing(envs), policy:
         observations, infos = envs.reset(seed=seeds.start)
         keys = sorted(key for key, column in infos.items() if column.dtype.kind in "if")
         rows: list[tuple[Any, ...]] = []
@@ -244,7 +239,7 @@ def _played(version: str, entry: Entry, in_turn: Sequence[tuple[bool, bool]], se
                 drawn = [generator.normal(0.0, NOISE, shape[1]) for generator in generators]
                 noise = np.stack(drawn).astype(np.float32)
             actions = noisy * noise
-            if acts.any() and policy is not None:
+            if acts.any():
                 answer, state = policy.predict(observations, state, np.full(n, not rows), deterministic=True)
                 actions = actions + acts * np.clip(answer, -1.0, 1.0)
             actions = np.clip(actions, -1.0, 1.0).astype(np.float32)
@@ -259,7 +254,7 @@ def _played(version: str, entry: Entry, in_turn: Sequence[tuple[bool, bool]], se
         seen, acted, rewards, terminated, truncated, columns = (each[: lengths[lane], lane] for each in table)
         infos_of = np.concatenate([starts[1][lane][None], columns])
         played.append(
-            Played(
+            EpisodeBuffer(
                 seed=seed,
                 observations=np.concatenate([starts[0][lane][None], seen]),
                 actions=acted,
@@ -270,23 +265,6 @@ def _played(version: str, entry: Entry, in_turn: Sequence[tuple[bool, bool]], se
             )
         )
     return played
-
-
-@contextlib.contextmanager
-def _fresh(policy: Any) -> Iterator[Any]:
-    """Yield a policy whose process, if it has one, ends afterwards."""
-    if isinstance(policy, OnnxPolicy):
-        with policy:
-            yield policy
-    else:
-        yield policy
-
-
-def _buffer(played: Played) -> Any:
-    from minari.data_collector import EpisodeBuffer
-
-    names = ("seed", "observations", "actions", "rewards", "terminations", "truncations", "infos")
-    return EpisodeBuffer(**{name: getattr(played, name) for name in names})
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -303,7 +281,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     def work() -> None:
         given = parser.parse_args(argv)
-        require_package("minari", "data")
+        require_package("minari", "'wtg-gym[data]'")
         if given.episodes < 1:
             raise ValueError(f"--episodes must be 1 or more, got {given.episodes}")
         if given.output is not None:

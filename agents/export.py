@@ -107,14 +107,14 @@ def _trained(best: Path, settings: RunSettings) -> tuple[Policy, PolicyNetwork, 
         found = gradient.load(best)
         return found, found.network(), settings
     # Imported here, because the policies above are exported where Stable-Baselines3 is not installed.
-    from agents import groups
+    from agents import multi_agent
     from agents.hyperparameters import ALGORITHMS
     from wtg_gym.policies.sb3_archive import load_archive
 
-    folder = best / groups.ARCHIVE_FOLDER if algo in groups.ALGORITHMS else best
-    policy, _ = load_archive(folder, ALGORITHMS[groups.learner_of(algo)].__name__)
-    settings = groups.as_played(settings)
-    return groups.played(settings, policy), groups.network_played(settings, policy), settings
+    folder = best / multi_agent.ARCHIVE_FOLDER if algo in multi_agent.ALGORITHMS else best
+    policy, _ = load_archive(folder, ALGORITHMS[multi_agent.base_algorithm(algo)].__name__)
+    settings = multi_agent.entry_settings(settings)
+    return multi_agent.joint_policy(settings, policy), multi_agent.joint_network(settings, policy), settings
 
 
 def largest_difference(policy: Policy, other: Policy, settings: RunSettings) -> float:

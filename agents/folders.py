@@ -26,7 +26,9 @@ def new_folder(path: Path) -> Iterator[Path]:
     """
     made = not path.exists()
     if not made and (not path.is_dir() or any(each.name != _LOCK_FILE for each in path.iterdir())):
-        raise ValueError(f"{path} exists and is not an empty folder; give a new one, or go on with --resume {path}")
+        raise ValueError(
+            f"{path} exists and is not an empty folder; give a new one, or --resume {path} where there is that option"
+        )
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -61,7 +63,7 @@ def held(folder: Path) -> Iterator[None]:
         yield
 
 
-def save_folder(parent: Path, timesteps: int, write: Callable[[Path], None]) -> None:
+def save_folder(parent: Path, timesteps: int, write: Callable[[Path], object]) -> None:
     """Write a folder that is named after a number of timesteps, then remove the older ones beside it.
 
     The folder gets its name when it is complete, so that a complete one remains after a kill at any moment. One of the

@@ -31,7 +31,7 @@ from agents.command import (
     run_command,
     settings_of,
 )
-from agents.folders import BEST, CHECKPOINTS, folders, loading, save_folder
+from agents.folders import CHECKPOINTS, folders, loading
 from agents.onnx_graph import PolicyNetwork, flat_layers
 from agents.runs import Run, RunSettings
 from wtg_gym.envs import EnvSettings
@@ -203,11 +203,7 @@ def train(run: Run, folder: Path, h: Hyperparameters) -> None:
             steps, run.finished = index * per_batch, index == n_batches
             if run.is_due(steps) or run.finished:
                 run.validate(policy, steps, time.monotonic() - began)
-                # The checkpoint comes first: one whose row is missing in run.json is validated again on resumption.
-                save_folder(folder / CHECKPOINTS, steps, lambda path: save_state(path, policy, optimizer))
-                if run.best is run.curve[-1]:
-                    save_folder(folder / BEST, steps, lambda path: save(path, policy))
-                run.write(folder)
+                run.keep(folder, lambda path: save(path, policy), lambda path: save_state(path, policy, optimizer))
             if not run.finished:
                 fallen = 0.5 + 0.5 * math.cos(math.pi * index / n_batches)
                 optimizer.param_groups[0]["lr"] = h.learning_rate * (h.last_rate + (1.0 - h.last_rate) * fallen)

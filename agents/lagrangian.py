@@ -18,11 +18,10 @@ import numpy.typing as npt
 import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
-from torch import Tensor, nn
+from torch import nn
 
-from agents.command import Parser, Progress, check_page, compare, run_command
+from agents.command import KEPT, Parser, Progress, add_comparison_options, compare, require_range, run_command
 from agents.gains import stagger
 from agents.hyperparameters import CONFIG_FOLDER, parse, read_config
 from agents.learners import build_model
@@ -31,6 +30,7 @@ from wtg_gym.envs import GFMWTGVectorEnv
 from wtg_gym.evaluation import Results
 from wtg_gym.evaluation.statistics import mean_interval
 from wtg_gym.policies.torch_export import export_onnx
+from wtg_gym.sb3 import DeterministicPolicy
 from wtg_gym.scenarios import get_suite
 
 _SUITE, _NAME, _UNBOUND = "standard", "Lagrangian PPO", "PPO without bound"
@@ -52,28 +52,6 @@ _EXAMPLES = f"""\
 examples:
   python -m agents.lagrangian --bound 1.25 --output runs/lagrangian
   wtg-gym evaluate --suite {_SUITE} --entries runs/lagrangian/*"""
-
-
-class Deterministic(nn.Module):
-    """The actions of a learner without noise."""
-
-    def __init__(self, model: PPO) -> None:
-        super().__init__()
-        normalize = model.get_vec_normalize_env()
-        assert normalize is not None
-        statistics = normalize.obs_rms
-        assert isinstance(statistics, RunningMeanStd)
-        self.register_buffer("mean", torch.as_tensor(statistics.mean))
-        self.register_buffer("std", torch.as_tensor(np.sqrt(statistics.var + normalize.epsilon)))
-        self.bound: float = normalize.clip_obs
-        self.layers: nn.Module = nn.Sequential(model.policy.mlp_extractor.policy_net, model.policy.action_net)
-
-    def forward(self, observation: Tensor) -> Tensor:
-        """Return the actions (batch, n_action)."""
-        mean: Any = self.mean
-        seen = ((observation.double() - mean) / self.std).clamp(-self.bound, self.bound).float()
-        actions: Tensor = self.layers(seen)
-        return actions.clamp(-1.0, 1.0)
 
 
 class PenalisedVecEnv(GainVecEnv):
@@ -113,11 +91,11 @@ class Measure:
 
     @torch.no_grad()
     def share(self, actor: nn.Module, n_steps: int) -> float:
-        """Return the share of violating steps in the next steps of every lane."""
+        """Return the share of violating steps in the next steps of every lane; `actor` answers (actions,)."""
         n_violated = 0.0
         for _ in range(n_steps):
-            actions = actor(torch.as_tensor(self._observations)).numpy()
-            self._observations, _, terminated, truncated, infos = self._envs.step(actions)
+            (actions,) = actor(torch.as_tensor(self._observations))
+            self._observations, _, terminated, truncated, infos = self._envs.step(actions.numpy())
             over, violated = terminated | truncated, np.asarray(infos["cost"], dtype=np.float64).copy()
             if over.any():
                 # The other infos are already those of the next episode.
@@ -146,7 +124,7 @@ class _Multiplier(BaseCallback):
         model = self.model
         assert isinstance(model, PPO)
         multiplier = self._envs.multiplier
-        self.course.append((self._measure.share(Deterministic(model), model.n_steps), multiplier))
+        self.course.append((self._measure.share(DeterministicPolicy(model), model.n_steps), multiplier))
         # That of whole episodes: four rollouts are as long as one.
         share = float(np.mean([share for share, _ in self.course[-4:]]))
         self._envs.multiplier = max(0.0, multiplier + _RATE * (share - self._bound))
@@ -178,7 +156,7 @@ def train(bound: float | None, timesteps: int, n_envs: int, seed: int, folder: P
         multiplier = _Multiplier(envs, measure, 1.0 if bound is None else _AIM * bound, progress)
         model.learn(timesteps, callback=multiplier)
     export_onnx(
-        Deterministic(model),
+        DeterministicPolicy(model),
         folder,
         name=_UNBOUND if bound is None else _NAME,
         environment=get_suite(_SUITE).benchmark.env_id,
@@ -230,32 +208,37 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--seeds", type=int, nargs="+", default=[0], metavar="N", help="two trainings for each (default: 0)"
     )
-    parser.add_argument("--scenarios", type=int, default=2000, metavar="N", help="to compare on (default: 2000)")
-    parser.add_argument("--page", metavar="FILE", help="put the table between this file's markers")
-    parser.add_argument("--output", required=True, metavar="FOLDER", help="folder of the entries' folders")
+    add_comparison_options(parser, scenarios=2000)
 
     def work() -> None:
         given = parser.parse_args(argv)
-        page = check_page("--page", given.page, "lagrangian")
         if not 0.0 < given.bound < 100.0:
             raise ValueError(f"--bound must be between 0 and 100 %, got {given.bound:g}")
-        folders = []
-        for seed in given.seeds:
-            for name, bound in ((f"bound-{seed}", given.bound / 100.0), (f"free-{seed}", None)):
-                folders.append(Path(given.output) / name)
-                train(bound, given.timesteps, given.n_envs, seed, folders[-1])
+        require_range("--timesteps", given.timesteps, 1, 10**12, "steps")
+        require_range("--n-envs", given.n_envs, 1, 100_000, "episodes")
+        seeds = sorted(set(given.seeds))
+        for seed in seeds:
+            require_range("--seeds", seed, 0, 2**31 - 1, "")
+
+        def trained(output: Path) -> list[Path]:
+            folders = []
+            for seed in seeds:
+                for name, bound in ((f"bound-{seed}", given.bound / 100.0), (f"free-{seed}", None)):
+                    folders.append(output / name)
+                    train(bound, given.timesteps, given.n_envs, seed, folders[-1])
+            return folders
+
         compare(
-            folders,
+            given,
+            trained,
             _SUITE,
-            given.scenarios,
-            f"{given.timesteps:,} steps, seeds {', '.join(map(str, given.seeds))}",
-            page,
+            f"{given.timesteps:,} steps, seeds {', '.join(map(str, seeds))}",
             "lagrangian",
             {"frequency, RoCoF": _paid_for, f"violating [%], bound {given.bound:g}": _violated},
             "train",
         )
 
-    return run_command(work)
+    return run_command(work, KEPT)
 
 
 if __name__ == "__main__":

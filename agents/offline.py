@@ -6,6 +6,7 @@ d3rlpy comes with no extra: it goes into an environment of its own, as docs/inte
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import sys
 import time
@@ -18,8 +19,21 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from agents.command import Parser, check_page, compare, note, run_command
+from agents.command import (
+    KEPT,
+    Parser,
+    add_comparison_options,
+    compare,
+    note,
+    require_package,
+    require_range,
+    run_command,
+)
+from agents.datasets import VERSIONS
+from agents.onnx_graph import normalized
+from wtg_gym.policies.load import load_entries
 from wtg_gym.policies.torch_export import export_onnx
+from wtg_gym.scenarios import get_suite
 
 #: Names of the algorithms and of their configurations in d3rlpy.
 ALGORITHMS = {"bc": ("BC", "BCConfig"), "td3_bc": ("TD3+BC", "TD3PlusBCConfig"), "iql": ("IQL", "IQLConfig")}
@@ -61,8 +75,9 @@ class Actor(nn.Module):
         """Return the deterministic actions (batch, n_action)."""
         columns: Any = self.columns
         mean: Any = self.mean
+        std: Any = self.std
         seen = observation.index_select(1, columns)
-        answer: Tensor = self.policy(((seen - mean) / self.std).clamp(-_CLIP, _CLIP)).squashed_mu
+        answer: Tensor = self.policy(normalized(seen, mean, std, _CLIP)).squashed_mu
         return answer
 
 
@@ -96,7 +111,9 @@ def train(dataset: Any, algorithm: str, n_steps: int, seed: int) -> Actor:
     observations = observations[:, columns]
     mean, std = observations.mean(axis=0), observations.std(axis=0) + 1e-6
     data = d3rlpy.dataset.MDPDataset(
-        observations=((observations - mean) / std).clip(-_CLIP, _CLIP),
+        observations=normalized(
+            torch.as_tensor(observations), torch.as_tensor(mean), torch.as_tensor(std), _CLIP
+        ).numpy(),
         actions=actions,
         # A failure costs as much as minutes of life.
         rewards=(rewards / rewards.std()).clip(-_CLIP, _CLIP).astype(np.float32),
@@ -146,37 +163,38 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--algos", nargs="+", choices=list(ALGORITHMS), default=list(ALGORITHMS), help="who learns")
     parser.add_argument("--steps", type=int, default=20_000, metavar="N", help="gradient steps (default: 20000)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the training (default: 0)")
-    parser.add_argument("--scenarios", type=int, default=200, metavar="N", help="to score on (default: 200)")
-    parser.add_argument("--page", metavar="FILE", help="put the table between this file's markers")
-    parser.add_argument("--output", required=True, metavar="FOLDER", help="folder of the entries' folders")
+    add_comparison_options(parser, scenarios=200)
 
     def work() -> None:
         given = parser.parse_args(argv)
-        page = check_page("--page", given.page, "offline")
+        require_range("--steps", given.steps, 1, 10**9, "gradient steps")
+        require_range("--seed", given.seed, 0, 2**31 - 1, "")
         if given.datasets is not None:
             os.environ["MINARI_DATASETS_PATH"] = str(Path(given.datasets).resolve())
-        try:
-            import d3rlpy  # noqa: F401
-            import minari
-        except ImportError as error:
-            raise ValueError(
-                f"this needs d3rlpy and minari: pip install d3rlpy==2.8.0 'minari[hdf5]' ({error})"
-            ) from error
-        if missing := [name for name in given.ids if name not in minari.list_local_datasets()]:
-            raise ValueError(f"there is no dataset {missing[0]}; python -m agents.datasets makes it")
-        datasets = [minari.load_dataset(name) for name in given.ids]
-        said = datasets[0].storage.metadata
-        if any(each.storage.metadata["suite"] != said["suite"] for each in datasets):
-            raise ValueError(f"the datasets must be of one version, got {', '.join(given.ids)}")
-        folders = [
-            _exported(each, algorithm, given.steps, given.seed, Path(given.output))
-            for each in datasets
-            for algorithm in given.algos
-        ]
-        trained = f"{given.steps} gradient steps, seed {given.seed}"
-        compare([*folders, "PPO"], said["suite"], given.scenarios, trained, page, "offline")
+        require_package("d3rlpy", "d3rlpy==2.8.0")
+        require_package("minari", "'minari[hdf5]'")
+        import minari
 
-    return run_command(work)
+        ids, algorithms = dict.fromkeys(given.ids), dict.fromkeys(given.algos)
+        if missing := [name for name in ids if name not in minari.list_local_datasets()]:
+            raise ValueError(f"there is no dataset {missing[0]}; python -m agents.datasets makes it")
+        datasets = [minari.load_dataset(name) for name in ids]
+        suites = {each.storage.metadata.get("suite") for each in datasets}
+        if len(suites) > 1 or None in suites:
+            raise ValueError(
+                f"the datasets must be of one version and made by python -m agents.datasets, got {', '.join(ids)}"
+            )
+        (suite,) = suites
+        # All seeds of the policy that plays in them.
+        (policy,) = load_entries(VERSIONS[get_suite(suite).benchmark.version].policy)
+
+        def trained(output: Path) -> list[str | Path]:
+            pairs = itertools.product(datasets, algorithms)
+            return [*(_exported(each, name, given.steps, given.seed, output) for each, name in pairs), policy.name]
+
+        compare(given, trained, suite, f"{given.steps} gradient steps, seed {given.seed}", "offline")
+
+    return run_command(work, KEPT)
 
 
 if __name__ == "__main__":

@@ -52,6 +52,11 @@ class Normalization:
     bound: float
 
 
+def normalized(values: torch.Tensor, mean: torch.Tensor, std: torch.Tensor, bound: float) -> torch.Tensor:
+    """Return clip((values - mean) / std, ± bound) as float32, computed in the precision of the arguments."""
+    return ((values - mean) / std).clamp(-bound, bound).float()
+
+
 @dataclass(frozen=True, kw_only=True)
 class LowPass:
     """Slow copies of some entries of the observation: y += gain (x - y) in every step, from y = x at the start.

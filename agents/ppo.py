@@ -13,18 +13,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import gymnasium as gym
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from agents.command import Parser, Progress, add_training_options, given_options, note, run_command, settings_of
-from agents.folders import BEST, loading, new_folder, save_folder
+from agents.command import Parser, Progress, add_training_options, given_options, opened_run, run_command, settings_of
+from agents.folders import loading
 from agents.gains import Gains, stagger
-from agents.onnx_graph import Normalization, PolicyNetwork, flat_layers
-from agents.runs import Run
+from agents.onnx_graph import Normalization, PolicyNetwork, flat_layers, normalized
+from agents.runs import Run, RunSettings
 from wtg_gym.envs import GFMWTGVectorEnv
-from wtg_gym.scenarios import get_suite
 
 #: The algorithm's name in run.json.
 NAME = "single_file_ppo"
@@ -41,16 +39,16 @@ class Hyperparameters:
     discount that looks 7 s ahead and for larger steps. A million steps reach a validation score of about 105.
     """
 
-    n_steps: int = 150
-    n_minibatches: int = 8
-    n_epochs: int = 5
-    gamma: float = 0.985
-    gae_lambda: float = 0.95
-    learning_rate: float = 1e-3
-    clip_range: float = 0.2
+    n_steps: int = 150  # steps per lane in an update
+    n_minibatches: int = 8  # parts of them, each learned from in turn
+    n_epochs: int = 5  # times that each part is learned from
+    gamma: float = 0.985  # discount per step of 0.1 s
+    gae_lambda: float = 0.95  # decay of the advantage estimate
+    learning_rate: float = 1e-3  # at the start; it falls linearly to zero at the last step
+    clip_range: float = 0.2  # of the ratio of new to old probability
     max_grad_norm: float = 0.5
-    hidden: int = 64
-    log_std_init: float = -1.0
+    hidden: int = 64  # width of the two layers of tanh in the policy and in the value function
+    log_std_init: float = -1.0  # logarithm of the first exploration's standard deviation [full action]
 
 
 class RunningMoments(nn.Module):
@@ -100,8 +98,7 @@ class Agent(nn.Module):
         self.log_std = nn.Parameter(torch.full((n_action,), h.log_std_init))
 
     def normalized(self, observations: Any) -> Tensor:
-        values = (torch.as_tensor(observations, dtype=torch.float64) - self.moments.mean) / self.moments.std
-        return values.clamp(-_CLIP, _CLIP).float()
+        return normalized(torch.as_tensor(observations), self.moments.mean, self.moments.std, _CLIP)
 
     def sample(self, normalized: Tensor) -> Tensor:
         mean: Tensor = self.actor(normalized)
@@ -230,9 +227,7 @@ def train(run: Run, folder: Path, h: Hyperparameters) -> None:
     # One thread, so that sums do not depend on which thread ends first.
     torch.set_num_threads(1)
     torch.manual_seed(settings.seed)
-    env_id = get_suite(settings.suite).benchmark.env_id
-    envs = gym.make_vec(env_id, num_envs=settings.n_envs, autoreset_mode="SameStep", **settings.env_arguments)
-    assert isinstance(envs, GFMWTGVectorEnv)
+    envs = GFMWTGVectorEnv(settings.n_envs, autoreset_mode="SameStep", **settings.env_arguments)
     agent = Agent(envs.lanes.n_observation, envs.lanes.n_action, h)
     optimizer = torch.optim.Adam(agent.parameters(), lr=h.learning_rate, eps=1e-5)
     collector = Collector(envs, agent, h, settings.seed)
@@ -245,9 +240,7 @@ def train(run: Run, folder: Path, h: Hyperparameters) -> None:
             steps, run.finished = index * per_rollout, index == n_rollouts
             if run.is_due(steps) or run.finished:
                 run.validate(agent, steps, time.monotonic() - began)
-                if run.best is run.curve[-1]:
-                    save_folder(folder / BEST, steps, lambda path: save(path, agent))
-                run.write(folder)
+                run.keep(folder, lambda path: save(path, agent))
             if not run.finished:
                 optimizer.param_groups[0]["lr"] = h.learning_rate * (1.0 - index / n_rollouts)
                 batch, gain = collector.rollout()
@@ -282,19 +275,23 @@ def agent_of(weights: Mapping[str, Tensor]) -> Agent:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     parser = Parser(prog="python -m agents.ppo", description=__doc__)
-    parser.add_argument("--output", required=True, metavar="FOLDER", help="folder of the new run")
+    parser.add_argument(
+        "--output", required=True, metavar="FOLDER", help="folder of the new run, which cannot go on later"
+    )
     add_training_options(parser, timesteps=str(_TIMESTEPS))
     parser.add_argument("--n-envs", type=int, metavar="N", help=f"episodes side by side (default: {_N_ENVS})")
 
     def work() -> None:
         given, h = given_options(parser.parse_args(argv)), Hyperparameters()
-        n_envs = given.get("n_envs", _N_ENVS)
-        run = Run.new(settings_of(given, NAME, dataclasses.asdict(h), timesteps=_TIMESTEPS, n_envs=n_envs))
-        with new_folder(Path(given["output"])) as folder:
-            train(run, folder, h)
-        note(f"best validation score {run.best['score']:.1f} at step {run.best['timesteps']}; wrote {folder}")
 
-    return run_command(work)
+        def settings() -> RunSettings:
+            n_envs = given.get("n_envs", _N_ENVS)
+            return settings_of(given, NAME, dataclasses.asdict(h), timesteps=_TIMESTEPS, n_envs=n_envs)
+
+        with opened_run(given, (NAME,), settings) as (run, folder):
+            train(run, folder, h)
+
+    return run_command(work, "the best policy stays; begin anew in another folder")
 
 
 if __name__ == "__main__":

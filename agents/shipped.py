@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -10,19 +11,22 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import NamedTuple
 
-from agents.command import Parser, Progress, note, run_command
+from agents.command import Parser, Progress, note, print_table, require_range, run_command
 from agents.runs import RUN_FILE
 
+_FOLDER = Path(__file__).parent / "policies"
 _AUTHORS = "The wtg_gym authors"
 
 _DESCRIPTION = """\
-Trains the policies of agents/policies, three or five seeds each, and exports them. A run that is there already goes on
-from its last checkpoint, or is exported at once. The output of a run goes to the file NAME.log beside its folder.
-Nothing in agents/policies changes, unless --policies names it."""
+Trains the policies of agents/policies, three or five seeds each, and exports them; without --only or --all, lists them
+with the time that the training of each took. A run that is there already goes on from its last checkpoint, or is
+exported at once. The output of a run goes to the file NAME.log beside its folder. Nothing in agents/policies changes,
+unless --policies names it."""
 _EXAMPLES = """\
 examples:
+  python -m agents.shipped                            what there is to train
   python -m agents.shipped --only ppo-k+tau-0         the first PPO alone
-  python -m agents.shipped --jobs 2                   all of them, two at a time"""
+  python -m agents.shipped --all --jobs 2             all of them, two at a time"""
 
 
 class Shipped(NamedTuple):
@@ -80,6 +84,13 @@ def names() -> dict[str, tuple[Shipped, int]]:
     return {f"{shipped.key}-{seed}": (shipped, seed) for shipped in SHIPPED for seed in range(shipped.n_seeds)}
 
 
+def _time_taken(name: str) -> str:
+    """Return how long the training of a policy took [s], as its model card says."""
+    card = (_FOLDER / name / "README.md").read_text(encoding="utf-8")
+    found = re.search(r"^\| wall time \| ([\d,]+) s", card, re.MULTILINE)
+    return found[1] if found else "unknown"
+
+
 def _make(name: str, runs: Path, policies: Path) -> None:
     """Train a policy and export it.
 
@@ -106,7 +117,9 @@ def _make(name: str, runs: Path, policies: Path) -> None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     parser = Parser(prog="python -m agents.shipped", description=_DESCRIPTION, epilog=_EXAMPLES)
-    parser.add_argument("--only", nargs="+", metavar="NAME", help=f"of {', '.join(names())} (default: all)")
+    chosen = parser.add_mutually_exclusive_group()
+    chosen.add_argument("--only", nargs="+", metavar="NAME", help="train these")
+    chosen.add_argument("--all", action="store_true", help="train all of them")
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="trainings at a time, 1 … 64 (default: 1)")
     parser.add_argument("--runs", default="runs", metavar="FOLDER", help="of the runs (default: runs)")
     parser.add_argument(
@@ -115,12 +128,16 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     def work() -> None:
         given = parser.parse_args(argv)
-        chosen = list(dict.fromkeys(given.only or names()))
+        if not given.only and not given.all:
+            rows = [[name, shipped.name, _time_taken(name)] for name, (shipped, _) in names().items()]
+            print_table(["policy", "entry", "training took [s]"], rows, left=(0, 1))
+            note("--only NAME … trains some of them, --all all of them")
+            return
+        chosen = list(names()) if given.all else list(dict.fromkeys(given.only))
         unknown = [name for name in chosen if name not in names()]
         if unknown:
             raise ValueError(f"--only: unknown {', '.join(unknown)}; known: {', '.join(names())}")
-        if not 1 <= given.jobs <= 64:
-            raise ValueError(f"--jobs = {given.jobs} is outside the allowed range 1 … 64")
+        require_range("--jobs", given.jobs, 1, 64, "")
         runs, policies = Path(given.runs), Path(given.policies)
         runs.mkdir(parents=True, exist_ok=True)
         with Progress("policies") as progress, ThreadPoolExecutor(given.jobs) as pool:

@@ -17,6 +17,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 
+from agents import multi_agent
 from agents.command import (
     Parser,
     Progress,
@@ -29,9 +30,7 @@ from agents.command import (
     settings_of,
 )
 from agents.entry_file import entry_values, write_entry
-from agents.folders import BEST, CHECKPOINTS, folders, save_folder
-from agents.groups import ALGORITHMS as OF_GROUPS
-from agents.groups import ARCHIVE_FOLDER, as_played, learner_of, network_played, played, training_env, with_policy
+from agents.folders import CHECKPOINTS, folders
 from agents.hyperparameters import ALGORITHMS, CONFIG_FOLDER, parse, read_config
 from agents.learners import build_model, load_checkpoint, save_checkpoint, save_policy
 from agents.onnx_graph import to_onnx
@@ -55,8 +54,8 @@ examples:
   python -m agents.train --resume runs/ppo-0
   tensorboard --logdir runs"""
 
-#: The algorithms to choose from, those of many agents last.
-TRAINED = (*ALGORITHMS, *OF_GROUPS)
+#: The algorithms to choose from, the multi-agent ones last.
+TRAINED = (*ALGORITHMS, *multi_agent.ALGORITHMS)
 #: Called with (timesteps, score) after each validation; an exception that it raises ends the run.
 OnScore = Callable[[int, float], None]
 
@@ -71,16 +70,16 @@ def start(run: Run) -> BaseAlgorithm:
     # networks this small gain nothing from them.
     torch.set_num_threads(1)
     settings = run.settings
-    hyperparameters = parse(learner_of(settings.algo), settings.hyperparameters)
-    env: VecEnv = VecMonitor(training_env(settings))
-    hyperparameters = with_policy(settings, hyperparameters, env)
+    hyperparameters = parse(multi_agent.base_algorithm(settings.algo), settings.hyperparameters)
+    env: VecEnv = VecMonitor(multi_agent.training_env(settings))
+    hyperparameters = multi_agent.with_central_critic(settings, hyperparameters, env)
     if hyperparameters.normalize is not None:
         env = VecNormalize(env, **hyperparameters.normalize)
     try:
-        algo = learner_of(settings.algo)
+        algo = multi_agent.base_algorithm(settings.algo)
         model = build_model(algo, hyperparameters, env, seed=settings.seed, device=settings.device)
         # A policy that cannot be written is refused now rather than after the training.
-        to_onnx(network_played(settings, _policy_of(model)))
+        to_onnx(multi_agent.joint_network(settings, _policy_of(model)))
     except ValueError:
         env.close()
         raise
@@ -107,7 +106,7 @@ def train(run: Run, folder: Path | None = None, on_score: OnScore | None = None)
     if run.curve and not checkpoints:
         raise ValueError(f"{folder} has validations, but no checkpoint to go on from; begin anew in another folder")
     settings = run.settings
-    algo = learner_of(settings.algo)
+    algo = multi_agent.base_algorithm(settings.algo)
     model = load_checkpoint(checkpoints[-1], algo, settings.device) if checkpoints else start(run)
     restored_at = model.num_timesteps if checkpoints else None
     if folder is not None:
@@ -175,12 +174,12 @@ class _Supervision(BaseCallback):
     def take_stock(self) -> None:
         """Validate, keep the best policy, and write a checkpoint."""
         run, model = self._run, self.model
-        policy = played(run.settings, _policy_of(model))
+        policy = multi_agent.joint_policy(run.settings, _policy_of(model))
         metrics = run.validate(policy, model.num_timesteps, time.monotonic() - self._began)
         for key, value in metrics.items():
             self.logger.record(f"validation/{key}", value)
         if self._folder is not None:
-            self._save(self._folder)
+            run.keep(self._folder, self._write_best, functools.partial(save_checkpoint, model=model))
         if model.num_timesteps != self._restored_at and getattr(model, "use_sde", False):
             # A learner draws the noise of its next rollout before it calls us, and once more after a resumption.
             actor: Any = model.policy
@@ -188,23 +187,15 @@ class _Supervision(BaseCallback):
         if self._on_score is not None:
             self._on_score(model.num_timesteps, metrics["score"])
 
-    def _save(self, folder: Path) -> None:
-        # The checkpoint comes first: one whose row is missing in run.json is validated again on resumption.
-        run, steps = self._run, self.model.num_timesteps
-        save_folder(folder / CHECKPOINTS, steps, functools.partial(save_checkpoint, model=self.model))
-        if run.best is run.curve[-1]:
-            save_folder(folder / BEST, steps, self._write_best)
-        run.write(folder)
-
     def _write_best(self, folder: Path) -> None:
         """Write the policy as an entry: an archive for `wtg-gym evaluate --trust-pickle`; of many agents ONNX."""
         settings = self._run.settings
         entry = entry_values(settings, self.model.num_timesteps)
-        if settings.algo in OF_GROUPS:
+        if settings.algo in multi_agent.ALGORITHMS:
             # An archive takes what one group sees, and is for the export alone.
-            (folder / ARCHIVE_FOLDER).mkdir()
-            save_policy(folder / ARCHIVE_FOLDER, self.model)
-            content = to_onnx(network_played(as_played(settings), _policy_of(self.model)))
+            (folder / multi_agent.ARCHIVE_FOLDER).mkdir()
+            save_policy(folder / multi_agent.ARCHIVE_FOLDER, self.model)
+            content = to_onnx(multi_agent.joint_network(multi_agent.entry_settings(settings), _policy_of(self.model)))
             (folder / POLICY_FILE).write_bytes(content)
         else:
             save_policy(folder, self.model)
@@ -232,9 +223,11 @@ def sb3_settings(given: Mapping[str, Any]) -> RunSettings:
         raise ValueError(f"--algo is needed: {', '.join(TRAINED)}")
     algo = given["algo"]
     env_id = get_suite(given.get("suite", "standard")).benchmark.env_id
-    # Many agents learn with the same hyperparameters, whatever their value function sees.
-    raw = read_config(Path(given.get("config", CONFIG_FOLDER / f"{'ippo' if algo in OF_GROUPS else algo}.yml")), env_id)
-    file = parse(learner_of(algo), raw)
+    # Both have the same hyperparameters, whatever their critics see.
+    raw = read_config(
+        Path(given.get("config", CONFIG_FOLDER / f"{'ippo' if algo in multi_agent.ALGORITHMS else algo}.yml")), env_id
+    )
+    file = parse(multi_agent.base_algorithm(algo), raw)
     return settings_of(given, algo, raw, timesteps=file.n_timesteps, n_envs=given.get("n_envs", file.n_envs))
 
 

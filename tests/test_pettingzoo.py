@@ -223,7 +223,7 @@ BAD: list[tuple[dict[str, Any], type[Exception], str]] = [
     ({"reward": "each"}, ValueError, "unknown reward 'each'; choose one of shared, own"),
     ({"reward": None}, ValueError, "unknown reward None"),
     ({"observation_mode": "local"}, TypeError, r"observation_mode cannot be chosen: .* state\(\)"),
-    ({"wind": 3}, TypeError, "unexpected keyword argument 'wind'; known settings: "),
+    ({"wind": 3}, TypeError, "unexpected keyword argument 'wind'; known arguments: reward, render_mode, action_mode, "),
     ({"version": "v9"}, ValueError, "unknown version 'v9'"),
     ({"render_mode": "text"}, ValueError, "unknown render_mode 'text'"),
 ]
@@ -233,6 +233,14 @@ BAD: list[tuple[dict[str, Any], type[Exception], str]] = [
 def test_bad_arguments_are_named(arguments: dict[str, Any], kind: type[Exception], text: str) -> None:
     with pytest.raises(kind, match=text):
         parallel_env(**arguments)
+
+
+def test_unknown_agent_is_named_beside_the_known() -> None:
+    env = parallel_env()
+    for asked in (env.observation_space, env.action_space):
+        with pytest.raises(KeyError, match="unknown agent 'wtg9'; choose one of wtg0, wtg1"):
+            asked("wtg9")
+    env.close()
 
 
 BAD_ACTIONS: list[tuple[Any, str]] = [

@@ -12,7 +12,7 @@ from gymnasium.envs.registration import register, registry
 
 if TYPE_CHECKING:
     from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
-    from wtg_gym.evaluation import Entry, evaluate, leaderboard_rows, load_entries, markdown_table, to_xarray
+    from wtg_gym.evaluation import Entry, Results, evaluate, leaderboard_rows, load_entries, markdown_table, to_xarray
     from wtg_gym.physics.plant import PlantSettings
     from wtg_gym.physics.scenario import (
         GovernorLoss,
@@ -60,6 +60,7 @@ _PLACES = {
     "LoadTrip": "physics.scenario",
     "MachineOutage": "physics.scenario",
     "PlantSettings": "physics.plant",
+    "Results": "evaluation",
     "Scenario": "physics.scenario",
     "TrackingLaw": "physics.tracking_law",
     "Trajectory": "physics.trajectory",
@@ -88,6 +89,7 @@ __all__ = [
     "LoadTrip",
     "MachineOutage",
     "PlantSettings",
+    "Results",
     "Scenario",
     "TrackingLaw",
     "Trajectory",

@@ -40,6 +40,7 @@ from wtg_gym.physics.layout import (
     rows_of,
     wtg_row,
 )
+from wtg_gym.ranges import ByName
 
 try:
     from pettingzoo import ParallelEnv
@@ -94,6 +95,9 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
             )
         if not isinstance(reward, str) or reward not in REWARDS:
             raise ValueError(f"unknown reward {reward!r}; choose one of {', '.join(REWARDS)}")
+        known = ["reward", "render_mode", *sorted(EnvArguments.__annotations__.keys() - {"observation_mode"})]
+        if unknown := sorted(arguments.keys() - set(known)):
+            raise TypeError(f"unexpected keyword argument {unknown[0]!r}; known arguments: {', '.join(known)}")
         self.reward = reward
         #: The environment that the agents share.
         seen: EnvArguments = {**arguments, "observation_mode": "privileged"}
@@ -107,8 +111,10 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
         width = lanes.n_local + n_modes
         bound, one = np.full(width, OBSERVATION_BOUND, dtype=np.float32), np.ones(n_modes, dtype=np.float32)
         # Each its own, so that each can be seeded by itself.
-        self.observation_spaces = {agent: gym.spaces.Box(-bound, bound) for agent in self.possible_agents}
-        self.action_spaces = {agent: gym.spaces.Box(-one, one) for agent in self.possible_agents}
+        self.observation_spaces = ByName(
+            "agent", {name: gym.spaces.Box(-bound, bound) for name in self.possible_agents}
+        )
+        self.action_spaces = ByName("agent", {name: gym.spaces.Box(-one, one) for name in self.possible_agents})
         self.state_space = self.single_env.observation_space
         self._action_shape = (n_modes,)
         self._seen = {agent: slice(j * width, (j + 1) * width) for j, agent in enumerate(self.possible_agents)}

@@ -1,11 +1,30 @@
-"""Checks of numbers: what is outside its range is named with value, unit and range."""
+"""Checks of numbers and names: what is not allowed is named beside what is."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, TypeVar
 
 import numpy as np
+
+Value = TypeVar("Value")
+
+
+class ByName(dict[str, Value]):
+    """A dictionary whose KeyError lists the keys that there are.
+
+    Args:
+        kind: what the keys are names of.
+        values: by name.
+    """
+
+    def __init__(self, kind: str, values: Mapping[str, Value]) -> None:
+        super().__init__(values)
+        self._kind = kind
+
+    def __missing__(self, name: Any) -> Value:
+        raise KeyError(f"unknown {self._kind} {name!r}; choose one of {', '.join(self)}")
 
 
 def require_range(name: str, value: Any, low: float, high: float, unit: str) -> float:
@@ -44,4 +63,4 @@ def whole_steps(name: str, interval: float, step: float, step_name: str) -> int:
     return count
 
 
-__all__ = ["require_bus", "require_range", "whole_steps"]
+__all__ = ["ByName", "require_bus", "require_range", "whole_steps"]

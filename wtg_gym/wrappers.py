@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.envs import GFMWTGEnv
 from wtg_gym.envs.task_records import COST_TERMS
 
 Floats = npt.NDArray[np.float64]
@@ -25,14 +26,17 @@ class VectorReward(gym.Wrapper[Any, Any, Any, Any]):
             :data:`wtg_gym.envs.task_records.COST_TERMS`.
 
     Raises:
-        ValueError: a term is unknown, or there is none.
+        ValueError: a term is unknown or named twice, there is none, or the environment is none of this package.
     """
 
     def __init__(self, env: gym.Env[Any, Any], terms: Sequence[str] = COST_TERMS) -> None:
         super().__init__(env)
-        if isinstance(terms, str) or not terms or not set(terms) <= set(COST_TERMS):
-            raise ValueError(f"terms must be some of {', '.join(COST_TERMS)}, got {terms!r}")
-        self.terms = tuple(terms)
+        if not isinstance(self.unwrapped, GFMWTGEnv):
+            raise ValueError(f"env must be a GFMWTGEnv, which tells the terms of its cost, got {self.unwrapped}")
+        names = terms if isinstance(terms, (list, tuple)) else ()
+        if not names or any(names.count(name) != (name in COST_TERMS) for name in names):
+            raise ValueError(f"terms must be a list of some of {', '.join(COST_TERMS)}, each once, got {terms!r}")
+        self.terms = tuple(names)
         high = np.zeros(len(self.terms), dtype=np.float64)
         #: Of the rewards; MO-Gymnasium looks for it in the innermost environment.
         self.reward_space = gym.spaces.Box(np.full_like(high, -np.inf), high, dtype=np.float64)

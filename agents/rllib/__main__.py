@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
 import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -14,6 +13,7 @@ from agents.command import (
     add_training_options,
     given_options,
     opened_run,
+    require_package,
     run_command,
     settings_of,
 )
@@ -58,10 +58,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         # The only option that a resumed run takes as well.
         address = given.pop("address", None)
         with opened_run(given, (NAME,), lambda: _settings(given)) as (run, folder):
-            if importlib.util.find_spec("ray") is None:
-                raise ValueError(
-                    "ray is not installed: pip install -c constraints-rllib.txt -e '.[rllib]', or make rllib"
-                )
+            require_package("ray", "-c constraints-rllib.txt -e '.[rllib]', or make rllib")
             from agents.rllib.learner import train
 
             train(run, folder, address)

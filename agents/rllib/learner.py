@@ -29,7 +29,7 @@ from tensorboardX import SummaryWriter
 
 from agents import ppo
 from agents.command import Progress
-from agents.folders import BEST, CHECKPOINTS, folders, loading, save_folder
+from agents.folders import CHECKPOINTS, folders, loading
 from agents.rllib import Hyperparameters
 from agents.rllib.environment import RunnerEnvs, Scales, measure_scales
 from agents.runs import Run, RunSettings
@@ -214,12 +214,8 @@ def _train(run: Run, folder: Path, algorithm: Algorithm) -> None:
             if run.is_due(steps) or (run.finished and run.curve[-1]["timesteps"] < steps):
                 agent = _agent_of(algorithm)
                 run.validate(agent, steps, time.monotonic() - began)
-                # RLlib wants an absolute path. The checkpoint comes first: one whose row is missing in run.json is
-                # validated again on resumption.
-                save_folder(folder.resolve() / CHECKPOINTS, steps, algorithm.save_to_path)
-                if run.best is run.curve[-1]:
-                    save_folder(folder / BEST, steps, functools.partial(ppo.save, agent=agent))
-            run.write(folder)
+                # RLlib wants an absolute path.
+                run.keep(folder.resolve(), functools.partial(ppo.save, agent=agent), algorithm.save_to_path)
             if run.finished:
                 return
             name = f"{settings.algo}, score {run.curve[-1]['score']:.1f}, best {run.best['score']:.1f}"

@@ -48,8 +48,8 @@ def test_violating_steps_cost_the_multiplier_also_an_episodes_last() -> None:
 
 def test_measure_counts_the_steps_of_the_policy_without_noise() -> None:
     class Brakes(nn.Module):
-        def forward(self, observation: torch.Tensor) -> torch.Tensor:
-            return torch.ones(observation.shape[0], 4)
+        def forward(self, observation: torch.Tensor) -> tuple[torch.Tensor, ...]:
+            return (torch.ones(observation.shape[0], 4),)
 
     envs = GFMWTGVectorEnv(N, autoreset_mode="SameStep", suite=lagrangian._SUITE)
     measure = lagrangian.Measure(N, 3)
@@ -94,5 +94,24 @@ def test_command_writes_entries_and_a_table(tmp_path: Path, capsys: pytest.Captu
         assert (entry.name, entry.training_seed, entry.environment) == (name, 0, "GFMWTG-14bus-v0")
         assert page.read_text().count(f"| {name} |") == 1
     assert "| coordinated-piecewise | 100.0 (" in page.read_text()
-    assert lagrangian.main(["--bound", "0", "--output", str(tmp_path / "other")]) == 2
-    assert "--bound must be between 0 and 100 %" in capsys.readouterr().err
+    # Nothing of another run is overwritten.
+    assert lagrangian.main([*sizes, "--output", str(tmp_path / "mine")]) == 2
+    assert "mine exists and is not an empty folder" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "text"),
+    [
+        ("--bound", "0", "--bound must be between 0 and 100 %"),
+        ("--timesteps", "0", "--timesteps = 0 steps is outside the allowed range 1 … 1e+12 steps"),
+        ("--n-envs", "-1", "--n-envs = -1 episodes is outside the allowed range 1 … 100000 episodes"),
+        ("--seeds", "-1", "--seeds = -1 is outside the allowed range 0 … 2.14748e+09"),
+        ("--scenarios", "0", "--scenarios = 0 is outside the allowed range 1 … 100000"),
+        ("--page", "no-page.md", "no-page.md"),
+    ],
+)
+def test_bad_options_are_refused_before_anything_runs(
+    option: str, value: str, text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert lagrangian.main([option, value, "--output", str(tmp_path / "other")]) == 2
+    assert text in capsys.readouterr().err and not (tmp_path / "other").exists()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import gymnasium as gym
@@ -22,6 +22,34 @@ def test_command_without_d3rlpy_says_what_to_install(
     monkeypatch.setitem(sys.modules, "d3rlpy", None)
     assert offline.main(["gfmwtg/v1/mixed-v0", "--output", str(tmp_path / "out")]) == 2
     assert "pip install d3rlpy==2.8.0" in capsys.readouterr().err
+
+
+def test_command_compares_with_the_version_s_own_policy_and_checks_before_it_trains(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "d3rlpy", ModuleType("d3rlpy"))
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    datasets.make_dataset("v0", "reference", 1)
+    trained = []
+
+    def zero(dataset: Any, algorithm: str, n_steps: int, seed: int, output: Path) -> str:
+        trained.append((dataset.spec.dataset_id, algorithm, n_steps, seed, output))
+        return "coordinated-linear"
+
+    monkeypatch.setattr(offline, "_exported", zero)
+    output = tmp_path / "out"
+    given = ["gfmwtg/v0/reference-v0", "--algos", "bc", "bc", "--output", str(output)]
+    for option, value, text in (
+        ("--steps", "0", "--steps = 0 gradient steps is outside the allowed range 1 … 1e+09 gradient steps"),
+        ("--seed", "-1", "--seed = -1 is outside the allowed range 0 … "),
+        ("--scenarios", "0", "--scenarios = 0 is outside the allowed range 1 … "),
+    ):
+        assert offline.main([*given, option, value]) == 2
+        assert text in capsys.readouterr().err and not trained and not output.exists()
+    assert offline.main([*given, "--scenarios", "4"]) == 0
+    assert trained == [("gfmwtg/v0/reference-v0", "bc", 20_000, 0, output)]
+    table = capsys.readouterr().out
+    assert "PPO (k, τ)" in table and "coordinated-linear" in table
 
 
 def test_actor_normalises_and_clips_as_the_data_was() -> None:

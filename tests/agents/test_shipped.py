@@ -40,6 +40,18 @@ def test_nothing_in_agents_is_written_unless_named(tmp_path: Path, monkeypatch: 
     assert made == [("ppo-k-0", Path("runs"), Path("runs/policies"))]
 
 
+def test_command_without_a_choice_lists_and_trains_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(shipped, "_make", lambda *given: pytest.fail("trained"))
+    monkeypatch.chdir(tmp_path)
+    assert shipped.main([]) == 0
+    rows = capsys.readouterr().out.splitlines()[2:]
+    assert [row.split()[0] for row in rows] == list(shipped.names()) and not list(tmp_path.iterdir())
+    # As the model cards say.
+    assert all(float(row.split()[-1].replace(",", "")) > 60.0 for row in rows)
+
+
 def test_command_trains_exports_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     lock = threading.Lock()
 
@@ -55,7 +67,7 @@ def test_command_trains_exports_and_goes_on(tmp_path: Path, monkeypatch: pytest.
     folders = ["--runs", str(tmp_path / "runs"), "--policies", str(tmp_path / "policies")]
     assert shipped.main(["--only", "tiny-1", *folders]) == 0
     first = (tmp_path / "policies" / "tiny-1" / "policy.onnx").read_bytes()
-    assert shipped.main(["--jobs", "2", *folders]) == 0
+    assert shipped.main(["--all", "--jobs", "2", *folders]) == 0
     assert (tmp_path / "policies" / "tiny-1" / "policy.onnx").read_bytes() == first
     assert [load_entries(tmp_path / "policies" / f"tiny-{seed}")[0].training_seed for seed in range(2)] == [0, 1]
     assert Run.read(tmp_path / "runs" / "tiny-1").finished
@@ -65,7 +77,8 @@ def test_command_trains_exports_and_goes_on(tmp_path: Path, monkeypatch: pytest.
     ("arguments", "text"),
     [
         (["--only", "ppo-9"], "unknown ppo-9; known: ppo-k+tau-0"),
-        (["--jobs", "0"], "--jobs = 0 is outside the allowed range 1 … 64"),
+        (["--all", "--only", "ppo-k-0"], "not allowed with argument"),
+        (["--all", "--jobs", "0"], "--jobs = 0 is outside the allowed range 1 … 64"),
     ],
 )
 def test_bad_options_are_refused(arguments: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -18,6 +18,7 @@ from wtg_gym.evaluation.oracle import KnownOracle, known_oracle
 from wtg_gym.evaluation.score import NoScaleError, log_gains, pinned
 from wtg_gym.evaluation.statistics import Floats, Interval, mean
 from wtg_gym.evaluation.summary import SINCE_V1, EntrySummary, ranked, summarise
+from wtg_gym.ranges import ByName
 from wtg_gym.scenarios import get_suite
 from wtg_gym.scenarios.benchmark import V0, Benchmark
 
@@ -82,7 +83,7 @@ class Results:
     @property
     def scores(self) -> dict[str, Interval]:
         """Mean score of every entry with its 95 % interval, by its name; errors as of :attr:`summaries`."""
-        return {row.name: row.score for row in self.summaries}
+        return ByName("entry", {row.name: row.score for row in self.summaries})
 
     @cached_property
     def summaries(self) -> list[EntrySummary]:
@@ -110,13 +111,13 @@ class Results:
         runs: dict[str, dict[int | None, list[float]]] = {}
         for episode in self.episodes:
             runs.setdefault(episode.entry, {}).setdefault(episode.training_seed, []).append(pinned(episode, self._cap))
-        return {name: np.array(list(own.values())) for name, own in runs.items()}
+        return ByName("entry", {name: np.array(list(own.values())) for name, own in runs.items()})
 
     @property
     def log_gains(self) -> dict[str, Floats]:
         """Log gains over the hundred by the entry's name, (n_runs, n_scenarios)."""
         hundred = self.pinned_costs[self.benchmark.hundred][0]
-        return {name: log_gains(costs, hundred) for name, costs in self.pinned_costs.items()}
+        return ByName("entry", {name: log_gains(costs, hundred) for name, costs in self.pinned_costs.items()})
 
     @property
     def _cap(self) -> float:

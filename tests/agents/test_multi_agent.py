@@ -16,7 +16,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from agents.export import export, largest_difference
 from agents.export import main as export_command
 from agents.folders import folders
-from agents.groups import ALGORITHMS, CentralCriticPolicy, GroupVecEnv, SharedPolicy, training_env
+from agents.multi_agent import ALGORITHMS, AgentVecEnv, CentralCriticPolicy, SharedPolicy, training_env
 from agents.onnx_graph import PolicyNetwork, to_onnx
 from agents.runs import Run, RunSettings
 from agents.train import main as train_command
@@ -52,22 +52,25 @@ def weights(folder: Path) -> dict[str, torch.Tensor]:
     return found
 
 
-@pytest.mark.parametrize("sees_grid", [False, True])
-def test_lanes_are_the_groups_of_the_episodes(sees_grid: bool) -> None:
-    arguments = {**SHORT, "observation_mode": "privileged" if sees_grid else "local", "groups": 3}
-    episodes, groups = GainVecEnv(2, **arguments), GroupVecEnv(GainVecEnv(2, **arguments), sees_grid=sees_grid)
+@pytest.mark.parametrize("central_critic", [False, True])
+def test_lanes_are_the_groups_of_the_episodes(central_critic: bool) -> None:
+    arguments = {**SHORT, "observation_mode": "privileged" if central_critic else "local", "groups": 3}
+    episodes, groups = (
+        GainVecEnv(2, **arguments),
+        AgentVecEnv(GainVecEnv(2, **arguments), central_critic=central_critic),
+    )
     for env in (episodes, groups):
         env.seed(3)
     seen, split = episodes.reset(), groups.reset()
     names = groups.get_attr("observation_names")[0]
     # What a group measures, its last actions, and its size.
-    assert (groups.num_envs, groups.n_wtg, groups.n_own) == (6, 3, 11)
+    assert (groups.num_envs, groups.n_wtg, groups.n_actor) == (6, 3, 11)
     rng, ends = np.random.default_rng(0), 0
     for _ in range(60):
         for lane in range(6):
             episode, group = divmod(lane, 3)
             own = [index for index, name in enumerate(names) if name.startswith(f"wtg{group}.")]
-            expected = [*seen[episode, own], 1.0, *(seen[episode] if sees_grid else [])]
+            expected = [*seen[episode, own], 1.0, *(seen[episode] if central_critic else [])]
             assert split[lane].tolist() == expected and groups.observation_space.contains(split[lane])
         actions = rng.uniform(-1.0, 1.0, (6, 2)).astype(np.float32)
         seen, gains, dones, infos = episodes.step(actions.reshape(2, 6))
@@ -80,7 +83,7 @@ def test_lanes_are_the_groups_of_the_episodes(sees_grid: bool) -> None:
                 info.pop("terminal_observation") for info in (dict(infos[episode]), dict(own_infos[lane]))
             )
             assert own_last[:10].tolist() == last[10 * group : 10 * group + 10].tolist()
-            assert own_last[11:].tolist() == (last.tolist() if sees_grid else [])
+            assert own_last[11:].tolist() == (last.tolist() if central_critic else [])
             assert own_infos[lane]["metrics"] == infos[episode]["metrics"]
             assert own_infos[lane]["TimeLimit.truncated"] == infos[episode]["TimeLimit.truncated"]
     assert ends >= 6
@@ -145,7 +148,7 @@ def played(content: bytes, observations: np.ndarray) -> np.ndarray:
 
 def test_group_sees_its_turbines_as_a_multiple_of_their_mean() -> None:
     arguments: dict[str, Any] = {"suite": "standard-v1", "strategy": "coordinated-tuned", "duration_s": 5.0}
-    groups = GroupVecEnv(GainVecEnv(2, **arguments), sees_grid=False)
+    groups = AgentVecEnv(GainVecEnv(2, **arguments), central_critic=False)
     turbines = np.array([20.0, 14.0, 10.0, 8.0])
     assert groups.reset()[:, -1].tolist() == pytest.approx(np.tile(turbines / turbines.mean(), 2).tolist())
     groups.close()
@@ -156,7 +159,7 @@ def test_value_function_sees_the_grid_and_the_policy_its_own_group_alone() -> No
     settings = RunSettings(algo="mappo", hyperparameters=raw, timesteps=64, n_envs=8, interval=64)
     model = start(Run.new(settings))
     policy = model.policy
-    assert isinstance(policy, CentralCriticPolicy) and isinstance(policy, ActorCriticPolicy) and policy.n_own == 11
+    assert isinstance(policy, CentralCriticPolicy) and isinstance(policy, ActorCriticPolicy) and policy.n_actor == 11
     observations = torch.rand(1, *policy.observation_space.shape, requires_grad=True)
     for value, seen in ((policy.get_distribution(observations).distribution.mean, 11), (None, observations.shape[1])):
         value = policy.predict_values(observations) if value is None else value

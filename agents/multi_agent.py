@@ -1,11 +1,12 @@
-"""Many agents that learn one policy: every WTG group plays it by itself, from what it measures itself.
+"""Multi-agent PPO with shared parameters, for `agents.train`: an agent per WTG group, one policy for all of them.
 
-"ippo" is independent PPO with shared parameters (de Witt et al., "Is Independent Learning All You Need in the StarCraft
-Multi-Agent Challenge?", 2020); "mappo" adds a value function that sees the whole grid (Yu et al., "The Surprising
-Effectiveness of PPO in Cooperative Multi-Agent Games", 2022). A lane of the learner is one group of one episode.
+"ippo" is independent PPO (de Witt et al., "Is Independent Learning All You Need in the StarCraft Multi-Agent
+Challenge?", 2020): actor and critic see an agent's local observation. "mappo" has a central critic, which sees the
+whole grid too (Yu et al., "The Surprising Effectiveness of PPO in Cooperative Multi-Agent Games", 2022).
+Stable-Baselines3 knows single agents alone: here every agent is a lane of its own.
 
-Besides what it measures, a group sees its size: every group's duty counts alike in the cost, but a large one moves the
-frequency by more, so that one policy for all must tell them apart.
+A local observation is what a group measures, its last action, and its size: every group's duty counts alike in the
+cost, but a large one moves the frequency by more, so that one policy for all must tell them apart.
 """
 
 from __future__ import annotations
@@ -35,10 +36,8 @@ from wtg_gym.scenarios import get_suite
 Array = npt.NDArray[Any]
 Infos = list[dict[str, Any]]
 
-#: The algorithms of many agents.
+#: The multi-agent algorithms.
 ALGORITHMS = ("ippo", "mappo")
-#: What all of them learn with, as :data:`agents.hyperparameters.ALGORITHMS` names it.
-LEARNER = "ppo"
 #: Where the archive of the learner is in the folder of its best policy.
 ARCHIVE_FOLDER = "learner"
 
@@ -50,41 +49,41 @@ def group_sizes(settings: EnvSettings) -> Array:
     return sizes
 
 
-def with_sizes(observations: Array, sizes: Array) -> Array:
-    """Return what each group measures and its size, (n · n_wtg, n_own), of local observations (n, n_observation)."""
+def agent_observations(observations: Array, sizes: Array) -> Array:
+    """Return the local observation of each agent, (n · n_wtg, n_actor), from those of episodes (n, n_observation)."""
     measured = observations.reshape(len(observations), sizes.size, -1)
     column = np.broadcast_to(sizes[:, None], (*measured.shape[:2], 1))
     return np.concatenate([measured, column], axis=2).reshape(len(observations) * sizes.size, -1)
 
 
-class GroupVecEnv(VecEnvWrapper):
-    """A batch of episodes with a lane for every WTG group: lane i is group i % n_wtg of episode i // n_wtg.
+class AgentVecEnv(VecEnvWrapper):
+    """A batch of episodes with a lane for every agent: lane i is WTG group i % n_wtg of episode i // n_wtg.
 
-    All groups of an episode earn its gain and end together.
+    All agents of an episode earn its gain and end together.
 
     Args:
         venv: the episodes.
-        sees_grid: whether the whole observation, which is then to be the privileged one, follows that of the group.
+        central_critic: whether the privileged observation, which the episodes then must have, follows the local one.
     """
 
-    def __init__(self, venv: GainVecEnv, *, sees_grid: bool) -> None:
+    def __init__(self, venv: GainVecEnv, *, central_critic: bool) -> None:
         lanes = venv.vector_env.lanes
         self.n_wtg = lanes.n_wtg
-        self._sees_grid = sees_grid
+        self._central_critic = central_critic
         n_modes = lanes.n_action // self.n_wtg
         self._sizes = group_sizes(lanes.settings)
-        #: Entries of the observation that are a group's own; they come first.
-        self.n_own = lanes.n_local + n_modes + 1
-        width = self.n_own + (lanes.n_observation if sees_grid else 0)
+        #: Entries of the local observation; they come first.
+        self.n_actor = lanes.n_local + n_modes + 1
+        width = self.n_actor + (lanes.n_observation if central_critic else 0)
         bound = np.full(width, OBSERVATION_BOUND, dtype=np.float32)
         one = np.ones(n_modes, dtype=np.float32)
         super().__init__(venv, Box(-bound, bound), Box(-one, one))
         self.num_envs = venv.num_envs * self.n_wtg
 
     def _split(self, observations: Array) -> Array:
-        """Return what each group sees, (n · n_wtg, width), of observations (n, n_observation)."""
-        own = with_sizes(observations[:, : self.n_wtg * (self.n_own - 1)], self._sizes)
-        if not self._sees_grid:
+        """Return the observation of each agent, (n · n_wtg, width), from those of episodes (n, n_observation)."""
+        own = agent_observations(observations[:, : self.n_wtg * (self.n_actor - 1)], self._sizes)
+        if not self._central_critic:
             return own
         return np.concatenate([own, np.repeat(observations, self.n_wtg, axis=0)], axis=1)
 
@@ -102,8 +101,8 @@ class GroupVecEnv(VecEnvWrapper):
         """Hold the actions for one control interval; returns observations, rewards, dones and infos of the lanes."""
         observations, rewards, dones, infos = self.venv.step_wait()
         assert isinstance(observations, np.ndarray)
-        of_groups = [info for each in infos for info in self._infos(each)]
-        return self._split(observations), np.repeat(rewards, self.n_wtg), np.repeat(dones, self.n_wtg), of_groups
+        of_agents = [info for each in infos for info in self._infos(each)]
+        return self._split(observations), np.repeat(rewards, self.n_wtg), np.repeat(dones, self.n_wtg), of_agents
 
     def _infos(self, info: dict[str, Any]) -> Infos:
         if "terminal_observation" not in info:
@@ -118,49 +117,49 @@ class GroupVecEnv(VecEnvWrapper):
         self.__dict__.update(state, class_attributes={name: getattr(type(self), name) for name in dir(type(self))})
 
 
-class _OwnActor(MlpExtractor):
-    """Layers of a policy that sees the first entries of the observation, and of a value function that sees all."""
+class _LocalActor(MlpExtractor):
+    """Layers of an actor that sees the first entries of the observation, and of a critic that sees all."""
 
-    def __init__(self, n_own: int, actor: MlpExtractor, critic: MlpExtractor) -> None:
+    def __init__(self, n_actor: int, actor: MlpExtractor, critic: MlpExtractor) -> None:
         torch.nn.Module.__init__(self)
-        self.n_own = n_own
+        self.n_actor = n_actor
         self.policy_net, self.latent_dim_pi = actor.policy_net, actor.latent_dim_pi
         self.value_net, self.latent_dim_vf = critic.value_net, critic.latent_dim_vf
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
-        latent: torch.Tensor = self.policy_net(features[:, : self.n_own])
+        latent: torch.Tensor = self.policy_net(features[:, : self.n_actor])
         return latent
 
 
 class CentralCriticPolicy(ActorCriticPolicy):
-    """A policy that sees what its group measures, and a value function that sees the grid too.
+    """An actor that sees its agent's local observation, and a critic that sees the whole grid too.
 
     Args:
-        n_own: entries of the observation that the group measures; they come first.
+        n_actor: entries of the local observation; they come first.
         arguments: as for Stable-Baselines3's "MlpPolicy".
     """
 
-    def __init__(self, *arguments: Any, n_own: int, **keywords: Any) -> None:
-        self.n_own = n_own
+    def __init__(self, *arguments: Any, n_actor: int, **keywords: Any) -> None:
+        self.n_actor = n_actor
         super().__init__(*arguments, **keywords)
 
     def _build_mlp_extractor(self) -> None:
         actor, critic = (
             MlpExtractor(width, net_arch=self.net_arch, activation_fn=self.activation_fn, device=self.device)
-            for width in (self.n_own, self.features_dim)
+            for width in (self.n_actor, self.features_dim)
         )
-        self.mlp_extractor = _OwnActor(self.n_own, actor, critic)
+        self.mlp_extractor = _LocalActor(self.n_actor, actor, critic)
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
-        return {**super()._get_constructor_parameters(), "n_own": self.n_own}
+        return {**super()._get_constructor_parameters(), "n_actor": self.n_actor}
 
 
 @dataclasses.dataclass(frozen=True)
 class SharedPolicy:
-    """A policy that every WTG group plays by itself, for any number of groups.
+    """The joint policy of agents with shared parameters, for any number of them.
 
     Args:
-        policy: takes what one group sees.
+        policy: takes the observation of one agent.
         sizes: of the groups, :func:`group_sizes`.
     """
 
@@ -171,10 +170,10 @@ class SharedPolicy:
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[Any, Any]:
         """Return (actions (n_lanes, n_action), state) for raw local observations (n_lanes, n_observation)."""
-        n_own, width = _widths(self.policy.policy)
-        own = with_sizes(np.asarray(observation), self.sizes)
-        # Of the grid the actor sees nothing.
-        unseen = np.zeros((own.shape[0], width - n_own), dtype=own.dtype)
+        n_actor, width = _widths(self.policy.policy)
+        own = agent_observations(np.asarray(observation), self.sizes)
+        # What the central critic alone sees.
+        unseen = np.zeros((own.shape[0], width - n_actor), dtype=own.dtype)
         actions, _ = self.policy.predict(np.concatenate([own, unseen], axis=1), None, None, deterministic)
         return actions.reshape(len(observation), -1), state
 
@@ -183,22 +182,22 @@ def _widths(policy: BasePolicy) -> tuple[int, int]:
     """Return how many entries of the observation the actor sees, and how many there are."""
     shape = policy.observation_space.shape
     assert shape is not None
-    return policy.n_own if isinstance(policy, CentralCriticPolicy) else shape[0], shape[0]
+    return policy.n_actor if isinstance(policy, CentralCriticPolicy) else shape[0], shape[0]
 
 
-# --- for single agents too, whose policy sees all and does all -------------------------------------------------------
+# --- for any algorithm: a single agent's is left as it is -------------------------------------------------------------
 
 
-def learner_of(algo: str) -> str:
-    """Return what an algorithm learns with, as :data:`agents.hyperparameters.ALGORITHMS` names it."""
-    return LEARNER if algo in ALGORITHMS else algo
+def base_algorithm(algo: str) -> str:
+    """Return the algorithm of :data:`agents.hyperparameters.ALGORITHMS` that an algorithm is made of."""
+    return "ppo" if algo in ALGORITHMS else algo
 
 
 def training_env(settings: RunSettings) -> VecEnv:
     """Return the lanes that a run learns in.
 
     Raises:
-        ValueError: lanes are groups, and their number is no multiple of that of the groups, or the observations are
+        ValueError: lanes are agents, and their number is no multiple of the episodes' agents, or the observations are
             not local.
     """
     if settings.algo not in ALGORITHMS:
@@ -208,14 +207,14 @@ def training_env(settings: RunSettings) -> VecEnv:
     n_wtg = sizes_of(settings).size
     if settings.n_envs % n_wtg:
         raise ValueError(f"n_envs must be a whole multiple of the {n_wtg} WTG groups, got {settings.n_envs}")
-    arguments, sees_grid = settings.env_arguments, settings.algo == "mappo"
-    if sees_grid:
+    arguments, central_critic = settings.env_arguments, settings.algo == "mappo"
+    if central_critic:
         arguments["observation_mode"] = "privileged"
-    return GroupVecEnv(GainVecEnv(settings.n_envs // n_wtg, **arguments), sees_grid=sees_grid)
+    return AgentVecEnv(GainVecEnv(settings.n_envs // n_wtg, **arguments), central_critic=central_critic)
 
 
-def as_played(settings: RunSettings) -> RunSettings:
-    """Return a run's settings with the groups of its suite, with which its policy is an entry.
+def entry_settings(settings: RunSettings) -> RunSettings:
+    """Return a run's settings with the groups of its suite, for its policy as an entry.
 
     Raises:
         ValueError: a single agent's policy takes the observations of other groups.
@@ -231,24 +230,24 @@ def sizes_of(settings: RunSettings) -> Array:
     return group_sizes(EnvSettings(**settings.env_arguments))
 
 
-def with_policy(settings: RunSettings, hyperparameters: Hyperparameters, env: VecEnv) -> Hyperparameters:
-    """Return a run's hyperparameters with the policy that its algorithm learns in its lanes."""
+def with_central_critic(settings: RunSettings, hyperparameters: Hyperparameters, env: VecEnv) -> Hyperparameters:
+    """Return a run's hyperparameters, those of "mappo" with its policy for these lanes."""
     if settings.algo != "mappo":
         return hyperparameters
-    of_groups = unwrap_vec_wrapper(env, GroupVecEnv)
-    assert isinstance(of_groups, GroupVecEnv)
-    policy_kwargs = {**(hyperparameters.arguments.get("policy_kwargs") or {}), "n_own": of_groups.n_own}
+    lanes = unwrap_vec_wrapper(env, AgentVecEnv)
+    assert isinstance(lanes, AgentVecEnv)
+    policy_kwargs = {**(hyperparameters.arguments.get("policy_kwargs") or {}), "n_actor": lanes.n_actor}
     arguments = {**hyperparameters.arguments, "policy": CentralCriticPolicy, "policy_kwargs": policy_kwargs}
     return dataclasses.replace(hyperparameters, arguments=arguments)
 
 
-def played(settings: RunSettings, policy: NormalizedPolicy) -> Policy:
-    """Return a run's policy as one that acts for all groups."""
+def joint_policy(settings: RunSettings, policy: NormalizedPolicy) -> Policy:
+    """Return a run's policy as one that acts for all agents."""
     return SharedPolicy(policy, sizes_of(settings)) if settings.algo in ALGORITHMS else policy
 
 
-def network_played(settings: RunSettings, policy: NormalizedPolicy) -> PolicyNetwork:
-    """Return the network that :func:`played` evaluates.
+def joint_network(settings: RunSettings, policy: NormalizedPolicy) -> PolicyNetwork:
+    """Return the network that :func:`joint_policy` evaluates.
 
     Raises:
         ValueError: it has a layer that the export cannot write.
@@ -256,7 +255,7 @@ def network_played(settings: RunSettings, policy: NormalizedPolicy) -> PolicyNet
     network = network_of(policy.policy, policy.vec_normalize)
     if settings.algo not in ALGORITHMS:
         return network
-    seen, (n_own, _) = network.normalization, _widths(policy.policy)
+    seen, (n_actor, _) = network.normalization, _widths(policy.policy)
     if seen is not None:
-        seen = dataclasses.replace(seen, mean=seen.mean[:n_own], std=seen.std[:n_own])
-    return dataclasses.replace(network, n_observation=n_own, normalization=seen, sizes=sizes_of(settings))
+        seen = dataclasses.replace(seen, mean=seen.mean[:n_actor], std=seen.std[:n_actor])
+    return dataclasses.replace(network, n_observation=n_actor, normalization=seen, sizes=sizes_of(settings))
