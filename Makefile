@@ -143,8 +143,8 @@ notebooks: $(NOTEBOOKS_READY) ## Run every notebook from the built wheel and kee
 conditions: $(TEST_READY) ## Measure whether standard-v1 is a good problem, and put the tables into docs/benchmark.md (half an hour)
 	$(TEST_VENV)/bin/python -m agents.research.foresight --suite standard-v1 --split validation --scenarios 25 --generations 100 --strategy coordinated-tuned --gains agents/research/linear_feedback_v1_gains.json --entries coordinated-tuned fast-droop agents/policies/linear-feedback-v1 --output results/oracle
 	$(TEST_VENV)/bin/python -m agents.research.planner --scenarios 48 --output results/planners
-	$(TEST_VENV)/bin/python -m agents.research.planner --split test --scenarios 48 --entries "recurrent PPO" --output results/planners --page docs/benchmark.md
-	$(TEST_VENV)/bin/python -m agents.research.conditions --feedbacks agents/policies/linear-feedback-v1 agents/policies/history-feedback-v1 --agents agents/policies/ppo-v1-? agents/policies/recurrent-ppo-v1-? --oracle results/oracle/standard-v1-validation.json --planners results/planners/standard-v1-validation.json --page docs/benchmark.md
+	$(TEST_VENV)/bin/python -m agents.research.planner --split test --scenarios 48 --entries "gradient LSTM" "recurrent PPO" --output results/planners --page docs/benchmark.md
+	$(TEST_VENV)/bin/python -m agents.research.conditions --feedbacks agents/policies/linear-feedback-v1 agents/policies/history-feedback-v1 --agents agents/policies/gradient-v1-? agents/policies/ppo-v1-? agents/policies/recurrent-ppo-v1-? --oracle results/oracle/standard-v1-validation.json --planners results/planners/standard-v1-validation.json --page docs/benchmark.md
 
 .PHONY: docs-check
 docs-check: $(LEADERBOARD_READY) ## Draw the pictures into a copy of docs/ and name those that differ from the ones in docs/
