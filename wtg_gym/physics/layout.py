@@ -164,7 +164,7 @@ class NetworkEvent(NamedTuple):
 
 
 EVENT_DTYPE = dtype(NetworkEvent)
-NO_EVENT = np.array(NetworkEvent(np.inf, np.inf), dtype=EVENT_DTYPE)
+NO_EVENT = np.array([NetworkEvent(np.inf, np.inf)], dtype=EVENT_DTYPE)
 
 
 class BranchConstants(NamedTuple):

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.dynamics import evaluate_rates
-from wtg_gym.physics.equilibrium import StartFailure, start_lanes
+from wtg_gym.physics.equilibrium import StartFailure, place_lanes, start_lanes
 from wtg_gym.physics.integration import advance_blocks
 from wtg_gym.physics.layout import EVENT_DTYPE, NO_EVENT, Floats, LaneData, Layout, NetworkEvent
 from wtg_gym.physics.linearisation import check_step
@@ -340,19 +340,24 @@ class Simulator:
             f"{control.internal_voltage_min_pu:g} … {control.internal_voltage_max_pu:g} p.u. of its voltage control"
         )
 
-    def commit(self, lanes: Sequence[int] | npt.NDArray[np.int64], prepared: PreparedLanes) -> None:
-        """Put lanes into prepared equilibria, one each."""
+    def commit(
+        self,
+        lanes: Sequence[int] | npt.NDArray[np.int64],
+        prepared: PreparedLanes,
+        places: npt.NDArray[np.int64] | None = None,
+    ) -> None:
+        """Put lanes into prepared equilibria, one each: those at some places, or all of them."""
         n_events = prepared.data.events.shape[1]
         if n_events > self.data.events.shape[1]:
             more = self._allocate_data(self.data.wind.shape[0], 2 * n_events).events
             more[:, : self.data.events.shape[1]] = self.data.events
             self.data = self.data._replace(events=more)
         index = np.array(lanes, dtype=np.int64)
-        for own, given in zip(self.data[:-1], prepared.data[:-1], strict=True):
-            own[index] = given
-        self.data.events[index] = NO_EVENT
-        self.data.events[index, :n_events] = prepared.data.events
-        self._view[index // self.width, :, index % self.width] = prepared.rows
+        if places is None:
+            places = np.arange(index.size)
+        if index.size != places.size:
+            raise ValueError(f"a prepared run is needed for each of {index.size} lanes, got {places.size}")
+        place_lanes(self.blocks, self.data, index, prepared.rows, prepared.data, places, self.lanes)
 
     def start(self, lane: int, scenario: Scenario, laws: Sequence[TrackingLaw]) -> None:
         """Put a lane into the equilibrium its scenario starts from: :meth:`prepare`, then :meth:`commit`."""
