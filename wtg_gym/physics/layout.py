@@ -106,6 +106,7 @@ class LaneRows(NamedTuple):
     coi_max: float
     noise_z: Phasor  # impedance that the load noise sees
     noise_per_mw: float  # admittance per MW of load noise [p.u.]
+    noise_factor: Phasor  # of the load noise's part in the reduced admittance: Δy/(1 + Δy z) [p.u.]
     least_angle: float  # of all connected units, when the protections last looked [rad]
     largest_angle: float
     least_voltage: float  # at the terminals of all connected units, squared [p.u.²]
