@@ -180,8 +180,9 @@ class ScenarioDistribution:
         buses = [bus for bus, _, _ in self.load_buses]
         if not buses or len(set(buses)) < len(buses):
             raise ValueError(f"load_buses needs at least one bus, and each bus once, got {buses}")
-        for bus in (*buses, *self.machine_outage_buses):
-            require_bus("bus", bus)
+        for name, given in (("load", buses), ("outage", self.machine_outage_buses)):
+            for bus in given:
+                require_bus(f"{name} bus", bus)
         for bus, increase, decrease in self.load_buses:
             require_range(f"largest load increase at bus {bus}", increase, 0.0, 1e4, "MW")
             require_range(f"largest load decrease at bus {bus}", decrease, 0.0, 1e4, "MW")
