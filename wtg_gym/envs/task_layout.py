@@ -51,7 +51,8 @@ def n_delayed(control_dt: float) -> int:
 def parts_of(c: Any, task: Task) -> TaskParts:
     """Return where the parts begin."""
     # Without a sign: the compiler then knows that no row counts from the end, and loops over lanes become vectors.
-    n_window, n_delayed = np.uint32(task.n_window), np.uint32(task.n_delayed)
+    n_window: Any = np.uint32(task.n_window)
+    n_delayed: Any = np.uint32(task.n_delayed)
     lane = rows_of(c).extra
     history = lane + N_TASK_ROWS
     groups = history + n_window + 1

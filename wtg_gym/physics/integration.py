@@ -49,7 +49,7 @@ def enter_interval(block: Floats, first_lane: int, c: Any, data: LaneData, noise
 
 
 @inlined
-def changes_due(block: Floats, c: Any, lanes: Lanes) -> bool:
+def changes_due(block: Floats, c: Any, lanes: Lanes) -> np.bool_:
     """Return whether events that are due at the present step change the network of any of a block's lanes."""
     width, lane = len(lanes), rows_of(c).lane * len(lanes)
     due = np.int64(0)
