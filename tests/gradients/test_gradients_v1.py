@@ -241,6 +241,7 @@ GIVEN = {
     "_count_step",
     "apply_network_changes",
     "arrived_row",
+    "changes_due",
     "enter_interval",
     "look_at_grid",
     "newest_row",

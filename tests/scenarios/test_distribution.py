@@ -91,6 +91,19 @@ def test_the_first_scenarios_of_the_test_split_and_many_others_keep_every_promis
         check(scenario, source, 60.0)
 
 
+@pytest.mark.parametrize("suite", DRAWN, ids=lambda suite: suite.name)
+def test_drawn_scenarios_are_what_the_checking_constructors_make_of_their_values(suite: Suite):
+    for scenario in suite.scenarios(list(suite.validation)[:100]):
+        records = [scenario, *scenario.events, *([] if scenario.sensors is None else [scenario.sensors])]
+        for record in records:
+            checked = replace(record)
+            assert vars(record).keys() == vars(checked).keys() == {field.name for field in fields(record)}
+            for name, value in vars(checked).items():
+                drawn = getattr(record, name)
+                assert type(drawn) is type(value) and np.array_equal(drawn, value)
+        assert not (scenario.wind_speed.flags.writeable or scenario.load_noise_mw.flags.writeable)
+
+
 @pytest.mark.parametrize("suite", SHARED, ids=lambda suite: suite.name)
 def test_scenarios_of_the_suites_own_groups_keep_every_promise_and_their_share_of_the_load(suite: Suite):
     source = suite.distribution
@@ -297,6 +310,9 @@ BAD_SETTINGS = {
     "bus without load": ({"load_trip_buses": (7,)}, r"load_trip_buses must be.*\(7,\)"),
     "no bus": ({"load_buses": ()}, "load_buses needs at least one bus"),
     "bus twice": ({"load_buses": ((4, 75.0, 40.0), (4, 75.0, 40.0))}, "each bus once"),
+    "load bus": ({"load_buses": ((0, 5.0, 40.0), (4, 5.0, 40.0)), "load_trip_buses": (4,)}, "load bus must be .*got 0"),
+    "noise bus": ({"load_noise_bus": 2.5}, "load_noise_bus must be a bus number .*got 2.5"),
+    "outage bus": ({"machine_outage_buses": (-1,)}, "outage bus must be a bus number .*got -1"),
     "negative limit": ({"load_buses": ((4, -5.0, 40.0),), "load_trip_buses": (4,)}, "at bus 4 = -5 MW"),
     "text": ({"load_noise_mw": "loud"}, "load_noise_mw must be a number.*'loud'"),
     "no name": ({"name": ""}, "needs a name"),

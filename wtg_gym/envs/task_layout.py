@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from wtg_gym.envs.observation import N_MEASURED
 from wtg_gym.envs.task_records import N_GROUP_ROWS, N_SENSED_ROWS, N_SENSOR_INPUT, N_TASK_ROWS, Task
 from wtg_gym.physics.compiled import inlined
@@ -48,13 +50,14 @@ def n_delayed(control_dt: float) -> int:
 @inlined
 def parts_of(c: Any, task: Task) -> TaskParts:
     """Return where the parts begin."""
+    # Without a sign: the compiler then knows that no row counts from the end, and loops over lanes become vectors.
+    n_window: Any = np.uint32(task.n_window)
+    n_delayed: Any = np.uint32(task.n_delayed)
     lane = rows_of(c).extra
     history = lane + N_TASK_ROWS
-    groups = history + task.n_window + 1
-    n_wtg, with_sensors = c["share"].shape[0], min(task.n_delayed, 1)
+    groups = history + n_window + 1
+    n_wtg, with_sensors = c["share"].shape[0], min(n_delayed, np.uint32(1))
     sensor_input = groups + n_wtg * N_GROUP_ROWS
     sensed = sensor_input + with_sensors * N_SENSOR_INPUT
     delayed = sensed + with_sensors * n_wtg * N_SENSED_ROWS
-    return TaskParts(
-        lane, history, groups, sensor_input, sensed, delayed, delayed + task.n_delayed * n_wtg * N_MEASURED
-    )
+    return TaskParts(lane, history, groups, sensor_input, sensed, delayed, delayed + n_delayed * n_wtg * N_MEASURED)

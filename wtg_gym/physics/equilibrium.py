@@ -21,6 +21,7 @@ from wtg_gym.physics.layout import (
     N_EXTREMES,
     N_HYDRO_ROWS,
     N_MACHINE_ROWS,
+    NO_EVENT,
     OVERLOAD_TIME,
     WTG,
     WTG_ANGLE,
@@ -80,6 +81,38 @@ def start_lanes(
     for lane in range(rows.shape[0]):
         failure, unit = start_lane(rows[lane], lane, plant, data, load_levels[lane], lanes)
         failures[lane, 0], failures[lane, 1] = failure, unit
+
+
+@compiled
+def place_lanes(
+    blocks: Floats,
+    data: LaneData,
+    starting: npt.NDArray[np.int64],
+    rows: Floats,
+    prepared: LaneData,
+    places: npt.NDArray[np.int64],
+    lanes: Lanes,
+) -> None:
+    """Copy started lanes, those at `places` (n,) of rows (n_prepared, n_rows) and their data, into blocks.
+
+    `starting` (n,) are the lanes of the blocks and of `data` that take them.
+    """
+    width, n_events = len(lanes), prepared.events.shape[1]
+    for start in range(starting.shape[0]):
+        lane, place = starting[start], places[start]
+        if not (0 <= lane < data.wind.shape[0] and 0 <= place < rows.shape[0]):
+            raise IndexError("no such lane, or no such prepared run")
+        block, x = blocks[lane // width], lane % width
+        for row in range(rows.shape[1]):
+            block[row * width + x] = rows[place, row]
+        data.wind[lane] = prepared.wind[place]
+        data.noise[lane] = prepared.noise[place]
+        data.noise_bus[lane] = prepared.noise_bus[place]
+        data.load_y[lane] = prepared.load_y[place]
+        for e in range(n_events):
+            data.events[lane, e] = prepared.events[place, e]
+        for e in range(n_events, data.events.shape[1]):
+            data.events[lane, e] = NO_EVENT[0]
 
 
 @compiled

@@ -49,6 +49,16 @@ def enter_interval(block: Floats, first_lane: int, c: Any, data: LaneData, noise
 
 
 @inlined
+def changes_due(block: Floats, c: Any, lanes: Lanes) -> np.bool_:
+    """Return whether events that are due at the present step change the network of any of a block's lanes."""
+    width, lane = len(lanes), rows_of(c).lane * len(lanes)
+    due = np.int64(0)
+    for x in range(width):
+        due += np.int64(block[lane + LANE.step * width + x] >= block[lane + LANE.next_change * width + x])
+    return due > 0
+
+
+@inlined
 def apply_network_changes(
     block: Floats, first_lane: int, plant: Plant, data: LaneData, noise_y: Floats, lanes: Lanes
 ) -> None:
@@ -105,7 +115,9 @@ def advance_interval(
     c = plant.constants[0]
     enter_interval(block, first_lane, c, data, noise_y, lanes)
     for step in range(c["n_substeps"]):
-        apply_network_changes(block, first_lane, plant, data, noise_y, lanes)
+        # Asked first: the call counts references to all arrays, which takes longer than to look.
+        if changes_due(block, c, lanes):
+            apply_network_changes(block, first_lane, plant, data, noise_y, lanes)
         advance_step(block, c, step, lanes)
         end_step(block, c, protections_look(c, step), lanes)
     derivatives(block, c, 1.0, lanes)

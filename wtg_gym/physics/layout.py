@@ -13,7 +13,7 @@ Hydro governors, extensions of WTG groups and shedding take rows only in a plant
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -106,6 +106,7 @@ class LaneRows(NamedTuple):
     coi_max: float
     noise_z: Phasor  # impedance that the load noise sees
     noise_per_mw: float  # admittance per MW of load noise [p.u.]
+    noise_factor: Phasor  # of the load noise's part in the reduced admittance: Δy/(1 + Δy z) [p.u.]
     least_angle: float  # of all connected units, when the protections last looked [rad]
     largest_angle: float
     least_voltage: float  # at the terminals of all connected units, squared [p.u.²]
@@ -164,7 +165,7 @@ class NetworkEvent(NamedTuple):
 
 
 EVENT_DTYPE = dtype(NetworkEvent)
-NO_EVENT = np.array(NetworkEvent(np.inf, np.inf), dtype=EVENT_DTYPE)
+NO_EVENT = np.array([NetworkEvent(np.inf, np.inf)], dtype=EVENT_DTYPE)
 
 
 class BranchConstants(NamedTuple):
@@ -386,18 +387,11 @@ class Layout:
 
     def machine(self, name: str) -> npt.NDArray[np.int64]:
         """Return the row of each machine's number of this name (n_sync,), or of each hydro governor's (n_hydro,)."""
-        if self.n_hydro and name in short_names(HydroRows):
-            return self.rows.hydro + row_of(HydroRows, name) + np.arange(self.n_hydro) * N_HYDRO_ROWS
-        return row_of(MachineRows, name) + np.arange(self.n_sync) * N_MACHINE_ROWS
+        return _machine_rows(self, name)
 
     def wtg(self, name: str) -> npt.NDArray[np.int64]:
         """Return the row of each WTG group's number of this name (n_wtg,)."""
-        groups = np.arange(self.n_wtg)
-        if name in WtgExtremes._fields:
-            return self.rows.extremes + row_of(WtgExtremes, name) + groups * N_EXTREMES
-        if self.n_extended and name in short_names(ExtensionRows):
-            return self.rows.wtg + N_WTG_ROWS + row_of(ExtensionRows, name) + groups * self.rows.wtg_stride
-        return self.rows.wtg + row_of(WtgRows, name) + groups * self.rows.wtg_stride
+        return _wtg_rows(self, name)
 
     def lane(self, name: str) -> int:
         """Return the row of the lane's number of this name."""
@@ -430,3 +424,27 @@ class Layout:
         names += [f"hydro{i}.{name}" for i in range(self.n_hydro) for name in short_names(HydroState)]
         names += [f"wtg{j}.{name}" for j in range(self.n_extended) for name in short_names(ExtensionState)]
         return (*names, "reference_angle")
+
+
+@lru_cache(maxsize=1024)
+def _machine_rows(layout: Layout, name: str) -> npt.NDArray[np.int64]:
+    if layout.n_hydro and name in short_names(HydroRows):
+        return _every(layout.rows.hydro + row_of(HydroRows, name), N_HYDRO_ROWS, layout.n_hydro)
+    return _every(row_of(MachineRows, name), N_MACHINE_ROWS, layout.n_sync)
+
+
+@lru_cache(maxsize=1024)
+def _wtg_rows(layout: Layout, name: str) -> npt.NDArray[np.int64]:
+    rows = layout.rows
+    if name in WtgExtremes._fields:
+        return _every(rows.extremes + row_of(WtgExtremes, name), N_EXTREMES, layout.n_wtg)
+    if layout.n_extended and name in short_names(ExtensionRows):
+        return _every(rows.wtg + N_WTG_ROWS + row_of(ExtensionRows, name), rows.wtg_stride, layout.n_wtg)
+    return _every(rows.wtg + row_of(WtgRows, name), rows.wtg_stride, layout.n_wtg)
+
+
+def _every(first: int, stride: int, n: int) -> npt.NDArray[np.int64]:
+    rows = first + np.arange(n) * stride
+    # Everybody who asks gets the same array.
+    rows.setflags(write=False)
+    return rows

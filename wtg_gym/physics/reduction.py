@@ -219,21 +219,22 @@ def combine_load_noise(block: Floats, c: Any, noise_y: Floats, lanes: Lanes) -> 
     """
     width, rows = len(lanes), rows_of(c)
     n = c["unit_bus"].shape[0]
-    f_re, f_im = np.empty(width), np.empty(width)
+    factor = (rows.lane + LANE.noise_factor) * width
     for x in range(width):
         dy = noise_y[x]
         z = load_phasor(block, (rows.lane + LANE.noise_z) * width + x, width)
         d_re, d_im = 1.0 + dy * z.re, dy * z.im
         size = dy / (d_re * d_re + d_im * d_im)
-        f_re[x], f_im[x] = size * d_re, -size * d_im
+        store_phasor(Phasor(size * d_re, -size * d_im), block, factor + x, width)
     for i in range(n):
         for j in range(n):
             at = 2 * (i * n + j) * width
             for x in range(width):
                 u_i = load_phasor(block, (rows.transfer + 2 * i) * width + x, width)
                 u_j = load_phasor(block, (rows.transfer + 2 * j) * width + x, width)
+                f = load_phasor(block, factor + x, width)
                 y0 = load_phasor(block, rows.fixed_admittance * width + at + x, width)
                 v_re = u_i.re * u_j.re - u_i.im * u_j.im
                 v_im = u_i.re * u_j.im + u_i.im * u_j.re
-                y = Phasor(y0.re + f_re[x] * v_re - f_im[x] * v_im, y0.im + f_re[x] * v_im + f_im[x] * v_re)
+                y = Phasor(y0.re + f.re * v_re - f.im * v_im, y0.im + f.re * v_im + f.im * v_re)
                 store_phasor(y, block, rows.admittance * width + at + x, width)

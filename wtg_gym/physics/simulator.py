@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.dynamics import evaluate_rates
-from wtg_gym.physics.equilibrium import StartFailure, start_lanes
+from wtg_gym.physics.equilibrium import StartFailure, place_lanes, start_lanes
 from wtg_gym.physics.integration import advance_blocks
 from wtg_gym.physics.layout import EVENT_DTYPE, NO_EVENT, Floats, LaneData, Layout, NetworkEvent
 from wtg_gym.physics.linearisation import check_step
@@ -115,6 +115,10 @@ class Simulator:
         self.n_lanes = int(n_lanes)
         duration_s = require_range("duration_s", duration_s, 0.0, LONGEST_RUN_S, "s")
         self.n_intervals = whole_steps("duration_s", duration_s, settings.control_dt, "control step")
+        self._shifts_phases = any(branch.phase_rad != 0.0 for branch in settings.case.branches)
+        # Sample of the load noise in each control interval.
+        samples = np.arange(self.n_intervals) * settings.control_dt / SERIES_DT + 1e-9
+        self._noise_samples = samples.astype(np.int64)
         self.layout = Layout.of(self.plant, n_extra)
         self.width = 1 if n_lanes == 1 else BLOCK_WIDTH
         self.lanes = (0,) * self.width
@@ -276,7 +280,11 @@ class Simulator:
         data = self._allocate_data(n, max([1, *map(len, events)]))
         for lane, scenario in enumerate(scenarios):
             self._write_series(data, lane, scenario)
-            data.events[lane, : len(events[lane])] = events[lane]
+        places = [(lane, place) for lane, own in enumerate(events) for place in range(len(own))]
+        if places:
+            data.events[tuple(np.transpose(places))] = np.array(
+                [event for own in events for event in own], dtype=EVENT_DTYPE
+            )
         rows = np.zeros((n, self.layout.n_rows))
         self._write_constants(rows, scenarios)
         rows[:, self.layout.wtg("k_min")] = [law.k_min for law in laws]
@@ -332,19 +340,24 @@ class Simulator:
             f"{control.internal_voltage_min_pu:g} … {control.internal_voltage_max_pu:g} p.u. of its voltage control"
         )
 
-    def commit(self, lanes: Sequence[int] | npt.NDArray[np.int64], prepared: PreparedLanes) -> None:
-        """Put lanes into prepared equilibria, one each."""
+    def commit(
+        self,
+        lanes: Sequence[int] | npt.NDArray[np.int64],
+        prepared: PreparedLanes,
+        places: npt.NDArray[np.int64] | None = None,
+    ) -> None:
+        """Put lanes into prepared equilibria, one each: those at some places, or all of them."""
         n_events = prepared.data.events.shape[1]
         if n_events > self.data.events.shape[1]:
             more = self._allocate_data(self.data.wind.shape[0], 2 * n_events).events
             more[:, : self.data.events.shape[1]] = self.data.events
             self.data = self.data._replace(events=more)
         index = np.array(lanes, dtype=np.int64)
-        for own, given in zip(self.data[:-1], prepared.data[:-1], strict=True):
-            own[index] = given
-        self.data.events[index] = NO_EVENT
-        self.data.events[index, :n_events] = prepared.data.events
-        self._view[index // self.width, :, index % self.width] = prepared.rows
+        if places is None:
+            places = np.arange(index.size)
+        if index.size != places.size:
+            raise ValueError(f"a prepared run is needed for each of {index.size} lanes, got {places.size}")
+        place_lanes(self.blocks, self.data, index, prepared.rows, prepared.data, places, self.lanes)
 
     def start(self, lane: int, scenario: Scenario, laws: Sequence[TrackingLaw]) -> None:
         """Put a lane into the equilibrium its scenario starts from: :meth:`prepare`, then :meth:`commit`."""
@@ -363,18 +376,18 @@ class Simulator:
             target[:, :m] = wind[:, :m]
             target[:, m:] = wind[:, m - 1 : m]
         else:
-            given, wanted = np.arange(wind.shape[1]) * scenario.wind_dt_s, np.arange(n + 1) * dt
+            instants, wanted = np.arange(wind.shape[1]) * scenario.wind_dt_s, np.arange(n + 1) * dt
             for j in range(wind.shape[0]):
-                target[j] = np.interp(wanted, given, wind[j])
+                target[j] = np.interp(wanted, instants, wind[j])
         noise = scenario.load_noise_mw
-        if noise.any() and any(branch.phase_rad != 0.0 for branch in self.settings.case.branches):
+        if self._shifts_phases and noise.any():
             raise ValueError(
                 f"scenario {scenario.name!r}: load noise needs a network without phase shifters: its update assumes a "
                 "symmetric admittance matrix"
             )
         if noise.size:
-            index = (np.arange(n) * dt / SERIES_DT + 1e-9).astype(np.int64)
-            data.noise[lane] = np.where(index < noise.size, noise[np.minimum(index, noise.size - 1)], 0.0)
+            given = self._noise_samples[: np.searchsorted(self._noise_samples, noise.size)]
+            data.noise[lane, : given.size] = noise[given]
 
     def _network_events(self, scenario: Scenario) -> list[NetworkEvent]:
         """Return what a scenario's events change, one by one.

@@ -7,7 +7,7 @@ import math
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -16,6 +16,7 @@ from wtg_gym.physics.aerodynamics import available_power_pu
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.physics.scenario import (
+    LONGEST_RUN_S,
     SERIES_DT,
     Event,
     GovernorLoss,
@@ -26,8 +27,9 @@ from wtg_gym.physics.scenario import (
     LoadTrip,
     MachineOutage,
     Scenario,
+    trusted,
 )
-from wtg_gym.ranges import require_range
+from wtg_gym.ranges import require_bus, require_range
 from wtg_gym.scenarios.stream import Words, draw_normals, draw_uniforms, seed_streams
 from wtg_gym.scenarios.wind import (
     DRAWN_WIND_RANGE,
@@ -38,7 +40,7 @@ from wtg_gym.scenarios.wind import (
     period_length,
     resolved_frequencies,
     spectrum_amplitude,
-    turbulence_amplitude,
+    unit_turbulence_amplitude,
 )
 
 T = TypeVar("T")
@@ -171,12 +173,16 @@ class ScenarioDistribution:
         self._check_places()
 
     def _check_places(self) -> None:
+        object.__setattr__(self, "load_noise_bus", require_bus("load_noise_bus", self.load_noise_bus))
         object.__setattr__(self, "load_buses", tuple((int(b), float(u), float(d)) for b, u, d in self.load_buses))
         object.__setattr__(self, "load_trip_buses", tuple(int(bus) for bus in self.load_trip_buses))
         object.__setattr__(self, "line_trips", tuple((int(a), int(b)) for a, b in self.line_trips))
         buses = [bus for bus, _, _ in self.load_buses]
         if not buses or len(set(buses)) < len(buses):
             raise ValueError(f"load_buses needs at least one bus, and each bus once, got {buses}")
+        for name, given in (("load", buses), ("outage", self.machine_outage_buses)):
+            for bus in given:
+                require_bus(f"{name} bus", bus)
         for bus, increase, decrease in self.load_buses:
             require_range(f"largest load increase at bus {bus}", increase, 0.0, 1e4, "MW")
             require_range(f"largest load decrease at bus {bus}", decrease, 0.0, 1e4, "MW")
@@ -235,7 +241,9 @@ class ScenarioDistribution:
         turbines = [self.n_turbines] * int(n_wtg) if n_turbines is None else [float(n) for n in n_turbines]
         if len(turbines) != n_wtg:
             raise ValueError(f"n_turbines must have one value per WTG group ({n_wtg}), got {len(turbines)}")
-        require_range("duration_s", duration_s, SERIES_DT, 86400.0, "s")
+        for number in turbines:
+            require_range("n_turbines", number, 1e-3, 1e4, "")
+        duration_s = require_range("duration_s", duration_s, SERIES_DT, LONGEST_RUN_S, "s")
         latest = max(duration_s - self.quiet_end_s, 0.5 * duration_s)
         window = (min(self.first_event_s, latest), latest)
         n_samples = math.ceil(round(duration_s / SERIES_DT, 6)) + 1
@@ -245,9 +253,11 @@ class ScenarioDistribution:
         plans = [self._plan(pick, turbines, n_samples, window) for pick in _pickers(states)]
         winds, noises = self._series(states, plans, turbines, n_samples)
         return [
-            Scenario(
+            trusted(
+                Scenario,
                 name=f"{self.name}/{seed}",
                 wind_speed=wind,
+                wind_dt_s=SERIES_DT,
                 duration_s=duration_s,
                 events=plan.events,
                 load_noise_mw=noise,
@@ -255,6 +265,7 @@ class ScenarioDistribution:
                 load_level=plan.load_level,
                 governor_droop=plan.governor_droop,
                 inertia_scale=plan.inertia_scale,
+                sensors=None,
                 seed=int(seed),
             )
             for seed, plan, wind, noise in zip(seeds, plans, winds, noises, strict=True)
@@ -274,12 +285,16 @@ class ScenarioDistribution:
         # Last in the stream, so that suites without them draw what they always drew.
         return plan._replace(events=(*plan.events, *self._outages(pick, turbines, window)))
 
+    @cached_property
+    def _load_rooms(self) -> tuple[dict[int, float], dict[int, float]]:
+        """Largest increase and largest decrease of the load by bus [MW]."""
+        return {bus: limit for bus, limit, _ in self.load_buses}, {bus: limit for bus, _, limit in self.load_buses}
+
     def _load_events(self, pick: _Picker, window: Span) -> list[Event]:
         n_events = pick.whole(*self.n_load_events)
         times = sorted([pick.instant(window) for _ in range(n_events)])
         trip_index = pick.whole(0, n_events - 1) if n_events and pick.chance(self.load_trip_probability) else -1
-        increase = {bus: limit for bus, limit, _ in self.load_buses}
-        decrease = {bus: limit for bus, _, limit in self.load_buses}
+        increase, decrease = (dict(room) for room in self._load_rooms)
         trip_bus = 0
         trip_mw = 0.0
         if trip_index >= 0:
@@ -289,7 +304,7 @@ class ScenarioDistribution:
         net_mw = 0.0
         for index, time_s in enumerate(times):
             if index == trip_index:
-                events.append(LoadTrip(time_s=time_s, bus=trip_bus))
+                events.append(trusted(LoadTrip, time_s=time_s, bus=trip_bus))
                 net_mw -= trip_mw
                 continue
             size = round(pick.between(self.load_event_mw), 2)
@@ -302,11 +317,11 @@ class ScenarioDistribution:
             size = min(size, room[bus])
             room[bus] = round(room[bus] - size, 2)
             net_mw += sign * size
+            change = {"time_s": time_s, "bus": bus, "power_mw": sign * size, "reactive_mvar": 0.0}
             if pick.chance(self.load_ramp_probability):
-                ramp_s = round(pick.between(self.load_ramp_s), 1)
-                events.append(LoadRamp(time_s=time_s, bus=bus, power_mw=sign * size, duration_s=ramp_s))
+                events.append(trusted(LoadRamp, **change, duration_s=round(pick.between(self.load_ramp_s), 1)))
             else:
-                events.append(LoadStep(time_s=time_s, bus=bus, power_mw=sign * size))
+                events.append(trusted(LoadStep, **change))
         return events
 
     def _line_events(self, pick: _Picker, window: Span) -> list[Event]:
@@ -340,7 +355,8 @@ class ScenarioDistribution:
         amplitudes[:, n_wtg] = self.load_noise_mw * _noise_amplitude(self.load_noise_correlation_s, n_period)
         for rows, plan in zip(amplitudes, plans, strict=True):
             for row, mean, n_turbines in zip(rows, plan.mean_winds, turbines, strict=False):
-                turbulence_amplitude(mean, ntm_sigma(mean, plan.intensity), n_turbines, n_period, out=row)
+                unit = unit_turbulence_amplitude(mean, n_turbines, n_period)
+                np.multiply(unit, ntm_sigma(mean, plan.intensity), out=row)
         coefficients = np.empty(amplitudes.shape, dtype=np.complex128)
         draw_normals(states, amplitudes.reshape(n, -1), coefficients.view(np.float64).reshape(n, -1, 2))
         series: FloatArray = np.fft.irfft(coefficients, n_period)[..., :n_samples]
@@ -350,10 +366,14 @@ class ScenarioDistribution:
             if plan.wind_event is not None:
                 group, change = plan.wind_event
                 own[group] += change
-        np.clip(wind, *DRAWN_WIND_RANGE, out=wind)
-        if not self.load_noise_mw:
-            return wind, np.zeros((n, 0))
-        noise -= noise[:, :1] * _noise_decay(self.load_noise_correlation_s, n_samples)
+        # New arrays, which do not hold the rest of the period in memory.
+        wind = np.clip(wind, *DRAWN_WIND_RANGE)
+        if self.load_noise_mw:
+            noise = noise - noise[:, :1] * _noise_decay(self.load_noise_correlation_s, n_samples)
+        else:
+            noise = np.zeros((n, 0))
+        for array in (wind, noise):
+            array.setflags(write=False)
         return wind, noise
 
     def _mean_winds(self, pick: _Picker, turbines: list[float], load_level: float) -> list[float]:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from wtg_gym.physics.scenario import trusted
 from wtg_gym.physics.sensors import SENSOR_RANGES, Sensors
 from wtg_gym.ranges import require_range
 from wtg_gym.scenarios.stream import draw_uniforms, seed_streams
@@ -61,11 +62,10 @@ class SensorDistribution:
             )
         object.__setattr__(self, "delay_s", delays)
         object.__setattr__(self, "wind_bias", require_range("wind_bias", self.wind_bias, 0.0, 0.2, ""))
-        self._sensors(0, 0.0, (0.0,))
-
-    def _sensors(self, seed: int, delay_s: float, wind_bias: tuple[float, ...]) -> Sensors:
-        drawn = {"seed": seed, "delay_s": delay_s, "wind_bias": wind_bias}
-        return Sensors(**{**{f.name: getattr(self, f.name) for f in dataclasses.fields(self)}, **drawn})
+        # Checks the values that are the same in every scenario, and makes them plain numbers.
+        checked = Sensors(**{**vars(self), "seed": 0, "delay_s": 0.0, "wind_bias": (0.0,)})
+        for name in vars(self).keys() - {"delay_s", "wind_bias"}:
+            object.__setattr__(self, name, getattr(checked, name))
 
     def replaced(self, changes: Mapping[str, Any]) -> SensorDistribution:
         """Return the distribution with some of its values replaced; a ValueError lists the known names."""
@@ -93,7 +93,14 @@ class SensorDistribution:
         # The sum of twelve uniform numbers is nearly normal; platforms agree on its last bit.
         deviations = uniform[:, 2:].reshape(len(seeds), n_wtg, 12).sum(axis=2) - 6.0
         biases = self.wind_bias * np.clip(deviations, -_MOST_DEVIATIONS, _MOST_DEVIATIONS)
+        shared = {name: value for name, value in vars(self).items() if name not in ("delay_s", "wind_bias")}
         return [
-            self._sensors(int(own[0] * 2**31), delays[int(own[1] * len(delays))], tuple(bias))
+            trusted(
+                Sensors,
+                **shared,
+                seed=int(own[0] * 2**31),
+                delay_s=delays[int(own[1] * len(delays))],
+                wind_bias=tuple(bias),
+            )
             for own, bias in zip(uniform.tolist(), biases.tolist(), strict=True)
         ]

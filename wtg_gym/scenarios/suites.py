@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from types import EllipsisType, MappingProxyType
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from wtg_gym.physics.parameters import GovernorParameters, WtgGroup
-from wtg_gym.physics.scenario import Event, LoadStep, LoadTrip, Scenario
+from wtg_gym.physics.scenario import Event, LoadStep, LoadTrip, Scenario, trusted
 from wtg_gym.scenarios.benchmark import V0, V1, Benchmark, SuitePlant
 from wtg_gym.scenarios.distribution import ScenarioDistribution
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
@@ -170,7 +170,9 @@ class Suite:
             return drawn
         name = self.name if self.distribution is None else self.distribution.name
         errors = measuring.draw_many(name, seeds, n_wtg)
-        return [replace(scenario, sensors=own) for scenario, own in zip(drawn, errors, strict=True)]
+        return [
+            trusted(Scenario, **{**vars(scenario), "sensors": own}) for scenario, own in zip(drawn, errors, strict=True)
+        ]
 
     def _fixed_scenarios(
         self, seeds: Sequence[int], n_wtg: int, n_turbines: Sequence[float] | None, duration: float

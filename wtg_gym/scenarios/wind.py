@@ -185,27 +185,29 @@ def _unit_amplitude(mean_tenth_m_s: int, n_turbines: float, n_period: int) -> Fl
     return amplitude
 
 
-def turbulence_amplitude(
-    mean_wind_m_s: float, sigma_m_s: float, n_turbines: float, n_period: int, out: FloatArray | None = None
-) -> FloatArray:
-    """Return the coefficient scale of rotor-effective, group-averaged turbulence of zero mean.
+def unit_turbulence_amplitude(mean_wind_m_s: float, n_turbines: float, n_period: int) -> FloatArray:
+    """Return :func:`turbulence_amplitude` for a standard deviation of 1 m/s at a point; arguments are not checked.
 
     The shape of the spectrum is that of the mean wind rounded to 0.1 m/s, so that it is worked out only once.
+    """
+    return _unit_amplitude(round(10.0 * mean_wind_m_s), n_turbines, n_period)
+
+
+def turbulence_amplitude(mean_wind_m_s: float, sigma_m_s: float, n_turbines: float, n_period: int) -> FloatArray:
+    """Return the coefficient scale of rotor-effective, group-averaged turbulence of zero mean.
 
     Args:
         mean_wind_m_s: mean wind speed U [m/s].
         sigma_m_s: standard deviation of the wind at a point [m/s].
         n_turbines: turbines the group averages over [-].
         n_period: samples of the period, even, `SERIES_DT` apart.
-        out: written and returned instead of a new array, shape (n_period / 2 + 1,).
 
     Raises:
         ValueError: the mean wind is outside the turbine model's range, or there is no turbine.
     """
     require_range("mean wind", mean_wind_m_s, *WIND_SPEED_RANGE, "m/s")
     require_range("n_turbines", n_turbines, 1e-3, 1e4, "")
-    unit = _unit_amplitude(round(10.0 * mean_wind_m_s), float(n_turbines), n_period)
-    return np.multiply(unit, sigma_m_s, out=out)
+    return unit_turbulence_amplitude(mean_wind_m_s, float(n_turbines), n_period) * sigma_m_s
 
 
 def extreme_operating_gust(time_s: FloatArray, start_s: float, size_m_s: float) -> FloatArray:
