@@ -65,8 +65,8 @@ class CostWeights:
         10.0,
         unit="1/s",
         source="design",
-        doc="one unit at 0.1 p.u. of power above 1.1 p.u., squared. The model does not limit the current, a converter "
-        "does and then no longer forms the grid: 1.2 p.u. costs about what 0.4 Hz of deviation do",
+        doc="one unit at 0.1 p.u. of power above 1.1 p.u., squared. A converter at its current limit, which v0 does "
+        "not model, no longer forms the grid: 1.2 p.u. costs about what 0.4 Hz of deviation do",
     )
     effort: float = parameter(
         0.05,

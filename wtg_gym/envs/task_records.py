@@ -109,7 +109,7 @@ class Info(NamedTuple):
     ]
     cost_frequency: Annotated[float, "-", "terms of the cost of this step: frequency deviation"]
     cost_rocof: Annotated[float, "-", "rate of change of frequency"]
-    cost_duty: Annotated[float, "-", "captured power away from the prescribed power; in v1 on average over 15 s"]
+    cost_duty: Annotated[float, "-", "captured power away from the prescribed power; in v1 filtered with 15 s"]
     cost_rotor: Annotated[float, "-", "tip-speed ratio outside its range"]
     cost_overload: Annotated[float, "-", "power above 1.05 p.u., in v0 1.1 p.u."]
     cost_effort: Annotated[float, "-", "actions and their changes"]

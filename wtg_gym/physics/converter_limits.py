@@ -8,8 +8,8 @@ voltage behind an impedance Z that includes X_g, so
 
 with I_0 the current without the limit. Power. A frequency is added to the angle's equation,
 
-    δ̇ = ω_n (ω + Δω - ω_ref),    Δω = min(K_p (p_max - p) + x_o, 0) + max(K_p (p_min - p) + x_u, 0)
-    ẋ_o = K_i (p_max - p), x_o ≤ 0,    ẋ_u = K_i (p_min - p), x_u ≥ 0
+    δ̇ = ω_n (ω + Δω - ω_ref),    Δω = min(k_p (p_max - p) + x_o, 0) + max(k_p (p_min - p) + x_u, 0)
+    ẋ_o = k_i (p_max - p), x_o ≤ 0,    ẋ_u = k_i (p_min - p), x_u ≥ 0
 
 Rotor. It gives max(p, p_min): a chopper burns what the grid presses into the converter. Source: REGFM_A1 (W. Du et al.,
 PNNL-32278), its current limiter and its active power limiters; there the terminal voltage is the last iterate's, here
@@ -35,8 +35,8 @@ class ConverterLimits(NamedTuple):
     current_max: float  # I_max [p.u.]
     power_max: float  # p_max [p.u.]
     power_min: float  # p_min ≤ 0 [p.u.]
-    gain_p: float  # K_p [p.u. of frequency per p.u. of power]
-    gain_i: float  # K_i [1/s]
+    gain_p: float  # k_p [p.u. of frequency per p.u. of power]
+    gain_i: float  # k_i [1/s]
 
 
 class LimitState(NamedTuple):

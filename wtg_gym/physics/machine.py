@@ -5,7 +5,11 @@
     T'_q0 Ė'_d = -E'_d + (x_q - x'_q)(i_q - γ_q2 (ψ_2q + (x'_q - x_l) i_q + E'_d))
     T''_d0 ψ̇_1d = -(ψ_1d + (x'_d - x_l) i_d - E'_q),    T''_q0 ψ̇_2q = -(ψ_2q + (x'_q - x_l) i_q + E'_d)
 
-without saturation, stator transients and the effect of speed on voltages; x''_q = x''_d. Without that effect the
+    E''_q = γ_d E'_q + (1 - γ_d) ψ_1d,    E''_d = γ_q E'_d - (1 - γ_q) ψ_2q
+    V_d = E''_d - r i_d + x'' i_q,    V_q = E''_q - r i_q - x'' i_d,    p = E''_d i_d + E''_q i_q
+
+with γ_d = (x'' - x_l)/(x'_d - x_l), γ_d2 = (x'_d - x'')/(x'_d - x_l)², and γ_q, γ_q2 alike; without saturation, stator
+transients and the effect of speed on voltages; x''_q = x''_d = x''. Without that effect the
 torque T_e is the air-gap power p. All values are on the system base, those of the governor on the machine's. Source:
 P. Sauer, M. Pai: Power System Dynamics and Stability, chapter 3 (subtransient model); P. Kundur: Power System Stability
 and Control, chapter 3.
