@@ -221,6 +221,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         output = Path(given.pop("output"))
         difference = export(Path(given.pop("run")), output, **given)
         note(f"wrote {output}; its actions agree to {difference:.1g}")
+        if not given["authors"]:
+            note("no --authors: a submission needs them in entry.toml")
 
     return run_command(work)
 

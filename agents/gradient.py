@@ -259,9 +259,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     add_training_options(parser, timesteps=str(_TIMESTEPS))
     parser.add_argument("--n-envs", type=int, metavar="N", help=f"episodes per gradient (default: {_N_ENVS})")
     parser.add_argument(
-        "--hidden", type=int, nargs="*", metavar="N", help="widths of hidden layers, none for none (default: 64 64)"
+        "--hidden",
+        type=int,
+        nargs="*",
+        metavar="N",
+        help="widths of the hidden layers; --hidden alone: no hidden layer (default: 64 64)",
     )
-    parser.add_argument("--lstm", type=int, metavar="N", help="width of an LSTM before them (default: 0, none)")
+    parser.add_argument(
+        "--lstm", type=int, metavar="N", help="width of an LSTM in front of the hidden layers (default: 0, none)"
+    )
     parser.add_argument("--loss", choices=("log", "mean"), help="mean of log(cost + J0) or of the cost (default: log)")
     parser.add_argument(
         "--failures",

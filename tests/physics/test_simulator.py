@@ -166,6 +166,11 @@ def test_load_noise_ends_with_its_series_at_every_control_interval(control_dt: f
     assert (noise[round(0.4 / control_dt) :] == 0.0).all()
 
 
+def test_what_is_no_scenario_is_refused() -> None:
+    with pytest.raises(ValueError, match="scenario must be a Scenario, got str"):
+        simulate("load-increase", "mppt")  # type: ignore[arg-type]
+
+
 def test_a_plant_without_groups_can_be_simulated() -> None:
     run = simulate(Scenario(name="x", wind_speed=np.zeros((0, 1)), duration_s=1.0), (), PlantSettings(groups=()))
     assert run.power_pu.shape == (11, 0)

@@ -81,6 +81,8 @@ def simulate(
         ValueError: scenario, laws and plant do not fit, there is no equilibrium to start from, or a rotor would start
             below the under-speed trip.
     """
+    if not isinstance(scenario, Scenario):
+        raise ValueError(f"scenario must be a Scenario, got {type(scenario).__name__}")
     settings = settings or PlantSettings()
     simulator = Simulator(settings, duration_s=scenario.duration_s)
     prepared = simulator.prepare([scenario], group_laws(laws, len(settings.groups), settings.turbine, settings.control))
