@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 import re
 from html.parser import HTMLParser
@@ -31,7 +32,7 @@ from wtg_gym.evaluation.matrix import matrix_of
 from wtg_gym.evaluation.recording import record
 from wtg_gym.physics.parameters import TurbineParameters
 from wtg_gym.physics.tracking_law import get_law
-from wtg_gym.plotting.page import leaderboard_page, untraced
+from wtg_gym.plotting.page import figures, leaderboard_page, untraced
 from wtg_gym.plotting.page.data import SCORE_RESOLUTION
 from wtg_gym.plotting.page.packing import MISSING, RESOLUTIONS, packed, quantised, unpacked
 from wtg_gym.scenarios import draw_seeds, get_suite
@@ -57,6 +58,19 @@ class _Tags(HTMLParser):
     def handle_data(self, data: str) -> None:
         if self._inside:
             self.texts[self._inside] = self.texts.get(self._inside, "") + data
+
+
+@functools.cache
+def _charts_made_once() -> Any:
+    made = functools.cache(figures.page_document)
+    return lambda n_groups, metric_labels: made(n_groups, tuple(metric_labels))
+
+
+@pytest.fixture(autouse=True)
+def _same_charts(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make the empty charts, which take most of a page's time, once for all pages but those that are compared."""
+    if request.function is not test_the_same_page_twice:
+        monkeypatch.setattr(figures, "page_document", _charts_made_once())
 
 
 def _data(page: str) -> Any:
