@@ -22,6 +22,7 @@ from tests.plotting.pages import (
     TRACED,
     both_page,
     both_results,
+    results_of_v1,
     small_page,
     small_results,
 )
@@ -281,7 +282,7 @@ def test_results_on_fresh_scenarios_are_a_suite_of_their_own_and_columns_of_the_
 
 
 def test_page_of_v1_names_its_environment_anchors_and_columns() -> None:
-    results = evaluate("baselines", "standard-v1", seeds=range(10_000, 10_012), duration_s=30.0)
+    results = results_of_v1()
     page = leaderboard_page([results], load_entries("baselines", benchmark=V1), n_scenarios=1)
     head = page.text[page.text.index("<header>") : page.text.index("</header>")]
     assert "GFMWTG-14bus-v1" in head and "coordinated-tuned" in head and "maximum power" not in head
