@@ -30,7 +30,7 @@ def test_hostile_submission_is_stopped(attack: Attack, tmp_path: Path, monkeypat
 
         monkeypatch.setattr(gate, "check_speed", impatient)
     if attack.end != HARMLESS:
-        # More scenarios side by side might only stop it earlier.
+        # Its verdict is another one than that its answers repeat, which is looked at in all of the gate's scenarios.
         monkeypatch.setattr(gate, "_ROLLOUT_LANES", 8)
     end, reason = verdict(attack, tmp_path)
     assert end == attack.end, reason
