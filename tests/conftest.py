@@ -46,7 +46,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Let no search for garbage look at what the imports have left, some millions of objects that stay."""
+    """Let no search for garbage look at what the imports have left: half a million objects that stay."""
     gc.collect()
     gc.freeze()
 
