@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import json
-import os
 import re
 import signal
 import subprocess
@@ -239,7 +238,11 @@ def _files(folder: Path) -> list[bytes]:
     return [(folder / f"paper-test.{ending}").read_bytes() for ending in ("json", "csv")]
 
 
-def test_stored_entry_is_kept_with_its_row_and_dropped_where_its_name_is_another_method(tmp_path: Path) -> None:
+def test_stored_entry_is_kept_with_its_row_and_dropped_where_its_name_is_another_method(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
     module = "from wtg_gym.evaluation import Entry\nE = Entry(name={!r}, strategy={!r}, training_seed={})\n"
     for name, given in {
         "zero": ("mine", "mppt", 0),
@@ -250,11 +253,7 @@ def test_stored_entry_is_kept_with_its_row_and_dropped_where_its_name_is_another
         (tmp_path / f"stored_{name}.py").write_text(module.format(*given), encoding="utf-8")
     stored = []
     for spec in ("zero", "one", "late", "other"):
-        command = ["leaderboard", "--suite", "paper", "--entries", f"stored_{spec}:E", "--results", "r"]
-        done = subprocess.run(
-            [sys.executable, "-m", "wtg_gym.cli", *command], cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}
-        )
-        assert done.returncode == 0
+        assert main(["leaderboard", "--suite", "paper", "--entries", f"stored_{spec}:E", "--results", "r"]) == 0
         entries = Results.read(tmp_path / "r" / "paper-test.json").entries
         stored.append(
             {(each["name"], each["training_seed"]) for each in entries} - {(name, None) for name in V0.anchors}
@@ -365,7 +364,7 @@ def test_policies_that_crash_hang_and_turn_nan_change_nobody_elses_results(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Each of them knows the first scenario by its beginning, and does it in its middle."""
-    monkeypatch.setattr(policy_process, "STEP_S", 5.0)
+    monkeypatch.setattr(policy_process, "STEP_S", 2.5)
     seen = models.first_observation("paper", 0)
     contents = {
         "Crash": models.divides(seen, 1e-3, "Div", -(2**31), -1),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,8 @@ DURATION_S = 12.0
 #: What the changes of the sensors are called, those in `both_results`.
 OTHER_SENSORS = ("delay +0.1 s", "delay +0.2 s", "wind bias × 2")
 SEEDS = (20_000, 20_001, 20_002)
+#: The scenarios of v1.
+OWN: dict[str, Any] = {"split": "validation", "seeds": range(10_000, 10_012), "duration_s": 30.0}
 TRACED = ("deloaded-10", "mppt", "coordinated-piecewise")
 
 
@@ -77,15 +80,20 @@ def wide_page() -> str:
 
 
 @functools.cache
+def results_of_v1() -> Results:
+    """Return results of the baselines of v1."""
+    return evaluate("baselines", "standard-v1", **OWN)
+
+
+@functools.cache
 def both_results() -> list[Results]:
     """Return results of both versions, the earlier one first: with other sensors, without a scale, and usual ones."""
-    own = {"split": "validation", "seeds": range(10_000, 10_012), "duration_s": 30.0}
     droop = load_entries("fast-droop")
     return [
         *reversed(small_results()[1]),
         evaluate(droop, "paper-v1", "validation"),
-        evaluate("baselines", "standard-v1", **own),
-        *(evaluate(droop, "standard-v1", **own, sensors=each(SensorDistribution())) for each in PERTURBATIONS.values()),
+        results_of_v1(),
+        *(evaluate(droop, "standard-v1", **OWN, sensors=each(SensorDistribution())) for each in PERTURBATIONS.values()),
     ]
 
 

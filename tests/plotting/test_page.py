@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 import re
 from html.parser import HTMLParser
@@ -21,6 +22,7 @@ from tests.plotting.pages import (
     TRACED,
     both_page,
     both_results,
+    results_of_v1,
     small_page,
     small_results,
 )
@@ -31,7 +33,7 @@ from wtg_gym.evaluation.matrix import matrix_of
 from wtg_gym.evaluation.recording import record
 from wtg_gym.physics.parameters import TurbineParameters
 from wtg_gym.physics.tracking_law import get_law
-from wtg_gym.plotting.page import leaderboard_page, untraced
+from wtg_gym.plotting.page import figures, leaderboard_page, untraced
 from wtg_gym.plotting.page.data import SCORE_RESOLUTION
 from wtg_gym.plotting.page.packing import MISSING, RESOLUTIONS, packed, quantised, unpacked
 from wtg_gym.scenarios import draw_seeds, get_suite
@@ -57,6 +59,19 @@ class _Tags(HTMLParser):
     def handle_data(self, data: str) -> None:
         if self._inside:
             self.texts[self._inside] = self.texts.get(self._inside, "") + data
+
+
+@functools.cache
+def _charts_made_once() -> Any:
+    made = functools.cache(figures.page_document)
+    return lambda n_groups, metric_labels: made(n_groups, tuple(metric_labels))
+
+
+@pytest.fixture(autouse=True)
+def _same_charts(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make the empty charts, which take most of a page's time, once for all pages but those that are compared."""
+    if request.function is not test_the_same_page_twice:
+        monkeypatch.setattr(figures, "page_document", _charts_made_once())
 
 
 def _data(page: str) -> Any:
@@ -267,7 +282,7 @@ def test_results_on_fresh_scenarios_are_a_suite_of_their_own_and_columns_of_the_
 
 
 def test_page_of_v1_names_its_environment_anchors_and_columns() -> None:
-    results = evaluate("baselines", "standard-v1", seeds=range(10_000, 10_012), duration_s=30.0)
+    results = results_of_v1()
     page = leaderboard_page([results], load_entries("baselines", benchmark=V1), n_scenarios=1)
     head = page.text[page.text.index("<header>") : page.text.index("</header>")]
     assert "GFMWTG-14bus-v1" in head and "coordinated-tuned" in head and "maximum power" not in head

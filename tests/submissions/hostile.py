@@ -342,7 +342,8 @@ ATTACKS = (
 
 def verdict(attack: Attack, place: Path) -> tuple[str, str]:
     """Return what becomes of an attack, and why, its folders called by their names."""
-    reports = [check_submission(path) for path in attack.build(place)]
+    *sound, hostile = attack.build(place)
+    reports = [*(check_submission(path, rollout_only=True) for path in sound), check_submission(hostile)]
     for report in reports:
         if report.refusal is not None:
             return report.refusal.name, report.refusal.reason

@@ -6,19 +6,32 @@ from pathlib import Path
 
 import pytest
 
-from tests.submissions.hostile import ATTACKS, PAGE, SECTION, Attack, table, verdict
-from wtg_gym.policies import policy_process
+from tests.submissions.hostile import ATTACKS, HARMLESS, PAGE, SCORED, SECTION, Attack, table, verdict
+from wtg_gym.policies import gate, policy_process
+from wtg_gym.policies.onnx_policy import OnnxPolicy
 
 ROOT = Path(__file__).resolve().parents[2]
-#: Each of these takes all the time that its first answer may take.
-ENDLESS = ("a loop that does not end", "an operator that takes its time")
+#: Each of these takes all the time that an answer may take, if it is harmful.
+ENDLESS = ("an endless loop", "a slow operator")
 
 
 @pytest.mark.parametrize("attack", ATTACKS, ids=[f"{attack.end}: {attack.name}" for attack in ATTACKS])
 def test_hostile_submission_is_stopped(attack: Attack, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # Long enough for every other step, on a busy machine too.
-    monkeypatch.setattr(policy_process, "STEP_S", 5.0)
-    monkeypatch.setattr(policy_process, "LOAD_S", 8.0 if attack.name in ENDLESS else 20.0)
+    monkeypatch.setattr(policy_process, "STEP_S", 2.0 if attack.name in ENDLESS else 5.0)
+    monkeypatch.setattr(policy_process, "LOAD_S", 20.0)
+    if attack.name in ENDLESS and attack.end != SCORED:
+        # It is loaded in its time, and takes all that its first answer may take.
+        check_speed = gate.check_speed
+
+        def impatient(policy: OnnxPolicy) -> str:
+            monkeypatch.setattr(policy_process, "LOAD_S", 2.0)
+            return check_speed(policy)
+
+        monkeypatch.setattr(gate, "check_speed", impatient)
+    if attack.end != HARMLESS:
+        # Its verdict is another one than that its answers repeat, which is looked at in all of the gate's scenarios.
+        monkeypatch.setattr(gate, "_ROLLOUT_LANES", 8)
     end, reason = verdict(attack, tmp_path)
     assert end == attack.end, reason
     assert reason and reason.isprintable() and len(reason) < 1600

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 import itertools
 from pathlib import Path
 from typing import Any
@@ -27,8 +29,18 @@ def few_scenarios(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gate, "_ROLLOUT_LANES", 8)
 
 
+@functools.cache
+def played() -> dict[tuple[bytes, bytes], Report]:
+    """The reports on what was played before, by its files."""
+    return {}
+
+
 def report(path: Path, content: ModelProto | None = None, toml: str = TOML) -> Report:
-    found = check_submission(folder(path, content, toml), rollout_only=True)
+    made = folder(path, content, toml)
+    files = (made / "policy.onnx").read_bytes(), (made / "entry.toml").read_bytes()
+    if files not in played():
+        played()[files] = check_submission(made, rollout_only=True)
+    found = dataclasses.replace(played()[files], folder=made)
     assert found.accepted, found.refusal
     return found
 
