@@ -37,7 +37,7 @@ def _least(a: Any, b: Any) -> Any:
 _ARITHMETIC: dict[str, Any] = {
     **ARITHMETIC,
     "min": _least,
-    "np": SimpleNamespace(empty=lambda n, dtype=None: [0.0] * n, int64=np.int64),
+    "np": SimpleNamespace(empty=lambda n, dtype=None: [0.0] * n, int64=np.int64, uint32=int),
     "math": SimpleNamespace(**vars(ARITHMETIC["math"]), isfinite=is_finite),
 }
 
