@@ -91,6 +91,7 @@ def test_every_equilibrium_balances_and_stable_and_unstable_ones_take_turns(
 
 @settings(max_examples=40)
 @given(LAWS, st.floats(4.0, 20.0))
+@example(TrackingLaw(name="x", k_min=1.0, k_nominal=2.375, k_max=1.0, damping_time_constant_s=math.inf), 19.0)
 def test_equilibrium_is_lost_just_below_the_critical_frequency(law: TrackingLaw, wind: float) -> None:
     try:
         critical = critical_frequency_pu(law, wind)

@@ -107,9 +107,17 @@ class Balance:
         return np.asarray(np.minimum(self.captured(speed), self.power_limit) - self.delivered(speed))
 
     def best_speed(self) -> float:
-        """Return the rotor speed with the largest surplus [p.u.]; a coarse look brackets it."""
+        """Return the rotor speed with the largest surplus [p.u.]; a coarse look brackets every peak.
+
+        The highest peak may be so narrow, where the power limit begins, that another has the highest sample.
+        """
         speeds = self.samples()
-        at = int(np.argmax(self(speeds)))
+        surplus = np.pad(self(speeds), 1, constant_values=-np.inf)
+        peaks = np.flatnonzero((surplus[1:-1] >= surplus[:-2]) & (surplus[1:-1] >= surplus[2:]))
+        return max((speed for at in peaks for speed in self._at_peak(speeds, int(at))), key=lambda x: float(self(x)))
+
+    def _at_peak(self, speeds: Floats, at: int) -> list[float]:
+        """Return rotor speeds, one of which has the largest surplus near a sample [p.u.]."""
         around = speeds[max(at - 1, 0)], speeds[min(at + 1, speeds.size - 1)]
         found = minimize_scalar(lambda x: -float(self(x)), bounds=around, method="bounded", options={"xatol": 1e-11})
         candidates = [float(found.x), float(speeds[at])]
@@ -117,7 +125,7 @@ class Balance:
         for low, high in pairwise((around[0], speeds[at], around[1])):
             if (self._over_limit(low) < 0.0) != (self._over_limit(high) < 0.0):
                 candidates.append(float(brentq(self._over_limit, low, high, xtol=1e-15, rtol=1e-15)))
-        return max(candidates, key=lambda x: float(self(x)))
+        return candidates
 
     def _over_limit(self, speed: float) -> float:
         return float(self.captured(speed)) - self.power_limit
