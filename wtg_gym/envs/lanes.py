@@ -94,13 +94,6 @@ class PreparedEpisodes(NamedTuple):
     events: tuple[tuple[Event, ...], ...]
     sensors: Floats  # (n, any number), see start_tasks
 
-    def take(self, which: list[int]) -> PreparedEpisodes:
-        """Return some of the episodes."""
-        rows, data = self.lanes
-        lanes = PreparedLanes(rows[which], LaneData._make(array[which] for array in data))
-        events = tuple(self.events[place] for place in which)
-        return PreparedEpisodes(lanes, self.n_intervals[which], self.scenario_seeds[which], events, self.sensors[which])
-
 
 class TaskLanes:
     """Episodes side by side: scenarios, simulator, observations and costs.

@@ -58,7 +58,7 @@ def prepare(lanes: TaskLanes, programs: Programs, scenarios: Sequence[Scenario])
     start, observations, networks = list[Floats](), list[Floats](), list[Floats]()
     until, first = list[float](), list[int]()
     for place in range(len(scenarios)):
-        lanes.commit([0], [episodes.take([place])])
+        lanes.commit_some([0], episodes, [place])
         block = simulator.blocks[0].copy()
         start.append(block[list(programs.kept)])
         observations.append(block[-lanes.n_observation :])
