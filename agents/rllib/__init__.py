@@ -16,7 +16,7 @@ class Hyperparameters(ppo.Hyperparameters):
     """Those of :mod:`agents.ppo`, and of runners and learners.
 
     The discount looks 7 s ahead; the first exploration is a third of the full action, because zero action is already a
-    good controller. Observations and rewards are scaled and clipped as :mod:`agents.rllib.environment` says.
+    good controller. Observations and rewards are scaled and clipped as :mod:`agents.rllib.runner_envs` says.
 
     Raises:
         ValueError: a number of processes or lanes is out of range.

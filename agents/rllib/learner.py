@@ -31,7 +31,7 @@ from agents import ppo
 from agents.command import Progress
 from agents.folders import CHECKPOINTS, folders, loading
 from agents.rllib import Hyperparameters
-from agents.rllib.environment import RunnerEnvs, Scales, measure_scales
+from agents.rllib.runner_envs import RunnerEnvs, Scales, measure_scales
 from agents.runs import Run, RunSettings
 
 _PREFIX = "agent."

@@ -18,7 +18,7 @@ from gymnasium.vector import AutoresetMode
 from agents.export import export
 from agents.folders import folders
 from agents.rllib.__main__ import main
-from agents.rllib.environment import RunnerEnvs, measure_scales
+from agents.rllib.runner_envs import RunnerEnvs, measure_scales
 from agents.runs import Run, RunSettings
 from wtg_gym import ENV_ID
 from wtg_gym.envs import GFMWTGVectorEnv

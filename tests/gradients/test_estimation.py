@@ -14,8 +14,8 @@ from tests.golden_cases import GOLDEN
 from wtg_gym.analysis.estimation import UNKNOWNS, study_recorded_run
 from wtg_gym.cli import main
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.gradients.estimation import Estimator, covered, estimates, unknown_of
-from wtg_gym.gradients.responses import Responses
+from wtg_gym.gradients.estimator import Estimator, covered, estimates, unknown_of
+from wtg_gym.gradients.jacobian import Responses
 from wtg_gym.physics.scenario import GovernorLoss, LoadStep, Scenario
 
 Floats = npt.NDArray[np.float64]

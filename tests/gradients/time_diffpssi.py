@@ -34,7 +34,7 @@ from wtg_gym.analysis.benchmarks.timing import machine
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.gradients import Tape
-from wtg_gym.gradients.parameters import PlantEnvSettings
+from wtg_gym.gradients.plant_parameters import PlantEnvSettings
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.network import Branch, Bus, NetworkCase
 from wtg_gym.physics.parameters import GovernorParameters, SynchronousMachineParameters

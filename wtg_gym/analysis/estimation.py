@@ -14,8 +14,8 @@ from wtg_gym.analysis.case_file import ReferenceCase, read_parameters
 from wtg_gym.analysis.trace_file import choose_events, read_trace
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import markdown_table
-from wtg_gym.gradients.estimation import INERTIA, Estimator, covered, estimates, unknown_of
-from wtg_gym.gradients.parameters import PlantEnvSettings
+from wtg_gym.gradients.estimator import INERTIA, Estimator, covered, estimates, unknown_of
+from wtg_gym.gradients.plant_parameters import PlantEnvSettings
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters, WtgGroup
 from wtg_gym.physics.plant import PlantSettings

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import markdown_table
-from wtg_gym.gradients.parameters import known_parameters
+from wtg_gym.gradients.plant_parameters import known_parameters
 from wtg_gym.gradients.tape import Tape
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import TrackingLaw

@@ -1,15 +1,15 @@
 """The environment as pure functions, for JAX. Experimental; it needs the `jax` extra.
 
-branches      branches of a kernel as choices between numbers
-programs      the kernels of a control step, traced from their own source
-bank          scenarios as arrays
-environment   the environment: the only module that imports JAX
+branches        branches of a kernel as choices between numbers
+programs        the kernels of a control step, traced from their own source
+bank            scenarios as arrays
+functional_env  the environment: the only module that imports JAX
 """
 
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from wtg_gym.functional.environment import EnvParams, EnvState, FunctionalEnv
+    from wtg_gym.functional.functional_env import EnvParams, EnvState, FunctionalEnv
 
 
 def __getattr__(name: str) -> Any:

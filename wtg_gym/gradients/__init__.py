@@ -1,20 +1,20 @@
 """Gradients of what episodes cost, with respect to actions, the parameters of the tracking laws and those of the plant.
 
-    expressions   numbers that remember how they came about, their derivatives, their source
-    tracing       the kernels' own source over such numbers
-    generated     the vector-Jacobian products of the kernels, compiled
-    parameters    of a plant: which there are, and what constants they move
-    adjoint       back through one control step
-    tape          episodes that can be differentiated: the interface for NumPy
-    responses     the derivative of every output at every step with respect to every parameter
-    estimation    parameters found in a record of the frequency
-    torch         what tape does, for PyTorch; not imported here
+    expressions       numbers that remember how they came about, their derivatives, their source
+    tracing           the kernels' own source over such numbers
+    generated         the vector-Jacobian products of the kernels, compiled
+    plant_parameters  which parameters a plant has, and what constants they move
+    adjoint           back through one control step
+    tape              episodes that can be differentiated: the interface for NumPy
+    jacobian          the derivative of every output at every step with respect to every parameter
+    estimator         parameters found in a record of the frequency
+    torch             what tape does, for PyTorch; not imported here
 
 Only `torch` needs more than the core.
 """
 
 from wtg_gym.gradients.generated import LAW_PARAMETERS
-from wtg_gym.gradients.parameters import known_parameters
+from wtg_gym.gradients.plant_parameters import known_parameters
 from wtg_gym.gradients.tape import Gradient, Played, Pulled, Tape
 
 __all__ = ["LAW_PARAMETERS", "Gradient", "Played", "Pulled", "Tape", "known_parameters"]

@@ -28,7 +28,7 @@ from wtg_gym.envs.task import apply_actions, charge, observe
 from wtg_gym.envs.task_layout import parts_of
 from wtg_gym.envs.task_records import GROUP, N_GROUP_ROWS, TASK, CostTerms, Task, read_task
 from wtg_gym.gradients import expressions as ex
-from wtg_gym.gradients.parameters import Leaf
+from wtg_gym.gradients.plant_parameters import Leaf
 from wtg_gym.gradients.tracing import ARITHMETIC, Actions, Rows, retargeted, traced
 from wtg_gym.physics.compiled import cache_folder, compilation, source_hash
 from wtg_gym.physics.dynamics import (

@@ -14,7 +14,7 @@ from wtg_gym.envs.task import Outputs, step_blocks
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.gradients.adjoint import build_pull
 from wtg_gym.gradients.generated import ROW_OF_LEAF, Rules, build_rules, require_known
-from wtg_gym.gradients.parameters import (
+from wtg_gym.gradients.plant_parameters import (
     PlantEnvSettings,
     known_parameters,
     leaves_of,

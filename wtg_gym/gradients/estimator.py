@@ -11,8 +11,8 @@ from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.gradients.parameters import known_parameters, require_known_parameters
-from wtg_gym.gradients.responses import Responses
+from wtg_gym.gradients.jacobian import Responses
+from wtg_gym.gradients.plant_parameters import known_parameters, require_known_parameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.ranges import require_range
