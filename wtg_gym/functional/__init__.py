@@ -16,10 +16,10 @@ def __getattr__(name: str) -> Any:
     # JAX takes seconds to import.
     if name in __all__:
         try:
-            from wtg_gym.functional import environment
+            from wtg_gym.functional import functional_env
         except ImportError as error:
             raise ImportError("wtg_gym.functional needs JAX: pip install 'wtg-gym[jax]'") from error
-        return getattr(environment, name)
+        return getattr(functional_env, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
