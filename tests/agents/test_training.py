@@ -190,6 +190,22 @@ def test_export_describes_the_policy_that_it_writes(
     assert not (tmp_path / "other").exists()
 
 
+@pytest.mark.parametrize("file", ["policy.onnx", "README.md", "entry.toml"])
+def test_export_replaces_files_only_when_told(
+    file: str, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    entry = tmp_path / "entry"
+    entry.mkdir()
+    (entry / file).write_text("kept")
+    command = [str(whole), "--output", str(entry), "--name", "mine"]
+    assert export_command(command) == 2
+    assert f"{entry} has {file} already; --overwrite replaces" in capsys.readouterr().err
+    assert [(path.name, path.read_text()) for path in entry.iterdir()] == [(file, "kept")]
+    assert export_command([*command, "--overwrite"]) == 0
+    assert load_entries(entry)[0].name == "mine"
+    assert b"kept" not in (entry / file).read_bytes()
+
+
 @pytest.mark.parametrize(
     ("algo", "policy_kwargs", "text"),
     [
