@@ -103,9 +103,10 @@ def test_command_writes_entries_and_a_table(tmp_path: Path, capsys: pytest.Captu
     ("option", "value", "text"),
     [
         ("--bound", "0", "--bound must be between 0 and 100 %"),
-        ("--timesteps", "0", "--timesteps = 0 steps is outside the allowed range 1 … 1e+12 steps"),
+        ("--timesteps", "0", "--timesteps = 0 steps is outside the allowed range 1 … 1000000000000 steps"),
         ("--n-envs", "-1", "--n-envs = -1 episodes is outside the allowed range 1 … 100000 episodes"),
-        ("--seeds", "-1", "--seeds = -1 is outside the allowed range 0 … 2.14748e+09"),
+        ("--seeds", "2147483648", "--seeds = 2147483648 is outside the allowed range 0 … 2147483647"),
+        ("--seeds", "-1", "--seeds = -1 is outside the allowed range 0 … 2147483647"),
         ("--scenarios", "0", "--scenarios = 0 is outside the allowed range 1 … 100000"),
         ("--page", "no-page.md", "no-page.md"),
     ],
