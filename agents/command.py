@@ -121,6 +121,23 @@ def given_options(arguments: argparse.Namespace) -> dict[str, Any]:
     return {key: value for key, value in vars(arguments).items() if value is not None}
 
 
+def option(key: str) -> str:
+    """Return an option as it is typed, by its key."""
+    return f"--{key.replace('_', '-')}"
+
+
+@contextlib.contextmanager
+def options_named(given: Mapping[str, Any]) -> Iterator[None]:
+    """Name the option in an error that begins with the key of a setting, where the setting was given as an option."""
+    try:
+        yield
+    except ValueError as error:
+        key, _, rest = str(error).partition(" ")
+        if key not in given:
+            raise
+        raise ValueError(f"{option(key)} {rest}") from error
+
+
 def settings_of(
     given: Mapping[str, Any], algo: str, hyperparameters: Mapping[str, Any], *, timesteps: int, n_envs: int
 ) -> RunSettings:
@@ -169,7 +186,8 @@ def opened_run(
     if "resume" in given:
         others = sorted(given.keys() - {"resume", "allow_other_versions"})
         if others:
-            raise ValueError(f"--resume goes on with the run's own settings; leave out {', '.join(others)}")
+            named = ", ".join(map(option, others))
+            raise ValueError(f"--resume goes on with the run's own settings; leave out {named}")
         folder = Path(given["resume"])
         # Read once before anything is written into the folder, and again when no other process can change it.
         run = Run.read(folder)
@@ -184,8 +202,9 @@ def opened_run(
             raise ValueError("--output FOLDER is needed, or --resume FOLDER")
         if allow_other_versions:
             raise ValueError("--allow-other-versions is for --resume")
-        run = Run.new(settings())
-        with new_folder(Path(given["output"])) as folder:
+        with options_named(given):
+            run = Run.new(settings())
+        with options_named(given), new_folder(Path(given["output"])) as folder:
             yield run, folder
     note(f"best validation score {run.best['score']:.1f} at step {run.best['timesteps']}; wrote {folder}")
 
@@ -269,6 +288,7 @@ __all__ = [
     "given_options",
     "note",
     "opened_run",
+    "options_named",
     "print_table",
     "require_extra",
     "require_package",

@@ -203,7 +203,7 @@ def training_env(settings: RunSettings) -> VecEnv:
     if settings.algo not in ALGORITHMS:
         return GainVecEnv(settings.n_envs, **settings.env_arguments)
     if settings.observation_mode != "local":
-        raise ValueError(f"agents of {settings.algo} see what their own groups measure: leave out the observation mode")
+        raise ValueError(f"agents of {settings.algo} see what their own groups measure: leave out --observation-mode")
     n_wtg = sizes_of(settings).size
     if settings.n_envs % n_wtg:
         raise ValueError(f"n_envs must be a whole multiple of the {n_wtg} WTG groups, got {settings.n_envs}")

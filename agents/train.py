@@ -224,10 +224,12 @@ def sb3_settings(given: Mapping[str, Any]) -> RunSettings:
     algo = given["algo"]
     env_id = get_suite(given.get("suite", "standard")).benchmark.env_id
     # Both have the same hyperparameters, whatever their critics see.
-    raw = read_config(
-        Path(given.get("config", CONFIG_FOLDER / f"{'ippo' if algo in multi_agent.ALGORITHMS else algo}.yml")), env_id
-    )
-    file = parse(multi_agent.base_algorithm(algo), raw)
+    path = Path(given.get("config", CONFIG_FOLDER / f"{'ippo' if algo in multi_agent.ALGORITHMS else algo}.yml"))
+    raw = read_config(path, env_id)
+    try:
+        file = parse(multi_agent.base_algorithm(algo), raw)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
     return settings_of(given, algo, raw, timesteps=file.n_timesteps, n_envs=given.get("n_envs", file.n_envs))
 
 
