@@ -210,7 +210,11 @@ def add_sb3_options(parser: argparse.ArgumentParser, algos: Sequence[str]) -> No
     add_plant_options(parser)
     parser.add_argument("--n-envs", type=int, metavar="N", help="lanes side by side (default: the file's)")
     parser.add_argument("--device", choices=("cpu", "cuda"), help="where the networks are (default: cpu)")
-    parser.add_argument("--config", metavar="FILE", help="hyperparameters (default: agents/configs/<algo>.yml)")
+    parser.add_argument(
+        "--config",
+        metavar="FILE",
+        help="hyperparameters (default: agents/configs/<algo>.yml, of td3 and tqc for v0 only)",
+    )
 
 
 def sb3_settings(given: Mapping[str, Any]) -> RunSettings:
