@@ -27,6 +27,7 @@ from wtg_gym.cli.output import (
 )
 from wtg_gym.cli.parser import Parser
 from wtg_gym.cli.scoring import chosen_entries, first_seeds
+from wtg_gym.cli.suites import suite_name
 from wtg_gym.envs.settings import ACTION_MODES, OBSERVATION_MODES
 from wtg_gym.evaluation import Results, evaluate
 from wtg_gym.files import markdown_table
@@ -78,7 +79,9 @@ def add_training_options(parser: argparse.ArgumentParser, *, timesteps: str) -> 
     """Add the options that every training shares; all of them are None where they are not given."""
     parser.add_argument("--action-mode", choices=tuple(ACTION_MODES), help="what the policy modulates (default: k+tau)")
     parser.add_argument("--observation-mode", choices=OBSERVATION_MODES, help="what it sees (default: local)")
-    parser.add_argument("--suite", metavar="NAME", help="suite to train and validate on (default: standard)")
+    parser.add_argument(
+        "--suite", type=suite_name, metavar="NAME", help="suite to train and validate on (default: standard)"
+    )
     add_strategy_option(parser)
     parser.add_argument("--seed", type=int, metavar="N", help="seed of everything random (default: 0)")
     parser.add_argument("--timesteps", type=int, metavar="N", help=f"environment steps in all (default: {timesteps})")
@@ -296,6 +299,7 @@ __all__ = [
     "run_command",
     "say",
     "settings_of",
+    "suite_name",
     "update_page",
     "write_and_say",
 ]

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from wtg_gym.cli.output import note, print_json, print_table, say
-from wtg_gym.cli.suites import suites_by_version
+from wtg_gym.cli.suites import suite_name, suites_by_version
 from wtg_gym.envs.compile_ahead import compile_ahead
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, NoScaleError, Results, evaluate, leaderboard_rows, load_entries, table_cells
@@ -61,7 +61,11 @@ def add_entries_option(parser: argparse.ArgumentParser, text: str = _ENTRIES_HEL
 def add_suite_option(parser: argparse.ArgumentParser) -> None:
     """Add `--suite`."""
     parser.add_argument(
-        "--suite", default="standard", metavar="NAME", help=f"suite, of {suites_by_version()} (default: standard)"
+        "--suite",
+        type=suite_name,
+        default="standard",
+        metavar="NAME",
+        help=f"suite, of {suites_by_version()} (default: standard)",
     )
 
 
