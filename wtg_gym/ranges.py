@@ -17,14 +17,17 @@ class ByName(dict[str, Value]):
     Args:
         kind: what the keys are names of.
         values: by name.
+        missing: why a name has no value, for the names of which that is known.
     """
 
-    def __init__(self, kind: str, values: Mapping[str, Value]) -> None:
+    def __init__(self, kind: str, values: Mapping[str, Value], missing: Mapping[str, str] | None = None) -> None:
         super().__init__(values)
         self._kind = kind
+        self._missing = missing or {}
 
     def __missing__(self, name: Any) -> Value:
-        raise KeyError(f"unknown {self._kind} {name!r}; choose one of {', '.join(self)}")
+        reason = f": {self._missing[name]}" if name in self._missing else ""
+        raise KeyError(f"unknown {self._kind} {name!r}{reason}; choose one of {', '.join(self)}")
 
 
 def require_range(name: str, value: Any, low: float, high: float, unit: str) -> float:
