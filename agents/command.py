@@ -34,7 +34,6 @@ from wtg_gym.files import markdown_table
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.progress import Progress
 from wtg_gym.ranges import require_range
-from wtg_gym.scenarios import get_suite
 
 #: What :func:`compare` leaves after an interruption, for :func:`run_command`.
 KEPT = "the entries that were complete stay; begin anew in another folder"
@@ -250,11 +249,10 @@ def compare(
     Raises:
         ValueError: an option is out of range, or a file or folder cannot be used.
     """
-    page, seeds = check_page("--page", given.page, markers), first_seeds(suite, split, given.scenarios)
+    page = check_page("--page", given.page, markers)
+    seeds = first_seeds(suite, split, given.scenarios, last=split == "train")
     with new_folder(Path(given.output)) as folder:
         entries = train(folder)
-    if split == "train":
-        seeds = list(get_suite(suite).train[-len(seeds) :])
     results = evaluate(list(entries), suite, split, seeds=seeds)
     more = more or {}
     rows = [

@@ -179,13 +179,13 @@ def chosen_scenarios(arguments: argparse.Namespace) -> dict[str, Any]:
     return {**chosen, "draw": draw}
 
 
-def first_seeds(suite: str, split: str, n: int) -> list[int]:
-    """Return the first n seeds of a split, as many as `--scenarios` says."""
+def first_seeds(suite: str, split: str, n: int, *, last: bool = False) -> list[int]:
+    """Return the first n seeds of a split, or the last ones, as many as `--scenarios` says."""
     seeds = get_suite(suite).seeds(split)
     largest = min(len(seeds), _LARGEST_SEED_RANGE)
     if not 1 <= n <= largest:
         raise ValueError(f"--scenarios = {n} is outside the allowed range 1 … {largest} of the split {split}")
-    return list(seeds[:n])
+    return list(seeds[-n:] if last else seeds[:n])
 
 
 def _seeds(texts: Sequence[str]) -> list[int]:
