@@ -27,13 +27,13 @@ from wtg_gym.cli.output import (
 )
 from wtg_gym.cli.parser import Parser
 from wtg_gym.cli.scoring import chosen_entries, first_seeds
+from wtg_gym.cli.suites import suite_name
 from wtg_gym.envs.settings import ACTION_MODES, OBSERVATION_MODES
 from wtg_gym.evaluation import Results, evaluate
 from wtg_gym.files import markdown_table
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.progress import Progress
 from wtg_gym.ranges import require_range
-from wtg_gym.scenarios import get_suite
 
 #: What :func:`compare` leaves after an interruption, for :func:`run_command`.
 KEPT = "the entries that were complete stay; begin anew in another folder"
@@ -78,7 +78,9 @@ def add_training_options(parser: argparse.ArgumentParser, *, timesteps: str) -> 
     """Add the options that every training shares; all of them are None where they are not given."""
     parser.add_argument("--action-mode", choices=tuple(ACTION_MODES), help="what the policy modulates (default: k+tau)")
     parser.add_argument("--observation-mode", choices=OBSERVATION_MODES, help="what it sees (default: local)")
-    parser.add_argument("--suite", metavar="NAME", help="suite to train and validate on (default: standard)")
+    parser.add_argument(
+        "--suite", type=suite_name, metavar="NAME", help="suite to train and validate on (default: standard)"
+    )
     add_strategy_option(parser)
     parser.add_argument("--seed", type=int, metavar="N", help="seed of everything random (default: 0)")
     parser.add_argument("--timesteps", type=int, metavar="N", help=f"environment steps in all (default: {timesteps})")
@@ -119,6 +121,23 @@ def add_folder_options(parser: argparse.ArgumentParser) -> None:
 def given_options(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return the options that are on the command line."""
     return {key: value for key, value in vars(arguments).items() if value is not None}
+
+
+def option(key: str) -> str:
+    """Return an option as it is typed, by its key."""
+    return f"--{key.replace('_', '-')}"
+
+
+@contextlib.contextmanager
+def options_named(given: Mapping[str, Any]) -> Iterator[None]:
+    """Name the option in an error that begins with the key of a setting, where the setting was given as an option."""
+    try:
+        yield
+    except ValueError as error:
+        key, _, rest = str(error).partition(" ")
+        if key not in given:
+            raise
+        raise ValueError(f"{option(key)} {rest}") from error
 
 
 def settings_of(
@@ -169,7 +188,8 @@ def opened_run(
     if "resume" in given:
         others = sorted(given.keys() - {"resume", "allow_other_versions"})
         if others:
-            raise ValueError(f"--resume goes on with the run's own settings; leave out {', '.join(others)}")
+            named = ", ".join(map(option, others))
+            raise ValueError(f"--resume goes on with the run's own settings; leave out {named}")
         folder = Path(given["resume"])
         # Read once before anything is written into the folder, and again when no other process can change it.
         run = Run.read(folder)
@@ -184,8 +204,9 @@ def opened_run(
             raise ValueError("--output FOLDER is needed, or --resume FOLDER")
         if allow_other_versions:
             raise ValueError("--allow-other-versions is for --resume")
-        run = Run.new(settings())
-        with new_folder(Path(given["output"])) as folder:
+        with options_named(given):
+            run = Run.new(settings())
+        with options_named(given), new_folder(Path(given["output"])) as folder:
             yield run, folder
     note(f"best validation score {run.best['score']:.1f} at step {run.best['timesteps']}; wrote {folder}")
 
@@ -228,11 +249,10 @@ def compare(
     Raises:
         ValueError: an option is out of range, or a file or folder cannot be used.
     """
-    page, seeds = check_page("--page", given.page, markers), first_seeds(suite, split, given.scenarios)
+    page = check_page("--page", given.page, markers)
+    seeds = first_seeds(suite, split, given.scenarios, last=split == "train")
     with new_folder(Path(given.output)) as folder:
         entries = train(folder)
-    if split == "train":
-        seeds = list(get_suite(suite).train[-len(seeds) :])
     results = evaluate(list(entries), suite, split, seeds=seeds)
     more = more or {}
     rows = [
@@ -269,6 +289,7 @@ __all__ = [
     "given_options",
     "note",
     "opened_run",
+    "options_named",
     "print_table",
     "require_extra",
     "require_package",
@@ -276,6 +297,7 @@ __all__ = [
     "run_command",
     "say",
     "settings_of",
+    "suite_name",
     "update_page",
     "write_and_say",
 ]

@@ -20,11 +20,12 @@ from agents.runs import Run, RunSettings
 from wtg_gym.envs import GFMWTGVectorEnv
 from wtg_gym.evaluation import OnnxPolicy, Policy
 from wtg_gym.files import markdown_table, sha256, write_atomically
-from wtg_gym.policies.load import POLICY_FILE
+from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
 from wtg_gym.scenarios import get_suite
 
 #: Largest difference between the export's actions and the learner's [full action].
 TOLERANCE = 1e-6
+_CARD_FILE = "README.md"
 _CHECKED_LANES, _CHECKED_STEPS = 16, 250
 #: Columns of the training curve in the model card and their digits.
 _CURVE = {
@@ -52,7 +53,13 @@ examples:
 
 
 def export(
-    run_folder: Path, output: Path, *, name: str | None = None, description: str = "", authors: Sequence[str] = ()
+    run_folder: Path,
+    output: Path,
+    *,
+    name: str | None = None,
+    description: str = "",
+    authors: Sequence[str] = (),
+    overwrite: bool = False,
 ) -> float:
     """Write the best policy of a run into a folder.
 
@@ -62,14 +69,18 @@ def export(
         name: of the entry; None for one made of algorithm and action mode.
         description: one sentence on what it is; empty for a general one.
         authors: names.
+        overwrite: replace these files where they are there.
 
     Returns:
         the largest difference between the file's actions and the learner's.
 
     Raises:
-        ValueError: there is no policy, the leaderboard would refuse the name, it cannot be written as ONNX, or the
-            file's actions differ.
+        ValueError: the folder has one of the files, there is no policy, the leaderboard would refuse the name, it
+            cannot be written as ONNX, or the file's actions differ.
     """
+    there = [file for file in (POLICY_FILE, _CARD_FILE, ENTRY_FILE) if (output / file).exists()]
+    if there and not overwrite:
+        raise ValueError(f"{output} has {', '.join(there)} already; --overwrite replaces them")
     run = Run.read(run_folder)
     settings = run.settings
     best = folders(run_folder / BEST)
@@ -90,7 +101,7 @@ def export(
     if not difference <= TOLERANCE:
         raise ValueError(f"the actions of the ONNX file differ by {difference:.2g}, allowed are {TOLERANCE:g}")
     write_atomically(output / POLICY_FILE, content)
-    write_atomically(output / "README.md", _model_card(run, row, entry["name"], authors, content))
+    write_atomically(output / _CARD_FILE, _model_card(run, row, entry["name"], authors, content))
     trained_on = f"{settings.suite}, split train, {timesteps} steps; chosen on split validation"
     # Last, because it makes the folder an entry.
     write_entry(output, {**entry, "authors": list(authors), "trained_on": trained_on})
@@ -215,6 +226,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--name", help="of the entry; runs of one name and several seeds share a row of the table")
     parser.add_argument("--description", default="", help="one sentence on what it is")
     parser.add_argument("--authors", nargs="+", default=[], metavar="NAME", help="who trained it")
+    parser.add_argument("--overwrite", action="store_true", help="replace an entry that is in the folder")
 
     def work() -> None:
         given = vars(parser.parse_args(argv))

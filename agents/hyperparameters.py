@@ -81,9 +81,13 @@ def read_config(path: Path, env_id: str = ENV_ID) -> dict[str, Any]:
         data = yaml.safe_load(read_text(path, "hyperparameter file"))
     except yaml.YAMLError as error:
         raise ValueError(f"the hyperparameter file {path} is not yml: {error}") from error
-    if not isinstance(data, dict) or not isinstance(data.get(env_id), dict):
-        raise ValueError(f"the hyperparameter file {path} must have a section {env_id!r} with keys and values")
-    return dict(data[env_id])
+    sections = {name: each for name, each in data.items() if isinstance(each, dict)} if isinstance(data, dict) else {}
+    if env_id not in sections:
+        others = (
+            f"; it has one for {', '.join(map(str, sections))}: give another file with --config" if sections else ""
+        )
+        raise ValueError(f"the hyperparameter file {path} must have a section {env_id!r} with keys and values{others}")
+    return dict(sections[env_id])
 
 
 def parse(algo: str, raw: Mapping[str, Any]) -> Hyperparameters:

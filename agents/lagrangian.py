@@ -109,9 +109,9 @@ class Measure:
 
 
 class _Multiplier(BaseCallback):
-    """Moves the multiplier after every rollout."""
+    """Moves the multiplier after every rollout where there is a bound."""
 
-    def __init__(self, envs: PenalisedVecEnv, measure: Measure, bound: float, progress: Progress) -> None:
+    def __init__(self, envs: PenalisedVecEnv, measure: Measure, bound: float | None, progress: Progress) -> None:
         super().__init__()
         self._envs, self._measure, self._bound, self._progress = envs, measure, bound, progress
         #: Share and multiplier of every rollout.
@@ -127,7 +127,8 @@ class _Multiplier(BaseCallback):
         self.course.append((self._measure.share(DeterministicPolicy(model), model.n_steps), multiplier))
         # That of whole episodes: four rollouts are as long as one.
         share = float(np.mean([share for share, _ in self.course[-4:]]))
-        self._envs.multiplier = max(0.0, multiplier + _RATE * (share - self._bound))
+        if self._bound is not None:
+            self._envs.multiplier = max(0.0, multiplier + _RATE * (share - _AIM * self._bound))
         said = f"violating {100 * share:.2f} %, multiplier {multiplier:.2f}"
         self._progress.update(said, self.num_timesteps // 1000, self.locals["total_timesteps"] // 1000)
 
@@ -153,7 +154,7 @@ def train(bound: float | None, timesteps: int, n_envs: int, seed: int, folder: P
     # Scenarios that no other lane begins with.
     measure = Measure(n_envs, seed + n_envs)
     with Progress("thousand steps") as progress:
-        multiplier = _Multiplier(envs, measure, 1.0 if bound is None else _AIM * bound, progress)
+        multiplier = _Multiplier(envs, measure, bound, progress)
         model.learn(timesteps, callback=multiplier)
     export_onnx(
         DeterministicPolicy(model),

@@ -118,13 +118,13 @@ class AgentVecEnv(VecEnvWrapper):
 
 
 class _LocalActor(MlpExtractor):
-    """Layers of an actor that sees the first entries of the observation, and of a critic that sees all."""
+    """Layers of an actor that sees the first `n_actor` entries of the observation, and of a critic that sees all."""
 
-    def __init__(self, n_actor: int, actor: MlpExtractor, critic: MlpExtractor) -> None:
-        torch.nn.Module.__init__(self)
+    def __init__(self, n_actor: int, n_all: int, **layers: Any) -> None:
+        actor = MlpExtractor(n_actor, **layers)
+        super().__init__(n_all, **layers)
         self.n_actor = n_actor
         self.policy_net, self.latent_dim_pi = actor.policy_net, actor.latent_dim_pi
-        self.value_net, self.latent_dim_vf = critic.value_net, critic.latent_dim_vf
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
         latent: torch.Tensor = self.policy_net(features[:, : self.n_actor])
@@ -144,11 +144,8 @@ class CentralCriticPolicy(ActorCriticPolicy):
         super().__init__(*arguments, **keywords)
 
     def _build_mlp_extractor(self) -> None:
-        actor, critic = (
-            MlpExtractor(width, net_arch=self.net_arch, activation_fn=self.activation_fn, device=self.device)
-            for width in (self.n_actor, self.features_dim)
-        )
-        self.mlp_extractor = _LocalActor(self.n_actor, actor, critic)
+        layers = {"net_arch": self.net_arch, "activation_fn": self.activation_fn, "device": self.device}
+        self.mlp_extractor = _LocalActor(self.n_actor, self.features_dim, **layers)
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         return {**super()._get_constructor_parameters(), "n_actor": self.n_actor}
@@ -203,7 +200,7 @@ def training_env(settings: RunSettings) -> VecEnv:
     if settings.algo not in ALGORITHMS:
         return GainVecEnv(settings.n_envs, **settings.env_arguments)
     if settings.observation_mode != "local":
-        raise ValueError(f"agents of {settings.algo} see what their own groups measure: leave out the observation mode")
+        raise ValueError(f"agents of {settings.algo} see what their own groups measure: leave out --observation-mode")
     n_wtg = sizes_of(settings).size
     if settings.n_envs % n_wtg:
         raise ValueError(f"n_envs must be a whole multiple of the {n_wtg} WTG groups, got {settings.n_envs}")

@@ -20,8 +20,8 @@ _AUTHORS = "The wtg_gym authors"
 _DESCRIPTION = """\
 Trains the policies of agents/policies, three or five seeds each, and exports them; without --only or --all, lists them
 with the time that the training of each took. A run that is there already goes on from its last checkpoint, or is
-exported at once. The output of a run goes to the file NAME.log beside its folder. Nothing in agents/policies changes,
-unless --policies names it."""
+exported at once; its export replaces an earlier one. The output of a run goes to the file NAME.log beside its folder.
+Nothing in agents/policies changes, unless --policies names it."""
 _EXAMPLES = """\
 examples:
   python -m agents.shipped                            what there is to train
@@ -103,7 +103,7 @@ def _make(name: str, runs: Path, policies: Path) -> None:
     described = ["--name", shipped.name, "--description", shipped.description, "--authors", _AUTHORS]
     commands = (
         [shipped.command, *(["--resume", str(run)] if (run / RUN_FILE).is_file() else new)],
-        ["agents.export", str(run), "--output", str(policies / name), *described],
+        ["agents.export", str(run), "--output", str(policies / name), "--overwrite", *described],
     )
     # Several trainings at a time on one thread each are faster than one after another on all of them.
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}

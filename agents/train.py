@@ -210,7 +210,11 @@ def add_sb3_options(parser: argparse.ArgumentParser, algos: Sequence[str]) -> No
     add_plant_options(parser)
     parser.add_argument("--n-envs", type=int, metavar="N", help="lanes side by side (default: the file's)")
     parser.add_argument("--device", choices=("cpu", "cuda"), help="where the networks are (default: cpu)")
-    parser.add_argument("--config", metavar="FILE", help="hyperparameters (default: agents/configs/<algo>.yml)")
+    parser.add_argument(
+        "--config",
+        metavar="FILE",
+        help="hyperparameters (default: agents/configs/<algo>.yml, of td3 and tqc for v0 only)",
+    )
 
 
 def sb3_settings(given: Mapping[str, Any]) -> RunSettings:
@@ -224,10 +228,12 @@ def sb3_settings(given: Mapping[str, Any]) -> RunSettings:
     algo = given["algo"]
     env_id = get_suite(given.get("suite", "standard")).benchmark.env_id
     # Both have the same hyperparameters, whatever their critics see.
-    raw = read_config(
-        Path(given.get("config", CONFIG_FOLDER / f"{'ippo' if algo in multi_agent.ALGORITHMS else algo}.yml")), env_id
-    )
-    file = parse(multi_agent.base_algorithm(algo), raw)
+    path = Path(given.get("config", CONFIG_FOLDER / f"{'ippo' if algo in multi_agent.ALGORITHMS else algo}.yml"))
+    raw = read_config(path, env_id)
+    try:
+        file = parse(multi_agent.base_algorithm(algo), raw)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
     return settings_of(given, algo, raw, timesteps=file.n_timesteps, n_envs=given.get("n_envs", file.n_envs))
 
 

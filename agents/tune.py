@@ -12,7 +12,7 @@ import optuna
 import yaml
 from optuna.trial import Trial, TrialState
 
-from agents.command import Parser, given_options, note, run_command
+from agents.command import Parser, given_options, note, options_named, run_command
 from agents.hyperparameters import ALGORITHMS
 from agents.runs import Run, RunSettings
 from agents.train import add_sb3_options, sb3_settings, train
@@ -189,7 +189,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         if given["trials"] < 1:
             raise ValueError(f"--trials must be 1 or more, got {given['trials']}")
         folder = Path(given["output"])
-        study = search(sb3_settings(given), given["trials"], folder)
+        with options_named(given):
+            settings = sb3_settings(given)
+        study = search(settings, given["trials"], folder)
         n_complete = len(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)))
         note(f"{n_complete} of {len(study.trials)} trials complete; wrote {folder / BEST_FILE}")
 

@@ -17,22 +17,29 @@ class ByName(dict[str, Value]):
     Args:
         kind: what the keys are names of.
         values: by name.
+        missing: why a name has no value, for the names of which that is known.
     """
 
-    def __init__(self, kind: str, values: Mapping[str, Value]) -> None:
+    def __init__(self, kind: str, values: Mapping[str, Value], missing: Mapping[str, str] | None = None) -> None:
         super().__init__(values)
         self._kind = kind
+        self._missing = missing or {}
 
     def __missing__(self, name: Any) -> Value:
-        raise KeyError(f"unknown {self._kind} {name!r}; choose one of {', '.join(self)}")
+        reason = f": {self._missing[name]}" if name in self._missing else ""
+        raise KeyError(f"unknown {self._kind} {name!r}{reason}; choose one of {', '.join(self)}")
 
 
 def require_range(name: str, value: Any, low: float, high: float, unit: str) -> float:
-    """Return `value` as a float, or raise a ValueError that names value, unit and allowed range."""
+    """Return `value` as a float, or raise a ValueError that names value, unit and allowed range.
+
+    Limits that are whole numbers (`int`) are named with all their digits.
+    """
     # By far the most frequent case, in the drawing of scenarios.
     if type(value) is float and low <= value <= high and math.isfinite(value):
         return value
-    allowed = f"{low:g} … {high:g} {unit}".rstrip()
+    digits = ".15g" if isinstance(low, int) and isinstance(high, int) else "g"
+    allowed = f"{low:{digits}} … {high:{digits}} {unit}".rstrip()
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
         raise ValueError(f"{name} must be a number in {allowed}, got {value!r}")
     try:
@@ -40,7 +47,7 @@ def require_range(name: str, value: Any, low: float, high: float, unit: str) -> 
     except OverflowError:
         number = math.inf
     if not math.isfinite(number) or not low <= number <= high:
-        raise ValueError(f"{name} = {number:g} {unit}".rstrip() + f" is outside the allowed range {allowed}")
+        raise ValueError(f"{name} = {number:{digits}} {unit}".rstrip() + f" is outside the allowed range {allowed}")
     return number
 
 

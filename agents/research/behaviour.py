@@ -18,6 +18,7 @@ from agents.command import (
     note,
     require_extra,
     run_command,
+    suite_name,
     update_page,
     write_and_say,
 )
@@ -80,7 +81,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--runs", nargs="+", default=[], metavar="FOLDER", help="folders of training runs")
     parser.add_argument("--output", required=True, metavar="FOLDER", help="folder to write to")
     parser.add_argument("--page", metavar="FILE", help="Markdown file whose sections are renewed")
-    parser.add_argument("--suite", choices=tuple(SUITES), default="standard", help="default: standard")
+    parser.add_argument("--suite", type=suite_name, choices=tuple(SUITES), default="standard", help="default: standard")
     parser.add_argument("--split", choices=SPLITS, default="test", help="its scenarios")
     parser.add_argument("--scenarios", type=int, metavar="N", help="the first N of the split (default: 50, or all)")
     return run_command(

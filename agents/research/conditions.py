@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from agents.command import Parser, Progress, check_page, run_command, update_page
+from agents.command import Parser, Progress, check_page, run_command, suite_name, update_page
 from agents.research.simple_policies import SimplePolicy, simple_policies
 from baselines.fast_droop import FastDroop
 from wtg_gym.envs.task_records import COST_TERMS
@@ -298,7 +298,9 @@ def _check_scenarios(suite: str, oracle: OracleCosts | None, planners: Results |
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     parser = Parser(prog="python -m agents.research.conditions", description=_DESCRIPTION, epilog=_EXAMPLES)
-    parser.add_argument("--suite", default="standard-v1", metavar="NAME", help="of version v1 (default: standard-v1)")
+    parser.add_argument(
+        "--suite", type=suite_name, default="standard-v1", metavar="NAME", help="of version v1 (default: standard-v1)"
+    )
     parser.add_argument("--feedbacks", nargs="+", default=[], metavar="ENTRY", help="tuned feedbacks")
     parser.add_argument("--agents", nargs="+", default=[], metavar="ENTRY", help="trained with random delay")
     parser.add_argument("--oracle", metavar="FILE", help="of agents.research.foresight")

@@ -13,7 +13,7 @@ import cma
 import numpy as np
 import numpy.typing as npt
 
-from agents.command import add_strategy_option
+from agents.command import add_strategy_option, suite_name
 from agents.research.rollouts import HISTORY_COLUMNS, Rollouts, both, course, history_feedback, linear_feedback
 from wtg_gym.envs.settings import ACTION_MODES
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
@@ -75,7 +75,7 @@ class Search:
 
 def add_search_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that the commands with a search share."""
-    parser.add_argument("--suite", metavar="NAME", default="standard", help="(default: standard)")
+    parser.add_argument("--suite", type=suite_name, metavar="NAME", default="standard", help="(default: standard)")
     parser.add_argument("--action-mode", choices=tuple(ACTION_MODES), default="k+tau", help="(default: k+tau)")
     add_strategy_option(parser)
     parser.add_argument("--generations", type=int, default=150, metavar="N", help="of a search (default: 150)")

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from agents.command import Parser, Progress, check_page, print_table, run_command, say, update_page
+from agents.command import Parser, Progress, check_page, print_table, run_command, say, suite_name, update_page
 from agents.research.rollouts import Rollouts
 from wtg_gym.analysis.influence import LAW_NAMES, MEASURES, measure_influences
 from wtg_gym.envs.lanes import TaskLanes
@@ -174,7 +174,7 @@ def scores(
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     parser = Parser(prog="python -m agents.research.law_gradient", description=_DESCRIPTION)
-    parser.add_argument("--suite", default="standard", metavar="NAME", help="(default: standard)")
+    parser.add_argument("--suite", type=suite_name, default="standard", metavar="NAME", help="(default: standard)")
     parser.add_argument("--batches", type=int, default=100, metavar="N", help="steps of Adam (default: 100)")
     parser.add_argument("--scenarios", type=int, default=32, metavar="N", help="per batch (default: 32)")
     parser.add_argument("--validation", type=int, default=100, metavar="N", help="validation scenarios (default: 100)")

@@ -19,6 +19,7 @@ from agents.command import (
     print_table,
     require_extra,
     run_command,
+    suite_name,
 )
 from agents.research.planner import KNOWLEDGE, Planning, plan
 from wtg_gym.envs.lanes import TaskLanes
@@ -63,7 +64,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = Parser(prog="python -m agents.research.one_event", description=_DESCRIPTION, epilog=_EXAMPLES)
     parser.add_argument("--entries", nargs="+", required=True, metavar="ENTRY", help="as for wtg-gym evaluate")
     parser.add_argument("--planner", choices=KNOWLEDGE, help="a planner besides, which knows the wind so")
-    parser.add_argument("--suite", default="paper-v1", metavar="NAME", help="of version v1 (default: paper-v1)")
+    parser.add_argument(
+        "--suite", type=suite_name, default="paper-v1", metavar="NAME", help="of version v1 (default: paper-v1)"
+    )
     parser.add_argument("--split", default="test", choices=SPLITS, help="(default: test)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the scenario (default: 0)")
     parser.add_argument("--output", required=True, metavar="FILE", help=f"figure, .{', .'.join(FIGURE_FORMATS)}")

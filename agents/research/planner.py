@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from agents.command import Parser, Progress, check_output_folder, check_page, note, run_command, update_page
+from agents.command import Parser, Progress, check_output_folder, check_page, note, run_command, suite_name, update_page
 from agents.research.rollouts import between, positions
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.observation import N_LOCAL, N_MEASURED
@@ -372,7 +372,9 @@ class _NoPolicy:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     parser = Parser(prog="python -m agents.research.planner", description=_DESCRIPTION, epilog=_EXAMPLES)
-    parser.add_argument("--suite", default="standard-v1", metavar="NAME", help="of version v1 (default: standard-v1)")
+    parser.add_argument(
+        "--suite", type=suite_name, default="standard-v1", metavar="NAME", help="of version v1 (default: standard-v1)"
+    )
     parser.add_argument("--split", default="validation", choices=SPLITS, help="(default: validation)")
     parser.add_argument("--scenarios", type=int, metavar="N", help="the first ones (default: all)")
     parser.add_argument("--knowledge", nargs="+", choices=KNOWLEDGE, default=list(KNOWLEDGE), help="(default: both)")

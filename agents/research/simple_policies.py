@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from agents.command import Parser, Progress, print_table, run_command, say
+from agents.command import Parser, Progress, print_table, run_command, say, suite_name
 from agents.research.rollouts import Candidates, Rollouts, difference_percent
 from wtg_gym.evaluation.score import COST_OFFSET
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
@@ -173,7 +173,7 @@ def _costs(
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     parser = Parser(prog="python -m agents.research.simple_policies", description=_DESCRIPTION)
-    parser.add_argument("--suite", metavar="NAME", default="standard", help="(default: standard)")
+    parser.add_argument("--suite", type=suite_name, metavar="NAME", default="standard", help="(default: standard)")
     parser.add_argument("--split", choices=("validation", "test"), default="validation", help="(default: validation)")
     parser.add_argument("--scenarios", type=int, metavar="N", help="the first N of the split (default: all)")
     parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")

@@ -10,7 +10,7 @@ from contextlib import closing
 import cma
 import numpy as np
 
-from agents.command import Parser, Progress, print_table, run_command, say
+from agents.command import Parser, Progress, print_table, run_command, say, suite_name
 from agents.research.rollouts import Rollouts
 from wtg_gym.evaluation.score import COST_OFFSET
 from wtg_gym.physics.tracking_law import LARGEST_COEFFICIENT, TIME_CONSTANT_RANGE, TrackingLaw, coordinated_piecewise
@@ -75,7 +75,9 @@ def tune_law(
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     parser = Parser(prog="python -m agents.research.tuned_law", description=_DESCRIPTION)
-    parser.add_argument("--suite", default="standard-v1", metavar="NAME", help="(default: standard-v1)")
+    parser.add_argument(
+        "--suite", type=suite_name, default="standard-v1", metavar="NAME", help="(default: standard-v1)"
+    )
     parser.add_argument("--scenarios", type=int, default=192, metavar="N", help="training scenarios (default: 192)")
     parser.add_argument("--generations", type=int, default=45, metavar="N", help="of the search (default: 45)")
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the search (default: 1)")

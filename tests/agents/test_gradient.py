@@ -117,7 +117,7 @@ def test_run_repeats_also_after_an_interruption_and_is_exported(
 
 def test_bad_input_is_refused_and_leaves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--hidden", "8", "0", "--output", str(tmp_path / "run")]) == 2
-    assert "hidden must be positive whole numbers" in capsys.readouterr().err
+    assert "--hidden must be positive whole numbers" in capsys.readouterr().err
     assert main(["--lstm", "-1", "--output", str(tmp_path / "run")]) == 2
-    assert "lstm must be a whole number, 0 for none, got -1" in capsys.readouterr().err
+    assert "--lstm must be a whole number, 0 for none, got -1" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,8 +11,10 @@ from torch import nn
 
 from agents.hyperparameters import ALGORITHMS, CONFIG_FOLDER, parse, parse_literal, read_config
 from agents.onnx_graph import ACTIVATIONS
+from agents.train import main as train
 from tests.agents.small import CONFIGS, ON_POLICY
 from wtg_gym import ENV_ID
+from wtg_gym.scenarios.benchmark import V0, V1
 
 #: The files that are not named after their algorithm.
 OTHER_FILES = {"ppo_tau": "ppo", "ippo": "ppo"}
@@ -102,3 +105,18 @@ def test_unknown_algorithm_and_section_are_named(tmp_path: Any) -> None:
         path.write_text(content)
         with pytest.raises(ValueError, match=text):
             read_config(path)
+
+
+def test_help_and_error_name_the_algorithms_without_hyperparameters_for_v1(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    without = [algo for algo in ALGORITHMS if V1.env_id not in (CONFIG_FOLDER / f"{algo}.yml").read_text()]
+    with pytest.raises(SystemExit):
+        train(["--help"])
+    assert f"of {' and '.join(without)} for v0 only" in " ".join(capsys.readouterr().out.split())
+    for algo in without:
+        assert train(["--algo", algo, "--suite", "standard-v1", "--output", str(tmp_path / "run")]) == 2
+        expected = (
+            f"{algo}.yml must have a section '{V1.env_id}' with keys and values; it has one for {V0.env_id}: give"
+        )
+        assert expected in capsys.readouterr().err

@@ -11,10 +11,11 @@ import pytest
 import torch
 from torch import nn
 
-from agents import lagrangian
+from agents import command, lagrangian
 from agents.gains import stagger
 from agents.vec_env import GainVecEnv
 from wtg_gym.envs import GFMWTGVectorEnv
+from wtg_gym.evaluation import Results, evaluate
 from wtg_gym.policies.load import load_entries
 
 N = 8
@@ -84,7 +85,16 @@ def test_share_is_that_of_the_steps_that_were_made() -> None:
     assert lagrangian.violated_percent(results, "mine").mean() == pytest.approx(10.0)
 
 
-def test_command_writes_entries_and_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_writes_entries_and_a_table(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    played: list[int] = []
+
+    def noting(*arguments: Any, seeds: list[int]) -> Results:
+        played.extend(seeds)
+        return evaluate(*arguments, seeds=seeds)
+
+    monkeypatch.setattr(command, "evaluate", noting)
     page = tmp_path / "page.md"
     page.write_text("<!-- lagrangian:start -->\n<!-- lagrangian:end -->\n")
     sizes = ["--timesteps", "19200", "--n-envs", "128", "--scenarios", "4", "--page", str(page)]
@@ -94,6 +104,8 @@ def test_command_writes_entries_and_a_table(tmp_path: Path, capsys: pytest.Captu
         assert (entry.name, entry.training_seed, entry.environment) == (name, 0, "GFMWTG-14bus-v0")
         assert page.read_text().count(f"| {name} |") == 1
     assert "| coordinated-piecewise | 100.0 (" in page.read_text()
+    # Training draws from so many that it has seen none of the last ones.
+    assert played == list(range(2**31 - 4, 2**31))
     # Nothing of another run is overwritten.
     assert lagrangian.main([*sizes, "--output", str(tmp_path / "mine")]) == 2
     assert "mine exists and is not an empty folder" in capsys.readouterr().err
@@ -103,9 +115,10 @@ def test_command_writes_entries_and_a_table(tmp_path: Path, capsys: pytest.Captu
     ("option", "value", "text"),
     [
         ("--bound", "0", "--bound must be between 0 and 100 %"),
-        ("--timesteps", "0", "--timesteps = 0 steps is outside the allowed range 1 … 1e+12 steps"),
+        ("--timesteps", "0", "--timesteps = 0 steps is outside the allowed range 1 … 1000000000000 steps"),
         ("--n-envs", "-1", "--n-envs = -1 episodes is outside the allowed range 1 … 100000 episodes"),
-        ("--seeds", "-1", "--seeds = -1 is outside the allowed range 0 … 2.14748e+09"),
+        ("--seeds", "2147483648", "--seeds = 2147483648 is outside the allowed range 0 … 2147483647"),
+        ("--seeds", "-1", "--seeds = -1 is outside the allowed range 0 … 2147483647"),
         ("--scenarios", "0", "--scenarios = 0 is outside the allowed range 1 … 100000"),
         ("--page", "no-page.md", "no-page.md"),
     ],

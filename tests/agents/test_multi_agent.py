@@ -222,8 +222,11 @@ def test_policy_of_two_groups_plays_in_a_grid_with_three(whole: Path) -> None:
         (["--output", "new"], "--algo is needed: ppo, sac, td3, tqc, recurrent_ppo, ippo, mappo"),
         (["--algo", "qmix", "--output", "new"], "invalid choice"),
         (["--algo", "ippo"], "--output FOLDER is needed"),
-        (["--algo", "ippo", "--n-envs", "7", "--output", "new"], "whole multiple of the 2 WTG groups, got 7"),
-        (["--algo", "mappo", "--observation-mode", "privileged", "--output", "new"], "leave out the observation"),
+        (
+            ["--algo", "ippo", "--n-envs", "7", "--output", "new"],
+            "--n-envs must be a whole multiple of the 2 WTG groups, got 7",
+        ),
+        (["--algo", "mappo", "--observation-mode", "privileged", "--output", "new"], "leave out --observation-mode"),
         (["--algo", "ippo", "--groups", "0", "--output", "new"], "group"),
         (["--algo", "ippo", "--sensors", "exact", "--output", "new"], "sensors are part of version v1 and later"),
         (["--algo", "ippo", "--suite", "standard-v1", "--sensors", "{}x", "--output", "new"], "sensors must be"),

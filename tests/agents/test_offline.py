@@ -40,7 +40,7 @@ def test_command_compares_with_the_version_s_own_policy_and_checks_before_it_tra
     output = tmp_path / "out"
     given = ["gfmwtg/v0/reference-v0", "--algos", "bc", "bc", "--output", str(output)]
     for option, value, text in (
-        ("--steps", "0", "--steps = 0 gradient steps is outside the allowed range 1 … 1e+09 gradient steps"),
+        ("--steps", "0", "--steps = 0 gradient steps is outside the allowed range 1 … 1000000000 gradient steps"),
         ("--seed", "-1", "--seed = -1 is outside the allowed range 0 … "),
         ("--scenarios", "0", "--scenarios = 0 is outside the allowed range 1 … "),
     ):

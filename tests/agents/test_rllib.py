@@ -113,10 +113,10 @@ def test_both_files_of_constraints_agree_but_for_gymnasium() -> None:
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (["--output", "new", "--num-env-runners", "0"], "num_env_runners = 0 is outside the allowed range 1 … 10000"),
-        (["--output", "new", "--num-learners", "-1"], "num_learners = -1 is outside the allowed range 0 … 1000"),
+        (["--output", "new", "--num-env-runners", "0"], "--num-env-runners = 0 is outside the allowed range 1 … 10000"),
+        (["--output", "new", "--num-learners", "-1"], "--num-learners = -1 is outside the allowed range 0 … 1000"),
         (["--output", "new", "--envs-per-runner", "many"], "invalid int value"),
-        (["--resume", "other", "--num-learners", "1"], "leave out num_learners"),
+        (["--resume", "other", "--num-learners", "1"], "leave out --num-learners"),
         (["--resume", "other"], "a run of ppo"),
     ],
 )

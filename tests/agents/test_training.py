@@ -190,6 +190,22 @@ def test_export_describes_the_policy_that_it_writes(
     assert not (tmp_path / "other").exists()
 
 
+@pytest.mark.parametrize("file", ["policy.onnx", "README.md", "entry.toml"])
+def test_export_replaces_files_only_when_told(
+    file: str, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    entry = tmp_path / "entry"
+    entry.mkdir()
+    (entry / file).write_text("kept")
+    command = [str(whole), "--output", str(entry), "--name", "mine"]
+    assert export_command(command) == 2
+    assert f"{entry} has {file} already; --overwrite replaces" in capsys.readouterr().err
+    assert [(path.name, path.read_text()) for path in entry.iterdir()] == [(file, "kept")]
+    assert export_command([*command, "--overwrite"]) == 0
+    assert load_entries(entry)[0].name == "mine"
+    assert b"kept" not in (entry / file).read_bytes()
+
+
 @pytest.mark.parametrize(
     ("algo", "policy_kwargs", "text"),
     [
@@ -307,20 +323,26 @@ def test_folder_is_complete_or_not_there(tmp_path: Path) -> None:
         (["--output", "new"], "--algo is needed"),
         (["--algo", "dqn", "--output", "new"], "invalid choice"),
         (["--algo", "ppo", "--output", "."], "not an empty folder"),
-        (["--algo", "ppo", "--output", "new", "--timesteps", "0"], "timesteps must be a whole number, 1"),
-        (["--algo", "ppo", "--output", "new", "--validation-episodes", "101"], r"validation_episodes .* 1 … 100"),
+        (["--algo", "ppo", "--output", "new", "--timesteps", "0"], "error: --timesteps must be a whole number, 1"),
+        (["--algo", "ppo", "--output", "new", "--validation-episodes", "101"], r"--validation-episodes .* 1 … 100"),
+        (["--algo", "ppo", "--output", "new", "--config", "bad.yml", "--n-envs", "2"], "bad.yml: n_envs must be"),
+        (
+            ["--algo", "ppo", "--output", "new", "--config", "many.yml"],
+            "error: n_envs must be a whole number, 1 … 1000",
+        ),
         (["--algo", "ppo", "--output", "new", "--suite", "paper"], "fixed list of cases"),
         (["--algo", "ppo", "--output", "new", "--config", "no.yml"], "cannot read the hyperparameter file"),
         (["--resume", "no-such-run"], "cannot read the description of the run"),
-        (["--resume", "no-such-run", "--seed", "1"], "leave out seed"),
+        (["--resume", "no-such-run", "--seed", "1", "--n-envs", "2"], "leave out --n-envs, --seed"),
         (["--algo", "ppo", "--output", "/proc/x"], "cannot create the folder /proc/x"),
     ],
 )
 def test_bad_options_are_refused_before_anything_runs(
     arguments: list[str], text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "something").touch()
     monkeypatch.chdir(tmp_path)
+    for name, n_envs in (("bad.yml", 0), ("many.yml", 200_000)):
+        Path(config_file(tmp_path, "ppo", n_envs=n_envs)).rename(name)
     assert main(arguments) == 2
     error = capsys.readouterr().err
     assert error.startswith("error: ") and error.count("\n") == 1

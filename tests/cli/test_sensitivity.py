@@ -17,7 +17,7 @@ def test_table_names_what_does_not_matter(capsys: pytest.CaptureFixture[str]) ->
     said = capsys.readouterr()
     assert "validation: 2 scenarios" in said.out
     assert "no score: the entry at 0 is not worse than that at 100" in said.out
-    assert said.out.endswith("Neither a point of any score nor the order depends on: overload.\n")
+    assert said.out.endswith("Weights that change neither the order nor a score by a point: overload.\n")
     assert [line.split()[:3] for line in said.out.splitlines() if line.startswith(("duty", "overload"))] == [
         ["duty", "0", "no"],
         ["duty", "2", "same"],
@@ -42,9 +42,11 @@ def test_page_gets_the_table_between_its_markers(capsys: pytest.CaptureFixture[s
     )
     assert main([*_FEW, "--page", str(page)]) == 0
     text = page.read_text(encoding="utf-8")
-    assert text.startswith("before\n<!-- sensitivity:standard:start -->\n2 validation scenarios of `standard`.")
+    assert text.startswith(
+        "before\n<!-- sensitivity:standard:start -->\nScores on 2 validation scenarios of `standard` with"
+    )
     assert "| weight | factor | order | scores that change by a point or more |" in text
-    assert text.endswith("depends on: overload.\n<!-- sensitivity:standard:end -->\nafter\n")
+    assert text.endswith("by a point: overload.\n<!-- sensitivity:standard:end -->\nafter\n")
 
 
 @pytest.mark.parametrize(

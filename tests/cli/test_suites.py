@@ -9,8 +9,9 @@ import wtg_gym.cli.scoring
 import wtg_gym.cli.simulate
 import wtg_gym.cli.suites
 from tests.cli.calls import error_of, json_of
-from wtg_gym.cli import main
-from wtg_gym.scenarios import FROZEN_HASHES, SUITES
+from wtg_gym.cli import build_parser, main
+from wtg_gym.envs import EnvSettings
+from wtg_gym.scenarios import FROZEN_HASHES, SUITES, Suite
 
 
 def test_suites_lists_every_suite(capsys: pytest.CaptureFixture[str]) -> None:
@@ -61,6 +62,41 @@ def test_hash_check_passes_and_fails_by_exit_code(
     monkeypatch.setattr(wtg_gym.cli.suites, "FROZEN_HASHES", {})
     assert main(["suites", "--check", "paper"]) == 0
     assert "not frozen" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("suite", SUITES.values(), ids=lambda suite: suite.name)
+def test_command_line_takes_the_names_that_the_environment_takes(
+    suite: Suite, capsys: pytest.CaptureFixture[str]
+) -> None:
+    version = suite.benchmark.version
+    short = suite.name.removesuffix(f"-{version}")
+    assert EnvSettings(version=version, suite=short).suite == suite.name
+    for name in (suite.name, short):
+        # Without a version, "standard" and "paper" are those of v0.
+        (shown,) = json_of(capsys, "suites", name, "--json")
+        assert shown["name"] == (name if name in SUITES else suite.name)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["evaluate", "--suite"],
+        ["leaderboard", "--suite"],
+        ["simulate", "--suite"],
+        ["play", "--suite"],
+        ["submission", "score", "folder", "--suite"],
+        ["results", "sensitivity", "--suite"],
+        ["results", "matrix", "--perturb"],
+        ["results", "matrix", "--suites"],
+        ["analyse", "accuracy", "--suite"],
+        ["analyse", "aggregation", "--suite"],
+        ["analyse", "influence", "--suite"],
+    ],
+    ids=" ".join,
+)
+def test_options_take_a_short_name(words: list[str]) -> None:
+    found = vars(build_parser(words).parse_args([*words, "faults"]))[words[-1].removeprefix("--")]
+    assert found in ("faults-v1", ["faults-v1"])
 
 
 def test_suites_refuses_unknown_names_and_seeds(capsys: pytest.CaptureFixture[str]) -> None:

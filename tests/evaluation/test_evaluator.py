@@ -237,8 +237,9 @@ def test_entry_that_fails_is_left_out_with_its_row_and_the_others_stand(tmp_path
     reasons = [entry["reason"] for entry in results.failed]
     assert reasons[0] == reasons[1] == reasons[2] and "entry 'nan (training seed 1)', step 7" in reasons[1]
     assert "raised RuntimeError: no idea \\x1b[2J (test_evaluator.py:" in reasons[3]
-    with pytest.raises(ValueError, match=r"no entry 'nan' in these results: entry 'nan .training seed 1.', step 7"):
-        results.episodes_of("nan")
+    for look_up in (results.episodes_of, results.scores.__getitem__):
+        with pytest.raises(KeyError, match=r"unknown entry 'nan': entry 'nan .training seed 1.', step 7.*; choose one"):
+            look_up("nan")
     # The files of the others are the same to the byte, but for what is said of those that failed.
     for one, other in zip(results.write(tmp_path / "a"), others.write(tmp_path / "b"), strict=True):
         if one.suffix == ".csv":

@@ -101,7 +101,7 @@ def test_cells_are_the_scores_and_worst_deciles_of_the_results(usual: Results, p
     data = json.loads(json.dumps(matrix.to_dict()))
     assert data["version"] == "v1" and data["columns"][1]["change"] == "delay +0.1 s"
     page = matrix.page()
-    assert page.startswith("Scores on 12 validation scenarios a column. 0 and 100 are each suite's own anchors.")
+    assert page.startswith("Scores on 12 validation scenarios per column. Sensors do not affect the laws that")
     assert page.count("| entry | standard | standard, delay +0.1 s |") == 2
 
 
@@ -115,8 +115,8 @@ def test_scenarios_without_a_scale_have_costs_and_no_scores(usual: Results) -> N
             assert cell is not None and cell.score is None
             assert cell.worst_decile_cost == paper.pinned_costs[row.name].max()
     assert matrix.describe() == (
-        "12 validation scenarios a column; 2 validation scenarios (paper). "
-        "No score on paper: coordinated-tuned, which has 100, is no better there than coordinated-piecewise."
+        "12 validation scenarios per column; 2 validation scenarios on paper. "
+        "No score on paper, where coordinated-tuned (100) is no better than coordinated-piecewise (0)."
     )
 
 

@@ -51,7 +51,7 @@ def test_changes_ranks_and_idle_weights_are_those_counted_by_hand(study: Sensiti
     # With twice the duty nothing moves, but without it the order does; without rotor there is nothing to order by.
     assert study.ordering == ["duty", "rotor"]
     assert dataclasses.replace(study, variants=study.variants[1:3]).describe() == (
-        "The order depends on none. Neither a point of any score nor the order depends on: duty, effort."
+        "No weight changes the order. Weights that change neither the order nor a score by a point: duty, effort."
     )
 
 
@@ -63,12 +63,12 @@ def test_table_says_it_in_words(study: Sensitivity) -> None:
         ["rotor", "0", "no score: the entry at 0 is not worse than that at 100", ""],
     ]
     all_matter = dataclasses.replace(study, variants=study.variants[:1])
-    assert all_matter.describe_idle().startswith("Each of these weights moves a score by a point")
-    assert study.describe_idle() == "Neither a point of any score nor the order depends on: effort."
+    assert all_matter.describe_idle() == "Every weight changes the order or a score by a point, or leaves no score."
+    assert study.describe_idle() == "Weights that change neither the order nor a score by a point: effort."
     page = study.page()
-    assert page.startswith("7 validation scenarios of `standard`. Scores with the weights as they are: a 110.0, ")
+    assert page.startswith("Scores on 7 validation scenarios of `standard` with the usual weights: a 110.0, ")
     assert (
-        page.endswith(f"\n\nThe order depends on: duty, rotor. {study.describe_idle()}")
+        page.endswith(f"\n\nWeights that change the order: duty, rotor. {study.describe_idle()}")
         and "| duty | 2 | same | none |" in page
     )
 

@@ -12,7 +12,9 @@ from scipy.interpolate import RectBivariateSpline
 
 from wtg_gym.physics.aerodynamics import available_power_pu, power_coefficient, tracking_point
 from wtg_gym.physics.nrel5mw import ROTOR_TABLE, nrel_5mw
+from wtg_gym.physics.parameters import GridFormingParameters, PitchParameters, ProtectionParameters
 from wtg_gym.physics.rotor_table import RotorTable, read_rotor_table
+from wtg_gym.physics.wind_turbine import turbine_constants, turbine_equilibrium
 
 TABLE = read_rotor_table(ROTOR_TABLE)
 RATIO, PITCH, CP = (np.array(v) for v in (TABLE.tip_speed_ratio, TABLE.pitch_deg, TABLE.power_coefficient))
@@ -91,6 +93,28 @@ def test_the_nrel_turbine_has_its_published_numbers() -> None:
     for deloading in (0.0, 0.05, 0.1):
         point = tracking_point(deloading, turbine)
         assert point.power_coefficient == pytest.approx((1.0 - deloading) * best.power_coefficient, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("limits", "held_back"),
+    [
+        ({}, (0.219, 0.443)),
+        ({"rotor_speed_limit_pu": 10.0}, (0.046, 0.096)),
+        ({"rotor_speed_limit_pu": 10.0, "captured_power_limit_pu": 10.0}, (0.05, 0.10)),
+    ],
+)
+def test_limit_on_rotor_speed_makes_the_nrel_rotor_hold_back_more_than_its_deloading(
+    limits: dict[str, float], held_back: tuple[float, ...]
+) -> None:
+    turbine = nrel_5mw()
+    constants = turbine_constants(turbine, PitchParameters(**limits), GridFormingParameters(), ProtectionParameters())
+    powers = []
+    for deloading in (0.0, 0.05, 0.1):
+        k = tracking_point(deloading, turbine).coefficient
+        rotor, _, found = turbine_equilibrium(11.4, k, constants, TABLE.surface()[1])
+        assert found
+        powers.append(k * rotor**3)
+    assert [1.0 - power / powers[0] for power in powers[1:]] == pytest.approx(held_back, abs=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -142,7 +142,7 @@ def study_own_run(
     unknowns = [unknown_of(settings.plant(), name) for name in names]
     estimator = Estimator(settings, scenario, unknowns, range(round(duration_s / settings.control_dt)))
     record = estimator.run(np.ones(len(unknowns)))[0]
-    text = f"a run here: {power_mw:g} MW of load at bus 4 after 1 s, the frequency of the centre of inertia"
+    text = f"own run, {power_mw:g} MW of load at bus 4 after 1 s, frequency of the centre of inertia"
     hz = settings.plant().case.frequency_hz
     return _study(estimator, record, text, hz, duration_s, noise_mhz, n_draws, seed, on_progress)
 

@@ -93,11 +93,13 @@ def _survival(study: PhysicsStudy) -> str:
     cells = [(name, *(check(plant) for plant in CHECKED)) for name, check in rows]
     starts = {s: float(study.increase[NREL][s].power_pu[0, 0]) for s in COMPARED}
     held_back = "/".join(f"{100.0 * (1.0 - starts[s] / starts['mppt']):.0f}" for s in (reference, *others[1:]))
+    held_at = f"{study.increase[NREL][reference].rotor_pu[0, 0]:.2f} p.u."
     table = markdown_table(("the paper concludes", *CHECKED), cells)
     least_winds = ", ".join(f"{_slashed(row.values(), 1)} m/s ({name})" for name, row in study.least_start_m_s.items())
     return (
-        f"{table}\n\nWith the NREL rotor the pitch protection acts at 11.4 m/s: coordinated, 5 % and 10 % hold back "
-        f"{held_back} % of MPPT's power there.\n\n"
+        f"{table}\n\nWith the NREL rotor at 11.4 m/s, coordinated, 5 % and 10 % hold back {held_back} % of MPPT's "
+        f"power: they need a rotor speed above {held_at}, and the pitch protection keeps it there, where their "
+        "set-point k ω_m³ is lower.\n\n"
         f"Rotors start below the under-speed trip in less wind than {least_winds} under coordinated/MPPT/5 %/10 %."
     )
 

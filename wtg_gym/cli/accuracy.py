@@ -30,6 +30,7 @@ from wtg_gym.cli.output import (
     update_page,
 )
 from wtg_gym.cli.parser import Commands, add_command, add_output_options
+from wtg_gym.cli.suites import suite_name
 from wtg_gym.files import to_json, write_atomically
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import SUITES
@@ -56,7 +57,7 @@ def add_commands(commands: Commands) -> None:
         "--scenarios", type=int, default=100, metavar="N", help="the first N of the validation split (default: 100)"
     )
     drawn = [name for name, suite in SUITES.items() if suite.distribution is not None]
-    parser.add_argument("--suite", choices=drawn, default="standard", help="(default: standard)")
+    parser.add_argument("--suite", type=suite_name, choices=drawn, default="standard", help="(default: standard)")
     add_output_options(
         parser,
         output="write the figure 'accuracy' and accuracy.json there",

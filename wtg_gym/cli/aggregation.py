@@ -8,6 +8,7 @@ import dataclasses
 from wtg_gym.analysis.aggregation import STRATEGIES, AggregationStudy, aggregation_table, study_aggregation
 from wtg_gym.cli.output import check_page, plain_json, print_json, say, update_page
 from wtg_gym.cli.parser import Commands, add_command
+from wtg_gym.cli.suites import suite_name
 from wtg_gym.physics.plant import PHYSICS
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import SUITES
@@ -31,7 +32,9 @@ def add_commands(commands: Commands) -> None:
     )
     drawn = [name for name, suite in SUITES.items() if suite.distribution is not None]
     parser.add_argument("--scenarios", type=int, default=60, metavar="N", help="validation scenarios (default: 60)")
-    parser.add_argument("--suite", default="low-wind", choices=drawn, help="of the scenarios (default: low-wind)")
+    parser.add_argument(
+        "--suite", type=suite_name, default="low-wind", choices=drawn, help="of the scenarios (default: low-wind)"
+    )
     parser.add_argument("--physics", default="paper", choices=PHYSICS, help="of the plant (default: paper)")
     parser.add_argument(
         "--page", metavar="FILE", help="Markdown file with markers 'aggregation' to put the table between"

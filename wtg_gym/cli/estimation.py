@@ -104,11 +104,9 @@ def _study(arguments: argparse.Namespace) -> EstimationStudy:
 
 
 def _summary(study: EstimationStudy) -> str:
-    most = (
-        f" Most correlated are {' and '.join(study.correlated)}: {study.correlation:.2f}." if study.correlated else ""
-    )
+    most = f" Most correlated: {' and '.join(study.correlated)} ({study.correlation:.2f})." if study.correlated else ""
     return (
-        f"Record: {study.record}, {study.n_values} values in {study.duration_s:g} s, with white noise of "
-        f"{study.noise_mhz:g} mHz drawn {study.n_draws} times (seed {study.seed}). The first search took "
-        f"{study.n_runs} runs and left residuals of {study.residual_mhz:.3g} mHz.{most}"
+        f"Record: {study.record}, {study.n_values} values in {study.duration_s:g} s. White noise: {study.noise_mhz:g} "
+        f"mHz, drawn {study.n_draws} times (seed {study.seed}). First search: {study.n_runs} runs, residuals "
+        f"{study.residual_mhz:.3g} mHz.{most}"
     )

@@ -18,6 +18,7 @@ from wtg_gym.cli.output import (
     write_and_say,
 )
 from wtg_gym.cli.parser import Commands, add_command
+from wtg_gym.cli.suites import suite_name
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 from wtg_gym.progress import Progress
@@ -55,7 +56,9 @@ def add_commands(commands: Commands) -> None:
     cases = ", ".join(case.name for case in get_suite("paper").cases)
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--case", metavar="NAME", help=f"case of the paper: {cases} (default: load-increase)")
-    what.add_argument("--suite", metavar="NAME", help="suite to draw from: standard, standard-v1, low-wind, …")
+    what.add_argument(
+        "--suite", type=suite_name, metavar="NAME", help="suite to draw from: standard, standard-v1, low-wind, …"
+    )
     parser.add_argument(
         "--seed", metavar="N[-M]", help="seed of the suite, or its seeds from N to M (default: its first test seed)"
     )

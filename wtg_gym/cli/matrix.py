@@ -21,6 +21,7 @@ from wtg_gym.cli.scoring import (
     note_failures,
 )
 from wtg_gym.cli.stored import stored_or_played
+from wtg_gym.cli.suites import suite_name
 from wtg_gym.evaluation.matrix import PERTURBATIONS, SCALE, Matrix, matrix_of, score_text, suites_of, worst_text
 from wtg_gym.policies.entry import check_version
 from wtg_gym.scenarios import SPLITS, get_suite
@@ -55,10 +56,15 @@ def add_matrix(commands: Commands) -> None:
     )
     add_entries_option(parser)
     parser.add_argument(
-        "--suites", nargs="+", metavar="NAME", help="suites of one version with sensors (default: all of v1)"
+        "--suites",
+        type=suite_name,
+        nargs="+",
+        metavar="NAME",
+        help="suites of one version with sensors (default: all of v1)",
     )
     parser.add_argument(
         "--perturb",
+        type=suite_name,
         default="standard-v1",
         metavar="NAME",
         help="suite that is also played with changed sensors, where it is among the suites (default: standard-v1)",

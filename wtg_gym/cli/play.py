@@ -7,7 +7,7 @@ from typing import Any
 
 from wtg_gym.cli.output import note, require_extra
 from wtg_gym.cli.parser import Commands, add_command
-from wtg_gym.cli.suites import suites_by_version
+from wtg_gym.cli.suites import suite_name, suites_by_version
 from wtg_gym.envs.settings import VERSIONS, EnvSettings
 from wtg_gym.plotting.live.match import Scale, split_of
 from wtg_gym.ranges import require_range
@@ -43,7 +43,10 @@ def add_commands(commands: Commands) -> None:
         examples=_EXAMPLES,
     )
     parser.add_argument(
-        "--suite", metavar="NAME", help=f"suite, of {suites_by_version()} (default: standard of the version)"
+        "--suite",
+        type=suite_name,
+        metavar="NAME",
+        help=f"suite, of {suites_by_version()} (default: standard of the version)",
     )
     parser.add_argument(
         "--version", choices=VERSIONS, help="of the benchmark (default: the suite's; without a suite v1)"

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from wtg_gym.cli.output import note, print_json, print_table, say
-from wtg_gym.cli.suites import suites_by_version
+from wtg_gym.cli.suites import suite_name, suites_by_version
 from wtg_gym.envs.compile_ahead import compile_ahead
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, NoScaleError, Results, evaluate, leaderboard_rows, load_entries, table_cells
@@ -61,7 +61,11 @@ def add_entries_option(parser: argparse.ArgumentParser, text: str = _ENTRIES_HEL
 def add_suite_option(parser: argparse.ArgumentParser) -> None:
     """Add `--suite`."""
     parser.add_argument(
-        "--suite", default="standard", metavar="NAME", help=f"suite, of {suites_by_version()} (default: standard)"
+        "--suite",
+        type=suite_name,
+        default="standard",
+        metavar="NAME",
+        help=f"suite, of {suites_by_version()} (default: standard)",
     )
 
 
@@ -175,13 +179,13 @@ def chosen_scenarios(arguments: argparse.Namespace) -> dict[str, Any]:
     return {**chosen, "draw": draw}
 
 
-def first_seeds(suite: str, split: str, n: int) -> list[int]:
-    """Return the first n seeds of a split, as many as `--scenarios` says."""
+def first_seeds(suite: str, split: str, n: int, *, last: bool = False) -> list[int]:
+    """Return the first n seeds of a split, or the last ones, as many as `--scenarios` says."""
     seeds = get_suite(suite).seeds(split)
     largest = min(len(seeds), _LARGEST_SEED_RANGE)
     if not 1 <= n <= largest:
         raise ValueError(f"--scenarios = {n} is outside the allowed range 1 … {largest} of the split {split}")
-    return list(seeds[:n])
+    return list(seeds[-n:] if last else seeds[:n])
 
 
 def _seeds(texts: Sequence[str]) -> list[int]:

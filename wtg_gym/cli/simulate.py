@@ -23,7 +23,7 @@ from wtg_gym.cli.output import (
 )
 from wtg_gym.cli.parser import Commands, add_command, add_plant_options
 from wtg_gym.cli.runs import key_figures, print_key_figures, traces_csv
-from wtg_gym.cli.suites import describe_scenario, read_scenario, scenario_summary, suites_by_version
+from wtg_gym.cli.suites import describe_scenario, read_scenario, scenario_summary, suite_name, suites_by_version
 from wtg_gym.physics.parameters import WtgGroup, default_groups
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.protection import Status
@@ -71,7 +71,7 @@ def add_commands(commands: Commands) -> None:
     group = parser.add_argument_group("scenario")
     what = group.add_mutually_exclusive_group()
     what.add_argument("--case", metavar="NAME", help=f"case of the paper: {cases} (default: load-increase)")
-    what.add_argument("--suite", metavar="NAME", help=f"suite to draw from, of {suites_by_version()}")
+    what.add_argument("--suite", type=suite_name, metavar="NAME", help=f"suite to draw from, of {suites_by_version()}")
     group.add_argument(
         "--scenario", metavar="FILE", help="scenario file in JSON, as `wtg-gym suites NAME --seed N --json` prints"
     )

@@ -38,6 +38,12 @@ def suites_by_version() -> str:
     return "; ".join(f"{version}: {', '.join(names)}" for version, names in found.items())
 
 
+def suite_name(text: str) -> str:
+    """Return the full name of the suite that an option names: "faults" is "faults-v1", as v0 has no such suite."""
+    full = [name for name, suite in SUITES.items() if name == f"{text}-{suite.benchmark.version}"]
+    return full[0] if text not in SUITES and len(full) == 1 else text
+
+
 def add_commands(commands: Commands) -> None:
     """Add `wtg-gym suites`."""
     parser = add_command(
@@ -47,7 +53,13 @@ def add_commands(commands: Commands) -> None:
         description=_DESCRIPTION,
         examples=_EXAMPLES,
     )
-    parser.add_argument("name", nargs="?", metavar="NAME", help=f"one suite, of {suites_by_version()} (default: all)")
+    parser.add_argument(
+        "name",
+        nargs="?",
+        type=suite_name,
+        metavar="NAME",
+        help=f"one suite, of {suites_by_version()} (default: all)",
+    )
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--seed", type=int, metavar="N", help="show the scenario of this seed of the suite")
     what.add_argument(

@@ -54,7 +54,7 @@ def filtered_duty(mean: float, duty: float, ran: bool, task: Task) -> float:
     """Return the duty error behind its filter, one control interval later; an early end counts as a whole interval.
 
     Args:
-        mean: what it was before.
+        mean: the filtered error before.
         duty: the duty error now.
         ran: whether the lane ran in that interval.
         task: constants.
@@ -66,8 +66,9 @@ def filtered_duty(mean: float, duty: float, ran: bool, task: Task) -> float:
 def group_costs(s: WtgState, output: WtgOutput, t: Turbine, task: Task) -> GroupCosts:
     """Return the deviations of one WTG group.
 
-    The duty is a share of the usable power: the available one, up to what the pitch protection lets a rotor that holds
-    its nominal reserve capture. A disconnected group captures nothing and is charged for it.
+    The prescribed power is a share of the usable power. Usable is the available power, up to that of which a rotor with
+    its nominal reserve captures as much as the pitch protection allows. A disconnected group captures nothing and is
+    charged for it.
     """
     wind = output.wind
     available = t.rotor.available_per_cubic_wind * wind * wind * wind

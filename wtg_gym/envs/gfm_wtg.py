@@ -110,7 +110,7 @@ def _lane_seed(given: Any) -> int | None:
 
 
 class Snapshot(NamedTuple):
-    """Of a :class:`GFMWTGEnv`."""
+    """Complete state of the episode of a :class:`GFMWTGEnv`."""
 
     lanes: LanesSnapshot
     running: bool
@@ -118,7 +118,7 @@ class Snapshot(NamedTuple):
 
 
 class VectorSnapshot(NamedTuple):
-    """Of a :class:`GFMWTGVectorEnv`."""
+    """Complete state of the episodes of a :class:`GFMWTGVectorEnv`."""
 
     lanes: LanesSnapshot
     needs_reset: npt.NDArray[np.bool_]
@@ -139,28 +139,28 @@ class GFMWTGEnv(gym.Env[Observation, Action]):
     Groups of grid-forming wind turbines feed a transmission grid with one synchronous generator and three condensers.
     Loads switch on and off, lines trip, the wind blows as it likes. Each group runs the power-tracking-coefficient
     droop of Chen et al. (2026): P_st = k ω_m³ + D_p x with k = g(ω) and transient damping τ. The agent modulates k, τ
-    or both on top of it, so that the frequency is held without spending the rotors' kinetic energy to a stall.
+    or both on top of it, so that the frequency is held and no rotor is slowed down to a stall.
 
     ## Action Space
     `Box(-1, 1, (n_wtg · n_modes,), float32)`, per group: the offset on k (full action: half the regulation range
     K_opt - K_pr, in v1 all of it, beyond K_opt too), then the scale of τ (full action: four times, or a quarter). Zero
-    action leaves the law `strategy` as it is, to the last bit; by default that is the reference controller. Values
-    outside are clipped; values that are not finite raise a ValueError.
+    action leaves the law `strategy` as it is, to the last bit; by default that is the reference controller. Actions
+    outside -1 … 1 are clipped; an action that is not finite raises a ValueError.
 
     ## Observation Space
-    `Box(-5, 5, (n,), float32)`, per group what its own controller measures: frequency deviation, RoCoF, tip-speed
-    ratio between λ_opt and λ_pr, rotor speed, power, rotor-effective wind, k, filter state, last action. With
-    `observation_mode="privileged"` the grid follows: speed, power and voltage of each synchronous machine, then
-    frequency deviation, RoCoF and the machines' torque. `observation_names` lists every entry with its unit.
+    `Box(-5, 5, (n,), float32)`, per group what its own controller measures: frequency deviation and its rate of change
+    (RoCoF), tip-speed ratio between λ_opt and λ_pr, rotor speed, power, rotor-effective wind, k, filter state, last
+    action. With `observation_mode="privileged"` the grid follows: speed, power and voltage of each synchronous machine,
+    then frequency deviation, RoCoF and the machines' torque. `observation_names` lists every entry with its unit.
 
     In v1 a group sees what its sensors say: frequency deviation, RoCoF, tip-speed ratio, rotor speed, power, wind, with
     noise and bias, 0.1 … 0.3 s late, and its last action. The privileged part begins with the exact values.
 
     ## Rewards
     Minus the cost of the step: frequency deviation, RoCoF, regulation duty, rotor range, converter overload, actuator
-    effort, and a failure that costs more than any way of living on; :class:`CostWeights` gives each weight's reason.
-    The terms are `info["cost_…"]`, whose sum is minus the reward; `info["cost"]` is no sum of them but 1 where a
-    constraint was violated, for safe learning.
+    effort, and failure, which costs more than going on ever does; :class:`CostWeights` gives each weight's reason.
+    The terms are `info["cost_…"]`, whose sum is minus the reward. `info["cost"]` is not that sum, but 1 in a
+    step that violates a constraint and else 0, for safe learning.
 
     ## Starting State
     The exact equilibrium of the drawn scenario's wind, load and grid at nominal frequency.

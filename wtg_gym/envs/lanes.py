@@ -440,8 +440,8 @@ class TaskLanes:
 class NextEpisodes:
     """The episodes that lanes play next, drawn by each lane's own generator and prepared several at a time.
 
-    A handful costs per episode less than half of what one alone does, so lanes whose episodes end soon are prepared
-    along with those that have ended. What a lane plays does not depend on when it was prepared.
+    Prepared by the handful, an episode takes less than half the time that it takes alone. Lanes whose episodes end soon
+    are therefore prepared along with those that have ended. What a lane plays does not depend on when it was prepared.
 
     Args:
         lanes: the lanes.
@@ -468,7 +468,7 @@ class NextEpisodes:
         return [*missing, *(int(lane) for lane in soonest if np.isfinite(left[lane]))]
 
     def prepare(self, chosen: Sequence[int]) -> None:
-        """Draw and prepare the next episodes of lanes; one that cannot start is refused when it is to :meth:`start`."""
+        """Draw and prepare the next episodes of lanes; :meth:`start` raises the error of one that cannot start."""
         for first in range(0, len(chosen), _LANES_AT_ONCE):
             group = chosen[first : first + _LANES_AT_ONCE]
             scenarios = self._lanes.draw([self._generators[lane] for lane in group])

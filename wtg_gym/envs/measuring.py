@@ -46,7 +46,7 @@ from wtg_gym.physics.wind_turbine import Turbine
 
 @inlined
 def start_sensors(block: Floats, x: int, c: Any, task: Task, numbers: Floats, lanes: Lanes) -> None:
-    """Begin the measurements of a freshly started lane with that at its start.
+    """Set up the sensors of a freshly started lane, and take its first measurement.
 
     `numbers` are those of :func:`~wtg_gym.envs.task.start_tasks`.
     """
@@ -113,7 +113,7 @@ def _keep(
 
 @inlined
 def newest_row(block: Floats, x: int, j: int, c: Any, task: Task, width: int) -> int:
-    """Return where the measurement of WTG group j of a lane at its present interval begins in the ring.
+    """Return where in the ring the measurement of WTG group j at the lane's present interval begins.
 
     The ring turns by a place per interval; lanes stand at different intervals.
     """
@@ -125,7 +125,7 @@ def newest_row(block: Floats, x: int, j: int, c: Any, task: Task, width: int) ->
 
 @inlined
 def arrived_row(block: Floats, x: int, j: int, c: Any, task: Task, width: int) -> int:
-    """Return where the newest measurement of WTG group j of a lane that has arrived begins in the ring."""
+    """Return where in the ring the newest of the measurements of WTG group j that have arrived begins."""
     parts = parts_of(c, task)
     interval = block[(parts.lane + TASK.interval) * width + x]
     delay = load_sensor_input(block, parts.sensor_input * width + x, width).delay

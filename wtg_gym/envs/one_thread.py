@@ -12,7 +12,7 @@ R = TypeVar("R")
 
 
 class Use:
-    """The use of an environment, which one thread can have. A copy of it is free."""
+    """Whether an environment is in use, by one thread at a time. A copy begins unused."""
 
     def __init__(self) -> None:
         lock = threading.Lock()

@@ -79,8 +79,8 @@ class CostWeights:
         50.0,
         unit="1/s",
         source="design",
-        doc="largest cost rate of living on; a failure costs this for the rest of the episode and one second more, so "
-        "that no way of living on is dearer",
+        doc="largest cost rate while the episode goes on; a failure costs this for the rest of the episode and one "
+        "second more, so that going on is never dearer",
     )
 
     def __post_init__(self) -> None:
@@ -112,13 +112,13 @@ class EnvArguments(TypedDict, total=False):
 
 @dataclass(frozen=True, kw_only=True)
 class EnvSettings:
-    """Arguments of the environment; all of them survive JSON, but a `TrackingLaw` and a `Scenario`.
+    """Arguments of the environment; all but a `TrackingLaw` and a `Scenario` can be written as JSON.
 
     Args:
         strategy: control law that the actions adjust: a name, a TOML file, a `TrackingLaw`, or one for each group.
         action_mode: what the actions adjust: `"k"`, `"tau"` or `"k+tau"`.
         observation_mode: `"local"`, what each group measures itself, or `"privileged"`, which adds the grid's state.
-        suite: where scenarios are drawn from, in v1 also as `"standard-v1"`; None: the standard suite of the version.
+        suite: name of the suite of scenarios, in v1 with or without `-v1`; None: the standard suite of the version.
         split: `"train"`, `"validation"` or `"test"`, or `"fresh"`, with seeds that are in none of them.
         scenario: one scenario for every episode, a `Scenario` or its `to_dict()`.
         groups: number of turbine groups at bus 2, or a list of `{"bus": …, "n_turbines": …}`; None: the suite's own.

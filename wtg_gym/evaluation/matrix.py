@@ -33,10 +33,7 @@ PERTURBATIONS: Mapping[str, Callable[[SensorDistribution], Changes]] = MappingPr
     }
 )
 #: Why one scale does for a suite and for its perturbed sensors.
-SCALE = (
-    "0 and 100 are each suite's own anchors. They are laws, which no sensor's error reaches: other sensors leave the "
-    "scale as it is, and a point that an entry loses by them is its own."
-)
+SCALE = "Sensors do not affect the laws that score 0 and 100: with changed sensors the scale remains that of the suite."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,13 +132,13 @@ class Matrix:
         for column in self.columns:
             counts.setdefault(f"{column.n_scenarios} {column.split} scenarios", []).append(column.heading)
         usual = max(counts, key=lambda text: len(counts[text]))
-        others = [f"{text} ({', '.join(names)})" for text, names in counts.items() if text != usual]
+        others = [f"{text} on {', '.join(names)}" for text, names in counts.items() if text != usual]
         every = zip(self.columns, zip(*(row.cells for row in self.rows), strict=True), strict=True)
         unscored = [column.heading for column, cells in every if all(c is None or c.score is None for c in cells)]
-        text = "; ".join((f"{usual} a column", *others)) + "."
+        text = "; ".join((f"{usual} per column", *others)) + "."
         if unscored:
             zero, hundred = self.benchmark.anchors
-            text += f" No score on {', '.join(unscored)}: {hundred}, which has 100, is no better there than {zero}."
+            text += f" No score on {', '.join(unscored)}, where {hundred} (100) is no better than {zero} (0)."
         return f"{text} {SCALE}" if any(column.change for column in self.columns) else text
 
 

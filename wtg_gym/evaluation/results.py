@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -24,6 +24,8 @@ from wtg_gym.scenarios.benchmark import V0, Benchmark
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -83,7 +85,7 @@ class Results:
     @property
     def scores(self) -> dict[str, Interval]:
         """Mean score of every entry with its 95 % interval, by its name; errors as of :attr:`summaries`."""
-        return ByName("entry", {row.name: row.score for row in self.summaries})
+        return self._by_entry({row.name: row.score for row in self.summaries})
 
     @cached_property
     def summaries(self) -> list[EntrySummary]:
@@ -111,13 +113,13 @@ class Results:
         runs: dict[str, dict[int | None, list[float]]] = {}
         for episode in self.episodes:
             runs.setdefault(episode.entry, {}).setdefault(episode.training_seed, []).append(pinned(episode, self._cap))
-        return ByName("entry", {name: np.array(list(own.values())) for name, own in runs.items()})
+        return self._by_entry({name: np.array(list(own.values())) for name, own in runs.items()})
 
     @property
     def log_gains(self) -> dict[str, Floats]:
         """Log gains over the hundred by the entry's name, (n_runs, n_scenarios)."""
         hundred = self.pinned_costs[self.benchmark.hundred][0]
-        return ByName("entry", {name: log_gains(costs, hundred) for name, costs in self.pinned_costs.items()})
+        return self._by_entry({name: log_gains(costs, hundred) for name, costs in self.pinned_costs.items()})
 
     @property
     def _cap(self) -> float:
@@ -132,14 +134,15 @@ class Results:
         """Return the episodes of an entry.
 
         Raises:
-            ValueError: there is no such entry; the message lists the entries.
+            KeyError: there is no such entry; the message lists the entries, and says how this one failed if it did.
         """
-        found = [episode for episode in self.episodes if episode.entry == name]
-        if not found:
-            reasons = [f": {entry['reason']}" for entry in self.failed if entry["name"] == name]
-            names = dict.fromkeys(episode.entry for episode in self.episodes)
-            raise ValueError(f"no entry {name!r} in these results{''.join(reasons[:1])}; entries: {', '.join(names)}")
-        return found
+        found: dict[str, list[Episode]] = {}
+        for episode in self.episodes:
+            found.setdefault(episode.entry, []).append(episode)
+        return self._by_entry(found)[name]
+
+    def _by_entry(self, values: Mapping[str, Value]) -> dict[str, Value]:
+        return ByName("entry", values, {entry["name"]: entry["reason"] for entry in self.failed})
 
     def without(self, reasons: Mapping[tuple[str, int | None], str]) -> Results:
         """Return the results without entries that failed, and without all training seeds of their names.

@@ -101,21 +101,25 @@ class Sensitivity:
 
     def describe(self) -> str:
         """Return two sentences: which weights the order depends on, and which do not matter."""
-        order = f"The order depends on: {', '.join(self.ordering)}." if self.ordering else "The order depends on none."
+        order = (
+            f"Weights that change the order: {', '.join(self.ordering)}."
+            if self.ordering
+            else "No weight changes the order."
+        )
         return f"{order} {self.describe_idle()}"
 
     def describe_idle(self) -> str:
         """Return a sentence that names the weights that do not matter."""
         if not self.idle:
-            return "Each of these weights moves a score by a point, changes the order, or leaves no scale to score on."
-        return f"Neither a point of any score nor the order depends on: {', '.join(self.idle)}."
+            return "Every weight changes the order or a score by a point, or leaves no score."
+        return f"Weights that change neither the order nor a score by a point: {', '.join(self.idle)}."
 
     def page(self) -> str:
         """Return scenarios, scores and table as Markdown."""
         scores = ", ".join(f"{name} {round(score, 1) + 0.0:.1f}" for name, score in self.scores.items())
-        scenarios = f"{self.n_scenarios} {self.split} scenarios of `{self.suite}`"
+        scenarios = f"on {self.n_scenarios} {self.split} scenarios of `{self.suite}`"
         table = markdown_table(COLUMNS, [variant.cells() for variant in self.variants], right=(1,))
-        return f"{scenarios}. Scores with the weights as they are: {scores}.\n\n{table}\n\n{self.describe()}"
+        return f"Scores {scenarios} with the usual weights: {scores}.\n\n{table}\n\n{self.describe()}"
 
 
 def study_sensitivity(

@@ -56,12 +56,12 @@ def converter_limits(p: ConverterLimitParameters | None) -> ConverterLimits:
 
 @inlined
 def limiting_reactance(current_re: float, current_im: float, y_re: float, y_im: float, current_max: float) -> float:
-    """Return X_v, 0 where nothing is to be limited.
+    """Return X_v [p.u.], 0 where nothing is to be limited.
 
     Args:
-        current_re, current_im: I_0, with E and with everybody else as he is.
-        y_re, y_im: 1/Z, the unit's own entry of the reduced admittance matrix; 0 of a group that has tripped.
-        current_max: I_max on the base of the others.
+        current_re, current_im: I_0, the unit's current without its limit, all other units as they are [p.u.].
+        y_re, y_im: 1/Z, the unit's own entry of the reduced admittance matrix; 0 of a group that has tripped [p.u.].
+        current_max: I_max, on the base of the others [p.u.].
     """
     inverse = 1.0 / max(fma(y_re, y_re, y_im * y_im), 1e-20)
     r, x = y_re * inverse, -y_im * inverse

@@ -438,7 +438,7 @@ def _wtgs(block: Floats, c: Any, fraction: float, stage: np.int64, ahead: float,
 
 @inlined
 def keep_energy(block: Floats, c: Any, j: int, x: int, turbine: Turbine, width: int) -> None:
-    """Put the rotor of extended WTG group j of a running lane where the energies of a whole step leave it."""
+    """Set the rotor speed of extended WTG group j of a running lane from the energies of a whole step."""
     o, at = wtg_row(c, j) * width + x, extension_at(c, j, width) + x
     before = load_wtg_state(block, o + N_WTG_STATES * width, width)
     after = load_wtg_state(block, o, width)
@@ -472,7 +472,7 @@ def _reference_angle(block: Floats, c: Any, stage: np.int64, ahead: float, lanes
 
 @inlined
 def derivatives(block: Floats, c: Any, fraction: float, lanes: Lanes) -> None:
-    """Evaluate rates and outputs of every lane of a block where it stands."""
+    """Evaluate rates and outputs of every lane of a block at its present state."""
     unit_voltages(block, c, lanes)
     unit_currents(block, c, lanes)
     unit_rates(block, c, fraction, np.int64(EVALUATE), 0.0, lanes)

@@ -48,9 +48,9 @@ def state_matrix(rows: Floats, plant: Plant, layout: Layout, side: npt.ArrayLike
 
 
 def moving_states(matrix: Floats, rows: Floats, layout: Layout) -> npt.NDArray[np.bool_]:
-    """Return which states have a part in the dynamics, (n,): no constants, no states that nothing depends on, and none
-    that nothing else drives: they stay at rest.
+    """Return which states take part in the dynamics, (n,).
 
+    Left out are constants, states that nothing depends on, and states that nothing else drives, which stay at rest.
     The pitch protection and the power limiters at rest act one way only, so a difference across that limit gives no
     slope.
     """
@@ -68,7 +68,7 @@ def moving_states(matrix: Floats, rows: Floats, layout: Layout) -> npt.NDArray[n
 
 
 def largest_stable_steps(eigenvalues: npt.ArrayLike) -> Floats:
-    """Return the largest step at which the integration does not let each mode grow, (n,) [s].
+    """Return, for each mode, the largest step at which the integration does not let it grow, (n,) [s].
 
     |R(hλ)| ≤ 1, R(z) = 1 + z + z²/2 + z³/6 + z⁴/24 of the classical fourth-order method. A growing mode is treated as
     the decaying one with the same |Re λ|: a step that follows the one follows the other. Source: E. Hairer, G. Wanner:
@@ -90,9 +90,9 @@ def largest_stable_steps(eigenvalues: npt.ArrayLike) -> Floats:
 def check_step(rows: Floats, plant: Plant, layout: Layout) -> None:
     """Refuse a plant whose modes are too fast for its integration step at the state of one lane's rows (n_rows,).
 
-    Of the two slopes of each law's g(ω) the one is checked that lets the power rise more steeply while the frequency
-    falls: its modes are faster. Only small deviations are checked. Limits are left out, but for the power and reactive
-    limits of converters, whose own controls may be fast: they are checked as if all acted.
+    Of the two slopes of each law's g(ω), the steeper is checked, that with which power rises more as the frequency
+    falls: its modes are faster. Only small deviations are checked. Limits are left out, except the power and reactive
+    limits of converters: their controls may be fast, and are checked as if all of them acted.
 
     Raises:
         ValueError: the message names the eigenvalue, the state it mainly belongs to, the step and the largest allowed.

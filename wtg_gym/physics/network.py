@@ -348,7 +348,7 @@ def transfer_impedances(
     unit_bus: npt.NDArray[np.int64],
     extra_bus: int,
 ) -> npt.NDArray[np.complex128]:
-    """Return columns of the bus impedance matrix: one per unit bus, then one for `extra_bus`; (n_bus, n_unit + 1)."""
+    """Return columns of the bus impedance matrix [p.u.]: of the units' buses, then `extra_bus`; (n_bus, n_unit + 1)."""
     n, n_unit = y.shape[0], unit_bus.shape[0]
     z = np.zeros((n, n_unit + 1), dtype=np.complex128)
     for i in range(n_unit):

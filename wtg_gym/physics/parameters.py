@@ -150,8 +150,8 @@ class TurbineParameters(Checked):
 class PitchParameters(Checked):
     """Pitch protection: a PI on the larger of the captured-power and the rotor-speed excess.
 
-    Like the pitch controller of WECC's generic wind turbine models (WTGPT_A) it acts on speed and power; unlike it, it
-    is one PI on the larger excess, and on captured power. Gain schedule and rate limit follow the NREL 5 MW design.
+    Like the pitch controller of WECC's generic wind turbine models (WTGPT_A) it acts on speed and power, but with one
+    PI on the larger excess, and on captured power. Gain schedule and rate limit follow the NREL 5 MW design.
     Both limits lie above everything the paper's cases reach (captured power at most the available 1.0172 p.u. at
     11.4 m/s, rotor at most 1.23 p.u.), so that the blades stay at rest there.
     """
@@ -290,7 +290,7 @@ class SheddingStage(Checked):
 
 
 def european_shedding() -> tuple[SheddingStage, ...]:
-    """Return the stages that continental Europe asks for: 5 % at 49 Hz, 45 % by 48 Hz in steps of 8 %, of 50 Hz."""
+    """Return the stages that continental Europe asks for: 5 % of the load at 49 Hz, then 8 % every 0.2 Hz to 48 Hz."""
     levels = ((49.0, 0.05), (48.8, 0.08), (48.6, 0.08), (48.4, 0.08), (48.2, 0.08), (48.0, 0.08))
     return tuple(SheddingStage(frequency_pu=level / 50.0, share=share) for level, share in levels)
 

@@ -2,8 +2,8 @@
 
     e = max(p_w - p_max, K_ω (ω_m - ω_m,max)) / (1 + β/β_K),    İ = K_βI e,    T_β β̇ = I + K_βP e - β
 
-with limits on I, on the demand and on β̇. Like WECC's pitch controller WTGPT_A it acts on speed and power; unlike it, it
-is one PI. Source of gain schedule and rate limit: J. Jonkman et al.: Definition of a 5-MW Reference Wind Turbine,
+with limits on I, on the demand and on β̇. Like WECC's pitch controller WTGPT_A it acts on speed and power, but with one
+PI. Source of gain schedule and rate limit: J. Jonkman et al.: Definition of a 5-MW Reference Wind Turbine,
 NREL/TP-500-38060.
 """
 

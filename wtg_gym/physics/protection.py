@@ -136,7 +136,7 @@ def look_at_grid(block: Floats, c: Any, lanes: Lanes) -> None:
 def shed_load(block: Floats, c: Any, lanes: Lanes) -> None:
     """Let the stages of load shedding act whose time has come; the network changes before the next step.
 
-    A row holds the last step without a low frequency, and -1 - step from the step on at which its stage has acted.
+    The row of a stage holds the last step without a low frequency; once the stage has acted, -1 - the step of that.
     """
     width, rows = len(lanes), rows_of(c)
     for k in range(c["shedding"].shape[0]):

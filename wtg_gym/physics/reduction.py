@@ -154,7 +154,7 @@ def _full_admittance(
 def bus_voltages(
     block: Floats, x: int, lane: int, plant: Plant, data: LaneData, noise_mw: float, width: int
 ) -> npt.NDArray[np.complex128]:
-    """Return the bus voltages of a lane where it stands, in the frame of its first unit's rotor, (n_bus,) [p.u.].
+    """Return the bus voltages of a lane at its present state, in the frame of its first unit's rotor, (n_bus,) [p.u.].
 
     Args:
         block: one block's rows, flat, with the internal voltages of the latest evaluation.

@@ -555,11 +555,11 @@ class Simulator:
         return self._pool
 
     def evaluate(self) -> None:
-        """Evaluate rates, powers and coefficients of all lanes where they stand, in place."""
+        """Evaluate rates, powers and coefficients of all lanes at their present states, in place."""
         evaluate_rates(self.blocks, self.plant, self.lanes)
 
     def bus_voltages(self, lane: int = 0) -> npt.NDArray[np.complex128]:
-        """Return the bus voltages where a lane stands, shape (n_bus,) [p.u.].
+        """Return the bus voltages at the present state of a lane, shape (n_bus,) [p.u.].
 
         Angles count from the rotor of the first machine, which goes on at its last speed after an outage; evaluated
         with the state as of the last step or :meth:`evaluate`.

@@ -1,4 +1,4 @@
-"""Strategies: the tracking law of :mod:`wtg_gym.physics.converter` with their numbers.
+"""Strategies: the numbers that each of them gives the tracking law of :mod:`wtg_gym.physics.converter`.
 
 A strategy's coefficients are those of a turbine and its control: K_opt belongs to the rotor, deloadings and τ to the
 control. Wherever a function takes a `turbine` or a `control`, None is the paper's.

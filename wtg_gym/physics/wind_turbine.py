@@ -261,10 +261,10 @@ def extended_rates(
 
 @inlined
 def rotor_of_energy(before: WtgState, after: WtgState, chopped: float, c: Turbine, e: Extension) -> float:
-    """Return the rotor speed after a step [p.u.]: where H_m ω_m² is kept, that which the step's energies leave of it.
+    """Return the rotor speed after a step [p.u.]; where the rotor keeps its energy, that which follows from H_m ω_m².
 
-    A Runge-Kutta method keeps sums of rates to rounding, a square only to its truncation. As in the rate, a speed below
-    0.01 p.u. counts as 0.01.
+    A Runge-Kutta method conserves sums of rates up to rounding, but a square only up to its truncation error. As in the
+    rate, a speed below 0.01 p.u. counts as 0.01.
 
     Args:
         before, after: states at both ends of the step.
