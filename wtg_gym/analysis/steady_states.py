@@ -15,9 +15,15 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq, minimize_scalar
 
-from wtg_gym.physics.aerodynamics import available_power_pu, power_coefficient
+from wtg_gym.physics.aerodynamics import (
+    available_power_pu,
+    curve_constants,
+    power_coefficient,
+    power_coefficient_at,
+)
 from wtg_gym.physics.converter import converter_constants, tracking_coefficient
 from wtg_gym.physics.parameters import GridFormingParameters, PitchParameters, TurbineParameters
+from wtg_gym.physics.rotor_table import RotorTable
 from wtg_gym.physics.scenario import WIND_SPEED_RANGE
 from wtg_gym.physics.tracking_law import TrackingLaw
 from wtg_gym.ranges import require_range
@@ -82,6 +88,7 @@ class Balance:
         self.in_wind = turbine.wind_power_pu_per_cubic_wind * wind_m_s**3
         self.ratio_per_speed = turbine.tip_speed_ratio_per_speed_m_s / wind_m_s
         self.curve = turbine.power_coefficient
+        self.constants = None if isinstance(self.curve, RotorTable) else curve_constants(self.curve)
         pitch = PitchParameters()
         self.speed_limit = math.inf if fine_pitch else pitch.rotor_speed_limit_pu
         self.power_limit = math.inf if fine_pitch else pitch.captured_power_limit_pu
@@ -96,7 +103,10 @@ class Balance:
         low, high = self.range
         return np.linspace(low, high, 2 + int((high - low) * self.ratio_per_speed / _SAMPLE_STEP))
 
-    def captured(self, speed: Floats | float, pitch_deg: float = 0.0) -> Floats:
+    def captured(self, speed: Floats | float, pitch_deg: float = 0.0) -> Floats | float:
+        # Searches ask for one speed at a time, often: the curve without the checks of arrays is ten times as fast.
+        if isinstance(speed, float) and self.constants is not None:
+            return self.in_wind * power_coefficient_at(self.ratio_per_speed * speed, 1.0, pitch_deg, self.constants)
         ratio = self.ratio_per_speed * np.asarray(speed, dtype=np.float64)
         return self.in_wind * power_coefficient(ratio, pitch_deg, self.curve)
 

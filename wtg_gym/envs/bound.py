@@ -25,13 +25,17 @@ class _BoundType(numba.types.StructRef):  # type: ignore[misc]
 
 
 class Bound(structref.StructRefProxy):  # type: ignore[misc]
-    """The arguments of :func:`step_blocks` for one lane, in one object."""
-
-    def __new__(cls, blocks: Floats, plant: Plant, data: LaneData, task: Any, outputs: Outputs) -> Any:
-        return structref.StructRefProxy.__new__(cls, blocks, plant, data, task, outputs)
+    """The arguments of :func:`step_blocks` for one lane, in one object; :func:`bind` makes it."""
 
 
 structref.define_proxy(Bound, _BoundType, ["blocks", "plant", "data", "task", "outputs"])
+
+
+# The constructor that numba makes for `Bound` is not kept on disk: each process would compile it anew.
+@compiled
+def bind(blocks: Floats, plant: Plant, data: LaneData, task: Any, outputs: Outputs) -> Any:
+    """Return the arguments of :func:`step_blocks` for one lane in one object."""
+    return Bound(blocks, plant, data, task, outputs)
 
 
 def can_bind() -> bool:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs.bound import Bound, can_bind, step_bound
+from wtg_gym.envs.bound import bind, can_bind, step_bound
 from wtg_gym.envs.observation import N_LOCAL, N_MEASURED, observation_names
 from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
 from wtg_gym.envs.task import (
@@ -347,7 +347,7 @@ class TaskLanes:
         """
         simulator = self.simulator
         if self._bound is None and self.n_lanes == 1 and can_bind():
-            self._bound = Bound(simulator.blocks, simulator.plant, simulator.data, self.task, self.outputs)
+            self._bound = bind(simulator.blocks, simulator.plant, simulator.data, self.task, self.outputs)
         if self._bound is None:
             invalid = first_invalid_action(actions)
         else:

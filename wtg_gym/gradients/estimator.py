@@ -109,6 +109,7 @@ class Estimator:
             raise ValueError(f"unknown output {output!r}; known: {', '.join(tape.output_names)}")
         self._output = tape.output_names.index(output)
         self._given = tape.parameter_values()
+        self._started: tuple[bytes, tuple[Floats, Floats]] = b"", (np.empty(0), np.empty(0))
         self._of_unknown = np.array([[name in unknown.parameters for unknown in unknowns] for name in names], float)
 
     def run(self, factors: Floats) -> tuple[Floats, Floats]:
@@ -138,7 +139,11 @@ class Estimator:
         if record.shape != self.steps.shape or not np.isfinite(record).all():
             raise ValueError(f"the record must be {self.steps.size} finite numbers, got shape {record.shape}")
         confidence = require_range("confidence", confidence, 0.5, 0.9999, "")
-        runs: dict[bytes, tuple[Floats, Floats]] = {}
+        first = np.ones(len(self.unknowns)) if start is None else np.asarray(start, dtype=np.float64)
+        # Searches over several records start from one run.
+        if self._started[0] != first.tobytes():
+            self._started = first.tobytes(), self.run(first)
+        runs: dict[bytes, tuple[Floats, Floats]] = dict([self._started])
 
         def run(factors: Floats) -> tuple[Floats, Floats]:
             if factors.tobytes() not in runs:
@@ -153,8 +158,6 @@ class Estimator:
                 return np.full(record.size, np.inf)
 
         scale = float(np.ptp(record)) or 1.0
-        first = np.ones(len(self.unknowns)) if start is None else np.asarray(start, dtype=np.float64)
-        run(first)
         found = least_squares(
             residuals_at,
             first,

@@ -56,6 +56,7 @@ def offsets(record: type) -> Any:
     return namedtuple(f"{record.__name__}Rows", rows)(**rows)
 
 
+@functools.cache
 def dtype(record: type) -> np.dtype[Any]:
     """Return the data type of a record of constants, with :func:`leaves` as names; floats, whole numbers and flags."""
     return np.dtype(
