@@ -52,27 +52,16 @@ class Condition(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """What the conditions are judged by.
+    """What the conditions are judged by."""
 
-    Args:
-        results: of laws, rules and feedbacks on validation scenarios, the anchors among them.
-        feedbacks: names of the tuned feedbacks.
-        oracle: costs with foresight; None: not searched.
-        planners: results of planners; None: not played.
-        simple: trivial policies on top of each anchor's law; None: not played.
-        n_simple: scenarios that they played, the first ones.
-        late: results with one more step of delay; None: not played.
-        agents: names of agents that were trained with random delay.
-    """
-
-    results: Results
-    feedbacks: Sequence[str]
-    oracle: OracleCosts | None
-    planners: Results | None
-    simple: Sequence[SimplePolicy] | None
-    n_simple: int
-    late: Results | None
-    agents: Sequence[str]
+    results: Results  # of laws, rules and feedbacks on validation scenarios, the anchors among them
+    feedbacks: Sequence[str]  # names of the tuned feedbacks
+    oracle: OracleCosts | None  # costs with foresight; None: not searched
+    planners: Results | None  # results of planners; None: not played
+    simple: Sequence[SimplePolicy] | None  # trivial policies on top of each anchor's law; None: not played
+    n_simple: int  # scenarios that they played, the first ones
+    late: Results | None  # results with one more step of delay; None: not played
+    agents: Sequence[str]  # names of agents that were trained with random delay
 
 
 def judged(e: Evidence) -> list[Condition]:

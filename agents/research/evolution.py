@@ -32,25 +32,18 @@ N_KNOTS = 16
 class Search:
     """Scenarios and effort of a search.
 
-    Args:
-        suite, split: of the scenarios.
-        n_scenarios: how many of them, the first ones; None for all.
-        action_mode: what the actions modulate.
-        strategy: law that they modulate.
-        generations: of the search, or of every scenario's search.
-        seed: of the search.
-
     Raises:
         ValueError: a value is unknown or out of range.
     """
 
+    #: suite, split: of the scenarios.
     suite: str
     split: str
-    n_scenarios: int | None
-    action_mode: str
-    generations: int
-    seed: int
-    strategy: str = REFERENCE_STRATEGY
+    n_scenarios: int | None  # how many of them, the first ones; None for all
+    action_mode: str  # what the actions modulate
+    generations: int  # of the search, or of every scenario's search
+    seed: int  # of the search
+    strategy: str = REFERENCE_STRATEGY  # law that they modulate
 
     def __post_init__(self) -> None:
         largest = min(len(get_suite(self.suite).seeds(self.split)), 10_000)

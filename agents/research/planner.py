@@ -58,34 +58,21 @@ examples:
 class Planning:
     """Effort of a planner.
 
-    Args:
-        knowledge: of the wind, "exact" or "measured".
-        horizon_s: how far ahead a plan looks [s].
-        interval_s: how often it plans again [s].
-        population: candidates of a search.
-        generations: of a search.
-        n_knots: of a course of actions, linear in between.
-        gain: of the feedback that the course is added to: action on k per 0.5 Hz.
-        spread: standard deviation of the first candidates.
-        wind_memory_s: time constant of the mean that the wind returns to [s].
-        wind_decay_s: time constant with which it returns [s].
-        seed: of the search.
-
     Raises:
         ValueError: a value is unknown or out of range; the message says what is allowed.
     """
 
-    knowledge: str = "exact"
-    horizon_s: float = 30.0
-    interval_s: float = 2.0
-    population: int = 24
-    generations: int = 4
-    n_knots: int = 4
-    gain: float = 1.0
-    spread: float = 0.25
-    wind_memory_s: float = 20.0
-    wind_decay_s: float = 10.0
-    seed: int = 0
+    knowledge: str = "exact"  # of the wind, "exact" or "measured"
+    horizon_s: float = 30.0  # how far ahead a plan looks [s]
+    interval_s: float = 2.0  # how often it plans again [s]
+    population: int = 24  # candidates of a search
+    generations: int = 4  # of a search
+    n_knots: int = 4  # of a course of actions, linear in between
+    gain: float = 1.0  # of the feedback that the course is added to: action on k per 0.5 Hz
+    spread: float = 0.25  # standard deviation of the first candidates
+    wind_memory_s: float = 20.0  # time constant of the mean that the wind returns to [s]
+    wind_decay_s: float = 10.0  # time constant with which it returns [s]
+    seed: int = 0  # of the search
 
     def __post_init__(self) -> None:
         if self.knowledge not in KNOWLEDGE:

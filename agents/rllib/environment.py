@@ -24,16 +24,12 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Scales:
-    """Scales that observations and rewards are divided by.
+    """Scales that observations and rewards are divided by."""
 
-    Args:
-        mean, std: of every entry of the observation, (n_observation,).
-        reward: standard deviation of the discounted returns.
-    """
-
+    #: mean, std: of every entry of the observation, (n_observation,).
     mean: list[float]
     std: list[float]
-    reward: float
+    reward: float  # standard deviation of the discounted returns
 
 
 def measure_scales(arguments: Mapping[str, Any], *, noise: float, gamma: float, seed: int) -> Scales:

@@ -29,36 +29,26 @@ _WIND_SEED = 7_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class Totals:
-    """Runs of one strategy over scenarios, (n,) each.
+    """Runs of one strategy over scenarios, (n,) each."""
 
-    Args:
-        energy_pu_s: captured energy, mean over turbines [p.u. s].
-        least_ratio: smallest tip-speed ratio of any turbine [-].
-        nadir_hz: lowest frequency [Hz].
-        tripped: how many turbines were disconnected.
-    """
-
-    energy_pu_s: Floats
-    least_ratio: Floats
-    nadir_hz: Floats
-    tripped: Floats
+    energy_pu_s: Floats  # captured energy, mean over turbines [p.u. s]
+    least_ratio: Floats  # smallest tip-speed ratio of any turbine [-]
+    nadir_hz: Floats  # lowest frequency [Hz]
+    tripped: Floats  # how many turbines were disconnected
 
 
 @dataclass(frozen=True, kw_only=True)
 class AggregationStudy:
-    """The same wind and events on groups of ten and on their single turbines.
+    """The same wind and events on groups of ten and on their single turbines."""
 
-    Args:
-        suite, seeds, physics: of the scenarios and the plant.
-        sigma_single, sigma_group: mean standard deviation of a turbine's wind and of a group's [m/s].
-        groups, single: by strategy.
-    """
-
+    #: suite, seeds, physics: of the scenarios and the plant.
     suite: str
     seeds: tuple[int, ...]
     physics: str
+    #: sigma_single, sigma_group: mean standard deviation of a turbine's wind and of a group's [m/s].
     sigma_single: float
     sigma_group: float
+    #: groups, single: by strategy.
     groups: dict[str, Totals]
     single: dict[str, Totals]
 

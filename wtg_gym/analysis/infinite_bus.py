@@ -22,27 +22,16 @@ _INFINITE_MVA = 1e9
 
 @dataclass(frozen=True, kw_only=True)
 class Agreement:
-    """Eigenvalues of one WTG group on an infinite bus, by both ways.
+    """Eigenvalues of one WTG group on an infinite bus, by both ways."""
 
-    Args:
-        law: name of the strategy.
-        wind_m_s: [m/s].
-        side: slope of g(ω).
-        synchronising_coefficient: K_p that the network makes [p.u./rad].
-        phase_margin_deg: of the transfer function at that K_p [deg].
-        poles: closed-loop poles of the transfer function (n,) [1/s].
-        eigenvalues: the nearest eigenvalues of the linearised simulator (n,) [1/s].
-        largest_difference: largest distance of a pair, relative to its pole [-].
-    """
-
-    law: str
-    wind_m_s: float
-    side: Side
-    synchronising_coefficient: float
-    phase_margin_deg: float
-    poles: tuple[complex, ...]
-    eigenvalues: tuple[complex, ...]
-    largest_difference: float
+    law: str  # name of the strategy
+    wind_m_s: float  # [m/s]
+    side: Side  # slope of g(ω)
+    synchronising_coefficient: float  # K_p that the network makes [p.u./rad]
+    phase_margin_deg: float  # of the transfer function at that K_p [deg]
+    poles: tuple[complex, ...]  # closed-loop poles of the transfer function (n,) [1/s]
+    eigenvalues: tuple[complex, ...]  # the nearest eigenvalues of the linearised simulator (n,) [1/s]
+    largest_difference: float  # largest distance of a pair, relative to its pole [-]
 
 
 def infinite_bus(reactance_pu: float = 0.2) -> PlantSettings:

@@ -33,23 +33,14 @@ _SAMPLE_STEP = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class OperatingPoint:
-    """A steady state of one WTG at a grid frequency.
+    """A steady state of one WTG at a grid frequency."""
 
-    Args:
-        frequency_pu: grid frequency ω [p.u.].
-        rotor_speed_pu: ω_m [p.u.].
-        tip_speed_ratio: λ [-].
-        power_pu: p, captured and delivered alike [p.u.].
-        pitch_deg: β, above 0 where the pitch protection holds the rotor [deg].
-        stable: a faster rotor captures less than it delivers, so that it comes back.
-    """
-
-    frequency_pu: float
-    rotor_speed_pu: float
-    tip_speed_ratio: float
-    power_pu: float
-    pitch_deg: float
-    stable: bool
+    frequency_pu: float  # grid frequency ω [p.u.]
+    rotor_speed_pu: float  # ω_m [p.u.]
+    tip_speed_ratio: float  # λ [-]
+    power_pu: float  # p, captured and delivered alike [p.u.]
+    pitch_deg: float  # β, above 0 where the pitch protection holds the rotor [deg]
+    stable: bool  # a faster rotor captures less than it delivers, so that it comes back
 
 
 class Balance:

@@ -32,22 +32,16 @@ _N_REFERENCE = 10
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Errors and cost of one method at one step.
+    """Errors and cost of one method at one step."""
 
-    Args:
-        method, order: its name and order.
-        step_s: [s].
-        evaluations_per_s: right-hand sides per simulated second.
-        microseconds_per_s: measured time per simulated second, one environment [µs].
-        frequency_hz, rotor_speed_pu, power_pu: largest error of any WTG over a scenario, (n_scenarios,) [Hz, p.u.];
-            infinite where the method did not stay finite.
-    """
-
+    #: method, order: its name and order.
     method: str
     order: int
-    step_s: float
-    evaluations_per_s: float
-    microseconds_per_s: float
+    step_s: float  # [s]
+    evaluations_per_s: float  # right-hand sides per simulated second
+    microseconds_per_s: float  # measured time per simulated second, one environment [µs]
+    #: frequency_hz, rotor_speed_pu, power_pu: largest error of any WTG over a scenario, (n_scenarios,) [Hz, p.u.];
+    #: infinite where the method did not stay finite.
     frequency_hz: Floats
     rotor_speed_pu: Floats
     power_pu: Floats

@@ -36,22 +36,15 @@ _STEP = 2e-6
 
 @dataclass(frozen=True, kw_only=True)
 class VoltageLimit:
-    """The start of the paper's load increase with bus 2 held at a voltage.
+    """The start of the paper's load increase with bus 2 held at a voltage."""
 
-    Args:
-        bus_voltage_pu: of bus 2 [p.u.].
-        voltage_pu, reactive_pu: |E| and reactive power of each group (n_wtg,) [p.u.].
-        synchronising_coefficient: K_p of each group at constant E (n_wtg,) [p.u./rad].
-        slow_coefficient: K_p + K_1/a, at which voltage control settles; K_p without it (n_wtg,) [p.u./rad].
-        phase_margin_deg: of the reference at K_p(s), under-frequency (n_wtg,) [deg].
-    """
-
-    bus_voltage_pu: float
+    bus_voltage_pu: float  # of bus 2 [p.u.]
+    #: voltage_pu, reactive_pu: |E| and reactive power of each group (n_wtg,) [p.u.].
     voltage_pu: Floats
     reactive_pu: Floats
-    synchronising_coefficient: Floats
-    slow_coefficient: Floats
-    phase_margin_deg: Floats
+    synchronising_coefficient: Floats  # K_p of each group at constant E (n_wtg,) [p.u./rad]
+    slow_coefficient: Floats  # K_p + K_1/a, at which voltage control settles; K_p without it (n_wtg,) [p.u./rad]
+    phase_margin_deg: Floats  # of the reference at K_p(s), under-frequency (n_wtg,) [deg]
 
 
 def voltage_limits(scenario: Scenario) -> tuple[VoltageLimit, VoltageLimit]:

@@ -36,17 +36,11 @@ _LARGEST_LINEAR_RATIO = 12.0
 
 @dataclass(frozen=True, kw_only=True)
 class LearningCurve:
-    """A run's validations, in their order.
+    """A run's validations, in their order."""
 
-    Args:
-        timesteps: environment steps done (n,).
-        wall_time_s: time since the start (n,) [s].
-        score: validation score (n,).
-    """
-
-    timesteps: Floats
-    wall_time_s: Floats
-    score: Floats
+    timesteps: Floats  # environment steps done (n,)
+    wall_time_s: Floats  # time since the start (n,) [s]
+    score: Floats  # validation score (n,)
 
 
 @printed

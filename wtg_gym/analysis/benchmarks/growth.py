@@ -23,19 +23,12 @@ BATCH, THREADED_BATCH = 64, 4096
 
 @dataclass(frozen=True)
 class Point:
-    """One size.
+    """One size."""
 
-    Args:
-        n: the size: groups, machines, lanes or threads.
-        microseconds: time per environment step [µs].
-        compile_s: how long numba compiled for it, 0 where everything was cached on disk [s].
-        bytes_per_lane: memory of one lane [B].
-    """
-
-    n: int
-    microseconds: float
-    compile_s: float
-    bytes_per_lane: float
+    n: int  # the size: groups, machines, lanes or threads
+    microseconds: float  # time per environment step [µs]
+    compile_s: float  # how long numba compiled for it, 0 where everything was cached on disk [s]
+    bytes_per_lane: float  # memory of one lane [B]
 
 
 @dataclass(frozen=True)

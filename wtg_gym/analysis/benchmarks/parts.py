@@ -37,17 +37,11 @@ PARTS = {
 
 @dataclass(frozen=True)
 class Results:
-    """Results of a run; parts that were not asked for are empty or None.
+    """Results of a run; parts that were not asked for are empty or None."""
 
-    Args:
-        rates: of environments, rendering, training and peers; the yardstick comes first.
-        growth: a curve per kind of size.
-        roofline: arithmetic.
-    """
-
-    rates: list[Rate]
-    growth: list[Curve]
-    roofline: Roofline | None
+    rates: list[Rate]  # of environments, rendering, training and peers; the yardstick comes first
+    growth: list[Curve]  # a curve per kind of size
+    roofline: Roofline | None  # arithmetic
 
     def ratio(self, rate: Rate) -> float:
         """Return a rate as a multiple of the yardstick's in this run."""

@@ -58,18 +58,15 @@ class _Settings(EnvSettings):
 
 @dataclass
 class LanesCase:
-    """Episodes side by side, stepped without action by compiled code alone.
+    """Episodes side by side, stepped without action by compiled code alone."""
 
-    Args:
-        part, name: as for :class:`Case`.
-        n_lanes, n_threads: as for :class:`TaskLanes`.
-        groups, machines: size of the plant.
-    """
-
+    #: part, name: as for :class:`Case`.
     part: str
     name: str
+    #: n_lanes, n_threads: as for :class:`TaskLanes`.
     n_lanes: int
     n_threads: int | None = 1
+    #: groups, machines: size of the plant.
     groups: int = 2
     machines: int = N_MACHINES
     #: How long numba compiled for it, 0 where everything was cached on disk [s]; once it is made.

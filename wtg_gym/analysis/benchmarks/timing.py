@@ -27,23 +27,14 @@ _N_ACTIONS = 256
 
 @dataclass(frozen=True)
 class Case:
-    """Something to step.
+    """Something to step."""
 
-    Args:
-        part: part of the benchmark that it belongs to.
-        name: of the case.
-        n_envs: number of environments that it steps at once.
-        make: prepares it and returns its stepper.
-        preparation_s: how long that may take, for the forecast of the remaining time [s].
-        least_s: shortest run that it can be measured by [s].
-    """
-
-    part: str
-    name: str
-    n_envs: int
-    make: Callable[[], Stepper]
-    preparation_s: float = 0.5
-    least_s: float = 0.0
+    part: str  # part of the benchmark that it belongs to
+    name: str  # of the case
+    n_envs: int  # number of environments that it steps at once
+    make: Callable[[], Stepper]  # prepares it and returns its stepper
+    preparation_s: float = 0.5  # how long that may take, for the forecast of the remaining time [s]
+    least_s: float = 0.0  # shortest run that it can be measured by [s]
 
 
 @dataclass(frozen=True)

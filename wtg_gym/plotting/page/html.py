@@ -46,17 +46,11 @@ _FRESH = ("fresh score", "excess")
 
 @dataclass(frozen=True, kw_only=True)
 class Page:
-    """The leaderboard as one HTML file.
+    """The leaderboard as one HTML file."""
 
-    Args:
-        text: the file's text.
-        size: its size in UTF-8 [B].
-        n_traced: scenarios with traces, by suite.
-    """
-
-    text: str
-    size: int
-    n_traced: Mapping[str, int]
+    text: str  # the file's text
+    size: int  # its size in UTF-8 [B]
+    n_traced: Mapping[str, int]  # scenarios with traces, by suite
 
 
 def leaderboard_page(
