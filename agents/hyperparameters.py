@@ -81,10 +81,6 @@ def read_config(path: Path, env_id: str = ENV_ID) -> dict[str, Any]:
 def parse(algo: str, raw: Mapping[str, Any]) -> Hyperparameters:
     """Return the hyperparameters that a section of a file means.
 
-    Args:
-        algo: one of :data:`ALGORITHMS`.
-        raw: result of :func:`read_config`.
-
     Raises:
         ValueError: an algorithm, key or value is unknown or out of range; the message says what is allowed.
     """

@@ -232,16 +232,7 @@ def gathered(
     n_simple: int,
     n_threads: int | None = None,
 ) -> Evidence:
-    """Play what the conditions need on validation scenarios.
-
-    Args:
-        suite: of version v1.
-        feedbacks: tuned feedbacks.
-        agents: trained with random delay.
-        oracle, planners: as of :class:`Evidence`.
-        n_simple: scenarios that the trivial policies play; 0 for none.
-        n_threads: threads to step with; None for one per processor.
-    """
+    """Play what the conditions need on validation scenarios; trivial policies on the first `n_simple`, 0 for none."""
     laws = [entry for name in LAWS for entry in load_entries(name)]
     entries = [*laws, *load_entries("fast-droop"), *_droops(suite), *feedbacks, *agents]
     with Progress("episodes") as progress:

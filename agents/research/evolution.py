@@ -93,11 +93,6 @@ class _Strategy:
     """A search by CMA-ES that draws from a generator of its own.
 
     By itself cma draws from numpy's one generator for everybody: searches would depend on those beside them.
-
-    Args:
-        start: where it starts, of any shape.
-        spread: standard deviation of the first candidates.
-        seed: numbers that seed its generator.
     """
 
     def __init__(self, start: Floats, spread: float, *seed: int) -> None:
@@ -129,14 +124,8 @@ def tune_linear(
 ) -> Floats:
     """Return the gains of a linear feedback, the same for all groups, that makes :meth:`Rollouts.objective` small.
 
-    They are (n_action, n_local + 1), with history (n_action, n_local + n_history + 1).
-
-    Args:
-        rollouts: the scenarios, with POPULATION candidates each.
-        generations: of the search.
-        on_generation: is told after each.
-        seed: of the search.
-        history: whether slow copies of the observation are fed back too.
+    They are (n_action, n_local + 1), with history (n_action, n_local + n_history + 1): slow copies of the observation
+    are fed back too. Rollouts must have POPULATION candidates in each scenario.
     """
     shape = (rollouts.n_action, rollouts.lanes.n_local + (len(HISTORY_COLUMNS) if history else 0) + 1)
     dt = rollouts.lanes.settings.control_dt
@@ -162,16 +151,12 @@ def search_with_foresight(
     on_generation: OnGeneration,
     seed: int = 0,
 ) -> Floats:
-    """Return the smallest pinned cost found for every scenario, (n_scenarios,).
+    """Return the smallest pinned cost found for every scenario, (n_scenarios,), of POPULATION candidates each.
 
     Args:
-        rollouts: the scenarios, with POPULATION candidates each.
         scenario_seeds: their seeds: every scenario's search draws from a generator of its own.
         gains: of a linear feedback that the actions are added to and whose gains are searched as well,
             (n_action, n_local + 1); None: a course of actions alone.
-        generations: of every scenario's search.
-        on_generation: is told after each.
-        seed: of the searches.
     """
     knots = (N_KNOTS, rollouts.n_wtg, rollouts.n_action)
     n_course = int(np.prod(knots))

@@ -104,12 +104,10 @@ def find_oracle(
     """Search every scenario, going on from the chunks that are finished.
 
     Args:
-        search: scenarios and effort.
         entries: known policies; one that is cheaper on a scenario than all that was found counts there.
         parts: folder of the finished chunks; they stay there.
         gains: of a linear feedback to search on top of as well, (n_action, n_local + 1); None: without.
         chunk: scenarios that are searched side by side, and kept together.
-        n_threads: threads to step with; None for one per processor.
 
     Raises:
         ValueError: `chunk` is out of range, entries have the same name, or one does not fit the environment.

@@ -98,12 +98,6 @@ def incentives(
 ) -> str:
     """Return the tables of costs and of responses as Markdown.
 
-    Args:
-        entries: competitors.
-        split: of the scenarios.
-        n_scenarios: how many, the first ones; None for all.
-        n_threads: threads to step with; None for one per processor.
-
     Raises:
         ValueError: there are not that many scenarios.
     """

@@ -86,16 +86,7 @@ def make_linear_feedback(
     history: bool = False,
     n_threads: int | None = None,
 ) -> dict[str, Any]:
-    """Tune a feedback, write its folder, and return gains, search and costs.
-
-    Args:
-        search: training scenarios and effort.
-        output: folder to write entry.toml and policy.onnx into; made if missing.
-        gains_file: JSON file to write the returned data into; None for none.
-        name: of the entry.
-        authors: names.
-        history: whether slow copies of the observation are fed back too.
-        n_threads: threads to step with; None for one per processor.
+    """Tune a feedback, write its folder, and return gains, search and costs, which `gains_file` gets too, if any.
 
     Raises:
         ValueError: the leaderboard would refuse the name.

@@ -24,14 +24,7 @@ _FAILURE = COST_TERMS.index("failure")
 
 
 class Rollouts:
-    """Plays candidates through scenarios, all at once.
-
-    Args:
-        suite, split, seeds: which scenarios.
-        n_candidates: candidates side by side in every scenario.
-        n_threads: threads to step with; None for one per processor.
-        settings: further settings of the environment.
-    """
+    """Plays candidates through scenarios, all at once."""
 
     def __init__(
         self,

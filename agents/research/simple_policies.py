@@ -55,12 +55,6 @@ def simple_policies(
 ) -> tuple[float, list[SimplePolicy]]:
     """Return the zero action's mean cost on scenarios, and all simple policies, the cheapest first.
 
-    Args:
-        suite, split: of the scenarios.
-        n_scenarios: how many, the first ones; None for all.
-        n_threads: threads to step with; None for one per processor.
-        strategy: law that the actions modulate.
-
     Raises:
         ValueError: there is no such suite, or not that many scenarios.
     """

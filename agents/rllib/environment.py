@@ -72,11 +72,6 @@ class RunnerEnvs(GFMWTGVectorEnv):
     own: RLlib gives runner w the seed s + w, with which lane i + 1 of a runner would play the scenarios of lane i of
     the next one. `info` is empty, because RLlib takes it apart for every lane and step, which takes longer than all the
     rest.
-
-    Args:
-        num_envs: number of lanes.
-        reward_scale: divisor of the rewards.
-        arguments: as for :class:`GFMWTGVectorEnv`.
     """
 
     def __init__(self, num_envs: int = 1, *, reward_scale: float = 1.0, **arguments: Any) -> None:

@@ -60,14 +60,7 @@ def agreements(winds: tuple[float, ...] = (8.0, 11.4)) -> Iterator[Agreement]:
 
 
 def compare(law: TrackingLaw, wind_m_s: float, side: Side, settings: PlantSettings) -> Agreement:
-    """Compare one strategy on a plant of one WTG group at an infinite bus.
-
-    Args:
-        law: the strategy.
-        wind_m_s: [m/s].
-        side: slope of g(ω).
-        settings: a plant such as :func:`infinite_bus`.
-    """
+    """Compare one strategy on a plant of one WTG group at an infinite bus."""
     scenario = Scenario(name="infinite bus", wind_speed=np.array([[wind_m_s]]), load_noise_bus=1)
     k_p = float(synchronising_coefficients(scenario, law, settings)[0, 0])
     loop = single_machine(law, wind_m_s, k_p, side=side, turbine=settings.turbine)

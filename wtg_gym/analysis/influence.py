@@ -86,12 +86,6 @@ def measure_influences(
     A measure is that of the ends of control steps; its instant counts as given. A parameter of value 0 has no per cent,
     and is left out. k_nominal moves the equilibrium before the run as well: its effect is the difference of two runs.
 
-    Args:
-        settings: of the environment.
-        scenarios: to play, to their ends.
-        on_progress: called with the number of scenarios done.
-        n_threads: threads to run with; None for one per processor.
-
     Raises:
         ValueError: gradients are not known for the settings, or a scenario does not fit them.
     """

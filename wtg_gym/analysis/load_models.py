@@ -53,9 +53,6 @@ def run_with_loads(
 
     Args:
         model: a key of :data:`LOAD_MODELS`.
-        scenario: what happens.
-        strategy: of all groups.
-        settings: the plant; the paper's by default.
         simulation_dt: step of the integration, and between two settings of the loads [s].
     """
     settings = dataclasses.replace(settings or PlantSettings(), control_dt=simulation_dt, simulation_dt=simulation_dt)

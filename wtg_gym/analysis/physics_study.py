@@ -99,12 +99,7 @@ class PhysicsStudy:
 
 
 def study_physics(n_scenarios: int, on_progress: Callable[[str, float, int], None] = lambda *_: None) -> PhysicsStudy:
-    """Measure them all.
-
-    Args:
-        n_scenarios: validation scenarios of each suite.
-        on_progress: called with (name of the part, parts done, parts in all).
-    """
+    """Measure all of it, on the first validation scenarios of each suite."""
     forms = plant_forms()
     cases = get_suite("paper").scenarios([0, 1])
     increase: dict[str, dict[str, PlantRun]] = {}

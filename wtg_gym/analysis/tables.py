@@ -41,12 +41,7 @@ def claims_table(claims: Iterable[Claim]) -> str:
 
 
 def margins_table(found: Iterable[Agreement], system: Iterable[SingleMachine]) -> str:
-    """Return the margins on an infinite bus and in the 14-bus system, a law and a wind in one row.
-
-    Args:
-        found: comparison of both small-signal models on an infinite bus.
-        system: the loops at the K_p of the 14-bus system.
-    """
+    """Return the margins on an infinite bus and in the 14-bus system, a law and a wind in one row."""
     found = list(found)
     rows: dict[tuple[str, float], list[tuple[float, list[float]]]] = {}
     own: dict[tuple[str, float], list[Agreement]] = {}

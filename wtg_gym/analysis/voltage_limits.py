@@ -66,14 +66,7 @@ def start_at(
     turbine: TurbineParameters | None = None,
     voltage_control: VoltageControlParameters | None = None,
 ) -> VoltageLimit:
-    """Return the start of a scenario with bus 2 held at another voltage.
-
-    Args:
-        scenario: the one that starts.
-        bus_voltage_pu: of bus 2 [p.u.].
-        turbine: the paper's by default.
-        voltage_control: None for a constant E.
-    """
+    """Return the start of a scenario with bus 2 held at another voltage; without voltage control E is constant."""
     turbine = turbine or TurbineParameters()
     case, law = modified_ieee14(), get_law(REFERENCE_STRATEGY, turbine)
     buses = tuple(

@@ -107,9 +107,6 @@ def _add(commands: Commands, modules: Mapping[str, Mapping[str, str]], words: Se
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line.
 
-    Args:
-        argv: arguments without the program's name; None takes those of the process.
-
     Returns:
         The exit code: 0 fine, 1 a check failed, 2 bad input, 130 interrupted, 141 the output's reader is gone.
     """

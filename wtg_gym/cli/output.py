@@ -53,13 +53,7 @@ def require_extra(package: str, purpose: str) -> None:
 
 
 def check_output_file(option: str, text: str, suffixes: Sequence[str]) -> Path:
-    """Return the path of a file to write, or raise a ValueError now rather than after the work.
-
-    Args:
-        option: name of the option.
-        text: the path.
-        suffixes: allowed endings.
-    """
+    """Return the path of a file to write, or raise a ValueError now rather than after the work."""
     path = Path(text)
     if path.suffix.lower() not in suffixes:
         raise ValueError(f"{option} {text}: unknown kind of file {path.suffix!r}; it must end in {', '.join(suffixes)}")
@@ -99,13 +93,7 @@ def check_output_folder(option: str, text: str) -> Path:
 
 
 def check_page(option: str, text: str | None, *sections: str) -> Path | None:
-    """Return the path of a file whose sections between markers are to be renewed, or raise a ValueError now.
-
-    Args:
-        option: name of the option.
-        text: the path; None for no file.
-        sections: names in the markers, see :func:`wtg_gym.files.update_between_markers`.
-    """
+    """Return the path of a file whose sections between markers are to be renewed, or a ValueError; None for no file."""
     if text is None:
         return None
     path = Path(text)
@@ -146,13 +134,7 @@ def print_json(data: Any) -> None:
 
 
 def print_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, left: Sequence[int] = (0,)) -> None:
-    """Print a table with aligned columns.
-
-    Args:
-        header: column heads, with units.
-        rows: cells.
-        left: columns of text; the others are aligned right.
-    """
+    """Print a table with aligned columns: those of text, `left`, on the left, the others on the right."""
     cells = [[printable(cell) for cell in row] for row in (header, *rows)]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     for row in (cells[0], ["-" * width for width in widths], *cells[1:]):

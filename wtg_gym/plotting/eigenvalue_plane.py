@@ -36,9 +36,6 @@ def plot_modes(groups: Mapping[str, Sequence[Mode]]) -> Figure:
     """Draw eigenvalues in the upper half of the complex plane: (a) the oscillations, (b) what is slow, enlarged.
 
     Lines of constant damping ratio: 5, 10 and 30 %. One marker and colour per label.
-
-    Args:
-        groups: modes by strategy name or another label.
     """
     values = {label: np.array([mode.eigenvalue for mode in found]) for label, found in groups.items()}
     everything = np.concatenate([np.empty(0), *values.values()])

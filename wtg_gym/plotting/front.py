@@ -45,9 +45,6 @@ def plot_front(rows: Sequence[EntrySummary]) -> Figure:
     """Draw points of frequency and RoCoF against the captured share of the energy, a marker per entry.
 
     A line joins the entries that no other one beats in both. Hollow markers fail in more than 5 % of the scenarios.
-
-    Args:
-        rows: summaries of results of one suite.
     """
     figure = new_figure(DOUBLE_COLUMN_MM, 88.0)
     axes = figure.subplots()

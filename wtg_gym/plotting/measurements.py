@@ -41,9 +41,6 @@ def plot_accuracy(study: AccuracyStudy) -> Figure:
 
     Lines join the worst scenario of each step, dots the median one; the ring is the default step. Steps are written at
     the last method, since the others' follow from their numbers of evaluations.
-
-    Args:
-        study: what :func:`wtg_gym.analysis.step_error.study_accuracy` returns.
     """
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
@@ -103,9 +100,6 @@ def plot_growth(curves: Sequence[Curve]) -> Figure:
 
     Grey lines go through the first point with the slope that is named: what proportional growth, or an ideal gain,
     would be.
-
-    Args:
-        curves: what :func:`wtg_gym.analysis.benchmarks.growth.growth_curves` returns.
     """
     kinds = list(dict.fromkeys(curve.name.split(", ")[0] for curve in curves))
     figure = new_figure(DOUBLE_COLUMN_MM, 62.0 * -(-len(kinds) // 2))

@@ -31,11 +31,6 @@ def plot_one_event(scenario: Scenario, runs: Mapping[str, Recording], plant: Pla
     """Draw frequency [Hz], power of all turbines [MW] and the slowest rotor's speed [p.u.] over time.
 
     A cross marks where a run ended before its time. Grey lines: limits at which a run fails.
-
-    Args:
-        scenario: what happened.
-        runs: recordings of this one scenario by name.
-        plant: gives ratings and limits.
     """
     looks = strategy_looks(runs)
     rated_mw = np.array([group.n_turbines * plant.turbine.rated_power_mw for group in plant.groups])

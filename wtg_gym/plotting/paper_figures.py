@@ -124,9 +124,6 @@ def plot_bode(loops: Mapping[str, SingleMachine]) -> Figure:
 
     The paper's figures `BodeComparison` and `BodeProposed`. A dot marks the gain crossover; a line from -180° up to
     the phase there is the margin, which the legend states.
-
-    Args:
-        loops: linearised loops by strategy name or another label.
     """
     figure = new_figure(SINGLE_COLUMN_MM, 92.0 + 3.5 * len(loops))
     magnitude, phase = figure.subplots(2, 1, sharex=True)
@@ -178,7 +175,6 @@ def plot_case_study(scenario: Scenario, runs: Mapping[str, Trajectory]) -> Figur
     regulation range, available power and 90 % of it, rotor speed of maximum power, K_opt, K_n and K_pr.
 
     Args:
-        scenario: what happened.
         runs: recorded runs of it by strategy, all with the same one to four WTG groups.
     """
     longest = max(runs.values(), key=lambda run: run.time_s.size)

@@ -56,7 +56,6 @@ def plot_runs(
     A cross marks where a run ended before its time. Wind is drawn where it changes. Grey lines: λ_opt, λ_pr, overload.
 
     Args:
-        scenario: what happened.
         runs: recordings of this one scenario, of one to four WTG groups, by entry; one per training seed.
         looks: of the entries by name; None for ones of their own.
         overload_pu: power above which a converter counts as overloaded [p.u.].

@@ -72,12 +72,6 @@ def plot_responses(
 
     Lines are medians of bins, bands hold the middle 80 %; the lowest row says where the samples are. Groups are taken
     together; where the policy treats them differently, it has a median for each.
-
-    Args:
-        name: of the policy.
-        policy: its recording.
-        reference: that of the reference in the same scenarios.
-        looks: of policy and reference by name; None for ones of their own.
     """
     looks = looks or strategy_looks([REFERENCE_STRATEGY, name])
     runs = {REFERENCE_STRATEGY: reference, name: policy}

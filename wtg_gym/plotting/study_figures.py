@@ -44,11 +44,7 @@ _CLOSE = 0.07
 
 @printed
 def plot_margins(study: MarginStudy) -> Figure:
-    """Draw phase margins over wind speed, one line per strategy; the paper's two wind speeds are marked.
-
-    Args:
-        study: of :func:`wtg_gym.analysis.case_studies.study_margins`.
-    """
+    """Draw phase margins over wind speed, one line per strategy; the paper's two wind speeds are marked."""
     bases = {label: label.split(", ")[0] for label in study.phase_margin_deg}
     looks = strategy_looks(bases.values())
     n_columns = 2 if max(len(label) for label in bases) <= 30 else 1
@@ -74,11 +70,7 @@ def plot_margins(study: MarginStudy) -> Figure:
 
 @printed
 def plot_equilibria(study: EquilibriumStudy) -> Figure:
-    """Draw, over wind and frequency, where strategies have no equilibrium: the shaded side below each curve.
-
-    Args:
-        study: of :func:`wtg_gym.analysis.case_studies.study_equilibria`; not a number: equilibria everywhere.
-    """
+    """Draw, over wind and frequency, where strategies have no equilibrium: the shaded side below each curve."""
     control = GridFormingParameters()
     looks = strategy_looks(study.critical_frequency_pu)
     figure = new_figure(SINGLE_COLUMN_MM, 74.0)
@@ -117,9 +109,6 @@ def plot_damping(study: DampingStudy) -> Figure:
     """Draw what τ trades: (a) nadir and (b) lowest rotor speeds over τ, (c) one against the other, τ at the points.
 
     τ = 0, which has no place on a logarithmic axis, stands apart left of a break; the paper's τ = 0.8 s is filled.
-
-    Args:
-        study: of :func:`wtg_gym.analysis.case_studies.study_damping`.
     """
     tau = study.time_constant_s
     n_groups = study.lowest_rotor_speed_pu.shape[1]
@@ -199,9 +188,6 @@ def plot_machine_models(study: MachineModelStudy) -> Figure:
     """Draw the load increase with two models of the synchronous machines: frequency, and the low-wind group.
 
     One colour per strategy; solid for the first machine model, dashed for the second; a cross where a run ended.
-
-    Args:
-        study: of :func:`wtg_gym.analysis.case_studies.study_machine_models`.
     """
     from matplotlib.lines import Line2D
 

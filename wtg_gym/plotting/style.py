@@ -174,10 +174,6 @@ def new_figure(width_mm: float = SINGLE_COLUMN_MM, height_mm: float = 65.0) -> F
 def figure_bytes(figure: Figure, suffix: str) -> bytes:
     """Return a figure as a file, the same bytes on each run; with print's fonts, and text as text in SVG and PDF.
 
-    Args:
-        figure: as returned by the functions of :mod:`wtg_gym.plotting`.
-        suffix: png, svg or pdf, with or without a dot.
-
     Raises:
         ValueError: the suffix is another one.
     """
@@ -192,11 +188,6 @@ def figure_bytes(figure: Figure, suffix: str) -> bytes:
 
 def save_figure(figure: Figure, path_without_suffix: Path, suffixes: Iterable[str] = ("svg", "png")) -> list[Path]:
     """Write a figure in several formats next to each other; return the paths.
-
-    Args:
-        figure: as returned by the functions of :mod:`wtg_gym.plotting`.
-        path_without_suffix: where to; the folder is made, files are replaced.
-        suffixes: png, svg or pdf.
 
     Raises:
         ValueError: a suffix is another one; nothing has been written then.

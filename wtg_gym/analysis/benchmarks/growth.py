@@ -62,11 +62,7 @@ def _slope(points: Sequence[Point]) -> float:
 
 
 def growth_cases(*, full: bool) -> dict[str, list[tuple[int, LanesCase]]]:
-    """Return every curve's sizes with their cases.
-
-    Args:
-        full: up to 128 groups and machines, rather than up to 16, which compile in a few minutes.
-    """
+    """Return every curve's sizes with their cases; those up to 16 groups and machines compile in a few minutes."""
     groups, machines = (ALL_GROUPS, ALL_MACHINES) if full else (GROUPS, MACHINES)
     n_cpu = os.cpu_count() or 1
     threads = sorted({*(2**k for k in range(n_cpu.bit_length())), n_cpu})

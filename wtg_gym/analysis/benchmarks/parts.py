@@ -53,12 +53,7 @@ class Results:
 
 
 class Benchmark:
-    """Parts of the benchmark, all of whose cases are measured in turns.
-
-    Args:
-        parts: of :data:`PARTS`.
-        full: growth up to the largest plants.
-    """
+    """Parts of the benchmark, all of whose cases are measured in turns."""
 
     def __init__(self, parts: Sequence[str], *, full: bool) -> None:
         #: A line for each package that is missing.

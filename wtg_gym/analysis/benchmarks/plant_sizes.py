@@ -28,11 +28,8 @@ N_MACHINES = 4
 def network_with_machines(n_machines: int) -> NetworkCase:
     """Return the 14-bus network with each of its four machines split into equal ones at the same bus.
 
-    Args:
-        n_machines: a multiple of four.
-
     Raises:
-        ValueError: it is not.
+        ValueError: the number is no multiple of four.
     """
     if n_machines < N_MACHINES or n_machines % N_MACHINES:
         raise ValueError(f"the number of machines must be a multiple of {N_MACHINES}, got {n_machines}")

@@ -104,13 +104,7 @@ def step_single(env: Any) -> Stepper:
 
 
 def step_batch(envs: Any, action_space: Any, n_envs: int) -> Stepper:
-    """Return the stepper of a started batch that resets its environments itself: eight sets of random actions in turn.
-
-    Args:
-        envs: the batch.
-        action_space: of one environment.
-        n_envs: number of environments.
-    """
+    """Return the stepper of a started batch that resets its environments itself, with eight sets of random actions."""
     actions = [np.stack([action_space.sample() for _ in range(n_envs)]) for _ in range(8)]
     return repeat(lambda n: envs.step(actions[n % 8]), n_envs)
 

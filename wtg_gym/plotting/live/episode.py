@@ -34,10 +34,6 @@ class Sample:
 class LiveEpisode:
     """An episode in a lane of its own, started.
 
-    Args:
-        settings: of the environment, with its strategy.
-        scenario: what happens; its length is that of the episode.
-
     Raises:
         ValueError: a setting is not allowed, or the scenario cannot start; the message says why.
     """

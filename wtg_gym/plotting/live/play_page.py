@@ -32,14 +32,7 @@ _HEADS = {"frequency_rocof": "f, RoCoF", "duty": "duty", "overload": "overload",
 
 
 class PlayPage:
-    """One visitor's page.
-
-    Args:
-        document: empty.
-        scale: of the suite.
-        seed: of the first scenario.
-        speed: simulated seconds per second.
-    """
+    """One visitor's page."""
 
     def __init__(self, document: Document, scale: Scale, seed: int, speed: float) -> None:
         self._document, self._scale, self._speed = document, scale, speed

@@ -72,7 +72,6 @@ def page_data(
         results: one of each suite.
         entries: those whose traces are recorded, where the results are theirs; both anchors are always recorded.
         n_scenarios: scenarios with traces, the first ones of each suite's results.
-        n_threads: threads to step with; None for one per processor.
         on_progress: called with (name of the entry, entries done, entries in all) after every entry.
 
     Raises:

@@ -74,7 +74,6 @@ def leaderboard_page(
         entries: those whose traces are shown, where the results are theirs.
         n_scenarios: scenarios with traces, the first ones of each suite's results; None for as many of the first
             :data:`N_SCENARIOS` as keep the file below :data:`SIZE_LIMIT`.
-        n_threads: threads to step with; None for one per processor.
         on_progress: called with (name of the entry, entries done, entries in all) after every entry.
 
     Raises:
