@@ -276,10 +276,7 @@ def _read_exciter(entry: Fields) -> ExciterParameters:
 
 
 def _read_events(
-    root: Fields,
-    base: float,
-    voltage: Mapping[int, tuple[float, float]],
-    loads: Mapping[int, tuple[float, float]],
+    root: Fields, base: float, voltage: Mapping[int, tuple[float, float]], loads: Mapping[int, tuple[float, float]]
 ) -> dict[str, tuple[LoadStep, ...]]:
     lists = root.get("events", {})
     # One list needs no name.

@@ -134,9 +134,7 @@ def study_slopes() -> MarginStudy:
         for side in _SIDES
     }
     return MarginStudy(
-        WINDS,
-        margins,
-        "The piecewise law is steeper below the set-point than above it, and so better damped there.",
+        WINDS, margins, "The piecewise law is steeper below the set-point than above it, and so better damped there."
     )
 
 

@@ -106,11 +106,7 @@ def _as_json(study: AccuracyStudy) -> Any:
         data = dataclasses.asdict(row)
         for quantity in ("frequency_hz", "rotor_speed_pu", "power_pu"):
             errors = data[quantity]
-            data[quantity] = {
-                "median": np.median(errors),
-                "p95": np.quantile(errors, 0.95),
-                "worst": errors.max(),
-            }
+            data[quantity] = {"median": np.median(errors), "p95": np.quantile(errors, 0.95), "worst": errors.max()}
         return data
 
     return plain_json(

@@ -33,13 +33,7 @@ _EXAMPLES = """\
 
 def add_commands(commands: Commands) -> None:
     """Add `wtg-gym analyse estimate`."""
-    parser = add_command(
-        commands,
-        "estimate",
-        run,
-        description=_DESCRIPTION,
-        examples=_EXAMPLES,
-    )
+    parser = add_command(commands, "estimate", run, description=_DESCRIPTION, examples=_EXAMPLES)
     parser.add_argument(
         "--unknown",
         nargs="+",

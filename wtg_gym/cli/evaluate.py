@@ -94,11 +94,7 @@ def add_commands(commands: Commands) -> None:
     parser.add_argument("--trust-pickle", action="store_true", help=_TRUST_HELP)
     add_plant_options(parser)
     parser = add_command(
-        commands,
-        "leaderboard",
-        _run_leaderboard,
-        description=_LEADERBOARD,
-        examples=_LEADERBOARD_EXAMPLES,
+        commands, "leaderboard", _run_leaderboard, description=_LEADERBOARD, examples=_LEADERBOARD_EXAMPLES
     )
     add_entries_option(parser)
     add_suite_option(parser)

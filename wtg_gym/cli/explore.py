@@ -21,13 +21,7 @@ _EXAMPLES = """\
 
 def add_commands(commands: Commands) -> None:
     """Add `wtg-gym explore`."""
-    parser = add_command(
-        commands,
-        "explore",
-        run,
-        description=_DESCRIPTION,
-        examples=_EXAMPLES,
-    )
+    parser = add_command(commands, "explore", run, description=_DESCRIPTION, examples=_EXAMPLES)
     add_server_options(parser)
 
 

@@ -45,13 +45,7 @@ _EXAMPLES = """\
 
 def add_commands(commands: Commands) -> None:
     """Add `wtg-gym analyse influence`."""
-    parser = add_command(
-        commands,
-        "influence",
-        run,
-        description=_DESCRIPTION,
-        examples=_EXAMPLES,
-    )
+    parser = add_command(commands, "influence", run, description=_DESCRIPTION, examples=_EXAMPLES)
     cases = ", ".join(case.name for case in get_suite("paper").cases)
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--case", metavar="NAME", help=f"case of the paper: {cases} (default: load-increase)")

@@ -92,13 +92,7 @@ def _run(arguments: argparse.Namespace) -> int:
     for place, scenarios in planned:
         note(f"{scenarios['suite']} into {place}")
         results, kept = stored_or_played(
-            entries,
-            place,
-            fresh=False,
-            partial=partial,
-            workers=workers,
-            n_threads=arguments.threads,
-            **scenarios,
+            entries, place, fresh=False, partial=partial, workers=workers, n_threads=arguments.threads, **scenarios
         )
         kept.write(place)
         code |= note_failures(results)

@@ -5,14 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 
-from wtg_gym.analysis.physics_study import (
-    COMPARED,
-    FURTHER_SUITES,
-    SUITES_OF_ALL,
-    PhysicsStudy,
-    as_data,
-    study_physics,
-)
+from wtg_gym.analysis.physics_study import COMPARED, FURTHER_SUITES, SUITES_OF_ALL, PhysicsStudy, as_data, study_physics
 from wtg_gym.analysis.physics_tables import physics_sections
 from wtg_gym.cli.output import (
     check_output_folder,

@@ -35,13 +35,7 @@ def add_server_options(parser: argparse.ArgumentParser) -> None:
 
 def add_commands(commands: Commands) -> None:
     """Add `wtg-gym play`."""
-    parser = add_command(
-        commands,
-        "play",
-        run,
-        description=_DESCRIPTION,
-        examples=_EXAMPLES,
-    )
+    parser = add_command(commands, "play", run, description=_DESCRIPTION, examples=_EXAMPLES)
     parser.add_argument(
         "--suite", metavar="NAME", help=f"suite, of {suites_by_version()} (default: standard of the version)"
     )

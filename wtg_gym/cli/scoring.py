@@ -124,11 +124,7 @@ def add_worker_options(parser: argparse.ArgumentParser) -> None:
 
 
 def chosen_entries(
-    specs: Sequence[str],
-    suite: str = "standard",
-    load_archive: LoadArchive | None = None,
-    *,
-    others: bool = True,
+    specs: Sequence[str], suite: str = "standard", load_archive: LoadArchive | None = None, *, others: bool = True
 ) -> list[Entry]:
     """Return the entries of `--entries` for a suite; without `others` only those that play in its version."""
     benchmark = get_suite(suite).benchmark

@@ -129,10 +129,7 @@ def run_margins(arguments: argparse.Namespace) -> int:
     header = ("law", "wind [m/s]", "slope", "phase margin [°]", "crossover [rad/s]", "gain margin [dB]", "closed loop")
     print_table(header, [_cells(side, loop) for side, loop in loops], left=(0, 2, 6))
     if any(loop.pitch_deg > 0.0 for _, loop in loops):
-        say(
-            "",
-            "* held by the pitch protection, whose angle counts as constant here; `analyse modes` includes it",
-        )
+        say("", "* held by the pitch protection, whose angle counts as constant here; `analyse modes` includes it")
     return 0
 
 

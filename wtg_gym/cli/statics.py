@@ -55,13 +55,7 @@ _EXAMPLES = """\
 
 def add_commands(commands: Commands) -> None:
     """Add `wtg-gym analyse statics`."""
-    parser = add_command(
-        commands,
-        "statics",
-        run,
-        description=_DESCRIPTION,
-        examples=_EXAMPLES,
-    )
+    parser = add_command(commands, "statics", run, description=_DESCRIPTION, examples=_EXAMPLES)
     add_law_option(parser, "all")
     parser.add_argument(
         "--wind",

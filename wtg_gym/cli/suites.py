@@ -40,13 +40,7 @@ def suites_by_version() -> str:
 
 def add_commands(commands: Commands) -> None:
     """Add `wtg-gym suites`."""
-    parser = add_command(
-        commands,
-        "suites",
-        run,
-        description=_DESCRIPTION,
-        examples=_EXAMPLES,
-    )
+    parser = add_command(commands, "suites", run, description=_DESCRIPTION, examples=_EXAMPLES)
     parser.add_argument("name", nargs="?", metavar="NAME", help=f"one suite, of {suites_by_version()} (default: all)")
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--seed", type=int, metavar="N", help="show the scenario of this seed of the suite")

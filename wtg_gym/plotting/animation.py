@@ -44,10 +44,7 @@ _N_EVENTS = 4
 
 
 def animate_trajectories(
-    runs: Mapping[str, Trajectory],
-    scenario: Scenario,
-    group_buses: Sequence[int],
-    overload_pu: float = OVERLOAD_PU,
+    runs: Mapping[str, Trajectory], scenario: Scenario, group_buses: Sequence[int], overload_pu: float = OVERLOAD_PU
 ) -> bytes:
     """Return a GIF of runs over time, which repeats: the same bytes each time.
 

@@ -229,12 +229,7 @@ def default_experiment(plant: str) -> Experiment:
     if plant == "paper":
         wind = get_suite("paper").cases[0].wind_speed_m_s
         strike = Strike(kind="load_step", place="2", power_mw=75.0)
-        return Experiment(
-            plant=plant,
-            wind_m_s=wind[: len(default_groups())],
-            strikes=(strike,),
-            inertia_scale=1.0,
-        )
+        return Experiment(plant=plant, wind_m_s=wind[: len(default_groups())], strikes=(strike,), inertia_scale=1.0)
     return Experiment(plant=plant)
 
 

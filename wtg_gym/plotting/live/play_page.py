@@ -21,12 +21,7 @@ _TICK_MS = 50
 #: Most control steps between two of these: a slow machine plays more slowly instead of falling behind.
 _MOST_STEPS = 40
 #: What one press of a key adds.
-_KEY_STEPS = {
-    "ArrowUp": ("k", 0.1),
-    "ArrowDown": ("k", -0.1),
-    "ArrowRight": ("tau", 0.25),
-    "ArrowLeft": ("tau", -0.25),
-}
+_KEY_STEPS = {"ArrowUp": ("k", 0.1), "ArrowDown": ("k", -0.1), "ArrowRight": ("tau", 0.25), "ArrowLeft": ("tau", -0.25)}
 #: Heads of the points in the table of scores.
 _HEADS = {"frequency_rocof": "f, RoCoF", "duty": "duty", "overload": "overload", REST: "rest"}
 

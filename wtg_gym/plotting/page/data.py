@@ -11,15 +11,7 @@ import numpy.typing as npt
 
 from wtg_gym.envs.rendering.diagram import BUS_PLACES, describe_event, struck_buses
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import (
-    Entry,
-    EntrySummary,
-    Interval,
-    Results,
-    leaderboard_rows,
-    statistics,
-    table_cells,
-)
+from wtg_gym.evaluation import Entry, EntrySummary, Interval, Results, leaderboard_rows, statistics, table_cells
 from wtg_gym.evaluation.recording import Recording, record
 from wtg_gym.evaluation.score import scenario_scores, score_scale
 from wtg_gym.physics.aerodynamics import tracking_point
@@ -29,14 +21,7 @@ from wtg_gym.physics.parameters import GridFormingParameters, PitchParameters, T
 from wtg_gym.physics.scenario import Event, LoadStep, Scenario
 from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.plotting.front import MOST_FAILURES_PERCENT
-from wtg_gym.plotting.page.packing import (
-    MISSING,
-    RESOLUTIONS,
-    WIND_RESOLUTION,
-    packed,
-    quantised,
-    scenario_traces,
-)
+from wtg_gym.plotting.page.packing import MISSING, RESOLUTIONS, WIND_RESOLUTION, packed, quantised, scenario_traces
 from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[np.float64]

@@ -8,15 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from bokeh.document import Document
-from bokeh.models import (
-    BoxZoomTool,
-    ColumnDataSource,
-    FixedTicker,
-    HoverTool,
-    Range1d,
-    Span,
-    WheelZoomTool,
-)
+from bokeh.models import BoxZoomTool, ColumnDataSource, FixedTicker, HoverTool, Range1d, Span, WheelZoomTool
 from bokeh.plotting import figure
 
 from wtg_gym.plotting.page.data import limits

@@ -237,9 +237,7 @@ def _matrices(results: Sequence[Results]) -> str:
     if not matrices:
         return ""
     return Template(_asset("matrix.html")).substitute(
-        matrices="\n".join(matrices),
-        above=f"{_DEEPEST_ABOVE:g}",
-        below=f"{_DEEPEST_BELOW:g}",
+        matrices="\n".join(matrices), above=f"{_DEEPEST_ABOVE:g}", below=f"{_DEEPEST_BELOW:g}"
     )
 
 
