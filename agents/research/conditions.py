@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from agents.command import Parser, Progress, check_page, run_command, update_page
 from agents.research.simple_policies import SimplePolicy, simple_policies
@@ -20,9 +19,8 @@ from wtg_gym.evaluation.oracle import OracleCosts
 from wtg_gym.evaluation.score import COST_OFFSET
 from wtg_gym.evaluation.summary import EntrySummary
 from wtg_gym.files import markdown_table
+from wtg_gym.physics.layout import Floats
 from wtg_gym.scenarios import get_suite
-
-Floats = npt.NDArray[np.float64]
 
 _SECTION = "conditions"
 #: Laws whose rotors must keep the paper's order, the safest first.

@@ -11,15 +11,14 @@ from dataclasses import dataclass
 
 import cma
 import numpy as np
-import numpy.typing as npt
 
 from agents.command import add_strategy_option
 from agents.research.rollouts import HISTORY_COLUMNS, Rollouts, both, course, history_feedback, linear_feedback
 from wtg_gym.envs.settings import ACTION_MODES
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.scenarios import get_suite
 
-Floats = npt.NDArray[np.float64]
 #: Called with the generations done and the (mean) cost of the best so far.
 OnGeneration = Callable[[int, float], None]
 

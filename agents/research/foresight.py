@@ -11,7 +11,6 @@ from typing import Any
 
 import cma
 import numpy as np
-import numpy.typing as npt
 
 from agents.command import Parser, Progress, check_output_folder, note, print_table, run_command, say
 from agents.research import evolution, rollouts
@@ -24,7 +23,6 @@ from wtg_gym.evaluation.oracle import OracleCosts
 from wtg_gym.files import read_json, sha256, to_json, write_atomically
 from wtg_gym.scenarios import get_suite
 
-Floats = npt.NDArray[np.float64]
 Costs = tuple[float, ...]
 
 _DESCRIPTION = """\

@@ -10,7 +10,6 @@ from contextlib import closing
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from agents.command import Parser, Progress, check_page, print_table, run_command, say, update_page
 from agents.research.rollouts import Rollouts
@@ -20,10 +19,10 @@ from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation.score import COST_OFFSET, log_gains, mean_score, score_scale
 from wtg_gym.files import markdown_table
 from wtg_gym.gradients import Tape
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.tracking_law import LARGEST_COEFFICIENT, TIME_CONSTANT_RANGE, TrackingLaw, get_law
 from wtg_gym.scenarios import get_suite
 
-Floats = npt.NDArray[np.float64]
 Laws = tuple[TrackingLaw, ...]
 
 #: Least coefficient and time constant that are tried [p.u., s]: at 0 a group would give nothing, and faster damping

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import nn
 
@@ -29,11 +28,10 @@ from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation import NoScaleError, OnnxPolicy, evaluate
 from wtg_gym.evaluation.score import pinned
 from wtg_gym.files import to_json, write_atomically
+from wtg_gym.physics.layout import Floats
 from wtg_gym.policies import Entry
 from wtg_gym.policies.load import POLICY_FILE
 from wtg_gym.scenarios import get_suite
-
-Floats = npt.NDArray[np.float64]
 
 _DESCRIPTION = """\
 Tunes a = clip(G o + b) of a group's own observation o, the same G and b in every group, by CMA-ES on training

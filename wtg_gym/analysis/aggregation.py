@@ -7,10 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.envs.lanes import TERMINATION_REASONS
 from wtg_gym.files import markdown_table
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import WtgGroup, default_groups
 from wtg_gym.physics.plant import plant_settings
 from wtg_gym.physics.protection import Status
@@ -21,7 +21,6 @@ from wtg_gym.scenarios import get_suite
 from wtg_gym.scenarios.single_turbines import single_and_aggregate, turbine_winds
 from wtg_gym.scenarios.wind import TURBULENCE_CLASSES, ntm_sigma
 
-Floats = npt.NDArray[np.float64]
 STRATEGIES = (REFERENCE_STRATEGY, "mppt", "deloaded-5")
 #: Offset of the seeds of the single winds from those of the scenarios.
 _WIND_SEED = 7_000_000
@@ -172,6 +171,3 @@ def aggregation_table(study: AggregationStudy) -> str:
             )
         )
     return markdown_table(header, rows, right=tuple(range(1, len(header))))
-
-
-__all__ = ["STRATEGIES", "AggregationStudy", "Totals", "aggregation_table", "study_aggregation", "totals_of"]

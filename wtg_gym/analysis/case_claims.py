@@ -6,16 +6,15 @@ import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.analysis.case_studies import CaseStudies
 from wtg_gym.analysis.claim import Claim, near
 from wtg_gym.physics.aerodynamics import available_power_pu, tracking_point
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 from wtg_gym.physics.trajectory import Trajectory, simulate
 
-Floats = npt.NDArray[np.float64]
 Runs = Mapping[str, Trajectory]
 
 _INCREASE, _DECREASE = "load increase", "load decrease"

@@ -11,16 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.analysis.loops import Side
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.linearisation import moving_states, state_matrix
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import TrackingLaw, group_laws
-
-Floats = npt.NDArray[np.float64]
 
 #: Step of the finite differences in angle [rad]; truncation and rounding are both near 1e-9 of a power.
 _STEP = 2e-6

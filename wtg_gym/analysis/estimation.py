@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.analysis.case_file import ReferenceCase, read_parameters
 from wtg_gym.analysis.trace_file import choose_events, read_trace
@@ -17,12 +16,11 @@ from wtg_gym.files import markdown_table
 from wtg_gym.gradients.estimation import INERTIA, Estimator, covered, estimates, unknown_of
 from wtg_gym.gradients.parameters import PlantEnvSettings
 from wtg_gym.physics.aerodynamics import tracking_point
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters, WtgGroup
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import LoadStep, Scenario
 from wtg_gym.ranges import require_range
-
-Floats = npt.NDArray[np.float64]
 
 #: What is sought by default: of the synchronous machines, and of the grid-forming converters.
 UNKNOWNS = (INERTIA, "machines.1.governor.droop_pu", "control.inertia_constant_s", "control.droop_gain_pu")

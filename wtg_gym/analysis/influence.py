@@ -8,16 +8,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import markdown_table
 from wtg_gym.gradients.parameters import known_parameters
 from wtg_gym.gradients.tape import Tape
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import TrackingLaw
-
-Floats = npt.NDArray[np.float64]
 
 #: Parameters of a law, for all groups in common.
 LAW_NAMES = ("law.k_min", "law.k_nominal", "law.k_max", "law.tau_s")

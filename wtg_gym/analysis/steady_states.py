@@ -12,17 +12,15 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import brentq, minimize_scalar
 
 from wtg_gym.physics.aerodynamics import available_power_pu, power_coefficient
 from wtg_gym.physics.converter import converter_constants, tracking_coefficient
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import GridFormingParameters, PitchParameters, TurbineParameters
 from wtg_gym.physics.scenario import WIND_SPEED_RANGE
 from wtg_gym.physics.tracking_law import TrackingLaw
 from wtg_gym.ranges import require_range
-
-Floats = npt.NDArray[np.float64]
 
 #: Least tip-speed ratio of the search for equilibria; the C_p curve is not valid far below [-].
 LEAST_TIP_SPEED_RATIO = 1.0

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.protection import Status
 from wtg_gym.plotting.event_marks import mark_end, mark_instants
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
     from wtg_gym.analysis.case_studies import DampingStudy, EquilibriumStudy, MachineModelStudy, MarginStudy
 
-Floats = npt.NDArray[np.float64]
 
 #: The wind speeds of the paper's two groups [m/s].
 _PAPER_WINDS = (8.0, 11.4)

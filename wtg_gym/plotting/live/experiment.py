@@ -231,6 +231,3 @@ def default_experiment(plant: str) -> Experiment:
         strike = Strike(kind="load_step", place="2", power_mw=75.0)
         return Experiment(plant=plant, wind_m_s=wind[: len(default_groups())], strikes=(strike,), inertia_scale=1.0)
     return Experiment(plant=plant)
-
-
-__all__ = ["KINDS", "MOST_GROUPS", "PLANTS", "Experiment", "Explored", "Strike", "default_experiment", "places"]

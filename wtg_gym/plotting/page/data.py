@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.envs.rendering.diagram import BUS_PLACES, describe_event, struck_buses
 from wtg_gym.envs.settings import EnvSettings
@@ -17,6 +16,7 @@ from wtg_gym.evaluation.score import scenario_scores, score_scale
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.compiled import source_hash
 from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import GridFormingParameters, PitchParameters, TurbineParameters
 from wtg_gym.physics.scenario import Event, LoadStep, Scenario
 from wtg_gym.physics.tracking_law import get_law
@@ -24,7 +24,6 @@ from wtg_gym.plotting.front import MOST_FAILURES_PERCENT
 from wtg_gym.plotting.page.packing import MISSING, RESOLUTIONS, WIND_RESOLUTION, packed, quantised, scenario_traces
 from wtg_gym.scenarios import get_suite
 
-Floats = npt.NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
 
 #: Step that the scenarios' scores are rounded to.
