@@ -19,20 +19,18 @@ from wtg_gym.analysis.step_error import (
     study_accuracy,
 )
 from wtg_gym.cli.output import (
-    check_output_folder,
     check_page,
-    note,
     plain_json,
     print_json,
     print_table,
-    require_extra,
     say,
+    study_folder,
     update_page,
+    write_study,
 )
 from wtg_gym.cli.parser import Commands, add_command, add_output_options
-from wtg_gym.files import to_json, write_atomically
+from wtg_gym.cli.suites import DRAWN_SUITES
 from wtg_gym.progress import Progress
-from wtg_gym.scenarios import SUITES
 
 _DESCRIPTION = f"""\
 Integrates random scenarios with several explicit methods and steps, and compares frequency, rotor speed and power of
@@ -55,8 +53,7 @@ def add_commands(commands: Commands) -> None:
     parser.add_argument(
         "--scenarios", type=int, default=100, metavar="N", help="the first N of the validation split (default: 100)"
     )
-    drawn = [name for name, suite in SUITES.items() if suite.distribution is not None]
-    parser.add_argument("--suite", choices=drawn, default="standard", help="(default: standard)")
+    parser.add_argument("--suite", choices=DRAWN_SUITES, default="standard", help="(default: standard)")
     add_output_options(
         parser,
         output="write the figure 'accuracy' and accuracy.json there",
@@ -68,18 +65,14 @@ def add_commands(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym analyse accuracy`; return 1 if the default step did not stay finite."""
     page = check_page("--page", arguments.page, "accuracy")
-    folder = None if arguments.output is None else check_output_folder("--output", arguments.output)
-    if folder is not None:
-        require_extra("matplotlib", "--output")
+    folder = study_folder(arguments.output)
     with Progress("scenarios") as progress:
         study = study_accuracy(arguments.scenarios, suite=arguments.suite, on_progress=progress.update)
     data = _as_json(study)
     if folder is not None:
-        from wtg_gym.plotting import plot_accuracy, save_figure
+        from wtg_gym.plotting import plot_accuracy
 
-        save_figure(plot_accuracy(study), folder / "accuracy", arguments.formats)
-        write_atomically(folder / "accuracy.json", to_json(data))
-        note(f"wrote accuracy.json and accuracy.{', accuracy.'.join(arguments.formats)} in {folder}")
+        write_study(folder, "accuracy", data, {"accuracy": plot_accuracy(study)}, arguments.formats)
     if page is not None:
         update_page(page, {"accuracy": f"{_summary(study)}\n\n{order_table(study)}\n\n{accuracy_table(study)}"})
     if arguments.json:

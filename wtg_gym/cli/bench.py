@@ -17,18 +17,18 @@ from wtg_gym.analysis.benchmarks.peers import peer_packages
 from wtg_gym.analysis.benchmarks.timing import machine, versions
 from wtg_gym.analysis.benchmarks.training import describe_training
 from wtg_gym.cli.output import (
-    check_output_folder,
     check_page,
     note,
     plain_json,
     print_json,
     print_table,
-    require_extra,
     say,
+    study_folder,
     update_page,
+    write_study,
 )
 from wtg_gym.cli.parser import Commands, add_command, add_output_options
-from wtg_gym.files import markdown_table, read_text, to_json, write_atomically
+from wtg_gym.files import markdown_table, read_text
 from wtg_gym.progress import Progress
 from wtg_gym.ranges import require_range
 
@@ -85,9 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise ValueError(f"--repeats = {arguments.repeats} is outside the allowed range 1 … 1000")
     parts = [part for part in PARTS if arguments.only is None or part in arguments.only]
     on_page = [] if arguments.page is None else _parts_of_page(arguments.page, parts)
-    folder = None if arguments.output is None else check_output_folder("--output", arguments.output)
-    if folder is not None and "growth" in parts:
-        require_extra("matplotlib", "--output")
+    folder = study_folder(arguments.output, draws="growth" in parts)
     benchmark = Benchmark(parts, full=arguments.full)
     # Two bars: the time of compiling says nothing about the runs, whose length is known.
     with Progress("expected s") as progress:
@@ -101,7 +99,10 @@ def run(arguments: argparse.Namespace) -> int:
     facts = {"seconds": seconds, "repeats": arguments.repeats, "parts": parts, "missing": benchmark.missing}
     data = plain_json({**_as_json(results), **facts})
     if folder is not None:
-        _write(folder, results, data, arguments.formats)
+        from wtg_gym.plotting import plot_growth
+
+        figures = {"growth": plot_growth(results.growth)} if results.growth else {}
+        write_study(folder, "bench", data, figures, arguments.formats)
     if arguments.page is not None:
         caption = f"{machine()}; median of {arguments.repeats} runs of {seconds:g} s."
         texts = {part: _markdown(part_tables(part, results)) for part in on_page}
@@ -150,16 +151,6 @@ def _as_json(results: Results) -> dict[str, Any]:
         "growth": [{**dataclasses.asdict(curve), "exponent": curve.exponent} for curve in results.growth],
         "roofline": roofline and {**dataclasses.asdict(roofline), **{n: getattr(roofline, n) for n in intensities}},
     }
-
-
-def _write(folder: Path, results: Results, data: Any, formats: Sequence[str]) -> None:
-    written = ["bench.json"]
-    if results.growth:
-        from wtg_gym.plotting import plot_growth, save_figure
-
-        written += [path.name for path in save_figure(plot_growth(results.growth), folder / "growth", formats)]
-    write_atomically(folder / "bench.json", to_json(data))
-    note(f"wrote {', '.join(written)} in {folder}")
 
 
 def _markdown(pieces: Sequence[Table | str]) -> str:

@@ -7,7 +7,7 @@ import dataclasses
 from pathlib import Path
 
 from wtg_gym.analysis.estimation import UNKNOWNS, EstimationStudy, estimation_table, study_own_run, study_recorded_run
-from wtg_gym.cli.output import check_page, plain_json, print_json, say, update_page
+from wtg_gym.cli.output import check_page, give_text
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.progress import Progress
 
@@ -71,12 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
     page = check_page("--page", arguments.page, section)
     study = _study(arguments)
     text = f"{_summary(study)}\n\n{estimation_table(study)}"
-    if page is not None:
-        update_page(page, {section: text})
-    if arguments.json:
-        print_json(plain_json(dataclasses.asdict(study)))
-    elif page is None:
-        say(*text.splitlines())
+    give_text(page, section, text, dataclasses.asdict(study), as_json=arguments.json)
     return 0
 
 

@@ -9,9 +9,12 @@ import os
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from wtg_gym.files import printable, require_markers, update_between_markers, write_atomically
+from wtg_gym.files import printable, require_markers, to_json, update_between_markers, write_atomically
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 #: Formats that figures are written in.
 FIGURE_FORMATS = ("svg", "png", "pdf")
@@ -143,3 +146,33 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, left: S
             for index, (cell, width) in enumerate(zip(row, widths, strict=True))
         )
         say("  ".join(aligned).rstrip())
+
+
+# --- studies ----------------------------------------------------------------------------------------------------------
+
+
+def study_folder(text: str | None, *, draws: bool = True) -> Path | None:
+    """Return the folder of `--output`, or raise a ValueError now rather than after the work; None for no files."""
+    folder = None if text is None else check_output_folder("--output", text)
+    if folder is not None and draws:
+        require_extra("matplotlib", "--output")
+    return folder
+
+
+def write_study(folder: Path, name: str, data: Any, figures: Mapping[str, Figure], formats: Sequence[str]) -> None:
+    """Write the figures of a study and its numbers, JSON-ready, into a folder, and say so."""
+    from wtg_gym.plotting import save_figure
+
+    paths = [path for file, figure in figures.items() for path in save_figure(figure, folder / file, formats)]
+    write_atomically(folder / f"{name}.json", to_json(data))
+    note(f"wrote {', '.join([f'{name}.json', *(path.name for path in paths)])} in {folder}")
+
+
+def give_text(page: Path | None, section: str, text: str, data: Any, *, as_json: bool) -> None:
+    """Put the text of a study into a page or print it, and print its data as JSON if that is asked for."""
+    if page is not None:
+        update_page(page, {section: text})
+    if as_json:
+        print_json(plain_json(data))
+    elif page is None:
+        say(*text.splitlines())

@@ -66,7 +66,7 @@ def add_command(
 def add_output_options(
     parser: argparse.ArgumentParser, *, output: str, page: str, json: str, default: str | None = None
 ) -> None:
-    """Add the options of what a command writes besides a table on stdout."""
+    """Add the options of what a study writes besides a table on stdout; by default no files, or those in `default`."""
     out = parser.add_argument_group("output")
     out.add_argument("--output", default=default, metavar="FOLDER", help=output)
     out.add_argument(
