@@ -77,11 +77,7 @@ class PolicyNetwork:
 
 
 def flat_layers(modules: Sequence[nn.Module]) -> list[nn.Module]:
-    """Return the layers in modules one after the other.
-
-    Raises:
-        ValueError: one is none of :data:`LAYERS`.
-    """
+    """Return the layers in modules one after the other; a ValueError if one is none of :data:`LAYERS`."""
     flat = [layer for module in modules for layer in module.modules() if not isinstance(layer, nn.Sequential)]
     for layer in flat:
         if not isinstance(layer, LAYERS):

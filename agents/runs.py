@@ -32,11 +32,7 @@ _PACKAGES = ("gymnasium", "numba", "numpy", "ray", "stable-baselines3", "sb3-con
 
 @dataclass(frozen=True, kw_only=True)
 class RunSettings:
-    """Settings of a run; all of them survive JSON.
-
-    Raises:
-        ValueError: a value is unknown or out of range; the message says what is allowed.
-    """
+    """Settings of a run; all of them survive JSON; a ValueError if a value is unknown or out of range."""
 
     algo: str  # name of the algorithm
     hyperparameters: Mapping[str, Any]  # section of a configuration file, as written there
@@ -187,11 +183,7 @@ class Run:
 
     @classmethod
     def read(cls, folder: Path) -> Run:
-        """Read run.json.
-
-        Raises:
-            ValueError: there is none, or it is damaged.
-        """
+        """Read run.json; a ValueError if there is none, or it is damaged."""
         path = folder / RUN_FILE
         data = read_json(path, "description of the run")
         try:

@@ -29,11 +29,7 @@ N_KNOTS = 16
 
 @dataclass(frozen=True, kw_only=True)
 class Search:
-    """Scenarios and effort of a search.
-
-    Raises:
-        ValueError: a value is unknown or out of range.
-    """
+    """Scenarios and effort of a search; a ValueError if a value is unknown or out of range."""
 
     #: suite, split: of the scenarios.
     suite: str

@@ -56,11 +56,7 @@ examples:
 
 @dataclass(frozen=True, kw_only=True)
 class Planning:
-    """Effort of a planner.
-
-    Raises:
-        ValueError: a value is unknown or out of range; the message says what is allowed.
-    """
+    """Effort of a planner; a ValueError if a value is unknown or out of range."""
 
     knowledge: str = "exact"  # of the wind, "exact" or "measured"
     horizon_s: float = 30.0  # how far ahead a plan looks [s]

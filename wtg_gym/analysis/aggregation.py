@@ -116,11 +116,7 @@ def study_aggregation(
 
 
 def totals_of(scenarios: list[Scenario], strategy: str, groups: tuple[WtgGroup, ...], physics: str) -> Totals:
-    """Run scenarios side by side and add up.
-
-    Raises:
-        ValueError: a run ends early.
-    """
+    """Run scenarios side by side and add up; a ValueError if a run ends early."""
     settings = plant_settings(physics, groups=groups, trips_groups=True)
     simulator = Simulator(settings, n_lanes=len(scenarios), duration_s=max(s.duration_s for s in scenarios))
     laws = group_laws(strategy, len(groups), settings.turbine, settings.control)

@@ -24,6 +24,7 @@ from wtg_gym.scenarios import get_suite
 
 #: Steps of the study [s]; each divides the control interval.
 STEPS = (0.0025, 0.005, 0.01, 0.02, 0.025, 0.04)
+ACCURACY_COLUMNS = ("method", "step [ms]", "time per s [µs]", "frequency [Hz]", "rotor speed [p.u.]", "power [p.u.]")
 #: Least step of the table [s]; figure and file have all.
 _LEAST_SHOWN_S = 0.01
 #: Scenarios in which the reference is compared with a tighter one.
@@ -183,19 +184,17 @@ def accuracy_table(study: AccuracyStudy) -> str:
         if row.step_s < _LEAST_SHOWN_S:
             continue
         chosen = row.method == "RK4" and math.isclose(row.step_s, study.default_step_s)
-        cells = (
-            row.method,
-            f"{1e3 * row.step_s:g}",
-            f"{row.microseconds_per_s:.0f}",
-            *(median_and_worst(errors) for errors in (row.frequency_hz, row.rotor_speed_pu, row.power_pu)),
-        )
-        rows.append(tuple(f"**{cell}**" if chosen else cell for cell in cells))
-    header = ("method", "step [ms]", "time per s [µs]", "frequency [Hz]", "rotor speed [p.u.]", "power [p.u.]")
-    return markdown_table(header, rows, right=(1, 2))
+        rows.append(tuple(f"**{cell}**" if chosen else cell for cell in accuracy_cells(row)))
+    return markdown_table(ACCURACY_COLUMNS, rows, right=(1, 2))
 
 
-def median_and_worst(errors: Floats) -> str:
-    """Return median and worst of errors as text."""
+def accuracy_cells(row: Accuracy) -> tuple[str, ...]:
+    """Return a method's cost and errors as text, in the order of :data:`ACCURACY_COLUMNS`."""
+    errors = (row.frequency_hz, row.rotor_speed_pu, row.power_pu)
+    return row.method, f"{1e3 * row.step_s:g}", f"{row.microseconds_per_s:.0f}", *map(_median_and_worst, errors)
+
+
+def _median_and_worst(errors: Floats) -> str:
     return " / ".join(
         f"{value:.1e}" if math.isfinite(value) else "diverges" for value in (float(np.median(errors)), errors.max())
     )

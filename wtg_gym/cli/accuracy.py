@@ -10,11 +10,12 @@ import numpy as np
 
 from wtg_gym.analysis.explicit_methods import METHODS
 from wtg_gym.analysis.step_error import (
+    ACCURACY_COLUMNS,
     STEPS,
     Accuracy,
     AccuracyStudy,
+    accuracy_cells,
     accuracy_table,
-    median_and_worst,
     order_table,
     study_accuracy,
 )
@@ -115,15 +116,5 @@ def _as_json(study: AccuracyStudy) -> Any:
 
 
 def _print(study: AccuracyStudy) -> None:
-    header = ("method", "step [ms]", "time per s [µs]", "frequency [Hz]", "rotor speed [p.u.]", "power [p.u.]")
-    rows = [
-        (
-            row.method,
-            f"{1e3 * row.step_s:g}",
-            f"{row.microseconds_per_s:.0f}",
-            *(median_and_worst(errors) for errors in (row.frequency_hz, row.rotor_speed_pu, row.power_pu)),
-        )
-        for row in study.rows
-    ]
-    print_table(header, rows)
+    print_table(ACCURACY_COLUMNS, [accuracy_cells(row) for row in study.rows])
     say("", f"errors: median / worst of {len(study.seeds)} scenarios; {_summary(study)}")

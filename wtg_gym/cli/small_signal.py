@@ -92,12 +92,6 @@ def _add_modes(commands: Commands) -> None:
     parser.add_argument("--side", choices=_SIDES, default="under", help="slope of g(ω) at ω_st (default: under)")
     parser.add_argument("--machine-model", choices=MACHINE_MODELS, default="genrou", help="(default: genrou)")
     parser.add_argument("--load-level", type=float, default=1.0, metavar="X", help="factor on every load (default: 1)")
-    parser.add_argument(
-        "--governor-droop", type=float, metavar="R", help="droop R, 0.005 … 1 p.u. (default: the case's, 0.018)"
-    )
-    parser.add_argument(
-        "--inertia-scale", type=float, default=1.0, metavar="X", help="factor on the machines' inertia (default: 1)"
-    )
     out = parser.add_argument_group("output")
     out.add_argument("--plot", metavar="FILE", help=f"eigenvalues as a figure: {', '.join(PLOT_SUFFIXES)}")
     out.add_argument(
@@ -163,8 +157,6 @@ def run_modes(arguments: argparse.Namespace) -> int:
         name="modes",
         wind_speed=np.array(arguments.wind)[:, None],
         load_level=arguments.load_level,
-        governor_droop=arguments.governor_droop,
-        inertia_scale=arguments.inertia_scale,
     )
     laws = chosen_laws(arguments.law)
     models = {law.name: linearise(scenario, law, settings, side=arguments.side).renamed(settings) for law in laws}

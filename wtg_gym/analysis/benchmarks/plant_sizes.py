@@ -93,12 +93,7 @@ class LanesCase:
         self.compile_s = _outermost_s(recorder.buffer)
         arrays: list[npt.NDArray[Any]] = [lanes.simulator.blocks, *lanes.simulator.data, *lanes.outputs]
         self.bytes_per_lane = sum(array.nbytes for array in arrays) / self.n_lanes
-        n_steps = int(episode.n_intervals[0])
-
-        def start() -> None:
-            lanes.commit(range(self.n_lanes), [episode] * self.n_lanes)
-
-        step = n_steps
+        step = n_steps = int(episode.n_intervals[0])
 
         def stepper(seconds: float) -> float:
             # An episode's restart is left out: what it costs depends on the length of the episode.
@@ -106,7 +101,7 @@ class LanesCase:
             n, passed = 0, 0.0
             while passed < seconds:
                 if step >= n_steps:
-                    start()
+                    lanes.commit(range(self.n_lanes), [episode] * self.n_lanes)
                     step = 0
                 count = min(n_steps - step, max(1, 256 // self.n_lanes))
                 begin = time.perf_counter()
