@@ -34,6 +34,9 @@ GROUP_STYLES: tuple[LineStyle, ...] = ("-", "--", ":", "-.")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 #: Widths of one and of two columns of an IEEE journal [mm].
 SINGLE_COLUMN_MM, DOUBLE_COLUMN_MM = 88.9, 181.9
+#: Dashes of thin reference lines, and of those at instants.
+THIN_DASHES: Dashes = (0.0, (5.0, 2.0))
+DOTS: Dashes = (0.0, (1.0, 1.5))
 #: Resolution of pixel files [dots per inch].
 PRINT_DPI = 300
 #: File formats that :func:`figure_bytes` writes.
