@@ -19,16 +19,7 @@ from wtg_gym.analysis.step_error import (
     order_table,
     study_accuracy,
 )
-from wtg_gym.cli.output import (
-    check_page,
-    plain_json,
-    print_json,
-    print_table,
-    say,
-    study_folder,
-    update_page,
-    write_study,
-)
+from wtg_gym.cli import output
 from wtg_gym.cli.parser import Commands, add_command, add_output_options
 from wtg_gym.cli.suites import DRAWN_SUITES
 from wtg_gym.progress import Progress
@@ -65,19 +56,19 @@ def add_commands(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym analyse accuracy`; return 1 if the default step did not stay finite."""
-    page = check_page("--page", arguments.page, "accuracy")
-    folder = study_folder(arguments.output)
+    page = output.check_page("--page", arguments.page, "accuracy")
+    folder = output.study_folder(arguments.output)
     with Progress("scenarios") as progress:
         study = study_accuracy(arguments.scenarios, suite=arguments.suite, on_progress=progress.update)
     data = _as_json(study)
     if folder is not None:
         from wtg_gym.plotting import plot_accuracy
 
-        write_study(folder, "accuracy", data, {"accuracy": plot_accuracy(study)}, arguments.formats)
+        output.write_study(folder, "accuracy", data, {"accuracy": plot_accuracy(study)}, arguments.formats)
     if page is not None:
-        update_page(page, {"accuracy": f"{_summary(study)}\n\n{order_table(study)}\n\n{accuracy_table(study)}"})
+        output.update_page(page, {"accuracy": f"{_summary(study)}\n\n{order_table(study)}\n\n{accuracy_table(study)}"})
     if arguments.json:
-        print_json(data)
+        output.print_json(data)
     else:
         _print(study)
     return int(not np.isfinite(study.row("RK4", study.default_step_s).frequency_hz).all())
@@ -103,7 +94,7 @@ def _as_json(study: AccuracyStudy) -> Any:
             data[quantity] = {"median": np.median(errors), "p95": np.quantile(errors, 0.95), "worst": errors.max()}
         return data
 
-    return plain_json(
+    return output.plain_json(
         {
             "suite": study.suite,
             "seeds": study.seeds,
@@ -116,5 +107,5 @@ def _as_json(study: AccuracyStudy) -> Any:
 
 
 def _print(study: AccuracyStudy) -> None:
-    print_table(ACCURACY_COLUMNS, [accuracy_cells(row) for row in study.rows])
-    say("", f"errors: median / worst of {len(study.seeds)} scenarios; {_summary(study)}")
+    output.print_table(ACCURACY_COLUMNS, [accuracy_cells(row) for row in study.rows])
+    output.say("", f"errors: median / worst of {len(study.seeds)} scenarios; {_summary(study)}")

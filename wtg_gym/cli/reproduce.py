@@ -31,16 +31,7 @@ from wtg_gym.analysis.infinite_bus import Agreement, agreements, system_margins
 from wtg_gym.analysis.loops import Side, SingleMachine, ideal_source_loop, single_machine
 from wtg_gym.analysis.paper_claims import paper_claims
 from wtg_gym.analysis.tables import claims_table, margins_table, modes_table
-from wtg_gym.cli.output import (
-    check_output_folder,
-    check_page,
-    note,
-    plain_json,
-    print_json,
-    print_table,
-    require_extra,
-    update_page,
-)
+from wtg_gym.cli import output
 from wtg_gym.cli.parser import Commands, add_command, add_output_options
 from wtg_gym.files import to_json, write_atomically
 from wtg_gym.physics.plant import PlantSettings
@@ -113,11 +104,11 @@ class _Picture(NamedTuple):
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym reproduce`."""
-    require_extra("matplotlib", "wtg-gym reproduce")
+    output.require_extra("matplotlib", "wtg-gym reproduce")
     from wtg_gym.plotting import save_figure
 
-    folder = check_output_folder("--output", arguments.output)
-    page = check_page("--page", arguments.page, *_SECTIONS)
+    folder = output.check_output_folder("--output", arguments.output)
+    page = output.check_page("--page", arguments.page, *_SECTIONS)
     with Progress("steps") as progress:
         evidence = _measure(progress)
         of_paper, of_studies = _paper_pictures(evidence), _study_pictures(evidence)
@@ -127,7 +118,7 @@ def run(arguments: argparse.Namespace) -> int:
             save_figure(picture.draw(), folder / "figures" / picture.name, arguments.formats)
     data = _as_json(evidence)
     write_atomically(folder / "claims.json", to_json(data))
-    note(f"wrote {folder / 'claims.json'} and {len(pictures)} figures in {folder / 'figures'}")
+    output.note(f"wrote {folder / 'claims.json'} and {len(pictures)} figures in {folder / 'figures'}")
     if page is not None:
         suffix = "png" if "png" in arguments.formats else arguments.formats[0]
         where = Path(os.path.relpath((folder / "figures").resolve(), page.resolve().parent)).as_posix()
@@ -136,14 +127,14 @@ def run(arguments: argparse.Namespace) -> int:
             section: "\n\n".join(f"![{p.text}]({where}/{p.name}.{suffix})\n\n{p.caption}" for p in gallery)
             for section, gallery in galleries.items()
         }
-        update_page(page, sections)
+        output.update_page(page, sections)
     if arguments.json:
-        print_json(data)
+        output.print_json(data)
     else:
         rows = [
             (c.key, c.expected, c.measured, c.fitted, "holds" if c.holds else "DOES NOT HOLD") for c in evidence.claims
         ]
-        print_table(("claim", "expected", "measured", "fitted", "verdict"), rows, left=(0, 1, 2, 3, 4))
+        output.print_table(("claim", "expected", "measured", "fitted", "verdict"), rows, left=(0, 1, 2, 3, 4))
     return 0
 
 
@@ -285,7 +276,7 @@ def _as_json(evidence: _Evidence) -> Any:
     studies: dict[str, Any] = {name: vars(getattr(evidence, name)) for name in _STUDIES}
     studies["machines"] = {"sentence": evidence.machines.sentence}
     studies["modes"] = {"sentence": _modes_sentence(evidence)}
-    return plain_json(
+    return output.plain_json(
         {
             "claims": [dataclasses.asdict(claim) for claim in evidence.claims],
             "studies": studies,

@@ -19,16 +19,8 @@ from wtg_gym.analysis.steady_states import (
     power_margin_pu,
     stable_equilibrium,
 )
+from wtg_gym.cli import output
 from wtg_gym.cli.laws import add_law_option, chosen_laws
-from wtg_gym.cli.output import (
-    PLOT_SUFFIXES,
-    check_output_file,
-    check_plot_file,
-    print_json,
-    print_table,
-    say,
-    write_and_say,
-)
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.physics.aerodynamics import available_power_pu
 from wtg_gym.physics.ieee14 import modified_ieee14
@@ -77,7 +69,7 @@ def add_commands(commands: Commands) -> None:
     parser.add_argument("--fine-pitch", action="store_true", help="hold the blades at 0°: no pitch protection")
     out = parser.add_argument_group("output")
     out.add_argument(
-        "--plot", metavar="FILE", help=f"characteristics of one law as a figure: {', '.join(PLOT_SUFFIXES)}"
+        "--plot", metavar="FILE", help=f"characteristics of one law as a figure: {', '.join(output.PLOT_SUFFIXES)}"
     )
     out.add_argument("--csv", metavar="FILE", help="every equilibrium over frequency, units in the header: .csv")
     out.add_argument("--json", action="store_true", help="print everything as JSON, and nothing else, on stdout")
@@ -85,8 +77,8 @@ def add_commands(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym analyse statics`."""
-    plot = check_plot_file(arguments.plot)
-    table = None if arguments.csv is None else check_output_file("--csv", arguments.csv, (".csv",))
+    plot = output.check_plot_file(arguments.plot)
+    table = None if arguments.csv is None else output.check_output_file("--csv", arguments.csv, (".csv",))
     laws = chosen_laws(arguments.law)
     if plot is not None and len(laws) != 1:
         raise ValueError(f"--plot draws one law, {len(laws)} are given: add --law NAME")
@@ -99,13 +91,13 @@ def run(arguments: argparse.Namespace) -> int:
     frequencies = [float(value) for value in np.linspace(low, high, arguments.points)]
     found = [_statics(law, wind, frequencies, arguments.fine_pitch) for law in laws for wind in winds]
     if table is not None:
-        write_and_say(table, _csv(found))
+        output.write_and_say(table, _csv(found))
     if plot is not None:
         from wtg_gym.plotting import figure_bytes, plot_characteristic
 
-        write_and_say(plot, figure_bytes(plot_characteristic(laws[0], winds), plot.suffix.lower()))
+        output.write_and_say(plot, figure_bytes(plot_characteristic(laws[0], winds), plot.suffix.lower()))
     if arguments.json:
-        print_json({"laws": [law.to_dict() for law in laws], "statics": found})
+        output.print_json({"laws": [law.to_dict() for law in laws], "statics": found})
     else:
         _print(found)
     return 0
@@ -167,8 +159,8 @@ def _print(found: list[dict[str, Any]]) -> None:
     control = GridFormingParameters()
     corners = control.frequency_min_pu, control.frequency_setpoint_pu, control.frequency_max_pu
     heads = (f"p, ω_m at ω = {frequency:g}" for frequency in corners)
-    print_table(("law", "wind [m/s]", "available", *heads, "no equilibrium below"), rows)
-    say("", "powers and speeds in p.u.; – : no stable equilibrium; * : held by the pitch protection")
+    output.print_table(("law", "wind [m/s]", "available", *heads, "no equilibrium below"), rows)
+    output.say("", "powers and speeds in p.u.; – : no stable equilibrium; * : held by the pitch protection")
 
 
 def _short(point: dict[str, Any] | None) -> str:
