@@ -7,7 +7,6 @@ frequencies, a held terminal voltage at low ones.
 from __future__ import annotations
 
 import dataclasses
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,8 +24,6 @@ from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law
 
 #: Upper end of the voltage that equipment stands continuously [p.u.].
 VOLTAGE_LIMIT_PU = 1.1
-#: Reactive power at a power factor of 0.95 and rated active power, a usual requirement of grid codes [p.u.].
-REACTIVE_LIMIT_PU = math.tan(math.acos(0.95))
 #: Bus 2 here keeps the groups clear of their reactive limit, which would be a corner of the right-hand side [p.u.].
 REGULATED_PU = 1.04
 _WTG_BUS = 2

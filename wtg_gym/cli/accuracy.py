@@ -8,28 +8,20 @@ from typing import Any
 
 import numpy as np
 
+from wtg_gym.analysis import step_error
 from wtg_gym.analysis.explicit_methods import METHODS
-from wtg_gym.analysis.step_error import (
-    ACCURACY_COLUMNS,
-    STEPS,
-    Accuracy,
-    AccuracyStudy,
-    accuracy_cells,
-    accuracy_table,
-    order_table,
-    study_accuracy,
-)
 from wtg_gym.cli import output
 from wtg_gym.cli.parser import Commands, add_command, add_output_options
 from wtg_gym.cli.suites import DRAWN_SUITES
 from wtg_gym.progress import Progress
 
+_STEPS = ", ".join(f"{1e3 * step:g}" for step in step_error.STEPS)
 _DESCRIPTION = f"""\
 Integrates random scenarios with several explicit methods and steps, and compares frequency, rotor speed and power of
 every WTG group with scipy's DOP853 at rtol 1e-10 on the same right-hand side: the median and the worst error over the
 scenarios against the time that a simulated second takes. Without --output only the table is printed.
 
-methods: {", ".join(method.name for method in METHODS)}; steps: {", ".join(f"{1e3 * step:g}" for step in STEPS)} ms"""
+methods: {", ".join(method.name for method in METHODS)}; steps: {_STEPS} ms"""
 
 
 def add_commands(commands: Commands) -> None:
@@ -59,14 +51,17 @@ def run(arguments: argparse.Namespace) -> int:
     page = output.check_page("--page", arguments.page, "accuracy")
     folder = output.study_folder(arguments.output)
     with Progress("scenarios") as progress:
-        study = study_accuracy(arguments.scenarios, suite=arguments.suite, on_progress=progress.update)
+        study = step_error.study_accuracy(arguments.scenarios, suite=arguments.suite, on_progress=progress.update)
     data = _as_json(study)
     if folder is not None:
         from wtg_gym.plotting import plot_accuracy
 
         output.write_study(folder, "accuracy", data, {"accuracy": plot_accuracy(study)}, arguments.formats)
     if page is not None:
-        output.update_page(page, {"accuracy": f"{_summary(study)}\n\n{order_table(study)}\n\n{accuracy_table(study)}"})
+        output.update_page(
+            page,
+            {"accuracy": f"{_summary(study)}\n\n{step_error.order_table(study)}\n\n{step_error.accuracy_table(study)}"},
+        )
     if arguments.json:
         output.print_json(data)
     else:
@@ -74,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
     return int(not np.isfinite(study.row("RK4", study.default_step_s).frequency_hz).all())
 
 
-def _summary(study: AccuracyStudy) -> str:
+def _summary(study: step_error.AccuracyStudy) -> str:
     chosen = study.row("RK4", study.default_step_s)
     return (
         f"{len(study.seeds)} validation scenarios of the suite {study.suite} under the reference strategy. An error is "
@@ -86,8 +81,8 @@ def _summary(study: AccuracyStudy) -> str:
     )
 
 
-def _as_json(study: AccuracyStudy) -> Any:
-    def plain(row: Accuracy) -> dict[str, Any]:
+def _as_json(study: step_error.AccuracyStudy) -> Any:
+    def plain(row: step_error.Accuracy) -> dict[str, Any]:
         data = dataclasses.asdict(row)
         for quantity in ("frequency_hz", "rotor_speed_pu", "power_pu"):
             errors = data[quantity]
@@ -106,6 +101,6 @@ def _as_json(study: AccuracyStudy) -> Any:
     )
 
 
-def _print(study: AccuracyStudy) -> None:
-    output.print_table(ACCURACY_COLUMNS, [accuracy_cells(row) for row in study.rows])
+def _print(study: step_error.AccuracyStudy) -> None:
+    output.print_table(step_error.ACCURACY_COLUMNS, [step_error.accuracy_cells(row) for row in study.rows])
     output.say("", f"errors: median / worst of {len(study.seeds)} scenarios; {_summary(study)}")

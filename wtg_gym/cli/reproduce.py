@@ -11,20 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from wtg_gym.analysis.case_studies import (
-    CaseStudies,
-    DampingStudy,
-    EquilibriumStudy,
-    MachineModelStudy,
-    MarginStudy,
-    linear_undamped,
-    run_case_studies,
-    study_damping,
-    study_equilibria,
-    study_machine_models,
-    study_margins,
-    study_slopes,
-)
+from wtg_gym.analysis import case_studies
 from wtg_gym.analysis.claim import Claim
 from wtg_gym.analysis.eigenvalues import Mode, linearise, modes
 from wtg_gym.analysis.infinite_bus import Agreement, agreements, system_margins
@@ -81,13 +68,13 @@ def add_commands(commands: Commands) -> None:
 class _Evidence:
     """All measurements; nothing is drawn before they are complete."""
 
-    cases: CaseStudies
+    cases: case_studies.CaseStudies
     claims: tuple[Claim, ...]
-    margins: MarginStudy
-    slopes: MarginStudy
-    equilibria: EquilibriumStudy
-    damping: DampingStudy
-    machines: MachineModelStudy
+    margins: case_studies.MarginStudy
+    slopes: case_studies.MarginStudy
+    equilibria: case_studies.EquilibriumStudy
+    damping: case_studies.DampingStudy
+    machines: case_studies.MachineModelStudy
     agreement: tuple[Agreement, ...]
     system_margins: tuple[SingleMachine, ...]
     modes: Mapping[str, tuple[Mode, ...]]
@@ -139,14 +126,14 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _measure(progress: Progress) -> _Evidence:
-    cases = run_case_studies(progress.update)
+    cases = case_studies.run_case_studies(progress.update)
     steps: dict[str, Callable[[], Any]] = {
         "claims": lambda: paper_claims(cases),
-        "margins over wind": study_margins,
-        "both slopes": study_slopes,
-        "lost equilibria": study_equilibria,
-        "damping time constant": study_damping,
-        "machine models": study_machine_models,
+        "margins over wind": case_studies.study_margins,
+        "both slopes": case_studies.study_slopes,
+        "lost equilibria": case_studies.study_equilibria,
+        "damping time constant": case_studies.study_damping,
+        "machine models": case_studies.study_machine_models,
         "infinite bus": lambda: tuple(agreements()),
         "margins in the system": lambda: tuple(system_margins()),
         "modes": _system_modes,
@@ -222,13 +209,13 @@ def _paper_pictures(evidence: _Evidence) -> list[_Picture]:
 
 
 def _bode_loops() -> dict[str, SingleMachine]:
-    laws = [*(STRATEGIES[name] for name in ("mppt", "deloaded-5", "deloaded-10")), linear_undamped()]
+    laws = [*(STRATEGIES[name] for name in ("mppt", "deloaded-5", "deloaded-10")), case_studies.linear_undamped()]
     return {"ideal-source": ideal_source_loop(), **{law.name: single_machine(law, 11.4) for law in laws}}
 
 
 def _proposed_loops() -> dict[str, SingleMachine]:
     linear, piecewise = STRATEGIES["coordinated-linear"], STRATEGIES[REFERENCE_STRATEGY]
-    loops = {law.name: single_machine(law, 11.4) for law in (linear, linear_undamped())}
+    loops = {law.name: single_machine(law, 11.4) for law in (linear, case_studies.linear_undamped())}
     sides: tuple[Side, ...] = ("under", "over")
     return loops | {f"{piecewise.name}, {side}-frequency": single_machine(piecewise, 11.4, side=side) for side in sides}
 

@@ -11,14 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from wtg_gym.analysis import steady_states
 from wtg_gym.analysis.power_frequency import critical_frequency_pu, named_points
-from wtg_gym.analysis.steady_states import (
-    FREQUENCY_RANGE,
-    OperatingPoint,
-    equilibria,
-    power_margin_pu,
-    stable_equilibrium,
-)
 from wtg_gym.cli import output
 from wtg_gym.cli.laws import add_law_option, chosen_laws
 from wtg_gym.cli.parser import Commands, add_command
@@ -83,7 +77,9 @@ def run(arguments: argparse.Namespace) -> int:
     if plot is not None and len(laws) != 1:
         raise ValueError(f"--plot draws one law, {len(laws)} are given: add --law NAME")
     winds = [require_range("--wind", wind, *WIND_SPEED_RANGE, "m/s") for wind in arguments.wind]
-    low, high = (require_range("--frequency", value, *FREQUENCY_RANGE, "p.u.") for value in arguments.frequency)
+    low, high = (
+        require_range("--frequency", value, *steady_states.FREQUENCY_RANGE, "p.u.") for value in arguments.frequency
+    )
     if not low < high:
         raise ValueError(f"--frequency {low:g} {high:g}: the first value must be the lower one")
     if not 2 <= arguments.points <= 100_000:
@@ -123,25 +119,27 @@ def _statics(law: TrackingLaw, wind: float, frequencies: list[float], fine_pitch
         "fine_pitch": fine_pitch,
         "available_power_pu": float(available_power_pu(wind)),
         "has_equilibrium_from_setpoint_on": somewhere,
-        "has_equilibrium_at_setpoint": power_margin_pu(nominal, law, wind, fine_pitch=fine_pitch) >= 0.0,
+        "has_equilibrium_at_setpoint": steady_states.power_margin_pu(nominal, law, wind, fine_pitch=fine_pitch) >= 0.0,
         "critical_frequency_pu": critical,
         "critical_frequency_hz": None if critical is None else modified_ieee14().frequency_hz * critical,
         "stable_equilibrium_at": {
-            name: _point(stable_equilibrium(frequency, law, wind, fine_pitch=fine_pitch))
+            name: _point(steady_states.stable_equilibrium(frequency, law, wind, fine_pitch=fine_pitch))
             for name, frequency in corners.items()
         },
         "named_points": {name: _point(point) for name, point in points.items()},
         "characteristic": [
             {
                 "frequency_pu": frequency,
-                "equilibria": [_point(point) for point in equilibria(frequency, law, wind, fine_pitch=fine_pitch)],
+                "equilibria": [
+                    _point(point) for point in steady_states.equilibria(frequency, law, wind, fine_pitch=fine_pitch)
+                ],
             }
             for frequency in frequencies
         ],
     }
 
 
-def _point(point: OperatingPoint | None) -> dict[str, Any] | None:
+def _point(point: steady_states.OperatingPoint | None) -> dict[str, Any] | None:
     return None if point is None else dataclasses.asdict(point)
 
 
@@ -179,7 +177,7 @@ def _critical(entry: dict[str, Any]) -> str:
 
 def _csv(found: list[dict[str, Any]]) -> str:
     text = io.StringIO()
-    names = [field.name for field in dataclasses.fields(OperatingPoint)]
+    names = [field.name for field in dataclasses.fields(steady_states.OperatingPoint)]
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["law", "wind_m_s", *names])
     for entry in found:
