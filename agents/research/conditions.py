@@ -6,7 +6,7 @@ import itertools
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -234,20 +234,14 @@ def gathered(
     laws = [entry for name in LAWS for entry in load_entries(name)]
     entries = [*laws, *load_entries("fast-droop"), *_droops(suite), *feedbacks, *agents]
     with Progress("episodes") as progress:
-        results = evaluate(entries, suite, "validation", n_threads=n_threads, on_progress=progress.update)
+        options: dict[str, Any] = {"n_threads": n_threads, "on_progress": progress.update}
+        results = evaluate(entries, suite, "validation", **options)
         late = None
         if agents:
             delay = get_suite(suite).sensors
             assert delay is not None
-            shifted = [value + 0.1 for value in delay.delay_s]
-            late = evaluate(
-                list(agents),
-                suite,
-                "validation",
-                n_threads=n_threads,
-                on_progress=progress.update,
-                sensors={"delay_s": shifted},
-            )
+            shifted = {"delay_s": [value + 0.1 for value in delay.delay_s]}
+            late = evaluate(list(agents), suite, "validation", sensors=shifted, **options)
     simple: list[SimplePolicy] | None = None
     if n_simple:
         simple = [

@@ -109,11 +109,14 @@ def run(arguments: argparse.Namespace) -> int:
     if page is not None:
         suffix = "png" if "png" in arguments.formats else arguments.formats[0]
         where = Path(os.path.relpath((folder / "figures").resolve(), page.resolve().parent)).as_posix()
-        galleries = {"figures": of_paper, "studies": of_studies}
-        sections = _sections(evidence) | {
-            section: "\n\n".join(f"![{p.text}]({where}/{p.name}.{suffix})\n\n{p.caption}" for p in gallery)
-            for section, gallery in galleries.items()
+        sections = {
+            "claims": claims_table(evidence.claims),
+            "small-signal": margins_table(evidence.agreement, evidence.system_margins),
+            "modes": modes_table(evidence.modes[REFERENCE_STRATEGY]),
         }
+        for section, gallery in (("figures", of_paper), ("studies", of_studies)):
+            texts = [f"![{p.text}]({where}/{p.name}.{suffix})\n\n{p.caption}" for p in gallery]
+            sections[section] = "\n\n".join(texts)
         output.update_page(page, sections)
     if arguments.json:
         output.print_json(data)
@@ -249,14 +252,6 @@ def _modes_sentence(evidence: _Evidence) -> str:
         f"Without transient damping the least damped one has ζ = {without.damping_ratio:.2f} at "
         f"{without.frequency_hz:.2f} Hz."
     )
-
-
-def _sections(evidence: _Evidence) -> dict[str, str]:
-    return {
-        "claims": claims_table(evidence.claims),
-        "small-signal": margins_table(evidence.agreement, evidence.system_margins),
-        "modes": modes_table(evidence.modes[REFERENCE_STRATEGY]),
-    }
 
 
 def _as_json(evidence: _Evidence) -> Any:

@@ -42,7 +42,10 @@ class Curve:
     def exponent(self) -> float:
         """Slope p of the cost ~ n^p over the upper half of the sizes; NaN for a single size."""
         upper = self.points[len(self.points) // 2 - (len(self.points) < 4) :] if len(self.points) > 1 else ()
-        return math.nan if len(upper) < 2 else _slope(upper)
+        if len(upper) < 2:
+            return math.nan
+        n, cost = np.log([point.n for point in upper]), np.log([point.microseconds for point in upper])
+        return float(np.polyfit(n, cost, 1)[0])
 
     @property
     def quadratic_share(self) -> float:
@@ -54,11 +57,6 @@ class Curve:
         weights, _ = nnls(terms / cost[:, None], np.ones_like(n))
         parts = weights * terms[-1]
         return float(parts[2] / parts.sum())
-
-
-def _slope(points: Sequence[Point]) -> float:
-    n, cost = np.log([point.n for point in points]), np.log([point.microseconds for point in points])
-    return float(np.polyfit(n, cost, 1)[0])
 
 
 def growth_cases(*, full: bool) -> dict[str, list[tuple[int, LanesCase]]]:
