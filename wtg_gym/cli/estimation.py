@@ -6,7 +6,14 @@ import argparse
 import dataclasses
 from pathlib import Path
 
-from wtg_gym.analysis.estimation import UNKNOWNS, EstimationStudy, estimation_table, study_own_run, study_recorded_run
+from wtg_gym.analysis.estimation import (
+    UNKNOWNS,
+    EstimationStudy,
+    Noise,
+    estimation_table,
+    study_own_run,
+    study_recorded_run,
+)
 from wtg_gym.cli.output import check_page, give_text
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.progress import Progress
@@ -83,7 +90,7 @@ def _study(arguments: argparse.Namespace) -> EstimationStudy:
         raise ValueError(f"--{of_case[0].replace('_', '-')} is for --recorded")
     if arguments.recorded is not None and arguments.power is not None:
         raise ValueError("--power is that of a run of the benchmark's plant: leave out --recorded")
-    shared = {"noise_mhz": arguments.noise, "n_draws": arguments.draws, "seed": arguments.seed, **given}
+    shared = {"noise": Noise(arguments.noise, arguments.draws, arguments.seed), **given}
     with Progress("draws") as progress:
         shared["on_progress"] = lambda done: progress.update("noise", done, arguments.draws)
         if arguments.recorded is None:

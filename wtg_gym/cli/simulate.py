@@ -105,7 +105,7 @@ def run(arguments: argparse.Namespace) -> int:
         trips_groups=arguments.on_failure == "trip",
     )
     every = STRATEGIES if suite.benchmark is V0 else STRATEGY_NAMES
-    laws = {law.name: law for law in chosen_laws(arguments.law, settings.turbine, every)}
+    laws = {law.name: law for law in chosen_laws(arguments, settings.turbine, every)}
     with Progress("runs") as progress:
         runs = {}
         for done, (name, law) in enumerate(laws.items()):

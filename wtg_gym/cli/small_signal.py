@@ -105,7 +105,7 @@ def run_margins(arguments: argparse.Namespace) -> int:
     if plot is not None and len(arguments.wind) != 1:
         raise ValueError(f"--plot draws one wind speed, {len(arguments.wind)} are given")
     loops: list[tuple[str, SingleMachine]] = [("–", ideal_source_loop(arguments.kp))]
-    for law in chosen_laws(arguments.law):
+    for law in chosen_laws(arguments):
         for wind in arguments.wind:
             both = [single_machine(law, wind, arguments.kp, side=side) for side in _SIDES]
             if math.isclose(both[0].frequency_slope, both[1].frequency_slope, rel_tol=1e-9, abs_tol=1e-12):
@@ -158,7 +158,7 @@ def run_modes(arguments: argparse.Namespace) -> int:
         wind_speed=np.array(arguments.wind)[:, None],
         load_level=arguments.load_level,
     )
-    laws = chosen_laws(arguments.law)
+    laws = chosen_laws(arguments)
     models = {law.name: linearise(scenario, law, settings, side=arguments.side).renamed(settings) for law in laws}
     found = {name: modes(model) for name, model in models.items()}
     if plot is not None:

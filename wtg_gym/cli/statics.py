@@ -73,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym analyse statics`."""
     plot = output.check_plot_file(arguments.plot)
     table = None if arguments.csv is None else output.check_output_file("--csv", arguments.csv, (".csv",))
-    laws = chosen_laws(arguments.law)
+    laws = chosen_laws(arguments)
     if plot is not None and len(laws) != 1:
         raise ValueError(f"--plot draws one law, {len(laws)} are given: add --law NAME")
     winds = [require_range("--wind", wind, *WIND_SPEED_RANGE, "m/s") for wind in arguments.wind]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import html
 import math
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -339,7 +340,7 @@ class ExplorePage:
         rows += [[f"pin {name}", *run.numbers().values()] for name, run in pinned]
         self._texts["numbers"].text = look.table(["", *shown.numbers()], rows)
         pins = [f"{name}: {describe(run.experiment)}" for name, run in pinned]
-        self._texts["pins"].text = "<br>".join(f"<span class=soft>{look.escaped(pin)}</span>" for pin in pins)
+        self._texts["pins"].text = "<br>".join(f"<span class=soft>{html.escape(pin)}</span>" for pin in pins)
         self._widgets["pin"].disabled = len(self._pinned) == N_PINS
         self._widgets["unpin"].disabled = not self._pinned
         self._widgets["json"].value = shown.experiment.to_json()
@@ -347,8 +348,8 @@ class ExplorePage:
         saved = "with the scenario in explored.json"
         self._texts["command"].text = (
             f"<p class=soft>The same run in a terminal, {saved}{' and this in law.toml' if law else ''}:</p>"
-            f"<p><code>{look.escaped(shown.experiment.command())}</code></p>"
-            + (f"<p><code>{look.escaped(law).strip().replace(chr(10), '<br>')}</code></p>" if law else "")
+            f"<p><code>{html.escape(shown.experiment.command())}</code></p>"
+            + (f"<p><code>{html.escape(law).strip().replace(chr(10), '<br>')}</code></p>" if law else "")
         )
         self._draw_characteristic()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import time
 from typing import Any
 
@@ -226,9 +227,9 @@ class PlayPage:
         behind = "" if not match.reference.over or match.over else " The reference has failed."
         self._status.text = (
             f"<b>{now.time_s:.1f} s</b> of {self._scale.duration_s:g} s, <b>{now.frequency_hz:.2f} Hz</b>, {state}. "
-            f"<span class=soft>{look.escaped(self._scale.suite.name)}, scenario {match.seed}.{behind}</span>"
+            f"<span class=soft>{html.escape(self._scale.suite.name)}, scenario {match.seed}.{behind}</span>"
         )
-        lines = [f"<p><b>{time_s:.1f} s</b> {look.escaped(words)}</p>" for time_s, words in reversed(self._seen)]
+        lines = [f"<p><b>{time_s:.1f} s</b> {html.escape(words)}</p>" for time_s, words in reversed(self._seen)]
         self._events.text = "".join(lines) or "<p class=soft>Nothing yet. Events are not announced.</p>"
 
 
