@@ -68,11 +68,6 @@ def save_folder(parent: Path, timesteps: int, write: Callable[[Path], object]) -
 
     The folder gets its name when it is complete, so that a complete one remains after a kill at any moment. One of the
     same name is complete and of the same step; it is kept.
-
-    Args:
-        parent: folder to write into.
-        timesteps: number of timesteps.
-        write: writes the files into the folder that it is given.
     """
     target, temporary = parent / f"{timesteps:012d}", parent / "incomplete"
     if not target.exists():

@@ -65,12 +65,7 @@ class Gains:
         return costs
 
     def of(self, reference_costs: Floats, rewards: Floats) -> Floats:
-        """Return the gains of a step [%], (n_lanes,).
-
-        Args:
-            reference_costs: result of :meth:`reference_costs` before the step.
-            rewards: of the step.
-        """
+        """Return the gains of a step [%], (n_lanes,), from :meth:`reference_costs` before it and its rewards."""
         gains: Floats = (reference_costs + rewards) / self._units
         return gains
 

@@ -114,9 +114,6 @@ class Failures:
     A logistic function of the least rotor speed and of the least frequency takes an episode's cost towards that of a
     failed one in the score. It is 0.5 a spread above the limit of the protection, and 0.73 at the limit. Failures of
     other kinds keep their constant charge.
-
-    Args:
-        episodes: give the limits.
     """
 
     def __init__(self, episodes: TorchEpisodes) -> None:

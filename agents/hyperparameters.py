@@ -54,21 +54,13 @@ _NOT_IN_FILES |= {f"{kind}_buffer_{part}" for kind in ("replay", "rollout") for 
 
 @dataclass(frozen=True, kw_only=True)
 class Hyperparameters:
-    """A section of a file in Python's terms.
+    """A section of a file in Python's terms."""
 
-    Args:
-        n_timesteps: environment steps of a training run, all lanes together.
-        n_envs: number of lanes.
-        normalize: arguments of VecNormalize; None for no normalisation.
-        noise_std: standard deviation of the exploration noise on the actions, None for none.
-        arguments: arguments of the algorithm, `policy` among them.
-    """
-
-    n_timesteps: int
-    n_envs: int
-    normalize: Mapping[str, Any] | None
-    noise_std: float | None
-    arguments: Mapping[str, Any]
+    n_timesteps: int  # environment steps of a training run, all lanes together
+    n_envs: int  # number of lanes
+    normalize: Mapping[str, Any] | None  # arguments of VecNormalize; None for no normalisation
+    noise_std: float | None  # standard deviation of the exploration noise on the actions, None for none
+    arguments: Mapping[str, Any]  # arguments of the algorithm, `policy` among them
 
 
 def read_config(path: Path, env_id: str = ENV_ID) -> dict[str, Any]:
@@ -92,10 +84,6 @@ def read_config(path: Path, env_id: str = ENV_ID) -> dict[str, Any]:
 
 def parse(algo: str, raw: Mapping[str, Any]) -> Hyperparameters:
     """Return the hyperparameters that a section of a file means.
-
-    Args:
-        algo: one of :data:`ALGORITHMS`.
-        raw: result of :func:`read_config`.
 
     Raises:
         ValueError: an algorithm, key or value is unknown or out of range; the message says what is allowed.

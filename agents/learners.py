@@ -40,9 +40,6 @@ def build_model(algo: str, hyperparameters: Hyperparameters, env: VecEnv, *, see
     """Return an untrained learner.
 
     Args:
-        algo: one of :data:`agents.hyperparameters.ALGORITHMS`.
-        hyperparameters: of the algorithm.
-        env: environment to learn in.
         seed: seed of the weights, of the exploration and, plus the lane's number, of the lanes' scenarios.
         device: "cpu" or "cuda".
 
@@ -74,12 +71,7 @@ def save_policy(folder: Path, model: BaseAlgorithm) -> None:
 
 
 def save_checkpoint(folder: Path, model: BaseAlgorithm) -> None:
-    """Write everything that training goes on from.
-
-    Args:
-        folder: an empty folder.
-        model: the learner, between two rollouts.
-    """
+    """Write everything that training goes on from into an empty folder, between two rollouts of the learner."""
     save_policy(folder, model)
     if isinstance(model, OffPolicyAlgorithm):
         model.save_replay_buffer(folder / _REPLAY_BUFFER)

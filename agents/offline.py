@@ -54,13 +54,7 @@ examples:
 
 
 class Actor(nn.Module):
-    """A policy of d3rlpy behind the normalisation and the choice of its observations.
-
-    Args:
-        policy: what learned.
-        columns: entries of the observation that it sees.
-        mean, std: of these.
-    """
+    """A policy of d3rlpy behind the normalisation and the choice of its observations."""
 
     def __init__(
         self, policy: nn.Module, columns: Sequence[int], mean: npt.NDArray[np.float32], std: npt.NDArray[np.float32]

@@ -40,16 +40,12 @@ LAYERS: tuple[type[nn.Module], ...] = (nn.Linear, nn.Hardtanh, *_OPERATORS)
 
 @dataclass(frozen=True, kw_only=True)
 class Normalization:
-    """clip((observation - mean) / std, ± bound) in double precision.
+    """clip((observation - mean) / std, ± bound) in double precision."""
 
-    Args:
-        mean, std: one value per entry of the observation, (n_observation,) float64.
-        bound: largest magnitude of the result.
-    """
-
+    #: mean, std: one value per entry of the observation, (n_observation,) float64.
     mean: npt.NDArray[np.float64]
     std: npt.NDArray[np.float64]
-    bound: float
+    bound: float  # largest magnitude of the result
 
 
 def normalized(values: torch.Tensor, mean: torch.Tensor, std: torch.Tensor, bound: float) -> torch.Tensor:
@@ -59,46 +55,29 @@ def normalized(values: torch.Tensor, mean: torch.Tensor, std: torch.Tensor, boun
 
 @dataclass(frozen=True, kw_only=True)
 class LowPass:
-    """Slow copies of some entries of the observation: y += gain (x - y) in every step, from y = x at the start.
+    """Slow copies of some entries of the observation: y += gain (x - y) in every step, from y = x at the start."""
 
-    Args:
-        columns: the entries, (n,) whole numbers.
-        gain: one per copy, (n,).
-    """
-
-    columns: npt.NDArray[np.int64]
-    gain: npt.NDArray[np.float64]
+    columns: npt.NDArray[np.int64]  # the entries, (n,) whole numbers
+    gain: npt.NDArray[np.float64]  # one per copy, (n,)
 
 
 @dataclass(frozen=True)
 class PolicyNetwork:
-    """Observation → normalisation → low pass → LSTM → layers → clip to [-1, 1]: the deterministic action.
+    """Observation → normalisation → low pass → LSTM → layers → clip to [-1, 1]: the deterministic action."""
 
-    Args:
-        n_observation: number of entries of the observation.
-        normalization: None where the network sees raw observations.
-        lstm: None for a policy without memory.
-        layers: applied one after the other, each of :data:`LAYERS`.
-        low_pass: its slow copies follow the observation in what the layers see; not beside an LSTM.
-        sizes: one for each of the equal parts of which the observation consists; the network acts for each part by
-            itself, and sees its size behind it; all its other numbers are of one part. Not beside an LSTM or a low
-            pass. None for a network that sees and does all.
-    """
-
-    n_observation: int
-    normalization: Normalization | None
-    lstm: nn.LSTM | None
-    layers: Sequence[nn.Module]
-    low_pass: LowPass | None = None
+    n_observation: int  # number of entries of the observation
+    normalization: Normalization | None  # None where the network sees raw observations
+    lstm: nn.LSTM | None  # None for a policy without memory
+    layers: Sequence[nn.Module]  # applied one after the other, each of :data:`LAYERS`
+    low_pass: LowPass | None = None  # its slow copies follow the observation in what the layers see; not beside an LSTM
+    #: One for each of the equal parts of which the observation consists; the network acts for each part by itself, and
+    #: sees its size behind it; all its other numbers are of one part. Not beside an LSTM or a low pass. None for a
+    #: network that sees and does all.
     sizes: npt.NDArray[np.float32] | None = None
 
 
 def flat_layers(modules: Sequence[nn.Module]) -> list[nn.Module]:
-    """Return the layers in modules one after the other.
-
-    Raises:
-        ValueError: one is none of :data:`LAYERS`.
-    """
+    """Return the layers in modules one after the other; a ValueError if one is none of :data:`LAYERS`."""
     flat = [layer for module in modules for layer in module.modules() if not isinstance(layer, nn.Sequential)]
     for layer in flat:
         if not isinstance(layer, LAYERS):

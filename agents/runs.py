@@ -32,37 +32,23 @@ _PACKAGES = ("gymnasium", "numba", "numpy", "ray", "stable-baselines3", "sb3-con
 
 @dataclass(frozen=True, kw_only=True)
 class RunSettings:
-    """Settings of a run; all of them survive JSON.
+    """Settings of a run; all of them survive JSON; a ValueError if a value is unknown or out of range."""
 
-    Args:
-        algo: name of the algorithm.
-        hyperparameters: section of a configuration file, as written there.
-        action_mode, observation_mode, suite, strategy, groups, sensors: as for the environment.
-        seed: seed of the weights, the exploration and the scenarios.
-        timesteps: steps of all lanes together.
-        n_envs: number of lanes.
-        interval: steps between two validations with a checkpoint each.
-        validation_episodes: scenarios of a validation, the first ones of the suite's validation split.
-        device: "cpu" or "cuda".
-
-    Raises:
-        ValueError: a value is unknown or out of range; the message says what is allowed.
-    """
-
-    algo: str
-    hyperparameters: Mapping[str, Any]
+    algo: str  # name of the algorithm
+    hyperparameters: Mapping[str, Any]  # section of a configuration file, as written there
+    #: action_mode, observation_mode, suite, strategy, groups, sensors: as for the environment.
     action_mode: str = "k+tau"
     observation_mode: str = "local"
     suite: str = "standard"
     strategy: str = REFERENCE_STRATEGY
     groups: int | None = None
     sensors: str | Mapping[str, Any] | None = None
-    seed: int = 0
-    timesteps: int
-    n_envs: int
-    interval: int
-    validation_episodes: int = 50
-    device: str = "cpu"
+    seed: int = 0  # seed of the weights, the exploration and the scenarios
+    timesteps: int  # steps of all lanes together
+    n_envs: int  # number of lanes
+    interval: int  # steps between two validations with a checkpoint each
+    validation_episodes: int = 50  # scenarios of a validation, the first ones of the suite's validation split
+    device: str = "cpu"  # "cpu" or "cuda"
 
     def __post_init__(self) -> None:
         EnvSettings(**self.env_arguments)
@@ -97,23 +83,15 @@ class RunSettings:
 
 @dataclass(kw_only=True)
 class Run:
-    """A run as run.json describes it.
+    """A run as run.json describes it."""
 
-    Args:
-        settings: of the run.
-        provenance: command, versions, commit and start time of the process that began it.
-        curve: one row per validation, see :meth:`validate`.
-        resumed: number of resumptions.
-        resumptions: provenance of the processes that went on, the latest last, each with the differences it found.
-        finished: whether all timesteps are done.
-    """
-
-    settings: RunSettings
-    provenance: Mapping[str, Any]
-    curve: list[dict[str, float]] = field(default_factory=list)
-    resumed: int = 0
+    settings: RunSettings  # of the run
+    provenance: Mapping[str, Any]  # command, versions, commit and start time of the process that began it
+    curve: list[dict[str, float]] = field(default_factory=list)  # one row per validation, see :meth:`validate`
+    resumed: int = 0  # number of resumptions
+    #: Provenance of the processes that went on, the latest last, each with the differences it found.
     resumptions: list[Mapping[str, Any]] = field(default_factory=list)
-    finished: bool = False
+    finished: bool = False  # whether all timesteps are done
 
     @classmethod
     def new(cls, settings: RunSettings) -> Run:
@@ -205,11 +183,7 @@ class Run:
 
     @classmethod
     def read(cls, folder: Path) -> Run:
-        """Read run.json.
-
-        Raises:
-            ValueError: there is none, or it is damaged.
-        """
+        """Read run.json; a ValueError if there is none, or it is damaged."""
         path = folder / RUN_FILE
         data = read_json(path, "description of the run")
         try:

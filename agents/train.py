@@ -138,8 +138,6 @@ class _Supervision(BaseCallback):
     """Measures, validates and saves while a learner learns.
 
     Args:
-        run, folder, on_score: as for :func:`train`.
-        progress: shows how far it is.
         restored_at: timesteps of the checkpoint that the learner is from; None for a new one.
     """
 

@@ -38,13 +38,7 @@ Values = dict[str, Any]
 
 
 def space(algo: str, trial: Trial, n_envs: int) -> Values:
-    """Return the values that a trial tries in place of those of the configuration file.
-
-    Args:
-        algo: name of the algorithm.
-        trial: suggests them.
-        n_envs: number of lanes.
-    """
+    """Return the values that a trial tries in place of those of the configuration file."""
     values: Values = {
         "learning_rate": trial.suggest_float("learning_rate", 5e-5, 3e-3, log=True),
         "gamma": trial.suggest_categorical("gamma", (0.98, 0.99, 0.995, 0.998)),
@@ -81,11 +75,6 @@ def space(algo: str, trial: Trial, n_envs: int) -> Values:
 
 def search(settings: RunSettings, n_trials: int, folder: Path) -> optuna.Study:
     """Bring a study to a number of trials, the ones before an interruption included.
-
-    Args:
-        settings: of every trial; the search space replaces some of the hyperparameters.
-        n_trials: finished and pruned trials in all.
-        folder: of the study; made if missing.
 
     Returns:
         the study; best.yml has its best hyperparameters.

@@ -55,11 +55,7 @@ class GainVecEnv(SB3VecEnv):
 
 
 class EpisodeMetrics:
-    """Follows the episodes in all lanes, and puts `metrics` in the units of the grid into the info of their ends.
-
-    Args:
-        n_lanes: number of lanes.
-    """
+    """Follows the episodes in all lanes, and puts `metrics` in the units of the grid into the info of their ends."""
 
     def __init__(self, n_lanes: int) -> None:
         self._nadir_hz = np.full(n_lanes, np.inf)

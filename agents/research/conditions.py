@@ -6,10 +6,9 @@ import itertools
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from agents.command import Parser, Progress, check_page, run_command, suite_name, update_page
 from agents.research.simple_policies import SimplePolicy, simple_policies
@@ -20,9 +19,8 @@ from wtg_gym.evaluation.oracle import OracleCosts
 from wtg_gym.evaluation.score import COST_OFFSET
 from wtg_gym.evaluation.summary import EntrySummary
 from wtg_gym.files import markdown_table
+from wtg_gym.physics.layout import Floats
 from wtg_gym.scenarios import get_suite
-
-Floats = npt.NDArray[np.float64]
 
 _SECTION = "conditions"
 #: Laws whose rotors must keep the paper's order, the safest first.
@@ -52,27 +50,16 @@ class Condition(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """What the conditions are judged by.
+    """What the conditions are judged by."""
 
-    Args:
-        results: of laws, rules and feedbacks on validation scenarios, the anchors among them.
-        feedbacks: names of the tuned feedbacks.
-        oracle: costs with foresight; None: not searched.
-        planners: results of planners; None: not played.
-        simple: trivial policies on top of each anchor's law; None: not played.
-        n_simple: scenarios that they played, the first ones.
-        late: results with one more step of delay; None: not played.
-        agents: names of agents that were trained with random delay.
-    """
-
-    results: Results
-    feedbacks: Sequence[str]
-    oracle: OracleCosts | None
-    planners: Results | None
-    simple: Sequence[SimplePolicy] | None
-    n_simple: int
-    late: Results | None
-    agents: Sequence[str]
+    results: Results  # of laws, rules and feedbacks on validation scenarios, the anchors among them
+    feedbacks: Sequence[str]  # names of the tuned feedbacks
+    oracle: OracleCosts | None  # costs with foresight; None: not searched
+    planners: Results | None  # results of planners; None: not played
+    simple: Sequence[SimplePolicy] | None  # trivial policies on top of each anchor's law; None: not played
+    n_simple: int  # scenarios that they played, the first ones
+    late: Results | None  # results with one more step of delay; None: not played
+    agents: Sequence[str]  # names of agents that were trained with random delay
 
 
 def judged(e: Evidence) -> list[Condition]:
@@ -243,33 +230,18 @@ def gathered(
     n_simple: int,
     n_threads: int | None = None,
 ) -> Evidence:
-    """Play what the conditions need on validation scenarios.
-
-    Args:
-        suite: of version v1.
-        feedbacks: tuned feedbacks.
-        agents: trained with random delay.
-        oracle, planners: as of :class:`Evidence`.
-        n_simple: scenarios that the trivial policies play; 0 for none.
-        n_threads: threads to step with; None for one per processor.
-    """
+    """Play what the conditions need on validation scenarios; trivial policies on the first `n_simple`, 0 for none."""
     laws = [entry for name in LAWS for entry in load_entries(name)]
     entries = [*laws, *load_entries("fast-droop"), *_droops(suite), *feedbacks, *agents]
     with Progress("episodes") as progress:
-        results = evaluate(entries, suite, "validation", n_threads=n_threads, on_progress=progress.update)
+        options: dict[str, Any] = {"n_threads": n_threads, "on_progress": progress.update}
+        results = evaluate(entries, suite, "validation", **options)
         late = None
         if agents:
             delay = get_suite(suite).sensors
             assert delay is not None
-            shifted = [value + 0.1 for value in delay.delay_s]
-            late = evaluate(
-                list(agents),
-                suite,
-                "validation",
-                n_threads=n_threads,
-                on_progress=progress.update,
-                sensors={"delay_s": shifted},
-            )
+            shifted = {"delay_s": [value + 0.1 for value in delay.delay_s]}
+            late = evaluate(list(agents), suite, "validation", sensors=shifted, **options)
     simple: list[SimplePolicy] | None = None
     if n_simple:
         simple = [

@@ -11,15 +11,14 @@ from dataclasses import dataclass
 
 import cma
 import numpy as np
-import numpy.typing as npt
 
 from agents.command import add_strategy_option, suite_name
 from agents.research.rollouts import HISTORY_COLUMNS, Rollouts, both, course, history_feedback, linear_feedback
 from wtg_gym.envs.settings import ACTION_MODES
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.scenarios import get_suite
 
-Floats = npt.NDArray[np.float64]
 #: Called with the generations done and the (mean) cost of the best so far.
 OnGeneration = Callable[[int, float], None]
 
@@ -30,27 +29,16 @@ N_KNOTS = 16
 
 @dataclass(frozen=True, kw_only=True)
 class Search:
-    """Scenarios and effort of a search.
+    """Scenarios and effort of a search; a ValueError if a value is unknown or out of range."""
 
-    Args:
-        suite, split: of the scenarios.
-        n_scenarios: how many of them, the first ones; None for all.
-        action_mode: what the actions modulate.
-        strategy: law that they modulate.
-        generations: of the search, or of every scenario's search.
-        seed: of the search.
-
-    Raises:
-        ValueError: a value is unknown or out of range.
-    """
-
+    #: suite, split: of the scenarios.
     suite: str
     split: str
-    n_scenarios: int | None
-    action_mode: str
-    generations: int
-    seed: int
-    strategy: str = REFERENCE_STRATEGY
+    n_scenarios: int | None  # how many of them, the first ones; None for all
+    action_mode: str  # what the actions modulate
+    generations: int  # of the search, or of every scenario's search
+    seed: int  # of the search
+    strategy: str = REFERENCE_STRATEGY  # law that they modulate
 
     def __post_init__(self) -> None:
         largest = min(len(get_suite(self.suite).seeds(self.split)), 10_000)
@@ -100,11 +88,6 @@ class _Strategy:
     """A search by CMA-ES that draws from a generator of its own.
 
     By itself cma draws from numpy's one generator for everybody: searches would depend on those beside them.
-
-    Args:
-        start: where it starts, of any shape.
-        spread: standard deviation of the first candidates.
-        seed: numbers that seed its generator.
     """
 
     def __init__(self, start: Floats, spread: float, *seed: int) -> None:
@@ -136,14 +119,8 @@ def tune_linear(
 ) -> Floats:
     """Return the gains of a linear feedback, the same for all groups, that makes :meth:`Rollouts.objective` small.
 
-    They are (n_action, n_local + 1), with history (n_action, n_local + n_history + 1).
-
-    Args:
-        rollouts: the scenarios, with POPULATION candidates each.
-        generations: of the search.
-        on_generation: is told after each.
-        seed: of the search.
-        history: whether slow copies of the observation are fed back too.
+    They are (n_action, n_local + 1), with history (n_action, n_local + n_history + 1): slow copies of the observation
+    are fed back too. Rollouts must have POPULATION candidates in each scenario.
     """
     shape = (rollouts.n_action, rollouts.lanes.n_local + (len(HISTORY_COLUMNS) if history else 0) + 1)
     dt = rollouts.lanes.settings.control_dt
@@ -169,16 +146,12 @@ def search_with_foresight(
     on_generation: OnGeneration,
     seed: int = 0,
 ) -> Floats:
-    """Return the smallest pinned cost found for every scenario, (n_scenarios,).
+    """Return the smallest pinned cost found for every scenario, (n_scenarios,), of POPULATION candidates each.
 
     Args:
-        rollouts: the scenarios, with POPULATION candidates each.
         scenario_seeds: their seeds: every scenario's search draws from a generator of its own.
         gains: of a linear feedback that the actions are added to and whose gains are searched as well,
             (n_action, n_local + 1); None: a course of actions alone.
-        generations: of every scenario's search.
-        on_generation: is told after each.
-        seed: of the searches.
     """
     knots = (N_KNOTS, rollouts.n_wtg, rollouts.n_action)
     n_course = int(np.prod(knots))

@@ -11,7 +11,6 @@ from typing import Any
 
 import cma
 import numpy as np
-import numpy.typing as npt
 
 from agents.command import Parser, Progress, check_output_folder, note, print_table, run_command, say
 from agents.research import evolution, rollouts
@@ -24,7 +23,6 @@ from wtg_gym.evaluation.oracle import OracleCosts
 from wtg_gym.files import read_json, sha256, to_json, write_atomically
 from wtg_gym.scenarios import get_suite
 
-Floats = npt.NDArray[np.float64]
 Costs = tuple[float, ...]
 
 _DESCRIPTION = """\
@@ -104,12 +102,10 @@ def find_oracle(
     """Search every scenario, going on from the chunks that are finished.
 
     Args:
-        search: scenarios and effort.
         entries: known policies; one that is cheaper on a scenario than all that was found counts there.
         parts: folder of the finished chunks; they stay there.
         gains: of a linear feedback to search on top of as well, (n_action, n_local + 1); None: without.
         chunk: scenarios that are searched side by side, and kept together.
-        n_threads: threads to step with; None for one per processor.
 
     Raises:
         ValueError: `chunk` is out of range, entries have the same name, or one does not fit the environment.

@@ -96,17 +96,7 @@ def _cost_row(suite: str, row: EntrySummary) -> tuple[str, ...]:
 def incentives(
     entries: Sequence[Entry], split: str, n_scenarios: int | None = None, n_threads: int | None = None
 ) -> str:
-    """Return the tables of costs and of responses as Markdown.
-
-    Args:
-        entries: competitors.
-        split: of the scenarios.
-        n_scenarios: how many, the first ones; None for all.
-        n_threads: threads to step with; None for one per processor.
-
-    Raises:
-        ValueError: there are not that many scenarios.
-    """
+    """Return the tables of costs and of responses as Markdown; a ValueError if there are not that many scenarios."""
     costs, responses, played = [], [], 0
     with Progress("episodes") as progress:
         for done, suite in enumerate(SUITES):

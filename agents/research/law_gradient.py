@@ -10,7 +10,6 @@ from contextlib import closing
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from agents.command import Parser, Progress, check_page, print_table, run_command, say, suite_name, update_page
 from agents.research.rollouts import Rollouts
@@ -20,10 +19,10 @@ from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation.score import COST_OFFSET, log_gains, mean_score, score_scale
 from wtg_gym.files import markdown_table
 from wtg_gym.gradients import Tape
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.tracking_law import LARGEST_COEFFICIENT, TIME_CONSTANT_RANGE, TrackingLaw, get_law
 from wtg_gym.scenarios import get_suite
 
-Floats = npt.NDArray[np.float64]
 Laws = tuple[TrackingLaw, ...]
 
 #: Least coefficient and time constant that are tried [p.u., s]: at 0 a group would give nothing, and faster damping
@@ -53,13 +52,7 @@ class Tuned(NamedTuple):
 
 
 class LawLoss:
-    """Mean of ln(J + J0) over scenarios as a function of the laws' parameters, and its gradient.
-
-    Args:
-        suite: of the scenarios.
-        n_lanes: scenarios at a time.
-        n_threads: threads to step with; None for one per processor.
-    """
+    """Mean of ln(J + J0) over scenarios as a function of the laws' parameters, and its gradient."""
 
     def __init__(self, suite: str, n_lanes: int, n_threads: int | None = None) -> None:
         settings = EnvSettings(suite=suite)
@@ -122,18 +115,7 @@ def tune(
     on_batch: Callable[[int, float], None] = lambda _done, _loss: None,
     n_threads: int | None = None,
 ) -> Tuned:
-    """Lower the loss by Adam, whose learning rate falls along half a cosine, from the paper's law on.
-
-    Args:
-        suite: of the training scenarios.
-        per_group: whether each group gets a law of its own.
-        n_batches: steps of Adam.
-        n_scenarios: training scenarios in each, drawn anew.
-        seed: of the draws.
-        learning_rate: the first one.
-        on_batch: is told how many are done, and the latest loss.
-        n_threads: threads to step with; None for one per processor.
-    """
+    """Lower the loss by Adam, whose learning rate falls along half a cosine, from the paper's law on."""
     began = time.monotonic()
     loss_of = LawLoss(suite, n_scenarios, n_threads)
     paper, train = get_law("coordinated-piecewise"), get_suite(suite).train

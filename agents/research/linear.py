@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import nn
 
@@ -29,11 +28,10 @@ from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation import NoScaleError, OnnxPolicy, evaluate
 from wtg_gym.evaluation.score import pinned
 from wtg_gym.files import to_json, write_atomically
+from wtg_gym.physics.layout import Floats
 from wtg_gym.policies import Entry
 from wtg_gym.policies.load import POLICY_FILE
 from wtg_gym.scenarios import get_suite
-
-Floats = npt.NDArray[np.float64]
 
 _DESCRIPTION = """\
 Tunes a = clip(G o + b) of a group's own observation o, the same G and b in every group, by CMA-ES on training
@@ -86,16 +84,7 @@ def make_linear_feedback(
     history: bool = False,
     n_threads: int | None = None,
 ) -> dict[str, Any]:
-    """Tune a feedback, write its folder, and return gains, search and costs.
-
-    Args:
-        search: training scenarios and effort.
-        output: folder to write entry.toml and policy.onnx into; made if missing.
-        gains_file: JSON file to write the returned data into; None for none.
-        name: of the entry.
-        authors: names.
-        history: whether slow copies of the observation are fed back too.
-        n_threads: threads to step with; None for one per processor.
+    """Tune a feedback, write its folder, and return gains, search and costs, which `gains_file` gets too, if any.
 
     Raises:
         ValueError: the leaderboard would refuse the name.

@@ -37,14 +37,7 @@ examples:
 
 
 def side_by_side(specs: Sequence[str], settings: EnvSettings, seed: int, knowledge: str | None) -> dict[str, Recording]:
-    """Return the recordings of entries and of a planner in one scenario, by name.
-
-    Args:
-        specs: entries, as for `wtg-gym evaluate`; of several training seeds the first one plays.
-        settings: suite and split of the scenario.
-        seed: its seed.
-        knowledge: the planner's, see :class:`~agents.research.planner.Planning`; None for no planner.
-    """
+    """Return the recordings of entries and of a planner in one scenario, by name; of several seeds the first plays."""
     scenarios = get_suite(settings.suite).scenarios([seed])
     runs: dict[str, Recording] = {}
     for entry in chosen_entries(specs, settings.suite):

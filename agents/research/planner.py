@@ -56,36 +56,19 @@ examples:
 
 @dataclass(frozen=True, kw_only=True)
 class Planning:
-    """Effort of a planner.
+    """Effort of a planner; a ValueError if a value is unknown or out of range."""
 
-    Args:
-        knowledge: of the wind, "exact" or "measured".
-        horizon_s: how far ahead a plan looks [s].
-        interval_s: how often it plans again [s].
-        population: candidates of a search.
-        generations: of a search.
-        n_knots: of a course of actions, linear in between.
-        gain: of the feedback that the course is added to: action on k per 0.5 Hz.
-        spread: standard deviation of the first candidates.
-        wind_memory_s: time constant of the mean that the wind returns to [s].
-        wind_decay_s: time constant with which it returns [s].
-        seed: of the search.
-
-    Raises:
-        ValueError: a value is unknown or out of range; the message says what is allowed.
-    """
-
-    knowledge: str = "exact"
-    horizon_s: float = 30.0
-    interval_s: float = 2.0
-    population: int = 24
-    generations: int = 4
-    n_knots: int = 4
-    gain: float = 1.0
-    spread: float = 0.25
-    wind_memory_s: float = 20.0
-    wind_decay_s: float = 10.0
-    seed: int = 0
+    knowledge: str = "exact"  # of the wind, "exact" or "measured"
+    horizon_s: float = 30.0  # how far ahead a plan looks [s]
+    interval_s: float = 2.0  # how often it plans again [s]
+    population: int = 24  # candidates of a search
+    generations: int = 4  # of a search
+    n_knots: int = 4  # of a course of actions, linear in between
+    gain: float = 1.0  # of the feedback that the course is added to: action on k per 0.5 Hz
+    spread: float = 0.25  # standard deviation of the first candidates
+    wind_memory_s: float = 20.0  # time constant of the mean that the wind returns to [s]
+    wind_decay_s: float = 10.0  # time constant with which it returns [s]
+    seed: int = 0  # of the search
 
     def __post_init__(self) -> None:
         if self.knowledge not in KNOWLEDGE:
@@ -112,10 +95,6 @@ class WindObserver:
     Where the wind is only measured, the sensor says how it changes, and the rotor how large it is: the power balance
     p_w = p + 2H_m ω_m ω̇_m of measured power and speed gives the wind that the rotor must have seen, slowly but without
     bias. While the blades may be turned, that is not known.
-
-    Args:
-        lanes: the episodes that are played.
-        planning: time constants and what is known.
     """
 
     def __init__(self, lanes: TaskLanes, planning: Planning) -> None:
@@ -188,14 +167,7 @@ def played_by_planner(
     n_threads: int | None = None,
     on_step: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Episode]:
-    """Play scenarios with a planner each, and measure the episodes.
-
-    Args:
-        suite, split, seeds: the scenarios.
-        planning: effort and knowledge.
-        n_threads: threads to step with; None for one per processor.
-        on_step: is told how many steps are done, and how many there are.
-    """
+    """Play scenarios with a planner each, and measure the episodes."""
     settings = EnvSettings(suite=suite, split=split, action_mode="k+tau", observation_mode="privileged")
     if not settings.benchmark().sensed:
         raise ValueError(f"the planner reads sensors, which suites have from version v1 on, got {suite!r}")
@@ -223,10 +195,7 @@ def played_by_planner(
 def plan(lanes: TaskLanes, planning: Planning, n_threads: int | None = None) -> Iterator[npt.NDArray[np.bool_]]:
     """Play the started episodes of all lanes to their ends; after every step, yield which lanes made it, (n_lanes,).
 
-    Args:
-        lanes: with both actions and the privileged observation.
-        planning: effort and knowledge.
-        n_threads: threads to imagine with; None for one per processor.
+    The lanes must have both actions and the privileged observation.
     """
     imagined = TaskLanes(lanes.settings, lanes.n_lanes * planning.population, n_threads)
     with closing(imagined.simulator):
@@ -243,13 +212,7 @@ def plan(lanes: TaskLanes, planning: Planning, n_threads: int | None = None) -> 
 
 
 class _Planner:
-    """Plans for every lane.
-
-    Args:
-        lanes: the episodes that are played.
-        imagined: `planning.population` times as many lanes for its rollouts.
-        planning: effort and knowledge.
-    """
+    """Plans for every lane; `imagined` has `planning.population` times as many lanes for its rollouts."""
 
     def __init__(self, lanes: TaskLanes, imagined: TaskLanes, planning: Planning) -> None:
         self._lanes, self._imagined, self._planning = lanes, imagined, planning
@@ -327,16 +290,7 @@ def results_with_planners(
     n_threads: int | None = None,
     on_progress: Callable[[str, int, int], None] = lambda name, done, total: None,
 ) -> Results:
-    """Evaluate planners beside the anchors and other entries.
-
-    Args:
-        suite, split, seeds: the scenarios.
-        plannings: one per planner, each with knowledge of its own.
-        entries: further entries.
-        chunk: scenarios that are planned side by side.
-        n_threads: threads to step with; None for one per processor.
-        on_progress: called with (name, steps done, steps in all).
-    """
+    """Evaluate planners beside the anchors and other entries."""
     results = evaluate(list(entries), suite, split, seeds=list(seeds), n_threads=n_threads, on_progress=on_progress)
     for planning in plannings:
         entry = Entry(

@@ -11,16 +11,15 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.envs.observation import FREQUENCY_UNIT_HZ, N_LOCAL, N_MEASURED, WtgObservation
 from wtg_gym.evaluation import Entry, Policy
 from wtg_gym.physics.aerodynamics import tracking_point
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 from wtg_gym.scenarios.benchmark import V0, V1
 
-Floats = npt.NDArray[np.float64]
 #: Observations (n_lanes, n_wtg, n) and number of steps so far to actions on k (n_lanes, n_wtg), or to those of every
 #: group one after the other (n_lanes, n_action).
 Rule = Callable[[Floats, int], Floats]
@@ -142,17 +141,3 @@ STOPWATCH_V1 = Entry(
     description="Adds the droop of fast-droop in the last 10 s, after which nobody has to give back what was lent.",
 )
 STATIC = _entry("static", _static(), "Adds to g(ω) what makes the captured power linear in frequency, at rest.")
-
-__all__ = [
-    "CHATTER",
-    "CHATTER_V1",
-    "CONSTANT",
-    "PUSH",
-    "PUSH_V1",
-    "STATIC",
-    "STOPWATCH_V1",
-    "Delayed",
-    "Probe",
-    "delayed",
-    "late_name",
-]

@@ -7,16 +7,15 @@ from contextlib import closing
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.envs.lanes import PreparedEpisodes, TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation.score import COST_OFFSET, pinned_cost
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.tracking_law import TrackingLaw
 from wtg_gym.scenarios.benchmark import V0
 
-Floats = npt.NDArray[np.float64]
 #: Observations (n_scenarios, n_candidates, n_wtg, n) of a step to actions (n_scenarios, n_candidates, n_wtg, n_action).
 Candidates = Callable[[int, Floats], Floats]
 
@@ -24,14 +23,7 @@ _FAILURE = COST_TERMS.index("failure")
 
 
 class Rollouts:
-    """Plays candidates through scenarios, all at once.
-
-    Args:
-        suite, split, seeds: which scenarios.
-        n_candidates: candidates side by side in every scenario.
-        n_threads: threads to step with; None for one per processor.
-        settings: further settings of the environment.
-    """
+    """Plays candidates through scenarios, all at once."""
 
     def __init__(
         self,

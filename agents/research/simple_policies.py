@@ -9,15 +9,13 @@ from contextlib import closing
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from agents.command import Parser, Progress, print_table, run_command, say, suite_name
 from agents.research.rollouts import Candidates, Rollouts, difference_percent
 from wtg_gym.evaluation.score import COST_OFFSET
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.scenarios import get_suite
-
-Floats = npt.NDArray[np.float64]
 
 _DESCRIPTION = """\
 Plays the simplest policies: a grid of constant actions; actions that jump where one observation crosses a quartile of
@@ -54,12 +52,6 @@ def simple_policies(
     strategy: str = REFERENCE_STRATEGY,
 ) -> tuple[float, list[SimplePolicy]]:
     """Return the zero action's mean cost on scenarios, and all simple policies, the cheapest first.
-
-    Args:
-        suite, split: of the scenarios.
-        n_scenarios: how many, the first ones; None for all.
-        n_threads: threads to step with; None for one per processor.
-        strategy: law that the actions modulate.
 
     Raises:
         ValueError: there is no such suite, or not that many scenarios.

@@ -13,13 +13,11 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.evaluation.recording import Recording
 from wtg_gym.files import markdown_table
 from wtg_gym.physics.aerodynamics import tracking_point
-
-Floats = npt.NDArray[np.float64]
+from wtg_gym.physics.layout import Floats
 
 #: Actions: k added by the policy as a share of K_opt, and log2 of the factor on τ.
 ACTIONS = ("k", "tau")

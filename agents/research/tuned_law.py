@@ -46,16 +46,7 @@ def tune_law(
     on_generation: Callable[[int, float], None],
     n_threads: int | None = None,
 ) -> tuple[list[float], TrackingLaw]:
-    """Return the point that was found, as of :func:`law_of`, and its law.
-
-    Args:
-        suite: of the training scenarios.
-        n_scenarios: how many, the first ones.
-        generations: of the search.
-        seed: of the search, 1 or more.
-        on_generation: is told how many are done, and the least mean of ln(J + J0).
-        n_threads: threads to step with; None for one per processor.
-    """
+    """Return the point that was found, as of :func:`law_of`, and its law; the seed of the search is 1 or more."""
     seeds = list(get_suite(suite).train[:n_scenarios])
     options = {"popsize": POPULATION, "seed": seed, "verbose": -9}
     search = cma.CMAEvolutionStrategy([1.2, 0.0, 1.0, 0.0], 0.5, options)

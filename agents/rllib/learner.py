@@ -70,8 +70,6 @@ def ppo_config(settings: RunSettings, scales: Scales, resumed: int = 0) -> PPOCo
     """Return RLlib's configuration of a run.
 
     Args:
-        settings: of the run.
-        scales: of observations and rewards.
         resumed: how many times it has gone on; the scenarios and the exploration are others each time.
     """
     h = Hyperparameters(**settings.hyperparameters)

@@ -24,16 +24,12 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Scales:
-    """Scales that observations and rewards are divided by.
+    """Scales that observations and rewards are divided by."""
 
-    Args:
-        mean, std: of every entry of the observation, (n_observation,).
-        reward: standard deviation of the discounted returns.
-    """
-
+    #: mean, std: of every entry of the observation, (n_observation,).
     mean: list[float]
     std: list[float]
-    reward: float
+    reward: float  # standard deviation of the discounted returns
 
 
 def measure_scales(arguments: Mapping[str, Any], *, noise: float, gamma: float, seed: int) -> Scales:
@@ -76,11 +72,6 @@ class RunnerEnvs(GFMWTGVectorEnv):
     own: RLlib gives runner w the seed s + w, with which lane i + 1 of a runner would play the scenarios of lane i of
     the next one. `info` is empty, because RLlib takes it apart for every lane and step, which takes longer than all the
     rest.
-
-    Args:
-        num_envs: number of lanes.
-        reward_scale: divisor of the rewards.
-        arguments: as for :class:`GFMWTGVectorEnv`.
     """
 
     def __init__(self, num_envs: int = 1, *, reward_scale: float = 1.0, **arguments: Any) -> None:

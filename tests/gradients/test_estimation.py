@@ -11,7 +11,7 @@ import pytest
 
 from tests.cli.calls import error_of, json_of
 from tests.golden_cases import GOLDEN
-from wtg_gym.analysis.estimation import UNKNOWNS, study_recorded_run
+from wtg_gym.analysis.estimation import UNKNOWNS, Noise, study_recorded_run
 from wtg_gym.cli import main
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.gradients.estimator import Estimator, covered, estimates, unknown_of
@@ -91,7 +91,7 @@ def test_intervals_hold_the_true_values_about_as_often_as_they_say() -> None:
 
 def test_converters_of_another_simulator_are_found_in_its_trace() -> None:
     study = study_recorded_run(
-        GOLDEN / "grid-forming" / "params.json", GOLDEN / "grid-forming" / "a.csv", noise_mhz=1e-3, n_draws=1
+        GOLDEN / "grid-forming" / "params.json", GOLDEN / "grid-forming" / "a.csv", noise=Noise(mhz=1e-3, n_draws=1)
     )
     found = {own.name: own for own in study.unknowns}
     assert found["control.inertia_constant_s"].value == 4.0 and found["control.droop_gain_pu"].value == 50.0

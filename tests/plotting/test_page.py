@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import base64
 import dataclasses
 import functools
 import json
 import re
+import zlib
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -35,7 +37,7 @@ from wtg_gym.physics.parameters import TurbineParameters
 from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.plotting.page import figures, leaderboard_page, untraced
 from wtg_gym.plotting.page.data import SCORE_RESOLUTION
-from wtg_gym.plotting.page.packing import MISSING, RESOLUTIONS, packed, quantised, unpacked
+from wtg_gym.plotting.page.packing import MISSING, RESOLUTIONS, packed, quantised
 from wtg_gym.scenarios import draw_seeds, get_suite
 from wtg_gym.scenarios.benchmark import V1
 
@@ -74,6 +76,15 @@ def _same_charts(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
         monkeypatch.setattr(figures, "page_document", _charts_made_once())
 
 
+def _unpacked(text: str, n_rows: int) -> Any:
+    """Return the rows that `packed` packed, as the script of the page does."""
+    low, high = np.frombuffer(zlib.decompress(base64.b64decode(text)), dtype=np.uint8).reshape(2, n_rows, -1)
+    folded = low.astype(np.uint16) | (high.astype(np.uint16) << 8)
+    differences = (folded >> 1) ^ -(folded & 1)
+    table: Any = np.cumsum(differences, axis=1, dtype=np.uint16).view(np.int16)
+    return table
+
+
 def _data(page: str) -> Any:
     return json.loads(_Tags(page).texts["data"])
 
@@ -81,7 +92,7 @@ def _data(page: str) -> Any:
 def test_numbers_survive_packing() -> None:
     rng = np.random.default_rng(1)
     table = rng.integers(-32768, 32768, size=(7, 31)).astype(np.int16)
-    assert (unpacked(packed(table), 7) == table).all()
+    assert (_unpacked(packed(table), 7) == table).all()
     steps = quantised(np.array([0.0, 0.26, -1.0, np.nan, np.inf, 1e9, -1e9]), 0.5)
     assert steps.tolist() == [0, 1, -2, MISSING, MISSING, 32767, -32767]
 
@@ -98,7 +109,7 @@ def test_ranking_is_that_of_the_leaderboard() -> None:
 def test_scores_are_those_of_every_run_and_scenario() -> None:
     _, results = small_results()
     suite, rows = _data(small_page())["suites"][0], leaderboard_rows(results[0])
-    scores = unpacked(suite["scores"], len(rows)) * SCORE_RESOLUTION
+    scores = _unpacked(suite["scores"], len(rows)) * SCORE_RESOLUTION
     assert scores.shape == (len(rows), len(SEEDS)) and suite["seeds"] == list(SEEDS)
     for own, row in zip(scores, rows, strict=True):
         assert own.mean() == pytest.approx(row.score.value, abs=SCORE_RESOLUTION)
@@ -108,7 +119,7 @@ def test_differences_have_the_interval_of_the_score_where_the_reference_is_subtr
     # The reference has 100 in every scenario, so that only the score varies.
     _, results = small_results()
     rows = leaderboard_rows(results[0])
-    lower = unpacked(_data(small_page())["suites"][0]["differences"], len(rows)) * SCORE_RESOLUTION
+    lower = _unpacked(_data(small_page())["suites"][0]["differences"], len(rows)) * SCORE_RESOLUTION
     reference = [row.name for row in rows].index("coordinated-piecewise")
     for place, row in enumerate(rows):
         low, high = lower[place, reference], -lower[reference, place]
@@ -136,7 +147,7 @@ def test_traces_are_the_recordings_to_their_resolution() -> None:
     own = record(Entry(name="deloaded-10", strategy="deloaded-10"), EnvSettings(duration_s=DURATION_S), scenarios)
     shown = suite["scenarios"][1]
     n_rows = 2 + len(suite["traced"]) * (1 + 2 * (len(RESOLUTIONS) - 1))
-    rows = unpacked(shown["packed"], n_rows)
+    rows = _unpacked(shown["packed"], n_rows)
     assert rows.shape[1] == shown["n"] == round(DURATION_S / shown["step"]) + 1
     first = 2 + suite["traced"].index("deloaded-10") * (n_rows - 2) // len(suite["traced"])
     expected = own.frequency_hz[0, ::2] - data["nominal"]
@@ -175,7 +186,7 @@ def test_the_same_page_twice() -> None:
 def test_a_page_without_traces_holds_the_scores_all_the_same() -> None:
     _, (standard, _) = small_results()
     suite = _data(leaderboard_page([standard], [], n_scenarios=0).text)["suites"][0]
-    assert suite["scenarios"] == [] and unpacked(suite["scores"], len(suite["entries"])).shape[1] == len(SEEDS)
+    assert suite["scenarios"] == [] and _unpacked(suite["scores"], len(suite["entries"])).shape[1] == len(SEEDS)
 
 
 def test_traces_are_left_out_of_a_file_that_would_grow_too_large(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.envs.lanes import TERMINATION_REASONS
 from wtg_gym.files import markdown_table
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import WtgGroup, default_groups
 from wtg_gym.physics.plant import plant_settings
 from wtg_gym.physics.protection import Status
@@ -21,7 +21,6 @@ from wtg_gym.scenarios import get_suite
 from wtg_gym.scenarios.single_turbines import single_and_aggregate, turbine_winds
 from wtg_gym.scenarios.wind import TURBULENCE_CLASSES, ntm_sigma
 
-Floats = npt.NDArray[np.float64]
 STRATEGIES = (REFERENCE_STRATEGY, "mppt", "deloaded-5")
 #: Offset of the seeds of the single winds from those of the scenarios.
 _WIND_SEED = 7_000_000
@@ -29,36 +28,26 @@ _WIND_SEED = 7_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class Totals:
-    """Runs of one strategy over scenarios, (n,) each.
+    """Runs of one strategy over scenarios, (n,) each."""
 
-    Args:
-        energy_pu_s: captured energy, mean over turbines [p.u. s].
-        least_ratio: smallest tip-speed ratio of any turbine [-].
-        nadir_hz: lowest frequency [Hz].
-        tripped: how many turbines were disconnected.
-    """
-
-    energy_pu_s: Floats
-    least_ratio: Floats
-    nadir_hz: Floats
-    tripped: Floats
+    energy_pu_s: Floats  # captured energy, mean over turbines [p.u. s]
+    least_ratio: Floats  # smallest tip-speed ratio of any turbine [-]
+    nadir_hz: Floats  # lowest frequency [Hz]
+    tripped: Floats  # how many turbines were disconnected
 
 
 @dataclass(frozen=True, kw_only=True)
 class AggregationStudy:
-    """The same wind and events on groups of ten and on their single turbines.
+    """The same wind and events on groups of ten and on their single turbines."""
 
-    Args:
-        suite, seeds, physics: of the scenarios and the plant.
-        sigma_single, sigma_group: mean standard deviation of a turbine's wind and of a group's [m/s].
-        groups, single: by strategy.
-    """
-
+    #: suite, seeds, physics: of the scenarios and the plant.
     suite: str
     seeds: tuple[int, ...]
     physics: str
+    #: sigma_single, sigma_group: mean standard deviation of a turbine's wind and of a group's [m/s].
     sigma_single: float
     sigma_group: float
+    #: groups, single: by strategy.
     groups: dict[str, Totals]
     single: dict[str, Totals]
 
@@ -127,11 +116,7 @@ def study_aggregation(
 
 
 def totals_of(scenarios: list[Scenario], strategy: str, groups: tuple[WtgGroup, ...], physics: str) -> Totals:
-    """Run scenarios side by side and add up.
-
-    Raises:
-        ValueError: a run ends early.
-    """
+    """Run scenarios side by side and add up; a ValueError if a run ends early."""
     settings = plant_settings(physics, groups=groups, trips_groups=True)
     simulator = Simulator(settings, n_lanes=len(scenarios), duration_s=max(s.duration_s for s in scenarios))
     laws = group_laws(strategy, len(groups), settings.turbine, settings.control)
@@ -182,6 +167,3 @@ def aggregation_table(study: AggregationStudy) -> str:
             )
         )
     return markdown_table(header, rows, right=tuple(range(1, len(header))))
-
-
-__all__ = ["STRATEGIES", "AggregationStudy", "Totals", "aggregation_table", "study_aggregation", "totals_of"]

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.analysis.case_studies import CaseStudies
 from wtg_gym.analysis.claim import Claim, near
 from wtg_gym.physics.aerodynamics import available_power_pu, tracking_point
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 from wtg_gym.physics.trajectory import Trajectory, simulate
 
-Floats = npt.NDArray[np.float64]
 Runs = Mapping[str, Trajectory]
 
 _INCREASE, _DECREASE = "load increase", "load decrease"
+_of_increase, _of_decrease = (partial(Claim, source=source) for source in (_INCREASE, _DECREASE))
 _DELOADED = ("deloaded-5", "deloaded-10")
 #: The strategies that the paper compares; the reference comes first in all comparisons.
 _COMPARED = (REFERENCE_STRATEGY, *_DELOADED)
@@ -36,9 +37,8 @@ def load_increase(runs: Runs) -> Iterable[Claim]:
     rotors, ratios = reference.rotor_speed_pu[-1].tolist(), reference.tip_speed_ratio[-1].tolist()
     least, most = (tracking_point(d).tip_speed_ratio for d in (0.0, 0.10))
     drift = float(np.ptp(reference.rotor_speed_pu[-200:], axis=0).max())
-    yield Claim(
+    yield _of_increase(
         key="stays-stable",
-        source=_INCREASE,
         says="coordinated: both groups stable, within their operating region",
         expected=f"λ_opt ≤ λ ≤ λ_pr ({least:.3f} … {most:.3f}), at rest in the end",
         measured=f"λ = {_texts(ratios)}, rotors at {_texts(rotors)} p.u., moving {drift:.0e} p.u. in the last 20 s",
@@ -49,9 +49,8 @@ def load_increase(runs: Runs) -> Iterable[Claim]:
     second_stalls = all(
         runs[name].status == Status.STALL and int(np.argmin(runs[name].tip_speed_ratio[-1])) == 1 for name in stalls
     )
-    yield Claim(
+    yield _of_increase(
         key="stalls",
-        source=_INCREASE,
         says="WTG 2 (8 m/s) stalls under MPPT, later under 5 %, last under 10 %",
         expected="30 s < t(mppt) < t(5 %) < t(10 %)",
         measured=", ".join(f"{name} {time:.1f} s" for name, time in stalls.items()),
@@ -59,9 +58,8 @@ def load_increase(runs: Runs) -> Iterable[Claim]:
         holds=second_stalls and 30.0 < stalls["mppt"] < stalls["deloaded-5"] < stalls["deloaded-10"],
     )
     high = [float(runs[name].rotor_speed_pu[-1, 0]) for name in _DELOADED]
-    yield Claim(
+    yield _of_increase(
         key="right-of-mpp",
-        source=_INCREASE,
         says="WTG 1 (11.4 m/s) is then still right of its maximum power point",
         expected="ω_m > 1 p.u. under 5 and 10 %",
         measured=f"{high[0]:.3f}, {high[1]:.3f} p.u.",
@@ -75,9 +73,8 @@ def _first_event(runs: Runs) -> Iterable[Claim]:
     own = [runs[name] for name in _COMPARED]
     first = [run.time_s < _SECOND_EVENT_S for run in own]
     peak = [float(run.power_pu[seen, 0].max()) for run, seen in zip(own, first, strict=True)]
-    yield Claim(
+    yield _of_increase(
         key="larger-step",
-        source=_INCREASE,
         says="WTG 1: coordinated gives more power at first",
         expected="higher peak than both deloaded strategies",
         measured=f"{_against(peak)} p.u.",
@@ -85,9 +82,8 @@ def _first_event(runs: Runs) -> Iterable[Claim]:
         holds=peak[0] > max(peak[1:]),
     )
     falls = [float(run.rotor_speed_pu[0, 0]) - _at(run, run.rotor_speed_pu[:, 0], _EVENT_S + 1.0) for run in own]
-    yield Claim(
+    yield _of_increase(
         key="faster-rotor",
-        source=_INCREASE,
         says="WTG 1: coordinated slows its rotor down faster at first",
         expected="larger fall of ω_m in the first second",
         measured=f"{_against(falls, 4)} p.u.",
@@ -95,9 +91,8 @@ def _first_event(runs: Runs) -> Iterable[Claim]:
         holds=falls[0] > max(falls[1:]),
     )
     rocof = [-_at(run, run.rocof_hz_s(0.5), _EVENT_S + 0.5) for run in own]
-    yield Claim(
+    yield _of_increase(
         key="rocof",
-        source=_INCREASE,
         says="coordinated: the initial RoCoF is smaller",
         expected="smaller fall over 500 ms",
         measured=f"{_against(rocof, 4)} Hz/s",
@@ -106,9 +101,8 @@ def _first_event(runs: Runs) -> Iterable[Claim]:
         remark="Of the frequency of the centre of inertia.",
     )
     nadir = [float(run.frequency_hz[seen].min()) for run, seen in zip(own, first, strict=True)]
-    yield Claim(
+    yield _of_increase(
         key="nadir",
-        source=_INCREASE,
         says="coordinated: the nadir is slightly lower",
         expected="by less than 10 mHz",
         measured=f"{_against(nadir)} Hz",
@@ -119,9 +113,8 @@ def _first_event(runs: Runs) -> Iterable[Claim]:
         (run.rotor_speed_pu[0] - run.rotor_speed_pu[seen][-1]).tolist() for run, seen in zip(own, first, strict=True)
     ]
     dip = [float(np.ptp(run.rotor_speed_pu[seen, 0])) for run, seen in zip(own, first, strict=True)]
-    yield Claim(
+    yield _of_increase(
         key="narrow-range",
-        source=_INCREASE,
         says="coordinated: ω_m of both groups changes less from equilibrium to equilibrium",
         expected="smaller change after 25 s",
         measured=f"{_pairs_against(settled)} p.u.",
@@ -141,9 +134,8 @@ def settling(studies: CaseStudies) -> Claim:
     )
     values = {f"{name}_power_pu_settling_s": time for name, time in zip(_COMPARED, power, strict=True)}
     values |= {f"{name}_rotor_speed_pu_settling_s": time for name, time in zip(_COMPARED, rotor, strict=True)}
-    return Claim(
+    return _of_increase(
         key="settles-sooner",
-        source=_INCREASE,
         says="coordinated: power and rotor speed of WTG 1 settle sooner",
         expected="into 2 % of the final value, first event alone",
         measured=f"power {_against(power, 1)} s; rotor {_against(rotor, 1)} s",
@@ -165,9 +157,8 @@ def load_decrease(runs: Runs) -> Iterable[Claim]:
     own = [runs[name] for name in _COMPARED]
     inside, five, ten = (run.power_pu[-1].tolist() for run in own)
     rise = [(run.rotor_speed_pu.max(axis=0) - run.rotor_speed_pu[0]).tolist() for run in own]
-    yield Claim(
+    yield _of_decrease(
         key="rotor-rise",
-        source=_DECREASE,
         says="the deloaded strategies let the rotors accelerate much more",
         expected="larger rise of ω_m, both groups",
         measured=f"{_pairs_against(rise)} p.u.",
@@ -176,18 +167,16 @@ def load_decrease(runs: Runs) -> Iterable[Claim]:
         remark="The paper finds this most evident at 10 %. Here both rises are alike, but at 10 % they start at the "
         "edge of the range.",
     )
-    yield Claim(
+    yield _of_decrease(
         key="decrease-10",
-        source=_DECREASE,
         says="10 %: both groups end outside the regulation range",
         expected=f"below {floor[0]:.3f}, {floor[1]:.3f} p.u.",
         measured=f"{_texts(ten)} p.u.",
         values={"power_pu": ten},
         holds=all(end < limit for end, limit in zip(ten, floor, strict=True)),
     )
-    yield Claim(
+    yield _of_decrease(
         key="decrease-5",
-        source=_DECREASE,
         says="5 %: WTG 1 stays inside, WTG 2 ends below 0.3 p.u.",
         expected=f"above {floor[0]:.3f}, below 0.3 p.u.",
         measured=f"{_texts(five)} p.u.",
@@ -197,9 +186,8 @@ def load_decrease(runs: Runs) -> Iterable[Claim]:
     )
     lowest = own[0].power_pu[-200:].min(axis=0)
     shares = [100 * inside[group] / (floor[group] / 0.9) for group in range(2)]
-    yield Claim(
+    yield _of_decrease(
         key="decrease-coordinated",
-        source=_DECREASE,
         says="coordinated: both groups end inside and share the regulation",
         expected=f"above {floor[0]:.3f}, {floor[1]:.3f} p.u., equal shares of the available power within 0.1 %",
         measured=f"{_texts(inside)} p.u., {shares[0]:.2f} and {shares[1]:.2f} %",

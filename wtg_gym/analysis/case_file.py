@@ -31,25 +31,17 @@ _SHARE_TOLERANCE = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceCase:
-    """The contents of a parameter file.
+    """The contents of a parameter file."""
 
-    Args:
-        network: the network with its machines, in the order of `machine_keys`.
-        machine_keys: the file's names of the machines.
-        voltage: |V| and angle of each bus in the file's power flow, by bus number [p.u., rad].
-        events: each event list by its name; constant-admittance changes at their instants.
-        power: P + jQ of each machine in the file's power flow, by key [p.u. of the system base].
-        tolerance: allowed largest difference by quantity: "w", "Pe", "V" [p.u.].
-        unused: places of the file that are not read.
-    """
-
-    network: NetworkCase
-    machine_keys: tuple[str, ...]
+    network: NetworkCase  # the network with its machines, in the order of `machine_keys`
+    machine_keys: tuple[str, ...]  # the file's names of the machines
+    #: |V| and angle of each bus in the file's power flow, by bus number [p.u., rad].
     voltage: Mapping[int, tuple[float, float]]
+    #: Each event list by its name; constant-admittance changes at their instants.
     events: Mapping[str, tuple[LoadStep, ...]]
-    power: Mapping[str, complex]
-    tolerance: Mapping[str, float]
-    unused: tuple[str, ...]
+    power: Mapping[str, complex]  # P + jQ of each machine in the file's power flow, by key [p.u. of the system base]
+    tolerance: Mapping[str, float]  # allowed largest difference by quantity: "w", "Pe", "V" [p.u.]
+    unused: tuple[str, ...]  # places of the file that are not read
 
 
 def read_parameters(path: str | Path) -> ReferenceCase:
@@ -284,10 +276,7 @@ def _read_exciter(entry: Fields) -> ExciterParameters:
 
 
 def _read_events(
-    root: Fields,
-    base: float,
-    voltage: Mapping[int, tuple[float, float]],
-    loads: Mapping[int, tuple[float, float]],
+    root: Fields, base: float, voltage: Mapping[int, tuple[float, float]], loads: Mapping[int, tuple[float, float]]
 ) -> dict[str, tuple[LoadStep, ...]]:
     lists = root.get("events", {})
     # One list needs no name.

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import brentq
 
 from wtg_gym.analysis.loops import Side, ideal_source_loop, single_machine
 from wtg_gym.analysis.power_frequency import critical_frequency_pu
 from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.protection import Status
@@ -25,7 +25,6 @@ from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, Trackin
 from wtg_gym.physics.trajectory import Trajectory, simulate
 from wtg_gym.scenarios import get_suite
 
-Floats = npt.NDArray[np.float64]
 #: Called with (name of the part under way, parts done, parts in all).
 OnProgress = Callable[[str, float, int], None]
 
@@ -134,9 +133,7 @@ def study_slopes() -> MarginStudy:
         for side in _SIDES
     }
     return MarginStudy(
-        WINDS,
-        margins,
-        "The piecewise law is steeper below the set-point than above it, and so better damped there.",
+        WINDS, margins, "The piecewise law is steeper below the set-point than above it, and so better damped there."
     )
 
 

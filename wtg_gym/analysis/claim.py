@@ -8,30 +8,18 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class Claim:
-    """One statement of the paper and its measurement.
+    """One statement of the paper and its measurement."""
 
-    Args:
-        key: short name.
-        source: section, table or figure of the paper.
-        says: the statement, in our words.
-        expected: the result that confirms it, with its tolerance, in words.
-        measured: the result, in words.
-        values: the numbers behind `measured`, units in their names.
-        holds: the verdict.
-        remark: a reader's footnote; empty for none.
-        fitted: the parameter that was chosen to meet this number; empty where none was.
-        target, tolerance: the expected number and its tolerance, where the claim is one number.
-    """
-
-    key: str
-    source: str
-    says: str
-    expected: str
-    measured: str
-    values: Mapping[str, float | list[float]]
-    holds: bool
-    remark: str = ""
-    fitted: str = ""
+    key: str  # short name
+    source: str  # section, table or figure of the paper
+    says: str  # the statement, in our words
+    expected: str  # the result that confirms it, with its tolerance, in words
+    measured: str  # the result, in words
+    values: Mapping[str, float | list[float]]  # the numbers behind `measured`, units in their names
+    holds: bool  # the verdict
+    remark: str = ""  # a reader's footnote; empty for none
+    fitted: str = ""  # the parameter that was chosen to meet this number; empty where none was
+    #: target, tolerance: the expected number and its tolerance, where the claim is one number.
     target: float | None = None
     tolerance: float | None = None
 

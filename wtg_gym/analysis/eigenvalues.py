@@ -11,16 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.analysis.loops import Side
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.linearisation import moving_states, state_matrix
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import TrackingLaw, group_laws
-
-Floats = npt.NDArray[np.float64]
 
 #: Step of the finite differences in angle [rad]; truncation and rounding are both near 1e-9 of a power.
 _STEP = 2e-6
@@ -28,17 +26,11 @@ _STEP = 2e-6
 
 @dataclass(frozen=True, kw_only=True)
 class LinearModel:
-    """ẋ = A x around an equilibrium.
+    """ẋ = A x around an equilibrium."""
 
-    Args:
-        matrix: A, shape (n, n) [1/s, with p.u. and rad].
-        state_names: name of each state, such as ``sync0.speed`` or ``wtg1.rotor_speed``.
-        left_out: states without a part in the dynamics: constants, and those that nothing depends on or nothing
-            else drives.
-    """
-
-    matrix: Floats
-    state_names: tuple[str, ...]
+    matrix: Floats  # A, shape (n, n) [1/s, with p.u. and rad]
+    state_names: tuple[str, ...]  # name of each state, such as ``sync0.speed`` or ``wtg1.rotor_speed``
+    #: States without a part in the dynamics: constants, and those that nothing depends on or nothing else drives.
     left_out: tuple[str, ...]
 
     def renamed(self, settings: PlantSettings) -> LinearModel:
@@ -57,20 +49,13 @@ class LinearModel:
 
 @dataclass(frozen=True, kw_only=True)
 class Mode:
-    """An eigenvalue, or a conjugate pair of them.
+    """An eigenvalue, or a conjugate pair of them."""
 
-    Args:
-        eigenvalue: with the imaginary part of the pair that is not negative [1/s].
-        frequency_hz: of the oscillation, 0 for a real eigenvalue [Hz].
-        damping_ratio: ζ = -Re λ/|λ| [-].
-        time_constant_s: 1/|Re λ| [s].
-        participation: share of each state in the mode, by name, largest first; the magnitudes sum to 1 [-].
-    """
-
-    eigenvalue: complex
-    frequency_hz: float
-    damping_ratio: float
-    time_constant_s: float
+    eigenvalue: complex  # with the imaginary part of the pair that is not negative [1/s]
+    frequency_hz: float  # of the oscillation, 0 for a real eigenvalue [Hz]
+    damping_ratio: float  # ζ = -Re λ/|λ| [-]
+    time_constant_s: float  # 1/|Re λ| [s]
+    #: Share of each state in the mode, by name, largest first; the magnitudes sum to 1 [-].
     participation: dict[str, float]
 
 

@@ -167,6 +167,3 @@ def _arguments() -> str:
         default = "none" if field.default is None else f"`{field.default!r}`".replace("'", '"')
         rows.append((f"`{field.name}`", default, meanings[field.name]))
     return markdown_table(("argument", "default", "meaning"), rows)
-
-
-__all__ = ["environment_page"]

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.analysis.case_file import ReferenceCase, read_parameters
 from wtg_gym.analysis.trace_file import choose_events, read_trace
@@ -17,12 +16,11 @@ from wtg_gym.files import markdown_table
 from wtg_gym.gradients.estimator import INERTIA, Estimator, covered, estimates, unknown_of
 from wtg_gym.gradients.plant_parameters import PlantEnvSettings
 from wtg_gym.physics.aerodynamics import tracking_point
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters, WtgGroup
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import LoadStep, Scenario
 from wtg_gym.ranges import require_range
-
-Floats = npt.NDArray[np.float64]
 
 #: What is sought by default: of the synchronous machines, and of the grid-forming converters.
 UNKNOWNS = (INERTIA, "machines.1.governor.droop_pu", "control.inertia_constant_s", "control.droop_gain_pu")
@@ -86,6 +84,22 @@ def recorded_case(
 
 
 @dataclass(frozen=True)
+class Noise:
+    """White noise that is added to a record; a ValueError if a value is out of range."""
+
+    mhz: float = 1.0  # standard deviation [mHz]
+    n_draws: int = 100
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        require_range("noise", self.mhz, 1e-3, 1e3, "mHz")
+        if self.n_draws < 1:
+            raise ValueError(f"the noise must be drawn once or more, got {self.n_draws}")
+        if self.seed < 0:
+            raise ValueError(f"the seed of the noise must be 0 or more, got {self.seed}")
+
+
+@dataclass(frozen=True)
 class FoundUnknown:
     """An unknown: its true `value` and where the search `start`s, the `estimate` and its interval from the first draw
     of the noise, the mean `half_width` of all intervals, and the share of them that `covered` the value."""
@@ -125,9 +139,7 @@ def study_own_run(
     *,
     power_mw: float = 60.0,
     duration_s: float = 20.0,
-    noise_mhz: float = 1.0,
-    n_draws: int = 100,
-    seed: int = 0,
+    noise: Noise = Noise(),
     on_progress: Callable[[int], None] = lambda _: None,
 ) -> EstimationStudy:
     """Find parameters of the benchmark's plant from its frequency after a load step, every 0.1 s.
@@ -135,7 +147,6 @@ def study_own_run(
     Raises:
         ValueError: a name or a value is not allowed.
     """
-    _require_noise(noise_mhz, n_draws, seed)
     step = LoadStep(time_s=1.0, bus=4, power_mw=power_mw)
     scenario = Scenario(name="load step", wind_speed=np.array([[8.0], [9.0]]), events=(step,), duration_s=duration_s)
     settings = EnvSettings(scenario=scenario)
@@ -144,7 +155,7 @@ def study_own_run(
     record = estimator.run(np.ones(len(unknowns)))[0]
     text = f"own run, {power_mw:g} MW of load at bus 4 after 1 s, frequency of the centre of inertia"
     hz = settings.plant().case.frequency_hz
-    return _study(estimator, record, text, hz, duration_s, noise_mhz, n_draws, seed, on_progress)
+    return _study(estimator, record, text, hz, duration_s, noise, on_progress)
 
 
 def study_recorded_run(
@@ -157,9 +168,7 @@ def study_recorded_run(
     bus: int = 2,
     control_dt: float = 0.0625,
     duration_s: float = 25.0,
-    noise_mhz: float = 1.0,
-    n_draws: int = 100,
-    seed: int = 0,
+    noise: Noise = Noise(),
     on_progress: Callable[[int], None] = lambda _: None,
 ) -> EstimationStudy:
     """Find parameters of another simulator's case from the speed of a machine in its trace.
@@ -172,14 +181,12 @@ def study_recorded_run(
         bus: of the converters, see :func:`recorded_case`.
         control_dt: rows of the trace at multiples of it are used [s].
         duration_s: up to this time [s].
-        noise_mhz: standard deviation of the noise that is added to the trace.
-        n_draws, seed: of the noise.
+        noise: that is added to the trace.
         on_progress: called with the number of draws done.
 
     Raises:
         ValueError: a file, a name or a value is not allowed.
     """
-    _require_noise(noise_mhz, n_draws, seed)
     case = read_parameters(parameters)
     trace, _ = read_trace(trace_path, case)
     happens = choose_events(case, trace_path, events)
@@ -196,15 +203,7 @@ def study_recorded_run(
     estimator = Estimator(settings, scenario, unknowns, steps[used] - 1, output)
     text = f"{parameters.parent.name}/{trace_path.name}, column {column}"
     record, hz = trace.columns[column][used], case.network.frequency_hz
-    return _study(estimator, record, text, hz, duration_s, noise_mhz, n_draws, seed, on_progress)
-
-
-def _require_noise(noise_mhz: float, n_draws: int, seed: int) -> None:
-    require_range("noise", noise_mhz, 1e-3, 1e3, "mHz")
-    if n_draws < 1:
-        raise ValueError(f"the noise must be drawn once or more, got {n_draws}")
-    if seed < 0:
-        raise ValueError(f"the seed of the noise must be 0 or more, got {seed}")
+    return _study(estimator, record, text, hz, duration_s, noise, on_progress)
 
 
 def _study(
@@ -213,13 +212,11 @@ def _study(
     text: str,
     hz: float,
     duration_s: float,
-    noise_mhz: float,
-    n_draws: int,
-    seed: int,
+    noise: Noise,
     on_progress: Callable[[int], None],
 ) -> EstimationStudy:
     start = np.resize(STARTS, len(estimator.unknowns))
-    found = estimates(estimator, record, 1e-3 * noise_mhz / hz, n_draws, seed, start, on_progress)
+    found = estimates(estimator, record, 1e-3 * noise.mhz / hz, noise.n_draws, noise.seed, start, on_progress)
     first, values = found[0], np.array([unknown.value for unknown in estimator.unknowns])
     widths = np.mean([0.5 * (estimate.high - estimate.low) for estimate in found], axis=0)
     shares = covered(found, values)
@@ -229,9 +226,9 @@ def _study(
         record=text,
         n_values=record.size,
         duration_s=duration_s,
-        noise_mhz=noise_mhz,
-        n_draws=n_draws,
-        seed=seed,
+        noise_mhz=noise.mhz,
+        n_draws=noise.n_draws,
+        seed=noise.seed,
         residual_mhz=1e3 * hz * first.noise,
         n_runs=first.n_runs,
         correlated=tuple(estimator.unknowns[i].name for i in pair) if apart.size > 1 else (),

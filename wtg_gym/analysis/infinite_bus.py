@@ -22,27 +22,16 @@ _INFINITE_MVA = 1e9
 
 @dataclass(frozen=True, kw_only=True)
 class Agreement:
-    """Eigenvalues of one WTG group on an infinite bus, by both ways.
+    """Eigenvalues of one WTG group on an infinite bus, by both ways."""
 
-    Args:
-        law: name of the strategy.
-        wind_m_s: [m/s].
-        side: slope of g(ω).
-        synchronising_coefficient: K_p that the network makes [p.u./rad].
-        phase_margin_deg: of the transfer function at that K_p [deg].
-        poles: closed-loop poles of the transfer function (n,) [1/s].
-        eigenvalues: the nearest eigenvalues of the linearised simulator (n,) [1/s].
-        largest_difference: largest distance of a pair, relative to its pole [-].
-    """
-
-    law: str
-    wind_m_s: float
-    side: Side
-    synchronising_coefficient: float
-    phase_margin_deg: float
-    poles: tuple[complex, ...]
-    eigenvalues: tuple[complex, ...]
-    largest_difference: float
+    law: str  # name of the strategy
+    wind_m_s: float  # [m/s]
+    side: Side  # slope of g(ω)
+    synchronising_coefficient: float  # K_p that the network makes [p.u./rad]
+    phase_margin_deg: float  # of the transfer function at that K_p [deg]
+    poles: tuple[complex, ...]  # closed-loop poles of the transfer function (n,) [1/s]
+    eigenvalues: tuple[complex, ...]  # the nearest eigenvalues of the linearised simulator (n,) [1/s]
+    largest_difference: float  # largest distance of a pair, relative to its pole [-]
 
 
 def infinite_bus(reactance_pu: float = 0.2) -> PlantSettings:
@@ -71,14 +60,7 @@ def agreements(winds: tuple[float, ...] = (8.0, 11.4)) -> Iterator[Agreement]:
 
 
 def compare(law: TrackingLaw, wind_m_s: float, side: Side, settings: PlantSettings) -> Agreement:
-    """Compare one strategy on a plant of one WTG group at an infinite bus.
-
-    Args:
-        law: the strategy.
-        wind_m_s: [m/s].
-        side: slope of g(ω).
-        settings: a plant such as :func:`infinite_bus`.
-    """
+    """Compare one strategy on a plant of one WTG group at an infinite bus."""
     scenario = Scenario(name="infinite bus", wind_speed=np.array([[wind_m_s]]), load_noise_bus=1)
     k_p = float(synchronising_coefficients(scenario, law, settings)[0, 0])
     loop = single_machine(law, wind_m_s, k_p, side=side, turbine=settings.turbine)

@@ -8,16 +8,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import markdown_table
 from wtg_gym.gradients.plant_parameters import known_parameters
 from wtg_gym.gradients.tape import Tape
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import TrackingLaw
-
-Floats = npt.NDArray[np.float64]
 
 #: Parameters of a law, for all groups in common.
 LAW_NAMES = ("law.k_min", "law.k_nominal", "law.k_max", "law.tau_s")
@@ -85,12 +83,6 @@ def measure_influences(
 
     A measure is that of the ends of control steps; its instant counts as given. A parameter of value 0 has no per cent,
     and is left out. k_nominal moves the equilibrium before the run as well: its effect is the difference of two runs.
-
-    Args:
-        settings: of the environment.
-        scenarios: to play, to their ends.
-        on_progress: called with the number of scenarios done.
-        n_threads: threads to run with; None for one per processor.
 
     Raises:
         ValueError: gradients are not known for the settings, or a scenario does not fit them.

@@ -28,23 +28,17 @@ _TOLERANCE = 1e-10
 
 @dataclass(frozen=True, kw_only=True)
 class LoadRun:
-    """A run with loads of a kind.
+    """A run with loads of a kind."""
 
-    Args:
-        model: name of the kind.
-        strategy: of all groups.
-        status, end_s: why and when it ended [s].
-        nadir_hz, final_hz: lowest and last frequency of the centre of inertia [Hz].
-        least_voltage_pu: of any bus, after the events [p.u.].
-    """
-
-    model: str
-    strategy: str
+    model: str  # name of the kind
+    strategy: str  # of all groups
+    #: status, end_s: why and when it ended [s].
     status: Status
     end_s: float
+    #: nadir_hz, final_hz: lowest and last frequency of the centre of inertia [Hz].
     nadir_hz: float
     final_hz: float
-    least_voltage_pu: float
+    least_voltage_pu: float  # of any bus, after the events [p.u.]
 
 
 def run_with_loads(
@@ -59,9 +53,6 @@ def run_with_loads(
 
     Args:
         model: a key of :data:`LOAD_MODELS`.
-        scenario: what happens.
-        strategy: of all groups.
-        settings: the plant; the paper's by default.
         simulation_dt: step of the integration, and between two settings of the loads [s].
     """
     settings = dataclasses.replace(settings or PlantSettings(), control_dt=simulation_dt, simulation_dt=simulation_dt)

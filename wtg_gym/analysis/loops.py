@@ -35,46 +35,30 @@ _STEP = 1e-5
 
 @dataclass(frozen=True, kw_only=True)
 class Margins:
-    """Stability margins of an open loop; not a number where the closed loop is unstable.
+    """Stability margins of an open loop; not a number where the closed loop is unstable."""
 
-    Args:
-        phase_margin_deg: smallest distance to -180° over all gain crossovers [deg].
-        crossover_rad_s: the gain crossover at which it is found [rad/s].
-        gain_margin_db: smallest increase of the gain that makes the loop unstable; infinite where none does [dB].
-        stable: all poles of the closed loop lie in the left half plane.
-    """
-
-    phase_margin_deg: float
-    crossover_rad_s: float
-    gain_margin_db: float
-    stable: bool
+    phase_margin_deg: float  # smallest distance to -180° over all gain crossovers [deg]
+    crossover_rad_s: float  # the gain crossover at which it is found [rad/s]
+    gain_margin_db: float  # smallest increase of the gain that makes the loop unstable; infinite where none does [dB]
+    stable: bool  # all poles of the closed loop lie in the left half plane
 
 
 @dataclass(frozen=True, kw_only=True)
 class SingleMachine:
-    """The linearised WTG at an operating point, and its loop.
+    """The linearised WTG at an operating point, and its loop."""
 
-    Args:
-        law: name of the strategy.
-        wind_m_s: [m/s].
-        rotor_speed_pu, power_pu: ω_m and p of the operating point [p.u.].
-        pitch_deg: β of the operating point. It counts as constant: above 0 the loop leaves the pitch control out [deg].
-        aerodynamic_slope: A = ∂p_w/∂ω_m at constant pitch [p.u./p.u.].
-        rotor_slope: B1 = ∂P_st/∂ω_m = 3 k ω_m² [p.u./p.u.].
-        frequency_slope: B2 = ω_m³ dg/dω [p.u./p.u.].
-        synchronising_coefficient: K_p = V V_g cos δ_0/X_g [p.u./rad].
-        numerator, denominator: G(s), coefficients of rising powers of s.
-    """
-
-    law: str
-    wind_m_s: float = math.nan
+    law: str  # name of the strategy
+    wind_m_s: float = math.nan  # [m/s]
+    #: rotor_speed_pu, power_pu: ω_m and p of the operating point [p.u.].
     rotor_speed_pu: float = math.nan
     power_pu: float = math.nan
+    #: β of the operating point. It counts as constant: above 0 the loop leaves the pitch control out [deg].
     pitch_deg: float = 0.0
-    aerodynamic_slope: float = 0.0
-    rotor_slope: float = 0.0
-    frequency_slope: float = 0.0
-    synchronising_coefficient: float
+    aerodynamic_slope: float = 0.0  # A = ∂p_w/∂ω_m at constant pitch [p.u./p.u.]
+    rotor_slope: float = 0.0  # B1 = ∂P_st/∂ω_m = 3 k ω_m² [p.u./p.u.]
+    frequency_slope: float = 0.0  # B2 = ω_m³ dg/dω [p.u./p.u.]
+    synchronising_coefficient: float  # K_p = V V_g cos δ_0/X_g [p.u./rad]
+    #: numerator, denominator: G(s), coefficients of rising powers of s.
     numerator: tuple[float, ...]
     denominator: tuple[float, ...]
 

@@ -50,29 +50,20 @@ CRITICAL_WIND = 8.0
 
 @dataclass(frozen=True, kw_only=True)
 class SuiteCount:
-    """A strategy in validation scenarios of a suite.
+    """A strategy in validation scenarios of a suite."""
 
-    Args:
-        n_scenarios, refused: how many, and how many of them the plant does not start.
-        ends: runs that end in a failure, by its reason.
-        motoring: runs in which a group's p falls below 0.
-        nadirs_hz: of every scenario, not a number where it failed or did not start (n_scenarios,) [Hz].
-        least_ratio: smallest tip-speed ratio of all runs.
-        least_rotor_pu, peak_current_pu: extremes of ω_m and |I| [p.u.].
-        internal_pu: smallest and largest |E| [p.u.].
-        lowest_hz: lowest frequency of all runs [Hz].
-    """
-
+    #: n_scenarios, refused: how many, and how many of them the plant does not start.
     n_scenarios: int
     refused: int
-    ends: Mapping[str, int]
-    motoring: int
-    nadirs_hz: Floats
-    least_ratio: float
+    ends: Mapping[str, int]  # runs that end in a failure, by its reason
+    motoring: int  # runs in which a group's p falls below 0
+    nadirs_hz: Floats  # of every scenario, not a number where it failed or did not start (n_scenarios,) [Hz]
+    least_ratio: float  # smallest tip-speed ratio of all runs
+    #: least_rotor_pu, peak_current_pu: extremes of ω_m and |I| [p.u.].
     least_rotor_pu: float
     peak_current_pu: float
-    internal_pu: tuple[float, float]
-    lowest_hz: float
+    internal_pu: tuple[float, float]  # smallest and largest |E| [p.u.]
+    lowest_hz: float  # lowest frequency of all runs [Hz]
 
     @property
     def failures(self) -> int:
@@ -82,46 +73,33 @@ class SuiteCount:
 
 @dataclass(frozen=True, kw_only=True)
 class PhysicsStudy:
-    """All measurements.
+    """All measurements."""
 
-    Args:
-        scenario: the paper's load increase.
-        increase, decrease: the paper's cases, by plant and strategy.
-        counts: by plant, suite and strategy.
-        least_start_m_s: by preset and strategy, the wind below which rotors start below the under-speed trip [m/s].
-        energy: the rotor's energy, by wind, down to the frequency at which the load increase settles.
-        settled_hz: that frequency [Hz].
-        held, limited, regulated, consistent, nrel: starts: constant E at the scheduled voltage and where |E| is at most
-            1.1 p.u.; voltage control, then with an energy-consistent rotor, then with the NREL 5 MW turbine.
-        paper_margins_deg: of the reference at the paper's K_p, by group [deg].
-        critical_hz: by turbine ("paper", "NREL 5 MW") and strategy, at 8 m/s [Hz]; None: equilibria everywhere.
-        loads: the load increase by load model and strategy.
-    """
-
-    scenario: Scenario
+    scenario: Scenario  # the paper's load increase
+    #: increase, decrease: the paper's cases, by plant and strategy.
     increase: Mapping[str, Mapping[str, PlantRun]]
     decrease: Mapping[str, Mapping[str, PlantRun]]
-    counts: Mapping[str, Mapping[str, Mapping[str, SuiteCount]]]
+    counts: Mapping[str, Mapping[str, Mapping[str, SuiteCount]]]  # by plant, suite and strategy
+    #: By preset and strategy, the wind below which rotors start below the under-speed trip [m/s].
     least_start_m_s: Mapping[str, Mapping[str, float]]
+    #: The rotor's energy, by wind, down to the frequency at which the load increase settles.
     energy: tuple[RotorEnergy, ...]
-    settled_hz: float
+    settled_hz: float  # that frequency [Hz]
+    #: held, limited, regulated, consistent, nrel: starts: constant E at the scheduled voltage and where |E| is at most
+    #: 1.1 p.u.; voltage control, then with an energy-consistent rotor, then with the NREL 5 MW turbine.
     held: VoltageLimit
     limited: VoltageLimit
     regulated: VoltageLimit
     consistent: VoltageLimit
     nrel: VoltageLimit
-    paper_margins_deg: Floats
+    paper_margins_deg: Floats  # of the reference at the paper's K_p, by group [deg]
+    #: By turbine ("paper", "NREL 5 MW") and strategy, at 8 m/s [Hz]; None: equilibria everywhere.
     critical_hz: Mapping[str, Mapping[str, float | None]]
-    loads: tuple[LoadRun, ...]
+    loads: tuple[LoadRun, ...]  # the load increase by load model and strategy
 
 
 def study_physics(n_scenarios: int, on_progress: Callable[[str, float, int], None] = lambda *_: None) -> PhysicsStudy:
-    """Measure them all.
-
-    Args:
-        n_scenarios: validation scenarios of each suite.
-        on_progress: called with (name of the part, parts done, parts in all).
-    """
+    """Measure all of it, on the first validation scenarios of each suite."""
     forms = plant_forms()
     cases = get_suite("paper").scenarios([0, 1])
     increase: dict[str, dict[str, PlantRun]] = {}

@@ -73,20 +73,14 @@ def plant_forms() -> Mapping[str, PlantSettings]:
 
 @dataclass(frozen=True, kw_only=True)
 class RotorEnergy:
-    """Kinetic energy that the reference's rotor releases when the frequency falls, on the base of its rating.
+    """Kinetic energy that the reference's rotor releases when the frequency falls, on the base of its rating."""
 
-    Args:
-        wind_m_s: [m/s].
-        before_pu, after_pu: ω_m of its equilibria at ω_st and at the lower frequency [p.u.].
-        credited_s: 2H_m Δω_m, which the paper's rotor equation releases [p.u. s].
-        stored_s: H_m Δ(ω_m²), by which the rotor's energy falls [p.u. s].
-    """
-
-    wind_m_s: float
+    wind_m_s: float  # [m/s]
+    #: before_pu, after_pu: ω_m of its equilibria at ω_st and at the lower frequency [p.u.].
     before_pu: float
     after_pu: float
-    credited_s: float
-    stored_s: float
+    credited_s: float  # 2H_m Δω_m, which the paper's rotor equation releases [p.u. s]
+    stored_s: float  # H_m Δ(ω_m²), by which the rotor's energy falls [p.u. s]
 
 
 def rotor_energy(wind_m_s: float, frequency_pu: float) -> RotorEnergy:
@@ -118,30 +112,21 @@ def least_start_wind(settings: PlantSettings, strategy: str) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class PlantRun:
-    """A run of a plant; the extremes count every simulation step.
+    """A run of a plant; the extremes count every simulation step."""
 
-    Args:
-        status: why it ended, or RUNNING.
-        end_s: when [s].
-        times_s: start, and every simulation step until the end (n,) [s].
-        frequency_hz: of the centre of inertia (n,) [Hz].
-        rotor_pu, power_pu, current_pu: ω_m, p and |I| (n, n_wtg) [p.u.].
-        internal_pu, reactive_pu: |E| behind X_g and q at the terminal (n, n_wtg) [p.u.].
-        least_ratio: smallest tip-speed ratio (n_wtg,).
-        released_s: ∫ p - p_w dt (n_wtg,) [p.u. s].
-    """
-
-    status: Status
-    end_s: float
-    times_s: Floats
-    frequency_hz: Floats
+    status: Status  # why it ended, or RUNNING
+    end_s: float  # when [s]
+    times_s: Floats  # start, and every simulation step until the end (n,) [s]
+    frequency_hz: Floats  # of the centre of inertia (n,) [Hz]
+    #: rotor_pu, power_pu, current_pu: ω_m, p and |I| (n, n_wtg) [p.u.].
     rotor_pu: Floats
     power_pu: Floats
     current_pu: Floats
+    #: internal_pu, reactive_pu: |E| behind X_g and q at the terminal (n, n_wtg) [p.u.].
     internal_pu: Floats
     reactive_pu: Floats
-    least_ratio: Floats
-    released_s: Floats
+    least_ratio: Floats  # smallest tip-speed ratio (n_wtg,)
+    released_s: Floats  # ∫ p - p_w dt (n_wtg,) [p.u. s]
 
     @property
     def failed(self) -> bool:

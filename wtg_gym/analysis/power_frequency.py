@@ -12,13 +12,13 @@ from scipy.optimize import brentq, minimize_scalar
 from wtg_gym.analysis.steady_states import (
     FREQUENCY_RANGE,
     Balance,
-    Floats,
     OperatingPoint,
     equilibria,
     power_margin_pu,
     stable_equilibrium,
 )
 from wtg_gym.physics.aerodynamics import tracking_point
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.physics.tracking_law import TrackingLaw
 from wtg_gym.ranges import require_range

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import brentq, minimize_scalar
 
 from wtg_gym.physics.aerodynamics import (
@@ -22,13 +21,12 @@ from wtg_gym.physics.aerodynamics import (
     power_coefficient_at,
 )
 from wtg_gym.physics.converter import converter_constants, tracking_coefficient
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import GridFormingParameters, PitchParameters, TurbineParameters
 from wtg_gym.physics.rotor_table import RotorTable
 from wtg_gym.physics.scenario import WIND_SPEED_RANGE
 from wtg_gym.physics.tracking_law import TrackingLaw
 from wtg_gym.ranges import require_range
-
-Floats = npt.NDArray[np.float64]
 
 #: Least tip-speed ratio of the search for equilibria; the C_p curve is not valid far below [-].
 LEAST_TIP_SPEED_RATIO = 1.0
@@ -39,23 +37,14 @@ _SAMPLE_STEP = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class OperatingPoint:
-    """A steady state of one WTG at a grid frequency.
+    """A steady state of one WTG at a grid frequency."""
 
-    Args:
-        frequency_pu: grid frequency ω [p.u.].
-        rotor_speed_pu: ω_m [p.u.].
-        tip_speed_ratio: λ [-].
-        power_pu: p, captured and delivered alike [p.u.].
-        pitch_deg: β, above 0 where the pitch protection holds the rotor [deg].
-        stable: a faster rotor captures less than it delivers, so that it comes back.
-    """
-
-    frequency_pu: float
-    rotor_speed_pu: float
-    tip_speed_ratio: float
-    power_pu: float
-    pitch_deg: float
-    stable: bool
+    frequency_pu: float  # grid frequency ω [p.u.]
+    rotor_speed_pu: float  # ω_m [p.u.]
+    tip_speed_ratio: float  # λ [-]
+    power_pu: float  # p, captured and delivered alike [p.u.]
+    pitch_deg: float  # β, above 0 where the pitch protection holds the rotor [deg]
+    stable: bool  # a faster rotor captures less than it delivers, so that it comes back
 
 
 class Balance:

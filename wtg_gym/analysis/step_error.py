@@ -24,6 +24,7 @@ from wtg_gym.scenarios import get_suite
 
 #: Steps of the study [s]; each divides the control interval.
 STEPS = (0.0025, 0.005, 0.01, 0.02, 0.025, 0.04)
+ACCURACY_COLUMNS = ("method", "step [ms]", "time per s [µs]", "frequency [Hz]", "rotor speed [p.u.]", "power [p.u.]")
 #: Least step of the table [s]; figure and file have all.
 _LEAST_SHOWN_S = 0.01
 #: Scenarios in which the reference is compared with a tighter one.
@@ -32,22 +33,16 @@ _N_REFERENCE = 10
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Errors and cost of one method at one step.
+    """Errors and cost of one method at one step."""
 
-    Args:
-        method, order: its name and order.
-        step_s: [s].
-        evaluations_per_s: right-hand sides per simulated second.
-        microseconds_per_s: measured time per simulated second, one environment [µs].
-        frequency_hz, rotor_speed_pu, power_pu: largest error of any WTG over a scenario, (n_scenarios,) [Hz, p.u.];
-            infinite where the method did not stay finite.
-    """
-
+    #: method, order: its name and order.
     method: str
     order: int
-    step_s: float
-    evaluations_per_s: float
-    microseconds_per_s: float
+    step_s: float  # [s]
+    evaluations_per_s: float  # right-hand sides per simulated second
+    microseconds_per_s: float  # measured time per simulated second, one environment [µs]
+    #: frequency_hz, rotor_speed_pu, power_pu: largest error of any WTG over a scenario, (n_scenarios,) [Hz, p.u.];
+    #: infinite where the method did not stay finite.
     frequency_hz: Floats
     rotor_speed_pu: Floats
     power_pu: Floats
@@ -189,19 +184,17 @@ def accuracy_table(study: AccuracyStudy) -> str:
         if row.step_s < _LEAST_SHOWN_S:
             continue
         chosen = row.method == "RK4" and math.isclose(row.step_s, study.default_step_s)
-        cells = (
-            row.method,
-            f"{1e3 * row.step_s:g}",
-            f"{row.microseconds_per_s:.0f}",
-            *(median_and_worst(errors) for errors in (row.frequency_hz, row.rotor_speed_pu, row.power_pu)),
-        )
-        rows.append(tuple(f"**{cell}**" if chosen else cell for cell in cells))
-    header = ("method", "step [ms]", "time per s [µs]", "frequency [Hz]", "rotor speed [p.u.]", "power [p.u.]")
-    return markdown_table(header, rows, right=(1, 2))
+        rows.append(tuple(f"**{cell}**" if chosen else cell for cell in accuracy_cells(row)))
+    return markdown_table(ACCURACY_COLUMNS, rows, right=(1, 2))
 
 
-def median_and_worst(errors: Floats) -> str:
-    """Return median and worst of errors as text."""
+def accuracy_cells(row: Accuracy) -> tuple[str, ...]:
+    """Return a method's cost and errors as text, in the order of :data:`ACCURACY_COLUMNS`."""
+    errors = (row.frequency_hz, row.rotor_speed_pu, row.power_pu)
+    return row.method, f"{1e3 * row.step_s:g}", f"{row.microseconds_per_s:.0f}", *map(_median_and_worst, errors)
+
+
+def _median_and_worst(errors: Floats) -> str:
     return " / ".join(
         f"{value:.1e}" if math.isfinite(value) else "diverges" for value in (float(np.median(errors)), errors.max())
     )

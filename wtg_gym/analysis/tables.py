@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
 
 from wtg_gym.analysis.claim import Claim
@@ -41,37 +42,23 @@ def claims_table(claims: Iterable[Claim]) -> str:
 
 
 def margins_table(found: Iterable[Agreement], system: Iterable[SingleMachine]) -> str:
-    """Return the margins on an infinite bus and in the 14-bus system, a law and a wind in one row.
-
-    Args:
-        found: comparison of both small-signal models on an infinite bus.
-        system: the loops at the K_p of the 14-bus system.
-    """
+    """Return the margins on an infinite bus and in the 14-bus system, a law and a wind in one row."""
     found = list(found)
-    rows: dict[tuple[str, float], list[tuple[float, list[float]]]] = {}
-    own: dict[tuple[str, float], list[Agreement]] = {}
-    for each in found:
-        own.setdefault((each.law, each.wind_m_s), []).append(each)
-    for key, sides in own.items():
-        rows[key] = [(sides[0].synchronising_coefficient, [side.phase_margin_deg for side in sides])]
-    loops: dict[tuple[str, float], list[SingleMachine]] = {}
-    for loop in system:
-        loops.setdefault((loop.law, loop.wind_m_s), []).append(loop)
-    for key, both in loops.items():
-        rows[key].append((both[0].synchronising_coefficient, [loop.margins().phase_margin_deg for loop in both]))
-    cells = []
-    for (law, wind), columns in rows.items():
-        texts = []
-        for coefficient, margins in columns:
+    cells: dict[tuple[str, float], list[str]] = {}
+    for loops in (
+        [(each.law, each.wind_m_s, each.synchronising_coefficient, each.phase_margin_deg) for each in found],
+        [(each.law, each.wind_m_s, each.synchronising_coefficient, each.margins().phase_margin_deg) for each in system],
+    ):
+        for key, sides in itertools.groupby(loops, key=lambda loop: loop[:2]):
+            coefficients, margins = zip(*((k_p, f"{margin:.1f}") for *_, k_p, margin in sides), strict=True)
             # One number where the slopes of g(ω) do not differ.
-            shown = dict.fromkeys(f"{margin:.1f}" for margin in margins)
-            texts += [f"{coefficient:.3f}", " / ".join(shown)]
-        cells.append((law, f"{wind:g}", *texts))
+            cells.setdefault(key, []).extend([f"{coefficients[0]:.3f}", " / ".join(dict.fromkeys(margins))])
+    rows = [(law, f"{wind:g}", *texts) for (law, wind), texts in cells.items()]
     header = ("law", "wind [m/s]", "K_p, infinite bus", "margin [°]", "K_p, 14 buses", "margin [°]")
     largest = max(each.largest_difference for each in found)
     return (
         f"Largest relative difference of a closed-loop pole between both models: {largest:.0e}.\n\n"
-        f"{markdown_table(header, cells, right=range(1, 6))}"
+        f"{markdown_table(header, rows, right=range(1, 6))}"
     )
 
 

@@ -9,14 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.analysis.case_file import ReferenceCase
 from wtg_gym.files import read_text
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.scenario import LoadStep
 from wtg_gym.ranges import require_range
-
-Floats = npt.NDArray[np.float64]
 
 #: Quantities of a machine and of a bus that a trace may hold, with their units.
 MACHINE_QUANTITIES = {"w": "p.u.", "Pe": "p.u.", "Qe": "p.u.", "Tm": "p.u.", "delta": "rad"}

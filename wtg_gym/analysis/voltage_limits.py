@@ -7,7 +7,6 @@ frequencies, a held terminal voltage at low ones.
 from __future__ import annotations
 
 import dataclasses
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,8 +24,6 @@ from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law
 
 #: Upper end of the voltage that equipment stands continuously [p.u.].
 VOLTAGE_LIMIT_PU = 1.1
-#: Reactive power at a power factor of 0.95 and rated active power, a usual requirement of grid codes [p.u.].
-REACTIVE_LIMIT_PU = math.tan(math.acos(0.95))
 #: Bus 2 here keeps the groups clear of their reactive limit, which would be a corner of the right-hand side [p.u.].
 REGULATED_PU = 1.04
 _WTG_BUS = 2
@@ -36,22 +33,15 @@ _STEP = 2e-6
 
 @dataclass(frozen=True, kw_only=True)
 class VoltageLimit:
-    """The start of the paper's load increase with bus 2 held at a voltage.
+    """The start of the paper's load increase with bus 2 held at a voltage."""
 
-    Args:
-        bus_voltage_pu: of bus 2 [p.u.].
-        voltage_pu, reactive_pu: |E| and reactive power of each group (n_wtg,) [p.u.].
-        synchronising_coefficient: K_p of each group at constant E (n_wtg,) [p.u./rad].
-        slow_coefficient: K_p + K_1/a, at which voltage control settles; K_p without it (n_wtg,) [p.u./rad].
-        phase_margin_deg: of the reference at K_p(s), under-frequency (n_wtg,) [deg].
-    """
-
-    bus_voltage_pu: float
+    bus_voltage_pu: float  # of bus 2 [p.u.]
+    #: voltage_pu, reactive_pu: |E| and reactive power of each group (n_wtg,) [p.u.].
     voltage_pu: Floats
     reactive_pu: Floats
-    synchronising_coefficient: Floats
-    slow_coefficient: Floats
-    phase_margin_deg: Floats
+    synchronising_coefficient: Floats  # K_p of each group at constant E (n_wtg,) [p.u./rad]
+    slow_coefficient: Floats  # K_p + K_1/a, at which voltage control settles; K_p without it (n_wtg,) [p.u./rad]
+    phase_margin_deg: Floats  # of the reference at K_p(s), under-frequency (n_wtg,) [deg]
 
 
 def voltage_limits(scenario: Scenario) -> tuple[VoltageLimit, VoltageLimit]:
@@ -73,14 +63,7 @@ def start_at(
     turbine: TurbineParameters | None = None,
     voltage_control: VoltageControlParameters | None = None,
 ) -> VoltageLimit:
-    """Return the start of a scenario with bus 2 held at another voltage.
-
-    Args:
-        scenario: the one that starts.
-        bus_voltage_pu: of bus 2 [p.u.].
-        turbine: the paper's by default.
-        voltage_control: None for a constant E.
-    """
+    """Return the start of a scenario with bus 2 held at another voltage; without voltage control E is constant."""
     turbine = turbine or TurbineParameters()
     case, law = modified_ieee14(), get_law(REFERENCE_STRATEGY, turbine)
     buses = tuple(

@@ -19,8 +19,10 @@ from wtg_gym.cli.parser import Commands, Parser, add_group
 #: What commands do, by module and name, in the order of the help.
 _COMMANDS = {
     "simulate": {"simulate": "one scenario under one or several strategies: key figures, figure, traces"},
-    "play": {"play": "hold the frequency by hand, in the browser, against the reference"},
-    "explore": {"explore": "try out wind, events, laws and grids, in the browser"},
+    "live": {
+        "play": "hold the frequency by hand, in the browser, against the reference",
+        "explore": "try out wind, events, laws and grids, in the browser",
+    },
     "evaluate": {
         "evaluate": "score entries on scenarios of a suite",
         "leaderboard": "rank entries on a suite and write the table to a README",
@@ -35,8 +37,10 @@ _COMMANDS = {
     },
     "reproduce": {"reproduce": "the paper's figures and claims, measured; and studies beyond the paper"},
     "compare": {"compare": "cases of another simulator against its traces; exit code 1 above a tolerance"},
-    "environment": {"environment": "actions, observations, rewards and arguments of the environments"},
-    "parameters": {"parameters": "every number of the model with its unit and source"},
+    "reference": {
+        "environment": "actions, observations, rewards and arguments of the environments",
+        "parameters": "every number of the model with its unit and source",
+    },
     "bench": {
         "bench": "speed against other environments, training throughput, growth with size, share of the machine's peak"
     },
@@ -106,9 +110,6 @@ def _add(commands: Commands, modules: Mapping[str, Mapping[str, str]], words: Se
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line.
-
-    Args:
-        argv: arguments without the program's name; None takes those of the process.
 
     Returns:
         The exit code: 0 fine, 1 a check failed, 2 bad input, 130 interrupted, 141 the output's reader is gone.

@@ -8,39 +8,20 @@ from typing import Any
 
 import numpy as np
 
+from wtg_gym.analysis import step_error
 from wtg_gym.analysis.explicit_methods import METHODS
-from wtg_gym.analysis.step_error import (
-    STEPS,
-    Accuracy,
-    AccuracyStudy,
-    accuracy_table,
-    median_and_worst,
-    order_table,
-    study_accuracy,
-)
-from wtg_gym.cli.output import (
-    check_output_folder,
-    check_page,
-    note,
-    plain_json,
-    print_json,
-    print_table,
-    require_extra,
-    say,
-    update_page,
-)
+from wtg_gym.cli import output
 from wtg_gym.cli.parser import Commands, add_command, add_output_options
-from wtg_gym.cli.suites import suite_name
-from wtg_gym.files import to_json, write_atomically
+from wtg_gym.cli.suites import DRAWN_SUITES, suite_name
 from wtg_gym.progress import Progress
-from wtg_gym.scenarios import SUITES
 
+_STEPS = ", ".join(f"{1e3 * step:g}" for step in step_error.STEPS)
 _DESCRIPTION = f"""\
 Integrates random scenarios with several explicit methods and steps, and compares frequency, rotor speed and power of
 every WTG group with scipy's DOP853 at rtol 1e-10 on the same right-hand side: the median and the worst error over the
 scenarios against the time that a simulated second takes. Without --output only the table is printed.
 
-methods: {", ".join(method.name for method in METHODS)}; steps: {", ".join(f"{1e3 * step:g}" for step in STEPS)} ms"""
+methods: {", ".join(method.name for method in METHODS)}; steps: {_STEPS} ms"""
 
 
 def add_commands(commands: Commands) -> None:
@@ -56,8 +37,9 @@ def add_commands(commands: Commands) -> None:
     parser.add_argument(
         "--scenarios", type=int, default=100, metavar="N", help="the first N of the validation split (default: 100)"
     )
-    drawn = [name for name, suite in SUITES.items() if suite.distribution is not None]
-    parser.add_argument("--suite", type=suite_name, choices=drawn, default="standard", help="(default: standard)")
+    parser.add_argument(
+        "--suite", type=suite_name, choices=DRAWN_SUITES, default="standard", help="(default: standard)"
+    )
     add_output_options(
         parser,
         output="write the figure 'accuracy' and accuracy.json there",
@@ -68,29 +50,28 @@ def add_commands(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym analyse accuracy`; return 1 if the default step did not stay finite."""
-    page = check_page("--page", arguments.page, "accuracy")
-    folder = None if arguments.output is None else check_output_folder("--output", arguments.output)
-    if folder is not None:
-        require_extra("matplotlib", "--output")
+    page = output.check_page("--page", arguments.page, "accuracy")
+    folder = output.study_folder(arguments.output)
     with Progress("scenarios") as progress:
-        study = study_accuracy(arguments.scenarios, suite=arguments.suite, on_progress=progress.update)
+        study = step_error.study_accuracy(arguments.scenarios, suite=arguments.suite, on_progress=progress.update)
     data = _as_json(study)
     if folder is not None:
-        from wtg_gym.plotting import plot_accuracy, save_figure
+        from wtg_gym.plotting import plot_accuracy
 
-        save_figure(plot_accuracy(study), folder / "accuracy", arguments.formats)
-        write_atomically(folder / "accuracy.json", to_json(data))
-        note(f"wrote accuracy.json and accuracy.{', accuracy.'.join(arguments.formats)} in {folder}")
+        output.write_study(folder, "accuracy", data, {"accuracy": plot_accuracy(study)}, arguments.formats)
     if page is not None:
-        update_page(page, {"accuracy": f"{_summary(study)}\n\n{order_table(study)}\n\n{accuracy_table(study)}"})
+        output.update_page(
+            page,
+            {"accuracy": f"{_summary(study)}\n\n{step_error.order_table(study)}\n\n{step_error.accuracy_table(study)}"},
+        )
     if arguments.json:
-        print_json(data)
+        output.print_json(data)
     else:
         _print(study)
     return int(not np.isfinite(study.row("RK4", study.default_step_s).frequency_hz).all())
 
 
-def _summary(study: AccuracyStudy) -> str:
+def _summary(study: step_error.AccuracyStudy) -> str:
     chosen = study.row("RK4", study.default_step_s)
     return (
         f"{len(study.seeds)} validation scenarios of the suite {study.suite} under the reference strategy. An error is "
@@ -102,19 +83,15 @@ def _summary(study: AccuracyStudy) -> str:
     )
 
 
-def _as_json(study: AccuracyStudy) -> Any:
-    def plain(row: Accuracy) -> dict[str, Any]:
+def _as_json(study: step_error.AccuracyStudy) -> Any:
+    def plain(row: step_error.Accuracy) -> dict[str, Any]:
         data = dataclasses.asdict(row)
         for quantity in ("frequency_hz", "rotor_speed_pu", "power_pu"):
             errors = data[quantity]
-            data[quantity] = {
-                "median": np.median(errors),
-                "p95": np.quantile(errors, 0.95),
-                "worst": errors.max(),
-            }
+            data[quantity] = {"median": np.median(errors), "p95": np.quantile(errors, 0.95), "worst": errors.max()}
         return data
 
-    return plain_json(
+    return output.plain_json(
         {
             "suite": study.suite,
             "seeds": study.seeds,
@@ -126,16 +103,6 @@ def _as_json(study: AccuracyStudy) -> Any:
     )
 
 
-def _print(study: AccuracyStudy) -> None:
-    header = ("method", "step [ms]", "time per s [µs]", "frequency [Hz]", "rotor speed [p.u.]", "power [p.u.]")
-    rows = [
-        (
-            row.method,
-            f"{1e3 * row.step_s:g}",
-            f"{row.microseconds_per_s:.0f}",
-            *(median_and_worst(errors) for errors in (row.frequency_hz, row.rotor_speed_pu, row.power_pu)),
-        )
-        for row in study.rows
-    ]
-    print_table(header, rows)
-    say("", f"errors: median / worst of {len(study.seeds)} scenarios; {_summary(study)}")
+def _print(study: step_error.AccuracyStudy) -> None:
+    output.print_table(step_error.ACCURACY_COLUMNS, [step_error.accuracy_cells(row) for row in study.rows])
+    output.say("", f"errors: median / worst of {len(study.seeds)} scenarios; {_summary(study)}")

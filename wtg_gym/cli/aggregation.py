@@ -6,12 +6,11 @@ import argparse
 import dataclasses
 
 from wtg_gym.analysis.aggregation import STRATEGIES, AggregationStudy, aggregation_table, study_aggregation
-from wtg_gym.cli.output import check_page, plain_json, print_json, say, update_page
+from wtg_gym.cli.output import check_page, give_text
 from wtg_gym.cli.parser import Commands, add_command
-from wtg_gym.cli.suites import suite_name
+from wtg_gym.cli.suites import DRAWN_SUITES, suite_name
 from wtg_gym.physics.plant import PHYSICS
 from wtg_gym.progress import Progress
-from wtg_gym.scenarios import SUITES
 
 _DESCRIPTION = f"""\
 Plays random scenarios twice: with two groups of ten turbines, each in the mean wind of its turbines, and with twenty
@@ -30,10 +29,13 @@ def add_commands(commands: Commands) -> None:
         examples="  wtg-gym analyse aggregation --scenarios 10\n  wtg-gym analyse aggregation --suite gust --json\n"
         "  wtg-gym analyse aggregation --page docs/physics.md",
     )
-    drawn = [name for name, suite in SUITES.items() if suite.distribution is not None]
     parser.add_argument("--scenarios", type=int, default=60, metavar="N", help="validation scenarios (default: 60)")
     parser.add_argument(
-        "--suite", type=suite_name, default="low-wind", choices=drawn, help="of the scenarios (default: low-wind)"
+        "--suite",
+        type=suite_name,
+        default="low-wind",
+        choices=DRAWN_SUITES,
+        help="of the scenarios (default: low-wind)",
     )
     parser.add_argument("--physics", default="paper", choices=PHYSICS, help="of the plant (default: paper)")
     parser.add_argument(
@@ -50,12 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
             arguments.scenarios, suite=arguments.suite, physics=arguments.physics, on_progress=progress.update
         )
     text = f"{_summary(study)}\n\n{aggregation_table(study)}"
-    if page is not None:
-        update_page(page, {"aggregation": text})
-    if arguments.json:
-        print_json(plain_json(dataclasses.asdict(study)))
-    elif page is None:
-        say(*text.splitlines())
+    give_text(page, "aggregation", text, dataclasses.asdict(study), as_json=arguments.json)
     return 0
 
 

@@ -16,19 +16,9 @@ from wtg_gym.analysis.benchmarks.parts import PARTS, Benchmark, Results
 from wtg_gym.analysis.benchmarks.peers import peer_packages
 from wtg_gym.analysis.benchmarks.timing import machine, versions
 from wtg_gym.analysis.benchmarks.training import describe_training
-from wtg_gym.cli.output import (
-    check_output_folder,
-    check_page,
-    note,
-    plain_json,
-    print_json,
-    print_table,
-    require_extra,
-    say,
-    update_page,
-)
+from wtg_gym.cli import output
 from wtg_gym.cli.parser import Commands, add_command, add_output_options
-from wtg_gym.files import markdown_table, read_text, to_json, write_atomically
+from wtg_gym.files import markdown_table, read_text
 from wtg_gym.progress import Progress
 from wtg_gym.ranges import require_range
 
@@ -85,9 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise ValueError(f"--repeats = {arguments.repeats} is outside the allowed range 1 … 1000")
     parts = [part for part in PARTS if arguments.only is None or part in arguments.only]
     on_page = [] if arguments.page is None else _parts_of_page(arguments.page, parts)
-    folder = None if arguments.output is None else check_output_folder("--output", arguments.output)
-    if folder is not None and "growth" in parts:
-        require_extra("matplotlib", "--output")
+    folder = output.study_folder(arguments.output, draws="growth" in parts)
     benchmark = Benchmark(parts, full=arguments.full)
     # Two bars: the time of compiling says nothing about the runs, whose length is known.
     with Progress("expected s") as progress:
@@ -97,19 +85,22 @@ def run(arguments: argparse.Namespace) -> int:
             seconds, arguments.repeats, lambda name, done, total: progress.update(name, done, math.ceil(total))
         )
     for line in benchmark.missing:
-        note(line)
+        output.note(line)
     facts = {"seconds": seconds, "repeats": arguments.repeats, "parts": parts, "missing": benchmark.missing}
-    data = plain_json({**_as_json(results), **facts})
+    data = output.plain_json({**_as_json(results), **facts})
     if folder is not None:
-        _write(folder, results, data, arguments.formats)
+        from wtg_gym.plotting import plot_growth
+
+        figures = {"growth": plot_growth(results.growth)} if results.growth else {}
+        output.write_study(folder, "bench", data, figures, arguments.formats)
     if arguments.page is not None:
         caption = f"{machine()}; median of {arguments.repeats} runs of {seconds:g} s."
         texts = {part: _markdown(part_tables(part, results)) for part in on_page}
-        update_page(
+        output.update_page(
             Path(arguments.page), {f"bench:{part}": f"{caption}\n\n{text}" for part, text in texts.items() if text}
         )
     if arguments.json:
-        print_json(data)
+        output.print_json(data)
     else:
         _print(results)
     return 0
@@ -125,7 +116,7 @@ def _parts_of_page(page: str, parts: Sequence[str]) -> list[str]:
     if not found:
         wanted = ", ".join(f"<!-- bench:{part}:start -->" for part in parts)
         raise ValueError(f"--page: {page} has no markers of a measured part: {wanted}, with the same to the end")
-    check_page("--page", page, *(f"bench:{part}" for part in found))
+    output.check_page("--page", page, *(f"bench:{part}" for part in found))
     return found
 
 
@@ -152,16 +143,6 @@ def _as_json(results: Results) -> dict[str, Any]:
     }
 
 
-def _write(folder: Path, results: Results, data: Any, formats: Sequence[str]) -> None:
-    written = ["bench.json"]
-    if results.growth:
-        from wtg_gym.plotting import plot_growth, save_figure
-
-        written += [path.name for path in save_figure(plot_growth(results.growth), folder / "growth", formats)]
-    write_atomically(folder / "bench.json", to_json(data))
-    note(f"wrote {', '.join(written)} in {folder}")
-
-
 def _markdown(pieces: Sequence[Table | str]) -> str:
     texts = []
     for piece in pieces:
@@ -179,7 +160,7 @@ def _print(results: Results) -> None:
         pieces.append(describe_training())
     for piece in [*pieces, *part_tables("growth", results), *part_tables("roofline", results)]:
         if isinstance(piece, Table):
-            print_table(piece.header, piece.rows, left=piece.text)
+            output.print_table(piece.header, piece.rows, left=piece.text)
         else:
-            say(piece)
-        say("")
+            output.say(piece)
+        output.say("")

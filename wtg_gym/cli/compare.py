@@ -51,13 +51,7 @@ _EXAMPLES = """\
 
 def add_commands(commands: Commands) -> None:
     """Add `wtg-gym compare`."""
-    parser = add_command(
-        commands,
-        "compare",
-        run,
-        description=_DESCRIPTION,
-        examples=_EXAMPLES,
-    )
+    parser = add_command(commands, "compare", run, description=_DESCRIPTION, examples=_EXAMPLES)
     parser.add_argument(
         "paths", nargs="+", metavar="PATH", help="PARAMS.json and one or more TRACE.csv, or folders that hold both"
     )

@@ -6,8 +6,15 @@ import argparse
 import dataclasses
 from pathlib import Path
 
-from wtg_gym.analysis.estimation import UNKNOWNS, EstimationStudy, estimation_table, study_own_run, study_recorded_run
-from wtg_gym.cli.output import check_page, plain_json, print_json, say, update_page
+from wtg_gym.analysis.estimation import (
+    UNKNOWNS,
+    EstimationStudy,
+    Noise,
+    estimation_table,
+    study_own_run,
+    study_recorded_run,
+)
+from wtg_gym.cli.output import check_page, give_text
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.progress import Progress
 
@@ -33,13 +40,7 @@ _EXAMPLES = """\
 
 def add_commands(commands: Commands) -> None:
     """Add `wtg-gym analyse estimate`."""
-    parser = add_command(
-        commands,
-        "estimate",
-        run,
-        description=_DESCRIPTION,
-        examples=_EXAMPLES,
-    )
+    parser = add_command(commands, "estimate", run, description=_DESCRIPTION, examples=_EXAMPLES)
     parser.add_argument(
         "--unknown",
         nargs="+",
@@ -77,12 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
     page = check_page("--page", arguments.page, section)
     study = _study(arguments)
     text = f"{_summary(study)}\n\n{estimation_table(study)}"
-    if page is not None:
-        update_page(page, {section: text})
-    if arguments.json:
-        print_json(plain_json(dataclasses.asdict(study)))
-    elif page is None:
-        say(*text.splitlines())
+    give_text(page, section, text, dataclasses.asdict(study), as_json=arguments.json)
     return 0
 
 
@@ -94,7 +90,7 @@ def _study(arguments: argparse.Namespace) -> EstimationStudy:
         raise ValueError(f"--{of_case[0].replace('_', '-')} is for --recorded")
     if arguments.recorded is not None and arguments.power is not None:
         raise ValueError("--power is that of a run of the benchmark's plant: leave out --recorded")
-    shared = {"noise_mhz": arguments.noise, "n_draws": arguments.draws, "seed": arguments.seed, **given}
+    shared = {"noise": Noise(arguments.noise, arguments.draws, arguments.seed), **given}
     with Progress("draws") as progress:
         shared["on_progress"] = lambda done: progress.update("noise", done, arguments.draws)
         if arguments.recorded is None:

@@ -5,24 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from wtg_gym.cli import scoring
 from wtg_gym.cli.output import check_output_folder, check_page, note, update_page
 from wtg_gym.cli.parser import Commands, add_command, add_plant_options
 from wtg_gym.cli.results import check_html, write_html
-from wtg_gym.cli.scoring import (
-    add_entries_option,
-    add_result_options,
-    add_run_options,
-    add_split_options,
-    add_suite_option,
-    add_worker_options,
-    check_stored,
-    chosen_entries,
-    chosen_scenarios,
-    chosen_workers,
-    finish,
-    kept_parts,
-    run_evaluation,
-)
 from wtg_gym.cli.stored import stored_or_played
 from wtg_gym.evaluation import Policy
 from wtg_gym.evaluation.leaderboard import markdown_section
@@ -84,26 +70,22 @@ def add_commands(commands: Commands) -> None:
         examples=_EVALUATE_EXAMPLES,
         after_interrupt="nothing was written; with --results DIR the finished parts are kept",
     )
-    add_entries_option(parser)
-    add_suite_option(parser)
-    add_run_options(parser)
-    add_worker_options(parser)
-    add_split_options(parser, "validation")
+    scoring.add_entries_option(parser)
+    scoring.add_suite_option(parser)
+    scoring.add_run_options(parser)
+    scoring.add_worker_options(parser)
+    scoring.add_split_options(parser, "validation")
     parser.add_argument("--duration", type=float, metavar="S", help="length of an episode [s] (default: the suite's)")
-    add_result_options(parser)
+    scoring.add_result_options(parser)
     parser.add_argument("--trust-pickle", action="store_true", help=_TRUST_HELP)
     add_plant_options(parser)
     parser = add_command(
-        commands,
-        "leaderboard",
-        _run_leaderboard,
-        description=_LEADERBOARD,
-        examples=_LEADERBOARD_EXAMPLES,
+        commands, "leaderboard", _run_leaderboard, description=_LEADERBOARD, examples=_LEADERBOARD_EXAMPLES
     )
-    add_entries_option(parser)
-    add_suite_option(parser)
-    add_run_options(parser)
-    add_worker_options(parser)
+    scoring.add_entries_option(parser)
+    scoring.add_suite_option(parser)
+    scoring.add_run_options(parser)
+    scoring.add_worker_options(parser)
     parser.add_argument(
         "--results", metavar="DIR", default="results", help="folder of the results; made if missing (default: results)"
     )
@@ -114,10 +96,10 @@ def add_commands(commands: Commands) -> None:
 
 def _run_evaluate(arguments: argparse.Namespace) -> int:
     folder = None if arguments.results is None else check_output_folder("--results", arguments.results)
-    partial = kept_parts(folder, arguments) if folder is not None and arguments.resume else None
-    workers = chosen_workers(arguments)
+    partial = scoring.kept_parts(folder, arguments) if folder is not None and arguments.resume else None
+    workers = scoring.chosen_workers(arguments)
     planned = {
-        **chosen_scenarios(arguments),
+        **scoring.chosen_scenarios(arguments),
         "duration_s": arguments.duration,
         "groups": arguments.groups,
         "control_dt": arguments.control_dt,
@@ -126,11 +108,13 @@ def _run_evaluate(arguments: argparse.Namespace) -> int:
         "on_failure": arguments.on_failure,
         "physics": arguments.physics,
     }
-    check_stored(folder, planned)
+    scoring.check_stored(folder, planned)
     # Last, because it takes longest, and may run code.
-    entries = chosen_entries(arguments.entries, arguments.suite, _load_trusted if arguments.trust_pickle else None)
-    results = run_evaluation(entries, **planned, partial=partial, n_threads=arguments.threads, workers=workers)
-    return finish(results, folder, as_json=arguments.json)
+    entries = scoring.chosen_entries(
+        arguments.entries, arguments.suite, _load_trusted if arguments.trust_pickle else None
+    )
+    results = scoring.run_evaluation(entries, **planned, partial=partial, n_threads=arguments.threads, workers=workers)
+    return scoring.finish(results, folder, as_json=arguments.json)
 
 
 def _load_trusted(folder: Path, algorithm: str) -> tuple[Policy, str]:
@@ -151,15 +135,15 @@ def _run_leaderboard(arguments: argparse.Namespace) -> int:
     readme = check_page("--readme", arguments.readme, section)
     page = None if arguments.html is None else check_html("--html", arguments.html)
     # Finished parts are stored results too.
-    partial = None if arguments.fresh else kept_parts(folder, arguments)
-    workers = chosen_workers(arguments)
-    entries = chosen_entries(arguments.entries, arguments.suite)
+    partial = None if arguments.fresh else scoring.kept_parts(folder, arguments)
+    workers = scoring.chosen_workers(arguments)
+    entries = scoring.chosen_entries(arguments.entries, arguments.suite)
     check_version(entries, benchmark)
     scenarios = {"suite": arguments.suite, "split": "test", "n_threads": arguments.threads}
     results, kept = stored_or_played(
         entries, folder, fresh=arguments.fresh, partial=partial, workers=workers, **scenarios
     )
-    code = finish(results, folder, as_json=arguments.json, kept=kept)
+    code = scoring.finish(results, folder, as_json=arguments.json, kept=kept)
     if readme is not None:
         update_page(readme, {section: markdown_section(results)})
     if page is not None:

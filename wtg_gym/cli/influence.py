@@ -7,16 +7,7 @@ import argparse
 import numpy as np
 
 from wtg_gym.analysis.influence import MEASURES, Influences, influences_table, measure_influences
-from wtg_gym.cli.output import (
-    PLOT_SUFFIXES,
-    check_page,
-    check_plot_file,
-    plain_json,
-    print_json,
-    say,
-    update_page,
-    write_and_say,
-)
+from wtg_gym.cli.output import PLOT_SUFFIXES, check_page, check_plot_file, give_text, write_and_say
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.cli.suites import suite_name
 from wtg_gym.envs.settings import EnvSettings
@@ -46,13 +37,7 @@ _EXAMPLES = """\
 
 def add_commands(commands: Commands) -> None:
     """Add `wtg-gym analyse influence`."""
-    parser = add_command(
-        commands,
-        "influence",
-        run,
-        description=_DESCRIPTION,
-        examples=_EXAMPLES,
-    )
+    parser = add_command(commands, "influence", run, description=_DESCRIPTION, examples=_EXAMPLES)
     cases = ", ".join(case.name for case in get_suite("paper").cases)
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--case", metavar="NAME", help=f"case of the paper: {cases} (default: load-increase)")
@@ -92,12 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
         from wtg_gym.plotting import figure_bytes, plot_influences
 
         write_and_say(plot, figure_bytes(plot_influences(found, arguments.rows), plot.suffix.lower()))
-    if page is not None:
-        update_page(page, {"influence": text})
-    if arguments.json:
-        print_json(plain_json(found.to_dict()))
-    elif page is None:
-        say(*text.splitlines())
+    give_text(page, "influence", text, found.to_dict(), as_json=arguments.json)
     return 0
 
 

@@ -3,27 +3,13 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any, NoReturn
 
 from wtg_gym.cli.output import say
 from wtg_gym.physics.parameters import TurbineParameters
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw, get_law
 from wtg_gym.policies.load import example_law
-
-
-class _FirstReplacesDefault(argparse.Action):
-    """Collect the values of a repeated option; the first use replaces the default."""
-
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,
-        values: Any,
-        option_string: str | None = None,
-    ) -> None:
-        before = getattr(namespace, self.dest)
-        setattr(namespace, self.dest, [*([] if before is self.default else before), *values])
 
 
 class _PrintExample(argparse.Action):
@@ -43,11 +29,11 @@ def add_law_option(parser: argparse.ArgumentParser, default: str) -> None:
         "--law",
         "--strategy",
         nargs="+",
-        action=_FirstReplacesDefault,
-        default=[default],
+        action="extend",
         metavar="NAME",
         help=f"strategies by name, 'all', or .toml files with a law; may be repeated (default: {default})",
     )
+    parser.set_defaults(default_law=default)
     parser.add_argument(
         "--example-law",
         nargs=0,
@@ -57,14 +43,15 @@ def add_law_option(parser: argparse.ArgumentParser, default: str) -> None:
 
 
 def chosen_laws(
-    names: Sequence[str], turbine: TurbineParameters | None = None, every: Iterable[str] = STRATEGIES
+    arguments: argparse.Namespace, turbine: TurbineParameters | None = None, every: Iterable[str] = STRATEGIES
 ) -> list[TrackingLaw]:
-    """Return the laws of these names, each once, for a turbine; by default the paper's. `every` are those of "all".
+    """Return the laws of `--law`, each once, for a turbine; by default the paper's. `every` are those of "all".
 
     Raises:
         ValueError: a name is unknown, or two laws have the same one.
     """
     laws: dict[str, TrackingLaw] = {}
+    names = arguments.law or [arguments.default_law]
     given = [expanded for name in names for expanded in (every if name == "all" else (name,))]
     for name in dict.fromkeys(given):
         law = get_law(name, turbine)

@@ -7,19 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from wtg_gym.cli import scoring
 from wtg_gym.cli.output import check_output_folder, check_page, note, print_json, print_table, say, update_page
 from wtg_gym.cli.parser import Commands, add_command
-from wtg_gym.cli.scoring import (
-    add_entries_option,
-    add_run_options,
-    add_worker_options,
-    check_stored,
-    chosen_entries,
-    chosen_workers,
-    first_seeds,
-    kept_parts,
-    note_failures,
-)
 from wtg_gym.cli.stored import stored_or_played
 from wtg_gym.cli.suites import suite_name
 from wtg_gym.evaluation.matrix import PERTURBATIONS, SCALE, Matrix, matrix_of, score_text, suites_of, worst_text
@@ -54,7 +44,7 @@ def add_matrix(commands: Commands) -> None:
         description=_DESCRIPTION,
         examples=_EXAMPLES,
     )
-    add_entries_option(parser)
+    scoring.add_entries_option(parser)
     parser.add_argument(
         "--suites",
         type=suite_name,
@@ -71,8 +61,8 @@ def add_matrix(commands: Commands) -> None:
     )
     parser.add_argument("--split", choices=SPLITS[1:], default="test", help="(default: test)")
     parser.add_argument("--scenarios", type=int, metavar="N", help="the first N of each suite's split (default: all)")
-    add_run_options(parser)
-    add_worker_options(parser)
+    scoring.add_run_options(parser)
+    scoring.add_worker_options(parser)
     parser.add_argument(
         "--results", metavar="DIR", default="results", help="folder of the results; made if missing (default: results)"
     )
@@ -89,25 +79,19 @@ def _run(arguments: argparse.Namespace) -> int:
     get_suite(arguments.perturb)
     planned = list(_planned(folder, suites, arguments))
     for place, scenarios in planned:
-        check_stored(place, scenarios)
-    partial = kept_parts(folder, arguments)
-    workers = chosen_workers(arguments)
-    entries = chosen_entries(arguments.entries, suites[0])
+        scoring.check_stored(place, scenarios)
+    partial = scoring.kept_parts(folder, arguments)
+    workers = scoring.chosen_workers(arguments)
+    entries = scoring.chosen_entries(arguments.entries, suites[0])
     check_version(entries, benchmark)
     played, code = [], 0
     for place, scenarios in planned:
         note(f"{scenarios['suite']} into {place}")
         results, kept = stored_or_played(
-            entries,
-            place,
-            fresh=False,
-            partial=partial,
-            workers=workers,
-            n_threads=arguments.threads,
-            **scenarios,
+            entries, place, fresh=False, partial=partial, workers=workers, n_threads=arguments.threads, **scenarios
         )
         kept.write(place)
-        code |= note_failures(results)
+        code |= scoring.note_failures(results)
         played.append(results)
     matrix = matrix_of(played)
     if page is not None:
@@ -126,7 +110,7 @@ def _planned(folder: Path, suites: list[str], arguments: argparse.Namespace) -> 
         if arguments.scenarios is not None:
             # A suite of fixed cases has fewer.
             most = len(get_suite(suite).seeds(arguments.split))
-            seeds = first_seeds(suite, arguments.split, min(arguments.scenarios, most))
+            seeds = scoring.first_seeds(suite, arguments.split, min(arguments.scenarios, most))
         scenarios = {"suite": suite, "split": arguments.split, "seeds": seeds}
         yield folder, scenarios
         own = get_suite(suite).sensors

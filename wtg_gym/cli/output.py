@@ -9,9 +9,12 @@ import os
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from wtg_gym.files import printable, require_markers, update_between_markers, write_atomically
+from wtg_gym.files import printable, require_markers, to_json, update_between_markers, write_atomically
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 #: Formats that figures are written in.
 FIGURE_FORMATS = ("svg", "png", "pdf")
@@ -53,13 +56,7 @@ def require_extra(package: str, purpose: str) -> None:
 
 
 def check_output_file(option: str, text: str, suffixes: Sequence[str]) -> Path:
-    """Return the path of a file to write, or raise a ValueError now rather than after the work.
-
-    Args:
-        option: name of the option.
-        text: the path.
-        suffixes: allowed endings.
-    """
+    """Return the path of a file to write, or raise a ValueError now rather than after the work."""
     path = Path(text)
     if path.suffix.lower() not in suffixes:
         raise ValueError(f"{option} {text}: unknown kind of file {path.suffix!r}; it must end in {', '.join(suffixes)}")
@@ -99,13 +96,7 @@ def check_output_folder(option: str, text: str) -> Path:
 
 
 def check_page(option: str, text: str | None, *sections: str) -> Path | None:
-    """Return the path of a file whose sections between markers are to be renewed, or raise a ValueError now.
-
-    Args:
-        option: name of the option.
-        text: the path; None for no file.
-        sections: names in the markers, see :func:`wtg_gym.files.update_between_markers`.
-    """
+    """Return the path of a file whose sections between markers are to be renewed, or a ValueError; None for no file."""
     if text is None:
         return None
     path = Path(text)
@@ -146,13 +137,7 @@ def print_json(data: Any) -> None:
 
 
 def print_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, left: Sequence[int] = (0,)) -> None:
-    """Print a table with aligned columns.
-
-    Args:
-        header: column heads, with units.
-        rows: cells.
-        left: columns of text; the others are aligned right.
-    """
+    """Print a table with aligned columns: those of text, `left`, on the left, the others on the right."""
     cells = [[printable(cell) for cell in row] for row in (header, *rows)]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     for row in (cells[0], ["-" * width for width in widths], *cells[1:]):
@@ -161,3 +146,33 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, left: S
             for index, (cell, width) in enumerate(zip(row, widths, strict=True))
         )
         say("  ".join(aligned).rstrip())
+
+
+# --- studies ----------------------------------------------------------------------------------------------------------
+
+
+def study_folder(text: str | None, *, draws: bool = True) -> Path | None:
+    """Return the folder of `--output`, or raise a ValueError now rather than after the work; None for no files."""
+    folder = None if text is None else check_output_folder("--output", text)
+    if folder is not None and draws:
+        require_extra("matplotlib", "--output")
+    return folder
+
+
+def write_study(folder: Path, name: str, data: Any, figures: Mapping[str, Figure], formats: Sequence[str]) -> None:
+    """Write the figures of a study and its numbers, JSON-ready, into a folder, and say so."""
+    from wtg_gym.plotting import save_figure
+
+    paths = [path for file, figure in figures.items() for path in save_figure(figure, folder / file, formats)]
+    write_atomically(folder / f"{name}.json", to_json(data))
+    note(f"wrote {', '.join([f'{name}.json', *(path.name for path in paths)])} in {folder}")
+
+
+def give_text(page: Path | None, section: str, text: str, data: Any, *, as_json: bool) -> None:
+    """Put the text of a study into a page or print it, and print its data as JSON if that is asked for."""
+    if page is not None:
+        update_page(page, {section: text})
+    if as_json:
+        print_json(plain_json(data))
+    elif page is None:
+        say(*text.splitlines())

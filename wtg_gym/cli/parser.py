@@ -50,11 +50,6 @@ def add_command(
     """Add a command.
 
     Args:
-        commands: the return value of `add_subparsers`.
-        name: of the command.
-        run: carries it out and returns the exit code.
-        description: a paragraph for its own help.
-        examples: command lines for its own help.
         summary: one line for the list of commands; None for those that `wtg_gym.cli` lists.
         after_interrupt: printed after Ctrl-C: the files that are left, and how to go on.
 
@@ -71,13 +66,7 @@ def add_command(
 def add_output_options(
     parser: argparse.ArgumentParser, *, output: str, page: str, json: str, default: str | None = None
 ) -> None:
-    """Add the options of what a command writes besides a table on stdout.
-
-    Args:
-        parser: of the command.
-        output, page, json: help of the folder, of the Markdown file and of JSON on stdout.
-        default: the folder if none is given; None writes no files then.
-    """
+    """Add the options of what a study writes besides a table on stdout; by default no files, or those in `default`."""
     out = parser.add_argument_group("output")
     out.add_argument("--output", default=default, metavar="FOLDER", help=output)
     out.add_argument(

@@ -5,28 +5,11 @@ from __future__ import annotations
 import argparse
 import dataclasses
 
-from wtg_gym.analysis.physics_study import (
-    COMPARED,
-    FURTHER_SUITES,
-    SUITES_OF_ALL,
-    PhysicsStudy,
-    as_data,
-    study_physics,
-)
+from wtg_gym.analysis.physics_study import COMPARED, FURTHER_SUITES, SUITES_OF_ALL, PhysicsStudy, as_data, study_physics
 from wtg_gym.analysis.physics_tables import physics_sections
-from wtg_gym.cli.output import (
-    check_output_folder,
-    check_page,
-    note,
-    plain_json,
-    print_json,
-    print_table,
-    require_extra,
-    update_page,
-)
+from wtg_gym.cli.output import check_page, plain_json, print_json, print_table, study_folder, update_page, write_study
 from wtg_gym.cli.parser import Commands, add_command, add_output_options
 from wtg_gym.evaluation.limited_converters import LimitedPlay, limited_table, play_limited
-from wtg_gym.files import to_json, write_atomically
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.policies.load import load_entries
 from wtg_gym.progress import Progress
@@ -82,9 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
     most = min(len(get_suite(name).validation) for name in (*SUITES_OF_ALL, *FURTHER_SUITES))
     require_range("the number of scenarios", arguments.scenarios, 1, most, "")
     page = check_page("--page", arguments.page, *_SECTIONS)
-    folder = None if arguments.output is None else check_output_folder("--output", arguments.output)
-    if folder is not None:
-        require_extra("matplotlib", "--output")
+    folder = study_folder(arguments.output)
     entries = [entry for name in (REFERENCE_STRATEGY, *arguments.entries) for entry in load_entries(name)]
     with Progress("plants") as progress:
         study = study_physics(arguments.scenarios, progress.update)
@@ -102,10 +83,7 @@ def run(arguments: argparse.Namespace) -> int:
             "parts": plotting.plot_plant_parts(study),
             "margins": plotting.plot_stiffness(study),
         }
-        for name, figure in figures.items():
-            plotting.save_figure(figure, folder / name, arguments.formats)
-        write_atomically(folder / "physics.json", to_json(data))
-        note(f"wrote physics.json and {len(figures)} figures in {folder}")
+        write_study(folder, "physics", data, figures, arguments.formats)
     if page is not None:
         update_page(page, {**physics_sections(study), "policies": limited_table(plays, _SUITE)})
     if arguments.json:

@@ -11,36 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from wtg_gym.analysis.case_studies import (
-    CaseStudies,
-    DampingStudy,
-    EquilibriumStudy,
-    MachineModelStudy,
-    MarginStudy,
-    linear_undamped,
-    run_case_studies,
-    study_damping,
-    study_equilibria,
-    study_machine_models,
-    study_margins,
-    study_slopes,
-)
+from wtg_gym.analysis import case_studies
 from wtg_gym.analysis.claim import Claim
 from wtg_gym.analysis.eigenvalues import Mode, linearise, modes
 from wtg_gym.analysis.infinite_bus import Agreement, agreements, system_margins
 from wtg_gym.analysis.loops import Side, SingleMachine, ideal_source_loop, single_machine
 from wtg_gym.analysis.paper_claims import paper_claims
 from wtg_gym.analysis.tables import claims_table, margins_table, modes_table
-from wtg_gym.cli.output import (
-    check_output_folder,
-    check_page,
-    note,
-    plain_json,
-    print_json,
-    print_table,
-    require_extra,
-    update_page,
-)
+from wtg_gym.cli import output
 from wtg_gym.cli.parser import Commands, add_command, add_output_options
 from wtg_gym.files import to_json, write_atomically
 from wtg_gym.physics.plant import PlantSettings
@@ -90,13 +68,13 @@ def add_commands(commands: Commands) -> None:
 class _Evidence:
     """All measurements; nothing is drawn before they are complete."""
 
-    cases: CaseStudies
+    cases: case_studies.CaseStudies
     claims: tuple[Claim, ...]
-    margins: MarginStudy
-    slopes: MarginStudy
-    equilibria: EquilibriumStudy
-    damping: DampingStudy
-    machines: MachineModelStudy
+    margins: case_studies.MarginStudy
+    slopes: case_studies.MarginStudy
+    equilibria: case_studies.EquilibriumStudy
+    damping: case_studies.DampingStudy
+    machines: case_studies.MachineModelStudy
     agreement: tuple[Agreement, ...]
     system_margins: tuple[SingleMachine, ...]
     modes: Mapping[str, tuple[Mode, ...]]
@@ -113,11 +91,11 @@ class _Picture(NamedTuple):
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym reproduce`."""
-    require_extra("matplotlib", "wtg-gym reproduce")
+    output.require_extra("matplotlib", "wtg-gym reproduce")
     from wtg_gym.plotting import save_figure
 
-    folder = check_output_folder("--output", arguments.output)
-    page = check_page("--page", arguments.page, *_SECTIONS)
+    folder = output.check_output_folder("--output", arguments.output)
+    page = output.check_page("--page", arguments.page, *_SECTIONS)
     with Progress("steps") as progress:
         evidence = _measure(progress)
         of_paper, of_studies = _paper_pictures(evidence), _study_pictures(evidence)
@@ -127,35 +105,38 @@ def run(arguments: argparse.Namespace) -> int:
             save_figure(picture.draw(), folder / "figures" / picture.name, arguments.formats)
     data = _as_json(evidence)
     write_atomically(folder / "claims.json", to_json(data))
-    note(f"wrote {folder / 'claims.json'} and {len(pictures)} figures in {folder / 'figures'}")
+    output.note(f"wrote {folder / 'claims.json'} and {len(pictures)} figures in {folder / 'figures'}")
     if page is not None:
         suffix = "png" if "png" in arguments.formats else arguments.formats[0]
         where = Path(os.path.relpath((folder / "figures").resolve(), page.resolve().parent)).as_posix()
-        galleries = {"figures": of_paper, "studies": of_studies}
-        sections = _sections(evidence) | {
-            section: "\n\n".join(f"![{p.text}]({where}/{p.name}.{suffix})\n\n{p.caption}" for p in gallery)
-            for section, gallery in galleries.items()
+        sections = {
+            "claims": claims_table(evidence.claims),
+            "small-signal": margins_table(evidence.agreement, evidence.system_margins),
+            "modes": modes_table(evidence.modes[REFERENCE_STRATEGY]),
         }
-        update_page(page, sections)
+        for section, gallery in (("figures", of_paper), ("studies", of_studies)):
+            texts = [f"![{p.text}]({where}/{p.name}.{suffix})\n\n{p.caption}" for p in gallery]
+            sections[section] = "\n\n".join(texts)
+        output.update_page(page, sections)
     if arguments.json:
-        print_json(data)
+        output.print_json(data)
     else:
         rows = [
             (c.key, c.expected, c.measured, c.fitted, "holds" if c.holds else "DOES NOT HOLD") for c in evidence.claims
         ]
-        print_table(("claim", "expected", "measured", "fitted", "verdict"), rows, left=(0, 1, 2, 3, 4))
+        output.print_table(("claim", "expected", "measured", "fitted", "verdict"), rows, left=(0, 1, 2, 3, 4))
     return 0
 
 
 def _measure(progress: Progress) -> _Evidence:
-    cases = run_case_studies(progress.update)
+    cases = case_studies.run_case_studies(progress.update)
     steps: dict[str, Callable[[], Any]] = {
         "claims": lambda: paper_claims(cases),
-        "margins over wind": study_margins,
-        "both slopes": study_slopes,
-        "lost equilibria": study_equilibria,
-        "damping time constant": study_damping,
-        "machine models": study_machine_models,
+        "margins over wind": case_studies.study_margins,
+        "both slopes": case_studies.study_slopes,
+        "lost equilibria": case_studies.study_equilibria,
+        "damping time constant": case_studies.study_damping,
+        "machine models": case_studies.study_machine_models,
         "infinite bus": lambda: tuple(agreements()),
         "margins in the system": lambda: tuple(system_margins()),
         "modes": _system_modes,
@@ -231,13 +212,13 @@ def _paper_pictures(evidence: _Evidence) -> list[_Picture]:
 
 
 def _bode_loops() -> dict[str, SingleMachine]:
-    laws = [*(STRATEGIES[name] for name in ("mppt", "deloaded-5", "deloaded-10")), linear_undamped()]
+    laws = [*(STRATEGIES[name] for name in ("mppt", "deloaded-5", "deloaded-10")), case_studies.linear_undamped()]
     return {"ideal-source": ideal_source_loop(), **{law.name: single_machine(law, 11.4) for law in laws}}
 
 
 def _proposed_loops() -> dict[str, SingleMachine]:
     linear, piecewise = STRATEGIES["coordinated-linear"], STRATEGIES[REFERENCE_STRATEGY]
-    loops = {law.name: single_machine(law, 11.4) for law in (linear, linear_undamped())}
+    loops = {law.name: single_machine(law, 11.4) for law in (linear, case_studies.linear_undamped())}
     sides: tuple[Side, ...] = ("under", "over")
     return loops | {f"{piecewise.name}, {side}-frequency": single_machine(piecewise, 11.4, side=side) for side in sides}
 
@@ -273,19 +254,11 @@ def _modes_sentence(evidence: _Evidence) -> str:
     )
 
 
-def _sections(evidence: _Evidence) -> dict[str, str]:
-    return {
-        "claims": claims_table(evidence.claims),
-        "small-signal": margins_table(evidence.agreement, evidence.system_margins),
-        "modes": modes_table(evidence.modes[REFERENCE_STRATEGY]),
-    }
-
-
 def _as_json(evidence: _Evidence) -> Any:
     studies: dict[str, Any] = {name: vars(getattr(evidence, name)) for name in _STUDIES}
     studies["machines"] = {"sentence": evidence.machines.sentence}
     studies["modes"] = {"sentence": _modes_sentence(evidence)}
-    return plain_json(
+    return output.plain_json(
         {
             "claims": [dataclasses.asdict(claim) for claim in evidence.claims],
             "studies": studies,

@@ -6,30 +6,9 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from wtg_gym.cli import output, scoring
 from wtg_gym.cli.matrix import add_matrix
-from wtg_gym.cli.output import (
-    PLOT_SUFFIXES,
-    check_output_file,
-    check_page,
-    check_plot_file,
-    note,
-    print_json,
-    print_table,
-    require_extra,
-    say,
-    update_page,
-    write_and_say,
-)
 from wtg_gym.cli.parser import Commands, add_command, add_group
-from wtg_gym.cli.scoring import (
-    add_entries_option,
-    add_run_options,
-    add_suite_option,
-    add_worker_options,
-    chosen_entries,
-    chosen_workers,
-    read_secret,
-)
 from wtg_gym.evaluation import Entry, Results, generalisation, leaderboard_rows
 from wtg_gym.evaluation.recompute import departures, recompute
 from wtg_gym.evaluation.sensitivity import COLUMNS, FACTORS, WEIGHTS, study_sensitivity
@@ -107,7 +86,7 @@ def add_commands(commands: Commands) -> None:
         "  wtg-gym results page results/standard-test.json --scenarios 0 --output small.html",
     )
     parser.add_argument("results", nargs="+", metavar="RESULTS", help="JSON file of results, one of each suite")
-    add_entries_option(parser, f"whose traces to show, as for 'wtg-gym leaderboard' (default: {BASELINES})")
+    scoring.add_entries_option(parser, f"whose traces to show, as for 'wtg-gym leaderboard' (default: {BASELINES})")
     parser.add_argument("--output", required=True, metavar="FILE", help="the HTML file to write")
     parser.add_argument(
         "--scenarios",
@@ -127,10 +106,10 @@ def add_commands(commands: Commands) -> None:
         "  wtg-gym results recompute results/paper-test.json --json",
     )
     parser.add_argument("results", metavar="RESULTS.json", help="results of evaluate or leaderboard, the CSV beside it")
-    add_entries_option(parser, f"as for evaluate, without archives of Stable-Baselines3 (default: {BASELINES})")
+    scoring.add_entries_option(parser, f"as for evaluate, without archives of Stable-Baselines3 (default: {BASELINES})")
     parser.add_argument("--secret-file", metavar="FILE", help="also check that fresh seeds were drawn with this secret")
-    add_run_options(parser)
-    add_worker_options(parser)
+    scoring.add_run_options(parser)
+    scoring.add_worker_options(parser)
     parser = add_command(
         own,
         "gap",
@@ -155,7 +134,7 @@ def add_commands(commands: Commands) -> None:
         examples="  wtg-gym results front results/standard-v1-test.json --plot front.svg",
     )
     parser.add_argument("results", metavar="RESULTS.json", help="results of evaluate or leaderboard, the CSV beside it")
-    parser.add_argument("--plot", required=True, metavar="FILE", help=f"the figure: {', '.join(PLOT_SUFFIXES)}")
+    parser.add_argument("--plot", required=True, metavar="FILE", help=f"the figure: {', '.join(output.PLOT_SUFFIXES)}")
     parser = add_command(
         own,
         "sensitivity",
@@ -167,9 +146,9 @@ def add_commands(commands: Commands) -> None:
         "  wtg-gym results sensitivity --entries baselines agents/policies/ppo-k-0 --page docs/benchmark.md\n"
         "  wtg-gym results sensitivity --suite standard-v1 --scenarios 50",
     )
-    add_entries_option(parser)
-    add_suite_option(parser)
-    add_run_options(parser)
+    scoring.add_entries_option(parser)
+    scoring.add_suite_option(parser)
+    scoring.add_run_options(parser)
     parser.add_argument("--split", choices=SPLITS, default="validation", help="(default: validation)")
     parser.add_argument("--scenarios", type=int, metavar="N", help="the first N of the split (default: all)")
     parser.add_argument("--weights", nargs="+", choices=WEIGHTS, default=WEIGHTS, metavar="NAME", help="(default: all)")
@@ -190,7 +169,9 @@ def _run_page(arguments: argparse.Namespace) -> int:
     entries = [] if arguments.scenarios == 0 else _entries_of_versions(arguments.entries, results)
     for each in results:
         if not each.has_scale:
-            note(f"no ranking of {each.name}, where {each.benchmark.hundred} is no better than {each.benchmark.zero}")
+            output.note(
+                f"no ranking of {each.name}, where {each.benchmark.hundred} is no better than {each.benchmark.zero}"
+            )
     write_html(page, results, entries, arguments.scenarios, arguments.threads)
     return 0
 
@@ -198,13 +179,13 @@ def _run_page(arguments: argparse.Namespace) -> int:
 def _entries_of_versions(specs: Sequence[str], results: Sequence[Results]) -> list[Entry]:
     """Return the entries of `--entries` that play in the versions of the results; names may repeat across versions."""
     suites = {each.benchmark.env_id: each.suite for each in results}
-    return [entry for suite in suites.values() for entry in chosen_entries(specs, suite, others=False)]
+    return [entry for suite in suites.values() for entry in scoring.chosen_entries(specs, suite, others=False)]
 
 
 def check_html(option: str, text: str) -> Path:
     """Return the path of an HTML file to write, or raise a ValueError now rather than after the work."""
-    path = check_output_file(option, text, (".html", ".htm"))
-    require_extra("bokeh", option)
+    path = output.check_output_file(option, text, (".html", ".htm"))
+    output.require_extra("bokeh", option)
     return path
 
 
@@ -218,12 +199,12 @@ def write_html(
         )
     missing = [] if n_scenarios == 0 else untraced(results, entries)
     if missing:
-        note(f"no traces of {', '.join(missing)}: not among the entries given, or changed since the results")
-    write_and_say(path, page.text)
+        output.note(f"no traces of {', '.join(missing)}: not among the entries given, or changed since the results")
+    output.write_and_say(path, page.text)
     traced = ", ".join(f"{name} {number}" for name, number in page.n_traced.items())
-    note(f"{page.size / 1e6:.2f} MB; scenarios with traces: {traced}")
+    output.note(f"{page.size / 1e6:.2f} MB; scenarios with traces: {traced}")
     if page.size > SIZE_LIMIT:
-        note(f"that is more than {SIZE_LIMIT / 1e6:g} MB: show fewer suites or entries, or fewer --scenarios")
+        output.note(f"that is more than {SIZE_LIMIT / 1e6:g} MB: show fewer suites or entries, or fewer --scenarios")
 
 
 # --- recompute -------------------------------------------------------------------------------------------------------
@@ -231,15 +212,15 @@ def write_html(
 
 def _run_recompute(arguments: argparse.Namespace) -> int:
     stored = Results.read(arguments.results)
-    secret = None if arguments.secret_file is None else read_secret(arguments.secret_file)
-    workers = chosen_workers(arguments)
-    entries = chosen_entries(arguments.entries, stored.suite)
+    secret = None if arguments.secret_file is None else scoring.read_secret(arguments.secret_file)
+    workers = scoring.chosen_workers(arguments)
+    entries = scoring.chosen_entries(arguments.entries, stored.suite)
     with Progress("episodes") as progress:
         found = recompute(
             stored, entries, secret=secret, n_threads=arguments.threads, workers=workers, on_progress=progress.update
         )
     if arguments.json:
-        print_json(
+        output.print_json(
             {
                 "identical": not found.differences,
                 "differences": [difference._asdict() for difference in found.differences],
@@ -250,16 +231,18 @@ def _run_recompute(arguments: argparse.Namespace) -> int:
         )
         return int(bool(found.differences))
     for difference in found.circumstances:
-        note(f"{difference.where} was {difference.stored}, is {difference.now}")
+        output.note(f"{difference.where} was {difference.stored}, is {difference.now}")
     for text in departures(stored):
-        note(f"not the benchmark's own: {text}")
+        output.note(f"not the benchmark's own: {text}")
     if stored.draw is not None and secret is None:
-        note("whether these seeds were drawn or chosen is not known: check them with --secret-file")
+        output.note("whether these seeds were drawn or chosen is not known: check them with --secret-file")
     if not found.differences:
-        say(f"identical: {found.n_numbers} values of {len(stored.episodes)} episodes")
+        output.say(f"identical: {found.n_numbers} values of {len(stored.episodes)} episodes")
         return 0
-    say(f"not identical: {len(found.differences)} differences, the first {min(_SHOWN, len(found.differences))}", "")
-    print_table(("where", "stored", "now"), found.differences[:_SHOWN], left=(0, 1, 2))
+    output.say(
+        f"not identical: {len(found.differences)} differences, the first {min(_SHOWN, len(found.differences))}", ""
+    )
+    output.print_table(("where", "stored", "now"), found.differences[:_SHOWN], left=(0, 1, 2))
     return 1
 
 
@@ -269,19 +252,19 @@ def _run_recompute(arguments: argparse.Namespace) -> int:
 def _run_gap(arguments: argparse.Namespace) -> int:
     public, fresh = Results.read(arguments.public), Results.read(arguments.fresh)
     section = f"gap:{public.suite}"
-    page = check_page("--page", arguments.page, section)
+    page = output.check_page("--page", arguments.page, section)
     gaps = generalisation.generalisation_gaps(public, fresh)
     missing = generalisation.left_out(public, fresh)
     if arguments.json:
-        print_json({"draw": fresh.draw, "gaps": [gap.to_dict() for gap in gaps], "left_out": missing})
+        output.print_json({"draw": fresh.draw, "gaps": [gap.to_dict() for gap in gaps], "left_out": missing})
     else:
-        say(generalisation.describe(public, fresh), "")
+        output.say(generalisation.describe(public, fresh), "")
         left = [index for index, is_number in enumerate(generalisation.COLUMNS.values()) if not is_number]
-        print_table(tuple(generalisation.COLUMNS), generalisation.gap_cells(gaps), left=left)
+        output.print_table(tuple(generalisation.COLUMNS), generalisation.gap_cells(gaps), left=left)
     if missing:
-        note(f"left out, not the same policy in both results: {', '.join(missing)}")
+        output.note(f"left out, not the same policy in both results: {', '.join(missing)}")
     if page is not None:
-        update_page(page, {section: generalisation.gap_page(public, fresh, gaps)})
+        output.update_page(page, {section: generalisation.gap_page(public, fresh, gaps)})
     return 0
 
 
@@ -289,12 +272,12 @@ def _run_gap(arguments: argparse.Namespace) -> int:
 
 
 def _run_front(arguments: argparse.Namespace) -> int:
-    plot = check_plot_file(arguments.plot)
+    plot = output.check_plot_file(arguments.plot)
     assert plot is not None
     rows = leaderboard_rows(Results.read(arguments.results))
-    write_and_say(plot, figure_bytes(plot_front(rows), plot.suffix))
+    output.write_and_say(plot, figure_bytes(plot_front(rows), plot.suffix))
     best = ", ".join(row.name for row in undominated(rows))
-    say(f"no other entry has more support and more energy than: {best}")
+    output.say(f"no other entry has more support and more energy than: {best}")
     return 0
 
 
@@ -303,8 +286,8 @@ def _run_front(arguments: argparse.Namespace) -> int:
 
 def _run_sensitivity(arguments: argparse.Namespace) -> int:
     section = f"sensitivity:{arguments.suite}"
-    page = check_page("--page", arguments.page, section)
-    entries = chosen_entries(arguments.entries, arguments.suite)
+    page = output.check_page("--page", arguments.page, section)
+    entries = scoring.chosen_entries(arguments.entries, arguments.suite)
     with Progress("episodes") as progress:
         study = study_sensitivity(
             entries,
@@ -317,16 +300,16 @@ def _run_sensitivity(arguments: argparse.Namespace) -> int:
             on_progress=progress.update,
         )
     if page is not None:
-        update_page(page, {section: study.page()})
+        output.update_page(page, {section: study.page()})
     if arguments.json:
-        print_json(study.to_dict())
+        output.print_json(study.to_dict())
         return 0
-    say(f"suite {study.suite} ({study.suite_hash[:12]}), {study.split}: {study.n_scenarios} scenarios", "")
+    output.say(f"suite {study.suite} ({study.suite_hash[:12]}), {study.split}: {study.n_scenarios} scenarios", "")
     ranking = [
         (str(i), name, f"{round(score, 1) + 0.0:.1f}") for i, (name, score) in enumerate(study.scores.items(), 1)
     ]
-    print_table(("rank", "entry", "score"), ranking, left=(1,))
-    say("")
-    print_table(COLUMNS, [variant.cells() for variant in study.variants], left=(0, 2, 3))
-    say("", study.describe())
+    output.print_table(("rank", "entry", "score"), ranking, left=(1,))
+    output.say("")
+    output.print_table(COLUMNS, [variant.cells() for variant in study.variants], left=(0, 2, 3))
+    output.say("", study.describe())
     return 0

@@ -128,20 +128,9 @@ def add_worker_options(parser: argparse.ArgumentParser) -> None:
 
 
 def chosen_entries(
-    specs: Sequence[str],
-    suite: str = "standard",
-    load_archive: LoadArchive | None = None,
-    *,
-    others: bool = True,
+    specs: Sequence[str], suite: str = "standard", load_archive: LoadArchive | None = None, *, others: bool = True
 ) -> list[Entry]:
-    """Return the entries of `--entries` for a suite.
-
-    Args:
-        specs: texts of the option.
-        suite: the suite.
-        load_archive: as for :func:`load_entries`.
-        others: whether policies for another version may be among them, which nothing plays but a message names.
-    """
+    """Return the entries of `--entries` for a suite; without `others` only those that play in its version."""
     benchmark = get_suite(suite).benchmark
     # A console script, unlike `python -m`, does not look into the working folder: a checkout's packages are there.
     if os.getcwd() not in sys.path:
@@ -226,12 +215,7 @@ def chosen_workers(arguments: argparse.Namespace) -> Workers | None:
 
 
 def check_stored(folder: Path | None, planned: Mapping[str, Any]) -> None:
-    """Refuse a folder whose results of the same suite and split are of other settings, seeds or another draw.
-
-    Args:
-        folder: that of `--results`; None for none.
-        planned: arguments of `evaluate`.
-    """
+    """Refuse a folder whose results of the same suite and split are of other settings, seeds or another draw."""
     suite, split = planned["suite"], planned["split"]
     if folder is None or not (folder / f"{suite}-{split}.json").exists():
         return
@@ -287,11 +271,7 @@ def note_failures(results: Results) -> int:
 def finish(results: Results, folder: Path | None, *, as_json: bool, kept: Results | None = None) -> int:
     """Write the results, print the ranking or the description as JSON; return 1 if an entry failed, else 0.
 
-    Args:
-        results: what is printed.
-        folder: where to write; None for nowhere.
-        as_json: print JSON in the place of the ranking.
-        kept: what is written, if not the same: stored results beside those that were asked for.
+    `kept` is what is written, if not the same: stored results beside those that were asked for.
     """
     code = note_failures(results)
     if folder is not None:

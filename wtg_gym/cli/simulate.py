@@ -13,14 +13,7 @@ from typing import Any
 import numpy as np
 
 from wtg_gym.cli.laws import add_law_option, chosen_laws
-from wtg_gym.cli.output import (
-    PLOT_SUFFIXES,
-    check_output_file,
-    check_plot_file,
-    print_json,
-    say,
-    write_and_say,
-)
+from wtg_gym.cli.output import PLOT_SUFFIXES, check_output_file, check_plot_file, print_json, say, write_and_say
 from wtg_gym.cli.parser import Commands, add_command, add_plant_options
 from wtg_gym.cli.runs import key_figures, print_key_figures, traces_csv
 from wtg_gym.cli.suites import describe_scenario, read_scenario, scenario_summary, suite_name, suites_by_version
@@ -60,13 +53,7 @@ _MOVING = ".gif"
 
 def add_commands(commands: Commands) -> None:
     """Add `wtg-gym simulate`."""
-    parser = add_command(
-        commands,
-        "simulate",
-        run,
-        description=_DESCRIPTION,
-        examples=_EXAMPLES,
-    )
+    parser = add_command(commands, "simulate", run, description=_DESCRIPTION, examples=_EXAMPLES)
     cases = ", ".join(case.name for case in get_suite("paper").cases)
     group = parser.add_argument_group("scenario")
     what = group.add_mutually_exclusive_group()
@@ -118,7 +105,7 @@ def run(arguments: argparse.Namespace) -> int:
         trips_groups=arguments.on_failure == "trip",
     )
     every = STRATEGIES if suite.benchmark is V0 else STRATEGY_NAMES
-    laws = {law.name: law for law in chosen_laws(arguments.law, settings.turbine, every)}
+    laws = {law.name: law for law in chosen_laws(arguments, settings.turbine, every)}
     with Progress("runs") as progress:
         runs = {}
         for done, (name, law) in enumerate(laws.items()):

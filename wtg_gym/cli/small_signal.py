@@ -92,12 +92,6 @@ def _add_modes(commands: Commands) -> None:
     parser.add_argument("--side", choices=_SIDES, default="under", help="slope of g(ω) at ω_st (default: under)")
     parser.add_argument("--machine-model", choices=MACHINE_MODELS, default="genrou", help="(default: genrou)")
     parser.add_argument("--load-level", type=float, default=1.0, metavar="X", help="factor on every load (default: 1)")
-    parser.add_argument(
-        "--governor-droop", type=float, metavar="R", help="droop R, 0.005 … 1 p.u. (default: the case's, 0.018)"
-    )
-    parser.add_argument(
-        "--inertia-scale", type=float, default=1.0, metavar="X", help="factor on the machines' inertia (default: 1)"
-    )
     out = parser.add_argument_group("output")
     out.add_argument("--plot", metavar="FILE", help=f"eigenvalues as a figure: {', '.join(PLOT_SUFFIXES)}")
     out.add_argument(
@@ -111,7 +105,7 @@ def run_margins(arguments: argparse.Namespace) -> int:
     if plot is not None and len(arguments.wind) != 1:
         raise ValueError(f"--plot draws one wind speed, {len(arguments.wind)} are given")
     loops: list[tuple[str, SingleMachine]] = [("–", ideal_source_loop(arguments.kp))]
-    for law in chosen_laws(arguments.law):
+    for law in chosen_laws(arguments):
         for wind in arguments.wind:
             both = [single_machine(law, wind, arguments.kp, side=side) for side in _SIDES]
             if math.isclose(both[0].frequency_slope, both[1].frequency_slope, rel_tol=1e-9, abs_tol=1e-12):
@@ -129,10 +123,7 @@ def run_margins(arguments: argparse.Namespace) -> int:
     header = ("law", "wind [m/s]", "slope", "phase margin [°]", "crossover [rad/s]", "gain margin [dB]", "closed loop")
     print_table(header, [_cells(side, loop) for side, loop in loops], left=(0, 2, 6))
     if any(loop.pitch_deg > 0.0 for _, loop in loops):
-        say(
-            "",
-            "* held by the pitch protection, whose angle counts as constant here; `analyse modes` includes it",
-        )
+        say("", "* held by the pitch protection, whose angle counts as constant here; `analyse modes` includes it")
     return 0
 
 
@@ -166,10 +157,8 @@ def run_modes(arguments: argparse.Namespace) -> int:
         name="modes",
         wind_speed=np.array(arguments.wind)[:, None],
         load_level=arguments.load_level,
-        governor_droop=arguments.governor_droop,
-        inertia_scale=arguments.inertia_scale,
     )
-    laws = chosen_laws(arguments.law)
+    laws = chosen_laws(arguments)
     models = {law.name: linearise(scenario, law, settings, side=arguments.side).renamed(settings) for law in laws}
     found = {name: modes(model) for name, model in models.items()}
     if plot is not None:

@@ -11,24 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from wtg_gym.analysis import steady_states
 from wtg_gym.analysis.power_frequency import critical_frequency_pu, named_points
-from wtg_gym.analysis.steady_states import (
-    FREQUENCY_RANGE,
-    OperatingPoint,
-    equilibria,
-    power_margin_pu,
-    stable_equilibrium,
-)
+from wtg_gym.cli import output
 from wtg_gym.cli.laws import add_law_option, chosen_laws
-from wtg_gym.cli.output import (
-    PLOT_SUFFIXES,
-    check_output_file,
-    check_plot_file,
-    print_json,
-    print_table,
-    say,
-    write_and_say,
-)
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.physics.aerodynamics import available_power_pu
 from wtg_gym.physics.ieee14 import modified_ieee14
@@ -55,13 +41,7 @@ _EXAMPLES = """\
 
 def add_commands(commands: Commands) -> None:
     """Add `wtg-gym analyse statics`."""
-    parser = add_command(
-        commands,
-        "statics",
-        run,
-        description=_DESCRIPTION,
-        examples=_EXAMPLES,
-    )
+    parser = add_command(commands, "statics", run, description=_DESCRIPTION, examples=_EXAMPLES)
     add_law_option(parser, "all")
     parser.add_argument(
         "--wind",
@@ -83,7 +63,7 @@ def add_commands(commands: Commands) -> None:
     parser.add_argument("--fine-pitch", action="store_true", help="hold the blades at 0°: no pitch protection")
     out = parser.add_argument_group("output")
     out.add_argument(
-        "--plot", metavar="FILE", help=f"characteristics of one law as a figure: {', '.join(PLOT_SUFFIXES)}"
+        "--plot", metavar="FILE", help=f"characteristics of one law as a figure: {', '.join(output.PLOT_SUFFIXES)}"
     )
     out.add_argument("--csv", metavar="FILE", help="every equilibrium over frequency, units in the header: .csv")
     out.add_argument("--json", action="store_true", help="print everything as JSON, and nothing else, on stdout")
@@ -91,13 +71,15 @@ def add_commands(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym analyse statics`."""
-    plot = check_plot_file(arguments.plot)
-    table = None if arguments.csv is None else check_output_file("--csv", arguments.csv, (".csv",))
-    laws = chosen_laws(arguments.law)
+    plot = output.check_plot_file(arguments.plot)
+    table = None if arguments.csv is None else output.check_output_file("--csv", arguments.csv, (".csv",))
+    laws = chosen_laws(arguments)
     if plot is not None and len(laws) != 1:
         raise ValueError(f"--plot draws one law, {len(laws)} are given: add --law NAME")
     winds = [require_range("--wind", wind, *WIND_SPEED_RANGE, "m/s") for wind in arguments.wind]
-    low, high = (require_range("--frequency", value, *FREQUENCY_RANGE, "p.u.") for value in arguments.frequency)
+    low, high = (
+        require_range("--frequency", value, *steady_states.FREQUENCY_RANGE, "p.u.") for value in arguments.frequency
+    )
     if not low < high:
         raise ValueError(f"--frequency {low:g} {high:g}: the first value must be the lower one")
     if not 2 <= arguments.points <= 100_000:
@@ -105,13 +87,13 @@ def run(arguments: argparse.Namespace) -> int:
     frequencies = [float(value) for value in np.linspace(low, high, arguments.points)]
     found = [_statics(law, wind, frequencies, arguments.fine_pitch) for law in laws for wind in winds]
     if table is not None:
-        write_and_say(table, _csv(found))
+        output.write_and_say(table, _csv(found))
     if plot is not None:
         from wtg_gym.plotting import figure_bytes, plot_characteristic
 
-        write_and_say(plot, figure_bytes(plot_characteristic(laws[0], winds), plot.suffix.lower()))
+        output.write_and_say(plot, figure_bytes(plot_characteristic(laws[0], winds), plot.suffix.lower()))
     if arguments.json:
-        print_json({"laws": [law.to_dict() for law in laws], "statics": found})
+        output.print_json({"laws": [law.to_dict() for law in laws], "statics": found})
     else:
         _print(found)
     return 0
@@ -137,25 +119,27 @@ def _statics(law: TrackingLaw, wind: float, frequencies: list[float], fine_pitch
         "fine_pitch": fine_pitch,
         "available_power_pu": float(available_power_pu(wind)),
         "has_equilibrium_from_setpoint_on": somewhere,
-        "has_equilibrium_at_setpoint": power_margin_pu(nominal, law, wind, fine_pitch=fine_pitch) >= 0.0,
+        "has_equilibrium_at_setpoint": steady_states.power_margin_pu(nominal, law, wind, fine_pitch=fine_pitch) >= 0.0,
         "critical_frequency_pu": critical,
         "critical_frequency_hz": None if critical is None else modified_ieee14().frequency_hz * critical,
         "stable_equilibrium_at": {
-            name: _point(stable_equilibrium(frequency, law, wind, fine_pitch=fine_pitch))
+            name: _point(steady_states.stable_equilibrium(frequency, law, wind, fine_pitch=fine_pitch))
             for name, frequency in corners.items()
         },
         "named_points": {name: _point(point) for name, point in points.items()},
         "characteristic": [
             {
                 "frequency_pu": frequency,
-                "equilibria": [_point(point) for point in equilibria(frequency, law, wind, fine_pitch=fine_pitch)],
+                "equilibria": [
+                    _point(point) for point in steady_states.equilibria(frequency, law, wind, fine_pitch=fine_pitch)
+                ],
             }
             for frequency in frequencies
         ],
     }
 
 
-def _point(point: OperatingPoint | None) -> dict[str, Any] | None:
+def _point(point: steady_states.OperatingPoint | None) -> dict[str, Any] | None:
     return None if point is None else dataclasses.asdict(point)
 
 
@@ -173,8 +157,8 @@ def _print(found: list[dict[str, Any]]) -> None:
     control = GridFormingParameters()
     corners = control.frequency_min_pu, control.frequency_setpoint_pu, control.frequency_max_pu
     heads = (f"p, ω_m at ω = {frequency:g}" for frequency in corners)
-    print_table(("law", "wind [m/s]", "available", *heads, "no equilibrium below"), rows)
-    say("", "powers and speeds in p.u.; – : no stable equilibrium; * : held by the pitch protection")
+    output.print_table(("law", "wind [m/s]", "available", *heads, "no equilibrium below"), rows)
+    output.say("", "powers and speeds in p.u.; – : no stable equilibrium; * : held by the pitch protection")
 
 
 def _short(point: dict[str, Any] | None) -> str:
@@ -193,7 +177,7 @@ def _critical(entry: dict[str, Any]) -> str:
 
 def _csv(found: list[dict[str, Any]]) -> str:
     text = io.StringIO()
-    names = [field.name for field in dataclasses.fields(OperatingPoint)]
+    names = [field.name for field in dataclasses.fields(steady_states.OperatingPoint)]
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["law", "wind_m_s", *names])
     for entry in found:

@@ -28,11 +28,6 @@ def stored_or_played(
     """Return the entries' results, and these with all other stored ones, which is what to write.
 
     Args:
-        entries: the entries; both anchors are always played.
-        folder: that of the results.
-        fresh: play everything, whatever is stored.
-        partial: folder of finished batches, None for none.
-        workers: other processes that play, None for none.
         scenarios: suite, split and further arguments of :func:`~wtg_gym.evaluation.evaluate`.
     """
     anchors = run_evaluation([], **scenarios)

@@ -8,19 +8,9 @@ import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
+from wtg_gym.cli import scoring
 from wtg_gym.cli.output import check_output_folder, note, print_json, print_table, say
 from wtg_gym.cli.parser import Commands, add_command, add_group
-from wtg_gym.cli.scoring import (
-    add_result_options,
-    add_run_options,
-    add_split_options,
-    add_suite_option,
-    check_stored,
-    chosen_scenarios,
-    finish,
-    kept_parts,
-    run_evaluation,
-)
 from wtg_gym.policies.conflicts import Conflict, conflicts
 from wtg_gym.policies.gate import Report, check_submission
 from wtg_gym.policies.load import POLICY_FILE
@@ -104,10 +94,10 @@ def add_commands(commands: Commands) -> None:
         "  wtg-gym submission score my-policy-* --suite low-wind --results my_results",
     )
     _add_common(parser)
-    add_suite_option(parser)
-    add_split_options(parser, "test")
-    add_run_options(parser)
-    add_result_options(parser)
+    scoring.add_suite_option(parser)
+    scoring.add_split_options(parser, "test")
+    scoring.add_run_options(parser)
+    scoring.add_result_options(parser)
 
 
 def _add_common(parser: argparse.ArgumentParser) -> None:
@@ -151,19 +141,19 @@ def _run_check(arguments: argparse.Namespace) -> int:
 
 def _run_score(arguments: argparse.Namespace) -> int:
     folder = None if arguments.results is None else check_output_folder("--results", arguments.results)
-    partial = kept_parts(folder, arguments) if folder is not None and arguments.resume else None
+    partial = scoring.kept_parts(folder, arguments) if folder is not None and arguments.resume else None
     _check_there(arguments.folders)
-    chosen = chosen_scenarios(arguments)
-    check_stored(folder, chosen)
+    chosen = scoring.chosen_scenarios(arguments)
+    scoring.check_stored(folder, chosen)
     scenarios = {**chosen, "n_threads": arguments.threads, "partial": partial}
     # Anchors first: errors of the arguments come before the work of the gate.
-    run_evaluation([], keep_partial=True, **scenarios)
+    scoring.run_evaluation([], keep_partial=True, **scenarios)
     reports = _reports(arguments)
     wrong = _together(reports, arguments) + _refused(reports) + _of_another_version(reports, arguments.suite)
     ranked = _ranked(reports, wrong)
     _name_left_out(ranked, reports, wrong)
-    results = run_evaluation([report.played(weak=arguments.weak_isolation) for report in ranked], **scenarios)
-    code = finish(results, folder, as_json=arguments.json) if ranked else 0
+    results = scoring.run_evaluation([report.played(weak=arguments.weak_isolation) for report in ranked], **scenarios)
+    code = scoring.finish(results, folder, as_json=arguments.json) if ranked else 0
     return code or int(bool(wrong))
 
 

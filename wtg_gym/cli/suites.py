@@ -30,6 +30,10 @@ _EXAMPLES = """\
   wtg-gym suites --check                               compare the hashes with the frozen ones"""
 
 
+#: Suites with random scenarios.
+DRAWN_SUITES = [name for name, suite in SUITES.items() if suite.distribution is not None]
+
+
 def suites_by_version() -> str:
     """Return the names of all suites, those of each version of the benchmark together."""
     found: dict[str, list[str]] = {}
@@ -46,13 +50,7 @@ def suite_name(text: str) -> str:
 
 def add_commands(commands: Commands) -> None:
     """Add `wtg-gym suites`."""
-    parser = add_command(
-        commands,
-        "suites",
-        run,
-        description=_DESCRIPTION,
-        examples=_EXAMPLES,
-    )
+    parser = add_command(commands, "suites", run, description=_DESCRIPTION, examples=_EXAMPLES)
     parser.add_argument(
         "name",
         nargs="?",

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.envs.rendering.colours import INK
 from wtg_gym.envs.rendering.diagram import describe_event, draw_diagram, reclosed
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import LineTrip, Scenario
 from wtg_gym.physics.trajectory import Trajectory
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-Floats = npt.NDArray[np.float64]
 
 #: Width and height [pixels].
 SIZE = (880, 500)
@@ -44,10 +43,7 @@ _N_EVENTS = 4
 
 
 def animate_trajectories(
-    runs: Mapping[str, Trajectory],
-    scenario: Scenario,
-    group_buses: Sequence[int],
-    overload_pu: float = OVERLOAD_PU,
+    runs: Mapping[str, Trajectory], scenario: Scenario, group_buses: Sequence[int], overload_pu: float = OVERLOAD_PU
 ) -> bytes:
     """Return a GIF of runs over time, which repeats: the same bytes each time.
 

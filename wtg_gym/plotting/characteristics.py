@@ -8,31 +8,21 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.analysis.power_frequency import characteristic, critical_frequency_pu, named_points
 from wtg_gym.analysis.steady_states import OperatingPoint
 from wtg_gym.physics.aerodynamics import power_coefficient
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.physics.scenario import WIND_SPEED_RANGE
 from wtg_gym.physics.tracking_law import TrackingLaw
-from wtg_gym.plotting.style import (
-    DOUBLE_COLUMN_MM,
-    MARKERS,
-    PALETTE,
-    REFERENCE_GREY,
-    SMALL_PT,
-    letter_panel,
-    new_figure,
-    printed,
-)
+from wtg_gym.plotting import style
 from wtg_gym.ranges import require_range
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Floats = npt.NDArray[np.float64]
 
 #: Frequencies shown beyond either end of the regulation range [p.u.].
 _BEYOND = 0.0025
@@ -60,7 +50,7 @@ class _Branches:
         return f"{self.wind_m_s:g} m/s"
 
 
-@printed
+@style.printed
 def plot_characteristic(law: TrackingLaw, winds: Sequence[float] = (11.4, 8.0)) -> Figure:
     """Draw what a strategy does in steady state: power and rotor speed over frequency, and where on the rotor's curve.
 
@@ -82,15 +72,15 @@ def plot_characteristic(law: TrackingLaw, winds: Sequence[float] = (11.4, 8.0)) 
     for wind in winds:
         require_range("wind", wind, *WIND_SPEED_RANGE, "m/s")
     branches = [_branches(law, float(wind), i) for i, wind in enumerate(winds)]
-    figure = new_figure(DOUBLE_COLUMN_MM, 74.0)
+    figure = style.new_figure(style.DOUBLE_COLUMN_MM, 74.0)
     rotor, power, speed = figure.subplots(1, 3, width_ratios=(1.1, 1.0, 1.0))
     _draw_rotor_panel(rotor, law, branches)
     for axes, row, name in ((power, 2, "power p [p.u.]"), (speed, 1, r"rotor speed $\omega_m$ [p.u.]")):
         _draw_frequency_panel(axes, row, branches)
         axes.set_ylabel(name)
-    letter_panel(rotor, "a")
-    letter_panel(power, "b")
-    letter_panel(speed, "c")
+    style.letter_panel(rotor, "a")
+    style.letter_panel(power, "b")
+    style.letter_panel(speed, "c")
     power.set_ylim(bottom=-0.02)
     _draw_legend(figure, law, branches)
     figure.suptitle(law.name, x=0.01, ha="left")
@@ -116,7 +106,7 @@ def _branches(law: TrackingLaw, wind_m_s: float, index: int) -> _Branches:
         meeting[0] = critical
         stable, unstable = np.hstack([meeting, stable]), np.hstack([meeting, unstable])
     points = named_points(law, wind_m_s)
-    return _Branches(index + 1, wind_m_s, PALETTE[index], critical, stable, unstable, points)
+    return _Branches(index + 1, wind_m_s, style.PALETTE[index], critical, stable, unstable, points)
 
 
 def _draw_rotor_panel(axes: Axes, law: TrackingLaw, branches: Sequence[_Branches]) -> None:
@@ -141,9 +131,9 @@ def _draw_rotor_panel(axes: Axes, law: TrackingLaw, branches: Sequence[_Branches
             )
         _mark_points(axes, branch, lambda point: (point.rotor_speed_pu, point.power_pu), _ROTOR_OFFSETS)
     for (name, k), align in zip(_coefficients(law).items(), ("center", "right", "left"), strict=False):
-        axes.plot(speeds, k * speeds**3, color=REFERENCE_GREY, linewidth=0.8, linestyle="-", zorder=1.5)
+        axes.plot(speeds, k * speeds**3, color=style.REFERENCE_GREY, linewidth=0.8, linestyle="-", zorder=1.5)
         at = (_TOP_POWER_PU / k) ** (1.0 / 3.0)
-        axes.text(at, _TOP_POWER_PU + 0.015, name, color="0.3", fontsize=SMALL_PT, ha=align, va="bottom")
+        axes.text(at, _TOP_POWER_PU + 0.015, name, color="0.3", fontsize=style.SMALL_PT, ha=align, va="bottom")
     axes.set_xlim(0.1, speeds[-1])
     axes.set_ylim(0.0, _TOP_POWER_PU)
     axes.set_xlabel(r"rotor speed $\omega_m$ [p.u.]")
@@ -181,7 +171,7 @@ def _draw_frequency_panel(axes: Axes, row: int, branches: Sequence[_Branches]) -
         control.frequency_max_pu: r"$\omega_{max}$",
     }
     for frequency in corners:
-        axes.axvline(frequency, color=REFERENCE_GREY, linewidth=0.7, linestyle=(0.0, (5.0, 2.0)), zorder=1)
+        axes.axvline(frequency, color=style.REFERENCE_GREY, linewidth=0.7, linestyle=style.THIN_DASHES, zorder=1)
     axes.set_xlim(low, high)
     axes.set_xticks(list(corners), [f"{frequency:.3f}\n{name}" for frequency, name in corners.items()])
     # Room for the names of the highest points.
@@ -217,7 +207,7 @@ def _mark_points(
         axes.plot(
             x,
             y,
-            MARKERS[branch.number - 1],
+            style.MARKERS[branch.number - 1],
             color=branch.colour,
             markersize=4.2,
             markeredgecolor="white",
@@ -232,7 +222,7 @@ def _mark_points(
             textcoords="offset points",
             ha="center",
             va="center",
-            fontsize=SMALL_PT + 0.5,
+            fontsize=style.SMALL_PT + 0.5,
             color=branch.colour,
             bbox={"boxstyle": "square,pad=0.02", "facecolor": "white", "edgecolor": "none", "alpha": 0.7},
             zorder=4.5,
@@ -246,12 +236,12 @@ def _draw_legend(figure: Figure, law: TrackingLaw, branches: Sequence[_Branches]
     # A tuple of patches is drawn as one on top of the other.
     entries: dict[str, Any] = {}
     for branch in branches:
-        marker = MARKERS[branch.number - 1]
+        marker = style.MARKERS[branch.number - 1]
         line = Line2D([], [], color=branch.colour, marker=marker, markeredgecolor="white")
         entries[f"{branch.number}: {branch.label}"] = line
     entries["stable"] = Line2D([], [], color="0.2", linewidth=1.4)
     entries["unstable"] = Line2D([], [], color="0.2", linewidth=1.0, linestyle=_UNSTABLE_DASHES)
-    entries[r"$k\,\omega_m^3$"] = Line2D([], [], color=REFERENCE_GREY, linewidth=0.8)
+    entries[r"$k\,\omega_m^3$"] = Line2D([], [], color=style.REFERENCE_GREY, linewidth=0.8)
     lost = [branch for branch in branches if branch.critical_pu is not None]
     if lost and math.isinf(law.damping_time_constant_s):
         demand = Line2D([], [], color="0.2", linewidth=0.9, linestyle=_DEMAND_DASHES)

@@ -7,16 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wtg_gym.plotting.style import (
-    DOUBLE_COLUMN_MM,
-    MARKERS,
-    REFERENCE_GREY,
-    SMALL_PT,
-    letter_panel,
-    new_figure,
-    printed,
-    strategy_looks,
-)
+from wtg_gym.plotting import style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,26 +15,22 @@ if TYPE_CHECKING:
 
     from wtg_gym.analysis.eigenvalues import Mode
 
-_THIN_DASHES = (0.0, (5.0, 2.0))
 #: Damping ratios whose lines are drawn in the plane of eigenvalues [-].
 _DAMPING_RATIOS = (0.05, 0.10, 0.30)
 #: Left edge of the plane of eigenvalues [1/s]; faster modes are left out.
 _LEFT = -12.0
 
 
-@printed
+@style.printed
 def plot_modes(groups: Mapping[str, Sequence[Mode]]) -> Figure:
     """Draw eigenvalues in the upper half of the complex plane: (a) the oscillations, (b) what is slow, enlarged.
 
     Lines of constant damping ratio: 5, 10 and 30 %. One marker and colour per label.
-
-    Args:
-        groups: modes by strategy name or another label.
     """
     values = {label: np.array([mode.eigenvalue for mode in found]) for label, found in groups.items()}
     everything = np.concatenate([np.empty(0), *values.values()])
-    looks = strategy_looks(values)
-    figure = new_figure(DOUBLE_COLUMN_MM, 82.0)
+    looks = style.strategy_looks(values)
+    figure = style.new_figure(style.DOUBLE_COLUMN_MM, 82.0)
     plane, slow = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
     right = max(0.0, float(everything.real.max()))
     # Panel (b): as far to the left as up, so that angles show damping.
@@ -55,7 +42,7 @@ def plot_modes(groups: Mapping[str, Sequence[Mode]]) -> Figure:
             axes.plot(
                 shown.real,
                 shown.imag,
-                MARKERS[i % len(MARKERS)],
+                style.MARKERS[i % len(style.MARKERS)],
                 color=looks[label].colour,
                 markerfacecolor="none",
                 markeredgewidth=1.0,
@@ -74,9 +61,9 @@ def plot_modes(groups: Mapping[str, Sequence[Mode]]) -> Figure:
         axes.set_xlabel(r"Re $s$ [1/s]")
         axes.set_ylabel(r"Im $s$ [rad/s]")
     plane.plot((-reach, -reach, right), (0.0, reach, reach), color="0.2", linewidth=0.7)
-    plane.annotate("(b)", (-reach, reach), (-2.0, 1.0), textcoords="offset points", ha="right", fontsize=SMALL_PT)
-    letter_panel(plane, "a", "modes and damping ratios")
-    letter_panel(slow, "b", "slow modes, enlarged")
+    plane.annotate("(b)", (-reach, reach), (-2.0, 1.0), textcoords="offset points", ha="right", fontsize=style.SMALL_PT)
+    style.letter_panel(plane, "a", "modes and damping ratios")
+    style.letter_panel(slow, "b", "slow modes, enlarged")
     figure.legend(loc="outside lower center", ncols=min(4, len(values)))
     return figure
 
@@ -89,9 +76,9 @@ def _draw_damping_ratios(axes: Axes, left: float, highest: float) -> None:
         axes.plot(
             (0.0, -end),
             (0.0, slope * end),
-            color=REFERENCE_GREY,
+            color=style.REFERENCE_GREY,
             linewidth=0.7,
-            linestyle=_THIN_DASHES,
+            linestyle=style.THIN_DASHES,
             zorder=1,
             label=f"_damping ratio {ratio:g}",
         )
@@ -103,6 +90,6 @@ def _draw_damping_ratios(axes: Axes, left: float, highest: float) -> None:
             # The two steep lines end close to each other.
             ha="left" if ratio == _DAMPING_RATIOS[0] else "right",
             va="bottom",
-            fontsize=SMALL_PT,
+            fontsize=style.SMALL_PT,
             color="0.3",
         )

@@ -9,7 +9,7 @@ from wtg_gym.envs.rendering.diagram import describe_event, reclosed
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Event, Scenario
 from wtg_gym.physics.trajectory import Trajectory
-from wtg_gym.plotting.style import REFERENCE_GREY, SMALL_PT
+from wtg_gym.plotting.style import DOTS, REFERENCE_GREY, SMALL_PT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -64,7 +64,7 @@ def mark_instants(axes: Axes, scenario: Scenario, *, numbered: bool) -> None:
     instants = [events[0].time_s for _, events in numbered_events(scenario)]
     instants += [event.end_s for event in reclosed(scenario.events, scenario.duration_s)]
     for instant in instants:
-        axes.axvline(instant, color=REFERENCE_GREY, linewidth=0.7, linestyle=(0.0, (1.0, 1.5)), zorder=1)
+        axes.axvline(instant, color=REFERENCE_GREY, linewidth=0.7, linestyle=DOTS, zorder=1)
     if numbered:
         above = axes.get_xaxis_transform()
         for place, text in instant_labels(scenario):

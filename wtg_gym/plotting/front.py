@@ -5,15 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from wtg_gym.plotting.style import (
-    DOUBLE_COLUMN_MM,
-    MARKERS,
-    REFERENCE_GREY,
-    SMALL_PT,
-    new_figure,
-    printed,
-    strategy_looks,
-)
+from wtg_gym.plotting import style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,30 +32,27 @@ def undominated(rows: Sequence[EntrySummary]) -> list[EntrySummary]:
     return [row for _, row in sorted(best, key=lambda each: each[0])]
 
 
-@printed
+@style.printed
 def plot_front(rows: Sequence[EntrySummary]) -> Figure:
     """Draw points of frequency and RoCoF against the captured share of the energy, a marker per entry.
 
     A line joins the entries that no other one beats in both. Hollow markers fail in more than 5 % of the scenarios.
-
-    Args:
-        rows: summaries of results of one suite.
     """
-    figure = new_figure(DOUBLE_COLUMN_MM, 88.0)
+    figure = style.new_figure(style.DOUBLE_COLUMN_MM, 88.0)
     axes = figure.subplots()
-    looks = strategy_looks([row.name for row in rows])
-    axes.axhline(0.0, color=REFERENCE_GREY, linewidth=0.8, linestyle=(0.0, (5.0, 2.0)), zorder=1.0)
+    looks = style.strategy_looks([row.name for row in rows])
+    axes.axhline(0.0, color=style.REFERENCE_GREY, linewidth=0.8, linestyle=style.THIN_DASHES, zorder=1.0)
     best = undominated(rows)
     line = [(row.mean_energy_share_percent, support_points(row)) for row in best]
     if line:
-        axes.plot(*zip(*line, strict=True), color=REFERENCE_GREY, linewidth=1.0, zorder=1.5)
+        axes.plot(*zip(*line, strict=True), color=style.REFERENCE_GREY, linewidth=1.0, zorder=1.5)
     for i, row in enumerate(rows):
         colour = looks[row.name].colour
         axes.plot(
             row.mean_energy_share_percent,
             support_points(row),
             linestyle="none",
-            marker=MARKERS[i % len(MARKERS)],
+            marker=style.MARKERS[i % len(style.MARKERS)],
             markersize=5.0,
             color=colour,
             markerfacecolor=colour if row.failures_percent <= MOST_FAILURES_PERCENT else "white",
@@ -72,5 +61,5 @@ def plot_front(rows: Sequence[EntrySummary]) -> Figure:
     axes.set_xlabel("captured share of the available energy [%]")
     axes.set_ylabel("frequency and RoCoF [points]")
     axes.margins(0.06)
-    figure.legend(loc="outside right center", fontsize=SMALL_PT)
+    figure.legend(loc="outside right center", fontsize=style.SMALL_PT)
     return figure

@@ -20,10 +20,6 @@ def plot_influences(found: Influences, n_bars: int) -> Figure:
     """Draw what one per cent more of the parameters of most influence does to each measure.
 
     Bars are means over the scenarios; where there are several, a line goes from the least to the largest.
-
-    Args:
-        found: of :func:`wtg_gym.analysis.influence.measure_influences`.
-        n_bars: how many parameters.
     """
     chosen = found.order()[:n_bars]
     figure = new_figure(DOUBLE_COLUMN_MM, 22.0 + 4.2 * len(chosen))

@@ -7,26 +7,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
-from wtg_gym.plotting.style import (
-    DOUBLE_COLUMN_MM,
-    MARKERS,
-    REFERENCE_GREY,
-    letter_panel,
-    name_at_right,
-    new_figure,
-    printed,
-    strategy_looks,
-)
+from wtg_gym.plotting import style
 from wtg_gym.scenarios.benchmark import V0
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Floats = npt.NDArray[np.float64]
 
 #: Longer times are counted in hours [s].
 _HOURS_FROM_S = 3.0 * 3600.0
@@ -36,20 +26,14 @@ _LARGEST_LINEAR_RATIO = 12.0
 
 @dataclass(frozen=True, kw_only=True)
 class LearningCurve:
-    """A run's validations, in their order.
+    """A run's validations, in their order."""
 
-    Args:
-        timesteps: environment steps done (n,).
-        wall_time_s: time since the start (n,) [s].
-        score: validation score (n,).
-    """
-
-    timesteps: Floats
-    wall_time_s: Floats
-    score: Floats
+    timesteps: Floats  # environment steps done (n,)
+    wall_time_s: Floats  # time since the start (n,) [s]
+    score: Floats  # validation score (n,)
 
 
-@printed
+@style.printed
 def plot_learning_curves(
     curves: Mapping[str, Sequence[LearningCurve]], anchors: tuple[str, str] = V0.anchors
 ) -> Figure:
@@ -70,22 +54,22 @@ def plot_learning_curves(
     if not curves or not all(curves.values()):
         raise ValueError("there is no learning curve to plot")
     means = {name: _common(name, own) for name, own in curves.items()}
-    figure = new_figure(DOUBLE_COLUMN_MM, 76.0 + 4.0 * -(-len(curves) // 3))
+    figure = style.new_figure(style.DOUBLE_COLUMN_MM, 76.0 + 4.0 * -(-len(curves) // 3))
     by_steps, by_time = figure.subplots(1, 2, sharey=True)
-    letter_panel(by_steps, "a", "against environment steps")
-    letter_panel(by_time, "b", "against wall time")
+    style.letter_panel(by_steps, "a", "against environment steps")
+    style.letter_panel(by_time, "b", "against wall time")
     # Blue is the reference's in the figures beside this one.
-    looks = strategy_looks([REFERENCE_STRATEGY, *curves])
+    looks = style.strategy_looks([REFERENCE_STRATEGY, *curves])
     hours = max(own.wall_time_s[-1] for own in means.values()) > _HOURS_FROM_S
     for i, (name, own) in enumerate(means.items()):
         n = len(curves[name])
         label = f"{name} ({n} seed{'s' if n > 1 else ''})"
-        style = {"color": looks[name].colour, "marker": MARKERS[i % len(MARKERS)], "markersize": 2.6}
+        line = {"color": looks[name].colour, "marker": style.MARKERS[i % len(style.MARKERS)], "markersize": 2.6}
         for axes, x in ((by_steps, own.timesteps), (by_time, own.wall_time_s / (3600.0 if hours else 60.0))):
-            axes.plot(x, own.score.mean(axis=0), label=label, **style)
+            axes.plot(x, own.score.mean(axis=0), label=label, **line)
             if n > 1:
                 axes.fill_between(
-                    x, own.score.min(axis=0), own.score.max(axis=0), color=style["color"], alpha=0.18, linewidth=0.0
+                    x, own.score.min(axis=0), own.score.max(axis=0), color=line["color"], alpha=0.18, linewidth=0.0
                 )
     _scale(by_steps, [own.timesteps[-1] for own in means.values()])
     _scale(by_time, [own.wall_time_s[-1] for own in means.values()])
@@ -95,9 +79,9 @@ def plot_learning_curves(
     for axes in (by_steps, by_time):
         for name, score in zip(anchors, (0.0, 100.0), strict=True):
             if by_steps.get_ylim()[0] < score:
-                axes.axhline(score, color=REFERENCE_GREY, linewidth=0.8, linestyle=(0.0, (5.0, 2.0)), zorder=1.5)
+                axes.axhline(score, color=style.REFERENCE_GREY, linewidth=0.8, linestyle=style.THIN_DASHES, zorder=1.5)
                 if axes is by_time:
-                    name_at_right(axes, name, score)
+                    style.name_at_right(axes, name, score)
     by_steps.xaxis.set_major_formatter(EngFormatter(sep=" "))
     by_time.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     by_steps.set_xlabel("environment steps")

@@ -3,20 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wtg_gym.plotting.style import (
-    DOUBLE_COLUMN_MM,
-    MARKERS,
-    PALETTE,
-    REFERENCE_GREY,
-    SMALL_PT,
-    letter_panel,
-    new_figure,
-    printed,
-)
+from wtg_gym.plotting import style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,19 +26,16 @@ _TITLES = {
 }
 
 
-@printed
+@style.printed
 def plot_accuracy(study: AccuracyStudy) -> Figure:
     """Draw the error of frequency and of power against the time per simulated second, one line per method.
 
     Lines join the worst scenario of each step, dots the median one; the ring is the default step. Steps are written at
     the last method, since the others' follow from their numbers of evaluations.
-
-    Args:
-        study: what :func:`wtg_gym.analysis.step_error.study_accuracy` returns.
     """
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
-    figure = new_figure(DOUBLE_COLUMN_MM, 82.0)
+    figure = style.new_figure(style.DOUBLE_COLUMN_MM, 82.0)
     panels = figure.subplots(1, 2, sharex=True)
     for axes, quantity, label in (
         (panels[0], "frequency_hz", "error of frequency [Hz]"),
@@ -72,8 +60,8 @@ def _label_steps(axes: Axes, rows: Sequence[Accuracy], cost: Sequence[float], er
         if right / x > 1.3:
             right = x
             text = f"{1e3 * row.step_s:g} ms"
-            offset = (0, -4)
-            axes.annotate(text, (x, y), offset, textcoords="offset points", ha="center", va="top", fontsize=SMALL_PT)
+            look: dict[str, Any] = {"ha": "center", "va": "top", "fontsize": style.SMALL_PT}
+            axes.annotate(text, (x, y), (0, -4), textcoords="offset points", **look)
     low, high = axes.get_ylim()
     axes.set_ylim(low / 3.0, high)
 
@@ -85,7 +73,7 @@ def _draw_errors(axes: Axes, study: AccuracyStudy, quantity: str) -> None:
         cost = [row.microseconds_per_s for row in rows]
         worst = [float(getattr(row, quantity).max()) for row in rows]
         median = [float(np.median(getattr(row, quantity))) for row in rows]
-        colour, last = PALETTE[i % len(PALETTE)], name == names[-1]
+        colour, last = style.PALETTE[i % len(style.PALETTE)], name == names[-1]
         axes.loglog(cost, worst, marker=_MARKERS[i % len(_MARKERS)], color=colour, label=name)
         axes.loglog(
             cost, median, ":", color=colour, linewidth=0.9, label="median scenario" if last else None, zorder=1.5
@@ -97,22 +85,19 @@ def _draw_errors(axes: Axes, study: AccuracyStudy, quantity: str) -> None:
     axes.plot(*at, "o", markersize=10, markerfacecolor="none", markeredgecolor="black", label="default")
 
 
-@printed
+@style.printed
 def plot_growth(curves: Sequence[Curve]) -> Figure:
     """Draw the time per environment step against every kind of size, the sizes on logarithmic axes.
 
     Grey lines go through the first point with the slope that is named: what proportional growth, or an ideal gain,
     would be.
-
-    Args:
-        curves: what :func:`wtg_gym.analysis.benchmarks.growth.growth_curves` returns.
     """
     kinds = list(dict.fromkeys(curve.name.split(", ")[0] for curve in curves))
-    figure = new_figure(DOUBLE_COLUMN_MM, 62.0 * -(-len(kinds) // 2))
+    figure = style.new_figure(style.DOUBLE_COLUMN_MM, 62.0 * -(-len(kinds) // 2))
     panels = figure.subplots(-(-len(kinds) // 2), 2, squeeze=False).ravel()
     for axes, kind, letter in zip(panels, kinds, "abcdefgh", strict=False):
         _draw_growth(axes, [curve for curve in curves if curve.name.split(", ")[0] == kind], kind)
-        letter_panel(axes, letter, _TITLES[kind])
+        style.letter_panel(axes, letter, _TITLES[kind])
     for axes in panels[len(kinds) :]:
         axes.set_axis_off()
     return figure
@@ -122,11 +107,11 @@ def _draw_growth(axes: Axes, curves: Sequence[Curve], kind: str) -> None:
     for i, curve in enumerate(curves):
         n, cost = [point.n for point in curve.points], [point.microseconds for point in curve.points]
         label = None if len(curves) == 1 else ("single" if curve.name.endswith("single") else "in a batch")
-        axes.loglog(n, cost, marker=MARKERS[i], color=PALETTE[i], label=label)
+        axes.loglog(n, cost, marker=style.MARKERS[i], color=style.PALETTE[i], label=label)
         slope, guide_label = (-1.0, "ideal") if kind == "threads" else (1.0, "proportional")
         if kind != "lanes":
             guide = cost[0] * (np.array(n) / n[0]) ** slope
-            axes.plot(n, guide, ":", color=REFERENCE_GREY, zorder=1.0, label=guide_label if i == 0 else None)
+            axes.plot(n, guide, ":", color=style.REFERENCE_GREY, zorder=1.0, label=guide_label if i == 0 else None)
     _label_axes(axes, kind, [point.n for point in curves[0].points])
     if len(curves) > 1 or kind != "lanes":
         axes.legend(loc="best")
@@ -148,4 +133,4 @@ def _label_axes(axes: Axes, kind: str, sizes: Sequence[int]) -> None:
         # Less than a decade: the eye compares heights from zero.
         axes.set_yscale("linear")
         axes.set_ylim(bottom=0.0)
-    axes.tick_params(labelsize=SMALL_PT)
+    axes.tick_params(labelsize=style.SMALL_PT)

@@ -15,20 +15,8 @@ from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, coordinated_piecewise
 from wtg_gym.physics.trajectory import Trajectory
+from wtg_gym.plotting import style
 from wtg_gym.plotting.event_marks import endings, explain_events, mark_end, mark_instants
-from wtg_gym.plotting.style import (
-    DOUBLE_COLUMN_MM,
-    PALETTE,
-    REFERENCE_GREY,
-    SINGLE_COLUMN_MM,
-    Look,
-    letter_panel,
-    name_at_right,
-    new_figure,
-    printed,
-    share_limits,
-    strategy_looks,
-)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,10 +26,8 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float64]
 
-_THIN_DASHES = (0.0, (5.0, 2.0))
 
-
-@printed
+@style.printed
 def plot_power_coefficient() -> Figure:
     """Draw C_p(λ) at β = 0 with the points of 0, 5 and 10 % deloading and the reserve between them.
 
@@ -53,13 +39,13 @@ def plot_power_coefficient() -> Figure:
     points = [tracking_point(level) for level in levels]
     ratios, values = [p.tip_speed_ratio for p in points], [p.power_coefficient for p in points]
     names = ("opt", "n", "pr")
-    figure = new_figure(DOUBLE_COLUMN_MM, 72.0)
+    figure = style.new_figure(style.DOUBLE_COLUMN_MM, 72.0)
     whole, part = figure.subplots(1, 2, width_ratios=(1.0, 1.15))
     for axes, low, high in ((whole, 2.0, 13.0), (part, ratios[0] - 0.6, ratios[2] + 1.15)):
         x = np.unique(np.append(np.linspace(low, high, 400), ratios))
         y = power_coefficient(x)
         axes.plot(x, y, color="0.15", linewidth=1.3, label="_power coefficient")
-        for i, colour in enumerate((PALETTE[1], PALETTE[0])):
+        for i, colour in enumerate((style.PALETTE[1], style.PALETTE[0])):
             inside = (x >= ratios[i]) & (x <= ratios[i + 1])
             axes.fill_between(x[inside], y[inside], color=colour, alpha=0.22 + 0.1 * i, linewidth=0.0)
         axes.plot(ratios, values, "o", color="0.15", markeredgecolor="white", markersize=4.8, zorder=4)
@@ -77,8 +63,8 @@ def plot_power_coefficient() -> Figure:
     )
     right = part.get_xlim()[1]
     for name, level, ratio, value in zip(names, levels, ratios, values, strict=True):
-        part.vlines(ratio, 0.0, value, color=REFERENCE_GREY, linewidth=0.7, linestyle=_THIN_DASHES)
-        part.hlines(value, ratio, right, color=REFERENCE_GREY, linewidth=0.7, linestyle=_THIN_DASHES)
+        part.vlines(ratio, 0.0, value, color=style.REFERENCE_GREY, linewidth=0.7, linestyle=style.THIN_DASHES)
+        part.hlines(value, ratio, right, color=style.REFERENCE_GREY, linewidth=0.7, linestyle=style.THIN_DASHES)
         text = rf"$C_{{p,{name}}}$ = {value:.3f}, −{100 * level:.0f} %".replace(", −0 %", "")
         part.annotate(text, (right, value), (0.0, 1.5), textcoords="offset points", ha="right", va="bottom")
     corners = (r"\omega_{min}", r"\omega_{st}", r"\omega_{max}")
@@ -89,8 +75,8 @@ def plot_power_coefficient() -> Figure:
             for ratio, name, corner in zip(ratios, names, corners, strict=True)
         ],
     )
-    letter_panel(whole, "a", "power coefficient and reserve")
-    letter_panel(part, "b", r"operating range over $\omega_{min}$ … $\omega_{max}$")
+    style.letter_panel(whole, "a", "power coefficient and reserve")
+    style.letter_panel(part, "b", r"operating range over $\omega_{min}$ … $\omega_{max}$")
     _draw_reserve_legend(figure, control)
     return figure
 
@@ -105,7 +91,7 @@ def _draw_reserve_legend(figure: Figure, control: GridFormingParameters) -> None
     figure.legend(
         handles=[
             Patch(
-                color=PALETTE[1 - i],
+                color=style.PALETTE[1 - i],
                 alpha=0.22 + 0.1 * i,
                 linewidth=0.0,
                 label=f"{100 * a:.0f} … {100 * b:.0f} % {use}",
@@ -118,20 +104,17 @@ def _draw_reserve_legend(figure: Figure, control: GridFormingParameters) -> None
     )
 
 
-@printed
+@style.printed
 def plot_bode(loops: Mapping[str, SingleMachine]) -> Figure:
     """Draw the open loops of strategies over angular frequency, with crossovers and phase margins.
 
     The paper's figures `BodeComparison` and `BodeProposed`. A dot marks the gain crossover; a line from -180° up to
     the phase there is the margin, which the legend states.
-
-    Args:
-        loops: linearised loops by strategy name or another label.
     """
-    figure = new_figure(SINGLE_COLUMN_MM, 92.0 + 3.5 * len(loops))
+    figure = style.new_figure(style.SINGLE_COLUMN_MM, 92.0 + 3.5 * len(loops))
     magnitude, phase = figure.subplots(2, 1, sharex=True)
     angular = np.geomspace(1e-2, 1e2, 600)
-    looks = strategy_looks(loops)
+    looks = style.strategy_looks(loops)
     for label, loop in loops.items():
         look, margins = looks[label], loop.margins()
         response = loop.response(angular)
@@ -150,8 +133,8 @@ def plot_bode(loops: Mapping[str, SingleMachine]) -> Figure:
         magnitude.plot(crossover, 0.0, "o", **dot)
         phase.plot(crossover, top, "o", label=f"_margin {label}", **dot)
         phase.vlines(crossover, -180.0, top, color=look.colour, linewidth=0.8, zorder=3)
-    magnitude.axhline(0.0, color=REFERENCE_GREY, linewidth=0.8, zorder=1)
-    phase.axhline(-180.0, color=REFERENCE_GREY, linewidth=0.8, zorder=1)
+    magnitude.axhline(0.0, color=style.REFERENCE_GREY, linewidth=0.8, zorder=1)
+    phase.axhline(-180.0, color=style.REFERENCE_GREY, linewidth=0.8, zorder=1)
     magnitude.set_ylabel("magnitude [dB]")
     phase.set_ylabel("phase [°]")
     phase.set_xscale("log")
@@ -169,7 +152,7 @@ def _phase_deg(response: npt.NDArray[np.complex128]) -> Floats:
     return np.asarray(np.degrees(np.angle(-response)) - 180.0)
 
 
-@printed
+@style.printed
 def plot_case_study(scenario: Scenario, runs: Mapping[str, Trajectory]) -> Figure:
     """Draw frequency, power, rotor speed and tracking coefficient of each WTG group, one column per group.
 
@@ -178,16 +161,15 @@ def plot_case_study(scenario: Scenario, runs: Mapping[str, Trajectory]) -> Figur
     regulation range, available power and 90 % of it, rotor speed of maximum power, K_opt, K_n and K_pr.
 
     Args:
-        scenario: what happened.
         runs: recorded runs of it by strategy, all with the same one to four WTG groups.
     """
     longest = max(runs.values(), key=lambda run: run.time_s.size)
     n_groups = longest.power_pu.shape[1]
-    figure = new_figure(DOUBLE_COLUMN_MM if n_groups > 1 else SINGLE_COLUMN_MM, 178.0)
+    figure = style.new_figure(style.DOUBLE_COLUMN_MM if n_groups > 1 else style.SINGLE_COLUMN_MM, 178.0)
     grid = figure.subplots(4, n_groups, sharex=True, squeeze=False, height_ratios=(1.0, 1.15, 1.15, 0.85))
-    looks = strategy_looks(runs)
+    looks = style.strategy_looks(runs)
     for group in range(n_groups):
-        letter_panel(grid[0, group], "abcd"[group], f"GFM-WTG {group + 1} ({longest.wind_m_s[0, group]:.3g} m/s)")
+        style.letter_panel(grid[0, group], "abcd"[group], f"GFM-WTG {group + 1} ({longest.wind_m_s[0, group]:.3g} m/s)")
         for row, (label, quantity) in enumerate(_QUANTITIES.items()):
             for name, run in runs.items():
                 _draw_run(grid[row, group], name, run, quantity(run)[:, group], looks[name])
@@ -198,8 +180,8 @@ def plot_case_study(scenario: Scenario, runs: Mapping[str, Trajectory]) -> Figur
             mark_instants(axes, scenario, numbered=axes is grid[0, group])
         grid[3, group].set_xlabel("time [s]")
     grid[0, 0].set_xlim(0.0, scenario.duration_s)
-    share_limits(list(grid[0]))
-    share_limits(list(grid[3]))
+    style.share_limits(list(grid[0]))
+    style.share_limits(list(grid[3]))
     nominal = longest.nominal_frequency_hz
     hertz = grid[0, -1].secondary_yaxis("right", functions=(lambda x: nominal * x, lambda x: x / nominal))
     hertz.set_ylabel("frequency [Hz]")
@@ -216,7 +198,7 @@ _QUANTITIES: dict[str, Callable[[Trajectory], Floats]] = {
 }
 
 
-def _draw_run(axes: Axes, name: str, run: Trajectory, values: Floats, look: Look) -> None:
+def _draw_run(axes: Axes, name: str, run: Trajectory, values: Floats, look: style.Look) -> None:
     stands_out = name == REFERENCE_STRATEGY
     axes.plot(
         run.time_s,
@@ -248,16 +230,20 @@ def _draw_references(column: Sequence[Axes], run: Trajectory, group: int) -> Non
     }
     for row, named in lines.items():
         for name, values in named.items():
-            column[row].plot(time, values, color=REFERENCE_GREY, linewidth=0.8, linestyle=_THIN_DASHES, zorder=2)
-            name_at_right(column[row], name, float(values[-1]))
+            column[row].plot(
+                time, values, color=style.REFERENCE_GREY, linewidth=0.8, linestyle=style.THIN_DASHES, zorder=2
+            )
+            style.name_at_right(column[row], name, float(values[-1]))
     low, high = column[0].get_ylim()
     for frequency in (control.frequency_min_pu, control.frequency_max_pu):
         # Drawn where it is in sight or nearly so: the deviations must stay readable.
         if low - 0.3 * (high - low) < frequency < high + 0.3 * (high - low):
-            column[0].axhline(frequency, color=REFERENCE_GREY, linewidth=0.8, linestyle=_THIN_DASHES, zorder=2)
+            column[0].axhline(
+                frequency, color=style.REFERENCE_GREY, linewidth=0.8, linestyle=style.THIN_DASHES, zorder=2
+            )
 
 
-def _draw_strategy_legend(figure: Figure, runs: Mapping[str, Trajectory], looks: Mapping[str, Look]) -> None:
+def _draw_strategy_legend(figure: Figure, runs: Mapping[str, Trajectory], looks: Mapping[str, style.Look]) -> None:
     from matplotlib.lines import Line2D
 
     handles = []

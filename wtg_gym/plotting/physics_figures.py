@@ -11,19 +11,8 @@ from wtg_gym.analysis.physics_study import COMPARED, SUITES_OF_ALL
 from wtg_gym.analysis.plant_forms import HONEST, PAPER
 from wtg_gym.analysis.voltage_limits import VOLTAGE_LIMIT_PU
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law
+from wtg_gym.plotting import style
 from wtg_gym.plotting.event_marks import mark_end, mark_instants
-from wtg_gym.plotting.style import (
-    DOUBLE_COLUMN_MM,
-    MARKERS,
-    PALETTE,
-    REFERENCE_GREY,
-    SINGLE_COLUMN_MM,
-    STRATEGY_LOOKS,
-    letter_panel,
-    new_figure,
-    printed,
-    share_limits,
-)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -34,20 +23,20 @@ if TYPE_CHECKING:
 _FAST, _SLOW = 0, 1
 
 
-@printed
+@style.printed
 def plot_plant_runs(study: PhysicsStudy) -> Figure:
     """Draw the paper's load increase in its own plant and in the honest one: frequency, rotor speed and current."""
-    figure = new_figure(DOUBLE_COLUMN_MM, 118.0)
+    figure = style.new_figure(style.DOUBLE_COLUMN_MM, 118.0)
     axes = figure.subplots(3, 2, sharex=True)
     for column, (plant, title) in enumerate(((PAPER, "the paper's plant"), (HONEST, "all parts together"))):
         for strategy in COMPARED:
-            run, look = study.increase[plant][strategy], STRATEGY_LOOKS[strategy]
+            run, look = study.increase[plant][strategy], style.STRATEGY_LOOKS[strategy]
             series = run.frequency_hz, run.rotor_pu[:, _SLOW], run.current_pu[:, _FAST]
             for panel, values in zip(axes[:, column], series, strict=True):
                 panel.plot(run.times_s, values, color=look.colour, linestyle=look.dashes, label=strategy)
                 if run.failed:
                     mark_end(panel, run.end_s, float(values[-1]), look.colour)
-        letter_panel(axes[0, column], "ab"[column], title)
+        style.letter_panel(axes[0, column], "ab"[column], title)
         axes[2, column].set_xlabel("time [s]")
         for panel in axes[:, column]:
             mark_instants(panel, study.scenario, numbered=False)
@@ -56,22 +45,22 @@ def plot_plant_runs(study: PhysicsStudy) -> Figure:
         axes, ("frequency [Hz]", "rotor speed at 8 m/s\n[p.u.]", "current at 11.4 m/s\n[p.u.]"), strict=True
     ):
         row[0].set_ylabel(label)
-        share_limits(row)
+        style.share_limits(row)
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(COMPARED))
     return figure
 
 
-@printed
+@style.printed
 def plot_plant_parts(study: PhysicsStudy) -> Figure:
     """Draw, for each plant, when the paper's load increase ends in a failure, and the failures in two suites."""
-    figure = new_figure(DOUBLE_COLUMN_MM, 112.0)
+    figure = style.new_figure(style.DOUBLE_COLUMN_MM, 112.0)
     left, right = figure.subplots(1, 2, sharey=True)
     plants = list(study.increase)
     rows = np.arange(len(plants))
     duration_s = study.scenario.duration_s
     for index, strategy in enumerate(COMPARED):
-        look = {"color": STRATEGY_LOOKS[strategy].colour, "marker": MARKERS[index], "linestyle": "none"}
+        look = {"color": style.STRATEGY_LOOKS[strategy].colour, "marker": style.MARKERS[index], "linestyle": "none"}
         at = rows + 0.2 * (index - 1.5)
         runs = [study.increase[plant][strategy] for plant in plants]
         lasts = np.array([not run.failed for run in runs])
@@ -84,7 +73,7 @@ def plot_plant_parts(study: PhysicsStudy) -> Figure:
         (left, "a", "failure in the load increase"),
         (right, "b", f"failures in {' and '.join(SUITES_OF_ALL)}"),
     ):
-        letter_panel(panel, letter, text)
+        style.letter_panel(panel, letter, text)
         for row in rows[:-1]:
             panel.axhline(row + 0.5, color="0.9", linewidth=0.5)
         panel.grid(axis="y", visible=False)
@@ -97,10 +86,10 @@ def plot_plant_parts(study: PhysicsStudy) -> Figure:
     return figure
 
 
-@printed
+@style.printed
 def plot_stiffness(study: PhysicsStudy) -> Figure:
     """Draw the reference's phase margin over K_p, and where the groups of the paper's case lie."""
-    figure = new_figure(SINGLE_COLUMN_MM, 84.0)
+    figure = style.new_figure(style.SINGLE_COLUMN_MM, 84.0)
     axes = figure.subplots()
     law = get_law(REFERENCE_STRATEGY)
     coefficients = np.linspace(0.8, 2.6, 73)
@@ -118,12 +107,12 @@ def plot_stiffness(study: PhysicsStudy) -> Figure:
         axes.plot(
             form.synchronising_coefficient,
             form.phase_margin_deg,
-            color=PALETTE[index],
-            marker=MARKERS[index],
+            color=style.PALETTE[index],
+            marker=style.MARKERS[index],
             linestyle="none",
             label=name,
         )
-    axes.axvline(PAPER_SYNCHRONISING_COEFFICIENT, color=REFERENCE_GREY, linewidth=0.8, linestyle=":")
+    axes.axvline(PAPER_SYNCHRONISING_COEFFICIENT, color=style.REFERENCE_GREY, linewidth=0.8, linestyle=":")
     axes.annotate(
         "the paper's",
         (PAPER_SYNCHRONISING_COEFFICIENT, 0.02),

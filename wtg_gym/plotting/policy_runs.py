@@ -14,22 +14,8 @@ from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
+from wtg_gym.plotting import style
 from wtg_gym.plotting.event_marks import explain_events, mark_end, mark_instants
-from wtg_gym.plotting.style import (
-    DOUBLE_COLUMN_MM,
-    GROUP_STYLES,
-    OVERLOAD_PU,
-    REFERENCE_GREY,
-    SINGLE_COLUMN_MM,
-    SMALL_PT,
-    Look,
-    letter_panel,
-    name_at_right,
-    new_figure,
-    printed,
-    share_limits,
-    strategy_looks,
-)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,38 +27,36 @@ Quantity = Callable[[Recording], Floats]
 K_OPT = tracking_point(0.0).coefficient
 #: Distance that thinning may move a line, as a share of its panel's height: a tenth of a millimetre.
 _INVISIBLE = 0.0035
-_THIN_DASHES = (0.0, (5.0, 2.0))
 
 
-@printed
+@style.printed
 def plot_runs(
     scenario: Scenario,
     runs: Mapping[str, Sequence[Recording]],
-    looks: Mapping[str, Look] | None = None,
-    overload_pu: float = OVERLOAD_PU,
+    looks: Mapping[str, style.Look] | None = None,
+    overload_pu: float = style.OVERLOAD_PU,
 ) -> Figure:
     """Draw frequency, power, tip-speed ratio, k and τ of each WTG group over time, one column per group.
 
     A cross marks where a run ended before its time. Wind is drawn where it changes. Grey lines: λ_opt, λ_pr, overload.
 
     Args:
-        scenario: what happened.
         runs: recordings of this one scenario, of one to four WTG groups, by entry; one per training seed.
         looks: of the entries by name; None for ones of their own.
         overload_pu: power above which a converter counts as overloaded [p.u.].
     """
     first = next(recordings[0] for recordings in runs.values() if recordings)
-    looks = looks or strategy_looks(runs)
+    looks = looks or style.strategy_looks(runs)
     # Wind is the same for all: the longest run shows most of it.
     longest = max((run for each in runs.values() for run in each), key=lambda run: int(np.isfinite(run.wind_m_s).sum()))
     n_rows = len(_OVER_TIME) + bool(np.nanstd(longest.wind_m_s[0], axis=0).max() > 1e-9)
-    width = DOUBLE_COLUMN_MM if first.n_wtg > 1 else SINGLE_COLUMN_MM
-    figure = new_figure(width, 30.0 + 32.0 * n_rows)
+    width = style.DOUBLE_COLUMN_MM if first.n_wtg > 1 else style.SINGLE_COLUMN_MM
+    figure = style.new_figure(width, 30.0 + 32.0 * n_rows)
     grid = figure.subplots(n_rows, first.n_wtg, sharex=True, sharey="row", squeeze=False)
     for group in range(first.n_wtg):
         wind = float(np.nanmean(longest.wind_m_s[0, :, group]))
         mean = "mean wind " if first.n_wtg < 3 else ""
-        letter_panel(grid[0, group], "abcd"[group], f"GFM-WTG {group + 1} ({mean}{wind:.3g} m/s)")
+        style.letter_panel(grid[0, group], "abcd"[group], f"GFM-WTG {group + 1} ({mean}{wind:.3g} m/s)")
         for axes, (label, quantity) in zip(grid[:, group], _OVER_TIME.items(), strict=False):
             for name, recordings in runs.items():
                 for run in recordings:
@@ -105,7 +89,7 @@ _OVER_TIME: dict[str, Quantity] = {
 }
 
 
-def _draw_run(axes: Axes, time: Floats, values: Floats, look: Look, name: str, n_seeds: int) -> None:
+def _draw_run(axes: Axes, time: Floats, values: Floats, look: style.Look, name: str, n_seeds: int) -> None:
     is_reference = name == REFERENCE_STRATEGY
     axes.plot(
         time,
@@ -170,18 +154,20 @@ def _draw_limits(grid: npt.NDArray[Any], overload_pu: float) -> None:
         },
     }
     for row, named in limits.items():
-        share_limits(list(grid[row]))
+        style.share_limits(list(grid[row]))
         low, high = grid[row, 0].get_ylim()
         for name, value in named.items():
             if low < value < high:
                 for axes in grid[row]:
-                    axes.axhline(value, color=REFERENCE_GREY, linewidth=0.7, linestyle=_THIN_DASHES, zorder=2.0)
-                name_at_right(grid[row, -1], name, value)
+                    axes.axhline(
+                        value, color=style.REFERENCE_GREY, linewidth=0.7, linestyle=style.THIN_DASHES, zorder=2.0
+                    )
+                style.name_at_right(grid[row, -1], name, value)
 
 
-@printed
+@style.printed
 def plot_costs(
-    costs: Mapping[str, Mapping[str, float]], looks: Mapping[str, Look] | None = None, suite: str = ""
+    costs: Mapping[str, Mapping[str, float]], looks: Mapping[str, style.Look] | None = None, suite: str = ""
 ) -> Figure:
     """Draw the mean cost of an episode, the total and term by term, one bar per entry.
 
@@ -190,12 +176,12 @@ def plot_costs(
         looks: of the entries by name; None for ones of their own.
         suite: where the costs come from, for the axis.
     """
-    looks = looks or strategy_looks(costs)
+    looks = looks or style.strategy_looks(costs)
     terms = [term for term in next(iter(costs.values())) if any(own[term] > 0.0 for own in costs.values())]
     rows = {"total": {name: sum(own.values()) for name, own in costs.items()}}
     rows |= {term: {name: own[term] for name, own in costs.items()} for term in terms}
     n = len(costs)
-    figure = new_figure(DOUBLE_COLUMN_MM, 24.0 + len(rows) * (3.0 + 3.4 * n))
+    figure = style.new_figure(style.DOUBLE_COLUMN_MM, 24.0 + len(rows) * (3.0 + 3.4 * n))
     axes = figure.subplots()
     height = 0.86 / n
     for i, name in enumerate(costs):
@@ -206,7 +192,7 @@ def plot_costs(
             bars,
             [f"{value:.1f}" if value >= 10.0 else f"{value:.2f}" for value in values],
             padding=2.0,
-            fontsize=SMALL_PT,
+            fontsize=style.SMALL_PT,
         )
     axes.set_yticks(range(len(rows)), ["RoCoF" if term == "rocof" else term for term in rows])
     axes.tick_params(axis="y", length=0.0)
@@ -214,7 +200,7 @@ def plot_costs(
     axes.grid(False, axis="y")
     axes.margins(x=0.08)
     axes.set_xlabel(f"mean cost of an episode{suite and f' of {suite}'} [–]")
-    draw_legend(figure, costs, {name: Look(looks[name].colour) for name in costs}, linewidth=5.0)
+    draw_legend(figure, costs, {name: style.Look(looks[name].colour) for name in costs}, linewidth=5.0)
     return figure
 
 
@@ -235,7 +221,7 @@ def scale_time_constant(axes: Axes, values: Sequence[Floats]) -> None:
 
 
 def draw_legend(
-    figure: Figure, names: Iterable[str], looks: Mapping[str, Look], n_groups: int = 1, linewidth: float = 1.6
+    figure: Figure, names: Iterable[str], looks: Mapping[str, style.Look], n_groups: int = 1, linewidth: float = 1.6
 ) -> None:
     """Draw a legend of entries and, where there is more than one, of groups by their dashes."""
     from matplotlib.lines import Line2D
@@ -245,7 +231,7 @@ def draw_legend(
         for name in names
     ]
     if n_groups > 1:
-        styles = enumerate(GROUP_STYLES[:n_groups], start=1)
+        styles = enumerate(style.GROUP_STYLES[:n_groups], start=1)
         handles += [Line2D([], [], color="0.3", linestyle=style, label=f"WTG group {group}") for group, style in styles]
     figure.legend(handles=handles, loc="outside lower center", ncols=min(4, len(handles)), handlelength=3.0)
 

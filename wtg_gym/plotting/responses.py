@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.evaluation.recording import Recording
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.plotting.policy_runs import K_OPT, Quantity, draw_legend, scale_time_constant
 from wtg_gym.plotting.style import DOUBLE_COLUMN_MM, GROUP_STYLES, Look, new_figure, printed, strategy_looks
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Floats = npt.NDArray[np.float64]
 
 #: Share of the samples drawn, from the middle, and of those in a bin that lie within its band.
 _DRAWN, _BAND = 0.98, 0.8
@@ -72,12 +71,6 @@ def plot_responses(
 
     Lines are medians of bins, bands hold the middle 80 %; the lowest row says where the samples are. Groups are taken
     together; where the policy treats them differently, it has a median for each.
-
-    Args:
-        name: of the policy.
-        policy: its recording.
-        reference: that of the reference in the same scenarios.
-        looks: of policy and reference by name; None for ones of their own.
     """
     looks = looks or strategy_looks([REFERENCE_STRATEGY, name])
     runs = {REFERENCE_STRATEGY: reference, name: policy}

@@ -10,34 +10,21 @@ import numpy as np
 from wtg_gym.evaluation.recording import Recording
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
+from wtg_gym.plotting import style
 from wtg_gym.plotting.event_marks import explain_events, mark_end, mark_instants
 from wtg_gym.plotting.policy_runs import Quantity, draw_legend
-from wtg_gym.plotting.style import (
-    DOUBLE_COLUMN_MM,
-    REFERENCE_GREY,
-    letter_panel,
-    name_at_right,
-    new_figure,
-    printed,
-    strategy_looks,
-)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-@printed
+@style.printed
 def plot_one_event(scenario: Scenario, runs: Mapping[str, Recording], plant: PlantSettings) -> Figure:
     """Draw frequency [Hz], power of all turbines [MW] and the slowest rotor's speed [p.u.] over time.
 
     A cross marks where a run ended before its time. Grey lines: limits at which a run fails.
-
-    Args:
-        scenario: what happened.
-        runs: recordings of this one scenario by name.
-        plant: gives ratings and limits.
     """
-    looks = strategy_looks(runs)
+    looks = style.strategy_looks(runs)
     rated_mw = np.array([group.n_turbines * plant.turbine.rated_power_mw for group in plant.groups])
     nominal_hz, protection = plant.case.frequency_hz, plant.protection
     panels: dict[str, tuple[Quantity, tuple[float, ...]]] = {
@@ -48,11 +35,11 @@ def plot_one_event(scenario: Scenario, runs: Mapping[str, Recording], plant: Pla
         "power of all turbines [MW]": (lambda run: run.power_pu[0] @ rated_mw, ()),
         "slowest rotor [p.u.]": (lambda run: run.rotor_speed_pu[0].min(axis=1), (protection.rotor_speed_min_pu,)),
     }
-    figure = new_figure(DOUBLE_COLUMN_MM, 72.0)
+    figure = style.new_figure(style.DOUBLE_COLUMN_MM, 72.0)
     for axes, letter, (label, (quantity, limits)) in zip(
         figure.subplots(1, len(panels), sharex=True), "abc", panels.items(), strict=True
     ):
-        letter_panel(axes, letter, label)
+        style.letter_panel(axes, letter, label)
         for name, run in runs.items():
             values = quantity(run)
             axes.plot(run.time_s, values, color=looks[name].colour, linestyle=looks[name].dashes)
@@ -64,8 +51,8 @@ def plot_one_event(scenario: Scenario, runs: Mapping[str, Recording], plant: Pla
         low, high = axes.get_ylim()
         for limit in limits:
             if low < limit < high:
-                axes.axhline(limit, color=REFERENCE_GREY, linewidth=0.7)
-                name_at_right(axes, "limit", limit)
+                axes.axhline(limit, color=style.REFERENCE_GREY, linewidth=0.7)
+                style.name_at_right(axes, "limit", limit)
         mark_instants(axes, scenario, numbered=True)
         axes.set_xlim(0.0, scenario.duration_s)
         axes.set_xlabel("time [s]")

@@ -5,25 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.protection import Status
+from wtg_gym.plotting import style
 from wtg_gym.plotting.event_marks import mark_end, mark_instants
-from wtg_gym.plotting.style import (
-    DOUBLE_COLUMN_MM,
-    MARKERS,
-    PALETTE,
-    REFERENCE_GREY,
-    SINGLE_COLUMN_MM,
-    SMALL_PT,
-    Dashes,
-    letter_panel,
-    new_figure,
-    printed,
-    strategy_looks,
-)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,28 +19,22 @@ if TYPE_CHECKING:
 
     from wtg_gym.analysis.case_studies import DampingStudy, EquilibriumStudy, MachineModelStudy, MarginStudy
 
-Floats = npt.NDArray[np.float64]
 
 #: The wind speeds of the paper's two groups [m/s].
 _PAPER_WINDS = (8.0, 11.4)
-_SOLID: Dashes = "-"
-_DASHED: Dashes = (0.0, (4.0, 1.6))
-_THIN_DASHES = (0.0, (5.0, 2.0))
+_SOLID: style.Dashes = "-"
+_DASHED: style.Dashes = (0.0, (4.0, 1.6))
 #: Points nearer than this share of the span of both axes get one name.
 _CLOSE = 0.07
 
 
-@printed
+@style.printed
 def plot_margins(study: MarginStudy) -> Figure:
-    """Draw phase margins over wind speed, one line per strategy; the paper's two wind speeds are marked.
-
-    Args:
-        study: of :func:`wtg_gym.analysis.case_studies.study_margins`.
-    """
+    """Draw phase margins over wind speed, one line per strategy; the paper's two wind speeds are marked."""
     bases = {label: label.split(", ")[0] for label in study.phase_margin_deg}
-    looks = strategy_looks(bases.values())
+    looks = style.strategy_looks(bases.values())
     n_columns = 2 if max(len(label) for label in bases) <= 30 else 1
-    figure = new_figure(SINGLE_COLUMN_MM, 62.0 + 3.6 * len(bases) / n_columns)
+    figure = style.new_figure(style.SINGLE_COLUMN_MM, 62.0 + 3.6 * len(bases) / n_columns)
     axes = figure.subplots()
     # A label "strategy, side" gets the strategy's colour; its sides differ by their dashes.
     drawn: dict[str, int] = {}
@@ -72,16 +54,12 @@ def plot_margins(study: MarginStudy) -> Figure:
     return figure
 
 
-@printed
+@style.printed
 def plot_equilibria(study: EquilibriumStudy) -> Figure:
-    """Draw, over wind and frequency, where strategies have no equilibrium: the shaded side below each curve.
-
-    Args:
-        study: of :func:`wtg_gym.analysis.case_studies.study_equilibria`; not a number: equilibria everywhere.
-    """
+    """Draw, over wind and frequency, where strategies have no equilibrium: the shaded side below each curve."""
     control = GridFormingParameters()
-    looks = strategy_looks(study.critical_frequency_pu)
-    figure = new_figure(SINGLE_COLUMN_MM, 74.0)
+    looks = style.strategy_looks(study.critical_frequency_pu)
+    figure = style.new_figure(style.SINGLE_COLUMN_MM, 74.0)
     axes = figure.subplots()
     everything = np.concatenate(list(study.critical_frequency_pu.values()))
     bottom = float(np.nanmin(np.append(everything, control.frequency_min_pu - 0.002)))
@@ -95,7 +73,7 @@ def plot_equilibria(study: EquilibriumStudy) -> Figure:
     axes.set_xlim(study.wind_m_s[0], study.wind_m_s[-1])
     corners = {r"$\omega_{st}$": control.frequency_setpoint_pu, r"$\omega_{min}$": control.frequency_min_pu}
     for name, frequency in corners.items():
-        axes.axhline(frequency, color=REFERENCE_GREY, linewidth=0.8, linestyle=_THIN_DASHES, zorder=2)
+        axes.axhline(frequency, color=style.REFERENCE_GREY, linewidth=0.8, linestyle=style.THIN_DASHES, zorder=2)
         at = (study.wind_m_s[-1], frequency)
         axes.annotate(name, at, (-2.0, 1.5), textcoords="offset points", ha="right", color="0.3")
     _mark_winds(axes)
@@ -107,47 +85,44 @@ def plot_equilibria(study: EquilibriumStudy) -> Figure:
     )
     hertz.set_ylabel("frequency [Hz]")
     figure.legend(
-        loc="outside lower center", ncols=3, title="no equilibrium below the line of", title_fontsize=SMALL_PT
+        loc="outside lower center", ncols=3, title="no equilibrium below the line of", title_fontsize=style.SMALL_PT
     )
     return figure
 
 
-@printed
+@style.printed
 def plot_damping(study: DampingStudy) -> Figure:
     """Draw what τ trades: (a) nadir and (b) lowest rotor speeds over τ, (c) one against the other, τ at the points.
 
     τ = 0, which has no place on a logarithmic axis, stands apart left of a break; the paper's τ = 0.8 s is filled.
-
-    Args:
-        study: of :func:`wtg_gym.analysis.case_studies.study_damping`.
     """
     tau = study.time_constant_s
     n_groups = study.lowest_rotor_speed_pu.shape[1]
-    figure = new_figure(DOUBLE_COLUMN_MM, 66.0)
+    figure = style.new_figure(style.DOUBLE_COLUMN_MM, 66.0)
     nadir, rotor, trade = figure.subplots(1, 3)
-    _draw_over_tau(nadir, tau, study.nadir_hz, PALETTE[0], "o", "")
+    _draw_over_tau(nadir, tau, study.nadir_hz, style.PALETTE[0], "o", "")
     nadir.set_ylabel("frequency nadir [Hz]")
     chosen = GridFormingParameters().damping_time_constant_s
-    nadir.plot([], [], "o", color=PALETTE[0], markersize=4.5, label=rf"$\tau$ = {chosen:g} s (paper)")
+    nadir.plot([], [], "o", color=style.PALETTE[0], markersize=4.5, label=rf"$\tau$ = {chosen:g} s (paper)")
     nadir.legend(handles=nadir.get_lines()[-1:], loc="lower right", handlelength=1.0)
     for group in range(n_groups):
         speed = study.lowest_rotor_speed_pu[:, group]
-        _draw_over_tau(rotor, tau, speed, PALETTE[group % 6], MARKERS[group % 8], f"GFM-WTG {group + 1}")
+        _draw_over_tau(rotor, tau, speed, style.PALETTE[group % 6], style.MARKERS[group % 8], f"GFM-WTG {group + 1}")
     rotor.set_ylabel("lowest rotor speed [p.u.]")
     rotor.legend(loc="center right", handlelength=1.8)
     slowest = int(np.argmin(study.lowest_rotor_speed_pu.min(axis=0)))
     speed = study.lowest_rotor_speed_pu[:, slowest]
-    colour = PALETTE[slowest % 6]
+    colour = style.PALETTE[slowest % 6]
     trade.plot(speed, study.nadir_hz, "-", color=colour, linewidth=0.9, label="_trade")
     for x, y, value in zip(speed, study.nadir_hz, tau, strict=True):
-        _draw_point(trade, float(x), float(y), float(value), colour, MARKERS[slowest % 8])
+        _draw_point(trade, float(x), float(y), float(value), colour, style.MARKERS[slowest % 8])
     _name_time_constants(trade, speed, study.nadir_hz, tau)
     trade.margins(x=0.2, y=0.1)
     trade.set_xlabel(f"lowest rotor speed of WTG {slowest + 1} [p.u.]")
     trade.set_ylabel("frequency nadir [Hz]")
-    letter_panel(nadir, "a")
-    letter_panel(rotor, "b")
-    letter_panel(trade, "c", r"with $\tau$ [s] at the points")
+    style.letter_panel(nadir, "a")
+    style.letter_panel(rotor, "b")
+    style.letter_panel(trade, "c", r"with $\tau$ [s] at the points")
     return figure
 
 
@@ -165,7 +140,7 @@ def _draw_over_tau(axes: Axes, tau: Floats, values: Floats, colour: str, marker:
     if not positive.all():
         ticks, names = [apart, *ticks], ["0", *names]
         break_at = apart * 2.5**0.5
-        axes.axvline(break_at, color=REFERENCE_GREY, linewidth=0.7, linestyle=(0.0, (1.0, 1.5)))
+        axes.axvline(break_at, color=style.REFERENCE_GREY, linewidth=0.7, linestyle=style.DOTS)
     axes.set_xlim(apart / 1.4, float(tau.max()) * 1.4)
     axes.set_xticks(ticks, names)
     # Minor ticks would run on across the break.
@@ -186,7 +161,7 @@ def _name_time_constants(axes: Axes, x: Floats, y: Floats, tau: Floats) -> None:
     for run in runs:
         text = f"{tau[run[0]]:g} … {tau[run[-1]]:g}" if len(run) > 1 else f"{tau[run[0]]:g}"
         at = (float(x[run].mean()), float(y[run].mean()))
-        axes.annotate(text, at, (4.0, 2.0), textcoords="offset points", fontsize=SMALL_PT)
+        axes.annotate(text, at, (4.0, 2.0), textcoords="offset points", fontsize=style.SMALL_PT)
 
 
 def _draw_point(axes: Axes, x: float, y: float, tau: float, colour: str, marker: str) -> None:
@@ -194,22 +169,19 @@ def _draw_point(axes: Axes, x: float, y: float, tau: float, colour: str, marker:
     axes.plot(x, y, marker, color=colour, markerfacecolor=colour if chosen else "white", markersize=4.5, zorder=3)
 
 
-@printed
+@style.printed
 def plot_machine_models(study: MachineModelStudy) -> Figure:
     """Draw the load increase with two models of the synchronous machines: frequency, and the low-wind group.
 
     One colour per strategy; solid for the first machine model, dashed for the second; a cross where a run ended.
-
-    Args:
-        study: of :func:`wtg_gym.analysis.case_studies.study_machine_models`.
     """
     from matplotlib.lines import Line2D
 
     models = list(dict.fromkeys(model for model, _ in study.runs))
-    looks = strategy_looks(strategy for _, strategy in study.runs)
+    looks = style.strategy_looks(strategy for _, strategy in study.runs)
     first = next(iter(study.runs.values()))
     group = int(np.argmin(first.wind_m_s[0]))
-    figure = new_figure(DOUBLE_COLUMN_MM, 66.0)
+    figure = style.new_figure(style.DOUBLE_COLUMN_MM, 66.0)
     panels = figure.subplots(1, 3, sharex=True)
     of_group = f"GFM-WTG {group + 1} ({first.wind_m_s[0, group]:.3g} m/s)"
     for (model, strategy), run in study.runs.items():
@@ -222,7 +194,7 @@ def plot_machine_models(study: MachineModelStudy) -> Figure:
                 mark_end(axes, float(run.time_s[-1]), float(values[-1]), colour)
     names = ("frequency [Hz]", "power p [p.u.]", r"rotor speed $\omega_m$ [p.u.]")
     for axes, letter, name in zip(panels, "abc", names, strict=True):
-        letter_panel(axes, letter, "centre of inertia" if letter == "a" else of_group)
+        style.letter_panel(axes, letter, "centre of inertia" if letter == "a" else of_group)
         axes.set_ylabel(name)
         axes.set_xlabel("time [s]")
         mark_instants(axes, study.scenario, numbered=False)
@@ -241,7 +213,7 @@ def _mark_winds(axes: Axes) -> None:
     low, high = axes.get_xlim()
     for wind in _PAPER_WINDS:
         if low < wind < high:
-            axes.axvline(wind, color=REFERENCE_GREY, linewidth=0.7, linestyle=(0.0, (1.0, 1.5)), zorder=1)
+            axes.axvline(wind, color=style.REFERENCE_GREY, linewidth=0.7, linestyle=style.DOTS, zorder=1)
             axes.annotate(
                 f"{wind:g}",
                 (wind, 1.0),
@@ -250,6 +222,6 @@ def _mark_winds(axes: Axes) -> None:
                 textcoords="offset points",
                 ha="center",
                 va="bottom",
-                fontsize=SMALL_PT,
+                fontsize=style.SMALL_PT,
                 color="0.3",
             )

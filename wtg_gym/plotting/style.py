@@ -34,6 +34,9 @@ GROUP_STYLES: tuple[LineStyle, ...] = ("-", "--", ":", "-.")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 #: Widths of one and of two columns of an IEEE journal [mm].
 SINGLE_COLUMN_MM, DOUBLE_COLUMN_MM = 88.9, 181.9
+#: Dashes of thin reference lines, and of those at instants.
+THIN_DASHES: Dashes = (0.0, (5.0, 2.0))
+DOTS: Dashes = (0.0, (1.0, 1.5))
 #: Resolution of pixel files [dots per inch].
 PRINT_DPI = 300
 #: File formats that :func:`figure_bytes` writes.
@@ -174,10 +177,6 @@ def new_figure(width_mm: float = SINGLE_COLUMN_MM, height_mm: float = 65.0) -> F
 def figure_bytes(figure: Figure, suffix: str) -> bytes:
     """Return a figure as a file, the same bytes on each run; with print's fonts, and text as text in SVG and PDF.
 
-    Args:
-        figure: as returned by the functions of :mod:`wtg_gym.plotting`.
-        suffix: png, svg or pdf, with or without a dot.
-
     Raises:
         ValueError: the suffix is another one.
     """
@@ -192,11 +191,6 @@ def figure_bytes(figure: Figure, suffix: str) -> bytes:
 
 def save_figure(figure: Figure, path_without_suffix: Path, suffixes: Iterable[str] = ("svg", "png")) -> list[Path]:
     """Write a figure in several formats next to each other; return the paths.
-
-    Args:
-        figure: as returned by the functions of :mod:`wtg_gym.plotting`.
-        path_without_suffix: where to; the folder is made, files are replaced.
-        suffixes: png, svg or pdf.
 
     Raises:
         ValueError: a suffix is another one; nothing has been written then.

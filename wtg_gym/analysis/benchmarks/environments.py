@@ -25,9 +25,9 @@ YARDSTICK = "Pendulum-v1"
 JAX_STEPS, JAX_BATCH = 100, 64
 
 
-def has_sb3() -> bool:
-    """Return whether Stable-Baselines3 is installed."""
-    return importlib.util.find_spec("stable_baselines3") is not None
+def installed(*packages: str) -> bool:
+    """Return whether all of some packages are installed."""
+    return all(importlib.util.find_spec(package) is not None for package in packages)
 
 
 def yardstick() -> Case:
@@ -44,7 +44,7 @@ def environment_cases() -> Iterator[Case]:
         for n in (64, 1024):
             yield Case(part, f"{env_id}, vector of {n}", n, partial(_our_vector, benchmark, n))
     yield Case(part, "CartPole-v1, vector of 1024", 1024, _cart_poles)
-    if not has_sb3():
+    if not installed("stable_baselines3"):
         return
     n_cpu = os.cpu_count() or 1
     for n in (64, 1024):
@@ -68,11 +68,6 @@ def _on(physics: str, n_envs: int) -> Stepper:
     return step_batch(envs, envs.single_action_space, envs.num_envs)
 
 
-def has_jax() -> bool:
-    """Return whether JAX is installed."""
-    return importlib.util.find_spec("jax") is not None
-
-
 def gradient_cases() -> Iterator[Case]:
     """Yield episodes of our environments in a batch, with the gradient of their cost with respect to all actions.
 
@@ -81,7 +76,7 @@ def gradient_cases() -> Iterator[Case]:
     for env_id, benchmark in BENCHMARKS.items():
         for n in (1, 64):
             yield Case("gradients", f"{env_id}, gradients of {n}", n, partial(_gradients, benchmark, n), least_s=0.5)
-    if not has_jax():
+    if not installed("jax"):
         return
     for n in (1, 64, 1024):
         yield Case("gradients", f"{OURS} by JAX, batch of {n}", n, partial(_by_jax, n), preparation_s=20.0)
@@ -158,13 +153,8 @@ def _jax_gradients() -> Stepper:
     return repeat(lambda _: jax.block_until_ready(gradient(actions)), actions[:, :, 0].size)
 
 
-def can_render() -> bool:
-    """Return whether frames can be drawn, of our environment and of Gymnasium's own."""
-    return all(importlib.util.find_spec(package) is not None for package in ("matplotlib", "pygame"))
-
-
 def rendering_cases() -> Iterator[Case]:
-    """Yield environments that draw a frame at every step; call it only where :func:`can_render`."""
+    """Yield environments that draw a frame at every step, for which they need matplotlib and pygame."""
     for name in (OURS, "CartPole-v1", YARDSTICK):
         yield Case("rendering", f"{name}, a frame each step", 1, partial(_filmed, name))
 

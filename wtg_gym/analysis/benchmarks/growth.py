@@ -23,19 +23,12 @@ BATCH, THREADED_BATCH = 64, 4096
 
 @dataclass(frozen=True)
 class Point:
-    """One size.
+    """One size."""
 
-    Args:
-        n: the size: groups, machines, lanes or threads.
-        microseconds: time per environment step [µs].
-        compile_s: how long numba compiled for it, 0 where everything was cached on disk [s].
-        bytes_per_lane: memory of one lane [B].
-    """
-
-    n: int
-    microseconds: float
-    compile_s: float
-    bytes_per_lane: float
+    n: int  # the size: groups, machines, lanes or threads
+    microseconds: float  # time per environment step [µs]
+    compile_s: float  # how long numba compiled for it, 0 where everything was cached on disk [s]
+    bytes_per_lane: float  # memory of one lane [B]
 
 
 @dataclass(frozen=True)
@@ -49,7 +42,10 @@ class Curve:
     def exponent(self) -> float:
         """Slope p of the cost ~ n^p over the upper half of the sizes; NaN for a single size."""
         upper = self.points[len(self.points) // 2 - (len(self.points) < 4) :] if len(self.points) > 1 else ()
-        return math.nan if len(upper) < 2 else _slope(upper)
+        if len(upper) < 2:
+            return math.nan
+        n, cost = np.log([point.n for point in upper]), np.log([point.microseconds for point in upper])
+        return float(np.polyfit(n, cost, 1)[0])
 
     @property
     def quadratic_share(self) -> float:
@@ -63,17 +59,8 @@ class Curve:
         return float(parts[2] / parts.sum())
 
 
-def _slope(points: Sequence[Point]) -> float:
-    n, cost = np.log([point.n for point in points]), np.log([point.microseconds for point in points])
-    return float(np.polyfit(n, cost, 1)[0])
-
-
 def growth_cases(*, full: bool) -> dict[str, list[tuple[int, LanesCase]]]:
-    """Return every curve's sizes with their cases.
-
-    Args:
-        full: up to 128 groups and machines, rather than up to 16, which compile in a few minutes.
-    """
+    """Return every curve's sizes with their cases; those up to 16 groups and machines compile in a few minutes."""
     groups, machines = (ALL_GROUPS, ALL_MACHINES) if full else (GROUPS, MACHINES)
     n_cpu = os.cpu_count() or 1
     threads = sorted({*(2**k for k in range(n_cpu.bit_length())), n_cpu})

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from wtg_gym.analysis.benchmarks.environments import (
-    can_render,
     environment_cases,
     gradient_cases,
-    has_jax,
-    has_sb3,
+    installed,
     physics_cases,
     rendering_cases,
     yardstick,
@@ -37,17 +35,11 @@ PARTS = {
 
 @dataclass(frozen=True)
 class Results:
-    """Results of a run; parts that were not asked for are empty or None.
+    """Results of a run; parts that were not asked for are empty or None."""
 
-    Args:
-        rates: of environments, rendering, training and peers; the yardstick comes first.
-        growth: a curve per kind of size.
-        roofline: arithmetic.
-    """
-
-    rates: list[Rate]
-    growth: list[Curve]
-    roofline: Roofline | None
+    rates: list[Rate]  # of environments, rendering, training and peers; the yardstick comes first
+    growth: list[Curve]  # a curve per kind of size
+    roofline: Roofline | None  # arithmetic
 
     def ratio(self, rate: Rate) -> float:
         """Return a rate as a multiple of the yardstick's in this run."""
@@ -59,12 +51,7 @@ class Results:
 
 
 class Benchmark:
-    """Parts of the benchmark, all of whose cases are measured in turns.
-
-    Args:
-        parts: of :data:`PARTS`.
-        full: growth up to the largest plants.
-    """
+    """Parts of the benchmark, all of whose cases are measured in turns."""
 
     def __init__(self, parts: Sequence[str], *, full: bool) -> None:
         #: A line for each package that is missing.
@@ -76,15 +63,16 @@ class Benchmark:
             cases += physics_cases()
         if "gradients" in parts:
             cases += gradient_cases()
-            if not has_jax():
+            if not installed("jax"):
                 self.missing.append("JAX is left out: pip install 'wtg-gym[jax]'")
-        if "rendering" in parts and can_render():
+        if "rendering" in parts and installed("matplotlib", "pygame"):
             cases += rendering_cases()
         elif "rendering" in parts:
             self.missing.append("frames are left out: pip install 'wtg-gym[render]'")
-        if "training" in parts and has_sb3():
+        has_sb3 = installed("stable_baselines3")
+        if "training" in parts and has_sb3:
             cases += training_cases()
-        if {"environments", "training"} & set(parts) and not has_sb3():
+        if {"environments", "training"} & set(parts) and not has_sb3:
             self.missing.append("Stable-Baselines3 is left out: pip install 'wtg-gym[train]'")
         if "peers" in parts:
             cases += peer_cases()

@@ -57,10 +57,6 @@ def _electric_motor() -> Stepper:
         return step_single(gym_electric_motor.make("Cont-CC-PMSM-v0"))
 
 
-def _anm() -> Stepper:
-    return step_single(gym.make("gym_anm:ANM6Easy-v0"))
-
-
 class _DoNothing:
     """Grid2Op with Gymnasium's methods and without actions: random topologies would end episodes at once."""
 
@@ -106,7 +102,7 @@ def _envpool(name: str, n_envs: int) -> Stepper:
 
 _PEERS = (
     _Peer("gym_electric_motor", "gym-electric-motor", "Gym Electric Motor Cont-CC-PMSM-v0", 1, _electric_motor),
-    _Peer("gym_anm", "gym-anm", "Gym-ANM ANM6Easy-v0", 1, _anm),
+    _Peer("gym_anm", "gym-anm", "Gym-ANM ANM6Easy-v0", 1, lambda: step_single(gym.make("gym_anm:ANM6Easy-v0"))),
     _Peer("grid2op", "grid2op", "Grid2Op l2rpn_case14_sandbox, default backend", 1, _grid2op),
     _Peer("lightsim2grid", "lightsim2grid", "Grid2Op l2rpn_case14_sandbox, lightsim2grid", 1, _grid2op_light),
     _Peer("envpool", "envpool", "EnvPool CartPole-v1, batch of 1024", 1024, lambda: _envpool("CartPole-v1", 1024)),

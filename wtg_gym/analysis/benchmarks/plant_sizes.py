@@ -28,11 +28,8 @@ N_MACHINES = 4
 def network_with_machines(n_machines: int) -> NetworkCase:
     """Return the 14-bus network with each of its four machines split into equal ones at the same bus.
 
-    Args:
-        n_machines: a multiple of four.
-
     Raises:
-        ValueError: it is not.
+        ValueError: the number is no multiple of four.
     """
     if n_machines < N_MACHINES or n_machines % N_MACHINES:
         raise ValueError(f"the number of machines must be a multiple of {N_MACHINES}, got {n_machines}")
@@ -58,18 +55,15 @@ class _Settings(EnvSettings):
 
 @dataclass
 class LanesCase:
-    """Episodes side by side, stepped without action by compiled code alone.
+    """Episodes side by side, stepped without action by compiled code alone."""
 
-    Args:
-        part, name: as for :class:`Case`.
-        n_lanes, n_threads: as for :class:`TaskLanes`.
-        groups, machines: size of the plant.
-    """
-
+    #: part, name: as for :class:`Case`.
     part: str
     name: str
+    #: n_lanes, n_threads: as for :class:`TaskLanes`.
     n_lanes: int
     n_threads: int | None = 1
+    #: groups, machines: size of the plant.
     groups: int = 2
     machines: int = N_MACHINES
     #: How long numba compiled for it, 0 where everything was cached on disk [s]; once it is made.
@@ -99,12 +93,7 @@ class LanesCase:
         self.compile_s = _outermost_s(recorder.buffer)
         arrays: list[npt.NDArray[Any]] = [lanes.simulator.blocks, *lanes.simulator.data, *lanes.outputs]
         self.bytes_per_lane = sum(array.nbytes for array in arrays) / self.n_lanes
-        n_steps = int(episode.n_intervals[0])
-
-        def start() -> None:
-            lanes.commit(range(self.n_lanes), [episode] * self.n_lanes)
-
-        step = n_steps
+        step = n_steps = int(episode.n_intervals[0])
 
         def stepper(seconds: float) -> float:
             # An episode's restart is left out: what it costs depends on the length of the episode.
@@ -112,7 +101,7 @@ class LanesCase:
             n, passed = 0, 0.0
             while passed < seconds:
                 if step >= n_steps:
-                    start()
+                    lanes.commit(range(self.n_lanes), [episode] * self.n_lanes)
                     step = 0
                 count = min(n_steps - step, max(1, 256 // self.n_lanes))
                 begin = time.perf_counter()

@@ -38,41 +38,26 @@ class Ceiling:
 
 @dataclass(frozen=True)
 class Achieved:
-    """The rate of one way of stepping.
+    """The rate of one way of stepping."""
 
-    Args:
-        name: of the case.
-        threads: threads used.
-        steps_per_s: environment steps per second.
-        gflop_per_s: counted operations per second [Gflop/s].
-        share, fused_share: of the ceiling of vectors without and with fused multiply-adds on as many threads.
-    """
-
-    name: str
-    threads: int
-    steps_per_s: float
-    gflop_per_s: float
+    name: str  # of the case
+    threads: int  # threads used
+    steps_per_s: float  # environment steps per second
+    gflop_per_s: float  # counted operations per second [Gflop/s]
+    #: share, fused_share: of the ceiling of vectors without and with fused multiply-adds on as many threads.
     share: float
     fused_share: float
 
 
 @dataclass(frozen=True)
 class Roofline:
-    """Counts, ceilings and rates.
+    """Counts, ceilings and rates."""
 
-    Args:
-        counts: of the right-hand side, a control interval and an environment step.
-        peaks: arithmetic [Gflop/s].
-        bandwidths: reading and writing on one thread [GB/s].
-        achieved: a row per way of stepping.
-        row_bytes: size of a lane's rows [B], which are read and written once a step.
-    """
-
-    counts: dict[str, Counts]
-    peaks: tuple[Ceiling, ...]
-    bandwidths: tuple[Ceiling, ...]
-    achieved: tuple[Achieved, ...]
-    row_bytes: int
+    counts: dict[str, Counts]  # of the right-hand side, a control interval and an environment step
+    peaks: tuple[Ceiling, ...]  # arithmetic [Gflop/s]
+    bandwidths: tuple[Ceiling, ...]  # reading and writing on one thread [GB/s]
+    achieved: tuple[Achieved, ...]  # a row per way of stepping
+    row_bytes: int  # size of a lane's rows [B], which are read and written once a step
 
     @property
     def cache_intensity(self) -> float:

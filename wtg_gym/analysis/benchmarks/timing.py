@@ -27,23 +27,14 @@ _N_ACTIONS = 256
 
 @dataclass(frozen=True)
 class Case:
-    """Something to step.
+    """Something to step."""
 
-    Args:
-        part: part of the benchmark that it belongs to.
-        name: of the case.
-        n_envs: number of environments that it steps at once.
-        make: prepares it and returns its stepper.
-        preparation_s: how long that may take, for the forecast of the remaining time [s].
-        least_s: shortest run that it can be measured by [s].
-    """
-
-    part: str
-    name: str
-    n_envs: int
-    make: Callable[[], Stepper]
-    preparation_s: float = 0.5
-    least_s: float = 0.0
+    part: str  # part of the benchmark that it belongs to
+    name: str  # of the case
+    n_envs: int  # number of environments that it steps at once
+    make: Callable[[], Stepper]  # prepares it and returns its stepper
+    preparation_s: float = 0.5  # how long that may take, for the forecast of the remaining time [s]
+    least_s: float = 0.0  # shortest run that it can be measured by [s]
 
 
 @dataclass(frozen=True)
@@ -113,13 +104,7 @@ def step_single(env: Any) -> Stepper:
 
 
 def step_batch(envs: Any, action_space: Any, n_envs: int) -> Stepper:
-    """Return the stepper of a started batch that resets its environments itself: eight sets of random actions in turn.
-
-    Args:
-        envs: the batch.
-        action_space: of one environment.
-        n_envs: number of environments.
-    """
+    """Return the stepper of a started batch that resets its environments itself, with eight sets of random actions."""
     actions = [np.stack([action_space.sample() for _ in range(n_envs)]) for _ in range(8)]
     return repeat(lambda n: envs.step(actions[n % 8]), n_envs)
 

@@ -21,31 +21,18 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Sample:
-    """Where an episode stands; arrays have one number per WTG group.
+    """Where an episode stands; arrays have one number per WTG group."""
 
-    Args:
-        time_s: since its start [s].
-        frequency_hz: of the centre of inertia [Hz].
-        rotor_speed_pu: [p.u.].
-        tip_speed_ratio: [-].
-        power_pu: delivered, on each group's base [p.u.].
-        wind_m_s: [m/s].
-    """
-
-    time_s: float
-    frequency_hz: float
-    rotor_speed_pu: Floats
-    tip_speed_ratio: Floats
-    power_pu: Floats
-    wind_m_s: Floats
+    time_s: float  # since its start [s]
+    frequency_hz: float  # of the centre of inertia [Hz]
+    rotor_speed_pu: Floats  # [p.u.]
+    tip_speed_ratio: Floats  # [-]
+    power_pu: Floats  # delivered, on each group's base [p.u.]
+    wind_m_s: Floats  # [m/s]
 
 
 class LiveEpisode:
     """An episode in a lane of its own, started.
-
-    Args:
-        settings: of the environment, with its strategy.
-        scenario: what happens; its length is that of the episode.
 
     Raises:
         ValueError: a setting is not allowed, or the scenario cannot start; the message says why.

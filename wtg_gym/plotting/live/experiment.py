@@ -61,19 +61,12 @@ def places(kind: str, n_groups: int) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class Strike:
-    """An event as it is chosen.
+    """An event as it is chosen."""
 
-    Args:
-        kind: of :data:`KINDS`; "" is none.
-        time_s: when [s].
-        place: of :func:`places`.
-        power_mw: of a load step; the others have no size [MW].
-    """
-
-    kind: str = ""
-    time_s: float = 5.0
-    place: str = ""
-    power_mw: float = 30.0
+    kind: str = ""  # of :data:`KINDS`; "" is none
+    time_s: float = 5.0  # when [s]
+    place: str = ""  # of :func:`places`
+    power_mw: float = 30.0  # of a load step; the others have no size [MW]
 
     def event(self) -> Event | None:
         """Return the event; None for none. A ValueError says what is wrong with it."""
@@ -96,25 +89,15 @@ class Strike:
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment:
-    """Everything that can be chosen.
+    """Everything that can be chosen."""
 
-    Args:
-        plant: of :data:`PLANTS`.
-        wind_m_s: one per WTG group [m/s].
-        strikes: events.
-        law: of all groups.
-        inertia_scale: factor on the inertia of the synchronous machines.
-        governor_droop: [p.u.].
-        duration_s: [s].
-    """
-
-    plant: str = "paper-v1"
-    wind_m_s: tuple[float, ...] = (10.5, 10.0, 9.5, 9.0)
-    strikes: tuple[Strike, ...] = (Strike(kind="load_step", place="3"),)
-    law: TrackingLaw = field(default_factory=lambda: get_law(REFERENCE_STRATEGY))
-    inertia_scale: float = 0.5
-    governor_droop: float = 0.05
-    duration_s: float = 60.0
+    plant: str = "paper-v1"  # of :data:`PLANTS`
+    wind_m_s: tuple[float, ...] = (10.5, 10.0, 9.5, 9.0)  # one per WTG group [m/s]
+    strikes: tuple[Strike, ...] = (Strike(kind="load_step", place="3"),)  # events
+    law: TrackingLaw = field(default_factory=lambda: get_law(REFERENCE_STRATEGY))  # of all groups
+    inertia_scale: float = 0.5  # factor on the inertia of the synchronous machines
+    governor_droop: float = 0.05  # [p.u.]
+    duration_s: float = 60.0  # [s]
 
     def scenario(self) -> Scenario:
         """Return what happens, as a scenario; a ValueError says what cannot be."""
@@ -211,21 +194,13 @@ def _built_in(law: TrackingLaw) -> str | None:
 
 @dataclass(frozen=True, kw_only=True)
 class Explored:
-    """What an experiment gave.
+    """What an experiment gave."""
 
-    Args:
-        experiment: itself.
-        recording: its course, of one scenario.
-        episode: its numbers.
-        failure: in words why it ended before its time; empty where it did not.
-        nominal_hz: [Hz].
-    """
-
-    experiment: Experiment
-    recording: Recording
-    episode: Episode
-    failure: str
-    nominal_hz: float
+    experiment: Experiment  # itself
+    recording: Recording  # its course, of one scenario
+    episode: Episode  # its numbers
+    failure: str  # in words why it ended before its time; empty where it did not
+    nominal_hz: float  # [Hz]
 
     def numbers(self) -> dict[str, str]:
         """Return its key figures in words and with units."""
@@ -254,13 +229,5 @@ def default_experiment(plant: str) -> Experiment:
     if plant == "paper":
         wind = get_suite("paper").cases[0].wind_speed_m_s
         strike = Strike(kind="load_step", place="2", power_mw=75.0)
-        return Experiment(
-            plant=plant,
-            wind_m_s=wind[: len(default_groups())],
-            strikes=(strike,),
-            inertia_scale=1.0,
-        )
+        return Experiment(plant=plant, wind_m_s=wind[: len(default_groups())], strikes=(strike,), inertia_scale=1.0)
     return Experiment(plant=plant)
-
-
-__all__ = ["KINDS", "MOST_GROUPS", "PLANTS", "Experiment", "Explored", "Strike", "default_experiment", "places"]

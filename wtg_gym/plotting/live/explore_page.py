@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import html
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -99,24 +101,25 @@ class ExplorePage:
         self._widgets: dict[str, Any] = {}
         wide = {"sizing_mode": "stretch_width"}
 
-        def add(name: str, widget: Any, changed: Any = None, attribute: str = "value") -> None:
-            self._widgets[name] = widget
-            widget.on_change(attribute, changed or self._changed)
-
-        def slider(
-            name: str, title: str, low: float, high: float, step: float, changed: Any = None, **more: Any
+        def add(
+            name: str, widget: Any, change: Callable[[Any], None] = lambda _: None, attribute: str = "value"
         ) -> None:
-            own = Slider(name=name, title=title, start=low, end=high, step=step, value=low, **wide, **more)
-            add(name, own, changed)
+            self._widgets[name] = widget
+            widget.on_change(attribute, self._then_drawn(change))
 
-        add("plant", Select(name="plant", options=list(PLANTS.items()), value=start.plant, **wide), self._other_plant)
+        def slider(name: str, title: str, low: float, high: float, step: float, *change: Any, **more: Any) -> None:
+            own = Slider(name=name, title=title, start=low, end=high, step=step, value=low, **wide, **more)
+            add(name, own, *change)
+
+        plants = Select(name="plant", options=list(PLANTS.items()), value=start.plant, **wide)
+        add("plant", plants, lambda name: self._put(default_experiment(name)))
         slider("inertia", "inertia, factor", 0.1, 2.0, 0.05)
         slider("droop", "droop [p.u.]", 0.01, 0.15, 0.005, format="0.000")
         slider("groups", "WTG groups", 1, MOST_GROUPS, 1, self._other_groups)
         slider("duration", "length [s]", 20, 120, 10)
-        add("common", Checkbox(name="common", label="one wind for all groups", active=True), None, "active")
+        add("common", Checkbox(name="common", label="one wind for all groups", active=True), attribute="active")
         for j in range(MOST_GROUPS):
-            slider(f"wind{j}", f"group {1 + j} [m/s]", 3.0, 25.0, 0.1, self._wind(j), bar_color=group_colour(j))
+            slider(f"wind{j}", f"group {1 + j} [m/s]", 3.0, 25.0, 0.1, self._other_wind, bar_color=group_colour(j))
         options = [*STRATEGY_NAMES, (_OWN, "changed by hand")]
         add("law", Select(name="law", options=options, value=REFERENCE_STRATEGY, **wide), self._other_law)
         for corner in ("min", "nominal", "max"):
@@ -124,13 +127,14 @@ class ExplorePage:
         tau = CategoricalSlider(name="tau", title="τ [s]", categories=list(_TAUS), value="∞", **wide)
         add("tau", tau, self._changed_law)
         for i in range(N_STRIKES):
-            kinds = list(KINDS.items())
-            add(f"kind{i}", Select(name=f"kind{i}", title=f"event {1 + i}", options=kinds, **wide), self._other_kind(i))
+            kinds = Select(name=f"kind{i}", title=f"event {1 + i}", options=list(KINDS.items()), **wide)
+            add(f"kind{i}", kinds, partial(self._other_kind, i))
             add(f"place{i}", Select(name=f"place{i}", title="where", options=[], **wide))
             slider(f"time{i}", "when [s]", 0.0, 60.0, 0.5)
             slider(f"power_mw{i}", "size [MW]", -100.0, 100.0, 1.0)
         which = RadioButtonGroup(name="which", labels=["1"], active=0)
-        add("which", which, lambda _attribute, _old, _new: self._draw_characteristic(), "active")
+        which.on_change("active", lambda _attribute, _old, _new: self._draw_characteristic())
+        self._widgets["which"] = which
         for name, label, act in (("pin", "Pin this run", self._pin), ("unpin", "Remove pins", self._unpin)):
             self._widgets[name] = Button(name=name, label=label)
             self._widgets[name].on_click(act)
@@ -227,67 +231,43 @@ class ExplorePage:
 
     # --- changes -----------------------------------------------------------------------------------------------------
 
-    def _changed(self, _attribute: str, _old: Any, _new: Any) -> None:
-        self._draw_soon()
+    def _then_drawn(self, change: Callable[[Any], None]) -> Any:
+        """Return what a widget calls at a change by hand: others follow its new value, and the run is drawn anew."""
+
+        def changed(_attribute: str, _old: Any, new: Any) -> None:
+            if self._quiet:
+                return
+            with self._quietly():
+                change(new)
+            self._draw_soon()
+
+        return changed
 
     def _draw_soon(self) -> None:
         """Draw in a moment; many changes that come together are one."""
-        if self._quiet or self._waits:
-            return
-        self._waits = True
-        self._document.add_timeout_callback(self._draw, _DELAY_MS)
+        if not self._waits:
+            self._waits = True
+            self._document.add_timeout_callback(self._draw, _DELAY_MS)
 
-    def _other_plant(self, _attribute: str, _old: str, new: str) -> None:
-        if not self._quiet:
-            self._put(default_experiment(new))
-            self._draw_soon()
+    def _other_groups(self, n: float) -> None:
+        self._offer_groups(round(n))
+        for i in range(N_STRIKES):
+            self._offer_places(i, self._widgets[f"place{i}"].value)
 
-    def _other_groups(self, _attribute: str, _old: float, new: float) -> None:
-        if self._quiet:
-            return
-        with self._quietly():
-            self._offer_groups(round(new))
-            for i in range(N_STRIKES):
-                self._offer_places(i, self._widgets[f"place{i}"].value)
-        self._draw_soon()
+    def _other_wind(self, wind_m_s: float) -> None:
+        if self._widgets["common"].active:
+            for j in range(MOST_GROUPS):
+                self._widgets[f"wind{j}"].value = wind_m_s
 
-    def _wind(self, group: int) -> Any:
-        def changed(_attribute: str, _old: float, new: float) -> None:
-            if self._quiet:
-                return
-            if self._widgets["common"].active:
-                with self._quietly():
-                    for j in range(MOST_GROUPS):
-                        if j != group:
-                            self._widgets[f"wind{j}"].value = new
-            self._draw_soon()
+    def _other_kind(self, i: int, _kind: str) -> None:
+        self._offer_places(i)
 
-        return changed
+    def _other_law(self, name: str) -> None:
+        if name != _OWN:
+            self._put_law(get_law(name))
 
-    def _other_law(self, _attribute: str, _old: str, new: str) -> None:
-        if self._quiet:
-            return
-        if new != _OWN:
-            with self._quietly():
-                self._put_law(get_law(new))
-        self._draw_soon()
-
-    def _changed_law(self, _attribute: str, _old: Any, _new: Any) -> None:
-        if self._quiet:
-            return
-        with self._quietly():
-            self._widgets["law"].value = _OWN
-        self._draw_soon()
-
-    def _other_kind(self, i: int) -> Any:
-        def changed(_attribute: str, _old: str, _new: str) -> None:
-            if self._quiet:
-                return
-            with self._quietly():
-                self._offer_places(i)
-            self._draw_soon()
-
-        return changed
+    def _changed_law(self, _value: Any) -> None:
+        self._widgets["law"].value = _OWN
 
     def _pin(self) -> None:
         if self._shown is not None and len(self._pinned) < N_PINS:
@@ -360,7 +340,7 @@ class ExplorePage:
         rows += [[f"pin {name}", *run.numbers().values()] for name, run in pinned]
         self._texts["numbers"].text = look.table(["", *shown.numbers()], rows)
         pins = [f"{name}: {describe(run.experiment)}" for name, run in pinned]
-        self._texts["pins"].text = "<br>".join(f"<span class=soft>{look.escaped(pin)}</span>" for pin in pins)
+        self._texts["pins"].text = "<br>".join(f"<span class=soft>{html.escape(pin)}</span>" for pin in pins)
         self._widgets["pin"].disabled = len(self._pinned) == N_PINS
         self._widgets["unpin"].disabled = not self._pinned
         self._widgets["json"].value = shown.experiment.to_json()
@@ -368,8 +348,8 @@ class ExplorePage:
         saved = "with the scenario in explored.json"
         self._texts["command"].text = (
             f"<p class=soft>The same run in a terminal, {saved}{' and this in law.toml' if law else ''}:</p>"
-            f"<p><code>{look.escaped(shown.experiment.command())}</code></p>"
-            + (f"<p><code>{look.escaped(law).strip().replace(chr(10), '<br>')}</code></p>" if law else "")
+            f"<p><code>{html.escape(shown.experiment.command())}</code></p>"
+            + (f"<p><code>{html.escape(law).strip().replace(chr(10), '<br>')}</code></p>" if law else "")
         )
         self._draw_characteristic()
 

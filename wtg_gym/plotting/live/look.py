@@ -38,20 +38,15 @@ def text(name: str, content: str = "") -> Div:
     return Div(name=name, text=content, sizing_mode="stretch_width", stylesheets=[_TEXTS])
 
 
-def escaped(content: str) -> str:
-    """Return a text with nothing in it that a browser takes for a command."""
-    return html.escape(content)
-
-
 def sentence(content: str) -> str:
     """Return a text safe to show, with one full stop at its end, which a unit may have brought."""
-    return escaped(content.rstrip(".")) + "."
+    return html.escape(content.rstrip(".")) + "."
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Return a table as HTML; the first column is text."""
-    head = "".join(f"<th scope=col>{escaped(cell)}</th>" for cell in header)
-    body = "".join("<tr>" + "".join(f"<td>{escaped(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+    head = "".join(f"<th scope=col>{html.escape(cell)}</th>" for cell in header)
+    body = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
     return f"<div class=scroll><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
 
 

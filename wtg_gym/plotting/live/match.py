@@ -25,18 +25,13 @@ YOU = "you"
 
 @dataclass(frozen=True, kw_only=True)
 class Scale:
-    """What a suite's scores are made with.
+    """What a suite's scores are made with."""
 
-    Args:
-        suite, duration_s: which episodes it is for.
-        value: Λ, None where there is none.
-        missing: why there is none; else empty.
-    """
-
+    #: suite, duration_s: which episodes it is for.
     suite: Suite
     duration_s: float
-    value: float | None
-    missing: str = ""
+    value: float | None  # Λ, None where there is none
+    missing: str = ""  # why there is none; else empty
 
     @classmethod
     def of(cls, suite: Suite, duration_s: float | None = None) -> Scale:
@@ -54,23 +49,15 @@ class Scale:
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """What one of the two, or an anchor, made of the scenario.
+    """What one of the two, or an anchor, made of the scenario."""
 
-    Args:
-        name: of who played.
-        score: None without a scale.
-        points: points of the score above 100 by the terms of the cost; they add up to the score minus 100.
-        cost: as it was paid.
-        deviation_hz: largest deviation of the frequency, up or down [Hz].
-        failure: why it ended before its time; empty where it did not.
-    """
-
-    name: str
-    score: float | None
+    name: str  # of who played
+    score: float | None  # None without a scale
+    #: Points of the score above 100 by the terms of the cost; they add up to the score minus 100.
     points: Mapping[str, float]
-    cost: float
-    deviation_hz: float
-    failure: str
+    cost: float  # as it was paid
+    deviation_hz: float  # largest deviation of the frequency, up or down [Hz]
+    failure: str  # why it ended before its time; empty where it did not
 
 
 class Match:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import time
 from typing import Any
 
@@ -21,25 +22,13 @@ _TICK_MS = 50
 #: Most control steps between two of these: a slow machine plays more slowly instead of falling behind.
 _MOST_STEPS = 40
 #: What one press of a key adds.
-_KEY_STEPS = {
-    "ArrowUp": ("k", 0.1),
-    "ArrowDown": ("k", -0.1),
-    "ArrowRight": ("tau", 0.25),
-    "ArrowLeft": ("tau", -0.25),
-}
+_KEY_STEPS = {"ArrowUp": ("k", 0.1), "ArrowDown": ("k", -0.1), "ArrowRight": ("tau", 0.25), "ArrowLeft": ("tau", -0.25)}
 #: Heads of the points in the table of scores.
 _HEADS = {"frequency_rocof": "f, RoCoF", "duty": "duty", "overload": "overload", REST: "rest"}
 
 
 class PlayPage:
-    """One visitor's page.
-
-    Args:
-        document: empty.
-        scale: of the suite.
-        seed: of the first scenario.
-        speed: simulated seconds per second.
-    """
+    """One visitor's page."""
 
     def __init__(self, document: Document, scale: Scale, seed: int, speed: float) -> None:
         self._document, self._scale, self._speed = document, scale, speed
@@ -238,9 +227,9 @@ class PlayPage:
         behind = "" if not match.reference.over or match.over else " The reference has failed."
         self._status.text = (
             f"<b>{now.time_s:.1f} s</b> of {self._scale.duration_s:g} s, <b>{now.frequency_hz:.2f} Hz</b>, {state}. "
-            f"<span class=soft>{look.escaped(self._scale.suite.name)}, scenario {match.seed}.{behind}</span>"
+            f"<span class=soft>{html.escape(self._scale.suite.name)}, scenario {match.seed}.{behind}</span>"
         )
-        lines = [f"<p><b>{time_s:.1f} s</b> {look.escaped(words)}</p>" for time_s, words in reversed(self._seen)]
+        lines = [f"<p><b>{time_s:.1f} s</b> {html.escape(words)}</p>" for time_s, words in reversed(self._seen)]
         self._events.text = "".join(lines) or "<p class=soft>Nothing yet. Events are not announced.</p>"
 
 

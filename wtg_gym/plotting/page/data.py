@@ -7,39 +7,23 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.envs.rendering.diagram import BUS_PLACES, describe_event, struck_buses
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import (
-    Entry,
-    EntrySummary,
-    Interval,
-    Results,
-    leaderboard_rows,
-    statistics,
-    table_cells,
-)
+from wtg_gym.evaluation import Entry, EntrySummary, Interval, Results, leaderboard_rows, statistics, table_cells
 from wtg_gym.evaluation.recording import Recording, record
 from wtg_gym.evaluation.score import scenario_scores, score_scale
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.compiled import source_hash
 from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import GridFormingParameters, PitchParameters, TurbineParameters
 from wtg_gym.physics.scenario import Event, LoadStep, Scenario
 from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.plotting.front import MOST_FAILURES_PERCENT
-from wtg_gym.plotting.page.packing import (
-    MISSING,
-    RESOLUTIONS,
-    WIND_RESOLUTION,
-    packed,
-    quantised,
-    scenario_traces,
-)
+from wtg_gym.plotting.page.packing import MISSING, RESOLUTIONS, WIND_RESOLUTION, packed, quantised, scenario_traces
 from wtg_gym.scenarios import get_suite
 
-Floats = npt.NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
 
 #: Step that the scenarios' scores are rounded to.
@@ -72,7 +56,6 @@ def page_data(
         results: one of each suite.
         entries: those whose traces are recorded, where the results are theirs; both anchors are always recorded.
         n_scenarios: scenarios with traces, the first ones of each suite's results.
-        n_threads: threads to step with; None for one per processor.
         on_progress: called with (name of the entry, entries done, entries in all) after every entry.
 
     Raises:

@@ -8,15 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from bokeh.document import Document
-from bokeh.models import (
-    BoxZoomTool,
-    ColumnDataSource,
-    FixedTicker,
-    HoverTool,
-    Range1d,
-    Span,
-    WheelZoomTool,
-)
+from bokeh.models import BoxZoomTool, ColumnDataSource, FixedTicker, HoverTool, Range1d, Span, WheelZoomTool
 from bokeh.plotting import figure
 
 from wtg_gym.plotting.page.data import limits
@@ -41,12 +33,7 @@ _WIDTHS = {"a": 2.4, "b": 1.4, "rest": 1.0}
 
 
 def page_document(n_groups: int, metric_labels: list[str]) -> Document:
-    """Return the document: figures "ranking", "profile", "front", "compare", "physical", "grid" and one per panel.
-
-    Args:
-        n_groups: largest number of WTG groups of a suite.
-        metric_labels: heads of the axes of the physical metrics.
-    """
+    """Return the document: figures "ranking", "profile", "front", "compare", "physical", "grid" and one per panel."""
     document = Document()
     for chart in (_ranking(), _profile(), _front(), _compare(), _physical(metric_labels), _grid(), *_panels(n_groups)):
         document.add_root(chart)

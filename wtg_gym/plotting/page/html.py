@@ -46,17 +46,11 @@ _FRESH = ("fresh score", "excess")
 
 @dataclass(frozen=True, kw_only=True)
 class Page:
-    """The leaderboard as one HTML file.
+    """The leaderboard as one HTML file."""
 
-    Args:
-        text: the file's text.
-        size: its size in UTF-8 [B].
-        n_traced: scenarios with traces, by suite.
-    """
-
-    text: str
-    size: int
-    n_traced: Mapping[str, int]
+    text: str  # the file's text
+    size: int  # its size in UTF-8 [B]
+    n_traced: Mapping[str, int]  # scenarios with traces, by suite
 
 
 def leaderboard_page(
@@ -80,7 +74,6 @@ def leaderboard_page(
         entries: those whose traces are shown, where the results are theirs.
         n_scenarios: scenarios with traces, the first ones of each suite's results; None for as many of the first
             :data:`N_SCENARIOS` as keep the file below :data:`SIZE_LIMIT`.
-        n_threads: threads to step with; None for one per processor.
         on_progress: called with (name of the entry, entries done, entries in all) after every entry.
 
     Raises:
@@ -244,9 +237,7 @@ def _matrices(results: Sequence[Results]) -> str:
     if not matrices:
         return ""
     return Template(_asset("matrix.html")).substitute(
-        matrices="\n".join(matrices),
-        above=f"{_DEEPEST_ABOVE:g}",
-        below=f"{_DEEPEST_BELOW:g}",
+        matrices="\n".join(matrices), above=f"{_DEEPEST_ABOVE:g}", below=f"{_DEEPEST_BELOW:g}"
     )
 
 

@@ -83,12 +83,3 @@ def packed(table: npt.NDArray[np.int16]) -> str:
     folded = ((differences << 1) ^ (differences >> 15)).astype(np.uint16)
     low, high = (folded & 0xFF).astype(np.uint8), (folded >> 8).astype(np.uint8)
     return base64.b64encode(zlib.compress(low.tobytes() + high.tobytes(), 9)).decode()
-
-
-def unpacked(text: str, n_rows: int) -> npt.NDArray[np.int16]:
-    """Return the rows that :func:`packed` packed, as the page does it too."""
-    low, high = np.frombuffer(zlib.decompress(base64.b64decode(text)), dtype=np.uint8).reshape(2, n_rows, -1)
-    folded = low.astype(np.uint16) | (high.astype(np.uint16) << 8)
-    differences = (folded >> 1) ^ -(folded & 1)
-    table: npt.NDArray[np.int16] = np.cumsum(differences, axis=1, dtype=np.uint16).view(np.int16)
-    return table
