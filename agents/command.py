@@ -27,7 +27,7 @@ from wtg_gym.cli.output import (
 )
 from wtg_gym.cli.parser import Parser
 from wtg_gym.cli.scoring import chosen_entries, first_seeds
-from wtg_gym.cli.suites import suite_name
+from wtg_gym.cli.suites_command import suite_name
 from wtg_gym.envs.settings import ACTION_MODES, OBSERVATION_MODES
 from wtg_gym.evaluation import Results, evaluate
 from wtg_gym.files import markdown_table

@@ -13,7 +13,7 @@ import numpy as np
 
 from agents.command import Parser, Progress, check_page, print_table, run_command, say, suite_name, update_page
 from agents.research.rollouts import Rollouts
-from wtg_gym.analysis.influence import LAW_NAMES, MEASURES, measure_influences
+from wtg_gym.analysis.influence_study import LAW_NAMES, MEASURES, measure_influences
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation.score import COST_OFFSET, log_gains, mean_score, score_scale

@@ -6,7 +6,7 @@ import dataclasses
 
 import pytest
 
-from wtg_gym.analysis.aggregation import totals_of
+from wtg_gym.analysis.aggregation_study import totals_of
 from wtg_gym.physics.parameters import default_groups
 from wtg_gym.physics.scenario import LoadStep
 from wtg_gym.scenarios import get_suite

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pytest
 
 from tests.cli.calls import error_of, json_of
-from wtg_gym.analysis.influence import LAW_NAMES, MEASURES, Influences, measure_influences
+from wtg_gym.analysis.influence_study import LAW_NAMES, MEASURES, Influences, measure_influences
 from wtg_gym.cli import main
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.gradients.tape import Tape

@@ -11,7 +11,7 @@ import pytest
 
 from tests.cli.calls import error_of, json_of
 from tests.golden_cases import GOLDEN
-from wtg_gym.analysis.estimation import UNKNOWNS, Noise, study_recorded_run
+from wtg_gym.analysis.estimation_study import UNKNOWNS, Noise, study_recorded_run
 from wtg_gym.cli import main
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.gradients.estimator import Estimator, covered, estimates, unknown_of

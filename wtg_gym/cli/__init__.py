@@ -27,11 +27,11 @@ _COMMANDS = {
         "evaluate": "score entries on scenarios of a suite",
         "leaderboard": "rank entries on a suite and write the table to a README",
     },
-    "results": {
+    "results_command": {
         "results": "stored results: show them, compute them again, compare; all suites, other sensors and weights"
     },
     "submission": {"submission": "policies of others: write a template, check a folder, score it in isolation"},
-    "suites": {"suites": "the suites of scenarios, one scenario, or a check of the hashes"},
+    "suites_command": {"suites": "the suites of scenarios, one scenario, or a check of the hashes"},
     "analyse": {
         "analyse": "equilibria, margins and modes of the system, omissions, parameters, the error of the time step"
     },

@@ -12,7 +12,7 @@ from wtg_gym.analysis import step_error
 from wtg_gym.analysis.explicit_methods import METHODS
 from wtg_gym.cli import output
 from wtg_gym.cli.parser import Commands, add_command, add_output_options
-from wtg_gym.cli.suites import DRAWN_SUITES, suite_name
+from wtg_gym.cli.suites_command import DRAWN_SUITES, suite_name
 from wtg_gym.progress import Progress
 
 _STEPS = ", ".join(f"{1e3 * step:g}" for step in step_error.STEPS)

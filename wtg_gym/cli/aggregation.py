@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 import dataclasses
 
-from wtg_gym.analysis.aggregation import STRATEGIES, AggregationStudy, aggregation_table, study_aggregation
+from wtg_gym.analysis.aggregation_study import STRATEGIES, AggregationStudy, aggregation_table, study_aggregation
 from wtg_gym.cli.output import check_page, give_text
 from wtg_gym.cli.parser import Commands, add_command
-from wtg_gym.cli.suites import DRAWN_SUITES, suite_name
+from wtg_gym.cli.suites_command import DRAWN_SUITES, suite_name
 from wtg_gym.physics.plant import PHYSICS
 from wtg_gym.progress import Progress
 

@@ -6,7 +6,7 @@ import argparse
 import dataclasses
 from pathlib import Path
 
-from wtg_gym.analysis.estimation import (
+from wtg_gym.analysis.estimation_study import (
     UNKNOWNS,
     EstimationStudy,
     Noise,

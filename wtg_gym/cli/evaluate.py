@@ -8,7 +8,7 @@ from pathlib import Path
 from wtg_gym.cli import scoring
 from wtg_gym.cli.output import check_output_folder, check_page, note, update_page
 from wtg_gym.cli.parser import Commands, add_command, add_plant_options
-from wtg_gym.cli.results import check_html, write_html
+from wtg_gym.cli.results_command import check_html, write_html
 from wtg_gym.cli.stored import stored_or_played
 from wtg_gym.evaluation import Policy
 from wtg_gym.evaluation.leaderboard import markdown_section

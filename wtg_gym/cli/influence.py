@@ -6,10 +6,10 @@ import argparse
 
 import numpy as np
 
-from wtg_gym.analysis.influence import MEASURES, Influences, influences_table, measure_influences
+from wtg_gym.analysis.influence_study import MEASURES, Influences, influences_table, measure_influences
 from wtg_gym.cli.output import PLOT_SUFFIXES, check_page, check_plot_file, give_text, write_and_say
 from wtg_gym.cli.parser import Commands, add_command
-from wtg_gym.cli.suites import suite_name
+from wtg_gym.cli.suites_command import suite_name
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 from wtg_gym.progress import Progress

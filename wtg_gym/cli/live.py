@@ -7,7 +7,7 @@ from typing import Any
 
 from wtg_gym.cli.output import note, require_extra
 from wtg_gym.cli.parser import Commands, add_command
-from wtg_gym.cli.suites import suite_name, suites_by_version
+from wtg_gym.cli.suites_command import suite_name, suites_by_version
 from wtg_gym.envs.settings import VERSIONS, EnvSettings
 from wtg_gym.plotting.live.match import Scale, split_of
 from wtg_gym.ranges import require_range

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from wtg_gym.cli.output import note, print_json, print_table, say
-from wtg_gym.cli.suites import suite_name, suites_by_version
+from wtg_gym.cli.suites_command import suite_name, suites_by_version
 from wtg_gym.envs.compile_ahead import compile_ahead
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, NoScaleError, Results, evaluate, leaderboard_rows, load_entries, table_cells

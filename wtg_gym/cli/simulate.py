@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from wtg_gym.cli.key_figures import key_figures, print_key_figures, traces_csv
 from wtg_gym.cli.laws import add_law_option, chosen_laws
 from wtg_gym.cli.output import PLOT_SUFFIXES, check_output_file, check_plot_file, print_json, say, write_and_say
 from wtg_gym.cli.parser import Commands, add_command, add_plant_options
-from wtg_gym.cli.runs import key_figures, print_key_figures, traces_csv
-from wtg_gym.cli.suites import describe_scenario, read_scenario, scenario_summary, suite_name, suites_by_version
+from wtg_gym.cli.suites_command import describe_scenario, read_scenario, scenario_summary, suite_name, suites_by_version
 from wtg_gym.physics.parameters import WtgGroup, default_groups
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.protection import Status

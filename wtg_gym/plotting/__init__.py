@@ -8,7 +8,7 @@ from wtg_gym.plotting.animation import animate_trajectories
 from wtg_gym.plotting.characteristics import plot_characteristic
 from wtg_gym.plotting.eigenvalue_plane import plot_modes
 from wtg_gym.plotting.front import plot_front
-from wtg_gym.plotting.influence import plot_influences
+from wtg_gym.plotting.influence_bars import plot_influences
 from wtg_gym.plotting.learning import LearningCurve, plot_learning_curves
 from wtg_gym.plotting.measurements import plot_accuracy, plot_growth
 from wtg_gym.plotting.paper_figures import plot_bode, plot_case_study, plot_power_coefficient

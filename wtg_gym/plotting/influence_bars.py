@@ -1,4 +1,4 @@
-"""What parameters do to nadir, RoCoF and rotor speed: bars of :mod:`wtg_gym.analysis.influence`."""
+"""What parameters do to nadir, RoCoF and rotor speed: bars of :mod:`wtg_gym.analysis.influence_study`."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wtg_gym.analysis.influence import MEASURES
+from wtg_gym.analysis.influence_study import MEASURES
 from wtg_gym.plotting.style import DOUBLE_COLUMN_MM, PALETTE, REFERENCE_GREY, letter_panel, new_figure, printed
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from wtg_gym.analysis.influence import Influences
+    from wtg_gym.analysis.influence_study import Influences
 
 
 @printed

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from wtg_gym.cli import output, scoring
-from wtg_gym.cli.matrix import add_matrix
 from wtg_gym.cli.parser import Commands, add_command, add_group
+from wtg_gym.cli.results_matrix import add_matrix
 from wtg_gym.evaluation import Entry, Results, generalisation, leaderboard_rows
 from wtg_gym.evaluation.recompute import departures, recompute
 from wtg_gym.evaluation.sensitivity import COLUMNS, FACTORS, WEIGHTS, study_sensitivity

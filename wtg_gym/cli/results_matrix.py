@@ -11,7 +11,7 @@ from wtg_gym.cli import scoring
 from wtg_gym.cli.output import check_output_folder, check_page, note, print_json, print_table, say, update_page
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.cli.stored import stored_or_played
-from wtg_gym.cli.suites import suite_name
+from wtg_gym.cli.suites_command import suite_name
 from wtg_gym.evaluation.matrix import PERTURBATIONS, SCALE, Matrix, matrix_of, score_text, suites_of, worst_text
 from wtg_gym.policies.entry import check_version
 from wtg_gym.scenarios import SPLITS, get_suite

@@ -7,7 +7,7 @@ import pytest
 import wtg_gym
 import wtg_gym.cli.scoring
 import wtg_gym.cli.simulate
-import wtg_gym.cli.suites
+import wtg_gym.cli.suites_command
 from tests.cli.calls import error_of, json_of
 from wtg_gym.cli import build_parser, main
 from wtg_gym.envs import EnvSettings
@@ -54,12 +54,12 @@ def test_hash_check_passes_and_fails_by_exit_code(
 ) -> None:
     assert main(["suites", "--check"]) == 0
     assert "DIFFERS" not in capsys.readouterr().out
-    monkeypatch.setattr(wtg_gym.cli.suites, "FROZEN_HASHES", {**FROZEN_HASHES, "gust": "0" * 64})
+    monkeypatch.setattr(wtg_gym.cli.suites_command, "FROZEN_HASHES", {**FROZEN_HASHES, "gust": "0" * 64})
     rows = json_of(capsys, "suites", "--check", "--json", code=1)
     assert [row["name"] for row in rows if not row["agrees"]] == ["gust"]
     assert main(["suites", "--check", "paper"]) == 0
     capsys.readouterr()
-    monkeypatch.setattr(wtg_gym.cli.suites, "FROZEN_HASHES", {})
+    monkeypatch.setattr(wtg_gym.cli.suites_command, "FROZEN_HASHES", {})
     assert main(["suites", "--check", "paper"]) == 0
     assert "not frozen" in capsys.readouterr().out
 
