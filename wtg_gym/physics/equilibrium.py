@@ -262,7 +262,7 @@ def _start_units(
     power: npt.NDArray[np.complex128],
 ) -> None:
     """Share each bus's power among its units and set their internal states; angles count from the first unit."""
-    c, rows = plant.constants[0], rows_of(plant.constants[0])
+    c = plant.constants[0]
     n_sync, n_wtg = c["machines"].shape[0], c["share"].shape[0]
     reference = 0.0
     for i in range(n_sync + n_wtg):
@@ -271,61 +271,77 @@ def _start_units(
         for k in range(voltage.shape[0]):
             injected += y[bus, k] * voltage[k]
         flow = voltage[bus] * injected.conjugate()
-        total = flow + load_level * plant.buses[bus]["load"]
-        machines_all, machines_weight, groups_share = _sizes_at(plant, bus)
-        weight_all = machines_weight + groups_share
-        weight = read_machine(c["machines"][i]).reactive_weight if i < n_sync else c["share"][i - n_sync]
-        # Reactive power in proportion to the weights; at the slack bus the machines share the active power that is
-        # missing, by rating.
-        reactive = total.imag * weight / weight_all if plant.buses[bus]["holds_voltage"] else 0.0
-        if c["extension"].shape[0] > 0:
-            control = read_extension(c["extension"][0]).voltage
-            limit = control.reactive_max
-            if control.gain > 0.0 and groups_share > 0.0 and machines_weight > 0.0 and reactive != 0.0:
-                asked = total.imag * groups_share / weight_all
-                given = min(max(asked, -limit * groups_share), limit * groups_share)
-                if i < n_sync:
-                    reactive = (total.imag - given) * weight / machines_weight
-                else:
-                    reactive = given * weight / groups_share
+        reactive = _reactive_share(plant, i, (flow + load_level * plant.buses[bus]["load"]).imag)
         if i < n_sync:
-            machine = read_machine(c["machines"][i])
             active = c["dispatch"][i]
             if bus == c["slack"]:
-                active += (flow.real - power[bus].real) * machine.rating / machines_all
-            state, v_ref, gate_ref = machine_start(complex(active, reactive), voltage[bus], machine)
-            delta = state.angle
-            o = i * N_MACHINE_ROWS
-            known = load_machine_input(block, o + MACHINE.input, 1)
-            store_machine_state(state, block, o, 1)
-            for h in range(c["hydro"].shape[0]):
-                if c["hydro"][h]["machine"] == i:
-                    water = hydro_start(gate_ref, read_hydro(c["hydro"][h]))
-                    store_hydro_state(water, block, rows.hydro + h * N_HYDRO_ROWS, 1)
-                    gate_ref = water.hydro_gate
-            store_machine_input(
-                MachineInput(v_ref, gate_ref, known.inv_two_h, known.inv_droop, 1.0), block, o + MACHINE.input, 1
-            )
+                # The machines there share the active power that is missing, by rating.
+                rating = read_machine(c["machines"][i]).rating
+                active += (flow.real - power[bus].real) * rating / _sizes_at(plant, bus)[0]
+            delta = _start_machine(block, i, plant, complex(active, reactive), voltage[bus])
         else:
-            o = wtg_row(c, i - n_sync)
-            active = _start_power(block, plant, i - n_sync)
-            current = (complex(active, reactive) / voltage[bus]).conjugate()
-            emf = voltage[bus] + current / c["unit_y"][i]
-            delta = math.atan2(emf.imag, emf.real)
-            block[o + WTG_ANGLE] = delta
-            block[o + WTG_EMF] = abs(emf)
-            if c["extension"].shape[0] > 0:
-                at = extension_at(c, i - n_sync, 1)
-                store_extension_state(ExtensionState(LimitState(0.0, 0.0, 0.0), abs(emf)), block, at, 1)
-                references = VoltageInput(abs(voltage[bus]), reactive / c["share"][i - n_sync])
-                store_extension_input(references, block, at + EXTENSION.input, 1)
+            delta = _start_voltage(block, i - n_sync, plant, reactive, voltage[bus])
         if i == 0:
             reference = delta
     for i in range(n_sync):
         block[i * N_MACHINE_ROWS + MACHINE_ANGLE] -= reference
     for j in range(n_wtg):
         block[wtg_row(c, j) + WTG_ANGLE] -= reference
-    block[rows.lane + LANE.angle] = reference
+    block[rows_of(c).lane + LANE.angle] = reference
+
+
+@compiled
+def _reactive_share(plant: Plant, unit: int, total: float) -> float:
+    """Return the reactive power of a unit, of the total at its bus, in proportion to the units' weights.
+
+    Beside machines, WTG groups with voltage control give no more than their limit.
+    """
+    c = plant.constants[0]
+    bus, n_sync = c["unit_bus"][unit], c["machines"].shape[0]
+    _, machines, groups = _sizes_at(plant, bus)
+    weight = read_machine(c["machines"][unit]).reactive_weight if unit < n_sync else c["share"][unit - n_sync]
+    reactive = total * weight / (machines + groups) if plant.buses[bus]["holds_voltage"] else 0.0
+    if c["extension"].shape[0] > 0:
+        control = read_extension(c["extension"][0]).voltage
+        limit = control.reactive_max * groups
+        if control.gain > 0.0 and groups > 0.0 and machines > 0.0 and reactive != 0.0:
+            given = min(max(total * groups / (machines + groups), -limit), limit)
+            reactive = (total - given) * weight / machines if unit < n_sync else given * weight / groups
+    return reactive
+
+
+@compiled
+def _start_machine(block: Floats, i: int, plant: Plant, power: complex, voltage: complex) -> float:
+    """Set the states and references of machine i, and return its angle [rad]."""
+    c, o = plant.constants[0], i * N_MACHINE_ROWS
+    state, v_ref, gate_ref = machine_start(power, voltage, read_machine(c["machines"][i]))
+    known = load_machine_input(block, o + MACHINE.input, 1)
+    store_machine_state(state, block, o, 1)
+    for h in range(c["hydro"].shape[0]):
+        if c["hydro"][h]["machine"] == i:
+            water = hydro_start(gate_ref, read_hydro(c["hydro"][h]))
+            store_hydro_state(water, block, rows_of(c).hydro + h * N_HYDRO_ROWS, 1)
+            gate_ref = water.hydro_gate
+    references = MachineInput(v_ref, gate_ref, known.inv_two_h, known.inv_droop, 1.0)
+    store_machine_input(references, block, o + MACHINE.input, 1)
+    return state.angle
+
+
+@compiled
+def _start_voltage(block: Floats, j: int, plant: Plant, reactive: float, voltage: complex) -> float:
+    """Set the internal voltage of WTG group j and what holds it, and return its angle [rad]."""
+    c, o = plant.constants[0], wtg_row(plant.constants[0], j)
+    current = (complex(_start_power(block, plant, j), reactive) / voltage).conjugate()
+    emf = voltage + current / c["unit_y"][c["machines"].shape[0] + j]
+    delta = math.atan2(emf.imag, emf.real)
+    block[o + WTG_ANGLE] = delta
+    block[o + WTG_EMF] = abs(emf)
+    if c["extension"].shape[0] > 0:
+        at = extension_at(c, j, 1)
+        store_extension_state(ExtensionState(LimitState(0.0, 0.0, 0.0), abs(emf)), block, at, 1)
+        references = VoltageInput(abs(voltage), reactive / c["share"][j])
+        store_extension_input(references, block, at + EXTENSION.input, 1)
+    return delta
 
 
 @compiled
