@@ -294,7 +294,7 @@ class ScenarioDistribution:
         n_events = pick.whole(*self.n_load_events)
         times = sorted([pick.instant(window) for _ in range(n_events)])
         trip_index = pick.whole(0, n_events - 1) if n_events and pick.chance(self.load_trip_probability) else -1
-        increase, decrease = (dict(room) for room in self._load_rooms)
+        increase, decrease = self._load_rooms[0].copy(), self._load_rooms[1].copy()
         trip_bus = 0
         trip_mw = 0.0
         if trip_index >= 0:
@@ -351,12 +351,16 @@ class ScenarioDistribution:
     ) -> tuple[FloatArray, FloatArray]:
         """Wind per scenario and group, (n, n_wtg, n_samples) [m/s], and load noise, (n, n_samples or 0) [MW]."""
         n, n_wtg, n_period = len(plans), len(turbines), period_length(n_samples)
-        amplitudes = np.empty((n, n_wtg + 1, n_period // 2 + 1))
-        amplitudes[:, n_wtg] = self.load_noise_mw * _noise_amplitude(self.load_noise_correlation_s, n_period)
-        for rows, plan in zip(amplitudes, plans, strict=True):
-            for row, mean, n_turbines in zip(rows, plan.mean_winds, turbines, strict=False):
-                unit = unit_turbulence_amplitude(mean, n_turbines, n_period)
-                np.multiply(unit, ntm_sigma(mean, plan.intensity), out=row)
+        units, sigmas = [], []
+        of_noise = _noise_amplitude(self.load_noise_correlation_s, n_period)
+        for plan in plans:
+            for mean, n_turbines in zip(plan.mean_winds, turbines, strict=True):
+                units.append(unit_turbulence_amplitude(mean, n_turbines, n_period))
+                sigmas.append(ntm_sigma(mean, plan.intensity))
+            units.append(of_noise)
+            sigmas.append(self.load_noise_mw)
+        amplitudes = np.concatenate(units).reshape(n, n_wtg + 1, -1)
+        amplitudes *= np.array(sigmas).reshape(n, -1, 1)
         coefficients = np.empty(amplitudes.shape, dtype=np.complex128)
         draw_normals(states, amplitudes.reshape(n, -1), coefficients.view(np.float64).reshape(n, -1, 2))
         series: FloatArray = np.fft.irfft(coefficients, n_period)[..., :n_samples]
