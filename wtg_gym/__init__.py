@@ -43,7 +43,7 @@ for _id in ENV_IDS:
         register(
             _id,
             entry_point="wtg_gym.envs.gfm_wtg:GFMWTGEnv",
-            vector_entry_point="wtg_gym.envs.gfm_wtg:GFMWTGVectorEnv",
+            vector_entry_point="wtg_gym.envs.gfm_wtg_vector:GFMWTGVectorEnv",
             kwargs={"version": _id.rpartition("-")[2]},
         )
 

@@ -9,8 +9,8 @@ import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.envs import GFMWTGEnv
 from wtg_gym.envs.cost import GroupCosts, group_costs, with_group
-from wtg_gym.envs.gfm_wtg import GFMWTGEnv
 from wtg_gym.envs.lanes import TaskLanes, as_actions
 from wtg_gym.envs.observation import OBSERVATION_BOUND
 from wtg_gym.envs.rendering import Frame

@@ -30,6 +30,11 @@ class ByName(dict[str, Value]):
         raise KeyError(f"unknown {self._kind} {name!r}{reason}; choose one of {', '.join(self)}")
 
 
+def is_whole(value: Any) -> bool:
+    """Return whether a value is an integer of Python or numpy; True and False are not."""
+    return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+
+
 def require_range(name: str, value: Any, low: float, high: float, unit: str) -> float:
     """Return `value` as a float, or raise a ValueError that names value, unit and allowed range.
 
@@ -53,7 +58,7 @@ def require_range(name: str, value: Any, low: float, high: float, unit: str) -> 
 
 def require_bus(name: str, bus: Any) -> int:
     """Return a bus number as an int, or raise a ValueError that names it."""
-    if isinstance(bus, bool) or not isinstance(bus, (int, np.integer)) or bus < 1:
+    if not is_whole(bus) or bus < 1:
         raise ValueError(f"{name} must be a bus number of the network (a positive integer), got {bus!r}")
     return int(bus)
 
@@ -70,4 +75,4 @@ def whole_steps(name: str, interval: float, step: float, step_name: str) -> int:
     return count
 
 
-__all__ = ["ByName", "require_bus", "require_range", "whole_steps"]
+__all__ = ["ByName", "is_whole", "require_bus", "require_range", "whole_steps"]

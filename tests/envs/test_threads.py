@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from wtg_gym.envs.gfm_wtg import GFMWTGVectorEnv
+from wtg_gym.envs import GFMWTGVectorEnv
 
 N = 1024
 

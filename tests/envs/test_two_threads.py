@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from wtg_gym.envs.gfm_wtg import GFMWTGEnv, GFMWTGVectorEnv
+from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
 
 MAKE: dict[str, Callable[[], Any]] = {"single": GFMWTGEnv, "vector": lambda: GFMWTGVectorEnv(64, n_threads=1)}
 

@@ -7,8 +7,8 @@ import argparse
 from wtg_gym.analysis.eigenvalues import linearise
 from wtg_gym.cli.output import say
 from wtg_gym.cli.parser import Commands, add_command
+from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
 from wtg_gym.envs.compile_ahead import compile_ahead
-from wtg_gym.envs.gfm_wtg import GFMWTGEnv, GFMWTGVectorEnv
 from wtg_gym.envs.settings import VERSIONS, EnvSettings
 from wtg_gym.evaluation import evaluate
 from wtg_gym.physics.compiled import cache_folder, compilation

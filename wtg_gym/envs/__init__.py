@@ -1,6 +1,7 @@
 """The Gymnasium environments."""
 
-from wtg_gym.envs.gfm_wtg import GFMWTGEnv, GFMWTGVectorEnv
+from wtg_gym.envs.gfm_wtg import GFMWTGEnv
+from wtg_gym.envs.gfm_wtg_vector import GFMWTGVectorEnv
 from wtg_gym.envs.settings import CostWeights, EnvArguments, EnvSettings
 
 __all__ = ["CostWeights", "EnvArguments", "EnvSettings", "GFMWTGEnv", "GFMWTGVectorEnv"]

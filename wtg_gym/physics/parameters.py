@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any, get_args, get_origin, get_type_hints
 
 from wtg_gym.physics.rotor_table import RotorTable
-from wtg_gym.ranges import require_bus, require_range
+from wtg_gym.ranges import is_whole, require_bus, require_range
 
 #: What the short keys in each field's `source` stand for.
 SOURCES = {
@@ -510,6 +510,6 @@ class WtgGroup(Checked):
 
 def default_groups(n_groups: int = 2, bus: int = 2) -> tuple[WtgGroup, ...]:
     """Return `n_groups` equal groups at a bus that share the paper's twenty turbines (100 MW)."""
-    if isinstance(n_groups, bool) or not isinstance(n_groups, int) or not 1 <= n_groups <= 1024:
+    if not is_whole(n_groups) or not 1 <= n_groups <= 1024:
         raise ValueError(f"the number of WTG groups must be 1 … 1024, got {n_groups!r}")
     return tuple(WtgGroup(bus=bus, n_turbines=20.0 / n_groups) for _ in range(n_groups))

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from wtg_gym.files import parse_json
 from wtg_gym.physics.sensors import Sensors
-from wtg_gym.ranges import require_bus, require_range
+from wtg_gym.ranges import is_whole, require_bus, require_range
 
 R = TypeVar("R")
 
@@ -178,7 +178,7 @@ class GroupTrip(_At):
     def __post_init__(self) -> None:
         super().__post_init__()
         group = self.group
-        if isinstance(group, bool) or not isinstance(group, (int, np.integer)) or group < 0:
+        if not is_whole(group) or group < 0:
             raise ValueError(f"group must be the index of a WTG group (0 or more), got {group!r}")
         _plain(self, group=int(group))
 
@@ -276,8 +276,7 @@ class Scenario:
         if droop is not None:
             droop = require_range("governor_droop", droop, 0.005, 1.0, "p.u.")
         if seed is not None:
-            is_whole = isinstance(seed, (int, np.integer)) and not isinstance(seed, bool)
-            if not is_whole or not 0 <= seed < 2**63:
+            if not is_whole(seed) or not 0 <= seed < 2**63:
                 raise ValueError(f"seed of a scenario must be a whole number in 0 … 2^63 - 1, got {seed!r}")
             seed = int(seed)
         for series in (wind, noise):

@@ -13,10 +13,8 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-
 from wtg_gym.physics.compiled import inlined
-from wtg_gym.ranges import require_range, whole_steps
+from wtg_gym.ranges import is_whole, require_range, whole_steps
 
 #: Longest delay [s].
 DELAY_MAX_S = 1.0
@@ -66,7 +64,7 @@ class Sensors:
 
     def __post_init__(self) -> None:
         seed = self.seed
-        if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or not 0 <= seed < 2**31:
+        if not is_whole(seed) or not 0 <= seed < 2**31:
             raise ValueError(f"seed of the sensors must be a whole number in 0 … 2^31 - 1, got {seed!r}")
         if not isinstance(self.wind_bias, (tuple, list)) or not self.wind_bias:
             raise ValueError(f"wind_bias must have one number per WTG group, got {self.wind_bias!r}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any, NamedTuple
 
@@ -15,25 +15,15 @@ import numpy.typing as npt
 from wtg_gym.physics.dynamics import evaluate_rates
 from wtg_gym.physics.equilibrium import StartFailure, place_lanes, start_lanes
 from wtg_gym.physics.integration import advance_blocks
-from wtg_gym.physics.layout import EVENT_DTYPE, NO_EVENT, Floats, LaneData, Layout, NetworkEvent
+from wtg_gym.physics.layout import EVENT_DTYPE, NO_EVENT, Floats, LaneData, Layout
 from wtg_gym.physics.linearisation import check_step
-from wtg_gym.physics.parameters import ConverterLimitParameters, HydroGovernorParameters, VoltageControlParameters
+from wtg_gym.physics.network_events import network_events
 from wtg_gym.physics.plant import PlantSettings, build_plant
 from wtg_gym.physics.reduction import bus_voltages
-from wtg_gym.physics.scenario import (
-    LONGEST_RUN_S,
-    SERIES_DT,
-    Event,
-    GovernorLoss,
-    GroupTrip,
-    LineTrip,
-    LoadRamp,
-    LoadTrip,
-    MachineOutage,
-    Scenario,
-)
+from wtg_gym.physics.scenario import LONGEST_RUN_S, SERIES_DT, Scenario
+from wtg_gym.physics.start_errors import NOMINAL, check_internal_voltages, scenario_name, start_failure
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, get_law
-from wtg_gym.ranges import require_range, whole_steps
+from wtg_gym.ranges import is_whole, require_range, whole_steps
 
 #: Lanes per block of a batched simulator; a single run uses a block of one.
 BLOCK_WIDTH = 16
@@ -42,14 +32,6 @@ BLOCK_WIDTH = 16
 _CHECKED_WINDS = (8.0, 16.0)
 #: A thread is worth its start only for this many blocks.
 _BLOCKS_PER_THREAD = 4
-
-
-#: Beginning of the names of scenarios that a simulator makes for itself.
-_NOMINAL = "the plant at "
-
-
-def _subject(scenario: Scenario) -> str:
-    return scenario.name if scenario.name.startswith(_NOMINAL) else f"scenario {scenario.name!r}"
 
 
 def _copy(data: LaneData) -> LaneData:
@@ -106,9 +88,9 @@ class Simulator:
         n_extra: int = 0,
         n_threads: int | None = None,
     ) -> None:
-        if isinstance(n_lanes, bool) or not isinstance(n_lanes, (int, np.integer)) or not 1 <= n_lanes <= 1_000_000:
+        if not is_whole(n_lanes) or not 1 <= n_lanes <= 1_000_000:
             raise ValueError(f"the number of lanes must be 1 … 1000000, got {n_lanes!r}")
-        if n_threads is not None and (isinstance(n_threads, bool) or not isinstance(n_threads, int) or n_threads < 1):
+        if n_threads is not None and (not is_whole(n_threads) or n_threads < 1):
             raise ValueError(f"the number of threads must be 1 or more, got {n_threads!r}")
         self.settings = settings
         self.plant = build_plant(settings)
@@ -145,7 +127,7 @@ class Simulator:
         found = False
         for wind in _CHECKED_WINDS:
             nominal = Scenario(
-                name=f"{_NOMINAL}{wind:g} m/s and nominal load",
+                name=f"{NOMINAL}{wind:g} m/s and nominal load",
                 wind_speed=np.full((self.layout.n_wtg, 1), wind),
                 duration_s=self.n_intervals * self.settings.control_dt,
                 load_noise_bus=self.settings.case.slack_bus,
@@ -155,7 +137,7 @@ class Simulator:
                 rows = self._equilibria([nominal], laws).rows
             except ValueError:
                 continue
-            self._check_internal_voltages(rows, [nominal])
+            check_internal_voltages(rows, [nominal], self.settings, self.layout)
             self._check_step(rows[0], nominal)
             found = True
         return found
@@ -164,7 +146,9 @@ class Simulator:
         try:
             check_step(rows, self.plant, self.layout)
         except ValueError as error:
-            raise ValueError(f"{_subject(scenario)}, inertia_scale = {scenario.inertia_scale:g}: {error}") from None
+            raise ValueError(
+                f"{scenario_name(scenario)}, inertia_scale = {scenario.inertia_scale:g}: {error}"
+            ) from None
 
     def _allocate_data(self, n: int, n_events: int) -> LaneData:
         n_bus, n_wtg = self.plant.buses.size, self.layout.n_wtg
@@ -222,7 +206,7 @@ class Simulator:
                 there; or a unit would need a larger internal voltage than allowed.
         """
         prepared = self._equilibria(scenarios, laws)
-        self._check_internal_voltages(prepared.rows, scenarios)
+        check_internal_voltages(prepared.rows, scenarios, self.settings, self.layout)
         scales = ((scenario.inertia_scale, lane) for lane, scenario in enumerate(scenarios))
         (scale, lightest), of_laws = min(scales, default=(math.inf, 0)), tuple(laws)
         if scale < self._checked.get(of_laws, math.inf):
@@ -247,27 +231,6 @@ class Simulator:
                 f"under-speed trip at {least:g} p.u."
             )
 
-    def _check_internal_voltages(self, rows: Floats, scenarios: Sequence[Scenario]) -> None:
-        """Refuse a start that needs a larger voltage behind a reactance than anybody builds."""
-        layout = self.layout
-        of_machines = np.hypot(rows[:, layout.machine("e_d")], rows[:, layout.machine("e_q")])
-        voltages = np.concatenate([of_machines, rows[:, layout.wtg("emf")]], axis=1)
-        limit = self.settings.protection.internal_voltage_max_pu
-        if (voltages <= limit).all():
-            return
-        lane, unit = np.argwhere(~(voltages <= limit))[0]
-        bus = self.settings.case.buses[self.plant.constants["unit_bus"][0, unit]]
-        task = "for its share of the power" if bus.voltage_pu is None else f"to hold {bus.voltage_pu:g} p.u. there"
-        raise ValueError(
-            f"{_subject(scenarios[lane])} cannot start: {self._name_of_unit(int(unit))} needs an internal voltage of "
-            f"{voltages[lane, unit]:.3g} p.u. {task}; allowed: at most {limit:g} p.u. (a larger rating needs less)"
-        )
-
-    def _name_of_unit(self, unit: int) -> str:
-        bus = self.settings.case.buses[self.plant.constants["unit_bus"][0, unit]].number
-        n_sync = self.layout.n_sync
-        return f"{'the synchronous machine' if unit < n_sync else f'WTG group {unit - n_sync}'} at bus {bus}"
-
     def _equilibria(self, scenarios: Sequence[Scenario], laws: Sequence[TrackingLaw]) -> PreparedLanes:
         for scenario in scenarios:
             if scenario.n_wtg != self.layout.n_wtg or len(laws) != self.layout.n_wtg:
@@ -276,7 +239,7 @@ class Simulator:
                     f"given; the plant has {self.layout.n_wtg} groups"
                 )
         n = len(scenarios)
-        events = [self._network_events(scenario) for scenario in scenarios]
+        events = [network_events(scenario, self.settings, self.plant) for scenario in scenarios]
         data = self._allocate_data(n, max([1, *map(len, events)]))
         for lane, scenario in enumerate(scenarios):
             self._write_series(data, lane, scenario)
@@ -298,47 +261,9 @@ class Simulator:
         start_lanes(rows, self.plant, data, levels, failures, (0,))
         for scenario, (failure, unit), row in zip(scenarios, failures.tolist(), rows, strict=True):
             if failure:
-                reason = self._start_failure(StartFailure(failure), unit, row, scenario)
+                reason = start_failure(StartFailure(failure), unit, row, scenario, self.settings, self.layout)
                 raise ValueError(f"scenario {scenario.name!r} cannot start: {reason}")
         return PreparedLanes(rows, data)
-
-    def _start_failure(self, failure: StartFailure, unit: int, rows: Floats, scenario: Scenario) -> str:
-        """Say why a unit cannot start, with the numbers that its rows (n_rows,) hold."""
-        if failure == StartFailure.POWER_FLOW_DIVERGED:
-            return f"the power flow has no solution at a load level of {scenario.load_level:g} and this wind"
-        layout, settings = self.layout, self.settings
-        bus = settings.case.buses[self.plant.constants["unit_bus"][0, unit]].number
-        if unit < layout.n_sync:
-            machine = self.plant.constants["machines"][0, unit]
-            name, low, high = "field_voltage", machine["exciter.field_min"], machine["exciter.field_max"]
-            if failure == StartFailure.GOVERNOR_LIMIT:
-                governor, name = settings.case.machines[unit].governor, "gate"
-                if governor is not None:
-                    low, high = governor.gate_min_pu, governor.gate_max_pu
-                if isinstance(governor, HydroGovernorParameters):
-                    name = "hydro_gate"
-            what = name.replace("_", " ")
-            return (
-                f"the synchronous machine at bus {bus} would start at {rows[layout.machine(name)[unit]]:.4g} p.u. of "
-                f"{what}, beyond its {what} limits {low:g} … {high:g} p.u.; change wind or load level"
-            )
-        j = unit - layout.n_sync
-        group = f"WTG group {j} at bus {bus}"
-        if failure == StartFailure.NO_TURBINE_EQUILIBRIUM:
-            k = rows[layout.wtg("k_nominal")[j]]
-            return f"{group} has no equilibrium at a wind of {scenario.wind_speed[j, 0]:g} m/s with k = {k:g} p.u."
-        if failure == StartFailure.CONVERTER_LIMIT:
-            limits = settings.limits or ConverterLimitParameters()
-            return (
-                f"{group} would start with {rows[layout.wtg('power')[j]]:.4g} p.u. of power, beyond its converter's "
-                f"limits: power {limits.power_min_pu:g} … {limits.power_max_pu:g} p.u., current at most "
-                f"{limits.current_max_pu:g} p.u."
-            )
-        control, emf = settings.voltage_control or VoltageControlParameters(), rows[layout.wtg("internal_voltage")[j]]
-        return (
-            f"{group} would start with {emf:.4g} p.u. behind X_g, beyond the limits "
-            f"{control.internal_voltage_min_pu:g} … {control.internal_voltage_max_pu:g} p.u. of its voltage control"
-        )
 
     def commit(
         self,
@@ -388,79 +313,6 @@ class Simulator:
         if noise.size:
             given = self._noise_samples[: np.searchsorted(self._noise_samples, noise.size)]
             data.noise[lane, : given.size] = noise[given]
-
-    def _network_events(self, scenario: Scenario) -> list[NetworkEvent]:
-        """Return what a scenario's events change, one by one.
-
-        Raises:
-            ValueError: an event does not fit the plant, or the events do not fit each other.
-        """
-        name = f"scenario {scenario.name!r}"
-        lost = [event.bus for event in scenario.events if isinstance(event, LoadTrip)]
-        if len(set(lost)) < len(lost):
-            raise ValueError(f"{name} disconnects a load twice; load trips at buses {lost}")
-        found = [each for event in scenario.events for each in self._changes(event, scenario.load_level)]
-        self._check_lines(name, [event for event in found if event.branch >= 0])
-        units = [event.unit for event in found if event.unit >= 0]
-        governed = [event.governor for event in found if event.governor >= 0]
-        for verb, given in (("disconnects", units), ("loses the governor of", governed)):
-            for unit in given:
-                if given.count(unit) > 1:
-                    raise ValueError(f"{name} {verb} {self._name_of_unit(unit)} twice")
-        if sum(unit < self.layout.n_sync for unit in units) == self.layout.n_sync:
-            raise ValueError(f"{name} disconnects every synchronous machine; one must stay connected")
-        return found
-
-    def _check_lines(self, name: str, trips: list[NetworkEvent]) -> None:
-        """Refuse a line that opens while it is open, and lines whose opening splits the network."""
-        case = self.settings.case
-        trips = sorted(trips, key=lambda trip: trip.start)
-        for place, trip in enumerate(trips):
-            opened = [
-                before.branch for before in trips[:place] if before.end == before.start or trip.start < before.end
-            ]
-            if trip.branch in opened:
-                ends = case.branches[trip.branch]
-                raise ValueError(f"{name} opens the line {ends.from_bus}-{ends.to_bus} twice")
-            opened.append(trip.branch)
-            if trip.branch in case.bridges or (len(opened) > 1 and not case.connected_without(tuple(opened))):
-                raise ValueError(f"{name}: its line trips would split the network")
-
-    def _changes(self, event: Event, load_level: float) -> list[NetworkEvent]:
-        """Return what an event changes, with its times in steps and its load as power [p.u.]."""
-        case, dt = self.settings.case, self.settings.simulation_dt
-        start = end = float(whole_steps("event time", event.time_s, dt, "simulation step"))
-        if isinstance(event, GroupTrip):
-            if event.group >= self.layout.n_wtg:
-                raise ValueError(f"unknown WTG group {event.group}; the plant has {self.layout.n_wtg}, counted from 0")
-            return [NetworkEvent(start, end, unit=self.layout.n_sync + event.group)]
-        if isinstance(event, LineTrip):
-            if event.recloses_after_s is not None:
-                end += whole_steps("recloses_after_s", event.recloses_after_s, dt, "simulation step")
-            return [NetworkEvent(start, end, branch=case.branch_index(event.from_bus, event.to_bus))]
-        bus = case.bus_index(event.bus)
-        if isinstance(event, MachineOutage):
-            machines = self._machines_at(event.bus, "synchronous machine", range(self.layout.n_sync))
-            return [NetworkEvent(start, end, unit=machine) for machine in machines]
-        if isinstance(event, GovernorLoss):
-            governed = [index for index, machine in enumerate(case.machines) if machine.governor is not None]
-            machines = self._machines_at(event.bus, "machine with a governor", governed)
-            return [NetworkEvent(start, end, governor=machine) for machine in machines]
-        if isinstance(event, LoadTrip):
-            power = -load_level * complex(self.plant.buses["load"][bus])
-        else:
-            power = complex(event.power_mw, event.reactive_mvar) / case.base_mva
-        if isinstance(event, LoadRamp):
-            end = start + whole_steps("ramp duration", event.duration_s, dt, "simulation step")
-        return [NetworkEvent(start, end, bus, power)]
-
-    def _machines_at(self, bus: int, what: str, machines: Iterable[int]) -> list[int]:
-        """Return those of some machines that are at a bus, by their indices."""
-        buses = {machine: self.settings.case.machines[machine].bus for machine in machines}
-        found = [machine for machine, at in buses.items() if at == bus]
-        if not found:
-            raise ValueError(f"no {what} at bus {bus}; buses with one: {sorted(set(buses.values()))}")
-        return found
 
     def _write_constants(self, rows: Floats, scenarios: Sequence[Scenario]) -> None:
         machines = self.plant.constants["machines"][0]

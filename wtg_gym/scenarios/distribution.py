@@ -29,7 +29,7 @@ from wtg_gym.physics.scenario import (
     Scenario,
     trusted,
 )
-from wtg_gym.ranges import require_bus, require_range
+from wtg_gym.ranges import is_whole, require_bus, require_range
 from wtg_gym.scenarios.stream import Words, draw_normals, draw_uniforms, seed_streams
 from wtg_gym.scenarios.wind import (
     DRAWN_WIND_RANGE,
@@ -234,9 +234,9 @@ class ScenarioDistribution:
     ) -> list[Scenario]:
         """Draw the scenarios of several seeds, which is quicker than one by one; arguments as for :meth:`draw`."""
         for seed in seeds:
-            if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or not 0 <= seed < 2**63:
+            if not is_whole(seed) or not 0 <= seed < 2**63:
                 raise ValueError(f"a seed must be a non-negative integer, got {seed!r}; the largest is 2^63 - 1")
-        if isinstance(n_wtg, bool) or not isinstance(n_wtg, (int, np.integer)) or n_wtg < 1:
+        if not is_whole(n_wtg) or n_wtg < 1:
             raise ValueError(f"n_wtg must be a positive integer, got {n_wtg!r}")
         turbines = [self.n_turbines] * int(n_wtg) if n_turbines is None else [float(n) for n in n_turbines]
         if len(turbines) != n_wtg:

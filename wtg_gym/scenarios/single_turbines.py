@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.scenario import SERIES_DT, Scenario
-from wtg_gym.ranges import require_range
+from wtg_gym.ranges import is_whole, require_range
 from wtg_gym.scenarios.wind import (
     DRAWN_WIND_RANGE,
     TURBINE_SPACING_M,
@@ -46,9 +46,9 @@ def turbine_winds(
     """
     require_range("mean wind", mean_wind_m_s, *DRAWN_WIND_RANGE, "m/s")
     require_range("sigma", sigma_m_s, 0.0, 20.0, "m/s")
-    if isinstance(n_samples, bool) or not isinstance(n_samples, (int, np.integer)) or not 2 <= n_samples <= 10_000_000:
+    if not is_whole(n_samples) or not 2 <= n_samples <= 10_000_000:
         raise ValueError(f"the number of samples must be 2 … 10000000, got {n_samples!r}")
-    if isinstance(n_turbines, bool) or not isinstance(n_turbines, (int, np.integer)) or not 1 <= n_turbines <= 1000:
+    if not is_whole(n_turbines) or not 1 <= n_turbines <= 1000:
         raise ValueError(f"the number of turbines must be 1 … 1000, got {n_turbines!r}")
     n_period = period_length(n_samples)
     frequency = resolved_frequencies(n_period)

@@ -18,6 +18,7 @@ import numpy as np
 
 from wtg_gym.physics.parameters import GovernorParameters, WtgGroup
 from wtg_gym.physics.scenario import Event, LoadStep, LoadTrip, Scenario, trusted
+from wtg_gym.ranges import is_whole
 from wtg_gym.scenarios.benchmark import V0, V1, Benchmark, SuitePlant
 from wtg_gym.scenarios.distribution import ScenarioDistribution
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
@@ -154,8 +155,7 @@ class Suite:
         """
         splits = [self.seeds(split) for split in self._splits]
         for seed in seeds:
-            is_whole = isinstance(seed, (int, np.integer)) and not isinstance(seed, bool)
-            if not is_whole or not any(int(seed) in split for split in splits):
+            if not is_whole(seed) or not any(int(seed) in split for split in splits):
                 raise ValueError(f"seed {seed!r} is in no split of suite {self.name!r}: {self._split_text()}")
         duration = self.duration_s if duration_s is None else duration_s
         if n_wtg is None:
@@ -177,7 +177,7 @@ class Suite:
     def _fixed_scenarios(
         self, seeds: Sequence[int], n_wtg: int, n_turbines: Sequence[float] | None, duration: float
     ) -> list[Scenario]:
-        if isinstance(n_wtg, bool) or not isinstance(n_wtg, (int, np.integer)) or n_wtg < 1:
+        if not is_whole(n_wtg) or n_wtg < 1:
             raise ValueError(f"n_wtg must be a positive integer, got {n_wtg!r}")
         if n_turbines is not None and len(n_turbines) != n_wtg:
             raise ValueError(f"n_turbines must have one value per WTG group ({n_wtg}), got {len(n_turbines)}")

@@ -1,0 +1,279 @@
+"""The vector environment: many episodes in one compiled call."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Unpack
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+
+from wtg_gym.envs.interface import (
+    Action,
+    Observation,
+    OverLanes,
+    as_scenario,
+    check_options,
+    check_render_mode,
+    check_snapshot,
+    in_real_time,
+    settings_of,
+    spaces,
+    warn_of_no_render_mode,
+)
+from wtg_gym.envs.lanes import LanesSnapshot, TaskLanes, as_actions
+from wtg_gym.envs.next_episodes import NextEpisodes
+from wtg_gym.envs.one_thread import Use, one_thread
+from wtg_gym.envs.rendering import Frame, LaneFrames
+from wtg_gym.envs.settings import EnvArguments
+from wtg_gym.physics.scenario import Scenario
+from wtg_gym.ranges import is_whole
+
+_MOST_ENVS = 1_000_000
+
+
+def _lane_seed(given: Any) -> int | None:
+    if given is None:
+        return None
+    if not is_whole(given) or given < 0:
+        raise ValueError(f"a seed must be a whole number of 0 or more, got {given!r}")
+    return int(given)
+
+
+class VectorSnapshot(NamedTuple):
+    """Complete state of the episodes of a :class:`GFMWTGVectorEnv`."""
+
+    lanes: LanesSnapshot
+    needs_reset: npt.NDArray[np.bool_]
+    n_steps: npt.NDArray[np.int64]
+    frames: Any
+
+
+class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]]):
+    """Many :class:`GFMWTGEnv` episodes in one compiled call.
+
+    Args:
+        num_envs: number of episodes side by side.
+        autoreset_mode: NEXT_STEP (Gymnasium's default), SAME_STEP or DISABLED.
+        max_episode_steps: cuts episodes off after this many steps; scenarios stay those of `duration_s`.
+        n_threads: threads to step with; None for one per processor. Results do not depend on it.
+        render_mode: "rgb_array" lets :meth:`render` draw a frame per lane.
+        arguments: as for :class:`GFMWTGEnv`.
+
+    Raises:
+        TypeError: an argument is unknown.
+        ValueError: an argument is out of range.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012
+        "render_modes": ["rgb_array"],
+        "render_fps": 10,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
+        n_threads: int | None = None,
+        render_mode: str | None = None,
+        **arguments: Unpack[EnvArguments],
+    ) -> None:
+        check_render_mode(render_mode, self.metadata)
+        self.render_mode = render_mode
+        if not is_whole(num_envs) or not 1 <= num_envs <= _MOST_ENVS:
+            raise ValueError(f"num_envs must be a whole number in 1 … {_MOST_ENVS}, got {num_envs!r}")
+        if n_threads is not None and (not is_whole(n_threads) or n_threads < 1):
+            raise ValueError(f"n_threads must be a whole number of 1 or more, got {n_threads!r}")
+        if max_episode_steps is not None and (not is_whole(max_episode_steps) or max_episode_steps < 1):
+            raise ValueError(f"max_episode_steps must be a whole number of 1 or more, got {max_episode_steps!r}")
+        self._max_episode_steps = max_episode_steps
+        modes = [mode.value for mode in AutoresetMode]
+        if autoreset_mode not in modes and autoreset_mode not in list(AutoresetMode):
+            raise ValueError(f"unknown autoreset_mode {autoreset_mode!r}; choose one of {', '.join(modes)}")
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.settings = settings_of(type(self).__name__, arguments)
+        self.num_envs = num_envs
+        self._lanes = TaskLanes(self.settings, num_envs, None if n_threads is None else int(n_threads))
+        self._use = Use()
+        self.metadata = {**in_real_time(self.metadata, self.settings), "autoreset_mode": self.autoreset_mode}
+        self._frames = None if render_mode is None else LaneFrames(self._lanes)
+        self.single_observation_space, self.single_action_space = spaces(self._lanes)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._next = NextEpisodes(self._lanes, [seeding.np_random()[0] for _ in range(num_envs)])
+        self._needs_reset = np.ones(num_envs, dtype=np.bool_)
+        self._n_steps = np.zeros(num_envs, dtype=np.int64)
+        self._all_lanes = np.ones(num_envs, dtype=np.bool_)
+        self._all_lanes.setflags(write=False)
+
+    @one_thread
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start an episode in every lane, or in those of a mask.
+
+        Args:
+            seed: s seeds lane i with s + i; or one seed per lane.
+            options: {"scenarios": one per lane} plays those; {"reset_mask": (num_envs,) bool} restarts only these.
+
+        Raises:
+            ValueError: unknown options, wrong lengths, or scenarios that do not fit.
+        """
+        given = check_options(options, ("reset_mask", "scenarios"))
+        mask = self._reset_mask(given.get("reset_mask"))
+        seeds = self._lane_seeds(seed)
+        scenarios = self._scenarios(given["scenarios"]) if "scenarios" in given else None
+        lanes = np.flatnonzero(mask).tolist()
+        generators = {lane: seeding.np_random(s)[0] for lane in lanes if (s := seeds[lane]) is not None}
+        # Given scenarios that cannot start are refused before the first change.
+        episodes = None if scenarios is None else self._lanes.prepare_given([scenarios[lane] for lane in lanes])
+        self._next.reseed(generators)
+        if episodes is None:
+            self._next.start(lanes)
+        else:
+            self._lanes.commit(lanes, [episodes])
+        self._mark_started(lanes)
+        if self._frames is not None:
+            self._frames.sample()
+        return self._lanes.observations.copy(), self._infos(mask.copy())
+
+    def _reset_mask(self, given: Any) -> npt.NDArray[np.bool_]:
+        if given is None:
+            return np.ones(self.num_envs, dtype=np.bool_)
+        mask = np.asarray(given)
+        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
+            raise ValueError(
+                f'options["reset_mask"] must be a boolean array of shape {(self.num_envs,)} with at least one True, '
+                f"got shape {mask.shape}, dtype {mask.dtype}: {given!r:.80}"
+            )
+        return mask
+
+    def _scenarios(self, given: Any) -> list[Scenario]:
+        if not isinstance(given, Sequence) or len(given) != self.num_envs:
+            raise ValueError(f'options["scenarios"] must be a list of {self.num_envs} scenarios, got {given!r:.80}')
+        return [as_scenario(scenario) for scenario in given]
+
+    def _lane_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        if seed is None:
+            return [None] * self.num_envs
+        if isinstance(seed, (int, np.integer)) and is_whole(seed):
+            return [_lane_seed(int(seed) + lane) for lane in range(self.num_envs)]
+        if not isinstance(seed, (Sequence, np.ndarray)) or isinstance(seed, str):
+            raise ValueError(f"seed must be a whole number, or one per lane, got {seed!r}")
+        if len(seed) != self.num_envs:
+            raise ValueError(f"one seed per lane is needed ({self.num_envs}), got {len(seed)}")
+        return [_lane_seed(given) for given in seed]
+
+    def _mark_started(self, lanes: list[int]) -> None:
+        self._needs_reset[lanes] = False
+        self._n_steps[lanes] = 0
+
+    @one_thread
+    def step(
+        self, actions: Action
+    ) -> tuple[Observation, npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], dict[str, Any]]:
+        """Hold the actions for one control interval in every lane.
+
+        Args:
+            actions: (num_envs, n_action), clipped to [-1, 1].
+
+        Raises:
+            ValueError: wrong shape, or a value that is not finite; nothing has been stepped then. Or a drawn scenario
+                cannot start; every running lane has been stepped then, and that one still waits for its reset.
+            RuntimeError: a lane was never started, or is over and resets are disabled; or another thread is in this
+                environment.
+        """
+        waiting = self._needs_reset.copy()
+        if waiting.any() and (self.autoreset_mode != AutoresetMode.NEXT_STEP or not self._started()):
+            raise RuntimeError(
+                f"lanes {np.flatnonzero(waiting).tolist()} are over or were never started; call reset() before step()"
+            )
+        beginning = np.flatnonzero(waiting).tolist()
+        preparing = self._next.choose(beginning)
+        self._lanes.step(
+            as_actions(actions, (self.num_envs, self._lanes.n_action)),
+            lambda: self._next.prepare(preparing),
+            len(preparing),
+        )
+        self._n_steps += 1
+        if self._max_episode_steps is not None:
+            self._lanes.stop(~waiting & (self._n_steps >= self._max_episode_steps))
+        terminated, truncated = self._lanes.ended()
+        # A lane that waited for its reset has not been stepped: this step starts its next episode.
+        terminated &= ~waiting
+        truncated &= ~waiting
+        rewards = self._lanes.rewards.copy()
+        done = terminated | truncated
+        infos: dict[str, Any] = {}
+        if self.autoreset_mode == AutoresetMode.SAME_STEP and done.any():
+            infos = self._final_infos(done)
+            beginning = np.flatnonzero(done).tolist()
+        self._needs_reset |= done
+        if beginning:
+            self._next.start(beginning)
+            self._mark_started(beginning)
+        if self._frames is not None:
+            self._frames.sample()
+        infos.update(self._infos(self._all_lanes))
+        return self._lanes.observations.copy(), rewards, terminated, truncated, infos
+
+    def _started(self) -> bool:
+        return bool((self._lanes.task_values("end_step") > 0.0).all())
+
+    def _infos(self, mask: npt.NDArray[np.bool_]) -> dict[str, Any]:
+        """Every key of `info` as an array, and as `_key` the lanes that it holds for: one array for all keys."""
+        infos: dict[str, Any] = {}
+        for key, array in self._lanes.info_arrays().items():
+            infos[key], infos[f"_{key}"] = array, mask
+        return infos
+
+    def _final_infos(self, done: npt.NDArray[np.bool_]) -> dict[str, Any]:
+        final = np.full(self.num_envs, None, dtype=object)
+        for lane in np.flatnonzero(done):
+            final[lane] = self._lanes.observations[lane].copy()
+        return {
+            "final_obs": final,
+            "_final_obs": done.copy(),
+            "final_info": self._infos(done.copy()),
+            "_final_info": done.copy(),
+        }
+
+    def render(self) -> tuple[Frame, ...] | None:
+        """Draw every lane's episode up to now: a frame (540, 960, 3) uint8 per lane.
+
+        Without a render mode: None and a warning.
+
+        Raises:
+            RuntimeError: a lane was never started.
+        """
+        if self._frames is None:
+            warn_of_no_render_mode()
+            return None
+        return self._frames.paint()
+
+    @one_thread
+    def snapshot(self) -> Any:
+        """Return a copy of every episode's complete state, for :meth:`restore`; the generators are not part of it."""
+        frames = None if self._frames is None else self._frames.snapshot()
+        return VectorSnapshot(self._lanes.snapshot(), self._needs_reset.copy(), self._n_steps.copy(), frames)
+
+    @one_thread
+    def restore(self, snapshot: Any) -> None:
+        """Go back to a :meth:`snapshot`; errors as of :meth:`GFMWTGEnv.restore`."""
+        check_snapshot(snapshot, VectorSnapshot, self)
+        lanes, needs_reset, n_steps, frames = snapshot
+        self._lanes.restore(lanes)
+        self._needs_reset[:], self._n_steps[:] = needs_reset, n_steps
+        if self._frames is not None:
+            self._frames.restore(frames)
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Release the worker threads."""
+        self._lanes.simulator.close()

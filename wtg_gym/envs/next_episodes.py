@@ -1,0 +1,88 @@
+"""The next episodes of a batch, prepared while lanes run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from wtg_gym.envs.lanes import PreparedEpisodes, TaskLanes
+from wtg_gym.physics.scenario import Scenario
+
+#: Lanes whose episodes are drawn and prepared together: their series fit a processor's cache.
+_LANES_AT_ONCE = 16
+
+
+class NextEpisodes:
+    """The episodes that lanes play next, drawn by each lane's own generator and prepared several at a time.
+
+    Prepared by the handful, an episode takes less than half the time that it takes alone. Lanes whose episodes end soon
+    are therefore prepared along with those that have ended. What a lane plays does not depend on when it was prepared.
+
+    Args:
+        lanes: the lanes.
+        generators: one per lane.
+    """
+
+    def __init__(self, lanes: TaskLanes, generators: Sequence[np.random.Generator]) -> None:
+        self._lanes = lanes
+        self._generators = list(generators)
+        #: The prepared group of a lane's episode, and its place there.
+        self._ready: dict[int, tuple[PreparedEpisodes, int]] = {}
+        #: Scenarios that cannot start.
+        self._refused: dict[int, Scenario] = {}
+
+    def choose(self, wanted: Sequence[int]) -> list[int]:
+        """Return which lanes to prepare now: those of `wanted` that are not ready, filled up to whole groups."""
+        missing = [lane for lane in wanted if lane not in self._ready and lane not in self._refused]
+        n_more = min(-len(missing) % _LANES_AT_ONCE, self._lanes.n_lanes - len(missing))
+        if not missing or n_more == 0:
+            return missing
+        left = self._lanes.task_values("end_step") - self._lanes.simulator.lane_values("step")
+        left[[*missing, *self._ready, *self._refused]] = np.inf
+        soonest = np.argpartition(left, n_more - 1)[:n_more]
+        return [*missing, *(int(lane) for lane in soonest if np.isfinite(left[lane]))]
+
+    def prepare(self, chosen: Sequence[int]) -> None:
+        """Draw and prepare the next episodes of lanes; :meth:`start` raises the error of one that cannot start."""
+        for first in range(0, len(chosen), _LANES_AT_ONCE):
+            group = chosen[first : first + _LANES_AT_ONCE]
+            scenarios = self._lanes.draw([self._generators[lane] for lane in group])
+            try:
+                self._put(group, self._lanes.prepare(scenarios))
+            except ValueError:
+                for lane, scenario in zip(group, scenarios, strict=True):
+                    try:
+                        self._put([lane], self._lanes.prepare([scenario]))
+                    except ValueError:
+                        self._refused[lane] = scenario
+
+    def _put(self, group: Sequence[int], episodes: PreparedEpisodes) -> None:
+        self._ready.update({lane: (episodes, place) for place, lane in enumerate(group)})
+
+    def reseed(self, generators: dict[int, np.random.Generator]) -> None:
+        """Give lanes new generators; episodes drawn by the old ones are dropped."""
+        for lane, generator in generators.items():
+            self._generators[lane] = generator
+            self._ready.pop(lane, None)
+            self._refused.pop(lane, None)
+
+    def start(self, wanted: Sequence[int]) -> None:
+        """Start the next episode of lanes.
+
+        Raises:
+            ValueError: the scenario of one of them cannot start. None has been started, and that lane goes on to the
+                scenario after it.
+        """
+        self.prepare(self.choose(wanted))
+        for lane in wanted:
+            if lane in self._refused:
+                self._lanes.prepare([self._refused.pop(lane)])
+        groups: dict[int, tuple[PreparedEpisodes, list[int], list[int]]] = {}
+        for lane in wanted:
+            episodes, place = self._ready.pop(lane)
+            _, own, places = groups.setdefault(id(episodes), (episodes, [], []))
+            own.append(lane)
+            places.append(place)
+        for episodes, own, places in groups.values():
+            self._lanes.commit_some(own, episodes, places)

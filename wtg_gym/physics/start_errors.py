@@ -1,0 +1,95 @@
+"""Why a run cannot start, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from wtg_gym.physics.equilibrium import StartFailure
+from wtg_gym.physics.layout import Floats, Layout
+from wtg_gym.physics.parameters import (
+    ConverterLimitParameters,
+    ExciterParameters,
+    HydroGovernorParameters,
+    VoltageControlParameters,
+)
+from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.scenario import Scenario
+
+#: Beginning of the names of scenarios that a simulator makes for itself.
+NOMINAL = "the plant at "
+
+
+def scenario_name(scenario: Scenario) -> str:
+    """Return what an error calls a scenario."""
+    return scenario.name if scenario.name.startswith(NOMINAL) else f"scenario {scenario.name!r}"
+
+
+def bus_of_unit(settings: PlantSettings, unit: int) -> int:
+    """Return the bus number of a unit, machines first."""
+    machines = settings.case.machines
+    return machines[unit].bus if unit < len(machines) else settings.groups[unit - len(machines)].bus
+
+
+def unit_name(settings: PlantSettings, unit: int) -> str:
+    """Return what an error calls a unit."""
+    group = unit - len(settings.case.machines)
+    kind = "the synchronous machine" if group < 0 else f"WTG group {group}"
+    return f"{kind} at bus {bus_of_unit(settings, unit)}"
+
+
+def check_internal_voltages(
+    rows: Floats, scenarios: Sequence[Scenario], settings: PlantSettings, layout: Layout
+) -> None:
+    """Refuse a start that needs a larger voltage behind a reactance than anybody builds."""
+    of_machines = np.hypot(rows[:, layout.machine("e_d")], rows[:, layout.machine("e_q")])
+    voltages = np.concatenate([of_machines, rows[:, layout.wtg("emf")]], axis=1)
+    limit = settings.protection.internal_voltage_max_pu
+    if (voltages <= limit).all():
+        return
+    lane, unit = np.argwhere(~(voltages <= limit))[0]
+    bus = settings.case.buses[settings.case.bus_index(bus_of_unit(settings, int(unit)))]
+    task = "for its share of the power" if bus.voltage_pu is None else f"to hold {bus.voltage_pu:g} p.u. there"
+    raise ValueError(
+        f"{scenario_name(scenarios[lane])} cannot start: {unit_name(settings, int(unit))} needs an internal voltage of "
+        f"{voltages[lane, unit]:.3g} p.u. {task}; allowed: at most {limit:g} p.u. (a larger rating needs less)"
+    )
+
+
+def start_failure(
+    failure: StartFailure, unit: int, rows: Floats, scenario: Scenario, settings: PlantSettings, layout: Layout
+) -> str:
+    """Say why a unit cannot start, with the numbers that its rows (n_rows,) hold."""
+    if failure == StartFailure.POWER_FLOW_DIVERGED:
+        return f"the power flow has no solution at a load level of {scenario.load_level:g} and this wind"
+    bus = bus_of_unit(settings, unit)
+    if unit < layout.n_sync:
+        machine = settings.case.machines[unit]
+        governor, exciter = machine.governor, machine.exciter or ExciterParameters()
+        name, low, high = "field_voltage", exciter.field_min_pu, exciter.field_max_pu
+        if failure == StartFailure.GOVERNOR_LIMIT and governor is not None:
+            name = "hydro_gate" if isinstance(governor, HydroGovernorParameters) else "gate"
+            low, high = governor.gate_min_pu, governor.gate_max_pu
+        what = name.replace("_", " ")
+        return (
+            f"the synchronous machine at bus {bus} would start at {rows[layout.machine(name)[unit]]:.4g} p.u. of "
+            f"{what}, beyond its {what} limits {low:g} … {high:g} p.u.; change wind or load level"
+        )
+    j = unit - layout.n_sync
+    group = f"WTG group {j} at bus {bus}"
+    if failure == StartFailure.NO_TURBINE_EQUILIBRIUM:
+        k = rows[layout.wtg("k_nominal")[j]]
+        return f"{group} has no equilibrium at a wind of {scenario.wind_speed[j, 0]:g} m/s with k = {k:g} p.u."
+    if failure == StartFailure.CONVERTER_LIMIT:
+        limits = settings.limits or ConverterLimitParameters()
+        return (
+            f"{group} would start with {rows[layout.wtg('power')[j]]:.4g} p.u. of power, beyond its converter's "
+            f"limits: power {limits.power_min_pu:g} … {limits.power_max_pu:g} p.u., current at most "
+            f"{limits.current_max_pu:g} p.u."
+        )
+    control, emf = settings.voltage_control or VoltageControlParameters(), rows[layout.wtg("internal_voltage")[j]]
+    return (
+        f"{group} would start with {emf:.4g} p.u. behind X_g, beyond the limits "
+        f"{control.internal_voltage_min_pu:g} … {control.internal_voltage_max_pu:g} p.u. of its voltage control"
+    )
