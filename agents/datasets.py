@@ -40,7 +40,7 @@ class Version:
 
 
 VERSIONS = {"v0": Version("standard", "ppo-k+tau-0"), "v1": Version("standard-v1", "ppo-v1-0")}
-#: What the episodes of a dataset are played by, in turn: whether the trained policy acts, and whether noise is added.
+#: Players of a dataset's episodes, in turn: whether the trained policy acts, and whether noise is added.
 POLICIES: Mapping[str, Sequence[tuple[bool, bool]]] = {
     "reference": [(False, False)],
     "noisy": [(False, True)],

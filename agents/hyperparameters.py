@@ -67,7 +67,7 @@ def read_config(path: Path, env_id: str = ENV_ID) -> dict[str, Any]:
     """Return the section of an environment in a yml file as it is written there.
 
     Raises:
-        ValueError: the file cannot be read, is no yml, or has no section for the environment.
+        ValueError: the file cannot be read, is not YAML, or has no section for the environment.
     """
     try:
         data = yaml.safe_load(read_text(path, "hyperparameter file"))
@@ -200,7 +200,7 @@ def parse_literal(key: str, value: Any) -> dict[str, Any]:
     mean anything.
 
     Raises:
-        ValueError: it is no dictionary, or holds anything else.
+        ValueError: not a dictionary, or one that holds anything else.
     """
     if isinstance(value, dict):
         return value

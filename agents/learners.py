@@ -44,7 +44,7 @@ def build_model(algo: str, hyperparameters: Hyperparameters, env: VecEnv, *, see
         device: "cpu" or "cuda".
 
     Raises:
-        ValueError: the algorithm refuses a hyperparameter, or there is no such device.
+        ValueError: the algorithm refuses a hyperparameter, or the device does not exist.
     """
     if device == "cuda" and not torch.cuda.is_available():
         raise ValueError("device is cuda, but torch finds no such device; use cpu")

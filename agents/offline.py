@@ -96,7 +96,7 @@ def train(dataset: Any, algorithm: str, n_steps: int, seed: int) -> Actor:
     observations, actions, rewards, terminals, timeouts = (
         np.concatenate(column)
         for column in zip(
-            # The last observation is no start of a step.
+            # No step starts from the last observation.
             *((e.observations[:-1], e.actions, e.rewards, e.terminations, e.truncations) for e in episodes),
             strict=True,
         )

@@ -1,4 +1,4 @@
-"""The coordinated law with a proportional feedback of the tip-speed ratio: what a few lines by hand can do.
+"""The coordinated law with a proportional feedback of the tip-speed ratio, in a few lines by hand.
 
     P_st = (g(ω) + κ (λ - λ*(ω))) ω_m³
 

@@ -45,7 +45,7 @@ def write_atomically(path: Path, content: str | bytes) -> None:
     Raises:
         OSError: the folder cannot be written to.
     """
-    # A link stays a link: what it points to is replaced.
+    # A link stays a link; the file that it points to is replaced.
     path = path.resolve()
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")

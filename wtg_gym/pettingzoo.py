@@ -68,7 +68,7 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
     - `reward="shared"`: every agent earns the reward of the single environment.
     - `reward="own"`: frequency, its rate of change and failure cost every agent the same; duty, rotor, overload and
       effort cost each what its own group does, times the number of agents. The mean over the agents of a step is the
-      single environment's reward. What a group costs after its agent has left is borne by the others, in equal parts.
+      single environment's reward. The others bear in equal parts what a group costs after its agent has left.
     - An agent leaves, terminated, with the step in which its group is disconnected, by an event or, with
       `on_failure="trip"`, by its rotor's speed. The group's action is zero from then on. At the end of the episode all
       agents that are left are terminated or truncated.
@@ -150,7 +150,7 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
 
         Raises:
             ValueError: a scenario that does not fit; nothing has changed then.
-            gymnasium.error.Error: the seed is no whole number of 0 or more.
+            gymnasium.error.Error: the seed is not a whole number of 0 or more.
         """
         if isinstance(options, Mapping):
             unknown = sorted(str(key) for key in options if key != "scenario")
@@ -222,7 +222,7 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
             return dict.fromkeys(self.agents, reward)
         costs = cost_shares(self.single_env.lanes, last_actions).sum(axis=1)
         acted = [agent in self.agents for agent in self.possible_agents]
-        # Everybody bears what is nobody's.
+        # All groups share the terms that no group causes.
         common = -reward - costs[acted].sum()
         own = zip(self.agents, costs[acted].tolist(), strict=True)
         return {agent: -float(common + len(self.agents) * cost) for agent, cost in own}
@@ -259,7 +259,7 @@ def _last_actions(lanes: TaskLanes) -> Floats:
 def cost_shares(lanes: TaskLanes, last_actions: Floats) -> Floats:
     """Return what each WTG group adds to the terms of the last step's cost, (n_wtg, n_terms), as `COST_TERMS`.
 
-    Frequency, its rate of change and failure are nobody's: 0.
+    No group causes frequency, RoCoF and failure: 0.
 
     Args:
         lanes: one episode, after a step.

@@ -1,4 +1,4 @@
-"""Checks of numbers and names: what is not allowed is named beside what is."""
+"""Checks of numbers and names, with errors that say what is allowed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class ByName(dict[str, Value]):
     """A dictionary whose KeyError lists the keys that there are.
 
     Args:
-        kind: what the keys are names of.
+        kind: the noun for a key, in the error.
         values: by name.
         missing: why a name has no value, for the names of which that is known.
     """

@@ -147,7 +147,7 @@ class SB3VecEnv(VecEnv):
 
         Raises:
             AttributeError: there is none of that name, it is a method, or a lane's own that cannot be read.
-            IndexError: there is no such lane.
+            IndexError: the lane does not exist.
         """
         # Spaces of the batch have other shapes, and its generators are not those of the lanes.
         name = f"single_{attr_name}" if attr_name in ("action_space", "observation_space") else attr_name

@@ -50,7 +50,7 @@ class Condition(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """What the conditions are judged by."""
+    """Measures that the conditions are judged by."""
 
     results: Results  # of laws, rules and feedbacks on validation scenarios, the anchors among them
     feedbacks: Sequence[str]  # names of the tuned feedbacks

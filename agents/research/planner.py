@@ -2,7 +2,7 @@
 
 A planner copies the running episode into a population of lanes, lets the wind go on as its observer expects and no
 further event strike, and searches a course of actions on top of a feedback by the cross-entropy method (R. Rubinstein,
-1999). It plays the first actions, and plans again. What it knows of the wind is what makes it different:
+1999). It plays the first actions, and plans again. Planners differ in what they know of the wind:
 
 * `exact`: the wind of the moment; turbulence is expected to die away towards the mean of the last seconds.
 * `measured`: what the sensors said, late and wrong; an observer corrects their error by the rotor's own balance.
@@ -246,7 +246,7 @@ class _Planner:
         for _ in range(p.generations):
             noise = self._rng.standard_normal((n, p.population, *mean.shape[1:]))
             asked = np.clip(mean[:, np.newaxis] + deviation[:, np.newaxis] * noise, -2.0, 2.0)
-            # What is known to be good is not lost, and the feedback alone is always tried.
+            # The best course so far is kept, and the feedback alone is always tried.
             asked[:, 0], asked[:, 1], asked[:, 2] = best, mean, 0.0
             imagined.imagine(lanes, source, wind)
             flat = asked.reshape(n * p.population, *mean.shape[1:])

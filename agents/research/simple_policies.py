@@ -54,7 +54,7 @@ def simple_policies(
     """Return the zero action's mean cost on scenarios, and all simple policies, the cheapest first.
 
     Raises:
-        ValueError: there is no such suite, or not that many scenarios.
+        ValueError: the suite is unknown, or has fewer scenarios.
     """
     seeds = list(get_suite(suite).seeds(split))
     if n_scenarios is not None and not 1 <= n_scenarios <= len(seeds):

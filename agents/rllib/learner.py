@@ -128,7 +128,7 @@ def _connect(address: str | None, h: Hyperparameters) -> None:
     """Join a Ray cluster, or start one of this machine alone.
 
     Raises:
-        ValueError: there is no such cluster, or it has too few CPUs.
+        ValueError: the cluster does not exist, or has too few CPUs.
     """
     # Nothing about a run is reported to anybody, unless the user says otherwise.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
@@ -175,7 +175,7 @@ def train(run: Run, folder: Path, address: str | None = None) -> None:
         address: of a Ray cluster; None to start one of this machine alone.
 
     Raises:
-        ValueError: there is no such cluster, or it has too few CPUs.
+        ValueError: the cluster does not exist, or has too few CPUs.
     """
     settings = run.settings
     h = Hyperparameters(**settings.hyperparameters)

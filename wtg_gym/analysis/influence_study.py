@@ -1,4 +1,4 @@
-"""What every parameter of the plant and of the law does to nadir, RoCoF and rotor speed, by gradients."""
+"""Influence of every parameter of plant and law on nadir, RoCoF and rotor speed, by gradients."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from wtg_gym.physics.tracking_law import TrackingLaw
 
 #: Parameters of a law, for all groups in common.
 LAW_NAMES = ("law.k_min", "law.k_nominal", "law.k_max", "law.tau_s")
-#: What is measured, its unit here, how much finer that is than Hz, Hz/s and p.u., and what it is.
+#: Each measure: its unit, how much finer that is than Hz, Hz/s and p.u., and its meaning.
 MEASURES = {
     "nadir": ("mHz", 1e3, "least frequency of the centre of inertia"),
     "rocof": ("mHz/s", 1e3, "largest size of its rate of change over 0.5 s"),

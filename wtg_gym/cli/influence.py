@@ -1,4 +1,4 @@
-"""`wtg-gym analyse influence`: what every parameter does to nadir, RoCoF and rotor speed."""
+"""`wtg-gym analyse influence`: the influence of every parameter on nadir, RoCoF and rotor speed."""
 
 from __future__ import annotations
 

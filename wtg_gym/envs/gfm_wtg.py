@@ -123,7 +123,7 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
 
         Raises:
             ValueError: unknown options, or a scenario that does not fit; nothing has changed then.
-            gymnasium.error.Error: the seed is no whole number of 0 or more.
+            gymnasium.error.Error: the seed is not a whole number of 0 or more.
         """
         given = check_options(options, ("scenario",))
         # A given scenario that cannot start is refused before the first change, of the generator too.
@@ -175,7 +175,7 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
             themselves, None; without a render mode None and a warning.
 
         Raises:
-            RuntimeError: no episode was started; or with "human" there is no display.
+            RuntimeError: no episode was started; or "human" finds no display.
         """
         if self._frames is None:
             warn_of_no_render_mode()
@@ -199,8 +199,8 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
         """Go back to a :meth:`snapshot`: what follows is then the same, bit for bit.
 
         Raises:
-            ValueError: it is no snapshot, or of an environment with other settings than suite, split and scenario;
-                nothing has changed then.
+            ValueError: not a snapshot, or one of an environment whose settings, other than suite, split and scenario,
+                differ; nothing has changed then.
         """
         check_snapshot(snapshot, Snapshot, self)
         lanes, running, frames = snapshot

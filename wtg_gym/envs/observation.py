@@ -15,12 +15,12 @@ from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState
 
 #: Every entry of the observation is clipped to ± this.
 OBSERVATION_BOUND = 5.0
-#: What frequency deviations are counted in [Hz].
+#: Unit of frequency deviations [Hz].
 FREQUENCY_UNIT_HZ = 0.5
 
 
 class WtgObservation(NamedTuple):
-    """Local measurements of a WTG group: what each is counted in, and what it is."""
+    """Local measurements of a WTG group, each with its unit and meaning."""
 
     frequency_deviation: Annotated[float, "0.5 Hz", "frequency of the converter, less 50 Hz"]
     rocof: Annotated[float, "Hz/s", "rate of change of that frequency over the last control interval"]

@@ -127,12 +127,12 @@ class EnvSettings:
         simulation_dt: step of the integration [s].
         weights: replaces single weights of the cost, see :class:`CostWeights`.
         machine_model: synchronous machines: `"genrou"`, with exciters, or `"classical"`.
-        on_failure: what the failure of a rotor (stall, over-speed, under-speed) does: `"terminate"` the episode, or
+        on_failure: consequence of a rotor's failure (stall, over-speed, under-speed): `"terminate"` the episode, or
             `"trip"` its group and go on.
         physics: `"paper"`: the paper's model, v0's; `"extended"`, v1's, adds rotor energy, current, power and reactive
             limits, voltage control, a rotor under-speed trip, a governor dead band and load shedding; `"nrel-5mw"` has
             the NREL 5 MW turbine besides. None: the suite's own.
-        sensors: of v1: `"exact"`, or values that replace what the errors of the measurements are drawn from
+        sensors: of v1: `"exact"`, or values that replace those of the distribution of their errors
             (:class:`~wtg_gym.scenarios.sensor_distribution.SensorDistribution`), such as
             `{"delay_s": (0.2, 0.4), "wind_bias": 0.1}`. A delay is drawn between the two, in whole steps of 0.1 s up
             to 1 s, and must be a whole number of `control_dt`. None: the suite's own; with a `scenario` its own.

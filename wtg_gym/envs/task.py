@@ -348,7 +348,7 @@ def _charge_groups(block: Floats, c: Any, task: Task, sensed: bool, lanes: Lanes
             duty, there = costs.duty, 1.0
             if sensed:
                 own = load_sensed(block, (parts.sensed + j * N_SENSED_ROWS) * width + x, width)
-                # What an event has disconnected owes nothing.
+                # A disconnected group is charged nothing.
                 there = select(block[rows_of(c).lane * width + LANE.step * width + x] <= own.leaves_at, 1.0, 0.0)
                 costs = GroupCosts(
                     there * costs.duty, there * costs.rotor, there * costs.overload, there * costs.available

@@ -58,7 +58,7 @@ def generalisation_gaps(public: Results, fresh: Results) -> list[GeneralisationG
 
     Raises:
         ValueError: the results are not of these splits, or of different suites, settings or source code.
-        NoScaleError: there is no score, see :attr:`Results.summaries`.
+        NoScaleError: the results have no score, see :attr:`Results.summaries`.
     """
     if (public.split, fresh.split) != ("test", FRESH):
         raise ValueError(

@@ -121,7 +121,7 @@ def leaderboard_rows(results: Results) -> list[EntrySummary]:
     """Return the entries' summaries, the best score first, equal ones by name.
 
     Raises:
-        NoScaleError: there is no score, see :attr:`Results.summaries`.
+        NoScaleError: the results have no score, see :attr:`Results.summaries`.
     """
     return ranked(results.summaries)
 

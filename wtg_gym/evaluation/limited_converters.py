@@ -32,7 +32,7 @@ class LimitedSettings(EnvSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class LimitedPlay:
-    """What an entry does in validation scenarios of a suite.
+    """Behaviour of an entry in validation scenarios of a suite.
 
     Args:
         entry: its label.

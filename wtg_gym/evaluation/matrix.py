@@ -24,7 +24,7 @@ def _later(steps: int) -> Callable[[SensorDistribution], Changes]:
     return lambda own: {"delay_s": tuple(round(delay + steps * DELAY_STEP_S, 9) for delay in own.delay_s)}
 
 
-#: What else entries are played with: the name of a folder for the results, and the change of the suite's sensors.
+#: Other sensors that entries are played with: the name of the folder of results, and the change of the suite's sensors.
 PERTURBATIONS: Mapping[str, Callable[[SensorDistribution], Changes]] = MappingProxyType(
     {
         "delay-plus-1": _later(1),

@@ -134,7 +134,7 @@ class Results:
         """Return the episodes of an entry.
 
         Raises:
-            KeyError: there is no such entry; the message lists the entries, and says how this one failed if it did.
+            KeyError: the entry is unknown; the message lists the entries, and says how this one failed if it did.
         """
         found: dict[str, list[Episode]] = {}
         for episode in self.episodes:

@@ -52,7 +52,7 @@ class Variant:
 
     @property
     def matters(self) -> bool:
-        """Whether the order changes, a score changes by a point or more, or there is no score any more."""
+        """Whether the order changes, a score changes by a point or more, or a score vanishes."""
         return not self.scores or bool(self.large_changes or self.ranks)
 
     def cells(self) -> list[str]:

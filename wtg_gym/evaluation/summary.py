@@ -24,14 +24,14 @@ POINTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"frequency_rocof": ("frequency", "rocof"), "duty": ("duty",), "overload": ("overload",)}
 )
 REST = "rest"
-#: Kinds of failure: what frequency and rotors end in; all others are "other".
+#: Kinds of failure of frequency and rotors; all others are "other".
 FAILURE_KINDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"frequency": ("frequency limit",), "rotor": ("stall", "over-speed", "under-speed")}
 )
 _OTHER = "other"
 #: Share of the scenarios that count as the worst.
 _WORST = 0.1
-#: What the summaries of results of v0 do not hold.
+#: Keys that summaries of v0 lack.
 SINCE_V1 = ("version", "failures_percent_by_kind", "worst_decile_cost", "median_deviation_mhz", "p95_deviation_mhz")
 
 

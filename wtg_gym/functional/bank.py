@@ -1,4 +1,4 @@
-"""Scenarios as arrays: what episodes start from and what happens in them, prepared before any is played."""
+"""Scenarios as arrays: starts, series and events of episodes, prepared before any is played."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Branches of a kernel as choices between numbers, so that it can be traced.
 
-Equations say `select`; what happens to an episode (protections, lost governors) is written with `if`. Here such a
+Equations say `select`; protections and lost governors are written with `if`. Here such a
 kernel's own source is changed so that both sides of an `if` run, one after the other, where the condition is a traced
 number: what a side stores in :class:`Cells`, and what it assigns, counts where the condition holds. Plain conditions
 branch as always. Both sides of `and` and `or` are evaluated.
@@ -22,7 +22,7 @@ from wtg_gym.gradients.tracing import Rows
 
 #: Conditions of the sides that are running, from the outermost to the innermost.
 _CONDITIONS: list[Any] = []
-#: What a name holds before it is assigned.
+#: Value of a name before its assignment.
 _UNSET = object()
 
 

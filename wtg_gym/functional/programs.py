@@ -87,7 +87,7 @@ class Program:
         return Program(ex.pulled_back(outputs, self.reads))
 
     def run(self, operations: Mapping[str, Callable[..., Any]], values: Mapping[int, Any]) -> dict[int, Any]:
-        """Return what the program stores, given what the operations mean and what the rows hold."""
+        """Return the program's results, for given meanings of the operations and values of the rows."""
         found: dict[Any, Any] = {}
         for one in self._order:
             if one.operation == "row":
@@ -181,7 +181,7 @@ def trace(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_action: in
     enter = plain(enter_interval, int=lambda _: 0)
     given = SimpleNamespace(wind=_Series(inputs.wind_start, inputs.wind_end), noise=_Series([inputs.noise]))
 
-    # What the kernel around the integration does before it and after it.
+    # The kernel's work before and after the integration.
     before: dict[int, Any] = {}
 
     def integrate(block: Rows, first_lane: int, _: Plant, data: Any, noise_y: list[Any], lanes: Any) -> None:
@@ -244,7 +244,7 @@ def trace(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_action: in
 
 
 def _changes(stores: Mapping[int, Any]) -> dict[int, Any]:
-    """Return what is stored but for the rows that keep what they hold."""
+    """Return the stored rows, without those that keep their value."""
     return {int(at): value for at, value in stores.items() if value is not ex.row_of_block(int(at))}
 
 
@@ -267,7 +267,7 @@ def _linked(
         own[2] = _closed(stage, after | own[3].reads)
         own[1] = enter.of(after | own[3].reads | own[2].reads)
         entered, staged, left = (set(program.stores) for program in own[1:4])
-        # What the stages read that none of them has stored before, and what a simulation step reads so.
+        # Rows that the stages, and a simulation step, read before they store them.
         first, middle, last = (program.of(staged) for program in moving)
         of_stages = first.reads | ((middle.reads | last.reads) - set(first.stores))
         exposed = own[1].reads | (of_stages - entered) | (own[3].reads - entered - staged)

@@ -363,7 +363,8 @@ def build_rules(
         noise=further.noise,
         interval=further.interval,
     )
-    # What a kernel writes loses its cotangent to what it reads. The method wants those of the states for themselves.
+    # A row that a kernel writes passes its cotangent on to the rows that the kernel reads. The integration method needs
+    # those of the states separately.
     interval = layout.rows.extra + TASK.interval
     code = {
         "pull_act": _source("pull_act", (), of_act, programs.act, n_rows),

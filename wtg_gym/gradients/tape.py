@@ -300,7 +300,7 @@ class Tape:
             outputs: with respect to the outputs after the step (n_lanes, n_outputs); None for zeros.
 
         Raises:
-            ValueError: there is no such step, or derivatives have another shape.
+            ValueError: the step does not exist, or derivatives have another shape.
         """
         simulator, rules, n_lanes = self.lanes.simulator, self._rules, self.lanes.n_lanes
         carried = _shaped("carried", carried, (n_lanes, self.n_carried))

@@ -25,7 +25,7 @@ from wtg_gym.physics.scenario import Scenario
 
 
 class _Step(torch.autograd.Function):
-    """A step of a tape. What one step leaves to the next is a tensor of zeros, whose gradient alone has a meaning."""
+    """A step of a tape. One step hands the next a tensor of zeros, whose gradient alone has a meaning."""
 
     @staticmethod
     def forward(ctx: Any, tape: Tape, left: Any, law: Any, actions: Any) -> tuple[Any, ...]:

@@ -15,7 +15,7 @@ from typing import Any
 
 from wtg_gym.gradients import expressions as ex
 
-#: What names in the kernels mean while they are traced.
+#: Meanings of the kernels' names while they are traced.
 ARITHMETIC: dict[str, Any] = {
     "min": ex.smallest,
     "max": ex.largest,

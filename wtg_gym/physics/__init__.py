@@ -8,8 +8,9 @@ Equations
     network             admittances, power flow
     reduction           Kron reduction, load noise
     dynamics            I = Y E, right-hand side, Runge-Kutta method
+    network_events      what events change in the network and its units
     protection          what ends a run
-    equilibrium         what a run starts from
+    equilibrium, start_errors    what a run starts from; why it cannot
     linearisation       modes, and the step they allow
 
 Data

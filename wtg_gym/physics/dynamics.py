@@ -82,7 +82,7 @@ from wtg_gym.physics.wind_turbine import (
 #: Stages of :func:`unit_rates`.
 EVALUATE, FIRST, MIDDLE, LAST = -1, 0, 1, 2
 #: Gauss-Seidel sweeps over the groups whose current is limited, at most: a few, but some thirty for large groups at a
-#: weak bus. They end where no voltage moves by more than 1e-12 p.u. any more; what is compared is the square.
+#: weak bus. They end once no voltage moves by more than 1e-12 p.u.; the squares are compared.
 _SWEEPS = 100
 _SETTLED = 1e-12 * 1e-12
 

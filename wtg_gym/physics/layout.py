@@ -230,7 +230,7 @@ def constants_dtype(
 ) -> np.dtype[Any]:
     """Return the data type of a plant's constants: sizes that the compiler knows.
 
-    What a plant does not have takes no space, and the code for it falls away where it is compiled.
+    Parts that a plant lacks take no space, and the compiler drops their code.
     """
     n_unit = n_sync + n_wtg
     return np.dtype(

@@ -1,7 +1,7 @@
 """Every number of the model, once, with its unit and its source.
 
 Derived values are properties, never free fields. Sources are short keys; SOURCES spells them out. Ranges are wide: they
-keep out what has no meaning, not what is unusual.
+exclude meaningless values, not unusual ones.
 """
 
 from __future__ import annotations

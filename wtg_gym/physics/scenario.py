@@ -166,7 +166,7 @@ class GovernorLoss(_AtBus):
 
 @dataclass(frozen=True, kw_only=True)
 class MachineOutage(_AtBus):
-    """All synchronous machines at a bus are disconnected at `time_s` [s]; what they feed in is lost."""
+    """All synchronous machines at a bus are disconnected at `time_s` [s]; their infeed is lost."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -126,7 +126,7 @@ class Measurement(NamedTuple):
 
 
 def delay_intervals(delay_s: float, control_dt: float) -> int:
-    """Return a delay in control intervals; a ValueError says that it is no whole number of them."""
+    """Return a delay in control intervals; a ValueError if it is not a whole number of them."""
     return whole_steps("delay_s of the sensors", delay_s, control_dt, "control step")
 
 
@@ -134,7 +134,7 @@ def sensor_input(sensors: Sensors | None, control_dt: float, nominal_hz: float) 
     """Return the constants of a run's sensors; None gives exact measurements without delay.
 
     Raises:
-        ValueError: the delay is no whole number of control intervals.
+        ValueError: the delay is not a whole number of control intervals.
     """
     if sensors is None:
         return SensorInput(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
@@ -205,7 +205,7 @@ def sensors_advanced(s: SensorState, exact: Measurement, key: int, first_channel
 def measured(
     s: SensorState, exact: Measurement, wind_bias: float, key: int, first_channel: int, u: SensorInput
 ) -> Measurement:
-    """Return what a WTG group measures now; `exact` is what there is."""
+    """Return a WTG group's present measurement of the `exact` values."""
     return Measurement(
         frequency=s.frequency + u.frequency_noise * normal(key, first_channel),
         rocof=s.rocof + u.rocof_noise * normal(key, first_channel + 1),

@@ -132,7 +132,7 @@ class ExtensionState(NamedTuple):
 
 
 class ExtensionOutput(NamedTuple):
-    """Outputs of an extended group, on its own base but for X_v."""
+    """Outputs of an extended group, on its own base except X_v."""
 
     limiting_reactance: float  # X_v [p.u. of the system]
     terminal_voltage: float  # V [p.u.]
@@ -294,7 +294,7 @@ def wtg_limited(s: WtgState, c: Turbine) -> WtgState:
 def turbine_equilibrium(wind: float, k: float, c: Turbine, cells: Cells) -> tuple[float, float, bool]:
     """Return (rotor speed [p.u.], pitch [deg], found) at which the captured power equals k ω_m³ and falls faster.
 
-    The root of p_w(ω_m) = k ω_m³ at β = 0 and a tip-speed ratio of 3.5 … 20 that is no stall, unless captured power or
+    The root of p_w(ω_m) = k ω_m³ at β = 0 and a tip-speed ratio of 3.5 … 20 outside the stall, unless captured power or
     rotor speed would exceed the pitch protection's limits: then the limit, and the smallest pitch angle that holds it
     on a falling branch of C_p.
     """

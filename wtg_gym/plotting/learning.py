@@ -47,7 +47,7 @@ def plot_learning_curves(
         anchors: names of the entries that score 0 and 100.
 
     Raises:
-        ValueError: there is no curve, or a set-up's curves have no step in common.
+        ValueError: no curve is given, or a set-up's curves have no step in common.
     """
     from matplotlib.ticker import EngFormatter, FuncFormatter
 

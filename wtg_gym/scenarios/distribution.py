@@ -80,7 +80,7 @@ def _table(default: tuple[Any, ...], meaning: str) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class ScenarioDistribution:
-    """What scenarios are drawn from; a pair is a range that is drawn from uniformly.
+    """Ranges and probabilities that scenarios are drawn from; a pair is a range of a uniform distribution.
 
     The unit, the allowed range and the meaning of every value are its field's metadata.
 
@@ -430,7 +430,7 @@ class ScenarioDistribution:
         start_s = pick.instant(window)
         time_s = SERIES_DT * np.arange(n_samples, dtype=np.float64)
         if kind < self.gust_probability:
-            # A gust is no wider than a few hundred metres; a front passes the whole plant.
+            # A gust spans at most a few hundred metres; a front passes the whole plant.
             group = pick.whole(0, n_wtg - 1)
             return group, extreme_operating_gust(time_s, start_s, pick.between(self.gust_m_s))
         change = pick.between(self.wind_ramp_m_s) * (1.0 if pick.chance(0.5) else -1.0)

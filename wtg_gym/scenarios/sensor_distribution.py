@@ -23,7 +23,7 @@ _MOST_DEVIATIONS = 2.5
 
 @dataclass(frozen=True, kw_only=True)
 class SensorDistribution:
-    """What the sensors of scenarios are drawn from.
+    """Distribution of the sensors' errors.
 
     Args:
         delay_s: shortest and longest delay, whole numbers of 0.1 s; every one between is as likely [s].

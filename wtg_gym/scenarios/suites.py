@@ -59,8 +59,8 @@ class Suite:
         duration_s: length of its runs [s].
         benchmark: version of the benchmark that it belongs to.
         plant: its grid and turbines.
-        sensors: what the errors of the measurements are drawn from; None for exact ones.
-        distribution: what its scenarios are drawn from; None for fixed cases.
+        sensors: distribution of the measurements' errors; None for exact measurements.
+        distribution: distribution of its scenarios; None for fixed cases.
         cases: the fixed cases, case i having the seed i in every split; empty with a distribution.
         train: seeds to train on.
         validation: seeds to select on.
@@ -108,7 +108,7 @@ class Suite:
             split: "train", "validation", "test" or "fresh".
 
         Raises:
-            ValueError: there is no such split; the message lists them.
+            ValueError: the split is unknown; the message lists them.
         """
         if split == FRESH and self.distribution is not None:
             return _FRESH_SEEDS
@@ -302,7 +302,7 @@ def _drawn_v1(
     scenarios_of: str | None = None,
     **settings: Any,
 ) -> Suite:
-    """Return a suite of version v1; `scenarios_of` names one whose scenarios, but for the sensors, it shares."""
+    """Return a suite of version v1; `scenarios_of` names another suite that it shares all but the sensors with."""
     return Suite(
         name=f"{name}-v1",
         description=description,
@@ -444,7 +444,7 @@ def get_suite(name: str) -> Suite:
     """Return a suite by its name.
 
     Raises:
-        ValueError: there is no such suite; the message lists the known ones.
+        ValueError: the suite is unknown; the message lists the known ones.
     """
     if not isinstance(name, str) or name not in SUITES:
         raise ValueError(f"unknown suite {name!r}; known suites: {', '.join(SUITES)}")

@@ -203,7 +203,7 @@ def turbulence_amplitude(mean_wind_m_s: float, sigma_m_s: float, n_turbines: flo
         n_period: samples of the period, even, `SERIES_DT` apart.
 
     Raises:
-        ValueError: the mean wind is outside the turbine model's range, or there is no turbine.
+        ValueError: the mean wind is outside the turbine model's range, or the number of turbines is.
     """
     require_range("mean wind", mean_wind_m_s, *WIND_SPEED_RANGE, "m/s")
     require_range("n_turbines", n_turbines, 1e-3, 1e4, "")

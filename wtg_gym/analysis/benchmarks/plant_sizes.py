@@ -29,7 +29,7 @@ def network_with_machines(n_machines: int) -> NetworkCase:
     """Return the 14-bus network with each of its four machines split into equal ones at the same bus.
 
     Raises:
-        ValueError: the number is no multiple of four.
+        ValueError: the number is not a multiple of four.
     """
     if n_machines < N_MACHINES or n_machines % N_MACHINES:
         raise ValueError(f"the number of machines must be a multiple of {N_MACHINES}, got {n_machines}")

@@ -48,7 +48,7 @@ def _train(make: Any, n_envs: int) -> Stepper:
     torch.set_num_threads(1)
     envs, n_steps = make(n_envs), max(2, ROLLOUT // n_envs)
     with warnings.catch_warnings():
-        # The rollout of an odd number of processes is no whole number of batches; the last batch is smaller then.
+        # With an odd number of processes the last batch is smaller.
         warnings.filterwarnings("ignore", "You have specified a mini-batch size", UserWarning)
         model = PPO("MlpPolicy", envs, n_steps=n_steps, batch_size=BATCH_SIZE, n_epochs=N_EPOCHS, seed=0, device="cpu")
     return repeat(lambda _: model.learn(n_steps * n_envs, reset_num_timesteps=False), n_steps * n_envs)

@@ -88,7 +88,7 @@ class FramePainter:
         ranges = np.array([episode.panels[owner].ranges[levels[owner]] for owner in owners])
         boxes, colours = _boxes_and_colours(n_groups, measured=measured)
         x = np.ascontiguousarray(episode.time_s) / episode.duration_s
-        # What is measured lies beneath what is.
+        # Measured curves lie beneath the exact ones.
         for own, half_width, radius in (
             (slice(n, None), _MEASURED_HALF_WIDTH, _NO_DOT),
             (slice(n), _HALF_WIDTH, _DOT_RADIUS),

@@ -85,7 +85,7 @@ class LaneFrames:
         own = lanes.observations[:, : lanes.n_wtg * n_own].reshape(lanes.n_lanes, lanes.n_wtg, n_own)
         values = np.moveaxis(own[..., : lanes.n_local].astype(np.float64), -1, 0)
         seen = dict(zip(MeasuredObservation._fields, values, strict=True))
-        # Without a sensor there is no wind to divide by either.
+        # Without a wind sensor the tip-speed ratio is unknown too.
         has_wind = self._sensor_values("wind_sensor")[:, None] > 0.5
         rotor, wind = 1.0 + 0.25 * seen["rotor_speed"], np.where(has_wind, 10.0 + 5.0 * seen["wind"], np.nan)
         frequency = lanes.nominal_hz + FREQUENCY_UNIT_HZ * seen["frequency_deviation"]

@@ -128,7 +128,7 @@ def limited_panels(plant: PlantSettings, *, wind_sensor: bool) -> tuple[Panel, .
 
 
 def n_traces(n_groups: int) -> int:
-    """Return how many lines all panels have together, but for what sensors measure."""
+    """Return the number of lines of all panels together, without those of sensors."""
     return sum(n_groups if panel.per_group else 1 for panel in PANELS)
 
 

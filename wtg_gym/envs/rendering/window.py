@@ -41,7 +41,7 @@ class Window:
         """Show a picture (height, width, 3), and wait until it is due.
 
         Raises:
-            RuntimeError: there is no display.
+            RuntimeError: no display was found.
         """
         if self.is_closed:
             return

@@ -103,7 +103,7 @@ class Experiment:
         """Return what happens, as a scenario; a ValueError says what cannot be."""
         n = len(self.wind_m_s)
         for strike in self.strikes:
-            # What the simulator says counts from 0, as its indices do.
+            # The simulator's errors count from 0, as its indices do.
             if strike.kind == "group_trip" and strike.place not in places("group_trip", n):
                 raise ValueError(f"there is no group {strike.place} to lose: the grid has {n}")
         events = [event for strike in self.strikes if (event := strike.event()) is not None]

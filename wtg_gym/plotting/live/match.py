@@ -25,7 +25,7 @@ YOU = "you"
 
 @dataclass(frozen=True, kw_only=True)
 class Scale:
-    """What a suite's scores are made with."""
+    """Numbers that a suite's scores are computed with."""
 
     #: suite, duration_s: which episodes it is for.
     suite: Suite

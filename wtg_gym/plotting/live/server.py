@@ -14,7 +14,7 @@ Fill = Callable[[Any], None]
 
 
 def make_server(fill: Fill, port: int) -> Any:
-    """Return a server that listens at localhost; a ValueError if the port is no port, or is in use."""
+    """Return a server that listens at localhost; a ValueError if the port is invalid or in use."""
     from bokeh.application import Application
     from bokeh.application.handlers.function import FunctionHandler
     from bokeh.server.server import Server

@@ -60,7 +60,7 @@ def page_data(
 
     Raises:
         ValueError: no results, two of one suite, or traces of results that another source code gave.
-        NoScaleError: there is no score, see :attr:`Results.summaries`.
+        NoScaleError: the results have no score, see :attr:`Results.summaries`.
     """
     names = [each.name for each in results]
     if not names or len(set(names)) < len(names):

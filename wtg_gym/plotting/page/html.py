@@ -79,7 +79,7 @@ def leaderboard_page(
     Raises:
         ImportError: Bokeh, of the leaderboard extra, is missing.
         ValueError: no results, two of one suite, or traces of results that another source code gave.
-        NoScaleError: there is no score on any of the suites, see :attr:`Results.summaries`.
+        NoScaleError: no suite has a score, see :attr:`Results.summaries`.
     """
     from bokeh.core.json_encoder import serialize_json
     from bokeh.resources import Resources
