@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import numbers
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -145,9 +146,23 @@ class TaskLanes:
             truncated=np.zeros(n_lanes, dtype=np.bool_),
         )
         self.scenario_seeds = np.full(n_lanes, -1, dtype=np.int64)
-        #: Settings that a running episode depends on; where its scenario was drawn from is none of them.
-        self._of_episodes: dict[str, Any] = {
-            "num_envs": n_lanes,
+        #: Events of each lane's episode, in their order.
+        self.events: list[tuple[Event, ...]] = [()] * n_lanes
+        self._bound: Any = None
+        self._no_reasons = np.full(n_lanes, "", dtype=object)
+        self._no_reasons.setflags(write=False)
+        self._seeds = self.suite.seeds(settings.split)
+        self._fixed = settings.fixed_scenario()
+        if self._fixed is not None:
+            # A scenario that cannot start is refused here rather than at the first reset.
+            self.prepare_given([self._fixed])
+
+    @cached_property
+    def _of_episodes(self) -> dict[str, Any]:
+        """Settings that a running episode depends on; where its scenario was drawn from is none of them."""
+        settings, plant = self.settings, self.simulator.settings
+        return {
+            "num_envs": self.n_lanes,
             "strategy": self.laws,
             "action_mode": settings.action_mode,
             "observation_mode": settings.observation_mode,
@@ -162,16 +177,6 @@ class TaskLanes:
             "version": settings.version,
             "on_failure": settings.on_failure,
         }
-        #: What happens in each lane's episode, in its order.
-        self.events: list[tuple[Event, ...]] = [()] * n_lanes
-        self._bound: Any = None
-        self._no_reasons = np.full(n_lanes, "", dtype=object)
-        self._no_reasons.setflags(write=False)
-        self._seeds = self.suite.seeds(settings.split)
-        self._fixed = settings.fixed_scenario()
-        if self._fixed is not None:
-            # A scenario that cannot start is refused here rather than at the first reset.
-            self.prepare_given([self._fixed])
 
     def _check_time_constants(self) -> None:
         """Refuse a law whose damping the actions can make faster than the integration step follows."""

@@ -241,6 +241,23 @@ def assemble_admittance(
     return y
 
 
+@inlined
+def _number_unknowns(slack: int, holds_voltage: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.int64], int]:
+    """Return the places of each bus's angle and magnitude among the unknowns, (2, n_bus) or -1, and their number."""
+    n = holds_voltage.shape[0]
+    unknown = np.full((2, n), -1, dtype=np.int64)
+    n_unknown = 0
+    for k in range(n):
+        if k != slack:
+            unknown[0, k] = n_unknown
+            n_unknown += 1
+    for k in range(n):
+        if not holds_voltage[k]:
+            unknown[1, k] = n_unknown
+            n_unknown += 1
+    return unknown, n_unknown
+
+
 @compiled
 def solve_power_flow(
     y: npt.NDArray[np.complex128],
@@ -263,16 +280,7 @@ def solve_power_flow(
         iterations used, or -1 if the mismatch stays above POWER_FLOW_TOLERANCE.
     """
     n = y.shape[0]
-    unknown = np.full((2, n), -1, dtype=np.int64)
-    n_unknown = 0
-    for k in range(n):
-        if k != slack:
-            unknown[0, k] = n_unknown
-            n_unknown += 1
-    for k in range(n):
-        if not holds_voltage[k]:
-            unknown[1, k] = n_unknown
-            n_unknown += 1
+    unknown, n_unknown = _number_unknowns(slack, holds_voltage)
     jacobian = np.empty((n_unknown, n_unknown))
     mismatch = np.empty((n_unknown, 1))
     flow = np.empty(n, dtype=np.complex128)

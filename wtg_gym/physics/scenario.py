@@ -37,9 +37,40 @@ def _series(name: str, values: Any) -> npt.NDArray[np.float64]:
         # numpy would convert "8" and drop imaginary parts without a word.
         if kind in "USbc" and np.size(values):
             raise ValueError(f"got {np.ravel(values)[:3].tolist()}")
+        series.setflags(write=False)
         return series
     except (OverflowError, TypeError, ValueError) as error:
         raise ValueError(f"{name} must be numbers in a regular array: {error}") from error
+
+
+def _checked_wind(values: Any, dt_s: float) -> npt.NDArray[np.float64]:
+    wind = _series("wind_speed", values)
+    if wind.ndim != 2 or wind.shape[1] < 1:
+        raise ValueError(f"wind_speed must have shape (n_wtg, n_samples), got shape {wind.shape}")
+    low, high = WIND_SPEED_RANGE
+    if wind.size and not (wind.min() >= low and wind.max() <= high):
+        group, sample = np.argwhere(~((wind >= low) & (wind <= high)))[0]
+        raise ValueError(
+            f"wind_speed of group {group + 1} at t = {sample * dt_s:g} s is {wind[group, sample]:g} m/s, "
+            f"outside the allowed range {low:g} … {high:g} m/s"
+        )
+    return wind
+
+
+def _checked_noise(values: Any) -> npt.NDArray[np.float64]:
+    noise = _series("load_noise_mw", values)
+    if noise.ndim != 1:
+        raise ValueError(f"load_noise_mw must have shape (n_samples,), got shape {noise.shape}")
+    low, high = LOAD_CHANGE_RANGE
+    if noise.size and not (noise.min() >= low and noise.max() <= high):
+        sample = np.argwhere(~((noise >= low) & (noise <= high)))[0, 0]
+        raise ValueError(
+            f"load_noise_mw at t = {sample * SERIES_DT:g} s is {noise[sample]:g} MW, outside the allowed range "
+            f"{low:g} … {high:g} MW"
+        )
+    if noise.size and noise[0] != 0.0:
+        raise ValueError(f"load_noise_mw must start at 0 MW, got {noise[0]:g} MW")
+    return noise
 
 
 def _plain(record: Any, **checked: Any) -> None:
@@ -237,28 +268,7 @@ class Scenario:
         if not isinstance(self.name, str):
             raise ValueError(f"name of a scenario must be text, got {self.name!r}")
         wind_dt_s = require_range("wind_dt_s", self.wind_dt_s, 1e-3, 3600.0, "s")
-        wind = _series("wind_speed", self.wind_speed)
-        if wind.ndim != 2 or wind.shape[1] < 1:
-            raise ValueError(f"wind_speed must have shape (n_wtg, n_samples), got shape {wind.shape}")
-        low, high = WIND_SPEED_RANGE
-        if wind.size and not (wind.min() >= low and wind.max() <= high):
-            group, sample = np.argwhere(~((wind >= low) & (wind <= high)))[0]
-            raise ValueError(
-                f"wind_speed of group {group + 1} at t = {sample * self.wind_dt_s:g} s is {wind[group, sample]:g} m/s, "
-                f"outside the allowed range {low:g} … {high:g} m/s"
-            )
-        noise = _series("load_noise_mw", self.load_noise_mw)
-        if noise.ndim != 1:
-            raise ValueError(f"load_noise_mw must have shape (n_samples,), got shape {noise.shape}")
-        low, high = LOAD_CHANGE_RANGE
-        if noise.size and not (noise.min() >= low and noise.max() <= high):
-            sample = np.argwhere(~((noise >= low) & (noise <= high)))[0, 0]
-            raise ValueError(
-                f"load_noise_mw at t = {sample * SERIES_DT:g} s is {noise[sample]:g} MW, outside the allowed range "
-                f"{low:g} … {high:g} MW"
-            )
-        if noise.size and noise[0] != 0.0:
-            raise ValueError(f"load_noise_mw must start at 0 MW, got {noise[0]:g} MW")
+        wind, noise = _checked_wind(self.wind_speed, wind_dt_s), _checked_noise(self.load_noise_mw)
         if not isinstance(self.events, (tuple, list)):
             raise ValueError(f"events must be a tuple of events, got {self.events!r}")
         for event in self.events:
@@ -279,8 +289,6 @@ class Scenario:
             if not is_whole(seed) or not 0 <= seed < 2**63:
                 raise ValueError(f"seed of a scenario must be a whole number in 0 … 2^63 - 1, got {seed!r}")
             seed = int(seed)
-        for series in (wind, noise):
-            series.setflags(write=False)
         _plain(
             self,
             wind_speed=wind,
