@@ -44,22 +44,14 @@ class Check:
 
 @dataclass
 class Report:
-    """The gate's report on a folder.
-
-    Args:
-        folder: the folder.
-        checks: every check of :data:`CHECKS`.
-        entry: content of entry.toml; None where it was not read.
-        content: policy.onnx as it was checked; empty where it was not read.
-        notes: what this system could not isolate.
-        actions: of the rollout, see :func:`rollout`; None where it was not reached.
-    """
+    """The gate's report on a folder."""
 
     folder: Path
-    checks: list[Check] = field(default_factory=list)
-    entry: EntryFile | None = None
-    content: bytes = b""
-    notes: tuple[str, ...] = ()
+    checks: list[Check] = field(default_factory=list)  # every check of :data:`CHECKS`
+    entry: EntryFile | None = None  # content of entry.toml; None where it was not read
+    content: bytes = b""  # policy.onnx as it was checked; empty where it was not read
+    notes: tuple[str, ...] = ()  # what this system could not isolate
+    #: Of the rollout, see :func:`rollout`; None where it was not reached.
     actions: Floats | None = field(default=None, compare=False, repr=False)
 
     @property
