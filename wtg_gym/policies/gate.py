@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import sha256
 from wtg_gym.policies.entry import Entry
@@ -132,14 +131,7 @@ def check_submission(folder: Path, *, weak: bool = False, rollout_only: bool = F
 
 def _check_widths(policy: OnnxPolicy, entry: EntryFile) -> str:
     """Compare a policy's widths with those of the benchmark's plant in its modes."""
-    settings = EnvSettings(
-        action_mode=entry.action_mode,
-        observation_mode=entry.observation_mode,
-        version=BENCHMARKS[entry.environment].version,
-    )
-    lanes = TaskLanes(settings, 1, 1)
-    wanted = lanes.n_observation, lanes.n_action
-    lanes.simulator.close()
+    wanted = entry.widths()
     n_observation, n_action, *states = policy.widths
     if (n_observation, n_action) != wanted:
         raise ValueError(
