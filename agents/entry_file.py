@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from wtg_gym.evaluation import Entry
 from wtg_gym.files import write_atomically
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.policies.load import ENTRY_FILE
+from wtg_gym.policies.submission_folder import entry_text
 from wtg_gym.scenarios import get_suite
 from wtg_gym.scenarios.benchmark import V0
 
@@ -51,6 +51,4 @@ def played_in(suite: str, strategy: str) -> dict[str, str]:
 
 def write_entry(folder: Path, values: Mapping[str, Any]) -> None:
     """Write entry.toml; the values are texts, whole numbers and lists of texts."""
-    # These are written alike in JSON and TOML.
-    lines = [f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in values.items()]
-    write_atomically(folder / ENTRY_FILE, "".join(lines))
+    write_atomically(folder / ENTRY_FILE, entry_text(values))

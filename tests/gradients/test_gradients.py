@@ -298,7 +298,7 @@ def test_generated_code_does_not_depend_on_what_was_traced_before() -> None:
     """Its machine code would not be found on disk again."""
     lanes = tape_of().lanes
     simulator = lanes.simulator
-    given = (simulator.plant, lanes.task, simulator.layout, lanes.n_action, lanes.n_observation)
+    given = (simulator.plant, lanes.task, simulator.layout, lanes.n_action)
     ex.exponential(ex.row_of_block(400) * ex.row_of_block(0) + 1.0)
     assert build_rules(*given).digest == build_rules(*given).digest == tape_of()._rules.digest
 
@@ -308,7 +308,7 @@ def test_threads_may_make_their_tapes_at_once() -> None:
     simulator, digests = lanes.simulator, list[str]()
 
     def build() -> None:
-        rules = build_rules(simulator.plant, lanes.task, simulator.layout, lanes.n_action, lanes.n_observation)
+        rules = build_rules(simulator.plant, lanes.task, simulator.layout, lanes.n_action)
         digests.append(rules.digest)
 
     threads = [threading.Thread(target=build) for _ in range(3)]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,7 @@ from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import TrackingLaw, group_laws
 
-#: Step of the finite differences in angle [rad]; truncation and rounding are both near 1e-9 of a power.
+#: Step of the finite differences [rad, p.u.]; truncation and rounding are both near 1e-9 of a power.
 _STEP = 2e-6
 
 
@@ -144,12 +144,18 @@ def synchronising_coefficients(
     n_wtg = layout.n_wtg
     result = np.empty((n_wtg, n_wtg))
     for j in range(n_wtg):
-        powers = []
-        for sign in (-1.0, 1.0):
-            state = here.copy()
-            state[layout.state_rows == layout.wtg("angle")[j]] += sign * _STEP
-            simulator.set_state(state)
-            simulator.evaluate()
-            powers.append(simulator.wtg_values("power")[0])
-        result[:, j] = (powers[1] - powers[0]) / (2.0 * _STEP)
+        place = int(np.flatnonzero(layout.state_rows == layout.wtg("angle")[j])[0])
+        result[:, j] = slope(simulator, here, place, lambda: simulator.wtg_values("power")[0])
     return result
+
+
+def slope(simulator: Simulator, here: Floats, place: int, read: Callable[[], Floats]) -> Floats:
+    """Return by central differences how what is read follows one of the states `here`; the simulator is moved."""
+    ends = []
+    for sign in (-1.0, 1.0):
+        state = here.copy()
+        state[place] += sign * _STEP
+        simulator.set_state(state)
+        simulator.evaluate()
+        ends.append(read())
+    return (ends[1] - ends[0]) / (2.0 * _STEP)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TypedDict, Unpack
 
 import numpy as np
 from scipy.optimize import brentq, minimize_scalar
@@ -45,6 +46,15 @@ class OperatingPoint:
     power_pu: float  # p, captured and delivered alike [p.u.]
     pitch_deg: float  # β, above 0 where the pitch protection holds the rotor [deg]
     stable: bool  # a faster rotor captures less than it delivers, so that it comes back
+
+
+class Options(TypedDict, total=False):
+    """What steady states depend on besides frequency, law and wind."""
+
+    #: turbine, control: parameters; the paper's by default.
+    turbine: TurbineParameters | None
+    control: GridFormingParameters | None
+    fine_pitch: bool  # hold β = 0, without pitch protection
 
 
 class Balance:
@@ -158,15 +168,7 @@ class Balance:
         )
 
 
-def power_margin_pu(
-    frequency_pu: float,
-    law: TrackingLaw,
-    wind_m_s: float,
-    *,
-    turbine: TurbineParameters | None = None,
-    control: GridFormingParameters | None = None,
-    fine_pitch: bool = False,
-) -> float:
+def power_margin_pu(frequency_pu: float, law: TrackingLaw, wind_m_s: float, **options: Unpack[Options]) -> float:
     """Return the largest surplus of captured over demanded power that a steady rotor can have [p.u.].
 
     max over ω_m of p_w(ω_m) - g(ω) ω_m³ + D_p (ω - ω_st), the last term only where the law keeps its droop (τ = ∞).
@@ -177,24 +179,17 @@ def power_margin_pu(
         frequency_pu: grid frequency ω, 0.5 … 1.5 [p.u.].
         law: the strategy.
         wind_m_s: wind speed, 3 … 25 [m/s].
-        turbine, control: parameters; the paper's by default.
-        fine_pitch: hold β = 0, without pitch protection.
+        options: see :class:`Options`.
 
     Raises:
         ValueError: frequency or wind is out of range.
     """
-    balance = Balance(frequency_pu, law, wind_m_s, turbine=turbine, control=control, fine_pitch=fine_pitch)
+    balance = Balance(frequency_pu, law, wind_m_s, **options)
     return float(balance(balance.best_speed()))
 
 
 def equilibria(
-    frequency_pu: float,
-    law: TrackingLaw,
-    wind_m_s: float,
-    *,
-    turbine: TurbineParameters | None = None,
-    control: GridFormingParameters | None = None,
-    fine_pitch: bool = False,
+    frequency_pu: float, law: TrackingLaw, wind_m_s: float, **options: Unpack[Options]
 ) -> tuple[OperatingPoint, ...]:
     """Return every steady state of a WTG at a grid frequency, from the slowest rotor to the fastest.
 
@@ -203,13 +198,12 @@ def equilibria(
     may exist.
 
     Args:
-        turbine: parameters; the paper's by default.
-        frequency_pu, law, wind_m_s, control, fine_pitch: as for :func:`power_margin_pu`.
+        frequency_pu, law, wind_m_s, options: as for :func:`power_margin_pu`.
 
     Raises:
         ValueError: frequency or wind is out of range.
     """
-    balance = Balance(frequency_pu, law, wind_m_s, turbine=turbine, control=control, fine_pitch=fine_pitch)
+    balance = Balance(frequency_pu, law, wind_m_s, **options)
     # The maximum of the surplus lies between a close pair of roots, which the samples alone may miss.
     speeds = np.unique(np.append(balance.samples(), balance.best_speed()))
     surplus = balance(speeds)
@@ -226,17 +220,11 @@ def equilibria(
 
 
 def stable_equilibrium(
-    frequency_pu: float,
-    law: TrackingLaw,
-    wind_m_s: float,
-    *,
-    turbine: TurbineParameters | None = None,
-    control: GridFormingParameters | None = None,
-    fine_pitch: bool = False,
+    frequency_pu: float, law: TrackingLaw, wind_m_s: float, **options: Unpack[Options]
 ) -> OperatingPoint | None:
     """Return the stable steady state with the fastest rotor, that of a running WTG; None if there is none.
 
     Args, Raises: as for :func:`equilibria`.
     """
-    found = equilibria(frequency_pu, law, wind_m_s, turbine=turbine, control=control, fine_pitch=fine_pitch)
+    found = equilibria(frequency_pu, law, wind_m_s, **options)
     return next((point for point in reversed(found) if point.stable), None)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
-from wtg_gym.analysis.eigenvalues import synchronising_coefficients
+from wtg_gym.analysis.eigenvalues import slope, synchronising_coefficients
 from wtg_gym.analysis.loops import single_machine, with_moving_voltage
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.layout import Floats
@@ -27,8 +27,6 @@ VOLTAGE_LIMIT_PU = 1.1
 #: Bus 2 here keeps the groups clear of their reactive limit, which would be a corner of the right-hand side [p.u.].
 REGULATED_PU = 1.04
 _WTG_BUS = 2
-#: Steps of the finite differences [rad, p.u.].
-_STEP = 2e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,19 +97,14 @@ def voltage_feedback(simulator: Simulator, group: int) -> tuple[float, float]:
     layout, here = simulator.layout, simulator.state()
     names = layout.state_names
     internal = names.index(f"wtg{group}.internal_voltage")
-    slopes = {}
-    for state in (names.index(f"wtg{group}.angle"), internal):
-        ends = []
-        for sign in (-1.0, 1.0):
-            moved = here.copy()
-            moved[state] += sign * _STEP
-            simulator.set_state(moved)
-            simulator.evaluate()
-            ends.append((simulator.wtg_values("power")[0, group], simulator.rates()[internal]))
-        slopes[state] = [(after - before) / (2.0 * _STEP) for before, after in zip(*ends, strict=True)]
+
+    def read() -> Floats:
+        return np.array([simulator.wtg_values("power")[0, group], simulator.rates()[internal]])
+
+    places = names.index(f"wtg{group}.angle"), internal
+    (_, rate_by_angle), (power_by_voltage, rate_by_voltage) = (slope(simulator, here, at, read) for at in places)
     simulator.set_state(here)
     simulator.evaluate()
-    (_, rate_by_angle), (power_by_voltage, rate_by_voltage) = slopes.values()
     return float(power_by_voltage * rate_by_angle), float(-rate_by_voltage)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from wtg_gym.analysis.influence_study import MEASURES, Influences, influences_table, measure_influences
 from wtg_gym.cli.output import PLOT_SUFFIXES, check_page, check_plot_file, give_text, write_and_say
 from wtg_gym.cli.parser import Commands, add_command
-from wtg_gym.cli.suites_command import suite_name
+from wtg_gym.cli.suites_command import case_seed, suite_name
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 from wtg_gym.progress import Progress
@@ -82,17 +82,12 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _seeds(arguments: argparse.Namespace) -> list[int]:
-    suite = get_suite(arguments.suite or "paper")
     if arguments.suite is None:
         if arguments.seed is not None:
             raise ValueError(f"--seed {arguments.seed} needs a suite: --suite standard")
-        cases = [case.name for case in suite.cases]
-        name = arguments.case or cases[0]
-        if name not in cases:
-            raise ValueError(f"unknown case {name!r}; known cases: {', '.join(cases)}")
-        return [cases.index(name)]
+        return [case_seed(arguments.case)]
     if arguments.seed is None:
-        return [suite.test[0]]
+        return [get_suite(arguments.suite).test[0]]
     first, _, last = arguments.seed.partition("-")
     if not first.isdecimal() or not (last or first).isdecimal() or int(last or first) < int(first):
         raise ValueError(f"--seed must be a whole number, or two with a - between, got {arguments.seed!r}")

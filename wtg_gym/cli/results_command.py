@@ -75,6 +75,14 @@ def add_commands(commands: Commands) -> None:
         "results",
         description="Works with the stored results of 'wtg-gym evaluate' and 'wtg-gym leaderboard'.",
     )
+    for add in (_add_page, _add_recompute, _add_gap, add_matrix, _add_front, _add_sensitivity):
+        add(own)
+
+
+# --- page ------------------------------------------------------------------------------------------------------------
+
+
+def _add_page(own: Commands) -> None:
     parser = add_command(
         own,
         "page",
@@ -96,71 +104,6 @@ def add_commands(commands: Commands) -> None:
         f"(default: as many of the first {N_SCENARIOS} as keep the file below {SIZE_LIMIT / 1e6:g} MB)",
     )
     parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
-    parser = add_command(
-        own,
-        "recompute",
-        _run_recompute,
-        summary="compute results again, and say whether they are identical",
-        description=_RECOMPUTE,
-        examples="  wtg-gym results recompute results/standard-test.json --entries baselines policies\n"
-        "  wtg-gym results recompute results/paper-test.json --json",
-    )
-    parser.add_argument("results", metavar="RESULTS.json", help="results of evaluate or leaderboard, the CSV beside it")
-    scoring.add_entries_option(parser, f"as for evaluate, without archives of Stable-Baselines3 (default: {BASELINES})")
-    parser.add_argument("--secret-file", metavar="FILE", help="also check that fresh seeds were drawn with this secret")
-    scoring.add_run_options(parser)
-    scoring.add_worker_options(parser)
-    parser = add_command(
-        own,
-        "gap",
-        _run_gap,
-        summary="compare scores on public and on fresh scenarios",
-        description=_GAP,
-        examples="  wtg-gym results gap results/standard-test.json results/standard-fresh.json",
-    )
-    parser.add_argument("public", metavar="PUBLIC.json", help="results on the test scenarios")
-    parser.add_argument("fresh", metavar="FRESH.json", help="results on the split fresh")
-    parser.add_argument(
-        "--page", metavar="FILE", help="Markdown file with markers 'gap:SUITE' to put the table between"
-    )
-    parser.add_argument("--json", action="store_true", help="print JSON, and nothing else, on stdout")
-    add_matrix(own)
-    parser = add_command(
-        own,
-        "front",
-        _run_front,
-        summary="draw points of frequency and RoCoF against captured energy",
-        description=_FRONT,
-        examples="  wtg-gym results front results/standard-v1-test.json --plot front.svg",
-    )
-    parser.add_argument("results", metavar="RESULTS.json", help="results of evaluate or leaderboard, the CSV beside it")
-    parser.add_argument("--plot", required=True, metavar="FILE", help=f"the figure: {', '.join(output.PLOT_SUFFIXES)}")
-    parser = add_command(
-        own,
-        "sensitivity",
-        _run_sensitivity,
-        summary="how scores and ranking depend on each weight of the cost",
-        description=_SENSITIVITY,
-        examples="  wtg-gym results sensitivity --entries baselines\n"
-        "  wtg-gym results sensitivity --entries deloaded-5 --weights duty --factors 0.5 2 4 --scenarios 20\n"
-        "  wtg-gym results sensitivity --entries baselines agents/policies/ppo-k-0 --page docs/benchmark.md\n"
-        "  wtg-gym results sensitivity --suite standard-v1 --scenarios 50",
-    )
-    scoring.add_entries_option(parser)
-    scoring.add_suite_option(parser)
-    scoring.add_run_options(parser)
-    parser.add_argument("--split", choices=SPLITS, default="validation", help="(default: validation)")
-    parser.add_argument("--scenarios", type=int, metavar="N", help="the first N of the split (default: all)")
-    parser.add_argument("--weights", nargs="+", choices=WEIGHTS, default=WEIGHTS, metavar="NAME", help="(default: all)")
-    parser.add_argument(
-        "--factors", nargs="+", type=float, default=FACTORS, metavar="X", help="0 … 1000, but 1 (default: 0 2)"
-    )
-    parser.add_argument(
-        "--page", metavar="FILE", help="Markdown file with markers 'sensitivity:SUITE' to put the table between"
-    )
-
-
-# --- page ------------------------------------------------------------------------------------------------------------
 
 
 def _run_page(arguments: argparse.Namespace) -> int:
@@ -210,6 +153,23 @@ def write_html(
 # --- recompute -------------------------------------------------------------------------------------------------------
 
 
+def _add_recompute(own: Commands) -> None:
+    parser = add_command(
+        own,
+        "recompute",
+        _run_recompute,
+        summary="compute results again, and say whether they are identical",
+        description=_RECOMPUTE,
+        examples="  wtg-gym results recompute results/standard-test.json --entries baselines policies\n"
+        "  wtg-gym results recompute results/paper-test.json --json",
+    )
+    parser.add_argument("results", metavar="RESULTS.json", help="results of evaluate or leaderboard, the CSV beside it")
+    scoring.add_entries_option(parser, f"as for evaluate, without archives of Stable-Baselines3 (default: {BASELINES})")
+    parser.add_argument("--secret-file", metavar="FILE", help="also check that fresh seeds were drawn with this secret")
+    scoring.add_run_options(parser)
+    scoring.add_worker_options(parser)
+
+
 def _run_recompute(arguments: argparse.Namespace) -> int:
     stored = Results.read(arguments.results)
     secret = None if arguments.secret_file is None else scoring.read_secret(arguments.secret_file)
@@ -249,6 +209,23 @@ def _run_recompute(arguments: argparse.Namespace) -> int:
 # --- gap -------------------------------------------------------------------------------------------------------------
 
 
+def _add_gap(own: Commands) -> None:
+    parser = add_command(
+        own,
+        "gap",
+        _run_gap,
+        summary="compare scores on public and on fresh scenarios",
+        description=_GAP,
+        examples="  wtg-gym results gap results/standard-test.json results/standard-fresh.json",
+    )
+    parser.add_argument("public", metavar="PUBLIC.json", help="results on the test scenarios")
+    parser.add_argument("fresh", metavar="FRESH.json", help="results on the split fresh")
+    parser.add_argument(
+        "--page", metavar="FILE", help="Markdown file with markers 'gap:SUITE' to put the table between"
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON, and nothing else, on stdout")
+
+
 def _run_gap(arguments: argparse.Namespace) -> int:
     public, fresh = Results.read(arguments.public), Results.read(arguments.fresh)
     section = f"gap:{public.suite}"
@@ -271,6 +248,19 @@ def _run_gap(arguments: argparse.Namespace) -> int:
 # --- front ------------------------------------------------------------------------------------------------------------
 
 
+def _add_front(own: Commands) -> None:
+    parser = add_command(
+        own,
+        "front",
+        _run_front,
+        summary="draw points of frequency and RoCoF against captured energy",
+        description=_FRONT,
+        examples="  wtg-gym results front results/standard-v1-test.json --plot front.svg",
+    )
+    parser.add_argument("results", metavar="RESULTS.json", help="results of evaluate or leaderboard, the CSV beside it")
+    parser.add_argument("--plot", required=True, metavar="FILE", help=f"the figure: {', '.join(output.PLOT_SUFFIXES)}")
+
+
 def _run_front(arguments: argparse.Namespace) -> int:
     plot = output.check_plot_file(arguments.plot)
     assert plot is not None
@@ -282,6 +272,32 @@ def _run_front(arguments: argparse.Namespace) -> int:
 
 
 # --- sensitivity -----------------------------------------------------------------------------------------------------
+
+
+def _add_sensitivity(own: Commands) -> None:
+    parser = add_command(
+        own,
+        "sensitivity",
+        _run_sensitivity,
+        summary="how scores and ranking depend on each weight of the cost",
+        description=_SENSITIVITY,
+        examples="  wtg-gym results sensitivity --entries baselines\n"
+        "  wtg-gym results sensitivity --entries deloaded-5 --weights duty --factors 0.5 2 4 --scenarios 20\n"
+        "  wtg-gym results sensitivity --entries baselines agents/policies/ppo-k-0 --page docs/benchmark.md\n"
+        "  wtg-gym results sensitivity --suite standard-v1 --scenarios 50",
+    )
+    scoring.add_entries_option(parser)
+    scoring.add_suite_option(parser)
+    scoring.add_run_options(parser)
+    parser.add_argument("--split", choices=SPLITS, default="validation", help="(default: validation)")
+    parser.add_argument("--scenarios", type=int, metavar="N", help="the first N of the split (default: all)")
+    parser.add_argument("--weights", nargs="+", choices=WEIGHTS, default=WEIGHTS, metavar="NAME", help="(default: all)")
+    parser.add_argument(
+        "--factors", nargs="+", type=float, default=FACTORS, metavar="X", help="0 … 1000, but 1 (default: 0 2)"
+    )
+    parser.add_argument(
+        "--page", metavar="FILE", help="Markdown file with markers 'sensitivity:SUITE' to put the table between"
+    )
 
 
 def _run_sensitivity(arguments: argparse.Namespace) -> int:

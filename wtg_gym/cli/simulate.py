@@ -16,7 +16,14 @@ from wtg_gym.cli.key_figures import key_figures, print_key_figures, traces_csv
 from wtg_gym.cli.laws import add_law_option, chosen_laws
 from wtg_gym.cli.output import PLOT_SUFFIXES, check_output_file, check_plot_file, print_json, say, write_and_say
 from wtg_gym.cli.parser import Commands, add_command, add_plant_options
-from wtg_gym.cli.suites_command import describe_scenario, read_scenario, scenario_summary, suite_name, suites_by_version
+from wtg_gym.cli.suites_command import (
+    case_seed,
+    describe_scenario,
+    read_scenario,
+    scenario_summary,
+    suite_name,
+    suites_by_version,
+)
 from wtg_gym.physics.parameters import WtgGroup, default_groups
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.protection import Status
@@ -188,11 +195,7 @@ def _named_scenario(arguments: argparse.Namespace, suite: Suite, groups: tuple[W
     if arguments.suite is not None:
         seed = suite.test[0] if arguments.seed is None else arguments.seed
     else:
-        cases = [case.name for case in suite.cases]
-        name = arguments.case or cases[0]
-        if name not in cases:
-            raise ValueError(f"unknown case {name!r}; known cases: {', '.join(cases)}")
-        seed = cases.index(name)
+        seed = case_seed(arguments.case)
     turbines = [group.n_turbines for group in groups]
     return suite.scenario(seed, n_wtg=len(groups), n_turbines=turbines, duration_s=arguments.duration)
 

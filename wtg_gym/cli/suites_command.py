@@ -48,6 +48,15 @@ def suite_name(text: str) -> str:
     return full[0] if text not in SUITES and len(full) == 1 else text
 
 
+def case_seed(name: str | None) -> int:
+    """Return the seed of one of the paper's cases, by default of the first; a ValueError lists them."""
+    cases = [case.name for case in get_suite("paper").cases]
+    name = name or cases[0]
+    if name not in cases:
+        raise ValueError(f"unknown case {name!r}; known cases: {', '.join(cases)}")
+    return cases.index(name)
+
+
 def add_commands(commands: Commands) -> None:
     """Add `wtg-gym suites`."""
     parser = add_command(commands, "suites", run, description=_DESCRIPTION, examples=_EXAMPLES)

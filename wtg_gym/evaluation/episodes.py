@@ -20,25 +20,15 @@ FAILURES = tuple(TERMINATION_REASONS.values())
 
 @dataclass(frozen=True, kw_only=True)
 class Episode:
-    """One entry in one scenario.
+    """One entry in one scenario."""
 
-    Args:
-        entry: name of the entry.
-        training_seed: its training seed, if it has one.
-        seed: seed of the scenario in its suite.
-        scenario: name of the scenario.
-        duration_s: how long it should last [s].
-        failure: why it ended before its time; empty where it did not.
-        metrics: every metric by its name in :data:`METRICS`; None where it has none.
-    """
-
-    entry: str
-    training_seed: int | None
-    seed: int
-    scenario: str
-    duration_s: float
-    failure: str
-    metrics: Mapping[str, float | None]
+    entry: str  # its name
+    training_seed: int | None  # its training seed, if it has one
+    seed: int  # of the scenario in its suite
+    scenario: str  # its name
+    duration_s: float  # how long it should last [s]
+    failure: str  # why it ended before its time; empty where it did not
+    metrics: Mapping[str, float | None]  # every metric by its name in :data:`METRICS`; None where it has none
 
     @property
     def failed(self) -> bool:

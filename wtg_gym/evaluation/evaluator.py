@@ -8,7 +8,7 @@ import dataclasses
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -112,25 +112,13 @@ def evaluate(
     shared, suite_hash = shared_settings(settings), get_suite(suite).hash
     store = PartialStore(None if partial is None else Path(partial), [suite, suite_hash, split, shared])
     parts = [part for entry in competitors for part in _parts(entry, chosen, batch)]
-    played: dict[int, list[Episode]] = {}
-    failures: dict[tuple[str, int | None], PolicyError] = {}
-    n_done = 0
     with contextlib.ExitStack() as stack:
         told = [] if on_progress is None else [on_progress]
         if progress:
             told.append(stack.enter_context(ProgressBar("episodes")).update)
         batches = _stored_and_played(store, parts, settings, n_threads, workers)
-        for index, rows in stack.enter_context(contextlib.closing(batches)):
-            entry, own = parts[index]
-            if isinstance(rows, PolicyError):
-                if not keep_going:
-                    raise rows
-                failures.setdefault((entry.name, entry.training_seed), rows)
-            else:
-                played[index] = rows
-            n_done += len(own)
-            for tell in told:
-                tell(entry.name, n_done, len(competitors) * len(chosen))
+        stack.enter_context(contextlib.closing(batches))
+        episodes, failures = _collected(batches, parts, told, keep_going=keep_going)
     results = Results(
         suite=suite,
         split=split,
@@ -142,8 +130,8 @@ def evaluate(
         settings=shared,
         versions=dict(versions()),
         entries=tuple(entry.to_dict() for entry in competitors),
-        episodes=tuple(episode for index in range(len(parts)) for episode in played.get(index, ())),
-    ).without({key: str(error) for key, error in failures.items()})
+        episodes=tuple(episodes),
+    ).without(failures)
     if not keep_partial:
         store.clear()
     return results
@@ -250,6 +238,27 @@ def _parts(entry: Entry, seeds: Sequence[int], batch: int) -> Iterator[_Part]:
 
 
 # --- batches ---------------------------------------------------------------------------------------------------------
+
+
+def _collected(
+    batches: Iterable[tuple[int, Played]], parts: Sequence[_Part], told: Sequence[Progress], *, keep_going: bool
+) -> tuple[list[Episode], dict[tuple[str, int | None], str]]:
+    """Return the episodes in the order of the parts, and how entries failed, by name and training seed."""
+    played: dict[int, list[Episode]] = {}
+    failures: dict[tuple[str, int | None], str] = {}
+    n_done, n_all = 0, sum(len(seeds) for _, seeds in parts)
+    for index, rows in batches:
+        entry, seeds = parts[index]
+        if isinstance(rows, PolicyError):
+            if not keep_going:
+                raise rows
+            failures.setdefault((entry.name, entry.training_seed), str(rows))
+        else:
+            played[index] = rows
+        n_done += len(seeds)
+        for tell in told:
+            tell(entry.name, n_done, n_all)
+    return [episode for index in sorted(played) for episode in played[index]], failures
 
 
 def _stored_and_played(

@@ -23,20 +23,15 @@ COLUMNS: dict[str, bool] = {"entry": False, "public": True, "fresh": True, "gap"
 
 @dataclass(frozen=True, kw_only=True)
 class GeneralisationGap:
-    """One entry's gap.
+    """One entry's gap."""
 
-    Args:
-        name: name of the entry.
-        public, fresh: its scores.
-        gap: public minus fresh.
-        excess: the part of the gap that the controllers made by hand do not share, see :func:`excess_gap`; None for
-            these, and with fewer than 30 fresh scenarios.
-    """
-
-    name: str
+    name: str  # of the entry
+    #: public, fresh: its scores.
     public: Interval
     fresh: Interval
-    gap: Interval
+    gap: Interval  # public minus fresh
+    #: The part of the gap that the controllers made by hand do not share, see :func:`excess_gap`; None for these, and
+    #: with fewer than 30 fresh scenarios.
     excess: Interval | None
 
     @property

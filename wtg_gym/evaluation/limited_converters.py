@@ -32,28 +32,17 @@ class LimitedSettings(EnvSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class LimitedPlay:
-    """Behaviour of an entry in validation scenarios of a suite.
+    """Behaviour of an entry in validation scenarios of a suite."""
 
-    Args:
-        entry: its label.
-        limited: whether the converters have REGFM_A1's limits.
-        n_scenarios, failures: how many, and how many of them end in a failure.
-        overloaded: runs in which a group gives more than the overload limit of the cost.
-        overload_time_s: for which it does, the mean over all runs of their worst group [s].
-        peak_power_pu: largest p [p.u.].
-        nadir_hz: median of the runs that last [Hz].
-        cost: mean of an episode.
-    """
-
-    entry: str
-    limited: bool
+    entry: str  # its label
+    limited: bool  # whether the converters have REGFM_A1's limits
     n_scenarios: int
-    failures: int
-    overloaded: int
-    overload_time_s: float
-    peak_power_pu: float
-    nadir_hz: float
-    cost: float
+    failures: int  # how many of them end in a failure
+    overloaded: int  # runs in which a group gives more than the overload limit of the cost
+    overload_time_s: float  # for which it does, the mean over all runs of their worst group [s]
+    peak_power_pu: float  # largest p [p.u.]
+    nadir_hz: float  # median of the runs that last [Hz]
+    cost: float  # mean of an episode
 
 
 def play_limited(entry: Entry, suite: str, n_scenarios: int, *, limited: bool) -> LimitedPlay:

@@ -38,49 +38,35 @@ SCALE = "Sensors do not affect the laws that score 0 and 100: with changed senso
 
 @dataclass(frozen=True, kw_only=True)
 class Column:
-    """The scenarios of a column.
+    """The scenarios of a column."""
 
-    Args:
-        heading: the suite without its version, the split where columns differ in it and it is not the test one, and how
-            the sensors are changed.
-        suite, split: of the results.
-        n_scenarios: how many.
-        change: how the sensors are changed, empty where they are the suite's own.
-    """
-
+    #: The suite without its version, the split where columns differ in it and it is not the test one, and how the
+    #: sensors are changed.
     heading: str
+    #: suite, split: of the results.
     suite: str
     split: str
-    n_scenarios: int
-    change: str
+    n_scenarios: int  # how many
+    change: str  # how the sensors are changed, empty where they are the suite's own
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cell:
-    """An entry in a column.
+    """An entry in a column."""
 
-    Args:
-        score: mean score with its interval; None where the scenarios have no scale.
-        worst_decile_cost: mean pinned cost of the worst tenth of the scenarios [-].
-    """
-
-    score: Interval | None
-    worst_decile_cost: float
+    score: Interval | None  # mean score with its interval; None where the scenarios have no scale
+    worst_decile_cost: float  # mean pinned cost of the worst tenth of the scenarios [-]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """An entry in all columns.
+    """An entry in all columns."""
 
-    Args:
-        name, kind, n_runs: of the entry, as in :class:`~wtg_gym.evaluation.summary.EntrySummary`.
-        cells: one per column; None where the results do not hold the entry.
-    """
-
+    #: name, kind, n_runs: of the entry, as in :class:`~wtg_gym.evaluation.summary.EntrySummary`.
     name: str
     kind: str
     n_runs: int
-    cells: tuple[Cell | None, ...]
+    cells: tuple[Cell | None, ...]  # one per column; None where the results do not hold the entry
 
     @property
     def label(self) -> str:
@@ -90,17 +76,11 @@ class Row:
 
 @dataclass(frozen=True, kw_only=True)
 class Matrix:
-    """Scores of entries in several sets of scenarios of one version.
-
-    Args:
-        benchmark: the version.
-        columns: the sets of scenarios, those with changed sensors last.
-        rows: the entries, the best in the first column first.
-    """
+    """Scores of entries in several sets of scenarios of one version."""
 
     benchmark: Benchmark
-    columns: tuple[Column, ...]
-    rows: tuple[Row, ...]
+    columns: tuple[Column, ...]  # the sets of scenarios, those with changed sensors last
+    rows: tuple[Row, ...]  # the entries, the best in the first column first
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as JSON-ready data."""

@@ -35,30 +35,21 @@ _DESCRIBED = ("suite", "split", "suite_hash", "source_hash", "settings", "search
 class OracleCosts:
     """The lowest costs that are known of some scenarios of a split.
 
-    Args:
-        suite, split: which scenarios.
-        suite_hash: the suite's hash.
-        source_hash: hash of the physics and environment that were searched.
-        settings: settings of the environment, as in :class:`wtg_gym.evaluation.Results`.
-        search: options of the search.
-        entries: name, training seed and sha256 of the entries that were tried as well.
-        seeds: seeds of the scenarios.
-        reference: the reference's costs, one per seed.
-        found: costs by the name of the form, see :data:`FORMS`, one per seed; a form not tried is left out.
-
     Raises:
         ValueError: seeds are not different, or a cost is missing, negative or not finite.
     """
 
+    #: suite, split: which scenarios.
     suite: str
     split: str
     suite_hash: str
-    source_hash: str
-    settings: Mapping[str, Any]
-    search: Mapping[str, Any]
-    entries: Sequence[Mapping[str, Any]]
-    seeds: tuple[int, ...]
-    reference: tuple[float, ...]
+    source_hash: str  # hash of the physics and environment that were searched
+    settings: Mapping[str, Any]  # of the environment, as in :class:`wtg_gym.evaluation.Results`
+    search: Mapping[str, Any]  # options of the search
+    entries: Sequence[Mapping[str, Any]]  # name, training seed and sha256 of the entries that were tried as well
+    seeds: tuple[int, ...]  # of the scenarios
+    reference: tuple[float, ...]  # the reference's costs, one per seed
+    #: Costs by the name of the form, see :data:`FORMS`, one per seed; a form not tried is left out.
     found: Mapping[str, tuple[float, ...]]
 
     def __post_init__(self) -> None:
@@ -171,15 +162,10 @@ def _from_csv(table: str) -> tuple[tuple[int, ...], dict[str, tuple[float, ...]]
 
 @dataclass(frozen=True, kw_only=True)
 class KnownOracle:
-    """The oracle's costs of an evaluation's scenarios.
+    """The oracle's costs of an evaluation's scenarios."""
 
-    Args:
-        costs: by the scenarios' seeds; a scenario without an oracle is left out.
-        missing: why there are none; empty where there are some.
-    """
-
-    costs: Mapping[int, float]
-    missing: str
+    costs: Mapping[int, float]  # by the scenarios' seeds; a scenario without an oracle is left out
+    missing: str  # why there are none; empty where there are some
 
 
 def known_oracle(

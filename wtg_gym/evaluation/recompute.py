@@ -28,18 +28,14 @@ class Difference(NamedTuple):
 
 
 class Recomputed(NamedTuple):
-    """The findings of :func:`recompute`.
+    """The findings of :func:`recompute`."""
 
-    Args:
-        differences: numbers, policies, seeds, suite and settings that differ; empty where the results are reproduced.
-        circumstances: source code, versions, the environment's answers and texts about entries that differ; they need
-            not change a number.
-        n_numbers: how many numbers were compared.
-    """
-
+    #: Numbers, policies, seeds, suite and settings that differ; empty where the results are reproduced.
     differences: list[Difference]
+    #: Source code, versions, the environment's answers and texts about entries that differ; they need not change a
+    #: number.
     circumstances: list[Difference]
-    n_numbers: int
+    n_numbers: int  # how many numbers were compared
 
 
 def recompute(

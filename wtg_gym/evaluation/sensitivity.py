@@ -28,21 +28,15 @@ COLUMNS = ("weight", "factor", "order", "scores that change by a point or more")
 
 @dataclass(frozen=True, kw_only=True)
 class Variant:
-    """The ranking with one weight multiplied by a factor, compared with the ranking as it is.
+    """The ranking with one weight multiplied by a factor, compared with the ranking as it is."""
 
-    Args:
-        weight: name of the weight.
-        factor: factor on it.
-        scores: by name, the best first; empty where there is no score, because the zero is not worse than the hundred.
-        changes: how much each score changes [points]; without the two anchors, whose scores are fixed.
-        ranks: rank before and after of every entry whose rank changes.
-    """
-
-    weight: str
-    factor: float
+    weight: str  # name of the weight
+    factor: float  # factor on it
+    #: By name, the best first; empty where there is no score, because the zero is not worse than the hundred.
     scores: Mapping[str, float]
+    #: How much each score changes [points]; without the two anchors, whose scores are fixed.
     changes: Mapping[str, float]
-    ranks: Mapping[str, tuple[int, int]]
+    ranks: Mapping[str, tuple[int, int]]  # rank before and after of every entry whose rank changes
 
     @property
     def large_changes(self) -> dict[str, float]:
@@ -66,23 +60,16 @@ class Variant:
 
 @dataclass(frozen=True, kw_only=True)
 class Sensitivity:
-    """Scores with the weights as they are, and with each one multiplied.
+    """Scores with the weights as they are, and with each one multiplied."""
 
-    Args:
-        suite, split, suite_hash: which scenarios.
-        n_scenarios: how many.
-        weights: the weights as they are [1/s].
-        scores: by name, the best first.
-        variants: one for each weight and factor.
-    """
-
+    #: suite, split, suite_hash: which scenarios.
     suite: str
     split: str
     suite_hash: str
-    n_scenarios: int
-    weights: Mapping[str, float]
-    scores: Mapping[str, float]
-    variants: tuple[Variant, ...]
+    n_scenarios: int  # how many
+    weights: Mapping[str, float]  # the weights as they are [1/s]
+    scores: Mapping[str, float]  # by name, the best first
+    variants: tuple[Variant, ...]  # one for each weight and factor
 
     @property
     def idle(self) -> list[str]:

@@ -128,7 +128,7 @@ def summarise(
     anchor = next(iter(runs[benchmark.hundred].values()))
     known = np.array([oracle.get(episode.seed, np.nan) for episode in anchor])
     gains = {name: log_gains(_costs(list(runs[name].values()), cap), hundred) for name in described}
-    hundred_terms = _terms([anchor], hundred[np.newaxis])[:, 0]
+    hundred_terms = parts_of_costs([anchor], hundred[np.newaxis])[:, 0]
     against = _Anchors(benchmark.version, gains[benchmark.zero][0], hundred, hundred_terms, known)
     rows = [_summary(entry, list(runs[name].values()), gains[name], against, cap) for name, entry in described.items()]
     order = ranked(rows)
@@ -153,7 +153,7 @@ def _values(runs: Sequence[Sequence[Episode]], metric: str) -> Floats:
     return np.array([episode.metrics[metric] for run in runs for episode in run], dtype=np.float64)
 
 
-def _terms(runs: Sequence[Sequence[Episode]], costs: Floats) -> Floats:
+def parts_of_costs(runs: Sequence[Sequence[Episode]], costs: Floats) -> Floats:
     """Return the terms of the cost as paid, in the order of :data:`POINTS`, and the rest of the pinned costs.
 
     The shape is (n_terms, n_runs, n_scenarios).
@@ -179,7 +179,7 @@ def _summary(
 ) -> EntrySummary:
     costs, hundred, zero = _costs(runs, cap), against.hundred, against.zero_gains
     score = statistics.score_interval(gains, zero)
-    points = points_by_term(costs, hundred, _terms(runs, costs), against.hundred_terms, -statistics.mean(zero))
+    points = points_by_term(costs, hundred, parts_of_costs(runs, costs), against.hundred_terms, -statistics.mean(zero))
     has = np.isfinite(against.oracle)
     deviations = _deviations_mhz(runs)
     return EntrySummary(

@@ -212,24 +212,7 @@ def trace(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_action: in
                 lose(entered, 0, c, machine, 1)
     combine(entered, c, [row(inputs.noise_y)], _LANES)
 
-    fraction, ahead, first, last = (row(at) for at in inputs.stage)
-    moving: list[Program] = []
-    for kind in (FIRST, MIDDLE, LAST):
-        block = Rows(row)
-        move(block, c, fraction, np.int64(kind), ahead, _LANES)
-        moving.append(Program(_changes(block)))
-    # One right-hand side for all stages: their numbers are the same up to what is made of the rates.
-    stored = {at for program in moving for at in program.stores}
-    staged = {}
-    for at in stored:
-        of_first, of_middle, of_last = (program.stores.get(at, row(at)) for program in moving)
-        staged[at] = ex.select(first > 0.5, of_first, ex.select(last > 0.5, of_last, of_middle))
-    steps: list[tuple[float, ...]] = []
-    record = plain(
-        advance_step, _stage=lambda _, c, at, kind, h, lanes: steps.append((at, h, kind == FIRST, kind == LAST))
-    )
-    for k in range(c["n_substeps"]):
-        record(None, c, k, _LANES)
+    moving, staged = _stages(c, move, inputs)
 
     def protect_at_looks(block: Cells, c: Any, width: int) -> None:
         with where(row(inputs.looks) > 0.5):
@@ -239,8 +222,37 @@ def trace(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_action: in
     # What the grid looks like is worked out at every step, so that no step carries it to the next.
     plain(end_step, update_status=protect_at_looks)(left, c, True, _LANES)
     programs = [Program(_changes(stores)) for stores in (before, entered, staged, left, after)]
-    stages = np.array(steps, dtype=np.float64).reshape(c["n_substeps"], -1, len(inputs.stage))
-    return _linked(programs, moving, stages, inputs, reported, layout)
+    return _linked(programs, moving, _stage_times(c, plain), inputs, reported, layout)
+
+
+def _stage_times(c: Any, plain: Callable[..., Callable[..., Any]]) -> Floats:
+    """Return what :class:`Inputs` says of each stage of each simulation step, (n_substeps, 4, 4)."""
+    found: list[tuple[float, ...]] = []
+    record = plain(
+        advance_step, _stage=lambda _, c, at, kind, h, lanes: found.append((at, h, kind == FIRST, kind == LAST))
+    )
+    for k in range(c["n_substeps"]):
+        record(None, c, k, _LANES)
+    return np.array(found, dtype=np.float64).reshape(c["n_substeps"], 4, 4)
+
+
+def _stages(c: Any, move: Callable[..., None], inputs: Inputs) -> tuple[list[Program], dict[int, Any]]:
+    """Return the first, middle and last stage of the Runge-Kutta method, and what is stored by whichever it is.
+
+    They have one right-hand side: their numbers are the same up to what is made of the rates.
+    """
+    row = ex.row_of_block
+    fraction, ahead, first, last = (row(at) for at in inputs.stage)
+    moving: list[Program] = []
+    for kind in (FIRST, MIDDLE, LAST):
+        block = Rows(row)
+        move(block, c, fraction, np.int64(kind), ahead, _LANES)
+        moving.append(Program(_changes(block)))
+    staged = {}
+    for at in {at for program in moving for at in program.stores}:
+        of_first, of_middle, of_last = (program.stores.get(at, row(at)) for program in moving)
+        staged[at] = ex.select(first > 0.5, of_first, ex.select(last > 0.5, of_last, of_middle))
+    return moving, staged
 
 
 def _changes(stores: Mapping[int, Any]) -> dict[int, Any]:

@@ -156,6 +156,18 @@ def replay(
     _evaluate(work, plant, 1.0, lanes)
 
 
+@inlined
+def _pull_lost_governors(work: Floats, steps: Steps, lost: Floats, n_rows: int, width: int) -> None:
+    """The reference of a governor that is lost here is where its gate was; no droop acts from here on."""
+    for i in range(steps.references.size):
+        for x in range(width):
+            if lost[i * width + x] > 0.5:
+                work[(n_rows + steps.droops[i]) * width + x] = 0.0
+                at = (n_rows + steps.references[i]) * width + x
+                work[(n_rows + steps.gates[i]) * width + x] += work[at]
+                work[at] = 0.0
+
+
 def build_pull_limits(rules: Rules) -> Any:
     """Return the compiled function that goes back through the limits of currents."""
     n_rows, pull_sweep = rules.n_rows, rules.pull_sweep
@@ -202,12 +214,7 @@ def build_pull_limits(rules: Rules) -> Any:
     return compiled_with(pull_limits, rules.digest)
 
 
-def build_pull(rules: Rules) -> Any:
-    """Return the compiled function that goes back through one control step."""
-    n_rows, foresee = rules.n_rows, rules.foresee
-    # A plant without WTG groups has none.
-    first_action = int(rules.actions[0]) if rules.actions.size else n_rows
-    pull_act, pull_charge, pull_finish = rules.pull_act, rules.pull_charge, rules.pull_finish
+def _build_pull_rates(rules: Rules) -> Any:
     pull_network, pull_units, pull_limits = rules.pull_network, rules.pull_rates, build_pull_limits(rules)
 
     def pull_rates(work: Floats, plant: Plant, fraction: float, steps: Steps, lanes: Lanes) -> None:
@@ -220,6 +227,12 @@ def build_pull(rules: Rules) -> Any:
             pull_units(work, fraction, c["cells"], lanes)
             pull_limits(work, steps, lanes)
             pull_network(work, lanes)
+
+    return compiled_with(pull_rates, rules.digest)
+
+
+def _build_pull_steps(rules: Rules, pull_rates: Any) -> Any:
+    n_rows, pull_finish = rules.n_rows, rules.pull_finish
 
     def pull_steps(
         work: Floats, plant: Plant, steps: Steps, path: Floats, inputs: Floats, held: Floats, ran: Floats, lanes: Lanes
@@ -262,20 +275,19 @@ def build_pull(rules: Rules) -> Any:
                         if stage < 3:
                             seed += _ahead(stage, h) * work[(n_rows + steps.states[i]) * width + x]
                         work[(n_rows + steps.rates[i]) * width + x] = seed if ran[step, x] > 0.5 else 0.0
-                compiled_rates(work, plant, (step + offset) * part, steps, lanes)
+                pull_rates(work, plant, (step + offset) * part, steps, lanes)
                 for i in range(n):
                     for x in range(width):
                         through[i * width + x] += work[(n_rows + steps.states[i]) * width + x]
             for i in range(n):
                 _copy(through, i, work, n_rows + steps.states[i], width)
-            for i in range(steps.references.size):
-                for x in range(width):
-                    # The reference of a governor that is lost here is where its gate was; no droop acts from here on.
-                    if held[step, i * width + x] > 0.5:
-                        work[(n_rows + steps.droops[i]) * width + x] = 0.0
-                        at = (n_rows + steps.references[i]) * width + x
-                        work[(n_rows + steps.gates[i]) * width + x] += work[at]
-                        work[at] = 0.0
+            _pull_lost_governors(work, steps, held[step], n_rows, width)
+
+    return compiled_with(pull_steps, rules.digest)
+
+
+def _build_pull_outputs(rules: Rules, pull_rates: Any) -> Any:
+    n_rows = rules.n_rows
 
     def pull_outputs(work: Floats, plant: Plant, steps: Steps, lanes: Lanes) -> None:
         """Go back through the evaluation at the end of a control interval, whose outputs are charged and observed."""
@@ -285,7 +297,7 @@ def build_pull(rules: Rules) -> Any:
             _copy(work, n_rows + steps.states[i], end, i, width)
             for x in range(width):
                 work[(n_rows + steps.rates[i]) * width + x] = 0.0
-        compiled_rates(work, plant, 1.0, steps, lanes)
+        pull_rates(work, plant, 1.0, steps, lanes)
         for i in range(n):
             for x in range(width):
                 work[(n_rows + steps.states[i]) * width + x] += end[i * width + x]
@@ -293,9 +305,16 @@ def build_pull(rules: Rules) -> Any:
             for x in range(width):
                 work[(n_rows + steps.outputs[i]) * width + x] = 0.0
 
-    compiled_rates = compiled_with(pull_rates, rules.digest)
-    compiled_outputs = compiled_with(pull_outputs, rules.digest)
-    compiled_steps = compiled_with(pull_steps, rules.digest)
+    return compiled_with(pull_outputs, rules.digest)
+
+
+def build_pull(rules: Rules) -> Any:
+    """Return the compiled function that goes back through one control step."""
+    n_rows, foresee = rules.n_rows, rules.foresee
+    # A plant without WTG groups has none.
+    first_action = int(rules.actions[0]) if rules.actions.size else n_rows
+    pull_act, pull_charge, pull_rates = rules.pull_act, rules.pull_charge, _build_pull_rates(rules)
+    pull_steps, pull_outputs = _build_pull_steps(rules, pull_rates), _build_pull_outputs(rules, pull_rates)
 
     def pull(
         works: Floats,
@@ -336,8 +355,8 @@ def build_pull(rules: Rules) -> Any:
                 foresee(work, lanes)
                 _note_measurement(work, c, t, steps, n_rows, lanes)
             pull_charge(work, lanes)
-            compiled_outputs(work, plant, steps, lanes)
-            compiled_steps(work, plant, steps, path, inputs, held, ran, lanes)
+            pull_outputs(work, plant, steps, lanes)
+            pull_steps(work, plant, steps, path, inputs, held, ran, lanes)
             pull_act(work, lanes)
 
     return compiled_with(pull, rules.digest)

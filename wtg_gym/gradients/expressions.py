@@ -28,70 +28,31 @@ class Number:
     def __init__(self, operation: str, arguments: tuple[Any, ...], order: int) -> None:
         self.operation, self.arguments, self.order = operation, arguments, order
 
-    def __add__(self, other: Any) -> Any:
-        return number("add", self, other)
-
-    def __radd__(self, other: Any) -> Any:
-        return number("add", other, self)
-
-    def __sub__(self, other: Any) -> Any:
-        return number("sub", self, other)
-
-    def __rsub__(self, other: Any) -> Any:
-        return number("sub", other, self)
-
-    def __mul__(self, other: Any) -> Any:
-        return number("mul", self, other)
-
-    def __rmul__(self, other: Any) -> Any:
-        return number("mul", other, self)
-
-    def __truediv__(self, other: Any) -> Any:
-        return number("div", self, other)
-
-    def __rtruediv__(self, other: Any) -> Any:
-        return number("div", other, self)
-
-    def __rpow__(self, base: float) -> Any:
-        return number("power", float(base), self)
-
-    def __neg__(self) -> Any:
-        return number("neg", self)
-
-    def __abs__(self) -> Any:
-        return number("abs", self)
-
-    def __lt__(self, other: Any) -> Any:
-        return number("lt", self, other)
-
-    def __gt__(self, other: Any) -> Any:
-        return number("lt", other, self)
-
-    def __le__(self, other: Any) -> Any:
-        return number("le", self, other)
-
-    def __ge__(self, other: Any) -> Any:
-        return number("le", other, self)
-
-    def __eq__(self, other: object) -> Any:
-        return number("eq", self, other)
-
-    def __ne__(self, other: object) -> Any:
-        return number("ne", self, other)
-
-    def __and__(self, other: Any) -> Any:
-        return number("and", self, other)
-
-    def __or__(self, other: Any) -> Any:
-        return number("or", self, other)
-
-    __rand__, __ror__ = __and__, __or__
-
     def __hash__(self) -> int:
         return id(self)
 
     def __bool__(self) -> bool:
         raise TypeError("a traced number is neither true nor false: equations say `select` instead of branching")
+
+
+def _add_operator(name: str, operation: str, *, swapped: bool = False) -> None:
+    """Give :class:`Number` an operator that is an operation, of its operands in the other order if `swapped`."""
+
+    def operate(self: Number, *other: Any) -> Any:
+        return number(operation, *other, self) if swapped else number(operation, self, *other)
+
+    setattr(Number, f"__{name}__", operate)
+
+
+for _name, _operation in (("add", "add"), ("sub", "sub"), ("mul", "mul"), ("truediv", "div")):
+    _add_operator(_name, _operation)
+    _add_operator(f"r{_name}", _operation, swapped=True)
+for _name in ("neg", "abs", "lt", "le", "eq", "ne", "and", "or"):
+    _add_operator(_name, _name)
+for _name in ("and", "or"):
+    _add_operator(f"r{_name}", _name)
+for _name, _operation in (("rpow", "power"), ("gt", "lt"), ("ge", "le")):
+    _add_operator(_name, _operation, swapped=True)
 
 
 def _plain(value: Any) -> Any:

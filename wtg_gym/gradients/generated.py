@@ -272,123 +272,171 @@ def _dynamics_of(c: Any) -> dict[str, dict[int, Any]]:
     }
 
 
-@ex.making()
-def build_rules(
-    plant: Plant,
-    task: npt.NDArray[np.void],
-    layout: Layout,
-    n_action: int,
-    n_observation: int,
-    leaves: Sequence[Leaf] = (),
-) -> Rules:
-    """Differentiate the kernels of a known plant and task; what comes of it is compiled when it is first called.
+class _KnownRows(NamedTuple):
+    """Rows that are known before the kernels are traced."""
 
-    Args:
-        plant, task, layout: of the environment.
-        n_action, n_observation: their sizes.
-        leaves: constants of the plant that are differentiated with respect to.
-    """
-    own = layout.n_rows
-    parts = retargeted(parts_of, {})(plant.constants[0], retargeted(read_task)(task[0]))
-    further = Further.of(own, n_action, layout.n_wtg * (task["sensed"].shape[1] > 0), leaves)
-    n_rows = further.end
-    programs = programs_of(plant, task, own, n_action, leaves)
-    of_leaves = [
-        int(layout.machine(ROW_OF_LEAF[leaf.name])[leaf.place]) if _of_lane(leaf) else further.constants[leaf]
-        for leaf in leaves
-    ]
-    # Where actions scale 1/τ, the law's own is kept beside them.
-    inv_tau = parts.groups + np.arange(layout.n_wtg) * N_GROUP_ROWS + GROUP.base_inv_tau
-    if not task["modulates_tau"][0]:
-        inv_tau = layout.wtg("inv_tau")
-    law = np.stack([*(layout.wtg(name) for name in LAW_PARAMETERS[:3]), inv_tau], axis=1)
-    terms = layout.rows.extra + TASK.terms + np.arange(size(CostTerms))
-    observation = np.arange(own - n_observation, own)
-    rate_of = dict(zip(layout.state_rows.tolist(), layout.rate_rows.tolist(), strict=True))
-    references = layout.machine("gate_reference")
-    held = {int(row) for row in (*law.ravel(), *layout.wtg("inv_tau"), *layout.wtg("k_offset"), *references)}
-    held |= set(of_leaves)
-    speeds = (*layout.wtg("rotor_speed").tolist(), *layout.machine("speed").tolist())
-    shown = [int(layout.lane("coi")), layout.rows.extra + TASK.rocof, *speeds]
+    further: Further
+    leaves: list[int]  # of the constants that are differentiated with respect to
+    law: Indices
+    terms: Indices
+    observation: Indices
+    outputs: list[int]  # that Tape.output_names names
+    held: set[int]  # that actions, laws and lost governors set
+    rate_of: dict[int, int]  # by the row of its state
+    base_of: dict[int, int]  # the row with the value at a step's start, by that of the state
 
-    def back(program: dict[int, Any], outputs: Iterable[int], rows: Iterable[int]) -> dict[int, Any]:
-        pairs = [(program[row], ex.row_of_block(n_rows + row)) for row in sorted(outputs)]
-        return ex.pulled_back(pairs, rows)
-
-    # What the cost and the observations depend on: found from the end, until nothing is added.
-    moved = set(rate_of) | set(programs.rates) | set(programs.charge) | set(programs.act) | held
-    base_of = _bases(layout)
-    limited = sorted({*programs.network} & {*programs.sweep})
-    extensions = layout.wtg("over_power") if limited else np.zeros(0, dtype=np.int64)
-    sources = {int(first) + EXTENSION.source + part for first in extensions for part in range(2)}
-    of_finish = back(programs.finish, programs.finish, {*rate_of, *base_of.values(), *of_leaves})
-    of_sweep = back(programs.sweep, limited, {*limited, *sources})
-    of_network = back(programs.network, programs.network, {*rate_of, *held})
-    exact = {int(row) for row in observation} & set(programs.charge)
-    seeds = {*terms.tolist(), *exact, *further.seen.ravel().tolist(), *(set(shown) & set(programs.charge))}
-    states, outputs, before = set(shown) & set(rate_of), set[int](), -1
-    while len(seeds) + len(states) + len(outputs) > before:
-        before = len(seeds) + len(states) + len(outputs)
-        of_charge = back(programs.charge, seeds, moved)
-        outputs |= set(of_charge) & set(programs.rates)
-        of_rates = back(
-            programs.rates, {*(rate_of[row] for row in states), *outputs}, {*rate_of, *held, *programs.network}
+    @classmethod
+    def of(
+        cls, parts: Any, task: npt.NDArray[np.void], layout: Layout, further: Further, leaves: Sequence[Leaf]
+    ) -> _KnownRows:
+        """Return them for a task, whose rows in a block are `parts`."""
+        of_leaves = [
+            int(layout.machine(ROW_OF_LEAF[leaf.name])[leaf.place]) if _of_lane(leaf) else further.constants[leaf]
+            for leaf in leaves
+        ]
+        # Where actions scale 1/τ, the law's own is kept beside them.
+        inv_tau = parts.groups + np.arange(layout.n_wtg) * N_GROUP_ROWS + GROUP.base_inv_tau
+        if not task["modulates_tau"][0]:
+            inv_tau = layout.wtg("inv_tau")
+        law = np.stack([*(layout.wtg(name) for name in LAW_PARAMETERS[:3]), inv_tau], axis=1)
+        held = (*law.ravel(), *layout.wtg("inv_tau"), *layout.wtg("k_offset"), *layout.machine("gate_reference"))
+        speeds = (*layout.wtg("rotor_speed").tolist(), *layout.machine("speed").tolist())
+        return cls(
+            further=further,
+            leaves=of_leaves,
+            law=law,
+            terms=layout.rows.extra + TASK.terms + np.arange(size(CostTerms)),
+            observation=np.arange(parts.observation, layout.n_rows),
+            outputs=[int(layout.lane("coi")), layout.rows.extra + TASK.rocof, *speeds],
+            held={*map(int, held), *of_leaves},
+            rate_of=dict(zip(layout.state_rows.tolist(), layout.rate_rows.tolist(), strict=True)),
+            base_of=_bases(layout),
         )
-        states |= (set(of_charge) | set(of_rates) | set(of_network) | set(of_finish)) & set(rate_of)
-        seeds |= set(of_charge) & set(programs.charge)
-    moving = np.array(sorted(states))
-    of_act = back(programs.act, programs.act, {*further.actions.tolist(), *held})
-    read = ex.rows_read(programs.rates[row] for row in (*(rate_of[row] for row in states), *outputs))
+
+
+class _Followed(NamedTuple):
+    """What cost and observations depend on, and what comes back from each kernel, by the rows that it read."""
+
+    states: set[int]
+    outputs: set[int]  # of the right-hand side
+    seeds: set[int]  # rows that the end of the interval writes
+    limited: list[int]  # voltages and currents that limits of the current change
+    sources: set[int]  # voltages before they do
+    act: dict[int, Any]
+    network: dict[int, Any]
+    sweep: dict[int, Any]
+    rates: dict[int, Any]
+    finish: dict[int, Any]
+    charge: dict[int, Any]
+
+    @classmethod
+    def of(cls, programs: Programs, known: _KnownRows, extensions: Indices) -> _Followed:
+        """Go back through the programs; `extensions` are first rows of groups whose current can be limited."""
+
+        def back(program: dict[int, Any], outputs: Iterable[int], rows: Iterable[int]) -> dict[int, Any]:
+            pairs = [(program[row], ex.row_of_block(further.end + row)) for row in sorted(outputs)]
+            return ex.pulled_back(pairs, rows)
+
+        further, rate_of, held, charge = known.further, known.rate_of, known.held, programs.charge
+        limited = sorted({*programs.network} & {*programs.sweep})
+        sources = {int(first) + EXTENSION.source + part for first in extensions for part in range(2)}
+        of_finish = back(programs.finish, programs.finish, {*rate_of, *known.base_of.values(), *known.leaves})
+        of_sweep = back(programs.sweep, limited, {*limited, *sources})
+        of_network = back(programs.network, programs.network, {*rate_of, *held})
+        moved = {*rate_of, *programs.rates, *charge, *programs.act, *held}
+        seeds = {*known.terms.tolist(), *further.seen.ravel().tolist()}
+        seeds |= {*known.observation.tolist(), *known.outputs} & {*charge}
+        states, outputs, before = {*known.outputs} & {*rate_of}, set[int](), -1
+        # Found from the end, until nothing is added.
+        while len(seeds) + len(states) + len(outputs) > before:
+            before = len(seeds) + len(states) + len(outputs)
+            of_charge = back(charge, seeds, moved)
+            outputs |= {*of_charge} & {*programs.rates}
+            wanted = {*(rate_of[row] for row in states), *outputs}
+            of_rates = back(programs.rates, wanted, {*rate_of, *held, *programs.network})
+            states |= {*of_charge, *of_rates, *of_network, *of_finish} & {*rate_of}
+            seeds |= {*of_charge} & {*charge}
+        of_act = back(programs.act, programs.act, {*further.actions.tolist(), *held})
+        return cls(
+            states, outputs, seeds, limited, sources, of_act, of_network, of_sweep, of_rates, of_finish, of_charge
+        )
+
+
+def _steps_of(
+    plant: Plant, layout: Layout, programs: Programs, known: _KnownRows, found: _Followed, extensions: Indices
+) -> Steps:
+    moving, further = sorted(found.states), known.further
+    read = ex.rows_read(programs.rates[row] for row in (*(known.rate_of[row] for row in moving), *found.outputs))
     read |= ex.rows_read((*programs.network.values(), *programs.sweep.values()))
-    read -= {*programs.network, *programs.sweep, *sources}
+    read -= {*programs.network, *programs.sweep, *found.sources}
     low, high = (_limited(plant, bound) for bound in (-math.inf, math.inf))
-    ends = [i for i, row in enumerate(moving.tolist()) if base_of.get(row) in of_finish]
-    steps = Steps(
-        states=moving,
-        rates=np.array([rate_of[row] for row in moving.tolist()]),
-        low=np.array([low[row] for row in moving.tolist()]),
-        high=np.array([high[row] for row in moving.tolist()]),
-        outputs=np.array(sorted(outputs), dtype=np.int64),
-        inputs=np.array(sorted(read - states)),
-        references=references,
+    ends = [i for i, row in enumerate(moving) if known.base_of.get(row) in found.finish]
+    return Steps(
+        states=np.array(moving),
+        rates=np.array([known.rate_of[row] for row in moving]),
+        low=np.array([low[row] for row in moving]),
+        high=np.array([high[row] for row in moving]),
+        outputs=np.array(sorted(found.outputs), dtype=np.int64),
+        inputs=np.array(sorted(read - found.states)),
+        references=layout.machine("gate_reference"),
         droops=layout.machine("inv_droop"),
         gates=layout.machine("gate"),
         ends=np.array(ends, dtype=np.int64),
-        bases=np.array([base_of[int(moving[i])] for i in ends], dtype=np.int64),
-        limited=np.array(limited, dtype=np.int64),
-        sources=np.array(sorted(sources), dtype=np.int64),
+        bases=np.array([known.base_of[moving[i]] for i in ends], dtype=np.int64),
+        limited=np.array(found.limited, dtype=np.int64),
+        sources=np.array(sorted(found.sources), dtype=np.int64),
         reactances=extensions + EXTENSION.output,
         measured=np.array(list(programs.measured.values()), dtype=np.int64),
         seen=further.seen,
         noise=further.noise,
         interval=further.interval,
     )
+
+
+@ex.making()
+def build_rules(
+    plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_action: int, leaves: Sequence[Leaf] = ()
+) -> Rules:
+    """Differentiate the kernels of a known plant and task; what comes of it is compiled when it is first called.
+
+    Args:
+        plant, task, layout: of the environment.
+        n_action: number of actions.
+        leaves: constants of the plant that are differentiated with respect to.
+    """
+    parts = retargeted(parts_of, {})(plant.constants[0], retargeted(read_task)(task[0]))
+    further = Further.of(layout.n_rows, n_action, layout.n_wtg * (task["sensed"].shape[1] > 0), leaves)
+    n_rows, known = further.end, _KnownRows.of(parts, task, layout, further, leaves)
+    programs = programs_of(plant, task, layout.n_rows, n_action, leaves)
+    extensions = layout.wtg("over_power") if programs.sweep else np.zeros(0, dtype=np.int64)
+    found = _Followed.of(programs, known, extensions)
+    steps = _steps_of(plant, layout, programs, known, found, extensions)
     # A row that a kernel writes passes its cotangent on to the rows that the kernel reads. The integration method needs
     # those of the states separately.
-    interval = layout.rows.extra + TASK.interval
+    interval, of_states = layout.rows.extra + TASK.interval, {*found.states, *programs.network}
     code = {
-        "pull_act": _source("pull_act", (), of_act, programs.act, n_rows),
-        "pull_network": _source("pull_network", (), of_network, (), n_rows),
-        "pull_sweep": _source("pull_sweep", (), of_sweep, limited, n_rows),
-        "pull_rates": _source("pull_rates", ("fraction", "cells"), of_rates, {*states, *programs.network}, n_rows),
-        "pull_finish": _source("pull_finish", (), of_finish, {*programs.finish, *steps.bases.tolist()}, n_rows),
-        "pull_charge": _source("pull_charge", (), of_charge, seeds, n_rows),
+        "pull_act": _source("pull_act", (), found.act, programs.act, n_rows),
+        "pull_network": _source("pull_network", (), found.network, (), n_rows),
+        "pull_sweep": _source("pull_sweep", (), found.sweep, found.limited, n_rows),
+        "pull_rates": _source("pull_rates", ("fraction", "cells"), found.rates, of_states, n_rows),
+        "pull_finish": _source("pull_finish", (), found.finish, {*programs.finish, *steps.bases.tolist()}, n_rows),
+        "pull_charge": _source("pull_charge", (), found.charge, found.seeds, n_rows),
         "foresee": ex.function_source("foresee", (), {int(row): programs.charge[interval] for row in further.interval}),
     }
     ring = range(parts.delayed, parts.observation) if further.seen.size else range(0)
-    carried = states | (set(of_charge) & seeds) | set(references.tolist()) | set(ring)
-    carried -= {*programs.act, *law.ravel().tolist(), *terms.tolist(), *observation.tolist()}
-    digest = hashlib.sha256("".join((source_hash(), str((own, n_rows)), *code.values())).encode()).hexdigest()
+    carried = {*found.states, *({*found.charge} & found.seeds), *steps.references.tolist(), *ring}
+    carried -= {*programs.act, *known.law.ravel().tolist(), *known.terms.tolist(), *known.observation.tolist()}
+    digest = hashlib.sha256("".join((source_hash(), str((layout.n_rows, n_rows)), *code.values())).encode()).hexdigest()
     return Rules(
         **{name: _compiled(source, digest) for name, source in code.items()},
         steps=steps,
         carried=np.array(sorted(carried)),
-        terms=terms,
-        observation=observation,
+        terms=known.terms,
+        observation=known.observation,
         actions=further.actions,
-        law=law,
-        leaves=np.array(of_leaves, dtype=np.int64),
-        outputs=np.array(shown),
+        law=known.law,
+        leaves=np.array(known.leaves, dtype=np.int64),
+        outputs=np.array(known.outputs),
         n_rows=n_rows,
         digest=digest,
     )

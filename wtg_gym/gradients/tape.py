@@ -111,14 +111,7 @@ class Tape:
             )
         )
         if key not in _RULES:
-            rules = build_rules(
-                simulator.plant,
-                self.lanes.task,
-                simulator.layout,
-                self.lanes.n_action,
-                self.lanes.n_observation,
-                self._leaves,
-            )
+            rules = build_rules(simulator.plant, self.lanes.task, simulator.layout, self.lanes.n_action, self._leaves)
             _RULES[key] = rules, build_pull(rules)
         self._rules, self._pull = _RULES[key]
         n_blocks = simulator.blocks.shape[0]

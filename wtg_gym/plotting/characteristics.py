@@ -171,7 +171,7 @@ def _draw_frequency_panel(axes: Axes, row: int, branches: Sequence[_Branches]) -
         control.frequency_max_pu: r"$\omega_{max}$",
     }
     for frequency in corners:
-        axes.axvline(frequency, color=style.REFERENCE_GREY, linewidth=0.7, linestyle=style.THIN_DASHES, zorder=1)
+        axes.axvline(frequency, linewidth=0.7, zorder=1, **style.REFERENCE)
     axes.set_xlim(low, high)
     axes.set_xticks(list(corners), [f"{frequency:.3f}\n{name}" for frequency, name in corners.items()])
     # Room for the names of the highest points.

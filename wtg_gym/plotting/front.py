@@ -41,7 +41,7 @@ def plot_front(rows: Sequence[EntrySummary]) -> Figure:
     figure = style.new_figure(style.DOUBLE_COLUMN_MM, 88.0)
     axes = figure.subplots()
     looks = style.strategy_looks([row.name for row in rows])
-    axes.axhline(0.0, color=style.REFERENCE_GREY, linewidth=0.8, linestyle=style.THIN_DASHES, zorder=1.0)
+    axes.axhline(0.0, linewidth=0.8, zorder=1.0, **style.REFERENCE)
     best = undominated(rows)
     line = [(row.mean_energy_share_percent, support_points(row)) for row in best]
     if line:

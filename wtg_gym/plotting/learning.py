@@ -79,7 +79,7 @@ def plot_learning_curves(
     for axes in (by_steps, by_time):
         for name, score in zip(anchors, (0.0, 100.0), strict=True):
             if by_steps.get_ylim()[0] < score:
-                axes.axhline(score, color=style.REFERENCE_GREY, linewidth=0.8, linestyle=style.THIN_DASHES, zorder=1.5)
+                axes.axhline(score, linewidth=0.8, zorder=1.5, **style.REFERENCE)
                 if axes is by_time:
                     style.name_at_right(axes, name, score)
     by_steps.xaxis.set_major_formatter(EngFormatter(sep=" "))

@@ -63,8 +63,8 @@ def plot_power_coefficient() -> Figure:
     )
     right = part.get_xlim()[1]
     for name, level, ratio, value in zip(names, levels, ratios, values, strict=True):
-        part.vlines(ratio, 0.0, value, color=style.REFERENCE_GREY, linewidth=0.7, linestyle=style.THIN_DASHES)
-        part.hlines(value, ratio, right, color=style.REFERENCE_GREY, linewidth=0.7, linestyle=style.THIN_DASHES)
+        part.vlines(ratio, 0.0, value, linewidth=0.7, **style.REFERENCE)
+        part.hlines(value, ratio, right, linewidth=0.7, **style.REFERENCE)
         text = rf"$C_{{p,{name}}}$ = {value:.3f}, −{100 * level:.0f} %".replace(", −0 %", "")
         part.annotate(text, (right, value), (0.0, 1.5), textcoords="offset points", ha="right", va="bottom")
     corners = (r"\omega_{min}", r"\omega_{st}", r"\omega_{max}")
@@ -230,17 +230,13 @@ def _draw_references(column: Sequence[Axes], run: Trajectory, group: int) -> Non
     }
     for row, named in lines.items():
         for name, values in named.items():
-            column[row].plot(
-                time, values, color=style.REFERENCE_GREY, linewidth=0.8, linestyle=style.THIN_DASHES, zorder=2
-            )
+            column[row].plot(time, values, linewidth=0.8, zorder=2, **style.REFERENCE)
             style.name_at_right(column[row], name, float(values[-1]))
     low, high = column[0].get_ylim()
     for frequency in (control.frequency_min_pu, control.frequency_max_pu):
         # Drawn where it is in sight or nearly so: the deviations must stay readable.
         if low - 0.3 * (high - low) < frequency < high + 0.3 * (high - low):
-            column[0].axhline(
-                frequency, color=style.REFERENCE_GREY, linewidth=0.8, linestyle=style.THIN_DASHES, zorder=2
-            )
+            column[0].axhline(frequency, linewidth=0.8, zorder=2, **style.REFERENCE)
 
 
 def _draw_strategy_legend(figure: Figure, runs: Mapping[str, Trajectory], looks: Mapping[str, style.Look]) -> None:

@@ -159,9 +159,7 @@ def _draw_limits(grid: npt.NDArray[Any], overload_pu: float) -> None:
         for name, value in named.items():
             if low < value < high:
                 for axes in grid[row]:
-                    axes.axhline(
-                        value, color=style.REFERENCE_GREY, linewidth=0.7, linestyle=style.THIN_DASHES, zorder=2.0
-                    )
+                    axes.axhline(value, linewidth=0.7, zorder=2.0, **style.REFERENCE)
                 style.name_at_right(grid[row, -1], name, value)
 
 

@@ -73,7 +73,7 @@ def plot_equilibria(study: EquilibriumStudy) -> Figure:
     axes.set_xlim(study.wind_m_s[0], study.wind_m_s[-1])
     corners = {r"$\omega_{st}$": control.frequency_setpoint_pu, r"$\omega_{min}$": control.frequency_min_pu}
     for name, frequency in corners.items():
-        axes.axhline(frequency, color=style.REFERENCE_GREY, linewidth=0.8, linestyle=style.THIN_DASHES, zorder=2)
+        axes.axhline(frequency, linewidth=0.8, zorder=2, **style.REFERENCE)
         at = (study.wind_m_s[-1], frequency)
         axes.annotate(name, at, (-2.0, 1.5), textcoords="offset points", ha="right", color="0.3")
     _mark_winds(axes)

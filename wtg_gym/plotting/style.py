@@ -43,6 +43,8 @@ PRINT_DPI = 300
 SUFFIXES = ("png", "svg", "pdf")
 #: Grey of reference lines and their names.
 REFERENCE_GREY = "0.4"
+#: Colour and dashes of most of them.
+REFERENCE: dict[str, Any] = {"color": REFERENCE_GREY, "linestyle": THIN_DASHES}
 SMALL_PT = 7.0
 #: Power above which a converter counts as overloaded in version v0 [p.u.].
 OVERLOAD_PU = GridFormingParameters().overload_limit_pu

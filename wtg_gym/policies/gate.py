@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import sha256
 from wtg_gym.policies.entry import Entry
@@ -44,22 +43,14 @@ class Check:
 
 @dataclass
 class Report:
-    """The gate's report on a folder.
-
-    Args:
-        folder: the folder.
-        checks: every check of :data:`CHECKS`.
-        entry: content of entry.toml; None where it was not read.
-        content: policy.onnx as it was checked; empty where it was not read.
-        notes: what this system could not isolate.
-        actions: of the rollout, see :func:`rollout`; None where it was not reached.
-    """
+    """The gate's report on a folder."""
 
     folder: Path
-    checks: list[Check] = field(default_factory=list)
-    entry: EntryFile | None = None
-    content: bytes = b""
-    notes: tuple[str, ...] = ()
+    checks: list[Check] = field(default_factory=list)  # every check of :data:`CHECKS`
+    entry: EntryFile | None = None  # content of entry.toml; None where it was not read
+    content: bytes = b""  # policy.onnx as it was checked; empty where it was not read
+    notes: tuple[str, ...] = ()  # what this system could not isolate
+    #: Of the rollout, see :func:`rollout`; None where it was not reached.
     actions: Floats | None = field(default=None, compare=False, repr=False)
 
     @property
@@ -140,14 +131,7 @@ def check_submission(folder: Path, *, weak: bool = False, rollout_only: bool = F
 
 def _check_widths(policy: OnnxPolicy, entry: EntryFile) -> str:
     """Compare a policy's widths with those of the benchmark's plant in its modes."""
-    settings = EnvSettings(
-        action_mode=entry.action_mode,
-        observation_mode=entry.observation_mode,
-        version=BENCHMARKS[entry.environment].version,
-    )
-    lanes = TaskLanes(settings, 1, 1)
-    wanted = lanes.n_observation, lanes.n_action
-    lanes.simulator.close()
+    wanted = entry.widths()
     n_observation, n_action, *states = policy.widths
     if (n_observation, n_action) != wanted:
         raise ValueError(

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import stat
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from wtg_gym.envs.settings import ACTION_MODES, OBSERVATION_MODES
+from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.settings import ACTION_MODES, OBSERVATION_MODES, EnvSettings
 from wtg_gym.files import LARGEST_TOML_BYTES, parse_toml, write_atomically
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGY_NAMES
 from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
@@ -83,6 +86,20 @@ class EntryFile:
     description: str = ""
     trained_on: str = ""
     links: tuple[str, ...] = ()
+
+    def widths(self) -> tuple[int, int]:
+        """Return how many observations and actions there are in its modes and environment."""
+        version = BENCHMARKS[self.environment].version
+        modes: Any = {"action_mode": self.action_mode, "observation_mode": self.observation_mode}
+        lanes = TaskLanes(EnvSettings(version=version, **modes), 1, 1)
+        lanes.simulator.close()
+        return lanes.n_observation, lanes.n_action
+
+
+def entry_text(values: Mapping[str, Any]) -> str:
+    """Return an entry.toml with values that are texts, whole numbers and lists of texts."""
+    # These are written alike in JSON and TOML.
+    return "".join(f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in values.items())
 
 
 def read_files(folder: Path) -> dict[str, bytes]:

@@ -5,7 +5,6 @@ Torch's exporter of traced graphs writes the file: it needs no onnxscript, and t
 
 from __future__ import annotations
 
-import json
 import tempfile
 import warnings
 from collections.abc import Sequence
@@ -14,14 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import write_atomically
 from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
 from wtg_gym.policies.onnx_policy import OnnxPolicy
 from wtg_gym.policies.policy_process import PolicyError
-from wtg_gym.policies.submission_folder import FILES, parse_entry
-from wtg_gym.scenarios.benchmark import BENCHMARKS
+from wtg_gym.policies.submission_folder import FILES, entry_text, parse_entry
 
 try:
     # Torch's exporter needs it.
@@ -79,17 +75,9 @@ def export_onnx(
         "authors": ["unnamed"],
         **entry,
     }
-    # Values are written alike in JSON and TOML.
-    text = "".join(f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in values.items())
+    text = entry_text(values)
     checked = parse_entry(text.encode())
-    settings = EnvSettings(
-        action_mode=checked.action_mode,
-        observation_mode=checked.observation_mode,
-        version=BENCHMARKS[checked.environment].version,
-    )
-    lanes = TaskLanes(settings, 1, 1)
-    n_observation, n_action = lanes.n_observation, lanes.n_action
-    lanes.simulator.close()
+    n_observation, n_action = checked.widths()
     widths = tuple(getattr(module, "state_widths", ()) if state_widths is None else state_widths)
     modes = [(each, each.training) for each in module.modules()]
     playable = _Playable(module).eval()

@@ -12,9 +12,9 @@ from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import NoScaleError, evaluate
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.score import log_gains, mean_score, pinned, points_by_term, score_scale
-from wtg_gym.evaluation.summary import POINTS, REST
+from wtg_gym.evaluation.summary import POINTS, REST, parts_of_costs
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.plotting.live.episode import Floats, LiveEpisode, happened
+from wtg_gym.plotting.live.episode import LiveEpisode, happened
 from wtg_gym.scenarios import SPLITS, Suite
 
 #: Scenarios of the suite on which its anchors make the scale of the scores.
@@ -138,7 +138,8 @@ def verdict(episode: Episode, hundred: Episode, scale: float | None, cap: float)
     if scale is not None:
         own, best = np.array([[pinned(episode, cap)]]), np.array([pinned(hundred, cap)])
         score = mean_score(log_gains(own, best), scale)
-        shares = points_by_term(own, best, _terms(episode, own), _terms(hundred, best[np.newaxis])[:, 0], scale)
+        terms, of_best = parts_of_costs([[episode]], own), parts_of_costs([[hundred]], best[np.newaxis])
+        shares = points_by_term(own, best, terms, of_best[:, 0], scale)
         points = dict(zip((*POINTS, REST), shares.tolist(), strict=True))
     return Verdict(
         name=episode.entry,
@@ -148,10 +149,3 @@ def verdict(episode: Episode, hundred: Episode, scale: float | None, cap: float)
         deviation_hz=deviation,
         failure=episode.failure,
     )
-
-
-def _terms(episode: Episode, cost: Floats) -> Floats:
-    """Return the terms of the pinned cost (1, 1) of one episode, (n_terms, 1, 1), the rest last."""
-    paid = [sum(float(episode.metrics[f"cost_{term}"] or 0.0) for term in terms) for terms in POINTS.values()]
-    parts = np.array(paid).reshape(len(POINTS), 1, 1)
-    return np.concatenate([parts, (cost - parts.sum(axis=0))[np.newaxis]])
