@@ -93,7 +93,7 @@ class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.N
             raise ValueError(f"n_threads must be a whole number of 1 or more, got {n_threads!r}")
         if max_episode_steps is not None and (not is_whole(max_episode_steps) or max_episode_steps < 1):
             raise ValueError(f"max_episode_steps must be a whole number of 1 or more, got {max_episode_steps!r}")
-        self._max_episode_steps = max_episode_steps
+        self._step_limit = max_episode_steps
         modes = [mode.value for mode in AutoresetMode]
         if autoreset_mode not in modes and autoreset_mode not in list(AutoresetMode):
             raise ValueError(f"unknown autoreset_mode {autoreset_mode!r}; choose one of {', '.join(modes)}")
@@ -203,8 +203,8 @@ class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.N
             len(preparing),
         )
         self._n_steps += 1
-        if self._max_episode_steps is not None:
-            self._lanes.stop(~waiting & (self._n_steps >= self._max_episode_steps))
+        if self._step_limit is not None:
+            self._lanes.stop(~waiting & (self._n_steps >= self._step_limit))
         terminated, truncated = self._lanes.ended()
         # A lane that waited for its reset has not been stepped: this step starts its next episode.
         terminated &= ~waiting

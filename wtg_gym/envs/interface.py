@@ -25,7 +25,7 @@ class OverLanes:
     """An environment that plays its episodes in lanes."""
 
     _lanes: TaskLanes
-    _max_episode_steps: int | None = None
+    _step_limit: int | None = None
     _spec: EnvSpec | None = None
 
     @property
@@ -35,7 +35,7 @@ class OverLanes:
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
-        self._spec = _with_episode_steps(spec, self._lanes, self._max_episode_steps)
+        self._spec = _with_episode_steps(spec, self._lanes, self._step_limit)
 
     @property
     def lanes(self) -> TaskLanes:
