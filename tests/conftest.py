@@ -21,6 +21,9 @@ settings.load_profile("untimed")
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+# Nor is there a search while the tests are imported; see :func:`pytest_collection_finish`.
+gc.disable()
+
 #: Tests that need no machine code of the usual plant: of none, of other numbers of machines, or in processes that
 #: compile for themselves.
 _WITHOUT_THE_USUAL_PLANT = (
@@ -47,6 +50,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def pytest_collection_finish() -> None:
     """Let no search for garbage look at what the imports have left: half a million objects that stay."""
+    gc.enable()
     gc.collect()
     gc.freeze()
 

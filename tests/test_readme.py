@@ -1,7 +1,7 @@
 """The examples of the README and of every page of docs/ run as printed; links of every page lead somewhere.
 
-The README's first program and all commands run on what `pip install .` installs: a wheel that is built here, in an
-empty folder, without the extras' packages. The other programs run with everything that the tests need.
+The README's first program and all commands run on what `pip install .` installs, in an empty folder, without the
+extras' packages. The other programs run with everything that the tests need.
 """
 
 from __future__ import annotations
@@ -42,14 +42,12 @@ DOCS = sorted(str(page.relative_to(ROOT)) for page in (ROOT / "docs").rglob("*.m
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the package as a wheel installs it, and nothing of the checkout."""
-    folder = tmp_path_factory.mktemp("installed")
+    """A folder with the package as `pip install .` installs it, and nothing of the checkout."""
+    target = tmp_path_factory.mktemp("installed")
     pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
-    build = [*pip, "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), str(ROOT)]
-    subprocess.run(build, check=True, capture_output=True)
-    (built,) = folder.glob("*.whl")
-    target = folder / "target"
-    subprocess.run([*pip, "install", "--no-deps", "--target", str(target), str(built)], check=True, capture_output=True)
+    # Modules that no command imports need no bytecode.
+    options = ["--no-deps", "--no-build-isolation", "--no-compile", "--target", str(target)]
+    subprocess.run([*pip, "install", *options, str(ROOT)], check=True, capture_output=True)
     return target
 
 

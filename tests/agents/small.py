@@ -5,9 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import pytest
 import yaml
 
-from agents.train import main
+from agents.folders import folders
+from agents.runs import Run
+from agents.train import main, train
+from tests.interruption import interrupted
 from wtg_gym import ENV_ID
 
 SHARED: dict[str, Any] = {"policy": "MlpPolicy", "n_timesteps": 768, "n_envs": 16, "normalize": True}
@@ -52,3 +56,12 @@ def trained(folder: Path, algo: str, name: str) -> Path:
     """Return the folder of a small run, finished."""
     assert main([*options(folder, algo), "--output", str(folder / name)]) == 0
     return folder / name
+
+
+def stopped_after(timesteps: int, like: Path, folder: Path) -> Path:
+    """Begin a run like another one, and interrupt it when its checkpoint of a step has been written."""
+    stop = interrupted(lambda done, score: None, when=lambda done, score: done == timesteps)
+    with pytest.raises(KeyboardInterrupt):
+        train(Run.new(Run.read(like).settings), folder, stop)
+    assert [int(path.name) for path in folders(folder / "checkpoints")] == [timesteps]
+    return folder

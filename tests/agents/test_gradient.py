@@ -15,6 +15,7 @@ from agents.export import export
 from agents.folders import folders
 from agents.gradient import Failures, GradientPolicy, Hyperparameters, costs_of, descend, load, main
 from agents.runs import Run
+from tests.interruption import interrupted
 from wtg_gym.envs import EnvSettings
 from wtg_gym.gradients.torch import TorchEpisodes
 from wtg_gym.policies.load import load_entries
@@ -81,13 +82,9 @@ def test_run_repeats_also_after_an_interruption_and_is_exported(
     options = [*OPTIONS, *network]
     assert main([*options, "--output", str(one)]) == 0
 
-    def interrupted(*arguments: Any) -> float:
-        if Run.read(two).curve[-1]["timesteps"] == 1200:
-            raise KeyboardInterrupt
-        return descend(*arguments)
-
     with monkeypatch.context() as patch:
-        patch.setattr(gradient, "descend", interrupted)
+        stop = interrupted(descend, when=lambda *_: Run.read(two).curve[-1]["timesteps"] == 1200)
+        patch.setattr(gradient, "descend", stop)
         assert main([*options, "--output", str(two)]) == 130
     assert main(["--resume", str(two)]) == 0
     states = [checkpoint(folder)["policy"] for folder in (one, two)]

@@ -15,6 +15,7 @@ from agents.research import foresight, simple_policies
 from agents.research import linear as linear_command
 from agents.research.evolution import N_KNOTS, POPULATION, _Strategy, search_with_foresight
 from agents.research.rollouts import Rollouts, course, linear_feedback
+from tests.interruption import interrupted
 from wtg_gym.envs.observation import N_LOCAL
 from wtg_gym.evaluation import Entry, OnnxPolicy, evaluate, load_entries
 from wtg_gym.evaluation.oracle import OracleCosts
@@ -190,15 +191,8 @@ def test_interrupted_search_goes_on_to_the_same_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     stopped = tmp_path / "stopped"
-    real, searched = foresight.search_with_foresight, list[Any]()
-
-    def interrupted(rollouts: Any, seeds: Any, *others: Any) -> Any:
-        searched.append(seeds)
-        if len(searched) == 2:
-            raise KeyboardInterrupt
-        return real(rollouts, seeds, *others)
-
-    monkeypatch.setattr(foresight, "search_with_foresight", interrupted)
+    stop = interrupted(foresight.search_with_foresight, when=lambda *_: any((stopped / "parts").glob("*.json")))
+    monkeypatch.setattr(foresight, "search_with_foresight", stop)
     given = [*_QUICK, "--chunk", "1", "--output", str(stopped), "--parts", str(stopped / "parts")]
     assert foresight.main(given) == 130
     assert "goes on from the searches that are finished" in capsys.readouterr().err

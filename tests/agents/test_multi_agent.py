@@ -20,9 +20,9 @@ from agents.multi_agent import ALGORITHMS, AgentVecEnv, CentralCriticPolicy, Sha
 from agents.onnx_graph import PolicyNetwork, to_onnx
 from agents.runs import Run, RunSettings
 from agents.train import main as train_command
-from agents.train import start, train
+from agents.train import start
 from agents.vec_env import GainVecEnv
-from tests.agents.small import CONFIGS, config_file
+from tests.agents.small import CONFIGS, config_file, stopped_after
 from wtg_gym.evaluation import Entry, OnnxPolicy, evaluate, load_entries
 from wtg_gym.policies.gate import check_submission
 from wtg_gym.policies.load import POLICY_FILE
@@ -93,16 +93,9 @@ def test_lanes_are_the_groups_of_the_episodes(central_critic: bool) -> None:
 
 
 def test_interrupted_run_goes_on_to_the_same_weights(whole: Path, tmp_path: Path) -> None:
-    new = Run.new(Run.read(whole).settings)
-
-    def stop(done: int, score: float) -> None:
-        if done == 256:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        train(new, tmp_path / "stopped", stop)
-    assert train_command(["--resume", str(tmp_path / "stopped")]) == 0
-    ours, theirs = weights(tmp_path / "stopped"), weights(whole)
+    stopped = stopped_after(256, whole, tmp_path / "stopped")
+    assert train_command(["--resume", str(stopped)]) == 0
+    ours, theirs = weights(stopped), weights(whole)
     assert ours.keys() == theirs.keys() and all(torch.equal(ours[key], theirs[key]) for key in ours)
 
 

@@ -6,7 +6,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from agents.folders import folders
 from agents.rllib.__main__ import main
 from agents.rllib.runner_envs import RunnerEnvs, measure_scales
 from agents.runs import Run, RunSettings
+from tests.interruption import end
 from wtg_gym import ENV_ID
 from wtg_gym.envs import GFMWTGVectorEnv
 from wtg_gym.evaluation import load_entries
@@ -151,12 +151,8 @@ def test_killed_run_goes_on_from_its_checkpoint_and_its_export_plays_without_ray
     needs_ray()
     folder, program = tmp_path / "run", [sys.executable, "-m", "agents.rllib"]
     process = subprocess.Popen([*program, *SMALL, "--output", str(folder)], cwd=ROOT)
-    deadline = time.monotonic() + 240.0
-    while not any(int(path.name) > 0 for path in folders(folder / "checkpoints")):
-        assert process.poll() is None and time.monotonic() < deadline
-        time.sleep(0.01)
-    process.kill()
-    assert process.wait() == -signal.SIGKILL
+    end(process, signal.SIGKILL, lambda: any(int(path.name) > 0 for path in folders(folder / "checkpoints")))
+    assert process.returncode == -signal.SIGKILL
     rows = Run.read(folder).curve
     reached = int(folders(folder / "checkpoints")[-1].name)
     subprocess.run([*program, "--resume", str(folder)], cwd=ROOT, check=True)

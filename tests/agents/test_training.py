@@ -8,7 +8,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +16,16 @@ import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+import agents.train
 from agents.entry_file import entry_values
 from agents.export import _model_card, export, largest_difference
 from agents.export import main as export_command
 from agents.folders import folders, held, new_folder, save_folder
 from agents.hyperparameters import ALGORITHMS
 from agents.runs import Run, RunSettings
-from agents.train import main, start, train
-from tests.agents.small import CONFIGS, config_file, options, trained
+from agents.train import main, start
+from tests.agents.small import CONFIGS, config_file, options, stopped_after, trained
+from tests.interruption import end, interrupted
 from wtg_gym.evaluation import evaluate, load_entries
 from wtg_gym.policies.sb3_archive import CUSTOM_OBJECTS
 
@@ -43,19 +44,6 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def copied(whole: Path, tmp_path: Path) -> Path:
     """A copy of it."""
     return Path(shutil.copytree(whole, tmp_path / "run"))
-
-
-def stopped_after(timesteps: int, like: Path, folder: Path) -> None:
-    """Begin a run like another one, and interrupt it when its checkpoint of a step has been written."""
-    new = Run.new(Run.read(like).settings)
-
-    def stop(done: int, score: float) -> None:
-        if done == timesteps:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        train(new, folder, stop)
-    assert [int(path.name) for path in folders(folder / "checkpoints")] == [timesteps]
 
 
 def weights(folder: Path, algo: str) -> Any:
@@ -77,8 +65,8 @@ def same(a: Any, b: Any) -> bool:
 def test_interrupted_run_goes_on_to_the_weights_of_an_undisturbed_one_and_its_export_plays(
     algo: str, tmp_path: Path
 ) -> None:
-    stopped, undisturbed = tmp_path / "stopped", trained(tmp_path, algo, "undisturbed")
-    stopped_after(256, undisturbed, stopped)
+    undisturbed = trained(tmp_path, algo, "undisturbed")
+    stopped = stopped_after(256, undisturbed, tmp_path / "stopped")
     assert main(["--resume", str(stopped)]) == 0
     assert same(weights(stopped, algo), weights(undisturbed, algo))
     runs = [Run.read(folder) for folder in (stopped, undisturbed)]
@@ -101,20 +89,16 @@ def test_killed_process_leaves_a_run_that_goes_on_to_the_same_weights(whole: Pat
     killed = tmp_path / "killed"
     command = [sys.executable, "-m", "agents.train", *options(tmp_path, "ppo"), "--output", str(killed)]
     process = subprocess.Popen(command, cwd=ROOT)
-    deadline = time.monotonic() + 240.0
-    while not (killed / "checkpoints" / f"{256:012d}").exists():
-        assert process.poll() is None and time.monotonic() < deadline
-        time.sleep(0.002)
-    process.kill()
-    assert process.wait() == -signal.SIGKILL
+    end(process, signal.SIGKILL, (killed / "checkpoints" / f"{256:012d}").exists)
+    assert process.returncode == -signal.SIGKILL
     assert main(["--resume", str(killed)]) == 0
     assert same(weights(killed, "ppo"), weights(whole, "ppo"))
 
 
 def test_run_stopped_at_its_first_checkpoint_goes_on_to_the_same_weights(whole: Path, tmp_path: Path) -> None:
-    stopped_after(0, whole, tmp_path / "stopped")
-    assert main(["--resume", str(tmp_path / "stopped")]) == 0
-    assert same(weights(tmp_path / "stopped", "ppo"), weights(whole, "ppo"))
+    stopped = stopped_after(0, whole, tmp_path / "stopped")
+    assert main(["--resume", str(stopped)]) == 0
+    assert same(weights(stopped, "ppo"), weights(whole, "ppo"))
 
 
 def test_run_stopped_before_its_first_checkpoint_begins_anew_with_the_same_weights(
@@ -122,11 +106,8 @@ def test_run_stopped_before_its_first_checkpoint_begins_anew_with_the_same_weigh
 ) -> None:
     assert Run.read(whole).settings.hyperparameters["use_sde"]
 
-    def stop(*_: Any) -> Any:
-        raise KeyboardInterrupt
-
     folder = tmp_path / "run"
-    monkeypatch.setattr("agents.train.configure", stop)
+    monkeypatch.setattr("agents.train.configure", interrupted(agents.train.configure))
     assert main([*options(tmp_path, "ppo"), "--output", str(folder)]) == 130
     assert {path.name for path in folder.iterdir()} == {"run.json", ".lock"}
     monkeypatch.undo()

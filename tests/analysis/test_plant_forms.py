@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -29,6 +30,7 @@ from wtg_gym.scenarios import get_suite
 _INERTIA_S = TurbineParameters().inertia_constant_s
 
 
+@functools.cache
 def _run(form: str, scenario: Scenario, strategy: str) -> PlantRun:
     (run,) = run_plant(plant_forms()[form], [scenario], strategy)
     assert run is not None

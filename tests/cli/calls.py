@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -40,15 +39,6 @@ def start(*arguments: str, cwd: Path | None = None, **options: Any) -> subproces
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "utf-8"}
     command = [sys.executable, "-m", "wtg_gym.cli", *arguments]
     return subprocess.Popen(command, cwd=cwd, env=environment, encoding="utf-8", **options)
-
-
-def end_with_parts(process: subprocess.Popen[str], sign: int, partial: Path, n_parts: int = 1) -> str:
-    """Send a signal to a command once that many finished parts are stored; return what it said on stderr."""
-    until = time.monotonic() + 200.0
-    while len(list(partial.glob("*.json"))) < n_parts and process.poll() is None and time.monotonic() < until:
-        time.sleep(0.001)
-    process.send_signal(sign)
-    return process.communicate(timeout=100)[1] or ""
 
 
 def call(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:

@@ -9,13 +9,13 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 import wtg_gym
 import wtg_gym.cli.simulate
 from tests.cli.calls import ROOT, call, error_of, start
+from tests.interruption import interrupted
 from wtg_gym.cli import main
 
 COMMANDS = (
@@ -150,9 +150,6 @@ def test_wrong_usage_points_to_the_help(
 def test_interrupt_exits_with_130_and_says_what_is_left(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupt(*_: Any, **__: Any) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(wtg_gym.cli.simulate, "simulate", interrupt)
+    monkeypatch.setattr(wtg_gym.cli.simulate, "simulate", interrupted(wtg_gym.cli.simulate.simulate))
     assert main(["simulate", *_QUICK]) == 130
     assert "wtg-gym: interrupted; nothing was written" in capsys.readouterr().err

@@ -27,8 +27,8 @@ RECORDED = ("--recorded", str(GOLDEN / "grid-forming" / "params.json"), str(GOLD
 
 
 @functools.cache
-def estimator() -> Estimator:
-    return Estimator(SETTINGS, SCENARIO, [unknown_of(PLANT, name) for name in UNKNOWNS], range(60), n_threads=1)
+def estimator(n_steps: int = 60) -> Estimator:
+    return Estimator(SETTINGS, SCENARIO, [unknown_of(PLANT, name) for name in UNKNOWNS], range(n_steps), n_threads=1)
 
 
 def test_the_jacobian_of_a_run_is_that_of_central_differences() -> None:
@@ -73,9 +73,11 @@ def test_a_record_without_noise_gives_the_true_values_back() -> None:
 
 
 def test_intervals_hold_the_true_values_about_as_often_as_they_say() -> None:
-    values = np.array([unknown.value for unknown in estimator().unknowns])
-    record, noise, n = estimator().run(np.ones(4))[0], 4e-6, 60
-    found = estimates(estimator(), record, noise, n, seed=1)
+    # A record of 3 s: the time of a search grows with it.
+    three_s = estimator(30)
+    values = np.array([unknown.value for unknown in three_s.unknowns])
+    record, noise, n = three_s.run(np.ones(4))[0], 4e-6, 60
+    found = estimates(three_s, record, noise, n, seed=1)
     shares = covered(found, values)
     # 60 intervals of 95 % hold 51 … 60 of 60 with a probability of 0.998.
     assert (shares >= 51 / n).all(), shares
@@ -85,7 +87,7 @@ def test_intervals_hold_the_true_values_about_as_often_as_they_say() -> None:
     widths = np.mean([own.high - own.low for own in found], axis=0) / (2.0 * 1.96)
     assert widths == pytest.approx(scatter, rel=0.3)
     assert np.mean([own.noise for own in found]) == pytest.approx(noise, rel=0.05)
-    half = estimator().fit(record + noise * np.random.default_rng(5).standard_normal(60), confidence=0.5)
+    half = three_s.fit(record + noise * np.random.default_rng(5).standard_normal(30), confidence=0.5)
     assert (half.high - half.low < 0.4 * (found[0].high - found[0].low)).all()
 
 

@@ -156,10 +156,12 @@ def printed(draw: Callable[Parameters, Figure]) -> Callable[Parameters, Figure]:
         with print_style():
             figure = draw(*args, **kwargs)
             # The second pass starts from the tick labels of the first. After it places are fixed: each format and
-            # each repetition gets the same ones.
-            for _ in range(2):
-                figure.draw_without_rendering()
-            figure.set_layout_engine("none")
+            # each repetition gets the same ones, without being laid out once more.
+            layout = figure.get_layout_engine()
+            if layout is not None:
+                for _ in range(2):
+                    layout.execute(figure)
+            figure.set_layout_engine(None)
         return figure
 
     return drawn
