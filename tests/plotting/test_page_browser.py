@@ -86,9 +86,12 @@ class Opened:
         return values
 
     def state(self) -> dict[str, str]:
-        """Return what the address holds, once it is written."""
-        self.page.wait_for_timeout(500)
-        return dict(urllib.parse.parse_qsl(urllib.parse.urlsplit(self.page.url).fragment))
+        """Return what the address holds, once it is written.
+
+        The page writes it 300 ms after the last change. The wait runs in the page, so that a slow machine delays both.
+        """
+        self.page.evaluate("new Promise((done) => setTimeout(done, 500))")
+        return dict(urllib.parse.parse_qsl(self.page.evaluate("location.hash").removeprefix("#")))
 
     def line(self, name: str, column: str) -> list[float]:
         """Return the first of a chart's lines."""
@@ -419,9 +422,9 @@ def test_address_holds_what_is_seen(open_page: Any) -> None:
         "sort": "mean cost,down",
     }
     again = open_page(state=f"#{urllib.parse.urlsplit(page.url).fragment}")
+    again.wait_until("document.getElementById('facts').textContent.includes('20002')")
     assert again.page.locator("#lost").inner_text() == "" and again.names() == [HOSTILE]
     assert again.page.locator("#now").inner_text() == "7.4 s"
-    assert "20002" in again.page.locator("#facts").inner_text()
     again.page.get_by_role("button", name="Next").click()
     assert again.state()["scenario"] == "20000"
 
