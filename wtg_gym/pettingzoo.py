@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs import GFMWTGEnv
+from wtg_gym.envs.actions import as_actions
 from wtg_gym.envs.cost import GroupCosts, group_costs, with_group
-from wtg_gym.envs.lanes import TaskLanes, as_actions
+from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.observation import OBSERVATION_BOUND
 from wtg_gym.envs.rendering import Frame
 from wtg_gym.envs.settings import ACTION_MODES, EnvArguments, EnvSettings
@@ -30,16 +31,7 @@ from wtg_gym.envs.task_records import (
 )
 from wtg_gym.physics.compiled import compiled
 from wtg_gym.physics.elementary import select
-from wtg_gym.physics.layout import (
-    LANE,
-    WTG,
-    Floats,
-    load_wtg_output,
-    load_wtg_state,
-    read_turbine,
-    rows_of,
-    wtg_row,
-)
+from wtg_gym.physics.layout import LANE, WTG, Floats, load_wtg_output, load_wtg_state, read_turbine, rows_of, wtg_row
 from wtg_gym.ranges import ByName
 
 try:

@@ -50,8 +50,8 @@ import numpy.typing as npt
 from andes.routines.daeint import Trapezoid, method_map
 
 from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters, SynchronousMachineParameters
 from wtg_gym.physics.network import NetworkCase
-from wtg_gym.physics.parameters import GovernorParameters, HydroGovernorParameters, SynchronousMachineParameters
 
 Floats = npt.NDArray[np.float64]
 

@@ -14,12 +14,14 @@ import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs.task import apply_actions, charge
+from wtg_gym.envs.actions import apply_actions
+from wtg_gym.envs.charging import charge
 from wtg_gym.envs.task_records import TASK, read_task
 from wtg_gym.gradients.generated import _bases
 from wtg_gym.gradients.tape import Tape
 from wtg_gym.gradients.tracing import Actions, Rows, retargeted
-from wtg_gym.physics.dynamics import _limit_current, derivatives, keep_energy
+from wtg_gym.physics.currents import limit_current
+from wtg_gym.physics.dynamics import derivatives, keep_energy
 from wtg_gym.physics.layout import EXTENSION, read_turbine
 from wtg_gym.physics.protection import track_extremes
 
@@ -74,7 +76,7 @@ class JaxEpisode:
 
     def _limit_currents(self, block: Rows, c: Any, lanes: Any) -> None:
         names = {"_SETTLED": -1.0, "np": SimpleNamespace(int64=lambda _: 0)}
-        limit_current = retargeted(_limit_current, {**ARITHMETIC, **names}, {})
+        limit_group = retargeted(limit_current, {**ARITHMETIC, **names}, {})
         largest = float(c["extension"][0]["limits.current_max"])
         sources = self.layout.wtg("over_power") + EXTENSION.source
         voltages = self.layout.rows.voltage + 2 * (self.layout.n_sync + np.arange(self.layout.n_wtg))
@@ -85,7 +87,7 @@ class JaxEpisode:
         def swept(held: dict[int, Any]) -> dict[int, Any]:
             rows = Rows(lambda row: held[row] if row in held else block[row])
             for j in range(self.layout.n_wtg):
-                limit_current(rows, c, j, largest * float(c["share"][j]), lanes)
+                limit_group(rows, c, j, largest * float(c["share"][j]), lanes)
             return {int(row): rows[row] for row in rows}
 
         first = swept({})

@@ -16,7 +16,8 @@ from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.gradients import expressions as ex
 from wtg_gym.gradients.adjoint import replay
-from wtg_gym.gradients.generated import build_rules, programs_of
+from wtg_gym.gradients.generated import build_rules
+from wtg_gym.gradients.kernel_programs import programs_of
 from wtg_gym.gradients.tape import Gradient, Tape
 from wtg_gym.physics.elementary import exponential, fma, select, sine_cosine
 from wtg_gym.physics.protection import Status

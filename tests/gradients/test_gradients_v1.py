@@ -28,10 +28,10 @@ from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.gradients import expressions as ex
 from wtg_gym.gradients import generated
 from wtg_gym.gradients.adjoint import build_pull_limits
-from wtg_gym.gradients.generated import programs_of, require_known
+from wtg_gym.gradients.kernel_programs import programs_of, require_known
 from wtg_gym.gradients.tape import Tape
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.parameters import HydroGovernorParameters
+from wtg_gym.physics.machine_parameters import HydroGovernorParameters
 from wtg_gym.physics.plant import PlantSettings, build_plant
 from wtg_gym.physics.scenario import GroupTrip, LoadStep, Scenario
 

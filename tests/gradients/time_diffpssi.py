@@ -36,8 +36,8 @@ from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.gradients import Tape
 from wtg_gym.gradients.plant_parameters import PlantEnvSettings
 from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.machine_parameters import GovernorParameters, SynchronousMachineParameters
 from wtg_gym.physics.network import Branch, Bus, NetworkCase
-from wtg_gym.physics.parameters import GovernorParameters, SynchronousMachineParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import LoadStep, Scenario
 

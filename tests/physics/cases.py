@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from wtg_gym.physics import parameters
-from wtg_gym.physics.parameters import SynchronousMachineParameters
+from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
 
 
 def classical_machine(

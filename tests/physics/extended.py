@@ -14,11 +14,10 @@ import numpy as np
 
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.layout import Floats
+from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters
 from wtg_gym.physics.nrel5mw import nrel_5mw
 from wtg_gym.physics.parameters import (
     ConverterLimitParameters,
-    GovernorParameters,
-    HydroGovernorParameters,
     TurbineParameters,
     VoltageControlParameters,
     european_shedding,

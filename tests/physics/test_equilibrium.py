@@ -10,14 +10,8 @@ import pytest
 
 from tests.physics.cases import classical_machine
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.parameters import (
-    ConverterLimitParameters,
-    ExciterParameters,
-    HydroGovernorParameters,
-    VoltageControlParameters,
-    WtgGroup,
-    default_groups,
-)
+from wtg_gym.physics.machine_parameters import ExciterParameters, HydroGovernorParameters
+from wtg_gym.physics.parameters import ConverterLimitParameters, VoltageControlParameters, WtgGroup, default_groups
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator

@@ -24,7 +24,7 @@ from tests.physics.extended import (
     scenario,
     started,
 )
-from wtg_gym.physics.dynamics import unit_currents
+from wtg_gym.physics.currents import unit_currents
 from wtg_gym.physics.layout import Floats, Layout
 from wtg_gym.physics.network import assemble_admittance
 from wtg_gym.physics.parameters import (

@@ -18,7 +18,7 @@ from wtg_gym.physics.hydro_governor import (
     hydro_start,
 )
 from wtg_gym.physics.layout import Floats
-from wtg_gym.physics.parameters import HydroGovernorParameters
+from wtg_gym.physics.machine_parameters import HydroGovernorParameters
 
 P = HydroGovernorParameters()
 C = hydro_constants(0, P)

@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 
 from wtg_gym.physics import parameters
+from wtg_gym.physics.checked import Checked
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.parameters import Checked, default_groups
+from wtg_gym.physics.parameters import default_groups
 
 MACHINE = modified_ieee14().machines[0]
 RECORDS = [

@@ -22,7 +22,7 @@ from wtg_gym.physics.scenario import (
     Scenario,
 )
 from wtg_gym.scenarios import DRAWN_WIND_RANGE, SUITES, TRIPPABLE_LINES, ScenarioDistribution, Suite
-from wtg_gym.scenarios.distribution import _noise_amplitude, _noise_decay
+from wtg_gym.scenarios.load_noise import noise_amplitude, noise_decay
 
 DRAWN = [suite for suite in SUITES.values() if suite.distribution is not None]
 #: With a share of the load few groups fit; those are in DRAWN.
@@ -230,9 +230,9 @@ def test_a_scenario_of_many_uniform_numbers_goes_on_with_its_stream():
     rng = np.random.default_rng([5, zlib.crc32(b"busy")])
     blocks = [rng.random(64).tolist()[::-1] for _ in range(2)]
     assert scenario.governor_droop == 0.02 + (0.05 - 0.02) * blocks[0][0]
-    coefficients = rng.standard_normal((3, 626, 2)).view(np.complex128)[2, :, 0] * _noise_amplitude(2.0, 1250)
+    coefficients = rng.standard_normal((3, 626, 2)).view(np.complex128)[2, :, 0] * noise_amplitude(2.0, 1250)
     noise = np.fft.irfft(coefficients, 1250)[:601]
-    assert (scenario.load_noise_mw == noise - noise[0] * _noise_decay(2.0, 601)).all()
+    assert (scenario.load_noise_mw == noise - noise[0] * noise_decay(2.0, 601)).all()
 
 
 def test_groups_have_independent_means_unless_a_spread_is_given():

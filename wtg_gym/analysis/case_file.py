@@ -13,14 +13,14 @@ from typing import Any
 
 from wtg_gym.analysis.json_fields import Fields
 from wtg_gym.files import read_json
-from wtg_gym.physics.network import Branch, Bus, NetworkCase
-from wtg_gym.physics.parameters import (
+from wtg_gym.physics.machine_parameters import (
     ExciterParameters,
     GovernorParameters,
     HydroGovernorParameters,
     SynchronousMachineParameters,
     classical_machine,
 )
+from wtg_gym.physics.network import Branch, Bus, NetworkCase
 from wtg_gym.physics.scenario import LoadStep
 
 #: Largest difference [p.u.] of any quantity at which two simulators agree, where a file does not say.

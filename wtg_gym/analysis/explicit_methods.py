@@ -11,8 +11,10 @@ from scipy.integrate import solve_ivp
 from wtg_gym.physics.compiled import compiled
 from wtg_gym.physics.dynamics import derivatives
 from wtg_gym.physics.integration import apply_network_changes, enter_interval
-from wtg_gym.physics.layout import LANE, Floats, LaneData, Lanes, Layout, Plant, rows_of
+from wtg_gym.physics.lane_data import LaneData
+from wtg_gym.physics.layout import LANE, Floats, Lanes, Layout, rows_of
 from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant_constants import Plant
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES

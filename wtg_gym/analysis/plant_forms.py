@@ -15,11 +15,11 @@ import numpy as np
 from wtg_gym.analysis.steady_states import stable_equilibrium
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.layout import Floats
+from wtg_gym.physics.machine_parameters import HydroGovernorParameters
 from wtg_gym.physics.nrel5mw import nrel_5mw
 from wtg_gym.physics.parameters import (
     ConverterLimitParameters,
     GridFormingParameters,
-    HydroGovernorParameters,
     ProtectionParameters,
     TurbineParameters,
 )

@@ -18,8 +18,9 @@ from wtg_gym.analysis.case_file import ReferenceCase
 from wtg_gym.analysis.trace_file import Trace, known_columns
 from wtg_gym.physics.compiled import compiled
 from wtg_gym.physics.dynamics import advance_step, evaluate_rates
-from wtg_gym.physics.layout import Lanes, Plant
+from wtg_gym.physics.layout import Lanes
 from wtg_gym.physics.plant import SIMULATION_DT_RANGE, PlantSettings
+from wtg_gym.physics.plant_constants import Plant
 from wtg_gym.physics.reduction import bus_voltages, combine_load_noise, refresh_network
 from wtg_gym.physics.scenario import LoadStep, Scenario
 from wtg_gym.physics.simulator import Simulator

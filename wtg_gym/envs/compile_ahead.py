@@ -11,7 +11,7 @@ import numpy as np
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task import N_INFO, Outputs, build_task, start_tasks, step_blocks
 from wtg_gym.physics.compiled import cache_folder, is_compiled
-from wtg_gym.physics.layout import EVENT_DTYPE, LaneData
+from wtg_gym.physics.lane_data import EVENT_DTYPE, LaneData
 from wtg_gym.physics.plant import build_plant
 from wtg_gym.physics.simulator import BLOCK_WIDTH, Simulator
 

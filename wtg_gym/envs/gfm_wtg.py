@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, Unpack
 
 import gymnasium as gym
 
+from wtg_gym.envs.actions import as_actions
 from wtg_gym.envs.interface import (
     Action,
     Observation,
@@ -19,7 +20,7 @@ from wtg_gym.envs.interface import (
     spaces,
     warn_of_no_render_mode,
 )
-from wtg_gym.envs.lanes import LanesSnapshot, TaskLanes, as_actions
+from wtg_gym.envs.lanes import LanesSnapshot, TaskLanes
 from wtg_gym.envs.one_thread import Use, in_use, one_thread
 from wtg_gym.envs.rendering import Frame, LaneFrames
 from wtg_gym.envs.settings import EnvArguments

@@ -12,6 +12,7 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
+from wtg_gym.envs.actions import as_actions
 from wtg_gym.envs.interface import (
     Action,
     Observation,
@@ -25,7 +26,7 @@ from wtg_gym.envs.interface import (
     spaces,
     warn_of_no_render_mode,
 )
-from wtg_gym.envs.lanes import LanesSnapshot, TaskLanes, as_actions
+from wtg_gym.envs.lanes import LanesSnapshot, TaskLanes
 from wtg_gym.envs.next_episodes import NextEpisodes
 from wtg_gym.envs.one_thread import Use, one_thread
 from wtg_gym.envs.rendering import Frame, LaneFrames

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import numbers
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -11,21 +10,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs.bound import bind, can_bind, step_bound
+from wtg_gym.envs.actions import TIME_CONSTANT_RATIO, first_invalid_action
 from wtg_gym.envs.observation import N_LOCAL, N_MEASURED, observation_names
 from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
-from wtg_gym.envs.task import (
-    N_INFO,
-    TIME_CONSTANT_RATIO,
-    Outputs,
-    build_task,
-    first_invalid_action,
-    start_tasks,
-    step_blocks,
-)
+from wtg_gym.envs.single_step import bind, can_bind, step_bound
+from wtg_gym.envs.task import N_INFO, Outputs, build_task, start_tasks, step_blocks
 from wtg_gym.envs.task_layout import n_extra_rows
 from wtg_gym.envs.task_records import CostTerms, Info, TaskRows
-from wtg_gym.physics.layout import LaneData
+from wtg_gym.physics.lane_data import LaneData
 from wtg_gym.physics.linearisation import STEP_MARGIN, largest_stable_steps
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.records import flatten, leaves
@@ -54,24 +46,6 @@ _BLOCKS_PER_EPISODE = 5
 
 def _copied(outputs: Outputs) -> Outputs:
     return Outputs._make(array.copy() for array in outputs)
-
-
-def as_actions(given: Any, shape: tuple[int, ...]) -> Floats:
-    """Return actions as floats of a shape; anything but that many real numbers raises a ValueError."""
-    if type(given) is np.ndarray and given.dtype == np.float32 and given.shape == shape:
-        return given.astype(np.float64, order="C")
-    allowed = f"the action must be real numbers in -1 … 1 of shape {shape}"
-    try:
-        array = np.asarray(given)
-        if array.dtype.kind == "O" and all(isinstance(value, numbers.Real) for value in array.flat):
-            array = array.astype(np.float64)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(f"{allowed}: {error}") from error
-    if array.dtype.kind not in "biuf":
-        raise ValueError(f"{allowed}, got {array.dtype} values: {given!r:.60}")
-    if array.shape != shape:
-        raise ValueError(f"{allowed}, got shape {array.shape}")
-    return np.ascontiguousarray(array, dtype=np.float64)
 
 
 class LanesSnapshot(NamedTuple):
@@ -361,7 +335,7 @@ class TaskLanes:
             if meanwhile is not None:
                 meanwhile()
             return
-        simulator.for_blocks(
+        simulator.threads.run(
             lambda first, last: step_blocks(
                 simulator.blocks,
                 first,

@@ -9,7 +9,8 @@ from typing import Any, TypedDict
 
 import numpy as np
 
-from wtg_gym.physics.parameters import WtgGroup, default_groups, parameter
+from wtg_gym.physics.checked import parameter
+from wtg_gym.physics.parameters import WtgGroup, default_groups
 from wtg_gym.physics.plant import PHYSICS, SIMULATION_DT_RANGE, PlantSettings
 from wtg_gym.physics.scenario import SERIES_DT, Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws

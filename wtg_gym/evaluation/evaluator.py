@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from wtg_gym.envs.actions import TIME_CONSTANT_RATIO
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.envs.task import TIME_CONSTANT_RATIO
 from wtg_gym.evaluation.circumstances import environment_fingerprint, versions
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.metrics import Recorder, measure

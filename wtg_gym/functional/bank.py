@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.functional.programs import Programs
-from wtg_gym.physics.layout import Floats, LaneData, Layout
+from wtg_gym.physics.lane_data import LaneData
+from wtg_gym.physics.layout import Floats, Layout
 from wtg_gym.physics.reduction import refresh_network
 from wtg_gym.physics.scenario import Scenario
 

@@ -20,11 +20,13 @@ from wtg_gym.envs.task_records import read_task
 from wtg_gym.functional.branches import Cells, is_finite, where, without_branches
 from wtg_gym.gradients import expressions as ex
 from wtg_gym.gradients.tracing import ARITHMETIC, Actions, Rows, retargeted
-from wtg_gym.physics.dynamics import FIRST, LAST, MIDDLE, _stage, advance_step, derivatives
+from wtg_gym.physics.dynamics import _stage, advance_step, derivatives
 from wtg_gym.physics.integration import end_step, enter_interval
-from wtg_gym.physics.layout import LANE, Floats, Layout, Plant
+from wtg_gym.physics.layout import LANE, Floats, Layout
+from wtg_gym.physics.plant_constants import Plant
 from wtg_gym.physics.protection import update_status
 from wtg_gym.physics.reduction import _lose_governor, combine_load_noise
+from wtg_gym.physics.runge_kutta import FIRST, LAST, MIDDLE
 
 _LANES = (0,)
 

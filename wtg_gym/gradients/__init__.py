@@ -2,6 +2,7 @@
 
     expressions       numbers that remember how they came about, their derivatives, their source
     tracing           the kernels' own source over such numbers
+    kernel_programs   the kernels of a control step as such numbers
     generated         the vector-Jacobian products of the kernels, compiled
     plant_parameters  which parameters a plant has, and what constants they move
     adjoint           back through one control step

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.physics.parameters import GovernorParameters
+from wtg_gym.physics.machine_parameters import GovernorParameters
 from wtg_gym.physics.plant import PlantSettings, build_plant
 
 #: Fields of the parameter classes that act on a run, and neither on the equilibrium it starts from nor on a law.

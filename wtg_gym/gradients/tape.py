@@ -8,12 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs.lanes import TaskLanes, as_actions
+from wtg_gym.envs.actions import as_actions
+from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task import Outputs, step_blocks
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.gradients.adjoint import build_pull
-from wtg_gym.gradients.generated import ROW_OF_LEAF, Rules, build_rules, require_known
+from wtg_gym.gradients.generated import Rules, build_rules
+from wtg_gym.gradients.kernel_programs import ROW_OF_LEAF, require_known
 from wtg_gym.gradients.plant_parameters import (
     PlantEnvSettings,
     known_parameters,
@@ -152,7 +154,7 @@ class Tape:
             raise ValueError(f"the tape has no parameters {unknown}; it has: {', '.join(self.parameters) or 'none'}")
         plant = with_parameters(self.lanes.simulator.settings, values)
         settings = PlantEnvSettings.of(self.lanes.settings, plant)
-        self.lanes = TaskLanes(settings, self.lanes.n_lanes, self.lanes.simulator.n_threads)
+        self.lanes = TaskLanes(settings, self.lanes.n_lanes, self.lanes.simulator.threads.n_threads)
         self._measure_parameters(plant)
         self._begin(started=False)
 
@@ -265,7 +267,7 @@ class Tape:
     def _again(self, blocks: Floats, actions: Floats) -> None:
         simulator, task = self.lanes.simulator, self.lanes.task
         plant, data, lanes = simulator.plant, simulator.data, simulator.lanes
-        simulator.for_blocks(
+        simulator.threads.run(
             lambda first, last: step_blocks(blocks, first, last, plant, data, task, actions, self._scratch, lanes)
         )
 
@@ -315,7 +317,7 @@ class Tape:
             outputs = _shaped("outputs", outputs, (n_lanes, len(self.output_names)))
             so_far = self._take(cotangents, rules.outputs)
             self._put(cotangents, rules.outputs, so_far + outputs * running)
-        simulator.for_blocks(
+        simulator.threads.run(
             lambda first, last: self._pull(
                 self._works,
                 first,

@@ -7,21 +7,24 @@ Equations
     machine, exciter, governor, hydro_governor             synchronous machines
     network             admittances, power flow
     reduction           Kron reduction, load noise
-    dynamics            I = Y E, right-hand side, Runge-Kutta method
+    dynamics            right-hand side: loops over units and lanes
+    currents, runge_kutta        I = Y E and its limit; how a stage moves the states
     network_events      what events change in the network and its units
     protection          what ends a run
     equilibrium, start_errors    what a run starts from; why it cannot
     linearisation       modes, and the step they allow
 
 Data
-    parameters, ieee14, nrel5mw    every number with unit, source and range; the network; another turbine
+    parameters, machine_parameters, checked    every number with unit, source and range
+    ieee14, nrel5mw     the network; another turbine
     plant               a network, its WTG groups and the time steps
     scenario            what happens in a run
     tracking_law        the strategies
     trajectory          a recorded run
 
 Machinery
-    simulator, integration    runs side by side; one control interval
+    simulator, block_threads, integration    runs side by side; their threads; one control interval
     layout, records           rows of a block, made from records
+    plant_constants, lane_data    what all lanes share; series and events of each
     compiled, machine_code, elementary    compilation, its cache, functions for all processors
 """

@@ -82,8 +82,8 @@ def compiled(function: F) -> F:
 def inlined(function: F) -> F:
     """Compile like :func:`compiled`, and build the function into whatever calls it.
 
-    A call hands over the tables of a :class:`~wtg_gym.physics.layout.Plant` one by one, some eighty numbers: where a
-    function runs for less than a microsecond, that took longer than its work.
+    A call hands over the tables of a :class:`~wtg_gym.physics.plant_constants.Plant` one by one, some eighty numbers:
+    where a function runs for less than a microsecond, that took longer than its work.
     """
     return _compile(function, forceinline=True)
 

@@ -1,4 +1,4 @@
-"""The right-hand side and its integration: loops over units and lanes around the equations of each model.
+"""The right-hand side and a step of its integration: loops over units and lanes around the equations of each model.
 
 The same functions serve one lane and blocks of lanes; they are compiled once per lane width, which arrives as a tuple
 whose length the compiler knows.
@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from wtg_gym.physics.compiled import compiled, inlined
-from wtg_gym.physics.converter_limits import limiting_reactance
-from wtg_gym.physics.elementary import fma, select
+from wtg_gym.physics.currents import unit_currents
+from wtg_gym.physics.elementary import select
 from wtg_gym.physics.hydro_governor import HydroState, hydro_limited, hydro_rates
 from wtg_gym.physics.layout import (
     EXTENSION,
@@ -25,7 +25,6 @@ from wtg_gym.physics.layout import (
     N_HYDRO_STATES,
     N_MACHINE_ROWS,
     N_MACHINE_STATES,
-    N_WTG_ROWS,
     N_WTG_STATES,
     WTG,
     WTG_CAPTURED,
@@ -33,7 +32,7 @@ from wtg_gym.physics.layout import (
     Floats,
     Lanes,
     Phasor,
-    Plant,
+    extension_at,
     load_extension_input,
     load_extension_state,
     load_hydro_state,
@@ -51,7 +50,6 @@ from wtg_gym.physics.layout import (
     store_extension_output,
     store_machine_emf,
     store_machine_output,
-    store_phasor,
     store_wtg_output,
     wtg_row,
 )
@@ -63,7 +61,9 @@ from wtg_gym.physics.machine import (
     machine_rates,
     machine_voltage,
 )
-from wtg_gym.physics.records import elementwise, loader, size, storer
+from wtg_gym.physics.plant_constants import Plant
+from wtg_gym.physics.records import elementwise
+from wtg_gym.physics.runge_kutta import EVALUATE, FIRST, LAST, MIDDLE, _base, _kept, _moved, _sum, advancer
 from wtg_gym.physics.wind_turbine import (
     ExtensionState,
     Turbine,
@@ -78,13 +78,6 @@ from wtg_gym.physics.wind_turbine import (
     wtg_rates,
     wtg_voltage,
 )
-
-#: Stages of :func:`unit_rates`.
-EVALUATE, FIRST, MIDDLE, LAST = -1, 0, 1, 2
-#: Gauss-Seidel sweeps over the groups whose current is limited, at most: a few, but some thirty for large groups at a
-#: weak bus. They end once no voltage moves by more than 1e-12 p.u.; the squares are compared.
-_SWEEPS = 100
-_SETTLED = 1e-12 * 1e-12
 
 
 @inlined
@@ -113,192 +106,10 @@ def unit_voltages(block: Floats, c: Any, lanes: Lanes) -> None:
             block[voltage + width + x] = im
 
 
-@inlined
-def extension_at(c: Any, j: int, width: int) -> int:
-    """Return where the extension of WTG group j begins: behind its other rows."""
-    return (wtg_row(c, j) + N_WTG_ROWS) * width
-
-
-@inlined
-def unit_currents(block: Floats, c: Any, lanes: Lanes) -> None:
-    """Find the units' currents I = Y E with the reduced admittance of each lane's network."""
-    width, rows = len(lanes), rows_of(c)
-    n = c["unit_bus"].shape[0]
-    for i in range(n):
-        at, y = (rows.current + 2 * i) * width, (rows.admittance + 2 * i * n) * width
-        for x in range(2 * width):
-            block[at + x] = 0.0
-        # Three at a time: sums in registers save half of the memory's traffic.
-        for j in range(0, n - n % 3, 3):
-            e_j, y_j = (rows.voltage + 2 * j) * width, y + 2 * j * width
-            for x in range(width):
-                current = load_phasor(block, at + x, width)
-                current = _plus_product(current, block, y_j + x, e_j + x, width)
-                current = _plus_product(current, block, y_j + 2 * width + x, e_j + 2 * width + x, width)
-                current = _plus_product(current, block, y_j + 4 * width + x, e_j + 4 * width + x, width)
-                store_phasor(current, block, at + x, width)
-        for j in range(n - n % 3, n):
-            e_j, y_j = (rows.voltage + 2 * j) * width, y + 2 * j * width
-            for x in range(width):
-                current = load_phasor(block, at + x, width)
-                store_phasor(_plus_product(current, block, y_j + x, e_j + x, width), block, at + x, width)
-    if c["extension"].shape[0] > 0:
-        _limit_currents(block, c, lanes)
-
-
-@inlined
-def _limit_currents(block: Floats, c: Any, lanes: Lanes) -> None:
-    """Turn the voltages of groups whose current is too large into those behind their limiting reactance.
-
-    A lane without such a group, or one that has settled, keeps its bits, whatever its neighbours do.
-    """
-    width, rows = len(lanes), rows_of(c)
-    n_sync = c["machines"].shape[0]
-    limit = read_extension(c["extension"][0]).limits.current_max
-    # Whole numbers: a sum of them is taken for all lanes at once, the largest of floats is not.
-    exceeded = np.int64(0)
-    for j in range(c["share"].shape[0]):
-        current_at, o = (rows.current + 2 * (n_sync + j)) * width, extension_at(c, j, width) + EXTENSION.output * width
-        largest = (limit * c["share"][j]) * (limit * c["share"][j])
-        for x in range(width):
-            current = load_phasor(block, current_at + x, width)
-            exceeded += np.int64(fma(current.re, current.re, current.im * current.im) > largest)
-            block[o + x] = 0.0
-    if exceeded == 0:
-        return
-    for j in range(c["share"].shape[0]):
-        e, o = (rows.voltage + 2 * (n_sync + j)) * width, extension_at(c, j, width) + EXTENSION.source * width
-        for x in range(width):
-            store_phasor(load_phasor(block, e + x, width), block, o + x, width)
-    for _ in range(_SWEEPS):
-        moved = np.int64(0)
-        for j in range(c["share"].shape[0]):
-            moved += _limit_current(block, c, j, limit * c["share"][j], lanes)
-        if moved == 0:
-            return
-
-
-@inlined
-def _limit_current(block: Floats, c: Any, j: int, limit: float, lanes: Lanes) -> np.int64:
-    """Find the limiting reactance of WTG group j with everybody else's voltage as it is, and move all currents.
-
-    Returns:
-        in how many lanes its voltage has moved.
-    """
-    width, rows = len(lanes), rows_of(c)
-    n = c["unit_bus"].shape[0]
-    unit = c["machines"].shape[0] + j
-    own, o = (rows.voltage + 2 * unit) * width, extension_at(c, j, width)
-    moved = np.int64(0)
-    for x in range(width):
-        y = load_phasor(block, (rows.admittance + 2 * (unit * n + unit)) * width + x, width)
-        source = load_phasor(block, o + EXTENSION.source * width + x, width)
-        e = load_phasor(block, own + x, width)
-        current = load_phasor(block, (rows.current + 2 * unit) * width + x, width)
-        free = _plus(current, y, Phasor(source.re - e.re, source.im - e.im))
-        reactance = limiting_reactance(free.re, free.im, y.re, y.im, limit)
-        # E' = E - jX_v I, and I = I_0 / (1 + jX_v Y).
-        d_re, d_im = 1.0 - reactance * y.im, reactance * y.re
-        size = reactance / fma(d_re, d_re, d_im * d_im)
-        drop_re = size * fma(free.re, d_re, free.im * d_im)
-        drop_im = size * fma(free.im, d_re, -(free.re * d_im))
-        change = Phasor(source.re + drop_im - e.re, source.im - drop_re - e.im)
-        moves = fma(change.re, change.re, change.im * change.im) > _SETTLED
-        change = Phasor(select(moves, change.re, 0.0), select(moves, change.im, 0.0))
-        moved += np.int64(moves)
-        block[o + EXTENSION.output * width + x] = reactance
-        store_phasor(change, block, o + EXTENSION.change * width + x, width)
-        store_phasor(Phasor(e.re + change.re, e.im + change.im), block, own + x, width)
-    for i in range(n):
-        for x in range(width):
-            y = load_phasor(block, (rows.admittance + 2 * (i * n + unit)) * width + x, width)
-            change = load_phasor(block, o + EXTENSION.change * width + x, width)
-            current = load_phasor(block, (rows.current + 2 * i) * width + x, width)
-            store_phasor(_plus(current, y, change), block, (rows.current + 2 * i) * width + x, width)
-    return moved
-
-
-@inlined
-def _plus_product(total: Phasor, block: Floats, admittance: int, voltage: int, width: int) -> Phasor:
-    return _plus(total, load_phasor(block, admittance, width), load_phasor(block, voltage, width))
-
-
-@inlined
-def _plus(total: Phasor, y: Phasor, e: Phasor) -> Phasor:
-    return Phasor(total.re + fma(y.re, e.re, -(y.im * e.im)), total.im + fma(y.re, e.im, y.im * e.re))
-
-
-@inlined
-def _base(state: float, base: float, first: bool) -> float:
-    return select(first, state, base)
-
-
-@inlined
-def _sum(rate: float, total: float, first: bool) -> float:
-    return select(first, rate, fma(2.0, rate, total))
-
-
-@inlined
-def _moved(base: float, rate: float, total: float, ahead: float, last: bool) -> float:
-    # The last stage goes along the sum of all rates, k1 + 2 k2 + 2 k3 + k4.
-    return fma(ahead, select(last, total + rate, rate), base)
-
-
-@inlined
-def _kept(moved: float, limited: float, base: float, last: bool, active: float) -> float:
-    # An ended lane keeps its base exactly: nothing, not even a rounding, is added to it.
-    return select(active > 0.5, select(last, limited, moved), base)
-
-
-def _advancer(record: type[Any], limited: Callable[..., Any]) -> Callable[..., None]:
-    """Return the function that moves a unit's states by one stage.
-
-    Args:
-        record: of the states; rows for their base and their sum of rates follow theirs.
-        limited: compiled; returns the states, held within their limits, given states and constants.
-    """
-    load: Callable[..., Any] = loader(record)
-    store: Callable[..., None] = storer(record)
-    n = size(record)
-    base_of: Callable[..., Any] = elementwise(record, _base, "base", "state, base", "first")
-    sum_of: Callable[..., Any] = elementwise(record, _sum, "sum", "rate, total", "first")
-    moved_of: Callable[..., Any] = elementwise(record, _moved, "moved", "base, rate, total", "ahead, last")
-    kept_of: Callable[..., Any] = elementwise(record, _kept, "kept", "moved, limited, base", "last, active")
-
-    @inlined
-    def advance(
-        state: Any,
-        rates: Any,
-        constants: Any,
-        block: Floats,
-        at: int,
-        rate_at: int,
-        active: float,
-        stage: np.int64,
-        ahead: float,
-        width: int,
-    ) -> None:
-        first, last = stage == FIRST, stage == LAST
-        if stage == EVALUATE:
-            store(rates, block, rate_at, width)
-        else:
-            base = base_of(state, load(block, at + n * width, width), first)
-            total = load(block, at + 2 * n * width, width)
-            moved = moved_of(base, rates, total, ahead, last)
-            moved = kept_of(moved, limited(moved, constants), base, last, active)
-            store(moved, block, at, width)
-            if first:
-                store(base, block, at + n * width, width)
-            if not last:
-                store(sum_of(rates, total, first), block, at + 2 * n * width, width)
-
-    return advance
-
-
-_advance_machine = _advancer(MachineState, machine_limited)
-_advance_hydro = _advancer(HydroState, hydro_limited)
-_advance_wtg = _advancer(WtgState, wtg_limited)
-_advance_extension = _advancer(ExtensionState, extension_limited)
+_advance_machine = advancer(MachineState, machine_limited)
+_advance_hydro = advancer(HydroState, hydro_limited)
+_advance_wtg = advancer(WtgState, wtg_limited)
+_advance_extension = advancer(ExtensionState, extension_limited)
 
 
 @inlined

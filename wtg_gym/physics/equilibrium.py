@@ -11,8 +11,9 @@ import numpy.typing as npt
 from wtg_gym.physics.compiled import compiled
 from wtg_gym.physics.converter import ConverterState
 from wtg_gym.physics.converter_limits import LimitState
-from wtg_gym.physics.dynamics import derivatives, extension_at
+from wtg_gym.physics.dynamics import derivatives
 from wtg_gym.physics.hydro_governor import hydro_start
+from wtg_gym.physics.lane_data import NO_EVENT, LaneData
 from wtg_gym.physics.layout import (
     EXTENSION,
     LANE,
@@ -21,15 +22,13 @@ from wtg_gym.physics.layout import (
     N_EXTREMES,
     N_HYDRO_ROWS,
     N_MACHINE_ROWS,
-    NO_EVENT,
     OVERLOAD_TIME,
     WTG,
     WTG_ANGLE,
     WTG_EMF,
     Floats,
-    LaneData,
     Lanes,
-    Plant,
+    extension_at,
     load_extension_state,
     load_hydro_state,
     load_machine_input,
@@ -55,6 +54,7 @@ from wtg_gym.physics.layout import (
 from wtg_gym.physics.machine import MachineInput, machine_start
 from wtg_gym.physics.network import assemble_admittance, solve_power_flow
 from wtg_gym.physics.pitch import PitchState
+from wtg_gym.physics.plant_constants import Plant
 from wtg_gym.physics.protection import track_extremes
 from wtg_gym.physics.reduction import combine_load_noise, refresh_network
 from wtg_gym.physics.voltage_control import VoltageInput

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from wtg_gym.physics.compiled import inlined
 from wtg_gym.physics.elementary import clip, limited_rate
-from wtg_gym.physics.parameters import ExciterParameters
+from wtg_gym.physics.machine_parameters import ExciterParameters
 
 
 class Exciter(NamedTuple):

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from wtg_gym.physics.compiled import inlined
 from wtg_gym.physics.elementary import clip, limited_rate, select
 from wtg_gym.physics.governor import beyond_dead_band
-from wtg_gym.physics.parameters import HydroGovernorParameters
+from wtg_gym.physics.machine_parameters import HydroGovernorParameters
 
 #: The gate is kept this far open in h = (q/g)² [p.u.].
 _LEAST_GATE = 0.01

@@ -9,8 +9,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 
+from wtg_gym.physics.machine_parameters import GovernorParameters, SynchronousMachineParameters
 from wtg_gym.physics.network import Branch, Bus, NetworkCase
-from wtg_gym.physics.parameters import GovernorParameters, SynchronousMachineParameters
 
 # number, load [MW], load [Mvar], shunt [Mvar], held voltage [p.u.]
 _BUSES = (

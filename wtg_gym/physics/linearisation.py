@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from wtg_gym.physics.converter import Corners
 from wtg_gym.physics.dynamics import evaluate_rates
-from wtg_gym.physics.layout import Floats, Layout, Plant
+from wtg_gym.physics.layout import Floats, Layout
+from wtg_gym.physics.plant_constants import Plant
 
 #: Step of the finite differences [p.u., rad]; truncation and rounding are both near 1e-9 of a rate.
 _DIFFERENCE = 2e-6

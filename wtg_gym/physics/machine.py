@@ -31,7 +31,7 @@ from wtg_gym.physics.exciter import (
     exciter_start,
 )
 from wtg_gym.physics.governor import Governor, GovernorState, governor_constants, governor_limited, governor_rates
-from wtg_gym.physics.parameters import SynchronousMachineParameters
+from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
 
 
 class Machine(NamedTuple):

@@ -15,15 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.physics.checked import Checked, parameter, required
 from wtg_gym.physics.compiled import compiled, inlined
-from wtg_gym.physics.parameters import (
-    Checked,
-    GovernorParameters,
-    HydroGovernorParameters,
-    SynchronousMachineParameters,
-    parameter,
-    required,
-)
+from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters, SynchronousMachineParameters
 from wtg_gym.ranges import require_range
 
 #: Largest power mismatch accepted as a power-flow solution [p.u.].
@@ -224,7 +218,7 @@ def assemble_admittance(
 ) -> npt.NDArray[np.complex128]:
     """Return the bus admittance matrix (n_bus, n_bus) [p.u.] of the closed branches plus `bus_y` on the diagonal.
 
-    `branches` (n_branch,) are of :class:`~wtg_gym.physics.layout.BranchConstants`.
+    `branches` (n_branch,) are of :class:`~wtg_gym.physics.plant_constants.BranchConstants`.
     """
     n = bus_y.shape[0]
     y = np.zeros((n, n), dtype=np.complex128)

@@ -10,17 +10,16 @@ from typing import Any
 import numpy as np
 
 from wtg_gym.physics.aerodynamics import surface_of
+from wtg_gym.physics.checked import Checked
 from wtg_gym.physics.hydro_governor import hydro_constants
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.layout import BranchConstants, BusConstants, Plant, constants_dtype
 from wtg_gym.physics.machine import machine_constants
+from wtg_gym.physics.machine_parameters import HydroGovernorParameters
 from wtg_gym.physics.network import NetworkCase, branch_admittances
 from wtg_gym.physics.nrel5mw import nrel_5mw
 from wtg_gym.physics.parameters import (
-    Checked,
     ConverterLimitParameters,
     GridFormingParameters,
-    HydroGovernorParameters,
     PitchParameters,
     ProtectionParameters,
     SheddingStage,
@@ -30,6 +29,7 @@ from wtg_gym.physics.parameters import (
     default_groups,
     european_shedding,
 )
+from wtg_gym.physics.plant_constants import BranchConstants, BusConstants, Plant, constants_dtype
 from wtg_gym.physics.records import dtype, flatten
 from wtg_gym.physics.wind_turbine import extension_constants, turbine_constants
 from wtg_gym.ranges import require_range, whole_steps

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import functools
 import math
-import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.physics.block_threads import BlockThreads
 from wtg_gym.physics.dynamics import evaluate_rates
 from wtg_gym.physics.equilibrium import StartFailure, place_lanes, start_lanes
 from wtg_gym.physics.integration import advance_blocks
-from wtg_gym.physics.layout import EVENT_DTYPE, NO_EVENT, Floats, LaneData, Layout
+from wtg_gym.physics.lane_data import EVENT_DTYPE, NO_EVENT, LaneData
+from wtg_gym.physics.layout import Floats, Layout
 from wtg_gym.physics.linearisation import check_step
 from wtg_gym.physics.network_events import network_events
 from wtg_gym.physics.plant import PlantSettings, build_plant
@@ -30,8 +30,6 @@ BLOCK_WIDTH = 16
 #: Winds at which the integration step is checked when a simulator is built: blades at rest, and turned by the pitch
 #: protection [m/s].
 _CHECKED_WINDS = (8.0, 16.0)
-#: A thread is worth its start only for this many blocks.
-_BLOCKS_PER_THREAD = 4
 
 
 def _copy(data: LaneData) -> LaneData:
@@ -109,9 +107,7 @@ class Simulator:
         # A padded or not yet started lane must hold finite values: it is computed along with its neighbours.
         self._view = self.blocks.reshape(n_blocks, self.layout.n_rows, self.width)
         self.data = self._allocate_data(n_blocks * self.width, 4)
-        self.n_threads = n_threads
-        self._pool: ThreadPoolExecutor | None = None
-        self._pool_process = 0
+        self.threads = BlockThreads(n_blocks, n_threads)
         self._pad()
         try:
             self._checked = _checked_inertias(settings)
@@ -330,7 +326,7 @@ class Simulator:
 
     def advance(self) -> None:
         """Advance every running lane by one control interval."""
-        self.for_blocks(lambda a, b: advance_blocks(self.blocks, a, b, self.plant, self.data, self.lanes))
+        self.threads.run(lambda a, b: advance_blocks(self.blocks, a, b, self.plant, self.data, self.lanes))
 
     def imagine(self, other: Simulator, lanes: npt.NDArray[np.int64], wind: Floats) -> None:
         """Continue runs of another simulator in this one's lanes, in a future that holds no surprise.
@@ -365,46 +361,6 @@ class Simulator:
             data.wind[lane, :, first + ahead :] = wind[lane, :, ahead - 1 : ahead]
             data.noise[lane, first:] = data.noise[lane, max(first - 1, 0)]
         self.commit(range(self.n_lanes), PreparedLanes(rows, data))
-
-    def for_blocks(
-        self, work: Callable[[int, int], Any], meanwhile: Callable[[], Any] | None = None, meanwhile_blocks: int = 0
-    ) -> None:
-        """Call `work(first, last)` for ranges that cover all blocks, on several threads where that pays.
-
-        Args:
-            work: compiled, so that it releases the interpreter.
-            meanwhile: called once, by this thread, while others work.
-            meanwhile_blocks: how many blocks take as long as that call.
-        """
-        n_blocks = self.blocks.shape[0]
-        n_threads = n_blocks // _BLOCKS_PER_THREAD
-        if n_threads > 1:
-            # Asked for anew: a copy may live on another machine. It costs as much as a step, but not as a thousand.
-            n_threads = min(n_threads, self.n_threads or os.cpu_count() or 1)
-        futures, own = [], n_blocks
-        if n_threads > 1:
-            own = max(0, (n_blocks + meanwhile_blocks) // n_threads - meanwhile_blocks)
-            edges = [own + (n_blocks - own) * i // (n_threads - 1) for i in range(n_threads)]
-            pool = self._workers(n_threads)
-            futures = [pool.submit(work, edges[i], edges[i + 1]) for i in range(n_threads - 1)]
-        # Whatever happens meanwhile, no block may be left a step behind the others.
-        try:
-            if meanwhile is not None:
-                meanwhile()
-        finally:
-            try:
-                work(0, own)
-            finally:
-                wait(futures)
-        for done in futures:
-            done.result()
-
-    def _workers(self, n_threads: int) -> ThreadPoolExecutor:
-        # A forked process inherits the pool, but not its threads.
-        if self._pool is None or self._pool_process != os.getpid():
-            self._pool = ThreadPoolExecutor(n_threads, thread_name_prefix="wtg_gym")
-            self._pool_process = os.getpid()
-        return self._pool
 
     def evaluate(self) -> None:
         """Evaluate rates, powers and coefficients of all lanes at their present states, in place."""
@@ -454,17 +410,14 @@ class Simulator:
 
     def close(self) -> None:
         """Stop the worker threads."""
-        if self._pool is not None:
-            self._pool.shutdown()
-            self._pool = None
+        self.threads.close()
 
     def __getstate__(self) -> dict[str, Any]:
-        # A thread pool cannot be copied, and a view would come back as an array of its own.
-        return {key: value for key, value in self.__dict__.items() if key not in ("_pool", "_view")}
+        # A view would come back as an array of its own.
+        return {key: value for key, value in self.__dict__.items() if key != "_view"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._pool = None
         self.blocks = _aligned_zeros(*state["blocks"].shape)
         self.blocks[:] = state["blocks"]
         self._view = self.blocks.reshape(self.blocks.shape[0], self.layout.n_rows, self.width)

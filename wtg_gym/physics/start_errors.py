@@ -8,12 +8,8 @@ import numpy as np
 
 from wtg_gym.physics.equilibrium import StartFailure
 from wtg_gym.physics.layout import Floats, Layout
-from wtg_gym.physics.parameters import (
-    ConverterLimitParameters,
-    ExciterParameters,
-    HydroGovernorParameters,
-    VoltageControlParameters,
-)
+from wtg_gym.physics.machine_parameters import ExciterParameters, HydroGovernorParameters
+from wtg_gym.physics.parameters import ConverterLimitParameters, VoltageControlParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 

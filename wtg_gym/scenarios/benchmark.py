@@ -9,7 +9,8 @@ from types import MappingProxyType
 from typing import Any
 
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.parameters import GovernorParameters, WtgGroup, default_groups
+from wtg_gym.physics.machine_parameters import GovernorParameters
+from wtg_gym.physics.parameters import WtgGroup, default_groups
 from wtg_gym.physics.plant import PlantSettings, plant_settings
 
 

@@ -5,16 +5,13 @@ from __future__ import annotations
 import dataclasses
 import math
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
-from typing import Any, NamedTuple, TypeVar
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from wtg_gym.physics.aerodynamics import available_power_pu
-from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.physics.scenario import (
     LONGEST_RUN_S,
     SERIES_DT,
@@ -30,7 +27,9 @@ from wtg_gym.physics.scenario import (
     trusted,
 )
 from wtg_gym.ranges import is_whole, require_bus, require_range
-from wtg_gym.scenarios.stream import Words, draw_normals, draw_uniforms, seed_streams
+from wtg_gym.scenarios.load_noise import noise_amplitude, noise_decay
+from wtg_gym.scenarios.picker import Picker, Span, pickers
+from wtg_gym.scenarios.stream import Words, draw_normals, seed_streams
 from wtg_gym.scenarios.wind import (
     DRAWN_WIND_RANGE,
     FloatArray,
@@ -38,13 +37,9 @@ from wtg_gym.scenarios.wind import (
     extreme_operating_gust,
     ntm_sigma,
     period_length,
-    resolved_frequencies,
-    spectrum_amplitude,
     unit_turbulence_amplitude,
 )
-
-T = TypeVar("T")
-Span = tuple[float, float]
+from wtg_gym.scenarios.wind_share import share_of_load
 
 #: Branches of the IEEE 14-bus system whose opening leaves the network in one piece.
 TRIPPABLE_LINES = (
@@ -56,8 +51,6 @@ TRIPPABLE_LINES = (
 _SURVIVABLE_LINES = TRIPPABLE_LINES[1:]
 #: Mean winds that are drawn for a share of the load before it counts as impossible.
 _MOST_DRAWS = 1000
-#: Uniform numbers that are taken from a stream at a time.
-_N_UNIFORMS = 64
 #: Bus, largest load increase and largest decrease there [MW]: less at the buses behind weak lines; the
 #: decrease is the load the bus has at 85 % load level, so that no bus turns into a generator.
 _LOAD_BUSES = (
@@ -250,7 +243,7 @@ class ScenarioDistribution:
         # The name is part of the seed, so that two suites share no scenario.
         states = np.empty((len(seeds), 4), dtype=np.uint64)
         seed_streams(np.array(seeds, dtype=np.uint64), zlib.crc32(self.name.encode()), states)
-        plans = [self._plan(pick, turbines, n_samples, window) for pick in _pickers(states)]
+        plans = [self._plan(pick, turbines, n_samples, window) for pick in pickers(states)]
         winds, noises = self._series(states, plans, turbines, n_samples)
         return [
             trusted(
@@ -271,7 +264,7 @@ class ScenarioDistribution:
             for seed, plan, wind, noise in zip(seeds, plans, winds, noises, strict=True)
         ]
 
-    def _plan(self, pick: _Picker, turbines: list[float], n_samples: int, window: Span) -> _Plan:
+    def _plan(self, pick: Picker, turbines: list[float], n_samples: int, window: Span) -> _Plan:
         load_level: float
         plan = _Plan(
             governor_droop=pick.between(self.governor_droop),
@@ -290,7 +283,7 @@ class ScenarioDistribution:
         """Largest increase and largest decrease of the load by bus [MW]."""
         return {bus: limit for bus, limit, _ in self.load_buses}, {bus: limit for bus, _, limit in self.load_buses}
 
-    def _load_events(self, pick: _Picker, window: Span) -> list[Event]:
+    def _load_events(self, pick: Picker, window: Span) -> list[Event]:
         n_events = pick.whole(*self.n_load_events)
         times = sorted([pick.instant(window) for _ in range(n_events)])
         trip_index = pick.whole(0, n_events - 1) if n_events and pick.chance(self.load_trip_probability) else -1
@@ -324,7 +317,7 @@ class ScenarioDistribution:
                 events.append(trusted(LoadStep, **change))
         return events
 
-    def _line_events(self, pick: _Picker, window: Span) -> list[Event]:
+    def _line_events(self, pick: Picker, window: Span) -> list[Event]:
         if not pick.chance(self.line_trip_probability):
             return []
         from_bus, to_bus = pick.choice(self.line_trips)
@@ -333,7 +326,7 @@ class ScenarioDistribution:
             return [trip]
         return [dataclasses.replace(trip, recloses_after_s=round(pick.between(self.line_reclosing_s), 1))]
 
-    def _outages(self, pick: _Picker, turbines: list[float], window: Span) -> list[Event]:
+    def _outages(self, pick: Picker, turbines: list[float], window: Span) -> list[Event]:
         events: list[Event] = []
         if self.governor_loss_probability + self.group_trip_probability > 0.0:
             kind = pick.uniform()
@@ -352,7 +345,7 @@ class ScenarioDistribution:
         """Wind per scenario and group, (n, n_wtg, n_samples) [m/s], and load noise, (n, n_samples or 0) [MW]."""
         n, n_wtg, n_period = len(plans), len(turbines), period_length(n_samples)
         units, sigmas = [], []
-        of_noise = _noise_amplitude(self.load_noise_correlation_s, n_period)
+        of_noise = noise_amplitude(self.load_noise_correlation_s, n_period)
         for plan in plans:
             for mean, n_turbines in zip(plan.mean_winds, turbines, strict=True):
                 units.append(unit_turbulence_amplitude(mean, n_turbines, n_period))
@@ -373,20 +366,20 @@ class ScenarioDistribution:
         # New arrays, which do not hold the rest of the period in memory.
         wind = np.clip(wind, *DRAWN_WIND_RANGE)
         if self.load_noise_mw:
-            noise = noise - noise[:, :1] * _noise_decay(self.load_noise_correlation_s, n_samples)
+            noise = noise - noise[:, :1] * noise_decay(self.load_noise_correlation_s, n_samples)
         else:
             noise = np.zeros((n, 0))
         for array in (wind, noise):
             array.setflags(write=False)
         return wind, noise
 
-    def _mean_winds(self, pick: _Picker, turbines: list[float], load_level: float) -> list[float]:
+    def _mean_winds(self, pick: Picker, turbines: list[float], load_level: float) -> list[float]:
         if self.wind_share is None:
             return self._any_mean_winds(pick, len(turbines))
         low, high = self.wind_share
         for _ in range(_MOST_DRAWS):
             winds = self._any_mean_winds(pick, len(turbines))
-            if low <= _share_of_load(winds, turbines, load_level) <= high:
+            if low <= share_of_load(winds, turbines, load_level) <= high:
                 return winds
         raise ValueError(
             f"wind_share: winds of {self.mean_wind_m_s[0]:g} … {self.mean_wind_m_s[1]:g} m/s hardly ever give these "
@@ -402,7 +395,7 @@ class ScenarioDistribution:
         margin = 0.05 * (high - low)
         for load_level in self.load_level:
             least, most = (
-                _share_of_load([wind] * len(n_turbines), n_turbines, load_level)
+                share_of_load([wind] * len(n_turbines), n_turbines, load_level)
                 for wind in (low + margin, high - margin)
             )
             if most < self.wind_share[0] or least > self.wind_share[1]:
@@ -412,7 +405,7 @@ class ScenarioDistribution:
                     f"{100.0 * self.wind_share[1]:g} %: other groups or another suite are needed"
                 )
 
-    def _any_mean_winds(self, pick: _Picker, n_wtg: int) -> list[float]:
+    def _any_mean_winds(self, pick: Picker, n_wtg: int) -> list[float]:
         spread = self.mean_wind_spread_m_s
         if spread is None:
             return [pick.between(self.mean_wind_m_s) for _ in range(n_wtg)]
@@ -421,7 +414,7 @@ class ScenarioDistribution:
         return [min(max(shared + pick.between((-spread, spread)), low), high) for _ in range(n_wtg)]
 
     def _wind_event(
-        self, pick: _Picker, n_wtg: int, n_samples: int, window: Span
+        self, pick: Picker, n_wtg: int, n_samples: int, window: Span
     ) -> tuple[int | slice, FloatArray] | None:
         """The groups that a gust or ramp reaches, and its change of wind [m/s]; None for neither."""
         kind = pick.uniform()
@@ -447,85 +440,6 @@ class _Plan(NamedTuple):
     intensity: float
     mean_winds: list[float]
     wind_event: tuple[int | slice, FloatArray] | None
-
-
-def _pickers(states: Words) -> Iterator[_Picker]:
-    """One picker per stream; the numbers that most scenarios need are drawn for all streams at once."""
-    first = np.empty((states.shape[0], _N_UNIFORMS))
-    draw_uniforms(states, first)
-    for state, block in zip(states, first.tolist(), strict=True):
-        yield _Picker(_uniforms(state[None, :], block).__next__)
-
-
-def _uniforms(state: Words, block: list[float]) -> Iterator[float]:
-    """The numbers of a stream by the block, each block from its end."""
-    while True:
-        yield from reversed(block)
-        more = np.empty((1, _N_UNIFORMS))
-        draw_uniforms(state, more)
-        block = more[0].tolist()
-
-
-class _Picker:
-    """Uniform draws of plain Python values."""
-
-    def __init__(self, uniform: Callable[[], float]) -> None:
-        self.uniform = uniform
-
-    def between(self, span: Span) -> float:
-        low, high = span
-        return low + (high - low) * self.uniform()
-
-    def chance(self, probability: float) -> bool:
-        return self.uniform() < probability
-
-    def whole(self, low: int, high: int) -> int:
-        return low + int((high - low + 1) * self.uniform())
-
-    def choice(self, options: Sequence[T]) -> T:
-        return options[self.whole(0, len(options) - 1)]
-
-    def instant(self, window: Span) -> float:
-        return round(self.between(window), 1)
-
-
-def _share_of_load(mean_winds: Sequence[float], turbines: Sequence[float], load_level: float) -> float:
-    """Return the share of the system's load that turbines at nominal reserve give in mean winds [m/s]."""
-    turbine_mw, per_cubic_wind, load_mw = _share_constants()
-    given_mw = (
-        n * turbine_mw * min(per_cubic_wind * wind**3, 1.0) for n, wind in zip(turbines, mean_winds, strict=True)
-    )
-    return sum(given_mw) / (load_level * load_mw)
-
-
-@lru_cache(maxsize=1)
-def _share_constants() -> tuple[float, float, float]:
-    """Return a turbine's power at nominal reserve [MW], its available power at 1 m/s [p.u.] and the load [MW]."""
-    full, rated_mw = 1.0 - GridFormingParameters().deloading_nominal, TurbineParameters().rated_power_mw
-    return rated_mw * full, float(available_power_pu(1.0)), sum(bus.load_mw for bus in modified_ieee14().buses)
-
-
-@lru_cache(maxsize=64)
-def _noise_amplitude(correlation_s: float, n_period: int) -> FloatArray:
-    """Coefficient scale of a stationary Ornstein-Uhlenbeck series of variance 1.
-
-    Its samples are a first-order autoregression with phi = exp(-dt/T), whose spectrum is
-    2 dt (1 - phi²)/(1 - 2 phi cos(2π f dt) + phi²).
-    """
-    phi = math.exp(-SERIES_DT / correlation_s)
-    angle = 2.0 * math.pi * SERIES_DT * resolved_frequencies(n_period)
-    spectrum = 2.0 * SERIES_DT * (1.0 - phi**2) / (1.0 - 2.0 * phi * np.cos(angle) + phi**2)
-    amplitude = spectrum_amplitude(spectrum, n_period)
-    amplitude.setflags(write=False)
-    return amplitude
-
-
-@lru_cache(maxsize=64)
-def _noise_decay(correlation_s: float, n_samples: int) -> FloatArray:
-    """Decay of the start value; a stationary series less its decaying start value is one that starts at zero."""
-    decay: FloatArray = np.exp(-SERIES_DT / correlation_s * np.arange(n_samples))
-    decay.setflags(write=False)
-    return decay
 
 
 def _require_span(name: str, value: Any, low: float, high: float, unit: str) -> Span:

@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.physics.parameters import GovernorParameters, WtgGroup
+from wtg_gym.physics.machine_parameters import GovernorParameters
+from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.physics.scenario import Event, LoadStep, LoadTrip, Scenario, trusted
 from wtg_gym.ranges import is_whole
 from wtg_gym.scenarios.benchmark import V0, V1, Benchmark, SuitePlant

@@ -10,8 +10,8 @@ import numpy as np
 from bokeh.document import Document
 from bokeh.models import Button, ColumnDataSource, RadioButtonGroup, Slider
 
+from wtg_gym.envs.actions import TIME_CONSTANT_RATIO
 from wtg_gym.envs.rendering.colours import group_colour
-from wtg_gym.envs.task import TIME_CONSTANT_RATIO
 from wtg_gym.evaluation.summary import POINTS, REST
 from wtg_gym.plotting.live import look
 from wtg_gym.plotting.live.match import Match, Scale, Verdict

@@ -11,9 +11,12 @@ from typing import Any
 import numba
 from numba.experimental import structref
 
-from wtg_gym.envs.task import Outputs, first_invalid_action, step_blocks
+from wtg_gym.envs.actions import first_invalid_action
+from wtg_gym.envs.task import Outputs, step_blocks
 from wtg_gym.physics.compiled import compiled
-from wtg_gym.physics.layout import Floats, LaneData, Lanes, Plant
+from wtg_gym.physics.lane_data import LaneData
+from wtg_gym.physics.layout import Floats, Lanes
+from wtg_gym.physics.plant_constants import Plant
 
 
 @structref.register

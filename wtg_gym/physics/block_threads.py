@@ -1,0 +1,76 @@
+"""Work on the blocks of a simulator, on several threads where that pays."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, wait
+from typing import Any
+
+#: A thread is worth its start only for this many blocks.
+_BLOCKS_PER_THREAD = 4
+
+
+class BlockThreads:
+    """Threads that work on blocks.
+
+    Args:
+        n_blocks: number of blocks.
+        n_threads: threads, at most; None for one per processor.
+    """
+
+    def __init__(self, n_blocks: int, n_threads: int | None = None) -> None:
+        self.n_blocks = n_blocks
+        self.n_threads = n_threads
+        self._pool: ThreadPoolExecutor | None = None
+        self._pool_process = 0
+
+    def run(
+        self, work: Callable[[int, int], Any], meanwhile: Callable[[], Any] | None = None, meanwhile_blocks: int = 0
+    ) -> None:
+        """Call `work(first, last)` for ranges that cover all blocks, on several threads where that pays.
+
+        Args:
+            work: compiled, so that it releases the interpreter.
+            meanwhile: called once, by this thread, while others work.
+            meanwhile_blocks: how many blocks take as long as that call.
+        """
+        n_blocks = self.n_blocks
+        n_threads = n_blocks // _BLOCKS_PER_THREAD
+        if n_threads > 1:
+            # Asked for anew: a copy may live on another machine. It costs as much as a step, but not as a thousand.
+            n_threads = min(n_threads, self.n_threads or os.cpu_count() or 1)
+        futures, own = [], n_blocks
+        if n_threads > 1:
+            own = max(0, (n_blocks + meanwhile_blocks) // n_threads - meanwhile_blocks)
+            edges = [own + (n_blocks - own) * i // (n_threads - 1) for i in range(n_threads)]
+            pool = self._workers(n_threads)
+            futures = [pool.submit(work, edges[i], edges[i + 1]) for i in range(n_threads - 1)]
+        # Whatever happens meanwhile, no block may be left a step behind the others.
+        try:
+            if meanwhile is not None:
+                meanwhile()
+        finally:
+            try:
+                work(0, own)
+            finally:
+                wait(futures)
+        for done in futures:
+            done.result()
+
+    def _workers(self, n_threads: int) -> ThreadPoolExecutor:
+        # A forked process inherits the pool, but not its threads.
+        if self._pool is None or self._pool_process != os.getpid():
+            self._pool = ThreadPoolExecutor(n_threads, thread_name_prefix="wtg_gym")
+            self._pool_process = os.getpid()
+        return self._pool
+
+    def close(self) -> None:
+        """Stop the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        # A thread pool cannot be copied.
+        return {**self.__dict__, "_pool": None}
