@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from wtg_gym.physics import parameters
+from wtg_gym.physics import machine_parameters, parameters
 from wtg_gym.physics.checked import Checked
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.parameters import default_groups
@@ -16,10 +16,10 @@ from wtg_gym.physics.parameters import default_groups
 MACHINE = modified_ieee14().machines[0]
 RECORDS = [
     kind()
-    for kind in vars(parameters).values()
+    for kind in (*vars(parameters).values(), *vars(machine_parameters).values())
     if isinstance(kind, type)
     and issubclass(kind, Checked)
-    and kind not in (Checked, parameters.SynchronousMachineParameters)
+    and kind not in (Checked, machine_parameters.SynchronousMachineParameters)
 ]
 RECORDS += [MACHINE, MACHINE.governor, MACHINE.exciter, *modified_ieee14().buses[:1], *modified_ieee14().branches[:1]]
 

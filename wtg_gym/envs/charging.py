@@ -92,8 +92,6 @@ def _add(new: float, total: float, ran: bool) -> float:
 
 
 _chosen = elementwise(CostTerms, _choose, "chosen", "new, old", "ran")
-
-
 _added = elementwise(CostTerms, _add, "added", "new, total", "ran")
 
 

@@ -24,8 +24,6 @@ from wtg_gym.physics.layout import (
 #: Gauss-Seidel sweeps over the groups whose current is limited, at most: a few, but some thirty for large groups at a
 #: weak bus. They end once no voltage moves by more than 1e-12 p.u.; the squares are compared.
 _SWEEPS = 100
-
-
 _SETTLED = 1e-12 * 1e-12
 
 

@@ -23,8 +23,6 @@ class NetworkEvent(NamedTuple):
 
 
 EVENT_DTYPE = dtype(NetworkEvent)
-
-
 NO_EVENT = np.array([NetworkEvent(np.inf, np.inf)], dtype=EVENT_DTYPE)
 
 

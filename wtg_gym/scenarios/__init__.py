@@ -2,7 +2,8 @@
 
 from wtg_gym.scenarios.distribution import TRIPPABLE_LINES, ScenarioDistribution
 from wtg_gym.scenarios.fresh import FreshDraw, draw_seeds
-from wtg_gym.scenarios.suites import FRESH, FROZEN_HASHES, SPLITS, SUITES, FixedCase, Suite, get_suite
+from wtg_gym.scenarios.suite import FRESH, SPLITS, FixedCase, Suite
+from wtg_gym.scenarios.suites import FROZEN_HASHES, SUITES, get_suite
 from wtg_gym.scenarios.wind import DRAWN_WIND_RANGE, TURBULENCE_CLASSES
 from wtg_gym.scenarios.wind_csv import read_wind_csv
 

@@ -13,7 +13,8 @@ import hmac
 import re
 from dataclasses import dataclass
 
-from wtg_gym.scenarios.suites import FRESH, get_suite
+from wtg_gym.scenarios.suite import FRESH
+from wtg_gym.scenarios.suites import get_suite
 
 _MOST_DRAWN = 100_000
 _SHORTEST_SECRET = 16

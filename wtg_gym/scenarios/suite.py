@@ -1,0 +1,230 @@
+"""A suite of scenarios: its splits, its seeds and its hash."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from itertools import pairwise
+from types import EllipsisType
+from typing import Any
+
+import numpy as np
+
+from wtg_gym.physics.scenario import Event, Scenario, trusted
+from wtg_gym.ranges import is_whole
+from wtg_gym.scenarios.benchmark import V0, Benchmark, SuitePlant
+from wtg_gym.scenarios.distribution import ScenarioDistribution
+from wtg_gym.scenarios.sensor_distribution import SensorDistribution
+
+#: Names of the frozen splits, in the order of the seeds' use.
+SPLITS = ("train", "validation", "test")
+#: The split of seeds that are drawn after a submission, see :mod:`wtg_gym.scenarios.fresh`.
+FRESH = "fresh"
+_TRAIN_SEEDS = range(1_000_000, 2**31)
+_VALIDATION_SEEDS = range(10_000, 10_100)
+_TEST_SEEDS = range(20_000, 20_200)
+#: Far beyond the other splits, and whole numbers in JavaScript too.
+_FRESH_SEEDS = range(2**32, 2**53)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FixedCase:
+    """A case with constant wind and given events.
+
+    Args:
+        name: name of the case.
+        wind_speed_m_s: wind of the groups, repeated if there are more groups [m/s].
+        events: load and line events.
+    """
+
+    name: str
+    wind_speed_m_s: tuple[float, ...]
+    events: tuple[Event, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Suite:
+    """A frozen list of scenarios: a distribution with seed ranges, or fixed cases with seeds 0, 1, …
+
+    Args:
+        name: name of the suite.
+        description: one line on what it is about.
+        duration_s: length of its runs [s].
+        benchmark: version of the benchmark that it belongs to.
+        plant: its grid and turbines.
+        sensors: distribution of the measurements' errors; None for exact measurements.
+        distribution: distribution of its scenarios; None for fixed cases.
+        cases: the fixed cases, case i having the seed i in every split; empty with a distribution.
+        train: seeds to train on.
+        validation: seeds to select on.
+        test: seeds to rank on.
+
+    Raises:
+        ValueError: neither or both of distribution and cases, or splits of a distribution overlap.
+    """
+
+    name: str
+    description: str
+    duration_s: float
+    benchmark: Benchmark = V0
+    plant: SuitePlant = field(default_factory=SuitePlant)
+    sensors: SensorDistribution | None = None
+    distribution: ScenarioDistribution | None = None
+    cases: tuple[FixedCase, ...] = ()
+    train: range = _TRAIN_SEEDS
+    validation: range = _VALIDATION_SEEDS
+    test: range = _TEST_SEEDS
+
+    def __post_init__(self) -> None:
+        if (self.distribution is None) == (not self.cases):
+            raise ValueError(f"suite {self.name!r} needs either a distribution or cases")
+        if self.cases:
+            for split in SPLITS:
+                object.__setattr__(self, split, range(len(self.cases)))
+            return
+        ordered = sorted((self.train, self.validation, self.test), key=lambda seeds: seeds.start)
+        if any(low.stop > high.start for low, high in pairwise(ordered)):
+            raise ValueError(f"the splits of suite {self.name!r} overlap: {self._split_text()}")
+
+    @property
+    def _splits(self) -> tuple[str, ...]:
+        return SPLITS if self.distribution is None else (*SPLITS, FRESH)
+
+    def _split_text(self) -> str:
+        texts = ((split, self.seeds(split)) for split in self._splits)
+        return ", ".join(f"{split} {seeds.start} … {seeds.stop - 1}" for split, seeds in texts)
+
+    def seeds(self, split: str) -> range:
+        """Return the seeds of a split.
+
+        Args:
+            split: "train", "validation", "test" or "fresh".
+
+        Raises:
+            ValueError: the split is unknown; the message lists them.
+        """
+        if split == FRESH and self.distribution is not None:
+            return _FRESH_SEEDS
+        if split not in SPLITS:
+            fixed = f"; suite {self.name!r} has fixed cases, there is nothing to draw" if split == FRESH else ""
+            raise ValueError(f"unknown split {split!r}; known splits: {', '.join(self._splits)}{fixed}")
+        seeds: range = getattr(self, split)
+        return seeds
+
+    def scenario(
+        self,
+        seed: int,
+        *,
+        n_wtg: int | None = None,
+        n_turbines: Sequence[float] | None = None,
+        duration_s: float | None = None,
+    ) -> Scenario:
+        """Return the scenario of a seed.
+
+        Args:
+            seed: a seed of one of the splits.
+            n_wtg: number of WTG groups; None: the suite's own.
+            n_turbines: turbines per group, shape (n_wtg,), see :meth:`ScenarioDistribution.draw`; fixed cases have
+                no turbulence to average.
+            duration_s: length of the run [s]; None: the suite's own.
+
+        Raises:
+            ValueError: the seed is in no split, or an argument is out of range; the message says what is allowed.
+        """
+        return self.scenarios([seed], n_wtg=n_wtg, n_turbines=n_turbines, duration_s=duration_s)[0]
+
+    def scenarios(
+        self,
+        seeds: Sequence[int],
+        *,
+        n_wtg: int | None = None,
+        n_turbines: Sequence[float] | None = None,
+        duration_s: float | None = None,
+        sensors: SensorDistribution | EllipsisType | None = ...,
+    ) -> list[Scenario]:
+        """Return the scenarios of several seeds; everything else as for :meth:`scenario`.
+
+        `sensors` replaces the suite's own; None measures exactly.
+        """
+        splits = [self.seeds(split) for split in self._splits]
+        for seed in seeds:
+            if not is_whole(seed) or not any(int(seed) in split for split in splits):
+                raise ValueError(f"seed {seed!r} is in no split of suite {self.name!r}: {self._split_text()}")
+        duration = self.duration_s if duration_s is None else duration_s
+        if n_wtg is None:
+            n_wtg = len(self.plant.groups)
+            n_turbines = [group.n_turbines for group in self.plant.groups] if n_turbines is None else n_turbines
+        if self.distribution is not None:
+            drawn = self.distribution.draw_many(seeds, n_wtg, n_turbines, duration)
+        else:
+            drawn = self._fixed_scenarios(seeds, n_wtg, n_turbines, duration)
+        measuring = self.sensors if sensors is ... else sensors
+        if measuring is None:
+            return drawn
+        name = self.name if self.distribution is None else self.distribution.name
+        errors = measuring.draw_many(name, seeds, n_wtg)
+        return [
+            trusted(Scenario, **{**vars(scenario), "sensors": own}) for scenario, own in zip(drawn, errors, strict=True)
+        ]
+
+    def _fixed_scenarios(
+        self, seeds: Sequence[int], n_wtg: int, n_turbines: Sequence[float] | None, duration: float
+    ) -> list[Scenario]:
+        if not is_whole(n_wtg) or n_wtg < 1:
+            raise ValueError(f"n_wtg must be a positive integer, got {n_wtg!r}")
+        if n_turbines is not None and len(n_turbines) != n_wtg:
+            raise ValueError(f"n_turbines must have one value per WTG group ({n_wtg}), got {len(n_turbines)}")
+        return [self._fixed_scenario(int(seed), n_wtg, duration) for seed in seeds]
+
+    def _fixed_scenario(self, seed: int, n_wtg: int, duration_s: float) -> Scenario:
+        case = self.cases[seed]
+        return Scenario(
+            name=f"{self.name}/{case.name}",
+            wind_speed=np.resize(case.wind_speed_m_s, (n_wtg, 1)),
+            duration_s=duration_s,
+            events=case.events,
+            seed=seed,
+        )
+
+    @cached_property
+    def hash(self) -> str:
+        """SHA-256 of the settings, the seed ranges and the drawn test and validation scenarios, as hex digits.
+
+        Numbers of drawn scenarios enter with six decimals: platforms differ in the last bits of exp and FFT.
+        """
+        seeds = {split: self.seeds(split) for split in SPLITS}
+        drawn = [_fingerprint(self.scenario(seed)) for split in SPLITS[1:] for seed in seeds[split]]
+        data = {
+            "name": self.name,
+            "duration_s": self.duration_s,
+            "distribution": None if self.distribution is None else self.distribution.to_dict(),
+            "cases": [asdict(case) for case in self.cases],
+            "splits": {split: [s.start, s.stop, s.step] for split, s in seeds.items()},
+            "drawn": drawn,
+        }
+        if self.benchmark != V0:
+            data["benchmark"], data["plant"] = self.benchmark.to_dict(), self.plant.to_dict()
+            data["sensors"] = None if self.sensors is None else asdict(self.sensors)
+        text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _decimal(value: float) -> str:
+    # The zero takes the sign off a negative number that rounds to nought.
+    return f"{round(float(value), 6) + 0.0:.6f}"
+
+
+def _fingerprint(scenario: Scenario) -> dict[str, Any]:
+    """A scenario in short, the same on every platform: statistics of its series, and all its plain values."""
+    data = scenario.to_dict()
+    wind = scenario.wind_speed
+    data["wind_speed"] = [[_decimal(w.mean()), _decimal(w.std()), _decimal(w[0]), _decimal(w[-1])] for w in wind]
+    noise = scenario.load_noise_mw
+    data["load_noise_mw"] = [_decimal(noise.std()), _decimal(noise[-1])] if noise.size else []
+    data["n_samples"] = [wind.shape[1], noise.size]
+    for values in (data, *data["events"]):
+        values.update({key: _decimal(value) for key, value in values.items() if isinstance(value, float)})
+    return data
