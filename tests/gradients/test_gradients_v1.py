@@ -26,7 +26,7 @@ from tests.gradients.test_gradients import (
 from wtg_gym.envs.task import step_blocks
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.gradients import expressions as ex
-from wtg_gym.gradients import generated
+from wtg_gym.gradients import kernel_programs
 from wtg_gym.gradients.adjoint import build_pull_limits
 from wtg_gym.gradients.kernel_programs import programs_of, require_known
 from wtg_gym.gradients.tape import Tape
@@ -260,17 +260,17 @@ def test_every_kernel_of_a_step_is_traced_or_counts_as_given(monkeypatch: pytest
     tape = tape_of(**V1)
     lanes, simulator = tape.lanes, tape.lanes.simulator
     called: set[str] = set()
-    own = generated.retargeted
+    own = kernel_programs.retargeted
 
     def noted(function: Any, *given: Any) -> Any:
         done: dict[Any, Any] = given[1] if len(given) > 1 else {}
-        found = own(function, given[0] if given else generated.ARITHMETIC, done)
+        found = own(function, given[0] if given else kernel_programs.ARITHMETIC, done)
         called.update(source.__name__ for source in done)
         return found
 
-    monkeypatch.setattr(generated, "retargeted", noted)
+    monkeypatch.setattr(kernel_programs, "retargeted", noted)
     programs_of(simulator.plant, lanes.task, simulator.layout.n_rows, lanes.n_action)
-    known = GIVEN | set(generated.ARITHMETIC)
+    known = GIVEN | set(kernel_programs.ARITHMETIC)
     found = kernels_of(step_blocks, known)
     assert found - called - known == FOLLOWED
     assert found >= GIVEN

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from wtg_gym.physics import parameters
+from wtg_gym.physics import machine_parameters
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
 
 
@@ -13,4 +13,6 @@ def classical_machine(
 ) -> SynchronousMachineParameters:
     """Return a constant voltage behind a reactance of ordinary size."""
     ordinary = {"two_h_s": 10.0, "x_d_transient": 0.2}
-    return parameters.classical_machine(bus=bus, rating_mva=rating_mva, dispatch_mw=dispatch_mw, **{**ordinary, **more})
+    return machine_parameters.classical_machine(
+        bus=bus, rating_mva=rating_mva, dispatch_mw=dispatch_mw, **{**ordinary, **more}
+    )

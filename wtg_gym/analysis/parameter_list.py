@@ -8,7 +8,7 @@ from typing import Any
 
 from wtg_gym.envs.settings import CostWeights
 from wtg_gym.files import markdown_table
-from wtg_gym.physics import parameters
+from wtg_gym.physics import machine_parameters, parameters
 from wtg_gym.physics.checked import SOURCES
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
@@ -23,8 +23,9 @@ def parameter_classes() -> tuple[type, ...]:
     """Return every class that declares parameters."""
     own = [
         cls
-        for cls in vars(parameters).values()
-        if dataclasses.is_dataclass(cls) and isinstance(cls, type) and cls.__module__ == parameters.__name__
+        for module in (parameters, machine_parameters)
+        for cls in vars(module).values()
+        if dataclasses.is_dataclass(cls) and isinstance(cls, type) and cls.__module__ == module.__name__
     ]
     return (*own, Bus, Branch, CostWeights)
 
