@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from wtg_gym.envs import GFMWTGEnv
 from wtg_gym.envs.actions import as_actions
-from wtg_gym.envs.cost import GroupCosts, group_costs, with_group
+from wtg_gym.envs.cost import GroupDeviations, add_group_costs, group_deviations
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.observation import OBSERVATION_BOUND
 from wtg_gym.envs.rendering import Frame
@@ -291,15 +291,15 @@ def _group_rates(
             action_k=now.action_k,
             action_tau=now.action_tau,
         )
-        costs = group_costs(load_wtg_state(block, o, 1), load_wtg_output(block, o + WTG.output, 1), turbine, t)
+        costs = group_deviations(load_wtg_state(block, o, 1), load_wtg_output(block, o + WTG.output, 1), turbine, t)
         duty, there = costs.duty, 1.0
         if sensed:
             own = parts.sensed + j * N_SENSED_ROWS
             there = select(block[rows_of(c).lane + LANE.step] <= block[own + SENSED.leaves_at], 1.0, 0.0)
-            costs = GroupCosts(costs.duty, there * costs.rotor, there * costs.overload, costs.available)
+            costs = GroupDeviations(costs.duty, there * costs.rotor, there * costs.overload, costs.available)
             duty = block[own + SENSED.mean_duty]
         store_terms(
-            with_group(CostTerms(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), costs, duty, there, group, t, n_wtg),
+            add_group_costs(CostTerms(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), costs, duty, there, group, t, n_wtg),
             rates[j],
             0,
             1,

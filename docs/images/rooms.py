@@ -35,7 +35,7 @@ ACTION = (
 )
 SCENARIO = (
     ("envs/lanes.py", "prepare, then commit"),
-    ("scenarios/suites.py", "suite and seed"),
+    ("scenarios/suite.py", "scenario of a seed"),
     ("scenarios/distribution.py", "wind, loads, events"),
     ("physics/equilibrium.py", "power flow, states"),
     ("physics/simulator.py", "rows of the lane"),

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from wtg_gym.analysis.parameter_list import parameter_classes, parameter_rows, parameters_page
-from wtg_gym.physics.checked import SOURCES
 from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.sources import SOURCES
 
 _PAGE = Path(__file__).resolve().parents[2] / "docs" / "parameters.md"
 

@@ -132,7 +132,7 @@ def test_units_are_torn_apart_when_their_angles_differ_by_half_a_turn():
 
 def test_low_voltage_may_last_three_seconds():
     _, (*_, info), env = play(SAGGED)
-    assert env.lanes.simulator.lane_values("least_voltage")[0] < 0.85**2
+    assert env.lanes.simulator.lane_values("least_squared_voltage")[0] < 0.85**2
     assert info["time_s"] == pytest.approx(1.0 + 3.0 + 0.1)
     longer = PlantSettings(protection=ProtectionParameters(low_voltage_time_s=10.0))
     assert simulate(SAGGED, "coordinated-piecewise", longer).time_s[-1] == pytest.approx(1.0 + 10.0 + 0.1)
@@ -147,7 +147,7 @@ def test_no_scenario_of_a_suite_comes_near_the_grids_failures(suite: str, strate
     for _ in range(600):
         lanes.step(np.sign(rng.uniform(-1.0, 1.0, (16, lanes.n_action))))
         least, largest, squared = (
-            lanes.simulator.lane_values(name) for name in ("least_angle", "largest_angle", "least_voltage")
+            lanes.simulator.lane_values(name) for name in ("least_angle", "largest_angle", "least_squared_voltage")
         )
         assert np.degrees(largest - least).max() < 90.0 and squared.min() > 0.9**2
     assert set(lanes.statuses().tolist()) <= {Status.RUNNING, Status.STALL}

@@ -10,8 +10,8 @@ import pytest
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation import METRICS, Entry, Results, evaluate
 from wtg_gym.evaluation.metrics import largest_power_change, last_event_s, steady_metrics
+from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import GroupTrip, LineTrip, LoadRamp, LoadStep, LoadTrip, Scenario
-from wtg_gym.physics.simulator import PlantSettings
 from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.physics.trajectory import simulate
 from wtg_gym.scenarios import get_suite

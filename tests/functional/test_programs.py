@@ -114,7 +114,7 @@ def played(programs: Programs, lanes: TaskLanes, params: bank.EnvParams, place: 
                 values |= zip(inputs.stage, stage, strict=True)
                 values = {**dict.fromkeys(programs.staged, 0.0), **values}
                 values |= programs.stage.forward.run(OPERATIONS, values)
-            values[inputs.looks] = float(substep % between == 0 or substep == len(programs.stages))
+            values[inputs.samples] = float(substep % between == 0 or substep == len(programs.stages))
             values |= programs.leave.forward.run(OPERATIONS, values)
         values |= programs.end.forward.run(OPERATIONS, values)
         said.append(dict(values))

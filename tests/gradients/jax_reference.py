@@ -20,7 +20,7 @@ from wtg_gym.envs.task_records import TASK, read_task
 from wtg_gym.gradients.generated import _bases
 from wtg_gym.gradients.tape import Tape
 from wtg_gym.gradients.tracing import Actions, Rows, retargeted
-from wtg_gym.physics.currents import limit_current
+from wtg_gym.physics.currents import limit_group_current
 from wtg_gym.physics.dynamics import derivatives, keep_energy
 from wtg_gym.physics.layout import EXTENSION, read_turbine
 from wtg_gym.physics.protection import track_extremes
@@ -65,7 +65,7 @@ class JaxEpisode:
         self.n_rows = self.layout.n_rows
         sensed = lanes.task["sensed"].shape[1] > 0
         self._rates = self._kernel(
-            derivatives, lambda f, rows, fraction: f(rows, self.c, fraction, (0,)), _limit_currents=self._limit_currents
+            derivatives, lambda f, rows, fraction: f(rows, self.c, fraction, (0,)), limit_currents=self.limit_currents
         )
         turbine = read_turbine(self.c["turbine"])
         self._energies = self._kernel(
@@ -74,9 +74,9 @@ class JaxEpisode:
         self._extremes = self._kernel(track_extremes, lambda f, rows: f(rows, self.c, (0,)))
         self._charge = self._kernel(charge, lambda f, rows: f(rows, self.c, self.task, sensed, (0,)))
 
-    def _limit_currents(self, block: Rows, c: Any, lanes: Any) -> None:
-        names = {"_SETTLED": -1.0, "np": SimpleNamespace(int64=lambda _: 0)}
-        limit_group = retargeted(limit_current, {**ARITHMETIC, **names}, {})
+    def limit_currents(self, block: Rows, c: Any, lanes: Any) -> None:
+        names = {"SETTLED": -1.0, "np": SimpleNamespace(int64=lambda _: 0)}
+        limit_group = retargeted(limit_group_current, {**ARITHMETIC, **names}, {})
         largest = float(c["extension"][0]["limits.current_max"])
         sources = self.layout.wtg("over_power") + EXTENSION.source
         voltages = self.layout.rows.voltage + 2 * (self.layout.n_sync + np.arange(self.layout.n_wtg))

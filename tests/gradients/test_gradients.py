@@ -92,7 +92,7 @@ def test_a_step_is_replayed_to_the_last_bit(settings: dict[str, Any]) -> None:
         tape.step(own)
     simulator, steps = tape.lanes.simulator, tape._rules.steps
     width, n = simulator.width, steps.states.size
-    lane = [int(simulator.layout.lane(name)) for name in ("step", "active", "status", "coi", "least_voltage")]
+    lane = [int(simulator.layout.lane(name)) for name in ("step", "active", "status", "coi", "least_squared_voltage")]
     blocks = [tape.before(step) for step in range(60)]
     for block, after in zip(blocks, [*blocks[1:], simulator.blocks], strict=True):
         # Actions and events have long been tested; the next step's rows hold those of this one.

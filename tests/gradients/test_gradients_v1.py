@@ -243,17 +243,25 @@ GIVEN = {
     "arrived_row",
     "changes_due",
     "enter_interval",
-    "look_at_grid",
+    "sample_grid",
     "newest_row",
     "noise_key",
     "normal",
-    "protections_look",
+    "protections_sample",
     "report",
     "shed_load",
     "update_status",
 }
 #: Those that the way back has rules of its own for; the kernels that they call are traced.
-FOLLOWED = {"_limit_currents", "_stage", "advance_interval", "advance_step", "derivatives", "end_step", "show_delayed"}
+FOLLOWED = {
+    "limit_currents",
+    "advance_stage",
+    "advance_interval",
+    "advance_step",
+    "derivatives",
+    "end_step",
+    "show_delayed",
+}
 
 
 def test_every_kernel_of_a_step_is_traced_or_counts_as_given(monkeypatch: pytest.MonkeyPatch) -> None:

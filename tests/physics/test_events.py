@@ -279,7 +279,9 @@ def test_nothing_depends_on_the_states_of_a_machine_after_its_outage(simulator: 
     advance(simulator, 1.1)
     snapshot, layout = simulator.snapshot(), simulator.layout
     others = [i for i, name in enumerate(layout.state_names) if not name.startswith("sync2.")]
-    watched = [layout.lane(name) for name in ("coi", "coi_min", "least_angle", "largest_angle", "least_voltage")]
+    watched = [
+        layout.lane(name) for name in ("coi", "coi_min", "least_angle", "largest_angle", "least_squared_voltage")
+    ]
     ends = []
     for strange in (False, True):
         simulator.restore(snapshot)

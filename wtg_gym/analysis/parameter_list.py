@@ -9,10 +9,10 @@ from typing import Any
 from wtg_gym.envs.settings import CostWeights
 from wtg_gym.files import markdown_table
 from wtg_gym.physics import machine_parameters, parameters
-from wtg_gym.physics.checked import SOURCES
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
 from wtg_gym.physics.network import Branch, Bus
+from wtg_gym.physics.sources import SOURCES
 
 #: The columns of :func:`parameter_rows`.
 COLUMNS = ("group", "parameter", "value", "unit", "source", "what it is")

@@ -8,7 +8,7 @@ from wtg_gym.analysis.environment_page import environment_page
 from wtg_gym.analysis.parameter_list import COLUMNS, parameter_rows, parameters_page
 from wtg_gym.cli.output import check_page, print_json, print_table, say, update_page
 from wtg_gym.cli.parser import Commands, add_command
-from wtg_gym.physics.checked import SOURCES
+from wtg_gym.physics.sources import SOURCES
 
 _ENVIRONMENT = """\
 Describes the environments as Markdown: spaces with every entry's name, unit and bounds, rewards, info, ends and

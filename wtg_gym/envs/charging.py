@@ -1,4 +1,4 @@
-"""The loops of the cost: each lane of a block is charged for a control interval.
+"""The loops of the cost, and the history of frequency and actions that cost, sensors and observation share.
 
 The equations are in :mod:`wtg_gym.envs.cost`.
 """
@@ -10,14 +10,14 @@ from typing import Any
 
 from wtg_gym.envs.cost import (
     CONSTRAINT_FREQUENCY_HZ,
-    GroupCosts,
-    charged,
+    GroupDeviations,
+    add_group_costs,
     filtered_duty,
     frequency_cost,
-    group_costs,
+    group_deviations,
+    interval_cost,
     rocof_cost,
     total_cost,
-    with_group,
 )
 from wtg_gym.envs.task_layout import parts_of
 from wtg_gym.envs.task_records import (
@@ -65,7 +65,7 @@ def charge(block: Floats, c: Any, task: Task, sensed: bool, lanes: Lanes) -> Non
         left = block[of_task + TASK.end_step * width + x] - block[own + LANE.step * width + x]
         elapsed = block[of_task + TASK.elapsed * width + x]
         rates = load_terms(block, of_task + TASK.rates * width + x, width)
-        new = charged(rates, elapsed, left * c["simulation_dt"], failed, task)
+        new = interval_cost(rates, elapsed, left * c["simulation_dt"], failed, task)
         sums = load_terms(block, of_task + TASK.sums * width + x, width)
         terms = load_terms(block, of_task + TASK.terms * width + x, width)
         violated = select(failed, 1.0, block[of_task + TASK.violated * width + x])
@@ -127,20 +127,20 @@ def _charge_groups(block: Floats, c: Any, task: Task, sensed: bool, lanes: Lanes
         for x in range(width):
             ran = block[of_task + TASK.was_active * width + x] > 0.5
             state, group = load_wtg_state(block, o + x, width), load_group(block, g + x, width)
-            costs = group_costs(state, load_wtg_output(block, o + WTG.output * width + x, width), turbine, task)
+            costs = group_deviations(state, load_wtg_output(block, o + WTG.output * width + x, width), turbine, task)
             duty, there = costs.duty, 1.0
             if sensed:
                 own = load_sensed(block, (parts.sensed + j * N_SENSED_ROWS) * width + x, width)
-                # A disconnected group is charged nothing.
+                # A group that an event (GroupTrip) has disconnected is charged nothing.
                 there = select(block[rows_of(c).lane * width + LANE.step * width + x] <= own.leaves_at, 1.0, 0.0)
-                costs = GroupCosts(
+                costs = GroupDeviations(
                     there * costs.duty, there * costs.rotor, there * costs.overload, there * costs.available
                 )
                 duty = there * filtered_duty(own.mean_duty, costs.duty, ran, task)
                 own = SensedRows(own.sensors, own.wind_bias, own.leaves_at, duty)
                 store_sensed(own, block, (parts.sensed + j * N_SENSED_ROWS) * width + x, width)
             rates = load_terms(block, of_task + TASK.rates * width + x, width)
-            rates = with_group(rates, costs, duty, there, group, task, n_wtg)
+            rates = add_group_costs(rates, costs, duty, there, group, task, n_wtg)
             store_terms(rates, block, of_task + TASK.rates * width + x, width)
             violated = select(
                 (costs.rotor > 0.0) | (costs.overload > 0.0), 1.0, block[of_task + TASK.violated * width + x]

@@ -12,15 +12,15 @@ from wtg_gym.envs.task_records import CostTerms, GroupRows, Task
 from wtg_gym.physics.compiled import inlined
 from wtg_gym.physics.converter import tracking_coefficient
 from wtg_gym.physics.elementary import select
-from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState
+from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState, tip_speed_ratio
 
 #: Frequency deviation beyond which the constraint cost counts [Hz]: ENTSO-E's steady-state limit is 0.2, its
 #: instantaneous limit 0.8 Hz.
 CONSTRAINT_FREQUENCY_HZ = 0.8
 
 
-class GroupCosts(NamedTuple):
-    """Deviations of one WTG group in the units that its costs count in, and its available power [p.u.]."""
+class GroupDeviations(NamedTuple):
+    """Deviations of one WTG group, in the units of its costs, and its available power [p.u.]."""
 
     duty: float  # captured less prescribed power, 0.05 of the available power
     rotor: float  # tip-speed ratio outside its band, 0.1 λ_opt
@@ -63,12 +63,12 @@ def filtered_duty(mean: float, duty: float, ran: bool, task: Task) -> float:
 
 
 @inlined
-def group_costs(s: WtgState, output: WtgOutput, t: Turbine, task: Task) -> GroupCosts:
+def group_deviations(s: WtgState, output: WtgOutput, t: Turbine, task: Task) -> GroupDeviations:
     """Return the deviations of one WTG group.
 
     The prescribed power is a share of the usable power. Usable is the available power, up to that of which a rotor with
-    its nominal reserve captures as much as the pitch protection allows. A disconnected group captures nothing and is
-    charged for it.
+    its nominal reserve captures as much as the pitch protection allows. A group that a protection has tripped captures
+    nothing and is charged for it; one that an event has disconnected is exempt, see :mod:`wtg_gym.envs.charging`.
     """
     wind = output.wind
     available = t.rotor.available_per_cubic_wind * wind * wind * wind
@@ -76,12 +76,12 @@ def group_costs(s: WtgState, output: WtgOutput, t: Turbine, task: Task) -> Group
     prescribed = usable * tracking_coefficient(
         s.converter.speed, task.share_min, task.share_nominal, task.share_max, t.converter.corners
     )
-    ratio = t.rotor.tip_speed * s.rotor_speed / wind
+    ratio = tip_speed_ratio(s.rotor_speed, wind, t.rotor)
     best = t.rotor.tip_speed_ratio_opt
     low, high = 0.9 * best - ratio, ratio - 1.1 * t.rotor.tip_speed_ratio_limit
     # Above rated the pitch, not the rotor, keeps the tip-speed ratio low.
     low = select(s.pitch.pitch > t.limits.stall_pitch, 0.0, low)
-    return GroupCosts(
+    return GroupDeviations(
         duty=(output.captured - prescribed) / (0.05 * available),
         rotor=max(0.0, max(low, high)) / (0.1 * best),
         overload=max(0.0, output.power - t.converter.overload) / 0.1,
@@ -97,15 +97,15 @@ def effort(action: float, last: float) -> float:
 
 
 @inlined
-def with_group(
-    terms: CostTerms, costs: GroupCosts, duty: float, there: float, group: GroupRows, task: Task, n_wtg: int
+def add_group_costs(
+    terms: CostTerms, costs: GroupDeviations, duty: float, there: float, group: GroupRows, task: Task, n_wtg: int
 ) -> CostTerms:
-    """Return the terms with those of one WTG group added.
+    """Return the terms with the costs of one WTG group added.
 
     Args:
         terms: rates of the terms so far [1/s].
         costs: the group's deviations.
-        duty: its duty error that is charged.
+        duty: the group's duty error, in v1 filtered.
         there: 0 for a group that an event has disconnected: its actions move nothing and cost nothing. Else 1.
         group: its actions.
         task: constants.
@@ -128,13 +128,13 @@ def with_group(
 
 
 @inlined
-def charged(terms: CostTerms, elapsed: float, unserved: float, failed: bool, task: Task) -> CostTerms:
+def interval_cost(terms: CostTerms, elapsed: float, unserved: float, failed: bool, task: Task) -> CostTerms:
     """Return the terms of the cost of an interval.
 
     Args:
         terms: rates of all terms but failure [1/s].
         elapsed: time that passed [s].
-        unserved: time that a failed episode leaves [s].
+        unserved: time that a failed episode leaves [s]; a failure costs the cap for this time and 1 s more.
         failed: whether the episode has failed.
         task: constants. The cap scales all terms alike, so that they still add up to the cost.
     """

@@ -288,7 +288,7 @@ class TaskLanes:
         self.commit(lanes, [self.prepare(scenarios)])
 
     def imagine(self, other: TaskLanes, lanes: npt.NDArray[np.int64], wind: Floats) -> None:
-        """Continue episodes of other lanes in these, in a future that holds no surprise: a planner's rollouts.
+        """Continue episodes of other lanes in these, without future events: a planner's rollouts.
 
         Arguments and errors as of :meth:`~wtg_gym.physics.simulator.Simulator.imagine`; and the settings of both must
         agree.
@@ -379,7 +379,7 @@ class TaskLanes:
 
     def info(self) -> dict[str, Any]:
         """Return `info` of the first lane as numpy's floats, a whole number and text."""
-        # numpy's floats are Python's too, and have the dtype that TorchRL asks for.
+        # numpy.float64 is a subclass of float, and has the dtype that TorchRL asks for.
         info: dict[str, Any] = dict(zip(Info._fields, self.outputs.infos[0].copy(), strict=True))
         info["scenario_seed"] = int(self.scenario_seeds[0])
         failed = self.outputs.terminated[0]

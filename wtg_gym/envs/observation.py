@@ -11,7 +11,7 @@ from wtg_gym.physics.elementary import clip
 from wtg_gym.physics.machine import Machine, MachineOutput, MachineState
 from wtg_gym.physics.records import elementwise, size, storer
 from wtg_gym.physics.sensors import Measurement
-from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState
+from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState, tip_speed_ratio
 
 #: Every entry of the observation is clipped to ± this.
 OBSERVATION_BOUND = 5.0
@@ -22,10 +22,10 @@ FREQUENCY_UNIT_HZ = 0.5
 class WtgObservation(NamedTuple):
     """Local measurements of a WTG group, each with its unit and meaning."""
 
-    frequency_deviation: Annotated[float, "0.5 Hz", "frequency of the converter, less 50 Hz"]
+    frequency_deviation: Annotated[float, "0.5 Hz", "frequency of the converter minus the nominal one"]
     rocof: Annotated[float, "Hz/s", "rate of change of that frequency over the last control interval"]
     tip_speed_ratio: Annotated[float, "0 at λ_opt, 1 at λ_pr", "speed of the blade tips over wind speed"]
-    rotor_speed: Annotated[float, "0.25 p.u. from 1 p.u.", "rotor speed, of the nominal one"]
+    rotor_speed: Annotated[float, "0.25 p.u. from 1 p.u.", "rotor speed; the nominal one is 1 p.u."]
     power: Annotated[float, "p.u.", "power into the grid, of the group's rating"]
     wind: Annotated[float, "5 m/s from 10 m/s", "wind, averaged over the rotor"]
     coefficient: Annotated[float, "0 at K_pr, 1 at K_opt", "k in use"]
@@ -33,12 +33,12 @@ class WtgObservation(NamedTuple):
 
 
 class MeasuredObservation(NamedTuple):
-    """What the sensors of a WTG group say."""
+    """Measurements of the sensors of a WTG group."""
 
-    frequency_deviation: Annotated[float, "0.5 Hz", "frequency of the converter, filtered, less 50 Hz"]
+    frequency_deviation: Annotated[float, "0.5 Hz", "filtered frequency of the converter minus the nominal one"]
     rocof: Annotated[float, "Hz/s", "rate of change of the frequency, filtered"]
     tip_speed_ratio: Annotated[float, "0 at λ_opt, 1 at λ_pr", "measured speed of the blade tips over measured wind"]
-    rotor_speed: Annotated[float, "0.25 p.u. from 1 p.u.", "rotor speed, of the nominal one"]
+    rotor_speed: Annotated[float, "0.25 p.u. from 1 p.u.", "rotor speed; the nominal one is 1 p.u."]
     power: Annotated[float, "p.u.", "power into the grid, of the group's rating"]
     wind: Annotated[float, "5 m/s from 10 m/s", "wind, with a constant and a slow error"]
 
@@ -46,7 +46,7 @@ class MeasuredObservation(NamedTuple):
 class MachineObservation(NamedTuple):
     """A synchronous machine, in the privileged observation."""
 
-    speed: Annotated[float, "0.5 Hz", "speed as a frequency, less 50 Hz"]
+    speed: Annotated[float, "0.5 Hz", "speed as a frequency, minus the nominal one"]
     power: Annotated[float, "rating", "power into the grid"]
     voltage: Annotated[float, "0.1 p.u. from 1 p.u.", "voltage at the terminal"]
 
@@ -54,8 +54,8 @@ class MachineObservation(NamedTuple):
 class GridObservation(NamedTuple):
     """The grid, in the privileged observation."""
 
-    frequency_deviation: Annotated[float, "0.5 Hz", "frequency of the centre of inertia, less 50 Hz"]
-    rocof: Annotated[float, "Hz/s", "its rate of change over 0.5 s"]
+    frequency_deviation: Annotated[float, "0.5 Hz", "frequency of the centre of inertia minus the nominal one"]
+    rocof: Annotated[float, "Hz/s", "rate of change of the frequency of the centre of inertia over 0.5 s"]
     torque: Annotated[float, "100 MVA", "mechanical torque of all machines"]
 
 
@@ -80,7 +80,7 @@ bounded_measured = elementwise(MeasuredObservation, _bounded, "bounded", "observ
 def observe_wtg(s: WtgState, output: WtgOutput, group: GroupRows, t: Turbine, task: Task) -> WtgObservation:
     """Return the measurements of a WTG group."""
     best, limit = t.rotor.tip_speed_ratio_opt, t.rotor.tip_speed_ratio_limit
-    ratio = t.rotor.tip_speed * s.rotor_speed / output.wind
+    ratio = tip_speed_ratio(s.rotor_speed, output.wind, t.rotor)
     return WtgObservation(
         frequency_deviation=(s.converter.speed - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ,
         rocof=group.rocof,
@@ -97,7 +97,7 @@ def observe_wtg(s: WtgState, output: WtgOutput, group: GroupRows, t: Turbine, ta
 def observe_measured(m: Measurement, wind_sensor: float, t: Turbine, task: Task) -> MeasuredObservation:
     """Return the observation of what a WTG group measures; without a wind sensor, wind and ratio are 0."""
     best, limit = t.rotor.tip_speed_ratio_opt, t.rotor.tip_speed_ratio_limit
-    ratio = t.rotor.tip_speed * m.rotor_speed / m.wind
+    ratio = tip_speed_ratio(m.rotor_speed, m.wind, t.rotor)
     return MeasuredObservation(
         frequency_deviation=(m.frequency - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ,
         rocof=m.rocof,

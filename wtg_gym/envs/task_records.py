@@ -21,7 +21,7 @@ class Weights(NamedTuple):
 
 
 class Task(NamedTuple):
-    """Constants."""
+    """Constants of the task."""
 
     modulates_k: bool
     modulates_tau: bool
@@ -29,7 +29,7 @@ class Task(NamedTuple):
     k_authority: float  # offset on k at full action [p.u.]
     k_low: float  # K_pr
     k_span: float  # K_opt - K_pr
-    share_min: float  # share of the available power to capture at ω_min, ω_st, ω_max
+    share_min: float  # share of the usable power to capture at ω_min, ω_st, ω_max
     share_nominal: float
     share_max: float
     weights: Weights
@@ -100,7 +100,7 @@ class Info(NamedTuple):
 
     time_s: Annotated[float, "s", "time since the start of the episode"]
     frequency_hz: Annotated[float, "Hz", "frequency of the centre of inertia"]
-    rocof_hz_s: Annotated[float, "Hz/s", "its rate of change over 0.5 s"]
+    rocof_hz_s: Annotated[float, "Hz/s", "rate of change of the frequency of the centre of inertia over 0.5 s"]
     cost: Annotated[
         float,
         "-",

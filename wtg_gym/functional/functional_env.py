@@ -24,7 +24,7 @@ from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task_records import Info
 from wtg_gym.functional.bank import EnvParams, prepare
 from wtg_gym.functional.programs import COTANGENT, Both, trace
-from wtg_gym.physics.integration import protections_look
+from wtg_gym.physics.integration import protections_sample
 from wtg_gym.physics.scenario import Scenario
 
 #: Scenarios of the parameters that an environment has by default.
@@ -154,7 +154,9 @@ class FunctionalEnv:
         self._enter, self._stage, self._leave = _runner(own.enter), _runner(own.stage), _runner(own.leave)
         self._n_substeps, self._step = plant.n_substeps, layout.lane("step")
         self._status = layout.lane("status")
-        self._looks = np.array([protections_look(plant.constants[0], k) for k in range(self._n_substeps)], np.float64)
+        self._samples = np.array(
+            [protections_sample(plant.constants[0], k) for k in range(self._n_substeps)], np.float64
+        )
         fixed = settings.fixed_scenario()
         seeds = self._lanes.suite.seeds(settings.split)
         given = self.scenarios(list(seeds[:n_scenarios])) if fixed is None else [fixed]
@@ -276,7 +278,7 @@ class FunctionalEnv:
         values |= self._begin(values)
 
         def advance(carried: Any, given: Any) -> Any:
-            (rows, network), (stages, looks) = carried, given
+            (rows, network), (stages, samples) = carried, given
             own = values | dict(zip(programs.moved, rows, strict=True))
             network = network + (own[self._step] >= params.until[network]).astype(jnp.int32)
             own |= zip((*programs.network, *inputs.lost), params.network[network], strict=True)
@@ -288,12 +290,12 @@ class FunctionalEnv:
                 return tuple(found[row] for row in programs.staged), None
 
             staged, _ = jax.lax.scan(stage, _stored(own, programs.staged), stages)
-            own |= zip((*programs.staged, inputs.looks), (*staged, looks), strict=True)
+            own |= zip((*programs.staged, inputs.samples), (*staged, samples), strict=True)
             own |= self._leave(own)
             return (_stored(own, programs.moved), network), None
 
         begun = (_stored(values, programs.moved), state.network)
-        (moved, network), _ = jax.lax.scan(advance, begun, (programs.stages, self._looks))
+        (moved, network), _ = jax.lax.scan(advance, begun, (programs.stages, self._samples))
         values |= zip(programs.moved, moved, strict=True)
         values |= zip(programs.network, params.network[network][: len(programs.network)], strict=True)
         values |= self._end(values)

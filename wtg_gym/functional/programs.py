@@ -20,12 +20,12 @@ from wtg_gym.envs.task_records import read_task
 from wtg_gym.functional.branches import Cells, is_finite, where, without_branches
 from wtg_gym.gradients import expressions as ex
 from wtg_gym.gradients.tracing import ARITHMETIC, Actions, Rows, retargeted
-from wtg_gym.physics.dynamics import _stage, advance_step, derivatives
+from wtg_gym.physics.dynamics import advance_stage, advance_step, derivatives
 from wtg_gym.physics.integration import end_step, enter_interval
 from wtg_gym.physics.layout import LANE, Floats, Layout
 from wtg_gym.physics.plant_constants import Plant
 from wtg_gym.physics.protection import update_status
-from wtg_gym.physics.reduction import _lose_governor, combine_load_noise
+from wtg_gym.physics.reduction import combine_load_noise, lose_governor
 from wtg_gym.physics.runge_kutta import FIRST, LAST, MIDDLE
 
 _LANES = (0,)
@@ -53,7 +53,7 @@ class Inputs(NamedTuple):
     noise: int  # load noise [MW]
     noise_y: int  # that noise as an admittance [p.u.]
     stage: range  # of the Runge-Kutta method: share of the interval that has passed, step [s], 1 if first, 1 if last
-    looks: int  # 1 where the protections look at the end of the simulation step
+    samples: int  # 1 where the protections sample the grid at the end of the simulation step
     lost: range  # 1 for machines whose governor is lost
 
 
@@ -150,11 +150,11 @@ def _rows_behind(layout: Layout, n_action: int, n_observation: int) -> tuple[Inp
     n_wtg, n_sync = layout.n_wtg, layout.n_sync
     sizes = [n_action, n_wtg, n_wtg, 1, 1, 4, 1, n_sync, 1, 1, 1, N_INFO, n_observation]
     ends = np.cumsum([layout.n_rows, *sizes]).tolist()
-    actions, start, end, noise, noise_y, stage, looks, lost, reward, terminated, truncated, info, seen = (
+    actions, start, end, noise, noise_y, stage, samples, lost, reward, terminated, truncated, info, seen = (
         range(*pair) for pair in itertools.pairwise(ends)
     )
     return (
-        Inputs(actions, start, end, noise[0], noise_y[0], stage, looks[0], lost),
+        Inputs(actions, start, end, noise[0], noise_y[0], stage, samples[0], lost),
         Reported(reward[0], terminated[0], truncated[0], info, seen),
     )
 
@@ -178,8 +178,8 @@ def trace(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_action: in
     def unbranched(kernel: Any, **names: Any) -> Callable[..., Any]:
         return plain(without_branches(kernel), **names)
 
-    combine, rates, move = plain(combine_load_noise), plain(derivatives), plain(_stage)
-    protect, lose = unbranched(update_status), unbranched(_lose_governor)
+    combine, rates, move = plain(combine_load_noise), plain(derivatives), plain(advance_stage)
+    protect, lose = unbranched(update_status), unbranched(lose_governor)
     enter = plain(enter_interval, int=lambda _: 0)
     given = SimpleNamespace(wind=_Series(inputs.wind_start, inputs.wind_end), noise=_Series([inputs.noise]))
 
@@ -216,13 +216,13 @@ def trace(plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_action: in
 
     moving, staged = _stages(c, move, inputs)
 
-    def protect_at_looks(block: Cells, c: Any, width: int) -> None:
-        with where(row(inputs.looks) > 0.5):
+    def protect_at_samples(block: Cells, c: Any, width: int) -> None:
+        with where(row(inputs.samples) > 0.5):
             protect(block, c, width)
 
     left = Cells(row)
-    # What the grid looks like is worked out at every step, so that no step carries it to the next.
-    plain(end_step, update_status=protect_at_looks)(left, c, True, _LANES)
+    # The grid is sampled at every step, so that no step carries samples to the next.
+    plain(end_step, update_status=protect_at_samples)(left, c, True, _LANES)
     programs = [Program(_changes(stores)) for stores in (before, entered, staged, left, after)]
     return _linked(programs, moving, _stage_times(c, plain), inputs, reported, layout)
 
@@ -231,7 +231,7 @@ def _stage_times(c: Any, plain: Callable[..., Callable[..., Any]]) -> Floats:
     """Return what :class:`Inputs` says of each stage of each simulation step, (n_substeps, 4, 4)."""
     found: list[tuple[float, ...]] = []
     record = plain(
-        advance_step, _stage=lambda _, c, at, kind, h, lanes: found.append((at, h, kind == FIRST, kind == LAST))
+        advance_step, advance_stage=lambda _, c, at, kind, h, lanes: found.append((at, h, kind == FIRST, kind == LAST))
     )
     for k in range(c["n_substeps"]):
         record(None, c, k, _LANES)

@@ -15,7 +15,7 @@ from wtg_gym.physics.compiled import compiled, inlined
 from wtg_gym.physics.currents import unit_currents
 from wtg_gym.physics.dynamics import derivatives, keep_energy, unit_voltages
 from wtg_gym.physics.elementary import fma
-from wtg_gym.physics.integration import apply_network_changes, end_step, enter_interval, protections_look
+from wtg_gym.physics.integration import apply_network_changes, end_step, enter_interval, protections_sample
 from wtg_gym.physics.lane_data import LaneData
 from wtg_gym.physics.layout import LANE, Floats, Lanes, read_turbine, rows_of
 from wtg_gym.physics.plant_constants import Plant
@@ -155,7 +155,7 @@ def replay(
                     work[steps.states[i] * width + x] = end
         if c["extension"].shape[0] > 0:
             _keep_energies(work, plant, steps, path[step], lanes)
-        end_step(work, c, protections_look(c, step), lanes)
+        end_step(work, c, protections_sample(c, step), lanes)
     _evaluate(work, plant, 1.0, lanes)
 
 
@@ -313,7 +313,7 @@ def _build_pull_outputs(rules: Rules, pull_rates: Any) -> Any:
 
 def build_pull(rules: Rules) -> Any:
     """Return the compiled function that goes back through one control step."""
-    n_rows, foresee = rules.n_rows, rules.foresee
+    n_rows, find_interval = rules.n_rows, rules.find_interval
     # A plant without WTG groups has none.
     first_action = int(rules.actions[0]) if rules.actions.size else n_rows
     pull_act, pull_charge, pull_rates = rules.pull_act, rules.pull_charge, _build_pull_rates(rules)
@@ -355,7 +355,7 @@ def build_pull(rules: Rules) -> Any:
                 work[(of_task + TASK.was_active) * width + x] = work[(own + LANE.active) * width + x]
             replay(work, b * width, plant, data, steps, path, inputs, held, ran, lanes)
             if task[0]["sensed"].shape[0] > 0:
-                foresee(work, lanes)
+                find_interval(work, lanes)
                 _note_measurement(work, c, t, steps, n_rows, lanes)
             pull_charge(work, lanes)
             pull_outputs(work, plant, steps, lanes)

@@ -1,9 +1,10 @@
 """The vector-Jacobian products of the kernels, as compiled code of one plant and task.
 
-A *work* block is a block with further rows: behind the block's own come the actions, then the constants of the plant
-that are differentiated with respect to, and behind these as many rows again, which hold the cotangent (the derivative
-of what is differentiated) of each of those before. Every function here pulls cotangents back through one kernel, in
-place: those of the rows that it wrote become those of the rows it read.
+A *work* block is a block with further rows. Behind the block's own come the actions; with sensors the measurements,
+their random numbers and the control interval; and the constants of the plant that are differentiated with respect to.
+As many rows follow again: the cotangent (the derivative of what is differentiated) of each row before. Every function
+here pulls cotangents back through one kernel, in place: those of the rows that it wrote become those of the rows it
+read.
 """
 
 from __future__ import annotations
@@ -81,7 +82,7 @@ class Steps(NamedTuple):
     references: Indices  # of the machines' gates, which a lost governor holds where they are
     droops: Indices
     gates: Indices
-    ends: Indices  # of those states whose value at a step's start counts at its end too, the place among `states`
+    ends: Indices  # places in `states` of those whose value at the start of a step also enters at its end
     bases: Indices  # and the row that holds that value
     limited: Indices  # voltages and currents that limits of the current change
     sources: Indices  # voltages before they do
@@ -101,7 +102,7 @@ class Rules(NamedTuple):
     pull_rates: Callable[..., None]
     pull_finish: Callable[..., None]
     pull_charge: Callable[..., None]
-    foresee: Callable[..., None]  # no rule: finds the control interval that ends
+    find_interval: Callable[..., None]  # no rule: computes the number of the control interval that ends
     steps: Steps
     carried: Indices  # rows whose cotangent goes from one control step to the one before
     terms: Indices  # of the cost of a step
@@ -263,7 +264,9 @@ def build_rules(
         "pull_rates": _source("pull_rates", ("fraction", "cells"), found.rates, of_states, n_rows),
         "pull_finish": _source("pull_finish", (), found.finish, {*programs.finish, *steps.bases.tolist()}, n_rows),
         "pull_charge": _source("pull_charge", (), found.charge, found.seeds, n_rows),
-        "foresee": ex.function_source("foresee", (), {int(row): programs.charge[interval] for row in further.interval}),
+        "find_interval": ex.function_source(
+            "find_interval", (), {int(row): programs.charge[interval] for row in further.interval}
+        ),
     }
     ring = range(parts.delayed, parts.observation) if further.seen.size else range(0)
     carried = {*found.states, *({*found.charge} & found.seeds), *steps.references.tolist(), *ring}

@@ -1,4 +1,4 @@
-"""The kernels of a control step as programs: what every row holds that they write, from the rows they read."""
+"""The kernels of a control step as programs: each row that they write, as an expression in the rows they read."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from wtg_gym.envs.task_records import Task, read_task
 from wtg_gym.gradients import expressions as ex
 from wtg_gym.gradients.plant_parameters import Leaf
 from wtg_gym.gradients.tracing import ARITHMETIC, Actions, Rows, retargeted, traced
-from wtg_gym.physics.currents import _limit_current, unit_currents
+from wtg_gym.physics.currents import limit_group_current, unit_currents
 from wtg_gym.physics.dynamics import derivatives, keep_energy, unit_rates, unit_voltages
 from wtg_gym.physics.layout import read_extension, read_turbine
 from wtg_gym.physics.plant_constants import Plant
@@ -35,7 +35,7 @@ ROW_OF_LEAF = {"two_h": "inv_two_h", "governor.inv_droop": "inv_droop"}
 
 
 class Programs(NamedTuple):
-    """The kernels of a control step, one lane wide: what each row holds that they write, from the rows they read.
+    """Programs of a control step, one lane wide: an expression by the row that it writes.
 
     Where a current can be limited the right-hand side has three parts: voltages and currents without that limit, the
     sweeps that go on until it holds, and the rates.
@@ -57,7 +57,7 @@ def require_known(plant: Plant) -> None:
 
 
 class Further(NamedTuple):
-    """Rows of a work block behind those of the block: actions, and of a task with sensors what :class:`Steps` says."""
+    """Rows of a work block behind those of the block; see :class:`~wtg_gym.gradients.generated.Steps`."""
 
     actions: Indices
     seen: Indices
@@ -146,10 +146,10 @@ def _dynamics_of(c: Any) -> dict[str, dict[int, Any]]:
         rates = retargeted(derivatives, whole, {})
         return {"network": {}, "sweep": {}, "rates": traced(lambda b: rates(b, c, fraction, lanes)), "finish": {}}
     voltages, rates, finish = retargeted(unit_voltages), retargeted(unit_rates, whole, {}), retargeted(keep_energy)
-    currents = retargeted(unit_currents, {**ARITHMETIC, "_limit_currents": lambda *_: None}, {})
+    currents = retargeted(unit_currents, {**ARITHMETIC, "limit_currents": lambda *_: None}, {})
     # However little a voltage moves: where it stands is where the limit holds.
-    sweeping = {"_SETTLED": -1.0, "np": SimpleNamespace(int64=lambda _: 0)}
-    limit_current = retargeted(_limit_current, {**ARITHMETIC, **sweeping}, {})
+    sweeping = {"SETTLED": -1.0, "np": SimpleNamespace(int64=lambda _: 0)}
+    limit_current = retargeted(limit_group_current, {**ARITHMETIC, **sweeping}, {})
     limit = retargeted(read_extension)(c["extension"][0]).limits.current_max
     turbine, n_wtg = retargeted(read_turbine)(c["turbine"]), c["share"].size
 
@@ -174,4 +174,5 @@ def _dynamics_of(c: Any) -> dict[str, dict[int, Any]]:
 
 
 def is_of_lane(leaf: Leaf) -> bool:
+    """Return whether every lane has this constant in a row of its own."""
     return leaf.part == "machines" and leaf.name in ROW_OF_LEAF

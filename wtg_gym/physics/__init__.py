@@ -11,12 +11,13 @@ Equations
     currents, runge_kutta        I = Y E and its limit; how a stage moves the states
     network_events      what events change in the network and its units
     protection          what ends a run
+    sensors             measurements with filter, noise, bias and delay
     equilibrium, start_errors    what a run starts from; why it cannot
     linearisation       modes, and the step they allow
 
 Data
-    parameters, machine_parameters, checked    every number with unit, source and range
-    ieee14, nrel5mw     the network; another turbine
+    parameters, machine_parameters, checked, sources    every number with unit, source and range
+    ieee14, nrel5mw, tables/     the network; another turbine; its tables
     plant               a network, its WTG groups and the time steps
     scenario            what happens in a run
     tracking_law        the strategies

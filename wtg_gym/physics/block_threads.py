@@ -28,10 +28,10 @@ class BlockThreads:
     def run(
         self, work: Callable[[int, int], Any], meanwhile: Callable[[], Any] | None = None, meanwhile_blocks: int = 0
     ) -> None:
-        """Call `work(first, last)` for ranges that cover all blocks, on several threads where that pays.
+        """Call `work(first, last)` for ranges that cover all blocks.
 
         Args:
-            work: compiled, so that it releases the interpreter.
+            work: compiled with nogil, so that it releases the interpreter's lock.
             meanwhile: called once, by this thread, while others work.
             meanwhile_blocks: how many blocks take as long as that call.
         """

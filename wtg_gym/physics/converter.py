@@ -26,7 +26,7 @@ class Corners(NamedTuple):
 
 
 class Converter(NamedTuple):
-    """Constants."""
+    """Constants of a converter."""
 
     two_h: float  # 2H [s]
     inv_two_h: float  # [1/s]
@@ -73,7 +73,7 @@ def tracking_coefficient(speed: float, k_min: float, k_nominal: float, k_max: fl
 
     Source: paper, equation (37); the linear g of equation (21) has its middle corner on the line.
     """
-    # The spans are the same for all lanes: a factor is worked out once, a quotient in every lane.
+    # The spans are the same for all lanes: their reciprocals are computed once, a division would be repeated per lane.
     below = clip((c.frequency_setpoint - speed) * (1.0 / (c.frequency_setpoint - c.frequency_min)), 0.0, 1.0)
     above = clip((speed - c.frequency_setpoint) * (1.0 / (c.frequency_max - c.frequency_setpoint)), 0.0, 1.0)
     return fma(below, k_min - k_nominal, fma(above, k_max - k_nominal, k_nominal))

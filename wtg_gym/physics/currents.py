@@ -24,7 +24,7 @@ from wtg_gym.physics.layout import (
 #: Gauss-Seidel sweeps over the groups whose current is limited, at most: a few, but some thirty for large groups at a
 #: weak bus. They end once no voltage moves by more than 1e-12 p.u.; the squares are compared.
 _SWEEPS = 100
-_SETTLED = 1e-12 * 1e-12
+SETTLED = 1e-12 * 1e-12
 
 
 @inlined
@@ -51,11 +51,11 @@ def unit_currents(block: Floats, c: Any, lanes: Lanes) -> None:
                 current = load_phasor(block, at + x, width)
                 store_phasor(_plus_product(current, block, y_j + x, e_j + x, width), block, at + x, width)
     if c["extension"].shape[0] > 0:
-        _limit_currents(block, c, lanes)
+        limit_currents(block, c, lanes)
 
 
 @inlined
-def _limit_currents(block: Floats, c: Any, lanes: Lanes) -> None:
+def limit_currents(block: Floats, c: Any, lanes: Lanes) -> None:
     """Turn the voltages of groups whose current is too large into those behind their limiting reactance.
 
     A lane without such a group, or one that has settled, keeps its bits, whatever its neighbours do.
@@ -63,7 +63,7 @@ def _limit_currents(block: Floats, c: Any, lanes: Lanes) -> None:
     width, rows = len(lanes), rows_of(c)
     n_sync = c["machines"].shape[0]
     limit = read_extension(c["extension"][0]).limits.current_max
-    # Whole numbers: a sum of them is taken for all lanes at once, the largest of floats is not.
+    # An integer count vectorises over lanes; a maximum of floats does not.
     exceeded = np.int64(0)
     for j in range(c["share"].shape[0]):
         current_at, o = (rows.current + 2 * (n_sync + j)) * width, extension_at(c, j, width) + EXTENSION.output * width
@@ -81,14 +81,14 @@ def _limit_currents(block: Floats, c: Any, lanes: Lanes) -> None:
     for _ in range(_SWEEPS):
         moved = np.int64(0)
         for j in range(c["share"].shape[0]):
-            moved += _limit_current(block, c, j, limit * c["share"][j], lanes)
+            moved += limit_group_current(block, c, j, limit * c["share"][j], lanes)
         if moved == 0:
             return
 
 
 @inlined
-def _limit_current(block: Floats, c: Any, j: int, limit: float, lanes: Lanes) -> np.int64:
-    """Find the limiting reactance of WTG group j with everybody else's voltage as it is, and move all currents.
+def limit_group_current(block: Floats, c: Any, j: int, limit: float, lanes: Lanes) -> np.int64:
+    """Find the limiting reactance of WTG group j with all other voltages fixed, and change all currents.
 
     Returns:
         in how many lanes its voltage has moved.
@@ -111,7 +111,7 @@ def _limit_current(block: Floats, c: Any, j: int, limit: float, lanes: Lanes) ->
         drop_re = size * fma(free.re, d_re, free.im * d_im)
         drop_im = size * fma(free.im, d_re, -(free.re * d_im))
         change = Phasor(source.re + drop_im - e.re, source.im - drop_re - e.im)
-        moves = fma(change.re, change.re, change.im * change.im) > _SETTLED
+        moves = fma(change.re, change.re, change.im * change.im) > SETTLED
         change = Phasor(select(moves, change.re, 0.0), select(moves, change.im, 0.0))
         moved += np.int64(moves)
         block[o + EXTENSION.output * width + x] = reactance

@@ -7,7 +7,7 @@ whose length the compiler knows.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -63,7 +63,7 @@ from wtg_gym.physics.machine import (
 )
 from wtg_gym.physics.plant_constants import Plant
 from wtg_gym.physics.records import elementwise
-from wtg_gym.physics.runge_kutta import EVALUATE, FIRST, LAST, MIDDLE, _base, _kept, _moved, _sum, advancer
+from wtg_gym.physics.runge_kutta import EVALUATE, FIRST, LAST, MIDDLE, advancer
 from wtg_gym.physics.wind_turbine import (
     ExtensionState,
     Turbine,
@@ -112,6 +112,20 @@ _advance_wtg = advancer(WtgState, wtg_limited)
 _advance_extension = advancer(ExtensionState, extension_limited)
 
 
+class ReferenceAngle(NamedTuple):
+    """State of a lane: the angle of the first unit against a frame at nominal frequency [rad]."""
+
+    angle: float
+
+
+@inlined
+def _unlimited(state: ReferenceAngle, c: float) -> ReferenceAngle:
+    return state
+
+
+_advance_angle = advancer(ReferenceAngle, _unlimited)
+
+
 @inlined
 def _share(rate: float, connected: float) -> float:
     return connected * rate
@@ -129,8 +143,8 @@ def unit_rates(block: Floats, c: Any, fraction: float, stage: np.int64, ahead: f
         block, lanes: as for :func:`advance_step`.
         c: constants of the plant.
         fraction: of the control interval that has passed, 0 … 1.
-        stage: one of FIRST, MIDDLE and LAST of the method; EVALUATE leaves the states and stores the rates. A constant
-            where it is called: each stage is compiled for itself, without what it does not need.
+        stage: FIRST, MIDDLE or LAST of the method, or EVALUATE, which stores the rates and leaves the states. Callers
+            pass a constant, so that the compiler specialises the function for each.
         ahead: how far the stage moves the states from their base [s]; a sixth of the step for the last.
     """
     _hydro_governors(block, c, stage, ahead, lanes)
@@ -263,22 +277,15 @@ def keep_energy(block: Floats, c: Any, j: int, x: int, turbine: Turbine, width: 
 
 @inlined
 def _reference_angle(block: Floats, c: Any, stage: np.int64, ahead: float, lanes: Lanes) -> None:
-    """The angle of the first unit against a frame at nominal frequency."""
-    width = len(lanes)
-    first, last = stage == FIRST, stage == LAST
-    omega_n, lane = c["omega_n"], rows_of(c).lane * width
+    """Move the angle of the first unit against a frame at nominal frequency."""
+    width, omega_n = len(lanes), c["omega_n"]
     for x in range(width):
-        rate = omega_n * (block[lane + LANE.reference_speed * width + x] - 1.0)
-        if stage == EVALUATE:
-            block[lane + LANE.rate * width + x] = rate
-        else:
-            base = _base(block[lane + LANE.angle * width + x], block[lane + LANE.base * width + x], first)
-            total = block[lane + LANE.sum * width + x]
-            moved = _moved(base, rate, total, ahead, last)
-            active = block[lane + LANE.active * width + x]
-            block[lane + LANE.base * width + x] = base
-            block[lane + LANE.sum * width + x] = _sum(rate, total, first)
-            block[lane + LANE.angle * width + x] = _kept(moved, moved, base, last, active)
+        lane = rows_of(c).lane * width + x
+        rates = ReferenceAngle(omega_n * (block[lane + LANE.reference_speed * width] - 1.0))
+        state = ReferenceAngle(block[lane + LANE.angle * width])
+        active = block[lane + LANE.active * width]
+        at, rate_at = lane + LANE.angle * width, lane + LANE.rate * width
+        _advance_angle(state, rates, omega_n, block, at, rate_at, active, stage, ahead, width)
 
 
 @inlined
@@ -301,15 +308,15 @@ def advance_step(block: Floats, c: Any, step: int, lanes: Lanes) -> None:
     """
     h = c["simulation_dt"]
     part = 1.0 / c["n_substeps"]
-    _stage(block, c, step * part, np.int64(FIRST), 0.5 * h, lanes)
+    advance_stage(block, c, step * part, np.int64(FIRST), 0.5 * h, lanes)
     # A loop, so that the stage is compiled once.
     for middle in range(2):
-        _stage(block, c, (step + 0.5) * part, np.int64(MIDDLE), h if middle == 1 else 0.5 * h, lanes)
-    _stage(block, c, (step + 1.0) * part, np.int64(LAST), h / 6.0, lanes)
+        advance_stage(block, c, (step + 0.5) * part, np.int64(MIDDLE), h if middle == 1 else 0.5 * h, lanes)
+    advance_stage(block, c, (step + 1.0) * part, np.int64(LAST), h / 6.0, lanes)
 
 
 @inlined
-def _stage(block: Floats, c: Any, fraction: float, stage: np.int64, ahead: float, lanes: Lanes) -> None:
+def advance_stage(block: Floats, c: Any, fraction: float, stage: np.int64, ahead: float, lanes: Lanes) -> None:
     unit_voltages(block, c, lanes)
     unit_currents(block, c, lanes)
     unit_rates(block, c, fraction, stage, ahead, lanes)

@@ -12,7 +12,7 @@ from wtg_gym.physics.elementary import select
 from wtg_gym.physics.lane_data import LaneData
 from wtg_gym.physics.layout import LANE, WTG, Floats, Lanes, load_wtg_input, rows_of, store_wtg_input, wtg_row
 from wtg_gym.physics.plant_constants import Plant
-from wtg_gym.physics.protection import PROTECTION_INTERVAL_S, look_at_grid, shed_load, track_extremes, update_status
+from wtg_gym.physics.protection import PROTECTION_INTERVAL_S, sample_grid, shed_load, track_extremes, update_status
 from wtg_gym.physics.reduction import combine_load_noise, refresh_network
 from wtg_gym.physics.wind_turbine import WtgInput
 
@@ -69,7 +69,7 @@ def apply_network_changes(
 
 @inlined
 def _count_step(block: Floats, c: Any, lanes: Lanes) -> None:
-    """Put the clocks of running lanes forward by a simulation step."""
+    """Count a simulation step of every running lane."""
     width = len(lanes)
     lane = rows_of(c).lane * width
     for x in range(width):
@@ -77,20 +77,20 @@ def _count_step(block: Floats, c: Any, lanes: Lanes) -> None:
 
 
 @inlined
-def protections_look(c: Any, step: int) -> bool:
-    """Return whether protections look at the grid after a simulation step of the control interval, 0 for the first."""
+def protections_sample(c: Any, step: int) -> bool:
+    """Return whether protections sample the grid after a simulation step of the control interval (0 is the first)."""
     between = max(1, int(PROTECTION_INTERVAL_S / c["simulation_dt"] + 1e-6))
     return (step + 1) % between == 0 or step + 1 == c["n_substeps"]
 
 
 @inlined
-def end_step(block: Floats, c: Any, looks: bool, lanes: Lanes) -> None:
-    """Do what follows the integration of a simulation step; `looks`: whether protections look at the grid."""
+def end_step(block: Floats, c: Any, samples: bool, lanes: Lanes) -> None:
+    """Do what follows the integration of a simulation step; `samples`: whether protections sample the grid."""
     _count_step(block, c, lanes)
     track_extremes(block, c, lanes)
     shed_load(block, c, lanes)
-    if looks:
-        look_at_grid(block, c, lanes)
+    if samples:
+        sample_grid(block, c, lanes)
         update_status(block, c, len(lanes))
 
 
@@ -106,11 +106,11 @@ def advance_interval(
     c = plant.constants[0]
     enter_interval(block, first_lane, c, data, noise_y, lanes)
     for step in range(c["n_substeps"]):
-        # Asked first: the call counts references to all arrays, which takes longer than to look.
+        # Asked first: the call counts references to all arrays, which takes longer than the question.
         if changes_due(block, c, lanes):
             apply_network_changes(block, first_lane, plant, data, noise_y, lanes)
         advance_step(block, c, step, lanes)
-        end_step(block, c, protections_look(c, step), lanes)
+        end_step(block, c, protections_sample(c, step), lanes)
     derivatives(block, c, 1.0, lanes)
 
 

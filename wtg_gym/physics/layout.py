@@ -105,12 +105,12 @@ class LaneRows(NamedTuple):
     coi: float  # frequency of the centre of inertia [p.u.]
     coi_min: float  # least since the start [p.u.]
     coi_max: float
-    noise_z: Phasor  # impedance that the load noise sees
+    noise_z: Phasor  # Thévenin impedance at the bus of the load noise [p.u.]
     noise_per_mw: float  # admittance per MW of load noise [p.u.]
     noise_factor: Phasor  # of the load noise's part in the reduced admittance: Δy/(1 + Δy z) [p.u.]
-    least_angle: float  # of all connected units, when the protections last looked [rad]
+    least_angle: float  # of all connected units, when the protections last sampled [rad]
     largest_angle: float
-    least_voltage: float  # at the terminals of all connected units, squared [p.u.²]
+    least_squared_voltage: float  # at the terminals of all connected units, squared [p.u.²]
     healthy_step: float  # last simulation step at which the protections found no low voltage
 
 

@@ -8,11 +8,11 @@
     E''_q = γ_d E'_q + (1 - γ_d) ψ_1d,    E''_d = γ_q E'_d - (1 - γ_q) ψ_2q
     V_d = E''_d - r i_d + x'' i_q,    V_q = E''_q - r i_q - x'' i_d,    p = E''_d i_d + E''_q i_q
 
-with γ_d = (x'' - x_l)/(x'_d - x_l), γ_d2 = (x'_d - x'')/(x'_d - x_l)², and γ_q, γ_q2 alike; without saturation, stator
-transients and the effect of speed on voltages; x''_q = x''_d = x''. Without that effect the
-torque T_e is the air-gap power p. All values are on the system base, those of the governor on the machine's. Source:
-P. Sauer, M. Pai: Power System Dynamics and Stability, chapter 3 (subtransient model); P. Kundur: Power System Stability
-and Control, chapter 3.
+with γ_d = (x'' - x_l)/(x'_d - x_l), γ_d2 = (x'_d - x'')/(x'_d - x_l)², and γ_q, γ_q2 alike; x''_q = x''_d = x''.
+Neglected are saturation, stator transients, and the effect of speed on voltages; so the electrical torque T_e equals
+the air-gap power p [p.u.]. All values are on the system base, those of the governor on the machine's. Source: P. Sauer,
+M. Pai: Power System Dynamics and Stability, chapter 3 (subtransient model); P. Kundur: Power System Stability and
+Control, chapter 3.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
 
 
 class Machine(NamedTuple):
-    """Constants."""
+    """Constants of a synchronous machine."""
 
     internal_reactance: float  # x'', or x'_d of a classical machine [p.u.]
     resistance: float
@@ -60,7 +60,7 @@ class Machine(NamedTuple):
 
 
 class MachineState(NamedTuple):
-    """States."""
+    """States of a synchronous machine."""
 
     angle: float  # δ of the rotor against the first unit's [rad]
     speed: float  # ω [p.u.]
@@ -73,7 +73,7 @@ class MachineState(NamedTuple):
 
 
 class MachineInput(NamedTuple):
-    """Constant between events."""
+    """Inputs of a synchronous machine, constant between events."""
 
     voltage_reference: float  # V_ref [p.u.]
     gate_reference: float  # g_ref [p.u. of the machine]
@@ -92,7 +92,7 @@ class MachineVoltage(NamedTuple):
 
 
 class MachineOutput(NamedTuple):
-    """Outputs."""
+    """Outputs of a synchronous machine."""
 
     power: float  # of the air gap [p.u.]
     voltage: float  # at the terminal [p.u.]

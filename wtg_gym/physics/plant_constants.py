@@ -42,7 +42,7 @@ class SheddingConstants(NamedTuple):
 
 
 class Plant(NamedTuple):
-    """Constants that all lanes share."""
+    """Arrays that the kernels read: constants of the units and time steps, buses, branches."""
 
     constants: npt.NDArray[np.void]  # (1,), of constants_dtype
     buses: npt.NDArray[np.void]  # (n_bus,), of BusConstants

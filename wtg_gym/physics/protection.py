@@ -30,9 +30,9 @@ from wtg_gym.physics.layout import (
     store_wtg_input,
     wtg_row,
 )
-from wtg_gym.physics.wind_turbine import WtgExtremes, WtgInput
+from wtg_gym.physics.wind_turbine import WtgExtremes, WtgInput, tip_speed_ratio
 
-#: Protections look at the end of every control interval, and at least this often within a longer one [s].
+#: Protections sample the grid at the end of every control interval, and at least this often within a longer one [s].
 PROTECTION_INTERVAL_S = 0.1
 
 
@@ -81,7 +81,7 @@ def track_extremes(block: Floats, c: Any, lanes: Lanes) -> None:
             output = load_wtg_output(block, o + WTG.output * width + x, width)
             connected = load_wtg_input(block, o + WTG.input * width + x, width).connected
             rotor_speed = load_wtg_state(block, o + x, width).rotor_speed
-            ratio = turbine.rotor.tip_speed * rotor_speed / output.wind
+            ratio = tip_speed_ratio(rotor_speed, output.wind, turbine.rotor)
             turning = (block[lane + LANE.active * width + x] > 0.5) & (connected > 0.5)
             old = load_extremes(block, extremes + x, width)
             overloaded = turning & (output.power > turbine.converter.overload)
@@ -95,19 +95,19 @@ def track_extremes(block: Floats, c: Any, lanes: Lanes) -> None:
 
 
 @inlined
-def look_at_grid(block: Floats, c: Any, lanes: Lanes) -> None:
+def sample_grid(block: Floats, c: Any, lanes: Lanes) -> None:
     """Find how far the angles of connected units lie apart and the lowest of their terminal voltages, in every lane.
 
-    A condenser's or turbine's terminal is a bus of the network; buses without a unit are not looked at.
+    A condenser's or turbine's terminal is a bus of the network; buses without a unit do not count.
     """
     width, rows = len(lanes), rows_of(c)
     n_sync = c["machines"].shape[0]
     turbine = read_turbine(c["turbine"])
     least_angle, largest_angle = (rows.lane + LANE.least_angle) * width, (rows.lane + LANE.largest_angle) * width
-    least_voltage = (rows.lane + LANE.least_voltage) * width
+    least_squared_voltage = (rows.lane + LANE.least_squared_voltage) * width
     for x in range(width):
         block[least_angle + x], block[largest_angle + x] = math.inf, -math.inf
-        block[least_voltage + x] = math.inf
+        block[least_squared_voltage + x] = math.inf
     for i in range(n_sync):
         o = i * N_MACHINE_ROWS * width
         for x in range(width):
@@ -116,7 +116,9 @@ def look_at_grid(block: Floats, c: Any, lanes: Lanes) -> None:
             voltage = load_machine_output(block, o + MACHINE.output * width + x, width).voltage
             block[least_angle + x] = min(block[least_angle + x], select(connected, angle, math.inf))
             block[largest_angle + x] = max(block[largest_angle + x], select(connected, angle, -math.inf))
-            block[least_voltage + x] = min(block[least_voltage + x], select(connected, voltage * voltage, math.inf))
+            block[least_squared_voltage + x] = min(
+                block[least_squared_voltage + x], select(connected, voltage * voltage, math.inf)
+            )
     for j in range(c["share"].shape[0]):
         o, unit = wtg_row(c, j) * width, 2 * (n_sync + j)
         reactance = turbine.converter.reactance / c["share"][j]
@@ -129,7 +131,7 @@ def look_at_grid(block: Floats, c: Any, lanes: Lanes) -> None:
             voltage = select(connected, v_re * v_re + v_im * v_im, math.inf)
             block[least_angle + x] = min(block[least_angle + x], select(connected, angle, math.inf))
             block[largest_angle + x] = max(block[largest_angle + x], select(connected, angle, -math.inf))
-            block[least_voltage + x] = min(block[least_voltage + x], voltage)
+            block[least_squared_voltage + x] = min(block[least_squared_voltage + x], voltage)
 
 
 @inlined
@@ -170,7 +172,7 @@ def update_status(block: Floats, c: Any, width: int) -> None:
         status = 0
         if coi < limits.coi_min or coi > limits.coi_max:
             status = Status.FREQUENCY_LIMIT
-        if block[lane + LANE.least_voltage * width] >= limits.low_voltage**2:
+        if block[lane + LANE.least_squared_voltage * width] >= limits.low_voltage**2:
             block[lane + LANE.healthy_step * width] = step
         low_steps = step - block[lane + LANE.healthy_step * width]
         if low_steps * c["simulation_dt"] > limits.low_voltage_time:
@@ -183,9 +185,8 @@ def update_status(block: Floats, c: Any, width: int) -> None:
             o = wtg_row(c, j) * width + x
             state = load_wtg_state(block, o, width)
             given = load_wtg_input(block, o + WTG.input * width, width)
-            ratio = (
-                turbine.rotor.tip_speed * state.rotor_speed / load_wtg_output(block, o + WTG.output * width, width).wind
-            )
+            wind = load_wtg_output(block, o + WTG.output * width, width).wind
+            ratio = tip_speed_ratio(state.rotor_speed, wind, turbine.rotor)
             finite = finite and math.isfinite(state.rotor_speed) and math.isfinite(state.converter.speed)
             failure = 0
             if ratio < limits.stall_tip_speed_ratio:

@@ -55,7 +55,7 @@ def refresh_network(block: Floats, x: int, lane: int, plant: Plant, data: LaneDa
         if step >= event["start"] and event["unit"] >= 0:
             _disconnect(block, x, c, event["unit"], width)
         if step >= event["start"] and event["governor"] >= 0:
-            _lose_governor(block, x, c, event["governor"], width)
+            lose_governor(block, x, c, event["governor"], width)
     block[own + LANE.last_change * width] = step
     block[own + LANE.next_change * width] = following
     unit_y = _connected_units(block, x, c, width)
@@ -82,7 +82,7 @@ def _disconnect(block: Floats, x: int, c: Any, unit: int, width: int) -> None:
 
 
 @compiled
-def _lose_governor(block: Floats, x: int, c: Any, machine: int, width: int) -> None:
+def lose_governor(block: Floats, x: int, c: Any, machine: int, width: int) -> None:
     """Let a machine's gate stay where it is, whatever its speed."""
     o = machine * N_MACHINE_ROWS * width + x
     m = load_machine_input(block, o + MACHINE.input * width, width)

@@ -12,7 +12,7 @@ from wtg_gym.physics.elementary import fma, select
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.records import elementwise, loader, size, storer
 
-#: Stages of :func:`~wtg_gym.physics.dynamics.unit_rates`.
+#: Values of `stage`: EVALUATE only stores the rates, the others are stages of the method.
 EVALUATE, FIRST, MIDDLE, LAST = -1, 0, 1, 2
 
 

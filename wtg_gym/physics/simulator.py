@@ -1,4 +1,4 @@
-"""Many runs of one plant side by side: start, advance, look, copy."""
+"""Many runs of one plant side by side: start, advance, read, copy."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ class Simulator:
             rows = self._lane_view(lane)
             rows[:] = 0.0
             padding = Scenario(name="padding", wind_speed=np.full((self.layout.n_wtg, 1), 8.0))
-            self._write_constants(rows[None, :], [padding])
+            self._write_machine_inputs(rows[None, :], [padding])
             for name in ("wind", "wind_start"):
                 rows[self.layout.wtg(name)] = 8.0
             rows[self.layout.lane("next_change")] = math.inf
@@ -245,7 +245,7 @@ class Simulator:
                 [event for own in events for event in own], dtype=EVENT_DTYPE
             )
         rows = np.zeros((n, self.layout.n_rows))
-        self._write_constants(rows, scenarios)
+        self._write_machine_inputs(rows, scenarios)
         rows[:, self.layout.wtg("k_min")] = [law.k_min for law in laws]
         rows[:, self.layout.wtg("k_nominal")] = [law.k_nominal for law in laws]
         rows[:, self.layout.wtg("k_max")] = [law.k_max for law in laws]
@@ -310,7 +310,7 @@ class Simulator:
             given = self._noise_samples[: np.searchsorted(self._noise_samples, noise.size)]
             data.noise[lane, : given.size] = noise[given]
 
-    def _write_constants(self, rows: Floats, scenarios: Sequence[Scenario]) -> None:
+    def _write_machine_inputs(self, rows: Floats, scenarios: Sequence[Scenario]) -> None:
         machines = self.plant.constants["machines"][0]
         scale = np.array([[scenario.inertia_scale] for scenario in scenarios])
         rows[:, self.layout.machine("connected")] = 1.0
@@ -329,9 +329,9 @@ class Simulator:
         self.threads.run(lambda a, b: advance_blocks(self.blocks, a, b, self.plant, self.data, self.lanes))
 
     def imagine(self, other: Simulator, lanes: npt.NDArray[np.int64], wind: Floats) -> None:
-        """Continue runs of another simulator in this one's lanes, in a future that holds no surprise.
+        """Continue runs of another simulator in this one's lanes: a planner's rollouts.
 
-        Events that have not struck yet are forgotten; a ramp that has begun goes on, and the load noise stays.
+        Future events are removed; a ramp in progress continues, and the load noise keeps its present value.
 
         Args:
             other: of the same plant, with rows of the same kind.
@@ -421,6 +421,3 @@ class Simulator:
         self.blocks = _aligned_zeros(*state["blocks"].shape)
         self.blocks[:] = state["blocks"]
         self._view = self.blocks.reshape(self.blocks.shape[0], self.layout.n_rows, self.width)
-
-
-__all__ = ["BLOCK_WIDTH", "PlantSettings", "Simulator"]

@@ -55,6 +55,12 @@ class Rotor(NamedTuple):
     available_per_cubic_wind: float  # available power / v³ at β = 0 [p.u. s³/m³]
 
 
+@inlined
+def tip_speed_ratio(rotor_speed: float, wind: float, c: Rotor) -> float:
+    """Return λ = ω_m ω_tn R / v of a rotor speed ω_m [p.u.] in a wind v [m/s]."""
+    return c.tip_speed * rotor_speed / wind
+
+
 class Limits(NamedTuple):
     """Limits of the protections."""
 
@@ -70,7 +76,7 @@ class Limits(NamedTuple):
 
 
 class Turbine(NamedTuple):
-    """Constants."""
+    """Constants of a wind turbine."""
 
     rotor: Rotor
     pitch: Pitch

@@ -92,7 +92,7 @@ class ScenarioDistribution:
     n_turbines: float = _number(10.0, (1e-3, 1e4), "", "turbines per group that the wind is averaged over")
     gust_probability: float = _number(0.1, (0.0, 1.0), "", "chance of an extreme operating gust on one group")
     gust_m_s: tuple[float, float] = _span((2.0, 5.0), (0.0, 15.0), "m/s", "size of a gust")
-    wind_ramp_probability: float = _number(0.1, (0.0, 1.0), "", "chance of a wind ramp on all groups, if no gust")
+    wind_ramp_probability: float = _number(0.1, (0.0, 1.0), "", "chance of a wind ramp on all groups; excludes a gust")
     wind_ramp_m_s: tuple[float, float] = _span((1.0, 3.0), (0.0, 10.0), "m/s", "size of a wind ramp; both signs")
     wind_ramp_s: tuple[float, float] = _span((5.0, 20.0), (0.1, 3600.0), "s", "length of a wind ramp")
     n_load_events: tuple[int, int] = _span((1, 3), (0, 20), "", "number of load events")
@@ -115,7 +115,9 @@ class ScenarioDistribution:
     line_trips: tuple[tuple[int, int], ...] = _table(_SURVIVABLE_LINES, "lines that may trip; out of TRIPPABLE_LINES")
     first_event_s: float = _number(3.0, (0.0, 3600.0), "s", "earliest event")
     quiet_end_s: float = _number(10.0, (0.0, 3600.0), "s", "time without a new event at the end")
-    load_noise_mw: float = _number(1.0, (0.0, 50.0), "MW", "standard deviation of the load noise")
+    load_noise_mw: float = _number(
+        1.0, (0.0, 50.0), "MW", "standard deviation of the load noise, once its start has decayed"
+    )
     load_noise_correlation_s: float = _number(2.0, (0.1, 60.0), "s", "correlation time of the load noise")
     load_noise_bus: int = field(default=3, metadata={"unit": "", "meaning": "bus of the load noise"})
     governor_droop: tuple[float, float] = _span((0.02, 0.05), (0.005, 1.0), "p.u.", "droop of the governors")
@@ -133,7 +135,7 @@ class ScenarioDistribution:
         0.0, (0.0, 1.0), "", "chance that the governor is lost, every other time from the start"
     )
     group_trip_probability: float = _number(
-        0.0, (0.0, 1.0), "", "chance that the smallest WTG group trips, if the governor is not lost"
+        0.0, (0.0, 1.0), "", "chance that the smallest WTG group trips; excludes the loss of the governor"
     )
     machine_outage_probability: float = _number(0.0, (0.0, 1.0), "", "chance that a synchronous machine disconnects")
     machine_outage_buses: tuple[int, ...] = _table((3, 6, 8), "buses whose machine may disconnect")
@@ -158,11 +160,12 @@ class ScenarioDistribution:
         if any(n != int(n) for n in self.n_load_events):
             raise ValueError(f"n_load_events must be two whole numbers, got {self.n_load_events}")
         object.__setattr__(self, "n_load_events", tuple(int(n) for n in self.n_load_events))
-        if self.gust_probability + self.wind_ramp_probability > 1.0:
-            raise ValueError(
-                f"gust_probability + wind_ramp_probability = "
-                f"{self.gust_probability + self.wind_ramp_probability:g}, at most 1 is allowed"
-            )
+        for first, second in (
+            ("gust_probability", "wind_ramp_probability"),
+            ("governor_loss_probability", "group_trip_probability"),
+        ):
+            if (total := getattr(self, first) + getattr(self, second)) > 1.0:
+                raise ValueError(f"{first} + {second} = {total:g}, at most 1 is allowed: they exclude each other")
         self._check_places()
 
     def _check_places(self) -> None:

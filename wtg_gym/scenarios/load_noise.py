@@ -1,4 +1,4 @@
-"""The load noise: a stationary Ornstein-Uhlenbeck series that starts at zero."""
+"""The load noise: an Ornstein-Uhlenbeck process that starts at zero, made from a stationary one."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from wtg_gym.scenarios.wind import FloatArray, resolved_frequencies, spectrum_am
 
 @lru_cache(maxsize=64)
 def noise_amplitude(correlation_s: float, n_period: int) -> FloatArray:
-    """Coefficient scale of a stationary Ornstein-Uhlenbeck series of variance 1.
+    """Return the scale of each Fourier coefficient of a stationary Ornstein-Uhlenbeck series of variance 1.
 
     Its samples are a first-order autoregression with phi = exp(-dt/T), whose spectrum is
     2 dt (1 - phi²)/(1 - 2 phi cos(2π f dt) + phi²).
@@ -28,7 +28,10 @@ def noise_amplitude(correlation_s: float, n_period: int) -> FloatArray:
 
 @lru_cache(maxsize=64)
 def noise_decay(correlation_s: float, n_samples: int) -> FloatArray:
-    """Decay of the start value; a stationary series less its decaying start value is one that starts at zero."""
+    """Return exp(-t/T) at every sample t.
+
+    A stationary series minus exp(-t/T) times its first value is the process that starts at zero.
+    """
     decay: FloatArray = np.exp(-SERIES_DT / correlation_s * np.arange(n_samples))
     decay.setflags(write=False)
     return decay

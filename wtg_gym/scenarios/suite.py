@@ -213,7 +213,7 @@ class Suite:
 
 
 def _decimal(value: float) -> str:
-    # The zero takes the sign off a negative number that rounds to nought.
+    # Adding 0.0 turns -0.0 into 0.0.
     return f"{round(float(value), 6) + 0.0:.6f}"
 
 

@@ -1,4 +1,4 @@
-"""The share of the load that turbines cover in a wind."""
+"""The share of the load of the modified IEEE 14-bus system that turbines cover in a wind."""
 
 from __future__ import annotations
 
@@ -11,7 +11,13 @@ from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 
 
 def share_of_load(mean_winds: Sequence[float], turbines: Sequence[float], load_level: float) -> float:
-    """Return the share of the system's load that turbines at nominal reserve give in mean winds [m/s]."""
+    """Return the share of the nominal load times `load_level` that turbines at nominal reserve cover.
+
+    Args:
+        mean_winds: of each WTG group [m/s].
+        turbines: number in each group.
+        load_level: factor on the loads of the modified IEEE 14-bus system.
+    """
     turbine_mw, per_cubic_wind, load_mw = _share_constants()
     given_mw = (
         n * turbine_mw * min(per_cubic_wind * wind**3, 1.0) for n, wind in zip(turbines, mean_winds, strict=True)
