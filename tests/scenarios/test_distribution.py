@@ -304,6 +304,7 @@ BAD_SETTINGS = {
     "nan": ({"governor_droop": (0.02, math.nan)}, "governor_droop = nan p.u."),
     "probability": ({"line_trip_probability": 1.5}, "line_trip_probability = 1.5.*0 … 1"),
     "gust and ramp": ({"gust_probability": 0.7, "wind_ramp_probability": 0.7}, "1.4.*at most 1"),
+    "governor and group": ({"governor_loss_probability": 0.6, "group_trip_probability": 0.5}, "1.1.*at most 1"),
     "half an event": ({"n_load_events": (0.5, 2)}, "n_load_events must be two whole numbers"),
     "no turbines": ({"n_turbines": 0}, "n_turbines = 0"),
     "radial line": ({"line_trips": ((7, 8),)}, r"line_trips must be.*\(7, 8\)"),

@@ -295,7 +295,8 @@ class Simulator:
         if abs(scenario.wind_dt_s - dt) < 1e-12:
             m = min(wind.shape[1], n + 1)
             target[:, :m] = wind[:, :m]
-            target[:, m:] = wind[:, m - 1 : m]
+            if m <= n:
+                target[:, m:] = wind[:, m - 1 : m]
         else:
             instants, wanted = np.arange(wind.shape[1]) * scenario.wind_dt_s, np.arange(n + 1) * dt
             for j in range(wind.shape[0]):
@@ -307,8 +308,11 @@ class Simulator:
                 "symmetric admittance matrix"
             )
         if noise.size:
-            given = self._noise_samples[: np.searchsorted(self._noise_samples, noise.size)]
-            data.noise[lane, : given.size] = noise[given]
+            given = self._noise_samples
+            if given.size and given[-1] >= noise.size:
+                given = given[: np.searchsorted(given, noise.size)]
+            # Another mode than "raise" writes without a buffer.
+            noise.take(given, out=data.noise[lane, : given.size], mode="clip")
 
     def _write_machine_inputs(self, rows: Floats, scenarios: Sequence[Scenario]) -> None:
         machines = self.plant.constants["machines"][0]
