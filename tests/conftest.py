@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, settings
 
 from wtg_gym.evaluation import evaluate
 
-# How long an example takes is no fact about the code: a busy machine would fail it.
+# A deadline for an example would fail on a busy machine.
 settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("untimed")
 

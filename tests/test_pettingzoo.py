@@ -66,7 +66,7 @@ def test_joint_run_is_that_of_the_single_environment_bit_for_bit_and_rewards_hav
             assert infos[agent] == info and infos[agent] is not info
         assert env.state().tobytes() == seen.tobytes() and env.state_space.contains(env.state())
         actions = split(env, joint)
-        # What has left does nothing.
+        # A group that has left has no effect.
         for group, agent in enumerate(env.possible_agents):
             if agent not in actions:
                 joint.reshape(len(env.possible_agents), -1)[group] = 0.0
@@ -153,7 +153,7 @@ def test_agents_leave_one_by_one_as_events_take_their_groups_away_and_come_back_
         while env.agents:
             there.append(list(env.agents))
             env.step({agent: np.ones(2) for agent in env.agents})
-        # What happens at 0.5 s is seen after the step that begins then.
+        # An event at 0.5 s is seen after the step that begins then.
         assert [agents for n, agents in enumerate(there) if n == 0 or agents != there[n - 1]] == [
             ["wtg0", "wtg1", "wtg2", "wtg3"],
             ["wtg1", "wtg2", "wtg3"],

@@ -171,7 +171,7 @@ def test_sac_takes_the_end_of_time_for_no_failure():
     done, timeout = buffer.dones[: buffer.pos].astype(bool), buffer.timeouts[: buffer.pos].astype(bool)
     assert done.sum() == 6 and timeout.sum() == 5 and not (timeout & ~done).any()
     failure = int(np.flatnonzero(done & ~timeout)[0]) // N
-    # What follows in the buffer is the episode's own last observation, not the next one's first.
+    # The buffer holds the episode's own last observation next, not the first one of the next episode.
     assert not np.array_equal(buffer.next_observations[failure, 0], buffer.observations[failure + 1, 0])
 
 

@@ -142,7 +142,7 @@ def test_policy_goes_to_another_process_as_it_is(run_of: Callable[[str], Path], 
     observations = np.random.default_rng(0).normal(size=(3, N)).astype(np.float32)
     actions = [each.predict(observations, deterministic=True)[0] for each in (policy, other)]
     assert np.array_equal(*actions)
-    # What is loaded is what identifies the entry.
+    # The entry is identified by the bytes that are loaded.
     assert load_archive(best, "PPO")[1] == fingerprint
     (best / "vec_normalize.pkl").unlink()
     assert load_archive(best, "PPO")[1] != fingerprint

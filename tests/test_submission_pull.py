@@ -62,7 +62,7 @@ def judge(base: Path, tmp_path: Path) -> Callable[[Callable[[Path], object]], tu
             capture_output=True,
             text=True,
             timeout=600,
-            # Nobody's settings of git, but the machine code that is there: to compile it anew takes a minute.
+            # No user's settings of git; but the machine code is kept, since compiling takes a minute.
             env={"PATH": f"{command.parent}:/usr/bin:/bin", "HOME": str(tmp_path), "XDG_CACHE_HOME": CACHES},
         )
         return done.returncode, done.stdout + done.stderr

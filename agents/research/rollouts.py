@@ -96,7 +96,7 @@ class Rollouts:
         return costs
 
     def objective(self, terms: Floats) -> Floats:
-        """Return what a search over many scenarios lowers, (...), from what :meth:`play` gave.
+        """Return the objective of a search over many scenarios, (...), from the result of :meth:`play`.
 
         In version v0 it is the cost; from v1 on what the score counts, ln(J + J0): a few failures outweigh all else in
         a mean of costs.

@@ -22,7 +22,7 @@ from wtg_gym.evaluation.recording import record
 from wtg_gym.physics.tracking_law import coordinated_piecewise
 from wtg_gym.scenarios import get_suite
 
-#: What the policy does: k with the own wind, τ with the own frequency, both groups alike.
+#: The policy moves k with the group's own wind and τ with its own frequency, in both groups alike.
 K_PER_WIND, TAU_PER_FREQUENCY = 0.3, -0.5
 LIMIT_BYTES = 250_000
 

@@ -1,4 +1,4 @@
-"""The searches for headroom: what they play, what they write, and that an interruption leaves no trace."""
+"""The searches for headroom: scenarios, files, and the same result after an interruption."""
 
 from __future__ import annotations
 

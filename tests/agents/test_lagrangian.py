@@ -69,7 +69,7 @@ def test_measure_counts_the_steps_of_the_policy_without_noise() -> None:
 
 @pytest.mark.parametrize("bound", [-0.01, 1.5])
 def test_multiplier_follows_the_share_above_the_bound(bound: float, tmp_path: Path) -> None:
-    # A share is never below the one and never above the other, whatever the few lanes do.
+    # A share stays between the two limits, even with few lanes.
     (first, start), (_, multiplier) = lagrangian.train(bound, 2 * 150 * 128, 128, 0, tmp_path)
     assert start == 0.0
     assert multiplier == max(0.0, lagrangian._RATE * (first - lagrangian._AIM * bound))

@@ -1,4 +1,4 @@
-"""Parameter files of other simulators: what is read, and what is refused."""
+"""Parameter files of other simulators are read exactly, and unknown content is refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The paper's claims hold, but for those known not to, and each says so with numbers."""
+"""The paper's claims hold, except those listed as not reproduced; each gives its numbers."""
 
 from __future__ import annotations
 

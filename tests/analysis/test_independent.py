@@ -118,7 +118,7 @@ def test_outages_and_a_line_that_closes_again_agree_with_a_second_implementation
             found[f"V{number}"].append(value)
     out = next(key for key, gen in data["gens"].items() if gen["bus"] == bus)
     for name, values in found.items():
-        # What the rotor does after its outage is of no consequence, and told apart here: it runs on, or stands still.
+        # After its outage a rotor affects nothing: one simulator lets it run on, the other stops it.
         if values and name != f"w{out}":
             tolerance = {"w": 1e-8, "V": 2e-8, "P": 2e-6}[name[0]]
             assert np.abs(np.array(values) - expected[name][1:]).max() < tolerance, name

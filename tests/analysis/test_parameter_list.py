@@ -23,7 +23,7 @@ def test_every_parameter_has_unit_source_and_description(cls: type) -> None:
 
 
 def test_coverage_is_complete() -> None:
-    """Every field of every parameter object of the default plant is a row, but for what only groups others."""
+    """Every field of every parameter object of the default plant is a row, except fields that group others."""
     assert len(parameter_classes()) >= 12
     rows = parameter_rows()
     assert all(all(cell for cell in row) for row in rows)

@@ -102,7 +102,7 @@ def test_two_events_at_once_are_their_sum() -> None:
 
 
 def test_powers_balance_at_every_instant() -> None:
-    """What the units feed in, less the losses, is what loads and shunts take at their bus voltages."""
+    """The power of the units minus the losses equals the power of loads and shunts at their bus voltages."""
     times = np.linspace(0.0, 8.0, 17)
     found = replay(UNITS, UNITS.events["a"], times, 0.01)
     network = UNITS.network

@@ -1,4 +1,4 @@
-"""`wtg-gym bench` as a user calls it: what it measures, not how fast it is."""
+"""`wtg-gym bench` as a user calls it: its rows, not its speeds."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def small_growth(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def small_batches(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two environments in a batch of ours, whatever it is called: how many step at once is no matter here."""
+    """Let batches have at most two environments: these tests do not depend on their size."""
     for name in ("_our_vector", "_gradients"):
         whole = getattr(environments, name)
         monkeypatch.setattr(environments, name, lambda benchmark, n, whole=whole: whole(benchmark, min(n, 2)))

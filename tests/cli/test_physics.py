@@ -32,7 +32,7 @@ def played_once(settings: PlantSettings, scenarios: tuple[Scenario, ...], strate
 
 
 def play(settings: PlantSettings, scenarios: Sequence[Scenario], strategy: str) -> list[PlantRun | None]:
-    """Run the paper's cases whole, a suite's scenarios for a short while; what was run before is not run again."""
+    """Run the paper's cases whole and a suite's scenarios for a short while, each of them once."""
     own = [s if "paper" in s.name else dataclasses.replace(s, duration_s=SHORT_S) for s in scenarios]
     return played_once(settings, tuple(own), strategy)
 

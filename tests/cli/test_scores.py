@@ -221,7 +221,7 @@ def test_leaderboard_evaluates_only_what_is_missing(
     # The anchors alone, to compare; then the one that the second call has not asked for.
     assert played == [[], ["coordinated-linear"]]
     assert _files(tmp_path) == expected
-    # What is not asked for is kept, and not printed; its texts come from where it was asked for last.
+    # An entry that the command does not name is kept and not printed; its texts are those of its last run.
     capsys.readouterr()
     played.clear()
     assert main([*_PAPER, *results]) == 0
@@ -399,6 +399,6 @@ def test_policies_that_crash_hang_and_turn_nan_change_nobody_elses_results(
     results = Results.read(tmp_path / "all" / "paper-test.json")
     assert [entry["name"] for entry in results.failed] == ["Crash", "Hang", "Nan"]
     assert results.to_dict()["summary"] == Results.read(tmp_path / "rest" / "paper-test.json").to_dict()["summary"]
-    # Computed anew they fail again, which is no difference.
+    # Computed again they fail again, so there is no difference.
     found = recompute(results, [entry for spec in ("deloaded-5", *folders.values()) for entry in load_entries(spec)])
     assert found.differences == []

@@ -119,7 +119,7 @@ def test_plot_replaces_an_older_file_and_leaves_nothing_beside_it(tmp_path: Path
 def test_missing_matplotlib_is_said_before_anything_runs(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    # What Python does for a module that is None there: import fails.
+    # A module that is None in sys.modules cannot be imported.
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     line = error_of(capsys, "simulate", "--plot", str(tmp_path / "run.png"))
     assert "--plot needs matplotlib of the leaderboard extra: pip install 'wtg-gym[leaderboard]'" in line

@@ -27,7 +27,7 @@ _FEW = ("--seeds", "20000:20002")
 
 @pytest.fixture(autouse=True)
 def few_scenarios(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Few scenarios in the checks, of which each needs a session of its own: what they find is tests/submissions'."""
+    """The checks play few scenarios, since each needs a session; tests/submissions tests their findings."""
     monkeypatch.setattr(gate, "_ROLLOUT_LANES", 8)
     monkeypatch.setattr(gate, "_TIMED_LANES", 16)
 
@@ -131,7 +131,7 @@ def test_policy_that_fails_in_a_scored_scenario_stops_nobody_else(
     for number in (0, 1):
         assert f"failed, and left out: Other (training seed {number}): {reason}" in said.err
     assert "the scenario of seed 20000" in said.err
-    # What is left is what the good one has alone.
+    # The rest belongs to the good policy alone.
     assert main(["submission", "score", str(good), *_FEW, "--results", str(tmp_path / "alone")]) == 0
     stored, alone = (Results.read(path / "standard-test.json") for path in (results, tmp_path / "alone"))
     assert stored == dataclasses.replace(alone, failed=stored.failed)

@@ -1,4 +1,4 @@
-"""Whatever is asked and done, nothing is ever lost, endless or not a number."""
+"""Under random settings and actions every output is finite and every episode ends."""
 
 from __future__ import annotations
 

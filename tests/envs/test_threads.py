@@ -52,7 +52,7 @@ def test_resets_while_other_threads_step_change_no_bit(n_threads: int, version: 
 def test_a_preparation_that_fails_leaves_no_lane_behind(monkeypatch: pytest.MonkeyPatch) -> None:
     env = staggered(2)
     simulator, actions = env.lanes.simulator, np.zeros((N, 4), dtype=np.float32)
-    # Nothing is ready: what the waiting lane needs is drawn in the next step.
+    # No episode is ready: the next step draws one for the waiting lane.
     env._next._ready.clear()
     before = simulator.lane_values("step")
 

@@ -240,7 +240,7 @@ def test_entry_that_fails_is_left_out_with_its_row_and_the_others_stand(tmp_path
     for look_up in (results.episodes_of, results.scores.__getitem__):
         with pytest.raises(KeyError, match=r"unknown entry 'nan': entry 'nan .training seed 1.', step 7.*; choose one"):
             look_up("nan")
-    # The files of the others are the same to the byte, but for what is said of those that failed.
+    # The files of the other entries are equal to the byte, except for the notes on those that failed.
     for one, other in zip(results.write(tmp_path / "a"), others.write(tmp_path / "b"), strict=True):
         if one.suffix == ".csv":
             assert one.read_bytes() == other.read_bytes()

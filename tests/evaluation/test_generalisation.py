@@ -1,4 +1,4 @@
-"""Facts about the gap between public and fresh scenarios: who memorises is seen, who is lucky is not blamed."""
+"""Facts about the gap between public and fresh scenarios: it shows memorising and allows for luck."""
 
 from __future__ import annotations
 

@@ -90,7 +90,7 @@ def test_every_batch_has_a_process_of_its_own() -> None:
         first = pid_of(policy)
         assert policy.predict(ONES)[0].shape == (3, M)
     assert gone(first)
-    # Used as it is, it goes on until nobody has it any more.
+    # Without `with`, it runs until the last reference to it is gone.
     second = pid_of(policy)
     policy.predict(ONES)
     assert second == pid_of(policy) != first
@@ -206,8 +206,8 @@ def test_process_that_ends_before_it_reads_the_policy_is_no_failure_of_an_entry(
         )
 
 
-#: What code in the place of onnxruntime would try; `trace` is a folder of the test's, `parent` its process, `file` a
-#: file that is open. None does harm where the kernel would let it.
+#: Attacks by code that stands in for onnxruntime; `trace` is a folder of the test, `parent` its process, `file` an open
+#: file. None does harm where the kernel would let it.
 ACTS = {
     "read a file": "open('/etc/passwd').read()",
     "read a file by its number": "os.read(9, 1)",

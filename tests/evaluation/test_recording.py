@@ -1,4 +1,4 @@
-"""Facts about recordings: they are what was scored, what the simulator does, and what the policy decided."""
+"""Facts about recordings: they agree with the score, the simulator and the policy's actions."""
 
 from __future__ import annotations
 

@@ -131,7 +131,7 @@ def test_no_score_where_mppt_is_not_worse(results: Results, tmp_path: Path) -> N
     turned = dataclasses.replace(results, episodes=tuple(ordered))
     with pytest.raises(NoScaleError, match=r"mppt \(mean cost .*\) is not worse than coordinated-piecewise"):
         leaderboard_rows(turned)
-    # There is no ranking, but what was measured is not lost.
+    # There is no ranking, but the measurements are kept.
     again = Results.read(turned.write(tmp_path)[0])
     assert again.episodes == turned.episodes
     assert again.to_dict()["summary"] == {}

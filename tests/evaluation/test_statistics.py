@@ -103,7 +103,7 @@ def test_more_seeds_of_the_same_policy_tell_no_more() -> None:
 
 
 def test_bootstrap_draws_seeds_too() -> None:
-    # Without any spread over scenarios, what is left is that of the seeds: either, or half of each.
+    # Without spread over scenarios only that of the seeds is left: either seed, or half of each.
     interval = statistics.mean_interval(np.repeat([[0.0], [100.0]], 30, axis=1))
     assert (interval.low, interval.high) == (0.0, 100.0)
 

@@ -1,4 +1,4 @@
-"""The kernels of a step as programs, run by Python itself: what the twin in JAX is made of, without JAX."""
+"""The kernels of a step as programs, run in plain Python: the twin in JAX consists of them."""
 
 from __future__ import annotations
 

@@ -519,7 +519,7 @@ def difference(trace: Trace, other: Trace) -> dict[str, float]:
 def event_data(
     event: Event, events: Sequence[Event], network: NetworkCase, voltage: dict[int, float]
 ) -> list[dict[str, float]]:
-    """Return an event as it stands in the parameter file."""
+    """Return an event in the form of the parameter file."""
     if isinstance(event, Trip):
         load = network.buses[network.bus_index(event.bus)].load_mw
         return [{"t": event.time_s, "bus": event.bus, "trip_load_MW": load}]

@@ -241,7 +241,7 @@ def test_an_episode_that_ends_early_has_the_gradient_of_what_it_paid() -> None:
     statuses = tape.lanes.statuses()
     assert (statuses[:2] != Status.RUNNING).all() and (ended[:2] < 50).all()
     assert statuses[2] == Status.RUNNING
-    # What is charged for the failure is constant, and what comes after it does nothing.
+    # The cost of the failure is constant, and steps after it have no effect.
     assert found.terms[0, COST_TERMS.index("failure")] > 0.0
     failure = tape.gradient(scenarios, actions, {"failure": 1.0})
     assert not failure.actions.any() and not failure.law.any()

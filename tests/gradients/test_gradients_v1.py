@@ -285,7 +285,7 @@ def test_every_kernel_of_a_step_is_traced_or_counts_as_given(monkeypatch: pytest
 
 
 def kernels_of(function: Any, known: set[str]) -> set[str]:
-    """Return the names of all compiled functions that one calls, but for those that only known ones call."""
+    """Return the names of all compiled functions that one calls, except those that only known ones call."""
     found: set[str] = set()
     open_ = [function.py_func]
     while open_:

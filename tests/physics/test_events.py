@@ -438,7 +438,7 @@ def test_any_list_of_events_keeps_states_finite_and_the_network_right(events: tu
     simulator.start(0, what, LAWS)
     for interval in range(1, 31):
         simulator.advance()
-        # A sum with NaN or infinity is no number below the bound.
+        # A sum with NaN or infinity is not below the bound.
         assert np.abs(simulator.state()).sum() < 1e4
         assert np.abs(simulator.machine_values("voltage")).sum() + np.abs(simulator.wtg_values("power")).sum() < 1e2
         if simulator.lane_values("active")[0] < 0.5:

@@ -164,7 +164,7 @@ def test_a_folder_in_the_place_of_a_file_costs_the_compilation_only(filled: Path
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is full")
 def test_a_full_disk_is_named_once_and_stops_nothing(tmp_path: Path) -> None:
-    # What is written goes to a device that is always full.
+    # Every write goes to a device that is always full.
     full = "Path.write_bytes = lambda path, content: open('/dev/full', 'wb').write(content)"
     program = tmp_path / "program.py"
     program.write_text(PROGRAM.replace("folder = Path(sys.argv[1])", f"folder = Path(sys.argv[1])\n{full}"))

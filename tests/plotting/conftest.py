@@ -1,4 +1,4 @@
-"""What the figures are drawn from, made once, and the browser that looks at pages."""
+"""The data of the figures, made once, and the browser for the pages."""
 
 from __future__ import annotations
 

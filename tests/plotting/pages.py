@@ -16,10 +16,10 @@ from wtg_gym.scenarios import draw_seeds
 from wtg_gym.scenarios.benchmark import V0, V1
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 
-#: What would run or load something where it is taken for HTML, and what a chart would take for mathematics.
+#: Texts that would run or load something if taken for HTML, or that a chart would take for mathematics.
 HOSTILE = '</script><script>window.hacked=1</script><img src="https://example.org/x" onerror="window.hacked=1">$$x$$'
 DURATION_S = 12.0
-#: What the changes of the sensors are called, those in `both_results`.
+#: Names of the changes of the sensors in `both_results`.
 OTHER_SENSORS = ("delay +0.1 s", "delay +0.2 s", "wind bias × 2")
 SEEDS = (20_000, 20_001, 20_002)
 #: The scenarios of v1.

@@ -1,4 +1,4 @@
-"""Facts about the figures of a policy's behaviour: what is drawn is what was recorded, in few points."""
+"""Facts about the figures of a policy's behaviour: they show the recorded values, in few points."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_responses_show_k_tau_and_samples_over_everything_seen(runs: dict[str, R
     panels = np.array(figure.axes).reshape(4, 5)
     assert all(axes.get_xlabel() and axes.get_xlabel().endswith("]") for axes in panels[3])
     assert [axes.get_ylabel() for axes in panels[:, 0]].count("") == 0
-    # What it adds to k is a line over the wind, and 0 for the reference.
+    # Its offset on k is linear in the wind, and 0 for the reference.
     reference, policy = panels[1, 4].lines
     assert not np.nan_to_num(np.asarray(reference.get_ydata())).any()
     wind, added = (np.asarray(values) for values in policy.get_data())

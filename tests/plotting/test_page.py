@@ -1,4 +1,4 @@
-"""The leaderboard's page as a text: what it holds, and what it must not."""
+"""The leaderboard's page as a text: its content, and nothing that could run or load."""
 
 from __future__ import annotations
 
@@ -342,7 +342,7 @@ def test_matrix_holds_every_column_and_the_ranking_those_with_own_sensors_and_a_
         f"<small>{own[0].worst_decile_cost:.0f}</small></td>"
     )
     assert cells[1] == f'<td class="number"><small>{own[1].worst_decile_cost:.0f}</small></td>'
-    # One suite alone is no matrix.
+    # One suite alone makes no matrix.
     assert "h-matrix" not in leaderboard_page([both_results()[-4]], [], n_scenarios=0).text
     with pytest.raises(ValueError, match=r"needs results with the suites' own sensors, .* got none"):
         leaderboard_page([both_results()[-1]], [], n_scenarios=0)

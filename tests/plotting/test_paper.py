@@ -1,4 +1,4 @@
-"""The paper's figures: what is drawn is what the model says."""
+"""The paper's figures show the model's values."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ def panel(frame: np.ndarray, name: str) -> np.ndarray:
 
 
 def coloured(picture: np.ndarray, colour: str) -> np.ndarray:
-    """Return which pixels have a colour, but for the smoothing of a line that lies between two rows."""
+    """Return which pixels have a colour, except for the smoothing of a line between two rows."""
     return np.abs(picture.astype(int) - rgb(colour)).max(axis=-1) < 45
 
 

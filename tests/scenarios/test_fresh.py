@@ -1,4 +1,4 @@
-"""Facts about fresh seeds: nobody can choose them, anybody can draw them again."""
+"""Facts about fresh seeds: nobody can choose them, and everybody can draw them again."""
 
 from __future__ import annotations
 

@@ -89,7 +89,7 @@ def test_suite_needs_a_distribution_or_cases():
 
 
 def test_suites_share_no_random_stream():
-    # But for the one that is another's with other sensors.
+    # Except the suite that differs from another one only in its sensors.
     apart = [suite for suite in DRAWN if suite.name != "no-wind-sensor-v1"]
     winds = [suite.scenario(20_000).wind_speed[0] for suite in apart]
     for i, first in enumerate(winds):

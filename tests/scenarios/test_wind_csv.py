@@ -1,4 +1,4 @@
-"""What a user's own wind series may look like, and what is said about one that may not."""
+"""Valid forms of a user's wind series, and the errors for invalid ones."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Hostile submissions: what each one tries, what stops it, and how it is made.
+"""Hostile submissions: the attack, the check that stops it, and the code that makes it.
 
 `python -m tests.submissions.hostile --page docs/submissions.md` puts all of them through the gate, scores those that
 the gate accepts, and writes the verdicts into the page.
@@ -232,7 +232,7 @@ ATTACKS = (
         _of(lambda: models.external(_NO_MEMORY, offset="4096", length="320")),
     ),
     Attack("sparse weights outside their shape", "loading", _of(models.sparse)),
-    # What the file is.
+    # Kind of the file.
     Attack("an empty file", "loading", _of(lambda: b"")),
     Attack("nested graphs, 50,000 deep", "loading", _of(lambda: models.nested(50_000))),
     Attack("a field that claims 2⁶² bytes", "loading", _of(lambda: b"\x3a" + models.varint(2**62) + b"x")),

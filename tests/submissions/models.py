@@ -195,7 +195,7 @@ def points_outside(seen: Any, distance: float) -> ModelProto:
 
 
 def spin() -> Any:
-    """The inside of a loop that goes on for as long as it is told to."""
+    """The body of a loop with a given number of rounds."""
     inputs = [info("trip", kind=TensorProto.INT64), info("on", kind=TensorProto.BOOL), info("kept", "batch", M)]
     outputs = [info("still", kind=TensorProto.BOOL), info("passed", "batch", M)]
     nodes = [node("Identity", ["on"], "still"), node("Identity", ["kept"], "passed")]

@@ -1,4 +1,4 @@
-"""What the gate lets pass, and what it refuses."""
+"""The gate accepts honest submissions and refuses the others."""
 
 from __future__ import annotations
 

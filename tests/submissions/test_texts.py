@@ -1,4 +1,4 @@
-"""Names, authors and texts that stand in tables: what is legal, and what would be markup, a link, or unseen."""
+"""Names, authors and texts of tables: legal ones pass; markup, links and invisible characters do not."""
 
 from __future__ import annotations
 

@@ -114,7 +114,7 @@ def test_what_is_there_is_compared_as_far_as_it_can_be_read(tmp_path: Path) -> N
 
 
 class AtOnce(OnnxPolicy):
-    """Answers all scenarios in one call, here: the actions are those of its process but for the last bits."""
+    """Answers all scenarios in one call, in this process: its actions equal the other process's up to the last bits."""
 
     def __init__(self, file: Path) -> None:
         super().__init__(file)

@@ -2,7 +2,7 @@
 
 Equations say `select`; protections and lost governors are written with `if`. Here such a
 kernel's own source is changed so that both sides of an `if` run, one after the other, where the condition is a traced
-number: what a side stores in :class:`Cells`, and what it assigns, counts where the condition holds. Plain conditions
+number: stores in :class:`Cells` and assignments of a side take effect where its condition holds. Plain conditions
 branch as always. Both sides of `and` and `or` are evaluated.
 """
 
@@ -148,7 +148,7 @@ class _Choices(ast.NodeTransformer):
         self._n = 0
 
     def statements(self, given: list[ast.stmt]) -> list[ast.stmt]:
-        """Return statements with each `if` as a :class:`_Branch`; what follows a `continue` is its other side."""
+        """Return statements with each `if` as a :class:`_Branch`; statements after a `continue` are its other side."""
         found: list[ast.stmt] = []
         for place, statement in enumerate(given):
             if isinstance(statement, ast.If) and isinstance(statement.body[-1], ast.Continue):

@@ -1,8 +1,8 @@
 """The kernels of a control step as programs: which numbers they store, worked out from which.
 
 A step is three programs: what comes before the integration, a simulation step, and what comes after the last one. They
-are traced from the kernels' own source (:mod:`wtg_gym.gradients.tracing`). What a block does not hold by itself stands
-in rows behind its own, :class:`Inputs`; behind these is what a step reports, :class:`Reported`.
+are traced from the kernels' own source (:mod:`wtg_gym.gradients.tracing`). Behind the rows of a block come the inputs
+of a step, :class:`Inputs`, and behind these its outputs, :class:`Reported`.
 """
 
 from __future__ import annotations

@@ -240,7 +240,7 @@ def _steps_of(
 def build_rules(
     plant: Plant, task: npt.NDArray[np.void], layout: Layout, n_action: int, leaves: Sequence[Leaf] = ()
 ) -> Rules:
-    """Differentiate the kernels of a known plant and task; what comes of it is compiled when it is first called.
+    """Differentiate the kernels of a known plant and task; the derivatives are compiled when first called.
 
     Args:
         plant, task, layout: of the environment.

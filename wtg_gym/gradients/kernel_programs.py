@@ -45,7 +45,7 @@ class Programs(NamedTuple):
     network: dict[int, Any]  # empty where no current can be limited
     sweep: dict[int, Any]  # empty too
     rates: dict[int, Any]
-    finish: dict[int, Any]  # what a simulation step does after its last stage
+    finish: dict[int, Any]  # the end of a simulation step, after its last stage
     charge: dict[int, Any]
     measured: dict[int, int]  # by WTG group: first row in the observation, where sensors show it
 
@@ -138,7 +138,7 @@ def _dynamics_of(c: Any) -> dict[str, dict[int, Any]]:
     lanes, fraction = (0,), ex.argument(0)
     whole = {**ARITHMETIC, "np": SimpleNamespace(int64=lambda value: value)}
     surface = retargeted(tabulated_power_coefficient, whole, {})
-    # What a cell of the C_p table holds is looked up where the program runs.
+    # The cells of the C_p table are looked up when the program runs.
     whole["tabulated_power_coefficient"] = lambda ratio, pitch, cells, grid: surface(
         ratio, pitch, ex.Cells(cells.shape), grid
     )

@@ -70,9 +70,9 @@ class Tape:
 
     :meth:`step` is that of the environment, to the last bit. :meth:`pull` goes back through one step: it needs the
     derivatives of what is differentiated with respect to the step's outputs, and returns those with respect to its
-    inputs. What happens at discrete times counts as given: the ends of episodes, which a protection may bring forward,
-    do not move. The gradient of an episode that ends early is that of what it paid until then; what its failure costs
-    is constant. At a corner of a law, a limit or a cost it is the slope on one side.
+    inputs. Discrete times count as given: the end of an episode does not move, even where a protection brings it
+    forward. The gradient of an episode that ends early is that of its cost until then; the cost of its failure is
+    constant. At a corner of a law, a limit or a cost it is the slope on one side.
 
     Args:
         settings: of the environment.

@@ -53,7 +53,7 @@ def retargeted(
 
 
 class Rows(dict[int, Any]):
-    """The rows of one lane; what is read before it is written comes from `read`."""
+    """The rows of one lane; a row that is read before it is written comes from `read`."""
 
     def __init__(self, read: Callable[[int], Any]) -> None:
         super().__init__()

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from wtg_gym.evaluation import EntrySummary
 
-#: Failures from which on an entry is no part of the front: a run that fails pays for the frequency only until it ends.
+#: Entries with this share of failures or more are left out: a failed run pays for the frequency only until it ends.
 MOST_FAILURES_PERCENT = 5.0
 
 
