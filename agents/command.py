@@ -25,7 +25,7 @@ from wtg_gym.cli.output import (
     update_page,
     write_and_say,
 )
-from wtg_gym.cli.parser import Parser
+from wtg_gym.cli.parser import Parser, add_threads_option
 from wtg_gym.cli.scoring import chosen_entries, first_seeds
 from wtg_gym.cli.suites_command import suite_name
 from wtg_gym.envs.settings import ACTION_MODES, OBSERVATION_MODES
@@ -280,6 +280,7 @@ __all__ = [
     "add_folder_options",
     "add_plant_options",
     "add_strategy_option",
+    "add_threads_option",
     "add_training_options",
     "check_output_file",
     "check_output_folder",

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from agents.command import Parser, Progress, check_page, run_command, suite_name, update_page
+from agents.command import Parser, Progress, add_threads_option, check_page, run_command, suite_name, update_page
 from agents.research.simple_policies import SimplePolicy, simple_policies
 from baselines.fast_droop import FastDroop
 from wtg_gym.envs.task_records import COST_TERMS
@@ -278,7 +278,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--oracle", metavar="FILE", help="of agents.research.foresight")
     parser.add_argument("--planners", metavar="FILE", help="of agents.research.planner")
     parser.add_argument("--simple", type=int, default=200, metavar="N", help="scenarios of trivial policies")
-    parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
+    add_threads_option(parser)
     parser.add_argument("--page", metavar="FILE", help=f"Markdown file with markers '{_SECTION}'")
 
     def work() -> None:

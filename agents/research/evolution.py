@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cma
 import numpy as np
 
-from agents.command import add_strategy_option, suite_name
+from agents.command import add_strategy_option, add_threads_option, suite_name
 from agents.research.rollouts import HISTORY_COLUMNS, Rollouts, both, course, history_feedback, linear_feedback
 from wtg_gym.envs.settings import ACTION_MODES
 from wtg_gym.physics.layout import Floats
@@ -68,7 +68,7 @@ def add_search_options(parser: argparse.ArgumentParser) -> None:
     add_strategy_option(parser)
     parser.add_argument("--generations", type=int, default=150, metavar="N", help="of a search (default: 150)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the search (default: 0)")
-    parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
+    add_threads_option(parser)
 
 
 def search_of(given: argparse.Namespace, split: str) -> Search:

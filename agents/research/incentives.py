@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.command import Parser, Progress, check_page, chosen_entries, run_command, update_page
+from agents.command import Parser, Progress, add_threads_option, check_page, chosen_entries, run_command, update_page
 from agents.research.probes import CONSTANT, delayed
 from wtg_gym.analysis.steady_states import stable_equilibrium
 from wtg_gym.evaluation import Entry, EntrySummary, evaluate, leaderboard_rows
@@ -127,7 +127,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--entries", nargs="+", required=True, metavar="ENTRY", help="as for wtg-gym evaluate")
     parser.add_argument("--split", choices=SPLITS, default="validation", help="default: validation")
     parser.add_argument("--scenarios", type=int, metavar="N", help="the first N of the split (default: all)")
-    parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
+    add_threads_option(parser)
     parser.add_argument("--page", metavar="FILE", help=f"Markdown file with markers '{_SECTION}'")
 
     def work() -> None:

@@ -11,7 +11,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.command import Parser, Progress, check_page, print_table, run_command, say, suite_name, update_page
+from agents.command import (
+    Parser,
+    Progress,
+    add_threads_option,
+    check_page,
+    print_table,
+    run_command,
+    say,
+    suite_name,
+    update_page,
+)
 from agents.research.rollouts import Rollouts
 from wtg_gym.analysis.influence_study import LAW_NAMES, MEASURES, measure_influences
 from wtg_gym.envs.lanes import TaskLanes
@@ -161,7 +171,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--scenarios", type=int, default=32, metavar="N", help="per batch (default: 32)")
     parser.add_argument("--validation", type=int, default=100, metavar="N", help="validation scenarios (default: 100)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the training scenarios (default: 0)")
-    parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
+    add_threads_option(parser)
     parser.add_argument("--page", metavar="FILE", help="Markdown file with markers 'law' to put the tables between")
 
     def work() -> None:

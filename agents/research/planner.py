@@ -21,7 +21,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from agents.command import Parser, Progress, check_output_folder, check_page, note, run_command, suite_name, update_page
+from agents.command import (
+    Parser,
+    Progress,
+    add_threads_option,
+    check_output_folder,
+    check_page,
+    note,
+    run_command,
+    suite_name,
+    update_page,
+)
 from agents.research.rollouts import between, positions
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.observation import N_LOCAL, N_MEASURED
@@ -336,7 +346,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--generations", type=int, default=Planning().generations, metavar="N", help="of a search")
     parser.add_argument("--output", required=True, metavar="FOLDER", help="results as of wtg-gym evaluate")
     parser.add_argument("--page", metavar="FILE", help=f"Markdown file with markers '{_SECTION}'")
-    parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
+    add_threads_option(parser)
 
     def work() -> None:
         given = parser.parse_args(argv)

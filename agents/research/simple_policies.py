@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.command import Parser, Progress, print_table, run_command, say, suite_name
+from agents.command import Parser, Progress, add_threads_option, print_table, run_command, say, suite_name
 from agents.research.rollouts import Candidates, Rollouts, difference_percent
 from wtg_gym.evaluation.score import COST_OFFSET
 from wtg_gym.physics.layout import Floats
@@ -168,7 +168,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--suite", type=suite_name, metavar="NAME", default="standard", help="(default: standard)")
     parser.add_argument("--split", choices=("validation", "test"), default="validation", help="(default: validation)")
     parser.add_argument("--scenarios", type=int, metavar="N", help="the first N of the split (default: all)")
-    parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
+    add_threads_option(parser)
 
     def work() -> None:
         given = parser.parse_args(argv)

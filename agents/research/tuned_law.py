@@ -10,7 +10,7 @@ from contextlib import closing
 import cma
 import numpy as np
 
-from agents.command import Parser, Progress, print_table, run_command, say, suite_name
+from agents.command import Parser, Progress, add_threads_option, print_table, run_command, say, suite_name
 from agents.research.rollouts import Rollouts
 from wtg_gym.evaluation.score import COST_OFFSET
 from wtg_gym.physics.tracking_law import LARGEST_COEFFICIENT, TIME_CONSTANT_RANGE, TrackingLaw, coordinated_piecewise
@@ -72,7 +72,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--scenarios", type=int, default=192, metavar="N", help="training scenarios (default: 192)")
     parser.add_argument("--generations", type=int, default=45, metavar="N", help="of the search (default: 45)")
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the search (default: 1)")
-    parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
+    add_threads_option(parser)
 
     def work() -> None:
         given = parser.parse_args(argv)

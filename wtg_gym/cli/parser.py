@@ -63,6 +63,16 @@ def add_command(
     return parser
 
 
+def add_threads_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--threads`."""
+    parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
+
+
+def add_json_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--json`."""
+    parser.add_argument("--json", action="store_true", help="print JSON, and nothing else, on stdout")
+
+
 def add_output_options(
     parser: argparse.ArgumentParser, *, output: str, page: str, json: str, default: str | None = None
 ) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from wtg_gym.cli import output, scoring
-from wtg_gym.cli.parser import Commands, add_command, add_group
+from wtg_gym.cli.parser import Commands, add_command, add_group, add_json_option, add_threads_option
 from wtg_gym.cli.results_matrix import add_matrix
 from wtg_gym.evaluation import Entry, Results, generalisation, leaderboard_rows
 from wtg_gym.evaluation.recompute import departures, recompute
@@ -103,7 +103,7 @@ def _add_page(own: Commands) -> None:
         help="traces of the first N scenarios of each suite; 0 for none "
         f"(default: as many of the first {N_SCENARIOS} as keep the file below {SIZE_LIMIT / 1e6:g} MB)",
     )
-    parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
+    add_threads_option(parser)
 
 
 def _run_page(arguments: argparse.Namespace) -> int:
@@ -223,7 +223,7 @@ def _add_gap(own: Commands) -> None:
     parser.add_argument(
         "--page", metavar="FILE", help="Markdown file with markers 'gap:SUITE' to put the table between"
     )
-    parser.add_argument("--json", action="store_true", help="print JSON, and nothing else, on stdout")
+    add_json_option(parser)
 
 
 def _run_gap(arguments: argparse.Namespace) -> int:

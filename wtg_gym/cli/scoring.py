@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from wtg_gym.cli.output import note, print_json, print_table, say
+from wtg_gym.cli.parser import add_json_option, add_threads_option
 from wtg_gym.cli.suites_command import suite_name, suites_by_version
 from wtg_gym.envs.compile_ahead import compile_ahead
 from wtg_gym.envs.settings import EnvSettings
@@ -71,8 +72,8 @@ def add_suite_option(parser: argparse.ArgumentParser) -> None:
 
 def add_run_options(parser: argparse.ArgumentParser) -> None:
     """Add `--threads` and `--json`."""
-    parser.add_argument("--threads", type=int, metavar="N", help="threads to step with (default: one per processor)")
-    parser.add_argument("--json", action="store_true", help="print JSON, and nothing else, on stdout")
+    add_threads_option(parser)
+    add_json_option(parser)
 
 
 def add_split_options(parser: argparse.ArgumentParser, default: str) -> None:

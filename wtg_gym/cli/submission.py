@@ -10,7 +10,7 @@ from pathlib import Path
 
 from wtg_gym.cli import scoring
 from wtg_gym.cli.output import check_output_folder, note, print_json, print_table, say
-from wtg_gym.cli.parser import Commands, add_command, add_group
+from wtg_gym.cli.parser import Commands, add_command, add_group, add_json_option
 from wtg_gym.policies.conflicts import Conflict, conflicts
 from wtg_gym.policies.gate import Report, check_submission
 from wtg_gym.policies.load import POLICY_FILE
@@ -83,7 +83,7 @@ def add_commands(commands: Commands) -> None:
         "  wtg-gym submission check my-policy-* --json",
     )
     _add_common(parser)
-    parser.add_argument("--json", action="store_true", help="print JSON, and nothing else, on stdout")
+    add_json_option(parser)
     parser = add_command(
         own,
         "score",

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from wtg_gym.cli.output import note, print_json, print_table, say
-from wtg_gym.cli.parser import Commands, add_command
+from wtg_gym.cli.parser import Commands, add_command, add_json_option
 from wtg_gym.envs.rendering.diagram import describe_event
 from wtg_gym.files import read_json
 from wtg_gym.physics.scenario import Scenario
@@ -72,7 +72,7 @@ def add_commands(commands: Commands) -> None:
     what.add_argument(
         "--check", action="store_true", help="compare the hashes with the frozen ones; exit 1 if one differs"
     )
-    parser.add_argument("--json", action="store_true", help="print JSON, and nothing else, on stdout")
+    add_json_option(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
