@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import itertools
 import math
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any, ClassVar, get_args, get_origin, get_type_hints
 
 from wtg_gym.ranges import require_bus, require_range
 
@@ -40,6 +40,9 @@ class Checked:
         ValueError: the message names field, value, unit and allowed range.
     """
 
+    #: Fields whose values must rise from each one to the next.
+    RISING: ClassVar[tuple[str, ...]] = ()
+
     def __post_init__(self) -> None:
         record: Any = type(self)
         for field in dataclasses.fields(record):
@@ -57,10 +60,7 @@ class Checked:
                     raise ValueError(f"{name} must be a tuple of {entry.__name__}, got {value!r}")
             elif not isinstance(value, kind):
                 raise ValueError(f"{name} must be {field.type}, got {value!r}")
-
-    def _require_order(self, *names: str) -> None:
-        """Refuse fields whose values do not rise from each one to the next."""
-        values = [getattr(self, name) for name in names]
+        values = [getattr(self, name) for name in self.RISING]
         if any(not first < second for first, second in itertools.pairwise(values)):
             given = ", ".join(f"{value:g}" for value in values)
-            raise ValueError(f"{type(self).__name__}: {' < '.join(names)} must hold, got {given}")
+            raise ValueError(f"{type(self).__name__}: {' < '.join(self.RISING)} must hold, got {given}")

@@ -13,6 +13,8 @@ from wtg_gym.physics.checked import Checked, describe, parameter, required
 class ExciterParameters(Checked):
     """SEXS: lead-lag, first-order exciter with a non-windup limit, on the terminal voltage."""
 
+    RISING = ("field_min_pu", "field_max_pu")
+
     gain: float = parameter(100.0, "p.u./p.u.", "design", "gain K", 1e-3, 1e6)
     lead_lag_ratio: float = parameter(0.1, "-", "design", "T_A / T_B", 0.0, 1e3)
     lag_time_s: float = parameter(10.0, "s", "design", "T_B", 1e-4, 1e4)
@@ -20,14 +22,12 @@ class ExciterParameters(Checked):
     field_min_pu: float = parameter(-5.0, "p.u.", "design", "lower field voltage limit", -1e6, 1e6)
     field_max_pu: float = parameter(8.0, "p.u.", "design", "upper field voltage limit", -1e6, 1e6)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._require_order("field_min_pu", "field_max_pu")
-
 
 @dataclass(frozen=True, kw_only=True)
 class GovernorParameters(Checked):
     """TGOV1: droop, gate with non-windup limits, reheat lead-lag."""
+
+    RISING = ("gate_min_pu", "gate_max_pu")
 
     droop_pu: float = parameter(
         0.018, "p.u.", "calibrated", "droop R on the machine base (Milano: 0.02); settles the paper's 0.996", 1e-4, 1e3
@@ -42,14 +42,12 @@ class GovernorParameters(Checked):
         0.0, "p.u.", "design", "speed deviation that the governor does not see, without a step at its edge", 0.0, 0.5
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._require_order("gate_min_pu", "gate_max_pu")
-
 
 @dataclass(frozen=True, kw_only=True)
 class HydroGovernorParameters(Checked):
     """HYGOV: a hydro governor with permanent and temporary droop, and a penstock with inelastic water."""
+
+    RISING = ("gate_min_pu", "gate_max_pu")
 
     droop_pu: float = parameter(0.05, "p.u.", "HYGOV", "permanent droop R on the machine base", 1e-4, 1e3)
     temporary_droop_pu: float = parameter(0.4, "p.u.", "HYGOV", "temporary droop r", 1e-3, 1e3)
@@ -66,10 +64,6 @@ class HydroGovernorParameters(Checked):
     dead_band_pu: float = parameter(
         0.0, "p.u.", "design", "speed deviation that the governor does not see, without a step at its edge", 0.0, 0.5
     )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._require_order("gate_min_pu", "gate_max_pu")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -98,6 +98,8 @@ class PitchParameters(Checked):
 class GridFormingParameters(Checked):
     """Grid-forming control of one WTG on its own base, and the paper's regulation range."""
 
+    RISING = ("frequency_min_pu", "frequency_setpoint_pu", "frequency_max_pu")
+
     inertia_constant_s: float = parameter(5.0, "s", "paper", "virtual inertia constant H", 1e-3, 1e4)
     droop_gain_pu: float = parameter(62.5, "p.u./p.u.", "paper", "active power-frequency droop gain D_p", 0.0, 1e5)
     frequency_setpoint_pu: float = parameter(1.0, "p.u.", "paper", "frequency set-point ω_st", 0.5, 1.5)
@@ -118,10 +120,6 @@ class GridFormingParameters(Checked):
     overload_limit_pu: float = parameter(
         1.1, "p.u.", "design", "power above which the converter counts as overloaded", 0.01, 100.0
     )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._require_order("frequency_min_pu", "frequency_setpoint_pu", "frequency_max_pu")
 
 
 @dataclass(frozen=True, kw_only=True)
