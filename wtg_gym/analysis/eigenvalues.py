@@ -150,7 +150,7 @@ def synchronising_coefficients(
 
 
 def slope(simulator: Simulator, here: Floats, place: int, read: Callable[[], Floats]) -> Floats:
-    """Return by central differences how what is read follows one of the states `here`; the simulator is moved."""
+    """Return the central difference of `read()` with respect to one of the states `here`; it moves the simulator."""
     ends = []
     for sign in (-1.0, 1.0):
         state = here.copy()

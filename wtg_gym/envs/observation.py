@@ -11,7 +11,7 @@ from wtg_gym.physics.elementary import clip
 from wtg_gym.physics.machine import Machine, MachineOutput, MachineState
 from wtg_gym.physics.records import elementwise, size, storer
 from wtg_gym.physics.sensors import Measurement
-from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState, tip_speed_ratio
+from wtg_gym.physics.wind_turbine import Rotor, Turbine, WtgOutput, WtgState, tip_speed_ratio
 
 #: Every entry of the observation is clipped to ± this.
 OBSERVATION_BOUND = 5.0
@@ -77,17 +77,31 @@ bounded_measured = elementwise(MeasuredObservation, _bounded, "bounded", "observ
 
 
 @inlined
+def _scaled_ratio(rotor_speed: float, wind: float, c: Rotor) -> float:
+    ratio = tip_speed_ratio(rotor_speed, wind, c)
+    return (ratio - c.tip_speed_ratio_opt) / (c.tip_speed_ratio_limit - c.tip_speed_ratio_opt)
+
+
+@inlined
+def _scaled_rotor_speed(rotor_speed: float) -> float:
+    return (rotor_speed - 1.0) / 0.25
+
+
+@inlined
+def _scaled_wind(wind: float) -> float:
+    return (wind - 10.0) / 5.0
+
+
+@inlined
 def observe_wtg(s: WtgState, output: WtgOutput, group: GroupRows, t: Turbine, task: Task) -> WtgObservation:
     """Return the measurements of a WTG group."""
-    best, limit = t.rotor.tip_speed_ratio_opt, t.rotor.tip_speed_ratio_limit
-    ratio = tip_speed_ratio(s.rotor_speed, output.wind, t.rotor)
     return WtgObservation(
         frequency_deviation=(s.converter.speed - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ,
         rocof=group.rocof,
-        tip_speed_ratio=(ratio - best) / (limit - best),
-        rotor_speed=(s.rotor_speed - 1.0) / 0.25,
+        tip_speed_ratio=_scaled_ratio(s.rotor_speed, output.wind, t.rotor),
+        rotor_speed=_scaled_rotor_speed(s.rotor_speed),
         power=output.power,
-        wind=(output.wind - 10.0) / 5.0,
+        wind=_scaled_wind(output.wind),
         coefficient=(output.coefficient - task.k_low) / task.k_span,
         filter_state=s.converter.filter * task.nominal_hz / FREQUENCY_UNIT_HZ,
     )
@@ -96,15 +110,13 @@ def observe_wtg(s: WtgState, output: WtgOutput, group: GroupRows, t: Turbine, ta
 @inlined
 def observe_measured(m: Measurement, wind_sensor: float, t: Turbine, task: Task) -> MeasuredObservation:
     """Return the observation of what a WTG group measures; without a wind sensor, wind and ratio are 0."""
-    best, limit = t.rotor.tip_speed_ratio_opt, t.rotor.tip_speed_ratio_limit
-    ratio = tip_speed_ratio(m.rotor_speed, m.wind, t.rotor)
     return MeasuredObservation(
         frequency_deviation=(m.frequency - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ,
         rocof=m.rocof,
-        tip_speed_ratio=wind_sensor * (ratio - best) / (limit - best),
-        rotor_speed=(m.rotor_speed - 1.0) / 0.25,
+        tip_speed_ratio=wind_sensor * _scaled_ratio(m.rotor_speed, m.wind, t.rotor),
+        rotor_speed=_scaled_rotor_speed(m.rotor_speed),
         power=m.power,
-        wind=wind_sensor * (m.wind - 10.0) / 5.0,
+        wind=wind_sensor * _scaled_wind(m.wind),
     )
 
 

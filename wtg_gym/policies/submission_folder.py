@@ -92,7 +92,6 @@ class EntryFile:
         version = BENCHMARKS[self.environment].version
         modes: Any = {"action_mode": self.action_mode, "observation_mode": self.observation_mode}
         lanes = TaskLanes(EnvSettings(version=version, **modes), 1, 1)
-        lanes.simulator.close()
         return lanes.n_observation, lanes.n_action
 
 
