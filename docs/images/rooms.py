@@ -75,7 +75,10 @@ def nearest(imports: dict[str, set[str]]) -> Iterator[tuple[str, str]]:
         return frozenset(imports[room]).union(*map(reached, imports[room]))
 
     for room, others in imports.items():
-        yield from ((room, other) for other in others if not any(other in reached(via) for via in others - {other}))
+        # In one order: that of a set changes from run to run, and the drawing with it.
+        for other in sorted(others):
+            if not any(other in reached(via) for via in others - {other}):
+                yield room, other
 
 
 def box(axes: Axes, x: float, y: float, text: str, colour: str, size: float) -> Annotation:
