@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from wtg_gym.evaluation import METRICS, Entry, NoScaleError, Results, evaluate, leaderboard_rows
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.summary import SINCE_V1
-from wtg_gym.files import sha256, to_json, write_atomically
+from wtg_gym.files import sha256, to_json
 from wtg_gym.scenarios.benchmark import V0
 
 
@@ -276,19 +276,6 @@ def test_table_without_a_row_is_refused_even_with_fitting_sums(copies: tuple[Pat
     copies[1].write_text(short, encoding="utf-8")
     with pytest.raises(ValueError, match=r"expected one row per entry and seed.*9 rows.*got 8"):
         Results.read(copies[0])
-
-
-def test_interrupted_writing_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "file"
-    write_atomically(path, "old")
-
-    def full(*_: Any) -> None:
-        raise OSError("no space left")
-
-    monkeypatch.setattr("os.replace", full)
-    with pytest.raises(OSError, match="no space"):
-        write_atomically(path, "new")
-    assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
 
 
 def test_metric_names_are_columns(written: tuple[Path, Path]) -> None:

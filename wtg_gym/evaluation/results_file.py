@@ -11,7 +11,7 @@ from typing import Any
 
 from wtg_gym.evaluation.episodes import Episode, from_csv, to_csv
 from wtg_gym.evaluation.metrics import METRICS
-from wtg_gym.files import parse_json, read_text, sha256, to_json, write_atomically
+from wtg_gym.files import parse_json, read_text, sha256, to_json, write_together
 from wtg_gym.policies.entry import is_name
 from wtg_gym.scenarios import FRESH, SPLITS, SUITES, FreshDraw, get_suite
 
@@ -29,9 +29,8 @@ def write(stem: Path, description: Mapping[str, Any], episodes: Sequence[Episode
     table = to_csv(episodes)
     data = {**description, "csv_sha256": sha256(table.encode())}
     data["sha256"] = sha256(to_json(data).encode())
-    write_atomically(csv_path, table)
-    # Last, so that a JSON never describes a table that is not there yet.
-    write_atomically(json_path, to_json(data))
+    # The JSON last, so that it never describes a table that is not there yet.
+    write_together({csv_path: table, json_path: to_json(data)})
     return json_path, csv_path
 
 
