@@ -71,9 +71,7 @@ def test_old_results_stay_where_the_new_ones_do_not_fit(
         done, cause = _evaluate(folder, *entries, before=before), "No space left on device"
     else:
         largest = sizes[_NAMES[1]] - 1
-        done = _evaluate(
-            folder, *entries, limit=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
-        )
+        done = _evaluate(folder, *entries, limit=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest)))
         cause = "File too large"
     assert done.returncode == 2 and done.stdout == ""
     assert done.stderr.splitlines()[-1] == f"wtg-gym: error: {folder / _NAMES[1]}: {cause}"

@@ -409,7 +409,7 @@ def test_address_holds_what_is_seen(open_page: Any) -> None:
     page.get_by_label("feedback").uncheck()
     page.get_by_label("Action").select_option("k+tau")
     page.get_by_label("Name").fill("script")
-    page.get_by_role("button", name="mean cost").click()
+    page.get_by_role("button", name="mean pinned cost").click()
     page.get_by_label("Limits in view").check()
     opened.wait_until("document.getElementById('facts').textContent.includes('20002')")
     page.get_by_label("Cursor").fill("7.4")
@@ -419,7 +419,7 @@ def test_address_holds_what_is_seen(open_page: Any) -> None:
         "kind": "law,learned",
         "action": "k+tau",
         "find": "script",
-        "sort": "mean cost,down",
+        "sort": "mean pinned cost,down",
     }
     again = open_page(state=f"#{urllib.parse.urlsplit(page.url).fragment}")
     again.wait_until("document.getElementById('facts').textContent.includes('20002')")
@@ -532,7 +532,7 @@ def test_ranking_is_downloaded(open_page: Any, tmp_path: Path, link: str, kind: 
     assert [row["name"] for row in rows] == opened.names()
     for row, own in zip(rows, leaderboard_rows(small_results()[1][0]), strict=True):
         assert float(row["score"]) == pytest.approx(own.score.value, abs=0.01)
-        assert float(row["mean_cost"]) == pytest.approx(own.mean_cost, abs=1e-4)
+        assert float(row["mean_pinned_cost"]) == pytest.approx(own.mean_pinned_cost, abs=1e-4)
 
 
 def test_a_finger_on_a_chart_scrolls_the_page(open_page: Any) -> None:
