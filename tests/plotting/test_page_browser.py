@@ -26,7 +26,7 @@ from tests.plotting.pages import (
 )
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, leaderboard_rows
-from wtg_gym.evaluation.leaderboard import COLUMNS
+from wtg_gym.evaluation.leaderboard import columns_of
 from wtg_gym.evaluation.recording import record
 from wtg_gym.plotting.front import support_points, undominated
 from wtg_gym.scenarios import get_suite
@@ -171,7 +171,7 @@ def test_no_column_of_the_ranking_is_clipped_on_a_small_laptop(browser: Any, tmp
     path.write_text(wide_page(), encoding="utf-8")
     page = Opened(browser, path, viewport={"width": 1366 - SCROLL_BAR, "height": 768}).page
     heads = page.locator("table[data-suite]:visible thead th")
-    assert heads.count() == len(COLUMNS) + 2
+    assert heads.count() == len(columns_of("v0")) + 2
     edge = heads.last.evaluate("(head) => head.getBoundingClientRect().right")
     assert edge <= page.locator(".scroll:has(table[data-suite])").evaluate("(box) => box.getBoundingClientRect().right")
     page.context.close()
@@ -458,7 +458,7 @@ def test_table_is_sorted_by_any_column(open_page: Any) -> None:
     page = opened.page
     table = page.locator("table[data-suite=standard]")
     ranked = opened.names()
-    for name, is_number in COLUMNS.items():
+    for name, is_number in columns_of("v0").items():
         button = table.get_by_role("button", name=name, exact=True)
         if not button.count():
             continue
