@@ -40,8 +40,8 @@ help: ## Show this list
 	@echo 'PYTHON is the interpreter that makes the environments: 3.11, 3.12, 3.13 or 3.14 (now: $(PYTHON), $(or $(PYTHON_VERSION),not found)).'
 
 .PHONY: leaderboard
-leaderboard: $(LEADERBOARD_READY) ## Score every entry on the standard suites and write the rankings to the README (v1) and docs/benchmark.md (v0)
-	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard-v1 --entries baselines $(POLICIES_V1) --results results --readme README.md
+leaderboard: $(LEADERBOARD_READY) ## Score every entry on the standard suites and write the rankings to the README (v1) and docs/benchmark.md (both)
+	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard-v1 --entries baselines $(POLICIES_V1) --results results --readme README.md --page docs/benchmark.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard --entries baselines $(POLICIES_V0) --results results --readme docs/benchmark.md
 
 # What the fresh scenarios of the last round were drawn from: the commit with the entries, and the published secret.

@@ -13,14 +13,15 @@ import numpy as np
 
 from agents import gradient, ppo, rllib
 from agents.command import Parser, note, run_command
-from agents.entry_file import entry_values, write_entry
+from agents.entry_file import entry_values
 from agents.folders import BEST, folders
 from agents.onnx_graph import PolicyNetwork, to_onnx
 from agents.runs import Run, RunSettings
 from wtg_gym.envs import GFMWTGVectorEnv
 from wtg_gym.evaluation import OnnxPolicy, Policy
-from wtg_gym.files import markdown_table, sha256, write_atomically
+from wtg_gym.files import markdown_table, sha256, write_together
 from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
+from wtg_gym.policies.submission_folder import entry_text
 from wtg_gym.scenarios import get_suite
 
 #: Largest difference between the export's actions and the learner's [full action].
@@ -100,11 +101,14 @@ def export(
         difference = largest_difference(policy, OnnxPolicy(path), settings)
     if not difference <= TOLERANCE:
         raise ValueError(f"the actions of the ONNX file differ by {difference:.2g}, allowed are {TOLERANCE:g}")
-    write_atomically(output / POLICY_FILE, content)
-    write_atomically(output / _CARD_FILE, _model_card(run, row, entry["name"], authors, content))
     trained_on = f"{settings.suite}, split train, {timesteps} steps; chosen on split validation"
-    # Last, because it makes the folder an entry.
-    write_entry(output, {**entry, "authors": list(authors), "trained_on": trained_on})
+    files: dict[str, str | bytes] = {
+        POLICY_FILE: content,
+        _CARD_FILE: _model_card(run, row, entry["name"], authors, content),
+        # Last, because it makes the folder an entry.
+        ENTRY_FILE: entry_text({**entry, "authors": list(authors), "trained_on": trained_on}),
+    }
+    write_together({output / name: data for name, data in files.items()})
     return difference
 
 

@@ -28,7 +28,7 @@ class Gains:
 
     This is deliberately another objective than the cost. To first order its sum over an episode is what the score gains
     at the reference: each scenario weighs 1 / (J_ref + J0). A failure costs extra: besides its own cost it forfeits
-    what c_ref would still have brought. The policy that is best by it need not have the least mean cost.
+    what c_ref would still have brought. The policy that is best by it need not have the least mean pinned cost.
 
     Args:
         lanes: the episodes. The reference plays the scenario of each once, when it begins.

@@ -132,7 +132,7 @@ class Run:
         (summary,) = (summary for summary in results.summaries if summary.name == entry.name)
         metrics = {
             "score": summary.score.value,
-            "cost": summary.mean_cost,
+            "cost": summary.mean_pinned_cost,
             "failures_percent": summary.failures_percent,
             "nadir_hz": summary.median_nadir_hz,
             "rocof_hz_s": summary.p95_rocof_hz_s,

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from wtg_gym.files import update_between_markers
+from wtg_gym.files import update_between_markers, write_together
 
 NAME = "leaderboard:standard"
 START, END = f"<!-- {NAME}:start -->", f"<!-- {NAME}:end -->"
@@ -43,3 +43,16 @@ def test_permissions_and_links_survive(tmp_path: Path) -> None:
     update_between_markers(link, "table", NAME)
     assert link.is_symlink() and path.stat().st_mode & 0o777 == 0o640
     assert "table" in path.read_text()
+
+
+@pytest.mark.parametrize("blocked", ["first", "second"])
+def test_files_that_belong_together_are_replaced_all_or_none(tmp_path: Path, blocked: str) -> None:
+    first, second = tmp_path / "first", tmp_path / "second"
+    write_together({first: "old", second: b"old too"})
+    (tmp_path / blocked).unlink()
+    (tmp_path / blocked).mkdir()
+    left = {path: path.is_dir() or path.read_bytes() for path in tmp_path.iterdir()}
+    with pytest.raises(IsADirectoryError, match="directory") as caught:
+        write_together({first: "new", second: "new"})
+    assert caught.value.filename == str(tmp_path / blocked)
+    assert {path: path.is_dir() or path.read_bytes() for path in tmp_path.iterdir()} == left

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import hashlib
 import json
 import math
 import os
 import shutil
 import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,22 +42,51 @@ def printable(text: str) -> str:
 
 
 def write_atomically(path: Path, content: str | bytes) -> None:
-    """Replace the file `path` by bytes, or by text (UTF-8, line feeds as given), in one go, keeping its permissions.
+    """Replace one file in one go, see :func:`write_together`."""
+    write_together({path: content})
+
+
+def write_together(contents: Mapping[Path, str | bytes]) -> None:
+    """Replace files that belong together, all of them or, where one cannot be written, none; permissions stay.
+
+    All are written under other names first, so that a full disk is met before the first old file is gone. A process
+    that is killed between two renamings leaves the first ones new and the others old.
+
+    Args:
+        contents: bytes, or text (UTF-8, line feeds as given), by path, in the order in which the files are replaced.
 
     Raises:
-        OSError: the folder cannot be written to.
+        OSError: a file cannot be written; `filename` names it.
     """
-    # A link stays a link; the file that it points to is replaced.
-    path = path.resolve()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    written: list[tuple[Path, Path, Path]] = []
     try:
-        temporary.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
-        if path.exists():
-            shutil.copymode(path, temporary)
-        os.replace(temporary, path)
+        for path, content in contents.items():
+            with _naming(path):
+                # A link stays a link; the file that it points to is replaced.
+                target = path.resolve()
+                target.parent.mkdir(parents=True, exist_ok=True)
+                if target.is_dir():
+                    raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+                temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+                written.append((path, temporary, target))
+                temporary.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
+                if target.exists():
+                    shutil.copymode(target, temporary)
+        for path, temporary, target in written:
+            with _naming(path):
+                os.replace(temporary, target)
     finally:
-        temporary.unlink(missing_ok=True)
+        for _, temporary, _ in written:
+            temporary.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Let an OSError name this file: one of writing names none, others the temporary one."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, right: Sequence[int] = ()) -> str:
@@ -213,4 +244,5 @@ __all__ = [
     "to_json",
     "update_between_markers",
     "write_atomically",
+    "write_together",
 ]

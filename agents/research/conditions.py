@@ -109,7 +109,7 @@ def _on(oracle: OracleCosts, results: Results, costs: Floats) -> Floats:
 
 
 def _foresight(e: Evidence, anchor: Floats) -> Condition:
-    demand = "the oracle lowers the anchor's mean cost by at least 40 %"
+    demand = "the oracle lowers the anchor's mean pinned cost by at least 40 %"
     if e.oracle is None:
         return Condition("b", demand, "not searched", None)
     before, after = float(_on(e.oracle, e.results, anchor).mean()), float(np.mean(e.oracle.oracle))

@@ -181,7 +181,7 @@ def _searched(search: Search, chunks: Sequence[_Chunk], n_threads: int | None) -
                 n = len(chunk.seeds)
 
                 def tell(generation: int, cost: float, chunk: _Chunk = chunk, done: int = done, n: int = n) -> None:
-                    name = f"seeds {chunk.seeds[0]} … {chunk.seeds[-1]}, {chunk.form}, mean cost {cost:.2f}"
+                    name = f"seeds {chunk.seeds[0]} … {chunk.seeds[-1]}, {chunk.form}, mean pinned cost {cost:.2f}"
                     progress.update(name, done + n * generation / search.generations, n_missing)
 
                 start = None if chunk.gains is None else np.array(chunk.gains)
@@ -195,7 +195,7 @@ def _searched(search: Search, chunks: Sequence[_Chunk], n_threads: int | None) -
 
 
 def _print(costs: OracleCosts) -> None:
-    """Print mean costs, and in how many scenarios nothing was cheaper; the reference first, the oracle last."""
+    """Print mean pinned costs, and in how many scenarios nothing was cheaper; the reference first, the oracle last."""
     columns: Mapping[str, Sequence[float]] = {"reference": costs.reference, **costs.found, "oracle": costs.oracle}
     reference = float(np.mean(costs.reference))
     say(f"suite {costs.suite} ({costs.suite_hash[:12]}), {costs.split}: {len(costs.seeds)} scenarios", "")

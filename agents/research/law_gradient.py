@@ -148,7 +148,7 @@ def tune(
 def scores(
     suite: str, laws: Sequence[Laws], n_scenarios: int, n_threads: int | None = None
 ) -> list[tuple[float, float]]:
-    """Return score and mean cost of laws on the first validation scenarios of a suite."""
+    """Return score and mean pinned cost of laws on the first validation scenarios of a suite."""
     benchmark, seeds = get_suite(suite).benchmark, list(get_suite(suite).validation[:n_scenarios])
     with closing(Rollouts(suite, "validation", seeds, 1, n_threads)) as rollouts:
 
@@ -225,7 +225,7 @@ def _rows(suite: str, paper: Laws, found: dict[bool, Tuned], n_validation: int, 
     ):
         texts = [_each(laws, key) for key in ("k_min", "k_nominal", "k_max", "damping_time_constant_s")]
         rows.append((name, *texts, f"{score:.1f}", f"{cost:.2f}", seconds))
-    return ("law", "k_min", "k_nominal", "k_max", "τ [s]", "score", "mean cost", "seconds"), rows
+    return ("law", "k_min", "k_nominal", "k_max", "τ [s]", "score", "mean pinned cost", "seconds"), rows
 
 
 def _each(laws: Laws, key: str) -> str:

@@ -135,7 +135,7 @@ def _tuned(search: Search, history: bool, n_threads: int | None) -> tuple[Floats
     ):
 
         def tell(done: int, cost: float) -> None:
-            progress.update(f"linear feedback, mean cost {cost:.2f}", done, search.generations)
+            progress.update(f"linear feedback, mean pinned cost {cost:.2f}", done, search.generations)
 
         gains = tune_linear(rollouts, search.generations, tell, search.seed, history=history)
         dt = rollouts.lanes.settings.control_dt
@@ -196,7 +196,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         note(f"wrote {output}" if gains_file is None else f"wrote {output} and {gains_file}")
         rows = [(split, data[split]) for split in ("training", "validation")]
         print_table(
-            ("split", "scenarios", "reference's mean cost", "linear feedback's", "difference [%]"),
+            ("split", "scenarios", "reference's mean pinned cost", "linear feedback's", "difference [%]"),
             [
                 (
                     split,

@@ -38,6 +38,7 @@ from wtg_gym.envs.observation import N_LOCAL, N_MEASURED
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, Results, evaluate, leaderboard_rows, markdown_table
 from wtg_gym.evaluation.episodes import Episode
+from wtg_gym.evaluation.leaderboard import privileged_note
 from wtg_gym.evaluation.metrics import Recorder, measure
 from wtg_gym.physics.aerodynamics import power_coefficient
 from wtg_gym.ranges import require_range
@@ -45,6 +46,10 @@ from wtg_gym.scenarios import SPLITS, get_suite
 
 Floats = npt.NDArray[np.float64]
 _SECTION = "planners"
+_COLUMNS = (
+    *("rank", "entry", "score", "failures by kind [%]", "mean pinned cost", "worst decile"),
+    *("median deviation [mHz]", "p95 deviation [mHz]"),
+)
 KNOWLEDGE = ("exact", "measured")
 #: Winds that an observer believes in [m/s].
 _WIND_RANGE = (3.5, 24.5)
@@ -368,7 +373,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                 n_threads=given.threads,
                 on_progress=progress.update,
             )
-        text = markdown_table(leaderboard_rows(results))
+        rows = leaderboard_rows(results)
+        text = f"{markdown_table(rows, _COLUMNS)}\n\n{privileged_note(rows).capitalize()}."
         if page is not None:
             where = f"{len(results.seeds)} {results.split} scenarios of `{results.suite}`"
             update_page(page, {_SECTION: f"The first {where}:\n\n{text}"})

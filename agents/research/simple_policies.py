@@ -173,7 +173,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     def work() -> None:
         given = parser.parse_args(argv)
         reference, policies = simple_policies(given.suite, given.split, given.scenarios, given.threads)
-        head = f"suite {given.suite}, {given.split}: mean cost of the reference {reference:.2f}"
+        head = f"suite {given.suite}, {given.split}: mean pinned cost of the reference {reference:.2f}"
         say(f"{head}; the best three of each kind", "")
         rows: list[tuple[str, ...]] = []
         for family in ("constant", "bang-bang", "relay", "proportional"):
@@ -181,7 +181,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             for policy in own[:3]:
                 difference = difference_percent(policy.cost, reference)
                 rows.append((family, str(len(own)), policy.description, f"{policy.cost:.2f}", difference))
-        print_table(("kind", "tried", "policy", "mean cost", "difference [%]"), rows)
+        print_table(("kind", "tried", "policy", "mean pinned cost", "difference [%]"), rows)
 
     return run_command(work)
 

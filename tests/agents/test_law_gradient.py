@@ -49,7 +49,7 @@ def test_scores_are_those_of_the_evaluator() -> None:
     (summary,) = (own for own in results.summaries if own.name == "deloaded-5")
     law = get_law("deloaded-5")
     ((score, cost),) = scores("standard", [(law, law)], 3, 1)
-    assert score == pytest.approx(summary.score.value) and cost == pytest.approx(summary.mean_cost)
+    assert score == pytest.approx(summary.score.value) and cost == pytest.approx(summary.mean_pinned_cost)
 
 
 def test_points_are_held_within_the_ranges_of_laws() -> None:

@@ -75,7 +75,7 @@ def test_results_of_an_older_version_are_one_line(
         "recompute": ["--entries", "deloaded-5"],
     }[command]
     said = error_of(capsys, "results", command, str(old), *rest)
-    assert said.endswith("format must be 3, that of this version, got 2; evaluate again")
+    assert said.endswith("format must be 4, that of this version, or 3, got 2; evaluate again")
 
 
 def test_verify_checks_the_seeds_against_the_secret(

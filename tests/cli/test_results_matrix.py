@@ -40,7 +40,7 @@ def test_stored_results_are_used_again(folder: Path, capsys: pytest.CaptureFixtu
     assert main(["results", "matrix", *FEW, "--results", str(folder)]) == 0
     said = capsys.readouterr()
     assert said.err.count("1 of 1 entries are stored") == 5
-    assert "Mean cost of the worst tenth" in said.out and "fast-droop" in said.out
+    assert "Mean pinned cost of the worst tenth" in said.out and "fast-droop" in said.out
 
 
 def test_a_suite_without_sensors_has_no_other_ones(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -49,8 +49,7 @@ def test_evaluate_scores_entries_and_writes_results(capsys: pytest.CaptureFixtur
     assert main(["evaluate", "--entries", "deloaded-5", *_FEW, "--results", str(folder)]) == 0
     said = capsys.readouterr()
     assert "4 scenarios" in said.out
-    assert "score" in said.out and "nadir [Hz]" in said.out
-    assert "add up to score - 100" in said.out and max(map(len, said.out.splitlines())) <= 120
+    assert "score" in said.out and "mean pinned cost" in said.out and max(map(len, said.out.splitlines())) <= 120
     assert all(name in said.out for name in ("deloaded-5", "mppt", "coordinated-piecewise"))
     assert sorted(path.name for path in folder.iterdir()) == ["low-wind-test.csv", "low-wind-test.json"]
 
@@ -62,9 +61,14 @@ def test_evaluate_ranks_a_suite_of_v1_in_its_own_grid(capsys: pytest.CaptureFixt
     assert main(["evaluate", *entries, *arguments, "--results", str(folder)]) == 0
     out = capsys.readouterr().out
     assert all(f"  {name} " in out for name in ("fast-droop", *V1.anchors)) and "mppt" not in out
-    assert all(head in out for head in ("worst decile", "Δf [mHz]", "p95 ΔP [p.u.]", "energy [%]", "failures [%]"))
     assert max(map(len, out.splitlines())) <= 120
     results = Results.read(folder / "standard-v1-validation.json")
+    heads = r"rank +entry +score +Δf \[mHz\] +lost runs +or > 0\.8 Hz \[%\] +mean pinned cost"
+    assert re.search(rf"^{heads}$", out, re.MULTILINE)
+    for row in results.summaries:
+        lost = sum(episode.failed for episode in results.episodes_of(row.name))
+        numbers = rf"{row.median_deviation_mhz:.0f} +{lost} of 12 +{row.lost_or_beyond_percent:.1f} +"
+        assert re.search(rf"{row.name} .* {numbers}{row.mean_pinned_cost:.1f}\n", out)
     assert [group["bus"] for group in results.settings["groups"]] == [2, 3, 6, 8]
     assert results.settings["physics"] == "extended"
     assert main(["results", "recompute", str(folder / "standard-v1-validation.json")]) == 0
@@ -78,18 +82,51 @@ def test_leaderboard_of_v1_goes_into_a_page_and_is_stored(
     monkeypatch.setattr(wtg_gym.cli.scoring, "evaluate", few)
     page = tmp_path / "page.md"
     page.write_text("<!-- leaderboard:standard-v1:start -->\n<!-- leaderboard:standard-v1:end -->\n")
+    whole = tmp_path / "whole.md"
+    whole.write_text("<!-- whole-leaderboard:standard-v1:start -->\n<!-- whole-leaderboard:standard-v1:end -->\n")
     arguments = ["leaderboard", "--suite", "standard-v1", "--results", str(tmp_path), "--readme", str(page)]
+    arguments += ["--page", str(whole)]
     assert main(arguments) == 0
     first = page.read_text()
-    assert "| failures by kind [%] | mean cost | worst decile |" in first and "| coordinated-tuned | 100.0 |" in first
+    assert "| rank | entry | score | median deviation [mHz] | lost or beyond 0.8 Hz [%] |\n" in first
+    assert "| coordinated-tuned | 100.0 |" in first and "[points]" not in first
+    assert "| frequency, RoCoF [points] |" in whole.read_text() and "| worst decile |" in whole.read_text()
     # The sentence has the numbers of the table's column.
     said = [int(n) for n in re.findall(r"(\d+) mHz with", first)]
     rows = {cells[2].strip(): cells for line in first.splitlines() if len(cells := line.split("|")) > 2}
-    column = [cell.strip() for cell in rows["entry"]].index("deviation [mHz]")
+    column = [cell.strip() for cell in rows["entry"]].index("median deviation [mHz]")
     assert said == [int(rows[name][column]) for name in V1.anchors]
     played = _count_played(monkeypatch)
     assert main(arguments) == 0
     assert played == [[]] and page.read_text() == first
+
+
+def test_law_without_an_equilibrium_is_left_out_by_name(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    law = tmp_path / "greedy.toml"
+    law.write_text('name = "greedy"\nk_min = 3.0\nk_nominal = 3.0\nk_max = 3.0\n', encoding="utf-8")
+    arguments = ["--entries", str(law), "deloaded-5", "--scenarios", "2", "--duration", "5"]
+    assert main(["evaluate", *arguments]) == 1
+    said = capsys.readouterr()
+    (line,) = [line for line in said.err.splitlines() if "left out" in line]
+    assert line.startswith("failed, and left out: greedy: entry 'greedy': scenario 'standard/10000' cannot start: ")
+    assert "has no equilibrium at a wind of" in line and "greedy" not in said.out
+    assert all(name in said.out for name in ("deloaded-5", "mppt", "coordinated-piecewise"))
+
+
+def test_suite_without_a_score_is_ranked_by_cost(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("<!-- leaderboard:paper-v1:start -->\n<!-- leaderboard:paper-v1:end -->\n")
+    arguments = ["--suite", "paper-v1", "--entries", "fast-droop", "--results", str(tmp_path / "r")]
+    assert main(["leaderboard", *arguments, "--readme", str(page)]) == 0
+    said = capsys.readouterr()
+    results = Results.read(tmp_path / "r" / "paper-v1-test.json")
+    order = sorted(results.pinned_costs, key=lambda name: results.pinned_costs[name].mean())
+    rows = [line.split() for line in said.out.splitlines() if line[:4].strip().isdigit()]
+    assert [row[:3] for row in rows] == [[str(rank), name, "none"] for rank, name in enumerate(order, 1)]
+    assert "ranked by mean pinned cost, as there is no score: on these 2 scenarios coordinated-piecewise" in said.err
+    assert "more scenarios" not in said.err and f"| 1 | {order[0]} | none |" in page.read_text()
+    assert main(["evaluate", *arguments[:4], "--split", "test", "--json"]) == 0
+    assert set(json.loads(capsys.readouterr().out)["summary"]) == set(order)
 
 
 def test_evaluate_json_is_the_description_with_the_summary(capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ import wtg_gym
 from wtg_gym.evaluation import METRICS, Entry, PolicyError, Results, evaluate, load_entries
 from wtg_gym.evaluation.evaluator import Progress
 from wtg_gym.evaluation.recompute import departures, recompute
+from wtg_gym.physics.tracking_law import TrackingLaw
 from wtg_gym.policies.entry import check_entries
 from wtg_gym.scenarios import get_suite
 from wtg_gym.scenarios.benchmark import V0
@@ -208,6 +210,22 @@ def test_error_inside_a_policy_says_whose_it_is() -> None:
     with pytest.raises(PolicyError, match=text) as caught:
         evaluate([Entry(name="failing", policy=Answering(fail))], "standard", "test", **SHORT)
     assert isinstance(caught.value.__cause__, ZeroDivisionError)
+
+
+def test_law_without_an_equilibrium_is_left_out_and_that_of_an_anchor_is_an_error() -> None:
+    greedy = TrackingLaw(name="greedy", k_min=3.0, k_nominal=3.0, k_max=3.0)
+    law, fine = Entry(name="greedy", strategy=greedy), Entry(name="fine", strategy="deloaded-5")
+    results = evaluate([law, fine], "standard", "test", keep_going=True, **SHORT)
+    others = evaluate([fine], "standard", "test", **SHORT)
+    assert results == dataclasses.replace(others, failed=results.failed)
+    (failed,) = results.failed
+    text = r"entry 'greedy': .* has no equilibrium at a wind of .* with k = 3 p\.u\."
+    assert failed["name"] == "greedy" and re.match(text, failed["reason"])
+    with pytest.raises(PolicyError, match=text):
+        evaluate([law, fine], "standard", "test", **SHORT)
+    # No law starts in a calm; without its anchors there is no score.
+    with pytest.raises(PolicyError, match=r"entry '(mppt|coordinated-piecewise)': "):
+        evaluate([law], "standard", "test", keep_going=True, groups=[{"bus": 2, "n_turbines": 400}], **SHORT)
 
 
 def test_entry_that_fails_is_left_out_with_its_row_and_the_others_stand(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ MINE = Scenario(
 def test_table_of_pandas_has_every_episode_and_metric(results: Results) -> None:
     pytest.importorskip("pandas")
     table = results.to_pandas()
-    assert tuple(table.columns) == COLUMNS and len(table) == len(results.episodes)
+    assert tuple(table.columns) == (*COLUMNS, "pinned_cost") and len(table) == len(results.episodes)
     for row, episode in zip(table.itertuples(), results.episodes, strict=True):
         assert (row.entry, row.seed, row.failure) == (episode.entry, episode.seed, episode.failure)
         for name in METRICS:
@@ -31,6 +31,18 @@ def test_table_of_pandas_has_every_episode_and_metric(results: Results) -> None:
     assert table["training_seed"].isna().all() and table["training_seed"].dtype == "Int64"
     means = table.groupby("entry")["cost"].mean()
     assert means["mppt"] == np.mean([episode.metrics["cost"] for episode in results.episodes_of("mppt")])
+
+
+def test_table_of_pandas_has_the_cost_as_paid_and_the_pinned_one_of_the_summaries(results: Results) -> None:
+    pytest.importorskip("pandas")
+    first, *others = results.episodes
+    failed = replace(results, episodes=(replace(first, failure="stall"), *others))
+    table = failed.to_pandas()
+    lost = table["failure"] != ""
+    assert table.loc[lost, "pinned_cost"].tolist() == [50.0 * (10.0 + 1.0)] != table.loc[lost, "cost"].tolist()
+    assert table.loc[~lost, "pinned_cost"].tolist() == table.loc[~lost, "cost"].tolist()
+    means = table.groupby("entry")["pinned_cost"].mean()
+    assert means.to_dict() == pytest.approx({row.name: row.mean_pinned_cost for row in failed.summaries})
 
 
 @pytest.mark.parametrize("package", ["pandas", "xarray"])
@@ -84,7 +96,7 @@ def test_results_without_a_score_show_that_there_is_none(results: Results) -> No
     same = [replace(e, entry="mppt") for e in worse]
     others = [e for e in results.episodes if e.entry == "deloaded-10"]
     without = replace(results, episodes=(*same, *others, *worse))
-    assert "without a score" in repr(without) and "no ranking" in without._repr_html_()
+    assert "without a score" in repr(without) and "as there is no score" in without._repr_html_()
 
 
 def test_evaluation_shows_its_progress_and_tells_it(

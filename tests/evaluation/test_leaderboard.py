@@ -9,7 +9,16 @@ import numpy as np
 import pytest
 
 from wtg_gym.evaluation import Entry, Results, evaluate, leaderboard_rows, markdown_table, table_cells
-from wtg_gym.evaluation.leaderboard import COLUMNS, SHORT_COLUMNS, columns_of, short_columns_of
+from wtg_gym.evaluation.leaderboard import (
+    SHORT_COLUMNS,
+    TERMINAL_COLUMNS,
+    columns_of,
+    html_table,
+    markdown_section,
+    short_columns_of,
+    table_rows,
+    whole_section,
+)
 from wtg_gym.evaluation.score import pinned
 
 
@@ -40,7 +49,7 @@ def test_table_has_a_row_per_entry_and_a_cell_per_column(results: Results) -> No
     assert [head.strip() for head in lines[0].strip("|").split("|")] == list(SHORT_COLUMNS)
     assert lines[2].startswith("| 1 | coordinated-piecewise | 100.0 | 0.0 | 0.0 | 0.0 | 0.0 | 0.0 | 49.")
     assert "-0.0" not in markdown_table(leaderboard_rows(results))
-    assert {len(cells) for cells in table_cells(leaderboard_rows(results))} == {len(COLUMNS)}
+    assert {len(cells) for cells in table_cells(leaderboard_rows(results))} == {len(columns_of("v0"))}
 
 
 def test_every_entry_but_the_first_is_compared_with_the_one_above(results: Results) -> None:
@@ -68,9 +77,17 @@ def test_points_by_term_add_up_to_the_score_with_failures_too(results: Results) 
 
 def test_table_says_who_sees_the_grid() -> None:
     entry = Entry(name="sees all", strategy="deloaded-10", observation_mode="privileged")
-    rows = leaderboard_rows(evaluate([entry], "standard", "test", seeds=(20_002, 20_000), duration_s=10.0))
-    kinds = dict(table_cells(rows, ("entry", "kind")))
-    assert kinds == {"coordinated-piecewise": "law", "mppt": "law", "sees all": "law, privileged"}
+    results = evaluate([entry], "standard", "test", seeds=(20_002, 20_000), duration_s=10.0)
+    names = [name for (name,) in table_cells(leaderboard_rows(results), ("entry",))]
+    assert sorted(names) == ["coordinated-piecewise", "mppt", "sees all (privileged)"]
+    said = "rivileged: sees the state of the whole grid, which no turbine measures"
+    for text in (markdown_section(results), whole_section(results), html_table(results)):
+        assert "sees all (privileged)" in text and text.count(said) == 1
+    others = evaluate([], "standard", "test", seeds=(20_002, 20_000), duration_s=10.0)
+    assert not any("rivileged" in make(others) for make in (markdown_section, whole_section, html_table))
+    seeds = [dataclasses.replace(entry, training_seed=seed) for seed in (0, 1)]
+    both = evaluate(seeds, "standard", "test", seeds=(20_002, 20_000), duration_s=10.0)
+    assert "sees all (2 seeds, privileged)" in markdown_section(both)
 
 
 def test_table_of_v1_shows_failures_by_kind_the_worst_tenth_and_deviations(results_v1: Results) -> None:
@@ -90,18 +107,57 @@ def test_table_of_v1_shows_failures_by_kind_the_worst_tenth_and_deviations(resul
     deviations = [1e3 * max(50.0 - e.metrics["nadir_hz"], e.metrics["zenith_hz"] - 50.0) for e in own]
     assert row.median_deviation_mhz == pytest.approx(np.median(deviations))
     assert row.p95_deviation_mhz == pytest.approx(np.percentile(deviations, 95.0))
-    cells = dict(zip(short_columns_of("v1"), table_cells([row], short_columns_of("v1"))[0], strict=True))
-    assert cells["failures by kind [%]"] == "33.3 (f 8.3, ω 16.7)"
-    assert cells["deviation [mHz]"] == f"{np.median(deviations):.0f}"
+    columns = [*columns_of("v1"), "lost runs"]
+    cells = dict(zip(columns, table_cells([row], columns)[0], strict=True))
+    assert cells["failures by kind [%]"] == "33.3 (f 8.3, ω 16.7)" and cells["lost runs"] == "4 of 12"
+    assert cells["median deviation [mHz]"] == f"{np.median(deviations):.0f}"
+
+
+def test_runs_beyond_0_8_hz_count_with_the_lost_and_a_run_counts_once(results_v1: Results) -> None:
+    own = results_v1.episodes_of("fast-droop")
+    nadirs = dict(zip([e.seed for e in own], [49.2, 49.199, 49.1, *[49.9] * 9], strict=True))
+    zeniths = dict.fromkeys(nadirs, 50.0) | {own[3].seed: 50.801}
+    changed = [
+        dataclasses.replace(
+            e,
+            failure="stall" if e.seed in (own[2].seed, own[4].seed) else "",
+            metrics={**e.metrics, "nadir_hz": nadirs[e.seed], "zenith_hz": zeniths[e.seed]},
+        )
+        for e in own
+    ]
+    episodes = [changed[own.index(e)] if e in own else e for e in results_v1.episodes]
+    results = dataclasses.replace(results_v1, episodes=tuple(episodes))
+    row = next(row for row in results.summaries if row.name == "fast-droop")
+    # 49.199 and 50.801 Hz, the lost one at 49.1 Hz, and the other lost one.
+    assert row.n_lost == 2 and row.lost_or_beyond_percent == pytest.approx(100.0 * 4 / 12)
 
 
 def test_each_version_has_its_own_columns(results_v1: Results) -> None:
     rows = leaderboard_rows(results_v1)
     head = markdown_table(rows).split("\n")[0]
     assert [name.strip() for name in head.strip("|").split("|")] == list(short_columns_of("v1"))
-    points = [column for column in short_columns_of("v1") if column.endswith("[points]")]
-    assert points[0] == "frequency, RoCoF [points]"
+    assert short_columns_of("v1") == ("rank", "entry", "score", "median deviation [mHz]", "lost or beyond 0.8 Hz [%]")
     assert {len(cells) for cells in table_cells(rows)} == {len(columns_of("v1"))}
-    assert columns_of("v0") == COLUMNS and not {"worst decile", "deviation [mHz]"} & set(COLUMNS)
+    assert not {"worst decile", "median deviation [mHz]"} & set(columns_of("v0"))
+    # What the short table leaves out stands in the whole one.
+    whole = whole_section(results_v1)
+    for column in (*SHORT_COLUMNS[3:7], "failures by kind [%]", "mean pinned cost", "worst decile", "energy share [%]"):
+        assert whole.count(f" {column} |") == 1 and column not in head
+    assert whole.count("| coordinated-tuned |") == 2
     for row in rows:
         assert sum(row.points_by_term.values()) == pytest.approx(row.score.value - 100.0, abs=1e-9)
+
+
+def test_without_a_score_the_mean_pinned_cost_ranks() -> None:
+    results = evaluate("fast-droop", "paper-v1", "test")
+    rows = table_rows(results)
+    assert not results.has_scale and len(rows) == 3
+    costs = {name: float(np.mean(costs)) for name, costs in results.pinned_costs.items()}
+    assert [row.name for row in rows] == sorted(costs, key=lambda name: costs[name])
+    cells = [dict(zip(TERMINAL_COLUMNS, each, strict=True)) for each in table_cells(rows, TERMINAL_COLUMNS)]
+    assert [each["rank"] for each in cells] == ["1", "2", "3"] and {each["score"] for each in cells} == {"none"}
+    assert [each["mean pinned cost"] for each in cells] == [f"{costs[row.name]:.1f}" for row in rows]
+    for text in (markdown_section(results), whole_section(results), html_table(results)):
+        assert "anked by mean pinned cost, as there is no score: on these 2 scenarios coordinated-piecewise" in text
+        assert "[points]" not in text and f"{costs[rows[0].name]:.1f}" in text
+    assert results.to_dict()["summary"]["fast-droop"]["mean_pinned_cost"] == pytest.approx(costs["fast-droop"])

@@ -10,14 +10,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from wtg_gym.evaluation import METRICS, Entry, NoScaleError, Results, evaluate, leaderboard_rows
 from wtg_gym.evaluation.episodes import Episode
-from wtg_gym.evaluation.summary import SINCE_V1
-from wtg_gym.files import sha256, to_json, write_atomically
+from wtg_gym.files import sha256, to_json
 from wtg_gym.scenarios.benchmark import V0
 
 
@@ -53,7 +53,7 @@ def test_read_then_write_gives_the_same_bytes(written: tuple[Path, Path], tmp_pa
         assert one.read_bytes() == other.read_bytes()
 
 
-def test_results_say_what_their_version_adds_and_those_of_v0_stay_as_they_were(
+def test_results_say_what_their_version_adds_to_the_settings(
     results: Results, results_v1: Results, tmp_path: Path
 ) -> None:
     assert Results.read(results_v1.write(tmp_path)[0]) == results_v1
@@ -65,9 +65,20 @@ def test_results_say_what_their_version_adds_and_those_of_v0_stay_as_they_were(
     assert [group["bus"] for group in results_v1.settings["plant"]["groups"]] == [2, 3, 6, 8]
     assert results_v1.settings["sensors"]["delay_s"] == [0.1, 0.3]
     assert results_v1.environment["id"] == "GFMWTG-14bus-v1"
-    for each, has in ((results, False), (results_v1, True)):
-        for row in each.to_dict()["summary"].values():
-            assert (set(SINCE_V1) <= set(row), bool(set(SINCE_V1) & set(row))) == (has, has)
+
+
+def test_file_of_version_3_is_read_and_damage_in_it_is_found(copies: tuple[Path, Path], results: Results) -> None:
+    data = json.loads(copies[0].read_text(encoding="utf-8"))
+    del data["sha256"]
+    data["format"] = 3
+    for row in data["summary"].values():
+        row["mean_cost"] = row.pop("mean_pinned_cost")
+        del row["lost_or_beyond_percent"], row["n_lost"]
+    copies[0].write_text(to_json({**data, "sha256": sha256(to_json(data).encode())}), encoding="utf-8")
+    assert Results.read(copies[0]) == results
+    copies[1].write_text(copies[1].read_text(encoding="utf-8").replace("49.", "50."), encoding="utf-8")
+    with pytest.raises(ValueError, match="edited or belongs to another run"):
+        Results.read(copies[0])
 
 
 def test_json_is_strict_sorted_and_without_time_or_place(written: tuple[Path, Path]) -> None:
@@ -101,7 +112,7 @@ def test_failures_are_pinned_in_score_and_cost(results: Results) -> None:
     failed = dataclasses.replace(results, episodes=tuple(episodes))
     before, after = (next(s for s in r.summaries if s.name == "deloaded-10") for r in (results, failed))
     assert (before.failures_percent, after.failures_percent) == (0.0, 100.0)
-    assert after.mean_cost == 50.0 * (10.0 + 1.0)
+    assert after.mean_pinned_cost == 50.0 * (10.0 + 1.0) and (after.n_lost, after.n_episodes) == (3, 3)
     assert after.score.value < before.score.value and after.probability_of_improvement.value == 0.0
 
 
@@ -129,12 +140,15 @@ def test_no_score_where_mppt_is_not_worse(results: Results, tmp_path: Path) -> N
     swapped_ones = [swapped(episode) for episode in results.episodes]
     ordered = [e for entry in results.entries for e in swapped_ones if e.entry == entry["name"]]
     turned = dataclasses.replace(results, episodes=tuple(ordered))
-    with pytest.raises(NoScaleError, match=r"mppt \(mean cost .*\) is not worse than coordinated-piecewise"):
+    with pytest.raises(NoScaleError, match=r"mppt \(mean pinned cost .*\) is not worse than coordinated-piecewise"):
         leaderboard_rows(turned)
-    # There is no ranking, but the measurements are kept.
+    # There is no ranking by the score, but the measurements are kept.
     again = Results.read(turned.write(tmp_path)[0])
     assert again.episodes == turned.episodes
-    assert again.to_dict()["summary"] == {}
+    summary = again.to_dict()["summary"]
+    assert set(summary) == {"mppt", "deloaded-10", "coordinated-piecewise"}
+    for name, row in summary.items():
+        assert row["mean_pinned_cost"] == np.mean(turned.pinned_costs[name]) and "score" not in row
 
 
 @settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -182,7 +196,7 @@ EDITS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "wrong seeds": (lambda d: d.update(seeds=[1.5]), "seeds must be a list of whole numbers"),
     "unknown suite": (lambda d: d.update(suite="easy"), "suite must be one of paper"),
     "short hash": (lambda d: d.update(suite_hash="abc"), "suite_hash must be 64 hexadecimal"),
-    "other format": (lambda d: d.update(format=2), "format must be 3, that of this version, got 2; evaluate again"),
+    "other format": (lambda d: d.update(format=2), "format must be 4, that of this version, or 3, got 2; "),
     "seeds of no draw": (
         lambda d: d.update(split="fresh"),
         "draw must be given for the split 'fresh' alone",
@@ -276,19 +290,6 @@ def test_table_without_a_row_is_refused_even_with_fitting_sums(copies: tuple[Pat
     copies[1].write_text(short, encoding="utf-8")
     with pytest.raises(ValueError, match=r"expected one row per entry and seed.*9 rows.*got 8"):
         Results.read(copies[0])
-
-
-def test_interrupted_writing_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "file"
-    write_atomically(path, "old")
-
-    def full(*_: Any) -> None:
-        raise OSError("no space left")
-
-    monkeypatch.setattr("os.replace", full)
-    with pytest.raises(OSError, match="no space"):
-        write_atomically(path, "new")
-    assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
 
 
 def test_metric_names_are_columns(written: tuple[Path, Path]) -> None:

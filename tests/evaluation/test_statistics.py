@@ -51,7 +51,9 @@ def test_one_free_scenario_cannot_carry_an_entry() -> None:
 
 
 def test_scale_needs_an_mppt_that_is_worse() -> None:
-    with pytest.raises(ValueError, match=r"the zero \(mean cost 3\) is not worse than the hundred \(mean cost 3\)"):
+    with pytest.raises(
+        ValueError, match=r"the zero \(mean pinned cost 3\) is not worse than the hundred \(mean pinned cost 3\)"
+    ):
         score.score_scale(np.full(4, 3.0), np.full(4, 3.0))
 
 

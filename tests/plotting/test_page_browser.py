@@ -26,7 +26,7 @@ from tests.plotting.pages import (
 )
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, leaderboard_rows
-from wtg_gym.evaluation.leaderboard import COLUMNS
+from wtg_gym.evaluation.leaderboard import columns_of
 from wtg_gym.evaluation.recording import record
 from wtg_gym.plotting.front import support_points, undominated
 from wtg_gym.scenarios import get_suite
@@ -171,7 +171,7 @@ def test_no_column_of_the_ranking_is_clipped_on_a_small_laptop(browser: Any, tmp
     path.write_text(wide_page(), encoding="utf-8")
     page = Opened(browser, path, viewport={"width": 1366 - SCROLL_BAR, "height": 768}).page
     heads = page.locator("table[data-suite]:visible thead th")
-    assert heads.count() == len(COLUMNS) + 2
+    assert heads.count() == len(columns_of("v0")) + 2
     edge = heads.last.evaluate("(head) => head.getBoundingClientRect().right")
     assert edge <= page.locator(".scroll:has(table[data-suite])").evaluate("(box) => box.getBoundingClientRect().right")
     page.context.close()
@@ -409,7 +409,7 @@ def test_address_holds_what_is_seen(open_page: Any) -> None:
     page.get_by_label("feedback").uncheck()
     page.get_by_label("Action").select_option("k+tau")
     page.get_by_label("Name").fill("script")
-    page.get_by_role("button", name="mean cost").click()
+    page.get_by_role("button", name="mean pinned cost").click()
     page.get_by_label("Limits in view").check()
     opened.wait_until("document.getElementById('facts').textContent.includes('20002')")
     page.get_by_label("Cursor").fill("7.4")
@@ -419,7 +419,7 @@ def test_address_holds_what_is_seen(open_page: Any) -> None:
         "kind": "law,learned",
         "action": "k+tau",
         "find": "script",
-        "sort": "mean cost,down",
+        "sort": "mean pinned cost,down",
     }
     again = open_page(state=f"#{urllib.parse.urlsplit(page.url).fragment}")
     again.wait_until("document.getElementById('facts').textContent.includes('20002')")
@@ -458,7 +458,7 @@ def test_table_is_sorted_by_any_column(open_page: Any) -> None:
     page = opened.page
     table = page.locator("table[data-suite=standard]")
     ranked = opened.names()
-    for name, is_number in COLUMNS.items():
+    for name, is_number in columns_of("v0").items():
         button = table.get_by_role("button", name=name, exact=True)
         if not button.count():
             continue
@@ -532,7 +532,7 @@ def test_ranking_is_downloaded(open_page: Any, tmp_path: Path, link: str, kind: 
     assert [row["name"] for row in rows] == opened.names()
     for row, own in zip(rows, leaderboard_rows(small_results()[1][0]), strict=True):
         assert float(row["score"]) == pytest.approx(own.score.value, abs=0.01)
-        assert float(row["mean_cost"]) == pytest.approx(own.mean_cost, abs=1e-4)
+        assert float(row["mean_pinned_cost"]) == pytest.approx(own.mean_pinned_cost, abs=1e-4)
 
 
 def test_a_finger_on_a_chart_scrolls_the_page(open_page: Any) -> None:

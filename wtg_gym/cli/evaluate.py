@@ -11,7 +11,7 @@ from wtg_gym.cli.parser import Commands, add_command, add_plant_options
 from wtg_gym.cli.results_command import check_html, write_html
 from wtg_gym.cli.stored import stored_or_played
 from wtg_gym.evaluation import Policy
-from wtg_gym.evaluation.leaderboard import markdown_section
+from wtg_gym.evaluation.leaderboard import markdown_section, whole_section
 from wtg_gym.policies.entry import check_version
 from wtg_gym.scenarios import get_suite
 
@@ -27,9 +27,9 @@ power point tracking (mppt) and 100 the reference strategy (coordinated-piecewis
 strategy and 100 the same law tuned to that grid (coordinated-tuned). Both are always played too, because they fix the
 scale. A policy plays in the version whose observations it takes. With --results, every episode is written to
 <suite>-<split>.csv and the description and summary to <suite>-<split>.json; an interrupted evaluation goes on from its
-finished parts. An entry whose policy raises, ends, takes too long or gives no action is named with its reason and left
-out with all training seeds of its name; the others are ranked, and the exit code is 1. A policy.onnx plays one scenario
-at a time, in a process of its own that can only compute and answer.
+finished parts. An entry whose policy raises, ends, takes too long or gives no action, or whose law has no equilibrium
+in a scenario, is named with its reason and left out with all training seeds of its name; the others are ranked, and the
+exit code is 1. A policy.onnx plays one scenario at a time, in a process of its own that can only compute and answer.
 
 The default split is the one to choose policies on; 'wtg-gym leaderboard' and 'wtg-gym submission score' play the test
 scenarios. --results refuses a folder whose <suite>-<split>.json is of other settings, seeds or another draw; results of
@@ -49,9 +49,12 @@ code and versions, and where replaying both anchors gives the same numbers; ever
 fails is named with its reason and left out with all training seeds of its name; the exit code is 1 then. The table is
 printed and the results are written as JSON and CSV. Stored results of entries that were not asked for are kept in these
 files where they can be used again, but not printed; --fresh drops them. With --readme the table between the markers
-<!-- leaderboard:SUITE:start --> and <!-- leaderboard:SUITE:end --> of that file is replaced. With --html the ranking
-is written as one HTML file with charts, and with traces of the first scenarios; 'wtg-gym results page' does that for
-several suites at once."""
+<!-- leaderboard:SUITE:start --> and <!-- leaderboard:SUITE:end --> of that file is replaced; with --page, tables of all
+columns replace what is between <!-- whole-leaderboard:SUITE:start --> and <!-- whole-leaderboard:SUITE:end --> there.
+With --html the ranking is written as one HTML file with charts, and with traces of the first scenarios; 'wtg-gym
+results page' does that for several suites at once.
+
+Where the entry at 100 is no better than that at 0, as on paper-v1, there is no score: the mean pinned cost ranks."""
 
 _LEADERBOARD_EXAMPLES = """\
   wtg-gym leaderboard --suite standard --results results --readme README.md
@@ -90,6 +93,7 @@ def add_commands(commands: Commands) -> None:
         "--results", metavar="DIR", default="results", help="folder of the results; made if missing (default: results)"
     )
     parser.add_argument("--readme", metavar="FILE", help="file with the markers to put the table between")
+    parser.add_argument("--page", metavar="FILE", help="file with the markers to put the whole table between")
     parser.add_argument("--html", metavar="FILE", help="write the ranking as one HTML file with charts and traces")
     parser.add_argument("--fresh", action="store_true", help="evaluate everything, whatever is stored, from the start")
 
@@ -131,8 +135,9 @@ def _load_trusted(folder: Path, algorithm: str) -> tuple[Policy, str]:
 def _run_leaderboard(arguments: argparse.Namespace) -> int:
     benchmark = get_suite(arguments.suite).benchmark
     folder = check_output_folder("--results", arguments.results)
-    section = f"leaderboard:{arguments.suite}"
+    section, whole = f"leaderboard:{arguments.suite}", f"whole-leaderboard:{arguments.suite}"
     readme = check_page("--readme", arguments.readme, section)
+    wider = check_page("--page", arguments.page, whole)
     page = None if arguments.html is None else check_html("--html", arguments.html)
     # Finished parts are stored results too.
     partial = None if arguments.fresh else scoring.kept_parts(folder, arguments)
@@ -146,6 +151,8 @@ def _run_leaderboard(arguments: argparse.Namespace) -> int:
     code = scoring.finish(results, folder, as_json=arguments.json, kept=kept)
     if readme is not None:
         update_page(readme, {section: markdown_section(results)})
+    if wider is not None:
+        update_page(wider, {whole: whole_section(results)})
     if page is not None:
         write_html(page, [results], entries, None, arguments.threads)
     return code

@@ -21,8 +21,8 @@ from wtg_gym.scenarios.benchmark import V1
 _SECTION = "matrix"
 _DESCRIPTION = f"""\
 Plays entries on every suite of a version of the benchmark, and on one of them with its sensors changed: one and two
-control steps (0.1 s each) later, and with twice the constant error of the wind. Prints the scores and the mean cost of
-the worst tenth of the scenarios, one column for each set of scenarios.
+control steps (0.1 s each) later, and with twice the constant error of the wind. Prints the scores and the mean pinned
+cost of the worst tenth of the scenarios, one column for each set of scenarios.
 
 {SCALE}
 
@@ -122,5 +122,5 @@ def _planned(folder: Path, suites: list[str], arguments: argparse.Namespace) -> 
 def _print(matrix: Matrix) -> None:
     say(f"Scores on {matrix.describe()}", "")
     print_table(matrix.header(), matrix.texts(score_text))
-    say("", "Mean cost of the worst tenth of the scenarios:", "")
+    say("", "Mean pinned cost of the worst tenth of the scenarios:", "")
     print_table(matrix.header(), matrix.texts(worst_text))

@@ -17,30 +17,25 @@ from wtg_gym.cli.parser import add_json_option, add_threads_option
 from wtg_gym.cli.suites_command import suite_name, suites_by_version
 from wtg_gym.envs.compile_ahead import compile_ahead
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import Entry, NoScaleError, Results, evaluate, leaderboard_rows, load_entries, table_cells
+from wtg_gym.evaluation import Entry, Results, evaluate, load_entries, table_cells
 from wtg_gym.evaluation.evaluator import chosen_seeds, shared_settings
-from wtg_gym.evaluation.leaderboard import columns_of, short_columns_of
+from wtg_gym.evaluation.leaderboard import (
+    LOST_OR_BEYOND,
+    MEDIAN_DEVIATION,
+    TERMINAL_COLUMNS,
+    no_score_note,
+    privileged_note,
+    table_rows,
+    text_columns,
+)
 from wtg_gym.evaluation.workers import BACKENDS, Workers
 from wtg_gym.policies.entry import check_entries
 from wtg_gym.policies.load import BASELINES, LoadArchive
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import FRESH, SPLITS, FreshDraw, draw_seeds, get_suite
 
-#: Unit of the columns of points.
-_POINTS = " [points]"
-#: A table with more columns than this is two in a terminal: these two columns begin the second one, too.
-_MOST_COLUMNS, _FIRST_COLUMNS = 10, ("rank", "entry")
-#: The last column of the first of them.
-_LAST_OF_FIRST = "failures by kind [%]"
-#: Heads of columns that are too wide for them.
-_SHORT_HEADS = {
-    "failures by kind [%]": "failures [%]",
-    "deviation [mHz]": "Δf [mHz]",
-    "p95 deviation [mHz]": "p95 Δf [mHz]",
-    "p95 peak power [p.u.]": "p95 peak [p.u.]",
-    "p95 power change in 1 s [p.u.]": "p95 ΔP [p.u.]",
-    "energy share [%]": "energy [%]",
-}
+#: Heads of columns that are too wide for a terminal of 120 columns.
+_SHORT_HEADS = {MEDIAN_DEVIATION: "Δf [mHz]", LOST_OR_BEYOND: "or > 0.8 Hz [%]"}
 _LARGEST_SEED_RANGE = 100_000
 _LARGEST_SECRET = 4096
 _ENTRIES_HELP = (
@@ -282,32 +277,14 @@ def finish(results: Results, folder: Path | None, *, as_json: bool, kept: Result
         print_json(results.to_dict())
         return code
     say(f"suite {results.suite} ({results.suite_hash[:12]}), {results.split}: {len(results.seeds)} scenarios", "")
-    try:
-        rows = leaderboard_rows(results)
-    except NoScaleError as error:
-        note(f"no ranking: {error}")
-        return code
-    columns, is_number = short_columns_of(results.benchmark.version), columns_of(results.benchmark.version)
-    parts = _parts(columns)
-    for part in parts:
-        # Without their unit, which the line below gives, the heads fit into 120 columns.
-        heads = [_SHORT_HEADS.get(column, column).removesuffix(_POINTS) for column in part]
-        left = [index for index, column in enumerate(part) if not is_number[column]]
-        print_table(heads, table_cells(rows, part), left=left)
-        say("")
-    terms = ", ".join(column.removesuffix(_POINTS) for column in columns if column.endswith(_POINTS))
-    say(f"{terms}: points by terms of the cost, which add up to score - 100; --json prints more")
-    if len(parts) > 1:
-        say("failures: f of the frequency, ω of rotors; worst decile: mean cost of the worst tenth of the scenarios")
-        say("Δf: largest deviation of the frequency, median and 95th percentile; ΔP: change of a group's power in 1 s")
+    rows = table_rows(results)
+    heads = [_SHORT_HEADS.get(column, column) for column in TERMINAL_COLUMNS]
+    print_table(heads, table_cells(rows, TERMINAL_COLUMNS), left=text_columns(TERMINAL_COLUMNS))
+    say("", "Δf: largest deviation of a run's frequency, the median; lost runs: those that failed, counted in the next")
+    say("column with those whose Δf is above 0.8 Hz; pinned cost: a lost run costs as if it had failed at its start")
+    say(*filter(None, [privileged_note(rows)]), "--json prints more")
+    if not results.has_scale:
+        note(no_score_note(results))
     if results.oracle.missing:
         note(f"no share of the oracle's gap: {results.oracle.missing}")
     return code
-
-
-def _parts(columns: Sequence[str]) -> list[Sequence[str]]:
-    """Return the columns of a table for a terminal: of all of them, or of two tables where there are many."""
-    if len(columns) <= _MOST_COLUMNS:
-        return [columns]
-    end = columns.index(_LAST_OF_FIRST) + 1
-    return [columns[:end], (*_FIRST_COLUMNS, *columns[end:])]

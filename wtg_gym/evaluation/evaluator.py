@@ -8,7 +8,7 @@ import dataclasses
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -89,15 +89,17 @@ def evaluate(
             folder stays.
         workers: other processes that play the batches; None plays them here, one after the other.
         keep_partial: leave finished batches in that folder, for a run with more entries.
-        keep_going: leave out an entry whose policy fails, with all training seeds of its name, and name it in
-            :attr:`Results.failed`; the others' results do not change. False raises the failure.
+        keep_going: leave out an entry whose policy fails, or whose law has no equilibrium in a scenario, with all
+            training seeds of its name, and name it in :attr:`Results.failed`; the others' results do not change. False
+            raises the failure. That of an anchor is always raised: there is no score without it.
         env_arguments: further settings of the environment, see :class:`wtg_gym.envs.settings.EnvSettings`.
 
     Returns:
         every episode with its metrics; :attr:`Results.scores` are the scores, :attr:`Results.summaries` whole rows.
 
     Raises:
-        PolicyError: a policy raises, ends, takes too long or returns no action; a ValueError that names entry and step.
+        PolicyError: a policy raises, ends, takes too long or returns no action, or a scenario has no equilibrium under
+            an entry's law; a ValueError that names entry and step or scenario.
         ValueError: an entry is for another version, an argument is unknown or out of range, or the workers cannot be
             used; the message names them.
     """
@@ -118,7 +120,8 @@ def evaluate(
             told.append(stack.enter_context(ProgressBar("episodes")).update)
         batches = _stored_and_played(store, parts, settings, n_threads, workers)
         stack.enter_context(contextlib.closing(batches))
-        episodes, failures = _collected(batches, parts, told, keep_going=keep_going)
+        needed = settings.benchmark().anchors if keep_going else [entry.name for entry in competitors]
+        episodes, failures = _collected(batches, parts, told, needed)
     results = Results(
         suite=suite,
         split=split,
@@ -241,16 +244,19 @@ def _parts(entry: Entry, seeds: Sequence[int], batch: int) -> Iterator[_Part]:
 
 
 def _collected(
-    batches: Iterable[tuple[int, Played]], parts: Sequence[_Part], told: Sequence[Progress], *, keep_going: bool
+    batches: Iterable[tuple[int, Played]], parts: Sequence[_Part], told: Sequence[Progress], needed: Collection[str]
 ) -> tuple[list[Episode], dict[tuple[str, int | None], str]]:
-    """Return the episodes in the order of the parts, and how entries failed, by name and training seed."""
+    """Return the episodes in the order of the parts, and how entries failed, by name and training seed.
+
+    The failure of an entry that is needed is raised.
+    """
     played: dict[int, list[Episode]] = {}
     failures: dict[tuple[str, int | None], str] = {}
     n_done, n_all = 0, sum(len(seeds) for _, seeds in parts)
     for index, rows in batches:
         entry, seeds = parts[index]
         if isinstance(rows, PolicyError):
-            if not keep_going:
+            if entry.name in needed:
                 raise rows
             failures.setdefault((entry.name, entry.training_seed), str(rows))
         else:

@@ -14,6 +14,7 @@ from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation.episodes import COLUMNS, Episode
 from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.evaluation.recording import Recording
+from wtg_gym.evaluation.score import pinned
 from wtg_gym.physics.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -39,8 +40,8 @@ def _import(name: str, purpose: str) -> Any:
         raise ImportError(f"{purpose} needs {name} of the data extra: pip install 'wtg-gym[data]' ({error})") from error
 
 
-def episodes_frame(episodes: Sequence[Episode]) -> DataFrame:
-    """Return episodes as a table, see :meth:`wtg_gym.evaluation.Results.to_pandas`."""
+def episodes_frame(episodes: Sequence[Episode], cap: float) -> DataFrame:
+    """Return episodes with the largest cost rate `cap` [1/s] as a table, see :meth:`.Results.to_pandas`."""
     pandas = _import("pandas", "to_pandas()")
     table: dict[str, Any] = {
         column: [getattr(episode, column) for episode in episodes] for column in COLUMNS if column not in METRICS
@@ -50,6 +51,7 @@ def episodes_frame(episodes: Sequence[Episode]) -> DataFrame:
     for name in METRICS:
         values = (episode.metrics[name] for episode in episodes)
         table[name] = np.array([math.nan if value is None else value for value in values], dtype=np.float64)
+    table["pinned_cost"] = [pinned(episode, cap) for episode in episodes]
     frame: DataFrame = pandas.DataFrame(table)
     return frame
 

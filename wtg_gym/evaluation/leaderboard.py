@@ -1,4 +1,4 @@
-"""The ranking as rows, and as a Markdown table."""
+"""The ranking as rows, and as tables."""
 
 from __future__ import annotations
 
@@ -9,7 +9,11 @@ from wtg_gym import files
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.score import NoScaleError
 from wtg_gym.evaluation.statistics import Interval
-from wtg_gym.evaluation.summary import REST, EntrySummary, ranked
+from wtg_gym.evaluation.summary import DESIGN_DEVIATION_MHZ, REST, EntryMeasures, EntrySummary, ranked
+
+#: Headings of two columns of the short table.
+MEDIAN_DEVIATION = "median deviation [mHz]"
+LOST_OR_BEYOND = f"lost or beyond {DESIGN_DEVIATION_MHZ / 1000.0:g} Hz [%]"
 
 
 def signed_interval(interval: Interval) -> str:
@@ -33,7 +37,7 @@ def _interval(interval: Interval) -> str:
     return f"{_plain(interval.value, 1)} ({_plain(interval.low, 1)} … {_plain(interval.high, 1)})"
 
 
-def _gap_closed(row: EntrySummary) -> str:
+def _gap_closed(row: EntryMeasures) -> str:
     """Return the share of the oracle's gap, and the number of scenarios with an oracle if not all have one."""
     if row.gap_closed_percent is None:
         return ""
@@ -41,36 +45,46 @@ def _gap_closed(row: EntrySummary) -> str:
     return _plain(row.gap_closed_percent.value, 1) + ("" if every else f" (n = {row.n_oracle})")
 
 
-def _kind(row: EntrySummary) -> str:
-    return f"{row.kind}, privileged" if row.privileged else row.kind
+def _entry(row: EntryMeasures) -> str:
+    """Return the name, with the number of training seeds and :data:`PRIVILEGED` in brackets."""
+    marks = [f"{row.n_runs} seeds"] * (row.n_runs > 1) + [PRIVILEGED] * row.privileged
+    return row.name + (f" ({', '.join(marks)})" if marks else "")
 
 
-def _failures(row: EntrySummary) -> str:
+def _failures(row: EntryMeasures) -> str:
     """Return the failures with those of frequency (f) and rotors (ω) in brackets, in percent."""
     by_kind = row.failures_percent_by_kind
     kinds = [f"{sign} {by_kind[kind]:.1f}" for sign, kind in (("f", "frequency"), ("ω", "rotor"))]
     return f"{row.failures_percent:.1f}" + (f" ({', '.join(kinds)})" if row.failures_percent else "")
 
 
-#: The cells of a row by the headings of their columns; the rank stands before them.
-_CELLS: dict[str, Callable[[EntrySummary], str]] = {
-    "entry": lambda row: row.name if row.n_runs == 1 else f"{row.name} ({row.n_runs} seeds)",
+#: What an entry is marked with that sees the state of the grid, and what a page says about it.
+PRIVILEGED = "privileged"
+_PRIVILEGED_NOTE = f"{PRIVILEGED}: sees the state of the whole grid, which no turbine measures"
+#: The cells of a row that has a score, by the headings of their columns.
+_SCORE_CELLS: dict[str, Callable[[EntrySummary], str]] = {
     "score": lambda row: _interval(row.score),
     "to the entry above": lambda row: signed_interval(row.difference_to_above) if row.difference_to_above else "",
     "frequency, RoCoF [points]": lambda row: _signed(row.points_by_term["frequency_rocof"]),
     "duty [points]": lambda row: _signed(row.points_by_term["duty"]),
     "overload [points]": lambda row: _signed(row.points_by_term["overload"]),
     "rest [points]": lambda row: _signed(row.points_by_term[REST]),
-    "kind": _kind,
     "IQM": lambda row: _plain(row.interquartile_mean.value, 1),
+}
+#: Those of every row.
+_CELLS: dict[str, Callable[[EntryMeasures], str]] = {
+    "entry": _entry,
+    "kind": lambda row: row.kind,
     "P(improvement)": lambda row: f"{row.probability_of_improvement.value:.2f}",
     "gap closed [%]": _gap_closed,
     "failures [%]": lambda row: f"{row.failures_percent:.1f}",
     "failures by kind [%]": _failures,
+    "lost runs": lambda row: f"{row.n_lost} of {row.n_episodes}",
+    LOST_OR_BEYOND: lambda row: f"{row.lost_or_beyond_percent:.1f}",
     "worst decile": lambda row: f"{row.worst_decile_cost:.0f}",
-    "deviation [mHz]": lambda row: f"{row.median_deviation_mhz:.0f}",
+    MEDIAN_DEVIATION: lambda row: f"{row.median_deviation_mhz:.0f}",
     "p95 deviation [mHz]": lambda row: f"{row.p95_deviation_mhz:.0f}",
-    "mean cost": lambda row: f"{row.mean_cost:.1f}",
+    "mean pinned cost": lambda row: f"{row.mean_pinned_cost:.1f}",
     "nadir [Hz]": lambda row: f"{row.median_nadir_hz:.3f}",
     "p95 RoCoF [Hz/s]": lambda row: f"{row.p95_rocof_hz_s:.3f}",
     "p95 peak power [p.u.]": lambda row: f"{row.p95_peak_power_pu:.2f}",
@@ -78,43 +92,52 @@ _CELLS: dict[str, Callable[[EntrySummary], str]] = {
     "duty error [%]": lambda row: f"{row.mean_duty_error_percent:.2f}",
     "energy share [%]": lambda row: f"{row.mean_energy_share_percent:.1f}",
 }
-_ALL_COLUMNS = {column: column not in ("entry", "kind") for column in ("rank", *_CELLS)}
-_SINCE_V1 = ("failures by kind [%]", "worst decile", "deviation [mHz]", "p95 deviation [mHz]")
-#: Headings of the whole table of version v0, and whether the column holds numbers.
-COLUMNS = {column: is_number for column, is_number in _ALL_COLUMNS.items() if column not in _SINCE_V1}
-#: Columns of the table in a README and in a terminal, for version v0.
-SHORT_COLUMNS = (
-    "rank",
-    "entry",
-    "score",
-    "frequency, RoCoF [points]",
-    "duty [points]",
-    "overload [points]",
-    "rest [points]",
-    "failures [%]",
-    "nadir [Hz]",
+_POINTS = ("frequency, RoCoF [points]", "duty [points]", "overload [points]", "rest [points]")
+#: Headings of the whole table of a ranking, in their order.
+_ALL_COLUMNS = (
+    *("rank", "entry", "score", "to the entry above", *_POINTS, "kind", "IQM", "P(improvement)", "gap closed [%]"),
+    *("failures [%]", "failures by kind [%]", LOST_OR_BEYOND, "worst decile", MEDIAN_DEVIATION, "p95 deviation [mHz]"),
+    *("mean pinned cost", "nadir [Hz]", "p95 RoCoF [Hz/s]", "p95 peak power [p.u.]", "p95 power change in 1 s [p.u.]"),
+    *("duty error [%]", "energy share [%]"),
 )
-_SHORT_COLUMNS_SINCE_V1 = (
-    *SHORT_COLUMNS[: SHORT_COLUMNS.index("failures [%]")],
-    _SINCE_V1[0],
-    "mean cost",
-    *_SINCE_V1[1:],
-    "p95 peak power [p.u.]",
-    "p95 power change in 1 s [p.u.]",
-    "energy share [%]",
+_SINCE_V1 = ("failures by kind [%]", LOST_OR_BEYOND, "worst decile", MEDIAN_DEVIATION, "p95 deviation [mHz]")
+#: Columns of text.
+_TEXTS = ("entry", "kind")
+#: Columns of the table in a README and in a notebook: for version v0, and since v1.
+SHORT_COLUMNS = ("rank", "entry", "score", *_POINTS, "failures [%]", "nadir [Hz]")
+_SHORT_COLUMNS_SINCE_V1 = ("rank", "entry", "score", MEDIAN_DEVIATION, LOST_OR_BEYOND)
+#: Columns of the table in a terminal.
+TERMINAL_COLUMNS = ("rank", "entry", "score", MEDIAN_DEVIATION, "lost runs", LOST_OR_BEYOND, "mean pinned cost")
+#: Columns of the two tables of :func:`whole_section`.
+_WHOLE_COLUMNS = (
+    ("rank", "entry", "score", "to the entry above", *_POINTS),
+    (
+        *("rank", "entry", "failures by kind [%]", LOST_OR_BEYOND, "mean pinned cost", "worst decile"),
+        *(MEDIAN_DEVIATION, "p95 deviation [mHz]", "p95 peak power [p.u.]", "p95 power change in 1 s [p.u.]"),
+        "energy share [%]",
+    ),
 )
 
 
 def columns_of(version: str) -> dict[str, bool]:
     """Return the headings of the whole table of a version, and whether the column holds numbers."""
-    if version == "v0":
-        return COLUMNS
-    return {column: is_number for column, is_number in _ALL_COLUMNS.items() if column != "failures [%]"}
+    left_out = _SINCE_V1 if version == "v0" else ("failures [%]",)
+    return {column: column not in _TEXTS for column in _ALL_COLUMNS if column not in left_out}
 
 
 def short_columns_of(version: str) -> tuple[str, ...]:
     """Return the columns of the short table of a version."""
     return SHORT_COLUMNS if version == "v0" else _SHORT_COLUMNS_SINCE_V1
+
+
+def _shown(rows: Sequence[EntryMeasures]) -> tuple[str, ...]:
+    """Return the columns of a short table: without a score they are those of a terminal, with the cost that ranks."""
+    return short_columns_of(rows[0].version) if isinstance(rows[0], EntrySummary) else TERMINAL_COLUMNS
+
+
+def text_columns(columns: Sequence[str]) -> list[int]:
+    """Return which of the columns hold text."""
+    return [index for index, column in enumerate(columns) if column in _TEXTS]
 
 
 def leaderboard_rows(results: Results) -> list[EntrySummary]:
@@ -126,31 +149,71 @@ def leaderboard_rows(results: Results) -> list[EntrySummary]:
     return ranked(results.summaries)
 
 
-def table_cells(rows: Sequence[EntrySummary], columns: Sequence[str] | None = None) -> list[list[str]]:
-    """Return the texts of the table, one list per row, in the order of the columns; equal scores share a rank.
+def table_rows(results: Results) -> list[EntryMeasures]:
+    """Return the rows of a table: :func:`leaderboard_rows`, or without a score those of the least mean cost first."""
+    if results.has_scale:
+        return [*leaderboard_rows(results)]
+    return sorted(results.measures, key=lambda row: (row.mean_pinned_cost, row.name))
+
+
+def no_score_note(results: Results) -> str:
+    """Return why there is no score and what the table is ranked by, "" where there is a score."""
+    try:
+        leaderboard_rows(results)
+    except NoScaleError as error:
+        return f"ranked by mean pinned cost, as there is no score: {error}"
+    return ""
+
+
+def privileged_note(rows: Sequence[EntryMeasures]) -> str:
+    """Return what the mark of privileged entries means, "" where no row has it."""
+    return _PRIVILEGED_NOTE if any(row.privileged for row in rows) else ""
+
+
+def table_cells(rows: Sequence[EntryMeasures], columns: Sequence[str] | None = None) -> list[list[str]]:
+    """Return the texts of the table, one list per row, in the order of the columns; equal entries share a rank.
 
     Args:
-        rows: of one version.
+        rows: of one version, as :func:`leaderboard_rows` or :func:`table_rows` gives them.
         columns: headings; None for those of the version's whole table.
     """
     columns = tuple(columns_of(rows[0].version)) if columns is None else columns
-    scores = [row.score.value for row in rows]
-    ranks = [str(1 + sum(other > score for other in scores)) for score in scores]
+    places = [-row.score.value if isinstance(row, EntrySummary) else row.mean_pinned_cost for row in rows]
+    ranks = [str(1 + sum(other < place for other in places)) for place in places]
     return [
-        [rank if column == "rank" else _CELLS[column](row) for column in columns]
+        [rank if column == "rank" else _cell(row, column) for column in columns]
         for rank, row in zip(ranks, rows, strict=True)
     ]
 
 
+def _cell(row: EntryMeasures, column: str) -> str:
+    if column in _CELLS:
+        return _CELLS[column](row)
+    return _SCORE_CELLS[column](row) if isinstance(row, EntrySummary) else "none"
+
+
 def markdown_section(results: Results) -> str:
     """Return the ranking for a Markdown page: since v1 with a sentence on the frequency before the table."""
-    rows = leaderboard_rows(results)
-    return f"{frequency_sentence(results)}{markdown_table(rows)}"
+    rows = table_rows(results)
+    return _section(results, rows, frequency_sentence(results), markdown_table(rows))
+
+
+def whole_section(results: Results) -> str:
+    """Return the ranking for a Markdown page with all that its short table leaves out, as two tables."""
+    rows = table_rows(results)
+    # Without a score the first one would be empty.
+    tables = _WHOLE_COLUMNS if results.has_scale else _WHOLE_COLUMNS[1:]
+    return _section(results, rows, *(markdown_table(rows, columns) for columns in tables))
+
+
+def _section(results: Results, rows: Sequence[EntryMeasures], *parts: str) -> str:
+    notes = (f"{note[0].upper()}{note[1:]}." for note in (no_score_note(results), privileged_note(rows)) if note)
+    return "\n\n".join(part for part in (*parts, *notes) if part)
 
 
 def frequency_sentence(results: Results) -> str:
-    """Return what the anchors and the best learned entry do for the frequency [mHz], "" in v0; then an empty line."""
-    benchmark, rows = results.benchmark, leaderboard_rows(results)
+    """Return what the anchors and the best learned entry do for the frequency [mHz], "" in v0."""
+    benchmark, rows = results.benchmark, table_rows(results)
     if benchmark.version == "v0":
         return ""
     learned = next((row for row in rows if row.kind == "learned"), None)
@@ -161,27 +224,30 @@ def frequency_sentence(results: Results) -> str:
     said = [f"{deviations[name]:.0f} mHz with {words}" for name, words in who.items()]
     return (
         f"Median over {len(results.seeds)} {results.split} scenarios of the largest deviation of the frequency: "
-        f"{', '.join(said)}.\n\n"
+        f"{', '.join(said)}."
     )
 
 
-def markdown_table(rows: Sequence[EntrySummary]) -> str:
-    """Return the ranking as a Markdown table of the version's short columns, without a line feed at the end."""
-    columns = short_columns_of(rows[0].version)
-    numbers = [index for index, column in enumerate(columns) if _ALL_COLUMNS[column]]
-    return files.markdown_table(list(columns), table_cells(rows, columns), right=numbers)
+def markdown_table(rows: Sequence[EntryMeasures], columns: Sequence[str] | None = None) -> str:
+    """Return the ranking as a Markdown table without a line feed at the end.
+
+    Args:
+        rows: of one version, as :func:`leaderboard_rows` gives them.
+        columns: headings; None for those of the version's short table.
+    """
+    columns = _shown(rows) if columns is None else columns
+    numbers = sorted(set(range(len(columns))) - set(text_columns(columns)))
+    return files.markdown_table(columns, table_cells(rows, columns), right=numbers)
 
 
 def html_table(results: Results) -> str:
-    """Return the ranking as an HTML table of the version's short columns, or why there is none."""
-    columns = short_columns_of(results.benchmark.version)
+    """Return the ranking as an HTML table of the version's short columns, its caption with what there is to say."""
+    rows = table_rows(results)
+    columns = _shown(rows)
     scenarios = f"{results.suite}, {results.split}: {len(results.seeds)} scenarios"
-    try:
-        rows = table_cells(leaderboard_rows(results), columns)
-    except NoScaleError as error:
-        return f"<p>{escape(scenarios)}; no ranking: {escape(str(error))}</p>"
+    notes = [scenarios, *filter(None, (no_score_note(results), privileged_note(rows)))]
     head = "".join(f"<th>{escape(column)}</th>" for column in columns)
-    cells = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in rows)
+    cells = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in table_cells(rows, columns))
     body = "".join(f"<tr>{row}</tr>" for row in cells)
-    caption = f"<caption>{escape(scenarios)}</caption>"
+    caption = f"<caption>{escape('; '.join(notes))}</caption>"
     return f"<table>{caption}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"

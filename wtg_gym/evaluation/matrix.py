@@ -104,7 +104,7 @@ class Matrix:
         scores, costs = (
             files.markdown_table(self.header(), self.texts(text), right=right) for text in (score_text, worst_text)
         )
-        return f"Scores on {self.describe()}\n\n{scores}\n\nMean cost of the worst tenth:\n\n{costs}"
+        return f"Scores on {self.describe()}\n\n{scores}\n\nMean pinned cost of the worst tenth:\n\n{costs}"
 
     def describe(self) -> str:
         """Return how many scenarios of which split the columns have, which have no scale, and what the scale is."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from wtg_gym.files import parse_json, read_text, sha256, to_json, write_atomically
+from wtg_gym.files import parse_json, read_text, sha256, to_json, write_together
 
 #: Version of the files; another number is another form.
 FORMAT = 1
@@ -71,13 +71,13 @@ class OracleCosts:
         return tuple(min(costs) for costs in zip(self.reference, *self.found.values(), strict=True))
 
     def write(self, folder: str | Path) -> tuple[Path, Path]:
-        """Write `<suite>-<split>.csv` and `.json`, each in one go; the same costs give the same bytes.
+        """Write `<suite>-<split>.csv` and `.json`, both or none; the same costs give the same bytes.
 
         Returns:
             the paths of the JSON and the CSV.
 
         Raises:
-            OSError: the folder cannot be written to.
+            OSError: a file cannot be written; the old ones are still there.
         """
         json_path, csv_path = (Path(folder) / f"{self.suite}-{self.split}.{ending}" for ending in ("json", "csv"))
         table = self._to_csv()
@@ -87,9 +87,8 @@ class OracleCosts:
             "csv_sha256": sha256(table.encode()),
         }
         data["sha256"] = sha256(to_json(data).encode())
-        write_atomically(csv_path, table)
-        # Last, so that a JSON never describes a table that is not there yet.
-        write_atomically(json_path, to_json(data))
+        # The JSON last, so that it never describes a table that is not there yet.
+        write_together({csv_path: table, json_path: to_json(data)})
         return json_path, csv_path
 
     def _to_csv(self) -> str:

@@ -17,10 +17,10 @@ from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.evaluation.oracle import KnownOracle, known_oracle
 from wtg_gym.evaluation.score import NoScaleError, log_gains, pinned
 from wtg_gym.evaluation.statistics import Floats, Interval, mean
-from wtg_gym.evaluation.summary import SINCE_V1, EntrySummary, ranked, summarise
+from wtg_gym.evaluation.summary import EntryMeasures, EntrySummary, entry_measures, ranked, summarise
 from wtg_gym.ranges import ByName
 from wtg_gym.scenarios import get_suite
-from wtg_gym.scenarios.benchmark import V0, Benchmark
+from wtg_gym.scenarios.benchmark import Benchmark
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -94,7 +94,17 @@ class Results:
         Raises:
             NoScaleError: on these scenarios the zero is not worse than the hundred, so that there is no score.
         """
-        return summarise(self.entries, self.episodes, self._cap, self.oracle.costs, self.benchmark)
+        return summarise(self.measures, self.episodes, self._cap, self.benchmark)
+
+    @cached_property
+    def measures(self) -> list[EntryMeasures]:
+        """What is measured of every entry, in the order of the entries; without a score there is this alone."""
+        return entry_measures(self.entries, self.episodes, self._cap, self.oracle.costs, self.benchmark)
+
+    @property
+    def rows(self) -> list[EntryMeasures]:
+        """The :attr:`summaries`, or the :attr:`measures` where there is no score."""
+        return [*self.summaries] if self.has_scale else self.measures
 
     @property
     def has_scale(self) -> bool:
@@ -168,22 +178,16 @@ class Results:
     def to_pandas(self) -> DataFrame:
         """Return the episodes as a table of pandas, a row per entry and scenario; extra `data`.
 
-        Columns are those of the CSV: entry, training_seed, seed, scenario, duration_s, failure, and every metric.
+        Columns are those of the CSV: entry, training_seed, seed, scenario, duration_s, failure, and every metric; and
+        pinned_cost, whose mean the tables show: it differs from cost where the episode failed.
 
         Raises:
             ImportError: pandas is not installed.
         """
-        return episodes_frame(self.episodes)
+        return episodes_frame(self.episodes, self._cap)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the description and the summary as JSON-ready data; without a score the summary is empty."""
-        try:
-            # Results of v0 look as they did before there was another version.
-            left_out = SINCE_V1 if self.benchmark is V0 else ()
-            rows = {row.name: asdict(row) for row in self.summaries}
-            summary = {name: {k: v for k, v in row.items() if k not in left_out} for name, row in rows.items()}
-        except NoScaleError:
-            summary = {}
+        """Return the description and the :attr:`rows` as JSON-ready data."""
         return {
             "format": results_file.FORMAT,
             **{key: getattr(self, key) for key in results_file.TEXTS},
@@ -193,11 +197,11 @@ class Results:
             "entries": [dict(entry) for entry in self.entries],
             "failed": [dict(entry) for entry in self.failed],
             "metrics": {name: asdict(metric) for name, metric in METRICS.items()},
-            "summary": summary,
+            "summary": {row.name: asdict(row) for row in self.rows},
         }
 
     def write(self, folder: str | Path) -> tuple[Path, Path]:
-        """Write `<suite>-<split>.json` and `.csv`, each in one go; the same results give the same bytes.
+        """Write `<suite>-<split>.json` and `.csv`, both or none; the same results give the same bytes.
 
         Args:
             folder: where to; made if it is not there.
@@ -206,7 +210,7 @@ class Results:
             the paths of the JSON and the CSV.
 
         Raises:
-            OSError: the folder cannot be written to.
+            OSError: a file cannot be written; the old ones are still there.
         """
         return results_file.write(Path(folder) / self.name, self.to_dict(), self.episodes)
 
@@ -229,5 +233,6 @@ class Results:
             episodes=tuple(episodes),
             failed=tuple(data["failed"]),
         )
-        results_file.check_summary(data["summary"], results.to_dict()["summary"], f"{path}: summary")
+        if data["format"] == results_file.FORMAT:
+            results_file.check_summary(data["summary"], results.to_dict()["summary"], f"{path}: summary")
         return results

@@ -11,12 +11,12 @@ from typing import Any
 
 from wtg_gym.evaluation.episodes import Episode, from_csv, to_csv
 from wtg_gym.evaluation.metrics import METRICS
-from wtg_gym.files import parse_json, read_text, sha256, to_json, write_atomically
+from wtg_gym.files import parse_json, read_text, sha256, to_json, write_together
 from wtg_gym.policies.entry import is_name
 from wtg_gym.scenarios import FRESH, SPLITS, SUITES, FreshDraw, get_suite
 
-#: Version of the files; another number is another form.
-FORMAT = 3
+#: Version of the files; another number is another form. Version 3 sums its table up in other words, and is read too.
+FORMAT, _READ = 4, (3, 4)
 #: Keys of the description that are texts.
 TEXTS = ("suite", "split", "suite_hash", "source_hash")
 #: By how much a summary may differ from the sum of its table, relative, or absolute near zero.
@@ -29,9 +29,8 @@ def write(stem: Path, description: Mapping[str, Any], episodes: Sequence[Episode
     table = to_csv(episodes)
     data = {**description, "csv_sha256": sha256(table.encode())}
     data["sha256"] = sha256(to_json(data).encode())
-    write_atomically(csv_path, table)
-    # Last, so that a JSON never describes a table that is not there yet.
-    write_atomically(json_path, to_json(data))
+    # The JSON last, so that it never describes a table that is not there yet.
+    write_together({csv_path: table, json_path: to_json(data)})
     return json_path, csv_path
 
 
@@ -145,9 +144,10 @@ _ENTRY: dict[str, _Test] = {
 def _check_description(data: Any, where: str) -> None:
     if not isinstance(data, dict):
         raise ValueError(f"{where}: expected an object with results, got {type(data).__name__}")
-    if data.get("format") != FORMAT or isinstance(data["format"], bool):
+    if data.get("format") not in _READ:
         raise ValueError(
-            f"{where}: format must be {FORMAT}, that of this version, got {_short(data.get('format'))}; evaluate again"
+            f"{where}: format must be {FORMAT}, that of this version, or 3, got {_short(data.get('format'))}; "
+            "evaluate again"
         )
     _check_keys({key: value for key, value in data.items() if key != "format"}, _DESCRIPTION, where)
     for i, entry in enumerate(data["entries"]):

@@ -74,9 +74,8 @@ def score_scale(zero: Floats, hundred: Floats, names: tuple[str, str] = ("the ze
     scale = -mean(log_gains(zero[np.newaxis], hundred))
     if not scale > 0.0:
         raise NoScaleError(
-            f"on these {hundred.size} scenarios {names[0]} (mean cost {mean(zero):.4g}) is not worse than {names[1]} "
-            f"(mean cost {mean(hundred):.4g}): Λ = {scale:.3g} must be positive to score with; "
-            "take more scenarios or longer ones"
+            f"on these {hundred.size} scenarios {names[0]} (mean pinned cost {mean(zero):.4g}) is not worse than "
+            f"{names[1]} (mean pinned cost {mean(hundred):.4g}): Λ = {scale:.3g} must be positive to score with"
         )
     return scale
 

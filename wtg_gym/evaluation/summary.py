@@ -1,11 +1,11 @@
-"""The summary of an entry: its row in a ranking."""
+"""The summary of an entry: its row in a ranking, with a score or, where there is no scale, without."""
 
 from __future__ import annotations
 
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -31,83 +31,97 @@ FAILURE_KINDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 _OTHER = "other"
 #: Share of the scenarios that count as the worst.
 _WORST = 0.1
-#: Keys that summaries of v0 lack.
-SINCE_V1 = ("version", "failures_percent_by_kind", "worst_decile_cost", "median_deviation_mhz", "p95_deviation_mhz")
+#: Largest deviation that the grid of Continental Europe is designed for, 0.8 Hz; a run beyond it counts with the lost.
+DESIGN_DEVIATION_MHZ = 800.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class EntrySummary:
-    """One row of a ranking, over all scenarios and training seeds of an entry.
+class EntryMeasures:
+    """One row of a table, over all scenarios and training seeds of an entry: what needs no score.
 
     Args:
         name: name of the entry.
         kind: "law", "feedback" or "learned".
         privileged: whether it sees the state of the grid, which no turbine measures.
+        version: of the benchmark.
         n_runs: number of training seeds, 1 for a law.
         n_episodes: number of episodes.
-        score: mean of the scenarios' scores: 0 and 100 are those of the version's anchors, the zero and the hundred.
-        interquartile_mean: of the scenarios' scores.
-        difference: mean of the scenarios' scores minus the hundred's on the same scenario.
-        difference_to_above: the same, minus that of the entry above in the ranking; None for the first.
-        points_by_term: points above 100 by the cost terms they come from, by the names in :data:`POINTS` and
-            :data:`REST`; they add up to the score minus 100, see :func:`points_by_term`.
+        n_lost: number of episodes that failed.
         probability_of_improvement: P(J < J_100) + ½ P(J = J_100) of the pinned costs [-].
         gap_closed_percent: (mean J_100 - mean J) / (mean J_100 - mean J_oracle) of the pinned costs, all means over the
             scenarios that have an oracle [%]; None where none has, or the mean cost is not below the hundred's.
         n_oracle: number of scenarios that have an oracle.
         failures_percent: episodes that failed [%].
-        mean_cost: mean pinned cost [-].
+        failures_percent_by_kind: episodes that failed, by the kinds in :data:`FAILURE_KINDS` and "other" [%].
+        lost_or_beyond_percent: episodes that failed, or whose largest deviation of the frequency was beyond
+            :data:`DESIGN_DEVIATION_MHZ` [%].
+        mean_pinned_cost: mean pinned cost [-].
+        worst_decile_cost: mean pinned cost of the worst tenth of the scenarios of each training seed [-].
         mean_cost_terms: mean of every term of the cost as it was paid [-].
+        median_deviation_mhz, p95_deviation_mhz: median and 95th percentile of the largest deviations of the frequency
+            of the centre of inertia from the nominal one, up or down [mHz].
         median_nadir_hz: median of the lowest frequencies [Hz].
         p95_rocof_hz_s: 95th percentile of the largest rates of change of frequency [Hz/s].
         p95_peak_power_pu: 95th percentile of the largest powers of any group [p.u.].
         p95_power_change_pu: 95th percentile of the largest changes of any group's power over 1 s [p.u.].
         mean_duty_error_percent: mean of the duty errors [%].
         mean_energy_share_percent: mean of the shares of the available energy [%].
-        version: of the benchmark.
-        failures_percent_by_kind: episodes that failed, by the kinds in :data:`FAILURE_KINDS` and "other" [%].
-        worst_decile_cost: mean pinned cost of the worst tenth of the scenarios of each training seed [-].
-        median_deviation_mhz, p95_deviation_mhz: median and 95th percentile of the largest deviations of the frequency
-            of the centre of inertia from the nominal one, up or down [mHz].
     """
 
     name: str
     kind: str
     privileged: bool
+    version: str
     n_runs: int
     n_episodes: int
-    score: Interval
-    interquartile_mean: Interval
-    difference: Interval
-    difference_to_above: Interval | None
-    points_by_term: Mapping[str, float]
+    n_lost: int
     probability_of_improvement: Interval
     gap_closed_percent: Interval | None
     n_oracle: int
     failures_percent: float
-    mean_cost: float
+    failures_percent_by_kind: Mapping[str, float]
+    lost_or_beyond_percent: float
+    mean_pinned_cost: float
+    worst_decile_cost: float
     mean_cost_terms: Mapping[str, float]
+    median_deviation_mhz: float
+    p95_deviation_mhz: float
     median_nadir_hz: float
     p95_rocof_hz_s: float
     p95_peak_power_pu: float
     p95_power_change_pu: float
     mean_duty_error_percent: float
     mean_energy_share_percent: float
-    version: str
-    failures_percent_by_kind: Mapping[str, float]
-    worst_decile_cost: float
-    median_deviation_mhz: float
-    p95_deviation_mhz: float
 
 
-def summarise(
+@dataclass(frozen=True, kw_only=True)
+class EntrySummary(EntryMeasures):
+    """One row of a ranking by the score, over all scenarios and training seeds of an entry.
+
+    Args:
+        score: mean of the scenarios' scores: 0 and 100 are those of the version's anchors, the zero and the hundred.
+        interquartile_mean: of the scenarios' scores.
+        difference: mean of the scenarios' scores minus the hundred's on the same scenario.
+        difference_to_above: the same, minus that of the entry above in the ranking; None for the first.
+        points_by_term: points above 100 by the cost terms they come from, by the names in :data:`POINTS` and
+            :data:`REST`; they add up to the score minus 100, see :func:`points_by_term`.
+    """
+
+    score: Interval
+    interquartile_mean: Interval
+    difference: Interval
+    difference_to_above: Interval | None
+    points_by_term: Mapping[str, float]
+
+
+def entry_measures(
     entries: Sequence[Mapping[str, Any]],
     episodes: Sequence[Episode],
     cap: float,
     oracle: Mapping[int, float],
     benchmark: Benchmark,
-) -> list[EntrySummary]:
-    """Return one summary per name, in the order of the entries.
+) -> list[EntryMeasures]:
+    """Return what is measured of every name, in the order of the entries.
 
     Args:
         entries: the entries' data, both anchors among them.
@@ -115,26 +129,52 @@ def summarise(
         cap: largest cost rate [1/s].
         oracle: the oracle's costs by the scenarios' seeds, of those that have one.
         benchmark: the version, which names the anchors.
+    """
+    runs = _runs(episodes)
+    (anchor,) = runs[benchmark.hundred]
+    hundred = _costs([anchor], cap)[0]
+    known = np.array([oracle.get(episode.seed, np.nan) for episode in anchor])
+    described = {entry["name"]: entry for entry in entries}
+    return [_measures(entry, runs[name], cap, hundred, known, benchmark) for name, entry in described.items()]
+
+
+def summarise(
+    measured: Sequence[EntryMeasures], episodes: Sequence[Episode], cap: float, benchmark: Benchmark
+) -> list[EntrySummary]:
+    """Return the :func:`entry_measures` with scores.
+
+    Args:
+        measured: of the entries, both anchors among them.
+        episodes, cap, benchmark: as for :func:`entry_measures`.
 
     Raises:
         NoScaleError: the zero is not worse than the hundred, so that there is no scale.
     """
-    runs: dict[str, dict[int | None, list[Episode]]] = {}
-    for episode in episodes:
-        runs.setdefault(episode.entry, {}).setdefault(episode.training_seed, []).append(episode)
-    described = {entry["name"]: entry for entry in entries}
-    zero, hundred = (_costs(list(runs[name].values()), cap)[0] for name in benchmark.anchors)
-    score_scale(zero, hundred, benchmark.anchors)
-    anchor = next(iter(runs[benchmark.hundred].values()))
-    known = np.array([oracle.get(episode.seed, np.nan) for episode in anchor])
-    gains = {name: log_gains(_costs(list(runs[name].values()), cap), hundred) for name in described}
-    hundred_terms = parts_of_costs([anchor], hundred[np.newaxis])[:, 0]
-    against = _Anchors(benchmark.version, gains[benchmark.zero][0], hundred, hundred_terms, known)
-    rows = [_summary(entry, list(runs[name].values()), gains[name], against, cap) for name, entry in described.items()]
-    order = ranked(rows)
+    runs = _runs(episodes)
+    costs = {name: _costs(own, cap) for name, own in runs.items()}
+    hundred = costs[benchmark.hundred][0]
+    score_scale(costs[benchmark.zero][0], hundred, benchmark.anchors)
+    gains = {name: log_gains(own, hundred) for name, own in costs.items()}
+    zero = gains[benchmark.zero][0]
+    hundred_terms = parts_of_costs(runs[benchmark.hundred], costs[benchmark.hundred])[:, 0]
+
+    def summary(row: EntryMeasures) -> EntrySummary:
+        own, score = costs[row.name], statistics.score_interval(gains[row.name], zero)
+        terms = parts_of_costs(runs[row.name], own)
+        points = points_by_term(own, hundred, terms, hundred_terms, -statistics.mean(zero))
+        return EntrySummary(
+            **{each.name: getattr(row, each.name) for each in fields(EntryMeasures)},
+            score=score,
+            interquartile_mean=statistics.interquartile_interval(gains[row.name], zero),
+            difference=Interval(score.value - 100.0, score.low - 100.0, score.high - 100.0),
+            difference_to_above=None,
+            points_by_term=dict(zip((*POINTS, REST), points.tolist(), strict=True)),
+        )
+
+    rows = [summary(row) for row in measured]
     above = {
-        row.name: statistics.score_difference(gains[row.name], gains[better.name], against.zero_gains)
-        for better, row in itertools.pairwise(order)
+        row.name: statistics.score_difference(gains[row.name], gains[better.name], zero)
+        for better, row in itertools.pairwise(ranked(rows))
     }
     return [replace(row, difference_to_above=above.get(row.name)) for row in rows]
 
@@ -142,6 +182,14 @@ def summarise(
 def ranked(rows: Iterable[EntrySummary]) -> list[EntrySummary]:
     """Return the rows in the order of the ranking: the best score first, equal ones by name."""
     return sorted(rows, key=lambda row: (-row.score.value, row.name))
+
+
+def _runs(episodes: Sequence[Episode]) -> dict[str, list[list[Episode]]]:
+    """Return the episodes of every name, one list per training seed."""
+    runs: dict[str, dict[int | None, list[Episode]]] = {}
+    for episode in episodes:
+        runs.setdefault(episode.entry, {}).setdefault(episode.training_seed, []).append(episode)
+    return {name: list(own.values()) for name, own in runs.items()}
 
 
 def _costs(runs: Sequence[Sequence[Episode]], cap: float) -> Floats:
@@ -163,60 +211,49 @@ def parts_of_costs(runs: Sequence[Sequence[Episode]], costs: Floats) -> Floats:
     return np.concatenate([terms, (costs - terms.sum(axis=0))[np.newaxis]])
 
 
-@dataclass(frozen=True)
-class _Anchors:
-    """The version, and the arrays over the scenarios that every entry is compared with."""
-
-    version: str
-    zero_gains: Floats
-    hundred: Floats
-    hundred_terms: Floats
-    oracle: Floats
-
-
-def _summary(
-    entry: Mapping[str, Any], runs: Sequence[Sequence[Episode]], gains: Floats, against: _Anchors, cap: float
-) -> EntrySummary:
-    costs, hundred, zero = _costs(runs, cap), against.hundred, against.zero_gains
-    score = statistics.score_interval(gains, zero)
-    points = points_by_term(costs, hundred, parts_of_costs(runs, costs), against.hundred_terms, -statistics.mean(zero))
-    has = np.isfinite(against.oracle)
+def _measures(
+    entry: Mapping[str, Any],
+    runs: Sequence[Sequence[Episode]],
+    cap: float,
+    hundred: Floats,
+    oracle: Floats,
+    benchmark: Benchmark,
+) -> EntryMeasures:
+    """Return the row of an entry; `hundred` and `oracle` are pinned costs (n_scenarios,), NaN without an oracle."""
+    costs = _costs(runs, cap)
+    lost = np.array([episode.failed for run in runs for episode in run])
+    has = np.isfinite(oracle)
     deviations = _deviations_mhz(runs)
-    return EntrySummary(
+    return EntryMeasures(
         name=entry["name"],
         kind=str(entry["kind"]),
         privileged=entry["observation_mode"] == "privileged",
+        version=benchmark.version,
         n_runs=costs.shape[0],
         n_episodes=costs.size,
-        score=score,
-        interquartile_mean=statistics.interquartile_interval(gains, zero),
-        difference=Interval(score.value - 100.0, score.low - 100.0, score.high - 100.0),
-        difference_to_above=None,
-        points_by_term=dict(zip((*POINTS, REST), points.tolist(), strict=True)),
+        n_lost=int(lost.sum()),
         probability_of_improvement=statistics.mean_interval(statistics.improvement(costs, hundred)),
-        gap_closed_percent=(
-            statistics.gap_closed(costs[:, has], hundred[has], against.oracle[has]) if has.any() else None
-        ),
+        gap_closed_percent=statistics.gap_closed(costs[:, has], hundred[has], oracle[has]) if has.any() else None,
         n_oracle=int(has.sum()),
-        failures_percent=100.0 * float(np.mean([episode.failed for run in runs for episode in run])),
-        mean_cost=statistics.mean(costs),
+        failures_percent=100.0 * float(np.mean(lost)),
+        failures_percent_by_kind=_failures_by_kind(runs),
+        lost_or_beyond_percent=100.0 * float(np.mean(lost | (deviations > DESIGN_DEVIATION_MHZ))),
+        mean_pinned_cost=statistics.mean(costs),
+        worst_decile_cost=worst_decile(costs),
         mean_cost_terms={term: statistics.mean(_values(runs, f"cost_{term}")) for term in COST_TERMS},
+        median_deviation_mhz=float(np.median(deviations)),
+        p95_deviation_mhz=float(np.percentile(deviations, 95.0)),
         median_nadir_hz=float(np.median(_values(runs, "nadir_hz"))),
         p95_rocof_hz_s=float(np.percentile(_values(runs, "largest_rocof_hz_s"), 95.0)),
         p95_peak_power_pu=float(np.percentile(_values(runs, "peak_power_pu"), 95.0)),
         p95_power_change_pu=float(np.percentile(_values(runs, "largest_power_change_pu"), 95.0)),
         mean_duty_error_percent=statistics.mean(_values(runs, "duty_error_percent")),
         mean_energy_share_percent=statistics.mean(_values(runs, "energy_share_percent")),
-        version=against.version,
-        failures_percent_by_kind=_failures_by_kind(runs),
-        worst_decile_cost=worst_decile(costs),
-        median_deviation_mhz=float(np.median(deviations)),
-        p95_deviation_mhz=float(np.percentile(deviations, 95.0)),
     )
 
 
 def worst_decile(costs: Floats) -> float:
-    """Return the mean cost of the worst tenth of the scenarios of each training seed, from (n_runs, n_scenarios)."""
+    """Return the mean of the worst tenth of the scenarios of each training seed, from (n_runs, n_scenarios)."""
     return statistics.mean(np.sort(costs, axis=1)[:, -math.ceil(_WORST * costs.shape[1]) :])
 
 

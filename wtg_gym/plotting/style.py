@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, ParamSpec
 
-from wtg_gym.files import write_atomically
+from wtg_gym.files import write_together
 from wtg_gym.physics.parameters import GridFormingParameters
 
 if TYPE_CHECKING:
@@ -205,8 +205,7 @@ def save_figure(figure: Figure, path_without_suffix: Path, suffixes: Iterable[st
         )
         for suffix in suffixes
     }
-    for path, content in contents.items():
-        write_atomically(path, content)
+    write_together(contents)
     return list(contents)
 
 

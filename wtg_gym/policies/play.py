@@ -34,7 +34,7 @@ def started_lanes(
         n_threads: threads to step with; None for one per processor.
 
     Raises:
-        ValueError: a scenario has no equilibrium under the entry's law.
+        PolicyError: a scenario has no equilibrium under the entry's law.
     """
     own = dataclasses.replace(
         settings, strategy=entry.law, action_mode=entry.action_mode, observation_mode=entry.observation_mode
@@ -45,7 +45,7 @@ def started_lanes(
         try:
             lanes.start(range(len(given)), scenarios)
         except ValueError as error:
-            raise ValueError(f"entry {entry.label!r}: {error}") from error
+            raise PolicyError(f"entry {entry.label!r}: {error}") from error
         yield lanes, scenarios
     finally:
         lanes.simulator.close()

@@ -44,7 +44,7 @@ _SIGNALS = {
 
 
 class PolicyError(ValueError):
-    """A policy cannot be played; the message says why."""
+    """A policy, or the law of an entry, cannot be played; the message says why."""
 
 
 class NotIsolatedError(PolicyError):

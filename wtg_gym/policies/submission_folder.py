@@ -13,7 +13,7 @@ from typing import Any
 
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import ACTION_MODES, OBSERVATION_MODES, EnvSettings
-from wtg_gym.files import LARGEST_TOML_BYTES, parse_toml, write_atomically
+from wtg_gym.files import LARGEST_TOML_BYTES, parse_toml, write_together
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGY_NAMES
 from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
 from wtg_gym.policies.submission_texts import check_author, check_link, check_name, check_text, short
@@ -214,6 +214,6 @@ def write_template(folder: Path, policy: Path | None = None) -> list[Path]:
     there = [name for name in wanted if (folder / name).exists()]
     if there:
         raise ValueError(f"{folder} has {' and '.join(there)} already; choose another folder")
-    for name, data in wanted.items():
-        write_atomically(folder / name, data)
-    return [folder / name for name in wanted]
+    files = {folder / name: data for name, data in wanted.items()}
+    write_together(files)
+    return list(files)

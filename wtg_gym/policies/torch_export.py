@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.files import write_atomically
+from wtg_gym.files import write_together
 from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
 from wtg_gym.policies.onnx_policy import OnnxPolicy
 from wtg_gym.policies.policy_process import PolicyError
@@ -96,9 +96,8 @@ def export_onnx(
             f"{tolerance:g}: a module that draws random numbers, has memory of its own or branches on its input cannot "
             "be exported; return the mean, pass the memory as states, use torch.where"
         )
-    write_atomically(Path(folder) / POLICY_FILE, content)
-    # Last, because it makes the folder an entry.
-    write_atomically(Path(folder) / ENTRY_FILE, text)
+    # entry.toml last, because it makes the folder an entry.
+    write_together({Path(folder) / POLICY_FILE: content, Path(folder) / ENTRY_FILE: text})
     return Path(folder)
 
 

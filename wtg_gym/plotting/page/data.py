@@ -32,7 +32,7 @@ SCORE_RESOLUTION = 0.1
 #: Attribute of the summary, heading, whether more is better.
 PHYSICAL_METRICS = (
     ("failures_percent", "failures\n[%]", False),
-    ("mean_cost", "mean\ncost", False),
+    ("mean_pinned_cost", "pinned\ncost", False),
     ("median_nadir_hz", "nadir\n[Hz]", True),
     ("p95_rocof_hz_s", "RoCoF\n[Hz/s]", False),
     ("p95_peak_power_pu", "peak P\n[p.u.]", False),
