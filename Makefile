@@ -19,11 +19,6 @@ RLLIB_READY := $(RLLIB_VENV)/ready-$(PYTHON_VERSION)
 SITE_READY := $(SITE_VENV)/ready-$(PYTHON_VERSION)
 NOTEBOOKS_READY := $(NOTEBOOKS_VENV)/ready-$(PYTHON_VERSION)
 
-# Trained policies, one folder each, ranked beside the baselines of the version that they say they play in.
-EVERY_POLICY := $(patsubst %/entry.toml,%,$(sort $(wildcard agents/policies/*/entry.toml)))
-POLICIES_V1 := $(patsubst %/entry.toml,%,$(sort $(shell grep -ls '^environment = "GFMWTG-14bus-v1"' $(EVERY_POLICY:%=%/entry.toml) /dev/null)))
-POLICIES_V0 := $(filter-out $(POLICIES_V1),$(EVERY_POLICY))
-
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 # The steps of `test` come in their order, under -j too.
@@ -41,8 +36,8 @@ help: ## Show this list
 
 .PHONY: leaderboard
 leaderboard: $(LEADERBOARD_READY) ## Score every entry on the standard suites and write the rankings to the README (v1) and docs/benchmark.md (both)
-	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard-v1 --entries baselines $(POLICIES_V1) --results results --readme README.md --page docs/benchmark.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard --entries baselines $(POLICIES_V0) --results results --readme docs/benchmark.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard-v1 --entries baselines policies --results results --readme README.md --page docs/benchmark.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard --entries baselines policies --results results --readme docs/benchmark.md
 
 # What the fresh scenarios of the last round were drawn from: the commit with the entries, and the published secret.
 VERIFICATION_COMMIT := 82f6cbcc21a2b949267e19126c0e7868f44b4e5d
@@ -51,17 +46,18 @@ VERIFICATION_SECRET := docs/verification/2026-11.txt
 # Entries that the commit does not hold may be fitted to its fresh scenarios, once their secret is published.
 .PHONY: verification
 verification: $(LEADERBOARD_READY) ## Score every entry of the last round on its fresh scenarios, and put the gap to the public ones into docs/benchmark.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard --entries baselines $(POLICIES_V0) --results results
-	@drawn=; \
+	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard --entries baselines policies --results results
+	@drawn=; folders=$$($(LEADERBOARD_VENV)/bin/python -c "from wtg_gym.policies.load import policy_folders as of; \
+	    print(*(folder.relative_to('$(CURDIR)') for folder in of('GFMWTG-14bus-v0')))") || exit; \
 	if git cat-file -e '$(VERIFICATION_COMMIT)^{commit}' 2>/dev/null; then \
-	    for folder in $(POLICIES_V0); do \
+	    for folder in $$folders; do \
 	        held=$$(git rev-parse --quiet --verify "$(VERIFICATION_COMMIT):$$folder/policy.onnx"); \
 	        if [ "$$held" = "$$(git hash-object "$$folder/policy.onnx")" ]; then drawn="$$drawn $$folder"; \
 	        else echo "left out, not in the commit that the fresh scenarios were drawn from: $$folder" >&2; fi; \
 	    done; \
 	else \
 	    echo 'The commit $(VERIFICATION_COMMIT) is not in this checkout: whether its entries are these is not known.' >&2; \
-	    drawn='$(POLICIES_V0)'; \
+	    drawn=$$folders; \
 	fi; \
 	$(LEADERBOARD_VENV)/bin/wtg-gym evaluate --suite standard --entries baselines $$drawn --results results \
 	    --split fresh --commit $(VERIFICATION_COMMIT) --secret-file $(VERIFICATION_SECRET)
@@ -74,16 +70,16 @@ PAGE_SENSORS := delay-plus-1 delay-plus-2 wind-bias-times-2
 
 .PHONY: matrix
 matrix: $(LEADERBOARD_READY) ## Play every entry of v1 on all of its suites and with other sensors, and put the scores into docs/benchmark.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym results matrix --entries baselines $(POLICIES_V1) --suites $(PAGE_SUITES_V1) --results results \
+	$(LEADERBOARD_VENV)/bin/wtg-gym results matrix --entries baselines policies --suites $(PAGE_SUITES_V1) --results results \
 	    --page docs/benchmark.md
 
 .PHONY: page
 page: matrix verification ## Rank every entry on all suites and on fresh scenarios, and show them in docs/leaderboard.html
 	for suite in $(PAGE_SUITES); do \
-	    $(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite $$suite --entries baselines $(POLICIES_V0) --results results || exit; done
+	    $(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite $$suite --entries baselines policies --results results || exit; done
 	$(LEADERBOARD_VENV)/bin/wtg-gym results page $(PAGE_SUITES_V1:%=results/%-test.json) $(PAGE_SENSORS:%=results/%/standard-v1-test.json) \
 	    $(PAGE_SUITES:%=results/%-test.json) results/standard-fresh.json \
-	    --entries baselines $(EVERY_POLICY) --output docs/leaderboard.html
+	    --entries baselines policies --output docs/leaderboard.html
 
 # Its fonts and its browser are those of the machine: `make docs-check` leaves this picture out.
 CHROMIUM ?= $(firstword $(foreach name,chromium chromium-browser google-chrome,$(shell command -v $(name))) chromium)
@@ -111,8 +107,8 @@ pictures: $(LEADERBOARD_READY) ## Draw every picture of the README and of docs/ 
 	$(LEADERBOARD_VENV)/bin/wtg-gym reproduce --output $(DOCS)/validation --formats svg --page $(DOCS)/validation.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym analyse physics --output $(DOCS)/physics --formats svg --page $(DOCS)/physics.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym analyse influence --suite standard --seed 10000-10019 --rows 12 --plot $(DOCS)/images/influence.svg --page $(DOCS)/gradients.md
-	$(LEADERBOARD_VENV)/bin/python -m agents.research.behaviour --entries $(POLICIES_V0) --output $(DOCS)/agents --page $(DOCS)/agents.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym evaluate --suite standard-v1 --entries baselines $(POLICIES_V1) --results results
+	$(LEADERBOARD_VENV)/bin/python -m agents.research.behaviour --suite standard --entries policies --output $(DOCS)/agents --page $(DOCS)/agents.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym evaluate --suite standard-v1 --entries baselines policies --results results
 	$(LEADERBOARD_VENV)/bin/wtg-gym results front results/standard-v1-validation.json --plot $(DOCS)/images/front-v1.svg
 
 .PHONY: docs
@@ -125,9 +121,9 @@ docs: pictures ## Measure everything that docs/ shows again, but for performance
 	$(LEADERBOARD_VENV)/bin/wtg-gym analyse estimate --page docs/gradients.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym analyse estimate --recorded tests/golden/grid-forming/params.json tests/golden/grid-forming/a.csv --page docs/gradients.md
 	$(LEADERBOARD_VENV)/bin/python -m agents.research.law_gradient --page docs/gradients.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym results sensitivity --entries baselines $(POLICIES_V0) agents.research.probes:CHATTER agents.research.probes:PUSH --page docs/benchmark.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym results sensitivity --suite standard-v1 --entries baselines $(POLICIES_V1) agents.research.probes:CHATTER_V1 agents.research.probes:PUSH_V1 agents.research.probes:STOPWATCH_V1 --page docs/benchmark.md
-	$(LEADERBOARD_VENV)/bin/python -m agents.research.incentives --entries $(filter %/linear-feedback,$(POLICIES_V0)) $(filter agents/policies/ppo-k-%,$(POLICIES_V0)) deloaded-5 --page docs/benchmark.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym results sensitivity --suite standard --entries baselines policies agents.research.probes:CHATTER agents.research.probes:PUSH --page docs/benchmark.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym results sensitivity --suite standard-v1 --entries baselines policies agents.research.probes:CHATTER_V1 agents.research.probes:PUSH_V1 agents.research.probes:STOPWATCH_V1 --page docs/benchmark.md
+	$(LEADERBOARD_VENV)/bin/python -m agents.research.incentives --entries agents/policies/linear-feedback agents/policies/ppo-k-? deloaded-5 --page docs/benchmark.md
 	$(LEADERBOARD_VENV)/bin/python -m tests.submissions.hostile --page docs/submissions.md
 
 .PHONY: site

@@ -11,9 +11,9 @@ from wtg_gym.evaluation import Entry
 from wtg_gym.files import write_atomically
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.policies.load import ENTRY_FILE
+from wtg_gym.policies.names import check_not_built_in
 from wtg_gym.policies.submission_folder import entry_text
 from wtg_gym.scenarios import get_suite
-from wtg_gym.scenarios.benchmark import V0
 
 
 def entry_values(
@@ -39,14 +39,14 @@ def entry_values(
     }
     values |= played_in(settings.suite, settings.strategy)
     Entry(**values)
+    check_not_built_in("the entry's name", values["name"])
     return values
 
 
 def played_in(suite: str, strategy: str) -> dict[str, str]:
-    """Return the keys for a suite's environment and a law, where they are not those of v0 and the published one."""
-    benchmark = get_suite(suite).benchmark
+    """Return the keys for a suite's environment, and for a law that is not the published one."""
     values = {} if strategy == REFERENCE_STRATEGY else {"strategy": strategy}
-    return values if benchmark is V0 else {**values, "environment": benchmark.env_id}
+    return {**values, "environment": get_suite(suite).benchmark.env_id}
 
 
 def write_entry(folder: Path, values: Mapping[str, Any]) -> None:

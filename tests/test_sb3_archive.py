@@ -34,7 +34,7 @@ from wtg_gym.cli import main
 from wtg_gym.evaluation import OnnxPolicy, load_entries
 from wtg_gym.policies.sb3_archive import ALGORITHMS, NormalizedPolicy, load_archive
 
-TOML = 'name = "mine"\naction_mode = "k+tau"\nalgorithm = "PPO"\n'
+TOML = 'name = "mine"\naction_mode = "k+tau"\nenvironment = "GFMWTG-14bus-v0"\nalgorithm = "PPO"\n'
 SHORT = ("--scenarios", "3", "--duration", "10")
 #: Width of the local observation of two groups with both actions.
 N = 20

@@ -83,22 +83,18 @@ def test_new_folder_is_checked_and_scored(
     assert (tmp_path / "results" / "standard-test.csv").is_file()
 
 
-def test_folders_are_scored_on_the_standard_suite_of_their_version(
+def test_command_itself_decides_on_which_suite_a_folder_is_scored(
     judge: Callable[[Callable[[Path], object]], tuple[int, str]], tmp_path: Path
 ) -> None:
-    (tmp_path / "bin" / "wtg-gym").write_text('#!/bin/sh\necho "$@"\ncase "$*" in *v1*) exit 1;; esac\n')
+    (tmp_path / "bin" / "wtg-gym").write_text('#!/bin/sh\necho "$@"\nexit 1\n')
 
     def both(pull: Path) -> None:
-        for name in ("old", "new"):
-            shutil.copytree(POLICIES / "ppo-k-0", pull / "agents" / "policies" / name)
-        with (pull / "agents" / "policies" / "new" / "entry.toml").open("a") as file:
-            file.write('environment = "GFMWTG-14bus-v1"\n')
+        for name in ("linear-feedback", "linear-feedback-v1"):
+            policy(name)(pull)
 
     code, said = judge(both)
-    new, old = sorted(said.splitlines(), key=lambda line: "--suite standard-v1" not in line)
-    assert "policies/old --beside" in old and "policies/new" not in old and "--suite standard --results" in old
-    assert "policies/new --beside" in new and "policies/old" not in new and "--suite standard-v1 --results" in new
-    assert code == 1
+    assert code == 1 and "--suite" not in said
+    assert "policies/linear-feedback " in said and "policies/linear-feedback-v1 --beside" in said
 
 
 def test_copy_of_an_entry_that_is_there_is_refused(

@@ -46,7 +46,8 @@ def entry_folder(path: Path, name: str = "linear", seed: int = 0) -> str:
     path.mkdir(parents=True)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     onnx.save(model, path / "policy.onnx")
-    (path / "entry.toml").write_text(f'name = "{name}"\naction_mode = "k+tau"\ntraining_seed = {seed}\n')
+    text = f'name = "{name}"\naction_mode = "k+tau"\nenvironment = "GFMWTG-14bus-v0"\ntraining_seed = {seed}\n'
+    (path / "entry.toml").write_text(text)
     return str(path)
 
 

@@ -14,7 +14,6 @@ from tests.cli.calls import error_of, json_of, start
 from tests.interruption import end
 from tests.submissions import models
 from tests.submissions.models import TOML, after, folder, node
-from tests.submissions.models import model as make
 from wtg_gym.cli import main, submission
 from wtg_gym.evaluation import Results, evaluate, load_entries
 from wtg_gym.policies import gate
@@ -72,9 +71,7 @@ def test_check_prints_every_check_and_why_one_is_refused(capsys: pytest.CaptureF
 
 def test_score_is_that_of_evaluate(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     seeds = [folder(tmp_path / str(i), toml=TOML.replace("seed = 0", f"seed = {i}")) for i in range(2)]
-    second = make()
-    second.graph.initializer[0].raw_data = bytes(320)
-    (seeds[1] / "policy.onnx").write_bytes(second.SerializeToString())
+    (seeds[1] / "policy.onnx").write_bytes(models.other().SerializeToString())
     results = tmp_path / "results"
     assert main(["submission", "score", *map(str, seeds), *_FEW, "--results", str(results)]) == 0
     said = capsys.readouterr().out
@@ -113,6 +110,21 @@ def test_score_refuses_what_is_for_another_version(capsys: pytest.CaptureFixture
     assert "entry.toml says environment GFMWTG-14bus-v0, standard-v1 is a suite of GFMWTG-14bus-v1" in said.err
 
 
+def test_score_plays_each_folder_on_the_standard_suite_of_its_version(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    few = ("--split", "validation", "--scenarios", "12", "--results", str(tmp_path / "results"))
+    # However the key is written, one parser reads it; without it, the version is v1.
+    key = 'environment = "GFMWTG-14bus-v0"'
+    old = folder(tmp_path / "a", toml=TOML.replace(key, "'environment'='GFMWTG-14bus-v0'#"))
+    new = folder(tmp_path / "b", models.of_v1(), OTHER.replace(key, ""))
+    assert "give --suite" in error_of(capsys, "submission", "score", str(old), str(new), *few, "--json")
+    assert main(["submission", "score", str(old), str(new), *few]) == 0
+    for suite, name in (("standard", "Mine"), ("standard-v1", "Other")):
+        entries = Results.read(tmp_path / "results" / f"{suite}-validation.json").entries
+        assert [entry["name"] for entry in entries if entry["training_seed"] is not None] == [name]
+
+
 def test_policy_that_fails_in_a_scored_scenario_stops_nobody_else(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -139,7 +151,7 @@ def test_policy_that_fails_in_a_scored_scenario_stops_nobody_else(
 
 
 def test_check_compares_with_the_entries_beside(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    old, mine = folder(tmp_path / "old"), folder(tmp_path / "mine", models.disguised(), OTHER)
+    old, mine = folder(tmp_path / "old"), folder(tmp_path / "new", models.disguised(), OTHER)
     data = json_of(capsys, "submission", "check", str(mine), "--beside", str(old), str(mine), "--json", code=1)
     assert data["submissions"][0]["accepted"] and "the policies are one policy" in data["together"][0]
     assert main(["submission", "check", str(old), "--beside", str(old)]) == 0

@@ -18,7 +18,7 @@ FLOAT = TensorProto.FLOAT
 POLICIES = Path(__file__).resolve().parents[2] / "agents" / "policies"
 #: Width of the local observation of two groups with both actions.
 N = 20
-TOML = 'name = "still"\naction_mode = "k+tau"\n'
+TOML = 'name = "still"\naction_mode = "k+tau"\nenvironment = "GFMWTG-14bus-v0"\n'
 
 
 def write(path: Path, nodes: list[Any], inputs: list[Any], outputs: list[Any]) -> Path:
@@ -178,11 +178,11 @@ def test_folder_is_an_entry_and_zero_action_scores_a_hundred(tmp_path: Path) -> 
     [
         ("name = ", "is not TOML"),
         ('name = "a"\n', r"missing: \['action_mode'\]"),
-        (TOML + "strategy = 1\n", "strategy in .* must be one of mppt, .*, got 1"),
+        (TOML + "strategy = 1\n", "strategy must be one of mppt, .*, got 1"),
         (TOML + "law = 1\n", r"unknown: \['law'\]"),
-        (TOML + 'authors = "me"\n', "authors in"),
+        (TOML + 'authors = "me"\n', "authors must be a list"),
         (TOML + "training_seed = -1\n", "training_seed"),
-        (TOML.replace("k+tau", "pitch"), "unknown action_mode 'pitch'"),
+        (TOML.replace("k+tau", "pitch"), "action_mode must be one of k, tau, k\\+tau, got 'pitch'"),
     ],
 )
 def test_wrong_entry_file_says_what_is_allowed(toml: str, text: str, tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ name = "Mine"
 authors = ["Jane Doe"]
 training_seed = 0
 action_mode = "k+tau"
+environment = "GFMWTG-14bus-v0"
 """
 
 
@@ -481,4 +482,4 @@ def of_v1() -> ModelProto:
     )
 
 
-TOML_V1 = f'{TOML}environment = "GFMWTG-14bus-v1"\n'
+TOML_V1 = TOML.replace("-v0", "-v1")

@@ -26,7 +26,7 @@ from tests.submissions.models import (
 from tests.submissions.models import model as make
 from wtg_gym.policies import gate, onnx_worker, policy_process
 from wtg_gym.policies.gate import CHECKS, Report, check_submission
-from wtg_gym.policies.submission_folder import parse_entry, read_files
+from wtg_gym.policies.submission_folder import parse_submission, read_files
 
 POLICIES = Path(baselines.__file__).parent.parent / "agents" / "policies"
 
@@ -134,8 +134,9 @@ def test_large_files_are_refused(name: str, size: int, tmp_path: Path) -> None:
         ("", "missing: ['name', 'authors', 'training_seed', 'action_mode']"),
         (TOML + "law = 'x'\n", "unknown: ['law']"),
         (TOML.replace("Jane Doe", "x" * 401), "an author must be up to 400"),
-        (TOML.replace('["Jane Doe"]', '"me"'), "authors must be a list of 1 … 40"),
-        (TOML.replace('["Jane Doe"]', "[1]"), "an author must be"),
+        (TOML.replace('["Jane Doe"]', '"me"'), "authors must be a list of texts"),
+        (TOML.replace('["Jane Doe"]', "[1]"), "authors must be a list of texts"),
+        (TOML.replace('["Jane Doe"]', "[]"), "authors must be a list of 1 … 40"),
         (TOML.replace("seed = 0", "seed = true"), "training_seed must be"),
         (TOML.replace("seed = 0", "seed = -1"), "training_seed must be"),
         (TOML.replace("seed = 0", "seed = 0x" + "f" * 4000), "a whole number outside the allowed range"),
@@ -228,4 +229,4 @@ def test_shipped_entries_pass_every_check(name: str) -> None:
 
 def test_folders_and_texts_of_all_shipped_entries_pass() -> None:
     folders = list(POLICIES.iterdir())
-    assert len(folders) == 26 + 16 and all(parse_entry(read_files(path)["entry.toml"]).authors for path in folders)
+    assert len(folders) == 26 + 16 and all(parse_submission(read_files(path)["entry.toml"]).authors for path in folders)

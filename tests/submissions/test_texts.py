@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from tests.submissions.models import TOML, folder
-from wtg_gym.evaluation import load_entries
 from wtg_gym.policies.gate import check_submission
-from wtg_gym.policies.submission_texts import check_author, check_name, check_text, plain_name
+from wtg_gym.policies.names import plain_name
+from wtg_gym.policies.submission_texts import check_author, check_name, check_text
 
 
 @pytest.mark.parametrize(
@@ -108,16 +108,13 @@ def test_authors_without_letters_are_refused(author: str) -> None:
     [
         "",
         "x" * 61,
-        "mppt",
-        "Coordinated-Piecewise",
-        "coordinated piecewise",
         "coordinated-undämped",
         "\uff21",
         "Мine",
         "(a)",
     ],
 )
-def test_names_that_are_taken_long_or_of_other_letters_are_refused(name: str) -> None:
+def test_names_that_are_long_or_of_other_letters_are_refused(name: str) -> None:
     with pytest.raises(ValueError, match="name must be 1 … 60 letters"):
         check_name(name)
 
@@ -134,9 +131,11 @@ def test_the_gate_looks_at_every_text(tmp_path: Path) -> None:
         assert refusal is not None and refusal.name == "entry.toml" and "no markup" in refusal.reason
 
 
-@pytest.mark.parametrize("name", ["PPO (k) (5 seeds)", "Mine, 9 seeds", "Mine (1 Seed)"])
+@pytest.mark.parametrize(
+    "name", ["PPO (k) (5 seeds)", "Mine, 9 seeds", "Mine (1 Seed)", "M 5_seeds", "M5seeds", "M 5 S.E.E.D.S"]
+)
 def test_name_says_nothing_about_seeds(name: str) -> None:
-    with pytest.raises(ValueError, match="give no number of seeds"):
+    with pytest.raises(ValueError, match="say nothing of seeds"):
         check_name(name)
 
 
@@ -144,9 +143,3 @@ def test_name_says_nothing_about_seeds(name: str) -> None:
 def test_letters_that_look_alike_are_one(name: str) -> None:
     assert plain_name(name) == plain_name("linear")
     assert plain_name("SAC 0") == plain_name("SAC O") != plain_name("SAC 8")
-
-
-def test_names_of_the_baselines_are_taken() -> None:
-    for entry in load_entries("baselines"):
-        with pytest.raises(ValueError, match="be none of"):
-            check_name(entry.name)

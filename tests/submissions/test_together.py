@@ -20,8 +20,9 @@ from tests.submissions.models import TOML, M, N, constant, folder
 from tests.submissions.models import model as make
 from wtg_gym.evaluation import OnnxPolicy, load_entries
 from wtg_gym.policies import gate
-from wtg_gym.policies.conflicts import COPY_TOLERANCE, action_difference, conflicts
-from wtg_gym.policies.gate import Report, check_submission, rollout
+from wtg_gym.policies.conflicts import conflicts
+from wtg_gym.policies.gate import COPY_TOLERANCE, Report, action_difference, check_submission, rollout
+from wtg_gym.policies.submission_folder import parse_submission
 from wtg_gym.scenarios.benchmark import V0
 
 
@@ -58,9 +59,11 @@ def test_seeds_of_one_entry_are_accepted(tmp_path: Path) -> None:
     assert conflicts([first], [report(tmp_path / "c", models.other(), TOML.replace("Mine", "Yours"))]) == []
 
 
-def test_versions_have_tables_and_so_names_of_their_own(tmp_path: Path) -> None:
-    old, new = report(tmp_path / "a"), report(tmp_path / "b", models.of_v1(), models.TOML_V1)
-    assert conflicts([old, new]) == [] == conflicts([new], [old])
+def test_name_belongs_to_one_entry_of_one_version(tmp_path: Path) -> None:
+    old, new = report(tmp_path / "a"), report(tmp_path / "b", models.of_v1(), seed(1, models.TOML_V1))
+    assert "must agree on environment" in conflicts([old, new])[0].reason
+    for one, other in ((old, new), (new, old)):
+        assert "is taken by Mine" in conflicts([one], [other])[0].reason
 
 
 @pytest.mark.parametrize(
@@ -98,8 +101,15 @@ def test_folders_that_differ_in_capitals_alone_are_refused(tmp_path: Path) -> No
     second = report(tmp_path / "b" / "Mine", models.other(), TOML.replace("Mine", "Yours"))
     for found in (conflicts([first, second]), conflicts([second], [first])):
         assert "differ in capitals alone" in found[0].reason
-    other = report(tmp_path / "c" / "mine", models.other(0.03), TOML.replace("Mine", "Theirs"))
-    assert conflicts([first, other]) == []
+
+
+def test_folder_is_not_called_as_another_folder_or_entry(tmp_path: Path) -> None:
+    first = report(tmp_path / "a" / "one")
+    for name, toml in (("one", TOML.replace("Mine", "Yours")), ("m-ine", TOML.replace("Mine", "Yours")), ("b", TOML)):
+        called = toml if name != "b" else TOML.replace("Mine", "O N E")
+        second = report(tmp_path / "b" / name, models.other(), called)
+        for found in (conflicts([first, second]), conflicts([second], [first])):
+            assert len(found) == 1 and "looks like" in found[0].reason
 
 
 def test_policies_that_differ_are_no_copies(tmp_path: Path) -> None:
@@ -139,9 +149,10 @@ def test_shipped_policies_are_far_from_being_copies(monkeypatch: pytest.MonkeyPa
         folder = Path(shipped.__file__).parent / "policies" / name
         (entry,) = load_entries(folder)
         actions = rollout(AtOnce(folder / "policy.onnx"), entry)
+        gate._check_no_baseline(actions, parse_submission((folder / "entry.toml").read_bytes()))
         compared.setdefault((entry.environment, entry.action_mode), []).append(actions)
     assert [len(actions) for actions in compared.values()] == [16, 5, 5, 16]
     # In v1 seeds of PPO lie closer: they change little on the tuned law.
-    for (environment, _), actions in compared.items():
-        least = min(itertools.starmap(action_difference, itertools.combinations(actions, 2)))
+    for (environment, mode), actions in compared.items():
+        least = min(action_difference(one, other, mode, mode) for one, other in itertools.combinations(actions, 2))
         assert least > (7 if environment == V0.env_id else 3) * COPY_TOLERANCE

@@ -15,7 +15,7 @@ from wtg_gym.evaluation.sensitivity import COLUMNS, FACTORS, WEIGHTS, study_sens
 from wtg_gym.plotting import figure_bytes, plot_front
 from wtg_gym.plotting.front import MOST_FAILURES_PERCENT, undominated
 from wtg_gym.plotting.page import N_SCENARIOS, SIZE_LIMIT, leaderboard_page, untraced
-from wtg_gym.policies.load import BASELINES
+from wtg_gym.policies.names import BASELINES
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import SPLITS
 

@@ -30,7 +30,8 @@ from wtg_gym.evaluation.leaderboard import (
 )
 from wtg_gym.evaluation.workers import BACKENDS, Workers
 from wtg_gym.policies.entry import check_entries
-from wtg_gym.policies.load import BASELINES, LoadArchive
+from wtg_gym.policies.load import LoadArchive
+from wtg_gym.policies.names import BASELINES
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import FRESH, SPLITS, FreshDraw, draw_seeds, get_suite
 

@@ -5,18 +5,22 @@ from __future__ import annotations
 import argparse
 import os
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 from wtg_gym.cli import scoring
 from wtg_gym.cli.output import check_output_folder, note, print_json, print_table, say
 from wtg_gym.cli.parser import Commands, add_command, add_group, add_json_option
+from wtg_gym.cli.suites_command import suite_name, suites_by_version
+from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.policies.conflicts import Conflict, conflicts
 from wtg_gym.policies.gate import Report, check_submission
-from wtg_gym.policies.load import POLICY_FILE
+from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
 from wtg_gym.policies.policy_process import CPU_S, MEMORY_BYTES, STEP_S
-from wtg_gym.policies.submission_folder import FILES, write_template
+from wtg_gym.policies.submission_folder import FILES, parse_submission, read_files, write_template
 from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios.benchmark import BENCHMARKS, Benchmark
 
 
 def _filled(text: str) -> str:
@@ -50,11 +54,11 @@ submitted together, and the same policy counts once, even if its files differ.
 
 _SCORE = _filled(
     f"""\
-Checks submissions, plays them on a suite and prints their rows of the leaderboard with those of both anchors. One that
-is refused, or whose policy crashes, takes too long or gives no action in a scenario, is named with its reason and left
-out with all folders of its name; the others are ranked, and the exit code is 1. Scenarios, simulation and score stay in
-this process; the policy's gets observations and gives actions. Its limits: {_LIMITS}.
-With --results, an interrupted command goes on from its finished parts.
+Checks submissions, plays each on the standard suite of the version that it is for, or on --suite, and prints their rows
+of the leaderboard with those of both anchors. One that is refused, or whose policy crashes, takes too long or gives no
+action in a scenario, is named with its reason and left out with all folders of its name; the others are ranked, and the
+exit code is 1. Scenarios, simulation and score stay in this process; the policy's gets observations and gives actions.
+Its limits: {_LIMITS}. With --results, an interrupted command goes on from its finished parts.
 
 {_GATE}"""
 )
@@ -90,11 +94,16 @@ def add_commands(commands: Commands) -> None:
         _run_score,
         summary="check folders, then play them in isolation and rank them",
         description=_SCORE,
-        examples="  wtg-gym submission score my-policy --suite standard-v1\n"
+        examples="  wtg-gym submission score my-policy\n"
         "  wtg-gym submission score my-policy-* --suite low-wind --results my_results",
     )
     _add_common(parser)
-    scoring.add_suite_option(parser)
+    parser.add_argument(
+        "--suite",
+        type=suite_name,
+        metavar="NAME",
+        help=f"suite, of {suites_by_version()} (default: the standard suite of the version that a folder is for)",
+    )
     scoring.add_split_options(parser, "test")
     scoring.add_run_options(parser)
     scoring.add_result_options(parser)
@@ -143,18 +152,47 @@ def _run_score(arguments: argparse.Namespace) -> int:
     folder = None if arguments.results is None else check_output_folder("--results", arguments.results)
     partial = scoring.kept_parts(folder, arguments) if folder is not None and arguments.resume else None
     _check_there(arguments.folders)
-    chosen = scoring.chosen_scenarios(arguments)
-    scoring.check_stored(folder, chosen)
-    scenarios = {**chosen, "n_threads": arguments.threads, "partial": partial}
+    planned = {suite: _scenarios(arguments, suite, folder) for suite in _suites(arguments)}
+    options = {"n_threads": arguments.threads, "partial": partial}
     # Anchors first: errors of the arguments come before the work of the gate.
-    scoring.run_evaluation([], keep_partial=True, **scenarios)
+    for chosen in planned.values():
+        scoring.run_evaluation([], keep_partial=True, **chosen, **options)
     reports = _reports(arguments)
-    wrong = _together(reports, arguments) + _refused(reports) + _of_another_version(reports, arguments.suite)
+    wrong = _together(reports, arguments) + _refused(reports) + _of_another_version(reports, planned)
     ranked = _ranked(reports, wrong)
     _name_left_out(ranked, reports, wrong)
-    results = scoring.run_evaluation([report.played(weak=arguments.weak_isolation) for report in ranked], **scenarios)
-    code = scoring.finish(results, folder, as_json=arguments.json) if ranked else 0
-    return code or int(bool(wrong))
+    entries = [report.played(weak=arguments.weak_isolation) for report in ranked]
+    codes = [int(bool(wrong))]
+    for suite, chosen in planned.items():
+        own = [entry for entry in entries if entry.environment == get_suite(suite).benchmark.env_id]
+        results = scoring.run_evaluation(own, **chosen, **options)
+        codes.append(scoring.finish(results, folder, as_json=arguments.json) if own else 0)
+    return max(codes)
+
+
+def _suites(arguments: argparse.Namespace) -> list[str]:
+    """Return the suite that was asked for, or the standard suites of the versions that the folders are for."""
+    if arguments.suite is not None:
+        return [arguments.suite]
+    said = [_said(Path(folder)) for folder in arguments.folders]
+    suites = [EnvSettings(version=each.version).suite for each in BENCHMARKS.values() if each in said]
+    if arguments.json and len(suites) > 1:
+        raise ValueError(f"--json prints one suite, the folders are for those of {', '.join(suites)}: give --suite")
+    return suites
+
+
+def _said(folder: Path) -> Benchmark | None:
+    """Return the version that a folder says it is for; None if it cannot be read, the gate says why."""
+    try:
+        return BENCHMARKS[parse_submission(read_files(folder)[ENTRY_FILE]).environment]
+    except ValueError:
+        return None
+
+
+def _scenarios(arguments: argparse.Namespace, suite: str, folder: Path | None) -> dict[str, Any]:
+    chosen = scoring.chosen_scenarios(argparse.Namespace(**{**vars(arguments), "suite": suite}))
+    scoring.check_stored(folder, chosen)
+    return chosen
 
 
 def _check_there(folders: Sequence[str]) -> None:
@@ -163,16 +201,16 @@ def _check_there(folders: Sequence[str]) -> None:
             raise ValueError(f"there is no folder {folder}")
 
 
-def _of_another_version(reports: Sequence[Report], suite: str) -> list[Conflict]:
-    env_id = get_suite(suite).benchmark.env_id
+def _of_another_version(reports: Sequence[Report], suites: Iterable[str]) -> list[Conflict]:
+    played = {get_suite(suite).benchmark.env_id: suite for suite in suites}
     return [
         Conflict(
             (report.folder,),
-            f"{_shown(report.folder)}: entry.toml says environment {report.entry.environment}, {suite} is a suite of "
-            f"{env_id}: give another --suite, or mend entry.toml",
+            f"{_shown(report.folder)}: entry.toml says environment {report.entry.environment}, "
+            f"{', '.join(played.values())} is a suite of {', '.join(played)}: give another --suite, or none",
         )
         for report in reports
-        if report.accepted and report.entry is not None and report.entry.environment != env_id
+        if report.accepted and report.entry is not None and report.entry.environment not in played
     ]
 
 

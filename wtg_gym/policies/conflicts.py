@@ -7,18 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
-from wtg_gym.policies.gate import Report
-from wtg_gym.policies.onnx_policy import Floats
+from wtg_gym.policies.gate import COPY_TOLERANCE, Report, action_difference
+from wtg_gym.policies.names import plain_name
 from wtg_gym.policies.submission_folder import EntryFile
-from wtg_gym.policies.submission_texts import plain_name
 
-#: Two policies whose actions, [-1, 1], differ by no more than this (root mean square over the rollout) are copies. The
-#: shipped training seeds that are most alike differ by more than seven times as much.
-COPY_TOLERANCE = 5e-3
 #: Keys on which folders of one name must agree; they share a row.
-_SHARED = ("authors", "action_mode", "observation_mode", "strategy", "description", "trained_on")
+_SHARED = ("authors", "environment", "action_mode", "observation_mode", "strategy", "description", "trained_on")
 
 
 @dataclass(frozen=True)
@@ -41,20 +35,17 @@ def conflicts(reports: Sequence[Report], beside: Sequence[Report] = ()) -> list[
     """
     found = []
     for one, other in itertools.combinations(reports, 2):
-        reason = _same_place(one, other) or _not_one_row(one, other) or _copies(one, other)
+        reason = _same_place(one, other) or _not_one_row(one, other) or _found_as(one, other) or _copies(one, other)
         if reason:
             found.append(Conflict((one.folder, other.folder), reason))
     for new in reports:
-        reasons = (_same_place(new, old) or _name_is_taken(new, old) or _copies(new, old) for old in beside)
+        reasons = (
+            _same_place(new, old) or _name_is_taken(new, old) or _found_as(new, old) or _copies(new, old)
+            for old in beside
+        )
         # One reason is enough, however many seeds have the name.
         found += [Conflict((new.folder,), reason) for reason in itertools.islice(filter(None, reasons), 1)]
     return found
-
-
-def action_difference(one: Floats, other: Floats) -> float:
-    """Return the root mean square of the difference of two rollouts' actions, over the steps that both have."""
-    steps = min(len(one), len(other))
-    return float(np.sqrt(np.mean(np.square(one[:steps] - other[:steps], dtype=np.float64))))
 
 
 def _same_place(one: Report, other: Report) -> str:
@@ -68,10 +59,13 @@ def _same_place(one: Report, other: Report) -> str:
 def _look_alike(one: Report, other: Report) -> tuple[EntryFile, EntryFile] | None:
     if one.entry is None or other.entry is None or plain_name(one.entry.name) != plain_name(other.entry.name):
         return None
-    # They are never in one table.
-    if one.entry.environment != other.entry.environment:
-        return None
     return one.entry, other.entry
+
+
+def _is_same_name_of_old(one: EntryFile, other: EntryFile, *, shipped: bool) -> bool:
+    """Return whether the package has one maker's name in two versions, as it had before names were one's in both."""
+    of_two = one.environment != other.environment
+    return shipped and of_two and (one.name, one.authors) == (other.name, other.authors)
 
 
 def _not_one_row(one: Report, other: Report) -> str:
@@ -80,6 +74,8 @@ def _not_one_row(one: Report, other: Report) -> str:
     if entries is None:
         return ""
     first, second = entries
+    if _is_same_name_of_old(first, second, shipped=one.shipped and other.shipped):
+        return ""
     folders = f"{one.folder} and {other.folder}"
     if first.name != second.name:
         return f"the names {first.name} and {second.name} look alike: {folders}"
@@ -92,9 +88,22 @@ def _not_one_row(one: Report, other: Report) -> str:
 def _name_is_taken(new: Report, old: Report) -> str:
     """All seeds of a row come together: a row that is there does not change."""
     entries = _look_alike(new, old)
-    if entries is None:
+    if entries is None or (new.shipped and old.shipped and not _not_one_row(new, old)):
         return ""
     return f"the name {entries[0].name} of {new.folder} is taken by {entries[1].name} of {old.folder}"
+
+
+def _found_as(one: Report, other: Report) -> str:
+    """A name finds a folder by the folder's name or the entry's: those of two entries may not look alike."""
+    if _look_alike(one, other) is not None:
+        return ""
+    first, second = (
+        {plain_name(name): name for name in (each.folder.resolve().name, *([each.entry.name] if each.entry else []))}
+        for each in (one, other)
+    )
+    for plain in first.keys() & second.keys():
+        return f"{first[plain]}, of {one.folder}, looks like {second[plain]}, of {other.folder}"
+    return ""
 
 
 def _copies(one: Report, other: Report) -> str:
@@ -103,10 +112,12 @@ def _copies(one: Report, other: Report) -> str:
         return f"the same policy file is given twice: {folders}"
     if one.entry is None or other.entry is None or one.actions is None or other.actions is None:
         return ""
-    # Actions of other modes or on other laws mean something else, and another version has other scenarios.
-    entries = one.entry, other.entry
-    first, second = ((entry.action_mode, entry.environment, entry.strategy) for entry in entries)
-    if first != second or action_difference(one.actions, other.actions) > COPY_TOLERANCE:
+    # Actions on other laws mean something else, and another version has other scenarios.
+    first, second = ((entry.environment, entry.strategy) for entry in (one.entry, other.entry))
+    if first != second:
+        return ""
+    modes = one.entry.action_mode, other.entry.action_mode
+    if action_difference(one.actions, other.actions, *modes) > COPY_TOLERANCE:
         return ""
     return (
         f"the policies are one policy, their actions in {one.actions.shape[1]} scenarios differ by less than "

@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import functools
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
 from wtg_gym.files import sha256
-from wtg_gym.policies.entry import Entry
-from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
+from wtg_gym.physics.tracking_law import get_law
+from wtg_gym.policies.entry import Entry, Policy
+from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE, load_entries, policy_folders, policy_name
+from wtg_gym.policies.names import BASELINES, plain_name
 from wtg_gym.policies.onnx_policy import Floats, OnnxPolicy
 from wtg_gym.policies.play import play, started_lanes
 from wtg_gym.policies.policy_process import NotIsolatedError
-from wtg_gym.policies.submission_folder import EntryFile, parse_entry, read_files
+from wtg_gym.policies.submission_folder import EntryFile, parse_submission, read_files
 from wtg_gym.scenarios import get_suite
-from wtg_gym.scenarios.benchmark import BENCHMARKS, V0
+from wtg_gym.scenarios.benchmark import BENCHMARKS, V1
 
 #: All checks in their order.
 CHECKS = ("folder", "entry.toml", "loading", "speed", "rollout", "repeated")
@@ -30,6 +35,9 @@ ANSWER_S = 1e-3
 #: wherever it is played later. The fastest of five steps counts, as a busy machine slows down the others.
 _TIMED_LANES, _TIMES = 256, 5
 _ROLLOUT_LANES = 32
+#: Two policies whose actions, [-1, 1], differ by no more than this (root mean square over the rollout) are copies. The
+#: shipped training seeds that are most alike differ by more than seven times as much.
+COPY_TOLERANCE = 5e-3
 
 
 @dataclass(frozen=True)
@@ -50,6 +58,7 @@ class Report:
     entry: EntryFile | None = None  # content of entry.toml; None where it was not read
     content: bytes = b""  # policy.onnx as it was checked; empty where it was not read
     notes: tuple[str, ...] = ()  # what this system could not isolate
+    shipped: bool = False  # whether the package has the same folder among its policies
     #: Of the rollout, see :func:`rollout`; None where it was not reached.
     actions: Floats | None = field(default=None, compare=False, repr=False)
 
@@ -106,9 +115,17 @@ def check_submission(folder: Path, *, weak: bool = False, rollout_only: bool = F
 
     try:
         files = read_files(folder)
+        name = folder.resolve().name
+        others = policy_folders()
+        report.shipped = any(each.name == name and _holds(each, files) for each in others)
+        if report.shipped:
+            # Itself, and the seeds of its row.
+            others = [each for each in others if policy_name(each) != policy_name(folder)]
+        _check_not_found("the folder's name", name, others)
         report.content = files[POLICY_FILE]
         passed(", ".join(f"{name} {len(data)} bytes" for name, data in files.items()))
-        entry = report.entry = parse_entry(files[ENTRY_FILE])
+        entry = report.entry = parse_submission(files[ENTRY_FILE])
+        _check_not_found("name", entry.name, others)
         seed = f"training seed {entry.training_seed}"
         passed(f"{entry.name}, {seed}, {entry.action_mode}, {entry.observation_mode}")
         policy = OnnxPolicy(report.content, isolated=not weak)
@@ -117,6 +134,7 @@ def check_submission(folder: Path, *, weak: bool = False, rollout_only: bool = F
             passed(_check_widths(policy, entry))
             passed("passed before" if rollout_only else check_speed(policy))
         actions = report.actions = rollout(policy, entry)
+        _check_no_baseline(actions, entry)
         passed(f"{_ROLLOUT_LANES} scenarios of the validation split, up to {len(actions)} steps")
         if not rollout_only and not np.array_equal(actions, rollout(policy, entry, backwards=True)):
             raise ValueError("the same scenarios in another order, in another process, give other actions")
@@ -127,6 +145,68 @@ def check_submission(folder: Path, *, weak: bool = False, rollout_only: bool = F
         report.checks.append(Check(CHECKS[len(report.checks)], REFUSED, str(error)))
         report.checks += [Check(name, NOT_REACHED) for name in CHECKS[len(report.checks) :]]
     return report
+
+
+def _holds(folder: Path, files: Mapping[str, bytes]) -> bool:
+    """Return whether a folder holds the same entry and policy."""
+    own = ((folder / name, files[name]) for name in (ENTRY_FILE, POLICY_FILE))
+    return all(path.is_file() and path.read_bytes() == content for path, content in own)
+
+
+def _check_not_found(what: str, name: str, folders: Sequence[Path]) -> None:
+    """Refuse a name by which, or by what looks like it, one of the package's policies is found."""
+    for folder in folders:
+        for known in (folder.name, policy_name(folder)):
+            if known is not None and plain_name(known) == plain_name(name):
+                raise ValueError(
+                    f"{what} must not be, or look like, that of the policy {known} in agents/policies/{folder.name}, "
+                    f"which comes with the package; got {name}"
+                )
+
+
+def _check_no_baseline(actions: Floats, entry: EntryFile) -> None:
+    """Refuse a policy that plays as a baseline does on the same law: the law itself, or a feedback made by hand."""
+    known = {entry.strategy: (np.zeros_like(actions), entry.action_mode)}
+    for baseline in load_entries(BASELINES, benchmark=BENCHMARKS[entry.environment]):
+        if baseline.policy is not None and baseline.law == get_law(entry.strategy):
+            known[baseline.name] = _rollout_of(baseline, _ROLLOUT_LANES), baseline.action_mode
+    for name, (others, mode) in known.items():
+        if action_difference(actions, others, entry.action_mode, mode) <= COPY_TOLERANCE:
+            raise ValueError(
+                f"it plays as the baseline {name}: its actions differ from those by no more than {COPY_TOLERANCE:g} "
+                f"(root mean square) in {actions.shape[1]} scenarios"
+            )
+
+
+@functools.cache
+def _rollout_of(baseline: Entry, n_lanes: int) -> Floats:
+    """Return the actions of a baseline's policy in the gate's scenarios."""
+    assert baseline.policy is not None and n_lanes == _ROLLOUT_LANES
+    return rollout(baseline.policy, baseline)
+
+
+def action_difference(one: Floats, other: Floats, mode: str, other_mode: str) -> float:
+    """Return the root mean square of the difference of two rollouts' actions.
+
+    It is over the steps that both have and what either of them modulates; an action that one has not is zero.
+
+    Args:
+        one, other: actions (steps, lanes, n_action), [-1, 1].
+        mode, other_mode: their action modes.
+    """
+    steps = min(len(one), len(other))
+    used = np.logical_or(ACTION_MODES[mode], ACTION_MODES[other_mode])
+    difference = _on_k_and_tau(one[:steps], mode) - _on_k_and_tau(other[:steps], other_mode)
+    return float(np.sqrt(np.mean(np.square(difference[..., used]))))
+
+
+def _on_k_and_tau(actions: Floats, mode: str) -> Floats:
+    """Return actions (steps, lanes, n_action) of a mode as those on k and τ of each group, (…, n_wtg, 2)."""
+    modulated = np.flatnonzero(ACTION_MODES[mode])
+    own = actions.reshape(*actions.shape[:2], -1, len(modulated))
+    both = np.zeros((*own.shape[:3], 2))
+    both[..., modulated] = own
+    return both
 
 
 def _check_widths(policy: OnnxPolicy, entry: EntryFile) -> str:
@@ -157,8 +237,8 @@ def check_speed(policy: OnnxPolicy) -> str:
     return f"{taken_ms:.3f} ms for an action, allowed are {allowed_ms:g}"
 
 
-def rollout(policy: OnnxPolicy, described: Entry | EntryFile, *, backwards: bool = False) -> Floats:
-    """Play validation scenarios of the standard suite in a new process.
+def rollout(policy: Policy, described: Entry | EntryFile, *, backwards: bool = False) -> Floats:
+    """Play validation scenarios of the standard suite; an :class:`OnnxPolicy` in a new process.
 
     The actions come back within ±1, (steps, lanes, n_action).
 
@@ -175,10 +255,11 @@ def rollout(policy: OnnxPolicy, described: Entry | EntryFile, *, backwards: bool
     listener = _Listener(policy)
     keys = ("action_mode", "observation_mode", "environment", "strategy")
     entry = Entry(name="the policy", policy=listener, **{key: getattr(described, key) for key in keys})
-    settings = EnvSettings(version=BENCHMARKS[described.environment or V0.env_id].version, split="validation")
+    settings = EnvSettings(version=BENCHMARKS[described.environment or V1.env_id].version, split="validation")
     order = -1 if backwards else 1
     seeds = get_suite(settings.suite).validation[:_ROLLOUT_LANES][::order]
-    with started_lanes(entry, settings, seeds) as (lanes, _), policy:
+    alone = policy if isinstance(policy, OnnxPolicy) else contextlib.nullcontext()
+    with started_lanes(entry, settings, seeds) as (lanes, _), alone:
         for step, running in enumerate(play(entry, lanes)):
             listener.actions[step][~running] = 0.0
     return np.clip(np.stack(listener.actions), -1.0, 1.0)[:, ::order]
@@ -187,7 +268,7 @@ def rollout(policy: OnnxPolicy, described: Entry | EntryFile, *, backwards: bool
 class _Listener:
     """Passes a policy's answers on and keeps the actions."""
 
-    def __init__(self, policy: OnnxPolicy) -> None:
+    def __init__(self, policy: Policy) -> None:
         self._policy = policy
         self.actions: list[Floats] = []
 

@@ -15,33 +15,18 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from wtg_gym.files import read_toml
+from wtg_gym.files import LARGEST_TOML_BYTES, read_text
 from wtg_gym.physics.tracking_law import STRATEGY_NAMES, get_law
 from wtg_gym.policies.entry import Entry, Policy, is_policy
+from wtg_gym.policies.entry_toml import NEEDED, parse_entry
+from wtg_gym.policies.names import BASELINES, INSTALLED, POLICIES, ROOT, check_not_built_in, is_built_in
 from wtg_gym.policies.onnx_policy import OnnxPolicy
 from wtg_gym.scenarios.benchmark import BENCHMARKS, V0, Benchmark
 
-#: The package with the baselines, and the name of all trained policies together.
-BASELINES, POLICIES = "baselines", "policies"
 #: The files of a folder with a trained policy.
 ENTRY_FILE, POLICY_FILE = "entry.toml", "policy.onnx"
 #: An archive of Stable-Baselines3 can stand in the place of the policy; entry.toml then names its class.
 ARCHIVE_FILE, _ALGORITHM = "model.zip", "algorithm"
-_ENTRY_KEYS = (
-    "name",
-    "description",
-    "action_mode",
-    "observation_mode",
-    "environment",
-    "strategy",
-    "training_seed",
-    "authors",
-    "trained_on",
-    "links",
-)
-_PACKAGE = Path(__file__).resolve().parents[1]
-_INSTALLED = (_PACKAGE / "shipped").is_dir()
-_ROOT = _PACKAGE / "shipped" if _INSTALLED else _PACKAGE.parent
 
 #: Returns the policy of a folder's archive and a sha256 of it, given folder and algorithm; runs the archive's code.
 LoadArchive = Callable[[Path, str], tuple[Policy, str]]
@@ -51,12 +36,13 @@ def load_entries(spec: str | Path, load_archive: LoadArchive | None = None, benc
     """Return the entries that a text names.
 
     Args:
-        spec: the name of a built-in strategy, of a baseline, or of a trained policy that comes with the package ("PPO
-            (k)" stands for all of its seeds, "ppo-k-0" for one of them, "policies" for all policies); a .toml file with
-            a law; a folder with an entry.toml and a policy.onnx, see :func:`load_entry_folder`; a package such as
-            "baselines", of which every module with an `ENTRY` counts, in the order of the package's `ORDER` and then by
-            name (if `ORDER` gives one for each version of the benchmark, only the modules of `benchmark`); or
-            "module:ATTRIBUTE", an entry, a policy, or a callable that returns one. Importing runs the module's code.
+        spec: what is found first, in this order: the name of a built-in strategy; "baselines" for all baselines,
+            "policies" for all trained policies that come with the package; the name of a baseline; a .toml file with a
+            law; a folder with an entry.toml and a policy.onnx, see :func:`load_entry_folder`; the name of one of those
+            policies ("PPO (k)" stands for all of its seeds, "ppo-k-0" for one of them); a package, of which every
+            module with an `ENTRY` counts, in the order of the package's `ORDER` and then by name (if `ORDER` gives one
+            for each version of the benchmark, only the modules of `benchmark`); or "module:ATTRIBUTE", an entry, a
+            policy, or a callable that returns one. Importing runs the module's code.
         load_archive: as for :func:`load_entry_folder`.
         benchmark: the version whose baselines are meant, and whose trained policies, where some of a name are for it.
 
@@ -66,10 +52,16 @@ def load_entries(spec: str | Path, load_archive: LoadArchive | None = None, benc
     if not isinstance(spec, (str, Path)):
         raise ValueError(f"load_entries() takes one name or path, got {spec!r}")
     text = str(spec)
-    if text in STRATEGY_NAMES:
-        return _baselines_named(text)
+    if text == BASELINES:
+        return _entries_of(_import(BASELINES, text), text, benchmark.version)
+    if text == POLICIES:
+        return _for_version(policy_folders(), benchmark)
+    baselines = _entries_of(_import(BASELINES, text), text) if is_built_in(text) else []
+    if named := [entry for entry in baselines if entry.name == text]:
+        return named
     if text.endswith(".toml"):
         law = get_law(text)
+        check_not_built_in(f"the name of the law in {text}", law.name)
         return [Entry(name=law.name, strategy=law, description="A law read from a file.")]
     if (Path(text) / ENTRY_FILE).is_file() or os.path.lexists(Path(text) / ARCHIVE_FILE):
         return [load_entry_folder(Path(text), load_archive)]
@@ -79,47 +71,50 @@ def load_entries(spec: str | Path, load_archive: LoadArchive | None = None, benc
             f"the folder {text} holds no {ENTRY_FILE}, but {len(folders)} folders with one: "
             f"write {text.rstrip('/')}/* for all of them, or name one, such as {text.rstrip('/')}/{folders[0]}"
         )
-    if shipped := [load_entry_folder(folder) for folder in _policy_folders(text)]:
-        return [entry for entry in shipped if entry.environment == benchmark.env_id] or shipped
-    if named := _baselines_named(text):
-        return named
+    if shipped := [folder for folder in policy_folders() if text in (folder.name, policy_name(folder))]:
+        return _for_version(shipped, benchmark)
     module_name, colon, attribute = text.partition(":")
     module = _import(module_name, text)
     return [_entry_of(module, attribute, text)] if colon else _entries_of(module, text, benchmark.version)
 
 
-def _baselines_named(name: str) -> list[Entry]:
-    return [entry for entry in _entries_of(_import(BASELINES, BASELINES), BASELINES) if entry.name == name]
-
-
 def example_law() -> str:
     """Return the text of a file with a law, for users to change."""
-    return (_ROOT / BASELINES / "example_law.toml").read_text(encoding="utf-8")
+    return (ROOT / BASELINES / "example_law.toml").read_text(encoding="utf-8")
 
 
 # --- trained policies ------------------------------------------------------------------------------------------------
 
 
-def _policy_folders(name: str) -> list[Path]:
-    """Return the folders of the trained policies that an entry's name, a folder's name or "policies" stands for."""
-    folders = sorted((_ROOT / "agents" / "policies").glob("*/"))
-    return [folder for folder in folders if name in (POLICIES, folder.name, _entry_name(folder))]
+def policy_folders(env_id: str | None = None) -> list[Path]:
+    """Return the folders of the trained policies that come with the package: all, or those for an environment."""
+    folders = sorted(path.parent for path in (ROOT / "agents" / "policies").glob(f"*/{ENTRY_FILE}"))
+    return folders if env_id is None else [each for each in folders if _said(each).get("environment") == env_id]
 
 
-def _entry_name(folder: Path) -> str | None:
+def policy_name(folder: Path) -> str | None:
+    """Return the name of the entry in a folder; None if its entry.toml is wrong, loading the folder says why."""
+    return _said(folder).get("name")
+
+
+def _said(folder: Path) -> dict[str, Any]:
     try:
-        name = read_toml(folder / ENTRY_FILE, "entry file").get("name")
+        return _entry_data(folder / ENTRY_FILE, NEEDED)
     except ValueError:
-        # Loading the folder says what is wrong with it.
-        return None
-    return name if isinstance(name, str) else None
+        return {}
+
+
+def _for_version(folders: Sequence[Path], benchmark: Benchmark) -> list[Entry]:
+    """Return the entries of shipped folders: those for a version, or all if there are none for it."""
+    entries = [load_entry_folder(folder) for folder in folders]
+    return [entry for entry in entries if entry.environment == benchmark.env_id] or entries
 
 
 def load_entry_folder(folder: Path, load_archive: LoadArchive | None = None) -> Entry:
     """Return the entry of a folder with a policy.
 
     Its entry.toml has the keys name and action_mode, and may have description, observation_mode, environment (without
-    it: that of version v0), strategy (the name of a built-in one; without it: the reference strategy), training_seed,
+    it: that of version v1), strategy (the name of a built-in one; without it: the reference strategy), training_seed,
     authors (a list of names), trained_on (text) and links (a list of addresses). An :class:`OnnxPolicy` plays its
     policy.onnx in a process of its own; nothing of that file is looked at before.
 
@@ -142,8 +137,9 @@ def load_entry_folder(folder: Path, load_archive: LoadArchive | None = None) -> 
             "an ONNX file that 'python -m agents.export' or wtg_gym.export_onnx() writes; a file that you made "
             "yourself, and only that, can be scored as it is with 'wtg-gym evaluate --trust-pickle'"
         )
-    data = _entry_data(folder / ENTRY_FILE, (_ALGORITHM,) if is_archive else ())
+    data = _entry_data(folder / ENTRY_FILE, (*NEEDED, _ALGORITHM) if is_archive else NEEDED)
     algorithm = data.pop(_ALGORITHM, "")
+    check_not_built_in(f"the name in {folder / ENTRY_FILE}", data["name"])
     try:
         # Errors of entry.toml come before the policy is loaded.
         entry = Entry(**data)
@@ -156,32 +152,22 @@ def load_entry_folder(folder: Path, load_archive: LoadArchive | None = None) -> 
         raise ValueError(f"entry {folder}: {error}") from error
 
 
-def _entry_data(path: Path, further: tuple[str, ...]) -> dict[str, Any]:
-    """Return the arguments of :class:`Entry` that an entry.toml gives, and its `further` keys, which it must have."""
-    data = read_toml(path, "entry file")
-    required, known = ("name", "action_mode", *further), (*_ENTRY_KEYS, *further)
-    unknown, missing = sorted(set(data) - set(known)), sorted(set(required) - set(data))
-    if unknown or missing:
-        raise ValueError(
-            f"the entry file {path} must have the keys {' and '.join(required)} and may have others out of "
-            f"{', '.join(known)}; unknown: {unknown}, missing: {missing}"
-        )
-    authors, links, trained_on = data.pop("authors", []), data.pop("links", []), data.pop("trained_on", "")
-    for key, value in (("authors", authors), ("links", links)):
-        if not isinstance(value, list) or not all(isinstance(each, str) and each for each in value):
-            raise ValueError(f"{key} in {path} must be a list of texts, got {value!r}")
-    if not isinstance(trained_on, str):
-        raise ValueError(f"trained_on in {path} must be text, got {trained_on!r}")
-    if "strategy" in data and data["strategy"] not in STRATEGY_NAMES:
-        raise ValueError(f"strategy in {path} must be one of {', '.join(STRATEGY_NAMES)}, got {data['strategy']!r}")
-    return {"environment": V0.env_id, **data, "source": ", ".join(authors)}
+def _entry_data(path: Path, needed: Sequence[str]) -> dict[str, Any]:
+    """Return the arguments of :class:`Entry` that an entry.toml gives, and what else is `needed`."""
+    text = read_text(path, "entry file", largest=LARGEST_TOML_BYTES)
+    try:
+        data = parse_entry(text, needed)
+    except ValueError as error:
+        raise ValueError(f"the entry file {path}: {error}") from error
+    authors, *_ = (data.pop(key, ()) for key in ("authors", "links", "trained_on"))
+    return {**data, "source": ", ".join(authors)}
 
 
 # --- modules ---------------------------------------------------------------------------------------------------------
 
 
 def _import(name: str, spec: str) -> ModuleType:
-    if name.partition(".")[0] == BASELINES and _INSTALLED:
+    if name.partition(".")[0] == BASELINES and INSTALLED:
         name = f"wtg_gym.shipped.{name}"
     if not name or not all(part.isidentifier() for part in name.split(".")):
         if name and Path(spec).is_dir():
@@ -197,7 +183,7 @@ def _import(name: str, spec: str) -> ModuleType:
 
 
 def _allowed() -> str:
-    names = [name for folder in _policy_folders(POLICIES) if (name := _entry_name(folder))]
+    names = [name for folder in policy_folders() if (name := policy_name(folder))]
     shipped = ", ".join(repr(known) for known in dict.fromkeys((*STRATEGY_NAMES, BASELINES, *names, POLICIES)))
     return (
         f"allowed are {shipped}, a .toml file with a law, "

@@ -12,27 +12,21 @@ from pathlib import Path
 from typing import Any
 
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.envs.settings import ACTION_MODES, OBSERVATION_MODES, EnvSettings
-from wtg_gym.files import LARGEST_TOML_BYTES, parse_toml, write_together
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGY_NAMES
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.files import LARGEST_TOML_BYTES, write_together
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
+from wtg_gym.policies.entry_toml import parse_entry
 from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
-from wtg_gym.policies.submission_texts import check_author, check_link, check_name, check_text, short
-from wtg_gym.scenarios.benchmark import BENCHMARKS, V0
+from wtg_gym.policies.names import check_no_module, check_not_built_in
+from wtg_gym.policies.submission_texts import check_author, check_link, check_name, check_text
+from wtg_gym.scenarios.benchmark import BENCHMARKS
 
 #: The files of a folder and their largest sizes [bytes]; every limit is far above what a policy here needs.
 FILES = {ENTRY_FILE: LARGEST_TOML_BYTES, POLICY_FILE: 5_000_000, "README.md": 65_536}
-_FOLDER = re.compile(r"(?!.*(\.|\.toml)$)[A-Za-z0-9][A-Za-z0-9+._-]{0,79}", re.IGNORECASE)
+_FOLDER = re.compile(r"(?!.*(\.|\.toml)$)[A-Za-z0-9][A-Za-z0-9+._-]{0,79}", re.IGNORECASE | re.ASCII)
 #: Names, with any ending, that Windows keeps for devices: a repository with one cannot be checked out there.
 _DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 _REQUIRED = ("name", "authors", "training_seed", "action_mode")
-_OPTIONAL = ("observation_mode", "environment", "strategy", "description", "trained_on", "links")
-_CHOICES = {
-    "action_mode": tuple(ACTION_MODES),
-    "observation_mode": OBSERVATION_MODES,
-    "environment": tuple(BENCHMARKS),
-    "strategy": STRATEGY_NAMES,
-}
-_LARGEST_SEED = 2**32 - 1
 _MOST_AUTHORS, _MOST_LINKS = 40, 5
 
 _TEMPLATE = """\
@@ -81,7 +75,7 @@ class EntryFile:
     training_seed: int
     action_mode: str
     observation_mode: str = "local"
-    environment: str = V0.env_id
+    environment: str
     strategy: str = REFERENCE_STRATEGY
     description: str = ""
     trained_on: str = ""
@@ -130,6 +124,8 @@ def _check_folder_name(folder: Path) -> None:
             f"the folder's name must be 1 … 80 letters, digits and + . _ -, begin with a letter or digit, not end with "
             f"a dot or .toml, and be no device of Windows; got {ascii(name)[:90]}"
         )
+    check_not_built_in("the folder's name", name)
+    check_no_module("the folder's name", name)
 
 
 def _status(path: Path) -> os.stat_result:
@@ -156,40 +152,29 @@ def _read(path: Path, largest: int) -> bytes:
     return content
 
 
-def parse_entry(content: bytes) -> EntryFile:
-    """Return the content of entry.toml.
+def parse_submission(content: bytes) -> EntryFile:
+    """Return the content of a submission's entry.toml.
 
     Raises:
         ValueError: it is not TOML, or a key is missing, unknown or out of range; the message names what is allowed.
     """
     try:
-        data = parse_toml(content.decode("utf-8"), "it")
+        data = parse_entry(content.decode("utf-8"), _REQUIRED)
     except UnicodeDecodeError as error:
         raise ValueError(f"it is not TOML in UTF-8: {error}") from error
-    except ValueError as error:
-        raise ValueError(ascii(str(error))[1:-1][:160]) from error
-    missing, unknown = [key for key in _REQUIRED if key not in data], sorted(set(data) - {*_REQUIRED, *_OPTIONAL})
-    if missing or unknown:
-        raise ValueError(
-            f"it must have the keys {', '.join(_REQUIRED)} and may have {', '.join(_OPTIONAL)}; "
-            f"missing: {missing}, unknown: {ascii(unknown)[:120]}"
-        )
-    for key, allowed in _CHOICES.items():
-        if key in data and (not isinstance(data[key], str) or data[key] not in allowed):
-            raise ValueError(f"{key} must be one of {', '.join(allowed)}, got {short(data[key])}")
-    seed = data["training_seed"]
-    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= _LARGEST_SEED:
-        raise ValueError(f"training_seed must be a whole number 0 … {_LARGEST_SEED}, got {short(seed)}")
     for key in ("description", "trained_on"):
         data[key] = check_text(key, data.get(key, ""))
-    data["authors"] = tuple(check_author(each) for each in _list("authors", data["authors"], 1, _MOST_AUTHORS))
-    data["links"] = tuple(check_link(each) for each in _list("links", data.get("links", []), 0, _MOST_LINKS))
-    return EntryFile(**{**data, "name": check_name(data["name"])})
+    data["authors"] = tuple(check_author(each) for each in _few("authors", data["authors"], 1, _MOST_AUTHORS))
+    data["links"] = tuple(check_link(each) for each in _few("links", data.get("links", []), 0, _MOST_LINKS))
+    name = check_name(data["name"])
+    check_not_built_in("name", name)
+    check_no_module("name", name)
+    return EntryFile(**data)
 
 
-def _list(key: str, value: Any, fewest: int, most: int) -> list[Any]:
-    if not isinstance(value, list) or not fewest <= len(value) <= most:
-        raise ValueError(f"{key} must be a list of {fewest} … {most} texts, got {short(value)}")
+def _few(key: str, value: list[str], fewest: int, most: int) -> list[str]:
+    if not fewest <= len(value) <= most:
+        raise ValueError(f"{key} must be a list of {fewest} … {most} texts, got {len(value)}")
     return value
 
 

@@ -6,22 +6,28 @@ import re
 import unicodedata
 from typing import Any
 
-from wtg_gym.physics.tracking_law import STRATEGY_NAMES
-
 _NAME_SIGNS = " ()+-.,=_"
-#: Quantities that a name may speak of, and the letters that some of them look like.
+#: Quantities that a name may speak of.
 _GREEK = "βγδκλμπτω"
-_LOOKS = str.maketrans("βγκτω", "byktw")
-#: Small letters and digits that are one line or one ring in many typefaces.
-_SAME = str.maketrans("1i0", "llo")
-#: Names of a checkout's own entries that submissions cannot have: one row, one maker.
-TAKEN = (*STRATEGY_NAMES, "tip-speed-feedback", "fast-droop")
-#: The table says itself how many seeds a row has.
-_SEEDS = re.compile(r"\d\W*seeds?\b", re.IGNORECASE)
+#: The table says itself how many seeds a row has: "seed" in any word, or spread over signs.
+_SEED = re.compile("seed|(?<![a-z])s[^a-z]*e[^a-z]*e[^a-z]*d", re.IGNORECASE)
 #: All signs of ASCII that a text may have; a colon and an ampersand only before a blank, an underscore within a word.
 _TEXT_SIGNS = " '\"(),-./:;%+=!?&_"
-#: Letters that are drawn as a blank or not at all, and the empty pattern of Braille.
-_UNSEEN = "\u115f\u1160\u3164\uffa0\u2800"
+#: All signs beyond ASCII but for letters of :data:`_SCRIPTS`; the last ones repeat, stretch or break a sound.
+_FURTHER_SIGNS = "·×±°µ–—…’‘“”«»−≤≥≈→²³¹⁰⁴⁵⁶⁷⁸⁹⁻₀₁₂₃₄₅₆₇₈₉½¼¾№、。・々ーゝゞヽヾๆໆៗʻʼ"
+#: First words of the names of letters: the scripts that Unicode recommends for names (UAX 31, table 5).
+_SCRIPTS = re.compile(
+    "ARABIC|ARMENIAN|BENGALI|BOPOMOFO|CJK|CYRILLIC|DEVANAGARI|ETHIOPIC|GEORGIAN|GREEK|GUJARATI|GURMUKHI|HANGUL|HEBREW|"
+    "HIRAGANA|KANNADA|KATAKANA|KHMER|LAO|LATIN|MALAYALAM|MYANMAR|ORIYA|SINHALA|TAMIL|TELUGU|THAANA|THAI|TIBETAN"
+)
+#: What of two of them is made of single letters alone: the rest are parts, fillers and forms for old systems.
+_SECOND_WORDS = {"HANGUL": "SYLLABLE", "CJK": "UNIFIED"}
+#: Forms of letters for old systems begin here; Chinese goes on from the second number.
+_FORMS, _FURTHER_CHINESE = 0xFB00, 0x20000
+#: Vowels of Khmer that are not drawn.
+_UNSEEN = "\u17b4\u17b5"
+#: Vowel signs and tones that may follow a letter: there are no more in a word of these scripts.
+_MOST_MARKS = 4
 _LONGEST_NAME, _LONGEST_TEXT, _LONGEST_LINK = 60, 400, 200
 _LINK = re.compile(r"https://[A-Za-z0-9][A-Za-z0-9.-]*\.[A-Za-z]{2,24}(/[A-Za-z0-9._~/%#?=&+-]*)?")
 #: `_so_` would be set in italics, `a_b` is not; `:so:` is a picture, `so:so` may be an address; `1. ` begins a list.
@@ -32,23 +38,15 @@ def check_name(value: Any) -> str:
     """Return the name of an entry; a ValueError says what is allowed."""
     allowed = (
         f"name must be 1 … {_LONGEST_NAME} letters, digits and signs out of {_NAME_SIGNS.strip()}{_GREEK} or blanks, "
-        f"begin with a letter or digit, have _ within words only, give no number of seeds, and be none of "
-        f"{', '.join(TAKEN)}"
+        "begin with a letter or digit, have _ within words only, and say nothing of seeds, which the table counts"
     )
     if not isinstance(value, str) or not 1 <= len(value) <= _LONGEST_NAME:
         raise ValueError(f"{allowed}; got {short(value)}")
     # Letters of other scripts look like these, or like nothing at all.
     plain = all((sign.isascii() and sign.isalnum()) or sign in _NAME_SIGNS + _GREEK for sign in value)
-    taken = plain_name(value) in {plain_name(name) for name in TAKEN} or _SEEDS.search(value)
-    if not plain or not value[0].isalnum() or value != value.strip() or _MARKUP.search(value) or taken:
+    if not plain or not value[0].isalnum() or value != value.strip() or _MARKUP.search(value) or _SEED.search(value):
         raise ValueError(f"{allowed}; got {short(value)}")
     return value
-
-
-def plain_name(name: str) -> str:
-    """Return what people read of a name: no capitals, blanks and signs, and letters as what they look like."""
-    plain = name.translate(_LOOKS).casefold().translate(_SAME)
-    return "".join(sign for sign in plain if sign.isalnum())
 
 
 def check_author(value: Any) -> str:
@@ -62,25 +60,40 @@ def check_text(key: str, value: Any) -> str:
     """Return a line of plain text, which may be empty; a ValueError says what is allowed."""
     if not isinstance(value, str) or len(value) > _LONGEST_TEXT or not _is_plain(value):
         raise ValueError(
-            f"{key} must be up to {_LONGEST_TEXT} visible characters on one line: letters with their accents (in the "
-            f"form NFC), digits, and of the signs of ASCII {_TEXT_SIGNS.strip()} alone, : and & before a blank and _ "
-            f"within a word; no markup and no addresses (those are for links); got {short(value)}"
+            f"{key} must be up to {_LONGEST_TEXT} visible characters on one line: letters of living scripts (in the "
+            f"form NFC), digits, blanks and the signs {_TEXT_SIGNS.strip()}{_FURTHER_SIGNS}, with : and & before a "
+            f"blank and _ within a word; no markup and no addresses (those are for links); got {short(value)}"
         )
     return value
 
 
 def _is_plain(text: str) -> bool:
+    # The script of the letter before, and the marks since.
+    script, marks = "", 0
     for sign in text:
         if sign.isascii():
-            allowed = sign.isalnum() or sign in _TEXT_SIGNS
+            allowed, script = sign.isalnum() or sign in _TEXT_SIGNS, ""
+        elif sign in _FURTHER_SIGNS:
+            allowed, script = True, ""
+        elif unicodedata.category(sign).startswith("M"):
+            marks += 1
+            allowed = script != "" and script == _script(sign) and marks <= _MOST_MARKS
         else:
-            # Not printable in Python are controls, changes of direction, other blanks and unassigned signs.
-            allowed = sign.isprintable() and sign not in _UNSEEN and not unicodedata.category(sign).startswith("M")
+            script, marks = _script(sign), 0
+            allowed = script != "" and unicodedata.category(sign) in ("Lu", "Ll", "Lt", "Lo")
         if not allowed:
             return False
     if unicodedata.normalize("NFC", text) != text or text != text.strip() or _MARKUP.search(text):
         return False
     return not text or text[0].isalnum() or text[0] in "('\""
+
+
+def _script(sign: str) -> str:
+    """Return the first word of the Unicode name of a letter or mark if it is an allowed one, else nothing."""
+    first, second, *_ = f"{unicodedata.name(sign, '')}  ".split(" ")
+    ordinary = ord(sign) < _FORMS or (first == "CJK" and ord(sign) >= _FURTHER_CHINESE)
+    own = _SCRIPTS.fullmatch(first) and second.startswith(_SECOND_WORDS.get(first, ""))
+    return first if ordinary and own and sign not in _UNSEEN else ""
 
 
 def check_link(value: Any) -> str:

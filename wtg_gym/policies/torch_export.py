@@ -17,7 +17,7 @@ from wtg_gym.files import write_together
 from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
 from wtg_gym.policies.onnx_policy import OnnxPolicy
 from wtg_gym.policies.policy_process import PolicyError
-from wtg_gym.policies.submission_folder import FILES, entry_text, parse_entry
+from wtg_gym.policies.submission_folder import FILES, entry_text, parse_submission
 
 try:
     # Torch's exporter needs it.
@@ -76,7 +76,7 @@ def export_onnx(
         **entry,
     }
     text = entry_text(values)
-    checked = parse_entry(text.encode())
+    checked = parse_submission(text.encode())
     n_observation, n_action = checked.widths()
     widths = tuple(getattr(module, "state_widths", ()) if state_widths is None else state_widths)
     modes = [(each, each.training) for each in module.modules()]
