@@ -280,5 +280,5 @@ def test_what_needs_an_episode_says_so() -> None:
 def test_without_pettingzoo_the_import_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pettingzoo", None)
     monkeypatch.delitem(sys.modules, "wtg_gym.pettingzoo")
-    with pytest.raises(ImportError, match=r"wtg_gym.pettingzoo needs PettingZoo: pip install 'wtg-gym\[marl\]'"):
+    with pytest.raises(ImportError, match=r"pettingzoo needs PettingZoo; in a checkout: pip install '\.\[marl\]'"):
         importlib.import_module("wtg_gym.pettingzoo")

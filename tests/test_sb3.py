@@ -347,5 +347,5 @@ def test_learning_with_a_progress_bar_normalised_observations_and_evaluation():
 def test_without_stable_baselines3_the_import_says_what_to_install(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "stable_baselines3.common.vec_env", None)
     monkeypatch.delitem(sys.modules, "wtg_gym.sb3")
-    with pytest.raises(ImportError, match=r"wtg_gym.sb3 needs Stable-Baselines3: pip install 'wtg-gym\[train\]'"):
+    with pytest.raises(ImportError, match=r"sb3 needs Stable-Baselines3; in a checkout: pip install '\.\[train\]'"):
         importlib.import_module("wtg_gym.sb3")

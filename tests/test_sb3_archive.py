@@ -305,4 +305,4 @@ def test_missing_package_names_the_extra(
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
     monkeypatch.delitem(sys.modules, "wtg_gym.policies.sb3_archive")
-    assert "pip install 'wtg-gym[train]'" in refusal(capsys, folder(tmp_path / "entry", archive))
+    assert "in a checkout: pip install '.[train]'" in refusal(capsys, folder(tmp_path / "entry", archive))

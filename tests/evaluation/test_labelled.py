@@ -38,7 +38,7 @@ def test_error_without_the_package_names_the_extra(
     package: str, results: Results, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(ImportError, match=rf"needs {package} of the data extra: pip install 'wtg-gym\[data\]'"):
+    with pytest.raises(ImportError, match=rf"needs {package}; in a checkout: pip install '\.\[data\]'"):
         results.to_pandas() if package == "pandas" else to_xarray(simulate(MINE, "mppt"))
 
 

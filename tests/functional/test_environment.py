@@ -16,7 +16,7 @@ from wtg_gym.envs.task_records import Info
 from wtg_gym.gradients import Tape
 from wtg_gym.physics.protection import Status
 
-jax = pytest.importorskip("jax", reason="JAX is not installed here: pip install 'wtg-gym[jax]'")
+jax = pytest.importorskip("jax", reason="JAX is not installed here: pip install '.[jax]'")
 jax.config.update("jax_enable_x64", True)
 import jax.numpy as jnp  # noqa: E402
 
