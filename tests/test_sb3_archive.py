@@ -29,13 +29,14 @@ from agents.hyperparameters import ALGORITHMS as TRAINED
 from agents.runs import Run
 from tests.agents.small import trained
 from tests.cli.calls import ROOT, error_of, json_of
-from wtg_gym import ENV_ID
 from wtg_gym.cli import main
 from wtg_gym.evaluation import OnnxPolicy, load_entries
 from wtg_gym.policies.sb3_archive import ALGORITHMS, NormalizedPolicy, load_archive
 
+ENV_ID = "GFMWTG-14bus-v0"
+
 TOML = 'name = "mine"\naction_mode = "k+tau"\nalgorithm = "PPO"\n'
-SHORT = ("--scenarios", "3", "--duration", "10")
+SHORT = ("--suite", "standard", "--scenarios", "3", "--duration", "10")
 #: Width of the local observation of two groups with both actions.
 N = 20
 
