@@ -75,7 +75,7 @@ def read_config(path: Path, env_id: str) -> dict[str, Any]:
     sections = {name: each for name, each in data.items() if isinstance(each, dict)} if isinstance(data, dict) else {}
     if env_id not in sections:
         names = ", ".join(map(str, sections))
-        others = f"; it has {names}: give another file with --config, or a suite of that version" if sections else ""
+        others = f"; it has one for {names}: give another file with --config, or its --suite" if sections else ""
         raise ValueError(f"the hyperparameter file {path} must have a section {env_id!r} with keys and values{others}")
     return dict(sections[env_id])
 
