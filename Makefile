@@ -120,7 +120,7 @@ docs: pictures ## Measure everything that docs/ shows again, but for performance
 	$(LEADERBOARD_VENV)/bin/wtg-gym analyse accuracy --output docs/validation --formats svg --page docs/validation.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym analyse estimate --page docs/gradients.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym analyse estimate --recorded tests/golden/grid-forming/params.json tests/golden/grid-forming/a.csv --page docs/gradients.md
-	$(LEADERBOARD_VENV)/bin/python -m agents.research.law_gradient --page docs/gradients.md
+	$(LEADERBOARD_VENV)/bin/python -m agents.research.law_gradient --suite standard --page docs/gradients.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym results sensitivity --suite standard --entries baselines policies agents.research.probes:CHATTER agents.research.probes:PUSH --page docs/benchmark.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym results sensitivity --suite standard-v1 --entries baselines policies agents.research.probes:CHATTER_V1 agents.research.probes:PUSH_V1 agents.research.probes:STOPWATCH_V1 --page docs/benchmark.md
 	$(LEADERBOARD_VENV)/bin/python -m agents.research.incentives --entries agents/policies/linear-feedback agents/policies/ppo-k-? deloaded-5 --page docs/benchmark.md
@@ -168,7 +168,7 @@ golden: $(GOLDEN_READY) ## Make the golden cases of ANDES again, in an environme
 .PHONY: rllib
 rllib: $(RLLIB_READY) ## Train with RLlib for a minute, in an environment of its own, and export the policy; runs/make-rllib is written anew
 	rm -rf runs/make-rllib
-	$(RLLIB_VENV)/bin/python -m agents.rllib --timesteps 500000 --interval 150000 --output runs/make-rllib
+	$(RLLIB_VENV)/bin/python -m agents.rllib --suite standard --timesteps 500000 --interval 150000 --output runs/make-rllib
 	$(RLLIB_VENV)/bin/python -m agents.export runs/make-rllib --output runs/make-rllib/entry
 	$(RLLIB_VENV)/bin/wtg-gym evaluate --entries runs/make-rllib/entry --suite standard --split validation --results runs/make-rllib/results
 

@@ -34,6 +34,7 @@ from wtg_gym.files import markdown_table
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.progress import Progress
 from wtg_gym.ranges import require_range
+from wtg_gym.scenarios import DEFAULT_SUITE
 
 #: What :func:`compare` leaves after an interruption, for :func:`run_command`.
 KEPT = "the entries that were complete stay; begin anew in another folder"
@@ -79,7 +80,7 @@ def add_training_options(parser: argparse.ArgumentParser, *, timesteps: str) -> 
     parser.add_argument("--action-mode", choices=tuple(ACTION_MODES), help="what the policy modulates (default: k+tau)")
     parser.add_argument("--observation-mode", choices=OBSERVATION_MODES, help="what it sees (default: local)")
     parser.add_argument(
-        "--suite", type=suite_name, metavar="NAME", help="suite to train and validate on (default: standard)"
+        "--suite", type=suite_name, metavar="NAME", help=f"suite to train and validate on (default: {DEFAULT_SUITE})"
     )
     add_strategy_option(parser)
     parser.add_argument("--seed", type=int, metavar="N", help="seed of everything random (default: 0)")

@@ -281,7 +281,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     def work() -> None:
         given = parser.parse_args(argv)
-        require_package("minari", "'wtg-gym[data]'")
+        require_package("minari", "'.[data]'")
         if given.episodes < 1:
             raise ValueError(f"--episodes must be 1 or more, got {given.episodes}")
         if given.output is not None:

@@ -19,7 +19,6 @@ from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecNormalize
 
 from agents.onnx_graph import ACTIVATIONS
-from wtg_gym import ENV_ID
 from wtg_gym.files import read_text
 
 #: The algorithms by name; RL Zoo calls the last one ppo_lstm.
@@ -63,7 +62,7 @@ class Hyperparameters:
     arguments: Mapping[str, Any]  # arguments of the algorithm, `policy` among them
 
 
-def read_config(path: Path, env_id: str = ENV_ID) -> dict[str, Any]:
+def read_config(path: Path, env_id: str) -> dict[str, Any]:
     """Return the section of an environment in a yml file as it is written there.
 
     Raises:
@@ -75,9 +74,8 @@ def read_config(path: Path, env_id: str = ENV_ID) -> dict[str, Any]:
         raise ValueError(f"the hyperparameter file {path} is not yml: {error}") from error
     sections = {name: each for name, each in data.items() if isinstance(each, dict)} if isinstance(data, dict) else {}
     if env_id not in sections:
-        others = (
-            f"; it has one for {', '.join(map(str, sections))}: give another file with --config" if sections else ""
-        )
+        names = ", ".join(map(str, sections))
+        others = f"; it has one for {names}: give another file with --config, or its --suite" if sections else ""
         raise ValueError(f"the hyperparameter file {path} must have a section {env_id!r} with keys and values{others}")
     return dict(sections[env_id])
 

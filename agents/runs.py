@@ -22,7 +22,7 @@ from wtg_gym.evaluation import Entry, Policy, evaluate
 from wtg_gym.files import read_json, to_json, write_atomically
 from wtg_gym.physics.compiled import source_hash
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
-from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
 
 RUN_FILE = "run.json"
 #: What decides the weights besides the packages.
@@ -39,7 +39,7 @@ class RunSettings:
     #: action_mode, observation_mode, suite, strategy, groups, sensors: as for the environment.
     action_mode: str = "k+tau"
     observation_mode: str = "local"
-    suite: str = "standard"
+    suite: str = DEFAULT_SUITE
     strategy: str = REFERENCE_STRATEGY
     groups: int | None = None
     sensors: str | Mapping[str, Any] | None = None

@@ -40,19 +40,24 @@ class Shipped(NamedTuple):
     command: str = "agents.train"
 
 
+_V0 = ("--suite", "standard")
 #: In v1 agents modulate the law that is tuned to the grid.
 _V1 = ("--suite", "standard-v1", "--strategy", "coordinated-tuned", "--validation-episodes", "200")
 _TAU_CONFIG = "agents/configs/ppo_tau.yml"
 SHIPPED = (
-    Shipped("ppo-k+tau", "PPO (k, τ)", "PPO that modulates k and τ.", ("--algo", "ppo", "--action-mode", "k+tau")),
-    Shipped("ppo-k", "PPO (k)", "PPO that modulates k alone.", ("--algo", "ppo", "--action-mode", "k")),
+    Shipped(
+        "ppo-k+tau", "PPO (k, τ)", "PPO that modulates k and τ.", ("--algo", "ppo", "--action-mode", "k+tau", *_V0)
+    ),
+    Shipped("ppo-k", "PPO (k)", "PPO that modulates k alone.", ("--algo", "ppo", "--action-mode", "k", *_V0)),
     Shipped(
         "ppo-tau",
         "PPO (τ)",
         "PPO that modulates τ alone.",
-        ("--algo", "ppo", "--action-mode", "tau", "--config", _TAU_CONFIG),
+        ("--algo", "ppo", "--action-mode", "tau", "--config", _TAU_CONFIG, *_V0),
     ),
-    Shipped("sac-k+tau", "SAC (k, τ)", "SAC that modulates k and τ.", ("--algo", "sac", "--action-mode", "k+tau")),
+    Shipped(
+        "sac-k+tau", "SAC (k, τ)", "SAC that modulates k and τ.", ("--algo", "sac", "--action-mode", "k+tau", *_V0)
+    ),
     Shipped("ppo-v1", "PPO", "PPO on top of the tuned law.", ("--algo", "ppo", *_V1), 3),
     Shipped(
         "recurrent-ppo-v1",
@@ -66,7 +71,7 @@ SHIPPED = (
         "gradient",
         "gradient MLP (k, τ)",
         "An MLP trained by gradients of whole episodes.",
-        ("--validation-episodes", "100"),
+        ("--validation-episodes", "100", *_V0),
         command="agents.gradient",
     ),
     Shipped(

@@ -37,7 +37,7 @@ from agents.onnx_graph import to_onnx
 from agents.runs import Run, RunSettings
 from wtg_gym.policies.load import POLICY_FILE
 from wtg_gym.policies.sb3_archive import NormalizedPolicy
-from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
 
 _DESCRIPTION = """\
 Trains a policy and writes everything about it to a folder: run.json, TensorBoard's files, the policy with the best
@@ -224,7 +224,7 @@ def sb3_settings(given: Mapping[str, Any]) -> RunSettings:
     if "algo" not in given:
         raise ValueError(f"--algo is needed: {', '.join(TRAINED)}")
     algo = given["algo"]
-    env_id = get_suite(given.get("suite", "standard")).benchmark.env_id
+    env_id = get_suite(given.get("suite", DEFAULT_SUITE)).benchmark.env_id
     # Both have the same hyperparameters, whatever their critics see.
     path = Path(given.get("config", CONFIG_FOLDER / f"{'ippo' if algo in multi_agent.ALGORITHMS else algo}.yml"))
     raw = read_config(path, env_id)

@@ -3,7 +3,7 @@
     P_st = (g(ω) + A (K_opt - K_pr) u) ω_m³ + D_p x,    u = -Δf / 0.5 Hz in -1 … 1
 
 A is the authority of the action. A turbine gives more than the law asks for when the frequency is low, at once and for
-as long as it is low, and less when it is high. It may go beyond K_opt for a while: the rotor pays for it.
+as long as it is low, even beyond K_opt, which the rotor pays for, and less when it is high.
 
 It sees what the sensors say, with their delay and noise.
 

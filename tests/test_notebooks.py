@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,8 @@ def test_first_cell_installs_the_package_where_it_is_missing(path: Path) -> None
     cells = _cells(path)
     assert cells[0]["cell_type"] == "markdown"
     first = "".join(cells[1]["source"])
-    assert "pip install" in first and "find_spec" in first
+    (folder,) = re.findall(r'%pip install --quiet "(.*)\[[a-z,]+\]"', first)
+    assert (FOLDER / folder / "pyproject.toml").is_file() and "find_spec" in first
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)

@@ -108,7 +108,7 @@ def test_every_other_program_runs_as_printed(page: str, tmp_path: Path) -> None:
 
 def test_the_program_with_jax_runs_as_printed(tmp_path: Path) -> None:
     (program,) = [program for program in blocks("docs/gradients.md", "python") if "import jax" in program]
-    pytest.importorskip("jax", reason="JAX is not installed here: pip install 'wtg-gym[jax]'")
+    pytest.importorskip("jax", reason="JAX is not installed here: pip install '.[jax]'")
     run([sys.executable, "-c", program], tmp_path)
 
 

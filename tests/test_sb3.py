@@ -24,11 +24,11 @@ from stable_baselines3.common.vec_env import (
 )
 
 from tests.envs.rollouts import actions_of, calm, rising
-from wtg_gym import ENV_ID
 from wtg_gym.sb3 import SB3VecEnv, make_sb3_vec_env
 
+ENV_ID = "GFMWTG-14bus-v0"
 N = 3
-SHORT: dict[str, Any] = {"duration_s": 5.0, "strategy": "mppt"}
+SHORT: dict[str, Any] = {"version": "v0", "duration_s": 5.0, "strategy": "mppt"}
 #: The first lane's first episode ends at a stall, the third's earlier than the others.
 FAILURE_FIRST: list[dict[str, Any]] = [{"scenario": rising(5.0)}, {}, {"scenario": calm(9.0, 1.5).to_dict()}]
 
@@ -294,11 +294,11 @@ def test_what_a_lane_has_not_of_its_own_is_refused():
 
 def test_bad_arguments_are_refused_when_it_is_made():
     with pytest.raises(TypeError, match="autoreset_mode cannot be chosen"):
-        SB3VecEnv(2, autoreset_mode="NextStep")
+        SB3VecEnv(2, autoreset_mode="NextStep", version="v0")
     with pytest.raises(TypeError, match="unexpected keyword argument"):
-        make_sb3_vec_env(2, durations=3.0)
+        make_sb3_vec_env(2, durations=3.0, version="v0")
     with pytest.raises(ValueError, match="num_envs"):
-        SB3VecEnv(0)
+        SB3VecEnv(0, version="v0")
 
 
 def test_it_can_be_closed_twice():
@@ -347,5 +347,5 @@ def test_learning_with_a_progress_bar_normalised_observations_and_evaluation():
 def test_without_stable_baselines3_the_import_says_what_to_install(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "stable_baselines3.common.vec_env", None)
     monkeypatch.delitem(sys.modules, "wtg_gym.sb3")
-    with pytest.raises(ImportError, match=r"wtg_gym.sb3 needs Stable-Baselines3: pip install 'wtg-gym\[train\]'"):
+    with pytest.raises(ImportError, match=r"sb3 needs Stable-Baselines3; in a checkout: pip install '\.\[train\]'"):
         importlib.import_module("wtg_gym.sb3")

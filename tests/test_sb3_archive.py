@@ -29,13 +29,14 @@ from agents.hyperparameters import ALGORITHMS as TRAINED
 from agents.runs import Run
 from tests.agents.small import trained
 from tests.cli.calls import ROOT, error_of, json_of
-from wtg_gym import ENV_ID
 from wtg_gym.cli import main
 from wtg_gym.evaluation import OnnxPolicy, load_entries
 from wtg_gym.policies.sb3_archive import ALGORITHMS, NormalizedPolicy, load_archive
 
-TOML = 'name = "mine"\naction_mode = "k+tau"\nenvironment = "GFMWTG-14bus-v0"\nalgorithm = "PPO"\n'
-SHORT = ("--scenarios", "3", "--duration", "10")
+ENV_ID = "GFMWTG-14bus-v0"
+
+TOML = f'name = "mine"\naction_mode = "k+tau"\nenvironment = "{ENV_ID}"\nalgorithm = "PPO"\n'
+SHORT = ("--suite", "standard", "--scenarios", "3", "--duration", "10")
 #: Width of the local observation of two groups with both actions.
 N = 20
 
@@ -306,4 +307,4 @@ def test_missing_package_names_the_extra(
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
     monkeypatch.delitem(sys.modules, "wtg_gym.policies.sb3_archive")
-    assert "pip install 'wtg-gym[train]'" in refusal(capsys, folder(tmp_path / "entry", archive))
+    assert "in a checkout: pip install '.[train]'" in refusal(capsys, folder(tmp_path / "entry", archive))

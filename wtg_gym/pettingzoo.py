@@ -1,4 +1,4 @@
-"""The environment for many agents, one per WTG group; needs `pip install 'wtg-gym[marl]'`."""
+"""The environment for many agents, one per WTG group; needs the extra `marl`."""
 
 from __future__ import annotations
 
@@ -29,6 +29,7 @@ from wtg_gym.envs.task_records import (
     read_task,
     store_terms,
 )
+from wtg_gym.extras import install_advice
 from wtg_gym.physics.compiled import compiled
 from wtg_gym.physics.elementary import select
 from wtg_gym.physics.layout import LANE, WTG, Floats, load_wtg_output, load_wtg_state, read_turbine, rows_of, wtg_row
@@ -37,7 +38,7 @@ from wtg_gym.ranges import ByName
 try:
     from pettingzoo import ParallelEnv
 except ImportError as error:
-    raise ImportError("wtg_gym.pettingzoo needs PettingZoo: pip install 'wtg-gym[marl]'") from error
+    raise ImportError(f"wtg_gym.pettingzoo needs PettingZoo; {install_advice('marl')}") from error
 
 Observation = npt.NDArray[np.float32]
 Action = npt.NDArray[np.float32]

@@ -1,4 +1,4 @@
-"""Training with Stable-Baselines3 on many episodes at once; needs `pip install 'wtg-gym[train]'`."""
+"""Training with Stable-Baselines3 on many episodes at once; needs the extra `train`."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
 from wtg_gym.envs import GFMWTGVectorEnv
+from wtg_gym.extras import install_advice
 
 try:
     import torch
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 except ImportError as error:
-    raise ImportError("wtg_gym.sb3 needs Stable-Baselines3: pip install 'wtg-gym[train]'") from error
+    raise ImportError(f"wtg_gym.sb3 needs Stable-Baselines3; {install_advice('train')}") from error
 
 Observations = npt.NDArray[np.float32]
 Info = dict[str, Any]

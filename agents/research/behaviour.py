@@ -30,7 +30,7 @@ from wtg_gym.evaluation import Entry
 from wtg_gym.evaluation.recording import Recording, one_scenario, pooled, record
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
-from wtg_gym.scenarios import SPLITS, SUITES, get_suite
+from wtg_gym.scenarios import DEFAULT_SUITE, SPLITS, SUITES, get_suite
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -81,7 +81,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--runs", nargs="+", default=[], metavar="FOLDER", help="folders of training runs")
     parser.add_argument("--output", required=True, metavar="FOLDER", help="folder to write to")
     parser.add_argument("--page", metavar="FILE", help="Markdown file whose sections are renewed")
-    parser.add_argument("--suite", type=suite_name, choices=tuple(SUITES), default="standard", help="default: standard")
+    parser.add_argument(
+        "--suite", type=suite_name, choices=tuple(SUITES), default=DEFAULT_SUITE, help="(default: %(default)s)"
+    )
     parser.add_argument("--split", choices=SPLITS, default="test", help="its scenarios")
     parser.add_argument("--scenarios", type=int, metavar="N", help="the first N of the split (default: 50, or all)")
     return run_command(
@@ -147,7 +149,7 @@ def _behaviour(given: argparse.Namespace) -> None:
 
 def _entries(specs: Sequence[str], suite: str) -> list[Entry]:
     """Return the entries with the reference before them."""
-    (reference,) = chosen_entries([REFERENCE_STRATEGY])
+    (reference,) = chosen_entries([REFERENCE_STRATEGY], suite)
     entries = [reference, *(entry for entry in chosen_entries(specs, suite) if entry.name != REFERENCE_STRATEGY)]
     names = list(dict.fromkeys(entry.name for entry in entries))
     slugs = [_slug(name) for name in names]

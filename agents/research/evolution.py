@@ -17,7 +17,7 @@ from agents.research.rollouts import HISTORY_COLUMNS, Rollouts, both, course, hi
 from wtg_gym.envs.settings import ACTION_MODES
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
-from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
 
 #: Called with the generations done and the (mean) cost of the best so far.
 OnGeneration = Callable[[int, float], None]
@@ -63,7 +63,9 @@ class Search:
 
 def add_search_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that the commands with a search share."""
-    parser.add_argument("--suite", type=suite_name, metavar="NAME", default="standard", help="(default: standard)")
+    parser.add_argument(
+        "--suite", type=suite_name, metavar="NAME", default=DEFAULT_SUITE, help="(default: %(default)s)"
+    )
     parser.add_argument("--action-mode", choices=tuple(ACTION_MODES), default="k+tau", help="(default: k+tau)")
     add_strategy_option(parser)
     parser.add_argument("--generations", type=int, default=150, metavar="N", help="of a search (default: 150)")

@@ -133,7 +133,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     def work() -> None:
         given = parser.parse_args(argv)
         page = check_page("--page", given.page, _SECTION)
-        entries = chosen_entries(given.entries)
+        entries = chosen_entries(given.entries, SUITES[0])
         late = [delayed(entry) for entry in entries if entry.policy is not None]
         text = incentives([*entries, *late, CONSTANT], given.split, given.scenarios, given.threads)
         if page is not None:

@@ -31,7 +31,7 @@ from wtg_gym.files import markdown_table
 from wtg_gym.gradients import Tape
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.tracking_law import LARGEST_COEFFICIENT, TIME_CONSTANT_RANGE, TrackingLaw, get_law
-from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
 
 Laws = tuple[TrackingLaw, ...]
 
@@ -166,7 +166,9 @@ def scores(
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     parser = Parser(prog="python -m agents.research.law_gradient", description=_DESCRIPTION)
-    parser.add_argument("--suite", type=suite_name, default="standard", metavar="NAME", help="(default: standard)")
+    parser.add_argument(
+        "--suite", type=suite_name, default=DEFAULT_SUITE, metavar="NAME", help="(default: %(default)s)"
+    )
     parser.add_argument("--batches", type=int, default=100, metavar="N", help="steps of Adam (default: 100)")
     parser.add_argument("--scenarios", type=int, default=32, metavar="N", help="per batch (default: 32)")
     parser.add_argument("--validation", type=int, default=100, metavar="N", help="validation scenarios (default: 100)")

@@ -15,7 +15,7 @@ from agents.research.rollouts import Candidates, Rollouts, difference_percent
 from wtg_gym.evaluation.score import COST_OFFSET
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
-from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
 
 _DESCRIPTION = """\
 Plays the simplest policies: a grid of constant actions; actions that jump where one observation crosses a quartile of
@@ -165,7 +165,9 @@ def _costs(
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     parser = Parser(prog="python -m agents.research.simple_policies", description=_DESCRIPTION)
-    parser.add_argument("--suite", type=suite_name, metavar="NAME", default="standard", help="(default: standard)")
+    parser.add_argument(
+        "--suite", type=suite_name, metavar="NAME", default=DEFAULT_SUITE, help="(default: %(default)s)"
+    )
     parser.add_argument("--split", choices=("validation", "test"), default="validation", help="(default: validation)")
     parser.add_argument("--scenarios", type=int, metavar="N", help="the first N of the split (default: all)")
     add_threads_option(parser)

@@ -12,7 +12,9 @@ from agents.folders import folders
 from agents.runs import Run
 from agents.train import main, train
 from tests.interruption import interrupted
-from wtg_gym import ENV_ID
+
+ENV_ID = "GFMWTG-14bus-v0"
+V0 = ("--suite", "standard")
 
 SHARED: dict[str, Any] = {"policy": "MlpPolicy", "n_timesteps": 768, "n_envs": 16, "normalize": True}
 ON_POLICY = {**SHARED, "n_steps": 8, "batch_size": 64, "n_epochs": 1, "policy_kwargs": "dict(net_arch=[8])"}
@@ -48,7 +50,7 @@ def config_file(folder: Path, algo: str, **changes: Any) -> str:
 
 def options(folder: Path, algo: str) -> list[str]:
     """Return the options of a small run that validates after every 256 of its 768 steps."""
-    given = ["--algo", algo, "--config", config_file(folder, algo)]
+    given = [*V0, "--algo", algo, "--config", config_file(folder, algo)]
     return [*given, "--interval", "256", "--validation-episodes", "2"]
 
 

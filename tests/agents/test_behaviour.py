@@ -30,7 +30,7 @@ LIMIT_BYTES = 250_000
 def entry_folder(path: Path, name: str = "linear", seed: int = 0) -> str:
     """Write a linear policy as an entry and return its folder."""
     # Not on import: every process that collects the tests would compile for it.
-    names = GFMWTGEnv().observation_names
+    names = GFMWTGEnv(version="v0").observation_names
     weights = np.zeros((len(names), 4), dtype=np.float32)
     for group in range(2):
         weights[names.index(f"wtg{group}.wind [5 m/s from 10 m/s]"), 2 * group] = K_PER_WIND
@@ -74,7 +74,7 @@ def digests(folder: Path) -> dict[str, str]:
 def test_slopes_find_what_a_linear_policy_does(tmp_path: Path) -> None:
     (entry,) = load_entries(entry_folder(tmp_path / "entry"))
     scenarios = get_suite("standard").scenarios(range(10_000, 10_004), duration_s=30.0)
-    found = policy_slopes(record(entry, EnvSettings(duration_s=30.0), scenarios))
+    found = policy_slopes(record(entry, EnvSettings(duration_s=30.0, version="v0"), scenarios))
     law = coordinated_piecewise()
     full = 0.5 * (law.k_min - law.k_max) / law.k_min
     k, tau = found["k"], found["tau"]
@@ -103,7 +103,18 @@ def test_everything_is_written_small_and_the_same_each_time(tmp_path: Path) -> N
     text = page(tmp_path / "page.md")
     written = []
     for name in ("one", "two"):
-        options = ["--entries", *entries, "--runs", *runs, "--split", "validation", "--scenarios", "2"]
+        options = [
+            "--suite",
+            "standard",
+            "--entries",
+            *entries,
+            "--runs",
+            *runs,
+            "--split",
+            "validation",
+            "--scenarios",
+            "2",
+        ]
         assert main([*options, "--output", str(tmp_path / name), "--page", str(text)]) == 0
         written.append(digests(tmp_path / name))
     assert written[0] == written[1]

@@ -10,11 +10,12 @@ import pytest
 
 from agents.gains import Gains, stagger
 from agents.vec_env import EpisodeMetrics, GainVecEnv
-from wtg_gym import ENV_ID
 from wtg_gym.envs import GFMWTGVectorEnv
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.sb3 import SB3VecEnv
 from wtg_gym.scenarios import get_suite
+
+ENV_ID = "GFMWTG-14bus-v0"
 
 N = 3
 COSTS = [f"cost_{term}" for term in COST_TERMS]
@@ -22,7 +23,7 @@ COSTS = [f"cost_{term}" for term in COST_TERMS]
 
 def test_metrics_of_an_episode_are_those_of_its_steps() -> None:
     keys = ["frequency_hz", "rocof_hz_s", *COSTS]
-    env = SB3VecEnv(N, duration_s=3.0)
+    env = SB3VecEnv(N, duration_s=3.0, version="v0")
     env.seed(4)
     env.reset()
     metrics, rng = EpisodeMetrics(N), np.random.default_rng(0)
@@ -50,7 +51,7 @@ def test_metrics_of_an_episode_are_those_of_its_steps() -> None:
 
 
 def test_reset_forgets_the_episodes_before_it() -> None:
-    env, fresh = (GainVecEnv(2, duration_s=2.0, action_mode="k+tau") for _ in range(2))
+    env, fresh = (GainVecEnv(2, duration_s=2.0, action_mode="k+tau", version="v0") for _ in range(2))
     env.seed(1), env.reset()
     for _ in range(7):
         env.step(np.ones((2, 4), dtype=np.float32))
@@ -63,7 +64,7 @@ def test_reset_forgets_the_episodes_before_it() -> None:
 
 
 def test_lanes_are_spread_evenly_over_an_episode() -> None:
-    env = GFMWTGVectorEnv(4, autoreset_mode="SameStep", duration_s=2.0)
+    env = GFMWTGVectorEnv(4, autoreset_mode="SameStep", duration_s=2.0, version="v0")
     env.reset(seed=0)
     observations = stagger(env)
     assert np.array_equal(observations, env.lanes.observations)
@@ -74,7 +75,7 @@ def test_lanes_are_spread_evenly_over_an_episode() -> None:
 def test_staggered_environment_starts_alike_with_a_seed() -> None:
     firsts = []
     for _ in range(2):
-        env = GainVecEnv(4, duration_s=2.0)
+        env = GainVecEnv(4, duration_s=2.0, version="v0")
         env.seed(7)
         firsts.append(env.reset())
         assert env.reset_infos == [{}] * 4
@@ -83,7 +84,7 @@ def test_staggered_environment_starts_alike_with_a_seed() -> None:
 
 
 def test_gain_over_the_reference_is_nothing_under_the_zero_action() -> None:
-    env = GainVecEnv(20, duration_s=2.0)
+    env = GainVecEnv(20, duration_s=2.0, version="v0")
     env.seed(7)
     env.reset()
     # Long enough for two new episodes in every lane.
@@ -95,7 +96,7 @@ def test_gain_over_the_reference_is_nothing_under_the_zero_action() -> None:
 
 
 def test_gain_is_the_share_of_the_reference_cost_that_is_saved() -> None:
-    env, plain = GainVecEnv(3, duration_s=2.0), SB3VecEnv(3, duration_s=2.0)
+    env, plain = GainVecEnv(3, duration_s=2.0, version="v0"), SB3VecEnv(3, duration_s=2.0, version="v0")
     for each in (env, plain):
         each.seed(11)
     plain.reset()
@@ -126,7 +127,7 @@ def test_gain_is_the_share_of_the_reference_cost_that_is_saved() -> None:
 
 def test_failure_forfeits_what_the_reference_would_still_have_paid() -> None:
     # Power point tracking survives this scenario of the training split, and stalls at full positive action.
-    arguments: dict[str, Any] = {"strategy": "mppt", "duration_s": 30.0}
+    arguments: dict[str, Any] = {"version": "v0", "strategy": "mppt", "duration_s": 30.0}
     env = GFMWTGVectorEnv(1, autoreset_mode="SameStep", n_threads=1, **arguments)
     env.reset(seed=522)
     gains, total, cost, n_steps, failed = Gains(env.lanes), 0.0, 0.0, 0, False

@@ -21,7 +21,18 @@ from wtg_gym.gradients.torch import TorchEpisodes
 from wtg_gym.policies.load import load_entries
 
 #: Two gradients, with a validation before, between and after them.
-OPTIONS = ["--timesteps", "2400", "--interval", "1200", "--n-envs", "2", "--validation-episodes", "2"]
+OPTIONS = [
+    "--suite",
+    "standard",
+    "--timesteps",
+    "2400",
+    "--interval",
+    "1200",
+    "--n-envs",
+    "2",
+    "--validation-episodes",
+    "2",
+]
 
 
 #: Version v1 as `tests/gradients` has it, whose machine code is shared.
@@ -33,7 +44,10 @@ def test_loss_falls_on_the_scenarios_that_it_is_of(
     hidden: tuple[int, ...], lstm: int, settings: dict[str, Any]
 ) -> None:
     torch.manual_seed(0)
-    episodes, h = TorchEpisodes(EnvSettings(**settings), 4, 1), Hyperparameters(hidden=hidden, lstm=lstm)
+    episodes, h = (
+        TorchEpisodes(EnvSettings(**{"version": "v0", **settings}), 4, 1),
+        Hyperparameters(hidden=hidden, lstm=lstm),
+    )
     lanes = episodes.tape.lanes
     policy = GradientPolicy(lanes.n_observation, lanes.n_action, hidden, lstm)
     optimizer = torch.optim.Adam(policy.parameters(), lr=h.learning_rate)

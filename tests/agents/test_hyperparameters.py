@@ -12,8 +12,7 @@ from torch import nn
 from agents.hyperparameters import ALGORITHMS, CONFIG_FOLDER, parse, parse_literal, read_config
 from agents.onnx_graph import ACTIVATIONS
 from agents.train import main as train
-from tests.agents.small import CONFIGS, ON_POLICY
-from wtg_gym import ENV_ID
+from tests.agents.small import CONFIGS, ENV_ID, ON_POLICY
 from wtg_gym.scenarios.benchmark import V0, V1
 
 #: The files that are not named after their algorithm.
@@ -24,7 +23,7 @@ OTHER_FILES = {"ppo_tau": "ppo", "ippo": "ppo"}
 def test_shipped_files_mean_what_rl_zoo_makes_of_them(name: str) -> None:
     path, algo = CONFIG_FOLDER / f"{name}.yml", OTHER_FILES.get(name, name)
     raw = yaml.safe_load(path.read_text())[ENV_ID]
-    ours = parse(algo, read_config(path))
+    ours = parse(algo, read_config(path, ENV_ID))
     # RL Zoo's own way: eval for dictionaries, the part after "lin_" for a schedule that falls to zero.
     assert ours.arguments["policy_kwargs"] == eval(raw["policy_kwargs"], {"nn": nn, "dict": dict})
     rate = raw["learning_rate"]
@@ -104,7 +103,7 @@ def test_unknown_algorithm_and_section_are_named(tmp_path: Any) -> None:
     for content, text in (("Pendulum-v1: {}", "must have a section"), ("a: [", "is not yml")):
         path.write_text(content)
         with pytest.raises(ValueError, match=text):
-            read_config(path)
+            read_config(path, ENV_ID)
 
 
 def test_help_and_error_name_the_algorithms_without_hyperparameters_for_v1(
@@ -115,7 +114,7 @@ def test_help_and_error_name_the_algorithms_without_hyperparameters_for_v1(
         train(["--help"])
     assert f"of {' and '.join(without)} for v0 only" in " ".join(capsys.readouterr().out.split())
     for algo in without:
-        assert train(["--algo", algo, "--suite", "standard-v1", "--output", str(tmp_path / "run")]) == 2
+        assert train(["--algo", algo, "--output", str(tmp_path / "run")]) == 2
         expected = (
             f"{algo}.yml must have a section '{V1.env_id}' with keys and values; it has one for {V0.env_id}: give"
         )

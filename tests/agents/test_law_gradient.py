@@ -64,7 +64,7 @@ def test_points_are_held_within_the_ranges_of_laws() -> None:
 def test_the_command_prints_tables_and_writes_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = tmp_path / "page.md"
     page.write_text("<!-- law:start -->\n<!-- law:end -->\n")
-    arguments = ["--batches", "1", "--scenarios", "2", "--validation", "2", "--threads", "1"]
+    arguments = ["--suite", "standard", "--batches", "1", "--scenarios", "2", "--validation", "2", "--threads", "1"]
     assert main([*arguments, "--page", str(page)]) == 0
     text = page.read_text()
     assert "| the paper's | 1.024 | 0.672 | 0.549 | 0.800 | 100.0 |" in text

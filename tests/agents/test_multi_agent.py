@@ -22,19 +22,19 @@ from agents.runs import Run, RunSettings
 from agents.train import main as train_command
 from agents.train import start
 from agents.vec_env import GainVecEnv
-from tests.agents.small import CONFIGS, config_file, stopped_after
+from tests.agents.small import CONFIGS, V0, config_file, stopped_after
 from wtg_gym.evaluation import Entry, OnnxPolicy, evaluate, load_entries
 from wtg_gym.policies.gate import check_submission
 from wtg_gym.policies.load import POLICY_FILE
 from wtg_gym.policies.sb3_archive import load_archive
 
-SHORT: dict[str, Any] = {"duration_s": 5.0, "strategy": "mppt"}
+SHORT: dict[str, Any] = {"version": "v0", "duration_s": 5.0, "strategy": "mppt"}
 NO_DELAY = '{"delay_s": [0, 0]}'
 
 
 def options(folder: Path, algorithm: str, *others: str) -> list[str]:
     """Return the options of a small run that validates after every 256 of its 768 steps."""
-    given = ["--algo", algorithm, "--config", config_file(folder, "ppo")]
+    given = [*V0, "--algo", algorithm, "--config", config_file(folder, "ppo")]
     return [*given, "--interval", "256", "--validation-episodes", "2", *others]
 
 
@@ -149,7 +149,7 @@ def test_group_sees_its_turbines_as_a_multiple_of_their_mean() -> None:
 
 def test_value_function_sees_the_grid_and_the_policy_its_own_group_alone() -> None:
     raw = CONFIGS["ppo"]
-    settings = RunSettings(algo="mappo", hyperparameters=raw, timesteps=64, n_envs=8, interval=64)
+    settings = RunSettings(algo="mappo", hyperparameters=raw, suite="standard", timesteps=64, n_envs=8, interval=64)
     model = start(Run.new(settings))
     policy = model.policy
     assert isinstance(policy, CentralCriticPolicy) and isinstance(policy, ActorCriticPolicy) and policy.n_actor == 11
@@ -167,7 +167,7 @@ def test_run_with_other_groups_is_validated_with_them_and_is_an_entry_of_its_sui
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     changed = ["--groups", "3", "--n-envs", "12", "--timesteps", "96"]
-    single = ["--algo", "ppo", "--config", config_file(tmp_path, "ppo"), "--validation-episodes", "2"]
+    single = [*V0, "--algo", "ppo", "--config", config_file(tmp_path, "ppo"), "--validation-episodes", "2"]
     assert train_command([*options(tmp_path, "ippo", *changed), "--output", str(tmp_path / "many")]) == 0
     assert train_command([*single, *changed, "--output", str(tmp_path / "one")]) == 0
     many, one = (Run.read(tmp_path / name) for name in ("many", "one"))
@@ -216,12 +216,12 @@ def test_policy_of_two_groups_plays_in_a_grid_with_three(whole: Path) -> None:
         (["--algo", "qmix", "--output", "new"], "invalid choice"),
         (["--algo", "ippo"], "--output FOLDER is needed"),
         (
-            ["--algo", "ippo", "--n-envs", "7", "--output", "new"],
+            [*V0, "--algo", "ippo", "--n-envs", "7", "--output", "new"],
             "--n-envs must be a whole multiple of the 2 WTG groups, got 7",
         ),
         (["--algo", "mappo", "--observation-mode", "privileged", "--output", "new"], "leave out --observation-mode"),
         (["--algo", "ippo", "--groups", "0", "--output", "new"], "group"),
-        (["--algo", "ippo", "--sensors", "exact", "--output", "new"], "sensors are part of version v1 and later"),
+        ([*V0, "--algo", "ippo", "--sensors", "exact", "--output", "new"], "sensors are part of version v1 and later"),
         (["--algo", "ippo", "--suite", "standard-v1", "--sensors", "{}x", "--output", "new"], "sensors must be"),
     ],
 )

@@ -36,7 +36,7 @@ def test_policy_moves_to_where_the_advantage_is_and_the_value_to_the_return() ->
 
 
 def test_advantages_are_discounted_sums_of_errors() -> None:
-    env = GFMWTGVectorEnv(2, autoreset_mode="SameStep", duration_s=1.0)
+    env = GFMWTGVectorEnv(2, autoreset_mode="SameStep", duration_s=1.0, version="v0")
     collector = Collector(env, Agent(env.lanes.n_observation, env.lanes.n_action, H), H, seed=0)
     generator = torch.Generator().manual_seed(1)
     values, rewards = torch.randn(2, 6, 2, generator=generator)
@@ -67,7 +67,7 @@ def test_moments_are_those_of_all_rows() -> None:
 def test_run_is_reproducible_and_exported(tmp_path: Path) -> None:
     agents = []
     for name in ("one", "two"):
-        arguments = ["--timesteps", "4096", "--n-envs", "16", "--validation-episodes", "2"]
+        arguments = ["--suite", "standard", "--timesteps", "4096", "--n-envs", "16", "--validation-episodes", "2"]
         assert main([*arguments, "--output", str(tmp_path / name)]) == 0
         agents.append(load(folders(tmp_path / name / "best")[-1]).state_dict())
     assert all(torch.equal(agents[0][key], agents[1][key]) for key in agents[0])

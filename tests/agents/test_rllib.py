@@ -20,12 +20,24 @@ from agents.rllib.__main__ import main
 from agents.rllib.runner_envs import RunnerEnvs, measure_scales
 from agents.runs import Run, RunSettings
 from tests.interruption import end
-from wtg_gym import ENV_ID
 from wtg_gym.envs import GFMWTGVectorEnv
 from wtg_gym.evaluation import load_entries
 
+ENV_ID = "GFMWTG-14bus-v0"
+
 ROOT = Path(__file__).resolve().parents[2]
-SMALL = ["--num-env-runners", "1", "--envs-per-runner", "4", "--timesteps", "6000", "--interval", "1200"]
+SMALL = [
+    "--suite",
+    "standard",
+    "--num-env-runners",
+    "1",
+    "--envs-per-runner",
+    "4",
+    "--timesteps",
+    "6000",
+    "--interval",
+    "1200",
+]
 SMALL += ["--validation-episodes", "2"]
 
 
@@ -124,7 +136,7 @@ def test_bad_options_are_refused_before_anything_runs(
     arguments: list[str], text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    settings = RunSettings(algo="ppo", hyperparameters={}, timesteps=1, n_envs=1, interval=1)
+    settings = RunSettings(algo="ppo", hyperparameters={}, suite="standard", timesteps=1, n_envs=1, interval=1)
     Run.new(settings).write(tmp_path / "other")
     assert main(arguments) == 2
     error = capsys.readouterr().err

@@ -24,7 +24,7 @@ from agents.folders import folders, held, new_folder, save_folder
 from agents.hyperparameters import ALGORITHMS
 from agents.runs import Run, RunSettings
 from agents.train import main, start
-from tests.agents.small import CONFIGS, config_file, options, stopped_after, trained
+from tests.agents.small import CONFIGS, V0, config_file, options, stopped_after, trained
 from tests.interruption import end, interrupted
 from wtg_gym.evaluation import evaluate, load_entries
 from wtg_gym.policies.sb3_archive import CUSTOM_OBJECTS
@@ -130,7 +130,7 @@ def test_kill_between_two_files_is_mended(missing: str, copied: Path) -> None:
 
 
 def test_first_weights_do_not_depend_on_the_number_of_threads() -> None:
-    run = Run.new(RunSettings(algo="ppo", hyperparameters=WIDE, timesteps=16, n_envs=2, interval=16))
+    run = Run.new(RunSettings(algo="ppo", hyperparameters=WIDE, suite="standard", timesteps=16, n_envs=2, interval=16))
     found = []
     for n_threads in (1, 2):
         torch.set_num_threads(n_threads)
@@ -199,7 +199,7 @@ def test_policies_that_could_not_be_exported_are_refused_at_the_start(
     algo: str, policy_kwargs: str, text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config, new = config_file(tmp_path, algo, policy_kwargs=policy_kwargs), tmp_path / "new"
-    assert main(["--algo", algo, "--config", config, "--output", str(new)]) == 2
+    assert main([*V0, "--algo", algo, "--config", config, "--output", str(new)]) == 2
     error = capsys.readouterr().err
     assert text in error and error.count("\n") == 1 and not new.exists()
 
@@ -254,7 +254,7 @@ def test_another_seed_gives_other_weights(whole: Path, tmp_path: Path) -> None:
 
 
 def test_comparison_of_policies_finds_a_difference() -> None:
-    settings = RunSettings(algo="ppo", hyperparameters={}, timesteps=1, n_envs=1, interval=1)
+    settings = RunSettings(algo="ppo", hyperparameters={}, suite="standard", timesteps=1, n_envs=1, interval=1)
 
     class Still:
         def __init__(self, value: float) -> None:
@@ -306,9 +306,9 @@ def test_folder_is_complete_or_not_there(tmp_path: Path) -> None:
         (["--algo", "ppo", "--output", "."], "not an empty folder"),
         (["--algo", "ppo", "--output", "new", "--timesteps", "0"], "error: --timesteps must be a whole number, 1"),
         (["--algo", "ppo", "--output", "new", "--validation-episodes", "101"], r"--validation-episodes .* 1 … 100"),
-        (["--algo", "ppo", "--output", "new", "--config", "bad.yml", "--n-envs", "2"], "bad.yml: n_envs must be"),
+        ([*V0, "--algo", "ppo", "--output", "new", "--config", "bad.yml", "--n-envs", "2"], "bad.yml: n_envs must be"),
         (
-            ["--algo", "ppo", "--output", "new", "--config", "many.yml"],
+            [*V0, "--algo", "ppo", "--output", "new", "--config", "many.yml"],
             "error: n_envs must be a whole number, 1 … 1000",
         ),
         (["--algo", "ppo", "--output", "new", "--suite", "paper"], "fixed list of cases"),

@@ -14,14 +14,14 @@ from agents.runs import Run, RunSettings
 from agents.train import OnScore
 from agents.train import main as train
 from agents.tune import main, space
-from tests.agents.small import config_file
+from tests.agents.small import ENV_ID, V0, config_file
 
 LENGTH = ["--timesteps", "512", "--n-envs", "2", "--interval", "256", "--validation-episodes", "2"]
 
 
 def options(folder: Path) -> list[str]:
     config = config_file(folder, "ppo", learning_rate="lin_0.001", n_envs=4)
-    return ["--algo", "ppo", "--config", config, *LENGTH, "--output", str(folder / "study")]
+    return [*V0, "--algo", "ppo", "--config", config, *LENGTH, "--output", str(folder / "study")]
 
 
 def study(folder: Path) -> optuna.Study:
@@ -30,7 +30,7 @@ def study(folder: Path) -> optuna.Study:
 
 @pytest.mark.parametrize("algo", ALGORITHMS)
 def test_search_space_gives_hyperparameters_that_the_algorithm_takes(algo: str) -> None:
-    raw = read_config(CONFIG_FOLDER / f"{algo}.yml")
+    raw = read_config(CONFIG_FOLDER / f"{algo}.yml", ENV_ID)
     for seed in range(3):
         trial = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed)).ask()
         parse(algo, {**raw, **space(algo, trial, 64)})
@@ -49,15 +49,17 @@ def test_study_goes_on_and_repeats_what_was_interrupted(tmp_path: Path) -> None:
     assert min(trials[0].intermediate_values) == 0 and 2 <= max(trials[0].intermediate_values) <= 600 * 2 // 256 + 1
     best = tmp_path / "study" / "best.yml"
     assert "# is the largest of 2 trials on the scenarios that chose it" in best.read_text()
-    found = read_config(best)
+    found = read_config(best, ENV_ID)
     assert found["learning_rate"] == f"lin_{study(tmp_path).best_trial.params['learning_rate']}"
     assert (found["n_envs"], found["n_timesteps"]) == (2, 512)
-    assert train(["--algo", "ppo", "--config", str(best), *LENGTH, "--output", str(tmp_path / "run")]) == 0
+    assert train([*V0, "--algo", "ppo", "--config", str(best), *LENGTH, "--output", str(tmp_path / "run")]) == 0
 
 
 def test_trials_of_unequal_rollouts_are_compared() -> None:
-    hyperparameters = read_config(CONFIG_FOLDER / "ppo.yml")
-    settings = RunSettings(algo="ppo", hyperparameters=hyperparameters, timesteps=1000, n_envs=2, interval=50)
+    hyperparameters = read_config(CONFIG_FOLDER / "ppo.yml", ENV_ID)
+    settings = RunSettings(
+        algo="ppo", hyperparameters=hyperparameters, suite="standard", timesteps=1000, n_envs=2, interval=50
+    )
     study = optuna.create_study(direction="maximize", pruner=tune._pruner(settings))
 
     def play(length: int, score: float, monkeypatch: pytest.MonkeyPatch) -> TrialState:

@@ -89,7 +89,7 @@ def test_rotors_stall_earlier_and_in_the_papers_order(form: str) -> None:
 def test_the_presets_are_those_that_users_choose_and_all_together_lacks_trip_and_shedding_only() -> None:
     forms = plant_forms()
     for name, together in (("extended", HONEST), ("nrel-5mw", NREL)):
-        assert forms[name] == EnvSettings(physics=name).plant()
+        assert forms[name] == EnvSettings(physics=name, version="v0").plant()
         lacking = dataclasses.replace(forms[name], protection=ProtectionParameters(), shedding=())
         assert forms[together] == lacking != forms[name]
 

@@ -13,7 +13,7 @@ from wtg_gym.evaluation import recompute
 
 COMMIT = "0123456789abcdef0123456789abcdef01234567"
 SECRET = "a secret for these tests\n"
-SHORT = ["--entries", "deloaded-5", "--duration", "10"]
+SHORT = ["--suite", "standard", "--entries", "deloaded-5", "--duration", "10"]
 
 
 @pytest.fixture(scope="module")

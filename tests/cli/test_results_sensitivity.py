@@ -9,7 +9,19 @@ import pytest
 from tests.cli.calls import error_of, json_of
 from wtg_gym.cli import main
 
-_FEW = ("results", "sensitivity", "--entries", "deloaded-5", "--scenarios", "2", "--weights", "duty", "overload")
+_FEW = (
+    "results",
+    "sensitivity",
+    "--suite",
+    "standard",
+    "--entries",
+    "deloaded-5",
+    "--scenarios",
+    "2",
+    "--weights",
+    "duty",
+    "overload",
+)
 
 
 def test_table_names_what_does_not_matter(capsys: pytest.CaptureFixture[str]) -> None:

@@ -139,10 +139,11 @@ def test_evaluate_json_is_the_description_with_the_summary(capsys: pytest.Captur
 
 def test_share_of_the_oracles_gap_is_shown_or_why_not(capsys: pytest.CaptureFixture[str]) -> None:
     cheaper = ["evaluate", "--entries", "baselines.tip_speed_feedback:ENTRY", "--split", "test", "--scenarios", "3"]
+    cheaper += ["--suite", "standard"]
     data = json_of(capsys, *cheaper, "--json")
     summary = data["summary"]["tip-speed-feedback"]
     assert 0.0 < summary["gap_closed_percent"]["value"] < 100.0 and summary["n_oracle"] == 3
-    assert main(["evaluate", "--entries", "mppt", "--split", "test", "--scenarios", "3", "--duration", "10"]) == 0
+    assert main([*cheaper, "--duration", "10"]) == 0
     said = capsys.readouterr()
     assert said.err == "no share of the oracle's gap: the oracle was found for other settings: duration_s\n"
 
@@ -218,7 +219,17 @@ def test_workers_of_the_options_play(capsys: pytest.CaptureFixture[str], monkeyp
 @pytest.mark.skipif(sys.platform == "win32", reason="signals are another thing there")
 def test_interrupted_leaderboard_keeps_its_finished_parts(tmp_path: Path) -> None:
     entries = ("deloaded-5", "deloaded-10", "coordinated-linear", "coordinated-undamped")
-    process = start("leaderboard", "--entries", *entries, "--threads", "1", cwd=tmp_path, stderr=subprocess.PIPE)
+    process = start(
+        "leaderboard",
+        "--suite",
+        "standard",
+        "--entries",
+        *entries,
+        "--threads",
+        "1",
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+    )
     partial = tmp_path / "results" / "partial"
     said = end(process, signal.SIGINT, lambda: any(partial.glob("*.json")))
     assert process.returncode == 130
@@ -318,7 +329,19 @@ def test_stored_entry_is_kept_with_its_row_and_dropped_where_its_name_is_another
 def test_results_of_other_scenarios_or_settings_are_not_overwritten(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, again: tuple[str, ...], other: str | None
 ) -> None:
-    first = ["evaluate", "--entries", "mppt", "--scenarios", "2", "--duration", "10", "--results", str(tmp_path)]
+    first = [
+        "evaluate",
+        "--suite",
+        "standard",
+        "--entries",
+        "mppt",
+        "--scenarios",
+        "2",
+        "--duration",
+        "10",
+        "--results",
+        str(tmp_path),
+    ]
     assert main(first) == 0
     stored = (tmp_path / "standard-validation.json").read_bytes()
     if other is None:

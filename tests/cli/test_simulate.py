@@ -122,7 +122,7 @@ def test_missing_matplotlib_is_said_before_anything_runs(
     # A module that is None in sys.modules cannot be imported.
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     line = error_of(capsys, "simulate", "--plot", str(tmp_path / "run.png"))
-    assert "--plot needs matplotlib of the leaderboard extra: pip install 'wtg-gym[leaderboard]'" in line
+    assert "--plot needs matplotlib; in a checkout: pip install '.[leaderboard]'" in line
 
 
 def test_example_of_a_law_is_printed_and_can_be_simulated(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

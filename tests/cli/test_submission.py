@@ -21,7 +21,7 @@ from wtg_gym.scenarios.benchmark import V0
 
 ROOT = Path(__file__).resolve().parents[2]
 OTHER = TOML.replace("Mine", "Other")
-_FEW = ("--seeds", "20000:20002")
+_FEW = ("--suite", "standard", "--seeds", "20000:20002")
 
 
 @pytest.fixture(autouse=True)

@@ -99,6 +99,15 @@ def test_options_take_a_short_name(words: list[str]) -> None:
     assert found in ("faults-v1", ["faults-v1"])
 
 
+@pytest.mark.parametrize(
+    "words",
+    [["evaluate"], ["leaderboard"], ["submission", "score", "folder"], ["results", "sensitivity"]],
+    ids=" ".join,
+)
+def test_scores_are_of_v1_where_no_suite_is_named(words: list[str]) -> None:
+    assert build_parser(words).parse_args(words).suite == "standard-v1"
+
+
 def test_suites_refuses_unknown_names_and_seeds(capsys: pytest.CaptureFixture[str]) -> None:
     assert "unknown suite 'storm'" in error_of(capsys, "suites", "storm")
     assert "seed 5 is in no split" in error_of(capsys, "suites", "standard", "--seed", "5")

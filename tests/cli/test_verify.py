@@ -18,6 +18,8 @@ from wtg_gym.files import sha256, to_json
 def stored(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("results")
     arguments = [
+        "--suite",
+        "standard",
         "--entries",
         "deloaded-5",
         "--split",

@@ -180,7 +180,7 @@ def episode(env: GFMWTGEnv, action: Any = 0.0, **reset: Any) -> Iterator[tuple[f
 
 def digest(n_lanes: int = 17, n_steps: int = 45, n_threads: int | None = None, **settings: Any) -> str:
     """Return the sha256 of a seeded rollout of a batch."""
-    env = GFMWTGVectorEnv(n_lanes, n_threads=n_threads, **{"duration_s": 2.0, **settings})
+    env = GFMWTGVectorEnv(n_lanes, n_threads=n_threads, **{"version": "v0", "duration_s": 2.0, **settings})
     lanes = vector_steps(env, actions_of(1, n_steps, n_lanes, env.single_action_space.shape[0]), seed=11)
     env.close()
     return hashlib.sha256(repr(lanes).encode()).hexdigest()

@@ -68,7 +68,7 @@ def absent(words: list[str], error: pytest.ExceptionInfo[ValueError]) -> list[st
 @pytest.mark.parametrize(("name", "value", "named"), SETTINGS, ids=lambda value: str(value)[:30])
 def test_wrong_setting_is_named_with_what_is_allowed(name: str, value: Any, named: list[str]):
     with pytest.raises(ValueError) as error:
-        GFMWTGEnv(**{name: value})
+        GFMWTGEnv(**{"version": "v0", name: value})
     assert absent(named, error) == [], error.value
 
 
@@ -94,9 +94,9 @@ SCENARIOS = [
 
 @pytest.mark.parametrize(("changes", "named"), SCENARIOS, ids=lambda value: str(value)[:40])
 def test_wrong_scenario_is_refused_when_the_environment_is_made_and_in_reset(changes: dict, named: list[str]):
-    scenario, env = {**SCENARIO, **changes}, GFMWTGEnv(duration_s=4.0)
+    scenario, env = {**SCENARIO, **changes}, GFMWTGEnv(duration_s=4.0, version="v0")
     for refused in (
-        lambda: GFMWTGEnv(scenario=scenario, duration_s=4.0),
+        lambda: GFMWTGEnv(scenario=scenario, duration_s=4.0, version="v0"),
         lambda: env.reset(options={"scenario": scenario}),
     ):
         with pytest.raises(ValueError) as error:
@@ -112,7 +112,7 @@ def test_unknown_keyword_is_a_type_error_in_the_words_of_python_that_lists_the_k
         make(stratgy="mppt")
     assert all(field.name in str(caught.value) for field in dataclasses.fields(EnvSettings))
     with pytest.raises(TypeError):
-        GFMWTGEnv("mppt")
+        GFMWTGEnv("mppt", version="v0")
 
 
 @pytest.mark.parametrize("kind", [GFMWTGEnv, GFMWTGVectorEnv])
@@ -143,7 +143,7 @@ BATCH = [
 @pytest.mark.parametrize(("arguments", "named"), BATCH, ids=lambda value: str(value)[:40])
 def test_wrong_argument_of_a_batch_is_named_with_what_is_allowed(arguments: dict, named: list[str]):
     with pytest.raises(ValueError) as error:
-        GFMWTGVectorEnv(**{"num_envs": 2, **arguments})
+        GFMWTGVectorEnv(**{"version": "v0", "num_envs": 2, **arguments})
     assert absent(named, error) == [], error.value
 
 
@@ -154,7 +154,7 @@ SEED_ERRORS = (ValueError, gym.error.Error)
 @pytest.mark.parametrize("seed", [NAN, 1.5, "a", -1, [1]])
 def test_wrong_seed_is_refused(seed: Any):
     with pytest.raises(SEED_ERRORS, match=r"(?i)seed"):
-        GFMWTGEnv(duration_s=2.0).reset(seed=seed)
+        GFMWTGEnv(duration_s=2.0, version="v0").reset(seed=seed)
 
 
 OPTIONS = [
@@ -169,7 +169,7 @@ OPTIONS = [
 
 @pytest.mark.parametrize("options", OPTIONS, ids=lambda value: str(value)[:40])
 def test_wrong_reset_options_are_refused_and_leave_the_stream_of_scenarios_alone(options: Any):
-    env, twin = (GFMWTGEnv(duration_s=4.0) for _ in range(2))
+    env, twin = (GFMWTGEnv(duration_s=4.0, version="v0") for _ in range(2))
     env.reset(seed=5), twin.reset(seed=5)
     with pytest.raises(ValueError, match=r"scenario|bus 99"):
         env.reset(seed=9, options=options)
@@ -192,7 +192,7 @@ BATCH_OPTIONS = [
 
 
 def test_wrong_seeds_and_options_of_a_batch_are_refused_and_change_no_lane():
-    env, twin = (GFMWTGVectorEnv(2, duration_s=4.0) for _ in range(2))
+    env, twin = (GFMWTGVectorEnv(2, duration_s=4.0, version="v0") for _ in range(2))
     env.reset(seed=5), twin.reset(seed=5)
     for seed in BATCH_SEEDS:
         with pytest.raises(SEED_ERRORS, match=r"(?i)seed"):

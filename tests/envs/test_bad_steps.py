@@ -47,7 +47,7 @@ def accepted(env: GFMWTGEnv | GFMWTGVectorEnv, wrong: dict[str, Any]) -> list[st
 
 @pytest.mark.filterwarnings("error")
 def test_wrong_actions_are_refused_and_nothing_has_moved():
-    env = GFMWTGEnv(scenario=eventful().to_dict())
+    env = GFMWTGEnv(scenario=eventful().to_dict(), version="v0")
     single_steps(env, ACTIONS[:7, 0], AutoresetMode.DISABLED, seed=0)
     twin = copy.deepcopy(env)
     assert accepted(env, WRONG) == []
@@ -61,7 +61,7 @@ def test_wrong_actions_of_one_lane_are_refused_and_no_lane_has_moved(mode: Autor
     fine = [0.0] * 4
     wrong = {name: [fine, action, fine] for name, action in WRONG.items()}
     wrong |= {"none": None, "scalar": 0.0, "complex": np.zeros((3, 4), dtype=np.complex128)}
-    env = GFMWTGVectorEnv(3, duration_s=2.0, autoreset_mode=mode)
+    env = GFMWTGVectorEnv(3, duration_s=2.0, autoreset_mode=mode, version="v0")
     # Up to the end of an episode, where lanes wait for their reset.
     vector_steps(env, ACTIONS[:20], seed=0)
     twin = copy.deepcopy(env)
@@ -70,7 +70,7 @@ def test_wrong_actions_of_one_lane_are_refused_and_no_lane_has_moved(mode: Autor
 
 
 def test_message_names_the_shape_or_the_value_and_the_lane_and_what_is_allowed():
-    env, single = GFMWTGVectorEnv(3, duration_s=2.0), GFMWTGEnv(duration_s=2.0)
+    env, single = GFMWTGVectorEnv(3, duration_s=2.0, version="v0"), GFMWTGEnv(duration_s=2.0, version="v0")
     env.reset(seed=0), single.reset(seed=0)
     for shape in ((4,), (2, 4), (3, 3), (12,), (1, 3, 4)):
         with pytest.raises(ValueError, match=r"\(3, 4\)"):
@@ -85,7 +85,7 @@ def test_message_names_the_shape_or_the_value_and_the_lane_and_what_is_allowed()
 
 @pytest.mark.parametrize("kind", [list, tuple, np.float32, np.float64, np.int8, bool, object])
 def test_anything_that_is_numbers_is_an_action(kind: Any):
-    env, twin = (GFMWTGEnv(duration_s=2.0) for _ in range(2))
+    env, twin = (GFMWTGEnv(duration_s=2.0, version="v0") for _ in range(2))
     env.reset(seed=0), twin.reset(seed=0)
     values = [1, 0, 1, 0]
     given = kind(values) if kind in (list, tuple) else np.array(values, dtype=kind)
@@ -95,14 +95,14 @@ def test_anything_that_is_numbers_is_an_action(kind: Any):
 @pytest.mark.parametrize("value", [1.0 + 1e-9, 1e308])
 def test_action_out_of_range_is_clipped(value: float):
     for sign in (1.0, -1.0):
-        env, twin = (GFMWTGEnv(scenario=eventful().to_dict()) for _ in range(2))
+        env, twin = (GFMWTGEnv(scenario=eventful().to_dict(), version="v0") for _ in range(2))
         far = np.full((40, 4), sign * value)
         one = single_steps(env, far, AutoresetMode.DISABLED, seed=0)
         assert one == single_steps(twin, np.clip(far, -1.0, 1.0), AutoresetMode.DISABLED, seed=0)
 
 
 def test_given_action_is_neither_changed_nor_kept():
-    env, twin = (GFMWTGEnv(scenario=eventful().to_dict()) for _ in range(2))
+    env, twin = (GFMWTGEnv(scenario=eventful().to_dict(), version="v0") for _ in range(2))
     env.reset(seed=0), twin.reset(seed=0)
     action = np.full(4, 3.0)
     env.step(action), twin.step(np.full(4, 3.0))
@@ -113,22 +113,22 @@ def test_given_action_is_neither_changed_nor_kept():
 
 def test_step_before_the_first_reset_is_a_runtime_error():
     with pytest.raises(RuntimeError, match=r"reset\(\)"):
-        GFMWTGEnv(duration_s=2.0).step(np.zeros(4))
+        GFMWTGEnv(duration_s=2.0, version="v0").step(np.zeros(4))
     for mode in AutoresetMode:
         with pytest.raises(RuntimeError, match=r"reset\(\)"):
-            GFMWTGVectorEnv(2, duration_s=2.0, autoreset_mode=mode).step(np.zeros((2, 4)))
+            GFMWTGVectorEnv(2, duration_s=2.0, autoreset_mode=mode, version="v0").step(np.zeros((2, 4)))
 
 
 def test_step_of_a_batch_of_which_a_lane_was_never_started_is_a_runtime_error():
     for mode in AutoresetMode:
-        env = GFMWTGVectorEnv(2, duration_s=2.0, autoreset_mode=mode)
+        env = GFMWTGVectorEnv(2, duration_s=2.0, autoreset_mode=mode, version="v0")
         env.reset(seed=0, options={"reset_mask": np.array([True, False])})
         with pytest.raises(RuntimeError, match=r"\[1\].*reset\(\)"):
             env.step(np.zeros((2, 4)))
 
 
 def test_step_after_the_end_is_a_runtime_error_until_the_next_reset():
-    env = GFMWTGEnv(duration_s=1.0)
+    env = GFMWTGEnv(duration_s=1.0, version="v0")
     single_steps(env, ACTIONS[:9, 0], AutoresetMode.DISABLED, seed=0)
     *_, truncated, _ = env.step(np.zeros(4))
     assert truncated
@@ -140,7 +140,7 @@ def test_step_after_the_end_is_a_runtime_error_until_the_next_reset():
 
 
 def test_step_of_a_batch_with_an_ended_lane_and_resets_disabled_is_a_runtime_error():
-    env = GFMWTGVectorEnv(3, duration_s=2.0, autoreset_mode="Disabled")
+    env = GFMWTGVectorEnv(3, duration_s=2.0, autoreset_mode="Disabled", version="v0")
     env.reset(seed=0, options={"scenarios": [calm(duration_s=2.0), calm(duration_s=1.0), calm(duration_s=2.0)]})
     for _ in range(10):
         *_, truncated, _ = env.step(np.zeros((3, 4)))
@@ -168,11 +168,11 @@ REFUSED: dict[str, dict[str, Any]] = {
 def test_refused_reset_does_not_bend_the_running_episodes(n_lanes: int | None, name: str):
     refused = {**calm(25.0).to_dict(), **REFUSED[name]}
     if n_lanes is None:
-        env: Any = GFMWTGEnv(duration_s=4.0)
+        env: Any = GFMWTGEnv(duration_s=4.0, version="v0")
         single_steps(env, ACTIONS[:7, 0], AutoresetMode.DISABLED, seed=0)
         actions, options = ACTIONS[7:20, 0], {"scenario": refused}
     else:
-        env = GFMWTGVectorEnv(n_lanes, duration_s=4.0)
+        env = GFMWTGVectorEnv(n_lanes, duration_s=4.0, version="v0")
         vector_steps(env, ACTIONS[:7], seed=0)
         actions, options = ACTIONS[7:20], {"scenarios": [calm(), refused, calm()]}
     twin = copy.deepcopy(env)

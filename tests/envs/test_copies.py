@@ -32,7 +32,7 @@ Copy = Callable[[Any], Any]
 @COPIES
 @pytest.mark.parametrize("settings", [{}, {"observation_mode": "privileged"}, {"suite": "gust"}])
 def test_copy_of_a_running_environment_goes_on_alike_through_later_resets(copied: Copy, settings: dict):
-    env = GFMWTGEnv(duration_s=2.0, **settings)
+    env = GFMWTGEnv(**{"version": "v0", "duration_s": 2.0, **settings})
     single_steps(env, BEFORE[:, 0], AutoresetMode.NEXT_STEP, seed=3)
     twin = copied(env)
     one = single_steps(env, AFTER[:, 0], AutoresetMode.NEXT_STEP)
@@ -55,7 +55,7 @@ def test_copies_of_version_v1_go_on_alike_with_what_is_on_its_way_to_the_control
 
 @COPIES
 def test_copy_before_the_first_reset_and_after_the_end_behaves_as_its_original(copied: Copy):
-    env = GFMWTGEnv(duration_s=1.0)
+    env = GFMWTGEnv(duration_s=1.0, version="v0")
     with pytest.raises(RuntimeError):
         copied(env).step(np.zeros(4))
     single_steps(env, BEFORE[:10, 0], AutoresetMode.DISABLED, seed=1)
@@ -69,7 +69,7 @@ def test_copy_before_the_first_reset_and_after_the_end_behaves_as_its_original(c
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("n_lanes", [1, 17])
 def test_copy_of_a_running_batch_goes_on_alike_through_later_resets(n_lanes: int, mode: AutoresetMode, copied: Copy):
-    env = GFMWTGVectorEnv(n_lanes, duration_s=2.0, autoreset_mode=mode)
+    env = GFMWTGVectorEnv(n_lanes, duration_s=2.0, autoreset_mode=mode, version="v0")
     vector_steps(env, BEFORE[:, :n_lanes], seed=3)
     twin = copied(env)
     one = vector_steps(env, AFTER[:, :n_lanes])
@@ -80,7 +80,7 @@ def test_copy_of_a_running_batch_goes_on_alike_through_later_resets(n_lanes: int
 @COPIES
 def test_copy_of_a_batch_on_several_threads_goes_on_alike(copied: Copy):
     actions = actions_of(23, 15, 160)
-    env = GFMWTGVectorEnv(160, duration_s=1.0, n_threads=2)
+    env = GFMWTGVectorEnv(160, duration_s=1.0, n_threads=2, version="v0")
     vector_steps(env, actions, seed=3)
     twin = copied(env)
     assert vector_steps(env, actions) == vector_steps(twin, actions)
@@ -102,7 +102,7 @@ def test_wrapped_environment_can_be_copied(copied: Copy, env_id: str):
 
 
 def test_snapshot_branches_as_often_as_asked_and_each_branch_equals_going_on_without_it():
-    env, twin = (GFMWTGEnv(scenario=eventful().to_dict()) for _ in range(2))
+    env, twin = (GFMWTGEnv(scenario=eventful().to_dict(), version="v0") for _ in range(2))
     for each in (env, twin):
         single_steps(each, BEFORE[:, 0], AutoresetMode.NEXT_STEP, seed=3)
     start, branches = env.snapshot(), []
@@ -120,7 +120,7 @@ def many_events() -> dict:
 
 @pytest.mark.parametrize("between", [{"seed": 8}, {"options": {"scenario": many_events()}}], ids=["drawn", "events"])
 def test_snapshot_survives_a_reset_in_between(between: dict):
-    env = GFMWTGEnv(duration_s=4.0)
+    env = GFMWTGEnv(duration_s=4.0, version="v0")
     single_steps(env, BEFORE[:, 0], AutoresetMode.NEXT_STEP, seed=3)
     start = env.snapshot()
     expected = single_steps(env, AFTER[:27, 0], AutoresetMode.NEXT_STEP)
@@ -152,7 +152,7 @@ def test_snapshot_of_v1_keeps_what_is_on_its_way_to_the_controllers():
 
 
 def test_snapshot_taken_with_many_events_survives_an_episode_with_few():
-    env = GFMWTGEnv(duration_s=4.0)
+    env = GFMWTGEnv(duration_s=4.0, version="v0")
     env.reset(options={"scenario": many_events()})
     start = env.snapshot()
     expected = single_steps(env, AFTER[:40, 0], AutoresetMode.NEXT_STEP)
@@ -162,7 +162,7 @@ def test_snapshot_taken_with_many_events_survives_an_episode_with_few():
 
 
 def test_snapshot_can_be_restored_into_another_environment_and_after_pickling():
-    env, other = (GFMWTGEnv(duration_s=4.0) for _ in range(2))
+    env, other = (GFMWTGEnv(duration_s=4.0, version="v0") for _ in range(2))
     single_steps(env, BEFORE[:, 0], AutoresetMode.NEXT_STEP, seed=3)
     start = pickle.loads(pickle.dumps(env.snapshot()))
     other.restore(start)
@@ -171,7 +171,7 @@ def test_snapshot_can_be_restored_into_another_environment_and_after_pickling():
 
 
 def test_snapshot_leaves_the_stream_of_scenarios_alone():
-    env, twin = (GFMWTGEnv(duration_s=2.0) for _ in range(2))
+    env, twin = (GFMWTGEnv(duration_s=2.0, version="v0") for _ in range(2))
     env.reset(seed=3), twin.reset(seed=3)
     env.restore(env.snapshot())
     assert env.reset()[1]["scenario_seed"] == twin.reset()[1]["scenario_seed"]
@@ -180,7 +180,7 @@ def test_snapshot_leaves_the_stream_of_scenarios_alone():
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("n_lanes", [5, 17])
 def test_batch_snapshot_branches_bit_for_bit(n_lanes: int, mode: AutoresetMode):
-    env = GFMWTGVectorEnv(n_lanes, scenario=eventful().to_dict(), autoreset_mode=mode)
+    env = GFMWTGVectorEnv(n_lanes, scenario=eventful().to_dict(), autoreset_mode=mode, version="v0")
     vector_steps(env, BEFORE[:, :n_lanes], seed=3)
     start = env.snapshot()
     # With a fixed scenario the branch may cross its end: nothing is drawn.
@@ -193,7 +193,7 @@ def test_batch_snapshot_branches_bit_for_bit(n_lanes: int, mode: AutoresetMode):
 
 
 def test_batch_snapshot_keeps_lanes_that_wait_for_their_reset():
-    env = GFMWTGVectorEnv(3, strategy="mppt", duration_s=60.0)
+    env = GFMWTGVectorEnv(3, strategy="mppt", duration_s=60.0, version="v0")
     short = eventful(duration_s=1.0)
     vector_steps(env, BEFORE[:10, :3], seed=3, start={"scenarios": [short, sagging(), sagging()]})
     start = env.snapshot()
@@ -221,7 +221,7 @@ TWO_BUSES = {"groups": [{"bus": 2, "n_turbines": 10.0}, {"bus": 3, "n_turbines":
     ids=str,
 )
 def test_snapshot_is_taken_only_by_an_environment_whose_episodes_go_on_alike(settings: dict, named: str | None):
-    env, other = GFMWTGEnv(duration_s=4.0), GFMWTGEnv(**{"duration_s": 4.0, **settings})
+    env, other = GFMWTGEnv(duration_s=4.0, version="v0"), GFMWTGEnv(**{"version": "v0", "duration_s": 4.0, **settings})
     single_steps(env, BEFORE[:, 0], AutoresetMode.NEXT_STEP, seed=3)
     single_steps(other, (BEFORE_V1 if "version" in settings else BEFORE)[:, 0], AutoresetMode.NEXT_STEP, seed=8)
     before = other.snapshot()
@@ -236,7 +236,7 @@ def test_snapshot_is_taken_only_by_an_environment_whose_episodes_go_on_alike(set
 
 
 def test_what_is_no_snapshot_is_refused():
-    single, batch = GFMWTGEnv(duration_s=4.0), GFMWTGVectorEnv(1, duration_s=4.0)
+    single, batch = GFMWTGEnv(duration_s=4.0, version="v0"), GFMWTGVectorEnv(1, duration_s=4.0, version="v0")
     single.reset(seed=1), batch.reset(seed=1)
     for env, other in ((single, batch), (batch, single)):
         for wrong in (None, (1, 2, 3), other.snapshot()):
@@ -245,7 +245,7 @@ def test_what_is_no_snapshot_is_refused():
 
 
 def test_snapshot_of_another_size_is_refused_and_changes_nothing():
-    five, three = GFMWTGVectorEnv(5, duration_s=4.0), GFMWTGVectorEnv(3, duration_s=4.0)
+    five, three = GFMWTGVectorEnv(5, duration_s=4.0, version="v0"), GFMWTGVectorEnv(3, duration_s=4.0, version="v0")
     vector_steps(five, BEFORE[:, :5], seed=9), vector_steps(three, BEFORE[:, :3], seed=3)
     twin = copy.deepcopy(three)
     with pytest.raises(ValueError):

@@ -31,7 +31,7 @@ SAGGED = calm(duration_s=20.0, events=(LoadStep(time_s=1.0, bus=2, power_mw=0.0,
 
 def play(scenario: Scenario, action=0.0, **settings):
     """Return the rewards, the last step and the environment of an episode."""
-    env = GFMWTGEnv(scenario=scenario.to_dict(), **settings)
+    env = GFMWTGEnv(**{"version": "v0", "scenario": scenario.to_dict(), **settings})
     steps = list(episode(env, action, seed=0))
     return np.array([step[0] for step in steps]), steps[-1], env
 
@@ -122,7 +122,7 @@ def test_lost_grid_ends_the_episode_under_its_own_name(scenario: Scenario, reaso
 
 
 def test_units_are_torn_apart_when_their_angles_differ_by_half_a_turn():
-    env = GFMWTGEnv(scenario=TORN.to_dict())
+    env = GFMWTGEnv(scenario=TORN.to_dict(), version="v0")
     spread = []
     for _ in episode(env, 0.0, seed=0):
         least, largest = (env.lanes.simulator.lane_values(name)[0] for name in ("least_angle", "largest_angle"))
@@ -188,13 +188,13 @@ def test_group_that_trips_within_a_long_step_is_off_from_then_on():
 
 def test_damping_that_actions_make_too_fast_for_the_step_is_refused():
     law = TrackingLaw(name="quick", k_min=0.7, k_nominal=0.6, k_max=0.5, damping_time_constant_s=0.05)
-    steps = {"control_dt": 0.2, "simulation_dt": 0.04, "scenario": calm().to_dict()}
+    steps = {"version": "v0", "control_dt": 0.2, "simulation_dt": 0.04, "scenario": calm().to_dict()}
     with pytest.raises(
         ValueError, match=r"simulation_dt = 0.04 s .* of 0.05 s, .* 0.0125 s; allowed: at most 0.0317 s"
     ):
         GFMWTGEnv(strategy=law, **steps)
     GFMWTGEnv(strategy=law, action_mode="k", **steps)
-    GFMWTGEnv(strategy=law)
+    GFMWTGEnv(strategy=law, version="v0")
 
 
 def calm_v1(**changes) -> Scenario:
@@ -243,14 +243,14 @@ def test_scenario_shorter_than_the_episode_is_cut_at_its_end(version: str):
 
 @pytest.mark.parametrize(("control_dt", "simulation_dt"), [(0.02, 0.02), (0.1, 0.01), (0.2, 0.02), (1.0, 0.02)])
 def test_episode_has_as_many_steps_as_its_length_asks(control_dt: float, simulation_dt: float):
-    env = GFMWTGEnv(duration_s=3.0, control_dt=control_dt, simulation_dt=simulation_dt)
+    env = GFMWTGEnv(duration_s=3.0, control_dt=control_dt, simulation_dt=simulation_dt, version="v0")
     steps = list(episode(env, seed=0))
     assert len(steps) == round(3.0 / control_dt) and steps[-1][2]
     assert steps[0][3]["time_s"] == pytest.approx(control_dt) and steps[-1][3]["time_s"] == pytest.approx(3.0)
 
 
 def test_events_act_in_the_step_that_covers_them():
-    plain, moved = (GFMWTGEnv(scenario=s.to_dict()) for s in (calm(), calm(events=eventful().events)))
+    plain, moved = (GFMWTGEnv(scenario=s.to_dict(), version="v0") for s in (calm(), calm(events=eventful().events)))
     plain.reset(seed=0), moved.reset(seed=0)
     equal = []
     for _ in range(10):
@@ -261,7 +261,7 @@ def test_events_act_in_the_step_that_covers_them():
 @pytest.mark.parametrize(("control_dt", "simulation_dt"), [(0.2, 0.04), (0.12, 0.03), (0.1, 0.0125)])
 def test_integration_step_that_is_accepted_plays_every_draw_of_a_suite(control_dt: float, simulation_dt: float):
     try:
-        env = GFMWTGEnv(control_dt=control_dt, simulation_dt=simulation_dt, duration_s=6.0)
+        env = GFMWTGEnv(control_dt=control_dt, simulation_dt=simulation_dt, duration_s=6.0, version="v0")
     except ValueError as error:
         assert "simulation_dt" in str(error)
         return

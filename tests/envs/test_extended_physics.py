@@ -62,7 +62,7 @@ def test_a_chosen_scenario_below_the_under_speed_trip_is_refused_and_a_drawn_one
     slow = Scenario(name="slow", wind_speed=np.array([[8.0], [4.5]]))
     refused = r"cannot start: the rotor of WTG group 1 .* 4.5 m/s, below the under-speed trip at 0.5 p.u."
     with pytest.raises(ValueError, match=refused):
-        GFMWTGEnv(physics="extended", scenario=slow)
+        GFMWTGEnv(physics="extended", scenario=slow, version="v0")
     # Single turbines: the wind of one varies more than the mean of ten.
     singles = [{"bus": 2, "n_turbines": 1.0}] * 2
     env = GFMWTGEnv(physics="extended", suite="low-wind", groups=singles)

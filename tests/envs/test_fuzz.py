@@ -175,7 +175,7 @@ def scenarios(draw: Any) -> Scenario:
 def test_any_scenario_plays_to_a_physical_end(
     scenario: Scenario, strategy: str, on_failure: str, machine_model: str, actions: list[float]
 ):
-    env = GFMWTGEnv(duration_s=6.0, strategy=strategy, on_failure=on_failure, machine_model=machine_model)
+    env = GFMWTGEnv(duration_s=6.0, strategy=strategy, on_failure=on_failure, machine_model=machine_model, version="v0")
     try:
         env.reset(options={"scenario": scenario})
     except ValueError as error:

@@ -53,7 +53,7 @@ def test_info_keeps_its_keys_and_types_and_its_cost_terms_are_never_negative_and
 ):
     scenario = SCENARIOS[name]
     fixed = None if scenario is None else scenario.to_dict()
-    env = GFMWTGEnv(strategy="mppt", scenario=fixed, on_failure=on_failure)
+    env = GFMWTGEnv(strategy="mppt", scenario=fixed, on_failure=on_failure, version="v0")
     _, first = env.reset(seed=0)
     types = {key: type(value) for key, value in first.items()}
     assert set(types) == KEYS
@@ -66,7 +66,7 @@ def test_info_keeps_its_keys_and_types_and_its_cost_terms_are_never_negative_and
 
 
 def test_info_has_numpys_floats_which_json_takes_as_well():
-    _, info = GFMWTGEnv().reset(seed=0)
+    _, info = GFMWTGEnv(version="v0").reset(seed=0)
     assert {type(info[key]) for key in KEYS - {"scenario_seed", "termination_reason"}} == {np.float64}
     assert json.loads(json.dumps(info)) == info
 
@@ -80,7 +80,7 @@ def test_page_lists_every_key_of_info_with_its_unit():
 
 
 def test_batch_info_has_one_value_and_one_flag_per_lane_for_every_key():
-    env = GFMWTGVectorEnv(5, duration_s=2.0)
+    env = GFMWTGVectorEnv(5, duration_s=2.0, version="v0")
     infos = [env.reset(seed=0)[1], *(env.step(action)[-1] for action in actions_of(1, 45, 5))]
     for info in infos:
         assert set(info) == KEYS | {f"_{key}" for key in KEYS}
@@ -89,7 +89,7 @@ def test_batch_info_has_one_value_and_one_flag_per_lane_for_every_key():
 
 
 def test_nothing_has_been_paid_at_the_reset():
-    env = GFMWTGEnv(scenario=sagging().to_dict(), strategy="mppt")
+    env = GFMWTGEnv(scenario=sagging().to_dict(), strategy="mppt", version="v0")
     for _ in range(2):
         _, info = env.reset(seed=0)
         assert [info[key] for key in (*TERMS, "cost", "time_s", "rocof_hz_s")] == [0.0] * 10
@@ -102,7 +102,9 @@ def test_every_weight_scales_its_own_term_alone(term: str):
     name = term.removeprefix("cost_")
     scenario = eventful(7.0).to_dict()
     default = getattr(CostWeights(), name)
-    light, heavy = (GFMWTGEnv(scenario=scenario, weights={name: w, "cap": 1e6}) for w in (default, 3.0 * default))
+    light, heavy = (
+        GFMWTGEnv(scenario=scenario, weights={name: w, "cap": 1e6}, version="v0") for w in (default, 3.0 * default)
+    )
     total = 0.0
     for (*_, info), (*_, other) in zip(episode(light, -1.0), episode(heavy, -1.0), strict=True):
         total += info[term]
@@ -112,14 +114,14 @@ def test_every_weight_scales_its_own_term_alone(term: str):
 
 
 def test_idle_actions_cost_no_effort_and_full_ones_do():
-    idle, full = (list(episode(GFMWTGEnv(scenario=calm().to_dict()), action)) for action in (0.0, 1.0))
+    idle, full = (list(episode(GFMWTGEnv(scenario=calm().to_dict(), version="v0"), action)) for action in (0.0, 1.0))
     assert sum(info["cost_effort"] for *_, info in idle) == 0.0
     weight = CostWeights().effort
     assert [info["cost_effort"] for *_, info in full] == pytest.approx([0.5 * weight] + [0.1 * weight] * 39)
 
 
 def test_rate_of_change_is_that_of_the_reported_frequency_over_half_a_second():
-    env = GFMWTGEnv(scenario=eventful().to_dict())
+    env = GFMWTGEnv(scenario=eventful().to_dict(), version="v0")
     _, first = env.reset(seed=0)
     infos = [first, *(info for *_, info in episode(env))]
     frequency = np.array([50.0] * 5 + [info["frequency_hz"] for info in infos])
@@ -181,16 +183,20 @@ def test_reference_stays_away_from_the_bounds_of_the_observation(suite: str):
 
 @pytest.mark.parametrize("observation_mode", OBSERVATION_MODES)
 def test_spaces_are_single_precision_boxes_with_finite_bounds(observation_mode: str):
-    env = GFMWTGEnv(observation_mode=observation_mode)
+    env = GFMWTGEnv(observation_mode=observation_mode, version="v0")
     for space in (env.observation_space, env.action_space):
         assert space.dtype == np.float32 and space.is_bounded()
     assert env.action_space.low.tolist() == [-1.0] * 4 and env.action_space.high.tolist() == [1.0] * 4
     assert len(env.observation_names) == env.observation_space.shape[0]
-    assert GFMWTGVectorEnv(2, observation_mode=observation_mode).observation_names == env.observation_names
+    assert (
+        GFMWTGVectorEnv(2, observation_mode=observation_mode, version="v0").observation_names == env.observation_names
+    )
 
 
 def test_privileged_observation_begins_with_the_local_one():
-    local, full = (GFMWTGEnv(scenario=eventful().to_dict(), observation_mode=mode) for mode in OBSERVATION_MODES)
+    local, full = (
+        GFMWTGEnv(scenario=eventful().to_dict(), observation_mode=mode, version="v0") for mode in OBSERVATION_MODES
+    )
     assert full.observation_names[:20] == local.observation_names
     (a, _), (b, _) = local.reset(seed=0), full.reset(seed=0)
     assert a.tobytes() == b[:20].tobytes() and b.size > 20
@@ -200,7 +206,7 @@ def test_privileged_observation_begins_with_the_local_one():
 
 
 def test_last_action_is_observed_as_it_was_clipped():
-    env = GFMWTGEnv(duration_s=2.0)
+    env = GFMWTGEnv(duration_s=2.0, version="v0")
     names = env.observation_names
     at = [names.index(f"wtg{j}.last_action_{kind}") for j in range(2) for kind in ("k", "tau")]
     assert env.reset(seed=0)[0][at].tolist() == [0.0] * 4
@@ -210,7 +216,7 @@ def test_last_action_is_observed_as_it_was_clipped():
 
 def test_observation_tells_what_its_names_say():
     scenario = eventful(events=(), load_noise_mw=np.zeros(0))
-    env = GFMWTGEnv(scenario=scenario.to_dict(), observation_mode="privileged")
+    env = GFMWTGEnv(scenario=scenario.to_dict(), observation_mode="privileged", version="v0")
     observation, _ = env.reset(seed=0)
     entry = dict(zip(env.observation_names, observation.tolist(), strict=True))
     assert entry["wtg0.wind [5 m/s from 10 m/s]"] == pytest.approx(-0.2)
@@ -222,7 +228,7 @@ def test_observation_tells_what_its_names_say():
 
 
 def test_frequency_observation_turns_negative_when_load_is_added():
-    env = GFMWTGEnv(scenario=sagging().to_dict(), observation_mode="privileged")
+    env = GFMWTGEnv(scenario=sagging().to_dict(), observation_mode="privileged", version="v0")
     env.reset(seed=0)
     for _ in range(40):
         observation, *_, info = env.step(np.zeros(4))

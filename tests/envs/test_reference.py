@@ -18,7 +18,7 @@ LOW_WIND = get_suite("low-wind").scenario(20_001)
 
 def follow(scenario: Scenario, **settings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return frequency, rotor speed and coefficient over an episode of zero actions (one of them minus zero)."""
-    env = GFMWTGEnv(scenario=scenario.to_dict(), **settings)
+    env = GFMWTGEnv(version="v0", scenario=scenario.to_dict(), **settings)
     _, info = env.reset(seed=0)
     simulator = env.lanes.simulator
     frequency, speed, coefficient = [], [], []
@@ -59,7 +59,7 @@ def test_each_group_follows_its_own_strategy():
 
 
 def test_every_lane_of_a_batch_follows_the_strategy_at_zero_action():
-    env = GFMWTGVectorEnv(17, scenario=eventful().to_dict())
+    env = GFMWTGVectorEnv(17, scenario=eventful().to_dict(), version="v0")
     env.reset(seed=0)
     run = simulate(eventful(), STRATEGIES["coordinated-piecewise"])
     for frequency in run.frequency_hz[1:]:
@@ -82,7 +82,7 @@ def test_a_strategy_file_is_followed_as_the_built_in_one(tmp_path):
 def test_every_single_action_changes_the_run(at: int):
     action = np.zeros(4)
     action[at] = 0.5
-    env, twin = (GFMWTGEnv(scenario=eventful().to_dict()) for _ in range(2))
+    env, twin = (GFMWTGEnv(scenario=eventful().to_dict(), version="v0") for _ in range(2))
     env.reset(seed=0), twin.reset(seed=0)
     for _ in range(30):
         env.step(action), twin.step(np.zeros(4))
@@ -94,7 +94,9 @@ def test_every_single_action_changes_the_run(at: int):
 def test_action_on_k_moves_power_up_and_on_tau_only_the_transient():
     start = {}
     for mode, value in (("k", 1.0), ("k", -1.0), ("tau", 1.0), ("tau", -1.0)):
-        env = GFMWTGEnv(scenario=eventful(events=(), load_noise_mw=np.zeros(0)).to_dict(), action_mode=mode)
+        env = GFMWTGEnv(
+            scenario=eventful(events=(), load_noise_mw=np.zeros(0)).to_dict(), action_mode=mode, version="v0"
+        )
         env.reset(seed=0)
         before = env.lanes.simulator.wtg_values("power")[0]
         env.step(np.full(2, value))

@@ -17,7 +17,9 @@ from gymnasium.vector import AutoresetMode
 
 import wtg_gym
 from tests.envs.rollouts import actions_of, eventful
-from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
+from wtg_gym.envs import EnvSettings, GFMWTGEnv, GFMWTGVectorEnv
+from wtg_gym.pettingzoo import parallel_env
+from wtg_gym.sb3 import SB3VecEnv
 from wtg_gym.scenarios import get_suite
 
 ENV_ID = "GFMWTG-14bus-v0"
@@ -64,10 +66,26 @@ def test_stable_baselines3_checker_has_no_complaint(modes: dict[str, str], env_i
 def test_make_after_import_and_make_with_the_module_in_the_id_are_the_same(env_id: str):
     first, second = gym.make(env_id, duration_s=2.0), gym.make(f"wtg_gym:{env_id}", duration_s=2.0)
     assert isinstance(first.unwrapped, GFMWTGEnv) and isinstance(second.unwrapped, GFMWTGEnv)
-    assert env_id == first.spec.id == second.spec.id and wtg_gym.ENV_ID == ENV_ID
+    assert env_id == first.spec.id == second.spec.id
     assert first.unwrapped.settings.version == env_id[-2:]
     (a, _), (b, _) = first.reset(seed=1), second.reset(seed=1)
     assert a.tobytes() == b.tobytes()
+
+
+def test_version_v1_is_meant_where_none_is_named() -> None:
+    assert wtg_gym.ENV_ID == "GFMWTG-14bus-v1"
+    assert (EnvSettings().version, EnvSettings().suite) == ("v1", "standard-v1")
+    assert EnvSettings(version="v0").suite == "standard" and EnvSettings(suite="standard").version == "v0"
+    for env in (GFMWTGEnv(), GFMWTGVectorEnv(2), parallel_env().single_env, SB3VecEnv(2).vector_env):
+        assert env.settings.suite == "standard-v1"
+
+
+def test_nobody_is_warned_that_v0_is_out_of_date() -> None:
+    for modules, env_id in (("gymnasium as g, wtg_gym", ENV_ID), ("gymnasium as g", f"wtg_gym:{ENV_ID}")):
+        code = f"import {modules}; g.make({env_id!r}), g.make_vec({env_id!r}, 2), g.make_vec({env_id!r}, 2, 'sync')"
+        for options in ([], ["-W", "error"]):
+            run = subprocess.run([sys.executable, *options, "-c", code], cwd=ROOT, capture_output=True, text=True)
+            assert run.returncode == 0 and "out of date" not in run.stderr, run.stderr
 
 
 @BOTH_IDS

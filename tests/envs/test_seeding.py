@@ -14,28 +14,28 @@ ACTIONS = actions_of(30, 60)[:, 0]
 
 
 def test_same_seed_gives_the_same_episodes():
-    env = GFMWTGEnv(duration_s=2.0)
+    env = GFMWTGEnv(duration_s=2.0, version="v0")
     first = single_steps(env, ACTIONS, AutoresetMode.NEXT_STEP, seed=5)
     again = single_steps(env, ACTIONS, AutoresetMode.NEXT_STEP, seed=5)
-    fresh = single_steps(GFMWTGEnv(duration_s=2.0), ACTIONS, AutoresetMode.NEXT_STEP, seed=5)
+    fresh = single_steps(GFMWTGEnv(duration_s=2.0, version="v0"), ACTIONS, AutoresetMode.NEXT_STEP, seed=5)
     assert first == again == fresh
 
 
 def test_different_seeds_give_different_episodes():
-    env = GFMWTGEnv(duration_s=2.0)
+    env = GFMWTGEnv(duration_s=2.0, version="v0")
     starts = {env.reset(seed=seed)[0].tobytes() for seed in range(20)}
     assert len(starts) == 20
 
 
 def test_reset_without_a_seed_goes_on_with_the_stream():
-    env, twin = (GFMWTGEnv(duration_s=2.0) for _ in range(2))
+    env, twin = (GFMWTGEnv(duration_s=2.0, version="v0") for _ in range(2))
     stream = [env.reset(seed=5)[1]["scenario_seed"], *(env.reset()[1]["scenario_seed"] for _ in range(9))]
     assert len(set(stream)) == 10
     assert [twin.reset(seed=5)[1]["scenario_seed"], *(twin.reset()[1]["scenario_seed"] for _ in range(9))] == stream
 
 
 def test_stream_does_not_depend_on_what_was_done_in_between():
-    env, twin = (GFMWTGEnv(duration_s=2.0) for _ in range(2))
+    env, twin = (GFMWTGEnv(duration_s=2.0, version="v0") for _ in range(2))
     env.reset(seed=5), twin.reset(seed=5)
     for action in ACTIONS[:7]:
         env.step(action)
@@ -44,15 +44,15 @@ def test_stream_does_not_depend_on_what_was_done_in_between():
 
 
 def test_played_scenario_draws_nothing_from_the_stream():
-    env, twin = (GFMWTGEnv(duration_s=4.0) for _ in range(2))
+    env, twin = (GFMWTGEnv(duration_s=4.0, version="v0") for _ in range(2))
     env.reset(seed=5), twin.reset(seed=5)
     env.reset(options={"scenario": eventful()})
     assert env.reset()[1]["scenario_seed"] == twin.reset()[1]["scenario_seed"]
 
 
 def test_environments_without_a_seed_differ():
-    assert len({GFMWTGEnv(duration_s=2.0).reset()[1]["scenario_seed"] for _ in range(5)}) == 5
-    batch = GFMWTGVectorEnv(5, duration_s=2.0)
+    assert len({GFMWTGEnv(duration_s=2.0, version="v0").reset()[1]["scenario_seed"] for _ in range(5)}) == 5
+    batch = GFMWTGVectorEnv(5, duration_s=2.0, version="v0")
     seen = np.concatenate([batch.reset()[1]["scenario_seed"], batch.reset()[1]["scenario_seed"]])
     assert len(set(seen.tolist())) == 10
 
@@ -69,7 +69,7 @@ def test_scenarios_come_from_the_asked_split_alone_which_is_train_by_default(sui
 
 
 def test_drawn_scenario_is_the_suites_own():
-    env, twin = GFMWTGEnv(), GFMWTGEnv()
+    env, twin = GFMWTGEnv(version="v0"), GFMWTGEnv(version="v0")
     observation, info = env.reset(seed=2)
     scenario = get_suite("standard").scenario(info["scenario_seed"])
     again, other = twin.reset(options={"scenario": scenario})
@@ -79,14 +79,14 @@ def test_drawn_scenario_is_the_suites_own():
 
 
 def test_fixed_scenario_is_the_same_in_every_episode_and_tells_its_seed():
-    env = GFMWTGEnv(scenario=eventful().to_dict(), duration_s=4.0)
+    env = GFMWTGEnv(scenario=eventful().to_dict(), duration_s=4.0, version="v0")
     starts = [env.reset(seed=seed) for seed in (1, 2, None)]
     assert len({observation.tobytes() for observation, _ in starts}) == 1
     assert [info["scenario_seed"] for _, info in starts] == [-1] * 3
-    env = GFMWTGEnv(scenario=eventful(seed=77).to_dict())
+    env = GFMWTGEnv(scenario=eventful(seed=77).to_dict(), version="v0")
     assert env.reset()[1]["scenario_seed"] == 77
 
 
 def test_python_and_numpy_integers_seed_alike():
-    batch = GFMWTGVectorEnv(2, duration_s=2.0)
+    batch = GFMWTGVectorEnv(2, duration_s=2.0, version="v0")
     assert batch.reset(seed=np.int64(3))[0].tobytes() == batch.reset(seed=3)[0].tobytes()

@@ -446,7 +446,7 @@ WRONG: list[tuple[dict[str, Any], list[str]]] = [
     ({"version": "v0", "suite": "gusty-v1"}, ["suite", "'gusty-v1'", "standard", "weak-grid"]),
     ({"version": "v0", "suite": "gusty"}, ["suite", "'gusty'", "standard", "weak-grid"]),
     ({"version": "v0", "sensors": "exact"}, ["sensors", "v1", "v0 measures exactly"]),
-    ({"sensors": {"delay_s": (0.1, 0.1)}}, ["sensors", "v1", "v0 measures exactly"]),
+    ({"suite": "standard", "sensors": {"delay_s": (0.1, 0.1)}}, ["sensors", "v1", "v0 measures exactly"]),
     ({"version": "v1", "sensors": "x"}, ["sensors", '"exact"', "'x'"]),
     ({"version": "v1", "sensors": ["delay_s"]}, ["sensors", '"exact"', "['delay_s']"]),
     ({"version": "v1", "sensors": {"noise": 1.0}}, ["sensors", "'noise'", "wind_noise", "delay_s"]),
@@ -491,7 +491,7 @@ def test_impossible_setting_is_refused_at_once_in_one_line(
 def test_scenario_with_sensors_is_refused_where_nothing_is_sensed() -> None:
     scenario = get_suite("standard").scenario(20_000)
     sensed = dataclasses.replace(scenario, sensors=Sensors(seed=1, wind_bias=(0.0, 0.0), delay_s=0.1))
-    env = GFMWTGEnv()
-    for make in (lambda: GFMWTGEnv(scenario=sensed), lambda: env.reset(options={"scenario": sensed})):
+    env = GFMWTGEnv(version="v0")
+    for make in (lambda: GFMWTGEnv(scenario=sensed, version="v0"), lambda: env.reset(options={"scenario": sensed})):
         with pytest.raises(ValueError, match=r"scenario 'standard/20000' has sensors; version v0 measures exactly"):
             make()

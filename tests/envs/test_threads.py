@@ -71,7 +71,7 @@ def test_a_preparation_that_fails_leaves_no_lane_behind(monkeypatch: pytest.Monk
 
 
 def test_blocks_begin_at_a_cache_line_in_copies_too() -> None:
-    env = GFMWTGVectorEnv(33)
+    env = GFMWTGVectorEnv(33, version="v0")
     for each in (env, copy.deepcopy(env), pickle.loads(pickle.dumps(env))):
         assert each.lanes.simulator.blocks.ctypes.data % 64 == 0
 

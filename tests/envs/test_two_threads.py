@@ -13,7 +13,10 @@ import pytest
 
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
 
-MAKE: dict[str, Callable[[], Any]] = {"single": GFMWTGEnv, "vector": lambda: GFMWTGVectorEnv(64, n_threads=1)}
+MAKE: dict[str, Callable[[], Any]] = {
+    "single": GFMWTGEnv,
+    "vector": lambda: GFMWTGVectorEnv(64, n_threads=1, version="v0"),
+}
 
 
 def entered(env: Any, monkeypatch: pytest.MonkeyPatch) -> tuple[threading.Thread, threading.Event]:

@@ -104,7 +104,7 @@ def test_lane_of_version_v1_equals_the_single_environment_where_groups_trip_and_
 @pytest.mark.parametrize("mode", MODES)
 def test_lane_equals_the_single_environment_where_lanes_end_at_different_times(mode: AutoresetMode):
     n, n_steps = 17, 420
-    settings = {"strategy": "mppt", "scenario": sagging(7.6, 45.0).to_dict()}
+    settings = {"version": "v0", "strategy": "mppt", "scenario": sagging(7.6, 45.0).to_dict()}
     actions = np.repeat(np.linspace(-1.0, 1.0, n)[None, :, None], n_steps, axis=0).repeat(4, axis=2)
     env = GFMWTGVectorEnv(n, autoreset_mode=mode, **settings)
     lanes = vector_steps(env, actions, seed=0)
@@ -119,10 +119,10 @@ def test_lane_equals_the_single_environment_where_lanes_end_at_different_times(m
 def test_lane_equals_the_single_environment_in_other_settings(settings: dict):
     n_action = 2 if "action_mode" in settings else 4
     actions = actions_of(4, 30, 5, n_action)
-    env = GFMWTGVectorEnv(5, duration_s=2.0, **settings)
+    env = GFMWTGVectorEnv(5, version="v0", duration_s=2.0, **settings)
     lanes = vector_steps(env, actions, seed=1)
     for lane, steps in enumerate(lanes):
-        single = GFMWTGEnv(duration_s=2.0, **settings)
+        single = GFMWTGEnv(version="v0", duration_s=2.0, **settings)
         assert steps == single_steps(single, actions[:, lane], AutoresetMode.NEXT_STEP, seed=1 + lane)
 
 
@@ -153,13 +153,13 @@ def test_another_process_finds_the_same_bits():
 
 
 def test_one_seed_per_lane_is_the_same_as_the_seed_they_count_from():
-    one, each = (GFMWTGVectorEnv(3, duration_s=2.0) for _ in range(2))
+    one, each = (GFMWTGVectorEnv(3, duration_s=2.0, version="v0") for _ in range(2))
     assert one.reset(seed=5)[0].tobytes() == each.reset(seed=[5, 6, 7])[0].tobytes()
     assert one.reset(seed=5)[0].tobytes() == each.reset(seed=np.array([5, 6, 7]))[0].tobytes()
 
 
 def test_reset_mask_restarts_only_its_lanes():
-    env, twin = (GFMWTGVectorEnv(5, duration_s=3.0, autoreset_mode="Disabled") for _ in range(2))
+    env, twin = (GFMWTGVectorEnv(5, duration_s=3.0, autoreset_mode="Disabled", version="v0") for _ in range(2))
     actions = actions_of(11, 20, 5)
     vector_steps(env, actions, seed=1), vector_steps(twin, actions, seed=1)
     mask = np.array([False, True, False, False, True])
@@ -174,14 +174,14 @@ def test_reset_mask_restarts_only_its_lanes():
 
 
 def test_returned_arrays_are_not_overwritten_by_later_steps():
-    env = GFMWTGVectorEnv(3, duration_s=2.0, autoreset_mode="SameStep")
+    env = GFMWTGVectorEnv(3, duration_s=2.0, autoreset_mode="SameStep", version="v0")
     first = env.reset(seed=0)
     kept = [first, *(env.step(action) for action in actions_of(12, 25, 3))]
     copies = repr(kept)
     for action in actions_of(13, 25, 3):
         env.step(action)
     assert repr(kept) == copies
-    env = GFMWTGEnv(duration_s=2.0)
+    env = GFMWTGEnv(duration_s=2.0, version="v0")
     observation, info = env.reset(seed=0)
     before = observation.tobytes(), dict(info)
     env.step(np.ones(4))
@@ -189,7 +189,7 @@ def test_returned_arrays_are_not_overwritten_by_later_steps():
 
 
 def test_ended_lane_waits_one_step_in_next_step_mode():
-    env = GFMWTGVectorEnv(2, duration_s=3.0)
+    env = GFMWTGVectorEnv(2, duration_s=3.0, version="v0")
     env.reset(seed=0, options={"scenarios": [eventful(duration_s=1.0), eventful(duration_s=2.0)]})
     for _ in range(10):
         _, _, terminated, truncated, infos = env.step(np.zeros((2, 4)))
@@ -200,7 +200,7 @@ def test_ended_lane_waits_one_step_in_next_step_mode():
 
 
 def test_scenarios_of_lanes_that_go_on_are_not_looked_at():
-    env = GFMWTGVectorEnv(2, duration_s=3.0, autoreset_mode="Disabled")
+    env = GFMWTGVectorEnv(2, duration_s=3.0, autoreset_mode="Disabled", version="v0")
     env.reset(seed=0)
     fits = env.lanes.scenarios([1_000_001])[0]
     misfit = dataclasses.replace(fits, wind_speed=np.full((3, 1), 8.0))

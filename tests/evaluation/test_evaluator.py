@@ -86,7 +86,7 @@ def test_many_lanes_on_threads_equal_one_thread() -> None:
 def test_episode_equals_the_single_environment(results: Results) -> None:
     for name in ("mppt", "coordinated-piecewise"):
         env = gym.make(
-            wtg_gym.ENV_ID, strategy=name, duration_s=SHORT["duration_s"], disable_env_checker=True
+            "GFMWTG-14bus-v0", strategy=name, duration_s=SHORT["duration_s"], disable_env_checker=True
         ).unwrapped
         for episode in results.episodes_of(name):
             scenario = get_suite("standard").scenario(episode.seed, n_turbines=[10.0, 10.0], duration_s=10.0)
@@ -115,7 +115,7 @@ def test_anchors_are_evaluated_without_being_asked_for(suite: str) -> None:
 
 
 def test_entries_may_be_names_of_the_table() -> None:
-    results = evaluate("linear-feedback", seeds=(10_000, 10_001), duration_s=10.0)
+    results = evaluate("linear-feedback", "standard", seeds=(10_000, 10_001), duration_s=10.0)
     assert (results.suite, results.split) == ("standard", "validation")
     assert set(results.scores) == {"linear-feedback", *V0.anchors}
     score = results.scores["linear-feedback"]
@@ -130,7 +130,7 @@ def test_zero_policy_is_the_reference() -> None:
 
 def test_sb3_model_is_evaluated_through_its_own_predict() -> None:
     ppo = pytest.importorskip("stable_baselines3").PPO
-    env = gym.make(wtg_gym.ENV_ID, action_mode="k", duration_s=10.0)
+    env = gym.make("GFMWTG-14bus-v0", action_mode="k", duration_s=10.0)
     model = ppo("MlpPolicy", env, n_steps=8, batch_size=8, policy_kwargs={"net_arch": [4]}, seed=0, device="cpu")
     entry = Entry(name="PPO", policy=model, action_mode="k")
     results = evaluate([entry], "standard", "test", **SHORT)

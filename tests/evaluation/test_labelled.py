@@ -50,7 +50,7 @@ def test_error_without_the_package_names_the_extra(
     package: str, results: Results, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(ImportError, match=rf"needs {package} of the data extra: pip install 'wtg-gym\[data\]'"):
+    with pytest.raises(ImportError, match=rf"needs {package}; in a checkout: pip install '\.\[data\]'"):
         results.to_pandas() if package == "pandas" else to_xarray(simulate(MINE, "mppt"))
 
 
@@ -69,7 +69,7 @@ def test_run_as_a_dataset_has_time_groups_and_units() -> None:
 
 def test_recorded_episodes_as_a_dataset_name_observations_and_cost_terms() -> None:
     pytest.importorskip("xarray")
-    recording = record(Entry(name="law", strategy="mppt"), EnvSettings(duration_s=2.0), [MINE, MINE])
+    recording = record(Entry(name="law", strategy="mppt"), EnvSettings(duration_s=2.0, version="v0"), [MINE, MINE])
     data = to_xarray(recording)
     assert data.sizes == {"scenario": 2, "time": 21, "group": 2, "observation": 20, "cost_term": len(COST_TERMS)}
     assert np.array_equal(data["observations"].sel(observation="wtg1.rocof [Hz/s]"), recording.rocof_hz_s[:, :, 1])
@@ -104,9 +104,11 @@ def test_evaluation_shows_its_progress_and_tells_it(
 ) -> None:
     monkeypatch.setattr("wtg_gym.progress._PROGRESS_INTERVAL_S", 0.0)
     told: list[tuple[str, int, int]] = []
-    evaluate("mppt", seeds=[10_000], duration_s=1.0, progress=True, on_progress=lambda *each: told.append(each))
+    evaluate(
+        "mppt", "standard", seeds=[10_000], duration_s=1.0, progress=True, on_progress=lambda *each: told.append(each)
+    )
     said = capsys.readouterr().err
     assert [f"{name}: {done} of {total} episodes" for name, done, total in told] == said.splitlines()
     assert told[-1][1:] == (2, 2)
-    evaluate("mppt", seeds=[10_000], duration_s=1.0)
+    evaluate("mppt", "standard", seeds=[10_000], duration_s=1.0)
     assert capsys.readouterr().err == ""

@@ -75,14 +75,14 @@ def test_recording_is_not_a_number_after_an_early_end() -> None:
     events = (LoadStep(time_s=1.0, bus=3, power_mw=75.0), LoadStep(time_s=2.0, bus=2, power_mw=75.0))
     stalls = Scenario(name="stalls", wind_speed=np.array([[8.0], [6.0]]), duration_s=60.0, events=events)
     calm = Scenario(name="calm", wind_speed=np.array([[9.0], [9.0]]), duration_s=60.0)
-    recording = record(Entry(name="mppt", strategy="mppt"), EnvSettings(), [stalls, calm])
+    recording = record(Entry(name="mppt", strategy="mppt"), EnvSettings(version="v0"), [stalls, calm])
     assert recording.cost_terms[0, -1] > 0.0 == recording.cost_terms[1, -1]
     running = np.isfinite(recording.frequency_hz)
     assert running[1].all() and running[0, 0] and not running[0, -1] and (np.diff(running[0].astype(int)) <= 0).all()
     assert (np.isfinite(recording.power_pu).all(axis=2) == running).all()
     # A law without transient damping has no τ.
     assert np.isnan(recording.time_constant_s).all()
-    alone = record(Entry(name="mppt", strategy="mppt"), EnvSettings(), [stalls])
+    alone = record(Entry(name="mppt", strategy="mppt"), EnvSettings(version="v0"), [stalls])
     assert alone.time_s.size == recording.time_s.size == 601
 
 
@@ -99,4 +99,4 @@ def test_pooled_recordings_keep_their_order() -> None:
 def test_scenario_that_cannot_start_names_the_entry() -> None:
     three = Scenario(name="three", wind_speed=np.full((3, 1), 9.0), duration_s=5.0)
     with pytest.raises(ValueError, match=r"entry 'mppt': .* wind for 3 WTG groups"):
-        record(Entry(name="mppt", strategy="mppt"), EnvSettings(), [three])
+        record(Entry(name="mppt", strategy="mppt"), EnvSettings(version="v0"), [three])

@@ -77,6 +77,7 @@ def test_variants_are_evaluations_with_that_weight() -> None:
     told: list[tuple[int, int]] = []
     study = study_sensitivity(
         ENTRIES,
+        "standard",
         n_scenarios=3,
         weights=["duty", "overload"],
         factors=[0.5],
@@ -114,7 +115,7 @@ def test_variants_are_evaluations_with_that_weight() -> None:
 )
 def test_impossible_arguments_are_refused(arguments: dict[str, object], said: str) -> None:
     with pytest.raises(ValueError, match=said):
-        study_sensitivity(ENTRIES, **arguments)  # type: ignore[arg-type]
+        study_sensitivity(ENTRIES, "standard", **arguments)  # type: ignore[arg-type]
 
 
 def test_all_weights_but_the_cap_are_varied() -> None:

@@ -231,9 +231,9 @@ def test_threads_and_workers_exclude_each_other() -> None:
 
 def test_missing_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name != "joblib" else True)
-    with pytest.raises(ValueError, match=r"dask needs distributed: pip install 'wtg-gym\[cluster\]'"):
+    with pytest.raises(ValueError, match=r"dask needs distributed; in a checkout: pip install '\.\[cluster\]'"):
         Workers("dask")
-    with pytest.raises(ValueError, match=r"ray needs ray: pip install 'wtg-gym\[rllib\]'"):
+    with pytest.raises(ValueError, match=r"ray needs ray; in a checkout: pip install '\.\[rllib\]'"):
         Workers("ray")
 
 

@@ -16,7 +16,7 @@ from wtg_gym.envs.task_records import Info
 from wtg_gym.gradients import Tape
 from wtg_gym.physics.protection import Status
 
-jax = pytest.importorskip("jax", reason="JAX is not installed here: pip install 'wtg-gym[jax]'")
+jax = pytest.importorskip("jax", reason="JAX is not installed here: pip install '.[jax]'")
 jax.config.update("jax_enable_x64", True)
 import jax.numpy as jnp  # noqa: E402
 
@@ -28,12 +28,12 @@ N_STEPS = 600
 
 @functools.cache
 def env() -> FunctionalEnv:
-    return FunctionalEnv(EnvSettings(), n_scenarios=2)
+    return FunctionalEnv(EnvSettings(version="v0"), n_scenarios=2)
 
 
 @functools.cache
 def params() -> EnvParams:
-    return env().bank(list(cases(TaskLanes(EnvSettings(), 1)).values()))
+    return env().bank(list(cases(TaskLanes(EnvSettings(version="v0"), 1)).values()))
 
 
 @functools.cache
@@ -66,7 +66,7 @@ def played() -> Any:
 
 
 def test_whole_episodes_are_those_of_the_environment() -> None:
-    lanes = TaskLanes(EnvSettings(), params().n_scenarios)
+    lanes = TaskLanes(EnvSettings(version="v0"), params().n_scenarios)
     scenarios = cases(lanes)
     lanes.start(list(range(len(scenarios))), list(scenarios.values()))
     simulator, rows = lanes.simulator, list(env().rows)
@@ -132,7 +132,7 @@ def test_an_episode_that_ends_is_followed_by_another() -> None:
 
 def test_gradients_are_those_of_the_tape() -> None:
     n_steps, places = 30, [1, 0, 8]
-    tape = Tape(EnvSettings(), len(places), 1)
+    tape = Tape(EnvSettings(version="v0"), len(places), 1)
     scenarios = list(cases(tape.lanes).values())
     given = actions()[:n_steps, places]
     expected = tape.gradient([scenarios[place] for place in places], given)
@@ -152,7 +152,9 @@ def test_gradients_are_those_of_the_tape() -> None:
 def test_spaces_and_default_parameters() -> None:
     assert env().name == "GFMWTG-14bus-v0" and env().default_params.n_scenarios == 2
     assert env().default_params.max_steps_in_episode == N_STEPS
-    assert env().default_params.scenario_seed.tolist() == list(TaskLanes(EnvSettings(), 1).suite.seeds("train")[:2])
+    assert env().default_params.scenario_seed.tolist() == list(
+        TaskLanes(EnvSettings(version="v0"), 1).suite.seeds("train")[:2]
+    )
     space = env().action_space(params())
     assert space.shape == (env().num_actions,) and space.contains(space.sample(jax.random.key(0)))
     assert not space.contains(jnp.full(space.shape, 2.0))
@@ -161,8 +163,8 @@ def test_spaces_and_default_parameters() -> None:
 
 
 def test_a_fixed_scenario_is_the_bank() -> None:
-    scenario = next(iter(cases(TaskLanes(EnvSettings(), 1)).values()))
-    own = FunctionalEnv(EnvSettings(scenario=scenario)).default_params
+    scenario = next(iter(cases(TaskLanes(EnvSettings(version="v0"), 1)).values()))
+    own = FunctionalEnv(EnvSettings(scenario=scenario, version="v0")).default_params
     assert own.n_scenarios == 1 and np.array_equal(own.start[0], params().start[0])
 
 
@@ -171,13 +173,13 @@ def test_a_fixed_scenario_is_the_bank() -> None:
 )
 def test_other_versions_and_physics_are_refused(settings: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=f"got version=.*{next(iter(settings.values()))!r}"):
-        FunctionalEnv(EnvSettings(**settings))
+        FunctionalEnv(EnvSettings(**{"version": "v0", **settings}))
 
 
 def test_floats_of_32_bits_are_refused() -> None:
     jax.config.update("jax_enable_x64", False)
     try:
         with pytest.raises(ValueError, match="jax_enable_x64"):
-            FunctionalEnv(EnvSettings())
+            FunctionalEnv(EnvSettings(version="v0"))
     finally:
         jax.config.update("jax_enable_x64", True)

@@ -125,7 +125,7 @@ def played(programs: Programs, lanes: TaskLanes, params: bank.EnvParams, place: 
 
 @pytest.mark.parametrize("control_dt", [0.1, 0.25])
 def test_the_programs_play_the_episodes_of_the_environment(control_dt: float) -> None:
-    lanes = TaskLanes(EnvSettings(control_dt=control_dt, observation_mode="privileged"), 1)
+    lanes = TaskLanes(EnvSettings(control_dt=control_dt, observation_mode="privileged", version="v0"), 1)
     simulator = lanes.simulator
     programs = trace(simulator.plant, lanes.task, simulator.layout, lanes.n_action, lanes.n_observation)
     scenarios = [scenario for name, scenario in cases(lanes).items() if name in ("far too much load", "lost governor")]
@@ -158,6 +158,6 @@ def test_a_program_in_reverse_is_its_derivative() -> None:
 
 
 def test_a_bank_needs_scenarios() -> None:
-    lanes = TaskLanes(EnvSettings(), 1)
+    lanes = TaskLanes(EnvSettings(version="v0"), 1)
     with pytest.raises(ValueError, match="at least one scenario"):
         bank.prepare(lanes, Any, [])  # type: ignore[arg-type]

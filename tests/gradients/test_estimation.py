@@ -21,7 +21,7 @@ from wtg_gym.physics.scenario import GovernorLoss, LoadStep, Scenario
 Floats = npt.NDArray[np.float64]
 STEP = LoadStep(time_s=0.5, bus=4, power_mw=60.0)
 SCENARIO = Scenario(name="step", wind_speed=np.array([[8.0], [9.0]]), events=(STEP,), duration_s=20.0)
-SETTINGS = EnvSettings(scenario=SCENARIO)
+SETTINGS = EnvSettings(scenario=SCENARIO, version="v0")
 PLANT = SETTINGS.plant()
 RECORDED = ("--recorded", str(GOLDEN / "grid-forming" / "params.json"), str(GOLDEN / "grid-forming" / "a.csv"))
 

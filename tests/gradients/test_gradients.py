@@ -31,7 +31,7 @@ V1 = {"version": "v1", "observation_mode": "privileged"}
 
 @functools.cache
 def tape_of(cap: float = 50.0, **settings: Any) -> Tape:
-    return Tape(EnvSettings(weights={"cap": cap}, **settings), N_LANES, 1)
+    return Tape(EnvSettings(**{"version": "v0", "weights": {"cap": cap}, **settings}), N_LANES, 1)
 
 
 def drawn(tape: Tape, first: int = 1_000_000) -> list[Scenario]:
@@ -68,7 +68,7 @@ def compiled_by_python(source: str) -> Any:
 
 
 def test_the_traced_right_hand_side_is_that_of_the_kernel() -> None:
-    lanes = TaskLanes(EnvSettings(), 1)
+    lanes = TaskLanes(EnvSettings(version="v0"), 1)
     lanes.start([0], lanes.scenarios([1_000_000]))
     simulator = lanes.simulator
     rng = np.random.default_rng(0)
@@ -321,7 +321,7 @@ def test_threads_may_make_their_tapes_at_once() -> None:
 
 
 def test_an_episode_alone_has_the_bits_of_one_in_a_batch() -> None:
-    batch, alone = tape_of(), Tape(EnvSettings(), 1, 1)
+    batch, alone = tape_of(), Tape(EnvSettings(version="v0"), 1, 1)
     scenarios, actions = drawn(batch), actions_of(batch, 40)
     found, single = batch.gradient(scenarios, actions), alone.gradient(scenarios[1:2], actions[:, 1:2])
     assert np.array_equal(single.actions, found.actions[:, 1:2])
@@ -339,10 +339,10 @@ def test_an_episode_alone_has_the_bits_of_one_in_a_batch() -> None:
         # One would have been played in all lanes.
         (lambda tape, scenarios: tape.start(scenarios[:1]), "3 scenarios, one per lane"),
         (lambda tape, scenarios: tape.start([1_000_000] * N_LANES), "scenarios"),
-        (lambda tape, scenarios: Tape(EnvSettings(), N_LANES, 1).step(np.zeros((N_LANES, 4))), "start"),
-        (lambda tape, scenarios: Tape(EnvSettings(), N_LANES, 1).law(), "start"),
-        (lambda tape, scenarios: Tape(EnvSettings(), N_LANES, 1).outputs(), "start"),
-        (lambda tape, scenarios: Tape(EnvSettings(), N_LANES, 1).back(), "start"),
+        (lambda tape, scenarios: Tape(EnvSettings(version="v0"), N_LANES, 1).step(np.zeros((N_LANES, 4))), "start"),
+        (lambda tape, scenarios: Tape(EnvSettings(version="v0"), N_LANES, 1).law(), "start"),
+        (lambda tape, scenarios: Tape(EnvSettings(version="v0"), N_LANES, 1).outputs(), "start"),
+        (lambda tape, scenarios: Tape(EnvSettings(version="v0"), N_LANES, 1).back(), "start"),
         (lambda tape, scenarios: tape.set_law(tape.law()), "first step"),
         (
             lambda tape, scenarios: restarted(tape, scenarios).set_law(tape.law()[:, :, :3]),
@@ -382,7 +382,7 @@ def test_a_policy_trains_by_backward() -> None:
     torch = pytest.importorskip("torch", reason="PyTorch is not installed here")
     from wtg_gym.gradients.torch import TorchEpisodes
 
-    episodes = TorchEpisodes(EnvSettings(), N_LANES, 1)
+    episodes = TorchEpisodes(EnvSettings(version="v0"), N_LANES, 1)
     scenarios = drawn(episodes.tape)
     episodes.start(scenarios)
     torch.manual_seed(0)
@@ -417,7 +417,7 @@ def test_a_policy_trains_by_backward() -> None:
     with pytest.raises(ValueError, match=r"law must have the shape \(2, 4\)"):
         episodes.start(scenarios, torch.ones(4))
     with pytest.raises(ValueError, match="start"):
-        TorchEpisodes(EnvSettings(), N_LANES, 1).step(torch.zeros(N_LANES, 4))
+        TorchEpisodes(EnvSettings(version="v0"), N_LANES, 1).step(torch.zeros(N_LANES, 4))
 
 
 @pytest.mark.parametrize("settings", [{}, V1])
@@ -425,7 +425,7 @@ def test_torch_and_numpy_agree_to_the_last_bit(settings: dict[str, Any]) -> None
     torch = pytest.importorskip("torch", reason="PyTorch is not installed here")
     from wtg_gym.gradients.torch import TorchEpisodes
 
-    episodes = TorchEpisodes(EnvSettings(weights={"cap": 50.0}, **settings), N_LANES, 1)
+    episodes = TorchEpisodes(EnvSettings(**{"version": "v0", "weights": {"cap": 50.0}, **settings}), N_LANES, 1)
     scenarios, actions = drawn(episodes.tape), actions_of(episodes.tape, 20)
     found = episodes.tape.gradient(scenarios, actions)
     episodes.start(scenarios)

@@ -20,7 +20,7 @@ from wtg_gym.physics.scenario import GovernorLoss, LoadStep, MachineOutage, Scen
 
 Floats = npt.NDArray[np.float64]
 N_STEPS, N_LANES = 120, 3
-SETTINGS = EnvSettings()
+SETTINGS = EnvSettings(version="v0")
 #: At 0 the dead band is a corner.
 PLANT = with_parameters(SETTINGS.plant(), {"machines.1.governor.dead_band_pu": 2e-4})
 KNOWN = known_parameters(PLANT)
@@ -204,7 +204,7 @@ def test_the_nadir_has_a_gradient() -> None:
         (lambda: Tape(SETTINGS, 1, 1, ("machines.2.two_h_s",)), "unknown parameters"),
         (lambda: tape().set_parameters({"machines.3.governor.droop_pu": 0.02}), "the tape has no parameters"),
         (lambda: tape().set_parameters({"control.inertia_constant_s": -1.0}), "inertia_constant_s"),
-        (lambda: Tape(EnvSettings(), 1, 1).set_parameters({"control.droop_gain_pu": 1.0}), "it has: none"),
+        (lambda: Tape(EnvSettings(version="v0"), 1, 1).set_parameters({"control.droop_gain_pu": 1.0}), "it has: none"),
     ],
 )
 def test_bad_input_is_refused(call: Any, reason: str) -> None:
@@ -213,7 +213,7 @@ def test_bad_input_is_refused(call: Any, reason: str) -> None:
 
 
 def test_classical_machines_have_no_fluxes_and_no_exciter() -> None:
-    known = known_parameters(EnvSettings(machine_model="classical").plant())
+    known = known_parameters(EnvSettings(machine_model="classical", version="v0").plant())
     assert "machines.3.two_h_s" in known and "machines.1.governor.droop_pu" in known
     assert not any("exciter" in name or "t_d0" in name for name in known)
 

@@ -92,7 +92,7 @@ def ours(case: NetworkCase, step_s: float) -> Solver:
     """Return value and gradient by the tape, on one thread."""
     plant = PlantSettings(case=case, groups=(), control_dt=SAMPLE_S, simulation_dt=step_s)
     names = [f"machines.{m.bus}.two_h_s" for m in case.machines]
-    tape = Tape(PlantEnvSettings.of(EnvSettings(), plant), N_RUNS, 1, names)
+    tape = Tape(PlantEnvSettings.of(EnvSettings(version="v0"), plant), N_RUNS, 1, names)
     scenarios = [
         Scenario(
             name="step",

@@ -41,7 +41,7 @@ def scenarios() -> list[Scenario]:
 @pytest.fixture(scope="module")
 def runs(scenarios: list[Scenario]) -> dict[str, Recording]:
     entries = [Entry(name=REFERENCE), *(Entry(name=f"both {b}", policy=Windward(b)) for b in (True, False))]
-    return {entry.name: record(entry, EnvSettings(duration_s=20.0), scenarios) for entry in entries}
+    return {entry.name: record(entry, EnvSettings(duration_s=20.0, version="v0"), scenarios) for entry in entries}
 
 
 def test_bins_hold_the_quantiles_of_their_samples() -> None:
@@ -95,7 +95,7 @@ def test_runs_have_a_column_for_each_group_and_wind_where_it_changes(
         exact, abs=0.0035 * np.ptp(grid[3, 1].get_ylim())
     )
     steady = Scenario(name="steady", wind_speed=np.full((2, 1), 9.0), duration_s=5.0)
-    calm = record(Entry(name=REFERENCE), EnvSettings(), [steady])
+    calm = record(Entry(name=REFERENCE), EnvSettings(version="v0"), [steady])
     assert len(plot_runs(steady, {REFERENCE: [calm]}).axes) == 10
 
 

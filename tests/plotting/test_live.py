@@ -240,7 +240,7 @@ def test_without_bokeh_the_extra_is_named(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
     monkeypatch.setitem(sys.modules, "bokeh", None)
-    assert "pip install 'wtg-gym[leaderboard]'" in error_of(capsys, command, "--no-browser")
+    assert "in a checkout: pip install '.[leaderboard]'" in error_of(capsys, command, "--no-browser")
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="other systems always have a display")

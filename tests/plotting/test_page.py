@@ -144,7 +144,9 @@ def test_traces_are_the_recordings_to_their_resolution() -> None:
     suite = data["suites"][0]
     assert sorted(suite["traced"]) == sorted(TRACED)
     scenarios = get_suite("standard").scenarios([20_001], n_turbines=[10.0, 10.0], duration_s=DURATION_S)
-    own = record(Entry(name="deloaded-10", strategy="deloaded-10"), EnvSettings(duration_s=DURATION_S), scenarios)
+    own = record(
+        Entry(name="deloaded-10", strategy="deloaded-10"), EnvSettings(duration_s=DURATION_S, version="v0"), scenarios
+    )
     shown = suite["scenarios"][1]
     n_rows = 2 + len(suite["traced"]) * (1 + 2 * (len(RESOLUTIONS) - 1))
     rows = _unpacked(shown["packed"], n_rows)

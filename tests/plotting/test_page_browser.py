@@ -306,7 +306,7 @@ def test_traces_of_two_entries_side_by_side(open_page: Any) -> None:
     opened.wait_until("document.getElementById('facts').textContent.includes('20001')")
     scenarios = get_suite("standard").scenarios([20_001], n_turbines=[10.0, 10.0], duration_s=DURATION_S)
     for side, name in (("a", "deloaded-10"), ("b", "coordinated-piecewise")):
-        own = record(Entry(name=name, strategy=name), EnvSettings(duration_s=DURATION_S), scenarios)
+        own = record(Entry(name=name, strategy=name), EnvSettings(duration_s=DURATION_S, version="v0"), scenarios)
         shown = opened.column(f"{side}-frequency-0")
         assert shown == pytest.approx(own.frequency_hz[0, ::2].tolist(), abs=5e-4)
         ratio = opened.column(f"{side}-ratio-1")

@@ -14,7 +14,6 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
-import wtg_gym
 from tests.envs.rollouts import actions_of, calm, eventful, sagging, single_steps, vector_steps
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
 from wtg_gym.envs.rendering.colours import EVENT, GROUPS, INK, LIMIT, rgb
@@ -26,13 +25,13 @@ from wtg_gym.physics.sensors import SENSOR_RANGES
 
 pytest.importorskip("matplotlib")
 
-ENV_ID = wtg_gym.ENV_ID
+ENV_ID = "GFMWTG-14bus-v0"
 SHAPE = (FRAME_SIZE[1], FRAME_SIZE[0], 3)
 
 
 def playing(n_steps: int, **settings: Any) -> GFMWTGEnv:
     """Return an environment that renders, so many steps into the eventful scenario."""
-    env = GFMWTGEnv(**{"render_mode": "rgb_array", "scenario": eventful().to_dict(), **settings})
+    env = GFMWTGEnv(**{"version": "v0", "render_mode": "rgb_array", "scenario": eventful().to_dict(), **settings})
     env.reset(seed=0)
     for action in actions_of(3, n_steps, 1, env.action_space.shape[0]):
         env.step(action[0])
@@ -115,8 +114,8 @@ def test_a_line_that_closes_again_is_drawn_as_before():
 
 
 def test_an_axis_widens_when_a_value_leaves_it():
-    narrow = GFMWTGEnv(render_mode="rgb_array", scenario=calm(9.0).to_dict())
-    wide = GFMWTGEnv(render_mode="rgb_array", scenario=calm(20.0).to_dict())
+    narrow = GFMWTGEnv(render_mode="rgb_array", scenario=calm(9.0).to_dict(), version="v0")
+    wide = GFMWTGEnv(render_mode="rgb_array", scenario=calm(20.0).to_dict(), version="v0")
     pictures = []
     for env in (narrow, wide):
         env.reset()
@@ -126,7 +125,7 @@ def test_an_axis_widens_when_a_value_leaves_it():
 
 
 def test_an_early_stall_and_the_end_of_the_time_are_named():
-    stalling = GFMWTGEnv(render_mode="rgb_array", strategy="mppt", scenario=sagging(7.0).to_dict())
+    stalling = GFMWTGEnv(render_mode="rgb_array", strategy="mppt", scenario=sagging(7.0).to_dict(), version="v0")
     stalling.reset()
     over = False
     while not over:
@@ -145,7 +144,7 @@ def test_an_early_stall_and_the_end_of_the_time_are_named():
 
 @pytest.mark.parametrize(("groups", "n_colours"), [(1, 1), (3, 3)])
 def test_every_group_has_a_line_and_a_sign_in_the_diagram(groups: int, n_colours: int):
-    env = GFMWTGEnv(render_mode="rgb_array", groups=groups, duration_s=5.0)
+    env = GFMWTGEnv(render_mode="rgb_array", groups=groups, duration_s=5.0, version="v0")
     env.reset(seed=1)
     for _ in range(30):
         env.step(np.zeros(2 * groups))
@@ -156,7 +155,7 @@ def test_every_group_has_a_line_and_a_sign_in_the_diagram(groups: int, n_colours
 
 
 def test_a_law_without_damping_leaves_its_panel_empty():
-    env = GFMWTGEnv(render_mode="rgb_array", strategy="mppt", scenario=calm().to_dict())
+    env = GFMWTGEnv(render_mode="rgb_array", strategy="mppt", scenario=calm().to_dict(), version="v0")
     env.reset()
     env.step(np.zeros(4))
     assert not has_colour(panel(env.render(), "tau"), GROUPS[1])
@@ -175,7 +174,7 @@ def test_the_papers_long_case_is_drawn_to_its_end():
 
 def test_a_trajectory_is_the_same_with_and_without_rendering():
     actions = actions_of(5, 100)[:, 0]
-    plain = single_steps(GFMWTGEnv(duration_s=3.0), actions, AutoresetMode.NEXT_STEP, seed=2)
+    plain = single_steps(GFMWTGEnv(duration_s=3.0, version="v0"), actions, AutoresetMode.NEXT_STEP, seed=2)
 
     class Watched(GFMWTGEnv):
         def step(self, action: Any) -> Any:
@@ -184,7 +183,7 @@ def test_a_trajectory_is_the_same_with_and_without_rendering():
 
     env = Watched(duration_s=3.0, render_mode="rgb_array")
     assert single_steps(env, actions, AutoresetMode.NEXT_STEP, seed=2) == plain
-    batch = GFMWTGVectorEnv(3, duration_s=3.0, render_mode="rgb_array")
+    batch = GFMWTGVectorEnv(3, duration_s=3.0, render_mode="rgb_array", version="v0")
     assert vector_steps(batch, np.stack([actions] * 3, axis=1), seed=2)[0] == plain
 
 
@@ -225,25 +224,28 @@ def test_a_copy_draws_on_as_its_original(copied: Any):
 
 
 def test_nothing_is_kept_for_frames_without_a_render_mode():
-    assert GFMWTGEnv(duration_s=2.0).snapshot()[-1] is None
+    assert GFMWTGEnv(duration_s=2.0, version="v0").snapshot()[-1] is None
 
 
 def test_render_without_a_mode_warns_and_gives_nothing():
-    for env in (playing(1, render_mode=None), GFMWTGVectorEnv(2, duration_s=2.0)):
+    for env in (playing(1, render_mode=None), GFMWTGVectorEnv(2, duration_s=2.0, version="v0")):
         env.reset()
         with pytest.warns(UserWarning, match="render_mode"):
             assert env.render() is None
 
 
 def test_render_before_reset_says_so():
-    for env in (GFMWTGEnv(render_mode="rgb_array"), GFMWTGVectorEnv(2, render_mode="rgb_array")):
+    for env in (
+        GFMWTGEnv(render_mode="rgb_array", version="v0"),
+        GFMWTGVectorEnv(2, render_mode="rgb_array", version="v0"),
+    ):
         with pytest.raises(RuntimeError, match="reset"):
             env.render()
 
 
 @pytest.mark.filterwarnings("error")
 def test_lanes_may_be_started_one_after_the_other():
-    batch = GFMWTGVectorEnv(2, duration_s=2.0, render_mode="rgb_array")
+    batch = GFMWTGVectorEnv(2, duration_s=2.0, render_mode="rgb_array", version="v0")
     for lane in (1, 0):
         with pytest.raises(RuntimeError, match="reset"):
             batch.render()
@@ -253,7 +255,7 @@ def test_lanes_may_be_started_one_after_the_other():
 
 @pytest.mark.parametrize("control_dt", [0.1, 0.2])
 def test_frames_come_in_real_time(control_dt: float):
-    env = GFMWTGEnv(control_dt=control_dt, simulation_dt=0.025, duration_s=2.0)
+    env = GFMWTGEnv(control_dt=control_dt, simulation_dt=0.025, duration_s=2.0, version="v0")
     assert env.metadata["render_fps"] == round(1.0 / control_dt) and GFMWTGEnv.metadata["render_fps"] == 10
 
 
@@ -266,12 +268,12 @@ def test_both_checkers_have_no_complaint_about_rendering(monkeypatch: pytest.Mon
     # The checker makes it with every render mode, so with a window too.
     env = gym.make(ENV_ID, duration_s=2.0, render_mode="rgb_array")
     check_env(env.unwrapped, skip_render_check=False)
-    check_sb3(GFMWTGEnv(duration_s=2.0, render_mode="rgb_array"), warn=True)
+    check_sb3(GFMWTGEnv(duration_s=2.0, render_mode="rgb_array", version="v0"), warn=True)
 
 
 def test_a_batch_gives_the_frames_of_single_environments():
     batch = gym.make_vec(ENV_ID, num_envs=3, duration_s=2.0, render_mode="rgb_array")
-    singles = [GFMWTGEnv(duration_s=2.0, render_mode="rgb_array") for _ in range(3)]
+    singles = [GFMWTGEnv(duration_s=2.0, render_mode="rgb_array", version="v0") for _ in range(3)]
     batch.reset(seed=5)
     for lane, env in enumerate(singles):
         env.reset(seed=5 + lane)
@@ -326,7 +328,7 @@ def test_video_recorder_of_stable_baselines3_writes_the_batch(tmp_path: Path):
 
     from wtg_gym.sb3 import SB3VecEnv
 
-    envs = SB3VecEnv(2, duration_s=1.0, render_mode="rgb_array")
+    envs = SB3VecEnv(2, duration_s=1.0, render_mode="rgb_array", version="v0")
     envs = VecVideoRecorder(envs, str(tmp_path), record_video_trigger=lambda step: step == 0, video_length=5)
     envs.reset()
     for _ in range(6):

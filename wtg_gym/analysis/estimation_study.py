@@ -79,7 +79,7 @@ def recorded_case(
         duration_s=duration_s,
         load_noise_bus=case.network.slack_bus,
     )
-    settings = EnvSettings(scenario=scenario, strategy="mppt", action_mode="k", groups=len(units))
+    settings = EnvSettings(version="v0", scenario=scenario, strategy="mppt", action_mode="k", groups=len(units))
     return PlantEnvSettings.of(settings, plant), scenario
 
 
@@ -149,7 +149,7 @@ def study_own_run(
     """
     step = LoadStep(time_s=1.0, bus=4, power_mw=power_mw)
     scenario = Scenario(name="load step", wind_speed=np.array([[8.0], [9.0]]), events=(step,), duration_s=duration_s)
-    settings = EnvSettings(scenario=scenario)
+    settings = EnvSettings(version="v0", scenario=scenario)
     unknowns = [unknown_of(settings.plant(), name) for name in names]
     estimator = Estimator(settings, scenario, unknowns, range(round(duration_s / settings.control_dt)))
     record = estimator.run(np.ones(len(unknowns)))[0]

@@ -63,8 +63,7 @@ def _add_server_options(parser: argparse.ArgumentParser) -> None:
 
 def _run_play(arguments: argparse.Namespace) -> int:
     require_range("--speed", arguments.speed, 0.1, 20.0, "")
-    version = arguments.version or ("v1" if arguments.suite is None else None)
-    settings = EnvSettings(suite=arguments.suite or "standard", version=version, duration_s=arguments.duration)
+    settings = EnvSettings(suite=arguments.suite, version=arguments.version, duration_s=arguments.duration)
     suite = get_suite(settings.suite)
     seed = suite.test[0] if arguments.seed is None else arguments.seed
     split_of(suite, seed)

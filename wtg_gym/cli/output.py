@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from wtg_gym.extras import install_advice
 from wtg_gym.files import printable, require_markers, to_json, update_between_markers, write_atomically
 
 if TYPE_CHECKING:
@@ -50,9 +51,7 @@ def require_extra(package: str, purpose: str) -> None:
     try:
         importlib.import_module(package)
     except ImportError as error:
-        raise ValueError(
-            f"{purpose} needs {package} of the leaderboard extra: pip install 'wtg-gym[leaderboard]' ({error})"
-        ) from error
+        raise ValueError(f"{purpose} needs {package}; {install_advice('leaderboard')} ({error})") from error
 
 
 def check_output_file(option: str, text: str, suffixes: Sequence[str]) -> Path:

@@ -33,7 +33,7 @@ from wtg_gym.policies.entry import check_entries
 from wtg_gym.policies.load import LoadArchive
 from wtg_gym.policies.names import BASELINES
 from wtg_gym.progress import Progress
-from wtg_gym.scenarios import FRESH, SPLITS, FreshDraw, draw_seeds, get_suite
+from wtg_gym.scenarios import DEFAULT_SUITE, FRESH, SPLITS, FreshDraw, draw_seeds, get_suite
 
 #: Heads of columns that are too wide for a terminal of 120 columns.
 _SHORT_HEADS = {MEDIAN_DEVIATION: "Δf [mHz]", LOST_OR_BEYOND: "or > 0.8 Hz [%]"}
@@ -60,9 +60,9 @@ def add_suite_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--suite",
         type=suite_name,
-        default="standard",
+        default=DEFAULT_SUITE,
         metavar="NAME",
-        help=f"suite, of {suites_by_version()} (default: standard)",
+        help=f"suite, of {suites_by_version()} (default: {DEFAULT_SUITE})",
     )
 
 
@@ -125,7 +125,7 @@ def add_worker_options(parser: argparse.ArgumentParser) -> None:
 
 
 def chosen_entries(
-    specs: Sequence[str], suite: str = "standard", load_archive: LoadArchive | None = None, *, others: bool = True
+    specs: Sequence[str], suite: str = DEFAULT_SUITE, load_archive: LoadArchive | None = None, *, others: bool = True
 ) -> list[Entry]:
     """Return the entries of `--entries` for a suite; without `others` only those that play in its version."""
     benchmark = get_suite(suite).benchmark

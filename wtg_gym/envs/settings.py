@@ -15,7 +15,7 @@ from wtg_gym.physics.plant import PHYSICS, SIMULATION_DT_RANGE, PlantSettings
 from wtg_gym.physics.scenario import SERIES_DT, Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
 from wtg_gym.ranges import require_range, whole_steps
-from wtg_gym.scenarios import FRESH, SPLITS, SUITES, get_suite
+from wtg_gym.scenarios import DEFAULT_SUITE, FRESH, SPLITS, SUITES, get_suite
 from wtg_gym.scenarios.benchmark import Benchmark
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 
@@ -131,13 +131,13 @@ class EnvSettings:
         on_failure: consequence of a rotor's failure (stall, over-speed, under-speed): `"terminate"` the episode, or
             `"trip"` its group and go on.
         physics: `"paper"`: the paper's model, v0's; `"extended"`, v1's, adds rotor energy, current, power and reactive
-            limits, voltage control, a rotor under-speed trip, a governor dead band and load shedding; `"nrel-5mw"` has
-            the NREL 5 MW turbine besides. None: the suite's own.
+            limits, voltage control, a rotor under-speed trip, a governor dead band and load shedding, which no suite
+            has; `"nrel-5mw"` has the NREL 5 MW turbine besides. None: the suite's own.
         sensors: of v1: `"exact"`, or values that replace those of the distribution of their errors
             (:class:`~wtg_gym.scenarios.sensor_distribution.SensorDistribution`), such as
             `{"delay_s": (0.2, 0.4), "wind_bias": 0.1}`. A delay is drawn between the two, in whole steps of 0.1 s up
             to 1 s, and must be a whole number of `control_dt`. None: the suite's own; with a `scenario` its own.
-        version: of the benchmark, "v0" or "v1"; None: the suite's. The environment's id sets it.
+        version: of the benchmark, "v0" or "v1"; None: the suite's, without a suite v1. The environment's id sets it.
 
     Raises:
         ValueError: a value is unknown or out of range; the message lists what is allowed.
@@ -180,7 +180,9 @@ class EnvSettings:
         """Find the suite by version and name: of version v1, "standard" is "standard-v1"."""
         if self.version is not None:
             _require_choice("version", self.version, VERSIONS)
-        suite = "standard" if self.suite is None else self.suite
+        suite = self.suite
+        if suite is None:
+            suite = DEFAULT_SUITE if self.version is None else "standard"
         if isinstance(suite, str) and self.version not in (None, "v0") and f"{suite}-{self.version}" in SUITES:
             suite = f"{suite}-{self.version}"
         known = [name for name, own in SUITES.items() if self.version in (None, own.benchmark.version)]

@@ -31,7 +31,7 @@ from wtg_gym.policies.load import load_entries
 from wtg_gym.policies.play import play, started_lanes
 from wtg_gym.policies.policy_process import NotIsolatedError
 from wtg_gym.progress import Progress as ProgressBar
-from wtg_gym.scenarios import FRESH, FreshDraw, get_suite
+from wtg_gym.scenarios import DEFAULT_SUITE, FRESH, FreshDraw, get_suite
 from wtg_gym.scenarios.benchmark import V0, Benchmark
 
 Progress = Callable[[str, int, int], None]
@@ -48,7 +48,7 @@ _LARGEST_SPLIT = 100_000
 
 def evaluate(
     entries: str | Path | Entry | Sequence[str | Path | Entry],
-    suite: str = "standard",
+    suite: str = DEFAULT_SUITE,
     split: str = "validation",
     *,
     seeds: Sequence[int] | None = None,

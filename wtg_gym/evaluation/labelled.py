@@ -15,6 +15,7 @@ from wtg_gym.evaluation.episodes import COLUMNS, Episode
 from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.evaluation.recording import Recording
 from wtg_gym.evaluation.score import pinned
+from wtg_gym.extras import install_advice
 from wtg_gym.physics.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ def _import(name: str, purpose: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        raise ImportError(f"{purpose} needs {name} of the data extra: pip install 'wtg-gym[data]' ({error})") from error
+        raise ImportError(f"{purpose} needs {name}; {install_advice('data')} ({error})") from error
 
 
 def episodes_frame(episodes: Sequence[Episode], cap: float) -> DataFrame:

@@ -15,7 +15,7 @@ from wtg_gym.evaluation.score import NoScaleError
 from wtg_gym.files import markdown_table
 from wtg_gym.policies import Entry
 from wtg_gym.ranges import require_range
-from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
 
 #: The weights that are varied: all but the cap, which is a bound.
 WEIGHTS = tuple(field.name for field in dataclasses.fields(CostWeights) if field.name != "cap")
@@ -111,7 +111,7 @@ class Sensitivity:
 
 def study_sensitivity(
     entries: Sequence[Entry],
-    suite: str = "standard",
+    suite: str = DEFAULT_SUITE,
     split: str = "validation",
     *,
     n_scenarios: int | None = None,

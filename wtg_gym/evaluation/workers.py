@@ -17,6 +17,7 @@ from typing import Any
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation.circumstances import circumstances
 from wtg_gym.evaluation.parcels import Outcome, Play, Played, opened, packed, work
+from wtg_gym.extras import install_advice
 from wtg_gym.policies import Entry
 
 #: Backends of joblib: the package each of them needs, and the extra of wtg-gym that brings it.
@@ -68,7 +69,7 @@ class Workers:
         package, extra = BACKENDS[self.backend]
         missing = [name for name in ("joblib", package) if importlib.util.find_spec(name) is None]
         if missing:
-            raise ValueError(f"backend {self.backend} needs {missing[0]}: pip install 'wtg-gym[{extra}]'")
+            raise ValueError(f"backend {self.backend} needs {missing[0]}; {install_advice(extra)}")
 
     def play(
         self, play: Play, settings: EnvSettings, parts: Sequence[tuple[Entry, list[int]]]

@@ -8,6 +8,8 @@ functional_env  the environment: the only module that imports JAX
 
 from typing import TYPE_CHECKING, Any
 
+from wtg_gym.extras import install_advice
+
 if TYPE_CHECKING:
     from wtg_gym.functional.functional_env import EnvParams, EnvState, FunctionalEnv
 
@@ -18,7 +20,7 @@ def __getattr__(name: str) -> Any:
         try:
             from wtg_gym.functional import functional_env
         except ImportError as error:
-            raise ImportError("wtg_gym.functional needs JAX: pip install 'wtg-gym[jax]'") from error
+            raise ImportError(f"wtg_gym.functional needs JAX; {install_advice('jax')}") from error
         return getattr(functional_env, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 

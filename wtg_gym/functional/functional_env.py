@@ -1,7 +1,7 @@
 """The environment as pure functions of JAX, in the form of gymnax: `reset` and `step` with key, state and parameters.
 
 jax.config.update("jax_enable_x64", True)
-env = FunctionalEnv(EnvSettings())
+env = FunctionalEnv()
 params = env.default_params
 observation, state = env.reset(key, params)
 observation, state, reward, done, info = env.step(key, state, action, params)
@@ -127,7 +127,7 @@ class FunctionalEnv:
     are a bank of them, and :meth:`reset` takes one. Observations and rewards are floats of 64 bits.
 
     Args:
-        settings: of the environment; the paper's physics and version v0.
+        settings: of the environment; the paper's physics and version v0. None: those of v0.
         n_scenarios: of the default parameters: the first ones of the settings' split.
 
     Raises:
@@ -135,7 +135,7 @@ class FunctionalEnv:
     """
 
     def __init__(self, settings: EnvSettings | None = None, n_scenarios: int = N_SCENARIOS) -> None:
-        settings = EnvSettings() if settings is None else settings
+        settings = EnvSettings(version="v0") if settings is None else settings
         if not jax.config.jax_enable_x64:
             raise ValueError('floats of 64 bits are needed: call jax.config.update("jax_enable_x64", True) first')
         if (settings.version, settings.physics, settings.on_failure) != ("v0", "paper", "terminate"):

@@ -13,11 +13,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from wtg_gym.extras import install_advice
+
 try:
     import torch
     from torch.autograd.function import once_differentiable
 except ImportError as error:
-    raise ImportError("wtg_gym.gradients.torch needs PyTorch: pip install 'wtg-gym[train]'") from error
+    raise ImportError(f"wtg_gym.gradients.torch needs PyTorch; {install_advice('train')}") from error
 
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.gradients.tape import Tape

@@ -1,7 +1,7 @@
 """Policies as archives of Stable-Baselines3, which run code when they are loaded: for one's own files only.
 
 An archive (model.zip) and the file of a VecNormalize are made of pickles. Loading one runs any code that its maker put
-in it, with the rights of the user; no check can tell. Needs `pip install 'wtg-gym[train]'`.
+in it, with the rights of the user; no check can tell. Needs the extra `train`.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box
 
+from wtg_gym.extras import install_advice
 from wtg_gym.files import sha256
 from wtg_gym.policies.load import ARCHIVE_FILE
 
@@ -27,7 +28,7 @@ try:
     from stable_baselines3.common.vec_env import VecNormalize
 except ImportError as error:
     raise ImportError(
-        f"an archive of Stable-Baselines3 needs that and sb3-contrib: pip install 'wtg-gym[train]' ({error})"
+        f"an archive of Stable-Baselines3 needs that and sb3-contrib; {install_advice('train')} ({error})"
     ) from error
 
 #: The algorithms whose archives can be loaded, by the name of their class.

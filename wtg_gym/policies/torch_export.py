@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from wtg_gym.extras import install_advice
 from wtg_gym.files import write_together
 from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
 from wtg_gym.policies.onnx_policy import OnnxPolicy
@@ -25,9 +26,7 @@ try:
     import torch
     from torch import Tensor, nn
 except ImportError as error:
-    raise ImportError(
-        f"export_onnx() needs torch, and onnx of the agents extra: pip install 'wtg-gym[agents]' torch ({error})"
-    ) from error
+    raise ImportError(f"export_onnx() needs torch and onnx; {install_advice('agents')} torch ({error})") from error
 
 #: Old enough for every onnxruntime that is still around.
 _OPSET = 17

@@ -3,11 +3,12 @@
 from wtg_gym.scenarios.distribution import TRIPPABLE_LINES, ScenarioDistribution
 from wtg_gym.scenarios.fresh import FreshDraw, draw_seeds
 from wtg_gym.scenarios.suite import FRESH, SPLITS, FixedCase, Suite
-from wtg_gym.scenarios.suites import FROZEN_HASHES, SUITES, get_suite
+from wtg_gym.scenarios.suites import DEFAULT_SUITE, FROZEN_HASHES, SUITES, get_suite
 from wtg_gym.scenarios.wind import DRAWN_WIND_RANGE, TURBULENCE_CLASSES
 from wtg_gym.scenarios.wind_csv import read_wind_csv
 
 __all__ = [
+    "DEFAULT_SUITE",
     "DRAWN_WIND_RANGE",
     "FRESH",
     "FROZEN_HASHES",

@@ -98,7 +98,7 @@ class SuitePlant:
         if self.frequency_limits_hz is not None:
             low, high = (limit / case.frequency_hz for limit in self.frequency_limits_hz)
             protection = dataclasses.replace(plant.protection, frequency_min_pu=low, frequency_max_pu=high)
-            # A run that sheds load has failed before.
+            # No load is shed, although stages begin above such a limit.
             plant = dataclasses.replace(plant, protection=protection, shedding=())
         if self.overload_from_pu is not None:
             control = dataclasses.replace(plant.control, overload_limit_pu=self.overload_from_pu)

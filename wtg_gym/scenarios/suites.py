@@ -204,6 +204,8 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
     }
 )
 
+#: The suite that is meant where neither a suite nor a version is named.
+DEFAULT_SUITE = "standard-v1"
 #: What the hashes of the suites must be.
 FROZEN_HASHES: Mapping[str, str] = MappingProxyType(
     {

@@ -204,7 +204,7 @@ def _count_here() -> dict[str, Counts]:
     from wtg_gym.physics.integration import advance_interval
     from wtg_gym.physics.scenario import Scenario
 
-    lanes = TaskLanes(EnvSettings(duration_s=2.0))
+    lanes = TaskLanes(EnvSettings(version="v0", duration_s=2.0))
     scenario = Scenario(name="calm", wind_speed=np.full((lanes.n_wtg, 1), 10.0), duration_s=2.0)
     lanes.start([0], [scenario])
     simulator = lanes.simulator

@@ -102,7 +102,7 @@ def _twin() -> Any:
     jax.config.update("jax_enable_x64", True)
     from wtg_gym.functional import FunctionalEnv
 
-    return FunctionalEnv(EnvSettings(split="validation"))
+    return FunctionalEnv(EnvSettings(version="v0", split="validation"))
 
 
 def _by_jax(n_envs: int, **compiler_options: str) -> Stepper:
@@ -176,7 +176,7 @@ def adapter(n_envs: int) -> Any:
     """Return our batch as a vector environment of Stable-Baselines3."""
     from wtg_gym.sb3 import SB3VecEnv
 
-    return SB3VecEnv(n_envs)
+    return SB3VecEnv(n_envs, version="v0")
 
 
 def dummies(n_envs: int) -> Any:

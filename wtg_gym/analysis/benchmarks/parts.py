@@ -18,6 +18,7 @@ from wtg_gym.analysis.benchmarks.peers import missing_packages, peer_cases
 from wtg_gym.analysis.benchmarks.roofline import Roofline, roofline, roofline_cases
 from wtg_gym.analysis.benchmarks.timing import OnProgress, Rate, Stepper, measure, prepare
 from wtg_gym.analysis.benchmarks.training import training_cases
+from wtg_gym.extras import install_advice
 
 #: The parts in words.
 PARTS = {
@@ -64,16 +65,16 @@ class Benchmark:
         if "gradients" in parts:
             cases += gradient_cases()
             if not installed("jax"):
-                self.missing.append("JAX is left out: pip install 'wtg-gym[jax]'")
+                self.missing.append(f"JAX is left out; {install_advice('jax')}")
         if "rendering" in parts and installed("matplotlib", "pygame"):
             cases += rendering_cases()
         elif "rendering" in parts:
-            self.missing.append("frames are left out: pip install 'wtg-gym[render]'")
+            self.missing.append(f"frames are left out; {install_advice('render')}")
         has_sb3 = installed("stable_baselines3")
         if "training" in parts and has_sb3:
             cases += training_cases()
         if {"environments", "training"} & set(parts) and not has_sb3:
-            self.missing.append("Stable-Baselines3 is left out: pip install 'wtg-gym[train]'")
+            self.missing.append(f"Stable-Baselines3 is left out; {install_advice('train')}")
         if "peers" in parts:
             cases += peer_cases()
             self.missing += [f"{package} is left out: pip install {package}" for package in missing_packages()]

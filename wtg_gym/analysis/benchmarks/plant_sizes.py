@@ -77,7 +77,7 @@ class LanesCase:
         return Case(self.part, self.name, self.n_lanes, self._make, preparation_s=1.0 if usual else 25.0)
 
     def _make(self) -> Stepper:
-        settings = _Settings(groups=self.groups, machines=self.machines, duration_s=_DURATION_S)
+        settings = _Settings(version="v0", groups=self.groups, machines=self.machines, duration_s=_DURATION_S)
         with event.install_recorder("numba:compile") as recorder:
             lanes = TaskLanes(settings, self.n_lanes, self.n_threads)
             scenario = Scenario(

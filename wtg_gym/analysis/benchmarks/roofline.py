@@ -213,5 +213,5 @@ def roofline(rates: dict[str, Rate]) -> Roofline:
         reached = 1e-9 * flops * rate
         shares = reached / limit["vectors", threads], reached / limit["vectors, fused multiply-add", threads]
         achieved.append(Achieved(own.name, threads, rate, reached, *shares))
-    row_bytes = 8 * TaskLanes(EnvSettings(duration_s=1.0)).simulator.layout.n_rows
+    row_bytes = 8 * TaskLanes(EnvSettings(version="v0", duration_s=1.0)).simulator.layout.n_rows
     return Roofline(counts, peaks, bandwidths, tuple(achieved), row_bytes)

@@ -7,6 +7,8 @@ from contextlib import contextmanager
 
 from gymnasium.error import DependencyNotInstalled
 
+from wtg_gym.extras import install_advice
+
 PAGE, INK, SOFT, LINE, GRID = "#ffffff", "#1b2128", "#55606c", "#d5dbe1", "#e7ebef"
 #: Events, and the end of an episode that failed.
 EVENT = "#a8276b"
@@ -41,7 +43,7 @@ def require_matplotlib() -> None:
     try:
         import matplotlib  # noqa: F401
     except ImportError as error:
-        raise DependencyNotInstalled("rendering needs matplotlib: pip install 'wtg-gym[render]'") from error
+        raise DependencyNotInstalled(f"rendering needs matplotlib; {install_advice('render')}") from error
 
 
 @contextmanager

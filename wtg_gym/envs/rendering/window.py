@@ -8,6 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.error import DependencyNotInstalled
 
+from wtg_gym.extras import install_advice
+
 if TYPE_CHECKING:
     import pygame
 
@@ -29,7 +31,7 @@ class Window:
         try:
             import pygame
         except ImportError as error:
-            raise DependencyNotInstalled("render_mode=\"human\" needs pygame: pip install 'wtg-gym[render]'") from error
+            raise DependencyNotInstalled(f'render_mode="human" needs pygame; {install_advice("render")}') from error
         self._pygame = pygame
         self._title, self._fps = title, fps
         self._clock = pygame.time.Clock()

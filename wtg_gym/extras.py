@@ -1,0 +1,11 @@
+"""What messages say about optional dependencies that are missing."""
+
+from __future__ import annotations
+
+
+def install_advice(extra: str) -> str:
+    """Return how to install an extra of the package. No index has the package, so it takes a checkout."""
+    return f"in a checkout: pip install '.[{extra}]'"
+
+
+__all__ = ["install_advice"]
