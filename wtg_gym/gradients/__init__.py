@@ -7,6 +7,7 @@
     plant_parameters  which parameters a plant has, and what constants they move
     adjoint           back through one control step
     tape              episodes that can be differentiated: the interface for NumPy
+    differences       gradients compared with differences of plays
     jacobian          the derivative of every output at every step with respect to every parameter
     estimator         parameters found in a record of the frequency
     torch             what tape does, for PyTorch; not imported here
@@ -14,8 +15,19 @@
 Only `torch` needs more than the core.
 """
 
+from wtg_gym.gradients.differences import Difference, Differences, check_by_differences
 from wtg_gym.gradients.generated import LAW_PARAMETERS
 from wtg_gym.gradients.plant_parameters import known_parameters
 from wtg_gym.gradients.tape import Gradient, Played, Pulled, Tape
 
-__all__ = ["LAW_PARAMETERS", "Gradient", "Played", "Pulled", "Tape", "known_parameters"]
+__all__ = [
+    "LAW_PARAMETERS",
+    "Difference",
+    "Differences",
+    "Gradient",
+    "Played",
+    "Pulled",
+    "Tape",
+    "check_by_differences",
+    "known_parameters",
+]

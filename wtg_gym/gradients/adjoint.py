@@ -235,7 +235,7 @@ def _build_pull_rates(rules: Rules) -> Any:
 
 
 def _build_pull_steps(rules: Rules, pull_rates: Any) -> Any:
-    n_rows, pull_finish = rules.n_rows, rules.pull_finish
+    n_rows, pull_finish, pull_coi = rules.n_rows, rules.pull_finish, rules.pull_coi
 
     def pull_steps(
         work: Floats, plant: Plant, steps: Steps, path: Floats, inputs: Floats, held: Floats, ran: Floats, lanes: Lanes
@@ -249,6 +249,9 @@ def _build_pull_steps(rules: Rules, pull_rates: Any) -> Any:
         for step in range(c["n_substeps"] - 1, -1, -1):
             for i in range(steps.inputs.size):
                 _copy(inputs[step], i, work, steps.inputs[i], width)
+            if step == c["n_substeps"] - 1:
+                # With the units that were connected in this step: protections act after it.
+                pull_coi(work, lanes)
             if c["extension"].shape[0] > 0:
                 for i in range(n):
                     _copy(path[step, 4], i, work, steps.states[i], width)

@@ -78,7 +78,7 @@ class Steps(NamedTuple):
     low: Floats  # its limits
     high: Floats
     outputs: Indices  # of the right-hand side, that cost and observations read at the end of an interval
-    inputs: Indices  # other rows that the right-hand side reads
+    inputs: Indices  # other rows that the right-hand side and the centre of inertia read
     references: Indices  # of the machines' gates, which a lost governor holds where they are
     droops: Indices
     gates: Indices
@@ -101,6 +101,7 @@ class Rules(NamedTuple):
     pull_sweep: Callable[..., None]
     pull_rates: Callable[..., None]
     pull_finish: Callable[..., None]
+    pull_coi: Callable[..., None]
     pull_charge: Callable[..., None]
     find_interval: Callable[..., None]  # no rule: computes the number of the control interval that ends
     steps: Steps
@@ -170,6 +171,7 @@ class _Followed(NamedTuple):
     sweep: dict[int, Any]
     rates: dict[int, Any]
     finish: dict[int, Any]
+    coi: dict[int, Any]
     charge: dict[int, Any]
 
     @classmethod
@@ -186,7 +188,8 @@ class _Followed(NamedTuple):
         of_finish = back(programs.finish, programs.finish, {*rate_of, *known.base_of.values(), *known.leaves})
         of_sweep = back(programs.sweep, limited, {*limited, *sources})
         of_network = back(programs.network, programs.network, {*rate_of, *held})
-        moved = {*rate_of, *programs.rates, *charge, *programs.act, *held}
+        of_coi = back(programs.coi, programs.coi, {*rate_of, *held})
+        moved = {*rate_of, *programs.rates, *programs.coi, *charge, *programs.act, *held}
         seeds = {*known.terms.tolist(), *further.seen.ravel().tolist()}
         seeds |= {*known.observation.tolist(), *known.outputs} & {*charge}
         states, outputs, before = {*known.outputs} & {*rate_of}, set[int](), -1
@@ -197,11 +200,21 @@ class _Followed(NamedTuple):
             outputs |= {*of_charge} & {*programs.rates}
             wanted = {*(rate_of[row] for row in states), *outputs}
             of_rates = back(programs.rates, wanted, {*rate_of, *held, *programs.network})
-            states |= {*of_charge, *of_rates, *of_network, *of_finish} & {*rate_of}
+            states |= {*of_charge, *of_coi, *of_rates, *of_network, *of_finish} & {*rate_of}
             seeds |= {*of_charge} & {*charge}
-        of_act = back(programs.act, programs.act, {*further.actions.tolist(), *held})
         return cls(
-            states, outputs, seeds, limited, sources, of_act, of_network, of_sweep, of_rates, of_finish, of_charge
+            states,
+            outputs,
+            seeds,
+            limited,
+            sources,
+            act=back(programs.act, programs.act, {*further.actions.tolist(), *held}),
+            network=of_network,
+            sweep=of_sweep,
+            rates=of_rates,
+            finish=of_finish,
+            coi=of_coi,
+            charge=of_charge,
         )
 
 
@@ -210,7 +223,7 @@ def _steps_of(
 ) -> Steps:
     moving, further = sorted(found.states), known.further
     read = ex.rows_read(programs.rates[row] for row in (*(known.rate_of[row] for row in moving), *found.outputs))
-    read |= ex.rows_read((*programs.network.values(), *programs.sweep.values()))
+    read |= ex.rows_read((*programs.network.values(), *programs.sweep.values(), *programs.coi.values()))
     read -= {*programs.network, *programs.sweep, *found.sources}
     low, high = (_limited(plant, bound) for bound in (-math.inf, math.inf))
     ends = [i for i, row in enumerate(moving) if known.base_of.get(row) in found.finish]
@@ -263,6 +276,7 @@ def build_rules(
         "pull_sweep": _source("pull_sweep", (), found.sweep, found.limited, n_rows),
         "pull_rates": _source("pull_rates", ("fraction", "cells"), found.rates, of_states, n_rows),
         "pull_finish": _source("pull_finish", (), found.finish, {*programs.finish, *steps.bases.tolist()}, n_rows),
+        "pull_coi": _source("pull_coi", (), found.coi, programs.coi, n_rows),
         "pull_charge": _source("pull_charge", (), found.charge, found.seeds, n_rows),
         "find_interval": ex.function_source(
             "find_interval", (), {int(row): programs.charge[interval] for row in further.interval}

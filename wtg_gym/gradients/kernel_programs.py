@@ -21,7 +21,7 @@ from wtg_gym.gradients.plant_parameters import Leaf
 from wtg_gym.gradients.tracing import ARITHMETIC, Actions, Rows, retargeted, traced
 from wtg_gym.physics.currents import limit_group_current, unit_currents
 from wtg_gym.physics.dynamics import derivatives, keep_energy, unit_rates, unit_voltages
-from wtg_gym.physics.layout import read_extension, read_turbine
+from wtg_gym.physics.layout import LANE, read_extension, read_turbine, rows_of
 from wtg_gym.physics.plant_constants import Plant
 from wtg_gym.physics.protection import track_extremes
 from wtg_gym.physics.rotor_table import tabulated_power_coefficient
@@ -46,6 +46,7 @@ class Programs(NamedTuple):
     sweep: dict[int, Any]  # empty too
     rates: dict[int, Any]
     finish: dict[int, Any]  # the end of a simulation step, after its last stage
+    coi: dict[int, Any]  # the frequency of the centre of inertia, before protections act
     charge: dict[int, Any]
     measured: dict[int, int]  # by WTG group: first row in the observation, where sensors show it
 
@@ -118,16 +119,16 @@ def programs_of(
     observed = retargeted(observe, {**ARITHMETIC, "show_delayed": show}, {})
 
     def at_end(block: Rows) -> None:
-        # For the frequency of the centre of inertia: that of the states at the interval's end.
-        extremes(block, c, lanes)
         charged(block, c, t, sensed, lanes)
         if sensed:
             taken(block, c, t, [0], lanes)
         observed(block, c, t, sensed, lanes)
 
+    coi = retargeted(rows_of)(plant.constants[0]).lane + LANE.coi
     return Programs(
         act=traced(lambda block: act(block, c, t, Actions(n_rows, n_action, ex.row_of_block), lanes)),
         **_dynamics_of(c),
+        coi={coi: traced(lambda block: extremes(block, c, lanes))[coi]},
         charge=traced(at_end),
         measured=measured,
     )

@@ -65,6 +65,16 @@ def _shaped(name: str, given: Any, *shapes: tuple[int, ...]) -> Floats:
     return array
 
 
+def term_weights(weights: Mapping[str, float] | None) -> Floats:
+    """Return weights of the terms of the cost in their order (n_terms,), given by name; None for the cost itself."""
+    weights = dict.fromkeys(COST_TERMS, 1.0) if weights is None else weights
+    if not isinstance(weights, Mapping) or not np.isfinite(list(weights.values())).all():
+        raise ValueError(f"weights must be finite numbers by the names of terms, got {weights!r:.60}")
+    if unknown := [term for term in weights if term not in COST_TERMS]:
+        raise ValueError(f"unknown terms {unknown} of the cost; known: {', '.join(COST_TERMS)}")
+    return np.array([weights.get(term, 0.0) for term in COST_TERMS])
+
+
 class Tape:
     """Episodes side by side that can be differentiated, step by step in reverse.
 
@@ -72,7 +82,7 @@ class Tape:
     derivatives of what is differentiated with respect to the step's outputs, and returns those with respect to its
     inputs. Discrete times count as given: the end of an episode does not move, even where a protection brings it
     forward. The gradient of an episode that ends early is that of its cost until then; the cost of its failure is
-    constant. At a corner of a law, a limit or a cost it is the slope on one side.
+    constant. At a corner of a law, a limit or a cost it is that of one of the branches that meet there.
 
     Args:
         settings: of the environment.
@@ -400,14 +410,9 @@ class Tape:
         Raises:
             ValueError: a term is unknown, a weight not finite, or there are no actions.
         """
-        weights = dict.fromkeys(COST_TERMS, 1.0) if weights is None else weights
-        if not isinstance(weights, Mapping) or not np.isfinite(list(weights.values())).all():
-            raise ValueError(f"weights must be finite numbers by the names of terms, got {weights!r:.60}")
-        if unknown := [term for term in weights if term not in COST_TERMS]:
-            raise ValueError(f"unknown terms {unknown} of the cost; known: {', '.join(COST_TERMS)}")
+        weight = term_weights(weights)
         actions = np.asarray(actions, dtype=np.float64)
         if actions.ndim != 3 or not actions.size:
             raise ValueError(f"actions must have the shape (n_steps, n_lanes, n_action), got {actions.shape}")
-        weight = np.array([weights.get(term, 0.0) for term in COST_TERMS])
         terms = self.play(scenarios, actions).terms.sum(axis=0)
         return Gradient(terms, *self.back(weight))

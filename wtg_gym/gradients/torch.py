@@ -65,6 +65,7 @@ class TorchEpisodes:
         self.tape = Tape(settings, n_lanes, n_threads)
         self._left: Any = None
         self._law: Any = None
+        self._observations: Any = None
         #: Those of the tape at the end of the latest step (n_lanes, n_outputs), in the order of its `output_names`;
         #: None before the first.
         self.outputs: Any = None
@@ -90,7 +91,23 @@ class TorchEpisodes:
             self.tape.set_law(self._law.detach().to("cpu", torch.float64).numpy())
         self.outputs = None
         self._left = torch.zeros((self.tape.lanes.n_lanes, self.tape.n_carried), dtype=torch.float64)
-        return torch.from_numpy(observations)
+        self._observations = torch.from_numpy(observations)
+        return self._observations
+
+    def detach(self) -> Any:
+        """Cut the episodes here: no later `backward()` goes back through the steps taken so far. They go on as before.
+
+        A training by segments calls it between two of them, and goes on with the observations that it returns. Those
+        of the segment before still lead back through it. The law stays the same tensor: each segment adds to its
+        gradient what its own steps add. A policy's own memory is to be detached by its owner.
+
+        Returns:
+            the latest observations (n_lanes, n_observation), floats of 32 bits, without a history.
+        """
+        self.tape.require_started()
+        self._left, self._observations = self._left.detach(), self._observations.detach()
+        self.outputs = None if self.outputs is None else self.outputs.detach()
+        return self._observations
 
     def step(self, actions: Any) -> tuple[Any, Any]:
         """Step every running lane with actions (n_lanes, n_action).
@@ -100,8 +117,8 @@ class TorchEpisodes:
         """
         self.tape.require_started()
         actions = torch.as_tensor(actions)
-        self._left, observations, terms, self.outputs = _apply(self.tape, self._left, self._law, actions)
-        return observations, terms
+        self._left, self._observations, terms, self.outputs = _apply(self.tape, self._left, self._law, actions)
+        return self._observations, terms
 
 
 __all__ = ["TorchEpisodes"]

@@ -13,7 +13,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from wtg_gym.physics.compiled import compiled, inlined
-from wtg_gym.physics.elementary import clip, fma
+from wtg_gym.physics.elementary import fma, select
 from wtg_gym.physics.parameters import GridFormingParameters
 
 
@@ -74,9 +74,12 @@ def tracking_coefficient(speed: float, k_min: float, k_nominal: float, k_max: fl
     Source: paper, equation (37); the linear g of equation (21) has its middle corner on the line.
     """
     # The spans are the same for all lanes: their reciprocals are computed once, a division would be repeated per lane.
-    below = clip((c.frequency_setpoint - speed) * (1.0 / (c.frequency_setpoint - c.frequency_min)), 0.0, 1.0)
-    above = clip((speed - c.frequency_setpoint) * (1.0 / (c.frequency_max - c.frequency_setpoint)), 0.0, 1.0)
-    return fma(below, k_min - k_nominal, fma(above, k_max - k_nominal, k_nominal))
+    # The middle corner itself belongs to the side below: so has g one slope there too, where a plant rests.
+    is_below = speed <= c.frequency_setpoint
+    away = select(is_below, c.frequency_setpoint - speed, speed - c.frequency_setpoint)
+    below, above = 1.0 / (c.frequency_setpoint - c.frequency_min), 1.0 / (c.frequency_max - c.frequency_setpoint)
+    share = min(away * select(is_below, below, above), 1.0)
+    return fma(share, select(is_below, k_min, k_max) - k_nominal, k_nominal)
 
 
 @inlined

@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from wtg_gym.physics.compiled import inlined
-from wtg_gym.physics.elementary import clip, limited_rate
+from wtg_gym.physics.elementary import clip, limited_rate, select
 from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters
 
 
@@ -57,7 +57,9 @@ def governor_constants(parameters: GovernorParameters | HydroGovernorParameters 
 @inlined
 def beyond_dead_band(deviation: float, dead_band: float) -> float:
     """Return how far a deviation lies beyond a dead band, without a step at its edge."""
-    return deviation - clip(deviation, -dead_band, dead_band)
+    # Its slope without a dead band is 1 everywhere, at a deviation of exactly zero too.
+    edge = select(deviation < 0.0, -dead_band, dead_band)
+    return select(abs(deviation) < dead_band, 0.0, deviation - edge)
 
 
 @inlined

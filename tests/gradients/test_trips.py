@@ -1,0 +1,165 @@
+"""Gradients of the control step in which a protection disconnects a group, each quantity alone."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from tests.gradients.test_gradients import N_LANES, V1, actions_of
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.envs.task_records import COST_TERMS
+from wtg_gym.gradients.generated import LAW_PARAMETERS
+from wtg_gym.gradients.tape import Tape
+from wtg_gym.physics.scenario import GovernorLoss, GroupTrip, LoadStep, Scenario
+
+Floats = npt.NDArray[np.float64]
+#: What a step is charged, one term alone, and what it shows.
+TERMS, OUTPUTS = ("frequency", "rocof", "duty", "effort"), ("frequency_pu", "rocof_hz_s", "rotor_0_speed_pu")
+QUANTITIES = (*TERMS, *OUTPUTS, "observations")
+#: Of the plant; all of them move the frequency of the centre of inertia.
+PARAMETERS = ("control.inertia_constant_s", "control.droop_gain_pu", "machines.1.two_h_s")
+#: What is moved, and by how much: actions, each number of the laws, the plant's parameters by a share of their values.
+#: k_nominal moves the start onto another branch of a law soon; k_max moves so little that rounding would show.
+STEPS = {"actions": 1e-5, **dict.fromkeys((*LAW_PARAMETERS, *PARAMETERS), 1e-5), "k_nominal": 1e-6, "k_max": 1e-4}
+
+
+def winds(n_wtg: int, first: float, last: float, steps: int, *events: Any) -> Scenario:
+    """The first group's wind [m/s] changes evenly from control step 20 on; that of the others stays."""
+    wind = np.full((n_wtg, 301), first)
+    wind[0] = np.interp(np.arange(301), [20, 20 + steps], [first, last])
+    return Scenario(name="given", wind_speed=wind, load_noise_bus=3, events=events)
+
+
+def calms(n_wtg: int) -> list[Scenario]:
+    """The first rotor falls below its least speed."""
+    step = LoadStep(time_s=1.0, bus=4, power_mw=20.0)
+    return [
+        winds(n_wtg, 9.0, 3.0, 50, step),
+        winds(n_wtg, 8.5, 3.0, 60, LoadStep(time_s=1.0, bus=4, power_mw=30.0)),
+        winds(n_wtg, 9.0, 3.0, 30, step),
+    ]
+
+
+def gusts(n_wtg: int) -> list[Scenario]:
+    """The first rotor turns too fast."""
+    return [winds(n_wtg, 11.0, 20.0, 15, LoadStep(time_s=1.0, bus=4, power_mw=mw)) for mw in (20.0, -10.0, 35.0)]
+
+
+class Case(NamedTuple):
+    """Episodes in which the first group of every lane trips."""
+
+    tape: Tape
+    scenarios: list[Scenario]  # with a lost governor or another trip in the last simulation step before, in two lanes
+    actions: Floats  # until the last of them
+    at: list[int]  # control step in which each lane's first group trips
+    values: dict[str, float]  # of PARAMETERS
+
+
+@functools.cache
+def case_of(name: str) -> Case:
+    settings: dict[str, Any] = {
+        "v0": {"observation_mode": "privileged"},
+        "v0, within a control step": {"observation_mode": "privileged", "control_dt": 0.5},
+        "extended": {"physics": "extended", "observation_mode": "privileged"},
+        "v1": V1,
+    }[name]
+    # No cap is reached: it would mix the terms.
+    tape = Tape(EnvSettings(on_failure="trip", weights={"cap": 5000.0}, **settings), N_LANES, 1, PARAMETERS)
+    fast = name.startswith("v0")
+    scenarios = (gusts if fast else calms)(tape.lanes.n_wtg)
+    actions = actions_of(tape, 200, 0.1)
+    actions[:, :, 0] -= 0.8 * fast
+    at = trips(tape, scenarios, actions)
+    plant = tape.lanes.simulator.settings
+    last = [(step + 1) * plant.control_dt - plant.simulation_dt for step in at]
+    buses = [machine.bus for machine in plant.case.machines if machine.governor is not None]
+    further = (None, GovernorLoss(time_s=last[1], bus=buses[0]), GroupTrip(time_s=last[2], group=1))
+    scenarios = [
+        own if event is None else dataclasses.replace(own, events=(*own.events, event))
+        for own, event in zip(scenarios, further, strict=True)
+    ]
+    assert trips(tape, scenarios, actions) == at
+    return Case(tape, scenarios, actions[: max(at) + 1], at, tape.parameter_values())
+
+
+def trips(tape: Tape, scenarios: list[Scenario], actions: Floats) -> list[int]:
+    """Return the control step in which each lane's first group trips."""
+    tape.start(scenarios)
+    gone = []
+    for own in actions:
+        tape.step(own)
+        gone.append(tape.lanes.simulator.wtg_values("connected")[:, 0] < 0.5)
+    assert gone[-1].all()
+    found: list[int] = np.argmax(gone, axis=0).tolist()
+    return found
+
+
+def measured(case: Case, what: str, way: Floats, h: float) -> Floats:
+    """Every quantity at each lane's step of the trip, with something moved by h (n_quantities, n_lanes)."""
+    tape, actions = case.tape, case.actions
+    tape.set_parameters({name: value * (1.0 + h * (name == what)) for name, value in case.values.items()})
+    tape.start(case.scenarios)
+    if what in LAW_PARAMETERS:
+        law = tape.law()
+        law[:, :, LAW_PARAMETERS.index(what)] += h
+        tape.set_law(law)
+    weights = weights_of(tape)
+    found = np.empty((len(QUANTITIES), N_LANES))
+    for step, own in enumerate(actions):
+        _, terms = tape.step(own + (h * way[step] if what == "actions" else 0.0))
+        outputs, shown = tape.outputs(), tape._take(tape._values(), tape._rules.observation) @ weights
+        values = [*(terms[:, COST_TERMS.index(term)] for term in TERMS)]
+        values += [*(outputs[:, tape.output_names.index(name)] for name in OUTPUTS), shown]
+        for lane in np.flatnonzero(np.array(case.at) == step):
+            found[:, lane] = np.array(values)[:, lane]
+    return found
+
+
+def weights_of(tape: Tape) -> Floats:
+    return np.random.default_rng(6).normal(size=tape.lanes.n_observation)
+
+
+def pulled(case: Case, quantity: str, way: Floats) -> dict[str, Floats]:
+    """The derivatives of a quantity at each lane's step of the trip with respect to everything moved (n_lanes,)."""
+    tape = case.tape
+    carried, total = np.zeros((N_LANES, tape.n_carried)), {name: np.zeros(N_LANES) for name in STEPS}
+    for step in range(len(case.actions) - 1, -1, -1):
+        here = (np.array(case.at) == step).astype(float)
+        terms, outputs = np.zeros((N_LANES, len(COST_TERMS))), np.zeros((N_LANES, len(tape.output_names)))
+        shown = np.zeros((N_LANES, tape.lanes.n_observation))
+        if quantity in TERMS:
+            terms[:, COST_TERMS.index(quantity)] = here
+        elif quantity in OUTPUTS:
+            outputs[:, tape.output_names.index(quantity)] = here
+        else:
+            shown = here[:, np.newaxis] * weights_of(tape)
+        carried, actions, law, parameters = tape.pull(step, carried, terms, shown, outputs)
+        total["actions"] += np.einsum("la,la->l", actions, way[step])
+        for i, name in enumerate(LAW_PARAMETERS):
+            total[name] += law[:, :, i].sum(axis=1)
+        for i, name in enumerate(PARAMETERS):
+            total[name] += parameters[:, i] * case.values[name]
+    return total
+
+
+@pytest.mark.parametrize("name", ["v0", "v0, within a control step", "extended", "v1"])
+def test_each_quantity_of_the_step_of_a_trip_has_the_slope_of_central_differences(name: str) -> None:
+    case = case_of(name)
+    way = np.random.default_rng(3).normal(size=case.actions.shape)
+    found = {}
+    for what, h in STEPS.items():
+        up, down = (measured(case, what, way, sign * h) for sign in (1.0, -1.0))
+        found[what] = (up - down) / (2.0 * h)
+    values = measured(case, "actions", way, 0.0)
+    for place, quantity in enumerate(QUANTITIES):
+        for what, slope in pulled(case, quantity, way).items():
+            expected = found[what][place]
+            # Differences are rounded.
+            rounding = 5e-14 * max(1.0, np.abs(values[place]).max()) / STEPS[what]
+            assert slope == pytest.approx(expected, rel=1e-5, abs=rounding), (quantity, what)
+        assert max(np.abs(slopes[place]).max() for slopes in found.values()) > 1e-4
