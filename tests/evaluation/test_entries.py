@@ -50,7 +50,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 def test_built_in_strategy_is_a_baseline() -> None:
     assert [load_entries(name) for name in STRATEGIES] == [
-        [e] for e in load_entries("baselines") if e.name in STRATEGIES
+        [e] for e in load_entries("baselines", benchmark=V0) if e.name in STRATEGIES
     ]
     (entry,) = load_entries("mppt")
     assert (entry.name, entry.kind, entry.policy, entry.law) == ("mppt", "law", None, STRATEGIES["mppt"])
@@ -64,7 +64,9 @@ def test_names_of_the_table_stand_for_baselines_and_for_all_seeds_of_a_policy() 
     assert found("linear-feedback") == [("linear-feedback", 0)]
     assert found("PPO (k)") == [("PPO (k)", seed) for seed in range(5)]
     assert found("ppo-k-3") == [("PPO (k)", 3)]
-    assert {name for name, _ in found("policies")} >= {"linear-feedback", "PPO (k, τ)", "PPO (τ)", "SAC (k, τ)"}
+    assert {name for name, _ in found("policies")} >= {"linear-feedback", "PPO", "recurrent PPO", "gradient LSTM"}
+    of_v0 = {entry.name for entry in load_entries("policies", benchmark=V0)}
+    assert of_v0 >= {"linear-feedback", "PPO (k, τ)", "PPO (τ)", "SAC (k, τ)"}
 
 
 def test_policy_by_its_name_is_the_one_in_its_folder() -> None:

@@ -21,6 +21,7 @@ from wtg_gym.evaluation.generalisation import (
 )
 from wtg_gym.policies.play import started_lanes
 from wtg_gym.scenarios import draw_seeds
+from wtg_gym.scenarios.benchmark import V0
 
 PUBLIC = range(20_000, 20_040)
 DRAW = draw_seeds("standard", "a" * 40, b"a secret for these tests", 40)
@@ -50,7 +51,7 @@ def both() -> tuple[Results, Results]:
     feedback = tip_speed_feedback.ENTRY
     modes: dict[str, Any] = {"action_mode": feedback.action_mode, "observation_mode": feedback.observation_mode}
     entries = [
-        *load_entries("baselines"),
+        *load_entries("baselines", benchmark=V0),
         Entry(name="memoriser", policy=Memoriser(), fingerprint="memoriser", **modes),
         Entry(name="honest", policy=feedback.policy, fingerprint="honest", **modes),
     ]

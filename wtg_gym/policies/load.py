@@ -21,7 +21,7 @@ from wtg_gym.policies.entry import Entry, Policy, is_policy
 from wtg_gym.policies.entry_toml import NEEDED, parse_entry
 from wtg_gym.policies.names import BASELINES, INSTALLED, POLICIES, ROOT, check_not_built_in, is_built_in
 from wtg_gym.policies.onnx_policy import OnnxPolicy
-from wtg_gym.scenarios.benchmark import BENCHMARKS, V0, Benchmark
+from wtg_gym.scenarios.benchmark import BENCHMARKS, V1, Benchmark
 
 #: The files of a folder with a trained policy.
 ENTRY_FILE, POLICY_FILE = "entry.toml", "policy.onnx"
@@ -32,7 +32,7 @@ ARCHIVE_FILE, _ALGORITHM = "model.zip", "algorithm"
 LoadArchive = Callable[[Path, str], tuple[Policy, str]]
 
 
-def load_entries(spec: str | Path, load_archive: LoadArchive | None = None, benchmark: Benchmark = V0) -> list[Entry]:
+def load_entries(spec: str | Path, load_archive: LoadArchive | None = None, benchmark: Benchmark = V1) -> list[Entry]:
     """Return the entries that a text names.
 
     Args:
@@ -44,7 +44,7 @@ def load_entries(spec: str | Path, load_archive: LoadArchive | None = None, benc
             for each version of the benchmark, only the modules of `benchmark`); or "module:ATTRIBUTE", an entry, a
             policy, or a callable that returns one. Importing runs the module's code.
         load_archive: as for :func:`load_entry_folder`.
-        benchmark: the version whose baselines are meant, and whose trained policies, where some of a name are for it.
+        benchmark: the version whose baselines are meant, and whose trained policies, where some of a name are for it; v1 unless told otherwise.
 
     Raises:
         ValueError: nothing of that name, or it holds no entry; the message says what is allowed.
