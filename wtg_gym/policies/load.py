@@ -44,7 +44,7 @@ def load_entries(spec: str | Path, load_archive: LoadArchive | None = None, benc
             for each version of the benchmark, only the modules of `benchmark`); or "module:ATTRIBUTE", an entry, a
             policy, or a callable that returns one. Importing runs the module's code.
         load_archive: as for :func:`load_entry_folder`.
-        benchmark: the version whose baselines are meant, and whose trained policies, where some of a name are for it; v1 unless told otherwise.
+        benchmark: the version whose baselines are meant, and whose trained policies, where some of a name are for it.
 
     Raises:
         ValueError: nothing of that name, or it holds no entry; the message says what is allowed.
