@@ -192,7 +192,8 @@ def test_bad_input_ends_in_one_line_and_writes_nothing(
         "RUN": run_folder(tmp_path / "run"),
         "EMPTY": run_folder(tmp_path / "empty", n=0),
     }
-    assert main([*(places.get(option, option) for option in options), "--output", str(tmp_path / "out")]) == 2
+    given = ["--suite", "standard", *(places.get(option, option) for option in options)]
+    assert main([*given, "--output", str(tmp_path / "out")]) == 2
     error = capsys.readouterr().err
     assert error.startswith("error: ") and error.count("\n") == 1
     assert re.search(text, error), error

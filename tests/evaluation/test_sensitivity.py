@@ -115,7 +115,7 @@ def test_variants_are_evaluations_with_that_weight() -> None:
 )
 def test_impossible_arguments_are_refused(arguments: dict[str, object], said: str) -> None:
     with pytest.raises(ValueError, match=said):
-        study_sensitivity(ENTRIES, "standard", **arguments)  # type: ignore[arg-type]
+        study_sensitivity(ENTRIES, **{"suite": "standard", **arguments})  # type: ignore[arg-type]
 
 
 def test_all_weights_but_the_cap_are_varied() -> None:
