@@ -1,7 +1,6 @@
 """`python -m tests.integrations`: the programs of docs/integrations.md, each run in an environment of its own.
 
-A program's head names its packages with their versions, as PEP 723 has it. The page shows the programs, and a table of
-what came of each.
+A program's head names its packages with their versions, as PEP 723 has it. The page has a table of what came of each.
 """
 
 from __future__ import annotations
@@ -34,13 +33,6 @@ def packages(program: Path) -> list[str]:
     assert head is not None, f"{program} has no head"
     text = "".join(line.removeprefix("# ") for line in head.group(1).splitlines(keepends=True))
     return list(tomllib.loads(text)["dependencies"])
-
-
-def block(program: Path) -> str:
-    """Return a program as the page shows it."""
-    code = _HEAD.sub("", program.read_text(encoding="utf-8"))
-    language = {".py": "python", ".sh": ""}[program.suffix]
-    return f"```{language}\n{code}```"
 
 
 def name_of(package: str) -> str:
@@ -99,22 +91,12 @@ def _last_error(text: str) -> str:
     return lines[-1][:200] if lines else "no message"
 
 
-def renew_code(page: Path = PAGE) -> None:
-    """Put the programs into the page."""
-    for name, program in PROGRAMS.items():
-        update_between_markers(page, block(program), name)
-
-
 def main() -> int:
     """Run the programs, renew the page and return 1 if one does not run, else 0."""
     parser = argparse.ArgumentParser(prog="python -m tests.integrations", description=__doc__)
     parser.add_argument("--only", nargs="+", choices=list(PROGRAMS), help="run these, and leave the other rows")
-    parser.add_argument("--code", action="store_true", help="only put the programs into the page")
     parser.add_argument("--environments", type=Path, default=ROOT / "build" / "integrations", help="folder for them")
     given = parser.parse_args()
-    renew_code()
-    if given.code:
-        return 0
     rows = _rows(PAGE)
     for name in given.only or PROGRAMS:
         rows[name] = list(run(name, given.environments))
@@ -122,7 +104,8 @@ def main() -> int:
     for name, package in TRIED.items() if given.only is None else ():
         rows[name] = ["the newest", tried(package, given.environments)]
     there = [name for name in (*PROGRAMS, *TRIED) if name in rows]
-    cells = [[f"[{name}](#{name})" if name in PROGRAMS else name, *rows[name]] for name in there]
+    links = {name: f"[{name}](integrations/{program.name})" for name, program in PROGRAMS.items()}
+    cells = [[links.get(name, name), *rows[name]] for name in there]
     update_between_markers(PAGE, markdown_table(["program", "versions", "verdict"], cells), _TABLE)
     return int(any(rows[name][1] != "runs" for name in given.only or PROGRAMS))
 

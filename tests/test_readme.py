@@ -95,8 +95,7 @@ def test_commands_run_after_a_plain_install_in_an_empty_folder(plain: dict[str, 
             assert "coordinated-piecewise" in said, said
 
 
-# Programs of other libraries need environments of their own, in which `make integrations` runs them.
-RUN_HERE = ["README.md", *(page for page in DOCS if blocks(page, "python") and page != "docs/integrations.md")]
+RUN_HERE = ["README.md", *(page for page in DOCS if blocks(page, "python"))]
 
 
 @pytest.mark.parametrize("page", RUN_HERE)

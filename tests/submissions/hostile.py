@@ -374,12 +374,12 @@ def _scored(entry: Entry) -> tuple[str, str]:
 
 
 def table(ends: Sequence[str]) -> str:
-    """Return the attacks under their verdicts; `ends` are those of :data:`ATTACKS`, in their order."""
+    """Return how many attacks have each verdict, and two of them; `ends` are those of :data:`ATTACKS`, in order."""
     rows = []
     for end, meaning in MEANINGS.items():
         names = [attack.name for attack, found in zip(ATTACKS, ends, strict=True) if found == end]
-        rows.append((f"**{end}**: {meaning}", str(len(names)), "; ".join(names)))
-    return markdown_table(("verdict", "number", "attacks"), rows, right=(1,))
+        rows.append((f"**{end}**: {meaning}", str(len(names)), "; ".join(names[-2:])))
+    return markdown_table(("verdict", "attacks", "such as"), rows, right=(1,))
 
 
 def main(argv: Sequence[str] | None = None) -> int:

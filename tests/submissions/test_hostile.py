@@ -1,4 +1,4 @@
-"""Every hostile submission gets its verdict, and docs/submissions.md lists all of them."""
+"""Every hostile submission gets its verdict, and docs/submissions.md counts them."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ def test_hostile_submission_is_stopped(attack: Attack, tmp_path: Path, monkeypat
     assert not (tmp_path / "trace").exists()
 
 
-def test_page_shows_every_attack_under_its_verdict() -> None:
+def test_page_counts_every_attack_under_its_verdict() -> None:
     page = (ROOT / PAGE).read_text(encoding="utf-8")
     block = page.partition(f"<!-- {SECTION}:start -->")[2].partition(f"<!-- {SECTION}:end -->")[0]
     ends = [attack.end for attack in ATTACKS]
     assert block.strip() == table(ends)
-    # Every attack stands in the table: none has a verdict that it leaves out.
+    # Every attack is counted: none has a verdict that it leaves out.
     assert sum(int(line.split(" | ")[1]) for line in block.strip().splitlines()[2:]) == len(ATTACKS)
