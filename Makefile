@@ -158,7 +158,7 @@ docs-check: $(LEADERBOARD_READY) ## Draw the pictures into a copy of docs/ and n
 
 .PHONY: performance
 performance: $(TEST_READY) $(GOLDEN_READY) ## Measure speed, growth and arithmetic again; on a machine that does nothing else (half an hour)
-	PIP_CONSTRAINT=constraints.txt $(TEST_VENV)/bin/python -m pip install --quiet --editable '.[jax]' diffpssi
+	PIP_CONSTRAINT=constraints.txt $(TEST_VENV)/bin/python -m pip install --quiet diffpssi
 	$(TEST_VENV)/bin/wtg-gym bench --only environments physics gradients rendering training peers --page docs/performance.md
 	$(GOLDEN_VENV)/bin/python tests/golden/time_andes_env.py --page docs/performance.md
 	$(TEST_VENV)/bin/python tests/gradients/time_diffpssi.py --page docs/performance.md
