@@ -90,9 +90,9 @@ page-picture: page ## Take the picture of docs/leaderboard.html that docs/usage.
 	    --virtual-time-budget=20000 --screenshot=$(CURDIR)/docs/images/leaderboard-page.png file://$(CURDIR)/docs/leaderboard.html
 
 .PHONY: live-picture
-live-picture: $(TEST_READY) ## Take the pictures of the pages of play and explore that docs/howto/play.md shows; needs Chromium
+live-picture: $(TEST_READY) ## Take the picture of the page of play that docs/howto/play.md shows; needs Chromium
 	PIP_CONSTRAINT=constraints.txt $(TEST_VENV)/bin/python -m pip install --quiet --editable '.[browser]'
-	$(TEST_VENV)/bin/python docs/images/live.py docs/images/live-play.png docs/images/live-explore.png
+	$(TEST_VENV)/bin/python docs/images/live.py docs/images/live-play.png
 
 # Which folder `make pictures` renews; `make docs-check` lets it renew a copy.
 DOCS := docs
@@ -154,7 +154,7 @@ docs-check: $(LEADERBOARD_READY) ## Draw the pictures into a copy of docs/ and n
 
 .PHONY: performance
 performance: $(TEST_READY) $(GOLDEN_READY) ## Measure speed, growth and arithmetic again; on a machine that does nothing else (half an hour)
-	PIP_CONSTRAINT=constraints.txt $(TEST_VENV)/bin/python -m pip install --quiet --editable '.[jax]' diffpssi
+	PIP_CONSTRAINT=constraints.txt $(TEST_VENV)/bin/python -m pip install --quiet diffpssi
 	$(TEST_VENV)/bin/wtg-gym bench --only environments physics gradients rendering training peers --page docs/performance.md
 	$(GOLDEN_VENV)/bin/python tests/golden/time_andes_env.py --page docs/performance.md
 	$(TEST_VENV)/bin/python tests/gradients/time_diffpssi.py --page docs/performance.md

@@ -22,7 +22,6 @@ NOT_REPEATED = (
     "validation/accuracy.svg",
     "images/leaderboard-page.png",
     "images/live-play.png",
-    "images/live-explore.png",
 )
 SUFFIXES = (".gif", ".png", ".svg")
 

@@ -21,7 +21,6 @@ from wtg_gym.cli import main
 COMMANDS = (
     "simulate",
     "play",
-    "explore",
     "evaluate",
     "leaderboard",
     "results",

@@ -1,25 +1,20 @@
-"""The live pages without a browser: matches and their scores, experiments and what cannot be, ports and displays."""
+"""The live pages without a browser: matches and their scores, ports and displays."""
 
 from __future__ import annotations
 
 import dataclasses
-import json
-import math
 import re
 import socket
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.cli.calls import error_of, json_of
+from tests.cli.calls import error_of
 from wtg_gym.evaluation import Entry, evaluate
 from wtg_gym.evaluation.summary import POINTS, REST
 from wtg_gym.physics.scenario import LineTrip, LoadStep, Scenario
-from wtg_gym.physics.tracking_law import STRATEGY_NAMES, get_law
 from wtg_gym.plotting.live.episode import happened
-from wtg_gym.plotting.live.experiment import KINDS, PLANTS, Experiment, Strike, default_experiment, places
 from wtg_gym.plotting.live.match import Match, Scale
 from wtg_gym.plotting.live.server import open_browser
 from wtg_gym.scenarios import get_suite
@@ -127,87 +122,6 @@ def test_events_are_told_when_they_happen_and_a_line_closes_too() -> None:
     assert happened(scenario, 1.0, 9.0) == [(1.5, "line 2–3 closes")]
 
 
-# --- experiment ------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("plant", PLANTS)
-def test_simulate_plays_the_same_scenario(
-    plant: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    law = dataclasses.replace(get_law("coordinated-tuned"), name="my-law", k_min=1.1)
-    strikes = (
-        Strike(kind="load_step", place="3", power_mw=12.5, time_s=2.0),
-        Strike(kind="line_trip", place="2–3", time_s=3.0),
-    )
-    chosen = dataclasses.replace(
-        default_experiment(plant), law=law, strikes=strikes, duration_s=8.0, inertia_scale=0.8, governor_droop=0.04
-    )
-    run = chosen.run()
-    monkeypatch.chdir(tmp_path)
-    Path("explored.json").write_text(chosen.to_json(), encoding="utf-8")
-    Path("law.toml").write_text(chosen.law_toml(), encoding="utf-8")
-    program, *arguments = chosen.command().split()
-    assert program == "wtg-gym"
-    row = json_of(capsys, *arguments, "--json")["runs"][0]
-    assert row["final_frequency_hz"] == pytest.approx(float(run.recording.frequency_hz[0, -1]), abs=1e-9)
-    assert row["final_power_pu"] == pytest.approx(run.recording.power_pu[0, -1].tolist(), abs=1e-9)
-
-
-@pytest.mark.parametrize("plant", PLANTS)
-def test_strategies_are_those_of_the_plant(plant: str) -> None:
-    own = get_suite(plant).plant.settings(classical=False)
-    for name in STRATEGY_NAMES:
-        assert get_law(name) == get_law(name, own.turbine, own.control)
-
-
-def test_a_built_in_law_goes_by_its_name() -> None:
-    chosen = default_experiment("paper-v1")
-    assert chosen.law_toml() == ""
-    assert chosen.command().endswith("--suite paper-v1 --strategy coordinated-piecewise")
-
-
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind])
-def test_every_place_that_is_offered_makes_an_event_that_runs(kind: str) -> None:
-    offered = places(kind, 4)
-    assert offered
-    for place in (offered[0], offered[-1]):
-        strike = Strike(kind=kind, place=place, time_s=1.0, power_mw=5.0)
-        run = dataclasses.replace(default_experiment("paper-v1"), strikes=(strike,), duration_s=2.0).run()
-        quiet = dataclasses.replace(default_experiment("paper-v1"), strikes=(), duration_s=2.0).run()
-        assert json.loads(run.experiment.to_json())["events"][0]["kind"] == kind
-        # The loss of a governor is felt only once something else happens.
-        assert kind == "governor_loss" or run.numbers() != quiet.numbers()
-
-
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({"wind_m_s": (9.0, 9.0, 4.0, 9.0)}, "WTG group 3 at bus 6 would start .* below the under-speed trip"),
-        ({"wind_m_s": (2.0,) * 4}, "outside the allowed range 3 … 25 m/s"),
-        ({"wind_m_s": (9.0,) * 3}, "this grid has 4 WTG groups"),
-        ({"inertia_scale": 0.01}, "inertia_scale = 0.01"),
-        ({"strikes": (Strike(kind="group_trip", place="7"),)}, "there is no group 7"),
-        ({"strikes": (Strike(kind="load_trip", place=""),)}, "choose where"),
-    ],
-)
-def test_what_cannot_be_says_why(changes: dict[str, object], said: str) -> None:
-    with pytest.raises(ValueError, match=said):
-        dataclasses.replace(default_experiment("paper-v1"), **changes).run()
-
-
-def test_a_run_that_fails_is_shown_until_then() -> None:
-    strike = Strike(kind="load_step", place="3", power_mw=100.0)
-    run = dataclasses.replace(default_experiment("paper-v1"), strikes=(strike,), inertia_scale=0.1).run()
-    assert "the frequency left 48.5 … 51.5 Hz" in run.failure
-    assert math.isnan(run.recording.frequency_hz[0, -1])
-
-
-def test_characteristic_is_that_of_the_groups_wind() -> None:
-    run = Experiment(duration_s=1.0).run()
-    high, low = (run.group_characteristic(group).power_pu for group in (0, 3))
-    assert (high > low).all()
-
-
 # --- server ----------------------------------------------------------------------------------------------------------
 
 
@@ -215,7 +129,7 @@ def test_a_port_in_use_and_a_wrong_one_are_said(capsys: pytest.CaptureFixture[st
     pytest.importorskip("bokeh")
     with socket.create_server(("localhost", 0)) as taken:
         port = taken.getsockname()[1]
-        assert f"--port {port} is in use" in error_of(capsys, "explore", "--no-browser", "--port", str(port))
+        assert f"--port {port} is in use" in error_of(capsys, "play", "--no-browser", "--port", str(port))
     assert "--port must be 0 … 65535" in error_of(capsys, "play", "--no-browser", "--port", "70000")
 
 
@@ -235,12 +149,9 @@ def test_wrong_choices_are_said_before_anything_is_played(
     assert said in error_of(capsys, "play", "--no-browser", *arguments)
 
 
-@pytest.mark.parametrize("command", ["play", "explore"])
-def test_without_bokeh_the_extra_is_named(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, command: str
-) -> None:
+def test_without_bokeh_the_extra_is_named(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "bokeh", None)
-    assert "in a checkout: pip install '.[leaderboard]'" in error_of(capsys, command, "--no-browser")
+    assert "in a checkout: pip install '.[leaderboard]'" in error_of(capsys, "play", "--no-browser")
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="other systems always have a display")

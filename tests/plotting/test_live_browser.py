@@ -70,14 +70,6 @@ def _wait(page: Any, name: str, attribute: str, test: str) -> None:
     )
 
 
-def _press_slider(page: Any, name: str, key: str) -> None:
-    """Press a key on a slider's own handle."""
-    title = _model(page, name, "title")
-    handle = page.locator(".bk-Slider", has=page.get_by_text(f"{title}:")).locator(".noUi-handle")
-    handle.focus()
-    page.keyboard.press(key)
-
-
 def test_play_is_moved_by_keys_and_sliders_and_scored_at_the_end(browser: Any) -> None:
     with _served(browser, "play", "--suite", "standard-v1", "--duration", "8", "--speed", "4") as page:
         assert "Nothing yet" in _model(page, "events", "text")
@@ -113,31 +105,3 @@ def test_play_is_moved_by_keys_and_sliders_and_scored_at_the_end(browser: Any) -
         _wait(page, "status", "text", "(x) => x.includes('scenario 20001')")
         assert _column(page, "traces", "t") == [0] and _model(page, "k0", "value") == 0
         assert _model(page, "verdict", "text") == ""
-
-
-def test_explore_redraws_at_every_change_and_says_what_cannot_be(browser: Any) -> None:
-    with _served(browser, "explore") as page:
-        before = _column(page, "run", "frequency")
-        assert len(before) == 601
-        page.get_by_role("button", name="Pin this run").click()
-        _wait(page, "unpin", "disabled", "(x) => x === false")
-        _press_slider(page, "inertia", "ArrowRight")
-        _wait(page, "json", "value", "(x) => JSON.parse(x).inertia_scale !== 0.5")
-        after = _column(page, "run", "frequency")
-        assert len(after) == 601 and min(after) != min(before)
-        assert _column(page, "pin-A", "frequency") == before
-        assert "pin A" in _model(page, "numbers", "text")
-        page.evaluate("Bokeh.documents[0].get_model_by_name('law').value = 'coordinated-tuned'")
-        _wait(page, "command", "text", "(x) => x.includes('--strategy coordinated-tuned')")
-        page.evaluate("Bokeh.documents[0].get_model_by_name('k_min').value = 1.2")
-        _wait(page, "law", "value", "(x) => x === 'my-law'")
-        page.evaluate("Bokeh.documents[0].get_model_by_name('kind1').value = 'line_trip'")
-        _wait(page, "json", "value", "(x) => JSON.parse(x).events.length === 2")
-        shown = _column(page, "run", "frequency")
-        page.evaluate("Bokeh.documents[0].get_model_by_name('wind3').value = 3.5")
-        _wait(page, "problem", "text", "(x) => x.includes('cannot be run')")
-        assert "under-speed" in _model(page, "problem", "text")
-        assert _column(page, "run", "frequency") == shown
-        page.evaluate("Bokeh.documents[0].get_model_by_name('plant').value = 'paper'")
-        _wait(page, "json", "value", "(x) => JSON.parse(x).wind_speed.length === 2")
-        assert _model(page, "problem", "text") == ""

@@ -21,7 +21,6 @@ _COMMANDS = {
     "simulate": {"simulate": "one scenario under one or several strategies: key figures, figure, traces"},
     "live": {
         "play": "hold the frequency by hand, in the browser, against the reference",
-        "explore": "try out wind, events, laws and grids, in the browser",
     },
     "evaluate": {
         "evaluate": "score entries on scenarios of a suite",

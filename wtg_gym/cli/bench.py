@@ -23,7 +23,7 @@ from wtg_gym.progress import Progress
 from wtg_gym.ranges import require_range
 
 #: Packages whose versions matter, besides those of the peers.
-_PACKAGES = ("gymnasium", "jax", "numba", "numpy", "stable-baselines3", "torch")
+_PACKAGES = ("gymnasium", "numba", "numpy", "stable-baselines3", "torch")
 _PARTS = "\n".join(f"  {name:12}  {words}" for name, words in PARTS.items())
 _DESCRIPTION = f"""\
 Measures the speed of the environment on this machine. Every case runs several times, in turns, so that a busy spell of

@@ -21,8 +21,6 @@ from wtg_gym.scenarios.benchmark import BENCHMARKS, Benchmark
 OURS = "GFMWTG-14bus-v0"
 #: Every rate is divided by that of this environment: physics of a few lines, in pure Python.
 YARDSTICK = "Pendulum-v1"
-#: Steps of the loops that JAX compiles, and episodes side by side whose gradient it finds.
-JAX_STEPS, JAX_BATCH = 100, 64
 
 
 def installed(*packages: str) -> bool:
@@ -69,22 +67,10 @@ def _on(physics: str, n_envs: int) -> Stepper:
 
 
 def gradient_cases() -> Iterator[Case]:
-    """Yield episodes of our environments in a batch, with the gradient of their cost with respect to all actions.
-
-    Where JAX is installed, its twin of v0 follows: steps alone, and with the gradient too.
-    """
+    """Yield episodes of our environments in a batch, with the gradient of their cost with respect to all actions."""
     for env_id, benchmark in BENCHMARKS.items():
         for n in (1, 64):
             yield Case("gradients", f"{env_id}, gradients of {n}", n, partial(_gradients, benchmark, n), least_s=0.5)
-    if not installed("jax"):
-        return
-    for n in (1, 64, 1024):
-        yield Case("gradients", f"{OURS} by JAX, batch of {n}", n, partial(_by_jax, n), preparation_s=20.0)
-    # The compiler works numbers out again for each that is made of them.
-    name = f"{OURS} by JAX, batch of 1024, without XLA's fusion"
-    yield Case("gradients", name, 1024, partial(_by_jax, 1024, xla_disable_hlo_passes="fusion"), preparation_s=10.0)
-    name = f"{OURS} by JAX, gradients of {JAX_BATCH}"
-    yield Case("gradients", name, JAX_BATCH, _jax_gradients, preparation_s=60.0, least_s=2.0)
 
 
 def _gradients(benchmark: Benchmark, n_lanes: int) -> Stepper:
@@ -94,63 +80,6 @@ def _gradients(benchmark: Benchmark, n_lanes: int) -> Stepper:
     scenarios = tape.lanes.scenarios(list(tape.lanes.suite.validation)[:n_lanes])
     actions = np.random.default_rng(0).uniform(-0.3, 0.3, (600, n_lanes, tape.lanes.n_action))
     return repeat(lambda _: tape.gradient(scenarios, actions), actions[:, :, 0].size)
-
-
-def _twin() -> Any:
-    import jax
-
-    jax.config.update("jax_enable_x64", True)
-    from wtg_gym.functional import FunctionalEnv
-
-    return FunctionalEnv(EnvSettings(version="v0", split="validation"))
-
-
-def _by_jax(n_envs: int, **compiler_options: str) -> Stepper:
-    """Return a batch of the twin that steps, with resets, under one compiled loop."""
-    env = _twin()
-    import jax
-    import jax.numpy as jnp
-
-    keys = jax.random.split(jax.random.key(0), n_envs)
-    params = jax.device_put(env.default_params)
-    actions = jnp.asarray(np.random.default_rng(0).uniform(-1.0, 1.0, (JAX_STEPS, n_envs, env.num_actions)))
-
-    def run(states: Any) -> Any:
-        def step(states: Any, own: Any) -> Any:
-            _, states, rewards, *_ = jax.vmap(env.step, (0, 0, 0, None))(keys, states, own, params)
-            return states, rewards
-
-        return jax.lax.scan(step, states, actions)
-
-    compiled = jax.jit(run, compiler_options=compiler_options or None)
-    held = [jax.vmap(env.reset, (0, None))(keys, params)[1]]
-
-    def steps(_: int) -> None:
-        states, rewards = compiled(held[0])
-        jax.block_until_ready(rewards)
-        held[0] = states
-
-    return repeat(steps, JAX_STEPS * n_envs)
-
-
-def _jax_gradients() -> Stepper:
-    env = _twin()
-    import jax
-    import jax.numpy as jnp
-
-    params, key = jax.device_put(env.default_params), jax.random.key(0)
-    states = jax.vmap(lambda place: env.start(place, params)[1])(jnp.arange(JAX_BATCH) % params.start.shape[0])
-    actions = jnp.asarray(np.random.default_rng(0).uniform(-0.3, 0.3, (JAX_STEPS, JAX_BATCH, env.num_actions)))
-
-    def cost(actions: Any) -> Any:
-        def step(states: Any, own: Any) -> Any:
-            _, states, rewards, *_ = jax.vmap(env.step_env, (None, 0, 0, None))(key, states, own, params)
-            return states, rewards
-
-        return -jax.lax.scan(step, states, actions)[1].sum()
-
-    gradient = jax.jit(jax.grad(cost))
-    return repeat(lambda _: jax.block_until_ready(gradient(actions)), actions[:, :, 0].size)
 
 
 def rendering_cases() -> Iterator[Case]:

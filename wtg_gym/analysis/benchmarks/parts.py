@@ -24,8 +24,7 @@ from wtg_gym.extras import install_advice
 PARTS = {
     "environments": "environment steps per second, of ours and of Gymnasium's own",
     "physics": "environment steps per second of ours, on the paper's physics and on what extends it",
-    "gradients": "environment steps per second of ours, with the gradient of the cost with respect to every action; "
-    "and of the twin in JAX",
+    "gradients": "environment steps per second of ours, with the gradient of the cost with respect to every action",
     "rendering": "steps per second with a frame drawn at each, of ours and of Gymnasium's own",
     "training": "steps per second of PPO learning, on our adapter and on Stable-Baselines3's vector environments",
     "peers": "other projects' environments, those that are installed",
@@ -64,8 +63,6 @@ class Benchmark:
             cases += physics_cases()
         if "gradients" in parts:
             cases += gradient_cases()
-            if not installed("jax"):
-                self.missing.append(f"JAX is left out; {install_advice('jax')}")
         if "rendering" in parts and installed("matplotlib", "pygame"):
             cases += rendering_cases()
         elif "rendering" in parts:

@@ -1,5 +1,5 @@
-"""Live pages in the browser: holding the frequency by hand, and trying out wind, events, laws and grids.
+"""The page of `wtg-gym play`: holding the frequency by hand.
 
-`episode`, `match` and `experiment` hold what happens, without Bokeh; `play_page` and `explore_page` show it, `look` is
-what both look like, and `server` serves one of them on this machine.
+`episode` and `match` hold what happens, without Bokeh; `play_page` shows it, `look` is what it looks like, and `server`
+serves it on this machine.
 """

@@ -1,4 +1,4 @@
-"""What both live pages look like: charts, tables, texts, and the frame around them."""
+"""What the page looks like: charts, tables, texts, and the frame around them."""
 
 from __future__ import annotations
 
