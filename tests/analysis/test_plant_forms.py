@@ -10,14 +10,12 @@ import pytest
 
 from tests.golden_cases import GOLDEN
 from wtg_gym.analysis.case_file import read_parameters
-from wtg_gym.analysis.eigenvalues import linearise, synchronising_coefficients
-from wtg_gym.analysis.infinite_bus import compare, infinite_bus
 from wtg_gym.analysis.load_models import run_with_loads
-from wtg_gym.analysis.loops import single_machine, with_moving_voltage
 from wtg_gym.analysis.physics_study import count_suite
 from wtg_gym.analysis.plant_forms import HONEST, NREL, PAPER, UNLIMITED, PlantRun, plant_forms, rotor_energy, run_plant
 from wtg_gym.analysis.voltage_limits import VOLTAGE_LIMIT_PU, voltage_feedback, voltage_limits
 from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.physics.modes import linearise, synchronising_coefficients
 from wtg_gym.physics.parameters import ProtectionParameters, TurbineParameters, VoltageControlParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.protection import Status
@@ -25,6 +23,8 @@ from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.physics.trajectory import simulate
+from wtg_gym.reproduce.infinite_bus import compare, infinite_bus
+from wtg_gym.reproduce.loops import single_machine, with_moving_voltage
 from wtg_gym.scenarios import get_suite
 
 _INERTIA_S = TurbineParameters().inertia_constant_s

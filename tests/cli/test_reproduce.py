@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from tests.cli.calls import error_of, json_of
-from wtg_gym.analysis import case_studies
 from wtg_gym.cli import main
+from wtg_gym.reproduce import case_studies
 
 SECTIONS = (
     "claims",

@@ -11,19 +11,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from wtg_gym.analysis import case_studies
-from wtg_gym.analysis.claim import Claim
-from wtg_gym.analysis.eigenvalues import Mode, linearise, modes
-from wtg_gym.analysis.infinite_bus import Agreement, agreements, system_margins
-from wtg_gym.analysis.loops import Side, SingleMachine, ideal_source_loop, single_machine
-from wtg_gym.analysis.paper_claims import paper_claims
-from wtg_gym.analysis.tables import claims_table, margins_table, modes_table
 from wtg_gym.cli import output
 from wtg_gym.cli.parser import Commands, add_command, add_output_options
 from wtg_gym.files import to_json, write_atomically
+from wtg_gym.physics.modes import Mode, Side, linearise, modes
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 from wtg_gym.progress import Progress
+from wtg_gym.reproduce import case_studies
+from wtg_gym.reproduce.claim import Claim
+from wtg_gym.reproduce.infinite_bus import Agreement, agreements, system_margins
+from wtg_gym.reproduce.loops import SingleMachine, ideal_source_loop, single_machine
+from wtg_gym.reproduce.paper_claims import paper_claims
+from wtg_gym.reproduce.tables import claims_table, margins_table, modes_table
 from wtg_gym.scenarios import get_suite
 
 if TYPE_CHECKING:
@@ -157,7 +157,8 @@ def _system_modes() -> dict[str, tuple[Mode, ...]]:
 
 
 def _paper_pictures(evidence: _Evidence) -> list[_Picture]:
-    from wtg_gym import plotting
+    from wtg_gym.reproduce import paper_figures
+    from wtg_gym.reproduce.characteristics import plot_characteristic
 
     cases = evidence.cases
     characteristics = [
@@ -165,7 +166,7 @@ def _paper_pictures(evidence: _Evidence) -> list[_Picture]:
             f"characteristic-{name}",
             "Power-frequency characteristic",
             f"Characteristic: {words}.",
-            lambda name=name: plotting.plot_characteristic(STRATEGIES[name]),  # type: ignore[misc]
+            lambda name=name: plot_characteristic(STRATEGIES[name]),  # type: ignore[misc]
         )
         for name, words in (
             ("mppt", "maximum power point tracking"),
@@ -179,7 +180,7 @@ def _paper_pictures(evidence: _Evidence) -> list[_Picture]:
             "power-coefficient",
             "Power coefficient",
             "Power coefficient with the deloading points: λ_opt, λ_n (5 %) and λ_pr (10 %).",
-            plotting.plot_power_coefficient,
+            paper_figures.plot_power_coefficient,
         ),
         *characteristics,
         _Picture(
@@ -187,26 +188,26 @@ def _paper_pictures(evidence: _Evidence) -> list[_Picture]:
             "Bode plots",
             "Open loops at 11.4 m/s, K_p = 1.45: an ideal DC source, the fixed strategies, and the linear law without "
             "transient damping.",
-            lambda: plotting.plot_bode(_bode_loops()),
+            lambda: paper_figures.plot_bode(_bode_loops()),
         ),
         _Picture(
             "bode-proposed",
             "Bode plots",
             "Open loops of the coordinated strategy: the linear law with transient damping (τ = 0.8 s) and without, "
             "and both slopes of the piecewise law with it.",
-            lambda: plotting.plot_bode(_proposed_loops()),
+            lambda: paper_figures.plot_bode(_proposed_loops()),
         ),
         _Picture(
             "load-increase",
             "Load increase",
             "Load increase: +75 MW at bus 2 at 5 s and at bus 3 at 30 s; a cross marks a stall.",
-            lambda: plotting.plot_case_study(cases.increase, cases.increase_runs),
+            lambda: paper_figures.plot_case_study(cases.increase, cases.increase_runs),
         ),
         _Picture(
             "load-decrease",
             "Load decrease",
             "Load decrease: the loads of bus 4 (47.8 MW) at 5 s and bus 9 (29.5 MW) at 30 s are lost.",
-            lambda: plotting.plot_case_study(cases.decrease, cases.decrease_runs),
+            lambda: paper_figures.plot_case_study(cases.decrease, cases.decrease_runs),
         ),
     ]
 
@@ -224,20 +225,20 @@ def _proposed_loops() -> dict[str, SingleMachine]:
 
 
 def _study_pictures(evidence: _Evidence) -> list[_Picture]:
-    from wtg_gym import plotting
+    from wtg_gym.reproduce import eigenvalue_plane, study_figures
 
     draw: dict[str, tuple[str, Callable[..., Figure]]] = {
-        "margins": ("Phase margins over wind", plotting.plot_margins),
-        "slopes": ("Phase margins on both slopes", plotting.plot_margins),
-        "equilibria": ("Lost equilibria", plotting.plot_equilibria),
-        "damping": ("Effect of τ", plotting.plot_damping),
-        "machines": ("Machine models", plotting.plot_machine_models),
+        "margins": ("Phase margins over wind", study_figures.plot_margins),
+        "slopes": ("Phase margins on both slopes", study_figures.plot_margins),
+        "equilibria": ("Lost equilibria", study_figures.plot_equilibria),
+        "damping": ("Effect of τ", study_figures.plot_damping),
+        "machines": ("Machine models", study_figures.plot_machine_models),
     }
     pictures = []
     for name, (text, plot) in draw.items():
         study = getattr(evidence, name)
         pictures.append(_Picture(name, text, study.sentence, functools.partial(plot, study)))
-    eigenvalues = functools.partial(plotting.plot_modes, evidence.modes)
+    eigenvalues = functools.partial(eigenvalue_plane.plot_modes, evidence.modes)
     return [*pictures, _Picture("modes", "Eigenvalues", _modes_sentence(evidence), eigenvalues)]
 
 

@@ -9,24 +9,23 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.analysis.eigenvalues import Mode, linearise, modes, synchronising_coefficients
-from wtg_gym.analysis.loops import (
-    PAPER_SYNCHRONISING_COEFFICIENT,
-    Side,
-    SingleMachine,
-    ideal_source_loop,
-    single_machine,
-)
-from wtg_gym.analysis.tables import mode_cells
 from wtg_gym.cli.laws import add_law_option, chosen_laws
 from wtg_gym.cli.output import PLOT_SUFFIXES, check_plot_file, plain_json, print_json, print_table, say, write_and_say
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.envs.settings import MACHINE_MODELS
 from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.modes import Mode, Side, linearise, modes, synchronising_coefficients
 from wtg_gym.physics.parameters import default_groups
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
+from wtg_gym.reproduce.loops import (
+    PAPER_SYNCHRONISING_COEFFICIENT,
+    SingleMachine,
+    ideal_source_loop,
+    single_machine,
+)
+from wtg_gym.reproduce.tables import mode_cells
 
 _SIDES: tuple[Side, ...] = ("under", "over")
 
@@ -113,7 +112,8 @@ def run_margins(arguments: argparse.Namespace) -> int:
             else:
                 loops += zip(_SIDES, both, strict=True)
     if plot is not None:
-        from wtg_gym.plotting import figure_bytes, plot_bode
+        from wtg_gym.plotting import figure_bytes
+        from wtg_gym.reproduce.paper_figures import plot_bode
 
         named = {loop.law + (f", {side}-frequency" if side != "–" else ""): loop for side, loop in loops}
         write_and_say(plot, figure_bytes(plot_bode(named), plot.suffix.lower()))
@@ -162,7 +162,8 @@ def run_modes(arguments: argparse.Namespace) -> int:
     models = {law.name: linearise(scenario, law, settings, side=arguments.side).renamed(settings) for law in laws}
     found = {name: modes(model) for name, model in models.items()}
     if plot is not None:
-        from wtg_gym.plotting import figure_bytes, plot_modes
+        from wtg_gym.plotting import figure_bytes
+        from wtg_gym.reproduce.eigenvalue_plane import plot_modes
 
         write_and_say(plot, figure_bytes(plot_modes(found), plot.suffix.lower()))
     if arguments.json:

@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.analysis import steady_states
-from wtg_gym.analysis.power_frequency import critical_frequency_pu, named_points
 from wtg_gym.cli import output
 from wtg_gym.cli.laws import add_law_option, chosen_laws
 from wtg_gym.cli.parser import Commands, add_command
@@ -22,6 +20,8 @@ from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.scenario import WIND_SPEED_RANGE
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw
 from wtg_gym.ranges import require_range
+from wtg_gym.reproduce import steady_states
+from wtg_gym.reproduce.power_frequency import critical_frequency_pu, named_points
 
 _DESCRIPTION = f"""\
 Steady states of one WTG on a grid of constant frequency: where a law has an equilibrium, whether it is stable, how
@@ -89,7 +89,8 @@ def run(arguments: argparse.Namespace) -> int:
     if table is not None:
         output.write_and_say(table, _csv(found))
     if plot is not None:
-        from wtg_gym.plotting import figure_bytes, plot_characteristic
+        from wtg_gym.plotting import figure_bytes
+        from wtg_gym.reproduce.characteristics import plot_characteristic
 
         output.write_and_say(plot, figure_bytes(plot_characteristic(laws[0], winds), plot.suffix.lower()))
     if arguments.json:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 
-from wtg_gym.analysis.eigenvalues import linearise
 from wtg_gym.cli.output import say
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
@@ -12,6 +11,7 @@ from wtg_gym.envs.compile_ahead import compile_ahead
 from wtg_gym.envs.settings import VERSIONS, EnvSettings
 from wtg_gym.evaluation import evaluate
 from wtg_gym.physics.compiled import cache_folder, compilation
+from wtg_gym.physics.modes import linearise
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.physics.trajectory import simulate
 from wtg_gym.scenarios import get_suite

@@ -7,12 +7,12 @@ import json
 import numpy as np
 import pytest
 
-from wtg_gym.analysis import case_studies
-from wtg_gym.analysis.case_claims import load_increase
-from wtg_gym.analysis.case_studies import CaseStudies, run_case_studies, study_damping, study_equilibria, study_margins
-from wtg_gym.analysis.claim import Claim
-from wtg_gym.analysis.paper_claims import paper_claims
-from wtg_gym.analysis.tables import claims_table
+from wtg_gym.reproduce import case_studies
+from wtg_gym.reproduce.case_claims import load_increase
+from wtg_gym.reproduce.case_studies import CaseStudies, run_case_studies, study_damping, study_equilibria, study_margins
+from wtg_gym.reproduce.claim import Claim
+from wtg_gym.reproduce.paper_claims import paper_claims
+from wtg_gym.reproduce.tables import claims_table
 
 #: Drawn schematically in the paper; its own numbers say otherwise.
 NOT_WITH_THE_PAPERS_NUMBERS = {"high-deloading-high-wind"}

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from wtg_gym.analysis.eigenvalues import Mode
+    from wtg_gym.physics.modes import Mode
 
 #: Damping ratios whose lines are drawn in the plane of eigenvalues [-].
 _DAMPING_RATIOS = (0.05, 0.10, 0.30)

@@ -8,13 +8,13 @@ from functools import partial
 
 import numpy as np
 
-from wtg_gym.analysis.case_studies import CaseStudies
-from wtg_gym.analysis.claim import Claim, near
 from wtg_gym.physics.aerodynamics import available_power_pu, tracking_point
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 from wtg_gym.physics.trajectory import Trajectory, simulate
+from wtg_gym.reproduce.case_studies import CaseStudies
+from wtg_gym.reproduce.claim import Claim, near
 
 Runs = Mapping[str, Trajectory]
 

@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wtg_gym.analysis.power_frequency import characteristic, critical_frequency_pu, named_points
-from wtg_gym.analysis.steady_states import OperatingPoint
 from wtg_gym.physics.aerodynamics import power_coefficient
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
@@ -18,6 +16,8 @@ from wtg_gym.physics.scenario import WIND_SPEED_RANGE
 from wtg_gym.physics.tracking_law import TrackingLaw
 from wtg_gym.plotting import style
 from wtg_gym.ranges import require_range
+from wtg_gym.reproduce.power_frequency import characteristic, critical_frequency_pu, named_points
+from wtg_gym.reproduce.steady_states import OperatingPoint
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

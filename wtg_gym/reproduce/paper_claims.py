@@ -7,18 +7,19 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from wtg_gym.analysis.case_claims import load_decrease, load_increase, settling
-from wtg_gym.analysis.case_studies import CaseStudies, linear_undamped
-from wtg_gym.analysis.claim import Claim, near
-from wtg_gym.analysis.loops import Side, ideal_source_loop, single_machine
-from wtg_gym.analysis.power_frequency import named_points
-from wtg_gym.analysis.steady_states import OperatingPoint, stable_equilibrium
 from wtg_gym.physics.aerodynamics import available_power_pu, tracking_point
+from wtg_gym.physics.modes import Side
 from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 from wtg_gym.physics.trajectory import simulate
+from wtg_gym.reproduce.case_claims import load_decrease, load_increase, settling
+from wtg_gym.reproduce.case_studies import CaseStudies, linear_undamped
+from wtg_gym.reproduce.claim import Claim, near
+from wtg_gym.reproduce.loops import ideal_source_loop, single_machine
+from wtg_gym.reproduce.power_frequency import named_points
+from wtg_gym.reproduce.steady_states import OperatingPoint, stable_equilibrium
 from wtg_gym.scenarios import get_suite
 
 _DELOADED = ("deloaded-5", "deloaded-10")

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wtg_gym.analysis.loops import SingleMachine, ideal_source_loop, single_machine
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw
+from wtg_gym.reproduce.loops import SingleMachine, ideal_source_loop, single_machine
 
 LINEAR = STRATEGIES["coordinated-linear"]
 UNDAMPED = dataclasses.replace(LINEAR, name="undamped", damping_time_constant_s=0.0)

@@ -11,20 +11,18 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import Polynomial
 
-from wtg_gym.analysis.steady_states import stable_equilibrium
 from wtg_gym.physics.aerodynamics import power_coefficient
+from wtg_gym.physics.modes import Side
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.physics.tracking_law import TrackingLaw
 from wtg_gym.ranges import require_range
+from wtg_gym.reproduce.steady_states import stable_equilibrium
 
-#: The slope of g(ω) that counts at ω_st: that of under-frequency, or that of over-frequency.
-Side = Literal["under", "over"]
 #: The synchronising coefficient at which the paper's margins come out [p.u./rad].
 PAPER_SYNCHRONISING_COEFFICIENT = 1.45
 #: Nominal angular frequency of the paper, 50 Hz [rad/s].

@@ -8,19 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from wtg_gym.analysis.case_studies import DampingStudy, EquilibriumStudy, MachineModelStudy, MarginStudy
-from wtg_gym.analysis.eigenvalues import Mode, linearise, modes
+from wtg_gym.physics.modes import Mode, linearise, modes
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.physics.trajectory import Trajectory
-from wtg_gym.plotting import (
-    STRATEGY_LOOKS,
-    plot_damping,
-    plot_equilibria,
-    plot_machine_models,
-    plot_margins,
-    plot_modes,
-)
+from wtg_gym.plotting import STRATEGY_LOOKS
+from wtg_gym.reproduce.case_studies import DampingStudy, EquilibriumStudy, MachineModelStudy, MarginStudy
+from wtg_gym.reproduce.eigenvalue_plane import plot_modes
+from wtg_gym.reproduce.study_figures import plot_damping, plot_equilibria, plot_machine_models, plot_margins
 
 pytest.importorskip("matplotlib")
 pytestmark = pytest.mark.filterwarnings("error")

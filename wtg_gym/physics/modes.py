@@ -9,10 +9,10 @@ import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
-from wtg_gym.analysis.loops import Side
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.linearisation import moving_states, state_matrix
 from wtg_gym.physics.plant import PlantSettings
@@ -20,6 +20,8 @@ from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import TrackingLaw, group_laws
 
+#: The slope of g(ω) that counts at ω_st: that of under-frequency, or that of over-frequency.
+Side = Literal["under", "over"]
 #: Step of the finite differences [rad, p.u.]; truncation and rounding are both near 1e-9 of a power.
 _STEP = 2e-6
 

@@ -13,16 +13,17 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
-from wtg_gym.analysis.loops import Side, ideal_source_loop, single_machine
-from wtg_gym.analysis.power_frequency import critical_frequency_pu
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.layout import Floats
+from wtg_gym.physics.modes import Side
 from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, TrackingLaw
 from wtg_gym.physics.trajectory import Trajectory, simulate
+from wtg_gym.reproduce.loops import ideal_source_loop, single_machine
+from wtg_gym.reproduce.power_frequency import critical_frequency_pu
 from wtg_gym.scenarios import get_suite
 
 #: Called with (name of the part under way, parts done, parts in all).

@@ -9,14 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from wtg_gym.analysis.loops import SingleMachine, ideal_source_loop, single_machine
-from wtg_gym.analysis.power_frequency import critical_frequency_pu, named_points
 from wtg_gym.physics.aerodynamics import available_power_pu, tracking_point
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.physics.trajectory import Trajectory
-from wtg_gym.plotting import STRATEGY_LOOKS, plot_bode, plot_case_study, plot_characteristic, plot_power_coefficient
+from wtg_gym.plotting import STRATEGY_LOOKS
+from wtg_gym.reproduce.characteristics import plot_characteristic
+from wtg_gym.reproduce.loops import SingleMachine, ideal_source_loop, single_machine
+from wtg_gym.reproduce.paper_figures import plot_bode, plot_case_study, plot_power_coefficient
+from wtg_gym.reproduce.power_frequency import critical_frequency_pu, named_points
 
 pytest.importorskip("matplotlib")
 pytestmark = pytest.mark.filterwarnings("error")

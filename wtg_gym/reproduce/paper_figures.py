@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from wtg_gym.analysis.loops import SingleMachine
+    from wtg_gym.reproduce.loops import SingleMachine
 
 Floats = npt.NDArray[np.float64]
 

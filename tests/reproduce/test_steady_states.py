@@ -9,9 +9,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from wtg_gym.analysis.power_frequency import characteristic, critical_frequency_pu, named_points
-from wtg_gym.analysis.steady_states import Balance, equilibria, power_margin_pu, stable_equilibrium
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw
+from wtg_gym.reproduce.power_frequency import characteristic, critical_frequency_pu, named_points
+from wtg_gym.reproduce.steady_states import Balance, equilibria, power_margin_pu, stable_equilibrium
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Figures of the studies beyond the paper (:mod:`wtg_gym.analysis.case_studies`)."""
+"""Figures of the studies beyond the paper (:mod:`wtg_gym.reproduce.case_studies`)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from wtg_gym.analysis.case_studies import DampingStudy, EquilibriumStudy, MachineModelStudy, MarginStudy
+    from wtg_gym.reproduce.case_studies import DampingStudy, EquilibriumStudy, MachineModelStudy, MarginStudy
 
 
 #: The wind speeds of the paper's two groups [m/s].

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from wtg_gym.analysis.eigenvalues import linearise, modes, synchronising_coefficients
-from wtg_gym.analysis.infinite_bus import agreements, infinite_bus
 from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.modes import linearise, modes, synchronising_coefficients
 from wtg_gym.physics.parameters import default_groups
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import STRATEGIES
+from wtg_gym.reproduce.infinite_bus import agreements, infinite_bus
 from wtg_gym.scenarios import get_suite
 
 PAPER = get_suite("paper").scenario(0)

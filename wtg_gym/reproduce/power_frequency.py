@@ -9,7 +9,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq, minimize_scalar
 
-from wtg_gym.analysis.steady_states import (
+from wtg_gym.physics.aerodynamics import tracking_point
+from wtg_gym.physics.layout import Floats
+from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
+from wtg_gym.physics.tracking_law import TrackingLaw
+from wtg_gym.ranges import require_range
+from wtg_gym.reproduce.steady_states import (
     FREQUENCY_RANGE,
     Balance,
     OperatingPoint,
@@ -17,11 +22,6 @@ from wtg_gym.analysis.steady_states import (
     power_margin_pu,
     stable_equilibrium,
 )
-from wtg_gym.physics.aerodynamics import tracking_point
-from wtg_gym.physics.layout import Floats
-from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
-from wtg_gym.physics.tracking_law import TrackingLaw
-from wtg_gym.ranges import require_range
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable
 
-from wtg_gym.analysis.claim import Claim
-from wtg_gym.analysis.eigenvalues import Mode
-from wtg_gym.analysis.infinite_bus import Agreement
-from wtg_gym.analysis.loops import SingleMachine
 from wtg_gym.files import markdown_table
+from wtg_gym.physics.modes import Mode
+from wtg_gym.reproduce.claim import Claim
+from wtg_gym.reproduce.infinite_bus import Agreement
+from wtg_gym.reproduce.loops import SingleMachine
 
 #: Real eigenvalues below minus this are not listed one by one [1/s].
 _FAST_1_S = 5.0

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wtg_gym.analysis.eigenvalues import linearise, synchronising_coefficients
-from wtg_gym.analysis.loops import Side, SingleMachine, single_machine
 from wtg_gym.physics.machine_parameters import classical_machine
+from wtg_gym.physics.modes import Side, linearise, synchronising_coefficients
 from wtg_gym.physics.network import Branch, Bus, NetworkCase
 from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw
+from wtg_gym.reproduce.loops import SingleMachine, single_machine
 from wtg_gym.scenarios import get_suite
 
 #: So large a machine that nothing moves it [MVA].
