@@ -13,8 +13,8 @@ from PIL import Image
 from tests.pictures import NOT_REPEATED, difference, differences, main
 from wtg_gym.cli import main as wtg_gym
 from wtg_gym.plotting import save_figure
+from wtg_gym.reproduce.figures import plot_bode
 from wtg_gym.reproduce.loops import ideal_source_loop
-from wtg_gym.reproduce.paper_figures import plot_bode
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 DRAWING = "validation/figures/bode-proposed.svg"

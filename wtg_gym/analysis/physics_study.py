@@ -34,7 +34,7 @@ from wtg_gym.physics.plant import PlantSettings, plant_settings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law
 from wtg_gym.reproduce.loops import PAPER_SYNCHRONISING_COEFFICIENT, single_machine
-from wtg_gym.reproduce.power_frequency import critical_frequency_pu
+from wtg_gym.reproduce.steady_states import critical_frequency_pu
 from wtg_gym.scenarios import get_suite
 
 #: The reference first.
