@@ -86,18 +86,24 @@ def margins_table():
 def modes_table():
     """Return the oscillating modes as a table, the others as a list, each with the states that take part most."""
     scenario, plant = get_suite("paper").scenario(0), PlantSettings()
-    by_law = {
-        name: modes(linearise(scenario, name).renamed(plant)) for name in (REFERENCE_STRATEGY, "coordinated-undamped")
-    }
+    by_law = {name: modes(linearise(scenario, name)) for name in (REFERENCE_STRATEGY, "coordinated-undamped")}
+    # Names for people: machines by their bus, WTG groups counted from 1.
+    units = {f"sync{i}": f"bus{machine.bus}" for i, machine in enumerate(plant.case.machines)}
+    units.update({f"wtg{j}": f"wtg{j + 1}" for j in range(len(plant.groups))})
+
+    def named(state):
+        unit, _, rest = state.partition(".")
+        return f"{units.get(unit, unit)}.{rest}"
+
     found = by_law[REFERENCE_STRATEGY]
     rows = []
     for mode in (mode for mode in found if mode.frequency_hz > 0.0):
-        shares = [f"{state} {100 * share:.0f} %" for state, share in mode.participation.items() if share >= 0.05]
+        shares = [f"{named(state)} {100 * share:.0f} %" for state, share in mode.participation.items() if share >= 0.05]
         value = minus(f"{mode.eigenvalue.real:.3f} ± j{mode.eigenvalue.imag:.3f}")
         rows.append((value, f"{mode.frequency_hz:.3f}", f"{mode.damping_ratio:.3f}", ", ".join(shares[:3])))
     header = ("eigenvalue [1/s]", "frequency [Hz]", "damping ratio", "takes part")
     real = [mode for mode in found if mode.frequency_hz == 0.0]
-    texts = [f"{minus(f'{mode.eigenvalue.real:.3f}')} ({next(iter(mode.participation))})" for mode in real]
+    texts = [f"{minus(f'{mode.eigenvalue.real:.3f}')} ({named(next(iter(mode.participation)))})" for mode in real]
     n_slow = sum(mode.eigenvalue.real > SLOW for mode in real)
     undamped = min(
         (mode for mode in by_law["coordinated-undamped"] if mode.frequency_hz > 0.0),

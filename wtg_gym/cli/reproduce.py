@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
     if page is not None:
         suffix = "png" if "png" in arguments.formats else arguments.formats[0]
         where = Path(os.path.relpath((folder / "figures").resolve(), page.resolve().parent)).as_posix()
-        gallery = [f"![{each.text}]({where}/{name}.{suffix})\n\n{each.caption}" for name, each in figures.items()]
+        gallery = [f"![{name}]({where}/{name}.{suffix})\n\n{each.caption}" for name, each in figures.items()]
         output.update_page(page, {"claims": claims_table(claims), "figures": "\n\n".join(gallery)})
     if arguments.json:
         output.print_json(data)

@@ -33,9 +33,8 @@ _AWAY = {"A": (0.0, 6.0), "B": (-12.0, 4.0), "C": (4.0, 3.0), "M": (-2.0, 6.0)}
 
 
 class PaperFigure(NamedTuple):
-    """A figure of the paper; `text` stands for the picture where it cannot be seen, `caption` below it."""
+    """A figure of the paper, and what stands below it."""
 
-    text: str
     caption: str
     draw: Callable[[], Figure]
 
@@ -43,47 +42,39 @@ class PaperFigure(NamedTuple):
 def paper_figures(increase: Mapping[str, Trajectory], decrease: Mapping[str, Trajectory]) -> dict[str, PaperFigure]:
     """Return every figure of the paper by the name of its file; `increase` and `decrease` are the case studies."""
     suite, reference, linear = get_suite("paper"), STRATEGIES[REFERENCE_STRATEGY], STRATEGIES["coordinated-linear"]
-    fixed = {name: STRATEGIES[name] for name in ("mppt", "deloaded-5", "deloaded-10")}
+    fixed = [STRATEGIES[name] for name in ("mppt", "deloaded-5", "deloaded-10")]
     words = ("maximum power point tracking", "5 % of deloading", "10 % of deloading", "the coordinated strategy")
     sides: tuple[Side, ...] = ("under", "over")
-    comparison = {law.name: single_machine(law, 11.4) for law in (*fixed.values(), LINEAR_UNDAMPED)}
+    comparison = {law.name: single_machine(law, 11.4) for law in (*fixed, LINEAR_UNDAMPED)}
     proposed = {law.name: single_machine(law, 11.4) for law in (linear, LINEAR_UNDAMPED)}
     proposed |= {f"{reference.name}, {side}-frequency": single_machine(reference, 11.4, side=side) for side in sides}
-    return {
+    figures = {
         "power-coefficient": PaperFigure(
-            "Power coefficient",
-            "Power coefficient with the deloading points: λ_opt, λ_n (5 %) and λ_pr (10 %).",
-            plot_power_coefficient,
-        ),
-        **{
-            f"characteristic-{law.name}": PaperFigure(
-                "Power-frequency characteristic", f"Characteristic: {text}.", partial(plot_characteristic, law)
-            )
-            for law, text in zip((*fixed.values(), reference), words, strict=True)
-        },
-        "bode-comparison": PaperFigure(
-            "Bode plots",
-            "Open loops at 11.4 m/s, K_p = 1.45: an ideal DC source, the fixed strategies, and the linear law without "
-            "transient damping.",
-            lambda: plot_bode({"ideal-source": ideal_source_loop(), **comparison}),
-        ),
-        "bode-proposed": PaperFigure(
-            "Bode plots",
-            "Open loops of the coordinated strategy: the linear law with transient damping (τ = 0.8 s) and without, "
-            "and both slopes of the piecewise law with it.",
-            lambda: plot_bode(proposed),
-        ),
-        "load-increase": PaperFigure(
-            "Load increase",
-            "Load increase: +75 MW at bus 2 at 5 s and at bus 3 at 30 s; a cross marks a stall.",
-            lambda: plot_case_study(suite.scenario(0), increase),
-        ),
-        "load-decrease": PaperFigure(
-            "Load decrease",
-            "Load decrease: the loads of bus 4 (47.8 MW) at 5 s and bus 9 (29.5 MW) at 30 s are lost.",
-            lambda: plot_case_study(suite.scenario(1), decrease),
-        ),
+            "Power coefficient with the deloading points: λ_opt, λ_n (5 %) and λ_pr (10 %).", plot_power_coefficient
+        )
     }
+    for law, text in zip((*fixed, reference), words, strict=True):
+        draw = partial(plot_characteristic, law)
+        figures[f"characteristic-{law.name}"] = PaperFigure(f"Power-frequency characteristic: {text}.", draw)
+    figures["bode-comparison"] = PaperFigure(
+        "Open loops at 11.4 m/s, K_p = 1.45: an ideal DC source, the fixed strategies, and the linear law without "
+        "transient damping.",
+        partial(plot_bode, {"ideal-source": ideal_source_loop(), **comparison}),
+    )
+    figures["bode-proposed"] = PaperFigure(
+        "Open loops of the coordinated strategy: the linear law with transient damping (τ = 0.8 s) and without, and "
+        "both slopes of the piecewise law with it.",
+        partial(plot_bode, proposed),
+    )
+    figures["load-increase"] = PaperFigure(
+        "Load increase: +75 MW at bus 2 at 5 s and at bus 3 at 30 s; a cross marks a stall.",
+        partial(plot_case_study, suite.scenario(0), increase),
+    )
+    figures["load-decrease"] = PaperFigure(
+        "Load decrease: the loads of bus 4 (47.8 MW) at 5 s and bus 9 (29.5 MW) at 30 s are lost.",
+        partial(plot_case_study, suite.scenario(1), decrease),
+    )
+    return figures
 
 
 @style.printed
