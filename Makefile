@@ -114,6 +114,7 @@ pictures: $(LEADERBOARD_READY) ## Draw every picture of the README and of docs/ 
 .PHONY: docs
 docs: pictures ## Measure everything that docs/ shows again, but for performance and the page, and renew its tables and pictures
 	$(LEADERBOARD_VENV)/bin/wtg-gym environment --page docs/environment.md
+	$(LEADERBOARD_VENV)/bin/python docs/studies/small_signal.py
 	$(LEADERBOARD_VENV)/bin/wtg-gym parameters --page docs/parameters.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym compare tests/golden/*/ --page docs/validation.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym analyse aggregation --page docs/physics.md

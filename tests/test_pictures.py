@@ -11,9 +11,10 @@ import pytest
 from PIL import Image
 
 from tests.pictures import NOT_REPEATED, difference, differences, main
-from wtg_gym.analysis.loops import ideal_source_loop
 from wtg_gym.cli import main as wtg_gym
-from wtg_gym.plotting import plot_bode, save_figure
+from wtg_gym.plotting import save_figure
+from wtg_gym.reproduce.figures import plot_bode
+from wtg_gym.reproduce.loops import ideal_source_loop
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 DRAWING = "validation/figures/bode-proposed.svg"

@@ -14,12 +14,12 @@ import numpy as np
 
 from agents.command import Parser, Progress, add_threads_option, check_page, chosen_entries, run_command, update_page
 from agents.research.probes import CONSTANT, delayed
-from wtg_gym.analysis.steady_states import stable_equilibrium
 from wtg_gym.evaluation import Entry, EntrySummary, evaluate, leaderboard_rows
 from wtg_gym.files import markdown_table
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
+from wtg_gym.reproduce.steady_states import stable_equilibrium
 from wtg_gym.scenarios import SPLITS, get_suite
 
 #: The suites with drawn scenarios.

@@ -1,1 +1,1 @@
-"""Evidence: steady states, small signal, the paper's claims, other simulators' traces, step error, benchmarks."""
+"""Evidence: other simulators' traces, step error, studies of the model, benchmarks."""

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from wtg_gym.analysis.load_models import LOAD_MODELS, LoadRun, run_with_loads
-from wtg_gym.analysis.loops import PAPER_SYNCHRONISING_COEFFICIENT, single_machine
 from wtg_gym.analysis.plant_forms import (
     HONEST,
     HYDRO,
@@ -25,7 +24,6 @@ from wtg_gym.analysis.plant_forms import (
     rotor_energy,
     run_plant,
 )
-from wtg_gym.analysis.power_frequency import critical_frequency_pu
 from wtg_gym.analysis.voltage_limits import REGULATED_PU, VoltageLimit, start_at, voltage_limits
 from wtg_gym.envs.lanes import TERMINATION_REASONS
 from wtg_gym.physics.ieee14 import modified_ieee14
@@ -35,6 +33,8 @@ from wtg_gym.physics.parameters import TurbineParameters, VoltageControlParamete
 from wtg_gym.physics.plant import PlantSettings, plant_settings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law
+from wtg_gym.reproduce.loops import PAPER_SYNCHRONISING_COEFFICIENT, single_machine
+from wtg_gym.reproduce.steady_states import critical_frequency_pu
 from wtg_gym.scenarios import get_suite
 
 #: The reference first.

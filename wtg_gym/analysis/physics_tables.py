@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from wtg_gym.analysis.load_models import LOAD_MODELS, LoadRun
-from wtg_gym.analysis.loops import PAPER_SYNCHRONISING_COEFFICIENT
 from wtg_gym.analysis.physics_study import (
     CHECKED,
     COMPARED,
@@ -23,6 +22,7 @@ from wtg_gym.envs.lanes import TERMINATION_REASONS
 from wtg_gym.files import markdown_table
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
+from wtg_gym.reproduce.loops import PAPER_SYNCHRONISING_COEFFICIENT
 
 #: Largest difference of nadirs that "slightly lower" covers [Hz].
 _SLIGHTLY_HZ = 0.01

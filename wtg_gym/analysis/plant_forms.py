@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wtg_gym.analysis.steady_states import stable_equilibrium
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters
@@ -28,6 +27,7 @@ from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, TrackingLaw, get_law, group_laws
+from wtg_gym.reproduce.steady_states import stable_equilibrium
 
 #: Limits that nothing reaches.
 UNLIMITED = ConverterLimitParameters(

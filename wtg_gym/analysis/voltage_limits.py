@@ -12,15 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
-from wtg_gym.analysis.eigenvalues import slope, synchronising_coefficients
-from wtg_gym.analysis.loops import single_machine, with_moving_voltage
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.layout import Floats
+from wtg_gym.physics.modes import slope, synchronising_coefficients
 from wtg_gym.physics.parameters import TurbineParameters, VoltageControlParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law
+from wtg_gym.reproduce.loops import single_machine, with_moving_voltage
 
 #: Upper end of the voltage that equipment stands continuously [p.u.].
 VOLTAGE_LIMIT_PU = 1.1

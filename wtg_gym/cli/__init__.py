@@ -31,10 +31,8 @@ _COMMANDS = {
     },
     "submission": {"submission": "policies of others: write a template, check a folder, score it in isolation"},
     "suites_command": {"suites": "the suites of scenarios, one scenario, or a check of the hashes"},
-    "analyse": {
-        "analyse": "equilibria, margins and modes of the system, omissions, parameters, the error of the time step"
-    },
-    "reproduce": {"reproduce": "the paper's figures and claims, measured; and studies beyond the paper"},
+    "analyse": {"analyse": "what the model leaves out, what follows its parameters, the error of the time step"},
+    "reproduce": {"reproduce": "the paper's figures and claims, measured"},
     "compare": {"compare": "cases of another simulator against its traces; exit code 1 above a tolerance"},
     "reference": {
         "environment": "actions, observations, rewards and arguments of the environments",
@@ -47,11 +45,6 @@ _COMMANDS = {
 }
 #: Those of `wtg-gym analyse`.
 _ANALYSES = {
-    "statics": {"statics": "equilibria, power-frequency characteristics, critical frequencies of laws"},
-    "small_signal": {
-        "margins": "stability margins of the single-machine loops",
-        "modes": "eigenvalues, damping ratios and participation factors of the whole system",
-    },
     "physics": {"physics": "what the paper's model leaves out, and whether its conclusions survive"},
     "aggregation": {"aggregation": "what it costs to take ten turbines for one"},
     "accuracy": {"accuracy": "error of the integration step against its cost"},
@@ -99,8 +92,8 @@ def _add(commands: Commands, modules: Mapping[str, Mapping[str, str]], words: Se
             own = add_group(
                 commands,
                 "analyse",
-                description="Analyses the system, and measures what its model leaves out, what follows its parameters, "
-                "and the error of the time step.",
+                description="Measures what the model leaves out, what follows its parameters, and the error of the "
+                "time step.",
             )
             _add(own, _ANALYSES, words[1:])
         else:

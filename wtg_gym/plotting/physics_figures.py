@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wtg_gym.analysis.loops import PAPER_SYNCHRONISING_COEFFICIENT, single_machine
 from wtg_gym.analysis.physics_study import COMPARED, SUITES_OF_ALL
 from wtg_gym.analysis.plant_forms import HONEST, PAPER
 from wtg_gym.analysis.voltage_limits import VOLTAGE_LIMIT_PU
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law
 from wtg_gym.plotting import style
 from wtg_gym.plotting.event_marks import mark_end, mark_instants
+from wtg_gym.reproduce.loops import PAPER_SYNCHRONISING_COEFFICIENT, single_machine
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

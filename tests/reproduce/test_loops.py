@@ -10,12 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wtg_gym.analysis.loops import SingleMachine, ideal_source_loop, single_machine
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw
+from wtg_gym.reproduce.loops import LINEAR_UNDAMPED, SingleMachine, ideal_source_loop, single_machine
 
 LINEAR = STRATEGIES["coordinated-linear"]
-UNDAMPED = dataclasses.replace(LINEAR, name="undamped", damping_time_constant_s=0.0)
-LAWS = [*STRATEGIES.values(), UNDAMPED]
 
 
 @pytest.mark.parametrize(
@@ -24,9 +22,9 @@ LAWS = [*STRATEGIES.values(), UNDAMPED]
         (ideal_source_loop(), 48.8),
         (single_machine(STRATEGIES["deloaded-5"], 11.4), 46.7),
         (single_machine(STRATEGIES["deloaded-10"], 11.4), 46.9),
-        (single_machine(UNDAMPED, 11.4), 29.1),
+        (single_machine(LINEAR_UNDAMPED, 11.4), 29.1),
         (single_machine(LINEAR, 11.4), 55.4),
-        (single_machine(UNDAMPED, 8.0), 10.1),
+        (single_machine(LINEAR_UNDAMPED, 8.0), 10.1),
     ],
     ids=["ideal", "deloaded-5", "deloaded-10", "undamped", "damped", "undamped at 8 m/s"],
 )
@@ -40,27 +38,7 @@ def test_piecewise_law_has_two_margins() -> None:
     assert under.phase_margin_deg > over.phase_margin_deg + 5.0
 
 
-@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
-@pytest.mark.parametrize("wind", [5.0, 8.0, 11.4])
-def test_slopes_are_the_derivatives_of_the_equations(law: TrackingLaw, wind: float) -> None:
-    from wtg_gym.physics.aerodynamics import power_coefficient
-    from wtg_gym.physics.parameters import TurbineParameters
-
-    loop, turbine, step = single_machine(law, wind), TurbineParameters(), 1e-4
-    rotor = loop.rotor_speed_pu + np.array([-step, step])
-    captured = (
-        turbine.wind_power_pu_per_cubic_wind
-        * wind**3
-        * power_coefficient(turbine.tip_speed_ratio_per_speed_m_s * rotor / wind)
-    )
-    assert loop.aerodynamic_slope == pytest.approx((captured[1] - captured[0]) / (2 * step), abs=1e-5)
-    tracked = law.k_nominal * rotor**3
-    assert loop.rotor_slope == pytest.approx((tracked[1] - tracked[0]) / (2 * step), rel=1e-6)
-    assert captured.mean() == pytest.approx(loop.power_pu, abs=1e-4)
-    assert loop.frequency_slope <= 0.0
-
-
-@given(st.floats(4.0, 25.0), st.floats(0.2, 5.0), st.floats(0.05, 20.0), st.sampled_from(["under", "over"]))
+@given(st.floats(4.0, 11.0), st.floats(0.2, 5.0), st.floats(0.05, 20.0), st.sampled_from(["under", "over"]))
 def test_margins_agree_with_a_fine_sweep_and_with_the_poles(wind: float, k_p: float, tau: float, side: str) -> None:
     law = dataclasses.replace(STRATEGIES["coordinated-piecewise"], name="x", damping_time_constant_s=tau)
     loop = single_machine(law, wind, k_p, side=side)  # type: ignore[arg-type]
@@ -104,6 +82,8 @@ def test_impossible_questions_are_named() -> None:
         single_machine(LINEAR, 2.0)
     with pytest.raises(ValueError, match=r"side must be 'under' or 'over', got 'left'"):
         single_machine(LINEAR, 8.0, side="left")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"the pitch protection holds the rotor at 13 m/s"):
+        single_machine(LINEAR, 13.0)
     greedy = TrackingLaw(name="greedy", k_min=3.0, k_nominal=3.0, k_max=3.0)
     with pytest.raises(ValueError, match=r"'greedy' has no equilibrium at 8 m/s"):
         single_machine(greedy, 8.0)

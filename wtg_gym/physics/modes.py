@@ -9,10 +9,10 @@ import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
-from wtg_gym.analysis.loops import Side
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.linearisation import moving_states, state_matrix
 from wtg_gym.physics.plant import PlantSettings
@@ -20,6 +20,8 @@ from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import TrackingLaw, group_laws
 
+#: The slope of g(ω) that counts at ω_st: that of under-frequency, or that of over-frequency.
+Side = Literal["under", "over"]
 #: Step of the finite differences [rad, p.u.]; truncation and rounding are both near 1e-9 of a power.
 _STEP = 2e-6
 
@@ -33,19 +35,6 @@ class LinearModel:
     #: States without a part in the dynamics: constants, and those that nothing depends on or nothing else drives.
     left_out: tuple[str, ...]
 
-    def renamed(self, settings: PlantSettings) -> LinearModel:
-        """Return the model with names for people: machines by their bus, WTG groups counted from 1."""
-        names = {f"sync{i}": f"bus{machine.bus}" for i, machine in enumerate(settings.case.machines)}
-        names.update({f"wtg{j}": f"wtg{j + 1}" for j in range(len(settings.groups))})
-
-        def rename(state: str) -> str:
-            unit, _, rest = state.partition(".")
-            return f"{names.get(unit, unit)}.{rest}" if rest else state
-
-        return dataclasses.replace(
-            self, state_names=tuple(map(rename, self.state_names)), left_out=tuple(map(rename, self.left_out))
-        )
-
 
 @dataclass(frozen=True, kw_only=True)
 class Mode:
@@ -54,7 +43,6 @@ class Mode:
     eigenvalue: complex  # with the imaginary part of the pair that is not negative [1/s]
     frequency_hz: float  # of the oscillation, 0 for a real eigenvalue [Hz]
     damping_ratio: float  # ζ = -Re λ/|λ| [-]
-    time_constant_s: float  # 1/|Re λ| [s]
     #: Share of each state in the mode, by name, largest first; the magnitudes sum to 1 [-].
     participation: dict[str, float]
 
@@ -121,7 +109,6 @@ def modes(model: LinearModel) -> tuple[Mode, ...]:
                 eigenvalue=value,
                 frequency_hz=abs(value.imag) / (2.0 * math.pi),
                 damping_ratio=-value.real / abs(value) if value != 0.0 else 0.0,
-                time_constant_s=1.0 / abs(value.real) if value.real != 0.0 else math.inf,
                 participation={model.state_names[k]: float(share[k]) for k in order},
             )
         )
