@@ -28,16 +28,12 @@ COMMANDS = (
     "suites",
     "analyse",
     "reproduce",
-    "compare",
-    "environment",
-    "parameters",
-    "bench",
     "warmup",
 )
 OWN = {
     "results": ("page", "recompute", "gap", "matrix", "front", "sensitivity"),
     "submission": ("new", "check", "score"),
-    "analyse": ("statics", "margins", "modes", "physics", "aggregation", "accuracy", "influence", "estimate"),
+    "analyse": ("statics", "margins", "modes"),
 }
 _QUICK = ("--duration", "6")
 
@@ -123,7 +119,7 @@ def test_help_is_there_before_the_simulator() -> None:
     """And any other command needs its own packages alone: importing all of them takes a second or two."""
     code = "import sys, wtg_gym.cli as cli\nfor name in ('', 'analyse'): cli.build_parser([name]).format_help()\n"
     code += "print({'numba', 'scipy'} & set(sys.modules))\n"
-    code += "cli.build_parser(['analyse', 'modes'])\nprint('wtg_gym.cli.accuracy' in sys.modules)"
+    code += "cli.build_parser(['analyse', 'modes'])\nprint('wtg_gym.cli.statics' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, timeout=100)
     assert done.stdout == "set()\nFalse\n", done.stderr
 

@@ -31,18 +31,8 @@ _COMMANDS = {
     },
     "submission": {"submission": "policies of others: write a template, check a folder, score it in isolation"},
     "suites_command": {"suites": "the suites of scenarios, one scenario, or a check of the hashes"},
-    "analyse": {
-        "analyse": "equilibria, margins and modes of the system, omissions, parameters, the error of the time step"
-    },
+    "analyse": {"analyse": "equilibria, margins and modes of the system"},
     "reproduce": {"reproduce": "the paper's figures and claims, measured; and studies beyond the paper"},
-    "compare": {"compare": "cases of another simulator against its traces; exit code 1 above a tolerance"},
-    "reference": {
-        "environment": "actions, observations, rewards and arguments of the environments",
-        "parameters": "every number of the model with its unit and source",
-    },
-    "bench": {
-        "bench": "speed against other environments, training throughput, growth with size, share of the machine's peak"
-    },
     "warmup": {"warmup": "compile the simulator before its first use"},
 }
 #: Those of `wtg-gym analyse`.
@@ -52,11 +42,6 @@ _ANALYSES = {
         "margins": "stability margins of the single-machine loops",
         "modes": "eigenvalues, damping ratios and participation factors of the whole system",
     },
-    "physics": {"physics": "what the paper's model leaves out, and whether its conclusions survive"},
-    "aggregation": {"aggregation": "what it costs to take ten turbines for one"},
-    "accuracy": {"accuracy": "error of the integration step against its cost"},
-    "influence": {"influence": "what every parameter does to nadir, RoCoF and rotor speed, by gradients"},
-    "estimation": {"estimate": "inertia and droop from a record of the frequency, with confidence intervals"},
 }
 
 _DESCRIPTION = """\
@@ -99,8 +84,7 @@ def _add(commands: Commands, modules: Mapping[str, Mapping[str, str]], words: Se
             own = add_group(
                 commands,
                 "analyse",
-                description="Analyses the system, and measures what its model leaves out, what follows its parameters, "
-                "and the error of the time step.",
+                description="Analyses the system: where it is at rest, and how stable it is there.",
             )
             _add(own, _ANALYSES, words[1:])
         else:

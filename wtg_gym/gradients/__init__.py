@@ -7,8 +7,6 @@
     plant_parameters  which parameters a plant has, and what constants they move
     adjoint           back through one control step
     tape              episodes that can be differentiated: the interface for NumPy
-    jacobian          the derivative of every output at every step with respect to every parameter
-    estimator         parameters found in a record of the frequency
     torch             what tape does, for PyTorch; not imported here
 
 Only `torch` needs more than the core.

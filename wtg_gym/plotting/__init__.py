@@ -8,11 +8,8 @@ from wtg_gym.plotting.animation import animate_trajectories
 from wtg_gym.plotting.characteristics import plot_characteristic
 from wtg_gym.plotting.eigenvalue_plane import plot_modes
 from wtg_gym.plotting.front import plot_front
-from wtg_gym.plotting.influence_bars import plot_influences
 from wtg_gym.plotting.learning import LearningCurve, plot_learning_curves
-from wtg_gym.plotting.measurements import plot_accuracy, plot_growth
 from wtg_gym.plotting.paper_figures import plot_bode, plot_case_study, plot_power_coefficient
-from wtg_gym.plotting.physics_figures import plot_plant_parts, plot_plant_runs, plot_stiffness
 from wtg_gym.plotting.policy_runs import plot_costs, plot_runs
 from wtg_gym.plotting.responses import plot_responses
 from wtg_gym.plotting.side_by_side import plot_one_event
@@ -25,7 +22,6 @@ __all__ = [
     "LearningCurve",
     "animate_trajectories",
     "figure_bytes",
-    "plot_accuracy",
     "plot_bode",
     "plot_case_study",
     "plot_characteristic",
@@ -33,19 +29,14 @@ __all__ = [
     "plot_damping",
     "plot_equilibria",
     "plot_front",
-    "plot_growth",
-    "plot_influences",
     "plot_learning_curves",
     "plot_machine_models",
     "plot_margins",
     "plot_modes",
     "plot_one_event",
-    "plot_plant_parts",
-    "plot_plant_runs",
     "plot_power_coefficient",
     "plot_responses",
     "plot_runs",
-    "plot_stiffness",
     "plot_trajectories",
     "save_figure",
     "strategy_looks",
