@@ -237,7 +237,7 @@ def rotor_energy(increase):
         excess.append(100.0 * (2.0 * (before - after) / (before**2 - after**2) - 1.0))
     return (
         f"From nominal frequency to where the load increase settles the paper's rotor releases "
-        f"{'/'.join(f'{value:+.0f}' for value in excess)} % more at {'/'.join(f'{wind:g}' for wind in winds)} m/s."
+        f"{'/'.join(f'{value:+.0f}' for value in excess).replace('-', '−')} % more at {'/'.join(f'{wind:g}' for wind in winds)} m/s."
     )
 
 
