@@ -235,9 +235,10 @@ def rotor_energy(increase):
         law = get_law(REFERENCE_STRATEGY)
         before, after = (stable_equilibrium(pu, law, wind).rotor_speed_pu for pu in (1.0, settled_pu))
         excess.append(100.0 * (2.0 * (before - after) / (before**2 - after**2) - 1.0))
+    shares = "/".join(f"{value:+.0f}" for value in excess).replace("-", "−")
     return (
-        f"From nominal frequency to where the load increase settles the paper's rotor releases "
-        f"{'/'.join(f'{value:+.0f}' for value in excess).replace('-', '−')} % more at {'/'.join(f'{wind:g}' for wind in winds)} m/s."
+        f"From nominal frequency to where the load increase settles the paper's rotor releases {shares} % more at "
+        f"{'/'.join(f'{wind:g}' for wind in winds)} m/s."
     )
 
 
