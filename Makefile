@@ -94,33 +94,29 @@ live-picture: $(TEST_READY) ## Take the picture of the page of play that docs/ho
 	PIP_CONSTRAINT=constraints.txt $(TEST_VENV)/bin/python -m pip install --quiet --editable '.[browser]'
 	$(TEST_VENV)/bin/python docs/images/live.py docs/images/live-play.png
 
-# Which folder `make pictures` renews; `make docs-check` lets it renew a copy.
+# Which folder `make pictures` and `make studies` renew; `make docs-check` lets them renew a copy.
 DOCS := docs
+# A study each; performance.py has a target of its own, for it needs a machine that does nothing else.
+STUDIES := $(filter-out docs/studies/output.py docs/studies/performance.py,$(sort $(wildcard docs/studies/*.py)))
+
+.PHONY: studies
+studies: $(LEADERBOARD_READY) ## Run the studies of docs/studies and renew their tables and pictures (half an hour)
+	for study in $(STUDIES); do $(LEADERBOARD_VENV)/bin/python $$study --output $(DOCS) || exit; done
 
 .PHONY: pictures
-pictures: $(LEADERBOARD_READY) ## Draw every picture of the README and of docs/ that is not a measurement of time, and renew the tables beside them
+pictures: $(LEADERBOARD_READY) studies ## Draw every picture of the README and of docs/ that is not a measurement of time, and renew the tables beside them
 	$(LEADERBOARD_VENV)/bin/wtg-gym simulate --case load-increase --strategy mppt --strategy deloaded-5 --strategy deloaded-10 --strategy coordinated-piecewise --plot $(DOCS)/images/load-increase.png
 	$(LEADERBOARD_VENV)/bin/wtg-gym simulate --case load-increase --strategy mppt --strategy coordinated-piecewise --duration 60 --plot $(DOCS)/images/episode.gif
 	$(LEADERBOARD_VENV)/bin/python docs/images/rooms.py $(DOCS)/images/rooms.svg
 	$(LEADERBOARD_VENV)/bin/python docs/images/render.py $(DOCS)/images/render.png $(DOCS)/images/render-v1.png
 	$(LEADERBOARD_VENV)/bin/python -m agents.research.one_event --suite standard-v1 --seed 20000 --entries coordinated-piecewise coordinated-tuned gradient-v1-0 --planner measured --output $(DOCS)/images/one-event.svg
 	$(LEADERBOARD_VENV)/bin/wtg-gym reproduce --output $(DOCS)/validation --formats svg --page $(DOCS)/validation.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym analyse physics --output $(DOCS)/physics --formats svg --page $(DOCS)/physics.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym analyse influence --suite standard --seed 10000-10019 --rows 12 --plot $(DOCS)/images/influence.svg --page $(DOCS)/gradients.md
 	$(LEADERBOARD_VENV)/bin/python -m agents.research.behaviour --suite standard --entries policies --output $(DOCS)/agents --page $(DOCS)/agents.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym evaluate --suite standard-v1 --entries baselines policies --results results
 	$(LEADERBOARD_VENV)/bin/wtg-gym results front results/standard-v1-validation.json --plot $(DOCS)/images/front-v1.svg
 
 .PHONY: docs
 docs: pictures ## Measure everything that docs/ shows again, but for performance and the page, and renew its tables and pictures
-	$(LEADERBOARD_VENV)/bin/wtg-gym environment --page docs/environment.md
-	$(LEADERBOARD_VENV)/bin/python docs/studies/small_signal.py
-	$(LEADERBOARD_VENV)/bin/wtg-gym parameters --page docs/parameters.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym compare tests/golden/*/ --page docs/validation.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym analyse aggregation --page docs/physics.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym analyse accuracy --output docs/validation --formats svg --page docs/validation.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym analyse estimate --page docs/gradients.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym analyse estimate --recorded tests/golden/grid-forming/params.json tests/golden/grid-forming/a.csv --page docs/gradients.md
 	$(LEADERBOARD_VENV)/bin/python -m agents.research.law_gradient --suite standard --page docs/gradients.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym results sensitivity --suite standard --entries baselines policies agents.research.probes:CHATTER agents.research.probes:PUSH --page docs/benchmark.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym results sensitivity --suite standard-v1 --entries baselines policies agents.research.probes:CHATTER_V1 agents.research.probes:PUSH_V1 agents.research.probes:STOPWATCH_V1 --page docs/benchmark.md
@@ -154,17 +150,12 @@ docs-check: $(LEADERBOARD_READY) ## Draw the pictures into a copy of docs/ and n
 	$(LEADERBOARD_VENV)/bin/python -m tests.pictures docs build/docs
 
 .PHONY: performance
-performance: $(TEST_READY) $(GOLDEN_READY) ## Measure speed, growth and arithmetic again; on a machine that does nothing else (half an hour)
-	PIP_CONSTRAINT=constraints.txt $(TEST_VENV)/bin/python -m pip install --quiet diffpssi
-	$(TEST_VENV)/bin/wtg-gym bench --only environments physics gradients rendering training peers --page docs/performance.md
-	$(GOLDEN_VENV)/bin/python tests/golden/time_andes_env.py --page docs/performance.md
-	$(TEST_VENV)/bin/python tests/gradients/time_diffpssi.py --page docs/performance.md
-	$(TEST_VENV)/bin/wtg-gym bench --only growth roofline --full --output docs/performance --formats svg --page docs/performance.md
+performance: $(TEST_READY) ## Measure speed again; on a machine that does nothing else (ten minutes)
+	$(TEST_VENV)/bin/python docs/studies/performance.py --output $(DOCS)
 
 .PHONY: golden
 golden: $(GOLDEN_READY) ## Make the golden cases of ANDES again, in an environment of its own (half an hour)
 	$(GOLDEN_VENV)/bin/python tests/golden/make_andes_cases.py
-	$(GOLDEN_VENV)/bin/python -m tests.golden.measure_andes_only --page docs/validation.md
 
 .PHONY: rllib
 rllib: $(RLLIB_READY) ## Train with RLlib for a minute, in an environment of its own, and export the policy; runs/make-rllib is written anew

@@ -16,10 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-#: Pictures that no second run repeats: two show the time that this machine took, the others are a browser's.
+#: Pictures that no second run repeats: a browser's.
 NOT_REPEATED = (
-    "performance/growth.svg",
-    "validation/accuracy.svg",
     "images/leaderboard-page.png",
     "images/live-play.png",
 )

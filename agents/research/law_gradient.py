@@ -23,7 +23,6 @@ from agents.command import (
     update_page,
 )
 from agents.research.rollouts import Rollouts
-from wtg_gym.analysis.influence_study import LAW_NAMES, MEASURES, measure_influences
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation.score import COST_OFFSET, log_gains, mean_score, score_scale
@@ -42,8 +41,6 @@ _LEAST_COEFFICIENT, _LEAST_TAU_S = 0.05, 0.1
 _SCALE = np.array([1.0, 1.0, 1.0, 5.0])
 #: Distance of the two runs that tell what k_nominal does [p.u.].
 _H = 1e-4
-#: Validation scenarios of which the effects of parameters are means.
-_N_INFLUENCES = 20
 
 _DESCRIPTION = """\
 Tunes k_min, k_nominal, k_max and τ of the paper's law by Adam on the gradients of wtg_gym.gradients: the mean of
@@ -174,7 +171,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--validation", type=int, default=100, metavar="N", help="validation scenarios (default: 100)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the training scenarios (default: 0)")
     add_threads_option(parser)
-    parser.add_argument("--page", metavar="FILE", help="Markdown file with markers 'law' to put the tables between")
+    parser.add_argument("--page", metavar="FILE", help="Markdown file with markers 'law' to put the table between")
 
     def work() -> None:
         given = parser.parse_args(argv)
@@ -198,15 +195,11 @@ def main(argv: Sequence[str] | None = None) -> int:
                 )
         paper = (get_law("coordinated-piecewise"),) * len(found[False].laws)
         rows = _rows(given.suite, paper, found, given.validation, given.threads)
-        effects = _effects(given.suite, {"paper": paper, "tuned": found[False].laws}, given.validation, given.threads)
         if page is not None:
-            tables = (markdown_table(*rows, right=range(1, 8)), markdown_table(*effects, right=range(1, 7)))
-            update_page(page, {"law": "\n\n".join(tables)})
+            update_page(page, {"law": markdown_table(*rows, right=range(1, 8))})
             return
         say(f"{given.batches} batches of {given.scenarios} training scenarios of {given.suite}, seed {given.seed}", "")
         print_table(*rows)
-        say("", "one per cent more, means over validation scenarios:")
-        print_table(*effects)
 
     return run_command(work)
 
@@ -233,25 +226,6 @@ def _rows(suite: str, paper: Laws, found: dict[bool, Tuned], n_validation: int, 
 def _each(laws: Laws, key: str) -> str:
     values = [f"{getattr(law, key):.3f}" for law in laws]
     return values[0] if len(set(values)) == 1 else " / ".join(values)
-
-
-def _effects(suite: str, laws: dict[str, Laws], n_validation: int, n_threads: int | None) -> Table:
-    """Return what one per cent more of each parameter does to nadir and rotor speed under each of some laws."""
-    own = get_suite(suite)
-    measures = [name for name in MEASURES if name != "rocof"]
-    columns: list[list[str]] = []
-    heads = ["1 % more of"]
-    for label, groups in laws.items():
-        settings = EnvSettings(suite=suite, strategy=groups)
-        lanes = TaskLanes(settings, 1, n_threads)
-        seeds = list(own.validation[: min(n_validation, _N_INFLUENCES)])
-        found = measure_influences(settings, lanes.scenarios(seeds), n_threads=n_threads)
-        means = found.effects.mean(axis=0)
-        for name in measures:
-            heads.append(f"{name.replace('_', ' ')} [{MEASURES[name][0]}], {label}")
-            place = list(MEASURES).index(name)
-            columns.append([f"{means[found.parameters.index(own), place]:+.3g}" for own in LAW_NAMES])
-    return tuple(heads), [tuple(row) for row in zip(LAW_NAMES, *columns, strict=True)]
 
 
 if __name__ == "__main__":

@@ -88,9 +88,6 @@ def test_command_line_takes_the_names_that_the_environment_takes(
         ["results", "sensitivity", "--suite"],
         ["results", "matrix", "--perturb"],
         ["results", "matrix", "--suites"],
-        ["analyse", "accuracy", "--suite"],
-        ["analyse", "aggregation", "--suite"],
-        ["analyse", "influence", "--suite"],
     ],
     ids=" ".join,
 )

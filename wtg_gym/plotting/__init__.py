@@ -6,10 +6,7 @@ returns a matplotlib figure, built without pyplot; :func:`figure_bytes` turns on
 
 from wtg_gym.plotting.animation import animate_trajectories
 from wtg_gym.plotting.front import plot_front
-from wtg_gym.plotting.influence_bars import plot_influences
 from wtg_gym.plotting.learning import LearningCurve, plot_learning_curves
-from wtg_gym.plotting.measurements import plot_accuracy, plot_growth
-from wtg_gym.plotting.physics_figures import plot_plant_parts, plot_plant_runs, plot_stiffness
 from wtg_gym.plotting.policy_runs import plot_costs, plot_runs
 from wtg_gym.plotting.responses import plot_responses
 from wtg_gym.plotting.side_by_side import plot_one_event
@@ -21,18 +18,12 @@ __all__ = [
     "LearningCurve",
     "animate_trajectories",
     "figure_bytes",
-    "plot_accuracy",
     "plot_costs",
     "plot_front",
-    "plot_growth",
-    "plot_influences",
     "plot_learning_curves",
     "plot_one_event",
-    "plot_plant_parts",
-    "plot_plant_runs",
     "plot_responses",
     "plot_runs",
-    "plot_stiffness",
     "plot_trajectories",
     "save_figure",
     "strategy_looks",

@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.analysis.independent import Independent
-from tests.golden_cases import GOLDEN
-from wtg_gym.analysis.case_file import read_parameters
-from wtg_gym.analysis.replay import replay
+from tests.golden.case import GOLDEN, read_case
+from tests.golden.independent import Independent
+from tests.golden.replay import replay
 from wtg_gym.physics.parameters import ProtectionParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Event, GovernorLoss, LineTrip, LoadStep, MachineOutage, Scenario
@@ -65,7 +64,7 @@ def test_replay_agrees_with_a_second_implementation(
     expected = Independent(data).run(EVENTS, times)
     # The limits must bind, or the case shows nothing.
     assert expected.pop("switches")[0] >= switches
-    parameters = read_parameters(path)
+    parameters = read_case(path)
     found = replay(parameters, parameters.events["a"], times, 0.0025)
     for name, values in expected.items():
         tolerance = {"w": 1e-8, "V": 2e-8, "P": 2e-6}[name[0]]
@@ -79,7 +78,7 @@ def test_outages_and_a_line_that_closes_again_agree_with_a_second_implementation
     data["events"] = {"a": EVENTS[:1]}
     path = tmp_path / "params.json"
     path.write_text(json.dumps(data))
-    network = read_parameters(path).network
+    network = read_case(path).network
     written = [
         {"t": 0.5, "opens": (2, 4)},
         {"t": 1.25, "closes": (2, 4)},

@@ -1,1 +1,0 @@
-"""Evidence: other simulators' traces, step error, studies of the model, benchmarks."""
