@@ -68,7 +68,7 @@ def test_page_gets_the_table_between_its_markers(capsys: pytest.CaptureFixture[s
         (("--weights", "cap"), "invalid choice: 'cap'"),
         (("--factors", "1"), "other than 1, which changes nothing"),
         (("--factors", "-2"), "outside the allowed range 0 … 1000"),
-        (("--scenarios", "0"), "scenarios = 0 is outside the allowed range 1 … 100"),
+        (("--scenarios", "0"), "scenarios = 0 is outside the allowed range 1 … 200"),
         (("--split", "train"), "too many to play them all"),
         (("--page", "missing.md"), "cannot read the file with the markers missing.md"),
     ],
