@@ -168,7 +168,7 @@ def test_archive_is_not_opened_without_the_flag(archive: bytes, tmp_path: Path) 
     trap = tmp_path / "trap"
     entry = folder(tmp_path / "entry", changed(archive, "lr_schedule", Creates(trap)))
     (entry / "vecnormalize.pkl").write_bytes(pickle.dumps(Creates(trap)))
-    commands = (["evaluate"], ["leaderboard"], ["results", "sensitivity"])
+    commands = (["evaluate"], ["leaderboard"])
     scoring = [[*command, "--entries", str(entry)] for command in commands]
     submission = [["submission", command, str(entry)] for command in ("check", "score")]
     call = [sys.executable, "-c", _WATCHED, json.dumps([*scoring, *submission])]
@@ -190,9 +190,7 @@ def test_flag_means_what_it_says(archive: bytes, tmp_path: Path, capsys: pytest.
     assert trap.is_dir()
 
 
-@pytest.mark.parametrize(
-    "command", ["leaderboard", "results sensitivity", "results recompute a.json", "results page a.json --output a.html"]
-)
+@pytest.mark.parametrize("command", ["leaderboard", "results recompute a.json", "results page a.json --output a.html"])
 def test_no_other_command_has_the_flag(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert "unrecognized arguments: --trust-pickle" in error_of(capsys, *command.split(), "--trust-pickle")
 

@@ -35,7 +35,7 @@ COMMANDS = (
     "warmup",
 )
 OWN = {
-    "results": ("page", "recompute", "gap", "matrix", "front", "sensitivity"),
+    "results": ("page", "recompute", "gap", "matrix", "front"),
     "submission": ("new", "check", "score"),
     "analyse": ("statics", "margins", "modes", "physics", "aggregation", "accuracy", "influence", "estimate"),
 }

@@ -25,7 +25,6 @@ with its bus. law.k_min … law.tau_s are those of all groups in common; law.k_n
 effect is the difference of two runs. At a corner of a limit effects are those on one side. With several seeds they are
 means, and lines in the figure go from the least to the largest.
 
-How the ranking of entries follows the weights of the cost is another question: wtg-gym results sensitivity.
 The gradient is compiled once (half a minute)."""
 
 _EXAMPLES = """\
