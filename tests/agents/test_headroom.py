@@ -11,10 +11,12 @@ import pytest
 
 pytest.importorskip("cma")
 
-from agents.research import foresight, simple_policies
-from agents.research import linear as linear_command
-from agents.research.evolution import N_KNOTS, POPULATION, _Strategy, search_with_foresight
-from agents.research.rollouts import Rollouts, course, linear_feedback
+import foresight
+import linear as linear_command
+import simple_policies
+from evolution import N_KNOTS, POPULATION, _Strategy, search_with_foresight
+from rollouts import Rollouts, course, linear_feedback
+
 from tests.interruption import interrupted
 from wtg_gym.envs.observation import N_LOCAL
 from wtg_gym.evaluation import Entry, OnnxPolicy, evaluate, load_entries

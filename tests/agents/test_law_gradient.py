@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
+from law_gradient import LawLoss, held, main, scores, tune
 
-from agents.research.law_gradient import LawLoss, held, main, scores, tune
 from wtg_gym.evaluation import evaluate
 from wtg_gym.physics.tracking_law import TrackingLaw, get_law
 from wtg_gym.scenarios import get_suite

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import planner
 import pytest
+from planner import Planning, WindObserver, results_with_planners
 
-from agents.research import planner
-from agents.research.planner import Planning, WindObserver, results_with_planners
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Results

@@ -12,11 +12,12 @@ from hypothesis import strategies as st
 
 pytest.importorskip("cma")
 
-from agents.research.conditions import DROOPS_HZ, LAWS, gathered, judged, table
-from agents.research.conditions import main as conditions
-from agents.research.linear import linear_policy
-from agents.research.rollouts import HISTORY_COLUMNS, Rollouts, history_feedback
-from agents.research.tuned_law import law_of, tune_law
+from conditions import DROOPS_HZ, LAWS, gathered, judged, table
+from conditions import main as conditions
+from linear import linear_policy
+from rollouts import HISTORY_COLUMNS, Rollouts, history_feedback
+from tuned_law import law_of, tune_law
+
 from wtg_gym.evaluation import Entry, OnnxPolicy, evaluate
 from wtg_gym.physics.tracking_law import LARGEST_COEFFICIENT, coordinated_piecewise, coordinated_tuned
 from wtg_gym.scenarios import get_suite
@@ -69,7 +70,7 @@ def test_a_feedback_with_history_is_the_same_in_the_search_and_as_a_file(tmp_pat
 
 def test_conditions_say_what_was_not_measured_and_judge_what_was(monkeypatch: pytest.MonkeyPatch) -> None:
     # One droop on each law: none of these conditions is about them.
-    monkeypatch.setattr("agents.research.conditions.DROOPS_HZ", DROOPS_HZ[:1])
+    monkeypatch.setattr("conditions.DROOPS_HZ", DROOPS_HZ[:1])
     evidence = gathered(SUITE, feedbacks=[], agents=[], oracle=None, planners=None, n_simple=0)
     found = {condition.letter: condition for condition in judged(evidence)}
     assert list(found) == list("abcdefgh")

@@ -12,7 +12,6 @@ from wtg_gym.plotting.influence_bars import plot_influences
 from wtg_gym.plotting.measurements import plot_accuracy, plot_growth
 from wtg_gym.plotting.paper_figures import plot_bode, plot_case_study, plot_power_coefficient
 from wtg_gym.plotting.physics_figures import plot_plant_parts, plot_plant_runs, plot_stiffness
-from wtg_gym.plotting.side_by_side import plot_one_event
 from wtg_gym.plotting.study_figures import plot_damping, plot_equilibria, plot_machine_models, plot_margins
 from wtg_gym.plotting.style import STRATEGY_LOOKS, figure_bytes, save_figure, strategy_looks
 from wtg_gym.plotting.trajectories import plot_trajectories
@@ -33,7 +32,6 @@ __all__ = [
     "plot_machine_models",
     "plot_margins",
     "plot_modes",
-    "plot_one_event",
     "plot_plant_parts",
     "plot_plant_runs",
     "plot_power_coefficient",

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from rollouts import between, positions
 
 from agents.command import (
     Parser,
@@ -32,7 +33,6 @@ from agents.command import (
     suite_name,
     update_page,
 )
-from agents.research.rollouts import between, positions
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.observation import N_LOCAL, N_MEASURED
 from wtg_gym.envs.settings import EnvSettings
@@ -60,8 +60,8 @@ worth, and how far learning could get: a bound of neither. Written are results a
 take about a quarter of an hour on two processors."""
 _EXAMPLES = """\
 examples:
-  python -m agents.research.planner --scenarios 24 --output results/planners
-  python -m agents.research.planner --knowledge measured --entries fast-droop --output results/planners"""
+  python docs/studies/planner.py --scenarios 24 --output results/planners
+  python docs/studies/planner.py --knowledge measured --entries fast-droop --output results/planners"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -330,12 +330,12 @@ class _NoPolicy:
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[Any, Any]:
-        raise TypeError("a planner is played by agents.research.planner")
+        raise TypeError("a planner is played by docs/studies/planner.py")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    parser = Parser(prog="python -m agents.research.planner", description=_DESCRIPTION, epilog=_EXAMPLES)
+    parser = Parser(prog="python docs/studies/planner.py", description=_DESCRIPTION, epilog=_EXAMPLES)
     parser.add_argument(
         "--suite", type=suite_name, default="standard-v1", metavar="NAME", help="of version v1 (default: standard-v1)"
     )

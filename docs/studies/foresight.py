@@ -1,4 +1,4 @@
-"""`python -m agents.research.foresight`: the oracle of a suite, every scenario searched on its own with foresight."""
+"""`python docs/studies/foresight.py`: the oracle of a suite, every scenario searched on its own with foresight."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import cma
+import evolution
 import numpy as np
+import rollouts
+from evolution import N_KNOTS, POPULATION, Search, add_search_options, search_of, search_with_foresight
+from rollouts import difference_percent
 
 from agents.command import Parser, Progress, check_output_folder, note, print_table, run_command, say
-from agents.research import evolution, rollouts
-from agents.research.evolution import N_KNOTS, POPULATION, Search, add_search_options, search_of, search_with_foresight
-from agents.research.rollouts import difference_percent
 from wtg_gym.envs.observation import N_LOCAL, N_MEASURED
 from wtg_gym.envs.settings import ACTION_MODES
 from wtg_gym.evaluation import Entry, evaluate, load_entries
@@ -39,13 +40,13 @@ on the same machine writes the same files as without one. A command with more sc
 that are missing. A change of the physics, the cost or the search makes the parts stale."""
 _EXAMPLES = """\
 examples:
-  python -m agents.research.foresight --split validation --scenarios 24 --output results
-  python -m agents.research.foresight --gains agents/research/linear_feedback_gains.json \\
+  python docs/studies/foresight.py --split validation --scenarios 24 --output results
+  python docs/studies/foresight.py --gains docs/studies/linear_feedback_gains.json \\
       --entries policies --output wtg_gym/evaluation/oracle_costs"""
 
 
 def read_gains(path: Path, action_mode: str, suite: str) -> list[list[float]]:
-    """Return the gains (n_action, n_local + 1) in a file that :mod:`agents.research.linear` wrote.
+    """Return the gains (n_action, n_local + 1) in a file that :mod:`linear` wrote.
 
     Raises:
         ValueError: the file cannot be read, or its gains are not those of this action mode and suite.
@@ -56,7 +57,7 @@ def read_gains(path: Path, action_mode: str, suite: str) -> list[list[float]]:
     try:
         mode, gains = data["action_mode"], np.array(data["gains"], dtype=np.float64)
     except (TypeError, KeyError, ValueError) as error:
-        raise ValueError(f"{path} must hold action_mode and gains, as agents.research.linear writes them") from error
+        raise ValueError(f"{path} must hold action_mode and gains, as docs/studies/linear.py writes them") from error
     if mode != action_mode or gains.shape != shape or not np.isfinite(gains).all():
         raise ValueError(
             f"{path} must hold finite gains of shape {shape} for the action mode {action_mode!r}, "
@@ -208,11 +209,11 @@ def _print(costs: OracleCosts) -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    parser = Parser(prog="python -m agents.research.foresight", description=_DESCRIPTION, epilog=_EXAMPLES)
+    parser = Parser(prog="python docs/studies/foresight.py", description=_DESCRIPTION, epilog=_EXAMPLES)
     parser.add_argument("--output", required=True, metavar="FOLDER", help="folder of the result; made if missing")
     parser.add_argument("--split", choices=("validation", "test"), default="test", help="(default: test)")
     parser.add_argument("--scenarios", type=int, metavar="N", help="the first N of the split (default: all)")
-    parser.add_argument("--gains", metavar="FILE", help="a file of agents.research.linear: search on top of it as well")
+    parser.add_argument("--gains", metavar="FILE", help="a file of docs/studies/linear.py: search on top of it as well")
     parser.add_argument(
         "--entries", nargs="+", default=[], metavar="SPEC", help="policies that the oracle must not be worse than"
     )

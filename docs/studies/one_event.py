@@ -1,4 +1,4 @@
-"""`python -m agents.research.one_event`: entries and a planner side by side in one scenario, as a figure."""
+"""`python docs/studies/one_event.py`: entries and a planner side by side in one scenario, as a figure."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from planner import KNOWLEDGE, Planning, plan
 
 from agents.command import (
     FIGURE_FORMATS,
@@ -21,7 +22,6 @@ from agents.command import (
     run_command,
     suite_name,
 )
-from agents.research.planner import KNOWLEDGE, Planning, plan
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation.recording import Recording, record, recorded
@@ -32,8 +32,8 @@ Plays one scenario of version v1 with each entry and with a planner, and draws t
 and the slowest rotor of any group over time, beside the limits at which a run fails."""
 _EXAMPLES = """\
 examples:
-  python -m agents.research.one_event --entries coordinated-piecewise coordinated-tuned --output event.svg
-  python -m agents.research.one_event --suite gusty-v1 --seed 20003 --entries fast-droop --output event.png"""
+  python docs/studies/one_event.py --entries coordinated-piecewise coordinated-tuned --output event.svg
+  python docs/studies/one_event.py --suite gusty-v1 --seed 20003 --entries fast-droop --output event.png"""
 
 
 def side_by_side(specs: Sequence[str], settings: EnvSettings, seed: int, knowledge: str | None) -> dict[str, Recording]:
@@ -54,7 +54,7 @@ def side_by_side(specs: Sequence[str], settings: EnvSettings, seed: int, knowled
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    parser = Parser(prog="python -m agents.research.one_event", description=_DESCRIPTION, epilog=_EXAMPLES)
+    parser = Parser(prog="python docs/studies/one_event.py", description=_DESCRIPTION, epilog=_EXAMPLES)
     parser.add_argument("--entries", nargs="+", required=True, metavar="ENTRY", help="as for wtg-gym evaluate")
     parser.add_argument("--planner", choices=KNOWLEDGE, help="a planner besides, which knows the wind so")
     parser.add_argument(
@@ -66,13 +66,15 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     def work() -> None:
         given = parser.parse_args(argv)
-        require_extra("matplotlib", "python -m agents.research.one_event")
+        require_extra("matplotlib", "python docs/studies/one_event.py")
         output = check_output_file("--output", given.output, tuple(f".{suffix}" for suffix in FIGURE_FORMATS))
         settings = EnvSettings(suite=given.suite, split=given.split)
         runs = side_by_side(given.entries, settings, given.seed, given.planner)
         (scenario,) = get_suite(given.suite).scenarios([given.seed])
         plant = settings.plant()
-        from wtg_gym.plotting import plot_one_event, save_figure
+        from side_by_side import plot_one_event
+
+        from wtg_gym.plotting import save_figure
 
         save_figure(plot_one_event(scenario, runs, plant), Path(output).with_suffix(""), [output.suffix[1:]])
         note(f"wrote {output}")

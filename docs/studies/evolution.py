@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import cma
 import numpy as np
+from rollouts import HISTORY_COLUMNS, Rollouts, both, course, history_feedback, linear_feedback
 
 from agents.command import add_strategy_option, add_threads_option, suite_name
-from agents.research.rollouts import HISTORY_COLUMNS, Rollouts, both, course, history_feedback, linear_feedback
 from wtg_gym.envs.settings import ACTION_MODES
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY

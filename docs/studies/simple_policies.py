@@ -1,4 +1,4 @@
-"""`python -m agents.research.simple_policies`: constant actions, and actions that jump with one observation's sign."""
+"""`python docs/studies/simple_policies.py`: constant actions, and actions that jump with one observation's sign."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from contextlib import closing
 from typing import NamedTuple
 
 import numpy as np
+from rollouts import Candidates, Rollouts, difference_percent
 
 from agents.command import Parser, Progress, add_threads_option, print_table, run_command, say, suite_name
-from agents.research.rollouts import Candidates, Rollouts, difference_percent
 from wtg_gym.evaluation.score import COST_OFFSET
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
@@ -164,7 +164,7 @@ def _costs(
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    parser = Parser(prog="python -m agents.research.simple_policies", description=_DESCRIPTION)
+    parser = Parser(prog="python docs/studies/simple_policies.py", description=_DESCRIPTION)
     parser.add_argument("--suite", type=suite_name, metavar="NAME", default="standard", help="(default: standard)")
     parser.add_argument("--split", choices=("validation", "test"), default="validation", help="(default: validation)")
     parser.add_argument("--scenarios", type=int, metavar="N", help="the first N of the split (default: all)")

@@ -1,4 +1,4 @@
-"""`python -m agents.research.linear`: tunes one linear feedback as an entry of the leaderboard."""
+"""`python docs/studies/linear.py`: tunes one linear feedback as an entry of the leaderboard."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import nn
-
-from agents.command import Parser, Progress, check_output_file, check_output_folder, note, print_table, run_command
-from agents.entry_file import played_in, write_entry
-from agents.onnx_graph import LowPass, PolicyNetwork, to_onnx
-from agents.research.evolution import POPULATION, Search, add_search_options, search_of, tune_linear
-from agents.research.rollouts import (
+from evolution import POPULATION, Search, add_search_options, search_of, tune_linear
+from rollouts import (
     HISTORY_COLUMNS,
     difference_percent,
     history_feedback,
     history_gains,
     linear_feedback,
 )
+from torch import nn
+
+from agents.command import Parser, Progress, check_output_file, check_output_folder, note, print_table, run_command
+from agents.entry_file import played_in, write_entry
+from agents.onnx_graph import LowPass, PolicyNetwork, to_onnx
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation import NoScaleError, OnnxPolicy, evaluate
@@ -39,9 +39,9 @@ scenarios: what a simple learner must beat. Writes entry.toml and policy.onnx, w
 leaderboard, and with --gains the gains, how they were found, and the policy's costs on all validation scenarios."""
 _EXAMPLES = """\
 examples:
-  python -m agents.research.linear --output agents/policies/linear-feedback \\
-      --gains agents/research/linear_feedback_gains.json
-  python -m agents.research.linear --suite standard-v1 --history --scenarios 96 --name history-feedback-v1 \\
+  python docs/studies/linear.py --output agents/policies/linear-feedback \\
+      --gains docs/studies/linear_feedback_gains.json
+  python docs/studies/linear.py --suite standard-v1 --history --scenarios 96 --name history-feedback-v1 \\
       --output agents/policies/history-feedback-v1
   wtg-gym evaluate --entries agents/policies/linear-feedback --suite standard"""
 
@@ -170,7 +170,7 @@ def _validate(path: Path, search: Search, n_threads: int | None) -> dict[str, An
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    parser = Parser(prog="python -m agents.research.linear", description=_DESCRIPTION, epilog=_EXAMPLES)
+    parser = Parser(prog="python docs/studies/linear.py", description=_DESCRIPTION, epilog=_EXAMPLES)
     parser.add_argument("--output", required=True, metavar="FOLDER", help="folder of the entry; made if missing")
     parser.add_argument("--gains", metavar="FILE", help="JSON file to write the gains to (default: none)")
     parser.add_argument("--name", default="linear-feedback", help="of the entry (default: linear-feedback)")

@@ -1,4 +1,4 @@
-"""`python -m agents.research.law_gradient`: tunes the paper's law by gradients of whole episodes."""
+"""`python docs/studies/law_gradient.py`: tunes the paper's law by gradients of whole episodes."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from contextlib import closing
 from typing import NamedTuple
 
 import numpy as np
+from rollouts import Rollouts
 
 from agents.command import (
     Parser,
@@ -22,7 +23,6 @@ from agents.command import (
     suite_name,
     update_page,
 )
-from agents.research.rollouts import Rollouts
 from wtg_gym.analysis.influence_study import LAW_NAMES, MEASURES, measure_influences
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
@@ -50,7 +50,7 @@ Tunes k_min, k_nominal, k_max and τ of the paper's law by Adam on the gradients
 ln(J + J0) over random training scenarios, which decides the score, is lowered. What k_nominal does, which moves the
 equilibrium before an episode too, a difference of two runs tells. The laws that come of it, one for all groups and one
 for each, are played on the validation scenarios beside the paper's. The law of version v1 was found without gradients,
-by agents.research.tuned_law."""
+by docs/studies/tuned_law.py."""
 
 
 class Tuned(NamedTuple):
@@ -165,7 +165,7 @@ def scores(
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    parser = Parser(prog="python -m agents.research.law_gradient", description=_DESCRIPTION)
+    parser = Parser(prog="python docs/studies/law_gradient.py", description=_DESCRIPTION)
     parser.add_argument("--suite", type=suite_name, default="standard", metavar="NAME", help="(default: standard)")
     parser.add_argument("--batches", type=int, default=100, metavar="N", help="steps of Adam (default: 100)")
     parser.add_argument("--scenarios", type=int, default=32, metavar="N", help="per batch (default: 32)")

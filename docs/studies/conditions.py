@@ -1,4 +1,4 @@
-"""`python -m agents.research.conditions`: whether a suite of version v1 is a good problem to learn on, in figures."""
+"""`python -m conditions`: whether a suite of version v1 is a good problem to learn on, in figures."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from simple_policies import SimplePolicy, simple_policies
 
 from agents.command import Parser, Progress, add_threads_option, check_page, run_command, suite_name, update_page
-from agents.research.simple_policies import SimplePolicy, simple_policies
 from baselines.fast_droop import FastDroop
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation import Entry, Results, evaluate, load_entries
@@ -36,7 +36,7 @@ trivial policy beats the anchor; a step of delay more costs an agent little; eve
 are rare but there; the laws keep the paper's order of rotor safety."""
 _EXAMPLES = """\
 examples:
-  python -m agents.research.conditions --feedbacks agents/policies/linear-feedback-v1 \\
+  python -m conditions --feedbacks agents/policies/linear-feedback-v1 \\
       --oracle results/oracle/standard-v1-validation.json --planners results/planners/standard-v1-validation.json"""
 
 
@@ -261,7 +261,7 @@ def _check_scenarios(suite: str, oracle: OracleCosts | None, planners: Results |
     if planners is None:
         return
     if not any(name.startswith("planner-") for name in planners.pinned_costs):
-        raise ValueError("--planners holds no planner; agents.research.planner writes such files")
+        raise ValueError("--planners holds no planner; docs/studies/planner.py writes such files")
     missing = set() if oracle is None else set(oracle.seeds) - set(planners.seeds)
     if missing:
         raise ValueError(f"--planners lacks {len(missing)} of the oracle's scenarios, such as seed {min(missing)}")
@@ -269,14 +269,14 @@ def _check_scenarios(suite: str, oracle: OracleCosts | None, planners: Results |
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    parser = Parser(prog="python -m agents.research.conditions", description=_DESCRIPTION, epilog=_EXAMPLES)
+    parser = Parser(prog="python -m conditions", description=_DESCRIPTION, epilog=_EXAMPLES)
     parser.add_argument(
         "--suite", type=suite_name, default="standard-v1", metavar="NAME", help="of version v1 (default: standard-v1)"
     )
     parser.add_argument("--feedbacks", nargs="+", default=[], metavar="ENTRY", help="tuned feedbacks")
     parser.add_argument("--agents", nargs="+", default=[], metavar="ENTRY", help="trained with random delay")
-    parser.add_argument("--oracle", metavar="FILE", help="of agents.research.foresight")
-    parser.add_argument("--planners", metavar="FILE", help="of agents.research.planner")
+    parser.add_argument("--oracle", metavar="FILE", help="of docs/studies/foresight.py")
+    parser.add_argument("--planners", metavar="FILE", help="of docs/studies/planner.py")
     parser.add_argument("--simple", type=int, default=200, metavar="N", help="scenarios of trivial policies")
     add_threads_option(parser)
     parser.add_argument("--page", metavar="FILE", help=f"Markdown file with markers '{_SECTION}'")

@@ -5,12 +5,12 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from side_by_side import plot_one_event
 
 from wtg_gym.envs import EnvSettings
 from wtg_gym.evaluation import Entry
 from wtg_gym.evaluation.recording import record
 from wtg_gym.physics.scenario import LoadStep
-from wtg_gym.plotting import plot_one_event
 from wtg_gym.scenarios import get_suite
 
 

@@ -1,4 +1,4 @@
-"""`python -m agents.research.tuned_law`: tunes the paper's law to the grid of a suite."""
+"""`python docs/studies/tuned_law.py`: tunes the paper's law to the grid of a suite."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from contextlib import closing
 
 import cma
 import numpy as np
+from rollouts import Rollouts
 
 from agents.command import Parser, Progress, add_threads_option, print_table, run_command, say, suite_name
-from agents.research.rollouts import Rollouts
 from wtg_gym.evaluation.score import COST_OFFSET
 from wtg_gym.physics.tracking_law import LARGEST_COEFFICIENT, TIME_CONSTANT_RANGE, TrackingLaw, coordinated_piecewise
 from wtg_gym.scenarios import get_suite
@@ -65,7 +65,7 @@ def tune_law(
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    parser = Parser(prog="python -m agents.research.tuned_law", description=_DESCRIPTION)
+    parser = Parser(prog="python docs/studies/tuned_law.py", description=_DESCRIPTION)
     parser.add_argument(
         "--suite", type=suite_name, default="standard-v1", metavar="NAME", help="(default: standard-v1)"
     )
