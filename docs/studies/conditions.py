@@ -1,43 +1,46 @@
-"""`python -m conditions`: whether a suite of version v1 is a good problem to learn on, in figures."""
+"""Whether standard-v1 is a good problem to learn on, in figures.
+
+    python docs/studies/oracle.py && python docs/studies/planner.py && python docs/studies/conditions.py [DOCS]
+
+measures the conditions of docs/benchmark.md on its validation scenarios: what a feedback gains is support of the
+frequency; foresight and planning are worth much more than any feedback; no trivial policy beats the anchor; a step of
+delay more costs an agent little; every term of the cost matters; failures are rare but there; the laws keep the paper's
+order of rotor safety. Half an hour on two processors.
+"""
 
 from __future__ import annotations
 
 import itertools
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from simple_policies import SimplePolicy, simple_policies
+from rollouts import Candidates, Rollouts
 
-from agents.command import Parser, Progress, add_threads_option, check_page, run_command, suite_name, update_page
 from baselines.fast_droop import FastDroop
+from wtg_gym.envs.observation import N_MEASURED
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation import Entry, Results, evaluate, load_entries
 from wtg_gym.evaluation.oracle import OracleCosts
-from wtg_gym.evaluation.score import COST_OFFSET
 from wtg_gym.evaluation.summary import EntrySummary
-from wtg_gym.files import markdown_table
+from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.physics.layout import Floats
+from wtg_gym.progress import Progress
 from wtg_gym.scenarios import get_suite
 
-_SECTION = "conditions"
+SUITE = "standard-v1"
+FEEDBACKS = ("linear-feedback-v1", "history-feedback-v1")
+AGENTS = ("gradient-v1", "ppo-v1", "recurrent-ppo-v1")  # trained with random delay, one folder for each seed
 #: Laws whose rotors must keep the paper's order, the safest first.
 LAWS = ("coordinated-piecewise", "deloaded-10", "deloaded-5", "mppt")
 #: Deviations that take the whole authority of the droops that are tried on each law [Hz].
 DROOPS_HZ = (1.0, 0.25, 0.125, 0.0625)
-#: Ends of a rotor.
-_ROTOR_ENDS = ("stall", "over-speed", "under-speed")
-_DESCRIPTION = """\
-Measures the conditions under which a suite of version v1 counts as a good problem to learn on, on validation scenarios:
-what a feedback gains is support of the frequency; foresight and planning are worth much more than any feedback; no
-trivial policy beats the anchor; a step of delay more costs an agent little; every term of the cost matters; failures
-are rare but there; the laws keep the paper's order of rotor safety."""
-_EXAMPLES = """\
-examples:
-  python -m conditions --feedbacks agents/policies/linear-feedback-v1 \\
-      --oracle results/oracle/standard-v1-validation.json --planners results/planners/standard-v1-validation.json"""
+
+
+# --- the conditions --------------------------------------------------------------------------------------------------
 
 
 class Condition(NamedTuple):
@@ -46,113 +49,88 @@ class Condition(NamedTuple):
     letter: str
     demand: str
     measured: str
-    met: bool | None  # None: not measured
+    met: bool
 
 
-class Evidence(NamedTuple):
-    """Measures that the conditions are judged by."""
+def support(results: Results, best: EntrySummary, zero: str) -> Condition:
+    def deviation_mhz(name: str) -> float:
+        metrics = [episode.metrics for episode in results.episodes_of(name)]
+        return 1000.0 * float(np.median([max(50.0 - m["nadir_hz"], m["zenith_hz"] - 50.0) for m in metrics]))
 
-    results: Results  # of laws, rules and feedbacks on validation scenarios, the anchors among them
-    feedbacks: Sequence[str]  # names of the tuned feedbacks
-    oracle: OracleCosts | None  # costs with foresight; None: not searched
-    planners: Results | None  # results of planners; None: not played
-    simple: Sequence[SimplePolicy] | None  # trivial policies on top of each anchor's law; None: not played
-    n_simple: int  # scenarios that they played, the first ones
-    late: Results | None  # results with one more step of delay; None: not played
-    agents: Sequence[str]  # names of agents that were trained with random delay
-
-
-def judged(e: Evidence) -> list[Condition]:
-    """Return the conditions (a) … (h) with what was measured."""
-    zero, anchor = get_suite(e.results.suite).benchmark.anchors
-    rows = {row.name: row for row in e.results.summaries}
-    costs = {name: own.mean(axis=0) for name, own in e.results.pinned_costs.items()}
-    best = max((rows[name] for name in (*e.feedbacks, anchor)), key=lambda row: row.score.value)
-    return [
-        _support(e.results, best, zero),
-        _foresight(e, costs[anchor]),
-        _planning(e, costs, anchor),
-        _trivial(e, costs, zero, anchor),
-        _delay(e, rows),
-        _terms(rows),
-        _failures(rows, zero, anchor),
-        _rotors(e.results),
-    ]
-
-
-def _deviations(results: Results, name: str) -> Floats:
-    episodes = results.episodes_of(name)
-    largest = [max(50.0 - e.metrics["nadir_hz"], e.metrics["zenith_hz"] - 50.0) for e in episodes]  # type: ignore[operator]
-    return 1000.0 * np.array(largest)
-
-
-def _support(results: Results, best: EntrySummary, zero: str) -> Condition:
     own, base = ({row.name: row for row in results.summaries}[name].points_by_term for name in (best.name, zero))
     gains = {term: own[term] - base[term] for term in own}
     share = gains["frequency_rocof"] / sum(gains.values())
-    medians = [float(np.median(_deviations(results, name))) for name in (best.name, zero)]
-    smaller = 1.0 - medians[0] / medians[1]
+    before, after = deviation_mhz(zero), deviation_mhz(best.name)
+    smaller = 1.0 - after / before
     return Condition(
         "a",
         "against the zero action, more than half of the best feedback's gain is frequency and RoCoF, and its median "
         "deviation is at least 30 % smaller",
-        f"{best.name}: {100 * share:.0f} % of the gain; {medians[1]:.0f} → {medians[0]:.0f} mHz, "
-        f"{100 * smaller:.0f} % smaller",
+        f"{best.name}: {100 * share:.0f} % of the gain; {before:.0f} → {after:.0f} mHz, {100 * smaller:.0f} % smaller",
         share > 0.5 and smaller >= 0.3,
     )
 
 
-def _on(oracle: OracleCosts, results: Results, costs: Floats) -> Floats:
-    """Costs of the oracle's scenarios only."""
-    place = {seed: i for i, seed in enumerate(results.seeds)}
-    return costs[[place[seed] for seed in oracle.seeds]]
+def foresight_and_planning(
+    results: Results, oracle: OracleCosts, planners: Results, anchor: str, feedbacks: Sequence[str]
+) -> list[Condition]:
+    def mean_cost(own: Results, name: str) -> float:
+        """On the oracle's scenarios only."""
+        place = {seed: i for i, seed in enumerate(own.seeds)}
+        return float(own.pinned_costs[name].mean(axis=0)[[place[seed] for seed in oracle.seeds]].mean())
 
-
-def _foresight(e: Evidence, anchor: Floats) -> Condition:
-    demand = "the oracle lowers the anchor's mean cost by at least 40 %"
-    if e.oracle is None:
-        return Condition("b", demand, "not searched", None)
-    before, after = float(_on(e.oracle, e.results, anchor).mean()), float(np.mean(e.oracle.oracle))
+    before, after = mean_cost(results, anchor), float(np.mean(oracle.oracle))
     lower = 1.0 - after / before
-    text = f"{before:.1f} → {after:.1f}, {100 * lower:.0f} % ({len(e.oracle.seeds)} scenarios)"
-    return Condition("b", demand, text, lower >= 0.4)
+    plans = [name for name in planners.pinned_costs if name.startswith("planner-")]
+    costs = {name: mean_cost(results, name) for name in feedbacks} | {name: mean_cost(planners, name) for name in plans}
+    closed = {name: (before - cost) / (before - after) for name, cost in costs.items()}
+    return [
+        Condition(
+            "b",
+            "the oracle lowers the anchor's mean cost by at least 40 %",
+            f"{before:.1f} → {after:.1f}, {100 * lower:.0f} % ({len(oracle.seeds)} scenarios)",
+            lower >= 0.4,
+        ),
+        Condition(
+            "c",
+            "of that gap, tuned feedbacks close at most 20 %, a planner without foresight at least 40 %",
+            ", ".join(f"{name} {100 * share:.0f} %" for name, share in closed.items()),
+            max(closed[name] for name in feedbacks) <= 0.2 and max(closed[name] for name in plans) >= 0.4,
+        ),
+    ]
 
 
-def _planning(e: Evidence, costs: Mapping[str, Floats], anchor: str) -> Condition:
-    demand = "of that gap, tuned feedbacks close at most 20 %, a planner without foresight at least 40 %"
-    if e.oracle is None or e.planners is None:
-        return Condition("c", demand, "not measured", None)
-    before = _on(e.oracle, e.results, costs[anchor])
-    gap = float(before.mean() - np.mean(e.oracle.oracle))
-    closed = {name: float(before.mean() - _on(e.oracle, e.results, costs[name]).mean()) / gap for name in e.feedbacks}
-    played = {name: own[0] for name, own in e.planners.pinned_costs.items() if name.startswith("planner-")}
-    planned = {name: float(before.mean() - _on(e.oracle, e.planners, own).mean()) / gap for name, own in played.items()}
-    text = ", ".join(f"{name} {100 * share:.0f} %" for name, share in {**closed, **planned}.items())
-    met = all(share <= 0.2 for share in closed.values()) and max(planned.values()) >= 0.4
-    return Condition("c", demand, text, met)
+def trivial() -> Condition:
+    zero, anchor = get_suite(SUITE).benchmark.anchors
+    found, idle = [], {}
+    for law in (zero, anchor):
+        seeds = get_suite(SUITE).validation
+        with closing(Rollouts(SUITE, "validation", seeds, AT_ONCE, strategy=law)) as rollouts:
+            idle[law] = float(rollouts.log_costs(rollouts.reference()).mean())
+            found += [(cost, f"{law} with {words}") for cost, words in simple_policies(rollouts)]
+    cost, words = min(found)
+    score = 100.0 * (idle[zero] - cost) / (idle[zero] - idle[anchor])
+    return Condition(
+        "d",
+        "no constant, relay or one-gain rule scores above 102",
+        f"{score:.1f}: {words} ({len(found)} tried)",
+        score <= 102.0,
+    )
 
 
-def _trivial(e: Evidence, costs: Mapping[str, Floats], zero: str, anchor: str) -> Condition:
-    demand = "no constant, relay or one-gain rule scores above 102"
-    if e.simple is None:
-        return Condition("d", demand, "not played", None)
-    logs = {name: float(np.log(costs[name][: e.n_simple] + COST_OFFSET).mean()) for name in (zero, anchor)}
-    best = min(e.simple, key=lambda policy: policy.log_cost)
-    score = 100.0 * (logs[zero] - best.log_cost) / (logs[zero] - logs[anchor])
-    return Condition("d", demand, f"{score:.1f}: {best.description} ({len(e.simple)} tried)", score <= 102.0)
+def delay(agents: Sequence[Entry], on_time: dict[str, EntrySummary]) -> Condition:
+    later = {"delay_s": [value + 0.1 for value in get_suite(SUITE).sensors.delay_s]}
+    late = evaluate(list(agents), SUITE, "validation", sensors=later).scores
+    losses = {name: on_time[name].score.value - late[name].value for name in dict.fromkeys(e.name for e in agents)}
+    return Condition(
+        "e",
+        "one more step of delay costs an agent that was trained with random delay less than 5 points",
+        "points lost: " + ", ".join(f"{name} {loss:+.1f}" for name, loss in losses.items()),
+        max(losses.values()) < 5.0,
+    )
 
 
-def _delay(e: Evidence, rows: Mapping[str, EntrySummary]) -> Condition:
-    demand = "one more step of delay costs an agent that was trained with random delay less than 5 points"
-    if e.late is None or not e.agents:
-        return Condition("e", demand, "no agent yet", None)
-    late = e.late.scores
-    losses = {name: rows[name].score.value - late[name].value for name in e.agents}
-    text = ", ".join(f"{name} {loss:+.1f}" for name, loss in losses.items())
-    return Condition("e", demand, f"points lost: {text}", max(losses.values()) < 5.0)
-
-
-def _terms(rows: Mapping[str, EntrySummary]) -> Condition:
+def terms(rows: dict[str, EntrySummary]) -> Condition:
     """Find for every term the pair that would change places without it and is the furthest apart with it or without."""
     found = dict.fromkeys((term for term in COST_TERMS if term != "effort"), (0.0, "no pair"))
     for term, (widest, _) in found.items():
@@ -162,148 +140,157 @@ def _terms(rows: Mapping[str, EntrySummary]) -> Condition:
             if min(ahead, behind) > widest:
                 widest = min(ahead, behind)
                 found[term] = widest, f"{one.name} before {other.name}"
-    text = "; ".join(f"{term}: {pair}" for term, (_, pair) in found.items())
     return Condition(
         "f",
         "every term of the cost but effort decides the order of some pair of laws or rules",
-        text,
+        "; ".join(f"{term}: {pair}" for term, (_, pair) in found.items()),
         all(apart > 0.0 for apart, _ in found.values()),
     )
 
 
-def _droops(suite: str) -> list[Entry]:
-    """The laws with a droop on k, from a gentle to a far too steep one."""
-    benchmark = get_suite(suite).benchmark
-    return [
-        Entry(
-            name=f"{law} with {hz:g} Hz",
-            strategy=law,
-            policy=FastDroop(hz),
-            action_mode="k",
-            environment=benchmark.env_id,
-            learned=False,
-        )
-        for law in dict.fromkeys((*LAWS, benchmark.hundred))
-        for hz in DROOPS_HZ
-    ]
-
-
-def _failures(rows: Mapping[str, EntrySummary], zero: str, anchor: str) -> Condition:
+def failures(rows: dict[str, EntrySummary], zero: str, anchor: str) -> Condition:
     own, base = rows[anchor].failures_percent, rows[zero].failures_percent
-    return Condition(
-        "g",
-        "the anchor fails in 0.5 … 5 % of the scenarios, the zero action in at most 8 %",
-        f"{own:.1f} %, {base:.1f} %",
-        0.5 <= own <= 5.0 and base <= 8.0,
-    )
+    demand = "the anchor fails in 0.5 … 5 % of the scenarios, the zero action in at most 8 %"
+    return Condition("g", demand, f"{own:.1f} %, {base:.1f} %", 0.5 <= own <= 5.0 and base <= 8.0)
 
 
-def _rotors(results: Results) -> Condition:
-    lost = {
-        name: 100.0 * float(np.mean([episode.failure in _ROTOR_ENDS for episode in results.episodes_of(name)]))
-        for name in LAWS
-    }
-    values = list(lost.values())
+def rotors(results: Results) -> Condition:
+    ends = ("stall", "over-speed", "under-speed")
+    lost = {law: 100.0 * float(np.mean([e.failure in ends for e in results.episodes_of(law)])) for law in LAWS}
     return Condition(
         "h",
         "the laws keep the paper's order of rotor safety",
-        "rotors lost: " + ", ".join(f"{name} {value:.1f} %" for name, value in lost.items()),
-        values == sorted(values),
+        "rotors lost: " + ", ".join(f"{law} {value:.1f} %" for law, value in lost.items()),
+        list(lost.values()) == sorted(lost.values()),
     )
 
 
-def table(conditions: Sequence[Condition], results: Results) -> str:
-    """Return the conditions as Markdown."""
-    words = {True: "yes", False: "**no**", None: "–"}
-    rows = [(f"({c.letter})", c.demand, c.measured, words[c.met]) for c in conditions]
-    text = markdown_table(("", "condition", "measured", "met"), rows)
-    return f"On {len(results.seeds)} {results.split} scenarios of `{results.suite}`:\n\n{text}"
+# --- trivial policies ------------------------------------------------------------------------------------------------
+
+AT_ONCE = 24
+_ACTIONS = ("k", "tau")
+_CONSTANTS = (
+    (-0.5, -0.2, -0.1, -0.05, -0.02, 0.0, 0.02, 0.05, 0.1, 0.2, 0.5),  # k
+    (-1.0, -0.5, -0.25, 0.0, 0.25, 0.5, 1.0),  # tau
+)
+_AMPLITUDES, _GAINS = (0.05, 0.2, 1.0), (0.2, 0.6, 2.0)
+#: Quantiles of an observation under the zero action at which an action jumps.
+_JUMPS = (0.25, 0.5, 0.75)
 
 
-def gathered(
-    suite: str,
-    *,
-    feedbacks: Sequence[Entry],
-    agents: Sequence[Entry],
-    oracle: OracleCosts | None,
-    planners: Results | None,
-    n_simple: int,
-    n_threads: int | None = None,
-) -> Evidence:
-    """Play what the conditions need on validation scenarios; trivial policies on the first `n_simple`, 0 for none."""
-    laws = [entry for name in LAWS for entry in load_entries(name)]
-    entries = [*laws, *load_entries("fast-droop"), *_droops(suite), *feedbacks, *agents]
-    with Progress("episodes") as progress:
-        options: dict[str, Any] = {"n_threads": n_threads, "on_progress": progress.update}
-        results = evaluate(entries, suite, "validation", **options)
-        late = None
-        if agents:
-            delay = get_suite(suite).sensors
-            assert delay is not None
-            shifted = {"delay_s": [value + 0.1 for value in delay.delay_s]}
-            late = evaluate(list(agents), suite, "validation", sensors=shifted, **options)
-    simple: list[SimplePolicy] | None = None
-    if n_simple:
-        simple = [
-            policy._replace(description=f"{strategy} with {policy.description}")
-            for strategy in get_suite(suite).benchmark.anchors
-            for policy in simple_policies(suite, "validation", n_simple, n_threads, strategy=strategy)[1]
-        ]
-    names = [entry.name for entry in feedbacks]
-    return Evidence(results, names, oracle, planners, simple, n_simple, late, [entry.name for entry in agents])
+def simple_policies(rollouts: Rollouts) -> list[tuple[float, str]]:
+    """Return the mean of ln(J + J0) of policies that should not be good, and what they do.
+
+    They are a grid of constant actions; actions that jump where one observation crosses a quartile of its values under
+    the zero action; and actions in proportion to one observation's distance from its median.
+    """
+    values = _seen(rollouts)
+    names = [name.split(".", 1)[1] for name in rollouts.lanes.observation_names[: rollouts.n_local]]
+    rules = [(f"k {k:+g}, tau {tau:+g}", _constant(k, tau)) for k, tau in itertools.product(*_CONSTANTS)]
+    for i, sign, action in itertools.product(range(len(names)), (1.0, -1.0), range(len(_ACTIONS))):
+        for jump, amplitude in itertools.product(np.quantile(values[:, i], _JUMPS), _AMPLITUDES):
+            words = f"{_ACTIONS[action]} {sign * amplitude:+g} · sign({names[i]} − {jump:.2f})"
+            rules.append((words, _rule(i, jump, sign * amplitude, action, jumps=True)))
+        for gain in _GAINS:
+            middle = float(np.median(values[:, i]))
+            words = f"{_ACTIONS[action]} {sign * gain:+g} · ({names[i]} − {middle:.2f})"
+            rules.append((words, _rule(i, middle, sign * gain, action, jumps=False)))
+    found = []
+    with Progress("policies") as progress:
+        for first in range(0, len(rules), AT_ONCE):
+            # The last ones are repeated to fill the room.
+            own = [rules[min(i, len(rules) - 1)] for i in range(first, first + AT_ONCE)]
+            costs = rollouts.log_costs(rollouts.play(_together([rule for _, rule in own]))).mean(axis=0)
+            found += [(float(cost), words) for cost, (words, _) in zip(costs, own, strict=True)]
+            progress.update("trivial policies", min(len(found), len(rules)), len(rules))
+    return found[: len(rules)]
 
 
-def _check_scenarios(suite: str, oracle: OracleCosts | None, planners: Results | None) -> None:
-    """Raise a ValueError if files given are of other scenarios than those that the conditions compare."""
-    for what, given in (("oracle", oracle), ("planners", planners)):
-        if given is not None and (given.suite, given.split) != (suite, "validation"):
-            raise ValueError(f"--{what} is of {given.suite}/{given.split}; {suite}/validation is needed")
-    if planners is None:
-        return
-    if not any(name.startswith("planner-") for name in planners.pinned_costs):
-        raise ValueError("--planners holds no planner; docs/studies/planner.py writes such files")
-    missing = set() if oracle is None else set(oracle.seeds) - set(planners.seeds)
-    if missing:
-        raise ValueError(f"--planners lacks {len(missing)} of the oracle's scenarios, such as seed {min(missing)}")
+def _constant(k: float, tau: float) -> Any:
+    return lambda own: np.broadcast_to((k, tau), (*own.shape[:-1], 2))
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit code."""
-    parser = Parser(prog="python -m conditions", description=_DESCRIPTION, epilog=_EXAMPLES)
-    parser.add_argument(
-        "--suite", type=suite_name, default="standard-v1", metavar="NAME", help="of version v1 (default: standard-v1)"
-    )
-    parser.add_argument("--feedbacks", nargs="+", default=[], metavar="ENTRY", help="tuned feedbacks")
-    parser.add_argument("--agents", nargs="+", default=[], metavar="ENTRY", help="trained with random delay")
-    parser.add_argument("--oracle", metavar="FILE", help="of docs/studies/foresight.py")
-    parser.add_argument("--planners", metavar="FILE", help="of docs/studies/planner.py")
-    parser.add_argument("--simple", type=int, default=200, metavar="N", help="scenarios of trivial policies")
-    add_threads_option(parser)
-    parser.add_argument("--page", metavar="FILE", help=f"Markdown file with markers '{_SECTION}'")
+def _rule(observed: int, middle: float, gain: float, action: int, *, jumps: bool) -> Any:
+    def act(own: Floats) -> Floats:
+        distance = own[..., observed] - middle
+        actions = np.zeros((*own.shape[:-1], 2))
+        actions[..., action] = gain * (np.sign(distance) if jumps else distance)
+        return actions
 
-    def work() -> None:
-        given = parser.parse_args(argv)
-        page = check_page("--page", given.page, _SECTION)
-        benchmark = get_suite(given.suite).benchmark
-        oracle = None if given.oracle is None else OracleCosts.read(Path(given.oracle))
-        planners = None if given.planners is None else Results.read(Path(given.planners))
-        _check_scenarios(given.suite, oracle, planners)
-        evidence = gathered(
-            given.suite,
-            feedbacks=[entry for name in given.feedbacks for entry in load_entries(name, benchmark=benchmark)],
-            agents=[entry for name in given.agents for entry in load_entries(name, benchmark=benchmark)],
-            oracle=oracle,
-            planners=planners,
-            n_simple=given.simple,
-            n_threads=given.threads,
-        )
-        text = table(judged(evidence), evidence.results)
-        if page is not None:
-            update_page(page, {_SECTION: text})
-        print(text)
+    return act
 
-    return run_command(work)
+
+def _together(rules: Sequence[Any]) -> Candidates:
+    return lambda _step, own: np.stack([rule(own[:, i]) for i, rule in enumerate(rules)], axis=1)
+
+
+def _seen(rollouts: Rollouts) -> Floats:
+    """Return a group's observations under the zero action, every second, (n_samples, n_local)."""
+    seen = []
+
+    def act(step: int, own: Floats) -> Floats:
+        if step % 10 == 0:
+            seen.append(own[..., : rollouts.n_local].reshape(-1, rollouts.n_local))
+        return np.zeros((*own.shape[:3], rollouts.n_action))
+
+    with closing(rollouts.with_candidates(1)) as alone:
+        alone.play(act)
+    return np.concatenate(seen)
+
+
+# --- the end of an episode -------------------------------------------------------------------------------------------
+
+
+class Stopwatch:
+    """The droop of fast-droop in the last 10 s, after which nobody has to give back what was lent."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        step = 0 if state is None else state
+        frequency = np.asarray(observation, dtype=np.float64).reshape(len(observation), -1, N_MEASURED + 1)[..., 0]
+        return np.clip(-frequency if step >= 500 else 0.0 * frequency, -1.0, 1.0), step + 1
+
+
+def entry(name: str, strategy: str, policy: Any) -> Entry:
+    """Return an entry that moves k alone."""
+    env_id = get_suite(SUITE).benchmark.env_id
+    return Entry(name=name, strategy=strategy, policy=policy, action_mode="k", environment=env_id, learned=False)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    docs = Path(sys.argv[1] if len(sys.argv) > 1 else "docs")
+    benchmark = get_suite(SUITE).benchmark
+    zero, anchor = benchmark.anchors
+    oracle = OracleCosts.read(f"results/oracle/{SUITE}-validation.json")
+    planners = Results.read(f"results/planners/{SUITE}-validation.json")
+
+    folder = Path("agents/policies")
+    agents = [entry for name in AGENTS for path in sorted(folder.glob(f"{name}-?")) for entry in load_entries(path)]
+    feedbacks = [entry for name in FEEDBACKS for entry in load_entries(folder / name)]
+    laws = [entry for name in (*LAWS, "fast-droop") for entry in load_entries(name, benchmark=benchmark)]
+    droops = [
+        entry(f"{law} with {hz:g} Hz", law, FastDroop(hz)) for law in dict.fromkeys((*LAWS, anchor)) for hz in DROOPS_HZ
+    ]
+    stopwatch = entry("stopwatch", anchor, Stopwatch())
+    with Progress("episodes") as progress:
+        entries = [*laws, *droops, *feedbacks, *agents]
+        results = evaluate(entries, SUITE, "validation", on_progress=progress.update)
+        alone = evaluate([stopwatch], SUITE, "validation", on_progress=progress.update)
+    rows = {row.name: row for row in results.summaries}
+    names = [each.name for each in feedbacks]
+    best = max((rows[name] for name in (*names, anchor)), key=lambda row: row.score.value)
+    conditions = [
+        support(results, best, zero),
+        *foresight_and_planning(results, oracle, planners, anchor, names),
+        trivial(),
+        delay(agents, rows),
+        terms(rows),
+        failures(rows, zero, anchor),
+        rotors(results),
+    ]
+    table = markdown_table(
+        ("", "condition", "measured", "met"),
+        [(f"({c.letter})", c.demand, c.measured, "yes" if c.met else "**no**") for c in conditions],
+    )
+    text = f"On {len(results.seeds)} validation scenarios of `{SUITE}`:\n\n{table}"
+    update_between_markers(docs / "benchmark.md", text, "conditions")
+    print(f"the stopwatch scores {alone.scores['stopwatch'].value:.1f}")

@@ -1,92 +1,92 @@
-"""`python docs/studies/one_event.py`: entries and a planner side by side in one scenario, as a figure."""
+"""README's picture: laws, a trained policy and a planner side by side in one scenario.
+
+    python docs/studies/one_event.py [DOCS]
+
+draws DOCS/images/one-event.svg.
+"""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from planner import KNOWLEDGE, Planning, plan
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from planner import Planning, plan
 
-from agents.command import (
-    FIGURE_FORMATS,
-    Parser,
-    check_output_file,
-    chosen_entries,
-    note,
-    print_table,
-    require_extra,
-    run_command,
-    suite_name,
-)
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.evaluation import load_entries
 from wtg_gym.evaluation.recording import Recording, record, recorded
-from wtg_gym.scenarios import SPLITS, get_suite
+from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.scenario import Scenario
+from wtg_gym.plotting import save_figure, style
+from wtg_gym.plotting.event_marks import explain_events, mark_end, mark_instants
+from wtg_gym.scenarios import get_suite
 
-_DESCRIPTION = """\
-Plays one scenario of version v1 with each entry and with a planner, and draws the frequency, the power of all turbines
-and the slowest rotor of any group over time, beside the limits at which a run fails."""
-_EXAMPLES = """\
-examples:
-  python docs/studies/one_event.py --entries coordinated-piecewise coordinated-tuned --output event.svg
-  python docs/studies/one_event.py --suite gusty-v1 --seed 20003 --entries fast-droop --output event.png"""
-
-
-def side_by_side(specs: Sequence[str], settings: EnvSettings, seed: int, knowledge: str | None) -> dict[str, Recording]:
-    """Return the recordings of entries and of a planner in one scenario, by name; of several seeds the first plays."""
-    scenarios = get_suite(settings.suite).scenarios([seed])
-    runs: dict[str, Recording] = {}
-    for entry in chosen_entries(specs, settings.suite):
-        if entry.name not in runs:
-            runs[entry.name] = record(entry, settings, scenarios)
-    if knowledge is not None:
-        note("planning")
-        lanes = TaskLanes(replace(settings, action_mode="k+tau", observation_mode="privileged"), 1)
-        with closing(lanes.simulator):
-            lanes.start([0], scenarios)
-            runs[f"planner-{knowledge}"] = recorded(lanes, plan(lanes, Planning(knowledge=knowledge)))
-    return runs
+SUITE, SEED = "standard-v1", 20_000
+ENTRIES = ("coordinated-piecewise", "coordinated-tuned", "gradient-v1-0")
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit code."""
-    parser = Parser(prog="python docs/studies/one_event.py", description=_DESCRIPTION, epilog=_EXAMPLES)
-    parser.add_argument("--entries", nargs="+", required=True, metavar="ENTRY", help="as for wtg-gym evaluate")
-    parser.add_argument("--planner", choices=KNOWLEDGE, help="a planner besides, which knows the wind so")
-    parser.add_argument(
-        "--suite", type=suite_name, default="paper-v1", metavar="NAME", help="of version v1 (default: paper-v1)"
-    )
-    parser.add_argument("--split", default="test", choices=SPLITS, help="(default: test)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the scenario (default: 0)")
-    parser.add_argument("--output", required=True, metavar="FILE", help=f"figure, .{', .'.join(FIGURE_FORMATS)}")
+@style.printed
+def plot_one_event(scenario: Scenario, runs: Mapping[str, Recording], plant: PlantSettings) -> Figure:
+    """Draw frequency [Hz], power of all turbines [MW] and the slowest rotor's speed [p.u.] over time.
 
-    def work() -> None:
-        given = parser.parse_args(argv)
-        require_extra("matplotlib", "python docs/studies/one_event.py")
-        output = check_output_file("--output", given.output, tuple(f".{suffix}" for suffix in FIGURE_FORMATS))
-        settings = EnvSettings(suite=given.suite, split=given.split)
-        runs = side_by_side(given.entries, settings, given.seed, given.planner)
-        (scenario,) = get_suite(given.suite).scenarios([given.seed])
-        plant = settings.plant()
-        from side_by_side import plot_one_event
-
-        from wtg_gym.plotting import save_figure
-
-        save_figure(plot_one_event(scenario, runs, plant), Path(output).with_suffix(""), [output.suffix[1:]])
-        note(f"wrote {output}")
-        rows = []
+    A cross marks where a run ended before its time. Grey lines: limits at which a run fails.
+    """
+    looks = style.strategy_looks(runs)
+    rated_mw = np.array([group.n_turbines * plant.turbine.rated_power_mw for group in plant.groups])
+    nominal_hz, protection = plant.case.frequency_hz, plant.protection
+    panels = {
+        "frequency [Hz]": (
+            lambda run: run.frequency_hz[0],
+            (nominal_hz * protection.frequency_min_pu, nominal_hz * protection.frequency_max_pu),
+        ),
+        "power of all turbines [MW]": (lambda run: run.power_pu[0] @ rated_mw, ()),
+        "slowest rotor [p.u.]": (lambda run: run.rotor_speed_pu[0].min(axis=1), (protection.rotor_speed_min_pu,)),
+    }
+    figure = style.new_figure(style.DOUBLE_COLUMN_MM, 72.0)
+    for axes, letter, (label, (quantity, limits)) in zip(
+        figure.subplots(1, len(panels), sharex=True), "abc", panels.items(), strict=True
+    ):
+        style.letter_panel(axes, letter, label)
         for name, run in runs.items():
-            largest = 1000.0 * float(np.nanmax(np.abs(run.frequency_hz - 50.0)))
-            slowest = float(np.nanmin(run.rotor_speed_pu))
-            rows.append((name, f"{largest:.0f}", f"{slowest:.3f}", f"{run.cost_terms.sum():.1f}"))
-        print_table(("entry", "largest deviation [mHz]", "slowest rotor [p.u.]", "cost"), rows)
-
-    return run_command(work)
+            values = quantity(run)
+            axes.plot(run.time_s, values, color=looks[name].colour, linestyle=looks[name].dashes)
+            last = int(np.flatnonzero(np.isfinite(values))[-1])
+            if last < run.time_s.size - 1:
+                mark_end(axes, float(run.time_s[last]), float(values[last]), looks[name].colour)
+        # A run that fails ends a step before the limit.
+        axes.margins(y=0.12)
+        low, high = axes.get_ylim()
+        for limit in limits:
+            if low < limit < high:
+                axes.axhline(limit, color=style.REFERENCE_GREY, linewidth=0.7)
+                style.name_at_right(axes, "limit", limit)
+        mark_instants(axes, scenario, numbered=True)
+        axes.set_xlim(0.0, scenario.duration_s)
+        axes.set_xlabel("time [s]")
+    handles = [
+        Line2D([], [], color=looks[name].colour, linestyle=looks[name].dashes, linewidth=1.6, label=name)
+        for name in runs
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=min(4, len(handles)), handlelength=3.0)
+    explain_events(figure, scenario)
+    return figure
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    docs = Path(sys.argv[1] if len(sys.argv) > 1 else "docs")
+    settings, suite = EnvSettings(suite=SUITE, split="test"), get_suite(SUITE)
+    scenarios = suite.scenarios([SEED])
+    entries = [entry for name in ENTRIES for entry in load_entries(name, benchmark=suite.benchmark)]
+    runs = {entry.name: record(entry, settings, scenarios) for entry in entries}
+    lanes = TaskLanes(replace(settings, action_mode="k+tau", observation_mode="privileged"), 1)
+    with closing(lanes.simulator):
+        lanes.start([0], scenarios)
+        runs["planner-measured"] = recorded(lanes, plan(lanes, Planning(knowledge="measured")))
+    save_figure(plot_one_event(scenarios[0], runs, settings.plant()), docs / "images" / "one-event", ["svg"])
