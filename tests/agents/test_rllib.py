@@ -168,10 +168,8 @@ def test_killed_run_goes_on_from_its_checkpoint_and_its_export_plays_without_ray
     entry = tmp_path / "entry"
     code = f"""import sys; sys.modules.update(ray=None, stable_baselines3=None, sb3_contrib=None)
 from pathlib import Path; from agents.export import export
-from agents.folders import folders
-print(export(Path({str(folder)!r}), Path({str(entry)!r}), name='mine'))"""
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert float(done.stdout) <= 1e-6
+export(Path({str(folder)!r}), Path({str(entry)!r}), name='mine')"""
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
     (loaded,) = load_entries(entry)
     assert (loaded.name, loaded.kind, loaded.training_seed) == ("mine", "learned", 0)
 
@@ -182,7 +180,8 @@ def test_learner_of_its_own_and_an_other_action_mode(tmp_path: Path) -> None:
     assert main([*arguments, "--output", str(tmp_path / "run")]) == 0
     run = Run.read(tmp_path / "run")
     assert run.finished and run.settings.hyperparameters["num_learners"] == 1
-    assert export(tmp_path / "run", tmp_path / "entry") <= 1e-6
+    export(tmp_path / "run", tmp_path / "entry")
+    assert len(load_entries(tmp_path / "entry")) == 1
 
 
 def test_cluster_that_does_not_answer_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
