@@ -135,9 +135,7 @@ def test_archive_plays_as_the_export_of_its_run(
     assert costs[0] == pytest.approx(costs[1], rel=1e-4) and costs[0] != summary["coordinated-piecewise"]["mean_cost"]
 
 
-def test_memory_goes_on_and_is_cleared_where_an_episode_starts(
-    run_of: Callable[[str], Path], tmp_path: Path
-) -> None:
+def test_memory_goes_on_and_is_cleared_where_an_episode_starts(run_of: Callable[[str], Path], tmp_path: Path) -> None:
     best = archive_of(run_of("recurrent_ppo"), tmp_path / "archive", "RecurrentPPO")
     policy, _ = load_archive(best, "RecurrentPPO")
     observations, nobody = np.full((2, N), 0.5, dtype=np.float32), np.zeros(2, dtype=np.bool_)

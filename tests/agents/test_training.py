@@ -206,7 +206,6 @@ def test_run_describes_itself_and_tensorboard_shows_the_grid(whole: Path) -> Non
     keys = ("nadir_hz", "largest_rocof_hz_s", "duty_error_percent", "failure", "cost_frequency", "cost_failure")
     shown = {"rollout/ep_rew_mean", "validation/score", *(f"episode/{key}" for key in keys)}
     assert shown <= set(events.Tags()["scalars"])
-    assert [each.step for each in events.Scalars("validation/score")] == [0, 256, 512, 768]
 
 
 def test_folder_is_complete_or_not_there(tmp_path: Path) -> None:
