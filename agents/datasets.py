@@ -6,8 +6,10 @@ command gives the same data.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -45,31 +47,51 @@ def make_dataset(version: str, policy: str, episodes: int) -> Any:
     (entry,) = load_entries(player)
     modes: Any = {"action_mode": entry.action_mode, "observation_mode": entry.observation_mode}
     env = gym.make(f"wtg_gym:GFMWTG-14bus-{version}", suite=suite, split="train", strategy=entry.law.name, **modes)
-    collector: Any = minari.DataCollector(env, record_infos=True)
     trained: Any = entry.policy
-    with trained, Progress("episodes") as progress:
+    with contextlib.closing(env), trained, Progress("episodes") as progress, warnings.catch_warnings():
+        # Minari asks for an address and for the commit: the description has the hashes of the sources.
+        warnings.simplefilter("ignore")
+        buffers = []
         for seed in range(episodes):
-            acts, noisy = POLICIES[policy][seed % len(POLICIES[policy])]
-            rng, state, step, over = np.random.default_rng(seed), None, 0, False
-            noise = np.zeros(env.action_space.shape or ())
-            observation, _ = collector.reset(seed=seed)
-            while not over:
-                if noisy and step % HELD_STEPS == 0:
-                    noise = rng.normal(0.0, NOISE, noise.shape)
-                action = noise
-                if acts:
-                    answer, state = trained.predict(observation[None], state, np.array([step == 0]))
-                    action = noise + np.clip(answer[0], -1.0, 1.0)
-                action = np.clip(action, -1.0, 1.0).astype(np.float32)
-                observation, _, terminated, truncated, _ = collector.step(action)
-                step, over = step + 1, terminated or truncated
+            buffers.append(_played(env, trained, *POLICIES[policy][seed % len(POLICIES[policy])], seed))
             progress.update(name, seed + 1, episodes)
-        described = (
-            f"suite {suite} ({get_suite(suite).hash}), split train, law {entry.law.name}, source {source_hash()}"
-        )
-        return collector.create_dataset(
-            name, algorithm_name=policy, author="The wtg_gym authors", description=described
-        )
+        source = f"suite {suite} ({get_suite(suite).hash}), split train, law {entry.law.name}, source {source_hash()}"
+        texts = {"algorithm_name": policy, "author": "The wtg_gym authors", "description": source}
+        return minari.create_dataset_from_buffers(name, buffers, env=env, requirements=["wtg-gym"], **texts)
+
+
+def _played(env: gym.Env[Any, Any], trained: Any, acts: bool, noisy: bool, seed: int) -> Any:
+    """Return an episode; observations and infos have a row more than there are steps, the start."""
+    from minari.data_collector import EpisodeBuffer
+
+    rng, state, over = np.random.default_rng(seed), None, False
+    noise = np.zeros(env.action_space.shape or ())
+    observation, info = env.reset(seed=seed)
+    keys = [key for key, value in info.items() if isinstance(value, (int, float, np.number))]
+    seen, infos, steps = [observation], [[info[key] for key in keys]], list[tuple[Any, ...]]()
+    while not over:
+        if noisy and len(steps) % HELD_STEPS == 0:
+            noise = rng.normal(0.0, NOISE, noise.shape)
+        action = noise
+        if acts:
+            answer, state = trained.predict(seen[-1][None], state, np.array([not steps]))
+            action = noise + np.clip(answer[0], -1.0, 1.0)
+        action = np.clip(action, -1.0, 1.0).astype(np.float32)
+        observation, reward, terminated, truncated, info = env.step(action)
+        seen.append(observation)
+        infos.append([info[key] for key in keys])
+        steps.append((action, reward, terminated, truncated))
+        over = terminated or truncated
+    actions, rewards, terminations, truncations = (np.array(column) for column in zip(*steps, strict=True))
+    return EpisodeBuffer(
+        seed=seed,
+        observations=np.array(seen),
+        actions=actions,
+        rewards=rewards,
+        terminations=terminations,
+        truncations=truncations,
+        infos=dict(zip(keys, np.array(infos).T, strict=True)),
+    )
 
 
 def main(argv: Sequence[str] | None = None) -> int:
