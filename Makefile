@@ -109,18 +109,14 @@ pictures: $(LEADERBOARD_READY) studies ## Draw every picture of the README and o
 	$(LEADERBOARD_VENV)/bin/wtg-gym simulate --case load-increase --strategy mppt --strategy coordinated-piecewise --duration 60 --plot $(DOCS)/images/episode.gif
 	$(LEADERBOARD_VENV)/bin/python docs/images/rooms.py $(DOCS)/images/rooms.svg
 	$(LEADERBOARD_VENV)/bin/python docs/images/render.py $(DOCS)/images/render.png $(DOCS)/images/render-v1.png
-	$(LEADERBOARD_VENV)/bin/python -m agents.research.one_event --suite standard-v1 --seed 20000 --entries coordinated-piecewise coordinated-tuned gradient-v1-0 --planner measured --output $(DOCS)/images/one-event.svg
+	$(LEADERBOARD_VENV)/bin/python docs/studies/one_event.py $(DOCS)
 	$(LEADERBOARD_VENV)/bin/wtg-gym reproduce --output $(DOCS)/validation --formats svg --page $(DOCS)/validation.md
-	$(LEADERBOARD_VENV)/bin/python -m agents.research.behaviour --suite standard --entries policies --output $(DOCS)/agents --page $(DOCS)/agents.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym evaluate --suite standard-v1 --entries baselines policies --results results
 	$(LEADERBOARD_VENV)/bin/wtg-gym results front results/standard-v1-validation.json --plot $(DOCS)/images/front-v1.svg
 
 .PHONY: docs
 docs: pictures ## Measure everything that docs/ shows again, but for performance and the page, and renew its tables and pictures
-	$(LEADERBOARD_VENV)/bin/python -m agents.research.law_gradient --suite standard --page docs/gradients.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym results sensitivity --suite standard --entries baselines policies agents.research.probes:CHATTER agents.research.probes:PUSH --page docs/benchmark.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym results sensitivity --suite standard-v1 --entries baselines policies agents.research.probes:CHATTER_V1 agents.research.probes:PUSH_V1 agents.research.probes:STOPWATCH_V1 --page docs/benchmark.md
-	$(LEADERBOARD_VENV)/bin/python -m agents.research.incentives --entries agents/policies/linear-feedback agents/policies/ppo-k-? deloaded-5 --page docs/benchmark.md
+	$(LEADERBOARD_VENV)/bin/python docs/studies/gradient_law.py
 	$(LEADERBOARD_VENV)/bin/python -m tests.submissions.hostile --page docs/submissions.md
 
 .PHONY: site
@@ -134,11 +130,10 @@ notebooks: $(NOTEBOOKS_READY) ## Run every notebook from the built wheel and kee
 	cd docs/notebooks && PATH="$(CURDIR)/$(NOTEBOOKS_VENV)/bin:$$PATH" jupyter nbconvert --to notebook --execute --inplace *.ipynb
 
 .PHONY: conditions
-conditions: $(TEST_READY) ## Measure whether standard-v1 is a good problem, and put the tables into docs/benchmark.md (half an hour)
-	$(TEST_VENV)/bin/python -m agents.research.foresight --suite standard-v1 --split validation --scenarios 25 --generations 100 --strategy coordinated-tuned --gains agents/research/linear_feedback_v1_gains.json --entries coordinated-tuned fast-droop agents/policies/linear-feedback-v1 --output results/oracle
-	$(TEST_VENV)/bin/python -m agents.research.planner --scenarios 48 --output results/planners
-	$(TEST_VENV)/bin/python -m agents.research.planner --split test --scenarios 48 --entries "gradient LSTM" "recurrent PPO" --output results/planners --page docs/benchmark.md
-	$(TEST_VENV)/bin/python -m agents.research.conditions --feedbacks agents/policies/linear-feedback-v1 agents/policies/history-feedback-v1 --agents agents/policies/gradient-v1-? agents/policies/ppo-v1-? agents/policies/recurrent-ppo-v1-? --oracle results/oracle/standard-v1-validation.json --planners results/planners/standard-v1-validation.json --page docs/benchmark.md
+conditions: $(TEST_READY) ## Measure whether standard-v1 is a good problem, and put the tables into docs/benchmark.md (two hours)
+	$(TEST_VENV)/bin/python docs/studies/oracle.py
+	$(TEST_VENV)/bin/python docs/studies/planner.py
+	$(TEST_VENV)/bin/python docs/studies/conditions.py
 
 .PHONY: docs-check
 docs-check: $(LEADERBOARD_READY) ## Draw the pictures into a copy of docs/ and name those that differ from the ones in docs/

@@ -1,10 +1,7 @@
-"""The lanes of RLlib's environment runners, and the scales that their learner sees; nothing here needs Ray."""
+"""The lanes of RLlib's environment runners; nothing here needs Ray."""
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,70 +10,21 @@ import numpy.typing as npt
 from agents.gains import Gains, stagger
 from wtg_gym.envs import GFMWTGVectorEnv
 
-#: Rewards are clipped to this many scales, as VecNormalize does.
-_CLIP = 10.0
-_MEASURED_LANES = 128
-# An entry that hardly moves at first may move later: it is not blown up any further.
-_SMALLEST_STD = 0.1
-
-Floats = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Scales:
-    """Scales that observations and rewards are divided by."""
-
-    #: mean, std: of every entry of the observation, (n_observation,).
-    mean: list[float]
-    std: list[float]
-    reward: float  # standard deviation of the discounted returns
-
-
-def measure_scales(arguments: Mapping[str, Any], *, noise: float, gamma: float, seed: int) -> Scales:
-    """Measure the scales over 128 lanes that the untrained policy plays: zero action and its exploration.
-
-    Measured once and kept, they are the same in every runner and every learner without exchanging anything.
-
-    Args:
-        arguments: of the environment.
-        noise: standard deviation of the exploration [full action].
-        gamma: discount per step.
-        seed: seed of scenarios and noise.
-    """
-    envs = RunnerEnvs(_MEASURED_LANES, **arguments)
-    rng = np.random.default_rng(seed)
-    returns, seen, all_returns = np.zeros(_MEASURED_LANES), [], []
-    with contextlib.closing(envs):
-        observations, _ = envs.reset(seed=seed)
-        for _ in range(envs.gains.n_steps):
-            seen.append(observations)
-            actions = rng.normal(0.0, noise, (_MEASURED_LANES, envs.lanes.n_action)).astype(np.float32)
-            observations, rewards, terminated, truncated, _ = envs.step(actions)
-            returns = gamma * returns + rewards
-            all_returns.append(returns)
-            returns = np.where(terminated | truncated, 0.0, returns)
-    rows = np.concatenate(seen).astype(np.float64)
-    return Scales(
-        mean=rows.mean(axis=0).tolist(),
-        std=np.maximum(rows.std(axis=0), _SMALLEST_STD).tolist(),
-        reward=float(np.std(all_returns)),
-    )
+#: Largest gain of a step that is learned from [%].
+_LARGEST_GAIN = 10.0
 
 
 class RunnerEnvs(GFMWTGVectorEnv):
     """The lanes of one runner: the native vector environment, with the parts that RLlib does not do itself.
 
-    Rewards are :class:`agents.gains.Gains`, divided by a scale and clipped to ± 10.
-
-    Lanes start spread over an episode (:func:`agents.gains.stagger`). Every seed of a reset gives a set of seeds of its
-    own: RLlib gives runner w the seed s + w, with which lane i + 1 of a runner would play the scenarios of lane i of
-    the next one. `info` is empty, because RLlib takes it apart for every lane and step, which takes longer than all the
-    rest.
+    Rewards are :class:`agents.gains.Gains`. Lanes start spread over an episode (:func:`agents.gains.stagger`). Every
+    seed of a reset gives a set of seeds of its own: RLlib gives runner w the seed s + w, with which lane i + 1 of a
+    runner would play the scenarios of lane i of the next one. `info` is empty, because RLlib takes it apart for every
+    lane and step, which takes longer than all the rest.
     """
 
-    def __init__(self, num_envs: int = 1, *, reward_scale: float = 1.0, **arguments: Any) -> None:
+    def __init__(self, num_envs: int = 1, **arguments: Any) -> None:
         super().__init__(num_envs, **arguments)
-        self._reward_scale = reward_scale
         self.gains = Gains(self.lanes)
         self._ended = np.zeros(num_envs, dtype=np.bool_)
 
@@ -109,7 +57,7 @@ class RunnerEnvs(GFMWTGVectorEnv):
         gains = np.where(beginning, 0.0, self.gains.of(references, rewards))
         self.gains.follow(np.flatnonzero(beginning).tolist())
         self._ended = terminated | truncated
-        return observations, np.clip(gains / self._reward_scale, -_CLIP, _CLIP), terminated, truncated, {}
+        return observations, np.clip(gains, -_LARGEST_GAIN, _LARGEST_GAIN), terminated, truncated, {}
 
     def close_extras(self, **kwargs: Any) -> None:
         """Release the worker threads."""

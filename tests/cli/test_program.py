@@ -31,7 +31,7 @@ COMMANDS = (
     "warmup",
 )
 OWN = {
-    "results": ("page", "recompute", "gap", "matrix", "front", "sensitivity"),
+    "results": ("page", "recompute", "gap", "matrix", "front"),
     "submission": ("new", "check", "score"),
 }
 _QUICK = ("--duration", "6")

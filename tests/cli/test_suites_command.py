@@ -85,7 +85,6 @@ def test_command_line_takes_the_names_that_the_environment_takes(
         ["simulate", "--suite"],
         ["play", "--suite"],
         ["submission", "score", "folder", "--suite"],
-        ["results", "sensitivity", "--suite"],
         ["results", "matrix", "--perturb"],
         ["results", "matrix", "--suites"],
     ],

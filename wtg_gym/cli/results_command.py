@@ -1,4 +1,4 @@
-"""`wtg-gym results`: stored results shown, computed again, compared; other suites, sensors and weights."""
+"""`wtg-gym results`: stored results shown, computed again, compared; other suites and sensors."""
 
 from __future__ import annotations
 
@@ -11,13 +11,11 @@ from wtg_gym.cli.parser import Commands, add_command, add_group, add_json_option
 from wtg_gym.cli.results_matrix import add_matrix
 from wtg_gym.evaluation import Entry, Results, generalisation, leaderboard_rows
 from wtg_gym.evaluation.recompute import departures, recompute
-from wtg_gym.evaluation.sensitivity import COLUMNS, FACTORS, WEIGHTS, study_sensitivity
 from wtg_gym.plotting import figure_bytes, plot_front
 from wtg_gym.plotting.front import MOST_FAILURES_PERCENT, undominated
 from wtg_gym.plotting.page import N_SCENARIOS, SIZE_LIMIT, leaderboard_page, untraced
 from wtg_gym.policies.names import BASELINES
 from wtg_gym.progress import Progress
-from wtg_gym.scenarios import SPLITS
 
 #: Differences that are printed.
 _SHOWN = 20
@@ -56,17 +54,6 @@ each entry. A line joins the entries that no other one beats in both. Entries th
 {MOST_FAILURES_PERCENT:g} % of the scenarios are hollow and not joined: a run that fails pays for the frequency only
 until it ends."""
 
-_SENSITIVITY = f"""\
-Evaluates entries with the weights of the cost as they are, and with each one multiplied by each factor, all others as
-they are. Shown are the ranks that change, and the scores that change by a point or more. The scale is made anew each
-time: the two entries that fix it have 0 and 100 with any weights, so a rising score means that the entry gains on these
-two. Policies are not trained again and act as before.
-
-A weight that changes the ranking matters to the benchmark. Weights that move no score by a point and no rank are named
-at the end: they do not matter among these entries, but may matter to others.
-
-weights: {", ".join(WEIGHTS)}"""
-
 
 def add_commands(commands: Commands) -> None:
     """Add `wtg-gym results` with its commands."""
@@ -75,7 +62,7 @@ def add_commands(commands: Commands) -> None:
         "results",
         description="Works with the stored results of 'wtg-gym evaluate' and 'wtg-gym leaderboard'.",
     )
-    for add in (_add_page, _add_recompute, _add_gap, add_matrix, _add_front, _add_sensitivity):
+    for add in (_add_page, _add_recompute, _add_gap, add_matrix, _add_front):
         add(own)
 
 
@@ -268,64 +255,4 @@ def _run_front(arguments: argparse.Namespace) -> int:
     output.write_and_say(plot, figure_bytes(plot_front(rows), plot.suffix))
     best = ", ".join(row.name for row in undominated(rows))
     output.say(f"no other entry has more support and more energy than: {best}")
-    return 0
-
-
-# --- sensitivity -----------------------------------------------------------------------------------------------------
-
-
-def _add_sensitivity(own: Commands) -> None:
-    parser = add_command(
-        own,
-        "sensitivity",
-        _run_sensitivity,
-        summary="how scores and ranking depend on each weight of the cost",
-        description=_SENSITIVITY,
-        examples="  wtg-gym results sensitivity --entries baselines\n"
-        "  wtg-gym results sensitivity --entries deloaded-5 --weights duty --factors 0.5 2 4 --scenarios 20\n"
-        "  wtg-gym results sensitivity --entries baselines agents/policies/ppo-k-0 --page docs/benchmark.md\n"
-        "  wtg-gym results sensitivity --suite standard-v1 --scenarios 50",
-    )
-    scoring.add_entries_option(parser)
-    scoring.add_suite_option(parser)
-    scoring.add_run_options(parser)
-    parser.add_argument("--split", choices=SPLITS, default="validation", help="(default: validation)")
-    parser.add_argument("--scenarios", type=int, metavar="N", help="the first N of the split (default: all)")
-    parser.add_argument("--weights", nargs="+", choices=WEIGHTS, default=WEIGHTS, metavar="NAME", help="(default: all)")
-    parser.add_argument(
-        "--factors", nargs="+", type=float, default=FACTORS, metavar="X", help="0 … 1000, but 1 (default: 0 2)"
-    )
-    parser.add_argument(
-        "--page", metavar="FILE", help="Markdown file with markers 'sensitivity:SUITE' to put the table between"
-    )
-
-
-def _run_sensitivity(arguments: argparse.Namespace) -> int:
-    section = f"sensitivity:{arguments.suite}"
-    page = output.check_page("--page", arguments.page, section)
-    entries = scoring.chosen_entries(arguments.entries, arguments.suite)
-    with Progress("episodes") as progress:
-        study = study_sensitivity(
-            entries,
-            arguments.suite,
-            arguments.split,
-            n_scenarios=arguments.scenarios,
-            weights=arguments.weights,
-            factors=arguments.factors,
-            n_threads=arguments.threads,
-            on_progress=progress.update,
-        )
-    if page is not None:
-        output.update_page(page, {section: study.page()})
-    if arguments.json:
-        output.print_json(study.to_dict())
-        return 0
-    output.say(f"suite {study.suite} ({study.suite_hash[:12]}), {study.split}: {study.n_scenarios} scenarios", "")
-    ranking = [
-        (str(i), name, f"{round(score, 1) + 0.0:.1f}") for i, (name, score) in enumerate(study.scores.items(), 1)
-    ]
-    output.print_table(("rank", "entry", "score"), ranking, left=(1,))
-    output.say("")
-    output.print_table(COLUMNS, [variant.cells() for variant in study.variants], left=(0, 2, 3))
-    output.say("", study.describe())
     return 0

@@ -1,21 +1,35 @@
-"""Several controllers in one scenario, side by side: frequency, power of all turbines, slowest rotor."""
+"""README's picture: laws, a trained policy and a planner side by side in one scenario.
+
+    python docs/studies/one_event.py [DOCS]
+
+draws DOCS/images/one-event.svg.
+"""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from planner import Planning, plan
 
-from wtg_gym.evaluation.recording import Recording
+from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.evaluation import load_entries
+from wtg_gym.evaluation.recording import Recording, record, recorded
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.plotting import style
+from wtg_gym.plotting import save_figure, style
 from wtg_gym.plotting.event_marks import explain_events, mark_end, mark_instants
-from wtg_gym.plotting.policy_runs import Quantity, draw_legend
+from wtg_gym.scenarios import get_suite
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+SUITE, SEED = "standard-v1", 20_000
+ENTRIES = ("coordinated-piecewise", "coordinated-tuned", "gradient-v1-0")
 
 
 @style.printed
@@ -27,7 +41,7 @@ def plot_one_event(scenario: Scenario, runs: Mapping[str, Recording], plant: Pla
     looks = style.strategy_looks(runs)
     rated_mw = np.array([group.n_turbines * plant.turbine.rated_power_mw for group in plant.groups])
     nominal_hz, protection = plant.case.frequency_hz, plant.protection
-    panels: dict[str, tuple[Quantity, tuple[float, ...]]] = {
+    panels = {
         "frequency [Hz]": (
             lambda run: run.frequency_hz[0],
             (nominal_hz * protection.frequency_min_pu, nominal_hz * protection.frequency_max_pu),
@@ -56,6 +70,23 @@ def plot_one_event(scenario: Scenario, runs: Mapping[str, Recording], plant: Pla
         mark_instants(axes, scenario, numbered=True)
         axes.set_xlim(0.0, scenario.duration_s)
         axes.set_xlabel("time [s]")
-    draw_legend(figure, runs, looks)
+    handles = [
+        Line2D([], [], color=looks[name].colour, linestyle=looks[name].dashes, linewidth=1.6, label=name)
+        for name in runs
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=min(4, len(handles)), handlelength=3.0)
     explain_events(figure, scenario)
     return figure
+
+
+if __name__ == "__main__":
+    docs = Path(sys.argv[1] if len(sys.argv) > 1 else "docs")
+    settings, suite = EnvSettings(suite=SUITE, split="test"), get_suite(SUITE)
+    scenarios = suite.scenarios([SEED])
+    entries = [entry for name in ENTRIES for entry in load_entries(name, benchmark=suite.benchmark)]
+    runs = {entry.name: record(entry, settings, scenarios) for entry in entries}
+    lanes = TaskLanes(replace(settings, action_mode="k+tau", observation_mode="privileged"), 1)
+    with closing(lanes.simulator):
+        lanes.start([0], scenarios)
+        runs["planner-measured"] = recorded(lanes, plan(lanes, Planning(knowledge="measured")))
+    save_figure(plot_one_event(scenarios[0], runs, settings.plant()), docs / "images" / "one-event", ["svg"])

@@ -1,5 +1,10 @@
 """Planning without foresight: at every moment the best course of actions for the future that is to be expected.
 
+    python docs/studies/planner.py [DOCS]
+
+plays the first 48 scenarios of two splits with planners: those of validation are what `conditions.py` reads from
+results/planners, those of test are a table of DOCS/benchmark.md. A quarter of an hour on two processors.
+
 A planner copies the running episode into a population of lanes, lets the wind go on as its observer expects and no
 further event strike, and searches a course of actions on top of a feedback by the cross-entropy method (R. Rubinstein,
 1999). It plays the first actions, and plans again. Planners differ in what they know of the wind:
@@ -13,44 +18,31 @@ Both know the state of grid and rotors exactly, and outages that have struck.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from rollouts import between, positions
 
-from agents.command import (
-    Parser,
-    Progress,
-    add_threads_option,
-    check_output_folder,
-    check_page,
-    note,
-    run_command,
-    suite_name,
-    update_page,
-)
-from agents.research.rollouts import between, positions
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.observation import N_LOCAL, N_MEASURED
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, Results, evaluate, leaderboard_rows, markdown_table
 from wtg_gym.evaluation.episodes import Episode
-from wtg_gym.evaluation.leaderboard import privileged_note
 from wtg_gym.evaluation.metrics import Recorder, measure
+from wtg_gym.files import update_between_markers
 from wtg_gym.physics.aerodynamics import power_coefficient
-from wtg_gym.ranges import require_range
-from wtg_gym.scenarios import SPLITS, get_suite
+from wtg_gym.physics.layout import Floats
+from wtg_gym.progress import Progress
+from wtg_gym.scenarios import get_suite
 
-Floats = npt.NDArray[np.float64]
-_SECTION = "planners"
 _COLUMNS = (
     *("rank", "entry", "score", "failures by kind [%]", "mean pinned cost", "worst decile"),
     *("median deviation [mHz]", "p95 deviation [mHz]"),
 )
-KNOWLEDGE = ("exact", "measured")
 #: Winds that an observer believes in [m/s].
 _WIND_RANGE = (3.5, 24.5)
 #: Time constants of the observer's filters: rotor speed and power, the wind sensor, its correction [s].
@@ -58,24 +50,14 @@ _ROTOR_FILTER_S, _SENSOR_FILTER_S, _CORRECTION_S = 2.0, 2.0, 10.0
 #: Candidates that the next generation is drawn around.
 _N_ELITE = 6
 
-_DESCRIPTION = """\
-Plays scenarios with a planner without foresight: every 2 s it searches the best course of actions over the next 30 s,
-in copies of the episode whose wind goes on as expected and in which nothing else happens. It shows what planning is
-worth, and how far learning could get: a bound of neither. Written are results as of `wtg-gym evaluate`; 100 scenarios
-take about a quarter of an hour on two processors."""
-_EXAMPLES = """\
-examples:
-  python -m agents.research.planner --scenarios 24 --output results/planners
-  python -m agents.research.planner --knowledge measured --entries fast-droop --output results/planners"""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Planning:
-    """Effort of a planner; a ValueError if a value is unknown or out of range."""
+    """Effort of a planner."""
 
     knowledge: str = "exact"  # of the wind, "exact" or "measured"
     horizon_s: float = 30.0  # how far ahead a plan looks [s]
-    interval_s: float = 2.0  # how often it plans again [s]
+    interval_s: float = 2.0  # how often it plans again [s], at most the horizon
     population: int = 24  # candidates of a search
     generations: int = 4  # of a search
     n_knots: int = 4  # of a course of actions, linear in between
@@ -84,24 +66,6 @@ class Planning:
     wind_memory_s: float = 20.0  # time constant of the mean that the wind returns to [s]
     wind_decay_s: float = 10.0  # time constant with which it returns [s]
     seed: int = 0  # of the search
-
-    def __post_init__(self) -> None:
-        if self.knowledge not in KNOWLEDGE:
-            raise ValueError(f"unknown knowledge {self.knowledge!r}; choose one of {', '.join(KNOWLEDGE)}")
-        for name, low, high, unit in (
-            ("horizon_s", 1.0, 600.0, "s"),
-            # A plan is played until the next one: it must reach that far.
-            ("interval_s", 0.1, self.horizon_s, "s"),
-            ("population", _N_ELITE, 10_000, ""),
-            ("generations", 1, 1000, ""),
-            ("n_knots", 2, 100, ""),
-            ("gain", -10.0, 10.0, ""),
-            ("spread", 0.001, 2.0, ""),
-            ("wind_memory_s", 0.1, 1e4, "s"),
-            ("wind_decay_s", 0.1, 1e4, "s"),
-            ("seed", 0, 2**32 - 1, ""),
-        ):
-            require_range(name, getattr(self, name), low, high, unit)
 
 
 class WindObserver:
@@ -141,8 +105,7 @@ class WindObserver:
 
     def _low_pass(self, old: Floats, new: Floats, time_s: float) -> Floats:
         share = np.exp(-self._dt / time_s)
-        filtered: Floats = share * old + (1.0 - share) * new
-        return filtered
+        return share * old + (1.0 - share) * new
 
     def _seen(self) -> Floats:
         if self._planning.knowledge == "exact":
@@ -170,49 +133,16 @@ class WindObserver:
     def expected(self, n_steps: int) -> Floats:
         """Return the wind from now on, (n_lanes, n_wtg, n_steps + 1) [m/s]."""
         decay = np.exp(-self._dt / self._planning.wind_decay_s * np.arange(n_steps + 1))
-        ahead: Floats = self.mean[..., None] + (self.now - self.mean)[..., None] * decay
+        ahead = self.mean[..., None] + (self.now - self.mean)[..., None] * decay
         return np.clip(ahead, *_WIND_RANGE)
 
 
-def played_by_planner(
-    suite: str,
-    split: str,
-    seeds: Sequence[int],
-    planning: Planning,
-    n_threads: int | None = None,
-    on_step: Callable[[int, int], None] = lambda done, total: None,
-) -> list[Episode]:
-    """Play scenarios with a planner each, and measure the episodes."""
-    settings = EnvSettings(suite=suite, split=split, action_mode="k+tau", observation_mode="privileged")
-    if not settings.benchmark().sensed:
-        raise ValueError(f"the planner reads sensors, which suites have from version v1 on, got {suite!r}")
-    lanes = TaskLanes(settings, len(seeds), n_threads)
-    with closing(lanes.simulator):
-        scenarios = lanes.scenarios(seeds)
-        lanes.start(range(len(seeds)), scenarios)
-        recorder, n_steps = Recorder(lanes), round(lanes.duration_s / settings.control_dt)
-        for step, stepped in enumerate(plan(lanes, planning, n_threads), start=1):
-            recorder.record(stepped)
-            on_step(step, n_steps)
-        return [
-            Episode(
-                entry=f"planner-{planning.knowledge}",
-                training_seed=None,
-                seed=int(lanes.scenario_seeds[lane]),
-                scenario=scenario.name,
-                duration_s=min(scenario.duration_s, lanes.duration_s),
-                **measure(lanes, recorder, lane, scenario),
-            )
-            for lane, scenario in enumerate(scenarios)
-        ]
-
-
-def plan(lanes: TaskLanes, planning: Planning, n_threads: int | None = None) -> Iterator[npt.NDArray[np.bool_]]:
+def plan(lanes: TaskLanes, planning: Planning) -> Iterator[npt.NDArray[np.bool_]]:
     """Play the started episodes of all lanes to their ends; after every step, yield which lanes made it, (n_lanes,).
 
     The lanes must have both actions and the privileged observation.
     """
-    imagined = TaskLanes(lanes.settings, lanes.n_lanes * planning.population, n_threads)
+    imagined = TaskLanes(lanes.settings, lanes.n_lanes * planning.population)
     with closing(imagined.simulator):
         planner = _Planner(lanes, imagined, planning)
         running = np.ones(lanes.n_lanes, dtype=np.bool_)
@@ -289,24 +219,47 @@ def _actions(lanes: TaskLanes, course: Floats, gain: float) -> Floats:
     """Actions of a course (n_lanes, n_wtg, 2) on top of the feedback of the exact frequency."""
     first, n = lanes.n_wtg * (lanes.n_local + 2), N_LOCAL + 1
     exact = lanes.observations[:, first : first + lanes.n_wtg * n].reshape(lanes.n_lanes, lanes.n_wtg, n)
-    actions: Floats = course.copy()
+    actions = course.copy()
     actions[..., 0] -= gain * exact[..., 0].astype(np.float64)
     return np.ascontiguousarray(np.clip(actions, -1.0, 1.0).reshape(lanes.n_lanes, -1))
 
 
+def played_by_planner(suite: str, split: str, seeds: Sequence[int], planning: Planning) -> list[Episode]:
+    """Play scenarios of version v1 with a planner each, and measure the episodes."""
+    settings = EnvSettings(suite=suite, split=split, action_mode="k+tau", observation_mode="privileged")
+    lanes = TaskLanes(settings, len(seeds))
+    with closing(lanes.simulator), Progress("steps") as progress:
+        scenarios = lanes.scenarios(seeds)
+        lanes.start(range(len(seeds)), scenarios)
+        recorder, n_steps = Recorder(lanes), round(lanes.duration_s / settings.control_dt)
+        for step, stepped in enumerate(plan(lanes, planning), start=1):
+            recorder.record(stepped)
+            progress.update(f"planner-{planning.knowledge}", step, n_steps)
+        return [
+            Episode(
+                entry=f"planner-{planning.knowledge}",
+                training_seed=None,
+                seed=int(lanes.scenario_seeds[lane]),
+                scenario=scenario.name,
+                duration_s=min(scenario.duration_s, lanes.duration_s),
+                **measure(lanes, recorder, lane, scenario),
+            )
+            for lane, scenario in enumerate(scenarios)
+        ]
+
+
+class _NoPolicy:
+    """Stands for a planner in its entry's data: it needs more than an observation."""
+
+    def predict(self, *_, **__):
+        raise TypeError("a planner is played by docs/studies/planner.py")
+
+
 def results_with_planners(
-    suite: str,
-    split: str,
-    seeds: Sequence[int],
-    plannings: Sequence[Planning],
-    entries: Sequence[str | Entry] = (),
-    *,
-    chunk: int = 50,
-    n_threads: int | None = None,
-    on_progress: Callable[[str, int, int], None] = lambda name, done, total: None,
+    suite: str, split: str, seeds: Sequence[int], plannings: Sequence[Planning], entries: Sequence[str] = ()
 ) -> Results:
     """Evaluate planners beside the anchors and other entries."""
-    results = evaluate(list(entries), suite, split, seeds=list(seeds), n_threads=n_threads, on_progress=on_progress)
+    results = evaluate(list(entries), suite, split, seeds=list(seeds))
     for planning in plannings:
         entry = Entry(
             name=f"planner-{planning.knowledge}",
@@ -317,73 +270,18 @@ def results_with_planners(
             f"knows the state exactly, the wind: {planning.knowledge}.",
             equation=", ".join(f"{key} = {value}" for key, value in asdict(planning).items()),
         )
-        episodes: list[Episode] = []
-        for first in range(0, len(seeds), chunk):
-            own = list(seeds[first : first + chunk])
-
-            def tell(done: int, total: int, first: int = first, name: str = entry.name, n: int = len(own)) -> None:
-                on_progress(name, first * total + done * n, len(seeds) * total)
-
-            episodes += played_by_planner(suite, split, own, planning, n_threads, tell)
+        episodes = played_by_planner(suite, split, seeds, planning)
         results = replace(results, entries=(*results.entries, entry.to_dict()), episodes=(*results.episodes, *episodes))
     return results
 
 
-class _NoPolicy:
-    """Stands for a planner in its entry's data: it needs more than an observation."""
-
-    def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
-    ) -> tuple[Any, Any]:
-        raise TypeError("a planner is played by agents.research.planner")
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit code."""
-    parser = Parser(prog="python -m agents.research.planner", description=_DESCRIPTION, epilog=_EXAMPLES)
-    parser.add_argument(
-        "--suite", type=suite_name, default="standard-v1", metavar="NAME", help="of version v1 (default: standard-v1)"
-    )
-    parser.add_argument("--split", default="validation", choices=SPLITS, help="(default: validation)")
-    parser.add_argument("--scenarios", type=int, metavar="N", help="the first ones (default: all)")
-    parser.add_argument("--knowledge", nargs="+", choices=KNOWLEDGE, default=list(KNOWLEDGE), help="(default: both)")
-    parser.add_argument("--entries", nargs="+", default=[], metavar="ENTRY", help="to play beside them")
-    parser.add_argument("--generations", type=int, default=Planning().generations, metavar="N", help="of a search")
-    parser.add_argument("--output", required=True, metavar="FOLDER", help="results as of wtg-gym evaluate")
-    parser.add_argument("--page", metavar="FILE", help=f"Markdown file with markers '{_SECTION}'")
-    add_threads_option(parser)
-
-    def work() -> None:
-        given = parser.parse_args(argv)
-        output = check_output_folder("--output", given.output)
-        page = check_page("--page", given.page, _SECTION)
-        every = get_suite(given.suite).seeds(given.split)
-        n = len(every) if given.scenarios is None else given.scenarios
-        if not 1 <= n <= len(every):
-            raise ValueError(f"--scenarios = {n} is outside the allowed range 1 … {len(every)}")
-        seeds = list(every[:n])
-        plannings = [Planning(knowledge=own, generations=given.generations) for own in given.knowledge]
-        with Progress("scenarios × steps") as progress:
-            results = results_with_planners(
-                given.suite,
-                given.split,
-                seeds,
-                plannings,
-                given.entries,
-                n_threads=given.threads,
-                on_progress=progress.update,
-            )
-        rows = leaderboard_rows(results)
-        text = f"{markdown_table(rows, _COLUMNS)}\n\n{privileged_note(rows).capitalize()}."
-        if page is not None:
-            where = f"{len(results.seeds)} {results.split} scenarios of `{results.suite}`"
-            update_page(page, {_SECTION: f"The first {where}:\n\n{text}"})
-        print(text)
-        for path in results.write(output):
-            note(f"wrote {path}")
-
-    return run_command(work)
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    docs, n = Path(sys.argv[1] if len(sys.argv) > 1 else "docs"), 48
+    for split, entries in (("validation", ()), ("test", ("gradient LSTM", "recurrent PPO"))):
+        seeds = get_suite("standard-v1").seeds(split)[:n]
+        plannings = [Planning(knowledge=own) for own in ("exact", "measured")]
+        results = results_with_planners("standard-v1", split, seeds, plannings, entries)
+        results.write("results/planners")
+    table = markdown_table(leaderboard_rows(results))
+    text = f"The first {n} test scenarios of `standard-v1`:\n\n{table}"
+    update_between_markers(docs / "benchmark.md", text, "planners")

@@ -1,26 +1,20 @@
-"""Planners: where nothing surprises, the imagined future is the real one; and what they estimate and write."""
+"""Facts about imagined lanes: where nothing surprises, the imagined future is the real one."""
 
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from agents.research import planner
-from agents.research.planner import Planning, WindObserver, results_with_planners
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import Results
-from wtg_gym.evaluation.recording import recorded
 from wtg_gym.physics.scenario import LineTrip, LoadRamp, LoadStep, Scenario
 from wtg_gym.scenarios import get_suite
 
 SUITE = "standard-v1"
 SETTINGS = EnvSettings(suite=SUITE, observation_mode="privileged", duration_s=20.0)
-QUICK = Planning(horizon_s=5.0, interval_s=5.0, population=8, generations=1)
 
 
 def scenario(*events: Any, wind: Any = ((9.0,), (9.5,), (8.5,), (10.0,))) -> Scenario:
@@ -90,67 +84,3 @@ def test_lanes_of_another_plant_and_wrong_shapes_are_refused() -> None:
     imagined = started(2)
     with pytest.raises(ValueError, match=r"a lane for each of 2 lanes .* got shapes \(1,\) and \(2, 4, 3\)"):
         imagined.imagine(lanes, np.zeros(1, dtype=np.int64), wind)
-
-
-def test_the_observer_finds_the_wind_behind_a_wrong_sensor() -> None:
-    wrong = dataclasses.replace(
-        get_suite(SUITE).scenario(10_000).sensors,  # type: ignore[type-var]
-        wind_bias=(0.1, -0.1, 0.05, 0.0),
-        wind_noise=0.0,
-    )
-    lanes = started(1, dataclasses.replace(scenario(), sensors=wrong))
-    observer = WindObserver(lanes, Planning(knowledge="measured"))
-    for _ in range(199):
-        lanes.step(np.zeros((1, lanes.n_action)))
-        observer.update()
-    real = lanes.simulator.wtg_values("wind")[0]
-    seen = observer._measured()[2][0]
-    assert np.abs(seen / real - 1.0).max() > 0.09
-    # After two of its time constants less than a fifth is left.
-    assert np.abs(observer.now[0] / real - 1.0).max() < 0.025
-    assert observer.expected(5).shape == (1, 4, 6)
-
-
-def test_planners_are_rows_beside_the_anchors_and_play_the_same_twice(tmp_path: Path) -> None:
-    seeds = [10_000, 10_003]
-    runs = [results_with_planners(SUITE, "validation", seeds, [QUICK], n_threads=n) for n in (1, 2)]
-    assert runs[0].pinned_costs["planner-exact"].tolist() == runs[1].pinned_costs["planner-exact"].tolist()
-    runs[0].write(tmp_path)
-    again = Results.read(tmp_path / f"{SUITE}-validation.json")
-    assert again.scores["planner-exact"] == runs[0].scores["planner-exact"]
-    assert again.scores["coordinated-tuned"].value == 100.0
-
-
-def test_a_recorded_planner_plays_as_a_scored_one() -> None:
-    settings = EnvSettings(suite=SUITE, split="validation", action_mode="k+tau", observation_mode="privileged")
-    (episode,) = planner.played_by_planner(SUITE, "validation", [10_000], QUICK, 1)
-    lanes = TaskLanes(settings, 1, 1)
-    lanes.start([0], lanes.scenarios([10_000]))
-    recording = recorded(lanes, planner.plan(lanes, QUICK, 1))
-    assert recording.cost_terms.sum() == pytest.approx(episode.metrics["cost"], rel=1e-12)
-    assert recording.time_s[-1] == 60.0
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"knowledge": "all"}, "unknown knowledge 'all'; choose one of exact, measured"),
-        ({"interval_s": 31.0}, r"interval_s = 31 s is outside the allowed range 0.1 … 30 s"),
-        ({"population": 2}, "population = 2 is outside"),
-        ({"n_knots": 1}, "n_knots = 1 is outside"),
-    ],
-)
-def test_impossible_efforts_are_refused(change: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        Planning(**change)
-
-
-def test_a_suite_without_sensors_is_refused() -> None:
-    with pytest.raises(ValueError, match="version v1"):
-        planner.played_by_planner("standard", "validation", [10_000], QUICK)
-
-
-@pytest.mark.parametrize("n", ["0", "-3", "201"])
-def test_number_of_scenarios_is_checked(n: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert planner.main(["--scenarios", n, "--output", str(tmp_path)]) == 2
-    assert f"--scenarios = {n} is outside the allowed range 1 … 200" in capsys.readouterr().err
