@@ -104,7 +104,6 @@ DOCS := docs
 .PHONY: pictures
 pictures: $(LEADERBOARD_READY) ## Draw every picture of the README and of docs/ that is not a measurement of time, and renew the tables beside them
 	$(LEADERBOARD_VENV)/bin/wtg-gym simulate --case load-increase --strategy mppt --strategy deloaded-5 --strategy deloaded-10 --strategy coordinated-piecewise --plot $(DOCS)/images/load-increase.png
-	$(LEADERBOARD_VENV)/bin/wtg-gym simulate --case load-increase --strategy mppt --strategy coordinated-piecewise --duration 60 --plot $(DOCS)/images/episode.gif
 	$(LEADERBOARD_VENV)/bin/python docs/images/rooms.py $(DOCS)/images/rooms.svg
 	$(LEADERBOARD_VENV)/bin/python docs/images/render.py $(DOCS)/images/render.png $(DOCS)/images/render-v1.png
 	$(LEADERBOARD_VENV)/bin/python -m agents.research.one_event --suite standard-v1 --seed 20000 --entries coordinated-piecewise coordinated-tuned gradient-v1-0 --planner measured --output $(DOCS)/images/one-event.svg
@@ -152,7 +151,7 @@ docs-check: $(LEADERBOARD_READY) ## Draw the pictures into a copy of docs/ and n
 	rm -rf build/docs
 	mkdir -p build
 	cp -R docs build/docs
-	find build/docs '(' -name '*.gif' -o -name '*.png' -o -name '*.svg' ')' -delete
+	find build/docs '(' -name '*.png' -o -name '*.svg' ')' -delete
 	$(MAKE) --no-print-directory pictures DOCS=build/docs
 	$(LEADERBOARD_VENV)/bin/python -m tests.pictures docs build/docs
 

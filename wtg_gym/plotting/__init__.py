@@ -4,7 +4,6 @@ Needs matplotlib of the `leaderboard` extra once something is drawn; importing t
 returns a matplotlib figure, built without pyplot; :func:`figure_bytes` turns one into a file.
 """
 
-from wtg_gym.plotting.animation import animate_trajectories
 from wtg_gym.plotting.characteristics import plot_characteristic
 from wtg_gym.plotting.eigenvalue_plane import plot_modes
 from wtg_gym.plotting.front import plot_front
@@ -23,7 +22,6 @@ from wtg_gym.plotting.trajectories import plot_trajectories
 __all__ = [
     "STRATEGY_LOOKS",
     "LearningCurve",
-    "animate_trajectories",
     "figure_bytes",
     "plot_accuracy",
     "plot_bode",
