@@ -13,7 +13,6 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
-import wtg_gym
 from tests.envs.rollouts import actions_of, calm, eventful, sagging, single_steps, vector_steps
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
 from wtg_gym.envs.rendering.colours import EVENT, INK
@@ -24,13 +23,13 @@ from wtg_gym.physics.scenario import GovernorLoss, GroupTrip, MachineOutage
 
 pytest.importorskip("matplotlib")
 
-ENV_ID = wtg_gym.ENV_ID
+ENV_ID = "GFMWTG-14bus-v0"
 SHAPE = (FRAME_SIZE[1], FRAME_SIZE[0], 3)
 
 
 def playing(n_steps: int, **settings: Any) -> GFMWTGEnv:
     """Return an environment that renders, so many steps into the eventful scenario."""
-    env = GFMWTGEnv(**{"render_mode": "rgb_array", "scenario": eventful().to_dict(), **settings})
+    env = GFMWTGEnv(**{"version": "v0", "render_mode": "rgb_array", "scenario": eventful().to_dict(), **settings})
     env.reset(seed=0)
     for action in actions_of(3, n_steps, 1, env.action_space.shape[0]):
         env.step(action[0])
@@ -56,13 +55,13 @@ def test_every_step_gives_a_new_frame_of_the_same_size(version: str):
 
 @pytest.mark.parametrize("groups", [1, 3])
 def test_plants_of_other_sizes_are_drawn(groups: int):
-    env = GFMWTGEnv(render_mode="rgb_array", groups=groups, duration_s=5.0)
+    env = GFMWTGEnv(version="v0", render_mode="rgb_array", groups=groups, duration_s=5.0)
     env.reset(seed=1)
     assert env.render().shape == SHAPE
 
 
 def test_a_stall_and_the_papers_long_case_are_drawn_to_their_end():
-    stalling = GFMWTGEnv(render_mode="rgb_array", strategy="mppt", scenario=sagging(7.0).to_dict())
+    stalling = GFMWTGEnv(version="v0", render_mode="rgb_array", strategy="mppt", scenario=sagging(7.0).to_dict())
     stalling.reset()
     over = False
     while not over:
@@ -79,7 +78,7 @@ def test_a_stall_and_the_papers_long_case_are_drawn_to_their_end():
 
 @pytest.mark.parametrize("control_dt", [0.1, 0.2])
 def test_frames_come_in_real_time(control_dt: float):
-    env = GFMWTGEnv(control_dt=control_dt, simulation_dt=0.025, duration_s=2.0)
+    env = GFMWTGEnv(version="v0", control_dt=control_dt, simulation_dt=0.025, duration_s=2.0)
     assert env.metadata["render_fps"] == round(1.0 / control_dt) and GFMWTGEnv.metadata["render_fps"] == 10
 
 
@@ -92,7 +91,7 @@ def test_both_checkers_have_no_complaint_about_rendering(monkeypatch: pytest.Mon
     # The checker makes it with every render mode, so with a window too.
     env = gym.make(ENV_ID, duration_s=2.0, render_mode="rgb_array")
     check_env(env.unwrapped, skip_render_check=False)
-    check_sb3(GFMWTGEnv(duration_s=2.0, render_mode="rgb_array"), warn=True)
+    check_sb3(GFMWTGEnv(version="v0", duration_s=2.0, render_mode="rgb_array"), warn=True)
 
 
 # --- what is refused -------------------------------------------------------------------------------------------------
@@ -103,20 +102,20 @@ def test_unknown_modes_are_refused_and_a_batch_has_no_window():
         with pytest.raises(ValueError, match="unknown render_mode 'ansi'"):
             kind(render_mode="ansi")
     with pytest.raises(ValueError, match="unknown render_mode 'human'"):
-        GFMWTGVectorEnv(2, render_mode="human")
+        GFMWTGVectorEnv(2, version="v0", render_mode="human")
 
 
 def test_render_without_a_mode_warns_and_gives_nothing():
-    for env in (playing(1, render_mode=None), GFMWTGVectorEnv(2, duration_s=2.0)):
+    for env in (playing(1, render_mode=None), GFMWTGVectorEnv(2, version="v0", duration_s=2.0)):
         env.reset()
         with pytest.warns(UserWarning, match="render_mode"):
             assert env.render() is None
-    assert GFMWTGEnv(duration_s=2.0).snapshot()[-1] is None
+    assert GFMWTGEnv(version="v0", duration_s=2.0).snapshot()[-1] is None
 
 
 def test_render_before_reset_says_so():
-    batch = GFMWTGVectorEnv(2, duration_s=2.0, render_mode="rgb_array")
-    for env in (GFMWTGEnv(render_mode="rgb_array"), batch):
+    batch = GFMWTGVectorEnv(2, version="v0", duration_s=2.0, render_mode="rgb_array")
+    for env in (GFMWTGEnv(version="v0", render_mode="rgb_array"), batch):
         with pytest.raises(RuntimeError, match="reset"):
             env.render()
     batch.reset(seed=0, options={"reset_mask": np.arange(2) == 1})
@@ -131,16 +130,16 @@ def test_render_before_reset_says_so():
 
 def test_a_trajectory_is_the_same_with_and_without_rendering():
     actions = actions_of(5, 40)[:, 0]
-    plain = single_steps(GFMWTGEnv(duration_s=3.0), actions, AutoresetMode.NEXT_STEP, seed=2)
+    plain = single_steps(GFMWTGEnv(version="v0", duration_s=3.0), actions, AutoresetMode.NEXT_STEP, seed=2)
 
     class Watched(GFMWTGEnv):
         def step(self, action: Any) -> Any:
             self.render()
             return super().step(action)
 
-    env = Watched(duration_s=3.0, render_mode="rgb_array")
+    env = Watched(version="v0", duration_s=3.0, render_mode="rgb_array")
     assert single_steps(env, actions, AutoresetMode.NEXT_STEP, seed=2) == plain
-    batch = GFMWTGVectorEnv(3, duration_s=3.0, render_mode="rgb_array")
+    batch = GFMWTGVectorEnv(3, version="v0", duration_s=3.0, render_mode="rgb_array")
     assert vector_steps(batch, np.stack([actions] * 3, axis=1), seed=2)[0] == plain
 
 
@@ -253,7 +252,7 @@ def test_video_recorder_of_stable_baselines3_writes_the_batch(tmp_path: Path):
 
     from wtg_gym.sb3 import SB3VecEnv
 
-    envs = SB3VecEnv(2, duration_s=1.0, render_mode="rgb_array")
+    envs = SB3VecEnv(2, version="v0", duration_s=1.0, render_mode="rgb_array")
     envs = VecVideoRecorder(envs, str(tmp_path), record_video_trigger=lambda step: step == 0, video_length=5)
     envs.reset()
     for _ in range(6):

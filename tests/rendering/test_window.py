@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from gymnasium.error import DependencyNotInstalled
 
-import wtg_gym
 from wtg_gym.envs import GFMWTGEnv
 from wtg_gym.envs.rendering import LaneFrames
 
@@ -26,7 +25,10 @@ def on_screen() -> np.ndarray:
 
 
 def test_reset_and_step_show_the_frame_by_themselves():
-    env, twin = GFMWTGEnv(duration_s=2.0, render_mode="human"), GFMWTGEnv(duration_s=2.0, render_mode="rgb_array")
+    env, twin = (
+        GFMWTGEnv(duration_s=2.0, render_mode="human", version="v0"),
+        GFMWTGEnv(duration_s=2.0, render_mode="rgb_array", version="v0"),
+    )
     assert pygame.display.get_surface() is None
     env.reset(seed=3), twin.reset(seed=3)
     assert np.array_equal(on_screen(), twin.render())
@@ -38,7 +40,7 @@ def test_reset_and_step_show_the_frame_by_themselves():
 
 
 def test_an_episode_goes_on_after_its_window_was_closed():
-    env = gym.make(wtg_gym.ENV_ID, duration_s=1.0, render_mode="human")
+    env = gym.make("GFMWTG-14bus-v0", duration_s=1.0, render_mode="human")
     env.reset(seed=0)
     pygame.event.post(pygame.event.Event(pygame.QUIT))
     for _ in range(10):
@@ -50,7 +52,7 @@ def test_an_episode_goes_on_after_its_window_was_closed():
 
 
 def test_nothing_is_painted_for_a_window_that_was_closed(monkeypatch: pytest.MonkeyPatch):
-    env = GFMWTGEnv(duration_s=1.0, render_mode="human")
+    env = GFMWTGEnv(duration_s=1.0, render_mode="human", version="v0")
     env.reset(seed=0)
     painted = []
     paint = LaneFrames.paint
@@ -67,8 +69,8 @@ def test_nothing_is_painted_for_a_window_that_was_closed(monkeypatch: pytest.Mon
 @pytest.mark.parametrize(("module", "mode"), [("pygame", "human"), ("matplotlib", "rgb_array")])
 def test_a_missing_library_is_named_with_what_to_install(monkeypatch: pytest.MonkeyPatch, module: str, mode: str):
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(DependencyNotInstalled, match=rf"{module}.*wtg-gym\[render\]"):
-        GFMWTGEnv(duration_s=2.0, render_mode=mode)
+    with pytest.raises(DependencyNotInstalled, match=rf"{module}.*\[render\]"):
+        GFMWTGEnv(duration_s=2.0, render_mode=mode, version="v0")
 
 
 def test_a_missing_display_is_named(monkeypatch: pytest.MonkeyPatch):
@@ -76,4 +78,4 @@ def test_a_missing_display_is_named(monkeypatch: pytest.MonkeyPatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(RuntimeError, match=r"display.*rgb_array"):
-        GFMWTGEnv(duration_s=2.0, render_mode="human").reset()
+        GFMWTGEnv(duration_s=2.0, render_mode="human", version="v0").reset()
