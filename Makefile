@@ -82,15 +82,14 @@ page: matrix verification ## Rank every entry on all suites and on fresh scenari
 	for suite in $(PAGE_SUITES); do \
 	    $(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite $$suite --entries baselines $(POLICIES_V0) --results results || exit; done
 	$(LEADERBOARD_VENV)/bin/wtg-gym results page $(PAGE_SUITES_V1:%=results/%-test.json) $(PAGE_SENSORS:%=results/%/standard-v1-test.json) \
-	    $(PAGE_SUITES:%=results/%-test.json) results/standard-fresh.json \
-	    --entries baselines $(EVERY_POLICY) --output docs/leaderboard.html
+	    $(PAGE_SUITES:%=results/%-test.json) results/standard-fresh.json --output docs/leaderboard.html
 
 # Its fonts and its browser are those of the machine: `make docs-check` leaves this picture out.
 CHROMIUM ?= $(firstword $(foreach name,chromium chromium-browser google-chrome,$(shell command -v $(name))) chromium)
 
 .PHONY: page-picture
 page-picture: page ## Take the picture of docs/leaderboard.html that docs/usage.md shows; needs Chromium
-	$(CHROMIUM) --headless $(if $(filter 0,$(shell id -u)),--no-sandbox) --hide-scrollbars --window-size=1440,2420 \
+	$(CHROMIUM) --headless $(if $(filter 0,$(shell id -u)),--no-sandbox) --hide-scrollbars --window-size=1760,1330 \
 	    --virtual-time-budget=20000 --screenshot=$(CURDIR)/docs/images/leaderboard-page.png file://$(CURDIR)/docs/leaderboard.html
 
 .PHONY: live-picture

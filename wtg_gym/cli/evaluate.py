@@ -50,8 +50,7 @@ fails is named with its reason and left out with all training seeds of its name;
 printed and the results are written as JSON and CSV. Stored results of entries that were not asked for are kept in these
 files where they can be used again, but not printed; --fresh drops them. With --readme the table between the markers
 <!-- leaderboard:SUITE:start --> and <!-- leaderboard:SUITE:end --> of that file is replaced. With --html the ranking
-is written as one HTML file with charts, and with traces of the first scenarios; 'wtg-gym results page' does that for
-several suites at once."""
+is written as one HTML file with charts; 'wtg-gym results page' does that for several suites at once."""
 
 _LEADERBOARD_EXAMPLES = """\
   wtg-gym leaderboard --suite standard --results results --readme README.md
@@ -90,7 +89,7 @@ def add_commands(commands: Commands) -> None:
         "--results", metavar="DIR", default="results", help="folder of the results; made if missing (default: results)"
     )
     parser.add_argument("--readme", metavar="FILE", help="file with the markers to put the table between")
-    parser.add_argument("--html", metavar="FILE", help="write the ranking as one HTML file with charts and traces")
+    parser.add_argument("--html", metavar="FILE", help="write the ranking as one HTML file with charts")
     parser.add_argument("--fresh", action="store_true", help="evaluate everything, whatever is stored, from the start")
 
 
@@ -147,5 +146,5 @@ def _run_leaderboard(arguments: argparse.Namespace) -> int:
     if readme is not None:
         update_page(readme, {section: markdown_section(results)})
     if page is not None:
-        write_html(page, [results], entries, None, arguments.threads)
+        write_html(page, [results])
     return code
