@@ -78,15 +78,14 @@ page: matrix verification ## Rank every entry on all suites and on fresh scenari
 	for suite in $(PAGE_SUITES); do \
 	    $(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite $$suite --entries baselines policies --results results || exit; done
 	$(LEADERBOARD_VENV)/bin/wtg-gym results page $(PAGE_SUITES_V1:%=results/%-test.json) $(PAGE_SENSORS:%=results/%/standard-v1-test.json) \
-	    $(PAGE_SUITES:%=results/%-test.json) results/standard-fresh.json \
-	    --entries baselines policies --output docs/leaderboard.html
+	    $(PAGE_SUITES:%=results/%-test.json) results/standard-fresh.json --output docs/leaderboard.html
 
 # Its fonts and its browser are those of the machine: `make docs-check` leaves this picture out.
 CHROMIUM ?= $(firstword $(foreach name,chromium chromium-browser google-chrome,$(shell command -v $(name))) chromium)
 
 .PHONY: page-picture
 page-picture: page ## Take the picture of docs/leaderboard.html that docs/usage.md shows; needs Chromium
-	$(CHROMIUM) --headless $(if $(filter 0,$(shell id -u)),--no-sandbox) --hide-scrollbars --window-size=1440,2420 \
+	$(CHROMIUM) --headless $(if $(filter 0,$(shell id -u)),--no-sandbox) --hide-scrollbars --window-size=1760,1330 \
 	    --virtual-time-budget=20000 --screenshot=$(CURDIR)/docs/images/leaderboard-page.png file://$(CURDIR)/docs/leaderboard.html
 
 .PHONY: live-picture
@@ -106,7 +105,6 @@ studies: $(LEADERBOARD_READY) ## Run the studies of docs/studies and renew their
 .PHONY: pictures
 pictures: $(LEADERBOARD_READY) studies ## Draw every picture of the README and of docs/ that is not a measurement of time, and renew the tables beside them
 	$(LEADERBOARD_VENV)/bin/wtg-gym simulate --case load-increase --strategy mppt --strategy deloaded-5 --strategy deloaded-10 --strategy coordinated-piecewise --plot $(DOCS)/images/load-increase.png
-	$(LEADERBOARD_VENV)/bin/wtg-gym simulate --case load-increase --strategy mppt --strategy coordinated-piecewise --duration 60 --plot $(DOCS)/images/episode.gif
 	$(LEADERBOARD_VENV)/bin/python docs/images/rooms.py $(DOCS)/images/rooms.svg
 	$(LEADERBOARD_VENV)/bin/python docs/images/render.py $(DOCS)/images/render.png $(DOCS)/images/render-v1.png
 	$(LEADERBOARD_VENV)/bin/python docs/studies/one_event.py $(DOCS)
@@ -140,7 +138,7 @@ docs-check: $(LEADERBOARD_READY) ## Draw the pictures into a copy of docs/ and n
 	rm -rf build/docs
 	mkdir -p build
 	cp -R docs build/docs
-	find build/docs '(' -name '*.gif' -o -name '*.png' -o -name '*.svg' ')' -delete
+	find build/docs '(' -name '*.png' -o -name '*.svg' ')' -delete
 	$(MAKE) --no-print-directory pictures DOCS=build/docs
 	$(LEADERBOARD_VENV)/bin/python -m tests.pictures docs build/docs
 

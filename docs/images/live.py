@@ -18,7 +18,7 @@ from typing import Any
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-SIZE = {"width": 1366, "height": 900}
+SIZE = {"width": 1366, "height": 970}
 
 
 @contextmanager
@@ -55,7 +55,7 @@ def take(browser: Any, path: str, act: Callable[[Any], None], *command: str) -> 
         page.wait_for_function("window.Bokeh?.documents[0]?.roots().length > 0")
         act(page)
         page.wait_for_timeout(1000)
-        picture = Image.open(BytesIO(page.screenshot(full_page=True)))
+        picture = Image.open(BytesIO(page.screenshot()))
         page.close()
     picture.convert("P", palette=Image.Palette.ADAPTIVE, colors=128).save(Path(path), optimize=True)
 

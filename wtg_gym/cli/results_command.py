@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from wtg_gym.cli import output, scoring
-from wtg_gym.cli.parser import Commands, add_command, add_group, add_json_option, add_threads_option
+from wtg_gym.cli.parser import Commands, add_command, add_group, add_json_option
 from wtg_gym.cli.results_matrix import add_matrix
-from wtg_gym.evaluation import Entry, Results, generalisation, leaderboard_rows
+from wtg_gym.evaluation import Results, generalisation, leaderboard_rows
 from wtg_gym.evaluation.recompute import departures, recompute
 from wtg_gym.plotting import figure_bytes, plot_front
 from wtg_gym.plotting.front import MOST_FAILURES_PERCENT, undominated
-from wtg_gym.plotting.page import N_SCENARIOS, SIZE_LIMIT, leaderboard_page, untraced
+from wtg_gym.plotting.page import leaderboard_page
 from wtg_gym.policies.names import BASELINES
 from wtg_gym.progress import Progress
 
@@ -21,11 +21,10 @@ from wtg_gym.progress import Progress
 _SHOWN = 20
 
 _PAGE = """\
-Shows stored results as one HTML file that needs nothing but a browser, offline too: the ranking with its intervals,
-performance profiles, physical metrics, and two entries side by side in one scenario, frequency, rotors, power, k, τ
-and wind over one time axis. The traces are recorded anew from those entries of --entries that the results hold, and
-from both anchors. Results of several suites stand side by side in a matrix, too, and beside them those that 'wtg-gym
-results matrix' played with other sensors. Suites of the latest version of the benchmark come first."""
+Shows stored results as one HTML file that needs nothing but a browser, offline too: each suite's ranking with its
+intervals, to sort and to filter, the scores as a chart, and the deviation of the frequency against the failures. The
+scores on several suites stand side by side in a table, too, and beside them those that 'wtg-gym results matrix' played
+with other sensors. Suites of the latest version of the benchmark come first."""
 
 _RECOMPUTE = """\
 Evaluates the entries of a results file again, on the same scenarios with the same settings, and compares every number
@@ -74,42 +73,25 @@ def _add_page(own: Commands) -> None:
         own,
         "page",
         _run_page,
-        summary="show stored results as one HTML file with charts and traces",
+        summary="show stored results as one HTML file with charts",
         description=_PAGE,
         examples="  wtg-gym results page results/standard-test.json --output leaderboard.html\n"
-        "  wtg-gym results page results/*.json --entries baselines policies --output leaderboard.html\n"
-        "  wtg-gym results page results/standard-test.json --scenarios 0 --output small.html",
+        "  wtg-gym results page results/*.json --output leaderboard.html",
     )
     parser.add_argument("results", nargs="+", metavar="RESULTS", help="JSON file of results, one of each suite")
-    scoring.add_entries_option(parser, f"whose traces to show, as for 'wtg-gym leaderboard' (default: {BASELINES})")
     parser.add_argument("--output", required=True, metavar="FILE", help="the HTML file to write")
-    parser.add_argument(
-        "--scenarios",
-        type=int,
-        metavar="N",
-        help="traces of the first N scenarios of each suite; 0 for none "
-        f"(default: as many of the first {N_SCENARIOS} as keep the file below {SIZE_LIMIT / 1e6:g} MB)",
-    )
-    add_threads_option(parser)
 
 
 def _run_page(arguments: argparse.Namespace) -> int:
     page = check_html("--output", arguments.output)
     results = [Results.read(path) for path in arguments.results]
-    entries = [] if arguments.scenarios == 0 else _entries_of_versions(arguments.entries, results)
     for each in results:
         if not each.has_scale:
             output.note(
                 f"no ranking of {each.name}, where {each.benchmark.hundred} is no better than {each.benchmark.zero}"
             )
-    write_html(page, results, entries, arguments.scenarios, arguments.threads)
+    write_html(page, results)
     return 0
-
-
-def _entries_of_versions(specs: Sequence[str], results: Sequence[Results]) -> list[Entry]:
-    """Return the entries of `--entries` that play in the versions of the results; names may repeat across versions."""
-    suites = {each.benchmark.env_id: each.suite for each in results}
-    return [entry for suite in suites.values() for entry in scoring.chosen_entries(specs, suite, others=False)]
 
 
 def check_html(option: str, text: str) -> Path:
@@ -119,22 +101,9 @@ def check_html(option: str, text: str) -> Path:
     return path
 
 
-def write_html(
-    path: Path, results: Sequence[Results], entries: Sequence[Entry], n_scenarios: int | None, n_threads: int | None
-) -> None:
-    """Write results as one HTML file; None shows as many scenarios as the size allows."""
-    with Progress("entries") as progress:
-        page = leaderboard_page(
-            results, entries, n_scenarios=n_scenarios, n_threads=n_threads, on_progress=progress.update
-        )
-    missing = [] if n_scenarios == 0 else untraced(results, entries)
-    if missing:
-        output.note(f"no traces of {', '.join(missing)}: not among the entries given, or changed since the results")
-    output.write_and_say(path, page.text)
-    traced = ", ".join(f"{name} {number}" for name, number in page.n_traced.items())
-    output.note(f"{page.size / 1e6:.2f} MB; scenarios with traces: {traced}")
-    if page.size > SIZE_LIMIT:
-        output.note(f"that is more than {SIZE_LIMIT / 1e6:g} MB: show fewer suites or entries, or fewer --scenarios")
+def write_html(path: Path, results: Sequence[Results]) -> None:
+    """Write results as one HTML file."""
+    output.write_and_say(path, leaderboard_page(results))
 
 
 # --- recompute -------------------------------------------------------------------------------------------------------

@@ -1,5 +1,1 @@
-"""The page of `wtg-gym play`: holding the frequency by hand.
-
-`episode` and `match` hold what happens, without Bokeh; `play_page` shows it, `look` is what it looks like, and `server`
-serves it on this machine.
-"""
+"""The page of `wtg-gym play`: `match` is what happens, `play_page` shows it, and `server` serves it on this machine."""
