@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import io
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -209,10 +208,7 @@ def _plant_summary(arguments: argparse.Namespace, suite: Suite, groups: tuple[Wt
 
 
 def _write_plot(path: Path, runs: Mapping[str, Trajectory], scenario: Scenario, settings: PlantSettings) -> None:
-    from wtg_gym.plotting import plot_trajectories
+    from wtg_gym.plotting import figure_bytes, plot_trajectories
 
-    picture = io.BytesIO()
-    plot_trajectories(runs, scenario, settings.control.overload_limit_pu).savefig(
-        picture, format=path.suffix[1:].lower(), dpi=150
-    )
-    write_and_say(path, picture.getvalue())
+    figure = plot_trajectories(runs, scenario, settings.control.overload_limit_pu)
+    write_and_say(path, figure_bytes(figure, path.suffix))
