@@ -95,26 +95,25 @@ live-picture: $(TEST_READY) ## Take the picture of the page of play that docs/ho
 
 # Which folder `make pictures` and `make studies` renew; `make docs-check` lets them renew a copy.
 DOCS := docs
-# A study each; performance.py has a target of its own, for it needs a machine that does nothing else.
-STUDIES := $(filter-out docs/studies/output.py docs/studies/performance.py,$(sort $(wildcard docs/studies/*.py)))
+# Those that take minutes; `make docs` and `make conditions` run the others.
+STUDIES := physics validation small_signal gradients reference one_event
 
 .PHONY: studies
 studies: $(LEADERBOARD_READY) ## Run the studies of docs/studies and renew their tables and pictures (half an hour)
-	for study in $(STUDIES); do $(LEADERBOARD_VENV)/bin/python $$study --output $(DOCS) || exit; done
+	for study in $(STUDIES); do $(LEADERBOARD_VENV)/bin/python docs/studies/$$study.py --output $(DOCS) || exit; done
 
 .PHONY: pictures
 pictures: $(LEADERBOARD_READY) studies ## Draw every picture of the README and of docs/ that is not a measurement of time, and renew the tables beside them
 	$(LEADERBOARD_VENV)/bin/wtg-gym simulate --case load-increase --strategy mppt --strategy deloaded-5 --strategy deloaded-10 --strategy coordinated-piecewise --plot $(DOCS)/images/load-increase.png
 	$(LEADERBOARD_VENV)/bin/python docs/images/rooms.py $(DOCS)/images/rooms.svg
 	$(LEADERBOARD_VENV)/bin/python docs/images/render.py $(DOCS)/images/render.png $(DOCS)/images/render-v1.png
-	$(LEADERBOARD_VENV)/bin/python docs/studies/one_event.py $(DOCS)
 	$(LEADERBOARD_VENV)/bin/wtg-gym reproduce --output $(DOCS)/validation --formats svg --page $(DOCS)/validation.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym evaluate --suite standard-v1 --entries baselines policies --results results
 	$(LEADERBOARD_VENV)/bin/wtg-gym results front results/standard-v1-validation.json --plot $(DOCS)/images/front-v1.svg
 
 .PHONY: docs
 docs: pictures ## Measure everything that docs/ shows again, but for performance and the page, and renew its tables and pictures
-	$(LEADERBOARD_VENV)/bin/python docs/studies/gradient_law.py
+	$(LEADERBOARD_VENV)/bin/python docs/studies/gradient_law.py --output $(DOCS)
 	$(LEADERBOARD_VENV)/bin/python -m tests.submissions.hostile --page docs/submissions.md
 
 .PHONY: site

@@ -11,13 +11,13 @@ order of rotor safety. Half an hour on two processors.
 from __future__ import annotations
 
 import itertools
-import sys
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from output import folder as output_folder
 from rollouts import Candidates, Rollouts
 
 from baselines.fast_droop import FastDroop
@@ -257,7 +257,7 @@ def entry(name: str, strategy: str, policy: Any) -> Entry:
 
 
 if __name__ == "__main__":
-    docs = Path(sys.argv[1] if len(sys.argv) > 1 else "docs")
+    docs = output_folder(__doc__)
     benchmark = get_suite(SUITE).benchmark
     zero, anchor = benchmark.anchors
     oracle = OracleCosts.read(f"results/oracle/{SUITE}-validation.json")

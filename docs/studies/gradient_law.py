@@ -15,10 +15,10 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import closing
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from output import folder as output_folder
 from rollouts import Rollouts
 
 from wtg_gym.envs.lanes import TaskLanes
@@ -148,7 +148,7 @@ def _each(laws: Laws, key: str) -> str:
 
 
 if __name__ == "__main__":
-    docs, suite = Path(sys.argv[1] if len(sys.argv) > 1 else "docs"), "standard"
+    docs, suite = output_folder(__doc__), "standard"
     effort = {"n_batches": 100, "n_scenarios": 32, "seed": 0}
     one, each = (tune(suite, per_group=per_group, **effort) for per_group in (False, True))
     paper = (get_law("coordinated-piecewise"),) * len(one.laws)

@@ -7,15 +7,14 @@ draws DOCS/images/one-event.svg.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from output import folder as output_folder
 from planner import Planning, plan
 
 from wtg_gym.envs.lanes import TaskLanes
@@ -80,7 +79,7 @@ def plot_one_event(scenario: Scenario, runs: Mapping[str, Recording], plant: Pla
 
 
 if __name__ == "__main__":
-    docs = Path(sys.argv[1] if len(sys.argv) > 1 else "docs")
+    docs = output_folder(__doc__)
     settings, suite = EnvSettings(suite=SUITE, split="test"), get_suite(SUITE)
     scenarios = suite.scenarios([SEED])
     entries = [entry for name in ENTRIES for entry in load_entries(name, benchmark=suite.benchmark)]

@@ -14,7 +14,6 @@ standard, 100 generations, and every entry of v0.
 from __future__ import annotations
 
 import json
-import sys
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -22,6 +21,7 @@ from pathlib import Path
 import cma
 import numpy as np
 import onnx
+from output import folder as output_folder
 from rollouts import Rollouts, Search, course, linear_feedback
 
 from wtg_gym.evaluation import evaluate, load_entries
@@ -132,7 +132,7 @@ def find_oracle(effort: Effort, entries: tuple[str, ...], parts: Path) -> Oracle
 
 
 if __name__ == "__main__":
-    folder = Path(sys.argv[1] if len(sys.argv) > 1 else "results/oracle")
+    folder = output_folder(__doc__, "results/oracle")
     costs = find_oracle(V1, ENTRIES, folder / "parts")
     for path in costs.write(folder):
         print(f"wrote {path}")

@@ -17,14 +17,13 @@ Both know the state of grid and rotors exactly, and outages that have struck.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from output import folder as output_folder
 from rollouts import between, positions
 
 from wtg_gym.envs.lanes import TaskLanes
@@ -32,6 +31,7 @@ from wtg_gym.envs.observation import N_LOCAL, N_MEASURED
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, Results, evaluate, leaderboard_rows, markdown_table
 from wtg_gym.evaluation.episodes import Episode
+from wtg_gym.evaluation.leaderboard import privileged_note
 from wtg_gym.evaluation.metrics import Recorder, measure
 from wtg_gym.files import update_between_markers
 from wtg_gym.physics.aerodynamics import power_coefficient
@@ -276,12 +276,13 @@ def results_with_planners(
 
 
 if __name__ == "__main__":
-    docs, n = Path(sys.argv[1] if len(sys.argv) > 1 else "docs"), 48
+    docs, n = output_folder(__doc__), 48
     for split, entries in (("validation", ()), ("test", ("gradient LSTM", "recurrent PPO"))):
         seeds = get_suite("standard-v1").seeds(split)[:n]
         plannings = [Planning(knowledge=own) for own in ("exact", "measured")]
         results = results_with_planners("standard-v1", split, seeds, plannings, entries)
         results.write("results/planners")
-    table = markdown_table(leaderboard_rows(results))
+    rows = leaderboard_rows(results)
+    table = f"{markdown_table(rows, _COLUMNS)}\n\n{privileged_note(rows).capitalize()}."
     text = f"The first {n} test scenarios of `standard-v1`:\n\n{table}"
     update_between_markers(docs / "benchmark.md", text, "planners")

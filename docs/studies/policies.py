@@ -10,13 +10,13 @@ results/policies); those that are there already are left. To tune something of y
 from __future__ import annotations
 
 import math
-import sys
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
+from output import folder as output_folder
 from rollouts import HISTORY_COLUMNS, Rollouts, Search, history_feedback, history_gains, linear_feedback
 from torch import Tensor, nn
 
@@ -166,7 +166,7 @@ def write_feedback(how: Feedback, gains: Floats, n_wtg: int, folder: Path) -> No
 
 
 if __name__ == "__main__":
-    target = Path(sys.argv[1] if len(sys.argv) > 1 else "results/policies")
+    target = output_folder(__doc__, "results/policies")
     for feedback in FEEDBACKS:
         if not (target / feedback.folder / "entry.toml").exists():
             write_feedback(feedback, *tune_feedback(feedback), target / feedback.folder)

@@ -6,10 +6,8 @@ The paper's transfer functions describe one WTG on an infinite bus. The simulato
 right-hand side that it integrates, must have the same poles there.
 """
 
-import sys
-from pathlib import Path
-
 import numpy as np
+from output import folder as output_folder
 
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.physics.machine_parameters import classical_machine
@@ -123,6 +121,6 @@ def minus(text):
 
 
 if __name__ == "__main__":
-    page = Path(*sys.argv[1:2] or ["docs"]) / "validation.md"
+    page = output_folder(__doc__) / "validation.md"
     for section, text in (("small-signal", margins_table()), ("modes", modes_table())):
         update_between_markers(page, text, section)
