@@ -15,7 +15,7 @@ class Hyperparameters:
     """Hyperparameters; a ValueError if a number of processes or lanes is out of range.
 
     The discount looks 7 s ahead; the first exploration is a third of the full action, because zero action is already a
-    good controller.
+    good controller. Observations and rewards are scaled and clipped as :mod:`agents.rllib.runner_envs` says.
     """
 
     num_env_runners: int = 2  # processes that play episodes

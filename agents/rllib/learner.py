@@ -1,10 +1,12 @@
 """The training of `python -m agents.rllib`: PPO and the network are RLlib's own.
 
-Runners show the environment's own observations, so that the weights alone are the policy.
+Runners scale observations and rewards by what was measured beforehand, so that the weights and these scales are the
+policy: playing it needs no Ray.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 import os
 from pathlib import Path
@@ -26,7 +28,7 @@ from torch import Tensor, nn
 
 from agents.folders import loading
 from agents.rllib import Hyperparameters
-from agents.rllib.runner_envs import RunnerEnvs
+from agents.rllib.runner_envs import CLIP, RunnerEnvs, Scales, measure_scales
 from agents.runs import Run, RunSettings
 from agents.training import Training, last_checkpoint
 from wtg_gym.progress import Progress
@@ -40,35 +42,45 @@ class CalmModule(DefaultPPOTorchRLModule):  # type: ignore[misc]
     def setup(self) -> None:
         """Build the networks."""
         super().setup()
-        with torch.no_grad():
-            self.pi.log_std.fill_(self.model_config["log_std_init"])
-            self.pi.net.mlp[-1].weight.mul_(0.01)
+        for layer in self.modules():
+            if isinstance(layer, nn.Linear):
+                nn.init.orthogonal_(layer.weight, 2**0.5)
+                nn.init.zeros_(layer.bias)
+        # Almost zero: the reference controller.
+        nn.init.orthogonal_(self.pi.net.mlp[-1].weight, 0.01)
+        nn.init.constant_(self.pi.log_std, self.model_config["log_std_init"])
 
 
 class PolicyNetwork(nn.Module):
-    """The deterministic action of RLlib's network."""
+    """The deterministic action for a raw observation."""
 
-    def __init__(self, module: CalmModule) -> None:
+    mean: Tensor
+    std: Tensor
+
+    def __init__(self, module: CalmModule, scales: Scales) -> None:
         super().__init__()
         self.module = module
+        self.register_buffer("mean", torch.tensor(scales.mean, dtype=torch.float64))
+        self.register_buffer("std", torch.tensor(scales.std, dtype=torch.float64))
 
     def forward(self, observation: Tensor) -> Tensor:
         """Return the actions (batch, n_action) for observations (batch, n_observation)."""
-        actions: Tensor = self.module.pi.net(self.module.encoder({Columns.OBS: observation})[ENCODER_OUT][ACTOR])
+        seen = ((observation.double() - self.mean) / self.std).clamp(-CLIP, CLIP).float()
+        actions: Tensor = self.module.pi.net(self.module.encoder({Columns.OBS: seen})[ENCODER_OUT][ACTOR])
         return actions
 
 
 class RLlibLearner:
     """An algorithm of RLlib, for :class:`agents.training.Training`."""
 
-    def __init__(self, algorithm: Algorithm, spec: RLModuleSpec) -> None:
-        self.algorithm, self._spec = algorithm, spec
+    def __init__(self, algorithm: Algorithm, spec: RLModuleSpec, scales: Scales) -> None:
+        self.algorithm, self._spec, self._scales = algorithm, spec, scales
 
     def network(self, _settings: RunSettings) -> nn.Module:
         """Return the policy as the learner has it now."""
         module = self._spec.build()
         module.set_state(self.algorithm.learner_group.get_weights()[DEFAULT_MODULE_ID])
-        return PolicyNetwork(module)
+        return PolicyNetwork(module, self._scales)
 
     def save(self, folder: Path) -> None:
         """Write everything that training goes on from."""
@@ -76,12 +88,10 @@ class RLlibLearner:
         self.algorithm.save_to_path(folder.resolve())
 
 
-def module_spec(settings: RunSettings) -> RLModuleSpec:
+def module_spec(settings: RunSettings, scales: Scales) -> RLModuleSpec:
     """Return the network of a run."""
     h = Hyperparameters(**settings.hyperparameters)
-    # The first use of the kernels on a machine compiles them: here, before the runners all do so at once.
-    with_spaces = RunnerEnvs(1, **settings.env_arguments)
-    with_spaces.reset(seed=0)
+    with_spaces = RunnerEnvs(1, scales=dataclasses.asdict(scales), **settings.env_arguments)
     with_spaces.close()
     return RLModuleSpec(
         module_class=CalmModule,
@@ -97,7 +107,7 @@ def module_spec(settings: RunSettings) -> RLModuleSpec:
     )
 
 
-def ppo_config(settings: RunSettings, spec: RLModuleSpec, resumed: int = 0) -> PPOConfig:
+def ppo_config(settings: RunSettings, scales: Scales, spec: RLModuleSpec, resumed: int = 0) -> PPOConfig:
     """Return RLlib's configuration of a run.
 
     Args:
@@ -113,7 +123,7 @@ def ppo_config(settings: RunSettings, spec: RLModuleSpec, resumed: int = 0) -> P
         # One thread per runner, which is one CPU for Ray.
         .environment(
             _LANES,
-            env_config={**settings.env_arguments, "n_threads": 1},
+            env_config={**settings.env_arguments, "scales": dataclasses.asdict(scales), "n_threads": 1},
             # The environment clips actions itself.
             normalize_actions=False,
             clip_actions=False,
@@ -181,13 +191,17 @@ def train(run: Run, folder: Path, address: str | None = None) -> None:
     torch.set_num_threads(1)
     _connect(address, h)
     try:
-        spec = module_spec(settings)
-        algorithm = ppo_config(settings, spec, run.resumed).build_algo()
+        # The first use of the kernels on a machine compiles them: here, before the runners all do so at once.
+        scales = measure_scales(
+            settings.env_arguments, noise=float(np.exp(h.log_std_init)), gamma=h.gamma, seed=settings.seed
+        )
+        spec = module_spec(settings, scales)
+        algorithm = ppo_config(settings, scales, spec, run.resumed).build_algo()
         try:
             if saved := last_checkpoint(run, folder):
                 with loading(saved):
                     algorithm.restore_from_path(str(saved.resolve()))
-            _train(run, folder, RLlibLearner(algorithm, spec))
+            _train(run, folder, RLlibLearner(algorithm, spec, scales))
         finally:
             algorithm.stop()
     finally:

@@ -17,7 +17,7 @@ from gymnasium.vector import AutoresetMode
 from agents.export import export
 from agents.folders import folders
 from agents.rllib.__main__ import main
-from agents.rllib.runner_envs import RunnerEnvs
+from agents.rllib.runner_envs import CLIP, RunnerEnvs, measure_scales
 from agents.runs import Run, RunSettings
 from tests.interruption import end
 from wtg_gym.envs import GFMWTGVectorEnv
@@ -105,6 +105,17 @@ def test_runners_play_different_scenarios() -> None:
         env.close()
         native.close()
     assert len(shared[0] & shared[1]) == 15 and not played[0] & played[1]
+
+
+def test_scales_are_reproducible_and_runners_show_scaled_observations() -> None:
+    one, two = (measure_scales({"duration_s": 3.0}, noise=0.3, gamma=0.9, seed=1) for _ in range(2))
+    assert one == two and one.reward > 0.0 and min(one.std) > 0.0
+    plain, scaled = (RunnerEnvs(4, duration_s=2.0, n_threads=1, **more) for more in ({}, {"scales": vars(one)}))
+    seen, shown = (env.reset(seed=0)[0] for env in (plain, scaled))
+    expected = np.clip((seen - one.mean) / one.std, -CLIP, CLIP)
+    assert shown == pytest.approx(expected, abs=1e-6) and scaled.observation_space.contains(shown)
+    for env in (plain, scaled):
+        env.close()
 
 
 def test_both_files_of_constraints_agree_but_for_gymnasium() -> None:
