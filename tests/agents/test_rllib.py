@@ -62,7 +62,7 @@ def test_registered_vector_entry_point_resets_as_rllib_expects() -> None:
 
 
 def test_reward_is_the_gain_over_the_reference_in_the_same_scenario() -> None:
-    env = RunnerEnvs(3, duration_s=2.0, n_threads=1)
+    env = RunnerEnvs(3, version="v0", duration_s=2.0, n_threads=1)
     env.reset(seed=0)
     for _ in range(45):
         _, rewards, *_ = env.step(zeros(env))
@@ -86,7 +86,7 @@ def test_reward_is_the_gain_over_the_reference_in_the_same_scenario() -> None:
 
 
 def test_lanes_start_spread_and_none_is_over() -> None:
-    env = RunnerEnvs(8, duration_s=4.0, n_threads=1)
+    env = RunnerEnvs(8, version="v0", duration_s=4.0, n_threads=1)
     env.reset(seed=3)
     assert sorted(env._n_steps.tolist()) == [0, 5, 10, 15, 20, 25, 30, 35]
     assert not env._needs_reset.any()
