@@ -26,7 +26,6 @@ COMMANDS = (
     "results",
     "submission",
     "suites",
-    "analyse",
     "reproduce",
     "warmup",
 )

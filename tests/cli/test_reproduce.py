@@ -1,4 +1,4 @@
-"""`wtg-gym reproduce`, `accuracy` and `parameters` as a user calls them."""
+"""`wtg-gym reproduce` as a user calls it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.calls import error_of, json_of
+from tests.cli.calls import error_of
 from wtg_gym.cli import main
 
 
@@ -41,38 +41,11 @@ def test_reproduce_writes_claims_and_every_figure(capsys: pytest.CaptureFixture[
     assert all(claim["measured"] in text for claim in claims)
 
 
-def test_accuracy_writes_study_and_page(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    page = _page(tmp_path / "page.md", "accuracy")
-    data = json_of(
-        capsys, "analyse", "accuracy", "--scenarios", "1", "--output", str(tmp_path), "--page", str(page), "--json"
-    )
-    stored = json.loads((tmp_path / "accuracy.json").read_text(encoding="utf-8"))
-    assert stored == data
-    chosen = next(row for row in data["rows"] if row["method"] == "RK4" and row["step_s"] == 0.025)
-    assert chosen["frequency_hz"]["worst"] < 1e-5
-    assert (tmp_path / "accuracy.svg").exists() and (tmp_path / "accuracy.png").exists()
-    assert "| **RK4** | **25** |" in page.read_text(encoding="utf-8")
-
-
-def test_parameters_are_listed_and_kept_on_a_page(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    data = json_of(capsys, "parameters", "--json")
-    assert len(data["parameters"]) > 200
-    assert {row["source"] for row in data["parameters"]} == set(data["sources"])
-    page = _page(tmp_path / "page.md", "parameters")
-    assert main(["parameters", "--page", str(page)]) == 0
-    assert "### Synchronous machines" in page.read_text(encoding="utf-8")
-    assert main(["parameters"]) == 0
-    assert "blade_radius_m" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
         (("reproduce", "--page", "nowhere.md"), "--page: cannot read the file with the markers nowhere.md"),
         (("reproduce", "--formats", "jpg"), "invalid choice"),
-        (("analyse", "accuracy", "--scenarios", "0"), "the number of scenarios must be 1 … 100"),
-        (("analyse", "accuracy", "--suite", "best"), "best"),
-        (("parameters", "--page", "nowhere.md"), "--page: cannot read the file with the markers"),
     ],
 )
 def test_bad_input_is_one_line(capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str) -> None:
