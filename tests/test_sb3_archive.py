@@ -72,7 +72,7 @@ def archive_of(run: Path, path: Path, algorithm: str) -> Path:
     path.mkdir()
     for name in ("model.zip", "vec_normalize.pkl"):
         shutil.copy(checkpoint / name, path / name)
-    (path / "entry.toml").write_text(f'name = "archive"\naction_mode = "k+tau"\nalgorithm = "{algorithm}"\n')
+    (path / "entry.toml").write_text(TOML.replace('"mine"', '"archive"').replace('"PPO"', f'"{algorithm}"'))
     return path
 
 
