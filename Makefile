@@ -78,52 +78,42 @@ page: matrix verification ## Rank every entry on all suites and on fresh scenari
 	for suite in $(PAGE_SUITES); do \
 	    $(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite $$suite --entries baselines policies --results results || exit; done
 	$(LEADERBOARD_VENV)/bin/wtg-gym results page $(PAGE_SUITES_V1:%=results/%-test.json) $(PAGE_SENSORS:%=results/%/standard-v1-test.json) \
-	    $(PAGE_SUITES:%=results/%-test.json) results/standard-fresh.json \
-	    --entries baselines policies --output docs/leaderboard.html
+	    $(PAGE_SUITES:%=results/%-test.json) results/standard-fresh.json --output docs/leaderboard.html
 
 # Its fonts and its browser are those of the machine: `make docs-check` leaves this picture out.
 CHROMIUM ?= $(firstword $(foreach name,chromium chromium-browser google-chrome,$(shell command -v $(name))) chromium)
 
 .PHONY: page-picture
 page-picture: page ## Take the picture of docs/leaderboard.html that docs/usage.md shows; needs Chromium
-	$(CHROMIUM) --headless $(if $(filter 0,$(shell id -u)),--no-sandbox) --hide-scrollbars --window-size=1440,2420 \
+	$(CHROMIUM) --headless $(if $(filter 0,$(shell id -u)),--no-sandbox) --hide-scrollbars --window-size=1760,1330 \
 	    --virtual-time-budget=20000 --screenshot=$(CURDIR)/docs/images/leaderboard-page.png file://$(CURDIR)/docs/leaderboard.html
 
 .PHONY: live-picture
-live-picture: $(TEST_READY) ## Take the pictures of the pages of play and explore that docs/howto/play.md shows; needs Chromium
+live-picture: $(TEST_READY) ## Take the picture of the page of play that docs/howto/play.md shows; needs Chromium
 	PIP_CONSTRAINT=constraints.txt $(TEST_VENV)/bin/python -m pip install --quiet --editable '.[browser]'
-	$(TEST_VENV)/bin/python docs/images/live.py docs/images/live-play.png docs/images/live-explore.png
+	$(TEST_VENV)/bin/python docs/images/live.py docs/images/live-play.png
 
-# Which folder `make pictures` renews; `make docs-check` lets it renew a copy.
+# Which folder `make pictures` and `make studies` renew; `make docs-check` lets them renew a copy.
 DOCS := docs
+# Those that take minutes; `make docs` and `make conditions` run the others.
+STUDIES := physics validation small_signal gradients reference one_event
+
+.PHONY: studies
+studies: $(LEADERBOARD_READY) ## Run the studies of docs/studies and renew their tables and pictures (half an hour)
+	for study in $(STUDIES); do $(LEADERBOARD_VENV)/bin/python docs/studies/$$study.py --output $(DOCS) || exit; done
 
 .PHONY: pictures
-pictures: $(LEADERBOARD_READY) ## Draw every picture of the README and of docs/ that is not a measurement of time, and renew the tables beside them
+pictures: $(LEADERBOARD_READY) studies ## Draw every picture of the README and of docs/ that is not a measurement of time, and renew the tables beside them
 	$(LEADERBOARD_VENV)/bin/wtg-gym simulate --case load-increase --strategy mppt --strategy deloaded-5 --strategy deloaded-10 --strategy coordinated-piecewise --plot $(DOCS)/images/load-increase.png
-	$(LEADERBOARD_VENV)/bin/wtg-gym simulate --case load-increase --strategy mppt --strategy coordinated-piecewise --duration 60 --plot $(DOCS)/images/episode.gif
 	$(LEADERBOARD_VENV)/bin/python docs/images/rooms.py $(DOCS)/images/rooms.svg
 	$(LEADERBOARD_VENV)/bin/python docs/images/render.py $(DOCS)/images/render.png $(DOCS)/images/render-v1.png
-	$(LEADERBOARD_VENV)/bin/python -m agents.research.one_event --suite standard-v1 --seed 20000 --entries coordinated-piecewise coordinated-tuned gradient-v1-0 --planner measured --output $(DOCS)/images/one-event.svg
 	$(LEADERBOARD_VENV)/bin/wtg-gym reproduce --output $(DOCS)/validation --formats svg --page $(DOCS)/validation.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym analyse physics --output $(DOCS)/physics --formats svg --page $(DOCS)/physics.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym analyse influence --suite standard --seed 10000-10019 --rows 12 --plot $(DOCS)/images/influence.svg --page $(DOCS)/gradients.md
-	$(LEADERBOARD_VENV)/bin/python -m agents.research.behaviour --suite standard --entries policies --output $(DOCS)/agents --page $(DOCS)/agents.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym evaluate --suite standard-v1 --entries baselines policies --results results
 	$(LEADERBOARD_VENV)/bin/wtg-gym results front results/standard-v1-validation.json --plot $(DOCS)/images/front-v1.svg
 
 .PHONY: docs
 docs: pictures ## Measure everything that docs/ shows again, but for performance and the page, and renew its tables and pictures
-	$(LEADERBOARD_VENV)/bin/wtg-gym environment --page docs/environment.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym parameters --page docs/parameters.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym compare tests/golden/*/ --page docs/validation.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym analyse aggregation --page docs/physics.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym analyse accuracy --output docs/validation --formats svg --page docs/validation.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym analyse estimate --page docs/gradients.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym analyse estimate --recorded tests/golden/grid-forming/params.json tests/golden/grid-forming/a.csv --page docs/gradients.md
-	$(LEADERBOARD_VENV)/bin/python -m agents.research.law_gradient --suite standard --page docs/gradients.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym results sensitivity --suite standard --entries baselines policies agents.research.probes:CHATTER agents.research.probes:PUSH --page docs/benchmark.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym results sensitivity --suite standard-v1 --entries baselines policies agents.research.probes:CHATTER_V1 agents.research.probes:PUSH_V1 agents.research.probes:STOPWATCH_V1 --page docs/benchmark.md
-	$(LEADERBOARD_VENV)/bin/python -m agents.research.incentives --entries agents/policies/linear-feedback agents/policies/ppo-k-? deloaded-5 --page docs/benchmark.md
+	$(LEADERBOARD_VENV)/bin/python docs/studies/gradient_law.py --output $(DOCS)
 	$(LEADERBOARD_VENV)/bin/python -m tests.submissions.hostile --page docs/submissions.md
 
 .PHONY: site
@@ -137,33 +127,27 @@ notebooks: $(NOTEBOOKS_READY) ## Run every notebook from the built wheel and kee
 	cd docs/notebooks && PATH="$(CURDIR)/$(NOTEBOOKS_VENV)/bin:$$PATH" jupyter nbconvert --to notebook --execute --inplace *.ipynb
 
 .PHONY: conditions
-conditions: $(TEST_READY) ## Measure whether standard-v1 is a good problem, and put the tables into docs/benchmark.md (half an hour)
-	$(TEST_VENV)/bin/python -m agents.research.foresight --suite standard-v1 --split validation --scenarios 25 --generations 100 --strategy coordinated-tuned --gains agents/research/linear_feedback_v1_gains.json --entries coordinated-tuned fast-droop agents/policies/linear-feedback-v1 --output results/oracle
-	$(TEST_VENV)/bin/python -m agents.research.planner --scenarios 48 --output results/planners
-	$(TEST_VENV)/bin/python -m agents.research.planner --split test --scenarios 48 --entries "gradient LSTM" "recurrent PPO" --output results/planners --page docs/benchmark.md
-	$(TEST_VENV)/bin/python -m agents.research.conditions --feedbacks agents/policies/linear-feedback-v1 agents/policies/history-feedback-v1 --agents agents/policies/gradient-v1-? agents/policies/ppo-v1-? agents/policies/recurrent-ppo-v1-? --oracle results/oracle/standard-v1-validation.json --planners results/planners/standard-v1-validation.json --page docs/benchmark.md
+conditions: $(TEST_READY) ## Measure whether standard-v1 is a good problem, and put the tables into docs/benchmark.md (two hours)
+	$(TEST_VENV)/bin/python docs/studies/oracle.py
+	$(TEST_VENV)/bin/python docs/studies/planner.py
+	$(TEST_VENV)/bin/python docs/studies/conditions.py
 
 .PHONY: docs-check
 docs-check: $(LEADERBOARD_READY) ## Draw the pictures into a copy of docs/ and name those that differ from the ones in docs/
 	rm -rf build/docs
 	mkdir -p build
 	cp -R docs build/docs
-	find build/docs '(' -name '*.gif' -o -name '*.png' -o -name '*.svg' ')' -delete
+	find build/docs '(' -name '*.png' -o -name '*.svg' ')' -delete
 	$(MAKE) --no-print-directory pictures DOCS=build/docs
 	$(LEADERBOARD_VENV)/bin/python -m tests.pictures docs build/docs
 
 .PHONY: performance
-performance: $(TEST_READY) $(GOLDEN_READY) ## Measure speed, growth and arithmetic again; on a machine that does nothing else (half an hour)
-	PIP_CONSTRAINT=constraints.txt $(TEST_VENV)/bin/python -m pip install --quiet --editable '.[jax]' diffpssi
-	$(TEST_VENV)/bin/wtg-gym bench --only environments physics gradients rendering training peers --page docs/performance.md
-	$(GOLDEN_VENV)/bin/python tests/golden/time_andes_env.py --page docs/performance.md
-	$(TEST_VENV)/bin/python tests/gradients/time_diffpssi.py --page docs/performance.md
-	$(TEST_VENV)/bin/wtg-gym bench --only growth roofline --full --output docs/performance --formats svg --page docs/performance.md
+performance: $(TEST_READY) ## Measure speed again; on a machine that does nothing else (ten minutes)
+	$(TEST_VENV)/bin/python docs/studies/performance.py --output $(DOCS)
 
 .PHONY: golden
 golden: $(GOLDEN_READY) ## Make the golden cases of ANDES again, in an environment of its own (half an hour)
 	$(GOLDEN_VENV)/bin/python tests/golden/make_andes_cases.py
-	$(GOLDEN_VENV)/bin/python -m tests.golden.measure_andes_only --page docs/validation.md
 
 .PHONY: rllib
 rllib: $(RLLIB_READY) ## Train with RLlib for a minute, in an environment of its own, and export the policy; runs/make-rllib is written anew

@@ -11,38 +11,28 @@ import dataclasses
 import itertools
 import math
 import sys
-import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from agents.command import (
-    Parser,
-    Progress,
-    add_folder_options,
-    add_training_options,
-    given_options,
-    opened_run,
-    run_command,
-    settings_of,
-)
-from agents.folders import CHECKPOINTS, folders, loading
-from agents.onnx_graph import PolicyNetwork, flat_layers
+from agents.command import Parser, add_training_options, given_options, opened_run, run_command, settings_of
+from agents.folders import loading
 from agents.runs import Run, RunSettings
+from agents.training import Training, last_checkpoint
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.task_records import CostTerms
 from wtg_gym.evaluation.score import COST_OFFSET, pinned_cost
 from wtg_gym.gradients.torch import TorchEpisodes
 from wtg_gym.physics.scenario import Scenario
+from wtg_gym.progress import Progress
 
 #: The algorithm's name in run.json.
 NAME = "gradient"
-_WEIGHTS, _STATE = "weights.pt", "state.pt"
+_STATE = "state.pt"
 _TIMESTEPS, _N_ENVS = 1_920_000, 32
 _FAILURE = CostTerms._fields.index("failure")
 #: How gradually a failure comes, in rotor speed and in frequency [p.u.].
@@ -74,7 +64,6 @@ class GradientPolicy(nn.Module):
 
     def __init__(self, n_observation: int, n_action: int, hidden: Sequence[int] = (), lstm: int = 0) -> None:
         super().__init__()
-        self.n_observation = n_observation
         self.lstm = nn.LSTM(n_observation, lstm) if lstm else None
         widths = [lstm or n_observation, *hidden, n_action]
         layers = [nn.Linear(n_in, n_out) for n_in, n_out in itertools.pairwise(widths)]
@@ -85,27 +74,16 @@ class GradientPolicy(nn.Module):
         # Tanh at the end too: a clipped action would have no gradient to come back by.
         self.layers = nn.Sequential(*(module for layer in layers for module in (layer, nn.Tanh())))
 
-    def forward(self, observations: Tensor, state: Any = None) -> tuple[Tensor, Any]:
-        """Return the actions (n_lanes, n_action) and the state of the LSTM, which is None before the first step."""
-        seen = observations
-        if self.lstm is not None:
-            (seen,), state = self.lstm(seen[None], state)
-        return self.layers(seen), state
+        #: Widths of the states: hidden and cell of the LSTM.
+        self.state_widths = (lstm, lstm) if lstm else ()
 
-    @torch.no_grad()
-    def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
-    ) -> tuple[Any, Any]:
-        """Return (actions (n_lanes, n_action), state), in the manner of Stable-Baselines3."""
-        if state is not None and episode_start is not None:
-            goes_on = torch.as_tensor(~np.asarray(episode_start, dtype=np.bool_), dtype=torch.float32)[:, None]
-            state = tuple(part * goes_on for part in state)
-        actions, state = self(torch.as_tensor(observation, dtype=torch.float32), state)
-        return actions.numpy(), state
-
-    def network(self) -> PolicyNetwork:
-        """Return the policy for the export."""
-        return PolicyNetwork(self.n_observation, None, lstm=self.lstm, layers=flat_layers([self.layers]))
+    def forward(self, observations: Tensor, *states: Tensor) -> tuple[Tensor, ...]:
+        """Return the actions (n_lanes, n_action) and the next states; none are given before the first step."""
+        if self.lstm is None:
+            return (self.layers(observations),)
+        given = tuple(each[None] for each in states) or None
+        (seen,), (hidden, cell) = self.lstm(observations[None], given)
+        return self.layers(seen), hidden[0], cell[0]
 
 
 class Failures:
@@ -151,9 +129,9 @@ def costs_of(
 ) -> Tensor:
     """Return what the first steps of a scenario in every lane cost (n_lanes,), by `failures` if they are given."""
     observations = episodes.start(scenarios)
-    state, spent, watched = None, [], []
+    states, spent, watched = list[Tensor](), [], []
     for _ in range(n_steps):
-        actions, state = policy(observations, state)
+        actions, *states = policy(observations, *states)
         observations, terms = episodes.step(actions)
         spent.append(terms)
         if failures is not None:
@@ -174,80 +152,59 @@ def descend(policy: nn.Module, optimizer: torch.optim.Optimizer, costs: Tensor, 
     return loss.item()
 
 
+class GradientLearner:
+    """A policy and its optimiser, for :class:`agents.training.Training`."""
+
+    def __init__(self, policy: GradientPolicy, h: Hyperparameters) -> None:
+        self.policy = policy
+        self.optimizer = torch.optim.Adam(policy.parameters(), lr=h.learning_rate, betas=(h.betas[0], h.betas[1]))
+
+    def network(self, _settings: RunSettings) -> nn.Module:
+        """Return the policy."""
+        return self.policy
+
+    def save(self, folder: Path) -> None:
+        """Write everything that training goes on from."""
+        torch.save({"policy": self.policy.state_dict(), "optimizer": self.optimizer.state_dict()}, folder / _STATE)
+
+    def load(self, folder: Path) -> None:
+        """Go back to what :meth:`save` wrote; a ValueError names a file that is missing or damaged."""
+        with loading(folder / _STATE):
+            state = torch.load(folder / _STATE, weights_only=True)
+            self.policy.load_state_dict(state["policy"])
+            self.optimizer.load_state_dict(state["optimizer"])
+
+
 def train(run: Run, folder: Path, h: Hyperparameters) -> None:
     """Train from the last checkpoint, if there is one, to the end; checkpoints and run.json go to `folder`."""
     if run.finished:
         return
     settings = run.settings
-    # One thread, so that sums do not depend on which thread ends first; more would only wait for each other.
     torch.set_num_threads(1)
     torch.manual_seed(settings.seed)
     episodes = TorchEpisodes(EnvSettings(**settings.env_arguments), settings.n_envs)
     lanes = episodes.tape.lanes
     failures = Failures(episodes) if h.failures == "gradual" else None
-    policy = GradientPolicy(lanes.n_observation, lanes.n_action, h.hidden, h.lstm)
-    optimizer = torch.optim.Adam(policy.parameters(), lr=h.learning_rate, betas=(h.betas[0], h.betas[1]))
+    learner = GradientLearner(GradientPolicy(lanes.n_observation, lanes.n_action, h.hidden, h.lstm), h)
+    policy, optimizer = learner.policy, learner.optimizer
     n_steps = round(lanes.duration_s / lanes.settings.control_dt)
     per_batch = n_steps * settings.n_envs
     n_batches, first = -(-settings.timesteps // per_batch), 0
-    if saved := folders(folder / CHECKPOINTS):
-        first = int(saved[-1].name) // per_batch
-        load_state(saved[-1], policy, optimizer)
-    run.write(folder)
-    began = time.monotonic() - (run.curve[-1]["wall_time_s"] if run.curve else 0.0)
+    if saved := last_checkpoint(run, folder):
+        first = int(saved.name) // per_batch
+        learner.load(saved)
+    training = Training(run, folder, learner)
     with Progress("batches") as progress:
-        for index in range(first, n_batches + 1):
-            steps, run.finished = index * per_batch, index == n_batches
-            if run.is_due(steps) or run.finished:
-                run.validate(policy, steps, time.monotonic() - began)
-                run.keep(folder, lambda path: save(path, policy), lambda path: save_state(path, policy, optimizer))
-            if not run.finished:
-                fallen = 0.5 + 0.5 * math.cos(math.pi * index / n_batches)
-                optimizer.param_groups[0]["lr"] = h.learning_rate * (h.last_rate + (1.0 - h.last_rate) * fallen)
-                # A generator of its own for each batch: a resumed run draws what an undisturbed one would have drawn.
-                rng = np.random.default_rng((settings.seed, index))
-                costs = costs_of(episodes, policy, lanes.draw([rng] * settings.n_envs), n_steps, failures)
-                loss = descend(policy, optimizer, costs, h)
-                name = f"loss {loss:.3f}, score {run.curve[-1]['score']:.1f}"
-                progress.update(name, index + 1 - first, n_batches - first)
-
-
-def save_state(folder: Path, policy: nn.Module, optimizer: torch.optim.Optimizer) -> None:
-    torch.save({"policy": policy.state_dict(), "optimizer": optimizer.state_dict()}, folder / _STATE)
-
-
-def load_state(folder: Path, policy: nn.Module, optimizer: torch.optim.Optimizer) -> None:
-    """Set policy and optimiser to those that :func:`save_state` wrote.
-
-    Raises:
-        ValueError: the file is missing or damaged; the message names it.
-    """
-    with loading(folder / _STATE):
-        state = torch.load(folder / _STATE, weights_only=True)
-        policy.load_state_dict(state["policy"])
-        optimizer.load_state_dict(state["optimizer"])
-
-
-def save(folder: Path, policy: GradientPolicy) -> None:
-    torch.save(policy.state_dict(), folder / _WEIGHTS)
-
-
-def load(folder: Path) -> GradientPolicy:
-    """Return the policy of a folder that :func:`save` wrote; no code in it is run.
-
-    Raises:
-        ValueError: the file is missing or damaged; the message names it.
-    """
-    with loading(folder / _WEIGHTS):
-        weights: Mapping[str, Tensor] = torch.load(folder / _WEIGHTS, weights_only=True)
-        shapes = [value.shape for key, value in weights.items() if key.endswith("weight")]
-        n_observation, lstm = shapes[0][1], 0
-        if "lstm.weight_ih_l0" in weights:
-            gates, n_observation = weights["lstm.weight_ih_l0"].shape
-            lstm = gates // 4
-        policy = GradientPolicy(n_observation, shapes[-1][0], [shape[0] for shape in shapes[:-1]], lstm)
-        policy.load_state_dict(weights)
-        return policy
+        for index in range(first, n_batches):
+            training.take_stock(index * per_batch)
+            fallen = 0.5 + 0.5 * math.cos(math.pi * index / n_batches)
+            optimizer.param_groups[0]["lr"] = h.learning_rate * (h.last_rate + (1.0 - h.last_rate) * fallen)
+            # A generator of its own for each batch: a resumed run draws what an undisturbed one would have drawn.
+            rng = np.random.default_rng((settings.seed, index))
+            costs = costs_of(episodes, policy, lanes.draw([rng] * settings.n_envs), n_steps, failures)
+            loss = descend(policy, optimizer, costs, h)
+            progress.update(f"loss {loss:.3f}, {training.title}", index + 1 - first, n_batches - first)
+    training.take_stock(n_batches * per_batch, finished=True)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -271,15 +228,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         choices=("gradual", "charged"),
         help="in the loss: gradual, or a constant charge (default: gradual)",
     )
-    add_folder_options(parser)
 
     def work() -> None:
         given = given_options(parser.parse_args(argv))
 
         def settings() -> RunSettings:
             h = Hyperparameters(**{key: given[key] for key in ("hidden", "lstm", "loss", "failures") if key in given})
-            n_envs = given.get("n_envs", _N_ENVS)
-            return settings_of(given, NAME, dataclasses.asdict(h), timesteps=_TIMESTEPS, n_envs=n_envs)
+            return settings_of(given, NAME, dataclasses.asdict(h), timesteps=_TIMESTEPS, n_envs=_N_ENVS)
 
         with opened_run(given, (NAME,), settings) as (run, folder):
             train(run, folder, Hyperparameters(**run.settings.hyperparameters))

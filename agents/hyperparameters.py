@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import ast
 import inspect
-import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecNormalize
+from torch import nn
 
-from agents.onnx_graph import ACTIVATIONS
 from wtg_gym.files import read_text
 
 #: The algorithms by name; RL Zoo calls the last one ppo_lstm.
@@ -30,22 +29,23 @@ ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
     "recurrent_ppo": RecurrentPPO,
 }
 CONFIG_FOLDER = Path(__file__).parent / "configs"
+#: What a text in a file may name besides numbers, texts and lists.
+ACTIVATIONS = {f"nn.{kind.__name__}": kind for kind in (nn.ELU, nn.LeakyReLU, nn.ReLU, nn.Sigmoid, nn.SiLU, nn.Tanh)}
 #: Keys that may hold a text such as "lin_0.0003".
 _SCHEDULES = ("learning_rate", "clip_range", "clip_range_vf")
 _OF_THE_RUN = ("n_timesteps", "n_envs", "normalize", "noise_type", "noise_std")
-#: What a number must be, its lowest value, and the keys that must be so: else nothing is learned, or an algorithm ends
-#: in the midst of a run with an error of its own. None is allowed where it is an algorithm's default.
-_RANGES: tuple[tuple[str, float, tuple[str, ...]], ...] = (
-    ("a whole number of 1 or more", 1, ("n_timesteps", "n_envs", "n_steps", "batch_size", "n_epochs", "buffer_size")),
-    ("a whole number of 1 or more", 1, ("policy_delay", "target_update_interval", "stats_window_size")),
-    ("a whole number of 0 or more", 0, ("learning_starts", "top_quantiles_to_drop_per_net")),
-    ("a whole number of 1 or more, or -1", -1, ("sde_sample_freq", "gradient_steps")),
-    ("a number from 0 to 1", 0.0, ("gamma", "gae_lambda", "tau")),
-    ("a number of 0 or more", 0.0, ("ent_coef", "vf_coef", "target_policy_noise", "target_noise_clip")),
-    ("a number above 0", 1e-12, ("learning_rate", "clip_range", "clip_range_vf", "max_grad_norm", "target_kl")),
-    ("a number above 0", 1e-12, ("clip_obs", "clip_reward", "epsilon")),
+_WHOLE_KEYS = "n_timesteps n_envs n_steps batch_size n_epochs buffer_size policy_delay target_update_interval"
+#: What a number must be, its lowest and highest value, and the keys that must be so: else nothing is learned, or an
+#: algorithm ends in the midst of a run with an error of its own.
+_RANGES = (
+    ("a whole number of 1 or more", 1, math.inf, _WHOLE_KEYS.split()),
+    ("a whole number of 0 or more", 0, math.inf, ["learning_starts", "top_quantiles_to_drop_per_net"]),
+    ("a whole number of 1 or more, or -1", -1, math.inf, ["sde_sample_freq", "gradient_steps"]),
+    ("a number from 0 to 1", 0.0, 1.0, ["gamma", "gae_lambda", "tau"]),
+    ("a number of 0 or more", 0.0, math.inf, ["vf_coef", "target_policy_noise", "target_noise_clip"]),
+    ("a number above 0", 1e-12, math.inf, [*_SCHEDULES, "max_grad_norm", "target_kl", "clip_obs", "clip_reward"]),
 )
-_RANGE_OF = {key: (kind, low, 1.0 if "to 1" in kind else 1e12) for kind, low, keys in _RANGES for key in keys}
+_RANGE_OF = {key: (kind, low, high) for kind, low, high, keys in _RANGES for key in keys}
 #: Arguments of the algorithms that the run itself sets, or that would need code in the file.
 _NOT_IN_FILES = {"self", "env", "seed", "device", "verbose", "tensorboard_log", "action_noise", "_init_setup_model"}
 _NOT_IN_FILES |= {f"{kind}_buffer_{part}" for kind in ("replay", "rollout") for part in ("class", "kwargs")}
@@ -84,33 +84,29 @@ def parse(algo: str, raw: Mapping[str, Any]) -> Hyperparameters:
     """Return the hyperparameters that a section of a file means.
 
     Raises:
-        ValueError: an algorithm, key or value is unknown or out of range; the message says what is allowed.
+        ValueError: a key or value is unknown or out of range; the message says what is allowed.
     """
-    if algo not in ALGORITHMS:
-        raise ValueError(f"unknown algorithm {algo!r}; choose one of {', '.join(ALGORITHMS)}")
-    defaults = _defaults(ALGORITHMS[algo], _NOT_IN_FILES)
-    unknown = sorted(set(raw) - set(defaults) - set(_OF_THE_RUN))
+    known = set(inspect.signature(ALGORITHMS[algo]).parameters) - _NOT_IN_FILES
+    unknown = sorted(set(raw) - known - set(_OF_THE_RUN))
     if unknown:
-        raise ValueError(f"unknown hyperparameters {unknown} of {algo}; known: {', '.join([*_OF_THE_RUN, *defaults])}")
+        allowed = ", ".join([*_OF_THE_RUN, *sorted(known)])
+        raise ValueError(f"unknown hyperparameters {unknown} of {algo}; known: {allowed}")
     if not isinstance(raw.get("policy"), str):
         raise ValueError(f'policy must be the name of one, such as "MlpPolicy", got {raw.get("policy")!r}')
-    for key, value in raw.items():
-        _require_finite(key, value)
-    arguments = {key: _value(key, raw[key]) for key in raw if key in defaults}
-    for key, value in arguments.items():
-        _require_in_range(key, value, defaults[key])
-    # A number such as 1e6 is a text in yml.
-    lengths = {key: raw.get(key, 1 if key == "n_envs" else None) for key in ("n_timesteps", "n_envs")}
-    for key, value in lengths.items():
-        if isinstance(value, (str, float)) and _number(value).is_integer():
-            lengths[key] = int(_number(value))
-        _require_in_range(key, lengths[key], 1)
-    return Hyperparameters(**lengths, normalize=_normalize(raw), noise_std=_noise(raw), arguments=arguments)
-
-
-def _defaults(function: Any, without: set[str]) -> dict[str, Any]:
-    parameters = inspect.signature(function).parameters
-    return {key: each.default for key, each in parameters.items() if key not in without}
+    # RL Zoo's files write large numbers as 1e6, which is a text in yml.
+    values = {"n_envs": 1, "n_timesteps": None, **{key: _value(key, value) for key, value in raw.items()}}
+    for key, value in values.items():
+        _require_in_range(key, value)
+    kind, std = raw.get("noise_type"), raw.get("noise_std")
+    if kind is not None and (kind != "normal" or not isinstance(std, (int, float)) or not 0 < std <= 1):
+        raise ValueError(f'noise_type must be "normal" with a noise_std above 0 and up to 1, got {kind!r} with {std!r}')
+    return Hyperparameters(
+        n_timesteps=values["n_timesteps"],
+        n_envs=values["n_envs"],
+        normalize=_normalize(raw),
+        noise_std=None if std is None else float(std),
+        arguments={key: value for key, value in values.items() if key in known},
+    )
 
 
 def _normalize(raw: Mapping[str, Any]) -> dict[str, Any] | None:
@@ -121,81 +117,51 @@ def _normalize(raw: Mapping[str, Any]) -> dict[str, Any] | None:
     if "gamma" in raw:
         # Rewards are scaled by the spread of the returns that the learner sees.
         options = {**options, "gamma": raw["gamma"]}
-    defaults = _defaults(VecNormalize, {"venv"})
-    if not set(options) <= set(defaults):
-        raise ValueError(f"normalize takes {', '.join(defaults)}, got {options}")
+    allowed = list(inspect.signature(VecNormalize).parameters)[1:]
+    if not set(options) <= set(allowed):
+        raise ValueError(f"normalize takes {', '.join(allowed)}, got {options}")
     for key, value in options.items():
-        _require_in_range(key, value, defaults[key], "normalize: ")
+        _require_in_range(key, value)
     return options
 
 
-def _noise(raw: Mapping[str, Any]) -> float | None:
-    kind: Any = raw.get("noise_type")
-    std: Any = raw.get("noise_std")
-    if kind is None:
-        return None
-    if kind != "normal" or type(std) not in (int, float) or not 0 < std <= 1:
-        raise ValueError(f'noise_type must be "normal" with a noise_std above 0 and up to 1, got {kind!r} with {std!r}')
-    return float(std)
-
-
-def _require_finite(key: str, value: Any) -> None:
-    """Refuse NaN and infinity, in lists and dictionaries as well."""
-    try:
-        json.dumps(value, allow_nan=False, default=str)
-    except ValueError:
-        raise ValueError(f"{key} must be finite, got {value}") from None
-
-
-def _require_in_range(key: str, value: Any, default: Any, where: str = "") -> None:
-    """Refuse a value of the wrong type or beyond :data:`_RANGES`; `default` is the algorithm's own."""
-    if value is None and default is None:
+def _require_in_range(key: str, value: Any) -> None:
+    """Refuse a number of the wrong kind or beyond :data:`_RANGES`; None is the algorithm's own business."""
+    if key not in _RANGE_OF or isinstance(value, LinearSchedule) or (value is None and key != "n_timesteps"):
         return
-    if isinstance(default, bool):
-        if not isinstance(value, bool):
-            raise ValueError(f"{where}{key} must be true or false, got {value!r}")
-    elif key == "train_freq":
-        steps = value[0] if isinstance(value, tuple) and value[1:] == ("step",) else value
-        if type(steps) is not int or steps < 1:
-            raise ValueError(f'{where}{key} must be a whole number of 1 or more, or [it, "step"], got {value!r}')
-    elif key == "ent_coef" and isinstance(default, str) and isinstance(value, str):
-        if value != "auto" and not _number(value.removeprefix("auto_")) > 0.0:
-            raise ValueError(f'{key} must be a number, "auto", or "auto_" with a number above 0, got {value!r}')
-    elif key in _RANGE_OF and not isinstance(value, LinearSchedule):
-        kind, low, high = _RANGE_OF[key]
-        types = (int,) if "whole" in kind else (int, float)
-        if type(value) not in types or not low <= value <= high or (low == -1 and value == 0):
-            raise ValueError(f"{where}{key} must be {kind}, got {value!r}")
+    kind, low, high = _RANGE_OF[key]
+    types = (int,) if "whole" in kind else (int, float)
+    if type(value) not in types or not low <= value <= high or (low == -1 and value == 0):
+        raise ValueError(f"{key} must be {kind}, got {value!r}")
+
+
+def _value(key: str, value: Any) -> Any:
+    if key == "policy_kwargs":
+        return parse_literal(key, value)
+    if key == "train_freq" and isinstance(value, list):
+        return tuple(value)
+    if key in _SCHEDULES and isinstance(value, str) and value.startswith("lin_"):
+        start = _number(value.removeprefix("lin_"))
+        if not start > 0.0:
+            raise ValueError(f'{key} must be a number above 0, or "lin_" with the number to fall from, got {value!r}')
+        return LinearSchedule(start=start, end=0.0, end_fraction=1.0)
+    if key in ("n_timesteps", "n_envs") and isinstance(value, (str, float)) and _number(value).is_integer():
+        return int(_number(value))
+    return value
 
 
 def _number(text: Any) -> float:
     """Return the finite number that a text is, or NaN."""
     try:
-        return float(text) if np.isfinite(float(text)) else np.nan
+        return float(text) if math.isfinite(float(text)) else math.nan
     except ValueError:
-        return np.nan
-
-
-def _value(key: str, value: Any) -> Any:
-    if key == "policy_kwargs":
-        result = parse_literal(key, value)
-        _require_finite(key, result)
-        return result
-    if key == "train_freq" and isinstance(value, list):
-        return tuple(value)
-    if key in _SCHEDULES and isinstance(value, str):
-        start = _number(value.removeprefix("lin_"))
-        if not value.startswith("lin_") or not start > 0.0:
-            raise ValueError(f'{key} must be a number above 0, or "lin_" with the number to fall from, got {value!r}')
-        return LinearSchedule(start=start, end=0.0, end_fraction=1.0)
-    return value
+        return math.nan
 
 
 def parse_literal(key: str, value: Any) -> dict[str, Any]:
     """Return the dictionary that a text such as "dict(net_arch=[64, 64], activation_fn=nn.Tanh)" writes down.
 
-    RL Zoo evaluates such texts. Here only literals, `dict(…)` and the names of :data:`agents.onnx_graph.ACTIVATIONS`
-    mean anything.
+    RL Zoo evaluates such texts. Here only literals, `dict(…)` and the names of :data:`ACTIVATIONS` mean anything.
 
     Raises:
         ValueError: not a dictionary, or one that holds anything else.

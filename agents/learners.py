@@ -1,4 +1,4 @@
-"""Learners of Stable-Baselines3: made, saved with everything that they go on from, and as a network for the export.
+"""Learners of Stable-Baselines3: made, and saved with everything that they go on from.
 
 A checkpoint holds the learner with its optimisers, the replay buffer, the environments in the middle of their episodes,
 the normalisation and every random generator. It is made of pickles, which run code when they are loaded: load your own
@@ -10,24 +10,16 @@ from __future__ import annotations
 import pickle
 import random
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
-from sb3_contrib.common.recurrent.policies import RecurrentActorCriticPolicy
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.distributions import DiagGaussianDistribution, StateDependentNoiseDistribution
 from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
-from stable_baselines3.common.running_mean_std import RunningMeanStd
-from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize, unwrap_vec_wrapper
-from torch import nn
 
 from agents.folders import loading
 from agents.hyperparameters import ALGORITHMS, Hyperparameters
-from agents.onnx_graph import Normalization, PolicyNetwork, flat_layers
 from wtg_gym.policies.load import ARCHIVE_FILE
 from wtg_gym.policies.sb3_archive import CUSTOM_OBJECTS
 
@@ -62,21 +54,15 @@ def build_model(algo: str, hyperparameters: Hyperparameters, env: VecEnv, *, see
         raise ValueError(f"{algo} refuses its hyperparameters {dict(hyperparameters.arguments)}: {reason}") from error
 
 
-def save_policy(folder: Path, model: BaseAlgorithm) -> None:
-    """Write the learner and its normalisation, as :func:`wtg_gym.policies.sb3_archive.load_archive` takes them."""
-    model.save(folder / ARCHIVE_FILE)
-    normalize = model.get_vec_normalize_env()
-    if normalize is not None:
-        normalize.save(str(folder / _NORMALIZE))
-
-
 def save_checkpoint(folder: Path, model: BaseAlgorithm) -> None:
     """Write everything that training goes on from into an empty folder, between two rollouts of the learner."""
-    save_policy(folder, model)
+    model.save(folder / ARCHIVE_FILE)
     if isinstance(model, OffPolicyAlgorithm):
         model.save_replay_buffer(folder / _REPLAY_BUFFER)
     env, normalize = model.get_env(), model.get_vec_normalize_env()
     assert env is not None
+    if normalize is not None:
+        normalize.save(str(folder / _NORMALIZE))
     monitor = unwrap_vec_wrapper(env, VecMonitor)
     assert isinstance(monitor, VecMonitor)
     state = {
@@ -127,40 +113,3 @@ def load_checkpoint(folder: Path, algo: str, device: str) -> BaseAlgorithm:
         torch.cuda.set_rng_state_all(state["cuda"])
         model.action_space.np_random.bit_generator.state = state["action_space"]
     return model
-
-
-def network_of(policy: BasePolicy, vec_normalize: VecNormalize | None) -> PolicyNetwork:
-    """Return the network that a policy's deterministic `predict` evaluates.
-
-    Raises:
-        ValueError: it has a layer that the export cannot write.
-    """
-    lstm: nn.LSTM | None = None
-    if isinstance(policy, ActorCriticPolicy):
-        distribution = policy.action_dist
-        squashed = isinstance(distribution, StateDependentNoiseDistribution) and distribution.bijector is not None
-        if not isinstance(distribution, (DiagGaussianDistribution, StateDependentNoiseDistribution)) or squashed:
-            raise ValueError(f"cannot export actions of {type(distribution).__name__} that are not a plain mean")
-        extractor = policy.pi_features_extractor
-        layers = flat_layers([policy.mlp_extractor.policy_net, policy.action_net])
-        if isinstance(policy, RecurrentActorCriticPolicy):
-            lstm = policy.lstm_actor
-            given = {name: getattr(lstm, name) for name in ("bias", "bidirectional", "proj_size")}
-            if given != {"bias": True, "bidirectional": False, "proj_size": 0}:
-                raise ValueError(f"cannot export an LSTM with {given}, only with bias, one direction and no projection")
-    else:
-        actor: Any = policy.actor
-        extractor = actor.features_extractor
-        # TD3's `mu` is the whole network and ends in Tanh; SAC and TQC squash the output of theirs.
-        layers = flat_layers([actor.latent_pi, actor.mu, nn.Tanh()] if hasattr(actor, "latent_pi") else [actor.mu])
-    if not isinstance(extractor, FlattenExtractor):
-        raise ValueError(f"cannot export the features of {type(extractor).__name__}, only plain observations")
-    shape = policy.observation_space.shape
-    assert shape is not None
-    normalization = None
-    if vec_normalize is not None and vec_normalize.norm_obs:
-        statistics = vec_normalize.obs_rms
-        assert isinstance(statistics, RunningMeanStd)
-        std = np.sqrt(statistics.var + vec_normalize.epsilon)
-        normalization = Normalization(mean=statistics.mean, std=std, bound=vec_normalize.clip_obs)
-    return PolicyNetwork(n_observation=shape[0], normalization=normalization, lstm=lstm, layers=layers)

@@ -10,12 +10,11 @@ import shlex
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from agents.folders import BEST, CHECKPOINTS, save_folder
 from wtg_gym import __version__
 from wtg_gym.envs import EnvSettings
 from wtg_gym.evaluation import Entry, Policy, evaluate
@@ -141,21 +140,6 @@ class Run:
         }
         self.curve.append({"timesteps": timesteps, "wall_time_s": round(wall_time_s, 2), **metrics})
         return metrics
-
-    def keep(
-        self, folder: Path, best: Callable[[Path], object], checkpoint: Callable[[Path], object] | None = None
-    ) -> None:
-        """Write `checkpoint`, `best` where the last validation was the best, and run.json, into the folder of the run.
-
-        Either writes its files into the folder that it is given.
-        """
-        timesteps = int(self.curve[-1]["timesteps"])
-        # First, because one whose row is missing in run.json is validated again on resumption.
-        if checkpoint is not None:
-            save_folder(folder / CHECKPOINTS, timesteps, checkpoint)
-        if self.best is self.curve[-1]:
-            save_folder(folder / BEST, timesteps, best)
-        self.write(folder)
 
     def go_on(self, *, allow_other_versions: bool = False) -> None:
         """Note that this process goes on with the run; a finished run stays as it is.

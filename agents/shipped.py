@@ -11,8 +11,10 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import NamedTuple
 
-from agents.command import Parser, Progress, note, print_table, require_range, run_command
+from agents.command import Parser, note, run_command
 from agents.runs import RUN_FILE
+from wtg_gym.progress import Progress
+from wtg_gym.ranges import require_range
 
 _FOLDER = Path(__file__).parent / "policies"
 _AUTHORS = "The wtg_gym authors"
@@ -20,13 +22,7 @@ _AUTHORS = "The wtg_gym authors"
 _DESCRIPTION = """\
 Trains the policies of agents/policies, three or five seeds each, and exports them; without --only or --all, lists them
 with the time that the training of each took. A run that is there already goes on from its last checkpoint, or is
-exported at once; its export replaces an earlier one. The output of a run goes to the file NAME.log beside its folder.
-Nothing in agents/policies changes, unless --policies names it."""
-_EXAMPLES = """\
-examples:
-  python -m agents.shipped                            what there is to train
-  python -m agents.shipped --only ppo-k+tau-0         the first PPO alone
-  python -m agents.shipped --all --jobs 2             all of them, two at a time"""
+exported at once. The output of a run goes to the file NAME.log beside its folder."""
 
 
 class Shipped(NamedTuple):
@@ -121,7 +117,7 @@ def _make(name: str, runs: Path, policies: Path) -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    parser = Parser(prog="python -m agents.shipped", description=_DESCRIPTION, epilog=_EXAMPLES)
+    parser = Parser(prog="python -m agents.shipped", description=_DESCRIPTION)
     chosen = parser.add_mutually_exclusive_group()
     chosen.add_argument("--only", nargs="+", metavar="NAME", help="train these")
     chosen.add_argument("--all", action="store_true", help="train all of them")
@@ -134,9 +130,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     def work() -> None:
         given = parser.parse_args(argv)
         if not given.only and not given.all:
-            rows = [[name, shipped.name, _time_taken(name)] for name, (shipped, _) in names().items()]
-            print_table(["policy", "entry", "training took [s]"], rows, left=(0, 1))
-            note("--only NAME … trains some of them, --all all of them")
+            for name, (shipped, _) in names().items():
+                print(f"{name:20}  {shipped.name:20}  training took {_time_taken(name)} s")
             return
         chosen = list(names()) if given.all else list(dict.fromkeys(given.only))
         unknown = [name for name in chosen if name not in names()]

@@ -27,12 +27,10 @@ gc.disable()
 #: Tests that need no machine code of the usual plant: of none, of other numbers of machines, or in processes that
 #: compile for themselves.
 _WITHOUT_THE_USUAL_PLANT = (
-    "analysis/test_independent",
-    "analysis/test_replay",
+    "golden/",
     "physics/test_machine_code",
     "physics/test_components",
     "physics/test_compiled",
-    "analysis/test_counting",
     "scenarios/",
 )
 

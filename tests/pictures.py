@@ -10,21 +10,17 @@ import re
 import sys
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-#: Pictures that no second run repeats: two show the time that this machine took, the others are a browser's.
+#: Pictures that no second run repeats: a browser's.
 NOT_REPEATED = (
-    "performance/growth.svg",
-    "validation/accuracy.svg",
     "images/leaderboard-page.png",
     "images/live-play.png",
-    "images/live-explore.png",
 )
-SUFFIXES = (".gif", ".png", ".svg")
+SUFFIXES = (".png", ".svg")
 
 #: How far coordinates in an SVG may lie apart [pt]: a tenth of a line's width.
 _LARGEST_SHIFT_PT = 0.1
@@ -114,24 +110,17 @@ def _without_hashes(text: str) -> str:
 
 
 def _difference_of_pixels(committed: Path, made: Path) -> str:
-    old, new = _frames(committed), _frames(made)
-    if len(old) != len(new) or any(a[0] != b[0] for a, b in zip(old, new, strict=True)):
-        return "other frames or other times of theirs"
-    if old[0][1].shape != new[0][1].shape:
+    old, new = _pixels(committed), _pixels(made)
+    if old.shape != new.shape:
         return "another size"
-    n = max(int((np.abs(a - b).max(axis=2) > _LARGEST_SHADE).sum()) for (_, a), (_, b) in zip(old, new, strict=True))
-    return f"{n} pixels of a frame have another colour" if n > _N_PIXELS else ""
+    n = int((np.abs(old - new).max(axis=2) > _LARGEST_SHADE).sum())
+    return f"{n} pixels have another colour" if n > _N_PIXELS else ""
 
 
-def _frames(path: Path) -> list[tuple[Any, npt.NDArray[np.int16]]]:
-    """Return how long each frame is shown, and its pixels (height, width, 3)."""
-    frames = []
+def _pixels(path: Path) -> npt.NDArray[np.int16]:
+    """Return the pixels of a picture (height, width, 3)."""
     with Image.open(path) as picture:
-        for index in range(getattr(picture, "n_frames", 1)):
-            picture.seek(index)
-            pixels = np.asarray(picture.convert("RGB"), dtype=np.int16)
-            frames.append((picture.info.get("duration"), pixels))
-    return frames
+        return np.asarray(picture.convert("RGB"), dtype=np.int16)
 
 
 def main(arguments: list[str]) -> int:

@@ -18,7 +18,6 @@ ROOT = Path(__file__).resolve().parent.parent
 #: Packages that extras bring and `pip install .` does not.
 EXTRAS = (
     "bokeh",
-    "jax",
     "joblib",
     "matplotlib",
     "onnx",
@@ -101,14 +100,7 @@ RUN_HERE = ["README.md", *(page for page in DOCS if blocks(page, "python"))]
 @pytest.mark.parametrize("page", RUN_HERE)
 def test_every_other_program_runs_as_printed(page: str, tmp_path: Path) -> None:
     for program in blocks(page, "python")[1 if page == "README.md" else 0 :]:
-        if "import jax" not in program:
-            run([sys.executable, "-c", program], tmp_path)
-
-
-def test_the_program_with_jax_runs_as_printed(tmp_path: Path) -> None:
-    (program,) = [program for program in blocks("docs/gradients.md", "python") if "import jax" in program]
-    pytest.importorskip("jax", reason="JAX is not installed here: pip install '.[jax]'")
-    run([sys.executable, "-c", program], tmp_path)
+        run([sys.executable, "-c", program], tmp_path)
 
 
 PAGES = [

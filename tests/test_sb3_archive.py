@@ -23,11 +23,11 @@ import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-from agents.export import export, largest_difference
+from agents.export import export
 from agents.folders import folders
 from agents.hyperparameters import ALGORITHMS as TRAINED
 from agents.runs import Run
-from tests.agents.small import trained
+from tests.agents.small import largest_difference, trained
 from tests.cli.calls import ROOT, error_of, json_of
 from wtg_gym.cli import main
 from wtg_gym.evaluation import OnnxPolicy, load_entries
@@ -56,8 +56,24 @@ def archive() -> bytes:
 
 @pytest.fixture(scope="module")
 def run_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """A short run of an algorithm, trained once."""
-    return functools.cache(lambda algo: trained(tmp_path_factory.mktemp(algo), algo, "run"))
+    """A short run of an algorithm, trained once, whose last policy counts as its best."""
+
+    def run(algo: str) -> Path:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(Run, "best", property(lambda run: run.curve[-1]))
+            return trained(tmp_path_factory.mktemp(algo), algo, "run")
+
+    return functools.cache(run)
+
+
+def archive_of(run: Path, path: Path, algorithm: str) -> Path:
+    """The learner in a run's checkpoint as an entry of an archive."""
+    (checkpoint,) = folders(run / "checkpoints")
+    path.mkdir()
+    for name in ("model.zip", "vec_normalize.pkl"):
+        shutil.copy(checkpoint / name, path / name)
+    (path / "entry.toml").write_text(TOML.replace('"mine"', '"archive"').replace('"PPO"', f'"{algorithm}"'))
+    return path
 
 
 def folder(path: Path, content: bytes, toml: str = TOML) -> Path:
@@ -103,27 +119,25 @@ def test_archives_are_of_the_algorithms_that_are_trained() -> None:
 
 
 @pytest.mark.parametrize("algo", TRAINED)
-def test_best_policy_of_a_run_plays_as_its_export(
+def test_archive_plays_as_the_export_of_its_run(
     algo: str, run_of: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = run_of(algo)
     export(run, tmp_path / "exported", name="exported")
     capsys.readouterr()
-    (best,) = folders(run / "best")
-    assert {path.name for path in best.iterdir()} == {"entry.toml", "model.zip", "vec_normalize.pkl"}
+    best = archive_of(run, tmp_path / "archive", TRAINED[algo].__name__)
     policy, _ = load_archive(best, TRAINED[algo].__name__)
     onnx = OnnxPolicy(tmp_path / "exported" / "policy.onnx")
     # Episodes of many lanes, which begin anew at different times: memory and normalisation are in it.
     assert largest_difference(policy, onnx, Run.read(run).settings) <= 1e-6
     assert largest_difference(NormalizedPolicy(policy.policy, None), onnx, Run.read(run).settings) > 1e-4
     summary = evaluated(capsys, best, tmp_path / "exported")
-    names = (f"{algo} k+tau", "exported", "coordinated-piecewise")
-    costs = [summary[name]["mean_pinned_cost"] for name in names]
+    costs = [summary[name]["mean_pinned_cost"] for name in ("archive", "exported", "coordinated-piecewise")]
     assert costs[0] == pytest.approx(costs[1], rel=1e-4) and costs[0] != costs[2]
 
 
-def test_memory_goes_on_and_is_cleared_where_an_episode_starts(run_of: Callable[[str], Path]) -> None:
-    (best,) = folders(run_of("recurrent_ppo") / "best")
+def test_memory_goes_on_and_is_cleared_where_an_episode_starts(run_of: Callable[[str], Path], tmp_path: Path) -> None:
+    best = archive_of(run_of("recurrent_ppo"), tmp_path / "archive", "RecurrentPPO")
     policy, _ = load_archive(best, "RecurrentPPO")
     observations, nobody = np.full((2, N), 0.5, dtype=np.float32), np.zeros(2, dtype=np.bool_)
     first, state = policy.predict(observations, None, ~nobody, deterministic=True)
@@ -134,8 +148,7 @@ def test_memory_goes_on_and_is_cleared_where_an_episode_starts(run_of: Callable[
 
 
 def test_policy_goes_to_another_process_as_it_is(run_of: Callable[[str], Path], tmp_path: Path) -> None:
-    (own,) = folders(run_of("ppo") / "best")
-    best = shutil.copytree(own, tmp_path / "best")
+    best = archive_of(run_of("ppo"), tmp_path / "archive", "PPO")
     policy, fingerprint = load_archive(best, "PPO")
     content = pickle.dumps(policy)
     torch.set_num_threads(2)
@@ -170,7 +183,7 @@ def test_archive_is_not_opened_without_the_flag(archive: bytes, tmp_path: Path) 
     trap = tmp_path / "trap"
     entry = folder(tmp_path / "entry", changed(archive, "lr_schedule", Creates(trap)))
     (entry / "vecnormalize.pkl").write_bytes(pickle.dumps(Creates(trap)))
-    commands = (["evaluate"], ["leaderboard"], ["results", "sensitivity"])
+    commands = (["evaluate"], ["leaderboard"])
     scoring = [[*command, "--entries", str(entry)] for command in commands]
     submission = [["submission", command, str(entry)] for command in ("check", "score")]
     call = [sys.executable, "-c", _WATCHED, json.dumps([*scoring, *submission])]
@@ -192,9 +205,7 @@ def test_flag_means_what_it_says(archive: bytes, tmp_path: Path, capsys: pytest.
     assert trap.is_dir()
 
 
-@pytest.mark.parametrize(
-    "command", ["leaderboard", "results sensitivity", "results recompute a.json", "results page a.json --output a.html"]
-)
+@pytest.mark.parametrize("command", ["leaderboard", "results recompute a.json", "results page a.json --output a.html"])
 def test_no_other_command_has_the_flag(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert "unrecognized arguments: --trust-pickle" in error_of(capsys, *command.split(), "--trust-pickle")
 

@@ -134,13 +134,12 @@ def _with_markers(path: Path, name: str) -> tuple[str, str, str]:
     return text, start, end
 
 
-def read_text(path: Path, what: str, *, encoding: str = "utf-8", largest: int = LARGEST_BYTES) -> str:
+def read_text(path: Path, what: str, *, largest: int = LARGEST_BYTES) -> str:
     """Return a file's text.
 
     Args:
         path: the file.
         what: what it is, for the message.
-        encoding: "utf-8", or "utf-8-sig" to skip a byte order mark.
         largest: size that is still read [B].
 
     Raises:
@@ -155,14 +154,14 @@ def read_text(path: Path, what: str, *, encoding: str = "utf-8", largest: int = 
     if len(content) > largest:
         raise ValueError(f"the {what} {path} is larger than {largest} bytes, the most that is read")
     try:
-        return content.decode(encoding)
+        return content.decode("utf-8")
     except UnicodeDecodeError as error:
         raise ValueError(f"the {what} {path} is not UTF-8 text: {error}") from error
 
 
-def read_json(path: Path, what: str, *, encoding: str = "utf-8") -> Any:
+def read_json(path: Path, what: str) -> Any:
     """Return the data of a JSON file; a ValueError of :func:`read_text` or :func:`parse_json` names the file."""
-    return parse_json(read_text(path, what, encoding=encoding), f"the {what} {path}")
+    return parse_json(read_text(path, what), f"the {what} {path}")
 
 
 def parse_json(text: str, where: str) -> Any:

@@ -9,7 +9,6 @@ from typing import Any
 
 from agents.command import (
     Parser,
-    add_folder_options,
     add_training_options,
     given_options,
     opened_run,
@@ -23,35 +22,34 @@ from agents.runs import RunSettings
 _TIMESTEPS = 10_000_000
 _DESCRIPTION = """\
 Trains a policy with PPO of Ray RLlib: several runners, each with many episodes at once, collect what one or more
-learners learn from. A folder gets run.json, TensorBoard's files, the policy with the best validation score, and RLlib's
-checkpoint to go on from with --resume after an interruption of any kind."""
+learners learn from. A folder gets run.json, the policy with the best validation score, and RLlib's checkpoint
+to go on from with --resume after an interruption of any kind."""
 _EXAMPLES = """\
 examples:
   python -m agents.rllib --output runs/rllib-0
   python -m agents.rllib --address auto --num-env-runners 32 --num-learners 2 --output /shared/runs/rllib-0
-  python -m agents.rllib --resume runs/rllib-0
-  python -m agents.export runs/rllib-0 --output agents/policies/rllib-0 --name 'RLlib PPO'"""
+  python -m agents.rllib --resume runs/rllib-0"""
+#: Options and what they are; the defaults are those of the hyperparameters.
+_PROCESSES = {
+    "num_env_runners": "processes that play episodes",
+    "envs_per_runner": "episodes side by side in each of them",
+    "num_learners": "processes that learn; 0: the command's own",
+}
 
 
 def _settings(given: Mapping[str, Any]) -> RunSettings:
-    names = {field.name for field in dataclasses.fields(Hyperparameters)}
-    h = Hyperparameters(**{name: value for name, value in given.items() if name in names})
+    h = Hyperparameters(**{name: given[name] for name in _PROCESSES if name in given})
     return settings_of(given, NAME, dataclasses.asdict(h), timesteps=_TIMESTEPS, n_envs=h.n_envs)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    default = Hyperparameters()
     parser = Parser(prog="python -m agents.rllib", description=_DESCRIPTION, epilog=_EXAMPLES)
-    add_folder_options(parser)
     add_training_options(parser, timesteps=str(_TIMESTEPS))
     parser.add_argument("--address", help="Ray cluster to join, such as auto or HOST:6379 (default: start Ray here)")
-    for option, text in (
-        ("--num-env-runners", f"processes that play episodes (default: {default.num_env_runners})"),
-        ("--envs-per-runner", f"episodes side by side in each of them (default: {default.envs_per_runner})"),
-        ("--num-learners", "processes that learn; 0: the command's own (default: 0)"),
-    ):
-        parser.add_argument(option, type=int, metavar="N", help=text)
+    for name, text in _PROCESSES.items():
+        text = f"{text} (default: {getattr(Hyperparameters, name)})"
+        parser.add_argument(f"--{name.replace('_', '-')}", type=int, metavar="N", help=text)
 
     def work() -> None:
         given = given_options(parser.parse_args(argv))

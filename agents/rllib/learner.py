@@ -1,15 +1,14 @@
-"""The training of `python -m agents.rllib`: PPO of RLlib, with the network of :mod:`agents.ppo`.
+"""The training of `python -m agents.rllib`: PPO and the network are RLlib's own.
 
-The network holds its own normalisation, so that its weights alone are the policy: the best ones are saved as those of
-the PPO in one file are, and neither scoring nor exporting them needs Ray.
+Runners scale observations and rewards by what was measured beforehand, so that the weights and these scales are the
+policy: playing it needs no Ray.
 """
 
 from __future__ import annotations
 
-import functools
+import dataclasses
 import logging
 import os
-import time
 from pathlib import Path
 from typing import Any
 
@@ -18,55 +17,97 @@ import ray
 import torch
 from ray.rllib.algorithms.algorithm import Algorithm
 from ray.rllib.algorithms.ppo import PPOConfig
+from ray.rllib.algorithms.ppo.torch.default_ppo_torch_rl_module import DefaultPPOTorchRLModule
 from ray.rllib.core import DEFAULT_MODULE_ID
 from ray.rllib.core.columns import Columns
-from ray.rllib.core.rl_module.apis.value_function_api import ValueFunctionAPI
+from ray.rllib.core.models.base import ACTOR, ENCODER_OUT
 from ray.rllib.core.rl_module.rl_module import RLModuleSpec
-from ray.rllib.core.rl_module.torch import TorchRLModule
-from ray.rllib.utils.metrics import ENV_RUNNER_RESULTS, LEARNER_RESULTS, NUM_ENV_STEPS_SAMPLED_LIFETIME
+from ray.rllib.utils.metrics import ENV_RUNNER_RESULTS, NUM_ENV_STEPS_SAMPLED_LIFETIME
 from ray.tune.registry import register_env
-from tensorboardX import SummaryWriter
+from torch import Tensor, nn
 
-from agents import ppo
-from agents.command import Progress
-from agents.folders import CHECKPOINTS, folders, loading
+from agents.folders import loading
 from agents.rllib import Hyperparameters
-from agents.rllib.runner_envs import RunnerEnvs, Scales, measure_scales
+from agents.rllib.runner_envs import CLIP, RunnerEnvs, Scales, measure_scales
 from agents.runs import Run, RunSettings
+from agents.training import Training, last_checkpoint
+from wtg_gym.progress import Progress
 
-_PREFIX = "agent."
 _LANES = "wtg_gym-lanes"
 
 
-class AgentModule(TorchRLModule, ValueFunctionAPI):  # type: ignore[misc]
-    """The agent of :mod:`agents.ppo` as RLlib wants to see it.
-
-    Its `model_config` holds `hidden`, `log_std_init`, and `mean` and `std` of the observation.
-    """
+class CalmModule(DefaultPPOTorchRLModule):  # type: ignore[misc]
+    """RLlib's own network, which starts almost as the reference controller and explores as little as it is told."""
 
     def setup(self) -> None:
         """Build the networks."""
-        config = self.model_config
-        self.agent = ppo.Agent(
-            self.observation_space.shape[0],
-            self.action_space.shape[0],
-            ppo.Hyperparameters(hidden=config["hidden"], log_std_init=config["log_std_init"]),
-        )
-        # Measured beforehand and never updated.
-        self.agent.moments.mean.copy_(torch.tensor(config["mean"], dtype=torch.float64))
-        self.agent.moments.var.copy_(torch.tensor(config["std"], dtype=torch.float64).square())
-
-    def _forward(self, batch: dict[str, Any], **kwargs: Any) -> dict[str, Any]:
-        """Return mean and logarithm of the standard deviation of the actions, (n, 2 · n_action)."""
-        mean = self.agent.actor(self.agent.normalized(batch[Columns.OBS]))
-        return {Columns.ACTION_DIST_INPUTS: torch.cat([mean, self.agent.log_std.expand_as(mean)], dim=-1)}
-
-    def compute_values(self, batch: dict[str, Any], embeddings: Any = None) -> Any:
-        """Return the expected scaled returns (n,)."""
-        return self.agent.value(self.agent.normalized(batch[Columns.OBS]))
+        super().setup()
+        for layer in self.modules():
+            if isinstance(layer, nn.Linear):
+                nn.init.orthogonal_(layer.weight, 2**0.5)
+                nn.init.zeros_(layer.bias)
+        # Almost zero: the reference controller.
+        nn.init.orthogonal_(self.pi.net.mlp[-1].weight, 0.01)
+        nn.init.constant_(self.pi.log_std, self.model_config["log_std_init"])
 
 
-def ppo_config(settings: RunSettings, scales: Scales, resumed: int = 0) -> PPOConfig:
+class PolicyNetwork(nn.Module):
+    """The deterministic action for a raw observation."""
+
+    mean: Tensor
+    std: Tensor
+
+    def __init__(self, module: CalmModule, scales: Scales) -> None:
+        super().__init__()
+        self.module = module
+        self.register_buffer("mean", torch.tensor(scales.mean, dtype=torch.float64))
+        self.register_buffer("std", torch.tensor(scales.std, dtype=torch.float64))
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """Return the actions (batch, n_action) for observations (batch, n_observation)."""
+        seen = ((observation.double() - self.mean) / self.std).clamp(-CLIP, CLIP).float()
+        actions: Tensor = self.module.pi.net(self.module.encoder({Columns.OBS: seen})[ENCODER_OUT][ACTOR])
+        return actions
+
+
+class RLlibLearner:
+    """An algorithm of RLlib, for :class:`agents.training.Training`."""
+
+    def __init__(self, algorithm: Algorithm, spec: RLModuleSpec, scales: Scales) -> None:
+        self.algorithm, self._spec, self._scales = algorithm, spec, scales
+
+    def network(self, _settings: RunSettings) -> nn.Module:
+        """Return the policy as the learner has it now."""
+        module = self._spec.build()
+        module.set_state(self.algorithm.learner_group.get_weights()[DEFAULT_MODULE_ID])
+        return PolicyNetwork(module, self._scales)
+
+    def save(self, folder: Path) -> None:
+        """Write everything that training goes on from."""
+        # RLlib wants an absolute path.
+        self.algorithm.save_to_path(folder.resolve())
+
+
+def module_spec(settings: RunSettings, scales: Scales) -> RLModuleSpec:
+    """Return the network of a run."""
+    h = Hyperparameters(**settings.hyperparameters)
+    with_spaces = RunnerEnvs(1, scales=dataclasses.asdict(scales), **settings.env_arguments)
+    with_spaces.close()
+    return RLModuleSpec(
+        module_class=CalmModule,
+        observation_space=with_spaces.single_observation_space,
+        action_space=with_spaces.single_action_space,
+        model_config={
+            "fcnet_hiddens": [h.hidden, h.hidden],
+            "fcnet_activation": "tanh",
+            "vf_share_layers": False,
+            "free_log_std": True,
+            "log_std_init": h.log_std_init,
+        },
+    )
+
+
+def ppo_config(settings: RunSettings, scales: Scales, spec: RLModuleSpec, resumed: int = 0) -> PPOConfig:
     """Return RLlib's configuration of a run.
 
     Args:
@@ -82,7 +123,7 @@ def ppo_config(settings: RunSettings, scales: Scales, resumed: int = 0) -> PPOCo
         # One thread per runner, which is one CPU for Ray.
         .environment(
             _LANES,
-            env_config={**settings.env_arguments, "reward_scale": scales.reward, "n_threads": 1},
+            env_config={**settings.env_arguments, "scales": dataclasses.asdict(scales), "n_threads": 1},
             # The environment clips actions itself.
             normalize_actions=False,
             clip_actions=False,
@@ -94,17 +135,7 @@ def ppo_config(settings: RunSettings, scales: Scales, resumed: int = 0) -> PPOCo
             rollout_fragment_length=h.n_steps,
         )
         .learners(num_learners=h.num_learners, num_gpus_per_learner=0)
-        .rl_module(
-            rl_module_spec=RLModuleSpec(
-                module_class=AgentModule,
-                model_config={
-                    "hidden": h.hidden,
-                    "log_std_init": h.log_std_init,
-                    "mean": scales.mean,
-                    "std": scales.std,
-                },
-            )
-        )
+        .rl_module(rl_module_spec=spec)
         .training(
             train_batch_size_per_learner=per_learner,
             minibatch_size=max(1, per_learner // h.n_minibatches),
@@ -125,45 +156,26 @@ def ppo_config(settings: RunSettings, scales: Scales, resumed: int = 0) -> PPOCo
 
 
 def _connect(address: str | None, h: Hyperparameters) -> None:
-    """Join a Ray cluster, or start one of this machine alone.
-
-    Raises:
-        ValueError: the cluster does not exist, or has too few CPUs.
-    """
+    """Join a Ray cluster, or start one of this machine alone; a ValueError if it has too few CPUs or does not exist."""
     # Nothing about a run is reported to anybody, unless the user says otherwise.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     logging.getLogger("ray.rllib").setLevel(logging.ERROR)
     n_processes = h.num_env_runners + h.num_learners
-    options: dict[str, Any] = {"logging_level": "ERROR", "log_to_driver": False}
-    if address is None:
-        ray.init("local", num_cpus=max(2, n_processes), include_dashboard=False, **options)
-        return
+    here: dict[str, Any] = {"num_cpus": max(2, n_processes), "include_dashboard": False} if address is None else {}
     try:
-        ray.init(address, **options)
+        ray.init(address or "local", logging_level="ERROR", log_to_driver=False, **here)
     except (ConnectionError, ValueError, SystemExit) as error:
         # Ray ends the process where a cluster that it remembers is gone.
-        raise ValueError(f"--address {address}: no Ray cluster answers ({_reason(error)})") from error
+        reason = str(error).partition("\n")[0] or type(error).__name__
+        raise ValueError(f"--address {address}: no Ray cluster answers ({reason})") from error
     n_cpus = int(ray.cluster_resources().get("CPU", 0))
     if n_cpus < n_processes:
         ray.shutdown()
         raise ValueError(f"{n_processes} runners and learners need a CPU each, but the cluster has {n_cpus}")
 
 
-def _reason(error: BaseException) -> str:
-    # An exit has a number for its reason, if any.
-    text = "" if isinstance(error, SystemExit) else str(error).partition("\n")[0]
-    return text or type(error).__name__
-
-
 def _steps_of(algorithm: Algorithm) -> int:
     return int(algorithm.metrics.peek((ENV_RUNNER_RESULTS, NUM_ENV_STEPS_SAMPLED_LIFETIME), default=0))
-
-
-def _agent_of(algorithm: Algorithm) -> ppo.Agent:
-    """Return the agent as the learner has it now."""
-    state = algorithm.learner_group.get_weights()[DEFAULT_MODULE_ID]
-    weights = {key.removeprefix(_PREFIX): torch.as_tensor(np.array(value)) for key, value in state.items()}
-    return ppo.agent_of(weights)
 
 
 def train(run: Run, folder: Path, address: str | None = None) -> None:
@@ -171,11 +183,8 @@ def train(run: Run, folder: Path, address: str | None = None) -> None:
 
     Args:
         run: its curve grows here.
-        folder: where run.json, checkpoints, the best policy and TensorBoard's files go.
+        folder: where run.json, checkpoints and the best policy go.
         address: of a Ray cluster; None to start one of this machine alone.
-
-    Raises:
-        ValueError: the cluster does not exist, or has too few CPUs.
     """
     settings = run.settings
     h = Hyperparameters(**settings.hyperparameters)
@@ -186,44 +195,27 @@ def train(run: Run, folder: Path, address: str | None = None) -> None:
         scales = measure_scales(
             settings.env_arguments, noise=float(np.exp(h.log_std_init)), gamma=h.gamma, seed=settings.seed
         )
-        algorithm = ppo_config(settings, scales, run.resumed).build_algo()
+        spec = module_spec(settings, scales)
+        algorithm = ppo_config(settings, scales, spec, run.resumed).build_algo()
         try:
-            _train(run, folder, algorithm)
+            if saved := last_checkpoint(run, folder):
+                with loading(saved):
+                    algorithm.restore_from_path(str(saved.resolve()))
+            _train(run, folder, RLlibLearner(algorithm, spec, scales))
         finally:
             algorithm.stop()
     finally:
         ray.shutdown()
 
 
-def _train(run: Run, folder: Path, algorithm: Algorithm) -> None:
-    settings = run.settings
-    run.write(folder)
-    checkpoints = folders(folder / CHECKPOINTS)
-    if checkpoints:
-        with loading(checkpoints[-1]):
-            algorithm.restore_from_path(str(checkpoints[-1].resolve()))
+def _train(run: Run, folder: Path, learner: RLlibLearner) -> None:
+    total, algorithm = run.settings.timesteps, learner.algorithm
     steps = first = _steps_of(algorithm)
-    # Rows after the checkpoint are of a policy that is lost.
-    run.curve = [row for row in run.curve if row["timesteps"] <= steps]
-    began = time.monotonic() - (run.curve[-1]["wall_time_s"] if run.curve else 0.0)
-    with Progress("thousand steps") as progress, SummaryWriter(str(folder / "tensorboard")) as writer:
-        while True:
-            run.finished = steps >= settings.timesteps
-            if run.is_due(steps) or (run.finished and run.curve[-1]["timesteps"] < steps):
-                agent = _agent_of(algorithm)
-                run.validate(agent, steps, time.monotonic() - began)
-                # RLlib wants an absolute path.
-                run.keep(folder.resolve(), functools.partial(ppo.save, agent=agent), algorithm.save_to_path)
-            if run.finished:
-                return
-            name = f"{settings.algo}, score {run.curve[-1]['score']:.1f}, best {run.best['score']:.1f}"
-            progress.update(name, (steps - first) / 1000, round((settings.timesteps - first) / 1000))
-            result = algorithm.train()
+    training = Training(run, folder, learner)
+    with Progress("thousand steps") as progress:
+        while steps < total:
+            training.take_stock(steps)
+            progress.update(training.title, (steps - first) / 1000, round((total - first) / 1000))
+            algorithm.train()
             steps = _steps_of(algorithm)
-            for group, values in (
-                ("runners", result[ENV_RUNNER_RESULTS]),
-                ("learner", result[LEARNER_RESULTS][DEFAULT_MODULE_ID]),
-            ):
-                for key, value in values.items():
-                    if np.isscalar(value) and np.isfinite(value):
-                        writer.add_scalar(f"{group}/{key}", value, steps)
+        training.take_stock(steps, finished=True)

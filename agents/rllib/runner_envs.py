@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium.spaces import Box
+from gymnasium.vector.utils import batch_space
 
 from agents.gains import Gains, stagger
 from wtg_gym.envs import GFMWTGVectorEnv
 
-#: Rewards are clipped to this many scales, as VecNormalize does.
-_CLIP = 10.0
+#: Observations and rewards are clipped to this many scales, as VecNormalize does.
+CLIP = 10.0
 _MEASURED_LANES = 128
 # An entry that hardly moves at first may move later: it is not blown up any further.
 _SMALLEST_STD = 0.1
@@ -29,7 +31,13 @@ class Scales:
     #: mean, std: of every entry of the observation, (n_observation,).
     mean: list[float]
     std: list[float]
-    reward: float  # standard deviation of the discounted returns
+    reward: float = 1.0  # standard deviation of the discounted returns
+
+    def seen(self, observations: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Return observations as the learner sees them."""
+        scaled = (observations - np.array(self.mean)) / np.array(self.std)
+        clipped: npt.NDArray[np.float64] = np.clip(scaled, -CLIP, CLIP)
+        return clipped.astype(np.float32)
 
 
 def measure_scales(arguments: Mapping[str, Any], *, noise: float, gamma: float, seed: int) -> Scales:
@@ -66,7 +74,7 @@ def measure_scales(arguments: Mapping[str, Any], *, noise: float, gamma: float, 
 class RunnerEnvs(GFMWTGVectorEnv):
     """The lanes of one runner: the native vector environment, with the parts that RLlib does not do itself.
 
-    Rewards are :class:`agents.gains.Gains`, divided by a scale and clipped to ± 10.
+    Rewards are :class:`agents.gains.Gains`; they and the observations are scaled and clipped to ± 10.
 
     Lanes start spread over an episode (:func:`agents.gains.stagger`). Every seed of a reset gives a set of seeds of its
     own: RLlib gives runner w the seed s + w, with which lane i + 1 of a runner would play the scenarios of lane i of
@@ -74,9 +82,14 @@ class RunnerEnvs(GFMWTGVectorEnv):
     rest.
     """
 
-    def __init__(self, num_envs: int = 1, *, reward_scale: float = 1.0, **arguments: Any) -> None:
+    def __init__(self, num_envs: int = 1, *, scales: Mapping[str, Any] | None = None, **arguments: Any) -> None:
         super().__init__(num_envs, **arguments)
-        self._reward_scale = reward_scale
+        width = self.lanes.n_observation
+        self._scales = Scales(**scales) if scales is not None else Scales(mean=[0.0] * width, std=[1.0] * width)
+        if scales is not None:
+            bound = np.full(width, CLIP, dtype=np.float32)
+            self.single_observation_space = Box(-bound, bound)
+            self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.gains = Gains(self.lanes)
         self._ended = np.zeros(num_envs, dtype=np.bool_)
 
@@ -89,14 +102,15 @@ class RunnerEnvs(GFMWTGVectorEnv):
         observations, _ = super().reset(seed=seed, options=options)
         if options:
             self._ended &= ~np.asarray(options.get("reset_mask", True))
-            return observations, {}
+            return self._scales.seen(observations), {}
         self._ended[:] = False
         observations = stagger(self)
         if self._ended.any():
             # RLlib takes what a reset returns as the beginning of an episode, which may not be over already.
-            observations, _ = self.reset(options={"reset_mask": self._ended.copy()})
+            observations, _ = super().reset(options={"reset_mask": self._ended.copy()})
+            self._ended[:] = False
         self.gains.follow(range(self.num_envs))
-        return observations, {}
+        return self._scales.seen(observations), {}
 
     def step(
         self, actions: npt.NDArray[np.float32]
@@ -109,7 +123,8 @@ class RunnerEnvs(GFMWTGVectorEnv):
         gains = np.where(beginning, 0.0, self.gains.of(references, rewards))
         self.gains.follow(np.flatnonzero(beginning).tolist())
         self._ended = terminated | truncated
-        return observations, np.clip(gains / self._reward_scale, -_CLIP, _CLIP), terminated, truncated, {}
+        rewards = np.clip(gains / self._scales.reward, -CLIP, CLIP)
+        return self._scales.seen(observations), rewards, terminated, truncated, {}
 
     def close_extras(self, **kwargs: Any) -> None:
         """Release the worker threads."""

@@ -1,4 +1,4 @@
-"""`python docs/images/live.py PLAY.png EXPLORE.png`: the pages of `wtg-gym play` and `wtg-gym explore`, by Chromium.
+"""`python docs/images/live.py PLAY.png`: the page of `wtg-gym play`, by Chromium.
 
 Needs the extras `leaderboard` and `browser`.
 """
@@ -18,7 +18,7 @@ from typing import Any
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-SIZE = {"width": 1366, "height": 900}
+SIZE = {"width": 1366, "height": 970}
 
 
 @contextmanager
@@ -48,13 +48,6 @@ def play(page: Any) -> None:
     page.wait_for_function(f"{model('verdict')}.text !== ''", timeout=120_000)
 
 
-def explore(page: Any) -> None:
-    page.get_by_role("button", name="Pin this run").click()
-    page.wait_for_function(f"{model('pins')}.text !== ''")
-    page.evaluate(f"{model('law')}.value = 'coordinated-tuned'")
-    page.wait_for_function(f"{model('command')}.text.includes('coordinated-tuned')")
-
-
 def take(browser: Any, path: str, act: Callable[[Any], None], *command: str) -> None:
     with served(*command) as url:
         page = browser.new_page(viewport=SIZE)
@@ -62,7 +55,7 @@ def take(browser: Any, path: str, act: Callable[[Any], None], *command: str) -> 
         page.wait_for_function("window.Bokeh?.documents[0]?.roots().length > 0")
         act(page)
         page.wait_for_timeout(1000)
-        picture = Image.open(BytesIO(page.screenshot(full_page=True)))
+        picture = Image.open(BytesIO(page.screenshot()))
         page.close()
     picture.convert("P", palette=Image.Palette.ADAPTIVE, colors=128).save(Path(path), optimize=True)
 
@@ -73,5 +66,4 @@ with sync_playwright() as driver:
     sandbox = ["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else []
     browser = driver.chromium.launch(executable_path=found, args=sandbox)
     take(browser, sys.argv[1], play, "play", "--suite", "standard-v1", "--speed", "5")
-    take(browser, sys.argv[2], explore, "explore")
     browser.close()

@@ -20,7 +20,7 @@ from wtg_gym.plotting.style import PALETTE, figure_bytes, printed
 ROOT = Path(__file__).parents[2]
 ROOMS = (
     *("agents", "baselines"),
-    *(f"wtg_gym/{name}" for name in ("plotting", "cli", "evaluation", "analysis", "functional", "policies")),
+    *(f"wtg_gym/{name}" for name in ("plotting", "cli", "evaluation", "reproduce", "policies")),
     *(f"wtg_gym/{name}" for name in ("gradients", "pettingzoo.py", "sb3.py", "wrappers.py", "envs", "scenarios")),
     "wtg_gym/physics",
 )

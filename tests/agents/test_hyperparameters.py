@@ -9,10 +9,9 @@ import pytest
 import yaml
 from torch import nn
 
-from agents.hyperparameters import ALGORITHMS, CONFIG_FOLDER, parse, parse_literal, read_config
-from agents.onnx_graph import ACTIVATIONS
+from agents.hyperparameters import ACTIVATIONS, ALGORITHMS, CONFIG_FOLDER, parse, parse_literal, read_config
 from agents.train import main as train
-from tests.agents.small import CONFIGS, ENV_ID, ON_POLICY
+from tests.agents.small import CONFIGS, ENV_ID
 from wtg_gym.scenarios.benchmark import V0, V1
 
 #: The files that are not named after their algorithm.
@@ -60,22 +59,16 @@ def test_texts_that_would_need_evaluation_are_refused(text: str) -> None:
         ("ppo", {"policy": None}, "policy must be the name"),
         ("ppo", {"n_envs": 0}, "n_envs must be a whole number of 1 or more, got 0"),
         ("ppo", {"n_timesteps": 1.5}, "n_timesteps must be"),
-        ("ppo", {"learning_rate": "exp_0.1"}, "learning_rate must be a number above 0, or .lin_."),
+        ("ppo", {"learning_rate": "exp_0.1"}, "learning_rate must be a number above 0"),
         ("ppo", {"learning_rate": 0}, "learning_rate must be a number above 0, got 0"),
-        ("ppo", {"learning_rate": float("nan")}, "learning_rate must be finite, got nan"),
-        ("ppo", {"policy_kwargs": "dict(log_std_init=-1e999)"}, "policy_kwargs must be finite, got .*-inf"),
         ("ppo", {"noise_type": "normal", "noise_std": -0.1}, "noise_std above 0"),
         ("ppo", {"normalize": "exit()"}, "normalize must be a dictionary"),
         ("ppo", {"normalize": "dict(norm_actions=True)"}, "normalize takes training, norm_obs"),
-        ("ppo", {"normalize": "dict(clip_obs=-1)"}, "normalize: clip_obs must be a number above 0, got -1"),
-        ("ppo", {"normalize": "dict(norm_obs=2)"}, "normalize: norm_obs must be true or false, got 2"),
+        ("ppo", {"normalize": "dict(clip_obs=-1)"}, "clip_obs must be a number above 0, got -1"),
         ("ppo", {"n_epochs": "x"}, "n_epochs must be a whole number of 1 or more, got 'x'"),
         ("ppo", {"n_epochs": True}, "n_epochs must be"),
-        ("ppo", {"ent_coef": "lin_0.1"}, "ent_coef must be a number of 0 or more, got 'lin_0.1'"),
         ("ppo", {"sde_sample_freq": 0}, "sde_sample_freq must be a whole number of 1 or more, or -1, got 0"),
         ("ppo", {"gamma": 2.0}, "gamma must be a number from 0 to 1, got 2.0"),
-        ("sac", {"ent_coef": "auto_x"}, "ent_coef must be a number, .auto., or .auto_. with a number above 0"),
-        ("sac", {"train_freq": [1, "episode"]}, "train_freq must be a whole number of 1 or more"),
     ],
 )
 def test_bad_values_are_named(algo: str, changes: dict[str, Any], text: str) -> None:
@@ -96,9 +89,7 @@ def test_values_that_the_algorithms_take_are_taken(algo: str, changes: dict[str,
     parse(algo, {**CONFIGS[algo], **changes})
 
 
-def test_unknown_algorithm_and_section_are_named(tmp_path: Any) -> None:
-    with pytest.raises(ValueError, match="unknown algorithm 'dqn'; choose one of ppo"):
-        parse("dqn", ON_POLICY)
+def test_unknown_section_is_named(tmp_path: Any) -> None:
     path = tmp_path / "a.yml"
     for content, text in (("Pendulum-v1: {}", "must have a section"), ("a: [", "is not yml")):
         path.write_text(content)

@@ -15,13 +15,14 @@ from wtg_gym.evaluation import evaluate, leaderboard_rows, load_entries
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.converter import Corners, tracking_coefficient
 from wtg_gym.physics.tracking_law import STRATEGIES
+from wtg_gym.scenarios.benchmark import V0
 
 FOLDER = Path(baselines.__file__).parent
 MODULES = list(dict.fromkeys(name for order in baselines.ORDER.values() for name in order))
 
 
 def test_entries_are_the_built_in_strategies_in_the_order_of_the_package() -> None:
-    entries = load_entries("baselines")
+    entries = load_entries("baselines", benchmark=V0)
     assert [entry.name for entry in entries] == [name.replace("_", "-") for name in baselines.ORDER["v0"]]
     assert {entry.name: entry.law for entry in entries if entry.kind == "law"} == STRATEGIES
     assert [(entry.name, entry.kind) for entry in entries if entry.kind != "law"] == [

@@ -15,7 +15,7 @@ from tests.cli.calls import ROOT
 resource = pytest.importorskip("resource")
 
 _NAMES = ("standard-validation.csv", "standard-validation.json")
-_COMMAND = ("evaluate", "--scenarios", "2", "--duration", "5", "--no-resume", "--entries")
+_COMMAND = ("evaluate", "--suite", "standard", "--scenarios", "2", "--duration", "5", "--no-resume", "--entries")
 #: Mounts a disk of $1 bytes at $2 that nobody else sees, and copies the old results from $3 to it and back in the end.
 _ON_A_DISK = """\
 disk=$2 kept=$3; mount -t tmpfs -o size=$1 tmpfs "$disk" && cp "$kept"/* "$disk" || exit 99

@@ -21,24 +21,17 @@ from wtg_gym.cli import main
 COMMANDS = (
     "simulate",
     "play",
-    "explore",
     "evaluate",
     "leaderboard",
     "results",
     "submission",
     "suites",
-    "analyse",
     "reproduce",
-    "compare",
-    "environment",
-    "parameters",
-    "bench",
     "warmup",
 )
 OWN = {
-    "results": ("page", "recompute", "gap", "matrix", "front", "sensitivity"),
+    "results": ("page", "recompute", "gap", "matrix", "front"),
     "submission": ("new", "check", "score"),
-    "analyse": ("statics", "margins", "modes", "physics", "aggregation", "accuracy", "influence", "estimate"),
 }
 _QUICK = ("--duration", "6")
 
@@ -122,9 +115,9 @@ def test_help_lists_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_help_is_there_before_the_simulator() -> None:
     """And any other command needs its own packages alone: importing all of them takes a second or two."""
-    code = "import sys, wtg_gym.cli as cli\nfor name in ('', 'analyse'): cli.build_parser([name]).format_help()\n"
+    code = "import sys, wtg_gym.cli as cli\ncli.build_parser([]).format_help()\n"
     code += "print({'numba', 'scipy'} & set(sys.modules))\n"
-    code += "cli.build_parser(['analyse', 'modes'])\nprint('wtg_gym.cli.accuracy' in sys.modules)"
+    code += "cli.build_parser(['suites'])\nprint('wtg_gym.cli.simulate' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, timeout=100)
     assert done.stdout == "set()\nFalse\n", done.stderr
 

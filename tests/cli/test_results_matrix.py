@@ -8,7 +8,6 @@ import pytest
 
 from tests.cli.calls import error_of, json_of
 from wtg_gym.cli import main
-from wtg_gym.cli.scoring import chosen_entries
 from wtg_gym.evaluation import Results
 from wtg_gym.evaluation.matrix import PERTURBATIONS, changed_sensors, matrix_of
 
@@ -84,10 +83,3 @@ def test_front_is_drawn_and_named(folder: Path, capsys: pytest.CaptureFixture[st
     assert "captured share of the available energy" in plot.read_text()
     paper = str(folder / "paper-v1-validation.json")
     assert "is not worse than coordinated-tuned" in error_of(capsys, "results", "front", paper, "--plot", str(plot))
-
-
-def test_policies_for_another_version_are_left_out_where_a_page_has_several() -> None:
-    specs, suites = ("baselines", "agents/policies/ppo-k-0"), ("standard", "standard-v1")
-    names = [{entry.name for entry in chosen_entries(specs, suite, others=False)} for suite in suites]
-    assert "PPO (k)" in names[0] and "tip-speed-feedback" in names[0] and "fast-droop" not in names[0]
-    assert "PPO (k)" not in names[1] and "tip-speed-feedback" not in names[1] and "fast-droop" in names[1]

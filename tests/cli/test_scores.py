@@ -104,7 +104,7 @@ def test_leaderboard_of_v1_goes_into_a_page_and_is_stored(
 def test_law_without_an_equilibrium_is_left_out_by_name(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     law = tmp_path / "greedy.toml"
     law.write_text('name = "greedy"\nk_min = 3.0\nk_nominal = 3.0\nk_max = 3.0\n', encoding="utf-8")
-    arguments = ["--entries", str(law), "deloaded-5", "--scenarios", "2", "--duration", "5"]
+    arguments = ["--suite", "standard", "--entries", str(law), "deloaded-5", "--scenarios", "2", "--duration", "5"]
     assert main(["evaluate", *arguments]) == 1
     said = capsys.readouterr()
     (line,) = [line for line in said.err.splitlines() if "left out" in line]

@@ -19,7 +19,6 @@ for arguments in (
     "warmup",
     "simulate --duration 3",
     "evaluate --suite paper --entries mppt",
-    "analyse modes",
     "simulate --suite standard-v1 --duration 3",
     "evaluate --suite standard-v1 --scenarios 2 --duration 3 --entries mppt",
 ):

@@ -13,7 +13,7 @@ BASE: dict[str, Any] = {"suite": "standard", "duration_s": 10.0}
 
 
 def fingerprint(**settings: Any) -> str:
-    return environment_fingerprint(EnvSettings(**{"version": "v0", **BASE, **settings}))
+    return environment_fingerprint(EnvSettings(**{**BASE, **settings}))
 
 
 @pytest.mark.parametrize(

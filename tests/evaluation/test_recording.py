@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from wtg_gym.analysis.steady_states import stable_equilibrium
 from wtg_gym.envs import EnvSettings
 from wtg_gym.evaluation import Entry, evaluate
 from wtg_gym.evaluation.recording import one_scenario, pooled, record, target_rotor_speed_pu
 from wtg_gym.physics.scenario import LoadStep, Scenario
 from wtg_gym.physics.tracking_law import coordinated_piecewise
 from wtg_gym.physics.trajectory import simulate
+from wtg_gym.reproduce.steady_states import stable_equilibrium
 from wtg_gym.scenarios import get_suite
 
 SEEDS = (20_000, 20_001, 20_002)

@@ -79,7 +79,7 @@ class Failing(Linear):
 
 
 def entries() -> list[Entry]:
-    (tip_speed,) = (e for e in load_entries("baselines") if e.name == "tip-speed-feedback")
+    (tip_speed,) = load_entries("tip-speed-feedback")
     (learned,) = load_entries(ROOT / "agents/policies/ppo-k-0")
     return [Entry(name="deloaded-5", strategy="deloaded-5"), tip_speed, learned]
 

@@ -70,9 +70,7 @@ UNIT_BUS, UNIT_POWER_PU, UNIT_MVA, UNIT_REACTANCE_PU = 2, 0.65, 50.0, 0.55
 #: Model and swing equation of each unit, M [s] and D on its own base, and those of the grid-forming converters.
 UNITS = {"2a": ("GENCLS", 10.0, 62.5), "2b": ("GENCLS", 10.0, 62.5)}
 FORMING_UNITS = {"2a": ("REGF1", 8.0, 50.0), "2b": ("REGF2", 8.0, 50.0)}
-UNIT_MODELS = ("GENCLS", "REGF1", "REGF2", "REGF3")
-#: Shares of constant power, current and impedance in the loads of the golden cases.
-IMPEDANCES = (0.0, 0.0, 1.0)
+UNIT_MODELS = ("GENCLS", "REGF1", "REGF2")
 QUANTITIES = ("w", "Pe", "V")
 
 NOTE = (
@@ -150,8 +148,6 @@ class Case:
         dead_band_pu: of the governor.
         hydro: the governor is a HYGOV.
         units: model, M [s] and D of each unit at bus 2, on its own base.
-        controls: ANDES' parameters of grid-forming converters that are not to be as :func:`forming_data` has them.
-        load_shares: shares of constant power, current and impedance in all loads and steps.
     """
 
     name: str
@@ -162,8 +158,6 @@ class Case:
     dead_band_pu: float = 0.0
     hydro: bool = False
     units: dict[str, tuple[str, float, float]] = field(default_factory=lambda: UNITS)
-    controls: dict[str, float] = field(default_factory=dict)
-    load_shares: tuple[float, float, float] = IMPEDANCES
 
 
 STEPS_UP = (Step(5.0, 2, 75.0), Step(30.0, 3, 75.0))
@@ -395,7 +389,7 @@ def build_system(
         if model == "GENCLS":
             system.add(model, **unit, **data, **common)
         else:
-            system.add(model, **unit, **{**forming_data(model, data, base), **case.controls})
+            system.add(model, **unit, **forming_data(model, data, base))
 
     for i, event in enumerate(events):
         if isinstance(event, Trip):
@@ -405,17 +399,11 @@ def build_system(
             raise ValueError("a step and shedding need the voltages of the power flow")
         for k, (bus, admittance) in enumerate(changes(event, events, network, voltage)):
             device = {"idx": f"change {i} {k}", "bus": bus, "u": 0, **common}
-            if case.load_shares == IMPEDANCES:
-                model = "Shunt"
-                system.add(model, g=admittance.real, b=admittance.imag, Sn=base, **device)
-            else:
-                model = "PQ"
-                power = admittance.conjugate() * voltage[bus] ** 2
-                system.add(model, p0=power.real, q0=power.imag, vmin=0.1, vmax=2.0, **device)
-            system.add("Toggle", idx=f"event {i} {k}", model=model, dev=device["idx"], t=event.time_s)
+            system.add("Shunt", g=admittance.real, b=admittance.imag, Sn=base, **device)
+            system.add("Toggle", idx=f"event {i} {k}", model="Shunt", dev=device["idx"], t=event.time_s)
 
-    p, i, z = case.load_shares
-    system.PQ.config.update(p2p=p, p2i=i, p2z=z, q2q=p, q2i=i, q2z=z)
+    # Constant impedances: no share of constant power or current.
+    system.PQ.config.update(p2p=0.0, p2i=0.0, p2z=1.0, q2q=0.0, q2i=0.0, q2z=1.0)
     system.setup()
     system.PFlow.config.update(tol=1e-12)
     if not system.PFlow.run():

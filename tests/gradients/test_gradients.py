@@ -1,4 +1,4 @@
-"""Gradients of an episode's cost: the kernels', checked by JAX and by central differences of the environment."""
+"""Gradients of an episode's cost: the kernels', checked by central differences of the environment."""
 
 from __future__ import annotations
 
@@ -106,35 +106,6 @@ def test_a_step_is_replayed_to_the_last_bit(settings: dict[str, Any]) -> None:
         for row in (*steps.states.tolist(), *lane, *steps.outputs.tolist()):
             ours = work.reshape(-1, width)[row, :N_LANES]
             assert np.array_equal(ours, after[0].reshape(-1, width)[row, :N_LANES]), row
-
-
-def test_the_gradient_is_that_of_jax() -> None:
-    pytest.importorskip("jax", reason="JAX, the second opinion on gradients, is not installed here")
-    agrees_with_jax(tape_of(), drawn(tape_of()), actions_of(tape_of(), 25))
-
-
-def agrees_with_jax(tape: Tape, scenarios: list[Scenario], actions: Floats) -> None:
-    import jax
-
-    from tests.gradients.jax_reference import JaxEpisode
-
-    found = tape.gradient(scenarios, actions)
-    episode = JaxEpisode(tape)
-    tape.start(scenarios)
-    law = tape.law()
-    for own in actions:
-        tape.step(own)
-    # Compiling takes far longer than running.
-    jax.config.update("jax_disable_most_optimizations", True)
-    try:
-        by_jax = episode.terms(actions, law)
-        by_actions, by_law = jax.grad(lambda *given: episode.terms(*given).sum(), argnums=(0, 1))(actions, law)
-    finally:
-        jax.config.update("jax_disable_most_optimizations", False)
-    assert pytest.approx(found.terms, rel=1e-10, abs=1e-12) == np.asarray(by_jax.sum(0)).T
-    assert np.abs(by_actions).max() > 1e-2
-    assert np.abs(found.actions - by_actions).max() <= 1e-10 * np.abs(by_actions).max()
-    assert np.abs(found.law - by_law).max() <= 1e-10 * np.abs(by_law).max()
 
 
 @pytest.mark.parametrize("term", [*COST_TERMS[:-1], None])

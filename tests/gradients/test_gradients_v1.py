@@ -14,7 +14,6 @@ from tests.gradients.test_gradients import (
     V1,
     actions_of,
     agrees,
-    agrees_with_jax,
     along,
     compiled_by_python,
     drawn,
@@ -176,20 +175,6 @@ def test_the_gradient_goes_through_the_limits_of_currents_and_powers() -> None:
         limited += (reactances(tape) > 0.0).any(axis=1)
         over_power = np.minimum(over_power, tape.lanes.simulator.wtg_values("over_power").min(axis=1))
     assert (limited[[0, 2]] > 2).all() and over_power[1] < -1e-4
-
-
-def test_the_gradient_is_that_of_jax() -> None:
-    """Whose way back goes through each sweep."""
-    pytest.importorskip("jax", reason="JAX, the second opinion on gradients, is not installed here")
-    tape, n_steps = tape_of(**V1), 8
-    overload = LoadStep(time_s=0.1, bus=2, power_mw=150.0, reactive_mvar=150.0)
-    scenarios = [given(4, overload, wind=11.5), *drawn(tape)[:2]]
-    agrees_with_jax(tape, scenarios, actions_of(tape, n_steps, 0.2))
-    limited = np.zeros(N_LANES, dtype=int)
-    for step in range(n_steps):
-        rows = tape.before(step).reshape(1, -1, tape.lanes.simulator.width)
-        limited += (tape._take(rows, tape.lanes.simulator.layout.wtg("limiting_reactance")) > 0.0).any(axis=1)
-    assert limited[0] >= 3 and not limited[1:].any()
 
 
 def test_the_gradient_with_respect_to_the_law_is_that_of_central_differences() -> None:

@@ -63,9 +63,9 @@ class Case(NamedTuple):
 @functools.cache
 def case_of(name: str) -> Case:
     settings: dict[str, Any] = {
-        "v0": {"observation_mode": "privileged"},
-        "v0, within a control step": {"observation_mode": "privileged", "control_dt": 0.5},
-        "extended": {"physics": "extended", "observation_mode": "privileged"},
+        "v0": {"version": "v0", "observation_mode": "privileged"},
+        "v0, within a control step": {"version": "v0", "observation_mode": "privileged", "control_dt": 0.5},
+        "extended": {"version": "v0", "physics": "extended", "observation_mode": "privileged"},
         "v1": V1,
     }[name]
     # No cap is reached: it would mix the terms.

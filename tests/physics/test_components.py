@@ -155,7 +155,7 @@ PROGRAM = """
 import numpy as np
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
-lanes = TaskLanes(EnvSettings(simulation_dt=0.01))
+lanes = TaskLanes(EnvSettings(version="v0", simulation_dt=0.01))
 lanes.start([0], [lanes.suite.scenario(20000)])
 layout = lanes.simulator.layout
 print(sum(name.endswith(".measured") for name in layout.state_names))

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 from scipy.interpolate import BarycentricInterpolator
 
-from tests.golden_cases import GOLDEN
+from tests.golden.case import GOLDEN, read_case, read_trace
 from tests.physics.extended import NO_SHEDDING, plant, scenario
-from wtg_gym.analysis.case_file import read_parameters
-from wtg_gym.analysis.trace_file import Trace, read_trace
 from wtg_gym.physics.aerodynamics import tracking_point
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import GridFormingParameters, SheddingStage
 from wtg_gym.physics.scenario import LoadStep
 from wtg_gym.physics.simulator import Simulator
@@ -23,15 +22,15 @@ from wtg_gym.physics.tracking_law import mppt
 
 def against_golden_trace(
     name: str, events: Sequence[LoadStep], **more: Any
-) -> tuple[Simulator, dict[str, float], Trace]:
+) -> tuple[Simulator, dict[str, float], Floats, dict[str, Floats]]:
     """Run the network of a golden case with WTG groups at bus 2 whose rotors hold their speed: P_st is constant.
 
     Returns:
-        the simulator, the largest difference to the trace by quantity, and the trace.
+        the simulator, the largest difference to the trace by quantity, and the trace: times and columns.
     """
-    case = read_parameters(GOLDEN / name / "params.json")
-    trace, _ = read_trace(GOLDEN / name / "a.csv", case)
-    units = dict(zip(case.machine_keys, case.network.machines, strict=True))
+    case = read_case(GOLDEN / name / "params.json")
+    times, trace = read_trace(GOLDEN / name / "a.csv")
+    units = dict(zip(case.keys, case.network.machines, strict=True))
     keys = [key for key in units if key[0] != "2"]
     settings = plant(
         limits=False,
@@ -57,7 +56,7 @@ def against_golden_trace(
     largest = {"w": 0.0, "Pe": 0.0, "V": 0.0}
     row = 0
     for interval in range(961):
-        while row < trace.time_s.size and trace.time_s[row] == interval / 16.0:
+        while row < times.size and times[row] == interval / 16.0:
             simulator.evaluate()
             found = {f"V{n}": abs(v) for n, v in zip(case.network.bus_numbers, simulator.bus_voltages(), strict=True)}
             speeds, powers = simulator.machine_values("speed")[0], simulator.machine_values("power")[0]
@@ -69,12 +68,12 @@ def against_golden_trace(
                 found |= {f"w{key}": speed, f"Pe{key}": given * simulator.plant.share[0]}
             for name, value in found.items():
                 quantity = name.rstrip("0123456789ab")
-                largest[quantity] = max(largest[quantity], abs(value - trace.columns[name][row]))
+                largest[quantity] = max(largest[quantity], abs(value - trace[name][row]))
             row += 1
         if interval < 960:
             simulator.advance()
-    assert row == trace.time_s.size
-    return simulator, largest, trace
+    assert row == times.size
+    return simulator, largest, times, trace
 
 
 def step_up(power_mw: float) -> tuple[LoadStep, ...]:
@@ -82,7 +81,7 @@ def step_up(power_mw: float) -> tuple[LoadStep, ...]:
 
 
 def test_a_group_whose_rotor_holds_its_speed_is_the_grid_forming_converter_of_another_simulator() -> None:
-    _, largest, _ = against_golden_trace("grid-forming", step_up(75.0))
+    _, largest, *_ = against_golden_trace("grid-forming", step_up(75.0))
     assert largest["w"] <= 3e-7 and largest["Pe"] <= 2e-5 and largest["V"] <= 1e-6, largest
 
 
@@ -94,17 +93,18 @@ def test_shedding_acts_when_another_simulators_speeds_say_so_and_does_what_it_do
         SheddingStage(frequency_pu=level / 50.0, share=share, delay_s=delay)
         for level, share, delay in zip(levels, shares, delays, strict=True)
     )
-    simulator, largest, trace = against_golden_trace("shedding", step_up(150.0), shedding=(*stages, *NO_SHEDDING[3:]))
+    shedding = (*stages, *NO_SHEDDING[3:])
+    simulator, largest, times, trace = against_golden_trace("shedding", step_up(150.0), shedding=shedding)
     first = simulator.layout.rows.shedding
     acted = -1.0 - simulator.blocks[0, first : first + 3]
     assert (acted / 320.0).tolist() == pytest.approx(instants, abs=1e-12)
     assert largest["w"] <= 3e-7 and largest["Pe"] <= 2e-5 and largest["V"] <= 1e-6, largest
     # The instants from the other simulator's own speeds: one delay earlier they meet the level, by a polynomial through
     # its rows before the first of them.
-    case = read_parameters(GOLDEN / "shedding" / "params.json")
+    case = read_case(GOLDEN / "shedding" / "params.json")
     weights = np.array([m.two_h_s * m.rating_mva for m in case.network.machines])
-    rows = (trace.time_s > 5.0) & (trace.time_s < instants[0])
-    speeds = weights @ np.array([trace.columns[f"w{key}"][rows] for key in case.machine_keys]) / weights.sum()
-    coi = BarycentricInterpolator(np.r_[5.0, trace.time_s[rows]], np.r_[1.0, speeds])
+    rows = (times > 5.0) & (times < instants[0])
+    speeds = weights @ np.array([trace[f"w{key}"][rows] for key in case.keys]) / weights.sum()
+    coi = BarycentricInterpolator(np.r_[5.0, times[rows]], np.r_[1.0, speeds])
     for level, delay, instant in zip(levels, delays, instants, strict=True):
         assert coi(instant - delay) >= level / 50.0 > coi(instant - delay + 1.0 / 320.0)

@@ -1,4 +1,4 @@
-"""Ranges of parameters, groups that share the paper's plant; tests/analysis/test_parameter_list.py has the sources."""
+"""Ranges and sources of parameters, and groups that share the paper's plant."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from wtg_gym.physics import machine_parameters, parameters
 from wtg_gym.physics.checked import Checked
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.parameters import default_groups
+from wtg_gym.physics.sources import SOURCES
 
 MACHINE = modified_ieee14().machines[0]
 RECORDS = [
@@ -22,6 +23,13 @@ RECORDS = [
     and kind not in (Checked, machine_parameters.SynchronousMachineParameters)
 ]
 RECORDS += [MACHINE, MACHINE.governor, MACHINE.exciter, *modified_ieee14().buses[:1], *modified_ieee14().branches[:1]]
+
+
+def test_every_parameter_has_unit_source_and_description_and_every_source_is_used() -> None:
+    metadata = [field.metadata for record in RECORDS for field in dataclasses.fields(record)]
+    assert len(metadata) > 100
+    assert all(meta["unit"] and meta["doc"] for meta in metadata)
+    assert {meta["source"] for meta in metadata} == set(SOURCES)
 
 
 # Record, field, wrong value, and what the message says of it.

@@ -12,7 +12,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wtg_gym.analysis.steady_states import stable_equilibrium
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.converter import Corners, tracking_coefficient
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
@@ -31,6 +30,7 @@ from wtg_gym.physics.tracking_law import (
     read_law,
 )
 from wtg_gym.physics.trajectory import simulate
+from wtg_gym.reproduce.steady_states import stable_equilibrium
 
 LONG_BLADES = TurbineParameters(blade_radius_m=70.0)
 K_OPT, K_N, K_PR = (tracking_point(d).coefficient for d in (0.0, 0.05, 0.10))

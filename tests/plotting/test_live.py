@@ -1,26 +1,16 @@
-"""The live pages without a browser: matches and their scores, experiments and what cannot be, ports and displays."""
+"""The page of play without a browser: matches and their scores, ports and displays."""
 
 from __future__ import annotations
 
-import dataclasses
-import json
-import math
-import re
 import socket
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.cli.calls import error_of, json_of
+from tests.cli.calls import error_of
 from wtg_gym.evaluation import Entry, evaluate
-from wtg_gym.evaluation.summary import POINTS, REST
-from wtg_gym.physics.scenario import LineTrip, LoadStep, Scenario
-from wtg_gym.physics.tracking_law import STRATEGY_NAMES, get_law
-from wtg_gym.plotting.live.episode import happened
-from wtg_gym.plotting.live.experiment import KINDS, PLANTS, Experiment, Strike, default_experiment, places
-from wtg_gym.plotting.live.match import Match, Scale
+from wtg_gym.plotting.live.match import OWN, REFERENCE, Match, Scale
 from wtg_gym.plotting.live.server import open_browser
 from wtg_gym.scenarios import get_suite
 
@@ -48,27 +38,24 @@ def test_without_an_action_you_are_the_reference(scale: Scale) -> None:
     match = _played(scale, 0.0)
     you, *anchors = match.verdicts()
     same = next(each for each in anchors if each.name == "coordinated-piecewise")
-    assert dataclasses.replace(you, name=same.name) == same
-    assert match.reference.measured(same.name).metrics["cost"] == same.cost
+    assert you._replace(name=same.name) == same
     assert [each.name for each in anchors] == list(scale.suite.benchmark.anchors)
+    for values in match.sample().values():
+        assert np.array_equal(values[OWN], values[REFERENCE])
 
 
 def test_actions_reach_the_group_and_the_quantity_they_are_meant_for(scale: Scale) -> None:
     match = Match(scale, _SEED)
     on_k, on_tau = np.linspace(-0.5, 0.7, match.n_groups), np.linspace(0.9, -0.3, match.n_groups)
     match.step(on_k, on_tau)
-    simulator, names = match.you.lanes.simulator, match.you.lanes.observation_names
-    seen = dict(zip(names, match.you.lanes.observations[0].tolist(), strict=True))
-    of_k = [seen[name] for name in names if "last_action_k" in name]
-    of_tau = [seen[name] for name in names if "last_action_tau" in name]
-    assert of_k == pytest.approx(on_k, abs=1e-6)
-    assert of_tau == pytest.approx(on_tau, abs=1e-6)
-    offsets = simulator.wtg_values("k_offset")[0]
-    assert np.sign(offsets).tolist() == np.sign(on_k).tolist()
-    assert not match.reference.lanes.simulator.wtg_values("k_offset").any()
+    names, observations = match._lanes.observation_names, match._lanes.observations
+    for kind, actions in (("k", on_k), ("tau", on_tau)):
+        own = [i for i, name in enumerate(names) if f"last_action_{kind}" in name]
+        assert observations[OWN, own] == pytest.approx(actions, abs=1e-6)
+        assert not observations[REFERENCE, own].any()
 
 
-def test_score_and_points_are_the_evaluators(scale: Scale) -> None:
+def test_the_score_is_the_evaluators(scale: Scale) -> None:
     """A policy that holds the same action through the scale's scenarios gets the mean of the matches' scores."""
 
     class Held:
@@ -77,34 +64,19 @@ def test_score_and_points_are_the_evaluators(scale: Scale) -> None:
 
     seeds = list(scale.suite.validation[:50])
     entry = Entry(name="held", policy=Held(), action_mode="k+tau")
-    row = next(
-        each
-        for each in evaluate([entry], scale.suite.name, "validation", seeds=seeds, duration_s=_LENGTH_S).summaries
-        if each.name == "held"
-    )
+    results = evaluate([entry], scale.suite.name, "validation", seeds=seeds, duration_s=_LENGTH_S)
     yours = [_played(scale, 0.3, 0.3, seed).verdicts()[0] for seed in seeds]
     scores = [you.score for you in yours if you.score is not None]
     assert len(scores) == len(seeds)
-    assert np.mean(scores) == pytest.approx(row.score.value, abs=1e-9)
-    for name in (*POINTS, REST):
-        assert np.mean([you.points[name] for you in yours]) == pytest.approx(row.points_by_term[name], abs=1e-9)
+    assert np.mean(scores) == pytest.approx(results.scores["held"].value, abs=1e-9)
+    assert [you.cost for you in yours] == [episode.metrics["cost"] for episode in results.episodes_of("held")]
 
 
-@pytest.mark.parametrize(
-    ("seed", "failure", "words"),
-    [
-        (20_003, "under-speed", r"after \d+\.\d s: the rotor of group \d was too slow, below 0\.5 p\.u\."),
-        (20_004, "frequency limit", r"after \d+\.\d s: the frequency left 48\.5 … 51\.5 Hz, at 48\.4\d Hz"),
-    ],
-)
-def test_full_action_on_k_fails_and_says_so(seed: int, failure: str, words: str) -> None:
-    scale = Scale(suite=get_suite("standard-v1"), duration_s=60.0, value=1.0)
-    match = _played(scale, 1.0, seed=seed)
+def test_full_action_on_k_fails_and_says_so() -> None:
+    match = _played(Scale(suite=get_suite("standard-v1"), duration_s=60.0, value=1.0), 1.0, seed=20_003)
     you = match.verdicts()[0]
-    assert you.failure == failure and re.fullmatch(words, match.you.failure())
-    assert match.you.time_s < match.scenario.duration_s
-    assert match.reference.failure() == ""
-    assert you.score is not None and sum(you.points.values()) == pytest.approx(you.score - 100.0)
+    assert you.failure == "under-speed" and match.time_s < 60.0
+    assert not match.has_ended(REFERENCE)
 
 
 def test_a_suite_without_a_scale_says_why() -> None:
@@ -115,97 +87,15 @@ def test_a_suite_without_a_scale_says_why() -> None:
     assert sorted(Match(scale, seed).next_seed() for seed in (0, 1)) == [0, 1]
 
 
-def test_events_are_told_when_they_happen_and_a_line_closes_too() -> None:
-    events = (
-        LoadStep(time_s=0.0, bus=2, power_mw=10.0),
-        LineTrip(time_s=1.0, from_bus=2, to_bus=3, recloses_after_s=0.5),
-    )
-    scenario = Scenario(name="x", wind_speed=np.full((1, 1), 9.0), events=events)
-    assert happened(scenario, -1.0, 0.1) == [(0.0, "+10 MW at bus 2")]
-    assert happened(scenario, 0.1, 0.9) == []
-    assert happened(scenario, 0.9, 1.0) == [(1.0, "line 2–3 opens for 0.5 s")]
-    assert happened(scenario, 1.0, 9.0) == [(1.5, "line 2–3 closes")]
-
-
-# --- experiment ------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("plant", PLANTS)
-def test_simulate_plays_the_same_scenario(
-    plant: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    law = dataclasses.replace(get_law("coordinated-tuned"), name="my-law", k_min=1.1)
-    strikes = (
-        Strike(kind="load_step", place="3", power_mw=12.5, time_s=2.0),
-        Strike(kind="line_trip", place="2–3", time_s=3.0),
-    )
-    chosen = dataclasses.replace(
-        default_experiment(plant), law=law, strikes=strikes, duration_s=8.0, inertia_scale=0.8, governor_droop=0.04
-    )
-    run = chosen.run()
-    monkeypatch.chdir(tmp_path)
-    Path("explored.json").write_text(chosen.to_json(), encoding="utf-8")
-    Path("law.toml").write_text(chosen.law_toml(), encoding="utf-8")
-    program, *arguments = chosen.command().split()
-    assert program == "wtg-gym"
-    row = json_of(capsys, *arguments, "--json")["runs"][0]
-    assert row["final_frequency_hz"] == pytest.approx(float(run.recording.frequency_hz[0, -1]), abs=1e-9)
-    assert row["final_power_pu"] == pytest.approx(run.recording.power_pu[0, -1].tolist(), abs=1e-9)
-
-
-@pytest.mark.parametrize("plant", PLANTS)
-def test_strategies_are_those_of_the_plant(plant: str) -> None:
-    own = get_suite(plant).plant.settings(classical=False)
-    for name in STRATEGY_NAMES:
-        assert get_law(name) == get_law(name, own.turbine, own.control)
-
-
-def test_a_built_in_law_goes_by_its_name() -> None:
-    chosen = default_experiment("paper-v1")
-    assert chosen.law_toml() == ""
-    assert chosen.command().endswith("--suite paper-v1 --strategy coordinated-piecewise")
-
-
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind])
-def test_every_place_that_is_offered_makes_an_event_that_runs(kind: str) -> None:
-    offered = places(kind, 4)
-    assert offered
-    for place in (offered[0], offered[-1]):
-        strike = Strike(kind=kind, place=place, time_s=1.0, power_mw=5.0)
-        run = dataclasses.replace(default_experiment("paper-v1"), strikes=(strike,), duration_s=2.0).run()
-        quiet = dataclasses.replace(default_experiment("paper-v1"), strikes=(), duration_s=2.0).run()
-        assert json.loads(run.experiment.to_json())["events"][0]["kind"] == kind
-        # The loss of a governor is felt only once something else happens.
-        assert kind == "governor_loss" or run.numbers() != quiet.numbers()
-
-
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({"wind_m_s": (9.0, 9.0, 4.0, 9.0)}, "WTG group 3 at bus 6 would start .* below the under-speed trip"),
-        ({"wind_m_s": (2.0,) * 4}, "outside the allowed range 3 … 25 m/s"),
-        ({"wind_m_s": (9.0,) * 3}, "this grid has 4 WTG groups"),
-        ({"inertia_scale": 0.01}, "inertia_scale = 0.01"),
-        ({"strikes": (Strike(kind="group_trip", place="7"),)}, "there is no group 7"),
-        ({"strikes": (Strike(kind="load_trip", place=""),)}, "choose where"),
-    ],
-)
-def test_what_cannot_be_says_why(changes: dict[str, object], said: str) -> None:
-    with pytest.raises(ValueError, match=said):
-        dataclasses.replace(default_experiment("paper-v1"), **changes).run()
-
-
-def test_a_run_that_fails_is_shown_until_then() -> None:
-    strike = Strike(kind="load_step", place="3", power_mw=100.0)
-    run = dataclasses.replace(default_experiment("paper-v1"), strikes=(strike,), inertia_scale=0.1).run()
-    assert "the frequency left 48.5 … 51.5 Hz" in run.failure
-    assert math.isnan(run.recording.frequency_hz[0, -1])
-
-
-def test_characteristic_is_that_of_the_groups_wind() -> None:
-    run = Experiment(duration_s=1.0).run()
-    high, low = (run.group_characteristic(group).power_pu for group in (0, 3))
-    assert (high > low).all()
+def test_events_are_told_in_the_step_in_which_they_happen(scale: Scale) -> None:
+    match = Match(scale, _SEED)
+    told: list[tuple[float, str]] = []
+    while not match.over:
+        before_s = match.time_s
+        new = match.step(np.zeros(match.n_groups), np.zeros(match.n_groups))
+        assert all(before_s < time_s <= match.time_s for time_s, _ in new)
+        told += new
+    assert [time_s for time_s, _ in told] == sorted(event.time_s for event in match._lanes.events[OWN])
 
 
 # --- server ----------------------------------------------------------------------------------------------------------
@@ -215,7 +105,7 @@ def test_a_port_in_use_and_a_wrong_one_are_said(capsys: pytest.CaptureFixture[st
     pytest.importorskip("bokeh")
     with socket.create_server(("localhost", 0)) as taken:
         port = taken.getsockname()[1]
-        assert f"--port {port} is in use" in error_of(capsys, "explore", "--no-browser", "--port", str(port))
+        assert f"--port {port} is in use" in error_of(capsys, "play", "--no-browser", "--port", str(port))
     assert "--port must be 0 … 65535" in error_of(capsys, "play", "--no-browser", "--port", "70000")
 
 
@@ -224,7 +114,6 @@ def test_a_port_in_use_and_a_wrong_one_are_said(capsys: pytest.CaptureFixture[st
     [
         (("--suite", "none"), "unknown suite 'none'"),
         (("--seed", "-1"), "is in no split of suite 'standard-v1'"),
-        (("--seed", str(2**40)), "that can be played: train 1000000"),
         (("--speed", "0"), "--speed"),
         (("--version", "v0", "--suite", "standard-v1"), "unknown suite 'standard-v1'"),
     ],
@@ -235,12 +124,9 @@ def test_wrong_choices_are_said_before_anything_is_played(
     assert said in error_of(capsys, "play", "--no-browser", *arguments)
 
 
-@pytest.mark.parametrize("command", ["play", "explore"])
-def test_without_bokeh_the_extra_is_named(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, command: str
-) -> None:
+def test_without_bokeh_the_extra_is_named(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "bokeh", None)
-    assert "in a checkout: pip install '.[leaderboard]'" in error_of(capsys, command, "--no-browser")
+    assert "in a checkout: pip install '.[leaderboard]'" in error_of(capsys, "play", "--no-browser")
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="other systems always have a display")

@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 
 from wtg_gym.physics.tracking_law import STRATEGIES
-from wtg_gym.plotting import STRATEGY_LOOKS, figure_bytes, plot_power_coefficient, save_figure, strategy_looks
+from wtg_gym.plotting import STRATEGY_LOOKS, figure_bytes, save_figure, strategy_looks
 from wtg_gym.plotting.style import PALETTE, SINGLE_COLUMN_MM, new_figure, print_style
+from wtg_gym.reproduce.figures import plot_power_coefficient
 
 matplotlib = pytest.importorskip("matplotlib")
 
@@ -58,7 +59,8 @@ def test_a_figure_is_the_same_file_each_time(suffix: str, beginning: bytes) -> N
 
 def test_a_figure_is_the_same_file_in_another_process() -> None:
     program = (
-        "import hashlib, sys; from wtg_gym.plotting import figure_bytes, plot_power_coefficient\n"
+        "import hashlib, sys; from wtg_gym.plotting import figure_bytes\n"
+        "from wtg_gym.reproduce.figures import plot_power_coefficient\n"
         "assert 'matplotlib' not in sys.modules\n"
         "print(hashlib.sha256(figure_bytes(plot_power_coefficient(), 'svg')).hexdigest())"
     )

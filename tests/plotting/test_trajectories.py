@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import io
 import sys
 
 import numpy as np
@@ -33,16 +32,6 @@ pytest.importorskip("matplotlib")
 @pytest.fixture
 def two_runs(load_increase: tuple[Scenario, dict[str, Trajectory]]) -> tuple[Scenario, dict[str, Trajectory]]:
     return load_increase[0], {name: load_increase[1][name] for name in ("mppt", "coordinated-piecewise")}
-
-
-def test_every_axis_has_a_unit(two_runs: tuple[Scenario, dict[str, Trajectory]]) -> None:
-    figure = plot_trajectories(two_runs[1], two_runs[0])
-    labels = [axes.get_ylabel() for axes in figure.axes]
-    assert len(labels) == 6
-    for unit in ("[Hz]", "[Hz/s]", "[p.u.]", "[m/s]"):
-        assert any(unit in label for label in labels)
-    assert all("[" in label for label in labels)
-    assert {axes.get_xlabel() for axes in figure.axes} == {"", "time [s]"}
 
 
 def test_overload_begins_where_the_grid_says(two_runs: tuple[Scenario, dict[str, Trajectory]]) -> None:
@@ -84,28 +73,6 @@ def test_events_are_numbered_and_explained(two_runs: tuple[Scenario, dict[str, T
     assert two_runs[0].name in texts
     assert "(1) 5 s: +75 MW at bus 2" in texts
     assert "(2) 30 s: +75 MW at bus 3" in texts
-
-
-def test_wind_and_all_tracking_coefficients_lie_inside_their_axes(
-    two_runs: tuple[Scenario, dict[str, Trajectory]],
-) -> None:
-    figure = plot_trajectories({"mppt": two_runs[1]["mppt"]}, two_runs[0])
-    panels = {axes.get_ylabel(): axes for axes in figure.axes}
-    low, high = panels["wind speed [m/s]"].get_ylim()
-    assert low < 8.0 < 11.4 < high
-    low, high = panels["coefficient k [p.u.]"].get_ylim()
-    law = STRATEGIES["coordinated-piecewise"]
-    assert low < law.k_max < law.k_nominal < law.k_min < high
-
-
-@pytest.mark.parametrize("kind", ["png", "svg", "pdf"])
-def test_figure_is_written_in_the_formats_of_the_command_line(kind: str) -> None:
-    ramp = LoadRamp(time_s=1.0, bus=3, power_mw=-20.0, duration_s=0.5)
-    scenario = Scenario(name="short", wind_speed=np.full((2, 1), 9.0), duration_s=2.0, events=(ramp,))
-    run = simulate(scenario, STRATEGIES["mppt"])
-    picture = io.BytesIO()
-    plot_trajectories({"mppt": run}, scenario).savefig(picture, format=kind)
-    assert picture.getvalue()[:5] in (b"\x89PNG\r", b"<?xml", b"%PDF-")
 
 
 def _with_groups(run: Trajectory, n_groups: int) -> Trajectory:

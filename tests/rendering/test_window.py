@@ -69,7 +69,7 @@ def test_nothing_is_painted_for_a_window_that_was_closed(monkeypatch: pytest.Mon
 @pytest.mark.parametrize(("module", "mode"), [("pygame", "human"), ("matplotlib", "rgb_array")])
 def test_a_missing_library_is_named_with_what_to_install(monkeypatch: pytest.MonkeyPatch, module: str, mode: str):
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(DependencyNotInstalled, match=rf"{module}.*wtg-gym\[render\]"):
+    with pytest.raises(DependencyNotInstalled, match=rf"{module}.*\[render\]"):
         GFMWTGEnv(duration_s=2.0, render_mode=mode, version="v0")
 
 

@@ -46,7 +46,7 @@ FOLDERS = [
     "po1icies",
     "POLICIES.",
     "agents",
-    "agents.research.probes",
+    "agents.train",
     "tests",
     "wtg_gym",
     "wtg-gym.evaluation",

@@ -14,14 +14,13 @@ from importlib import import_module
 
 from wtg_gym import __version__
 from wtg_gym.cli.output import note, one_line
-from wtg_gym.cli.parser import Commands, Parser, add_group
+from wtg_gym.cli.parser import Commands, Parser
 
 #: What commands do, by module and name, in the order of the help.
 _COMMANDS = {
     "simulate": {"simulate": "one scenario under one or several strategies: key figures, figure, traces"},
     "live": {
         "play": "hold the frequency by hand, in the browser, against the reference",
-        "explore": "try out wind, events, laws and grids, in the browser",
     },
     "evaluate": {
         "evaluate": "score entries on scenarios of a suite",
@@ -32,32 +31,8 @@ _COMMANDS = {
     },
     "submission": {"submission": "policies of others: write a template, check a folder, score it in isolation"},
     "suites_command": {"suites": "the suites of scenarios, one scenario, or a check of the hashes"},
-    "analyse": {
-        "analyse": "equilibria, margins and modes of the system, omissions, parameters, the error of the time step"
-    },
-    "reproduce": {"reproduce": "the paper's figures and claims, measured; and studies beyond the paper"},
-    "compare": {"compare": "cases of another simulator against its traces; exit code 1 above a tolerance"},
-    "reference": {
-        "environment": "actions, observations, rewards and arguments of the environments",
-        "parameters": "every number of the model with its unit and source",
-    },
-    "bench": {
-        "bench": "speed against other environments, training throughput, growth with size, share of the machine's peak"
-    },
+    "reproduce": {"reproduce": "the paper's figures and claims, measured"},
     "warmup": {"warmup": "compile the simulator before its first use"},
-}
-#: Those of `wtg-gym analyse`.
-_ANALYSES = {
-    "statics": {"statics": "equilibria, power-frequency characteristics, critical frequencies of laws"},
-    "small_signal": {
-        "margins": "stability margins of the single-machine loops",
-        "modes": "eigenvalues, damping ratios and participation factors of the whole system",
-    },
-    "physics": {"physics": "what the paper's model leaves out, and whether its conclusions survive"},
-    "aggregation": {"aggregation": "what it costs to take ten turbines for one"},
-    "accuracy": {"accuracy": "error of the integration step against its cost"},
-    "influence": {"influence": "what every parameter does to nadir, RoCoF and rotor speed, by gradients"},
-    "estimation": {"estimate": "inertia and droop from a record of the frequency, with confidence intervals"},
 }
 
 _DESCRIPTION = """\
@@ -96,14 +71,6 @@ def _add(commands: Commands, modules: Mapping[str, Mapping[str, str]], words: Se
         if not words or words[0] not in summaries:
             for name, summary in summaries.items():
                 commands.add_parser(name, help=summary)
-        elif module == "analyse":
-            own = add_group(
-                commands,
-                "analyse",
-                description="Analyses the system, and measures what its model leaves out, what follows its parameters, "
-                "and the error of the time step.",
-            )
-            _add(own, _ANALYSES, words[1:])
         else:
             import_module(f"wtg_gym.cli.{module}").add_commands(commands)
 

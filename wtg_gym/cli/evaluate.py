@@ -51,8 +51,8 @@ printed and the results are written as JSON and CSV. Stored results of entries t
 files where they can be used again, but not printed; --fresh drops them. With --readme the table between the markers
 <!-- leaderboard:SUITE:start --> and <!-- leaderboard:SUITE:end --> of that file is replaced; with --page, tables of all
 columns replace what is between <!-- whole-leaderboard:SUITE:start --> and <!-- whole-leaderboard:SUITE:end --> there.
-With --html the ranking is written as one HTML file with charts, and with traces of the first scenarios; 'wtg-gym
-results page' does that for several suites at once.
+With --html the ranking is written as one HTML file with charts; 'wtg-gym results page'
+does that for several suites at once.
 
 Where the entry at 100 is no better than that at 0, as on paper-v1, there is no score: the mean pinned cost ranks."""
 
@@ -94,7 +94,7 @@ def add_commands(commands: Commands) -> None:
     )
     parser.add_argument("--readme", metavar="FILE", help="file with the markers to put the table between")
     parser.add_argument("--page", metavar="FILE", help="file with the markers to put the whole table between")
-    parser.add_argument("--html", metavar="FILE", help="write the ranking as one HTML file with charts and traces")
+    parser.add_argument("--html", metavar="FILE", help="write the ranking as one HTML file with charts")
     parser.add_argument("--fresh", action="store_true", help="evaluate everything, whatever is stored, from the start")
 
 
@@ -154,5 +154,5 @@ def _run_leaderboard(arguments: argparse.Namespace) -> int:
     if wider is not None:
         update_page(wider, {whole: whole_section(results)})
     if page is not None:
-        write_html(page, [results], entries, None, arguments.threads)
+        write_html(page, [results])
     return code

@@ -1,4 +1,4 @@
-"""`wtg-gym play` and `wtg-gym explore`: pages in the browser, served on this machine only."""
+"""`wtg-gym play`: a page in the browser, served on this machine only."""
 
 from __future__ import annotations
 
@@ -23,15 +23,9 @@ _PLAY_EXAMPLES = """\
   wtg-gym play --version v0 --speed 0.5
   wtg-gym play --port 5006 --no-browser"""
 
-_EXPLORE = """\
-Opens a page in the browser on which wind, events, law and grid are changed by widgets; the run is simulated anew at
-every change: frequency, rotor speeds, powers, tip-speed ratios, and the path on the power-frequency characteristic. Up
-to two runs can be pinned to compare with. The scenario can be copied as JSON, which `wtg-gym simulate --scenario`
-takes. The page is served on this machine only."""
-
 
 def add_commands(commands: Commands) -> None:
-    """Add `wtg-gym play` and `wtg-gym explore`."""
+    """Add `wtg-gym play`."""
     parser = add_command(commands, "play", _run_play, description=_PLAY, examples=_PLAY_EXAMPLES)
     parser.add_argument(
         "--suite",
@@ -47,13 +41,6 @@ def add_commands(commands: Commands) -> None:
     parser.add_argument(
         "--speed", type=float, default=1.0, metavar="X", help="simulated seconds per second, 0.1 … 20 (default: 1)"
     )
-    _add_server_options(parser)
-    examples = "  wtg-gym explore\n  wtg-gym explore --port 5006 --no-browser"
-    parser = add_command(commands, "explore", _run_explore, description=_EXPLORE, examples=examples)
-    _add_server_options(parser)
-
-
-def _add_server_options(parser: argparse.ArgumentParser) -> None:
     server = parser.add_argument_group("server")
     server.add_argument(
         "--port", type=int, default=0, metavar="N", help="port at localhost (default: any that is free)"
@@ -78,22 +65,5 @@ def _run_play(arguments: argparse.Namespace) -> int:
     server = make_server(fill, arguments.port)
     note(f"playing the anchors of {suite.name}, which make the scale of the score")
     scale = Scale.of(suite, arguments.duration)
-    serve(server, opens_browser=not arguments.no_browser, say=note)
-    return 0
-
-
-def _run_explore(arguments: argparse.Namespace) -> int:
-    require_extra("bokeh", "wtg-gym explore")
-    from wtg_gym.plotting.live.experiment import PLANTS, default_experiment
-    from wtg_gym.plotting.live.explore_page import ExplorePage
-    from wtg_gym.plotting.live.server import make_server, serve
-
-    def fill(document: Any) -> None:
-        ExplorePage(document)
-
-    server = make_server(fill, arguments.port)
-    # Compiles now, not while the first visitor waits.
-    for plant in PLANTS:
-        default_experiment(plant).run()
     serve(server, opens_browser=not arguments.no_browser, say=note)
     return 0

@@ -150,10 +150,10 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, left: S
 # --- studies ----------------------------------------------------------------------------------------------------------
 
 
-def study_folder(text: str | None, *, draws: bool = True) -> Path | None:
+def study_folder(text: str | None) -> Path | None:
     """Return the folder of `--output`, or raise a ValueError now rather than after the work; None for no files."""
     folder = None if text is None else check_output_folder("--output", text)
-    if folder is not None and draws:
+    if folder is not None:
         require_extra("matplotlib", "--output")
     return folder
 
@@ -165,13 +165,3 @@ def write_study(folder: Path, name: str, data: Any, figures: Mapping[str, Figure
     paths = [path for file, figure in figures.items() for path in save_figure(figure, folder / file, formats)]
     write_atomically(folder / f"{name}.json", to_json(data))
     note(f"wrote {', '.join([f'{name}.json', *(path.name for path in paths)])} in {folder}")
-
-
-def give_text(page: Path | None, section: str, text: str, data: Any, *, as_json: bool) -> None:
-    """Put the text of a study into a page or print it, and print its data as JSON if that is asked for."""
-    if page is not None:
-        update_page(page, {section: text})
-    if as_json:
-        print_json(plain_json(data))
-    elif page is None:
-        say(*text.splitlines())

@@ -1,4 +1,4 @@
-"""`wtg-gym results`: stored results shown, computed again, compared; other suites, sensors and weights."""
+"""`wtg-gym results`: stored results shown, computed again, compared; other suites and sensors."""
 
 from __future__ import annotations
 
@@ -7,27 +7,24 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from wtg_gym.cli import output, scoring
-from wtg_gym.cli.parser import Commands, add_command, add_group, add_json_option, add_threads_option
+from wtg_gym.cli.parser import Commands, add_command, add_group, add_json_option
 from wtg_gym.cli.results_matrix import add_matrix
-from wtg_gym.evaluation import Entry, Results, generalisation, leaderboard_rows
+from wtg_gym.evaluation import Results, generalisation, leaderboard_rows
 from wtg_gym.evaluation.recompute import departures, recompute
-from wtg_gym.evaluation.sensitivity import COLUMNS, FACTORS, WEIGHTS, study_sensitivity
 from wtg_gym.plotting import figure_bytes, plot_front
 from wtg_gym.plotting.front import MOST_FAILURES_PERCENT, undominated
-from wtg_gym.plotting.page import N_SCENARIOS, SIZE_LIMIT, leaderboard_page, untraced
+from wtg_gym.plotting.page import leaderboard_page
 from wtg_gym.policies.names import BASELINES
 from wtg_gym.progress import Progress
-from wtg_gym.scenarios import SPLITS
 
 #: Differences that are printed.
 _SHOWN = 20
 
 _PAGE = """\
-Shows stored results as one HTML file that needs nothing but a browser, offline too: the ranking with its intervals,
-performance profiles, physical metrics, and two entries side by side in one scenario, frequency, rotors, power, k, τ
-and wind over one time axis. The traces are recorded anew from those entries of --entries that the results hold, and
-from both anchors. Results of several suites stand side by side in a matrix, too, and beside them those that 'wtg-gym
-results matrix' played with other sensors. Suites of the latest version of the benchmark come first."""
+Shows stored results as one HTML file that needs nothing but a browser, offline too: each suite's ranking with its
+intervals, to sort and to filter, the scores as a chart, and the deviation of the frequency against the failures. The
+scores on several suites stand side by side in a table, too, and beside them those that 'wtg-gym results matrix' played
+with other sensors. Suites of the latest version of the benchmark come first."""
 
 _RECOMPUTE = """\
 Evaluates the entries of a results file again, on the same scenarios with the same settings, and compares every number
@@ -56,17 +53,6 @@ each entry. A line joins the entries that no other one beats in both. Entries th
 {MOST_FAILURES_PERCENT:g} % of the scenarios are hollow and not joined: a run that fails pays for the frequency only
 until it ends."""
 
-_SENSITIVITY = f"""\
-Evaluates entries with the weights of the cost as they are, and with each one multiplied by each factor, all others as
-they are. Shown are the ranks that change, and the scores that change by a point or more. The scale is made anew each
-time: the two entries that fix it have 0 and 100 with any weights, so a rising score means that the entry gains on these
-two. Policies are not trained again and act as before.
-
-A weight that changes the ranking matters to the benchmark. Weights that move no score by a point and no rank are named
-at the end: they do not matter among these entries, but may matter to others.
-
-weights: {", ".join(WEIGHTS)}"""
-
 
 def add_commands(commands: Commands) -> None:
     """Add `wtg-gym results` with its commands."""
@@ -75,7 +61,7 @@ def add_commands(commands: Commands) -> None:
         "results",
         description="Works with the stored results of 'wtg-gym evaluate' and 'wtg-gym leaderboard'.",
     )
-    for add in (_add_page, _add_recompute, _add_gap, add_matrix, _add_front, _add_sensitivity):
+    for add in (_add_page, _add_recompute, _add_gap, add_matrix, _add_front):
         add(own)
 
 
@@ -87,42 +73,25 @@ def _add_page(own: Commands) -> None:
         own,
         "page",
         _run_page,
-        summary="show stored results as one HTML file with charts and traces",
+        summary="show stored results as one HTML file with charts",
         description=_PAGE,
         examples="  wtg-gym results page results/standard-test.json --output leaderboard.html\n"
-        "  wtg-gym results page results/*.json --entries baselines policies --output leaderboard.html\n"
-        "  wtg-gym results page results/standard-test.json --scenarios 0 --output small.html",
+        "  wtg-gym results page results/*.json --output leaderboard.html",
     )
     parser.add_argument("results", nargs="+", metavar="RESULTS", help="JSON file of results, one of each suite")
-    scoring.add_entries_option(parser, f"whose traces to show, as for 'wtg-gym leaderboard' (default: {BASELINES})")
     parser.add_argument("--output", required=True, metavar="FILE", help="the HTML file to write")
-    parser.add_argument(
-        "--scenarios",
-        type=int,
-        metavar="N",
-        help="traces of the first N scenarios of each suite; 0 for none "
-        f"(default: as many of the first {N_SCENARIOS} as keep the file below {SIZE_LIMIT / 1e6:g} MB)",
-    )
-    add_threads_option(parser)
 
 
 def _run_page(arguments: argparse.Namespace) -> int:
     page = check_html("--output", arguments.output)
     results = [Results.read(path) for path in arguments.results]
-    entries = [] if arguments.scenarios == 0 else _entries_of_versions(arguments.entries, results)
     for each in results:
         if not each.has_scale:
             output.note(
                 f"no ranking of {each.name}, where {each.benchmark.hundred} is no better than {each.benchmark.zero}"
             )
-    write_html(page, results, entries, arguments.scenarios, arguments.threads)
+    write_html(page, results)
     return 0
-
-
-def _entries_of_versions(specs: Sequence[str], results: Sequence[Results]) -> list[Entry]:
-    """Return the entries of `--entries` that play in the versions of the results; names may repeat across versions."""
-    suites = {each.benchmark.env_id: each.suite for each in results}
-    return [entry for suite in suites.values() for entry in scoring.chosen_entries(specs, suite, others=False)]
 
 
 def check_html(option: str, text: str) -> Path:
@@ -132,22 +101,9 @@ def check_html(option: str, text: str) -> Path:
     return path
 
 
-def write_html(
-    path: Path, results: Sequence[Results], entries: Sequence[Entry], n_scenarios: int | None, n_threads: int | None
-) -> None:
-    """Write results as one HTML file; None shows as many scenarios as the size allows."""
-    with Progress("entries") as progress:
-        page = leaderboard_page(
-            results, entries, n_scenarios=n_scenarios, n_threads=n_threads, on_progress=progress.update
-        )
-    missing = [] if n_scenarios == 0 else untraced(results, entries)
-    if missing:
-        output.note(f"no traces of {', '.join(missing)}: not among the entries given, or changed since the results")
-    output.write_and_say(path, page.text)
-    traced = ", ".join(f"{name} {number}" for name, number in page.n_traced.items())
-    output.note(f"{page.size / 1e6:.2f} MB; scenarios with traces: {traced}")
-    if page.size > SIZE_LIMIT:
-        output.note(f"that is more than {SIZE_LIMIT / 1e6:g} MB: show fewer suites or entries, or fewer --scenarios")
+def write_html(path: Path, results: Sequence[Results]) -> None:
+    """Write results as one HTML file."""
+    output.write_and_say(path, leaderboard_page(results))
 
 
 # --- recompute -------------------------------------------------------------------------------------------------------
@@ -268,64 +224,4 @@ def _run_front(arguments: argparse.Namespace) -> int:
     output.write_and_say(plot, figure_bytes(plot_front(rows), plot.suffix))
     best = ", ".join(row.name for row in undominated(rows))
     output.say(f"no other entry has more support and more energy than: {best}")
-    return 0
-
-
-# --- sensitivity -----------------------------------------------------------------------------------------------------
-
-
-def _add_sensitivity(own: Commands) -> None:
-    parser = add_command(
-        own,
-        "sensitivity",
-        _run_sensitivity,
-        summary="how scores and ranking depend on each weight of the cost",
-        description=_SENSITIVITY,
-        examples="  wtg-gym results sensitivity --entries baselines\n"
-        "  wtg-gym results sensitivity --entries deloaded-5 --weights duty --factors 0.5 2 4 --scenarios 20\n"
-        "  wtg-gym results sensitivity --entries baselines agents/policies/ppo-k-0 --page docs/benchmark.md\n"
-        "  wtg-gym results sensitivity --suite standard-v1 --scenarios 50",
-    )
-    scoring.add_entries_option(parser)
-    scoring.add_suite_option(parser)
-    scoring.add_run_options(parser)
-    parser.add_argument("--split", choices=SPLITS, default="validation", help="(default: validation)")
-    parser.add_argument("--scenarios", type=int, metavar="N", help="the first N of the split (default: all)")
-    parser.add_argument("--weights", nargs="+", choices=WEIGHTS, default=WEIGHTS, metavar="NAME", help="(default: all)")
-    parser.add_argument(
-        "--factors", nargs="+", type=float, default=FACTORS, metavar="X", help="0 … 1000, but 1 (default: 0 2)"
-    )
-    parser.add_argument(
-        "--page", metavar="FILE", help="Markdown file with markers 'sensitivity:SUITE' to put the table between"
-    )
-
-
-def _run_sensitivity(arguments: argparse.Namespace) -> int:
-    section = f"sensitivity:{arguments.suite}"
-    page = output.check_page("--page", arguments.page, section)
-    entries = scoring.chosen_entries(arguments.entries, arguments.suite)
-    with Progress("episodes") as progress:
-        study = study_sensitivity(
-            entries,
-            arguments.suite,
-            arguments.split,
-            n_scenarios=arguments.scenarios,
-            weights=arguments.weights,
-            factors=arguments.factors,
-            n_threads=arguments.threads,
-            on_progress=progress.update,
-        )
-    if page is not None:
-        output.update_page(page, {section: study.page()})
-    if arguments.json:
-        output.print_json(study.to_dict())
-        return 0
-    output.say(f"suite {study.suite} ({study.suite_hash[:12]}), {study.split}: {study.n_scenarios} scenarios", "")
-    ranking = [
-        (str(i), name, f"{round(score, 1) + 0.0:.1f}") for i, (name, score) in enumerate(study.scores.items(), 1)
-    ]
-    output.print_table(("rank", "entry", "score"), ranking, left=(1,))
-    output.say("")
-    output.print_table(COLUMNS, [variant.cells() for variant in study.variants], left=(0, 2, 3))
-    output.say("", study.describe())
     return 0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import io
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -54,9 +53,6 @@ _EXAMPLES = """\
   wtg-gym suites weak-grid --seed 20010 --json > mine.json     write a scenario, edit it, then
   wtg-gym simulate --scenario mine.json --json                 simulate it"""
 
-#: A figure whose file ends like this is a moving one.
-_MOVING = ".gif"
-
 
 def add_commands(commands: Commands) -> None:
     """Add `wtg-gym simulate`."""
@@ -91,7 +87,7 @@ def add_commands(commands: Commands) -> None:
     out.add_argument(
         "--plot",
         metavar="FILE",
-        help=f"write a figure of the runs: {', '.join(PLOT_SUFFIXES)}; or a moving picture: {_MOVING}",
+        help=f"write a figure of the runs: {', '.join(PLOT_SUFFIXES)}",
     )
     out.add_argument("--csv", metavar="FILE", help="write every sample of every run, units in the header: .csv")
     out.add_argument("--json", action="store_true", help="print the key figures as JSON, and nothing else, on stdout")
@@ -99,7 +95,7 @@ def add_commands(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out `wtg-gym simulate`; return 1 if a run failed numerically."""
-    plot = check_plot_file(arguments.plot, (*PLOT_SUFFIXES, _MOVING))
+    plot = check_plot_file(arguments.plot, PLOT_SUFFIXES)
     table = None if arguments.csv is None else check_output_file("--csv", arguments.csv, (".csv",))
     suite = get_suite(arguments.suite or "paper")
     scenario, groups = _scenario_and_groups(arguments, suite)
@@ -212,12 +208,7 @@ def _plant_summary(arguments: argparse.Namespace, suite: Suite, groups: tuple[Wt
 
 
 def _write_plot(path: Path, runs: Mapping[str, Trajectory], scenario: Scenario, settings: PlantSettings) -> None:
-    from wtg_gym.plotting import animate_trajectories, plot_trajectories
+    from wtg_gym.plotting import figure_bytes, plot_trajectories
 
-    overload = settings.control.overload_limit_pu
-    if path.suffix.lower() == _MOVING:
-        write_and_say(path, animate_trajectories(runs, scenario, [group.bus for group in settings.groups], overload))
-        return
-    picture = io.BytesIO()
-    plot_trajectories(runs, scenario, overload).savefig(picture, format=path.suffix[1:].lower(), dpi=150)
-    write_and_say(path, picture.getvalue())
+    figure = plot_trajectories(runs, scenario, settings.control.overload_limit_pu)
+    write_and_say(path, figure_bytes(figure, path.suffix))

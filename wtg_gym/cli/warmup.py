@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 
-from wtg_gym.analysis.eigenvalues import linearise
 from wtg_gym.cli.output import say
 from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
@@ -18,8 +17,8 @@ from wtg_gym.scenarios import get_suite
 
 _DESCRIPTION = """\
 Compiles the simulator to machine code, which the first use of a version does otherwise: the single environment, the
-vector environment, simulate, evaluate and analyse modes, for the plants of `standard` and `standard-v1`. It takes a few
-minutes. The machine code is kept, so that every later start is quick; running the command again compiles nothing.
+vector environment, simulate and evaluate, for the plants of `standard` and `standard-v1`. It takes a few minutes. The
+machine code is kept, so that every later start is quick; running the command again compiles nothing.
 Another number of groups or machines is compiled at its own first use."""
 _EXAMPLES = """\
   wtg-gym warmup
@@ -64,5 +63,4 @@ def _compile(version: str) -> None:
     seed = suite.validation[0]
     scenario = suite.scenario(seed)
     simulate(scenario, REFERENCE_STRATEGY, plant)
-    linearise(scenario, REFERENCE_STRATEGY, plant)
     evaluate([], settings.suite, seeds=(seed,), duration_s=1.0)

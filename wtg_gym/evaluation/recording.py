@@ -10,12 +10,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.analysis.power_frequency import characteristic
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
+from wtg_gym.physics.aerodynamics import surface_of
+from wtg_gym.physics.converter import converter_constants, tracking_coefficient
+from wtg_gym.physics.parameters import GridFormingParameters, PitchParameters, ProtectionParameters, TurbineParameters
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import coordinated_piecewise
+from wtg_gym.physics.wind_turbine import turbine_constants, turbine_equilibrium
 from wtg_gym.policies import Entry
 from wtg_gym.policies.play import play, started_lanes
 
@@ -170,10 +172,17 @@ def target_rotor_speed_pu(frequency_pu: Floats, wind_m_s: Floats) -> Floats:
 @functools.cache
 def _resting_speeds() -> tuple[Floats, Floats, Floats]:
     """Return frequencies [p.u.], and the reference's rotor speeds there in light and in strong wind [p.u.]."""
-    control, law = GridFormingParameters(), coordinated_piecewise()
-    corners = np.linspace(control.frequency_min_pu, control.frequency_max_pu, _N_FREQUENCIES)
-    light, strong = (characteristic(law, wind, corners).rotor_speed_pu for wind in (_LIGHT_WIND_M_S, _STRONG_WIND_M_S))
-    return corners, light, strong
+    control, law, turbine = GridFormingParameters(), coordinated_piecewise(), TurbineParameters()
+    constants = turbine_constants(turbine, PitchParameters(), control, ProtectionParameters())
+    cells = surface_of(turbine.power_coefficient)[1]
+    of_law = law.k_min, law.k_nominal, law.k_max, converter_constants(control).corners
+    frequencies = np.linspace(control.frequency_min_pu, control.frequency_max_pu, _N_FREQUENCIES)
+    coefficients = [tracking_coefficient(frequency, *of_law) for frequency in frequencies]
+    light, strong = (
+        np.array([turbine_equilibrium(wind, k, constants, cells)[0] for k in coefficients])
+        for wind in (_LIGHT_WIND_M_S, _STRONG_WIND_M_S)
+    )
+    return frequencies, light, strong
 
 
 def one_scenario(recording: Recording, index: int) -> Recording:

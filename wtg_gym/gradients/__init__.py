@@ -8,8 +8,6 @@
     adjoint           back through one control step
     tape              episodes that can be differentiated: the interface for NumPy
     differences       gradients compared with differences of plays
-    jacobian          the derivative of every output at every step with respect to every parameter
-    estimator         parameters found in a record of the frequency
     torch             what tape does, for PyTorch; not imported here
 
 Only `torch` needs more than the core.

@@ -13,7 +13,8 @@ Equations
     protection          what ends a run
     sensors             measurements with filter, noise, bias and delay
     equilibrium, start_errors    what a run starts from; why it cannot
-    linearisation       modes, and the step they allow
+    linearisation       the state matrix, and the step that its modes allow
+    modes               eigenvalues and participation of the whole system, by name
 
 Data
     parameters, machine_parameters, checked, sources    every number with unit, source and range

@@ -26,7 +26,7 @@ LEAST_COEFFICIENT, LARGEST_COEFFICIENT = 1e-3, 3.0
 TIME_CONSTANT_RANGE = (0.05, 1e5)
 
 #: The tuned law: how far k lies above K_opt at ω_min, above K_n at ω_st and below K_pr at ω_max, as shares of
-#: K_opt - K_pr [-], and τ [s]. `python -m agents.research.tuned_law` finds them.
+#: K_opt - K_pr [-], and τ [s]. docs/studies/policies.py finds them.
 TUNED_ABOVE_OPT, TUNED_ABOVE_NOMINAL, TUNED_BELOW_LIMIT = 1.52, 0.017, 1.05
 TUNED_TIME_CONSTANT_S = 0.6
 

@@ -73,9 +73,10 @@ def mark_instants(axes: Axes, scenario: Scenario, *, numbered: bool) -> None:
 
 def explain_events(figure: Figure, scenario: Scenario) -> None:
     """Write the scenario's name at the top left of a figure and its numbered events at the top right."""
-    figure.suptitle(scenario.name, x=0.01, ha="left")
-    words = "\n".join(event_lines(scenario, width=100))
-    figure.text(0.99, 0.993, words, ha="right", va="top", fontsize=SMALL_PT)
+    lines = event_lines(scenario, width=100)
+    # The layout makes room for the title only: it gets as many lines as the events beside it.
+    figure.suptitle("\n".join([scenario.name, *[""] * (len(lines) - 1)]), x=0.01, ha="left")
+    figure.text(0.99, 0.993, "\n".join(lines), ha="right", va="top", fontsize=SMALL_PT)
 
 
 def mark_end(axes: Axes, time_s: float, value: float, colour: str) -> None:

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import functools
 import io
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, ParamSpec
@@ -77,49 +77,8 @@ STRATEGY_LOOKS = {
 _FREE_COLOURS = ("#000000", *(colour for colour in PALETTE if colour not in ("#000000", "#F0E442")), "#F0E442")
 _FREE_DASHES: tuple[Dashes, ...] = (_SOLID, (0.0, (4.0, 1.5)), (0.0, (1.2, 1.2)), (0.0, (5.0, 1.4, 1.2, 1.4)))
 
-# matplotlib types each key by a literal of its own, which differ between its versions.
-_STYLE: dict[Any, Any] = {
-    "font.family": "sans-serif",
-    # DejaVu comes with matplotlib, so that text is equally wide everywhere.
-    "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial", "Helvetica"],
-    "mathtext.fontset": "dejavusans",
-    "font.size": 7.5,
-    "axes.labelsize": 8.0,
-    "axes.titlesize": 8.0,
-    "figure.titlesize": 9.0,
-    "figure.titleweight": "bold",
-    "legend.fontsize": SMALL_PT,
-    "xtick.labelsize": SMALL_PT,
-    "ytick.labelsize": SMALL_PT,
-    "axes.linewidth": 0.6,
-    "axes.axisbelow": True,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.formatter.useoffset": False,
-    "grid.color": "0.9",
-    "grid.linewidth": 0.5,
-    "lines.linewidth": 1.1,
-    "lines.markersize": 4.0,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.major.size": 2.5,
-    "ytick.major.size": 2.5,
-    "xtick.minor.width": 0.4,
-    "ytick.minor.width": 0.4,
-    "xtick.minor.size": 1.5,
-    "ytick.minor.size": 1.5,
-    "hatch.linewidth": 0.4,
-    "legend.frameon": False,
-    "legend.handlelength": 2.8,
-    "legend.columnspacing": 1.6,
-    "legend.borderaxespad": 0.4,
-    # Text stays text: it can be searched and edited.
-    "svg.fonttype": "none",
-    "pdf.fonttype": 42,
-    # Names inside an SVG are drawn at random without it.
-    "svg.hashsalt": "wtg_gym",
-}
+#: Widths, sizes and fonts of print, for matplotlib.
+_STYLE = Path(__file__).with_name("print.mplstyle")
 # A date would make every file a new one.
 _METADATA: dict[str, dict[str, Any]] = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
 
@@ -137,15 +96,13 @@ def strategy_looks(labels: Iterable[str]) -> dict[str, Look]:
     return {name: STRATEGY_LOOKS[name] if name in STRATEGY_LOOKS else looks[name] for name in names}
 
 
-@contextmanager
-def print_style() -> Iterator[None]:
+def print_style() -> AbstractContextManager[None]:
     """Draw in the style of print inside the `with` block; the user's matplotlib settings have no effect."""
-    import matplotlib
+    import matplotlib.style
 
-    with matplotlib.rc_context():
-        matplotlib.rcdefaults()
-        matplotlib.rcParams.update(_STYLE)
-        yield
+    context: Any = matplotlib.style.context
+    block: AbstractContextManager[None] = context(["default", _STYLE])
+    return block
 
 
 def printed(draw: Callable[Parameters, Figure]) -> Callable[Parameters, Figure]:

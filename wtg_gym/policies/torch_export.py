@@ -76,8 +76,22 @@ def export_onnx(
     }
     text = entry_text(values)
     checked = parse_submission(text.encode())
-    n_observation, n_action = checked.widths()
-    widths = tuple(getattr(module, "state_widths", ()) if state_widths is None else state_widths)
+    content = onnx_bytes(module, *checked.widths(), state_widths=state_widths, tolerance=tolerance)
+    # entry.toml last, because it makes the folder an entry.
+    write_together({Path(folder) / POLICY_FILE: content, Path(folder) / ENTRY_FILE: text})
+    return Path(folder)
+
+
+def onnx_bytes(
+    module: nn.Module,
+    n_observation: int,
+    n_action: int,
+    *,
+    state_widths: Sequence[int] | None = None,
+    tolerance: float = 1e-5,
+) -> bytes:
+    """Return the file that :func:`export_onnx` writes, for a module of any width; raises as that does."""
+    widths = _widths_of(module) if state_widths is None else tuple(state_widths)
     modes = [(each, each.training) for each in module.modules()]
     playable = _Playable(module).eval()
     try:
@@ -95,9 +109,31 @@ def export_onnx(
             f"{tolerance:g}: a module that draws random numbers, has memory of its own or branches on its input cannot "
             "be exported; return the mean, pass the memory as states, use torch.where"
         )
-    # entry.toml last, because it makes the folder an entry.
-    write_together({Path(folder) / POLICY_FILE: content, Path(folder) / ENTRY_FILE: text})
-    return Path(folder)
+    return content
+
+
+def _widths_of(module: nn.Module) -> tuple[int, ...]:
+    return tuple(getattr(module, "state_widths", ()))
+
+
+class TorchPolicy:
+    """A module in the form of :func:`export_onnx` as a policy, to be played without a file."""
+
+    def __init__(self, module: nn.Module, state_widths: Sequence[int] | None = None) -> None:
+        self._playable = _Playable(module)
+        self._widths = _widths_of(module) if state_widths is None else state_widths
+
+    @torch.no_grad()
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[Any, Any]:
+        """Return (actions (n_lanes, n_action), states), in the manner of Stable-Baselines3."""
+        states = [torch.zeros(len(observation), width) for width in self._widths] if state is None else state
+        if episode_start is not None:
+            goes_on = torch.as_tensor(~np.asarray(episode_start, dtype=np.bool_), dtype=torch.float32)[:, None]
+            states = [each * goes_on for each in states]
+        action, *following = self._playable(torch.as_tensor(observation, dtype=torch.float32), *states)
+        return action.numpy(), following
 
 
 class _Playable(nn.Module):
@@ -161,23 +197,20 @@ def _exported(playable: _Playable, n_observation: int, widths: Sequence[int]) ->
         raise ValueError(f"torch cannot export the {playable.label}: {_first_line(error)}") from error
 
 
-@torch.no_grad()
 def _largest_difference(playable: _Playable, content: bytes, n_observation: int, widths: Sequence[int]) -> float:
     """Return the largest difference between the actions of a file and its module."""
-    rng = np.random.default_rng(0)
-    largest, file_state = 0.0, None
-    states = [torch.zeros(_CHECKED_LANES, width) for width in widths]
+    rng, module = np.random.default_rng(0), TorchPolicy(playable, widths)
+    largest, state, file_state = 0.0, None, None
     with OnnxPolicy(content) as policy:
         for step in range(_CHECKED_STEPS):
             observations = rng.normal(0.0, 1.0, (_CHECKED_LANES, n_observation)).astype(np.float32)
             start = np.full(_CHECKED_LANES, step == 0) | (rng.random(_CHECKED_LANES) < 0.1)
-            keeps = torch.as_tensor(~start, dtype=torch.float32)[:, None]
-            actions, *states = playable(torch.as_tensor(observations), *(keeps * state for state in states))
+            actions, state = module.predict(observations, state, start)
             try:
                 other, file_state = policy.predict(observations, file_state, start)
             except PolicyError as error:
                 raise ValueError(f"the ONNX file of the {playable.label} cannot be played: {error}") from error
-            difference = np.abs(actions.numpy() - other).max()
+            difference = np.abs(actions - other).max()
             largest = max(largest, float(np.inf if np.isnan(difference) else difference))
     return largest
 

@@ -3,6 +3,7 @@
 Needs matplotlib, and a window needs pygame too; both are imported only when something is drawn.
 """
 
-from wtg_gym.envs.rendering.lane_frames import Frame, LaneFrames
+from wtg_gym.envs.rendering.frame import Frame
+from wtg_gym.envs.rendering.lane_frames import LaneFrames
 
 __all__ = ["Frame", "LaneFrames"]

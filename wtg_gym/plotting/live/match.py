@@ -2,32 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.rendering.diagram import describe_event
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import NoScaleError, evaluate
-from wtg_gym.evaluation.episodes import Episode
-from wtg_gym.evaluation.score import log_gains, mean_score, pinned, points_by_term, score_scale
-from wtg_gym.evaluation.summary import POINTS, REST, parts_of_costs
-from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.plotting.live.episode import LiveEpisode, happened
+from wtg_gym.evaluation import Entry, NoScaleError, evaluate
+from wtg_gym.evaluation.score import mean_score, score_scale
 from wtg_gym.scenarios import SPLITS, Suite
 
 #: Scenarios of the suite on which its anchors make the scale of the scores.
 N_SCALE = 50
 #: Name of the one who plays.
 YOU = "you"
+#: Lanes of the two.
+OWN, REFERENCE = 0, 1
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scale:
-    """Numbers that a suite's scores are computed with."""
+    """What the scores of a suite's scenarios of one length are computed with."""
 
-    #: suite, duration_s: which episodes it is for.
     suite: Suite
     duration_s: float
     value: float | None  # Λ, None where there is none
@@ -39,85 +38,108 @@ class Scale:
         seeds = list(suite.validation[:N_SCALE])
         results = evaluate([], suite.name, "validation", seeds=seeds, duration_s=duration_s)
         anchors = results.benchmark.anchors
-        zero, hundred = (results.pinned_costs[name][0] for name in anchors)
         length = suite.duration_s if duration_s is None else duration_s
         try:
-            return cls(suite=suite, duration_s=length, value=score_scale(zero, hundred, anchors))
+            value = score_scale(results.pinned_costs[anchors[0]][0], results.pinned_costs[anchors[1]][0], anchors)
         except NoScaleError as error:
             return cls(suite=suite, duration_s=length, value=None, missing=str(error))
+        return cls(suite=suite, duration_s=length, value=value)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Verdict:
-    """What one of the two, or an anchor, made of the scenario."""
+class Verdict(NamedTuple):
+    """What you or an anchor made of the scenario."""
 
     name: str  # of who played
     score: float | None  # None without a scale
-    #: Points of the score above 100 by the terms of the cost; they add up to the score minus 100.
-    points: Mapping[str, float]
     cost: float  # as it was paid
     deviation_hz: float  # largest deviation of the frequency, up or down [Hz]
     failure: str  # why it ended before its time; empty where it did not
 
 
 class Match:
-    """You against the reference, which never acts, in one scenario of a suite.
+    """You against the reference, which never acts, in one scenario of a suite; a ValueError if the seed is in no split.
 
     Both run the reference's law; your actions come on top of it, as an agent's do.
-
-    Args:
-        scale: of the suite and of the length of its episodes.
-        seed: of the scenario, in any split of the suite.
-
-    Raises:
-        ValueError: the seed is in no split, or the scenario cannot start.
     """
 
     def __init__(self, scale: Scale, seed: int) -> None:
-        self.scale, self.seed = scale, seed
-        suite = scale.suite
-        self._split = split_of(suite, seed)
-        self.scenario = suite.scenario(seed, duration_s=scale.duration_s)
-        settings = EnvSettings(suite=suite.name, scenario=self.scenario)
-        self.you, self.reference = LiveEpisode(settings, self.scenario), LiveEpisode(settings, self.scenario)
-        self.n_groups = self.you.lanes.n_wtg
-        self.control_dt = settings.control_dt
+        self.scale, self.seed, self._split = scale, seed, split_of(scale.suite, seed)
+        settings = EnvSettings(suite=scale.suite.name, duration_s=scale.duration_s)
+        self._lanes = TaskLanes(settings, 2, 1)
+        self._lanes.start([OWN, REFERENCE], self._lanes.scenarios([seed, seed]))
+        self.n_groups, self.control_dt = self._lanes.n_wtg, settings.control_dt
+        self.nominal_hz = self._lanes.nominal_hz
+        self._actions: list[npt.NDArray[np.float64]] = []
 
     @property
     def over(self) -> bool:
         """Whether your run has ended."""
-        return self.you.over
+        return self.has_ended(OWN)
+
+    def has_ended(self, lane: int) -> bool:
+        """Whether the run of a lane has ended."""
+        return bool(self._lanes.outputs.terminated[lane] or self._lanes.outputs.truncated[lane])
+
+    @property
+    def time_s(self) -> float:
+        """Time since your start [s]; of a failure its instant."""
+        return float(self._lanes.simulator.lane_values("step")[OWN]) * self._lanes.settings.simulation_dt
 
     def step(self, on_k: npt.ArrayLike, on_tau: npt.ArrayLike) -> list[tuple[float, str]]:
-        """Advance both by one control interval, and return what happened in it: instants [s] and words.
-
-        Args:
-            on_k, on_tau: your action, (n_groups,) each, -1 … 1.
-        """
-        before = self.you.time_s
-        # Group after group, as the environment takes them.
-        self.you.step(np.stack([np.asarray(on_k), np.asarray(on_tau)], axis=1).ravel())
-        self.reference.step()
+        """Hold your action, (n_groups,) each, for a control interval; return instants [s] and words of its events."""
         # An event at the very start is one too.
-        return happened(self.scenario, -1.0 if before == 0.0 else before, self.you.time_s)
+        before_s = self.time_s if self._actions else -1.0
+        # Group after group, as the environment takes them.
+        self._actions.append(np.stack([np.asarray(on_k), np.asarray(on_tau)], axis=1, dtype=np.float64).ravel())
+        self._lanes.step(np.stack([self._actions[-1], np.zeros(self._lanes.n_action)]))
+        events = sorted(self._lanes.events[OWN], key=lambda event: event.time_s)
+        return [(e.time_s, describe_event(e)) for e in events if before_s < e.time_s <= self.time_s]
+
+    def sample(self) -> dict[str, npt.NDArray[np.float64]]:
+        """Return where both stand: frequency (2,) [Hz]; rotor speed and power (2, n_groups) [p.u.]."""
+        simulator = self._lanes.simulator
+        return {
+            "frequency": self.nominal_hz * simulator.lane_values("coi"),
+            "rotor": simulator.wtg_values("rotor_speed"),
+            "power": simulator.wtg_values("power"),
+        }
 
     def verdicts(self) -> list[Verdict]:
-        """Return yours first, then those of the suite's anchors, of which the reference is one, once you are over."""
-        suite = self.scale.suite
+        """Play your actions and the suite's anchors again, and return what the evaluator says, yours first."""
         results = evaluate(
-            [], suite.name, self._split, seeds=[self.seed], duration_s=self.scale.duration_s, n_threads=1
+            [Entry(name=YOU, policy=_Played(self._actions))],
+            self.scale.suite.name,
+            self._split,
+            seeds=[self.seed],
+            duration_s=self.scale.duration_s,
+            n_threads=1,
         )
-        anchors = {name: results.episodes_of(name)[0] for name in results.benchmark.anchors}
-        cap = float(results.settings["weights"]["cap"])
-        hundred = anchors[results.benchmark.hundred]
-        return [
-            verdict(episode, hundred, self.scale.value, cap) for episode in (self.you.measured(YOU), *anchors.values())
-        ]
+        verdicts = []
+        for name in (YOU, *results.benchmark.anchors):
+            (episode,) = results.episodes_of(name)
+            metrics = {key: float(value) for key, value in episode.metrics.items() if value is not None}
+            deviation = max(self.nominal_hz - metrics["nadir_hz"], metrics["zenith_hz"] - self.nominal_hz)
+            score = None if self.scale.value is None else mean_score(results.log_gains[name], self.scale.value)
+            verdicts.append(Verdict(name, score, metrics["cost"], deviation, episode.failure))
+        return verdicts
 
     def next_seed(self) -> int:
         """Return the seed after this one in its split; after the last one the first."""
         seeds = self.scale.suite.seeds(self._split)
         return seeds[(seeds.index(self.seed) + 1) % len(seeds)]
+
+
+class _Played:
+    """A policy that repeats the actions of one episode; its state is the number of steps."""
+
+    def __init__(self, actions: list[npt.NDArray[np.float64]]) -> None:
+        self._actions = actions
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> Any:
+        step = state or 0
+        return self._actions[step][np.newaxis], step + 1
 
 
 def split_of(suite: Suite, seed: int) -> str:
@@ -127,25 +149,3 @@ def split_of(suite: Suite, seed: int) -> str:
             return split
     known = ", ".join(f"{split} {(s := suite.seeds(split)).start} … {s.stop - 1}" for split in SPLITS)
     raise ValueError(f"seed {seed} is in no split of suite {suite.name!r} that can be played: {known}")
-
-
-def verdict(episode: Episode, hundred: Episode, scale: float | None, cap: float) -> Verdict:
-    """Return what an episode is worth beside that of the hundred, with Λ and the largest cost rate [1/s]."""
-    metrics = {name: float(value) for name, value in episode.metrics.items() if value is not None}
-    nominal = modified_ieee14().frequency_hz
-    deviation = max(nominal - metrics["nadir_hz"], metrics["zenith_hz"] - nominal)
-    score, points = None, dict.fromkeys((*POINTS, REST), 0.0)
-    if scale is not None:
-        own, best = np.array([[pinned(episode, cap)]]), np.array([pinned(hundred, cap)])
-        score = mean_score(log_gains(own, best), scale)
-        terms, of_best = parts_of_costs([[episode]], own), parts_of_costs([[hundred]], best[np.newaxis])
-        shares = points_by_term(own, best, terms, of_best[:, 0], scale)
-        points = dict(zip((*POINTS, REST), shares.tolist(), strict=True))
-    return Verdict(
-        name=episode.entry,
-        score=score,
-        points=points,
-        cost=metrics["cost"],
-        deviation_hz=deviation,
-        failure=episode.failure,
-    )

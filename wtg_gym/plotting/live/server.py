@@ -9,12 +9,9 @@ import webbrowser
 from collections.abc import Callable
 from typing import Any
 
-#: Puts the page's models into an empty document.
-Fill = Callable[[Any], None]
 
-
-def make_server(fill: Fill, port: int) -> Any:
-    """Return a server that listens at localhost; a ValueError if the port is invalid or in use."""
+def make_server(fill: Callable[[Any], None], port: int) -> Any:
+    """Return a server at localhost that lets `fill` fill each document; a ValueError if the port cannot be had."""
     from bokeh.application import Application
     from bokeh.application.handlers.function import FunctionHandler
     from bokeh.server.server import Server
@@ -31,17 +28,6 @@ def make_server(fill: Fill, port: int) -> Any:
         raise
 
 
-def open_browser(url: str) -> bool:
-    """Open an address in the user's browser; return whether there is a display and a browser for it."""
-    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        # A browser for terminals would take this one over.
-        return False
-    try:
-        return webbrowser.open(url)
-    except webbrowser.Error:
-        return False
-
-
 def serve(server: Any, *, opens_browser: bool, say: Callable[[str], None]) -> None:
     """Serve until Ctrl-C; `say` tells where."""
     url = f"http://localhost:{server.port}/"
@@ -55,3 +41,14 @@ def serve(server: Any, *, opens_browser: bool, say: Callable[[str], None]) -> No
         say("ended")
     finally:
         server.stop()
+
+
+def open_browser(url: str) -> bool:
+    """Open an address in the user's browser; return whether there is a display and a browser for it."""
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        # A browser for terminals would take this one over.
+        return False
+    try:
+        return webbrowser.open(url)
+    except webbrowser.Error:
+        return False

@@ -1,0 +1,142 @@
+"""What every trainer does besides learning: it goes on from a checkpoint, validates, and keeps the best policy."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from pathlib import Path
+from typing import Any, Protocol
+
+import torch
+from torch import nn
+
+from agents.folders import BEST, CHECKPOINTS, folders, save_folder
+from agents.runs import Run, RunSettings
+from wtg_gym.envs import EnvSettings
+from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.evaluation import Entry
+from wtg_gym.files import write_atomically
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
+from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
+from wtg_gym.policies.names import check_not_built_in
+from wtg_gym.policies.submission_folder import entry_text
+from wtg_gym.policies.torch_export import TorchPolicy, onnx_bytes
+from wtg_gym.scenarios import get_suite
+
+#: Largest difference between a file's actions and the network's, on random observations, some of them far from any that
+#: an episode has: there a single precision leaves this much.
+_TOLERANCE = 1e-4
+#: The algorithms of which one network acts for every WTG group, in whatever number.
+SHARED = ("ippo",)
+
+
+class Learner(Protocol):
+    """What is learned, as :class:`Training` needs to know it."""
+
+    def network(self, settings: RunSettings) -> nn.Module:
+        """Return the deterministic policy for the environment of a run, in the form of `wtg_gym.export_onnx`."""
+        ...
+
+    def save(self, folder: Path) -> object:
+        """Write everything that training goes on from."""
+        ...
+
+
+def last_checkpoint(run: Run, folder: Path) -> Path | None:
+    """Return the folder that a run goes on from, named after its timesteps; None for a new run.
+
+    Raises:
+        ValueError: the run has validations, but no checkpoint.
+    """
+    saved = folders(folder / CHECKPOINTS)
+    if run.curve and not saved:
+        raise ValueError(f"{folder} has validations, but no checkpoint to go on from; begin anew in another folder")
+    return saved[-1] if saved else None
+
+
+class Training:
+    """A run while it is trained; made before the first step, so that it can go on whenever it is interrupted.
+
+    Raises:
+        ValueError: the policy of a new run could not be exported.
+    """
+
+    def __init__(self, run: Run, folder: Path, learner: Learner) -> None:
+        # Sums over several threads depend on which of them ends first; networks this small gain nothing from them.
+        torch.set_num_threads(1)
+        self._run, self._folder, self._learner = run, folder, learner
+        if not run.curve:
+            # Refused now rather than after the training.
+            _exported(learner, run.settings)
+        run.write(folder)
+        self._began = time.monotonic() - (run.curve[-1]["wall_time_s"] if run.curve else 0.0)
+
+    @property
+    def title(self) -> str:
+        """How far the run is, for the line of its progress."""
+        run = self._run
+        return f"{run.settings.algo}, score {run.curve[-1]['score']:.1f}, best {run.best['score']:.1f}"
+
+    def take_stock(self, timesteps: int, *, finished: bool = False) -> dict[str, float] | None:
+        """Validate, keep the best policy and write a checkpoint, if an interval has ended or the training has.
+
+        Returns:
+            the metrics of the validation; None where there was none.
+        """
+        run, learner = self._run, self._learner
+        run.finished = finished
+        if not run.is_due(timesteps) and not (finished and run.curve[-1]["timesteps"] < timesteps):
+            if finished:
+                run.write(self._folder)
+            return None
+        policy = TorchPolicy(learner.network(run.settings))
+        metrics = run.validate(policy, timesteps, time.monotonic() - self._began)
+        # First, because one whose row is missing in run.json is validated again on resumption.
+        save_folder(self._folder / CHECKPOINTS, timesteps, learner.save)
+        if run.best is run.curve[-1]:
+            save_folder(self._folder / BEST, timesteps, self._write_best)
+        run.write(self._folder)
+        return metrics
+
+    def _write_best(self, folder: Path) -> None:
+        """Write the policy as an entry that `wtg-gym evaluate` plays."""
+        settings = self._run.settings
+        (folder / POLICY_FILE).write_bytes(_exported(self._learner, settings))
+        timesteps = int(self._run.curve[-1]["timesteps"])
+        write_atomically(folder / ENTRY_FILE, entry_text(entry_values(settings, timesteps)))
+
+
+def _exported(learner: Learner, settings: RunSettings) -> bytes:
+    """Return the file of a policy as ONNX; one that is shared acts for the groups of its suite."""
+    if settings.algo in SHARED:
+        settings = dataclasses.replace(settings, groups=None)
+    lanes = TaskLanes(EnvSettings(**settings.env_arguments), 1, 1)
+    return onnx_bytes(learner.network(settings), lanes.n_observation, lanes.n_action, tolerance=_TOLERANCE)
+
+
+def entry_values(
+    settings: RunSettings, timesteps: int, *, name: str | None = None, description: str = ""
+) -> dict[str, Any]:
+    """Return the keys and values of entry.toml for a run's policy.
+
+    Args:
+        settings: of the run.
+        timesteps: steps that the policy was trained for.
+        name: of the entry; None for one made of algorithm and action mode.
+        description: one sentence on what it is; empty for a general one.
+
+    Raises:
+        ValueError: the leaderboard would refuse the name.
+    """
+    values: dict[str, Any] = {
+        "name": name or f"{settings.algo} {settings.action_mode}",
+        "description": description or f"Trained with {settings.algo} for {timesteps} steps.",
+        "action_mode": settings.action_mode,
+        "observation_mode": settings.observation_mode,
+        "training_seed": settings.seed,
+        "environment": get_suite(settings.suite).benchmark.env_id,
+    }
+    values |= {} if settings.strategy == REFERENCE_STRATEGY else {"strategy": settings.strategy}
+    check_not_built_in("the entry's name", values["name"])
+    Entry(**values)
+    return values

@@ -1,0 +1,140 @@
+"""The oracle of docs/benchmark.md: the lowest cost known for each scenario, found with foresight.
+
+    python docs/studies/oracle.py [FOLDER]
+
+searches the first 25 validation scenarios of standard-v1 for `conditions.py` and writes them to FOLDER (default:
+results/oracle). For each scenario CMA-ES searches a course of actions, by itself and on top of a linear feedback whose
+gains it may change; the oracle is the cheapest of these, the reference and the entries below. It is no bound: a longer
+search may find less. Finished chunks stay in FOLDER/parts, from where the next call goes on. An hour on two processors.
+
+The files in wtg_gym/evaluation/oracle_costs were made by the same search: `find_oracle` with the 200 test scenarios of
+standard, 100 generations, and every entry of v0.
+"""
+
+from __future__ import annotations
+
+import json
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import cma
+import numpy as np
+import onnx
+from output import folder as output_folder
+from rollouts import Rollouts, Search, course, linear_feedback
+
+from wtg_gym.evaluation import evaluate, load_entries
+from wtg_gym.evaluation.oracle import OracleCosts
+from wtg_gym.files import sha256, to_json, write_atomically
+from wtg_gym.physics.layout import Floats
+from wtg_gym.progress import Progress
+from wtg_gym.scenarios import get_suite
+
+#: Candidates per generation, knots per action, and scenarios that are searched side by side.
+POPULATION, N_KNOTS, CHUNK = 24, 16, 25
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effort:
+    """Scenarios and length of the search."""
+
+    suite: str
+    split: str
+    n_scenarios: int
+    strategy: str  # law that the actions modulate
+    feedback: str  # folder of the linear feedback to search on top of
+    generations: int = 100
+    seed: int = 0
+
+
+V1 = Effort(
+    suite="standard-v1",
+    split="validation",
+    n_scenarios=25,
+    strategy="coordinated-tuned",
+    feedback="agents/policies/linear-feedback-v1",
+)
+ENTRIES = ("coordinated-tuned", "fast-droop", "agents/policies/linear-feedback-v1")
+
+
+def gains_of(folder: str, n_action: int, n_local: int) -> Floats:
+    """Return the gains (n_action, n_local + 1) of the linear feedback in a folder of agents/policies."""
+    weight, offset, *_ = map(onnx.numpy_helper.to_array, onnx.load(f"{folder}/policy.onnx").graph.initializer)
+    return np.hstack([weight[:n_action, :n_local], offset[:n_action, None]]).astype(np.float64)
+
+
+def searched(effort: Effort, seeds: list[int], with_feedback: bool) -> list[float]:
+    """Return the smallest pinned cost found for each of some scenarios, searched side by side."""
+    with (
+        closing(Rollouts(effort.suite, effort.split, seeds, POPULATION, strategy=effort.strategy)) as rollouts,
+        closing(rollouts.with_candidates(1)) as alone,
+        Progress("generations") as progress,
+    ):
+        knots = N_KNOTS, rollouts.n_wtg, rollouts.n_action
+        n_course = int(np.prod(knots))
+        gains = gains_of(effort.feedback, rollouts.n_action, rollouts.n_local)
+        start = np.concatenate([np.zeros(n_course), gains.ravel()]) if with_feedback else np.zeros(n_course)
+        # Every scenario's search draws from a generator of its own.
+        searches = [Search(start, 0.3, POPULATION, effort.seed, seed, int(with_feedback)) for seed in seeds]
+
+        def played(on: Rollouts, asked: Floats) -> Floats:
+            act = course(asked[..., :n_course].reshape(*asked.shape[:2], *knots), on.n_steps)
+            if not with_feedback:
+                return on.play(act)
+            fed_back = linear_feedback(asked[..., n_course:].reshape(*asked.shape[:2], *gains.shape))
+            return on.play(lambda step, own: act(step, own) + fed_back(step, own))
+
+        best = np.full(len(seeds), np.inf)
+        for generation in range(effort.generations):
+            asked = np.array([search.ask() for search in searches])
+            terms = played(rollouts, asked)
+            # A failure that comes later costs less, which shows the search the way out; what counts is the pinned cost.
+            for search, candidates, cost in zip(searches, asked, terms.sum(axis=-1), strict=True):
+                search.tell(candidates, cost)
+            best = np.minimum(best, rollouts.pinned(terms).min(axis=1))
+            progress.update(f"mean pinned cost {best.mean():.2f}", generation + 1, effort.generations)
+        means = np.array([[search.mean] for search in searches])
+        return np.minimum(best, alone.pinned(played(alone, means))[:, 0]).tolist()
+
+
+def find_oracle(effort: Effort, entries: tuple[str, ...], parts: Path) -> OracleCosts:
+    """Search every scenario, going on from the chunks that are finished, which stay in `parts`."""
+    suite = get_suite(effort.suite)
+    seeds = list(suite.seeds(effort.split)[: effort.n_scenarios])
+    known = [entry for name in entries for entry in load_entries(name, benchmark=suite.benchmark)]
+    with Progress("episodes") as progress:
+        results = evaluate(known, effort.suite, effort.split, seeds=seeds, on_progress=progress.update)
+    versions = {"cma": str(cma.__version__), "numpy": np.__version__}
+    search = {**asdict(effort), "population": POPULATION, "knots": N_KNOTS, "versions": versions}
+    found = {"entries": np.concatenate([results.pinned_costs[entry.name] for entry in known]).min(axis=0).tolist()}
+    for form in ("course", "course_and_feedback"):
+        found[form] = []
+        for first in range(0, len(seeds), CHUNK):
+            own = seeds[first : first + CHUNK]
+            # Its name follows from everything that the costs depend on.
+            part = parts / f"{sha256(to_json([search, form, own, results.source_hash]).encode())}.json"
+            if not part.exists():
+                write_atomically(part, to_json(searched(effort, own, form != "course")))
+            found[form] += json.loads(part.read_text())
+    return OracleCosts(
+        suite=effort.suite,
+        split=effort.split,
+        suite_hash=results.suite_hash,
+        source_hash=results.source_hash,
+        settings=results.settings,
+        search=search,
+        entries=[{key: entry.to_dict()[key] for key in ("name", "training_seed", "sha256")} for entry in known],
+        seeds=tuple(seeds),
+        reference=tuple(results.pinned_costs[results.benchmark.hundred][0].tolist()),
+        found={form: tuple(costs) for form, costs in found.items()},
+    )
+
+
+if __name__ == "__main__":
+    folder = output_folder(__doc__, "results/oracle")
+    costs = find_oracle(V1, ENTRIES, folder / "parts")
+    for path in costs.write(folder):
+        print(f"wrote {path}")
+    before, after = np.mean(costs.reference), np.mean(costs.oracle)
+    print(f"mean pinned cost: the reference {before:.1f}, the oracle {after:.1f} ({after / before - 1.0:+.0%})")

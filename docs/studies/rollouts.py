@@ -1,0 +1,176 @@
+"""What the scripts beside this share: many candidates played through many scenarios at once, and a search by CMA-ES.
+
+A candidate is a function of the step and the groups' observations that returns their actions, and if you like a law
+under them. To tune a law or a feedback of your own, see policies.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import closing
+
+import cma
+import numpy as np
+
+from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.envs.task_records import COST_TERMS
+from wtg_gym.evaluation.score import COST_OFFSET, pinned_cost
+from wtg_gym.physics.layout import Floats
+from wtg_gym.physics.tracking_law import TrackingLaw
+from wtg_gym.scenarios.benchmark import V0
+
+#: (step, observations (n_scenarios, n_candidates, n_wtg, n)) → actions (n_scenarios, n_candidates, n_wtg, n_action).
+Candidates = Callable[[int, Floats], Floats]
+#: One law for all groups, or one for each.
+Law = TrackingLaw | tuple[TrackingLaw, ...]
+
+#: What a feedback with history sees besides: slow copies of entries of a group's observation (frequency, tip-speed
+#: ratio, rotor speed), and their time constants [s].
+HISTORY_COLUMNS, HISTORY_TIMES_S = (0, 0, 2, 2, 3), (2.0, 10.0, 3.0, 10.0, 10.0)
+
+
+class Rollouts:
+    """Plays candidates through scenarios, all at once; further arguments are settings of the environment."""
+
+    def __init__(self, suite: str, split: str, seeds: Sequence[int], n_candidates: int, **settings) -> None:
+        self._arguments, self._settings = (suite, split, list(seeds)), settings
+        self.lanes = TaskLanes(EnvSettings(suite=suite, split=split, **settings), len(seeds) * n_candidates)
+        self.shape = len(seeds), n_candidates
+        self.n_wtg, self.n_local = self.lanes.n_wtg, self.lanes.n_local
+        self.n_action = self.lanes.n_action // self.n_wtg
+        self._scenarios = self.lanes.scenarios(seeds)
+        self._episodes = self.lanes.prepare(self._scenarios)
+        # Each candidate's lanes, in the order of the scenarios.
+        self._order = np.arange(self.lanes.n_lanes).reshape(self.shape).T.tolist()
+        self.n_steps = int(self._episodes.n_intervals.max())
+
+    def with_candidates(self, n_candidates: int) -> Rollouts:
+        """Return rollouts of the same scenarios with another number of candidates in each."""
+        return Rollouts(*self._arguments, n_candidates, **self._settings)
+
+    def play(self, candidates: Candidates | None = None, laws: Sequence[Law] | None = None) -> Floats:
+        """Return the sums of the cost's terms over an episode, (n_scenarios, n_candidates, n_terms).
+
+        Args:
+            candidates: their actions; None: the zero action, which leaves everything to the law.
+            laws: the law under each candidate; None: that of the settings.
+        """
+        lanes, n_own = self.lanes, self.n_wtg * (self.n_local + self.n_action)
+        for candidate, order in enumerate(self._order):
+            if laws is not None:
+                law = laws[candidate]
+                lanes.laws = law if isinstance(law, tuple) else (law,) * self.n_wtg
+            lanes.commit(order, [self._episodes if laws is None else lanes.prepare(self._scenarios)])
+        for step in range(self.n_steps):
+            actions = np.zeros((lanes.n_lanes, lanes.n_action))
+            if candidates is not None:
+                own = lanes.observations[:, :n_own].reshape(*self.shape, self.n_wtg, -1).astype(np.float64)
+                actions = np.clip(candidates(step, own), -1.0, 1.0).reshape(lanes.n_lanes, -1)
+            lanes.step(np.ascontiguousarray(actions))
+        return lanes.cost_sums().reshape(*self.shape, -1)
+
+    def reference(self) -> Floats:
+        """Return what :meth:`play` gives for the zero action, (n_scenarios, n_terms)."""
+        with closing(self.with_candidates(1)) as alone:
+            return alone.play()[:, 0]
+
+    def pinned(self, terms: Floats) -> Floats:
+        """Return the costs that the leaderboard counts: a failed episode's is the largest there is."""
+        cap = self.lanes.settings.cost_weights().cap
+        worst = pinned_cost(0.0, failed=True, duration_s=self.lanes.duration_s, cap=cap)
+        return np.where(terms[..., COST_TERMS.index("failure")] > 0.0, worst, terms.sum(axis=-1))
+
+    def log_costs(self, terms: Floats) -> Floats:
+        """Return ln(J + J0) of pinned costs, whose mean over scenarios decides the score."""
+        return np.log(self.pinned(terms) + COST_OFFSET)
+
+    def objective(self, terms: Floats) -> Floats:
+        """Return the objective of a search: in v0 the cost, from v1 on :meth:`log_costs`.
+
+        With v1's rotors a few failures outweigh all else in a mean of costs.
+        """
+        return terms.sum(axis=-1) if self.lanes.suite.benchmark is V0 else self.log_costs(terms)
+
+    def close(self) -> None:
+        self.lanes.simulator.close()
+
+
+class Search:
+    """CMA-ES (N. Hansen, "The CMA evolution strategy: a tutorial", 2016) that draws from a generator of its own.
+
+    By itself cma draws from numpy's one generator for everybody: searches would depend on those beside them.
+    """
+
+    def __init__(self, start: Floats, spread: float, population: int, *seed: int) -> None:
+        self._rng = np.random.default_rng(seed)
+        options = {"popsize": population, "randn": self._normal, "seed": np.nan, "verbose": -9, "CMA_diagonal": 40}
+        self._search = cma.CMAEvolutionStrategy(start.ravel(), spread, options)
+
+    def _normal(self, *shape: int) -> Floats:
+        return self._rng.standard_normal(shape)
+
+    def ask(self) -> Floats:
+        """Return the next candidates, (population, n)."""
+        # When cma goes over from a diagonal to a full covariance, its new sampler forgets the option.
+        self._search.sm.randn = self._normal
+        return np.array(self._search.ask())
+
+    def tell(self, candidates: Floats, costs: Floats) -> None:
+        self._search.tell(list(candidates), costs.tolist())
+
+    @property
+    def mean(self) -> Floats:
+        """Mean of the distribution that candidates are drawn from: it generalises better than the luckiest of them."""
+        return np.array(self._search.result.xfavorite)
+
+
+def linear_feedback(gains: Floats) -> Candidates:
+    """Return the feedback a = G o + b of a group's own observation; gains (..., n_action, n_local + 1), b at the end.
+
+    The leading axes are scenarios and candidates, or fewer.
+    """
+
+    def act(_step: int, own: Floats) -> Floats:
+        actions = np.einsum("...ij,...wj->...wi", gains[..., :-1], own[..., : gains.shape[-1] - 1])
+        return actions + gains[..., None, :, -1]
+
+    return act
+
+
+def history_gains(control_dt: float) -> Floats:
+    """Return the gains of the filters behind the slow copies, (n_history,)."""
+    return -np.expm1(-control_dt / np.array(HISTORY_TIMES_S))
+
+
+def history_feedback(gains: Floats, control_dt: float) -> Candidates:
+    """Return the feedback a = G (o, slow copies) + b; gains (..., n_action, n_local + n_history + 1)."""
+    filters, n_local = history_gains(control_dt), gains.shape[-1] - len(HISTORY_COLUMNS) - 1
+    linear = linear_feedback(gains)
+    slow = np.zeros(0)
+
+    def act(step: int, own: Floats) -> Floats:
+        nonlocal slow
+        seen = own[..., HISTORY_COLUMNS]
+        slow = seen if step == 0 else slow + filters * (seen - slow)
+        return linear(step, np.concatenate([own[..., :n_local], slow], axis=-1))
+
+    return act
+
+
+def positions(n_knots: int, n_steps: int) -> list[float]:
+    """Return where steps lie between the knots of a course: 0 at the first knot, n_knots - 1 at the last."""
+    return np.linspace(0.0, n_knots - 1.0, n_steps).tolist()
+
+
+def between(knots: Floats, position: float) -> Floats:
+    """Return actions at one of :func:`positions`, linear between knots (..., n_knots, n_wtg, n_action)."""
+    left = min(int(position), knots.shape[-3] - 2)
+    before, after = knots[..., left, :, :], knots[..., left + 1, :, :]
+    return before + (position - left) * (after - before)
+
+
+def course(knots: Floats, n_steps: int) -> Candidates:
+    """Return actions that are linear in time between knots, (n_scenarios, n_candidates, n_knots, n_wtg, n_action)."""
+    steps = positions(knots.shape[2], n_steps)
+    return lambda step, _own: between(knots, steps[step])

@@ -1,0 +1,126 @@
+"""Small signal, for docs/validation.md: the paper's loop against the simulator, its margins, and the system's modes.
+
+    python docs/studies/small_signal.py [FOLDER]        FOLDER holds validation.md; docs by default
+
+The paper's transfer functions describe one WTG on an infinite bus. The simulator, linearised numerically from the
+right-hand side that it integrates, must have the same poles there.
+"""
+
+import numpy as np
+from output import folder as output_folder
+
+from wtg_gym.files import markdown_table, update_between_markers
+from wtg_gym.physics.machine_parameters import classical_machine
+from wtg_gym.physics.modes import linearise, modes, synchronising_coefficients
+from wtg_gym.physics.network import Branch, Bus, NetworkCase
+from wtg_gym.physics.parameters import WtgGroup
+from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.scenario import Scenario
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
+from wtg_gym.reproduce.loops import single_machine
+from wtg_gym.scenarios import get_suite
+
+WINDS = (8.0, 11.4)
+INFINITE_MVA = 1e9  # so large a machine that nothing moves it
+SLOW = -5.0  # real eigenvalues to the left of this are not listed one by one [1/s]
+
+
+def infinite_bus(reactance_pu=0.2):
+    """Return a plant of one WTG group (50 MW) behind a reactance [p.u. of 100 MVA] at an infinite bus, 50 Hz."""
+    case = NetworkCase(
+        name="infinite bus",
+        base_mva=100.0,
+        frequency_hz=50.0,
+        slack_bus=1,
+        buses=(Bus(number=1, voltage_pu=1.0), Bus(number=2, voltage_pu=1.0)),
+        branches=(Branch(from_bus=1, to_bus=2, resistance=0.0, reactance=reactance_pu),),
+        machines=(classical_machine(bus=1, rating_mva=INFINITE_MVA, two_h_s=1e3, damping_pu=0.0, x_d_transient=1e-3),),
+    )
+    return PlantSettings(case=case, groups=(WtgGroup(bus=2, n_turbines=10.0),))
+
+
+def compare(law, wind_m_s, side, settings):
+    """Return the paper's loop on an infinite bus at the K_p of that network, and how far its poles are off.
+
+    The distance is the largest from a pole to the simulator's nearest eigenvalue, relative to the pole.
+    """
+    scenario = Scenario(name="infinite bus", wind_speed=np.array([[wind_m_s]]), load_noise_bus=1)
+    k_p = float(synchronising_coefficients(scenario, law, settings)[0, 0])
+    loop = single_machine(law, wind_m_s, k_p, side=side, turbine=settings.turbine)
+    poles = loop.closed_loop_poles()
+    eigenvalues = np.linalg.eigvals(linearise(scenario, law, settings, side=side).matrix)
+    nearest = np.array([eigenvalues[np.argmin(np.abs(eigenvalues - pole))] for pole in poles])
+    return loop, float((np.abs(nearest - poles) / np.abs(poles)).max())
+
+
+def sides(law):
+    """Return the slopes of g(ω) that differ at the set-point: the margins on both belong into the table."""
+    return ("under", "over") if law.k_min != law.k_max else ("under",)
+
+
+def margins_table():
+    """Return the margins on an infinite bus and in the 14-bus system, a law and a wind in one row."""
+    plant, paper = infinite_bus(), get_suite("paper").scenario(0)
+    differences, rows = [], []
+    for law in STRATEGIES.values():
+        in_system = dict(zip(paper.wind_speed[:, 0], np.diag(synchronising_coefficients(paper, law)), strict=True))
+        for wind in WINDS:
+            alone, difference = zip(*(compare(law, wind, side, plant) for side in sides(law)), strict=True)
+            system = [single_machine(law, wind, float(in_system[wind]), side=side) for side in sides(law)]
+            differences += difference
+            cells = []
+            for loops in (alone, system):
+                texts = [f"{loop.margins().phase_margin_deg:.1f}" for loop in loops]
+                # One number where the slopes of g(ω) do not differ.
+                cells += [f"{loops[0].synchronising_coefficient:.3f}", " / ".join(dict.fromkeys(texts))]
+            rows.append((law.name, f"{wind:g}", *cells))
+    header = ("law", "wind [m/s]", "K_p, infinite bus", "margin [°]", "K_p, 14 buses", "margin [°]")
+    return (
+        f"Largest relative difference of a closed-loop pole between both models: {max(differences):.0e}.\n\n"
+        + markdown_table(header, rows, right=range(1, 6))
+    )
+
+
+def modes_table():
+    """Return the oscillating modes as a table, the others as a list, each with the states that take part most."""
+    scenario, plant = get_suite("paper").scenario(0), PlantSettings()
+    by_law = {name: modes(linearise(scenario, name)) for name in (REFERENCE_STRATEGY, "coordinated-undamped")}
+    # Names for people: machines by their bus, WTG groups counted from 1.
+    units = {f"sync{i}": f"bus{machine.bus}" for i, machine in enumerate(plant.case.machines)}
+    units.update({f"wtg{j}": f"wtg{j + 1}" for j in range(len(plant.groups))})
+
+    def named(state):
+        unit, _, rest = state.partition(".")
+        return f"{units.get(unit, unit)}.{rest}"
+
+    found = by_law[REFERENCE_STRATEGY]
+    rows = []
+    for mode in (mode for mode in found if mode.frequency_hz > 0.0):
+        shares = [f"{named(state)} {100 * share:.0f} %" for state, share in mode.participation.items() if share >= 0.05]
+        value = minus(f"{mode.eigenvalue.real:.3f} ± j{mode.eigenvalue.imag:.3f}")
+        rows.append((value, f"{mode.frequency_hz:.3f}", f"{mode.damping_ratio:.3f}", ", ".join(shares[:3])))
+    header = ("eigenvalue [1/s]", "frequency [Hz]", "damping ratio", "takes part")
+    real = [mode for mode in found if mode.frequency_hz == 0.0]
+    texts = [f"{minus(f'{mode.eigenvalue.real:.3f}')} ({named(next(iter(mode.participation)))})" for mode in real]
+    n_slow = sum(mode.eigenvalue.real > SLOW for mode in real)
+    undamped = min(
+        (mode for mode in by_law["coordinated-undamped"] if mode.frequency_hz > 0.0),
+        key=lambda mode: mode.damping_ratio,
+    )
+    return (
+        f"{markdown_table(header, rows, right=(1, 2))}\n\n"
+        f"Real eigenvalues [1/s], each with the state that takes part most: {', '.join(texts[:n_slow])}, and "
+        f"{len(texts) - n_slow} from {texts[n_slow]} to {texts[-1]}. Without transient damping the least damped "
+        f"oscillation has ζ = {undamped.damping_ratio:.2f} at {undamped.frequency_hz:.2f} Hz."
+    )
+
+
+def minus(text):
+    """Return a number as text with the sign of print."""
+    return text.replace("-", "−")
+
+
+if __name__ == "__main__":
+    page = output_folder(__doc__) / "validation.md"
+    for section, text in (("small-signal", margins_table()), ("modes", modes_table())):
+        update_between_markers(page, text, section)

@@ -1,0 +1,150 @@
+"""For docs/validation.md: other simulators' traces against runs here, and the error of the integration step.
+
+Two minutes. The golden cases are described in tests/golden/README.md.
+"""
+
+import dataclasses
+
+import numpy as np
+from output import folder
+
+from tests.golden.case import TRACES, read_case, read_trace
+from tests.golden.replay import differences, replay
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.files import markdown_table, update_between_markers
+from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.protection import Status
+from wtg_gym.physics.simulator import Simulator
+from wtg_gym.physics.tracking_law import group_laws
+from wtg_gym.plotting import style
+from wtg_gym.scenarios import get_suite
+
+DEFAULT_S = PlantSettings().simulation_dt
+FINE_S = 0.00125  # half of it changes a golden run by less than a tenth of its tolerance [s]
+
+STEPS_S = (0.0025, 0.005, 0.01, 0.02, DEFAULT_S, 0.1 / 3.0)  # each divides the control step of 0.1 s
+EXACT_S = 0.0005  # the run that the others are compared with [s]
+N_SCENARIOS = 100
+QUANTITIES = {"frequency": "Hz", "rotor speed": "p.u.", "power": "p.u."}
+
+
+def golden_table():
+    """Return the largest differences to the golden traces."""
+    rows, n_agree = [], 0
+    for path in TRACES:
+        case = read_case(path.parent / "params.json")
+        times, trace = read_trace(path)
+        fine, default = (
+            differences(case, trace, replay(case, case.events[path.stem], times, step)) for step in (FINE_S, DEFAULT_S)
+        )
+        n_agree += all(fine[quantity] <= limit for quantity, limit in case.tolerance.items())
+        models = sorted({"GENCLS" if machine.classical else "GENROU" for machine in case.network.machines})
+        rows.append(
+            (
+                f"{path.parent.name}, {path.stem}",
+                f"{len(case.keys)} ({', '.join(models)})",
+                *(f"{fine[quantity]:.1e} ({limit:.0e})" for quantity, limit in case.tolerance.items()),
+                *(f"{default[quantity]:.1e}" for quantity in case.tolerance),
+            )
+        )
+    at = f"at {1e3 * DEFAULT_S:g} ms"
+    table = markdown_table(("case, events", "machines", "w", "Pe", "V", f"w {at}", f"Pe {at}", f"V {at}"), rows)
+    return (
+        f"{n_agree} of {len(rows)} traces agree. Largest differences at a step of {1e3 * FINE_S:g} ms, in brackets the "
+        f"tolerance [p.u.], and at the default step:\n\n{table}"
+    )
+
+
+def samples(version, step_s):
+    """Play scenarios of the standard suite under its law; return every quantity at the end of every control step.
+
+    Returns (n_steps, n_lanes, 3, n_wtg), NaN after a run's end, and the status and the end of every run.
+    """
+    environment = EnvSettings(version=version)
+    suite = get_suite(environment.suite)
+    plant = dataclasses.replace(environment.plant(), simulation_dt=step_s)
+    n_wtg, hertz = len(plant.groups), plant.case.frequency_hz
+    seeds, sizes = list(suite.validation[:N_SCENARIOS]), [group.n_turbines for group in plant.groups]
+    scenarios = suite.scenarios(seeds, n_wtg=n_wtg, n_turbines=sizes)
+    laws = group_laws(environment.strategy, n_wtg, plant.turbine, plant.control)
+    simulator = Simulator(plant, n_lanes=len(scenarios), duration_s=suite.duration_s)
+    simulator.commit(range(len(scenarios)), simulator.prepare(scenarios, laws))
+    found = []
+    for _ in range(simulator.n_intervals):
+        simulator.advance()
+        simulator.evaluate()
+        now = [
+            hertz * simulator.wtg_values("speed"),
+            simulator.wtg_values("rotor_speed"),
+            simulator.wtg_values("power"),
+        ]
+        running = simulator.lane_values("status") == Status.RUNNING
+        found.append(np.where(running[:, None, None], np.stack(now, axis=1), np.nan))
+    status = simulator.lane_values("status").copy()
+    simulator.close()
+    return np.array(found), status
+
+
+def errors(version):
+    """Return the largest error of each quantity in each scenario, (n_steps, n_scenarios, 3), and of the exact run."""
+    exact, status = samples(version, EXACT_S)
+    found = []
+    for step_s in (2.0 * EXACT_S, *STEPS_S):
+        own, own_status = samples(version, step_s)
+        assert (own_status == status).all(), f"{version}: another run fails with steps of {1e3 * step_s:g} ms"
+        found.append(np.nanmax(np.abs(own - exact), axis=(0, 3)))
+    return np.array(found[1:]), found[0]
+
+
+def step_table(found):
+    """Return median and worst error of each step and version."""
+    rows = []
+    for i, step_s in enumerate(STEPS_S):
+        for version, (error, _) in found.items():
+            cells = [f"{1e3 * step_s:.3g}", version]
+            cells += [f"{np.median(error[i, :, q]):.1e} / {error[i, :, q].max():.1e}" for q in range(len(QUANTITIES))]
+            rows.append([f"**{cell}**" for cell in cells] if step_s == DEFAULT_S else cells)
+    header = ("step [ms]", "version", *(f"{name} [{unit}]" for name, unit in QUANTITIES.items()))
+    doubling = max(float(own[:, 0].max()) for _, own in found.values())
+    return (
+        f"{N_SCENARIOS} validation scenarios of each standard suite under its own law. An error is the largest of any "
+        f"WTG group at the end of a control step, over an episode: median / worst scenario, beside a run with steps of "
+        f"{1e3 * EXACT_S:g} ms, in which the frequency changes by {doubling:.0e} Hz at most if they are twice as "
+        f"long.\n\n{markdown_table(header, rows, right=(0,))}"
+    )
+
+
+@style.printed
+def draw(found):
+    """Draw the error of frequency and of power against the step; dotted the median scenario, full the worst."""
+    figure = style.new_figure(style.DOUBLE_COLUMN_MM, 70.0)
+    steps = 1e3 * np.array(STEPS_S)
+    for axes, quantity in zip(figure.subplots(1, 2, sharex=True), ("frequency", "power"), strict=True):
+        q = list(QUANTITIES).index(quantity)
+        for version, colour, marker in zip(found, style.PALETTE, style.MARKERS, strict=False):
+            error = found[version][0][:, :, q]
+            axes.loglog(steps, error.max(axis=1), marker=marker, color=colour, label=f"{version}, worst scenario")
+            axes.loglog(steps, np.median(error, axis=1), ":", color=colour, label=f"{version}, median scenario")
+        median = np.median(found["v0"][0][:, :, q], axis=1)
+        guide = median[-1] * (steps / steps[-1]) ** 4
+        axes.loglog(steps, guide, color=style.REFERENCE_GREY, linewidth=0.6, label="fourth order")
+        axes.axvline(1e3 * DEFAULT_S, **style.REFERENCE)
+        axes.set_xticks(steps, [f"{step:.3g}" for step in steps], minor=False)
+        axes.set_xticks([], minor=True)
+        axes.set_xlabel("step [ms]")
+        axes.set_ylabel(f"error of {quantity} [{QUANTITIES[quantity]}]")
+    handles, names = axes.get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=len(names))
+    return figure
+
+
+def main(docs):
+    """Renew the page and its picture."""
+    found = {version: errors(version) for version in ("v0", "v1")}
+    style.save_figure(draw(found), docs / "validation" / "accuracy", ["svg"])
+    update_between_markers(docs / "validation.md", step_table(found), "accuracy")
+    update_between_markers(docs / "validation.md", golden_table(), "golden")
+
+
+if __name__ == "__main__":
+    main(folder(__doc__))

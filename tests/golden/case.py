@@ -1,0 +1,217 @@
+"""The golden cases: network, machines and events of a `params.json`, and the traces beside it.
+
+All in p.u. of `Sbase` except machine data, which are on the machine's own base `Sn`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wtg_gym.physics.layout import Floats
+from wtg_gym.physics.machine_parameters import (
+    ExciterParameters,
+    GovernorParameters,
+    HydroGovernorParameters,
+    SynchronousMachineParameters,
+    classical_machine,
+)
+from wtg_gym.physics.network import Branch, Bus, NetworkCase
+from wtg_gym.physics.scenario import LoadStep
+
+GOLDEN = Path(__file__).parent
+#: Every trace.
+TRACES = sorted(GOLDEN.glob("*/*.csv"))
+
+#: The file's names of what a record has.
+_MACHINE = {"rating_mva": "Sn", "two_h_s": "M", "x_d_transient": "xd1", "damping_pu": "D", "resistance": "ra"}
+_GENROU = {
+    "x_d": "xd",
+    "x_q": "xq",
+    "x_q_transient": "xq1",
+    "x_subtransient": "xd2",
+    "x_leakage": "xl",
+    "t_d0_transient_s": "Td10",
+    "t_d0_subtransient_s": "Td20",
+    "t_q0_transient_s": "Tq10",
+    "t_q0_subtransient_s": "Tq20",
+}
+_EXCITER = {
+    "gain": "K",
+    "lead_lag_ratio": "TATB",
+    "lag_time_s": "TB",
+    "exciter_time_s": "TE",
+    "field_min_pu": "EMIN",
+    "field_max_pu": "EMAX",
+}
+_GOVERNOR = {
+    "droop_pu": "R",
+    "gate_time_s": "T1",
+    "lead_time_s": "T2",
+    "reheat_time_s": "T3",
+    "gate_min_pu": "VMIN",
+    "gate_max_pu": "VMAX",
+    "turbine_damping_pu": "Dt",
+    "dead_band_pu": "db",
+}
+_HYDRO_GOVERNOR = {
+    "droop_pu": "R",
+    "temporary_droop_pu": "r",
+    "reset_time_s": "Tr",
+    "filter_time_s": "Tf",
+    "gate_time_s": "Tg",
+    "gate_rate_limit_pu_s": "VELM",
+    "gate_min_pu": "GMIN",
+    "gate_max_pu": "GMAX",
+    "water_time_s": "Tw",
+    "turbine_gain": "At",
+    "turbine_damping_pu": "Dt",
+    "no_load_flow_pu": "qNL",
+    "dead_band_pu": "db",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """The contents of a `params.json`."""
+
+    network: NetworkCase  # with its machines, in the order of `keys`
+    keys: tuple[str, ...]  # the file's names of the machines
+    voltage: Mapping[int, complex]  # of each bus in the file's power flow, by bus number [p.u.]
+    power: Mapping[str, complex]  # P + jQ of each machine in the file's power flow [p.u.]
+    events: Mapping[str, tuple[LoadStep, ...]]  # by the name of their trace
+    tolerance: Mapping[str, float]  # allowed largest difference by quantity: "w", "Pe", "V" [p.u.]
+
+    @property
+    def columns(self) -> dict[str, str]:
+        """Return the quantity of every column that a trace may have, in the order of a replay."""
+        machines = {f"{quantity}{key}": quantity for quantity in ("w", "Pe", "Qe", "Tm", "delta") for key in self.keys}
+        return machines | {f"{quantity}{bus}": quantity for quantity in ("V", "th") for bus in self.network.bus_numbers}
+
+
+def read_case(path: Path, **changes: Any) -> Case:
+    """Read a `params.json`, with other values of some of its keys."""
+    data = json.loads(path.read_text(encoding="utf-8")) | changes
+    base = data["Sbase"]
+    voltage = {bus["bus"]: bus["V"] * np.exp(1j * bus["theta"]) for bus in data["bus"]}
+    loads = dict.fromkeys(voltage, 0j) | {load["bus"]: complex(load["P"], load["Q"]) for load in data["load"]}
+    shunts = dict.fromkeys(voltage, 0j) | {shunt["bus"]: complex(shunt["g"], shunt["b"]) for shunt in data["shunt"]}
+    power = {
+        key: complex(static["P"] * gen["gammap"], static["Q"] * gen["gammaq"])
+        for key, gen in data["gens"].items()
+        for static in [data["gen_static"][str(gen["bus"])]]
+    }
+    controls = _controls(data)
+    machines = tuple(_machine(gen, base, power[key], *controls(key)) for key, gen in data["gens"].items())
+    held = {machine.bus for machine in machines}
+    network = NetworkCase(
+        name=path.parent.name,
+        base_mva=base,
+        frequency_hz=data["fn"],
+        # Every machine's power is given, so that any of their buses can take the slack; the angle's zero is a choice.
+        slack_bus=min(held, key=lambda number: abs(np.angle(voltage[number]))),
+        buses=tuple(
+            Bus(
+                number=number,
+                load_mw=base * loads[number].real,
+                load_mvar=base * loads[number].imag,
+                shunt_mw=base * shunts[number].real,
+                shunt_mvar=base * shunts[number].imag,
+                voltage_pu=abs(voltage[number]) if number in held else None,
+            )
+            for number in voltage
+        ),
+        branches=tuple(
+            Branch(
+                from_bus=line["f"],
+                to_bus=line["t"],
+                resistance=line["r"],
+                reactance=line["x"],
+                charging=line["b"],
+                tap=line["tap"],
+                phase_rad=line["phi"],
+            )
+            for line in data["line"]
+        ),
+        machines=machines,
+    )
+    return Case(
+        network=network,
+        keys=tuple(power),
+        voltage=voltage,
+        power=power,
+        events={
+            name: tuple(_event(event, base, voltage, loads) for event in events)
+            for name, events in data["events"].items()
+        },
+        tolerance={"w": 1e-6, "Pe": 1e-5, "V": 1e-5} | data.get("tolerance", {}),
+    )
+
+
+def _named(names: Mapping[str, str], given: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: float(given[key]) for name, key in names.items() if key in given}
+
+
+def _controls(data: Mapping[str, Any]) -> Any:
+    """Return what gives the governor and the exciter of a machine by its key, or None."""
+
+    def of(kind: str, key: str) -> Any:
+        entries = data.get(kind, [])
+        entries = [entries] if isinstance(entries, dict) else entries
+        return next((entry for entry in entries if entry["gen"] == key), None)
+
+    def controls(key: str) -> tuple[GovernorParameters | HydroGovernorParameters | None, ExciterParameters | None]:
+        steam, hydro, exciter = of("tgov1", key), of("hygov", key), of("sexs", key)
+        governor: GovernorParameters | HydroGovernorParameters | None = None
+        if steam is not None:
+            governor = GovernorParameters(**_named(_GOVERNOR, steam))
+        elif hydro is not None:
+            governor = HydroGovernorParameters(**_named(_HYDRO_GOVERNOR, hydro))
+        return governor, None if exciter is None else ExciterParameters(**_named(_EXCITER, exciter))
+
+    return controls
+
+
+def _machine(
+    gen: Mapping[str, Any],
+    base: float,
+    power: complex,
+    governor: GovernorParameters | HydroGovernorParameters | None,
+    exciter: ExciterParameters | None,
+) -> SynchronousMachineParameters:
+    common: dict[str, Any] = {
+        **_named(_MACHINE, gen),
+        "bus": gen["bus"],
+        "dispatch_mw": base * power.real,
+        # Only the proportions of the weights count.
+        "reactive_weight": base * gen["gammaq"],
+        "governor": governor,
+    }
+    if gen.get("model", "GENCLS") == "GENCLS":
+        return classical_machine(**common)
+    assert gen["xd2"] == gen["xq2"], "the network is a constant admittance"
+    return SynchronousMachineParameters(exciter=exciter, **_named(_GENROU, gen), **common)
+
+
+def _event(
+    entry: Mapping[str, Any], base: float, voltage: Mapping[int, complex], loads: Mapping[int, complex]
+) -> LoadStep:
+    """Return an event as the power that its admittance takes at the bus's initial voltage."""
+    bus = entry["bus"]
+    power = complex(entry.get("dG_pu", 0.0), -entry.get("dB_pu", 0.0)) * abs(voltage[bus]) ** 2
+    if "trip_load_MW" in entry:
+        # A part of a load takes its reactive power along.
+        power -= entry["trip_load_MW"] / base / loads[bus].real * loads[bus]
+    return LoadStep(time_s=entry["t"], bus=bus, power_mw=base * power.real, reactive_mvar=base * power.imag)
+
+
+def read_trace(path: Path) -> tuple[Floats, dict[str, Floats]]:
+    """Return the times of a trace (n,) [s] and its columns (n,) by name, such as ``w1`` or ``V14``."""
+    names = path.read_text(encoding="utf-8").partition("\n")[0].split(",")
+    table = np.loadtxt(path, delimiter=",", skiprows=1)
+    return table[:, 0], {name: table[:, i] for i, name in enumerate(names) if i}

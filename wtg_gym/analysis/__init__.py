@@ -1,1 +1,0 @@
-"""Evidence: steady states, small signal, the paper's claims, other simulators' traces, step error, benchmarks."""

@@ -1,0 +1,175 @@
+"""The leaderboard as one HTML file that needs nothing but a browser: tables and charts by Bokeh, written into it.
+
+Bokeh is of the `leaderboard` extra and is imported only when a page is made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from typing import Any
+
+from wtg_gym.envs.rendering.colours import GROUPS, LINE
+from wtg_gym.evaluation import Results, leaderboard_rows, table_cells
+from wtg_gym.evaluation.leaderboard import columns_of
+from wtg_gym.evaluation.matrix import changed_sensors, matrix_of, score_text
+
+#: A colour per kind of entry.
+_COLOURS = {"law": GROUPS[1], "feedback": GROUPS[2], "learned": GROUPS[0]}
+#: Compares texts that begin with numbers; empty ones and words come last.
+_BY_NUMBER = """
+const number = (text) => { const value = parseFloat(text); return Number.isNaN(value) ? Infinity : value; };
+return Math.sign(number(x) - number(y)) || 0;
+"""
+#: Which rows the filters leave, of the table and of the charts.
+_IS_SHOWN = """
+const kinds = kind.active.map((place) => kind.labels[place]);
+const wanted = name.value_input.toLowerCase();
+const {name: names, kind: own} = source.data;
+return names.map((text, row) => text.toLowerCase().includes(wanted) && kinds.includes(own[row]));
+"""
+#: Sizes [pixels].
+_CHARACTER_WIDTH, _ROW_HEIGHT, _CHART_HEIGHT = 6, 26, 420
+
+
+def leaderboard_page(results: Sequence[Results]) -> str:
+    """Return the leaderboard as one HTML file: a tab per ranking, and one with the scores on every suite.
+
+    The suites of the latest version come first. Results with other sensors than the suite's own, and those of scenarios
+    without a scale, are columns of the last tab alone.
+
+    Args:
+        results: at most one of each suite, split and kind of sensors.
+
+    Raises:
+        ImportError: Bokeh is missing.
+        ValueError: there is no ranking in the results, or they hold the same scenarios twice.
+    """
+    from bokeh.embed import file_html
+    from bokeh.models import TabPanel, Tabs
+    from bokeh.resources import INLINE
+
+    results = sorted(results, key=lambda each: each.benchmark.version, reverse=True)
+    ranked = [each for each in results if each.has_scale and not changed_sensors(each)]
+    if not ranked:
+        raise ValueError("the page needs results with a score and with the suite's own sensors")
+    names = [each.name for each in ranked]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise ValueError(f"results of the same scenarios were given twice: {', '.join(twice)}")
+    panels = [TabPanel(title=each.name, child=_ranking(each)) for each in ranked]
+    for benchmark in dict.fromkeys(each.benchmark for each in results):
+        own = [each for each in results if each.benchmark == benchmark]
+        if len(own) > 1:
+            panels.append(TabPanel(title=f"every suite of {benchmark.version}", child=_every_suite(own)))
+    text: str = file_html(Tabs(tabs=panels), INLINE, title="wtg_gym: leaderboard")
+    return text
+
+
+def _ranking(results: Results) -> Any:
+    """Return filters, table and charts of one ranking."""
+    from bokeh.layouts import column, row
+    from bokeh.models import CDSView, CheckboxButtonGroup, ColumnDataSource, CustomJS, CustomJSFilter, Div, TextInput
+
+    rows = leaderboard_rows(results)
+    heads = list(columns_of(results.benchmark.version))
+    cells = dict(zip(heads, zip(*table_cells(rows), strict=True), strict=True))
+    filled = [head for head in heads if any(cells[head])]
+    source = ColumnDataSource(
+        {
+            **{head: list(cells[head]) for head in filled},
+            "name": [each.name for each in rows],
+            "kind": [each.kind for each in rows],
+            "colour": [_COLOURS[each.kind] for each in rows],
+            "score_value": [each.score.value for each in rows],
+            "score_low": [each.score.low for each in rows],
+            "score_high": [each.score.high for each in rows],
+            "deviation": [each.median_deviation_mhz for each in rows],
+            "failures": [each.failures_percent for each in rows],
+        },
+        name=results.name,
+    )
+    kinds = [kind for kind in _COLOURS if kind in source.data["kind"]]
+    kind = CheckboxButtonGroup(labels=kinds, active=list(range(len(kinds))))
+    name = TextInput(placeholder="part of a name")
+    view = CDSView(filter=CustomJSFilter(args={"kind": kind, "name": name}, code=_IS_SHOWN))
+    filtered = CustomJS(args={"source": source}, code="source.change.emit()")
+    kind.js_on_change("active", filtered)
+    name.js_on_change("value_input", filtered)
+    zero, hundred = results.benchmark.anchors
+    words = Div(
+        text=f"<b>{escape(results.benchmark.env_id)}</b>, suite {escape(results.suite)}: {len(results.seeds)} "
+        f"{escape(results.split)} scenarios. Score 0 is {zero}, 100 is {hundred}; in brackets are 95 % intervals. "
+        "Points say which terms of the cost a score above or below 100 comes from. A click on a heading sorts; rows "
+        "that are chosen stand out in the charts.",
+        width=1200,
+    )
+    charts = row(_score_chart(source, view), _failure_chart(source, view))
+    # What the score is made of, and what happened.
+    cut = next(place for place, head in enumerate(filled) if head.startswith("failures"))
+    tables = _table(source, filled[:cut], view), _table(source, ["entry", *filled[cut:]], view)
+    return column(words, row(kind, name), *tables, charts)
+
+
+def _table(source: Any, heads: Sequence[str], view: Any) -> Any:
+    from bokeh.models import CustomJSCompare, DataTable, HTMLTemplateFormatter, TableColumn
+
+    # Texts of entries are shown, never taken as HTML.
+    plain = HTMLTemplateFormatter(template="<%- value %>")
+    columns = []
+    for head in heads:
+        sorter = {} if head in ("entry", "kind") else {"sorter": CustomJSCompare(code=_BY_NUMBER)}
+        width = 18 + _CHARACTER_WIDTH * max(map(len, [head, *source.data[head]]))
+        columns.append(TableColumn(field=head, title=escape(head), width=width, formatter=plain, **sorter))
+    return DataTable(
+        source=source,
+        view=view,
+        columns=columns,
+        index_position=None,
+        autosize_mode="none",
+        reorderable=False,
+        row_height=_ROW_HEIGHT,
+        width=20 + sum(each.width for each in columns),
+        # A row more for the headings.
+        height=min(10 + _ROW_HEIGHT * (1 + len(source.data[heads[0]])), 600),
+    )
+
+
+def _chart(title: str, x: str, y: str, **settings: Any) -> Any:
+    from bokeh.models import HoverTool
+    from bokeh.plotting import figure
+
+    made = figure(title=title, x_axis_label=x, y_axis_label=y, width=640, tools="pan,box_zoom,tap,reset", **settings)
+    made.toolbar.logo = None
+    made.add_tools(HoverTool(tooltips=[("", "@name"), ("score", "@score"), ("failures", "@failures{0.0} %")]))
+    return made
+
+
+def _score_chart(source: Any, view: Any) -> Any:
+    from bokeh.models import FactorRange
+
+    names = list(source.data["name"])
+    height = max(_CHART_HEIGHT, 60 + 16 * len(names))
+    made = _chart("Scores with 95 % intervals", "score", "", y_range=FactorRange(*reversed(names)), height=height)
+    made.vspan([0.0, 100.0], line_color=LINE)
+    made.segment("score_low", "name", "score_high", "name", source=source, view=view, color="colour", line_width=2)
+    made.scatter("score_value", "name", source=source, view=view, color="colour", size=8)
+    return made
+
+
+def _failure_chart(source: Any, view: Any) -> Any:
+    y = "median of the largest deviations [mHz]"
+    made = _chart("Deviation of the frequency against failures", "failures [%]", y, height=_CHART_HEIGHT)
+    made.scatter("failures", "deviation", source=source, view=view, color="colour", size=9, legend_group="kind")
+    return made
+
+
+def _every_suite(results: Sequence[Results]) -> Any:
+    """Return the table of the scores on every suite."""
+    from bokeh.layouts import column
+    from bokeh.models import CDSView, ColumnDataSource, Div
+
+    matrix = matrix_of(results)
+    texts = zip(*matrix.texts(score_text), strict=True)
+    source = ColumnDataSource({head: list(own) for head, own in zip(matrix.header(), texts, strict=True)})
+    words = f"<b>{escape(matrix.benchmark.env_id)}</b>, mean scores: {escape(matrix.describe())}"
+    return column(Div(text=words), _table(source, matrix.header(), CDSView()))

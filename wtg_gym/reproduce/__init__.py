@@ -1,0 +1,1 @@
+"""What `wtg-gym reproduce` needs: steady states, single-machine loops, the paper's claims and its figures."""
