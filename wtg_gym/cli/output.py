@@ -9,13 +9,10 @@ import os
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from wtg_gym.extras import install_advice
-from wtg_gym.files import printable, require_markers, to_json, update_between_markers, write_atomically
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from wtg_gym.files import printable, require_markers, update_between_markers, write_atomically
 
 #: Formats that figures are written in.
 FIGURE_FORMATS = ("svg", "png", "pdf")
@@ -145,23 +142,3 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, left: S
             for index, (cell, width) in enumerate(zip(row, widths, strict=True))
         )
         say("  ".join(aligned).rstrip())
-
-
-# --- studies ----------------------------------------------------------------------------------------------------------
-
-
-def study_folder(text: str | None) -> Path | None:
-    """Return the folder of `--output`, or raise a ValueError now rather than after the work; None for no files."""
-    folder = None if text is None else check_output_folder("--output", text)
-    if folder is not None:
-        require_extra("matplotlib", "--output")
-    return folder
-
-
-def write_study(folder: Path, name: str, data: Any, figures: Mapping[str, Figure], formats: Sequence[str]) -> None:
-    """Write the figures of a study and its numbers, JSON-ready, into a folder, and say so."""
-    from wtg_gym.plotting import save_figure
-
-    paths = [path for file, figure in figures.items() for path in save_figure(figure, folder / file, formats)]
-    write_atomically(folder / f"{name}.json", to_json(data))
-    note(f"wrote {', '.join([f'{name}.json', *(path.name for path in paths)])} in {folder}")

@@ -30,10 +30,6 @@ _EXAMPLES = """\
   wtg-gym suites --check                               compare the hashes with the frozen ones"""
 
 
-#: Suites with random scenarios.
-DRAWN_SUITES = [name for name, suite in SUITES.items() if suite.distribution is not None]
-
-
 def suites_by_version() -> str:
     """Return the names of all suites, those of each version of the benchmark together."""
     found: dict[str, list[str]] = {}
