@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import sys
 import time
 from types import TracebackType
@@ -29,7 +28,7 @@ class Progress:
         self._first: tuple[float, float] | None = None
 
     def __enter__(self) -> Progress:
-        if sys.stderr.isatty() and importlib.util.find_spec("rich") is not None:
+        if sys.stderr.isatty():
             from rich.console import Console
             from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
             from rich.progress import Progress as Bar

@@ -51,9 +51,6 @@ def test_template_with_a_policy_is_accepted_once_it_is_filled_in(
     assert main(["submission", "check", str(target)]) == 0
     said = capsys.readouterr().out
     assert said.count(" passed ") == 6 and "accepted, sha256" in said
-    for wrong, text in ((target, "has entry.toml already"), (tmp_path / "a b", "the folder's name must be 1 … 80")):
-        assert text in error_of(capsys, "submission", "new", str(wrong))
-    assert not (tmp_path / "a b").exists()
 
 
 def test_check_prints_every_check_and_why_one_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -96,9 +93,6 @@ def test_score_ranks_what_is_not_refused(capsys: pytest.CaptureFixture[str], tmp
     said = capsys.readouterr()
     assert said.out == "" and "Mine, training seed 0 is given twice" in said.err
     assert not list((tmp_path / "s").rglob("*.*"))
-    assert "unknown suite" in error_of(capsys, "submission", "score", str(good), "--suite", "storm")
-    for command in ("score", "check"):
-        assert "there is no folder nowhere" in error_of(capsys, "submission", command, str(good), "nowhere")
 
 
 def test_score_refuses_what_is_for_another_version(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -6,40 +6,33 @@ stdout; progress, notes and errors go to stderr.
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
-from collections.abc import Mapping, Sequence
-from importlib import import_module
+from collections.abc import Sequence
+
+from cyclopts import App, CycloptsError
 
 from wtg_gym import __version__
 from wtg_gym.cli.output import note, one_line
-from wtg_gym.cli.parser import Commands, Parser
 
-#: What commands do, by module and name, in the order of the help.
+#: The commands in the order of the help: where each is, and what it does.
 _COMMANDS = {
-    "simulate": {"simulate": "one scenario under one or several strategies: key figures, figure, traces"},
-    "live": {
-        "play": "hold the frequency by hand, in the browser, against the reference",
-    },
-    "evaluate": {
-        "evaluate": "score entries on scenarios of a suite",
-        "leaderboard": "rank entries on a suite and write the table to a README",
-    },
-    "results_command": {
-        "results": "stored results: show them, compute them again, compare; all suites, other sensors and weights"
-    },
-    "submission": {"submission": "policies of others: write a template, check a folder, score it in isolation"},
-    "suites_command": {"suites": "the suites of scenarios, one scenario, or a check of the hashes"},
-    "reproduce": {"reproduce": "the paper's figures and claims, measured"},
-    "warmup": {"warmup": "compile the simulator before its first use"},
+    "simulate": ("simulate:simulate_scenario", "one scenario under one or several strategies: key figures, figure"),
+    "play": ("play:play", "hold the frequency by hand, in the browser, against the reference"),
+    "evaluate": ("evaluate:evaluate", "score entries on scenarios of a suite"),
+    "leaderboard": ("evaluate:leaderboard", "rank entries on a suite and write the table to a README"),
+    "results": ("results:app", "stored results: show them, compute them again, compare; all suites, other sensors"),
+    "submission": ("submission:app", "policies of others: write a template, check a folder, score it in isolation"),
+    "suites": ("suites:suites", "the suites of scenarios, one scenario, or a check of the hashes"),
+    "reproduce": ("reproduce:reproduce", "the paper's figures and claims, measured"),
+    "warmup": ("warmup:warmup", "compile the simulator before its first use"),
 }
 
 _DESCRIPTION = """\
 Primary frequency regulation with grid-forming wind turbine generators on the modified IEEE 14-bus system: simulate
 single scenarios, score controllers on frozen suites of scenarios, and rank them."""
 
-_EPILOG = """\
+_EPILOGUE = """\
 first steps:
   wtg-gym simulate                                   the paper's load increase under the reference strategy
   wtg-gym simulate --strategy all --plot run.png     under every strategy, with a figure
@@ -54,25 +47,26 @@ exit codes: 0 fine, 1 a check failed, 2 bad input, 130 interrupted, 141 the outp
 """
 
 
-def build_parser(argv: Sequence[str]) -> argparse.ArgumentParser:
-    """Return the parser of a command line; of the commands only the one that it names has more than a summary.
+def build_app(words: Sequence[str]) -> App:
+    """Return the program for a command line; of the commands only the one that it names is imported.
 
     Each needs other packages, some of which take half a second to import.
     """
-    words = [word for word in argv if not word.startswith("-")]
-    parser = Parser(prog="wtg-gym", description=_DESCRIPTION, epilog=_EPILOG)
-    parser.add_argument("--version", action="version", version=f"wtg-gym {__version__}")
-    _add(parser.add_subparsers(title="commands", metavar="COMMAND", required=True), _COMMANDS, words)
-    return parser
-
-
-def _add(commands: Commands, modules: Mapping[str, Mapping[str, str]], words: Sequence[str]) -> None:
-    for module, summaries in modules.items():
-        if not words or words[0] not in summaries:
-            for name, summary in summaries.items():
-                commands.add_parser(name, help=summary)
-        else:
-            import_module(f"wtg_gym.cli.{module}").add_commands(commands)
+    named = next((word for word in words if not word.startswith("-")), None)
+    app = App(
+        name="wtg-gym",
+        version=f"wtg-gym {__version__}",
+        help=_DESCRIPTION,
+        help_format="plaintext",
+        suppress_keyboard_interrupt=False,
+    )
+    if named is None:
+        app.help_epilogue = _EPILOGUE
+    for order, (name, (place, summary)) in enumerate(_COMMANDS.items()):
+        # Its own docstring is the longer help of a command.
+        text = {} if name == named else {"help": summary}
+        app.command(f"wtg_gym.cli.{place}", name=name, sort_key=order, **text)
+    return app
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -81,22 +75,24 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         The exit code: 0 fine, 1 a check failed, 2 bad input, 130 interrupted, 141 the output's reader is gone.
     """
-    arguments = argparse.Namespace(after_interrupt="nothing was written")
+    words = sys.argv[1:] if argv is None else list(argv)
     try:
-        given = sys.argv[1:] if argv is None else argv
-        build_parser(given).parse_args(given, arguments)
-        code: int = arguments.run(arguments)
+        code = build_app(words)(words, exit_on_error=False, print_error=False, result_action="return_value")
         sys.stdout.flush()
-        return code
+        return int(code or 0)
     except KeyboardInterrupt:
         # Below the ^C of a terminal.
         print(file=sys.stderr)
-        note(f"wtg-gym: interrupted; {arguments.after_interrupt}")
+        note("wtg-gym: interrupted")
         return 130
     except BrokenPipeError:
         # The reader of a pipe has seen enough; the interpreter must not complain when it flushes at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
+    except CycloptsError as error:
+        command = " ".join(("wtg-gym", *(error.command_chain or ())))
+        note(f"wtg-gym: error: {one_line(error)} (see: {command} --help)")
+        return 2
     except (ValueError, OSError) as error:
         note(f"wtg-gym: error: {one_line(error)}")
         return 2
@@ -105,4 +101,4 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
 
 
-__all__ = ["build_parser", "main"]
+__all__ = ["build_app", "main"]

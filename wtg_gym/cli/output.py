@@ -14,10 +14,6 @@ from typing import Any
 from wtg_gym.extras import install_advice
 from wtg_gym.files import printable, require_markers, update_between_markers, write_atomically
 
-#: Formats that figures are written in.
-FIGURE_FORMATS = ("svg", "png", "pdf")
-#: What the file of a figure may end with.
-PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 #: Most characters of an error's message.
 _LONGEST_ERROR = 1500
 
@@ -51,27 +47,22 @@ def require_extra(package: str, purpose: str) -> None:
         raise ValueError(f"{purpose} needs {package}; {install_advice('leaderboard')} ({error})") from error
 
 
-def check_output_file(option: str, text: str, suffixes: Sequence[str]) -> Path:
-    """Return the path of a file to write, or raise a ValueError now rather than after the work."""
-    path = Path(text)
+def check_output_file(option: str, path: Path, suffixes: Sequence[str]) -> None:
+    """Raise a ValueError now, rather than after the work, if a file cannot be written."""
     if path.suffix.lower() not in suffixes:
-        raise ValueError(f"{option} {text}: unknown kind of file {path.suffix!r}; it must end in {', '.join(suffixes)}")
+        raise ValueError(f"{option} {path}: unknown kind of file {path.suffix!r}; it must end in {', '.join(suffixes)}")
     if path.exists() and not path.is_file():
-        raise ValueError(f"{option} {text}: it exists and is not a file")
+        raise ValueError(f"{option} {path}: it exists and is not a file")
     if not path.parent.is_dir():
-        raise ValueError(f"{option} {text}: there is no folder {path.parent}; create it first")
+        raise ValueError(f"{option} {path}: there is no folder {path.parent}; create it first")
     if not os.access(path.parent, os.W_OK):
-        raise ValueError(f"{option} {text}: the folder {path.parent} is not writable")
-    return path
+        raise ValueError(f"{option} {path}: the folder {path.parent} is not writable")
 
 
-def check_plot_file(text: str | None, suffixes: Sequence[str] = PLOT_SUFFIXES) -> Path | None:
-    """Return the path of `--plot`, or raise a ValueError now rather than after the work; None for no figure."""
-    if text is None:
-        return None
-    path = check_output_file("--plot", text, suffixes)
+def check_plot_file(path: Path) -> None:
+    """Raise a ValueError now, rather than after the work, if the figure of `--plot` cannot be drawn or written."""
+    check_output_file("--plot", path, (".png", ".svg", ".pdf"))
     require_extra("matplotlib", "--plot")
-    return path
 
 
 def write_and_say(path: Path, content: str | bytes) -> None:
@@ -80,29 +71,23 @@ def write_and_say(path: Path, content: str | bytes) -> None:
     note(f"wrote {path}")
 
 
-def check_output_folder(option: str, text: str) -> Path:
-    """Return the path of a folder to write into, which may not exist yet; a ValueError if it cannot be one."""
-    path = Path(text)
+def check_output_folder(option: str, path: Path) -> None:
+    """Raise a ValueError if a folder, which may not exist yet, cannot be written into."""
     there = next(folder for folder in (path, *path.absolute().parents) if folder.exists())
     if not there.is_dir():
-        raise ValueError(f"{option} {text}: {there} is not a folder")
+        raise ValueError(f"{option} {path}: {there} is not a folder")
     if not os.access(there, os.W_OK):
-        raise ValueError(f"{option} {text}: the folder {there} is not writable")
-    return path
+        raise ValueError(f"{option} {path}: the folder {there} is not writable")
 
 
-def check_page(option: str, text: str | None, *sections: str) -> Path | None:
-    """Return the path of a file whose sections between markers are to be renewed, or a ValueError; None for no file."""
-    if text is None:
-        return None
-    path = Path(text)
+def check_page(option: str, path: Path, *sections: str) -> None:
+    """Raise a ValueError if a file has no markers of the sections that are to be renewed, or cannot be written."""
     try:
         require_markers(path, *sections)
     except ValueError as error:
         raise ValueError(f"{option}: {error}") from error
     if not os.access(path, os.W_OK) or not os.access(path.resolve().parent, os.W_OK):
         raise ValueError(f"{option} {path} is not writable")
-    return path
 
 
 def update_page(path: Path, sections: Mapping[str, str]) -> None:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import argparse
-
 from wtg_gym.cli.output import say
-from wtg_gym.cli.parser import Commands, add_command
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
 from wtg_gym.envs.compile_ahead import compile_ahead
 from wtg_gym.envs.settings import VERSIONS, EnvSettings
@@ -15,30 +12,18 @@ from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.physics.trajectory import simulate
 from wtg_gym.scenarios import get_suite
 
-_DESCRIPTION = """\
-Compiles the simulator to machine code, which the first use of a version does otherwise: the single environment, the
-vector environment, simulate and evaluate, for the plants of `standard` and `standard-v1`. It takes a few minutes. The
-machine code is kept, so that every later start is quick; running the command again compiles nothing.
-Another number of groups or machines is compiled at its own first use."""
-_EXAMPLES = """\
-  wtg-gym warmup
-  XDG_CACHE_HOME=/opt/cache wtg-gym warmup            keep the machine code in /opt/cache/wtg_gym, as for an image"""
 
+def warmup() -> int:
+    """Compile the simulator to machine code, which the first use of a version does otherwise.
 
-def add_commands(commands: Commands) -> None:
-    """Add `wtg-gym warmup`."""
-    add_command(
-        commands,
-        "warmup",
-        run,
-        description=_DESCRIPTION,
-        examples=_EXAMPLES,
-        after_interrupt="the functions compiled so far are kept",
-    )
+    That is the single environment, the vector environment, simulate and evaluate, for the plants of `standard` and
+    `standard-v1`. It takes a few minutes. The machine code is kept, so that every later start is quick; running the
+    command again compiles nothing. Another number of groups or machines is compiled at its own first use.
 
-
-def run(arguments: argparse.Namespace) -> int:
-    """Carry out `wtg-gym warmup`."""
+    examples:
+      wtg-gym warmup
+      XDG_CACHE_HOME=/opt/cache wtg-gym warmup     keep the machine code in /opt/cache/wtg_gym, as for an image
+    """
     for version in VERSIONS:
         _compile(version)
     done, folder = compilation(), cache_folder()

@@ -83,7 +83,7 @@ def evaluate(
         batch: scenarios that run side by side, of an ONNX policy 64 at most.
         n_threads: threads to step with, and ONNX policies that play side by side; None for one per processor. Workers
             have one each.
-        progress: show progress on stderr: a bar in a terminal that has rich, else a line every few seconds.
+        progress: show progress on stderr: a bar in a terminal, else a line every few seconds.
         on_progress: called with (name of the entry, episodes done, episodes in all) after every batch.
         partial: folder for finished batches: a run that was killed goes on from them; in the end they are removed, the
             folder stays.

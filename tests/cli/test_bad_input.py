@@ -1,0 +1,219 @@
+"""Bad input to any command: one line on stderr, exit code 2, nothing played and nothing written."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shlex
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.cli.calls import error_of
+from wtg_gym.evaluation import evaluate
+from wtg_gym.scenarios import get_suite
+
+COMMIT = "0123456789abcdef0123456789abcdef01234567"
+_DRAW = f"evaluate --split fresh --commit {COMMIT} --secret-file"
+
+#: A command line, and what its error says.
+BAD = [
+    ("fly", "fly"),
+    # Wrong usage of options.
+    ("simulate --wnd 8", "--wnd"),
+    ("simulate more", "more"),
+    ("simulate --wind strong", "strong"),
+    ("simulate --groups 2.5", "2.5"),
+    ("simulate --seed", "--seed"),
+    ("evaluate --backend slurm", "slurm"),
+    ("reproduce --formats jpg", "jpg"),
+    ("suites standard other", "other"),
+    ("results page --output page.html", "RESULTS"),
+    ("results page results.json", "--output"),
+    ("submission check", "FOLDERS"),
+    ("evaluate --entries", "--entries requires at least 1 element"),
+    # One scenario.
+    ("simulate --case load-increase --suite paper", "--case and --suite exclude each other"),
+    ("simulate --wind 8 --wind-csv wind.csv", "--wind and --wind-csv exclude each other"),
+    ("simulate --scenario good.json --seed 3 --suite standard", "--scenario and --seed exclude each other"),
+    ("simulate --strategy turbo", "unknown strategy 'turbo'; known strategies: mppt"),
+    ("simulate --suite storm", "unknown suite 'storm'; known suites: paper"),
+    ("simulate --case storm", "unknown case 'storm'; known cases: load-increase, load-decrease"),
+    ("simulate --suite standard --seed 3", "seed 3 is in no split"),
+    ("simulate --seed 3", "--seed 3 needs a suite"),
+    ("simulate --wind -1", "-1 m/s, outside the allowed range 3 … 25 m/s"),
+    ("simulate --wind 9 8 7 --groups 2", "give one or 2"),
+    ("simulate --suite paper-v1 --wind 9 8", "wind for 2 WTG groups, paper-v1 has 4"),
+    ("simulate --duration nan", "duration_s = nan s is outside the allowed range 0.1 … 86400 s"),
+    ("simulate --duration 10.05", "10.05 s is not a whole number of"),
+    ("simulate --simulation-dt 0.03", "control_dt = 0.1 s is not a whole number of"),
+    ("simulate --simulation-dt 0.2", "simulation_dt = 0.2 s is outside the allowed range"),
+    ("simulate --groups 0", "the number of WTG groups must be 1 … 1024, got 0"),
+    ("simulate --plot run.jpg", "it must end in .png, .svg, .pdf"),
+    ("simulate --csv run.txt", "it must end in .csv"),
+    ("simulate --csv folder.csv", "it exists and is not a file"),
+    ("simulate --csv nowhere/run.csv", "there is no folder nowhere"),
+    ("simulate --scenario nowhere.json", "cannot read the scenario file nowhere.json"),
+    ("simulate --scenario broken.json", "broken.json is not JSON"),
+    ("simulate --scenario bus.json", "unknown bus 99"),
+    ("simulate --scenario kind.json", "an event needs a kind out of load_step"),
+    ("simulate --scenario wind.json", "-2 m/s, outside the allowed range 3 … 25 m/s"),
+    ("simulate --scenario inertia.json", "inertia_scale = 0 is outside the allowed range 0.05 … 5"),
+    ("simulate --scenario key.json", "unknown scenario keys ['colour']"),
+    ("simulate --scenario good.json --groups 3", "has wind for 2 WTG groups, --groups asks for 3"),
+    ("simulate --scenario sensors.json", "say with --suite whose grid it is"),
+    ("simulate --wind-csv nowhere.csv", "nowhere.csv: No such file"),
+    ("simulate --wind-csv wind.csv", "the series ends after 7 s, at least 120 s"),
+    ("simulate --wind-csv wind.csv --groups 3", "has wind for 2 WTG groups, --groups asks for 3"),
+    ("simulate --wind-csv gap.csv --duration 6", "line 5: gap or change of step in time"),
+    # Scores.
+    ("evaluate --entries turbo", "'turbo'"),
+    ("evaluate --entries mppt mppt", "given more than once: ['mppt']"),
+    ("evaluate --entries best", "the folder best holds no entry.toml, but 2 folders with one: write best/* for all"),
+    ("evaluate --entries best/empty", "the folder best/empty holds no entry.toml"),
+    ("evaluate --suite storm", "unknown suite 'storm'"),
+    ("evaluate --suite paper-v1 --entries 'PPO (k)'", "is for GFMWTG-14bus-v0, these scenarios are of"),
+    ("evaluate --suite paper --entries fast-droop", "is for GFMWTG-14bus-v1, these scenarios are of GFMWTG-14bus-v0"),
+    ("evaluate --seeds 10003 10003", "every seed may be given once; given more often: 10003"),
+    ("evaluate --seeds 3", "the validation seeds of suite 'standard-v1' are 10000 … 10199"),
+    ("evaluate --split test --seeds 3", "the test seeds of suite 'standard-v1' are 20000 … 20999"),
+    ("evaluate --scenarios 201", "--scenarios = 201 is outside the allowed range 1 … 200 of the split validation"),
+    ("evaluate --scenarios 3 --seeds 10003", "give one of the two"),
+    ("evaluate --seeds 20000-20010", "expected a seed such as 20003, or a range such as 20000:20010"),
+    ("evaluate --seeds 20010:20000", "0 seeds, a range must hold 1 … 100000"),
+    ("evaluate --seeds 0:999999999999", "a range must hold 1 … 100000"),
+    ("evaluate --duration 0.2", "duration_s = 0.2 s is outside the allowed range 1 … 3600 s"),
+    ("evaluate --simulation-dt 0.03", "0.1 s is not a whole number of"),
+    ("evaluate --threads 0", "the number of threads must be 1 or more, got 0"),
+    ("evaluate --results file.txt", "file.txt is not a folder"),
+    ("evaluate --address tcp://head:8786", "--address is for workers: say which with --backend loky, dask, ray"),
+    ("evaluate --jobs 2", "--jobs is for workers: say which with --backend loky, dask, ray"),
+    ("evaluate --backend loky --address tcp://head:8786", "loky has workers on this machine only"),
+    ("evaluate --backend loky --jobs 1", "jobs must be 2 … 10000 (a single one needs no backend), got 1"),
+    ("evaluate --backend loky --threads 2", "--threads 2: a worker steps with one thread"),
+    # Scenarios that are drawn.
+    ("evaluate --split fresh", "missing: --commit, --secret-file"),
+    ("evaluate --split fresh --commit abc --secret-file secret.txt", "40 or 64 hexadecimal digits, got 'abc'"),
+    (f"{_DRAW} secret.txt --seeds 5", "without --seeds"),
+    (f"evaluate --commit {COMMIT}", "--commit: for --split fresh only, the split is validation"),
+    (f"{_DRAW} nowhere.txt", "--secret-file nowhere.txt: No such file"),
+    (f"{_DRAW} secret.txt --suite paper", "suite 'paper' has fixed cases"),
+    (f"{_DRAW} secret.txt --scenarios 0", "must be 1 … 100000, got 0"),
+    (f"{_DRAW} short.txt", "must have 16 bytes or more, got 5"),
+    (f"{_DRAW} large.bin", "larger than 4096 bytes"),
+    # Pages and results.
+    ("leaderboard --suite paper --readme nowhere.md", "cannot read the file with the markers"),
+    ("leaderboard --suite paper --readme file.txt", "must have the markers <!-- leaderboard:paper:start -->"),
+    ("leaderboard --suite storm", "unknown suite 'storm'"),
+    ("reproduce --page nowhere.md", "--page: cannot read the file with the markers nowhere.md"),
+    ("reproduce --page claims.md", "must have the markers <!-- figures:start -->"),
+    ("reproduce --output file.txt", "is not a folder"),
+    ("results recompute nowhere.json", "nowhere.json"),
+    ("results recompute paper-test.json --entries no-such-thing", "unknown entry"),
+    ("results recompute paper-test.json", "hold entries that were not given: deloaded-7"),
+    ("results recompute paper-test.json --entries seven.toml --secret-file secret.txt", "were not drawn"),
+    ("results recompute old/paper-test.json --entries seven.toml", "got 2; evaluate again"),
+    ("results page old/paper-test.json --output page.html", "got 2; evaluate again"),
+    ("results gap old/paper-test.json paper-test.json", "got 2; evaluate again"),
+    ("results gap paper-test.json paper-test.json", "in this order; got 'test' and 'test'"),
+    ("results matrix --suites standard standard-v1", "--suites are of two versions of the benchmark"),
+    ("results matrix --suites storm", "unknown suite 'storm'"),
+    ("results matrix --perturb storm", "unknown suite 'storm'"),
+    ("results matrix --scenarios 0", "--scenarios = 0 is outside the allowed range"),
+    ("results matrix --page missing.md", "cannot read the file with the markers missing.md"),
+    ("suites storm", "unknown suite 'storm'"),
+    ("suites standard --seed 5", "seed 5 is in no split"),
+    ("suites --seed 5", "--seed 5 needs a suite"),
+    ("submission score folder --suite storm", "unknown suite 'storm'"),
+    ("submission score nowhere", "there is no folder nowhere"),
+    ("submission check nowhere", "there is no folder nowhere"),
+    ("submission new best/1000", "has entry.toml already"),
+    ("submission new a_folder!", "the folder's name must be 1 … 80"),
+    ("play --speed 0", "--speed = 0 is outside the allowed range"),
+    ("play --suite standard --version v2", "v2"),
+    # Names of files are shown with escapes.
+    ("simulate --scenario no-\x1b[31m-file.json", r"no-\x1b[31m-file.json"),
+    ("results gap no-\u202efile.json no-\u202efile.json", r"no-\u202efile.json"),
+    ("evaluate --entries no-\x1b[31m-file", r"no-\x1b[31m-file"),
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the files that the table names."""
+    root = tmp_path_factory.mktemp("bad")
+    (root / "file.txt").write_text("not a folder")
+    (root / "folder.csv").mkdir()
+    (root / "folder").mkdir()
+    for name in ("best/1000", "best/2000"):
+        (root / name).mkdir(parents=True)
+        (root / name / "entry.toml").write_text('name = "mine"\naction_mode = "k"\n')
+    (root / "best/empty").mkdir()
+    (root / "secret.txt").write_text("a secret for these tests\n")
+    (root / "short.txt").write_text("12345")
+    (root / "large.bin").write_bytes(bytes(5000))
+    (root / "claims.md").write_text("<!-- claims:start -->\n<!-- claims:end -->\n")
+    for name, times in {"wind": range(8), "gap": (0, 1, 2, 5, 6)}.items():
+        rows = "".join(f"{time},9.5,8.0\n" for time in times)
+        (root / f"{name}.csv").write_text(f"time_s,wind_1_m_s,wind_2_m_s\n{rows}")
+    (root / "broken.json").write_text('{"name": ')
+    scenario = get_suite("standard").scenario(20_003).to_dict()
+    for name, changes in {
+        "good": {},
+        "bus": {"events": [{"kind": "load_step", "time_s": 2.0, "bus": 99, "power_mw": 30.0}]},
+        "kind": {"events": [{"kind": "storm"}]},
+        "wind": {"wind_speed": [[9.0], [-2.0]]},
+        "inertia": {"inertia_scale": 0.0},
+        "key": {"colour": "red"},
+    }.items():
+        (root / f"{name}.json").write_text(json.dumps({**scenario, **changes}))
+    (root / "sensors.json").write_text(get_suite("standard-v1").scenario(20_003).to_json())
+    (root / "seven.toml").write_text('name = "deloaded-7"\nk_min = 0.3\nk_nominal = 0.35\nk_max = 0.4\n')
+    results = evaluate(root / "seven.toml", "paper", "test", duration_s=2.0)
+    path = results.write(root)[0]
+    (root / "old").mkdir()
+    old = json.loads(path.read_text())
+    del old["metrics"]["largest_power_change_pu"]
+    (root / "old" / path.name).write_text(json.dumps({**old, "format": 2}))
+    return root
+
+
+def _files(folder: Path) -> set[Path]:
+    return set(folder.rglob("*"))
+
+
+@pytest.mark.parametrize(("line", "said"), BAD, ids=lambda text: ascii(text)[:60])
+def test_bad_input_is_one_line_and_leaves_nothing(
+    line: str, said: str, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    before = _files(folder)
+    words = shlex.split(line)
+    # Where the table says nothing of entries, one that is there.
+    if words[0] == "evaluate" and "--entries" not in words:
+        words += ["--entries", "mppt"]
+    error = error_of(capsys, *words)
+    assert said in error and error.isprintable()
+    assert _files(folder) == before
+
+
+def test_wrong_usage_points_to_the_help_of_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert error_of(capsys, "simulate", "--wnd", "8").endswith("(see: wtg-gym simulate --help)")
+    assert error_of(capsys, "results", "page").endswith("(see: wtg-gym results page --help)")
+
+
+def test_missing_matplotlib_is_said_before_anything_runs(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    # A module that is None in sys.modules cannot be imported.
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    line = error_of(capsys, "simulate", "--plot", str(tmp_path / "run.png"))
+    assert "--plot needs matplotlib; in a checkout: pip install '.[leaderboard]'" in line
+
+
+def test_an_error_that_quotes_a_whole_file_is_short(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "scenario.json"
+    scenario = dataclasses.replace(get_suite("paper").scenario(0), name="x").to_dict()
+    path.write_text(json.dumps({**scenario, "events": "x" * 100_000}))
+    assert len(error_of(capsys, "simulate", "--scenario", str(path))) < 2000

@@ -1,0 +1,199 @@
+"""`wtg-gym results`: stored results shown, computed again, compared; other suites and sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from cyclopts import App
+
+from wtg_gym.cli import output as out
+from wtg_gym.cli import scoring
+from wtg_gym.cli.matrix import matrix
+from wtg_gym.cli.options import Entries, Json, Threads, WorkerOptions
+from wtg_gym.evaluation import Results, generalisation, leaderboard_rows
+from wtg_gym.evaluation.recompute import departures
+from wtg_gym.evaluation.recompute import recompute as compute_again
+from wtg_gym.plotting import figure_bytes, plot_front
+from wtg_gym.plotting.front import undominated
+from wtg_gym.plotting.page import leaderboard_page
+from wtg_gym.policies.names import BASELINES
+from wtg_gym.progress import Progress
+
+#: Differences that are printed.
+_SHOWN = 20
+
+app = App(name="results", help="Work with the stored results of 'wtg-gym evaluate' and 'wtg-gym leaderboard'.")
+
+
+@app.command
+def page(*results: Path, output: Path) -> int:
+    """Show stored results as one HTML file with charts.
+
+    It needs nothing but a browser, offline too: each suite's ranking with its intervals, to sort and to filter, the
+    scores as a chart, and the deviation of the frequency against the failures. The scores on several suites stand side
+    by side in a table, too, and beside them those that 'wtg-gym results matrix' played with other sensors. Suites of
+    the latest version of the benchmark come first.
+
+    examples:
+      wtg-gym results page results/standard-test.json --output leaderboard.html
+      wtg-gym results page results/*.json --output leaderboard.html
+
+    Args:
+        results: JSON files of results, one of each suite
+        output: the HTML file to write
+    """
+    if not results:
+        raise ValueError("RESULTS: give a JSON file of results or several")
+    check_html("--output", output)
+    read = [Results.read(each) for each in results]
+    for each in read:
+        if not each.has_scale:
+            out.note(
+                f"no ranking of {each.name}, where {each.benchmark.hundred} is no better than {each.benchmark.zero}"
+            )
+    write_html(output, read)
+    return 0
+
+
+def check_html(option: str, path: Path) -> None:
+    """Raise a ValueError now, rather than after the work, if an HTML file cannot be made or written."""
+    out.check_output_file(option, path, (".html", ".htm"))
+    out.require_extra("bokeh", option)
+
+
+def write_html(path: Path, results: Sequence[Results]) -> None:
+    """Write results as one HTML file."""
+    out.write_and_say(path, leaderboard_page(results))
+
+
+@app.command
+def recompute(
+    results: Path,
+    /,
+    *,
+    entries: Entries = (BASELINES,),
+    secret_file: Path | None = None,
+    threads: Threads = None,
+    json: Json = False,
+    workers: WorkerOptions = WorkerOptions(),
+) -> int:
+    """Compute results again, and say whether they are identical.
+
+    Evaluates the entries of a results file again, on the same scenarios with the same settings, and compares every
+    number of every episode to the last bit, the policies' sha256, kinds and laws, and the suite's hash. Says that the
+    results are identical, or what differs; the exit code is then 1. Other versions of source code or packages, and
+    other texts about an entry, are named, but are no difference by themselves: laws give the same bits on one kind of
+    processor, a policy's last digits may depend on onnxruntime. The environment's fingerprint says whether this machine
+    computes the same as the one before. Fewer scenarios, shorter episodes or other weights than those of the benchmark
+    are named too. Archives of Stable-Baselines3 are not taken.
+
+    examples:
+      wtg-gym results recompute results/standard-test.json --entries baselines policies
+      wtg-gym results recompute results/paper-test.json --json
+
+    Args:
+        results: JSON file of results, the CSV beside it
+        secret_file: also check that fresh seeds were drawn with this secret
+    """
+    stored = Results.read(results)
+    secret = None if secret_file is None else scoring.read_secret(secret_file)
+    processes = scoring.chosen_workers(workers, threads)
+    chosen = scoring.chosen_entries(entries, stored.suite)
+    with Progress("episodes") as progress:
+        found = compute_again(
+            stored, chosen, secret=secret, n_threads=threads, workers=processes, on_progress=progress.update
+        )
+    if json:
+        out.print_json(
+            {
+                "identical": not found.differences,
+                "differences": [difference._asdict() for difference in found.differences],
+                "circumstances": [difference._asdict() for difference in found.circumstances],
+                "departures": departures(stored),
+                "numbers": found.n_numbers,
+            }
+        )
+        return int(bool(found.differences))
+    for difference in found.circumstances:
+        out.note(f"{difference.where} was {difference.stored}, is {difference.now}")
+    for text in departures(stored):
+        out.note(f"not the benchmark's own: {text}")
+    if stored.draw is not None and secret is None:
+        out.note("whether these seeds were drawn or chosen is not known: check them with --secret-file")
+    if not found.differences:
+        out.say(f"identical: {found.n_numbers} values of {len(stored.episodes)} episodes")
+        return 0
+    shown = found.differences[:_SHOWN]
+    out.say(f"not identical: {len(found.differences)} differences, the first {len(shown)}", "")
+    out.print_table(("where", "stored", "now"), shown, left=(0, 1, 2))
+    return 1
+
+
+@app.command
+def gap(public: Path, fresh: Path, /, *, page: Path | None = None, json: Json = False) -> int:
+    """Compare scores on public and on fresh scenarios.
+
+    Fresh scenarios were drawn after the entries were submitted. An entry that was fitted to the public scenarios, by
+    mistake or on purpose, is better there. All entries are a little better or worse by the luck of the draw: a set of
+    scenarios that suits one good controller suits the others. The gap is the public score minus the fresh one. A
+    learned entry has an excess too: the part of its gap that the controllers made by hand in the same results do not
+    share (by a regression on their gains). Both have a bootstrap 95 % interval over scenarios; that of the gap is over
+    training seeds too. An excess whose interval lies above zero is marked, which happens to one honest entry in forty
+    by chance.
+
+    Fresh scenarios are played by 'wtg-gym evaluate' or 'wtg-gym submission score' with --split fresh, --commit, the
+    full hash of the commit with the entries, and --secret-file. Publish the sha256 of the secret before anybody submits
+    and the secret afterwards: then 'wtg-gym results recompute --secret-file' shows that the seeds were not chosen.
+
+    examples:
+      wtg-gym results gap results/standard-test.json results/standard-fresh.json
+
+    Args:
+        public: JSON file of results on the test scenarios
+        fresh: JSON file of results on the split fresh
+        page: Markdown file with the markers <!-- gap:SUITE:start --> and <!-- gap:SUITE:end --> for the table
+    """
+    first, second = Results.read(public), Results.read(fresh)
+    section = f"gap:{first.suite}"
+    if page is not None:
+        out.check_page("--page", page, section)
+    gaps = generalisation.generalisation_gaps(first, second)
+    missing = generalisation.left_out(first, second)
+    if json:
+        out.print_json({"draw": second.draw, "gaps": [gap.to_dict() for gap in gaps], "left_out": missing})
+    else:
+        out.say(generalisation.describe(first, second), "")
+        left = [index for index, is_number in enumerate(generalisation.COLUMNS.values()) if not is_number]
+        out.print_table(tuple(generalisation.COLUMNS), generalisation.gap_cells(gaps), left=left)
+    if missing:
+        out.note(f"left out, not the same policy in both results: {', '.join(missing)}")
+    if page is not None:
+        out.update_page(page, {section: generalisation.gap_page(first, second, gaps)})
+    return 0
+
+
+app.command(matrix)
+
+
+@app.command
+def front(results: Path, /, *, plot: Path) -> int:
+    """Draw points of frequency and RoCoF against captured energy.
+
+    That is what frequency and RoCoF add to a score of 100 against the captured share of the available energy, one
+    marker for each entry. A line joins the entries that no other one beats in both. Entries that fail in many scenarios
+    are hollow and not joined: a run that fails pays for the frequency only until it ends.
+
+    examples:
+      wtg-gym results front results/standard-v1-test.json --plot front.svg
+
+    Args:
+        results: JSON file of results, the CSV beside it
+        plot: the figure: .png, .svg or .pdf
+    """
+    out.check_plot_file(plot)
+    rows = leaderboard_rows(Results.read(results))
+    out.write_and_say(plot, figure_bytes(plot_front(rows), plot.suffix))
+    best = ", ".join(row.name for row in undominated(rows))
+    out.say(f"no other entry has more support and more energy than: {best}")
+    return 0
