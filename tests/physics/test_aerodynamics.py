@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wtg_gym.physics.aerodynamics import available_power_pu, power_coefficient, tracking_point
-from wtg_gym.physics.parameters import PowerCoefficientParameters, TurbineParameters
 
 BETZ_LIMIT = 16.0 / 27.0
 
@@ -48,19 +47,3 @@ def test_deloaded_coefficient_equals_its_definition(deloading: float) -> None:
     expected = best.coefficient * (best.tip_speed_ratio / point.tip_speed_ratio) ** 3 * (1.0 - deloading)
     assert point.coefficient == pytest.approx(expected, rel=1e-10)
     assert point.tip_speed_ratio > best.tip_speed_ratio
-
-
-def test_impossible_arguments_name_value_and_range() -> None:
-    with pytest.raises(ValueError, match=r"tip-speed ratio must be positive, got -1"):
-        power_coefficient(-1.0)
-    with pytest.raises(ValueError, match=r"pitch angle must be 0 deg or more, got -2 deg"):
-        power_coefficient(7.0, -2.0)
-    with pytest.raises(ValueError, match=r"tip-speed ratio must be positive, got inf"):
-        power_coefficient(np.array([7.0, np.inf]))
-    with pytest.raises(ValueError, match=r"wind speed must be 0 m/s or more, got -5 m/s"):
-        available_power_pu(-5.0)
-    flat = TurbineParameters(power_coefficient=PowerCoefficientParameters(c6=1.0))
-    with pytest.raises(ValueError, match=r"C_p curve has no maximum at a tip-speed ratio in the allowed range 4 … 12"):
-        tracking_point(0.05, flat)
-    with pytest.raises(ValueError, match=r"deloading = 1 is outside the allowed range 0 … 0.9"):
-        tracking_point(1.0)

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.physics.cases import classical_machine
+from tests.physics.extended import classical
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.machine_parameters import ExciterParameters, HydroGovernorParameters
-from wtg_gym.physics.parameters import ConverterLimitParameters, VoltageControlParameters, WtgGroup, default_groups
+from wtg_gym.physics.parameters import WtgGroup, default_groups
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
@@ -76,63 +74,9 @@ def test_resistance_and_shared_buses_start_at_rest() -> None:
     case = modified_ieee14()
     machines = [dataclasses.replace(machine, resistance=0.003) for machine in case.machines]
     # In the place of the last one: as many machines as usual, whose code is compiled already.
-    case = dataclasses.replace(case, machines=(*machines[:-1], classical_machine(3, dispatch_mw=20.0)))
+    case = dataclasses.replace(case, machines=(*machines[:-1], classical(bus=3, dispatch_mw=20.0)))
     assert len({machine.bus for machine in case.machines}) < len(case.machines)
     simulator = Simulator(PlantSettings(case=case))
     law = STRATEGIES["coordinated-linear"]
     simulator.start(0, Scenario(name="x", wind_speed=np.full((2, 1), 9.0)), (law, law))
     assert rates_without_energies(simulator) <= LIMIT
-
-
-def test_a_start_without_equilibrium_is_refused(simulator: Simulator) -> None:
-    greedy = TrackingLaw(name="greedy", k_min=3.0, k_nominal=3.0, k_max=3.0)
-    scenario = Scenario(name="impossible", wind_speed=np.full((2, 1), 8.0))
-    message = r"'impossible' cannot start: WTG group 0 at bus 2 has no equilibrium at a wind of 8 m/s with k = 3 p.u."
-    with pytest.raises(ValueError, match=message):
-        simulator.start(0, scenario, (greedy, greedy))
-
-
-def test_too_much_wind_for_the_balancing_machine_is_refused() -> None:
-    groups = tuple(WtgGroup(bus=2, n_turbines=40.0) for _ in range(2))
-    simulator = Simulator(PlantSettings(groups=groups))
-    law = STRATEGIES["mppt"]
-    with pytest.raises(
-        ValueError, match=r"machine at bus 1 would start at -.* p.u. of gate, beyond its gate limits 0 … 1.2 p.u."
-    ):
-        simulator.start(0, Scenario(name="x", wind_speed=np.full((2, 1), 11.0)), (law, law))
-
-
-def with_machine(**changes: Any) -> PlantSettings:
-    """Return the default plant with other data of the machine at bus 1."""
-    case = modified_ieee14()
-    return PlantSettings(
-        case=dataclasses.replace(case, machines=(dataclasses.replace(case.machines[0], **changes), *case.machines[1:]))
-    )
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        (
-            with_machine(exciter=ExciterParameters(field_max_pu=0.5)),
-            r"machine at bus 1 would start at .* p.u. of field voltage, beyond its field voltage limits -5 … 0.5 p.u.",
-        ),
-        (
-            with_machine(governor=HydroGovernorParameters(gate_max_pu=0.1)),
-            r"machine at bus 1 would start at 0.* p.u. of hydro gate, beyond its hydro gate limits 0 … 0.1 p.u.",
-        ),
-        (
-            PlantSettings(limits=ConverterLimitParameters(power_max_pu=0.5)),
-            r"WTG group 0 at bus 2 would start with 0.9.* p.u. of power, beyond .* 0 … 0.5 p.u., .* at most 1.2 p.u.",
-        ),
-        (
-            PlantSettings(voltage_control=VoltageControlParameters(internal_voltage_max_pu=1.0)),
-            r"WTG group 0 at bus 2 would start with 1.* p.u. behind X_g, beyond the limits 0.5 … 1 p.u.",
-        ),
-    ],
-    ids=["exciter", "hydro governor", "converter", "voltage behind X_g"],
-)
-def test_a_start_beyond_a_limit_names_unit_bus_value_and_limit(settings: PlantSettings, message: str) -> None:
-    law = STRATEGIES["coordinated-piecewise"]
-    with pytest.raises(ValueError, match=rf"scenario 'x' cannot start: .*{message}"):
-        Simulator(settings).start(0, Scenario(name="x", wind_speed=np.array([[11.4], [8.0]])), (law, law))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -48,14 +47,6 @@ def run(
     return states, np.array([torque_at(x, speed(t), start.hydro_gate, c) for t, x in given])
 
 
-@pytest.mark.parametrize("torque", [0.1, 0.5, 0.9])
-def test_it_starts_at_rest_with_the_torque_that_is_asked_for(torque: float) -> None:
-    state = hydro_start(torque, C)
-    rates, given = hydro_rates(state, 1.0, state.hydro_gate, INV_DROOP, C)
-    assert given == pytest.approx(torque, abs=1e-15)
-    assert rates == pytest.approx((0.0, 0.0, 0.0, 0.0), abs=1e-15)
-
-
 def test_small_deviations_follow_the_transfer_functions() -> None:
     """From the speed to the gate's order, and on to the torque, over the frequencies that count."""
     torque, h = 0.5, 1e-6
@@ -85,20 +76,6 @@ def test_small_deviations_follow_the_transfer_functions() -> None:
         assert c @ state + d == pytest.approx(output, rel=1e-6)
 
 
-def test_a_lasting_deviation_is_answered_by_the_permanent_droop() -> None:
-    undamped = hydro_constants(0, dataclasses.replace(P, turbine_damping_pu=0.0))
-    states, torque = run(lambda _t: 0.999, 0.5, 1200.0, undamped, every=1.0)
-    assert states[-1, 2] - states[0, 2] == pytest.approx(0.001 * INV_DROOP, rel=1e-5)
-    assert torque[-1] - 0.5 == pytest.approx(P.turbine_gain * 0.001 * INV_DROOP, rel=1e-5)
-
-
-def test_the_torque_first_falls_when_the_gate_opens() -> None:
-    undamped = hydro_constants(0, dataclasses.replace(P, turbine_damping_pu=0.0, gate_time_s=0.05))
-    _, torque = run(lambda t: 1.0 - 0.01 * min(t, 1.0), 0.5, 20.0, undamped)
-    assert torque[:100].min() < 0.5 - 1e-3
-    assert torque[-1] > 0.5
-
-
 def test_the_order_keeps_within_its_rate_and_its_limits() -> None:
     states, _ = run(lambda _t: 0.95, 0.5, 60.0)
     order = states[:, 1]
@@ -119,13 +96,3 @@ def test_it_leaves_a_limit_at_once() -> None:
     assert turns[0] < 0.2
     beyond = hydro_limited(HydroState(0.0, 1.3, 0.9, 0.9), C)
     assert beyond.gate_order == P.gate_max_pu
-
-
-def test_within_the_dead_band_nothing_moves_and_beyond_it_only_the_excess_counts() -> None:
-    band = hydro_constants(0, dataclasses.replace(P, dead_band_pu=6e-4, turbine_damping_pu=0.0))
-    for speed in (1.0 - 6e-4, 1.0 + 6e-4):
-        states, torque = run(lambda _t, speed=speed: speed, 0.5, 5.0, band)  # type: ignore[misc]
-        assert np.ptp(states, axis=0) == pytest.approx(np.zeros(4), abs=1e-12)
-        assert torque[-1] == pytest.approx(0.5, abs=1e-12)
-    states, _ = run(lambda _t: 1.0 - 16e-4, 0.5, 1200.0, band, every=1.0)
-    assert states[-1, 2] - states[0, 2] == pytest.approx(10e-4 * INV_DROOP, rel=1e-5)

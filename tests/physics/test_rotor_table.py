@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 from scipy.interpolate import RectBivariateSpline
@@ -18,15 +14,6 @@ from wtg_gym.physics.wind_turbine import turbine_constants, turbine_equilibrium
 
 TABLE = read_rotor_table(ROTOR_TABLE)
 RATIO, PITCH, CP = (np.array(v) for v in (TABLE.tip_speed_ratio, TABLE.pitch_deg, TABLE.power_coefficient))
-
-
-def small(**changes: Any) -> RotorTable:
-    values: dict[str, Any] = {
-        "tip_speed_ratio": (2.0, 4.0, 6.0, 8.0),
-        "pitch_deg": (0.0, 5.0, 10.0, 15.0),
-        "power_coefficient": tuple((0.1 * i, 0.08 * i, 0.05 * i, 0.02 * i) for i in range(1, 5)),
-    }
-    return RotorTable(**{**values, **changes})
 
 
 def test_the_surface_goes_through_the_tables_points() -> None:
@@ -115,58 +102,3 @@ def test_limit_on_rotor_speed_makes_the_nrel_rotor_hold_back_more_than_its_deloa
         assert found
         powers.append(k * rotor**3)
     assert [1.0 - power / powers[0] for power in powers[1:]] == pytest.approx(held_back, abs=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"tip_speed_ratio": (2.0, 4.0, 6.0)}, "needs 4 … 500 tip-speed ratios, got 3"),
-        ({"pitch_deg": (0.0, 5.0, 5.0, 15.0)}, "pitch angles of a rotor table must be finite and rise"),
-        ({"tip_speed_ratio": (2.0, float("nan"), 6.0, 8.0)}, "tip-speed ratios of a rotor table must be finite"),
-        ({"tip_speed_ratio": (-1.0, 4.0, 6.0, 8.0)}, "must lie in 0 … 100, got -1"),
-        ({"pitch_deg": (1.0, 5.0, 10.0, 15.0)}, "must reach from 0 deg or below to above 0 deg"),
-        ({"power_coefficient": ((0.1,) * 4,) * 3}, "got 3 rows of"),
-        ({"power_coefficient": ((0.1,) * 4,) * 3 + ((0.1,) * 3,)}, r"rows of \[3, 4\] values"),
-        (
-            {"power_coefficient": ((0.1,) * 4,) * 3 + ((0.1, 0.1, float("nan"), 0.1),)},
-            "no number at a tip-speed ratio of 8 and 10 deg",
-        ),
-        ({"power_coefficient": ((0.1,) * 4,) * 3 + ((0.1, 0.1, 0.6, 0.1),)}, "is 0.6; allowed: at most Betz' limit"),
-    ],
-)
-def test_tables_that_cannot_be_are_refused_in_one_line(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message) as refused:
-        small(**changes)
-    assert "\n" not in str(refused.value)
-
-
-@pytest.mark.parametrize(
-    ("find", "replacement", "message"),
-    [
-        ("# TSR vector", "# something else", "has no section tsr"),
-        ("0.020093", "hole", "line 15 of the rotor table .* is not a row of numbers: .*'hole'"),
-        ("0.020093", "nan", "no number at a tip-speed ratio of 2.5 and -5 deg"),
-        ("0.020093   ", "", "cannot be used: a rotor table of"),
-        ("0.020093", "1.020093", "Betz' limit"),
-    ],
-)
-def test_files_with_holes_are_refused_with_their_name(
-    tmp_path: Path, find: str, replacement: str, message: str
-) -> None:
-    text = ROTOR_TABLE.read_text(encoding="utf-8")
-    assert text.count(find) == 1
-    damaged = tmp_path / "damaged.txt"
-    damaged.write_text(text.replace(find, replacement), encoding="utf-8")
-    with pytest.raises(ValueError, match=message) as refused:
-        read_rotor_table(damaged)
-    assert "damaged.txt" in str(refused.value) and "\n" not in str(refused.value)
-
-
-def test_a_missing_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"nowhere.txt"):
-        read_rotor_table(tmp_path / "nowhere.txt")
-
-
-def test_equal_tables_are_equal_settings() -> None:
-    again = dataclasses.replace(nrel_5mw(), power_coefficient=read_rotor_table(ROTOR_TABLE))
-    assert again == nrel_5mw() and hash(again) == hash(nrel_5mw())
