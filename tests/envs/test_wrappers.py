@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -30,14 +28,3 @@ def test_vector_of_rewards_adds_up_to_the_reward(version: str) -> None:
         largest = np.maximum(largest, -rewards)
     assert (largest > 0.0).sum() >= 3
     assert many.unwrapped.reward_space is many.reward_space and many.reward_space.shape == (len(COST_TERMS),)
-
-
-@pytest.mark.parametrize("terms", [(), ("frequency", "speed"), "duty", ("duty", "duty"), 5, [["duty"]], {"duty"}])
-def test_unknown_terms_are_refused_with_the_known(terms: Any) -> None:
-    with pytest.raises(ValueError, match=r"terms must be a list of some of frequency, rocof, .*, each once, got "):
-        VectorReward(gym.make("wtg_gym:GFMWTG-14bus-v1"), terms)
-
-
-def test_environment_without_terms_of_a_cost_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"env must be a GFMWTGEnv.*CartPole"):
-        VectorReward(gym.make("CartPole-v1"))
