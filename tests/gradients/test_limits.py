@@ -1,38 +1,25 @@
-"""Gradients of version v1 and of the extended physics: limits of the converters, energies, sensors, events."""
+"""Gradients through the limits of the converters, and through a table of power coefficients."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from tests.gradients.test_gradients import (
-    N_LANES,
-    V1,
-    actions_of,
-    agrees,
-    along,
-    compiled_by_python,
-    drawn,
-    given,
-    played,
-    slopes,
-    tape_of,
-)
-from wtg_gym.envs.task import step_blocks
-from wtg_gym.envs.task_records import COST_TERMS
+from tests.gradients.test_gradients import N_LANES, V1, actions_of, agrees, drawn, given, tape_of
 from wtg_gym.gradients import expressions as ex
-from wtg_gym.gradients import kernel_programs
 from wtg_gym.gradients.adjoint import build_pull_limits
 from wtg_gym.gradients.kernel_programs import programs_of, require_known
 from wtg_gym.gradients.tape import Tape
+from wtg_gym.physics.elementary import exponential, fma, select, sine_cosine
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters
 from wtg_gym.physics.plant import PlantSettings, build_plant
-from wtg_gym.physics.scenario import GroupTrip, LoadStep, Scenario
+from wtg_gym.physics.scenario import GroupTrip, LoadStep
 
 Floats = npt.NDArray[np.float64]
 #: A group trips in strong wind, and others take over until load is lost too: their currents are limited meanwhile.
@@ -52,6 +39,12 @@ def limited_tape() -> tuple[Tape, Floats]:
 
 def reactances(tape: Tape) -> Floats:
     return tape.lanes.simulator.wtg_values("limiting_reactance")
+
+
+def compiled_by_python(source: str) -> Any:
+    space: dict[str, Any] = {"chosen": select, "fma": fma, "sine_cosine": sine_cosine, "exponential": exponential}
+    exec(source, {**space, "math": math, "inf": math.inf}, space)
+    return space["traced"]
 
 
 def test_the_traced_right_hand_side_is_that_of_the_kernel_while_currents_are_limited() -> None:
@@ -140,28 +133,6 @@ def drop(re: complex, im: complex, y: complex, largest: float) -> npt.NDArray[np
     return np.array([reactance * current_im, -reactance * current_re])
 
 
-@pytest.mark.parametrize(
-    ("suite", "silent"),
-    [
-        ("standard", {"rotor"}),
-        ("faults", {"overload"}),
-        ("no-wind-sensor", {"rotor"}),
-        ("gusty", {"rotor", "overload"}),
-    ],
-)
-def test_the_gradient_is_that_of_central_differences(suite: str, silent: set[str]) -> None:
-    tape = tape_of(**V1, suite=suite)
-    scenarios, actions = drawn(tape), actions_of(tape, 300)
-    way = np.random.default_rng(2).normal(size=actions.shape)
-    measured = slopes(tape, scenarios, actions, way)
-    for index, term in enumerate(COST_TERMS[:-1]):
-        expected = measured[:, index]
-        assert expected.any() == (term not in silent)
-        found = along(tape.gradient(scenarios, actions, {term: 1.0}), way)
-        assert found == pytest.approx(expected, rel=1e-5, abs=1e-5 * np.abs(expected).max())
-    assert along(tape.gradient(scenarios, actions), way) == pytest.approx(measured.sum(axis=1), rel=1e-5)
-
-
 def test_the_gradient_goes_through_the_limits_of_currents_and_powers() -> None:
     tape = tape_of(**V1)
     step = LoadStep(time_s=1.0, bus=2, power_mw=60.0, reactive_mvar=60.0)
@@ -177,41 +148,9 @@ def test_the_gradient_goes_through_the_limits_of_currents_and_powers() -> None:
     assert (limited[[0, 2]] > 2).all() and over_power[1] < -1e-4
 
 
-def test_the_gradient_with_respect_to_the_law_is_that_of_central_differences() -> None:
-    tape = tape_of(**V1)
-    scenarios, actions, h = drawn(tape), actions_of(tape, 200), 1e-5
-    found = tape.gradient(scenarios, actions)
-    tape.start(scenarios)
-    law = tape.law()
-    for place in np.ndindex(law.shape[1:]):
-        step = np.zeros_like(law)
-        step[:, *place] = h
-        up, down = (played(tape, scenarios, actions, law + sign * step).sum(axis=1) for sign in (1.0, -1.0))
-        expected = (up - down) / (2.0 * h)
-        assert found.law[:, *place] == pytest.approx(expected, rel=1e-5, abs=1e-5 * np.abs(expected).max())
-
-
 def test_the_gradient_goes_through_a_table_of_power_coefficients() -> None:
     tape = tape_of(**V1, suite="gusty", physics="nrel-5mw")
     agrees(tape, drawn(tape), actions_of(tape, 200, 0.2))
-
-
-def test_the_gradient_goes_through_shed_load_and_groups_that_their_rotor_trips() -> None:
-    tape = tape_of(physics="extended", on_failure="trip", cap=5000.0)
-    wind = np.full((2, 301), 9.0)
-    wind[0] = np.maximum(9.0 - 0.12 * np.arange(301), 3.0)
-    step = LoadStep(time_s=1.0, bus=4, power_mw=20.0)
-    scenarios = [
-        given(2, LoadStep(time_s=1.0, bus=4, power_mw=380.0)),
-        Scenario(name="calm", wind_speed=wind, load_noise_bus=3, events=(step,)),
-        given(2, LoadStep(time_s=1.0, bus=4, power_mw=390.0)),
-    ]
-    actions = actions_of(tape, 200, 0.2)
-    agrees(tape, scenarios, actions)
-    played(tape, scenarios, actions)
-    simulator = tape.lanes.simulator
-    shed = tape._take(tape._values(), simulator.layout.rows.shedding + np.arange(simulator.layout.n_stages)) < 0.0
-    assert shed.any(axis=1)[[0, 2]].all() and (simulator.wtg_values("connected") == 0.0).any()
 
 
 def test_hydro_governors_are_refused() -> None:
@@ -219,66 +158,3 @@ def test_hydro_governors_are_refused() -> None:
     case = dataclasses.replace(modified_ieee14(), machines=tuple(hydro))
     with pytest.raises(ValueError, match="hydro"):
         require_known(build_plant(PlantSettings(case=case)))
-
-
-#: Kernels of a control step that gradients do not go through: what they do counts as given.
-GIVEN = {
-    "_count_step",
-    "apply_network_changes",
-    "arrived_row",
-    "changes_due",
-    "enter_interval",
-    "sample_grid",
-    "newest_row",
-    "noise_key",
-    "normal",
-    "protections_sample",
-    "report",
-    "shed_load",
-    "update_status",
-}
-#: Those that the way back has rules of its own for; the kernels that they call are traced.
-FOLLOWED = {
-    "limit_currents",
-    "advance_stage",
-    "advance_interval",
-    "advance_step",
-    "derivatives",
-    "end_step",
-    "show_delayed",
-}
-
-
-def test_every_kernel_of_a_step_is_traced_or_counts_as_given(monkeypatch: pytest.MonkeyPatch) -> None:
-    tape = tape_of(**V1)
-    lanes, simulator = tape.lanes, tape.lanes.simulator
-    called: set[str] = set()
-    own = kernel_programs.retargeted
-
-    def noted(function: Any, *given: Any) -> Any:
-        done: dict[Any, Any] = given[1] if len(given) > 1 else {}
-        found = own(function, given[0] if given else kernel_programs.ARITHMETIC, done)
-        called.update(source.__name__ for source in done)
-        return found
-
-    monkeypatch.setattr(kernel_programs, "retargeted", noted)
-    programs_of(simulator.plant, lanes.task, simulator.layout.n_rows, lanes.n_action)
-    known = GIVEN | set(kernel_programs.ARITHMETIC)
-    found = kernels_of(step_blocks, known)
-    assert found - called - known == FOLLOWED
-    assert found >= GIVEN
-
-
-def kernels_of(function: Any, known: set[str]) -> set[str]:
-    """Return the names of all compiled functions that one calls, except those that only known ones call."""
-    found: set[str] = set()
-    open_ = [function.py_func]
-    while open_:
-        source = open_.pop()
-        for name in source.__code__.co_names:
-            callee = getattr(source.__globals__.get(name), "py_func", None)
-            if callee is not None and callee.__name__ not in found:
-                found.add(callee.__name__)
-                if callee.__name__ not in known:
-                    open_.append(callee)
-    return found
