@@ -119,18 +119,6 @@ def test_cost_terms_of_version_v1_are_never_negative_and_add_up_to_minus_the_rew
     assert min(means[f"cost_{name}"] for name in ("frequency", "rocof", "duty", "effort")) > 0.1
 
 
-def test_privileged_observation_begins_with_the_local_one():
-    local, full = (
-        GFMWTGEnv(scenario=eventful().to_dict(), observation_mode=mode, version="v0") for mode in OBSERVATION_MODES
-    )
-    assert full.observation_names[:20] == local.observation_names
-    (a, _), (b, _) = local.reset(seed=0), full.reset(seed=0)
-    assert a.tobytes() == b[:20].tobytes() and b.size > 20
-    for action in actions_of(3, 20):
-        a, b = local.step(action[0])[0], full.step(action[0])[0]
-        assert a.tobytes() == b[:20].tobytes()
-
-
 def test_last_action_is_observed_as_it_was_clipped():
     env = GFMWTGEnv(duration_s=2.0, version="v0")
     names = env.observation_names

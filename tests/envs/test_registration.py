@@ -184,12 +184,3 @@ def test_max_episode_steps_cuts_a_batch_as_it_cuts_a_single_environment(n_steps:
         assert truncated[1] == is_truncated == (step == n_steps)
         assert observations[1].tobytes() == observation.tobytes(), f"at step {step}"
         assert rewards[1] == reward
-
-
-def test_spec_tells_the_steps_of_an_episode():
-    for arguments, n_steps in (({}, 600), ({"duration_s": 30.0}, 300), ({"duration_s": 4, "control_dt": 0.2}, 20)):
-        assert gym.make(ENV_ID, **arguments).spec.max_episode_steps == n_steps
-        assert gym.make_vec(ENV_ID, num_envs=2, **arguments).spec.max_episode_steps == n_steps
-    assert gym.make(ENV_ID, max_episode_steps=50).spec.max_episode_steps == 50
-    assert gym.make_vec(ENV_ID, num_envs=2, max_episode_steps=50).spec.max_episode_steps == 50
-    assert gym.spec(ENV_ID).max_episode_steps is None

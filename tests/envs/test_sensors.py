@@ -14,9 +14,7 @@ from hypothesis import strategies as st
 
 from tests.envs.rollouts import actions_of
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
-from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.observation import MeasuredObservation, WtgObservation
-from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.scenario import Event, GroupTrip, LoadStep, Scenario
 from wtg_gym.physics.sensors import SENSOR_RANGES, Sensors
@@ -189,21 +187,6 @@ def test_without_a_wind_sensor_wind_and_ratio_read_zero_and_all_else_is_as_with_
     assert not suite.measured()[..., [MEASURED.index("wind"), MEASURED.index("tip_speed_ratio")]].any()
 
 
-@pytest.mark.parametrize("control_dt", [0.05, 0.1])
-def test_filters_in_the_loop_are_first_order_lags_of_the_exact_values(control_dt: float) -> None:
-    run = play(drawn(plain(frequency_filter_s=0.4, rocof_filter_s=0.25)), control_dt=control_dt)
-    for name, time_constant_s in (("frequency_deviation", 0.4), ("rocof", 0.25)):
-        place, gain = MEASURED.index(name), -math.expm1(-control_dt / time_constant_s)
-        exact = run.exact()[..., place].astype(np.float64)
-        state = exact[0]
-        expected = [state]
-        for value in exact[1:]:
-            state = state + gain * (value - state)
-            expected.append(state)
-        assert run.measured()[..., place] == pytest.approx(np.array(expected), abs=2e-6)
-        assert np.abs(run.measured()[..., place] - exact).max() > 0.02
-
-
 def huber(duty: Floats) -> Floats:
     """Return the cost of duty errors."""
     size = np.abs(duty)
@@ -277,23 +260,6 @@ def test_privileged_observation_is_the_local_one_and_then_the_exact_values() -> 
     assert names[:n] == local.env.observation_names and len(names) == privileged.observations.shape[1]
     assert len(set(names)) == len(names)
     assert sum(name.startswith("exact") for name in names) == N_WTG * (len(EXACT) + 1)
-
-
-def test_lanes_that_never_started_or_have_ended_do_the_others_no_harm() -> None:
-    scenarios = [drawn(faulty(0.2, seed=seed), duration_s) for seed, duration_s in enumerate((1.0, 4.0))]
-    alone = TaskLanes(EnvSettings(version="v1", duration_s=6.0), 1, 1)
-    alone.start([0], scenarios[1:])
-    many = TaskLanes(EnvSettings(version="v1", duration_s=6.0), 18, 1)
-    many.start([3, 17], scenarios)
-    for step in range(40):
-        alone.step(ACTIONS[step][None, :])
-        many.step(np.tile(ACTIONS[step], (18, 1)))
-        assert many.observations[17].tobytes() == alone.observations[0].tobytes()
-        assert many.rewards[17] == alone.rewards[0]
-        if step == 9:
-            last = many.observations[3].tobytes()
-    assert many.observations[3].tobytes() == last and many.ended()[1][[3, 17]].all()
-    assert not many.observations[[*range(3), *range(4, 17)]].any()
 
 
 def numbers(name: str) -> st.SearchStrategy[float]:

@@ -11,8 +11,6 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from wtg_gym.physics.records import flatten, leaves, offsets, short_names, size
-
 MODULES = {
     "wtg_gym.physics": (
         "elementary",
@@ -111,22 +109,3 @@ def test_an_equation_can_be_traced_and_gives_the_compiled_numbers(name: str) -> 
         compiled = numbers(function(*(lane(argument, x) for argument in arguments)))
         seen = [float(value[x]) if np.ndim(value) else float(value) for value in traced]
         assert seen == pytest.approx([float(value) for value in compiled], rel=1e-10, abs=1e-10)
-
-
-def test_rows_and_names_follow_from_the_records() -> None:
-    from wtg_gym.physics.layout import MACHINE, Layout, MachineRows
-    from wtg_gym.physics.machine import MachineState
-
-    assert leaves(MachineState)[-4:] == (
-        "exciter.lead_lag",
-        "exciter.field_voltage",
-        "governor.gate",
-        "governor.reheat",
-    )
-    assert short_names(MachineState)[-1] == "reheat" and offsets(MachineRows).base == MACHINE.base == size(MachineState)
-    layout = Layout(4, 2)
-    assert layout.state_names[0] == "sync0.angle" and len(layout.state_names) == layout.state_rows.size == 57
-    assert np.unique(np.concatenate([layout.state_rows, layout.rate_rows])).size == 114
-    with pytest.raises(KeyError, match="'spede' is no number of WtgRows; it has angle, speed"):
-        layout.wtg("spede")
-    assert flatten(offsets(MachineRows))[0] == 0

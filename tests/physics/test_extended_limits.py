@@ -29,15 +29,13 @@ from wtg_gym.physics.layout import Floats, Layout
 from wtg_gym.physics.network import assemble_admittance
 from wtg_gym.physics.parameters import (
     ConverterLimitParameters,
-    ProtectionParameters,
-    VoltageControlParameters,
     WtgGroup,
     default_groups,
     european_shedding,
 )
 from wtg_gym.physics.plant import PlantSettings, build_plant
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.scenario import GovernorLoss, GroupTrip, LoadStep, MachineOutage, Scenario
+from wtg_gym.physics.scenario import GovernorLoss, LoadStep, Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import get_law
 
@@ -90,16 +88,6 @@ def test_limits_are_held_and_left_without_wind_up(table: bool, disturbance: str)
     assert distance(simulator, start) < 5e-5
 
 
-def test_the_power_is_held_again_within_two_seconds_of_a_load_step() -> None:
-    for power_mw in (100.0, 150.0, 200.0):
-        simulator = started(plant(control_dt=0.025), scenario(LoadStep(time_s=1.0, bus=2, power_mw=power_mw)))
-        found = recorded(simulator, 30.0, "power", "over_power")
-        above = 0.025 * (np.flatnonzero(found["power"].max(axis=1) > 1.1) + 1)
-        assert found["power"].max() > 1.13
-        assert 1.0 <= above.min() <= 1.1 and above.max() < 3.0
-        assert found["over_power"].min() < 0.0 and (found["over_power"][-1] == 0.0).all()
-
-
 def test_the_reactive_limit_takes_over_and_gives_back() -> None:
     simulator = started(plant(control_dt=0.025), scenario(*pulse(4, reactive_mvar=60.0, until_s=16.0)))
     before = simulator.wtg_values("reactive")[0]
@@ -109,15 +97,6 @@ def test_the_reactive_limit_takes_over_and_gives_back() -> None:
     held = found[40 + 20 : 600]
     assert held.max() < 0.3305
     assert found[-1] == pytest.approx(before, abs=1e-5)
-
-
-def test_the_voltage_behind_the_reactance_keeps_within_its_limits_and_leaves_them_at_once() -> None:
-    control = VoltageControlParameters(reactive_max_pu=2.0, internal_voltage_max_pu=1.33)
-    simulator = started(plant(control_dt=0.025, voltage=control), scenario(*pulse(2, reactive_mvar=60.0, until_s=16.0)))
-    found = recorded(simulator, 30.0, "internal_voltage")["internal_voltage"][:, 0]
-    assert found.max() == 1.33
-    assert (found[200:639] == 1.33).all()
-    assert found[641] < 1.33 - 1e-3
 
 
 @pytest.mark.parametrize("table", [False, True])
@@ -135,34 +114,6 @@ def test_a_lost_governor_keeps_its_gate_to_the_bit_whatever_its_kind(table: bool
     simulator.start(0, scenario(events[0]), (get_law(LAW, simulator.settings.turbine),) * 2)
     recorded(simulator, 23.0)
     assert abs(simulator.machine_values(gate)[0, 0] - held) > 1e-3
-
-
-@pytest.mark.parametrize("table", [False, True])
-def test_balances_hold_when_machines_and_groups_are_disconnected(table: bool) -> None:
-    events = (
-        MachineOutage(time_s=1.0, bus=3),
-        GroupTrip(time_s=1.525, group=1),
-        *fault(2.0, bus=4),
-        MachineOutage(time_s=4.0, bus=1),
-    )
-    simulator = started(plant(table=table), scenario(*events))
-    gone = ("sync1.", "wtg1.")
-    kept: dict[str, float] = {}
-    for interval in range(1, 51):
-        simulator.advance()
-        if simulator.lane_values("active")[0] < 0.5:
-            break
-        given, taken = network_balance(simulator)
-        assert given == pytest.approx(taken, abs=1e-11)
-        states = dict(zip(simulator.layout.state_names, simulator.state(), strict=True))
-        rates = dict(zip(simulator.layout.state_names, simulator.rates(), strict=True))
-        gone += ("sync0.", "hydro0.") if interval == 41 else ()
-        if interval in (16, 41):
-            kept = {name: value for name, value in states.items() if name.startswith(gone)}
-        for name, value in kept.items():
-            assert states[name] == value
-            assert rates[name] == 0.0
-    assert interval > 42 and len(kept) > 20
 
 
 def test_shedding_stages_act_in_their_order_at_their_time_with_their_share() -> None:
@@ -199,23 +150,6 @@ def test_a_short_dip_sheds_nothing() -> None:
     assert simulator.lane_values("coi_min")[0] < slow[0].frequency_pu
     first = simulator.layout.rows.shedding
     assert (simulator.blocks[0, first : first + 6] >= 0.0).all()
-
-
-@pytest.mark.parametrize("trips", [False, True])
-def test_a_rotor_that_is_too_slow_ends_the_run_or_trips_its_group(trips: bool) -> None:
-    slowest = ProtectionParameters(rotor_speed_min_pu=0.65)
-    step = LoadStep(time_s=1.0, bus=2, power_mw=75.0)
-    simulator = started(plant(protection=slowest, trips_groups=trips), scenario(step, wind=[[8.0], [8.0]]), law="mppt")
-    found = recorded(simulator, 60.0, "rotor_speed", "current")
-    if not trips:
-        assert simulator.lane_values("status")[0] == Status.UNDER_SPEED
-        assert found["rotor_speed"][-2].min() >= 0.65 > found["rotor_speed"][-1].min()
-    else:
-        connected = simulator.wtg_values("connected")[0]
-        assert connected.min() == 0.0
-        assert (simulator.wtg_values("rotor_speed")[0][connected == 0.0] < 0.65).all()
-        for name in ("power", "current", "reactive", "limiting_reactance"):
-            assert (simulator.wtg_values(name)[0][connected == 0.0] == 0.0).all()
 
 
 # --- The algebraic equations of the current limit

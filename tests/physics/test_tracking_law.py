@@ -24,7 +24,6 @@ from wtg_gym.physics.tracking_law import (
     TUNED_TIME_CONSTANT_S,
     TrackingLaw,
     get_law,
-    group_laws,
 )
 from wtg_gym.physics.trajectory import simulate
 from wtg_gym.reproduce.steady_states import stable_equilibrium
@@ -98,11 +97,6 @@ def test_a_strategy_takes_its_numbers_from_the_control_of_the_plant() -> None:
         run = simulate(CALM, name, PlantSettings(control=control))
         assert run.coefficient_pu[0] == pytest.approx([law.k_nominal] * 2, rel=1e-9)
     assert get_law("coordinated-piecewise", control=control).k_nominal == tracking_point(0.2).coefficient
-
-
-def test_laws_of_groups_are_one_for_all_or_one_for_each() -> None:
-    mppt = STRATEGIES["mppt"]
-    assert group_laws("mppt", 2) == group_laws(["mppt", mppt], 2) == (mppt, mppt)
 
 
 def test_tuned_law_follows_the_turbine_as_its_equation_says() -> None:
