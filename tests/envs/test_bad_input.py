@@ -35,42 +35,27 @@ SLOW = Scenario(name="slow", wind_speed=np.array([[8.0], [4.5]]))
 # Arguments of both environments, and a pattern of what the message names. Version v0 where none is given.
 SETTINGS: list[tuple[dict[str, Any], str]] = [
     ({"strategy": "x"}, "unknown strategy 'x'.*mppt.*coordinated-piecewise"),
-    ({"strategy": 3.5}, "strateg.*3.5"),
     ({"strategy": ["mppt"]}, "law.*2.*1"),
     ({"action_mode": "x"}, "action_mode 'x'.*k, tau, k.tau"),
-    ({"action_mode": ["k"]}, "action_mode.*k, tau, k.tau"),
-    ({"observation_mode": "x"}, "observation_mode 'x'.*local, privileged"),
     ({"suite": "x"}, "suite 'x'.*paper.*weak-grid"),
     ({"split": "x"}, "split 'x'.*train, validation, test"),
-    ({"machine_model": "x"}, "machine_model 'x'.*genrou, classical"),
     ({"physics": "x"}, "physics 'x'.*paper, extended, nrel-5mw"),
-    ({"on_failure": "x"}, "on_failure 'x'.*terminate, trip"),
-    ({"render_mode": "ansi"}, "unknown render_mode 'ansi'.*'rgb_array'"),
     ({"groups": 0}, "1 … 1024.*0"),
-    ({"groups": "2"}, "group.*'2'"),
-    ({"groups": []}, r"group.*\[\]"),
     ({"groups": [{"buss": 2}]}, "buss"),
     ({"groups": [{"bus": 99}]}, "bus 99.*14"),
     ({"groups": [{"bus": 2, "n_turbines": NAN}]}, "n_turbines.*nan"),
-    ({"duration_s": NAN}, "duration_s.*nan.*3600 s"),
     ({"duration_s": 2.05}, "duration_s.*2.05.*0.1 s"),
     ({"control_dt": 0.001}, "control_dt.*0.001.*0.025 … 10 s"),
-    ({"control_dt": None}, "control_dt.*10 s.*None"),
     ({"simulation_dt": 0.05}, "simulation_dt.*0.05.*0.04 s"),
-    ({"simulation_dt": 0.03}, "0.1.*0.03 s"),
     ({"strategy": QUICK, **LONG_STEPS}, "simulation_dt = 0.04 s .* at most 0.0317 s"),
     ({"weights": {"x": 1}}, "weight.*'x'.*frequency.*cap"),
     ({"weights": {"duty": -1}}, "'duty'.*-1"),
     ({"weights": {"cap": 0}}, "'cap' = 0"),
-    ({"weights": 3}, "weights.*3"),
-    ({"scenario": "x"}, "scenario.*'x'"),
     ({"scenario": SENSED}, "has sensors; version v0 measures exactly"),
     ({"scenario": SLOW, "physics": "extended"}, "WTG group 1 .* 4.5 m/s, below the under-speed trip at 0.5 p.u."),
     ({"sensors": "exact"}, "sensors.*v1.*v0 measures exactly"),
-    ({"suite": "gusty-v1"}, "suite 'gusty-v1'.*standard.*weak-grid"),
     ({"version": "v2"}, "version.*'v2'.*v0, v1"),
     ({**V1, "suite": "weak-grid"}, "suite 'weak-grid'.*standard-v1"),
-    ({**V1, "sensors": "x"}, "sensors.*exact.*'x'"),
     ({**V1, "sensors": {"noise": 1.0}}, "sensors.*'noise'.*delay_s"),
     ({**V1, "sensors": {"delay_s": (0.1, NAN)}}, "delay_s = nan s.*0 … 1 s"),
     ({**V1, "control_dt": 0.2}, "delay_s of the sensors = 0.1 s.*control steps of 0.2 s"),
@@ -93,7 +78,6 @@ def test_wrong_setting_is_refused_with_what_is_allowed_in_one_line(arguments: di
 
 BATCH = [
     ({"num_envs": 0}, "num_envs.*1 … 1000000.*0"),
-    ({"num_envs": 2.0}, "num_envs.*1 … 1000000.*2.0"),
     ({"n_threads": 1.5}, "n_threads.*1.5"),
     ({"autoreset_mode": "x"}, "'x'"),
     ({"max_episode_steps": 0}, "max_episode_steps.*0"),
@@ -285,16 +269,10 @@ def test_snapshot_of_other_settings_is_refused_and_changes_nothing(settings: dic
     before = other.snapshot()
     with pytest.raises(ValueError, match=f"of an environment with other settings: {named}$"):
         other.restore(env.snapshot())
+    for wrong in (None, (1, 2, 3), GFMWTGVectorEnv(1, version="v0").snapshot()):
+        with pytest.raises(ValueError, match=r"snapshot\(\) of a GFMWTGEnv returned, got "):
+            other.restore(wrong)
     assert pickle.dumps(other.snapshot()) == pickle.dumps(before)
-
-
-def test_what_is_no_snapshot_is_refused():
-    single, batch, three = GFMWTGEnv(version="v0"), *(GFMWTGVectorEnv(n, version="v0") for n in (1, 3))
-    single.reset(seed=1), batch.reset(seed=1), three.reset(seed=1)
-    for env, other in ((single, batch), (batch, single), (batch, three)):
-        for wrong in (None, (1, 2, 3), other.snapshot()):
-            with pytest.raises(ValueError, match=r"snapshot|lanes"):
-                env.restore(wrong)
 
 
 def test_what_cannot_be_imagined_or_rewarded_is_refused():

@@ -9,15 +9,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from tests.envs.rollouts import actions_of
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
 from wtg_gym.envs.observation import MeasuredObservation, WtgObservation
 from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.scenario import Event, GroupTrip, LoadStep, Scenario
-from wtg_gym.physics.sensors import SENSOR_RANGES, Sensors
+from wtg_gym.physics.sensors import Sensors
 from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[Any]
@@ -260,45 +258,3 @@ def test_privileged_observation_is_the_local_one_and_then_the_exact_values() -> 
     assert names[:n] == local.env.observation_names and len(names) == privileged.observations.shape[1]
     assert len(set(names)) == len(names)
     assert sum(name.startswith("exact") for name in names) == N_WTG * (len(EXACT) + 1)
-
-
-def numbers(name: str) -> st.SearchStrategy[float]:
-    low, high, _ = SENSOR_RANGES[name]
-    return st.sampled_from([low, high]) | st.floats(low, high, allow_subnormal=False)
-
-
-ANY_SENSORS = st.builds(
-    Sensors,
-    seed=st.integers(0, 2**31 - 1),
-    wind_bias=st.tuples(*[st.floats(-0.5, 0.5)] * N_WTG),
-    delay_s=st.integers(0, 10).map(lambda steps: round(0.1 * steps, 9)),
-    wind_sensor=st.booleans(),
-    **{name: numbers(name) for name in SENSOR_RANGES if name != "delay_s"},
-)
-
-
-@settings(max_examples=60, derandomize=True, database=None, suppress_health_check=list(HealthCheck))
-@given(
-    ANY_SENSORS,
-    st.sampled_from([3.0, 6.0, 9.0, 15.0, 25.0]),
-    st.lists(st.sampled_from([-1e30, -1.0, 0.0, 0.3, 1.0]), min_size=1, max_size=12),
-    st.sampled_from(["local", "privileged"]),
-)
-def test_whatever_the_sensors_say_observations_are_finite_and_in_the_box(
-    sensors: Sensors, wind: float, actions: list[float], observation_mode: str
-) -> None:
-    env = GFMWTGEnv(version="v1", duration_s=2.0, observation_mode=observation_mode)
-    scenario = dataclasses.replace(drawn(sensors, 2.0), wind_speed=np.full((N_WTG, 1), wind))
-    try:
-        observation, _ = env.reset(options={"scenario": scenario})
-    except ValueError as error:
-        assert "cannot start" in str(error)
-        return
-    over, step = False, 0
-    while not over:
-        assert env.observation_space.contains(observation)
-        action = [actions[(step * N_ACTION + a) % len(actions)] for a in range(N_ACTION)]
-        observation, reward, terminated, truncated, _ = env.step(np.array(action))
-        assert math.isfinite(reward)
-        over, step = terminated or truncated, step + 1
-    assert env.observation_space.contains(observation)
