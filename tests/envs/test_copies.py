@@ -125,10 +125,3 @@ def test_batch_snapshot_keeps_lanes_that_wait_for_their_reset():
         _, rewards, *_, infos = env.step(np.ones((3, 4)))
         assert rewards[0] == 0.0 and infos["time_s"].tolist() == pytest.approx([0.0, 1.1, 1.1])
         env.restore(snapshot)
-
-
-def test_snapshot_is_taken_by_an_environment_of_another_suite():
-    env, other = (GFMWTGEnv(duration_s=4.0, version="v0", suite=suite) for suite in ("standard", "gust"))
-    steps_of(env, BEFORE, seed=3), steps_of(other, BEFORE, seed=8)
-    other.restore(env.snapshot())
-    assert steps_of(other, AFTER[:27]) == steps_of(env, AFTER[:27])

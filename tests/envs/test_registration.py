@@ -131,18 +131,6 @@ def test_spec_survives_json_with_its_arguments(arguments: dict[str, Any]):
 
 
 @BOTH_IDS
-def test_make_vec_gives_the_native_batch_in_the_asked_mode(env_id: str):
-    n_observation = {"v0": 20, "v1": 32}[env_id[-2:]]
-    for mode in AutoresetMode:
-        env = gym.make_vec(env_id, num_envs=3, duration_s=2.0, autoreset_mode=mode)
-        assert isinstance(env.unwrapped, GFMWTGVectorEnv) and env.num_envs == 3
-        assert env.metadata["autoreset_mode"] == mode
-        assert env.reset(seed=1)[0].shape == env.observation_space.shape == (3, n_observation)
-    assert gym.make_vec(env_id, num_envs=2).metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
-    assert GFMWTGVectorEnv.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
-
-
-@BOTH_IDS
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
 def test_native_batch_equals_gymnasiums_own_of_single_environments(mode: AutoresetMode, env_id: str):
     actions = actions_of(2, 45, 3, {"v0": 4, "v1": 8}[env_id[-2:]]).astype(np.float32)

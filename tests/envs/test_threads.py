@@ -50,27 +50,6 @@ def test_resets_while_other_threads_step_change_no_bit(n_threads: int, version: 
             assert (a == b).all()
 
 
-def test_a_preparation_that_fails_leaves_no_lane_behind(monkeypatch: pytest.MonkeyPatch) -> None:
-    env = staggered(2)
-    simulator, actions = env.lanes.simulator, np.zeros((N, 4), dtype=np.float32)
-    # No episode is ready: the next step draws one for the waiting lane.
-    env._next._ready.clear()
-    before = simulator.lane_values("step")
-
-    def refuse(scenarios: object) -> None:
-        raise ValueError("scenario 'x' cannot start")
-
-    with monkeypatch.context() as patch:
-        patch.setattr(env.lanes, "prepare", refuse)
-        with pytest.raises(ValueError, match="cannot start"):
-            env.step(actions)
-    assert (simulator.lane_values("step")[1:] == before[1:] + simulator.plant.n_substeps).all()
-    # The lane that could not start has moved on to the scenario after it.
-    env.step(actions)
-    assert simulator.lane_values("step")[0] == 0.0
-    env.close()
-
-
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
 def test_a_forked_process_steps_a_batch_that_has_stepped_on_threads() -> None:

@@ -119,10 +119,7 @@ def test_the_gradient_of_each_term_is_that_of_central_differences(settings: dict
         assert expected.any() == (term not in silent)
         found = along(tape.gradient(scenarios, actions, {term: 1.0}), way)
         assert found == pytest.approx(expected, rel=1e-5, abs=1e-5 * np.abs(expected).max())
-    total = measured.sum(axis=1)
-    assert along(tape.gradient(scenarios, actions), way) == pytest.approx(
-        total, rel=1e-5, abs=1e-5 * np.abs(total).max()
-    )
+    assert along(tape.gradient(scenarios, actions), way) == pytest.approx(measured.sum(axis=1), rel=1e-5)
 
 
 @pytest.mark.parametrize("settings", [{}, V1])
@@ -153,19 +150,6 @@ def test_the_gradient_goes_through_outages_and_lost_governors() -> None:
         given(2, step, LineTrip(time_s=1.075, from_bus=4, to_bus=5, recloses_after_s=0.225)),
     ]
     agrees(tape, scenarios, actions_of(tape, 80))
-
-
-def test_a_lost_governor_holds_a_gate_that_actions_have_moved() -> None:
-    tape = tape_of()
-    buses = [machine.bus for machine in tape.lanes.simulator.settings.case.machines if machine.governor is not None]
-    step = LoadStep(time_s=0.5, bus=4, power_mw=15.0)
-    scenarios = [given(2, step, GovernorLoss(time_s=4.0, bus=buses[0]))] * N_LANES
-    actions = actions_of(tape, 80)
-    found = tape.gradient(scenarios, actions)
-    # Only actions before the loss act on the gate, and only frequencies after it tell of the reference.
-    way = np.random.default_rng(4).normal(size=actions.shape) * (np.arange(80) < 40)[:, np.newaxis, np.newaxis]
-    expected = slopes(tape, scenarios, actions, way).sum(axis=1)
-    assert along(found, way) == pytest.approx(expected, rel=1e-5)
 
 
 def test_the_gradient_goes_through_the_limits_of_the_pitch() -> None:

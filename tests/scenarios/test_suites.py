@@ -96,13 +96,3 @@ def test_paper_has_its_two_cases_in_every_split():
         assert scenario.duration_s == 120.0
         assert scenario.load_noise_mw.size == 0
         assert (scenario.governor_droop, scenario.inertia_scale, scenario.load_level) == (None, 1.0, 1.0)
-
-
-@pytest.mark.parametrize("name", SUITES)
-def test_duration_and_groups_can_be_chosen(name: str):
-    suite = get_suite(name)
-    seed, total = suite.test[-1], sum(group.n_turbines for group in suite.plant.groups)
-    turbines = [0.1 * total, 0.3 * total, 0.6 * total]
-    scenario = suite.scenario(seed, n_wtg=3, n_turbines=turbines, duration_s=30.0)
-    assert (scenario.n_wtg, scenario.duration_s, scenario.seed) == (3, 30.0, seed)
-    assert suite.scenario(seed).duration_s == suite.duration_s
