@@ -23,9 +23,8 @@ from tests.physics.extended import (
 )
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.linearisation import moving_states, state_matrix
-from wtg_gym.physics.parameters import VoltageControlParameters, WtgGroup, default_groups
+from wtg_gym.physics.parameters import VoltageControlParameters, WtgGroup
 from wtg_gym.physics.plant import PlantSettings
-from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw, get_law
 from wtg_gym.scenarios import SUITES, Suite
@@ -36,7 +35,7 @@ LIMIT = 1e-8
 @pytest.mark.parametrize("law", STRATEGIES.values(), ids=lambda law: law.name)
 def test_no_state_moves_at_the_start_at_any_wind(simulator: Simulator, law: TrackingLaw) -> None:
     for wind in np.linspace(6.0, 13.0, 20):
-        simulator.start(0, Scenario(name="x", wind_speed=np.array([[wind], [19.0 - wind]])), (law, law))
+        simulator.start(0, scenario(wind=[[wind], [19.0 - wind]]), (law, law))
         assert largest_rate(simulator) <= LIMIT, f"{wind:g} m/s"
 
 
@@ -52,30 +51,25 @@ def test_no_state_moves_at_the_start_of_the_suites(simulator: Simulator, suite: 
         assert largest_rate(simulator) <= LIMIT, f"seed {seed}"
 
 
-@pytest.mark.parametrize("wind", [12.0, 15.0, 20.0, 24.0])
-def test_above_rated_the_pitch_holds_the_captured_power_at_its_limit(simulator: Simulator, wind: float) -> None:
-    law = STRATEGIES["coordinated-piecewise"]
-    simulator.start(0, Scenario(name="x", wind_speed=np.full((2, 1), wind)), (law, law))
+@pytest.mark.parametrize("wind", [3.0, 8.0, 11.4, 12.0, 15.0, 20.0, 24.0])
+def test_above_rated_the_pitch_holds_the_captured_power_at_its_limit_and_below_it_rests(
+    simulator: Simulator, wind: float
+) -> None:
+    simulator.start(0, scenario(wind=[[wind], [wind]]), (STRATEGIES["coordinated-piecewise"],) * 2)
     assert largest_rate(simulator) <= LIMIT
-    assert simulator.wtg_values("captured")[0] == pytest.approx([1.05, 1.05], abs=1e-9)
-    assert (simulator.wtg_values("pitch")[0] > 0.0).all()
-
-
-@pytest.mark.parametrize("wind", [3.0, 8.0, 11.4])
-def test_below_rated_the_pitch_is_exactly_at_rest(simulator: Simulator, wind: float) -> None:
-    law = STRATEGIES["coordinated-piecewise"]
-    simulator.start(0, Scenario(name="x", wind_speed=np.full((2, 1), wind)), (law, law))
-    assert (simulator.wtg_values("pitch")[0] == 0.0).all()
+    pitch = simulator.wtg_values("pitch")[0]
+    if wind < 12.0:
+        assert (pitch == 0.0).all()
+    else:
+        assert (pitch > 0.0).all()
+        assert simulator.wtg_values("captured")[0] == pytest.approx([1.05, 1.05], abs=1e-9)
 
 
 @pytest.mark.parametrize("model", ["genrou", "classical"])
-@pytest.mark.parametrize("groups", [default_groups(1), (WtgGroup(bus=3), WtgGroup(bus=14, n_turbines=2.0))])
-def test_other_groups_and_machine_models_start_at_rest(model: str, groups: tuple[WtgGroup, ...]) -> None:
-    case = modified_ieee14(classical=model == "classical")
-    simulator = Simulator(PlantSettings(case=case, groups=groups))
-    wind = np.full((len(groups), 1), 9.0)
-    simulator.start(0, Scenario(name="x", wind_speed=wind), (STRATEGIES["mppt"],) * len(groups))
-    assert largest_rate(simulator) <= LIMIT
+def test_other_groups_and_machine_models_start_at_rest(model: str) -> None:
+    groups = WtgGroup(bus=3), WtgGroup(bus=14, n_turbines=2.0)
+    settings = PlantSettings(case=modified_ieee14(classical=model == "classical"), groups=groups)
+    assert largest_rate(started(settings, scenario(wind=[[9.0], [9.0]]), "mppt")) <= LIMIT
 
 
 def test_resistance_and_shared_buses_start_at_rest() -> None:
@@ -84,10 +78,8 @@ def test_resistance_and_shared_buses_start_at_rest() -> None:
     # In the place of the last one: as many machines as usual, whose code is compiled already.
     case = dataclasses.replace(case, machines=(*machines[:-1], classical(bus=3, dispatch_mw=20.0)))
     assert len({machine.bus for machine in case.machines}) < len(case.machines)
-    simulator = Simulator(PlantSettings(case=case))
-    law = STRATEGIES["coordinated-linear"]
-    simulator.start(0, Scenario(name="x", wind_speed=np.full((2, 1), 9.0)), (law, law))
-    assert largest_rate(simulator) <= LIMIT
+    found = started(PlantSettings(case=case), scenario(wind=[[9.0], [9.0]]), "coordinated-linear")
+    assert largest_rate(found) <= LIMIT
 
 
 # --- Extended plants

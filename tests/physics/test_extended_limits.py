@@ -191,8 +191,8 @@ def limited_currents(admittance: Any, voltage: Any, largest: Floats) -> tuple[Fl
 
 GRIDS = {
     "two groups at bus 2": default_groups(2),
-    "five groups at five buses": tuple(WtgGroup(bus=bus, n_turbines=4.0) for bus in (2, 4, 9, 13, 14)),
-    "five large groups at a weak bus": tuple(WtgGroup(bus=14, n_turbines=16.0) for _ in range(5)),
+    "four groups at four buses": tuple(WtgGroup(bus=bus, n_turbines=5.0) for bus in (2, 4, 9, 14)),
+    "four large groups at a weak bus": tuple(WtgGroup(bus=14, n_turbines=20.0) for _ in range(4)),
 }
 
 

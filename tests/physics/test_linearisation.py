@@ -112,11 +112,9 @@ def test_a_law_that_is_too_steep_for_the_step_is_refused(
     Simulator(dataclasses.replace(light, simulation_dt=0.01)).prepare([what], (law,) * 2)
 
 
-@pytest.mark.parametrize("settings", [{}, {"simulation_dt": 0.04, "control_dt": 0.2}, {"groups": ()}])
+@pytest.mark.parametrize("settings", [{}, {"simulation_dt": 0.04, "control_dt": 0.2}])
 def test_every_step_and_inertia_that_is_allowed_suits_the_default_plant(settings: dict[str, Any]) -> None:
-    chosen = PlantSettings(**settings)
-    n = len(chosen.groups)
-    Simulator(chosen).prepare([scenario(wind=np.full((n, 1), 8.0), inertia_scale=0.05)], LAWS[:n])
+    Simulator(PlantSettings(**settings)).prepare([scenario(inertia_scale=0.05)], LAWS)
 
 
 def test_with_fewer_units_the_largest_step_is_no_shorter(simulator: Simulator) -> None:
