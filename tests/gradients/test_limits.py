@@ -1,4 +1,4 @@
-"""Gradients through the limits of the converters, and through a table of power coefficients."""
+"""What is traced of the kernels, and gradients through the limits of the converters and a table of coefficients."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ import numpy.typing as npt
 import pytest
 
 from tests.gradients.test_gradients import N_LANES, V1, actions_of, agrees, drawn, given, tape_of
+from wtg_gym.envs.task import step_blocks
 from wtg_gym.gradients import expressions as ex
+from wtg_gym.gradients import kernel_programs
 from wtg_gym.gradients.adjoint import build_pull_limits
 from wtg_gym.gradients.kernel_programs import programs_of, require_known
 from wtg_gym.gradients.tape import Tape
@@ -45,6 +47,22 @@ def compiled_by_python(source: str) -> Any:
     space: dict[str, Any] = {"chosen": select, "fma": fma, "sine_cosine": sine_cosine, "exponential": exponential}
     exec(source, {**space, "math": math, "inf": math.inf}, space)
     return space["traced"]
+
+
+def test_the_traced_right_hand_side_is_that_of_the_kernel() -> None:
+    lanes = tape_of().lanes
+    lanes.start(range(N_LANES), drawn(tape_of()))
+    simulator = lanes.simulator
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        lanes.step(rng.uniform(-1.0, 1.0, (N_LANES, lanes.n_action)))
+    program = programs_of(simulator.plant, lanes.task, simulator.layout.n_rows, lanes.n_action).rates
+    block = tape_of()._values()[0][:, 0].copy()
+    compiled_by_python(ex.function_source("traced", ("fraction",), program))(block, 0.0, (0,))
+    simulator.evaluate()
+    rates = simulator.rates()
+    assert np.abs(rates).max() > 1e-3
+    assert block[simulator.layout.rate_rows] == pytest.approx(rates, rel=1e-12, abs=1e-12)
 
 
 def test_the_traced_right_hand_side_is_that_of_the_kernel_while_currents_are_limited() -> None:
@@ -158,3 +176,66 @@ def test_hydro_governors_are_refused() -> None:
     case = dataclasses.replace(modified_ieee14(), machines=tuple(hydro))
     with pytest.raises(ValueError, match="hydro"):
         require_known(build_plant(PlantSettings(case=case)))
+
+
+#: Kernels of a control step that gradients do not go through: what they do counts as given.
+GIVEN = {
+    "_count_step",
+    "apply_network_changes",
+    "arrived_row",
+    "changes_due",
+    "enter_interval",
+    "sample_grid",
+    "newest_row",
+    "noise_key",
+    "normal",
+    "protections_sample",
+    "report",
+    "shed_load",
+    "update_status",
+}
+#: Those that the way back has rules of its own for; the kernels that they call are traced.
+FOLLOWED = {
+    "limit_currents",
+    "advance_stage",
+    "advance_interval",
+    "advance_step",
+    "derivatives",
+    "end_step",
+    "show_delayed",
+}
+
+
+def test_every_kernel_of_a_step_is_traced_or_counts_as_given(monkeypatch: pytest.MonkeyPatch) -> None:
+    tape = tape_of(**V1)
+    lanes, simulator = tape.lanes, tape.lanes.simulator
+    called: set[str] = set()
+    own = kernel_programs.retargeted
+
+    def noted(function: Any, *given: Any) -> Any:
+        done: dict[Any, Any] = given[1] if len(given) > 1 else {}
+        found = own(function, given[0] if given else kernel_programs.ARITHMETIC, done)
+        called.update(source.__name__ for source in done)
+        return found
+
+    monkeypatch.setattr(kernel_programs, "retargeted", noted)
+    programs_of(simulator.plant, lanes.task, simulator.layout.n_rows, lanes.n_action)
+    known = GIVEN | set(kernel_programs.ARITHMETIC)
+    found = kernels_of(step_blocks, known)
+    assert found - called - known == FOLLOWED
+    assert found >= GIVEN
+
+
+def kernels_of(function: Any, known: set[str]) -> set[str]:
+    """Return the names of all compiled functions that one calls, except those that only known ones call."""
+    found: set[str] = set()
+    open_ = [function.py_func]
+    while open_:
+        source = open_.pop()
+        for name in source.__code__.co_names:
+            callee = getattr(source.__globals__.get(name), "py_func", None)
+            if callee is not None and callee.__name__ not in found:
+                found.add(callee.__name__)
+                if callee.__name__ not in known:
+                    open_.append(callee)
+    return found
