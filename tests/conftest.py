@@ -30,7 +30,6 @@ _WITHOUT_THE_USUAL_PLANT = (
     "golden/",
     "physics/test_machine_code",
     "physics/test_components",
-    "physics/test_compiled",
     "scenarios/",
 )
 

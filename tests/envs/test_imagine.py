@@ -74,13 +74,3 @@ def test_what_has_not_struck_yet_is_forgotten_and_does_not_reach_the_real_episod
     coi = [own.simulator.lane_values("coi") for own in (lanes, calm, imagined)]
     assert coi[2] == pytest.approx(np.repeat(coi[1], 2), abs=1e-12)
     assert coi[0][0] < coi[1][0] - 1e-3
-
-
-def test_lanes_of_another_plant_and_wrong_shapes_are_refused() -> None:
-    lanes, wind = started(1, scenario()), np.full((2, 4, 3), 9.0)
-    other = TaskLanes(EnvSettings(suite="low-share-v1", observation_mode="privileged", duration_s=20.0), 2, 1)
-    with pytest.raises(ValueError, match="same settings"):
-        other.imagine(lanes, np.zeros(2, dtype=np.int64), wind)
-    imagined = started(2)
-    with pytest.raises(ValueError, match=r"a lane for each of 2 lanes .* got shapes \(1,\) and \(2, 4, 3\)"):
-        imagined.imagine(lanes, np.zeros(1, dtype=np.int64), wind)

@@ -28,9 +28,9 @@ GOLDEN = Path(__file__).parent
 #: Every trace.
 TRACES = sorted(GOLDEN.glob("*/*.csv"))
 
-#: The file's names of what a record has.
-_MACHINE = {"rating_mva": "Sn", "two_h_s": "M", "x_d_transient": "xd1", "damping_pu": "D", "resistance": "ra"}
-_GENROU = {
+#: What the file, as ANDES, calls what a record has, in the order of the file.
+MACHINE = {"rating_mva": "Sn", "two_h_s": "M", "x_d_transient": "xd1", "damping_pu": "D", "resistance": "ra"}
+GENROU = {
     "x_d": "xd",
     "x_q": "xq",
     "x_q_transient": "xq1",
@@ -41,15 +41,15 @@ _GENROU = {
     "t_q0_transient_s": "Tq10",
     "t_q0_subtransient_s": "Tq20",
 }
-_EXCITER = {
-    "gain": "K",
+EXCITER = {
     "lead_lag_ratio": "TATB",
     "lag_time_s": "TB",
+    "gain": "K",
     "exciter_time_s": "TE",
     "field_min_pu": "EMIN",
     "field_max_pu": "EMAX",
 }
-_GOVERNOR = {
+GOVERNOR = {
     "droop_pu": "R",
     "gate_time_s": "T1",
     "lead_time_s": "T2",
@@ -59,7 +59,7 @@ _GOVERNOR = {
     "turbine_damping_pu": "Dt",
     "dead_band_pu": "db",
 }
-_HYDRO_GOVERNOR = {
+HYDRO_GOVERNOR = {
     "droop_pu": "R",
     "temporary_droop_pu": "r",
     "reset_time_s": "Tr",
@@ -74,6 +74,8 @@ _HYDRO_GOVERNOR = {
     "no_load_flow_pu": "qNL",
     "dead_band_pu": "db",
 }
+_GOVERNORS = {"tgov1": (GovernorParameters, GOVERNOR), "hygov": (HydroGovernorParameters, HYDRO_GOVERNOR)}
+_EXCITERS = {"sexs": (ExciterParameters, EXCITER)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,8 +108,7 @@ def read_case(path: Path, **changes: Any) -> Case:
         for key, gen in data["gens"].items()
         for static in [data["gen_static"][str(gen["bus"])]]
     }
-    controls = _controls(data)
-    machines = tuple(_machine(gen, base, power[key], *controls(key)) for key, gen in data["gens"].items())
+    machines = tuple(_machine(gen, base, power[key], data, key) for key, gen in data["gens"].items())
     held = {machine.bus for machine in machines}
     network = NetworkCase(
         name=path.parent.name,
@@ -157,45 +158,35 @@ def _named(names: Mapping[str, str], given: Mapping[str, Any]) -> dict[str, Any]
     return {name: float(given[key]) for name, key in names.items() if key in given}
 
 
-def _controls(data: Mapping[str, Any]) -> Any:
-    """Return what gives the governor and the exciter of a machine by its key, or None."""
-
-    def of(kind: str, key: str) -> Any:
+def _control(data: Mapping[str, Any], key: str, kinds: Mapping[str, tuple[Any, Mapping[str, str]]]) -> Any:
+    """Return the governor or the exciter of a machine, of the first kind of which the file has one, or None."""
+    for kind, (record, names) in kinds.items():
         entries = data.get(kind, [])
-        entries = [entries] if isinstance(entries, dict) else entries
-        return next((entry for entry in entries if entry["gen"] == key), None)
-
-    def controls(key: str) -> tuple[GovernorParameters | HydroGovernorParameters | None, ExciterParameters | None]:
-        steam, hydro, exciter = of("tgov1", key), of("hygov", key), of("sexs", key)
-        governor: GovernorParameters | HydroGovernorParameters | None = None
-        if steam is not None:
-            governor = GovernorParameters(**_named(_GOVERNOR, steam))
-        elif hydro is not None:
-            governor = HydroGovernorParameters(**_named(_HYDRO_GOVERNOR, hydro))
-        return governor, None if exciter is None else ExciterParameters(**_named(_EXCITER, exciter))
-
-    return controls
+        for entry in [entries] if isinstance(entries, dict) else entries:
+            if entry["gen"] == key:
+                return record(**_named(names, entry))
+    return None
 
 
 def _machine(
     gen: Mapping[str, Any],
     base: float,
     power: complex,
-    governor: GovernorParameters | HydroGovernorParameters | None,
-    exciter: ExciterParameters | None,
+    data: Mapping[str, Any],
+    key: str,
 ) -> SynchronousMachineParameters:
     common: dict[str, Any] = {
-        **_named(_MACHINE, gen),
+        **_named(MACHINE, gen),
         "bus": gen["bus"],
         "dispatch_mw": base * power.real,
         # Only the proportions of the weights count.
         "reactive_weight": base * gen["gammaq"],
-        "governor": governor,
+        "governor": _control(data, key, _GOVERNORS),
     }
     if gen.get("model", "GENCLS") == "GENCLS":
         return classical_machine(**common)
     assert gen["xd2"] == gen["xq2"], "the network is a constant admittance"
-    return SynchronousMachineParameters(exciter=exciter, **_named(_GENROU, gen), **common)
+    return SynchronousMachineParameters(exciter=_control(data, key, _EXCITERS), **_named(GENROU, gen), **common)
 
 
 def _event(

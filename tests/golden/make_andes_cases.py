@@ -42,15 +42,16 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import andes
 import numpy as np
 import numpy.typing as npt
 from andes.routines.daeint import Trapezoid, method_map
+from case import EXCITER, GENROU, GOVERNOR, HYDRO_GOVERNOR, MACHINE
 
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters, SynchronousMachineParameters
+from wtg_gym.physics.machine_parameters import HydroGovernorParameters, SynchronousMachineParameters
 from wtg_gym.physics.network import NetworkCase
 
 Floats = npt.NDArray[np.float64]
@@ -70,7 +71,6 @@ UNIT_BUS, UNIT_POWER_PU, UNIT_MVA, UNIT_REACTANCE_PU = 2, 0.65, 50.0, 0.55
 #: Model and swing equation of each unit, M [s] and D on its own base, and those of the grid-forming converters.
 UNITS = {"2a": ("GENCLS", 10.0, 62.5), "2b": ("GENCLS", 10.0, 62.5)}
 FORMING_UNITS = {"2a": ("REGF1", 8.0, 50.0), "2b": ("REGF2", 8.0, 50.0)}
-UNIT_MODELS = ("GENCLS", "REGF1", "REGF2")
 QUANTITIES = ("w", "Pe", "V")
 
 NOTE = (
@@ -94,8 +94,7 @@ GOVERNOR_NOTE = (
 )
 
 
-@dataclass(frozen=True)
-class Step:
+class Step(NamedTuple):
     """A constant conductance switched on, given as its power at the bus voltage of the power flow [MW]."""
 
     time_s: float
@@ -103,16 +102,14 @@ class Step:
     power_mw: float
 
 
-@dataclass(frozen=True)
-class Trip:
+class Trip(NamedTuple):
     """The load of a bus, active and reactive, is disconnected."""
 
     time_s: float
     bus: int
 
 
-@dataclass(frozen=True)
-class Shed:
+class Shed(NamedTuple):
     """A share of every load, and of what steps have switched on, is disconnected; later steps come without it."""
 
     time_s: float
@@ -137,51 +134,36 @@ method_map["fixed_trapezoid"] = FixedTrapezoid
 
 @dataclass(frozen=True)
 class Case:
-    """One parameter file and its traces.
-
-    Args:
-        name: its folder, with `params.json` and one `<key of events>.csv` each.
-        events: event lists by key.
-        gate_max_pu: upper limit of the governor's gate on the machine's base; None keeps that of the data.
-        field_max_pu: upper limit of the field voltage by bus of the machine; the others keep that of the data.
-        resistance_pu: armature resistance by bus of the machine, on its base.
-        dead_band_pu: of the governor.
-        hydro: the governor is a HYGOV.
-        units: model, M [s] and D of each unit at bus 2, on its own base.
-    """
+    """One parameter file and its traces, by the key of their events; limits are those of the data but where given."""
 
     name: str
     events: dict[str, tuple[Event, ...]]
-    gate_max_pu: float | None = None
-    field_max_pu: dict[int, float] = field(default_factory=dict)
-    resistance_pu: dict[int, float] = field(default_factory=dict)
-    dead_band_pu: float = 0.0
+    governor: dict[str, float] = field(default_factory=dict)
+    field_max_pu: dict[int, float] = field(default_factory=dict)  # by bus of the machine
+    resistance_pu: dict[int, float] = field(default_factory=dict)  # by bus of the machine, on its base
     hydro: bool = False
     units: dict[str, tuple[str, float, float]] = field(default_factory=lambda: UNITS)
 
 
 STEPS_UP = (Step(5.0, 2, 75.0), Step(30.0, 3, 75.0))
+SHEDDING = (Step(5.0, 2, 150.0), Shed(5.5, 0.05), Shed(5.625, 0.08), Shed(5.8125, 0.08), Step(30.0, 3, 75.0))
 CASES = (
     Case("genrou", {"a": STEPS_UP, "b": (Trip(5.0, 4), Trip(30.0, 9))}),
     Case(
         "limits",
         {"a": (*STEPS_UP, Step(42.375, 3, -45.0))},
-        gate_max_pu=0.49,
+        governor={"gate_max_pu": 0.49},
         field_max_pu={3: 1.95, 8: 2.0},
         resistance_pu={1: 0.003},
     ),
-    Case("dead-band", {"a": STEPS_UP}, dead_band_pu=6e-4),
+    Case("dead-band", {"a": STEPS_UP}, governor={"dead_band_pu": 6e-4}),
     Case("hydro", {"a": STEPS_UP}, hydro=True),
     Case("grid-forming", {"a": STEPS_UP}, units=FORMING_UNITS),
-    Case(
-        "shedding",
-        {"a": (Step(5.0, 2, 150.0), Shed(5.5, 0.05), Shed(5.625, 0.08), Shed(5.8125, 0.08), Step(30.0, 3, 75.0))},
-    ),
+    Case("shedding", {"a": SHEDDING}),
 )
 
 
-@dataclass(frozen=True)
-class Trace:
+class Trace(NamedTuple):
     """Rows of one run: times (n,), speeds and powers (n, machines), voltages (n, buses)."""
 
     t: Floats
@@ -198,17 +180,14 @@ def network_of(case: Case) -> NetworkCase:
     for m in network.machines:
         governor, exciter = m.governor, m.exciter
         if case.hydro and governor is not None:
-            droop = 0.4
             governor = HydroGovernorParameters(
-                temporary_droop_pu=droop,
-                reset_time_s=m.rating_mva / network.base_mva / droop,
+                temporary_droop_pu=0.4,
+                reset_time_s=m.rating_mva / network.base_mva / 0.4,
                 gate_rate_limit_pu_s=10.0,
                 turbine_damping_pu=0.0,
             )
         elif governor is not None:
-            governor = dataclasses.replace(governor, dead_band_pu=case.dead_band_pu)
-        if governor is not None and case.gate_max_pu is not None:
-            governor = dataclasses.replace(governor, gate_max_pu=case.gate_max_pu)
+            governor = dataclasses.replace(governor, **{"dead_band_pu": 0.0, **case.governor})
         if exciter is not None and m.bus in case.field_max_pu:
             exciter = dataclasses.replace(exciter, field_max_pu=case.field_max_pu[m.bus])
         resistance = case.resistance_pu.get(m.bus, m.resistance)
@@ -216,41 +195,29 @@ def network_of(case: Case) -> NetworkCase:
     return dataclasses.replace(network, machines=tuple(machines))
 
 
+def named(names: dict[str, str], record: Any) -> dict[str, float]:
+    """Return ANDES' parameters of a record, without a dead band of zero."""
+    return {key: getattr(record, name) for name, key in names.items() if key != "db" or getattr(record, name)}
+
+
 def genrou_data(m: SynchronousMachineParameters) -> dict[str, float]:
     """Return ANDES' parameters of a GENROU on its own base."""
-    return {
-        "Sn": m.rating_mva,
-        "M": m.two_h_s,
-        "D": m.damping_pu,
-        "ra": m.resistance,
-        "xl": m.x_leakage,
-        "xd": m.x_d,
-        "xq": m.x_q,
-        "xd1": m.x_d_transient,
-        "xq1": m.x_q_transient,
-        "xd2": m.x_subtransient,
-        "xq2": m.x_subtransient,
-        "Td10": m.t_d0_transient_s,
-        "Td20": m.t_d0_subtransient_s,
-        "Tq10": m.t_q0_transient_s,
-        "Tq20": m.t_q0_subtransient_s,
-        "gammap": 1.0,
-        "gammaq": 1.0,
-    }
+    own = {**named(MACHINE | GENROU, m), "xq2": m.x_subtransient, "gammap": 1.0, "gammaq": 1.0}
+    order = "Sn M D ra xl xd xq xd1 xq1 xd2 xq2 Td10 Td20 Tq10 Tq20 gammap gammaq"
+    return {key: own[key] for key in order.split()}
+
+
+def governor_data(m: SynchronousMachineParameters) -> tuple[str, dict[str, float]]:
+    """Return the model of a machine's governor, "" where there is none, and ANDES' parameters."""
+    if isinstance(m.governor, HydroGovernorParameters):
+        return "hygov", named(HYDRO_GOVERNOR, m.governor)
+    return ("", {}) if m.governor is None else ("tgov1", named(GOVERNOR, m.governor))
 
 
 def unit_data(two_h_s: float, damping_pu: float) -> dict[str, float]:
     """Return one of the units at bus 2 as a classical machine."""
-    share = 1.0 / len(UNITS)
-    return {
-        "Sn": UNIT_MVA,
-        "M": two_h_s,
-        "D": damping_pu,
-        "ra": 0.0,
-        "xd1": UNIT_REACTANCE_PU,
-        "gammap": share,
-        "gammaq": share,
-    }
+    own = {"Sn": UNIT_MVA, "M": two_h_s, "D": damping_pu, "ra": 0.0, "xd1": UNIT_REACTANCE_PU}
+    return {**own, **dict.fromkeys(("gammap", "gammaq"), 1.0 / len(UNITS))}
 
 
 def forming_data(model: str, unit: dict[str, float], base_mva: float) -> dict[str, float]:
@@ -270,97 +237,58 @@ def forming_data(model: str, unit: dict[str, float], base_mva: float) -> dict[st
     }
 
 
-def sexs_data(m: SynchronousMachineParameters) -> dict[str, float]:
-    """Return ANDES' parameters of a machine's exciter."""
-    e = m.exciter
-    assert e is not None
-    return {
-        "TATB": e.lead_lag_ratio,
-        "TB": e.lag_time_s,
-        "K": e.gain,
-        "TE": e.exciter_time_s,
-        "EMIN": e.field_min_pu,
-        "EMAX": e.field_max_pu,
-    }
+def line_data(network: NetworkCase) -> list[dict[str, Any]]:
+    """Return the branches in the form of the parameter file."""
+    return [
+        {
+            "f": branch.from_bus,
+            "t": branch.to_bus,
+            "r": branch.resistance,
+            "x": branch.reactance,
+            "b": branch.charging,
+            "tap": branch.tap,
+            "phi": 0.0,
+        }
+        for branch in network.branches
+    ]
 
 
-def tgov1_data(m: SynchronousMachineParameters) -> dict[str, float]:
-    """Return ANDES' parameters of a machine's governor."""
-    g = m.governor
-    assert isinstance(g, GovernorParameters)
-    return {
-        "R": g.droop_pu,
-        "T1": g.gate_time_s,
-        "T2": g.lead_time_s,
-        "T3": g.reheat_time_s,
-        "VMIN": g.gate_min_pu,
-        "VMAX": g.gate_max_pu,
-        "Dt": g.turbine_damping_pu,
-        **({"db": g.dead_band_pu} if g.dead_band_pu else {}),
-    }
+def load_data(network: NetworkCase) -> list[dict[str, Any]]:
+    """Return the loads in the form of the parameter file."""
+    base = network.base_mva
+    return [
+        {"bus": b.number, "P": b.load_mw / base, "Q": b.load_mvar / base}
+        for b in network.buses
+        if b.load_mw or b.load_mvar
+    ]
 
 
-def hygov_data(m: SynchronousMachineParameters) -> dict[str, float]:
-    """Return ANDES' parameters of a machine's hydro governor."""
-    g = m.governor
-    assert isinstance(g, HydroGovernorParameters)
-    return {
-        "R": g.droop_pu,
-        "r": g.temporary_droop_pu,
-        "Tr": g.reset_time_s,
-        "Tf": g.filter_time_s,
-        "Tg": g.gate_time_s,
-        "VELM": g.gate_rate_limit_pu_s,
-        "GMIN": g.gate_min_pu,
-        "GMAX": g.gate_max_pu,
-        "Tw": g.water_time_s,
-        "At": g.turbine_gain,
-        "Dt": g.turbine_damping_pu,
-        "qNL": g.no_load_flow_pu,
-    }
+def shunt_data(network: NetworkCase) -> list[dict[str, Any]]:
+    """Return the shunts in the form of the parameter file."""
+    return [{"bus": b.number, "g": 0.0, "b": b.shunt_mvar / network.base_mva} for b in network.buses if b.shunt_mvar]
 
 
 def build_system(
     case: Case, network: NetworkCase, events: Sequence[Event], voltage: dict[int, float] | None = None
 ) -> Any:
-    """Return an ANDES system with its power flow solved.
-
-    Args:
-        case: its units.
-        network: data.
-        events: what is switched when.
-        voltage: bus voltages of the power flow [p.u.], needed where `events` has a step or sheds load.
-    """
+    """Return an ANDES system with its power flow solved; steps and shedding need the bus voltages of that [p.u.]."""
     system = andes.System(default_config=True, no_output=True)
     base, frequency = network.base_mva, network.frequency_hz
     system.config.freq = frequency
     common = {"Vn": NOMINAL_KV}
     for b in network.buses:
         system.add("Bus", idx=b.number, name=f"bus {b.number}", v0=b.voltage_pu or 1.0, a0=0.0, **common)
-    for i, branch in enumerate(network.branches):
-        system.add(
-            "Line",
-            idx=f"line {i}",
-            bus1=branch.from_bus,
-            bus2=branch.to_bus,
-            r=branch.resistance - LINE_OFFSET_PU,
-            x=branch.reactance - LINE_OFFSET_PU,
-            b=branch.charging,
-            tap=branch.tap,
-            phi=0.0,
-            trans=int(branch.tap != 1.0),
-            Vn1=NOMINAL_KV,
-            Vn2=NOMINAL_KV,
-            Sn=base,
-            fn=frequency,
-        )
-    for b in network.buses:
-        if b.load_mw or b.load_mvar:
-            p0, q0 = b.load_mw / base, b.load_mvar / base
-            system.add("PQ", idx=f"load {b.number}", bus=b.number, p0=p0, q0=q0, vmin=0.1, vmax=2.0, **common)
-        if b.shunt_mvar:
-            system.add("Shunt", idx=f"shunt {b.number}", bus=b.number, g=0.0, b=b.shunt_mvar / base, Sn=base, **common)
-
+    for i, line in enumerate(line_data(network)):
+        ends = {"bus1": line.pop("f"), "bus2": line.pop("t"), "Vn1": NOMINAL_KV, "Vn2": NOMINAL_KV}
+        line |= {"r": line["r"] - LINE_OFFSET_PU, "x": line["x"] - LINE_OFFSET_PU, "trans": int(line["tap"] != 1.0)}
+        system.add("Line", idx=f"line {i}", Sn=base, fn=frequency, **ends, **line)
+    loads, shunts = ({entry["bus"]: entry for entry in of(network)} for of in (load_data, shunt_data))
+    for bus in network.bus_numbers:
+        if bus in loads:
+            power = {"p0": loads[bus]["P"], "q0": loads[bus]["Q"], "vmin": 0.1, "vmax": 2.0}
+            system.add("PQ", idx=f"load {bus}", bus=bus, **power, **common)
+        if bus in shunts:
+            system.add("Shunt", idx=f"shunt {bus}", Sn=base, **shunts[bus], **common)
     dispatch = {m.bus: m.dispatch_mw / base for m in network.machines} | {UNIT_BUS: UNIT_POWER_PU}
     for bus, power in sorted(dispatch.items()):
         held = {"idx": f"static {bus}", "bus": bus, "v0": network.buses[network.bus_index(bus)].voltage_pu}
@@ -373,35 +301,28 @@ def build_system(
         data = {**genrou_data(m), "S10": 0.0, "S12": 1.0, **common}
         system.add("GENROU", idx=key, bus=m.bus, gen=f"static {key}", fn=frequency, **data)
         if m.exciter is not None:
-            system.add("SEXS", idx=f"exciter {key}", syn=key, **sexs_data(m))
-        if isinstance(m.governor, HydroGovernorParameters):
-            hygov = hygov_data(m)
-            hygov["Tw"] *= base / m.rating_mva
-            system.add("HYGOV", idx=f"governor {key}", syn=key, **hygov)
-        elif m.governor is not None:
-            tgov1 = tgov1_data(m)
-            band = tgov1.pop("db", 0.0)
-            model, limits = ("TGOV1DB", {"dbL": -band, "dbU": band}) if band else ("TGOV1", {})
-            system.add(model, idx=f"governor {key}", syn=key, **tgov1, **limits)
+            system.add("SEXS", idx=f"exciter {key}", syn=key, **named(EXCITER, m.exciter))
+        model, data = governor_data(m)
+        if model == "hygov":
+            data["Tw"] *= base / m.rating_mva
+        elif "db" in data:
+            model, band = "tgov1db", data.pop("db")
+            data |= {"dbL": -band, "dbU": band}
+        if model:
+            system.add(model.upper(), idx=f"governor {key}", syn=key, **data)
     for key, (model, *swing) in case.units.items():
-        unit = {"idx": key, "bus": UNIT_BUS, "gen": f"static {UNIT_BUS}", "fn": frequency}
         data = unit_data(*swing)
-        if model == "GENCLS":
-            system.add(model, **unit, **data, **common)
-        else:
-            system.add(model, **unit, **forming_data(model, data, base))
-
+        own = {**data, **common} if model == "GENCLS" else forming_data(model, data, base)
+        system.add(model, idx=key, bus=UNIT_BUS, gen=f"static {UNIT_BUS}", fn=frequency, **own)
     for i, event in enumerate(events):
         if isinstance(event, Trip):
             system.add("Toggle", idx=f"event {i}", model="PQ", dev=f"load {event.bus}", t=event.time_s)
             continue
-        if voltage is None:
-            raise ValueError("a step and shedding need the voltages of the power flow")
+        assert voltage is not None
         for k, (bus, admittance) in enumerate(changes(event, events, network, voltage)):
             device = {"idx": f"change {i} {k}", "bus": bus, "u": 0, **common}
             system.add("Shunt", g=admittance.real, b=admittance.imag, Sn=base, **device)
             system.add("Toggle", idx=f"event {i} {k}", model="Shunt", dev=device["idx"], t=event.time_s)
-
     # Constant impedances: no share of constant power or current.
     system.PQ.config.update(p2p=0.0, p2i=0.0, p2z=1.0, q2q=0.0, q2i=0.0, q2z=1.0)
     system.setup()
@@ -440,37 +361,21 @@ def row_times(events: Sequence[Event]) -> Floats:
 
 
 def simulate(
-    case: Case,
-    network: NetworkCase,
-    events: Sequence[Event],
-    voltage: dict[int, float],
-    steps_per_second: int,
-    rows: Floats | None = None,
+    case: Case, network: NetworkCase, events: Sequence[Event], voltage: dict[int, float], steps_per_second: int
 ) -> Trace:
-    """Integrate one event list with a fixed step and return the rows at given times [s], or those to keep."""
+    """Integrate one event list with a fixed step and return the rows to keep."""
     system = build_system(case, network, events, voltage)
     system.store_switch_times = functools.partial(system.store_switch_times, eps=EVENT_STEP_S)
-    system.TDS.config.update(
-        tf=DURATION_S,
-        tstep=1.0 / steps_per_second,
-        fixt=1,
-        shrinkt=0,
-        tol=1e-11,
-        method="fixed_trapezoid",
-        max_iter=100,
-        chatter_iter=1000,
-        reset_tiny=0,
-        linesearch=0,
-        criteria=0,
-        no_tqdm=1,
-    )
+    fixed = {"fixt": 1, "shrinkt": 0, "method": "fixed_trapezoid", "chatter_iter": 1000, "linesearch": 0}
+    quiet = {"reset_tiny": 0, "criteria": 0, "no_tqdm": 1}
+    system.TDS.config.update(tf=DURATION_S, tstep=1.0 / steps_per_second, tol=1e-11, max_iter=100, **fixed, **quiet)
     if not (system.TDS.run(no_summary=True) and system.TDS.test_ok and system.exit_code == 0):
         raise RuntimeError("ANDES' time-domain simulation failed")
     series = system.dae.ts
     t, x, y = np.asarray(series.t), np.asarray(series.x), np.asarray(series.y)
 
     speed, power = {}, {}
-    for model in ("GENROU", *UNIT_MODELS):
+    for model in ("GENROU", "GENCLS", "REGF1", "REGF2"):
         m = getattr(system, model)
         for i, key in enumerate(m.idx.v):
             power[key] = y[:, m.Pe.a[i]]
@@ -482,7 +387,7 @@ def simulate(
     if drift > 1e-9:
         raise RuntimeError(f"ANDES does not start in equilibrium: a state drifts by {drift:.1e} before the first event")
 
-    wanted = row_times(events) if rows is None else rows
+    wanted = row_times(events)
     at = np.array([np.argmin(np.abs(t - row)) for row in wanted])
     if np.abs(t[at] - wanted).max() > 10.0 * EVENT_STEP_S:
         raise RuntimeError("a row does not lie on the grid of time steps")
@@ -524,9 +429,7 @@ def event_data(
 
 def parameter_file(case: Case, network: NetworkCase, system: Any, tolerance: dict[str, float]) -> dict[str, Any]:
     """Return the contents of a parameter file; `system` has the power flow."""
-    base = network.base_mva
     voltage = dict(zip(system.Bus.idx.v, system.Bus.v.v.tolist(), strict=True))
-    angle = system.Bus.a.v.tolist()
     static = {}
     for model in (system.Slack, system.PV):
         for bus, p, q in zip(model.bus.v, model.p.v.tolist(), model.q.v.tolist(), strict=True):
@@ -535,42 +438,29 @@ def parameter_file(case: Case, network: NetworkCase, system: Any, tolerance: dic
         str(m.bus): {"model": "GENROU", "bus": m.bus, **genrou_data(m)} for m in network.machines
     }
     gens |= {key: {"model": "GENCLS", "bus": UNIT_BUS, **unit_data(*swing)} for key, (_, *swing) in case.units.items()}
-    note = NOTE.format(version=andes.__version__, base=base, frequency=network.frequency_hz)
+    note = NOTE.format(version=andes.__version__, base=network.base_mva, frequency=network.frequency_hz)
     forming = [f"{key} is a {model}" for key, (model, *_) in case.units.items() if model != "GENCLS"]
     units = f" In ANDES {' and '.join(forming)}; M, D and xd1 are those of its equivalent." if forming else ""
-    tgov1 = [m for m in network.machines if isinstance(m.governor, GovernorParameters)]
-    hygov = [m for m in network.machines if isinstance(m.governor, HydroGovernorParameters)]
+    governors: dict[str, list[dict[str, Any]]] = {"tgov1": []}
+    for m in network.machines:
+        kind, data = governor_data(m)
+        if kind:
+            governors.setdefault(kind, []).append({"gen": str(m.bus), "bus": m.bus, **data})
     return {
-        "note": note + (GOVERNOR_NOTE if case.hydro or case.dead_band_pu else "") + units,
+        "note": note + (GOVERNOR_NOTE if case.hydro or "dead_band_pu" in case.governor else "") + units,
         "fn": network.frequency_hz,
-        "Sbase": base,
+        "Sbase": network.base_mva,
         "bus": [
             {"bus": b.number, "V": voltage[b.number], "theta": a, "Vn": NOMINAL_KV}
-            for b, a in zip(network.buses, angle, strict=True)
+            for b, a in zip(network.buses, system.Bus.a.v.tolist(), strict=True)
         ],
-        "line": [
-            {
-                "f": branch.from_bus,
-                "t": branch.to_bus,
-                "r": branch.resistance,
-                "x": branch.reactance,
-                "b": branch.charging,
-                "tap": branch.tap,
-                "phi": 0.0,
-            }
-            for branch in network.branches
-        ],
-        "shunt": [{"bus": b.number, "g": 0.0, "b": b.shunt_mvar / base} for b in network.buses if b.shunt_mvar],
-        "load": [
-            {"bus": b.number, "P": b.load_mw / base, "Q": b.load_mvar / base}
-            for b in network.buses
-            if b.load_mw or b.load_mvar
-        ],
+        "line": line_data(network),
+        "shunt": shunt_data(network),
+        "load": load_data(network),
         "gen_static": dict(sorted(static.items())),
         "gens": dict(sorted(gens.items())),
-        "sexs": [{"gen": str(m.bus), **sexs_data(m)} for m in network.machines if m.exciter is not None],
-        "tgov1": [{"gen": str(m.bus), "bus": m.bus, **tgov1_data(m)} for m in tgov1],
-        **({"hygov": [{"gen": str(m.bus), "bus": m.bus, **hygov_data(m)} for m in hygov]} if hygov else {}),
+        "sexs": [{"gen": str(m.bus), **named(EXCITER, m.exciter)} for m in network.machines if m.exciter is not None],
+        **governors,
         "events": {
             key: [entry for e in events for entry in event_data(e, events, network, voltage)]
             for key, events in case.events.items()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import json
 from collections.abc import Callable
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.golden.case import GOLDEN, read_case
+from tests.golden.case import GOLDEN, Case, read_case
 from tests.golden.independent import Independent
 from tests.golden.replay import replay
 from wtg_gym.physics.parameters import ProtectionParameters
@@ -42,6 +41,18 @@ def _two_governors(data: Any) -> None:
     data["tgov1"] = [first, {**first, "gen": "2", "bus": 2, "T1": 0.02, "VMAX": 1.0, "VMIN": 0.35}]
 
 
+def changed(folder: Path, name: str, change: Callable[[Any], None], events: list[dict[str, Any]]) -> tuple[Any, Case]:
+    """Return a golden case's data with changes and other events, and the case that is read from them."""
+    data = json.loads((GOLDEN / name / "params.json").read_text()) | {"events": {"a": events}}
+    change(data)
+    path = folder / "params.json"
+    path.write_text(json.dumps(data))
+    return data, read_case(path)
+
+
+TOLERANCES = {"w": 1e-8, "V": 2e-8, "P": 2e-6}
+
+
 @pytest.mark.parametrize(
     ("case", "change", "switches"),
     [
@@ -55,30 +66,20 @@ def _two_governors(data: Any) -> None:
 def test_replay_agrees_with_a_second_implementation(
     tmp_path: Path, case: str, change: Callable[[Any], None], switches: int
 ) -> None:
-    data = copy.deepcopy(json.loads((GOLDEN / case / "params.json").read_text()))
-    change(data)
-    data["events"] = {"a": EVENTS}
-    path = tmp_path / "params.json"
-    path.write_text(json.dumps(data))
+    data, parameters = changed(tmp_path, case, change, EVENTS)
     times = [0.0, *(0.7345 + 0.0001 * k for k in range(3)), 1.0, 1.71, 2.5, 3.3333, 4.9, 5.6, 6.9, 7.1, 8.05, 9.5, 11.0]
     expected = Independent(data).run(EVENTS, times)
     # The limits must bind, or the case shows nothing.
     assert expected.pop("switches")[0] >= switches
-    parameters = read_case(path)
     found = replay(parameters, parameters.events["a"], times, 0.0025)
     for name, values in expected.items():
-        tolerance = {"w": 1e-8, "V": 2e-8, "P": 2e-6}[name[0]]
-        assert np.abs(found[name] - values).max() < tolerance, name
+        assert np.abs(found[name] - values).max() < TOLERANCES[name[0]], name
 
 
 @pytest.mark.parametrize("bus", [6, 1], ids=["condenser", "first machine"])
 def test_outages_and_a_line_that_closes_again_agree_with_a_second_implementation(tmp_path: Path, bus: int) -> None:
-    data = copy.deepcopy(json.loads((GOLDEN / "classical-machines" / "params.json").read_text()))
-    _two_governors(data)
-    data["events"] = {"a": EVENTS[:1]}
-    path = tmp_path / "params.json"
-    path.write_text(json.dumps(data))
-    network = read_case(path).network
+    data, case = changed(tmp_path, "classical-machines", _two_governors, EVENTS[:1])
+    network = case.network
     written = [
         {"t": 0.5, "opens": (2, 4)},
         {"t": 1.25, "closes": (2, 4)},
@@ -92,10 +93,9 @@ def test_outages_and_a_line_that_closes_again_agree_with_a_second_implementation
     wide = ProtectionParameters(frequency_min_pu=0.5)
     plant = PlantSettings(case=network, groups=(), control_dt=0.1, simulation_dt=0.0025, protection=wide)
     simulator = Simulator(plant, duration_s=6.0)
-    start = Simulator(simulator.settings)
     calm = Scenario(name="calm", wind_speed=np.zeros((0, 1)), duration_s=6.0)
-    start.start(0, calm, ())
-    voltage = abs(start.bus_voltages()[network.bus_index(9)])
+    simulator.start(0, calm, ())
+    voltage = abs(simulator.bus_voltages()[network.bus_index(9)])
     events: tuple[Event, ...] = (
         LineTrip(time_s=0.5, from_bus=2, to_bus=4, recloses_after_s=0.75),
         MachineOutage(time_s=2.0, bus=bus),
@@ -119,6 +119,5 @@ def test_outages_and_a_line_that_closes_again_agree_with_a_second_implementation
     for name, values in found.items():
         # After its outage a rotor affects nothing: one simulator lets it run on, the other stops it.
         if values and name != f"w{out}":
-            tolerance = {"w": 1e-8, "V": 2e-8, "P": 2e-6}[name[0]]
-            assert np.abs(np.array(values) - expected[name][1:]).max() < tolerance, name
+            assert np.abs(np.array(values) - expected[name][1:]).max() < TOLERANCES[name[0]], name
     assert (expected[f"Pe{out}"][-30:] == 0.0).all()

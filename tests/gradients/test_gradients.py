@@ -11,15 +11,13 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task_records import COST_TERMS
+from wtg_gym.gradients import check_by_differences
 from wtg_gym.gradients import expressions as ex
 from wtg_gym.gradients.adjoint import replay
 from wtg_gym.gradients.generated import build_rules
-from wtg_gym.gradients.kernel_programs import programs_of
 from wtg_gym.gradients.tape import Gradient, Tape
-from wtg_gym.physics.elementary import exponential, fma, select, sine_cosine
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import GovernorLoss, LineTrip, LoadStep, MachineOutage, Scenario
 
@@ -61,26 +59,18 @@ def along(found: Gradient, way: Floats) -> Floats:
     return np.einsum("kla,kla->l", found.actions, way)
 
 
-def compiled_by_python(source: str) -> Any:
-    space: dict[str, Any] = {"chosen": select, "fma": fma, "sine_cosine": sine_cosine, "exponential": exponential}
-    exec(source, {**space, "math": math, "inf": math.inf}, space)
-    return space["traced"]
+def given(n_wtg: int, *events: Any, wind: float = 9.0) -> Scenario:
+    return Scenario(name="given", wind_speed=np.full((n_wtg, 1), wind), events=events, load_noise_bus=3)
 
 
-def test_the_traced_right_hand_side_is_that_of_the_kernel() -> None:
-    lanes = TaskLanes(EnvSettings(version="v0"), 1)
-    lanes.start([0], lanes.scenarios([1_000_000]))
-    simulator = lanes.simulator
-    rng = np.random.default_rng(0)
-    for _ in range(30):
-        lanes.step(rng.uniform(-1.0, 1.0, (1, lanes.n_action)))
-    program = programs_of(simulator.plant, lanes.task, simulator.layout.n_rows, lanes.n_action).rates
-    block = simulator.blocks[0].copy()
-    compiled_by_python(ex.function_source("traced", ("fraction",), program))(block, 0.0, (0,))
-    simulator.evaluate()
-    rates = simulator.rates()
-    assert np.abs(rates).max() > 1e-3
-    assert block[simulator.layout.rate_rows] == pytest.approx(rates, rel=1e-12, abs=1e-12)
+def agrees(tape: Tape, scenarios: list[Scenario], actions: Floats, tolerance: float = 1e-5) -> Gradient:
+    """Check the gradient of the cost with respect to the actions, along some way; return it."""
+    found = tape.gradient(scenarios, actions)
+    way = np.random.default_rng(3).normal(size=actions.shape)
+    expected = slopes(tape, scenarios, actions, way).sum(axis=1)
+    assert np.abs(expected).max() > 1e-3
+    assert along(found, way) == pytest.approx(expected, rel=tolerance, abs=tolerance * np.abs(expected).max())
+    return found
 
 
 @pytest.mark.parametrize("settings", [{}, {**V1, "suite": "faults"}])
@@ -108,40 +98,33 @@ def test_a_step_is_replayed_to_the_last_bit(settings: dict[str, Any]) -> None:
             assert np.array_equal(ours, after[0].reshape(-1, width)[row, :N_LANES]), row
 
 
-@pytest.mark.parametrize("term", [*COST_TERMS[:-1], None])
-def test_the_gradient_is_that_of_central_differences(term: str | None) -> None:
-    tape = tape_of()
+@pytest.mark.parametrize(
+    ("settings", "silent"),
+    [
+        ({}, {"overload"}),
+        ({**V1, "suite": "standard"}, {"rotor"}),
+        ({**V1, "suite": "faults"}, {"overload"}),
+        ({**V1, "suite": "no-wind-sensor"}, {"rotor"}),
+        ({**V1, "suite": "gusty"}, {"rotor", "overload"}),
+    ],
+    ids=str,
+)
+def test_the_gradient_of_each_term_is_that_of_central_differences(settings: dict[str, Any], silent: set[str]) -> None:
+    tape = tape_of(**settings)
     scenarios, actions = drawn(tape), actions_of(tape, 300)
     way = np.random.default_rng(2).normal(size=actions.shape)
-    found = tape.gradient(scenarios, actions, None if term is None else {term: 1.0})
-    measured = _measured_slopes()
-    expected = measured.sum(axis=1) if term is None else measured[:, COST_TERMS.index(term)]
-    assert along(found, way) == pytest.approx(expected, rel=1e-5, abs=1e-5 * np.abs(expected).max())
+    measured = slopes(tape, scenarios, actions, way)
+    for index, term in enumerate(COST_TERMS[:-1]):
+        expected = measured[:, index]
+        assert expected.any() == (term not in silent)
+        found = along(tape.gradient(scenarios, actions, {term: 1.0}), way)
+        assert found == pytest.approx(expected, rel=1e-5, abs=1e-5 * np.abs(expected).max())
+    assert along(tape.gradient(scenarios, actions), way) == pytest.approx(measured.sum(axis=1), rel=1e-5)
 
 
-@functools.cache
-def _measured_slopes() -> Floats:
-    tape = tape_of()
-    actions = actions_of(tape, 300)
-    return slopes(tape, drawn(tape), actions, np.random.default_rng(2).normal(size=actions.shape))
-
-
-def given(n_wtg: int, *events: Any, wind: float = 9.0) -> Scenario:
-    return Scenario(name="given", wind_speed=np.full((n_wtg, 1), wind), events=events, load_noise_bus=3)
-
-
-def agrees(tape: Tape, scenarios: list[Scenario], actions: Floats, tolerance: float = 1e-5) -> Gradient:
-    """Check the gradient of the cost with respect to the actions, along some way; return it."""
-    found = tape.gradient(scenarios, actions)
-    way = np.random.default_rng(3).normal(size=actions.shape)
-    expected = slopes(tape, scenarios, actions, way).sum(axis=1)
-    assert np.abs(expected).max() > 1e-3
-    assert along(found, way) == pytest.approx(expected, rel=tolerance, abs=tolerance * np.abs(expected).max())
-    return found
-
-
-def test_the_gradient_with_respect_to_the_law_is_that_of_central_differences() -> None:
-    tape = tape_of()
+@pytest.mark.parametrize("settings", [{}, V1])
+def test_the_gradient_with_respect_to_the_law_is_that_of_central_differences(settings: dict[str, Any]) -> None:
+    tape = tape_of(**settings)
     scenarios, actions, h = drawn(tape), actions_of(tape, 200), 1e-5
     found = tape.gradient(scenarios, actions)
     tape.start(scenarios)
@@ -167,19 +150,6 @@ def test_the_gradient_goes_through_outages_and_lost_governors() -> None:
         given(2, step, LineTrip(time_s=1.075, from_bus=4, to_bus=5, recloses_after_s=0.225)),
     ]
     agrees(tape, scenarios, actions_of(tape, 80))
-
-
-def test_a_lost_governor_holds_a_gate_that_actions_have_moved() -> None:
-    tape = tape_of()
-    buses = [machine.bus for machine in tape.lanes.simulator.settings.case.machines if machine.governor is not None]
-    step = LoadStep(time_s=0.5, bus=4, power_mw=15.0)
-    scenarios = [given(2, step, GovernorLoss(time_s=4.0, bus=buses[0]))] * N_LANES
-    actions = actions_of(tape, 80)
-    found = tape.gradient(scenarios, actions)
-    # Only actions before the loss act on the gate, and only frequencies after it tell of the reference.
-    way = np.random.default_rng(4).normal(size=actions.shape) * (np.arange(80) < 40)[:, np.newaxis, np.newaxis]
-    expected = slopes(tape, scenarios, actions, way).sum(axis=1)
-    assert along(found, way) == pytest.approx(expected, rel=1e-5)
 
 
 def test_the_gradient_goes_through_the_limits_of_the_pitch() -> None:
@@ -266,22 +236,51 @@ def test_other_settings_have_gradients_of_their_own() -> None:
     assert (ended[:2] < 40).all() and (ended[:2] % 1.0 > 0.0).all()
 
 
-def test_generated_code_does_not_depend_on_what_was_traced_before() -> None:
+#: At rest at nominal frequency, on the middle corner of the law, for a second.
+AT_REST = [given(2, LoadStep(time_s=1.0, bus=4, power_mw=power)) for power in (10.0, 20.0, 30.0)]
+
+
+def test_a_plant_at_rest_has_the_slopes_of_the_law_whose_lower_part_goes_on_straight() -> None:
+    tape = tape_of()
+    actions = np.zeros((40, N_LANES, 4))
+    way = np.random.default_rng(3).normal(size=actions.shape) * (np.arange(40) < 10)[:, np.newaxis, np.newaxis]
+    found = along(tape.gradient(AT_REST, actions), way)
+    tape.start(AT_REST)
+    straight = tape.law()
+    straight[:, :, 2] = 2.0 * straight[:, :, 1] - straight[:, :, 0]
+    base = played(tape, AT_REST, actions)
+    # The frequency never rises above its nominal value.
+    assert np.array_equal(played(tape, AT_REST, actions, straight), base)
+    h = 1e-5
+    up, down = (played(tape, AT_REST, actions + sign * h * way, straight).sum(axis=1) for sign in (1.0, -1.0))
+    assert found == pytest.approx((up - down) / (2.0 * h), rel=1e-5)
+    # With its corner, the law has another slope on each side.
+    checked = check_by_differences(tape, AT_REST, actions, direction=way)[0]
+    assert (np.abs(checked.above - checked.below) > 0.01 * np.abs(checked.central)).all()
+
+
+def test_the_check_shows_a_wrong_gradient(monkeypatch: pytest.MonkeyPatch) -> None:
+    tape = tape_of()
+    right = tape.gradient
+
+    def wrong(*arguments: Any) -> Any:
+        found = right(*arguments)
+        return found._replace(actions=1.01 * found.actions)
+
+    monkeypatch.setattr(tape, "gradient", wrong)
+    checked = check_by_differences(tape, drawn(tape), actions_of(tape, 20))
+    assert checked[0].error == pytest.approx(np.full(N_LANES, 0.01 / 1.01), rel=1e-2)
+    assert (checked[1].error < 1e-5).all()
+
+
+def test_generated_code_is_the_same_whatever_was_traced_before_and_by_threads_at_once() -> None:
     """Its machine code would not be found on disk again."""
-    lanes = tape_of().lanes
+    lanes, digests = tape_of().lanes, list[str]()
     simulator = lanes.simulator
-    given = (simulator.plant, lanes.task, simulator.layout, lanes.n_action)
     ex.exponential(ex.row_of_block(400) * ex.row_of_block(0) + 1.0)
-    assert build_rules(*given).digest == build_rules(*given).digest == tape_of()._rules.digest
-
-
-def test_threads_may_make_their_tapes_at_once() -> None:
-    lanes = tape_of().lanes
-    simulator, digests = lanes.simulator, list[str]()
 
     def build() -> None:
-        rules = build_rules(simulator.plant, lanes.task, simulator.layout, lanes.n_action)
-        digests.append(rules.digest)
+        digests.append(build_rules(simulator.plant, lanes.task, simulator.layout, lanes.n_action).digest)
 
     threads = [threading.Thread(target=build) for _ in range(3)]
     for thread in threads:
@@ -299,36 +298,44 @@ def test_an_episode_alone_has_the_bits_of_one_in_a_batch() -> None:
     assert np.array_equal(single.law, found.law[1:2])
 
 
+UNUSED = Tape(EnvSettings(version="v0"), N_LANES, 1)
+
+
+def pulled(tape: Tape, step: int, **other: Any) -> Any:
+    given = {"carried": np.zeros((N_LANES, tape.n_carried)), "terms": np.zeros((N_LANES, len(COST_TERMS)))}
+    return tape.pull(step, **given | other)
+
+
+ZEROS = np.zeros((5, N_LANES, 4))
+
+
 @pytest.mark.parametrize(
     ("call", "reason"),
     [
         (lambda tape, scenarios: tape.gradient(scenarios, np.zeros((5, N_LANES, 9))), "shape"),
-        (lambda tape, scenarios: tape.gradient(scenarios, np.zeros((5, 4))), "n_steps"),
-        (lambda tape, scenarios: tape.gradient(scenarios, np.zeros((5, N_LANES, 4)), {"noise": 1.0}), "noise"),
-        (lambda tape, scenarios: tape.gradient(scenarios, np.zeros((5, N_LANES, 4)), {"duty": np.nan}), "finite"),
-        (lambda tape, scenarios: tape.gradient(scenarios, np.zeros((5, N_LANES, 4)), np.ones(7)), "names of terms"),
+        (lambda tape, scenarios: tape.gradient(scenarios, ZEROS, {"noise": 1.0}), "noise"),
+        (lambda tape, scenarios: tape.gradient(scenarios, ZEROS, {"duty": np.nan}), "finite"),
+        (lambda tape, scenarios: tape.gradient(scenarios, ZEROS, np.ones(7)), "names of terms"),
         # One would have been played in all lanes.
         (lambda tape, scenarios: tape.start(scenarios[:1]), "3 scenarios, one per lane"),
-        (lambda tape, scenarios: tape.start([1_000_000] * N_LANES), "scenarios"),
-        (lambda tape, scenarios: Tape(EnvSettings(version="v0"), N_LANES, 1).step(np.zeros((N_LANES, 4))), "start"),
-        (lambda tape, scenarios: Tape(EnvSettings(version="v0"), N_LANES, 1).law(), "start"),
-        (lambda tape, scenarios: Tape(EnvSettings(version="v0"), N_LANES, 1).outputs(), "start"),
-        (lambda tape, scenarios: Tape(EnvSettings(version="v0"), N_LANES, 1).back(), "start"),
+        *((lambda _, __, name=name: getattr(UNUSED, name)(), "start") for name in ("law", "outputs", "back")),
+        (lambda tape, scenarios: UNUSED.step(np.zeros((N_LANES, 4))), "start"),
         (lambda tape, scenarios: tape.set_law(tape.law()), "first step"),
-        (
-            lambda tape, scenarios: restarted(tape, scenarios).set_law(tape.law()[:, :, :3]),
-            r"law must have the shape \(3, 2, 4\), got",
-        ),
-        (lambda tape, scenarios: restarted(tape, scenarios).set_law(tape.law() * np.nan), "finite"),
+        (lambda tape, scenarios: tape.start(scenarios) is not tape.set_law(tape.law() * np.nan), "finite"),
         (lambda tape, scenarios: pulled(tape, 1), "no step 1: since start.. 1 have"),
-        (lambda tape, scenarios: pulled(tape, -1), "no step -1"),
         (lambda tape, scenarios: pulled(tape, 0, carried=0.0), "carried must have the shape"),
-        (lambda tape, scenarios: pulled(tape, 0, terms=np.zeros(7)), "terms must have the shape"),
         (lambda tape, scenarios: pulled(tape, 0, observations=np.zeros(3)), "observations must have the shape"),
-        (lambda tape, scenarios: pulled(tape, 0, outputs=np.zeros(3)), "outputs must have the shape"),
+        (
+            lambda tape, scenarios: check_by_differences(tape, scenarios, ZEROS, step=0.0),
+            r"step .* 1e-9 … 0.1, got 0.0",
+        ),
+        (
+            lambda tape, scenarios: check_by_differences(tape, scenarios, ZEROS, direction=np.ones(3)),
+            "direction must be",
+        ),
+        (lambda tape, scenarios: check_by_differences(tape, scenarios, ZEROS, {"power": 1.0}), "unknown terms"),
         # More steps than were taken, the last of which would have counted nothing.
         (lambda tape, scenarios: tape.back(outputs=np.zeros((2, N_LANES, 8))), r"\(1, 3, 8\), got \(2, 3, 8\)"),
-        (lambda tape, scenarios: tape.back(np.ones(3)), r"or \(7,\), got \(3,\)"),
     ],
 )
 def test_bad_input_is_refused(call: Any, reason: str) -> None:
@@ -337,80 +344,3 @@ def test_bad_input_is_refused(call: Any, reason: str) -> None:
     tape.gradient(scenarios, np.zeros((1, N_LANES, 4)))
     with pytest.raises(ValueError, match=reason):
         call(tape, scenarios)
-
-
-def restarted(tape: Tape, scenarios: list[Scenario]) -> Tape:
-    tape.start(scenarios)
-    return tape
-
-
-def pulled(tape: Tape, step: int, **other: Any) -> Any:
-    given = {"carried": np.zeros((N_LANES, tape.n_carried)), "terms": np.zeros((N_LANES, len(COST_TERMS)))}
-    return tape.pull(step, **given | other)
-
-
-def test_a_policy_trains_by_backward() -> None:
-    torch = pytest.importorskip("torch", reason="PyTorch is not installed here")
-    from wtg_gym.gradients.torch import TorchEpisodes
-
-    episodes = TorchEpisodes(EnvSettings(version="v0"), N_LANES, 1)
-    scenarios = drawn(episodes.tape)
-    episodes.start(scenarios)
-    torch.manual_seed(0)
-    policy = torch.nn.Linear(episodes.tape.lanes.n_observation, episodes.tape.lanes.n_action).double()
-    law = torch.tensor(episodes.tape.law()[0], requires_grad=True)
-
-    def cost() -> Any:
-        observations, total = episodes.start(scenarios, law), 0.0
-        for _ in range(50):
-            observations, terms = episodes.step(torch.tanh(policy(observations.double())))
-            total = total + terms.sum()
-        return total
-
-    parameters = [*policy.parameters(), law]
-    before = cost()
-    before.backward()
-    found = [parameter.grad.clone() for parameter in parameters]
-    for parameter, gradient in zip(parameters, found, strict=True):
-        way, h, ends = gradient / gradient.norm(), 1e-3, []
-        for sign in (1.0, -2.0, 1.0):
-            with torch.no_grad():
-                parameter += sign * h * way
-            ends.append(cost().item())
-        # Observations have 32 bits: the environment's answers are no smoother than that.
-        assert (ends[0] - ends[1]) / (2.0 * h) == pytest.approx(float(gradient.norm()), rel=1e-3)
-    with torch.no_grad():
-        for parameter, gradient in zip(policy.parameters(), found[:-1], strict=True):
-            parameter -= 0.01 * gradient
-    assert cost() < before
-    with pytest.raises(RuntimeError, match="before the next start"):
-        before.backward()
-    with pytest.raises(ValueError, match=r"law must have the shape \(2, 4\)"):
-        episodes.start(scenarios, torch.ones(4))
-    with pytest.raises(ValueError, match="start"):
-        TorchEpisodes(EnvSettings(version="v0"), N_LANES, 1).step(torch.zeros(N_LANES, 4))
-
-
-@pytest.mark.parametrize("settings", [{}, V1])
-def test_torch_and_numpy_agree_to_the_last_bit(settings: dict[str, Any]) -> None:
-    torch = pytest.importorskip("torch", reason="PyTorch is not installed here")
-    from wtg_gym.gradients.torch import TorchEpisodes
-
-    episodes = TorchEpisodes(EnvSettings(**{"version": "v0", "weights": {"cap": 50.0}, **settings}), N_LANES, 1)
-    scenarios, actions = drawn(episodes.tape), actions_of(episodes.tape, 20)
-    found = episodes.tape.gradient(scenarios, actions)
-    episodes.start(scenarios)
-    given = torch.tensor(actions, requires_grad=True)
-    torch.stack([episodes.step(own)[1] for own in given]).sum().backward()
-    assert np.array_equal(given.grad.numpy(), found.actions)
-
-    played = episodes.tape.play(scenarios, actions)
-    of_actions, _, _ = episodes.tape.back(outputs=np.ones_like(played.outputs))
-    episodes.start(scenarios)
-    given, outputs = torch.tensor(actions, requires_grad=True), []
-    for own in given:
-        episodes.step(own)
-        outputs.append(episodes.outputs)
-    torch.stack(outputs).sum().backward()
-    assert np.array_equal(torch.stack(outputs).detach().numpy(), played.outputs)
-    assert np.array_equal(given.grad.numpy(), of_actions)

@@ -1,4 +1,4 @@
-"""Gradients of the control step in which a protection disconnects a group, each quantity alone."""
+"""Gradients of the control step in which a protection disconnects a group, and of plants that shed load."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from tests.gradients.test_gradients import N_LANES, V1, actions_of
+from tests.gradients.test_gradients import N_LANES, V1, actions_of, agrees, drawn, given, played
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.gradients.generated import LAW_PARAMETERS
@@ -22,7 +22,7 @@ Floats = npt.NDArray[np.float64]
 TERMS, OUTPUTS = ("frequency", "rocof", "duty", "effort"), ("frequency_pu", "rocof_hz_s", "rotor_0_speed_pu")
 QUANTITIES = (*TERMS, *OUTPUTS, "observations")
 #: Of the plant; all of them move the frequency of the centre of inertia.
-PARAMETERS = ("control.inertia_constant_s", "control.droop_gain_pu", "machines.1.two_h_s")
+PARAMETERS = ("machines.1.two_h_s", "control.droop_gain_pu", "control.inertia_constant_s", "turbine.inertia_constant_s")
 #: What is moved, and by how much: actions, each number of the laws, the plant's parameters by a share of their values.
 #: k_nominal moves the start onto another branch of a law soon; k_max moves so little that rounding would show.
 STEPS = {"actions": 1e-5, **dict.fromkeys((*LAW_PARAMETERS, *PARAMETERS), 1e-5), "k_nominal": 1e-6, "k_max": 1e-4}
@@ -61,15 +61,21 @@ class Case(NamedTuple):
 
 
 @functools.cache
-def case_of(name: str) -> Case:
+def tape_of(name: str) -> Tape:
     settings: dict[str, Any] = {
-        "v0": {"version": "v0", "observation_mode": "privileged"},
-        "v0, within a control step": {"version": "v0", "observation_mode": "privileged", "control_dt": 0.5},
+        "v0": {"version": "v0"},
+        "v0, within a control step": {"version": "v0", "control_dt": 0.5},
         "extended": {"version": "v0", "physics": "extended", "observation_mode": "privileged"},
         "v1": V1,
     }[name]
     # No cap is reached: it would mix the terms.
-    tape = Tape(EnvSettings(on_failure="trip", weights={"cap": 5000.0}, **settings), N_LANES, 1, PARAMETERS)
+    own = EnvSettings(on_failure="trip", weights={"cap": 5000.0}, **settings)
+    return Tape(own, N_LANES, 1, PARAMETERS)
+
+
+@functools.cache
+def case_of(name: str) -> Case:
+    tape = tape_of(name)
     fast = name.startswith("v0")
     scenarios = (gusts if fast else calms)(tape.lanes.n_wtg)
     actions = actions_of(tape, 200, 0.1)
@@ -163,3 +169,37 @@ def test_each_quantity_of_the_step_of_a_trip_has_the_slope_of_central_difference
             rounding = 5e-14 * max(1.0, np.abs(values[place]).max()) / STEPS[what]
             assert slope == pytest.approx(expected, rel=1e-5, abs=rounding), (quantity, what)
         assert max(np.abs(slopes[place]).max() for slopes in found.values()) > 1e-4
+
+
+def test_the_gradient_goes_through_shed_load_and_groups_that_their_rotor_trips() -> None:
+    tape = tape_of("extended")
+    wind = np.full((2, 301), 9.0)
+    wind[0] = np.maximum(9.0 - 0.12 * np.arange(301), 3.0)
+    step = LoadStep(time_s=1.0, bus=4, power_mw=20.0)
+    scenarios = [
+        given(2, LoadStep(time_s=1.0, bus=4, power_mw=380.0)),
+        Scenario(name="calm", wind_speed=wind, load_noise_bus=3, events=(step,)),
+        given(2, LoadStep(time_s=1.0, bus=4, power_mw=390.0)),
+    ]
+    actions = actions_of(tape, 200, 0.2)
+    agrees(tape, scenarios, actions)
+    played(tape, scenarios, actions)
+    simulator = tape.lanes.simulator
+    shed = tape._take(tape._values(), simulator.layout.rows.shedding + np.arange(simulator.layout.n_stages)) < 0.0
+    assert shed.any(axis=1)[[0, 2]].all() and (simulator.wtg_values("connected") == 0.0).any()
+
+
+def test_parameters_of_v1_act_through_limits_and_sensors() -> None:
+    """A scenario of v1 has a droop of its own: that one is not compared."""
+    tape = tape_of("v1")
+    scenarios, actions = drawn(tape), np.zeros((120, N_LANES, tape.lanes.n_action))
+    of_parameters = tape.gradient(scenarios, actions).parameters
+    assert np.abs(of_parameters).min() > 1e-4
+    values = tape.parameter_values()
+    for i, (name, value) in enumerate(values.items()):
+        ends = []
+        for moved in (value * (1.0 - 1e-5), value * (1.0 + 1e-5)):
+            tape.set_parameters({**values, name: moved})
+            ends.append(tape.play(scenarios, actions).terms.sum(axis=(0, 2)))
+        assert of_parameters[:, i] == pytest.approx((ends[1] - ends[0]) / (2e-5 * value), rel=1e-5)
+    tape.set_parameters(values)

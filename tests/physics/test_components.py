@@ -3,21 +3,13 @@
 from __future__ import annotations
 
 import importlib
-import os
-import shutil
-import subprocess
-import sys
 import types
 import typing
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
-
-import wtg_gym
-from wtg_gym.physics.records import flatten, leaves, offsets, short_names, size
 
 MODULES = {
     "wtg_gym.physics": (
@@ -117,71 +109,3 @@ def test_an_equation_can_be_traced_and_gives_the_compiled_numbers(name: str) -> 
         compiled = numbers(function(*(lane(argument, x) for argument in arguments)))
         seen = [float(value[x]) if np.ndim(value) else float(value) for value in traced]
         assert seen == pytest.approx([float(value) for value in compiled], rel=1e-10, abs=1e-10)
-
-
-def test_rows_and_names_follow_from_the_records() -> None:
-    from wtg_gym.physics.layout import MACHINE, Layout, MachineRows
-    from wtg_gym.physics.machine import MachineState
-
-    assert leaves(MachineState)[-4:] == (
-        "exciter.lead_lag",
-        "exciter.field_voltage",
-        "governor.gate",
-        "governor.reheat",
-    )
-    assert short_names(MachineState)[-1] == "reheat" and offsets(MachineRows).base == MACHINE.base == size(MachineState)
-    layout = Layout(4, 2)
-    assert layout.state_names[0] == "sync0.angle" and len(layout.state_names) == layout.state_rows.size == 57
-    assert np.unique(np.concatenate([layout.state_rows, layout.rate_rows])).size == 114
-    with pytest.raises(KeyError, match="'spede' is no number of WtgRows; it has angle, speed"):
-        layout.wtg("spede")
-    assert flatten(offsets(MachineRows))[0] == 0
-
-
-TRANSDUCER = {
-    "lead_lag: float  # x [p.u.]": "lead_lag: float  # x [p.u.]\n    measured: float  # behind a lag of 20 ms",
-    "error = voltage_error - s.lead_lag": "error = s.measured - s.lead_lag",
-    "lead_lag=c.inv_lag_time * error,": (
-        "lead_lag=c.inv_lag_time * error,\n        measured=50 * (voltage_error - s.measured),"
-    ),
-    "return ExciterState(s.lead_lag, clip": "return ExciterState(s.lead_lag, s.measured, clip",
-    "return ExciterState(error, field_voltage), error": "return ExciterState(error, error, field_voltage), error",
-}
-SENSOR = {
-    "coefficient: Annotated": 'pitch: Annotated[float, "10 deg"]\n    coefficient: Annotated',
-    "coefficient=(output": "pitch=s.pitch.pitch / 10.0,\n        coefficient=(output",
-}
-PROGRAM = """
-import numpy as np
-from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.envs.settings import EnvSettings
-lanes = TaskLanes(EnvSettings(version="v0", simulation_dt=0.01))
-lanes.start([0], [lanes.suite.scenario(20000)])
-layout = lanes.simulator.layout
-print(sum(name.endswith(".measured") for name in layout.state_names))
-print(np.abs(lanes.simulator.rates()[layout.state_rows < layout.rows.wtg]).max() < 1e-8)
-lanes.step(np.zeros((1, lanes.n_action)))
-print(sum(".pitch [10 deg]" in name for name in lanes.observation_names), lanes.observations.shape[1])
-"""
-
-
-@pytest.mark.parametrize(
-    ("file", "changes", "printed"),
-    [("exciter.py", TRANSDUCER, "4 True 0 20"), ("observation.py", SENSOR, "0 True 2 22")],
-)
-def test_a_new_state_and_a_new_sensor_touch_one_file(
-    tmp_path: Path, file: str, changes: dict[str, str], printed: str
-) -> None:
-    source = Path(wtg_gym.__file__).parent
-    shutil.copytree(source, tmp_path / "wtg_gym", ignore=shutil.ignore_patterns("__pycache__", "shipped"))
-    (changed,) = (tmp_path / "wtg_gym").rglob(file)
-    text = changed.read_text()
-    for old, new in changes.items():
-        assert text.count(old) == 1
-        text = text.replace(old, new)
-    changed.write_text(text)
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path), "NUMBA_DISABLE_JIT": "1"}
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM], env=environment, capture_output=True, text=True, cwd=tmp_path
-    )
-    assert done.stdout.split() == printed.split(), done.stderr

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
 from tests.physics.extended import (
@@ -20,6 +19,7 @@ from tests.physics.extended import (
     plant,
     pulse,
     recorded,
+    reference_run,
     rough,
     scenario,
     started,
@@ -29,16 +29,13 @@ from wtg_gym.physics.layout import Floats, Layout
 from wtg_gym.physics.network import assemble_admittance
 from wtg_gym.physics.parameters import (
     ConverterLimitParameters,
-    ProtectionParameters,
-    VoltageControlParameters,
     WtgGroup,
     default_groups,
     european_shedding,
 )
 from wtg_gym.physics.plant import PlantSettings, build_plant
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.reduction import combine_load_noise, refresh_network
-from wtg_gym.physics.scenario import GovernorLoss, GroupTrip, LoadStep, MachineOutage, Scenario
+from wtg_gym.physics.scenario import GovernorLoss, LoadStep, Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import get_law
 
@@ -91,16 +88,6 @@ def test_limits_are_held_and_left_without_wind_up(table: bool, disturbance: str)
     assert distance(simulator, start) < 5e-5
 
 
-def test_the_power_is_held_again_within_two_seconds_of_a_load_step() -> None:
-    for power_mw in (100.0, 150.0, 200.0):
-        simulator = started(plant(control_dt=0.025), scenario(LoadStep(time_s=1.0, bus=2, power_mw=power_mw)))
-        found = recorded(simulator, 30.0, "power", "over_power")
-        above = 0.025 * (np.flatnonzero(found["power"].max(axis=1) > 1.1) + 1)
-        assert found["power"].max() > 1.13
-        assert 1.0 <= above.min() <= 1.1 and above.max() < 3.0
-        assert found["over_power"].min() < 0.0 and (found["over_power"][-1] == 0.0).all()
-
-
 def test_the_reactive_limit_takes_over_and_gives_back() -> None:
     simulator = started(plant(control_dt=0.025), scenario(*pulse(4, reactive_mvar=60.0, until_s=16.0)))
     before = simulator.wtg_values("reactive")[0]
@@ -110,31 +97,6 @@ def test_the_reactive_limit_takes_over_and_gives_back() -> None:
     held = found[40 + 20 : 600]
     assert held.max() < 0.3305
     assert found[-1] == pytest.approx(before, abs=1e-5)
-
-
-def test_the_voltage_behind_the_reactance_keeps_within_its_limits_and_leaves_them_at_once() -> None:
-    control = VoltageControlParameters(reactive_max_pu=2.0, internal_voltage_max_pu=1.33)
-    simulator = started(plant(control_dt=0.025, voltage=control), scenario(*pulse(2, reactive_mvar=60.0, until_s=16.0)))
-    found = recorded(simulator, 30.0, "internal_voltage")["internal_voltage"][:, 0]
-    assert found.max() == 1.33
-    assert (found[200:639] == 1.33).all()
-    assert found[641] < 1.33 - 1e-3
-
-
-@pytest.mark.parametrize("table", [False, True])
-def test_within_the_dead_band_the_governor_does_not_move(table: bool) -> None:
-    gate = "hydro_gate" if table else "gate"
-    moved, deviation = {}, {}
-    for dead_band in (0.0, 1e-3):
-        step = LoadStep(time_s=1.0, bus=3, power_mw=2.0)
-        simulator = started(plant(table=table, dead_band=dead_band), scenario(step))
-        before = simulator.machine_values(gate)[0, 0]
-        recorded(simulator, 20.0)
-        moved[dead_band] = abs(simulator.machine_values(gate)[0, 0] - before)
-        deviation[dead_band] = 1.0 - simulator.lane_values("coi_min")[0]
-    assert moved[0.0] > 1e-4
-    assert 1e-5 < deviation[1e-3] < 1e-3
-    assert moved[1e-3] < 1e-12
 
 
 @pytest.mark.parametrize("table", [False, True])
@@ -152,34 +114,6 @@ def test_a_lost_governor_keeps_its_gate_to_the_bit_whatever_its_kind(table: bool
     simulator.start(0, scenario(events[0]), (get_law(LAW, simulator.settings.turbine),) * 2)
     recorded(simulator, 23.0)
     assert abs(simulator.machine_values(gate)[0, 0] - held) > 1e-3
-
-
-@pytest.mark.parametrize("table", [False, True])
-def test_balances_hold_when_machines_and_groups_are_disconnected(table: bool) -> None:
-    events = (
-        MachineOutage(time_s=1.0, bus=3),
-        GroupTrip(time_s=1.525, group=1),
-        *fault(2.0, bus=4),
-        MachineOutage(time_s=4.0, bus=1),
-    )
-    simulator = started(plant(table=table), scenario(*events))
-    gone = ("sync1.", "wtg1.")
-    kept: dict[str, float] = {}
-    for interval in range(1, 51):
-        simulator.advance()
-        if simulator.lane_values("active")[0] < 0.5:
-            break
-        given, taken = network_balance(simulator)
-        assert given == pytest.approx(taken, abs=1e-11)
-        states = dict(zip(simulator.layout.state_names, simulator.state(), strict=True))
-        rates = dict(zip(simulator.layout.state_names, simulator.rates(), strict=True))
-        gone += ("sync0.", "hydro0.") if interval == 41 else ()
-        if interval in (16, 41):
-            kept = {name: value for name, value in states.items() if name.startswith(gone)}
-        for name, value in kept.items():
-            assert states[name] == value
-            assert rates[name] == 0.0
-    assert interval > 42 and len(kept) > 20
 
 
 def test_shedding_stages_act_in_their_order_at_their_time_with_their_share() -> None:
@@ -216,23 +150,6 @@ def test_a_short_dip_sheds_nothing() -> None:
     assert simulator.lane_values("coi_min")[0] < slow[0].frequency_pu
     first = simulator.layout.rows.shedding
     assert (simulator.blocks[0, first : first + 6] >= 0.0).all()
-
-
-@pytest.mark.parametrize("trips", [False, True])
-def test_a_rotor_that_is_too_slow_ends_the_run_or_trips_its_group(trips: bool) -> None:
-    slowest = ProtectionParameters(rotor_speed_min_pu=0.65)
-    step = LoadStep(time_s=1.0, bus=2, power_mw=75.0)
-    simulator = started(plant(protection=slowest, trips_groups=trips), scenario(step, wind=[[8.0], [8.0]]), law="mppt")
-    found = recorded(simulator, 60.0, "rotor_speed", "current")
-    if not trips:
-        assert simulator.lane_values("status")[0] == Status.UNDER_SPEED
-        assert found["rotor_speed"][-2].min() >= 0.65 > found["rotor_speed"][-1].min()
-    else:
-        connected = simulator.wtg_values("connected")[0]
-        assert connected.min() == 0.0
-        assert (simulator.wtg_values("rotor_speed")[0][connected == 0.0] < 0.65).all()
-        for name in ("power", "current", "reactive", "limiting_reactance"):
-            assert (simulator.wtg_values(name)[0][connected == 0.0] == 0.0).all()
 
 
 # --- The algebraic equations of the current limit
@@ -274,10 +191,8 @@ def limited_currents(admittance: Any, voltage: Any, largest: Floats) -> tuple[Fl
 
 GRIDS = {
     "two groups at bus 2": default_groups(2),
-    "five groups at bus 2": default_groups(5),
-    "five groups at five buses": tuple(WtgGroup(bus=bus, n_turbines=4.0) for bus in (2, 4, 9, 13, 14)),
-    "two groups at a weak bus": default_groups(2, 14),
-    "five large groups at a weak bus": tuple(WtgGroup(bus=14, n_turbines=16.0) for _ in range(5)),
+    "four groups at four buses": tuple(WtgGroup(bus=bus, n_turbines=5.0) for bus in (2, 4, 9, 14)),
+    "four large groups at a weak bus": tuple(WtgGroup(bus=14, n_turbines=20.0) for _ in range(4)),
 }
 
 
@@ -331,36 +246,6 @@ def test_a_lane_beside_limited_ones_gets_the_bits_that_it_gets_alone() -> None:
 # --- Integration
 
 
-def reference_run(settings: PlantSettings, what: Scenario, seconds: float, method: str) -> tuple[Floats, Floats]:
-    """States and currents every 0.1 s by scipy, which starts anew wherever the network changes."""
-    simulator = started(settings, what)
-    dt, block, layout = settings.simulation_dt, simulator.blocks[0], simulator.layout
-    state, step, last = simulator.state(), 0, round(seconds / settings.simulation_dt)
-    states, currents = [], []
-
-    def rates(_t: float, x: Floats) -> Floats:
-        simulator.set_state(x)
-        simulator.evaluate()
-        return simulator.rates()
-
-    while step < last:
-        following = int(min(block[layout.lane("next_change")], last))
-        if following > step:
-            times = dt * np.arange(step + 4, following + 1, 4)
-            done = solve_ivp(
-                rates, (step * dt, following * dt), state, method=method, t_eval=times, rtol=1e-9, atol=1e-11
-            )
-            state, step = done.y[:, -1], following
-            for values in done.y.T:
-                rates(0.0, values)
-                states.append(values)
-                currents.append(simulator.wtg_values("current")[0])
-        block[layout.lane("step")] = step
-        refresh_network(block, 0, 0, simulator.plant, simulator.data, 1)
-        combine_load_noise(block, simulator.plant.constants[0], np.zeros(1), simulator.lanes)
-    return np.array(states), np.array(currents)
-
-
 def deviations(settings: PlantSettings, what: Scenario, expected: tuple[Floats, Floats]) -> tuple[float, float, float]:
     """Largest deviation of speeds [p.u.], angles [rad] and currents [p.u.] over a run."""
     simulator = started(settings, what)
@@ -376,27 +261,12 @@ def deviations(settings: PlantSettings, what: Scenario, expected: tuple[Floats, 
     return float(speed), float(angle), current
 
 
-@pytest.mark.parametrize("method", ["DOP853", "Radau"])
 @pytest.mark.parametrize("events", [fault(duration_s=0.2), pulse(2, 250.0, until_s=11.0)], ids=["fault", "load"])
-def test_the_default_step_follows_tight_integration_while_limits_bind(
-    events: tuple[LoadStep, ...], method: str
-) -> None:
+def test_the_default_step_follows_tight_integration_while_limits_bind(events: tuple[LoadStep, ...]) -> None:
     what = scenario(*events)
-    expected = reference_run(plant(shedding=NO_SHEDDING), what, 20.0, method)
+    expected = reference_run(plant(shedding=NO_SHEDDING), what, 20.0, "DOP853")
     assert (expected[1] > CURRENT_MAX * (1.0 - 1e-9)).any()
     speed, angle, current = deviations(plant(shedding=NO_SHEDDING), what, expected)
     assert speed < 5e-6
     assert angle < 5e-4
     assert current < 1e-3
-
-
-def test_a_step_in_which_a_limit_switches_is_of_low_order() -> None:
-    # The kink lies within a step: the error there falls with the step, not with its fourth power.
-    what = scenario(*pulse(2, 250.0, until_s=11.0))
-    expected = reference_run(plant(shedding=NO_SHEDDING), what, 20.0, "DOP853")
-    errors = [
-        deviations(plant(shedding=NO_SHEDDING, simulation_dt=dt), what, expected)[0] for dt in (0.025, 0.005, 0.0025)
-    ]
-    assert errors[0] < 5e-6
-    assert errors[0] / 5.0**4 < errors[1] < errors[0]
-    assert errors[2] < errors[0] / 5.0

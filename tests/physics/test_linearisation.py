@@ -1,31 +1,37 @@
-"""Which integration steps a plant takes, and that others are refused before anything runs."""
+"""The linearised system: its modes, and which integration steps a plant takes."""
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
+from docs.studies.small_signal import compare, infinite_bus, sides
+from tests.physics.extended import plant, scenario, started
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.layout import Floats
-from wtg_gym.physics.linearisation import STEP_MARGIN, largest_stable_steps, moving_states, state_matrix
-from wtg_gym.physics.parameters import GridFormingParameters
+from wtg_gym.physics.linearisation import largest_stable_steps, moving_states, state_matrix
+from wtg_gym.physics.modes import linearise, modes, synchronising_coefficients
+from wtg_gym.physics.network import NetworkCase
+from wtg_gym.physics.parameters import ConverterLimitParameters, GridFormingParameters, VoltageControlParameters
 from wtg_gym.physics.plant import PlantSettings
-from wtg_gym.physics.scenario import Scenario
+from wtg_gym.physics.scenario import GroupTrip, MachineOutage
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.tracking_law import TrackingLaw, get_law
+from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw, get_law
 from wtg_gym.scenarios import get_suite
 
 LAWS = (get_law("coordinated-piecewise"),) * 2
 
 
-def plant(simulation_dt: float = 0.025, **first_machine: float) -> PlantSettings:
-    """Return the default plant with other data of the machine at bus 1."""
+def with_machine(**first_machine: float) -> NetworkCase:
+    """Return the default network with other data of the machine at bus 1."""
     case = modified_ieee14()
     machines = (dataclasses.replace(case.machines[0], **first_machine), *case.machines[1:])
-    return PlantSettings(case=dataclasses.replace(case, machines=machines), simulation_dt=simulation_dt)
+    return dataclasses.replace(case, machines=machines)
 
 
 def largest_step(simulator: Simulator) -> float:
@@ -48,15 +54,6 @@ def after_steps(matrix: Floats, h: float, n_steps: int) -> float:
     return float(np.abs(x).max())
 
 
-def test_stable_steps_end_where_the_stability_region_does() -> None:
-    found = largest_stable_steps([-1.0, -200.0, 1j, -2j])
-    assert found == pytest.approx([2.785293563405282, 2.785293563405282 / 200.0, 8.0**0.5, 2.0**0.5], rel=1e-6)
-
-
-def test_a_mode_that_grows_by_itself_is_not_the_integrations_fault() -> None:
-    assert largest_stable_steps([0.0, 0.3, 1.0 + 2.0j, 3.8 + 3.5j]).min() > 0.4
-
-
 @pytest.mark.parametrize("value", [-40.0 + 0j, -8.9 + 46j, -0.2 + 17j])
 def test_a_linear_system_grows_just_beyond_its_largest_step_and_not_just_below(value: complex) -> None:
     matrix = np.array([[value.real, value.imag], [-value.imag, value.real]])
@@ -65,22 +62,34 @@ def test_a_linear_system_grows_just_beyond_its_largest_step_and_not_just_below(v
     assert after_steps(matrix, 1.001 * limit, 20_000) > 1e6
 
 
-def test_a_subtransient_time_constant_that_the_step_cannot_follow_is_refused_when_the_plant_is_built() -> None:
-    message = r"simulation_dt = 0.025 s .* eigenvalue -105.* 1/s \(mainly sync0.psi_1d\) .* at most 0.024 s"
-    with pytest.raises(ValueError, match=message):
-        Simulator(plant(t_d0_subtransient_s=0.01))
-    Simulator(plant(t_d0_subtransient_s=0.01, simulation_dt=0.02))
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (
+            PlantSettings(case=with_machine(t_d0_subtransient_s=0.01)),
+            r"eigenvalue -105.* 1/s \(mainly sync0.psi_1d\) .* at most 0.024 s",
+        ),
+        (
+            plant(voltage=VoltageControlParameters(integral_gain=1000.0)),
+            r"eigenvalue -98\d.* 1/s \(mainly wtg[01].internal_voltage\) .* at most 0.0025\d s",
+        ),
+        # It switches at 0.5 p.u. a step once the power exceeds its limit.
+        (plant(limits=ConverterLimitParameters(power_gain=1.0)), r"mainly wtg[01].angle\)"),
+    ],
+)
+def test_a_plant_that_is_too_fast_for_the_step_is_refused(settings: PlantSettings, message: str) -> None:
+    with pytest.raises(ValueError, match=r"simulation_dt = 0.025 s is too long for this plant.*" + message):
+        Simulator(settings)
 
 
 def test_an_inertia_that_is_too_small_for_the_step_is_refused_with_its_scenario() -> None:
-    simulator = Simulator(plant(two_h_s=0.5))
-    scenario = Scenario(name="light", wind_speed=np.full((2, 1), 8.0), inertia_scale=0.3)
-    simulator.prepare([scenario], LAWS)
-    lighter = dataclasses.replace(scenario, inertia_scale=0.05)
+    simulator = Simulator(PlantSettings(case=with_machine(two_h_s=0.5)))
+    light, lighter = (scenario(inertia_scale=scale) for scale in (0.3, 0.05))
+    simulator.prepare([light], LAWS)
     for _ in range(2):
-        with pytest.raises(ValueError, match=r"scenario 'light', inertia_scale = 0.05: simulation_dt = 0.025 s"):
-            simulator.prepare([scenario, lighter], LAWS)
-    simulator.prepare([scenario], LAWS)
+        with pytest.raises(ValueError, match=r"scenario 'x', inertia_scale = 0.05: simulation_dt = 0.025 s"):
+            simulator.prepare([light, lighter], LAWS)
+    simulator.prepare([light], LAWS)
 
 
 @pytest.mark.parametrize(
@@ -96,31 +105,96 @@ def test_a_law_that_is_too_steep_for_the_step_is_refused(
     inertia_s: float, k_min: float, k_nominal: float, k_max: float, wind_m_s: float
 ) -> None:
     law = TrackingLaw(name="steep", k_min=k_min, k_nominal=k_nominal, k_max=k_max)
-    scenario = Scenario(name="x", wind_speed=np.full((2, 1), wind_m_s))
+    what = scenario(wind=np.full((2, 1), wind_m_s))
     light = PlantSettings(control=GridFormingParameters(inertia_constant_s=inertia_s))
     with pytest.raises(ValueError, match=r"\(mainly wtg[01].speed\) would grow without bound"):
-        Simulator(light).prepare([scenario], (law,) * 2)
-    Simulator(dataclasses.replace(light, simulation_dt=0.01)).prepare([scenario], (law,) * 2)
+        Simulator(light).prepare([what], (law,) * 2)
+    Simulator(dataclasses.replace(light, simulation_dt=0.01)).prepare([what], (law,) * 2)
 
 
-@pytest.mark.parametrize("settings", [{}, {"simulation_dt": 0.04, "control_dt": 0.2}, {"groups": ()}])
+@pytest.mark.parametrize("settings", [{}, {"simulation_dt": 0.04, "control_dt": 0.2}])
 def test_every_step_and_inertia_that_is_allowed_suits_the_default_plant(settings: dict[str, Any]) -> None:
-    chosen = PlantSettings(**settings)
-    n = len(chosen.groups)
-    scenario = Scenario(name="x", wind_speed=np.full((n, 1), 8.0), inertia_scale=0.05)
-    Simulator(chosen).prepare([scenario], LAWS[:n])
+    Simulator(PlantSettings(**settings)).prepare([scenario(inertia_scale=0.05)], LAWS)
 
 
-@pytest.mark.parametrize("suite", ["standard", "weak-grid", "low-wind", "gust"])
-def test_operating_points_of_the_suites_move_the_largest_step_by_less_than_the_margin(suite: str) -> None:
-    nominal = Simulator(PlantSettings())
-    nominal.start(0, Scenario(name="x", wind_speed=np.full((2, 1), 8.0)), LAWS)
-    steps = []
-    for seed in get_suite(suite).validation[:4]:
-        simulator = Simulator(PlantSettings())
-        simulator.start(0, dataclasses.replace(get_suite(suite).scenario(seed), inertia_scale=1.0), LAWS)
-        for _ in range(6):
-            steps.append(largest_step(simulator))
-            for _ in range(100):
-                simulator.advance()
-    assert largest_step(nominal) / min(steps) < 1.0 + 0.5 * (STEP_MARGIN - 1.0)
+def test_with_fewer_units_the_largest_step_is_no_shorter(simulator: Simulator) -> None:
+    """So that the step that suits the start suits what is left."""
+    found = {}
+    for out in ((), (3,), (6,), (8,), (1,), (3, 6, 8), (1, 3, 6), (1, 3, 8), (1, 6, 8)):
+        for groups in ((), (0,), (0, 1)):
+            events = [MachineOutage(time_s=0.0, bus=bus) for bus in out]
+            simulator.start(0, scenario(*events, *(GroupTrip(time_s=0.0, group=group) for group in groups)), LAWS)
+            simulator.advance()
+            found[out, groups] = largest_step(simulator)
+    assert min(found.values()) >= 0.99 * found[(), ()]
+    assert found[(3, 6, 8), ()] > 1.1 * found[(), ()]
+
+
+# --- Modes
+
+PAPER = get_suite("paper").scenario(0)
+REFERENCE = STRATEGIES["coordinated-piecewise"]
+
+
+def test_eigenvalues_on_an_infinite_bus_are_the_poles_of_the_transfer_functions() -> None:
+    settings = infinite_bus()
+    for law, wind in itertools.product(STRATEGIES.values(), (8.0, 11.4)):
+        for side in sides(law):
+            _, difference = compare(law, wind, side, settings)
+            assert difference < 1e-6, (law.name, wind, side)
+
+
+@pytest.mark.parametrize("side", ["under", "over"])
+@pytest.mark.parametrize("model", ["genrou", "classical"])
+def test_small_motion_of_the_simulator_is_that_of_the_linear_model(side: str, model: str) -> None:
+    """A push of 1e-6, let go for 0.1 s, before the WTGs' frequencies come back to the corner of g(ω)."""
+    settings = PlantSettings(case=modified_ieee14(classical=model == "classical"), simulation_dt=0.0025)
+    linear = linearise(PAPER, REFERENCE, settings, side=side)  # type: ignore[arg-type]
+    simulator = Simulator(settings)
+    simulator.start(0, scenario(), (REFERENCE,) * 2)
+    names = list(simulator.layout.state_names)
+    index = [names.index(name) for name in linear.state_names]
+    here = simulator.state()
+    # The WTGs' frequencies leave the corner and stay away from it; the others follow.
+    push = np.zeros(here.size)
+    for j in range(2):
+        push[names.index(f"wtg{j}.speed")] = -1e-6 if side == "under" else 1e-6
+        push[names.index(f"wtg{j}.rotor_speed")] = 3e-7
+    simulator.set_state(here + push)
+    simulator.advance()
+    moved = (simulator.state() - here)[index]
+    expected = expm(0.1 * linear.matrix) @ push[index]
+    assert np.abs(moved - expected).max() < 2e-4 * np.abs(expected).max()
+    other = linearise(PAPER, REFERENCE, settings, side="over" if side == "under" else "under")
+    wrong = expm(0.1 * other.matrix) @ push[index]
+    assert np.abs(moved - wrong).max() > 2e-3 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("law", STRATEGIES.values(), ids=lambda law: law.name)
+def test_modes_are_the_eigenvalues_and_participations_are_shares(law: object) -> None:
+    model = linearise(PAPER, law)  # type: ignore[arg-type]
+    found = modes(model)
+    count = sum(2 if mode.eigenvalue.imag > 0.0 else 1 for mode in found)
+    assert count == model.matrix.shape[0] == len(model.state_names)
+    total = sum((2.0 if mode.eigenvalue.imag > 0.0 else 1.0) * mode.eigenvalue.real for mode in found)
+    assert total == pytest.approx(float(np.trace(model.matrix)), rel=1e-9)
+    for mode in found:
+        assert sum(mode.participation.values()) == pytest.approx(1.0)
+        assert min(mode.participation.values()) >= 0.0
+        assert -1.0 <= mode.damping_ratio <= 1.0
+        assert mode.eigenvalue.real < 0.0
+    reals = [mode.eigenvalue.real for mode in found]
+    assert reals == sorted(reals, reverse=True)
+
+
+def test_synchronising_coefficients_are_the_power_angle_slope() -> None:
+    """One group on an infinite bus: K_p = V E cos δ/X, with the power E V sin δ/X = p."""
+    settings = infinite_bus(0.2)
+    what = scenario(wind=[[11.4]], load_noise_bus=1)
+    k_p = synchronising_coefficients(what, REFERENCE, settings)
+    simulator = started(settings, what)
+    power = 0.9663590
+    # Reactances on the group's 50 MVA: 0.55 behind the voltage and half of 0.2.
+    delta = simulator.state()[list(simulator.layout.state_names).index("wtg0.angle")]
+    assert k_p.shape == (1, 1)
+    assert k_p[0, 0] == pytest.approx(power / np.tan(delta), rel=1e-5)

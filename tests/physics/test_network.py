@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.physics.cases import classical_machine
+from tests.physics.extended import classical
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.network import (
     Branch,
-    Bus,
     NetworkCase,
     assemble_admittance,
     branch_admittances,
@@ -52,7 +51,7 @@ def solve(case: NetworkCase, power: np.ndarray[Any, np.dtype[np.complex128]]) ->
 
 def test_power_flow_meets_the_published_solution_of_the_ieee_14_bus_system() -> None:
     case = modified_ieee14()
-    original = dataclasses.replace(case, machines=(*case.machines, classical_machine(2, dispatch_mw=40.0)))
+    original = dataclasses.replace(case, machines=(*case.machines, classical(bus=2, dispatch_mw=40.0)))
     power = np.zeros(14, dtype=np.complex128)
     power[1] = 0.4
     magnitude, angle, iterations = solve(original, power)
@@ -90,36 +89,3 @@ def test_off_nominal_tap_and_phase_follow_the_pi_model() -> None:
     ratio = tap * np.exp(1j * phase)
     expected = [(y + 0.02j) / tap**2, -y / np.conj(ratio), -y / ratio, y + 0.02j]
     assert branch_admittances((branch,))[0] == pytest.approx(np.array(expected))
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"buses": (Bus(number=1), Bus(number=1))}, r"unique"),
-        ({"buses": (Bus(number=1), Bus(number=2), Bus(number=3))}, r"not connected"),
-        ({"slack_bus": 2}, r"no synchronous machine at the slack bus 2"),
-        ({"branches": (Branch(from_bus=1, to_bus=9, resistance=0.0, reactance=0.1),)}, r"unknown bus 9; .* \[1, 2\]"),
-        ({"base_mva": 0.0}, r"base_mva = 0 MVA is outside"),
-        ({"frequency_hz": -50.0}, r"frequency_hz = -50 Hz is outside the allowed range 1 … 1000 Hz"),
-        ({"buses": (Bus(number=1), Bus(number=2, load_mw=10.0))}, r"slack bus 1 must hold a voltage"),
-        ({"machines": (3,)}, r"NetworkCase.machines must be a tuple of SynchronousMachineParameters"),
-        ({"branches": (Branch(from_bus=1, to_bus=2, resistance=0.0, reactance=0.0),)}, r"1-2 has no impedance"),
-    ],
-)
-def test_impossible_networks_are_named(changes: dict[str, Any], message: str) -> None:
-    settings: dict[str, Any] = {
-        "name": "two buses",
-        "base_mva": 100.0,
-        "frequency_hz": 50.0,
-        "slack_bus": 1,
-        "buses": (Bus(number=1, voltage_pu=1.0), Bus(number=2, load_mw=10.0)),
-        "branches": (Branch(from_bus=1, to_bus=2, resistance=0.01, reactance=0.1),),
-        "machines": (classical_machine(1),),
-    }
-    with pytest.raises(ValueError, match=message):
-        NetworkCase(**{**settings, **changes})
-
-
-def test_unknown_branch_lists_the_branches() -> None:
-    with pytest.raises(ValueError, match=r"no branch 1-14 in .*; branches: 1-2, 1-5"):
-        modified_ieee14().branch_index(1, 14)

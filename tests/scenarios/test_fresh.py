@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from typing import Any
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wtg_gym.scenarios import FRESH, SPLITS, SUITES, FreshDraw, draw_seeds, get_suite
+from wtg_gym.scenarios import SPLITS, draw_seeds, get_suite
 
 COMMIT = "0123456789abcdef0123456789abcdef01234567"
 SECRET = b"sixteen bytes or more"
@@ -60,50 +58,8 @@ def test_seeds_are_different_and_in_no_frozen_split(secret: bytes, n: int) -> No
     assert all(int(float(seed)) == seed for seed in seeds)
 
 
-def test_fewer_seeds_are_the_first_of_more() -> None:
-    assert draw_seeds("standard", COMMIT, SECRET, 300).seeds[:7] == draw_seeds("standard", COMMIT, SECRET, 7).seeds
-
-
 def test_draw_knows_its_secret() -> None:
     drawn = draw_seeds("standard", COMMIT, SECRET, 5)
     assert drawn.is_of(SECRET) and not drawn.is_of(SECRET + b"!")
     chosen = dataclasses.replace(drawn, seeds=(*drawn.seeds[:4], 2**40))
     assert not chosen.is_of(SECRET)
-
-
-@pytest.mark.parametrize("suite", [name for name, suite in SUITES.items() if suite.distribution is not None])
-def test_scenarios_of_drawn_seeds_are_like_those_of_the_suite(suite: str) -> None:
-    drawn = draw_seeds(suite, COMMIT, SECRET, 3)
-    scenarios = get_suite(suite).scenarios(drawn.seeds)
-    assert [scenario.seed for scenario in scenarios] == list(drawn.seeds)
-    assert all(scenario.duration_s == get_suite(suite).duration_s for scenario in scenarios)
-    assert len({float(scenario.wind_speed.mean()) for scenario in scenarios}) == 3
-
-
-@pytest.mark.parametrize(
-    ("change", "text"),
-    [
-        ({"suite": "paper"}, "suite 'paper' has fixed cases"),
-        ({"suite": "nowhere"}, "unknown suite 'nowhere'"),
-        ({"commit": "abc"}, "full git hash of 40 or 64 hexadecimal digits, got 'abc'"),
-        ({"commit": COMMIT.upper()}, "full git hash"),
-        ({"secret": b"short"}, "16 bytes or more, got 5"),
-        ({"n": 0}, r"1 … 100000, got 0"),
-        ({"n": True}, r"1 … 100000, got True"),
-    ],
-)
-def test_bad_draws_are_refused(change: dict[str, Any], text: str) -> None:
-    with pytest.raises(ValueError, match=text):
-        draw_seeds(**{"suite": "standard", "commit": COMMIT, "secret": SECRET, "n": 5, **change})
-
-
-@pytest.mark.parametrize("seeds", [(), (2**40, 2**40), (20_000,), (2**53,), (True,), (2.0**40,)])
-def test_draw_holds_seeds_of_the_split_only(seeds: Any) -> None:
-    with pytest.raises(ValueError, match="seeds of a draw"):
-        FreshDraw(suite="standard", commit=COMMIT, secret_sha256="0" * 64, seeds=seeds)
-
-
-def test_frozen_suites_know_nothing_of_the_split() -> None:
-    assert FRESH not in SPLITS
-    with pytest.raises(ValueError, match="there is nothing to draw"):
-        get_suite("paper").seeds(FRESH)

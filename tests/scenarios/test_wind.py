@@ -48,15 +48,6 @@ def test_disk_distance_density_has_unit_area_and_the_known_mean():
     assert np.sum(density * distance) * step == pytest.approx(128.0 / (45.0 * math.pi), abs=1e-6)
 
 
-def test_disk_average_starts_at_one_falls_and_ends_as_the_inverse_square():
-    decay = np.geomspace(1e-4, 1e4, 333)
-    mean = wind.disk_mean_coherence(decay)
-    assert mean[0] == pytest.approx(1.0, abs=1e-4)
-    assert (np.diff(mean) < 0.0).all()
-    # Far out only neighbours count: p(s) ~ 2 s, and the integral of 2 s exp(-x s) is 2/x².
-    assert mean[-1] == pytest.approx(2.0 / decay[-1] ** 2, rel=1e-3)
-
-
 def test_disk_average_agrees_with_random_pairs_of_points():
     rng = np.random.default_rng(1)
     radius, angle = np.sqrt(rng.random((2, 400_000))), 2.0 * math.pi * rng.random((2, 400_000))
@@ -73,11 +64,6 @@ def test_rotor_and_group_averaging_only_take_away(mean: float, n_turbines: float
     group = wind.group_filter(FREQUENCY, mean, n_turbines)
     assert ((rotor > 0.0) & (rotor < 1.0)).all()
     assert ((group >= 1.0 / n_turbines - 1e-12) & (group <= 1.0 + 1e-12)).all()
-
-
-@pytest.mark.parametrize("n_turbines", [0.4, 1.0])
-def test_group_of_one_turbine_or_less_averages_nothing(n_turbines: float):
-    assert wind.group_filter(FREQUENCY, 9.0, n_turbines) == pytest.approx(1.0)
 
 
 def test_group_filter_is_the_double_sum_over_equally_coherent_turbines():
@@ -106,23 +92,6 @@ def test_series_of_different_groups_are_uncorrelated():
     assert abs((first * second).mean()) < 0.1 * series.var()
 
 
-def test_window_does_not_end_where_it_began():
-    amplitude = wind.turbulence_amplitude(9.0, 1.7, 1.0, N_PERIOD)
-    series = synthesised(5, [amplitude] * 400, N_SAMPLES)
-    assert (series[:, -1] - series[:, 0]).std() > series.std()
-
-
-@pytest.mark.parametrize("n_samples", [1, 2, 7, 601, 1201, 36_001])
-def test_period_is_even_long_enough_and_quick_to_transform(n_samples: int):
-    period = wind.period_length(n_samples)
-    assert 2 * n_samples <= period <= 2.4 * n_samples + 2
-    rest = period
-    for factor in (2, 3, 5):
-        while rest % factor == 0:
-            rest //= factor
-    assert rest == 1 and period % 2 == 0
-
-
 def test_gust_dips_peaks_and_leaves_no_trace():
     time_s = np.arange(0.0, 60.0, 0.01)
     change = wind.extreme_operating_gust(time_s, 20.0, 5.0)
@@ -131,14 +100,3 @@ def test_gust_dips_peaks_and_leaves_no_trace():
     assert time_s[change.argmax()] == pytest.approx(20.0 + 0.5 * wind.GUST_DURATION_S, abs=0.02)
     assert change.max() == pytest.approx(0.74 * 5.0, rel=1e-4)
     assert change.max() - change.min() == pytest.approx(5.0, rel=0.02)
-
-
-def test_ramp_is_linear_and_stays():
-    change = wind.coherent_ramp(np.array([0.0, 10.0, 15.0, 20.0, 60.0]), 10.0, -3.0, 10.0)
-    assert change == pytest.approx([0.0, 0.0, -1.5, -3.0, -3.0])
-
-
-@pytest.mark.parametrize(("mean", "n_turbines", "text"), [(2.0, 1.0, "2 m/s"), (9.0, 0.0, "n_turbines = 0")])
-def test_impossible_turbulence_is_refused_with_value_and_range(mean: float, n_turbines: float, text: str):
-    with pytest.raises(ValueError, match=text):
-        wind.turbulence_amplitude(mean, 1.0, n_turbines, N_PERIOD)

@@ -1,38 +1,27 @@
-"""Gradients of version v1 and of the extended physics: limits of the converters, energies, sensors, events."""
+"""What is traced of the kernels, and gradients through the limits of the converters and a table of coefficients."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from tests.gradients.test_gradients import (
-    N_LANES,
-    V1,
-    actions_of,
-    agrees,
-    along,
-    compiled_by_python,
-    drawn,
-    given,
-    played,
-    slopes,
-    tape_of,
-)
+from tests.gradients.test_gradients import N_LANES, V1, actions_of, agrees, drawn, given, tape_of
 from wtg_gym.envs.task import step_blocks
-from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.gradients import expressions as ex
 from wtg_gym.gradients import kernel_programs
 from wtg_gym.gradients.adjoint import build_pull_limits
 from wtg_gym.gradients.kernel_programs import programs_of, require_known
 from wtg_gym.gradients.tape import Tape
+from wtg_gym.physics.elementary import exponential, fma, select, sine_cosine
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters
 from wtg_gym.physics.plant import PlantSettings, build_plant
-from wtg_gym.physics.scenario import GroupTrip, LoadStep, Scenario
+from wtg_gym.physics.scenario import GroupTrip, LoadStep
 
 Floats = npt.NDArray[np.float64]
 #: A group trips in strong wind, and others take over until load is lost too: their currents are limited meanwhile.
@@ -52,6 +41,28 @@ def limited_tape() -> tuple[Tape, Floats]:
 
 def reactances(tape: Tape) -> Floats:
     return tape.lanes.simulator.wtg_values("limiting_reactance")
+
+
+def compiled_by_python(source: str) -> Any:
+    space: dict[str, Any] = {"chosen": select, "fma": fma, "sine_cosine": sine_cosine, "exponential": exponential}
+    exec(source, {**space, "math": math, "inf": math.inf}, space)
+    return space["traced"]
+
+
+def test_the_traced_right_hand_side_is_that_of_the_kernel() -> None:
+    lanes = tape_of().lanes
+    lanes.start(range(N_LANES), drawn(tape_of()))
+    simulator = lanes.simulator
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        lanes.step(rng.uniform(-1.0, 1.0, (N_LANES, lanes.n_action)))
+    program = programs_of(simulator.plant, lanes.task, simulator.layout.n_rows, lanes.n_action).rates
+    block = tape_of()._values()[0][:, 0].copy()
+    compiled_by_python(ex.function_source("traced", ("fraction",), program))(block, 0.0, (0,))
+    simulator.evaluate()
+    rates = simulator.rates()
+    assert np.abs(rates).max() > 1e-3
+    assert block[simulator.layout.rate_rows] == pytest.approx(rates, rel=1e-12, abs=1e-12)
 
 
 def test_the_traced_right_hand_side_is_that_of_the_kernel_while_currents_are_limited() -> None:
@@ -140,28 +151,6 @@ def drop(re: complex, im: complex, y: complex, largest: float) -> npt.NDArray[np
     return np.array([reactance * current_im, -reactance * current_re])
 
 
-@pytest.mark.parametrize(
-    ("suite", "silent"),
-    [
-        ("standard", {"rotor"}),
-        ("faults", {"overload"}),
-        ("no-wind-sensor", {"rotor"}),
-        ("gusty", {"rotor", "overload"}),
-    ],
-)
-def test_the_gradient_is_that_of_central_differences(suite: str, silent: set[str]) -> None:
-    tape = tape_of(**V1, suite=suite)
-    scenarios, actions = drawn(tape), actions_of(tape, 300)
-    way = np.random.default_rng(2).normal(size=actions.shape)
-    measured = slopes(tape, scenarios, actions, way)
-    for index, term in enumerate(COST_TERMS[:-1]):
-        expected = measured[:, index]
-        assert expected.any() == (term not in silent)
-        found = along(tape.gradient(scenarios, actions, {term: 1.0}), way)
-        assert found == pytest.approx(expected, rel=1e-5, abs=1e-5 * np.abs(expected).max())
-    assert along(tape.gradient(scenarios, actions), way) == pytest.approx(measured.sum(axis=1), rel=1e-5)
-
-
 def test_the_gradient_goes_through_the_limits_of_currents_and_powers() -> None:
     tape = tape_of(**V1)
     step = LoadStep(time_s=1.0, bus=2, power_mw=60.0, reactive_mvar=60.0)
@@ -177,41 +166,9 @@ def test_the_gradient_goes_through_the_limits_of_currents_and_powers() -> None:
     assert (limited[[0, 2]] > 2).all() and over_power[1] < -1e-4
 
 
-def test_the_gradient_with_respect_to_the_law_is_that_of_central_differences() -> None:
-    tape = tape_of(**V1)
-    scenarios, actions, h = drawn(tape), actions_of(tape, 200), 1e-5
-    found = tape.gradient(scenarios, actions)
-    tape.start(scenarios)
-    law = tape.law()
-    for place in np.ndindex(law.shape[1:]):
-        step = np.zeros_like(law)
-        step[:, *place] = h
-        up, down = (played(tape, scenarios, actions, law + sign * step).sum(axis=1) for sign in (1.0, -1.0))
-        expected = (up - down) / (2.0 * h)
-        assert found.law[:, *place] == pytest.approx(expected, rel=1e-5, abs=1e-5 * np.abs(expected).max())
-
-
 def test_the_gradient_goes_through_a_table_of_power_coefficients() -> None:
     tape = tape_of(**V1, suite="gusty", physics="nrel-5mw")
     agrees(tape, drawn(tape), actions_of(tape, 200, 0.2))
-
-
-def test_the_gradient_goes_through_shed_load_and_groups_that_their_rotor_trips() -> None:
-    tape = tape_of(physics="extended", on_failure="trip", cap=5000.0)
-    wind = np.full((2, 301), 9.0)
-    wind[0] = np.maximum(9.0 - 0.12 * np.arange(301), 3.0)
-    step = LoadStep(time_s=1.0, bus=4, power_mw=20.0)
-    scenarios = [
-        given(2, LoadStep(time_s=1.0, bus=4, power_mw=380.0)),
-        Scenario(name="calm", wind_speed=wind, load_noise_bus=3, events=(step,)),
-        given(2, LoadStep(time_s=1.0, bus=4, power_mw=390.0)),
-    ]
-    actions = actions_of(tape, 200, 0.2)
-    agrees(tape, scenarios, actions)
-    played(tape, scenarios, actions)
-    simulator = tape.lanes.simulator
-    shed = tape._take(tape._values(), simulator.layout.rows.shedding + np.arange(simulator.layout.n_stages)) < 0.0
-    assert shed.any(axis=1)[[0, 2]].all() and (simulator.wtg_values("connected") == 0.0).any()
 
 
 def test_hydro_governors_are_refused() -> None:

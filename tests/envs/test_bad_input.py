@@ -1,0 +1,288 @@
+"""Bad settings, scenarios, seeds, actions and snapshots are refused by name, and nothing has moved."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import math
+import pickle
+from typing import Any, get_type_hints
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+from tests.envs.rollouts import actions_of, calm, eventful, single_steps, vector_steps
+from wtg_gym import ENV_IDS
+from wtg_gym.envs import EnvArguments, EnvSettings, GFMWTGEnv, GFMWTGVectorEnv
+from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.physics.scenario import Scenario
+from wtg_gym.physics.sensors import Sensors
+from wtg_gym.physics.tracking_law import TrackingLaw
+from wtg_gym.scenarios import get_suite
+from wtg_gym.wrappers import VectorReward
+
+NAN = math.nan
+ACTIONS = actions_of(40, 60, 3)
+CALM_V1 = calm(n_wtg=4)
+SENSED = dataclasses.replace(get_suite("standard").scenario(20_000), sensors=Sensors(seed=1, wind_bias=(0.0, 0.0)))
+V1: dict[str, Any] = {"version": "v1"}
+QUICK = TrackingLaw(name="quick", k_min=0.7, k_nominal=0.6, k_max=0.5, damping_time_constant_s=0.05)
+LONG_STEPS = {"control_dt": 0.2, "simulation_dt": 0.04, "scenario": calm().to_dict()}
+SLOW = Scenario(name="slow", wind_speed=np.array([[8.0], [4.5]]))
+
+# Arguments of both environments, and a pattern of what the message names. Version v0 where none is given.
+SETTINGS: list[tuple[dict[str, Any], str]] = [
+    ({"strategy": "x"}, "unknown strategy 'x'.*mppt.*coordinated-piecewise"),
+    ({"strategy": ["mppt"]}, "law.*2.*1"),
+    ({"action_mode": "x"}, "action_mode 'x'.*k, tau, k.tau"),
+    ({"suite": "x"}, "suite 'x'.*paper.*weak-grid"),
+    ({"split": "x"}, "split 'x'.*train, validation, test"),
+    ({"physics": "x"}, "physics 'x'.*paper, extended, nrel-5mw"),
+    ({"groups": 0}, "1 … 1024.*0"),
+    ({"groups": [{"buss": 2}]}, "buss"),
+    ({"groups": [{"bus": 99}]}, "bus 99.*14"),
+    ({"groups": [{"bus": 2, "n_turbines": NAN}]}, "n_turbines.*nan"),
+    ({"duration_s": 2.05}, "duration_s.*2.05.*0.1 s"),
+    ({"control_dt": 0.001}, "control_dt.*0.001.*0.025 … 10 s"),
+    ({"simulation_dt": 0.05}, "simulation_dt.*0.05.*0.04 s"),
+    ({"strategy": QUICK, **LONG_STEPS}, "simulation_dt = 0.04 s .* at most 0.0317 s"),
+    ({"weights": {"x": 1}}, "weight.*'x'.*frequency.*cap"),
+    ({"weights": {"duty": -1}}, "'duty'.*-1"),
+    ({"weights": {"cap": 0}}, "'cap' = 0"),
+    ({"scenario": SENSED}, "has sensors; version v0 measures exactly"),
+    ({"scenario": SLOW, "physics": "extended"}, "WTG group 1 .* 4.5 m/s, below the under-speed trip at 0.5 p.u."),
+    ({"sensors": "exact"}, "sensors.*v1.*v0 measures exactly"),
+    ({"version": "v2"}, "version.*'v2'.*v0, v1"),
+    ({**V1, "suite": "weak-grid"}, "suite 'weak-grid'.*standard-v1"),
+    ({**V1, "sensors": {"noise": 1.0}}, "sensors.*'noise'.*delay_s"),
+    ({**V1, "sensors": {"delay_s": (0.1, NAN)}}, "delay_s = nan s.*0 … 1 s"),
+    ({**V1, "control_dt": 0.2}, "delay_s of the sensors = 0.1 s.*control steps of 0.2 s"),
+    ({**V1, "sensors": "exact", "scenario": CALM_V1}, "sensors.*scenario.*leave out one"),
+    (
+        {**V1, "scenario": {**CALM_V1.to_dict(), "sensors": {"seed": 1, "wind_bias": [0.0]}}},
+        r"wind_bias of the sensors.*WTG group \(4\).*1",
+    ),
+    ({**V1, "groups": 2}, "20 turbines.*% of the load.*wind_share of 'standard-v1'.*40 … 78 %"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "message"), SETTINGS, ids=lambda value: str(value)[:40])
+def test_wrong_setting_is_refused_with_what_is_allowed_in_one_line(arguments: dict[str, Any], message: str):
+    for kind in (GFMWTGEnv, lambda **given: GFMWTGVectorEnv(2, **given)):
+        with pytest.raises(ValueError, match=message) as refused:
+            kind(**{"version": "v0", **arguments})
+        assert "\n" not in str(refused.value)
+
+
+BATCH = [
+    ({"num_envs": 0}, "num_envs.*1 … 1000000.*0"),
+    ({"n_threads": 1.5}, "n_threads.*1.5"),
+    ({"autoreset_mode": "x"}, "'x'"),
+    ({"max_episode_steps": 0}, "max_episode_steps.*0"),
+    ({"render_mode": "human"}, "unknown render_mode 'human'"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "message"), BATCH, ids=str)
+def test_wrong_argument_of_a_batch_is_refused_with_what_is_allowed(arguments: dict[str, Any], message: str):
+    with pytest.raises(ValueError, match=message):
+        GFMWTGVectorEnv(**{"version": "v0", "num_envs": 2, **arguments})
+
+
+@pytest.mark.parametrize("make", [GFMWTGEnv, GFMWTGVectorEnv, lambda **given: gym.make(ENV_IDS[0], **given)])
+def test_unknown_keyword_is_a_type_error_that_lists_the_known_ones(make: Any):
+    with pytest.raises(TypeError, match=r"__init__\(\) got an unexpected keyword argument 'stratgy'") as caught:
+        make(stratgy="mppt")
+    assert all(field.name in str(caught.value) for field in dataclasses.fields(EnvSettings))
+
+
+@pytest.mark.parametrize("kind", [GFMWTGEnv, GFMWTGVectorEnv])
+def test_type_checkers_know_exactly_the_settings_with_their_types(kind: Any):
+    settings, keywords = get_type_hints(EnvSettings), get_type_hints(EnvArguments)
+    assert {field.name: settings[field.name] for field in dataclasses.fields(EnvSettings)} == keywords
+    assert EnvArguments.__required_keys__ == frozenset()
+    assert "Unpack[EnvArguments]" in kind.__init__.__annotations__.values()
+
+
+STEP = {"kind": "load_step", "time_s": 1.0, "bus": 2, "power_mw": 5.0}
+SCENARIOS: list[tuple[dict[str, Any], str]] = [
+    ({"seed": 2**70}, "seed of a scenario"),
+    ({"wind_speed": [[8.0]]}, "wind for 1 WTG group.*2 groups"),
+    ({"duration_s": 2.05}, "duration_s.*2.05.*0.1 s"),
+    ({"duration_s": 4.1}, "4.1 s.*longer than the 4 s"),
+    ({"load_noise_bus": 99}, "bus 99.*14"),
+    ({"events": [{**STEP, "time_s": 1.005}]}, "1.005.*0.025 s"),
+    ({"events": [{**STEP, "bus": 99}]}, "bus 99.*14"),
+    ({"events": [{"kind": "line_trip", "time_s": 1.0, "from_bus": 7, "to_bus": 8}]}, "split"),
+    ({"load_level": 0.3, "wind_speed": [[25.0]] * 2}, "cannot start"),
+]
+
+
+@pytest.mark.parametrize(("changes", "message"), SCENARIOS, ids=lambda value: str(value)[:40])
+def test_wrong_scenario_is_refused_and_running_episodes_go_on(changes: dict[str, Any], message: str):
+    refused = {**calm().to_dict(), **changes}
+    with pytest.raises(ValueError, match=message):
+        GFMWTGEnv(scenario=refused, duration_s=4.0, version="v0").reset()
+    env, batch = GFMWTGEnv(duration_s=4.0, version="v0"), GFMWTGVectorEnv(3, duration_s=4.0, version="v0")
+    single_steps(env, ACTIONS[:7, 0], AutoresetMode.DISABLED, seed=0), vector_steps(batch, ACTIONS[:7], seed=0)
+    twins = copy.deepcopy(env), copy.deepcopy(batch)
+    with pytest.raises(ValueError, match=message):
+        env.reset(options={"scenario": refused})
+    with pytest.raises(ValueError, match=message):
+        batch.reset(options={"scenarios": [calm(), refused, calm()]})
+    for own, twin, actions in zip((env, batch), twins, (ACTIONS[7:20, 0], ACTIONS[7:20]), strict=True):
+        for action in actions:
+            try:
+                observation, reward, *_ = own.step(action)
+            except RuntimeError as error:
+                assert "reset()" in str(error)
+                break
+            expected, other, *_ = twin.step(action)
+            assert observation.tobytes() == expected.tobytes() and np.all(reward == other)
+
+
+RESETS: dict[bool, list[dict[str, Any]]] = {
+    False: [
+        *({"seed": seed} for seed in (NAN, 1.5, "a", -1, [1])),
+        *({"options": options} for options in ({"foo": 1}, {"scenarios": [calm()]}, {"scenario": None}, 3)),
+    ],
+    True: [
+        *({"seed": seed} for seed in (NAN, 1.5, "ab", True, -1, [1], [1, NAN], [1, -1], [1, 2, 3])),
+        *({"options": options} for options in ({"foo": 1}, {"scenario": calm()}, {"scenarios": None})),
+        *({"options": options} for options in ({"scenarios": [calm()]}, {"scenarios": [calm(), 3]})),
+        *({"options": {"reset_mask": mask}} for mask in ([True], [1, 0], [False, False])),
+    ],
+}
+
+
+@pytest.mark.parametrize("batch", RESETS)
+def test_wrong_seeds_and_options_are_refused_and_leave_the_stream_of_scenarios_alone(batch: bool):
+    kind: Any = (lambda **given: GFMWTGVectorEnv(2, **given)) if batch else GFMWTGEnv
+    env, twin = (kind(duration_s=4.0, version="v0") for _ in range(2))
+    env.reset(seed=5), twin.reset(seed=5)
+    for wrong in RESETS[batch]:
+        # Gymnasium raises its own error for seeds.
+        with pytest.raises((ValueError, gym.error.Error), match=r"(?i)seed|scenario|reset_mask"):
+            env.reset(**wrong)
+    assert np.all(env.reset()[1]["scenario_seed"] == twin.reset()[1]["scenario_seed"])
+
+
+#: For each rule an action of one lane that breaks it.
+WRONG: dict[str, Any] = {
+    "nan": [0.0, NAN, 0.0, 0.0],
+    "infinite": np.array([0.0, 0.0, 0.0, np.inf], dtype=np.float32),
+    "short": [0.0] * 3,
+    "column": np.zeros((4, 1)),
+    "text": ["0.1"] * 4,
+    "objects": [{}] * 4,
+    "ragged": [[0.0], [0.0, 0.0], 0.0, 0.0],
+    "complex": np.zeros(4, dtype=np.complex128),
+    "huge integer": [10**400] * 4,
+    "none": None,
+    "scalar": 0.0,
+}
+
+
+@pytest.mark.parametrize("mode", [None, AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+@pytest.mark.filterwarnings("error")
+def test_wrong_actions_are_refused_and_no_lane_has_moved(mode: AutoresetMode | None):
+    if mode is None:
+        env: Any = GFMWTGEnv(scenario=eventful().to_dict(), version="v0")
+        single_steps(env, ACTIONS[:20, 0], AutoresetMode.DISABLED, seed=0)
+        wrong = WRONG
+    else:
+        # Up to the end of an episode, where lanes wait for their reset.
+        env = GFMWTGVectorEnv(3, duration_s=2.0, autoreset_mode=mode, version="v0")
+        vector_steps(env, ACTIONS[:20], seed=0)
+        wrong = {name: [[0.0] * 4, action, [0.0] * 4] for name, action in WRONG.items()}
+        wrong |= {"none": None, "scalar": 0.0, "flat": np.zeros(12), "lanes": np.zeros((2, 4))}
+    twin = copy.deepcopy(env)
+    for action in wrong.values():
+        with pytest.raises(ValueError, match="action"):
+            env.step(action)
+    if mode is None:
+        rest = ACTIONS[20:40, 0], AutoresetMode.DISABLED
+        assert single_steps(env, *rest) == single_steps(twin, *rest)
+    else:
+        assert vector_steps(env, ACTIONS[20:]) == vector_steps(twin, ACTIONS[20:])
+
+
+@pytest.mark.parametrize("kind", [list, np.float32, np.float64, np.int8, bool, object])
+def test_anything_that_is_numbers_is_an_action_which_is_clipped_and_not_kept(kind: Any):
+    env, twin = (GFMWTGEnv(duration_s=2.0, version="v0") for _ in range(2))
+    env.reset(seed=0), twin.reset(seed=0)
+    given = [1, 0, 3, 0] if kind is list else np.array([1, 0, 3, 0], dtype=kind)
+    before = list(given)
+    assert env.step(given)[0].tobytes() == twin.step(np.array([1, 0, 1, 0], dtype=np.float32))[0].tobytes()
+    assert list(given) == before
+    given[0] = 0
+    assert env.step(np.zeros(4))[0].tobytes() == twin.step(np.zeros(4))[0].tobytes()
+
+
+def test_step_without_a_reset_is_a_runtime_error():
+    env = GFMWTGEnv(duration_s=1.0, version="v0")
+    with pytest.raises(RuntimeError, match=r"reset\(\)"):
+        env.step(np.zeros(4))
+    single_steps(env, ACTIONS[:10, 0], AutoresetMode.NEXT_STEP, seed=0)
+    for _ in range(2):
+        with pytest.raises(RuntimeError, match=r"reset\(\)"):
+            env.step(np.zeros(4))
+    env.reset()
+    env.step(np.zeros(4))
+    for mode in AutoresetMode:
+        batch = GFMWTGVectorEnv(2, duration_s=2.0, autoreset_mode=mode, version="v0")
+        with pytest.raises(RuntimeError, match=r"reset\(\)"):
+            batch.step(np.zeros((2, 4)))
+        batch.reset(seed=0, options={"reset_mask": np.array([True, False])})
+        with pytest.raises(RuntimeError, match=r"\[1\].*reset\(\)"):
+            batch.step(np.zeros((2, 4)))
+
+
+def test_step_of_a_batch_with_an_ended_lane_and_resets_disabled_is_a_runtime_error():
+    env = GFMWTGVectorEnv(2, duration_s=2.0, autoreset_mode="Disabled", version="v0")
+    env.reset(seed=0, options={"scenarios": [calm(duration_s=2.0), calm(duration_s=1.0)]})
+    for _ in range(10):
+        *_, truncated, _ = env.step(np.zeros((2, 4)))
+    assert truncated.tolist() == [False, True]
+    with pytest.raises(RuntimeError, match=r"\[1\].*reset\(\)"):
+        env.step(np.zeros((2, 4)))
+    assert env.reset(options={"reset_mask": truncated})[1]["time_s"].tolist() == [1.0, 0.0]
+    env.step(np.zeros((2, 4)))
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [
+        ({"groups": [{"bus": 2, "n_turbines": 10.0}, {"bus": 3, "n_turbines": 10.0}]}, "groups"),
+        ({"weights": {"duty": 0.0}, "on_failure": "trip"}, "weights, on_failure"),
+        ({"strategy": "mppt"}, "strategy"),
+        ({"duration_s": 5.0}, "duration_s"),
+        (V1, "strategy, groups, weights, plant, physics, version"),
+    ],
+    ids=str,
+)
+def test_snapshot_of_other_settings_is_refused_and_changes_nothing(settings: dict[str, Any], named: str):
+    env, other = (GFMWTGEnv(**{"version": "v0", "duration_s": 4.0, **given}) for given in ({}, settings))
+    env.reset(seed=3), other.reset(seed=8)
+    before = other.snapshot()
+    with pytest.raises(ValueError, match=f"of an environment with other settings: {named}$"):
+        other.restore(env.snapshot())
+    for wrong in (None, (1, 2, 3), GFMWTGVectorEnv(1, version="v0").snapshot()):
+        with pytest.raises(ValueError, match=r"snapshot\(\) of a GFMWTGEnv returned, got "):
+            other.restore(wrong)
+    assert pickle.dumps(other.snapshot()) == pickle.dumps(before)
+
+
+def test_what_cannot_be_imagined_or_rewarded_is_refused():
+    lanes, other = (TaskLanes(EnvSettings(suite=s, duration_s=20.0), 2, 1) for s in ("standard-v1", "low-share-v1"))
+    with pytest.raises(ValueError, match="same settings"):
+        other.imagine(lanes, np.zeros(2, dtype=np.int64), np.full((2, 4, 3), 9.0))
+    with pytest.raises(ValueError, match=r"a lane for each of 2 lanes .* got shapes \(1,\) and \(2, 4, 3\)"):
+        lanes.imagine(lanes, np.zeros(1, dtype=np.int64), np.full((2, 4, 3), 9.0))
+    for terms in ((), ("frequency", "speed"), "duty", ("duty", "duty"), 5):
+        with pytest.raises(ValueError, match=r"terms must be a list of some of frequency, rocof, .*, each once, got "):
+            VectorReward(gym.make(ENV_IDS[0]), terms)
+    with pytest.raises(ValueError, match=r"env must be a GFMWTGEnv.*CartPole"):
+        VectorReward(gym.make("CartPole-v1"))

@@ -1,0 +1,118 @@
+"""PyTorch's way to the gradients: they are those of the tape, whole and truncated."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.gradients.test_gradients import N_LANES, V1, actions_of, drawn, tape_of
+from wtg_gym.physics.scenario import Scenario
+
+torch = pytest.importorskip("torch", reason="PyTorch is not installed here")
+# It needs PyTorch.
+from wtg_gym.gradients.torch import TorchEpisodes  # noqa: E402
+
+
+def episodes_of(**settings: Any) -> TorchEpisodes:
+    return TorchEpisodes(tape_of(**settings).lanes.settings, N_LANES, 1)
+
+
+def has_slope(cost: Any, parameter: Any, gradient: Any) -> None:
+    """Check that the gradient of a cost with respect to a parameter is its slope along that gradient."""
+    way, h, ends = gradient / gradient.norm(), 1e-3, []
+    for sign in (1.0, -2.0, 1.0):
+        with torch.no_grad():
+            parameter += sign * h * way
+        ends.append(cost().item())
+    # Observations have 32 bits: the environment's answers are no smoother than that.
+    assert (ends[0] - ends[1]) / (2.0 * h) == pytest.approx(float(gradient.norm()), rel=1e-3)
+
+
+def segments(episodes: Any, scenarios: list[Scenario], policy: Any, cut: int, n_steps: int) -> tuple[Any, Any]:
+    """Return the costs of the steps before and from a cut on, each of every lane (n_lanes,)."""
+    observations, costs = episodes.start(scenarios), [0.0, 0.0]
+    for step in range(n_steps):
+        if step == cut:
+            observations = episodes.detach()
+        observations, terms = episodes.step(torch.tanh(policy[step](observations.double())))
+        costs[step >= cut] = costs[step >= cut] + terms.sum(dim=1)
+    return costs[0], costs[1]
+
+
+def test_a_truncated_gradient_is_that_of_a_segment_from_where_it_began() -> None:
+    episodes, cut, n_steps = episodes_of(), 30, 55
+    lanes = episodes.tape.lanes
+    scenarios = drawn(episodes.tape)
+    torch.manual_seed(0)
+    first, second = (torch.nn.Linear(lanes.n_observation, lanes.n_action).double() for _ in range(2))
+    policy = [first] * cut + [second] * (n_steps - cut)
+    before, after = segments(episodes, scenarios, policy, cut, n_steps)
+    after.sum().backward()
+    # Nothing leads back behind the cut, and the segment before it can still be gone through.
+    assert first.weight.grad is None
+    assert second.weight.grad.abs().max() > 1e-3
+    before.sum().backward()
+    assert first.weight.grad.abs().max() > 1e-3
+    for own, part in ((first, 0), (second, 1)):
+        has_slope(
+            lambda i=part: segments(episodes, scenarios, policy, cut, n_steps)[i].sum(), own.weight, own.weight.grad
+        )
+    with pytest.raises(ValueError, match="start"):
+        episodes_of().detach()
+
+
+def test_a_policy_trains_by_backward() -> None:
+    episodes = episodes_of()
+    scenarios = drawn(episodes.tape)
+    episodes.start(scenarios)
+    torch.manual_seed(0)
+    policy = torch.nn.Linear(episodes.tape.lanes.n_observation, episodes.tape.lanes.n_action).double()
+    law = torch.tensor(episodes.tape.law()[0], requires_grad=True)
+
+    def cost() -> Any:
+        observations, total = episodes.start(scenarios, law), 0.0
+        for _ in range(50):
+            observations, terms = episodes.step(torch.tanh(policy(observations.double())))
+            total = total + terms.sum()
+        return total
+
+    parameters = [*policy.parameters(), law]
+    before = cost()
+    before.backward()
+    found = [parameter.grad.clone() for parameter in parameters]
+    for parameter, gradient in zip(parameters, found, strict=True):
+        has_slope(cost, parameter, gradient)
+    with torch.no_grad():
+        for parameter, gradient in zip(policy.parameters(), found[:-1], strict=True):
+            parameter -= 0.01 * gradient
+    assert cost() < before
+    with pytest.raises(RuntimeError, match="before the next start"):
+        before.backward()
+    with pytest.raises(ValueError, match=r"law must have the shape \(2, 4\)"):
+        episodes.start(scenarios, torch.ones(4))
+    with pytest.raises(ValueError, match="start"):
+        episodes_of().step(torch.zeros(N_LANES, 4))
+
+
+@pytest.mark.parametrize("settings", [{}, V1])
+def test_torch_and_numpy_agree_to_the_last_bit(settings: dict[str, Any]) -> None:
+    episodes = episodes_of(**settings)
+    scenarios, actions = drawn(episodes.tape), actions_of(episodes.tape, 20)
+    found = episodes.tape.gradient(scenarios, actions)
+    episodes.start(scenarios)
+    given = torch.tensor(actions, requires_grad=True)
+    torch.stack([episodes.step(own)[1] for own in given]).sum().backward()
+    assert np.array_equal(given.grad.numpy(), found.actions)
+
+    played = episodes.tape.play(scenarios, actions)
+    of_actions, _, _ = episodes.tape.back(outputs=np.ones_like(played.outputs))
+    episodes.start(scenarios)
+    given, outputs = torch.tensor(actions, requires_grad=True), []
+    for own in given:
+        episodes.step(own)
+        outputs.append(episodes.outputs)
+    torch.stack(outputs).sum().backward()
+    assert np.array_equal(torch.stack(outputs).detach().numpy(), played.outputs)
+    assert np.array_equal(given.grad.numpy(), of_actions)

@@ -1,0 +1,265 @@
+"""What parameters, networks, plants, scenarios, laws and starts refuse: one row for each rule."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.physics.extended import LAW, classical, plant, scenario, started
+from wtg_gym.physics.aerodynamics import available_power_pu, power_coefficient, tracking_point
+from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters
+from wtg_gym.physics.network import Branch, Bus, NetworkCase
+from wtg_gym.physics.nrel5mw import ROTOR_TABLE
+from wtg_gym.physics.parameters import (
+    ConverterLimitParameters,
+    GridFormingParameters,
+    PowerCoefficientParameters,
+    ProtectionParameters,
+    SheddingStage,
+    TurbineParameters,
+    WtgGroup,
+    default_groups,
+)
+from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.rotor_table import RotorTable, read_rotor_table
+from wtg_gym.physics.scenario import (
+    GovernorLoss,
+    GroupTrip,
+    LineTrip,
+    LoadStep,
+    LoadTrip,
+    MachineOutage,
+    Scenario,
+)
+from wtg_gym.physics.sensors import Sensors
+from wtg_gym.physics.simulator import Simulator
+from wtg_gym.physics.tracking_law import TrackingLaw, get_law, group_laws, read_law
+from wtg_gym.physics.trajectory import simulate
+
+NAN = math.nan
+Call = Callable[[], Any]
+IEEE14 = modified_ieee14()
+
+
+def of(kind: Any, **values: Any) -> Call:
+    return lambda: kind(**values)
+
+
+def case(**changes: Any) -> Call:
+    """A network of two buses."""
+    usual: dict[str, Any] = {
+        "name": "two buses",
+        "base_mva": 100.0,
+        "frequency_hz": 50.0,
+        "slack_bus": 1,
+        "buses": (Bus(number=1, voltage_pu=1.0), Bus(number=2, load_mw=10.0)),
+        "branches": (Branch(from_bus=1, to_bus=2, resistance=0.01, reactance=0.1),),
+        "machines": (classical(bus=1),),
+    }
+    return of(NetworkCase, **{**usual, **changes})
+
+
+def table(**changes: Any) -> Call:
+    rows = tuple((0.1 * i, 0.08 * i, 0.05 * i, 0.02 * i) for i in range(1, 5))
+    usual = {"tip_speed_ratio": (2.0, 4.0, 6.0, 8.0), "pitch_deg": (0.0, 5.0, 10.0, 15.0), "power_coefficient": rows}
+    return of(RotorTable, **{**usual, **changes})
+
+
+def sensors(**changes: Any) -> Call:
+    return of(Sensors, **{"seed": 1, "wind_bias": (0.0, 0.0), **changes})
+
+
+def given(**changes: Any) -> Call:
+    return of(Scenario, **{"name": "x", "wind_speed": np.full((2, 11), 9.0), **changes})
+
+
+def event(**changes: Any) -> Call:
+    """A scenario as JSON has it, with one event."""
+    step = {"kind": "load_step", "time_s": 1.0, "bus": 2, "power_mw": 5.0}
+    return lambda: Scenario.from_dict({"name": "x", "wind_speed": [[9.0]], "events": [{**step, **changes}]})
+
+
+RECORDS: list[tuple[Call, str]] = [
+    (of(GridFormingParameters, inertia_constant_s=-5.0), r"= -5 s is outside the allowed range 0.001 … 10000 s"),
+    (of(GridFormingParameters, frequency_min_pu=1.004), r"< frequency_setpoint_pu < .* hold, got 1.004, 1, 1.008"),
+    (of(ConverterLimitParameters, power_max_pu=1.3), r"= 1.3 p.u. exceeds current_max_pu = 1.2 p.u."),
+    (of(GovernorParameters, gate_min_pu=1.3), r"< gate_max_pu must hold, got 1.3, 1.2"),
+    *((lambda n=n: default_groups(n), "must be 1 … 1024") for n in (0, 2.0, True, "2", 1025)),
+    (lambda: power_coefficient(np.array([7.0, np.inf])), r"tip-speed ratio must be positive, got inf"),
+    (lambda: available_power_pu(-5.0), r"wind speed must be 0 m/s or more, got -5 m/s"),
+    (lambda: tracking_point(1.0), r"deloading = 1 is outside the allowed range 0 … 0.9"),
+    (
+        lambda: tracking_point(0.05, TurbineParameters(power_coefficient=PowerCoefficientParameters(c6=1.0))),
+        r"C_p curve has no maximum at a tip-speed ratio in the allowed range 4 … 12",
+    ),
+    (table(pitch_deg=(0.0, 5.0, 5.0, 15.0)), "pitch angles of a rotor table must be finite and rise"),
+    (table(pitch_deg=(1.0, 5.0, 10.0, 15.0)), "must reach from 0 deg or below to above 0 deg"),
+    (table(power_coefficient=((0.1,) * 4,) * 3 + ((0.1, 0.1, NAN, 0.1),)), "no number at a tip-speed ratio of 8"),
+    (lambda: read_rotor_table(Path("nowhere.txt")), "nowhere.txt"),
+    (sensors(delay_s=1.1), "delay_s = 1.1 s.*0 … 1 s"),
+    (sensors(seed=2**31), r"seed of the sensors.*0 … 2\^31 - 1.*2147483648"),
+    (sensors(wind_bias=(0.1, 0.6)), "wind_bias = 0.6.*-0.5 … 0.5"),
+    (case(buses=(Bus(number=1), Bus(number=1))), "unique"),
+    (case(buses=(Bus(number=1), Bus(number=2), Bus(number=3))), "not connected"),
+    (case(branches=(Branch(from_bus=1, to_bus=9, resistance=0.0, reactance=0.1),)), r"unknown bus 9; .* \[1, 2\]"),
+    (case(branches=(Branch(from_bus=1, to_bus=2, resistance=0.0, reactance=0.0),)), "1-2 has no impedance"),
+    (lambda: IEEE14.branch_index(1, 14), "no branch 1-14 in .*; branches: 1-2, 1-5"),
+    (given(wind_speed=np.array([[9.0, -1.0], [9.0, 9.0]])), "group 1 at t = 0.1 s is -1 m/s.* 3 … 25 m/s"),
+    (given(wind_speed=np.array([[9.0, NAN]])), "is nan m/s, outside the allowed range"),
+    (given(load_noise_mw=np.array([1.0, 0.0])), "must start at 0 MW, got 1 MW"),
+    (given(governor_droop=0.0), "governor_droop = 0 p.u. is outside the allowed range 0.005 … 1 p.u."),
+    (given(events=LoadTrip(time_s=1.0, bus=3)), "events must be a tuple of events, got LoadTrip"),
+    (
+        lambda: Scenario.from_dict({"name": "x", "wind_speed": [[9.0]], "windd": 1}),
+        r"unknown scenario keys \['windd'\]",
+    ),
+    (event(kind="quake"), "needs a kind out of load_step"),
+    (event(time_s=-1.0), "event time = -1 s is outside"),
+    (event(kind="machine_outage"), "unexpected keyword argument 'power_mw'"),
+    *((of(GroupTrip, time_s=1.0, group=group), "index of a WTG group") for group in (-1, 1.0, True)),
+    *(
+        (of(LineTrip, time_s=1.0, from_bus=1, to_bus=2, recloses_after_s=after_s), "recloses_after_s")
+        for after_s in (-0.5, 0.0, NAN, "soon")
+    ),
+    (lambda: get_law("magic"), "unknown strategy 'magic'; known strategies: mppt, deloaded-5"),
+    (lambda: group_laws(["mppt"] * 3, 2), "one for each of the 2 groups, got 3"),
+    (lambda: simulate("load-increase", "mppt"), "scenario must be a Scenario, got str"),  # type: ignore[arg-type]
+    (of(PlantSettings, simulation_dt=0.03), "control_dt = 0.1 s is not a whole number of simulation steps of 0.03 s"),
+    (of(PlantSettings, groups=(WtgGroup(bus=99),)), r"unknown bus 99; .* has buses \[1, 2"),
+    (
+        lambda: PlantSettings(control=GridFormingParameters(frequency_setpoint_pu=0.998)),
+        "frequency_setpoint_pu must be 1 p.u., got 0.998 p.u.",
+    ),
+    (
+        lambda: PlantSettings(shedding=tuple(SheddingStage(frequency_pu=0.98, share=s) for s in (0.6, 0.5))),
+        "the shedding stages disconnect 110 % of the load",
+    ),
+    *((lambda n=n: Simulator(PlantSettings(), n_lanes=n), "number of lanes must be 1") for n in (0, 1.5, True)),
+    (lambda: Simulator(PlantSettings(), duration_s=NAN), "duration_s = nan s is outside the allowed range 0 … 86400 s"),
+    (
+        lambda: Simulator(PlantSettings(groups=(WtgGroup(bus=2, n_turbines=0.01),))),
+        "WTG group 0 at bus 2 needs an internal voltage of 631.* p.u. to hold 1.045 p.u. .* at most 2 p.u.",
+    ),
+]
+
+
+@pytest.mark.parametrize(("call", "message"), RECORDS)
+def test_bad_values_are_refused_with_value_unit_and_range_in_one_line(call: Call, message: str) -> None:
+    with pytest.raises(ValueError, match=message) as refused:
+        call()
+    assert "\n" not in str(refused.value)
+
+
+UNFIT: list[tuple[dict[str, Any] | tuple[Any, ...], str]] = [
+    ((LoadStep(time_s=1.003, bus=2, power_mw=1.0),), "event time = 1.003 s is not a whole number of simulation steps"),
+    ((LineTrip(time_s=1.0, from_bus=7, to_bus=8, recloses_after_s=0.5),), "would split the network"),
+    (tuple(LineTrip(time_s=1.0, from_bus=1, to_bus=bus) for bus in (2, 5)), "would split the network"),
+    (tuple(LoadTrip(time_s=t, bus=9) for t in (1.0, 2.0)), r"disconnects a load twice; .*\[9, 9\]"),
+    (tuple(LineTrip(time_s=t, from_bus=1, to_bus=2) for t in (1.0, 2.0)), "opens the line 1-2 twice"),
+    (
+        tuple(LineTrip(time_s=t, from_bus=1, to_bus=2, recloses_after_s=0.525) for t in (0.5, 1.0)),
+        "opens the line 1-2 twice",
+    ),
+    ((GroupTrip(time_s=1.0, group=2),), "unknown WTG group 2; the plant has 2, counted from 0"),
+    (tuple(GroupTrip(time_s=t, group=1) for t in (1.0, 2.0)), "disconnects WTG group 1 at bus 2 twice"),
+    ((GovernorLoss(time_s=1.0, bus=3),), r"no machine with a governor at bus 3; buses with one: \[1\]"),
+    ((MachineOutage(time_s=1.0, bus=2),), r"no synchronous machine at bus 2; buses with one: \[1, 3, 6, 8\]"),
+    (tuple(MachineOutage(time_s=1.0, bus=bus) for bus in (8, 1, 6, 3)), "disconnects every synchronous machine"),
+    ({"duration_s": 300.0}, "lasts 300 s, longer than the 120 s held here"),
+    ({"wind": np.full((3, 1), 9.0)}, "has wind for 3 WTG groups .* the plant has 2 groups"),
+    ({"wind": np.full((2, 1), 25.0), "load_level": 0.3}, "scenario 'x' cannot start"),
+]
+
+
+@pytest.mark.parametrize(("what", "message"), UNFIT)
+def test_scenarios_that_do_not_fit_are_refused_with_all_that_are_prepared_beside(
+    simulator: Simulator, what: Any, message: str
+) -> None:
+    bad = scenario(*what) if isinstance(what, tuple) else scenario(**what)
+    with pytest.raises(ValueError, match=message):
+        simulator.prepare([scenario(), bad], group_laws("coordinated-piecewise", 2))
+
+
+def with_machine(**changes: Any) -> PlantSettings:
+    """The default plant with other data of the machine at bus 1."""
+    first = dataclasses.replace(IEEE14.machines[0], **changes)
+    return PlantSettings(case=dataclasses.replace(IEEE14, machines=(first, *IEEE14.machines[1:])))
+
+
+GREEDY = TrackingLaw(name="greedy", k_min=3.0, k_nominal=3.0, k_max=3.0)
+STARTS: list[tuple[Call, str]] = [
+    (
+        lambda: Simulator(PlantSettings()).start(0, scenario(wind=[[8.0], [8.0]]), (GREEDY, GREEDY)),
+        "WTG group 0 at bus 2 has no equilibrium at a wind of 8 m/s with k = 3 p.u.",
+    ),
+    (
+        lambda: started(PlantSettings(groups=(WtgGroup(bus=2, n_turbines=40.0),) * 2), scenario(), "mppt"),
+        "machine at bus 1 would start at -.* p.u. of gate, beyond its gate limits 0 … 1.2 p.u.",
+    ),
+    (
+        lambda: started(with_machine(governor=HydroGovernorParameters(gate_max_pu=0.1)), scenario()),
+        "p.u. of hydro gate, beyond its hydro gate limits 0 … 0.1 p.u.",
+    ),
+    (
+        lambda: started(plant(limits=ConverterLimitParameters(power_max_pu=0.5)), scenario()),
+        "WTG group 0 at bus 2 would start with 0.9.* p.u. of power, beyond .* 0 … 0.5 p.u.",
+    ),
+    (
+        lambda: started(
+            PlantSettings(protection=ProtectionParameters(internal_voltage_max_pu=1.45)),
+            scenario(wind=[[11.4], [11.4]], load_level=1.5),
+        ),
+        "WTG group 0 at bus 2 needs .* at most 1.45",
+    ),
+    (
+        lambda: simulate(
+            scenario(wind=[[8.0], [4.5]]), LAW, plant(protection=ProtectionParameters(rotor_speed_min_pu=0.5))
+        ),
+        "WTG group 1 at bus 2 would start at 0.4.* p.u. in a wind of 4.5 m/s, below the under-speed trip at 0.5 p.u.",
+    ),
+]
+
+
+@pytest.mark.parametrize(("call", "message"), STARTS)
+def test_a_start_beyond_a_limit_names_unit_bus_value_and_limit(call: Call, message: str) -> None:
+    with pytest.raises(ValueError, match=rf"scenario 'x' cannot start: .*{message}"):
+        call()
+
+
+LAWS = [
+    ("k_min = 1\nk_nominal = 1\n", r"exactly one of k_max \[p.u.\] and deloading_max \[%\], got neither"),
+    ("k_min = 1\nk_nominal = 1\nk_max = 9\n", "k_max .* = 9 p.u. is outside the allowed range 0.001 … 3 p.u."),
+    ("k_min = 1\nk_nominal = 1\nk_max = 1\ntau_s = -1\n", "must be 0.05 … 100000 s, 0 s .* infinite .*, got -1 s"),
+    ("deloading_min = 0\ndeloading_nominal = 0.05\ndeloading_max = 10\n", "is in percent: write 5 for 5 %"),
+]
+TABLES = [
+    ("# TSR vector", "# something else", "has no section tsr"),
+    ("0.020093", "hole", "line 15 of the rotor table .* is not a row of numbers: .*'hole'"),
+    ("0.020093   ", "", "cannot be used: a rotor table of"),
+]
+
+
+@pytest.mark.parametrize(
+    ("read", "text", "message"),
+    [
+        *((read_law, text, message) for text, message in LAWS),
+        *(
+            (read_rotor_table, ROTOR_TABLE.read_text(encoding="utf-8").replace(find, other), message)
+            for find, other, message in TABLES
+        ),
+    ],
+    ids=[message[:30] for *_, message in (*LAWS, *TABLES)],
+)
+def test_bad_files_are_refused_with_their_name(tmp_path: Path, read: Any, text: str, message: str) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=message) as refused:
+        read(path)
+    assert "\n" not in str(refused.value)

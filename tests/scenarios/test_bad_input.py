@@ -1,0 +1,136 @@
+"""What suites, distributions, sensors, draws and wind files refuse: one row for each rule."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from wtg_gym.scenarios import FRESH, FreshDraw, ScenarioDistribution, Suite, draw_seeds, get_suite, read_wind_csv
+from wtg_gym.scenarios.sensor_distribution import SensorDistribution
+
+COMMIT, SECRET = "0123456789abcdef0123456789abcdef01234567", b"sixteen bytes or more"
+STANDARD, SHARED = get_suite("standard"), get_suite("standard-v1").distribution
+
+
+def distribution(**changes: Any) -> Callable[[], Any]:
+    return lambda: ScenarioDistribution(**{"name": "mine", **changes})
+
+
+def sensors(**changes: Any) -> Callable[[], Any]:
+    return lambda: SensorDistribution().replaced(changes)
+
+
+def draw(**changes: Any) -> Callable[[], Any]:
+    return lambda: draw_seeds(**{"suite": "standard", "commit": COMMIT, "secret": SECRET, "n": 5, **changes})
+
+
+BAD: list[tuple[Callable[[], Any], str]] = [
+    (distribution(mean_wind_m_s=(2.0, 9.0)), "mean_wind_m_s = 2 m/s.*4 … 20 m/s"),
+    (distribution(load_event_mw=(75.0, 15.0)), r"load_event_mw.*low <= high.*\(75, 15\) MW"),
+    (distribution(load_level=1.0), "load_level must be a pair"),
+    (distribution(governor_droop=(0.02, math.nan)), "governor_droop = nan p.u."),
+    (distribution(line_trip_probability=1.5), "line_trip_probability = 1.5.*0 … 1"),
+    (distribution(gust_probability=0.7, wind_ramp_probability=0.7), "1.4.*at most 1"),
+    (distribution(n_load_events=(0.5, 2)), "n_load_events must be two whole numbers"),
+    (distribution(line_trips=((7, 8),)), r"line_trips must be.*\(7, 8\)"),
+    (distribution(load_trip_buses=(7,)), r"load_trip_buses must be.*\(7,\)"),
+    (distribution(load_noise_mw="loud"), "load_noise_mw must be a number.*'loud'"),
+    (lambda: STANDARD.distribution.draw(-1), "non-negative integer, got -1"),
+    (lambda: STANDARD.distribution.draw(1, 0), "n_wtg must be a positive integer, got 0"),
+    (lambda: STANDARD.distribution.draw(1, 2, [1.0]), r"one value per WTG group \(2\), got 1"),
+    (lambda: SHARED.check_share([5.0, 5.0]), "10 turbines give .* % of the load .*wind_share .* is 40 … 78 %"),
+    (lambda: SHARED.draw_many(range(20), 3, [90.0] * 3), "winds of 8.5 … 11 m/s hardly ever give"),
+    (sensors(delay_s=0.1), "delay_s must be a pair"),
+    (sensors(delay_s=(0.1, 1.1)), "delay_s = 1.1 s.*0 … 1 s"),
+    (sensors(delay_s=(0.1, 0.25)), "whole numbers of 0.1 s"),
+    (sensors(wind_bias=math.nan), "wind_bias = nan.*0 … 0.2"),
+    (sensors(wind_sensor="no"), "wind_sensor must be true or false"),
+    (sensors(delay=0.1), "unknown values of the sensors .*; known values: delay_s, .*, wind_sensor$"),
+    (draw(suite="paper"), "suite 'paper' has fixed cases"),
+    (draw(commit="abc"), "full git hash of 40 or 64 hexadecimal digits, got 'abc'"),
+    (draw(secret=b"short"), "16 bytes or more, got 5"),
+    (draw(n=0), "1 … 100000, got 0"),
+    *(
+        (
+            lambda seeds=seeds: FreshDraw(suite="standard", commit=COMMIT, secret_sha256="0" * 64, seeds=seeds),
+            "seeds of a draw",
+        )
+        for seeds in ((), (2**40, 2**40), (20_000,), (2**53,), (2.0**40,))
+    ),
+    (lambda: get_suite("paper").seeds(FRESH), "there is nothing to draw"),
+    (lambda: get_suite("storm"), "unknown suite 'storm'; known suites: paper, standard"),
+    (lambda: STANDARD.seeds("dev"), "unknown split 'dev'; known splits: train, validation, test"),
+    *(
+        (lambda seed=seed: STANDARD.scenario(seed), "train 1000000 … 2147483647, validation 10000 … 10099, test 20000")
+        for seed in (9_999, 10_100, 2**31, 20_000.0, True)
+    ),
+    (lambda: get_suite("paper").scenario(0, n_turbines=[10.0]), r"one value per WTG group \(2\), got 1"),
+    (lambda: get_suite("paper").scenario(0, duration_s=-1.0), "duration_s = -1 s"),
+    (lambda: dataclasses.replace(STANDARD, validation=range(20_100, 20_300)), "overlap"),
+    (lambda: Suite(name="empty", description="", duration_s=60.0), "either a distribution or cases"),
+]
+
+
+@pytest.mark.parametrize(("call", "message"), BAD)
+def test_bad_input_is_refused_with_value_and_range_in_one_line(call: Callable[[], Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message) as refused:
+        call()
+    assert "\n" not in str(refused.value)
+
+
+HEADER = "time_s,wind_1_m_s,wind_2_m_s\n"
+GOOD = HEADER + "".join(f"{0.5 * i:g},{8 + 0.1 * i:g},{9 - 0.1 * i:g}\n" for i in range(9))
+BAD_FILES: list[tuple[str | bytes, str]] = [
+    (GOOD.replace("2,8.4,8.6\n", ""), "line 6.*1.5 to 2.5 s"),
+    (GOOD.replace("\n2,", "\n1,"), "line 6.*does not increase"),
+    (GOOD.replace("2,8.4,8.6", "2,,8.6"), "line 6.*wind_1_m_s.*empty.*3 … 25 m/s"),
+    (GOOD.replace("8.4", "nan"), "line 6.*wind_1_m_s.*'nan'"),
+    (GOOD.replace("8.6", "31"), "line 6.*wind_2_m_s.*31 m/s.*3 … 25 m/s"),
+    (GOOD.replace("2,8.4,8.6", "2,8,4,8,6"), "line 6.*5 cells.*3"),
+    (GOOD.removeprefix(HEADER), "line 1.*time_s,wind_1_m_s"),
+    (HEADER + "0,8,9\n", "1 data row.*at least 2"),
+    ("", "line 1.*empty"),
+    (GOOD.encode().replace(b"8.4", b"8\xb74"), "line 6.*0xb7.*UTF-8"),
+    (GOOD, "line 10: .*4 s.*at least 60 s"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), BAD_FILES)
+def test_bad_wind_file_is_refused_with_file_line_and_value(tmp_path: Path, text: str | bytes, message: str) -> None:
+    path = tmp_path / "site.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(ValueError, match=rf"site\.csv.*{message}"):
+        read_wind_csv(path, duration_s=60.0 if text == GOOD else None)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        GOOD,
+        b"\xef\xbb\xbf" + GOOD.encode(),
+        GOOD.replace("\n", "\r\n"),
+        GOOD.rstrip("\n"),
+        GOOD + "\n\n",
+        GOOD.replace(",", " , "),
+        GOOD.replace("wind_1_m_s", "north row"),
+    ],
+)
+def test_harmless_variants_of_a_wind_file_read_the_same(tmp_path: Path, text: str | bytes) -> None:
+    path = tmp_path / "site.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    wind, dt_s = read_wind_csv(path)
+    assert dt_s == 0.5 and wind.shape == (2, 9)
+    assert wind[0].tolist() == [8 + 0.1 * i for i in range(9)] and wind[1, 8] == 8.2
+    assert read_wind_csv(path, duration_s=2.0)[0].shape == (2, 5)
+
+
+def test_wind_series_that_starts_late_or_has_rounded_times_is_uniform(tmp_path: Path) -> None:
+    path = tmp_path / "site.csv"
+    path.write_text("time_s,w\n" + "".join(f"{100 + i / 30:.3f},8\n" for i in range(31)))
+    wind, dt_s = read_wind_csv(path, duration_s=1.0)
+    assert dt_s == pytest.approx(1 / 30, rel=1e-6) and wind.shape == (1, 31)
