@@ -1,6 +1,6 @@
 """The paper's law tuned by gradients of whole episodes, for docs/gradients.md.
 
-    python docs/studies/gradient_law.py [DOCS]
+    python docs/studies/gradient_law.py [--output DOCS]
 
 Adam lowers the mean of ln(J + J0) over random training scenarios, which decides the score. What k_nominal does, which
 moves the equilibrium before an episode too, a difference of two runs tells. The laws that come of it, one for all
