@@ -122,33 +122,34 @@ def environment_page():
     parts = [overview()]
     for chapter in re.split(r"^## ", inspect.getdoc(GFMWTGEnv) or "", flags=re.MULTILINE)[1:]:
         title, _, text = chapter.partition("\n")
-        if title in ("Description", "Version History"):
+        if title in ("Description", "Rendering", "Vectorized environment", "Version History"):
             continue
         prose = [] if title == "Observation Space" else [plain(text.strip())]
         parts += [f"## {title}", *prose, *tables.get(title, [])]
     return "\n\n".join(parts)
 
 
-def named(name, unit):
-    """Return a parameter's name with its unit, unless the name ends with it."""
-    ending = "_" + unit.lower().replace(".", "").replace("/", "_").replace("³", "3")
-    return name if unit == "-" or name.endswith(ending) else f"{name} [{unit}]"
+def class_list(title, fields, values):
+    """Return the list of a class: the source of most of its parameters in its title, another one behind its parameter.
 
-
-def class_rows(title, fields, values):
-    """Return rows of a class: the source of most of its parameters in its title, another one in the row."""
+    A unit follows the values unless the name ends with it.
+    """
     usual = Counter(field.metadata["source"] for field in fields).most_common(1)[0][0]
-    rows = [(f"**{title}** ({usual})", *[""] * (1 + len(values(fields[0]))))]
+    lines = [f"**{title}** ({usual})\n"]
     for field in fields:
         meta = field.metadata
-        meaning = meta["doc"] if meta["source"] == usual else f"{meta['doc']} ({meta['source']})"
-        rows.append((named(field.name, meta["unit"]), *(f"{value:g}" for value in values(field)), meaning))
-    return rows
+        ending = "_" + meta["unit"].lower().replace(".", "").replace("/", "_").replace("³", "3")
+        unit = "" if meta["unit"] == "-" or field.name.endswith(ending) else f" {meta['unit']}"
+        source = "" if meta["source"] == usual else f" ({meta['source']})"
+        numbers = [f"{value:g}" for value in values(field)]
+        shown = numbers[0] if len(set(numbers)) == 1 else " / ".join(numbers)
+        lines.append(f"- `{field.name}` = {shown}{unit}: {meta['doc']}{source}")
+    return "\n".join(lines)
 
 
 def parameters_page():
-    """Return a table of all classes of parameters, one for the machines, and the sources."""
-    rows = []
+    """Return a list for each class of parameters, one for the machines, and the sources."""
+    parts = []
     for module in (parameters, machine_parameters):
         for name, cls in vars(module).items():
             if not dataclasses.is_dataclass(cls) or getattr(cls, "__module__", "") != module.__name__:
@@ -156,16 +157,14 @@ def parameters_page():
             own = [field for field in dataclasses.fields(cls) if isinstance(field.default, float)]
             # The environment's page has the groups; the machines have a table of their own.
             if own and cls not in (WtgGroup, SynchronousMachineParameters):
-                rows += class_rows(name, own, lambda field: [field.default])
-    parts = [markdown_table(("parameter", "value", "what it is"), rows, right=(1,))]
+                parts.append(class_list(name, own, lambda field: [field.default]))
     kinds = {}
     for machine in modified_ieee14().machines:
         numbers = {key: value for key, value in vars(machine).items() if type(value) in (int, float) and key != "bus"}
         kinds.setdefault(tuple(numbers.items()), []).append(str(machine.bus))
     fields = [field for field in dataclasses.fields(SynchronousMachineParameters) if field.name in numbers]
-    rows = class_rows("Synchronous machines", fields, lambda field: [dict(kind)[field.name] for kind in kinds])
-    header = ("parameter", *(f"bus {', '.join(buses)}" for buses in kinds.values()), "what it is")
-    parts.append(markdown_table(header, rows, right=range(1, 1 + len(kinds))))
+    title = f"Synchronous machines at buses {' / '.join(', '.join(buses) for buses in kinds.values())}"
+    parts.append(class_list(title, fields, lambda field: [dict(kind)[field.name] for kind in kinds]))
     sources = "\n".join(f"- **{key}**: {text}" for key, text in SOURCES.items())
     return "\n\n".join([*parts, f"## Sources\n\n{sources}"])
 
