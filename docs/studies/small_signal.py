@@ -58,28 +58,29 @@ def sides(law):
 
 
 def margins_table():
-    """Return the margins on an infinite bus and in the 14-bus system, a law and a wind in one row."""
+    """Return the margins on an infinite bus and in the 14-bus system, a law in one row."""
     plant, paper = infinite_bus(), get_suite("paper").scenario(0)
     differences, rows, coefficients = [], [], []
     for law in STRATEGIES.values():
         in_system = dict(zip(paper.wind_speed[:, 0], np.diag(synchronising_coefficients(paper, law)), strict=True))
+        cells = []
         for wind in WINDS:
             alone, difference = zip(*(compare(law, wind, side, plant) for side in sides(law)), strict=True)
             system = [single_machine(law, wind, float(in_system[wind]), side=side) for side in sides(law)]
             differences += difference
             coefficients.append([loops[0].synchronising_coefficient for loops in (alone, system)])
             # One number where the slopes of g(ω) do not differ.
-            cells = [
+            cells += [
                 " / ".join(dict.fromkeys(f"{loop.margins().phase_margin_deg:.1f}" for loop in loops))
                 for loops in (alone, system)
             ]
-            rows.append((law.name, f"{wind:g}", *cells))
+        rows.append((law.name, *cells))
     (least, least_system), (most, most_system) = np.min(coefficients, axis=0), np.max(coefficients, axis=0)
-    header = ("law", "wind [m/s]", "margin [°], infinite bus", "margin [°], 14 buses")
+    header = ("margin [°]", *(f"{wind:g} m/s, {where}" for wind in WINDS for where in ("infinite bus", "14 buses")))
     return (
         f"Largest relative difference of a closed-loop pole between both models: {max(differences):.0e}. K_p is "
         f"{least:.2f} … {most:.2f} at the infinite bus, {least_system:.2f} … {most_system:.2f} in the 14-bus system."
-        f"\n\n{markdown_table(header, rows, right=(1, 2, 3))}"
+        f"\n\n{markdown_table(header, rows, right=range(1, 5))}"
     )
 
 
