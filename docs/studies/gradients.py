@@ -14,7 +14,7 @@ from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.gradients import Tape, known_parameters
 from wtg_gym.scenarios import get_suite
 
-SUITE, SEEDS, N_ROWS = "standard", range(10_000, 10_020), 12
+SUITE, SEEDS, N_ROWS = "standard", range(10_000, 10_020), 8
 MEASURES = ("nadir [mHz]", "RoCoF [mHz/s]", "rotor speed [0.001 p.u.]")
 SHARE = 1e-5  # by which k_nominal is moved to and fro
 

@@ -1,6 +1,6 @@
 """README's picture: laws, a trained policy and a planner side by side in one scenario.
 
-    python docs/studies/one_event.py [DOCS]
+    python docs/studies/one_event.py [--output DOCS]
 
 draws DOCS/images/one-event.svg.
 """

@@ -1,6 +1,6 @@
 """The oracle of docs/benchmark.md: the lowest cost known for each scenario, found with foresight.
 
-    python docs/studies/oracle.py [FOLDER]
+    python docs/studies/oracle.py [--output FOLDER]
 
 searches the first 25 validation scenarios of standard-v1 for `conditions.py` and writes them to FOLDER (default:
 results/oracle). For each scenario CMA-ES searches a course of actions, by itself and on top of a linear feedback whose

@@ -1,6 +1,6 @@
 """How the policies and laws made by hand were found: by CMA-ES on training scenarios.
 
-    python docs/studies/policies.py [FOLDER]
+    python docs/studies/policies.py [--output FOLDER]
 
 prints the tuned law of version v1 and writes the feedbacks of agents/policies again, as entries, to FOLDER (default:
 results/policies); those that are there already are left. To tune something of your own, change the lists below, or call

@@ -3,6 +3,7 @@
 import dataclasses
 import inspect
 import re
+from collections import Counter
 from typing import get_type_hints
 
 from output import folder
@@ -14,6 +15,7 @@ from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.physics import machine_parameters, parameters
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
+from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.physics.sources import SOURCES
 from wtg_gym.scenarios import SUITES
 from wtg_gym.scenarios.benchmark import BENCHMARKS
@@ -34,28 +36,36 @@ def declared(record):
 
 def overview():
     """Return the versions side by side."""
-    header = ("", "Made by", "Action space", "Observation space", "Groups of turbines", "Step, episode", "Suites")
+    header = ("", "Action space", "Observation space", "Groups of turbines", "Step, episode", "Suites")
     columns = [header]
     for version in NEWEST_FIRST:
         env, step_s = ENVS[version.version], ENVS[version.version].settings.control_dt
         groups = [f"{group.n_turbines:g} at bus {group.bus}" for group in env.settings.wtg_groups()]
         suites = [f"`{suite.name}`" for suite in SUITES.values() if suite.benchmark == version]
-        made, episode = f'`gymnasium.make("wtg_gym:{version.env_id}")`', env.settings.episode_duration_s()
+        episode = env.settings.episode_duration_s()
         spaces = f"`{env.action_space}`", f"`{env.observation_space}`"
         time = f"{step_s} s, {round(episode / step_s)} steps"
-        columns.append((f"`{version.env_id}`", made, *spaces, ", ".join(groups), time, ", ".join(suites)))
+        columns.append((f"`{version.env_id}`", *spaces, ", ".join(groups), time, ", ".join(suites)))
     rows = list(zip(*columns, strict=True))
     return markdown_table(rows[0], rows[1:])
 
 
-def observations(version):
-    """Return what a group sees."""
-    rows = declared(MeasuredObservation if version.sensed else WtgObservation)
-    rows += [(f"last_action_{name}", "-", f"last action on {sign}") for name, sign in (("k", "k"), ("tau", "τ"))]
-    n_groups = len(ENVS[version.version].settings.wtg_groups())
-    header = ("entry", "observation", "counted in", "what it is")
-    table = markdown_table(header, [(str(i), *row) for i, row in enumerate(rows)], right=(0,))
-    return f"`{version.env_id}`: the first of {n_groups} groups; the next group's entries come after it.\n\n{table}"
+def observations():
+    """Return what a group sees: the entries of both versions, in the sensors' words where v1 has the entry."""
+    last = [(f"last_action_{name}", "-", f"last action on {sign}") for name, sign in (("k", "k"), ("tau", "τ"))]
+    exact, measured = ([*declared(record), *last] for record in (WtgObservation, MeasuredObservation))
+    meant = {row[0]: row for row in (*exact[:-2], *measured)}
+    places = [[name for name, *_ in rows] for rows in (measured, exact)]
+    rows = [
+        (*(str(own.index(name)) if name in own else "" for own in places), *meant[name])
+        for name in sorted(meant, key=places[1].index)
+    ]
+    table = markdown_table(("v1", "v0", "observation", "counted in", "what it is"), rows, right=(0, 1))
+    return (
+        "Places of the first group's entries; those of the next groups follow (`observation_names` lists all). In v1 "
+        "they are what sensors say, with noise and bias, 0.1 … 0.3 s late. In v0 they are exact and of this instant, "
+        f"RoCoF is that of the last step, and wind is averaged over the rotor.\n\n{table}"
+    )
 
 
 def privileged():
@@ -100,47 +110,63 @@ def arguments():
 
 
 def environment_page():
-    """Return the environment's docstring, a chapter for each of Gymnasium's headings, with the tables in it."""
+    """Return the environment's docstring, a chapter for each of Gymnasium's headings, with the tables in it.
+
+    What other pages or the tables say is left out.
+    """
     tables = {
-        "Observation Space": [*(observations(version) for version in NEWEST_FIRST), privileged()],
+        "Observation Space": [observations(), privileged()],
         "Rewards": [weights(), info()],
         "Arguments": [arguments()],
     }
     parts = [overview()]
     for chapter in re.split(r"^## ", inspect.getdoc(GFMWTGEnv) or "", flags=re.MULTILINE)[1:]:
         title, _, text = chapter.partition("\n")
-        parts += [f"## {title}\n\n{plain(text.strip())}", *tables.get(title, [])]
+        if title in ("Description", "Rendering", "Vectorized environment", "Version History"):
+            continue
+        prose = [] if title == "Observation Space" else [plain(text.strip())]
+        parts += [f"## {title}", *prose, *tables.get(title, [])]
     return "\n\n".join(parts)
 
 
-def shown(value, unit="-"):
-    """Return a value as text, with a unit."""
-    return f"{value:g} {unit}".removesuffix(" -") if isinstance(value, float) else str(value)
+def class_list(title, fields, values):
+    """Return the list of a class: the source of most of its parameters in its title, another one behind its parameter.
+
+    A unit follows the values unless the name ends with it.
+    """
+    usual = Counter(field.metadata["source"] for field in fields).most_common(1)[0][0]
+    lines = [f"**{title}** ({usual})\n"]
+    for field in fields:
+        meta = field.metadata
+        ending = "_" + meta["unit"].lower().replace(".", "").replace("/", "_").replace("³", "3")
+        unit = "" if meta["unit"] == "-" or field.name.endswith(ending) else f" {meta['unit']}"
+        source = "" if meta["source"] == usual else f" ({meta['source']})"
+        numbers = [f"{value:g}" for value in values(field)]
+        shown = numbers[0] if len(set(numbers)) == 1 else " / ".join(numbers)
+        lines.append(f"- `{field.name}` = {shown}{unit}: {meta['doc']}{source}")
+    return "\n".join(lines)
 
 
 def parameters_page():
-    """Return a table for each class of parameters, one for the machines, and the sources."""
-    parts, header = [], ("source", "what it is")
+    """Return a list for each class of parameters, one for the machines, and the sources."""
+    parts = []
     for module in (parameters, machine_parameters):
         for name, cls in vars(module).items():
             if not dataclasses.is_dataclass(cls) or getattr(cls, "__module__", "") != module.__name__:
                 continue
-            fields = [(field, field.metadata) for field in dataclasses.fields(cls)]
-            own = [(field, meta) for field, meta in fields if field.default is not dataclasses.MISSING]
-            rows = [
-                (field.name, shown(field.default, meta["unit"]), meta["source"], meta["doc"]) for field, meta in own
-            ]
-            if rows and cls is not SynchronousMachineParameters:
-                parts.append(f"### {name}\n\n{markdown_table(('parameter', 'value', *header), rows, right=(1,))}")
-    machines, rows = modified_ieee14().machines, []
-    for field in dataclasses.fields(SynchronousMachineParameters):
-        values, meta = [getattr(machine, field.name) for machine in machines], field.metadata
-        if all(isinstance(value, (int, float)) for value in values) and field.name not in ("bus", "classical"):
-            rows.append((f"{field.name} [{meta['unit']}]", *map(shown, values), meta["source"], meta["doc"]))
-    header = ("parameter", *(f"bus {machine.bus}" for machine in machines), *header)
-    parts.append(f"### Synchronous machines\n\n{markdown_table(header, rows, right=range(1, 5))}")
+            own = [field for field in dataclasses.fields(cls) if isinstance(field.default, float)]
+            # The environment's page has the groups; the machines have a table of their own.
+            if own and cls not in (WtgGroup, SynchronousMachineParameters):
+                parts.append(class_list(name, own, lambda field: [field.default]))
+    kinds = {}
+    for machine in modified_ieee14().machines:
+        numbers = {key: value for key, value in vars(machine).items() if type(value) in (int, float) and key != "bus"}
+        kinds.setdefault(tuple(numbers.items()), []).append(str(machine.bus))
+    fields = [field for field in dataclasses.fields(SynchronousMachineParameters) if field.name in numbers]
+    title = f"Synchronous machines at buses {' / '.join(', '.join(buses) for buses in kinds.values())}"
+    parts.append(class_list(title, fields, lambda field: [dict(kind)[field.name] for kind in kinds]))
     sources = "\n".join(f"- **{key}**: {text}" for key, text in SOURCES.items())
-    return "\n\n".join([*parts, f"### Sources\n\n{sources}"])
+    return "\n\n".join([*parts, f"## Sources\n\n{sources}"])
 
 
 if __name__ == "__main__":

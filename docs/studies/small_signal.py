@@ -1,6 +1,6 @@
 """Small signal, for docs/validation.md: the paper's loop against the simulator, its margins, and the system's modes.
 
-    python docs/studies/small_signal.py [FOLDER]        FOLDER holds validation.md; docs by default
+    python docs/studies/small_signal.py [--output FOLDER]        FOLDER holds validation.md; docs by default
 
 The paper's transfer functions describe one WTG on an infinite bus. The simulator, linearised numerically from the
 right-hand side that it integrates, must have the same poles there.
@@ -22,7 +22,6 @@ from wtg_gym.scenarios import get_suite
 
 WINDS = (8.0, 11.4)
 INFINITE_MVA = 1e9  # so large a machine that nothing moves it
-SLOW = -5.0  # real eigenvalues to the left of this are not listed one by one [1/s]
 
 
 def infinite_bus(reactance_pu=0.2):
@@ -59,30 +58,34 @@ def sides(law):
 
 
 def margins_table():
-    """Return the margins on an infinite bus and in the 14-bus system, a law and a wind in one row."""
+    """Return the margins on an infinite bus and in the 14-bus system, a law in one row."""
     plant, paper = infinite_bus(), get_suite("paper").scenario(0)
-    differences, rows = [], []
+    differences, rows, coefficients = [], [], []
     for law in STRATEGIES.values():
         in_system = dict(zip(paper.wind_speed[:, 0], np.diag(synchronising_coefficients(paper, law)), strict=True))
+        cells = []
         for wind in WINDS:
             alone, difference = zip(*(compare(law, wind, side, plant) for side in sides(law)), strict=True)
             system = [single_machine(law, wind, float(in_system[wind]), side=side) for side in sides(law)]
             differences += difference
-            cells = []
-            for loops in (alone, system):
-                texts = [f"{loop.margins().phase_margin_deg:.1f}" for loop in loops]
-                # One number where the slopes of g(ω) do not differ.
-                cells += [f"{loops[0].synchronising_coefficient:.3f}", " / ".join(dict.fromkeys(texts))]
-            rows.append((law.name, f"{wind:g}", *cells))
-    header = ("law", "wind [m/s]", "K_p, infinite bus", "margin [°]", "K_p, 14 buses", "margin [°]")
+            coefficients.append([loops[0].synchronising_coefficient for loops in (alone, system)])
+            # One number where the slopes of g(ω) do not differ.
+            cells += [
+                " / ".join(dict.fromkeys(f"{loop.margins().phase_margin_deg:.1f}" for loop in loops))
+                for loops in (alone, system)
+            ]
+        rows.append((law.name, *cells))
+    (least, least_system), (most, most_system) = np.min(coefficients, axis=0), np.max(coefficients, axis=0)
+    header = ("margin [°]", *(f"{wind:g} m/s, {where}" for wind in WINDS for where in ("infinite bus", "14 buses")))
     return (
-        f"Largest relative difference of a closed-loop pole between both models: {max(differences):.0e}.\n\n"
-        + markdown_table(header, rows, right=range(1, 6))
+        f"Largest relative difference of a closed-loop pole between both models: {max(differences):.0e}. K_p is "
+        f"{least:.2f} … {most:.2f} at the infinite bus, {least_system:.2f} … {most_system:.2f} in the 14-bus system."
+        f"\n\n{markdown_table(header, rows, right=range(1, 5))}"
     )
 
 
 def modes_table():
-    """Return the oscillating modes as a table, the others as a list, each with the states that take part most."""
+    """Return the oscillating modes with the states that take part most, and the slowest of the other modes."""
     scenario, plant = get_suite("paper").scenario(0), PlantSettings()
     by_law = {name: modes(linearise(scenario, name)) for name in (REFERENCE_STRATEGY, "coordinated-undamped")}
     # Names for people: machines by their bus, WTG groups counted from 1.
@@ -98,20 +101,19 @@ def modes_table():
     for mode in (mode for mode in found if mode.frequency_hz > 0.0):
         shares = [f"{named(state)} {100 * share:.0f} %" for state, share in mode.participation.items() if share >= 0.05]
         value = minus(f"{mode.eigenvalue.real:.3f} ± j{mode.eigenvalue.imag:.3f}")
-        rows.append((value, f"{mode.frequency_hz:.3f}", f"{mode.damping_ratio:.3f}", ", ".join(shares[:3])))
+        rows.append((value, f"{mode.frequency_hz:.3f}", f"{mode.damping_ratio:.3f}", ", ".join(shares[:2])))
     header = ("eigenvalue [1/s]", "frequency [Hz]", "damping ratio", "takes part")
     real = [mode for mode in found if mode.frequency_hz == 0.0]
-    texts = [f"{minus(f'{mode.eigenvalue.real:.3f}')} ({named(next(iter(mode.participation)))})" for mode in real]
-    n_slow = sum(mode.eigenvalue.real > SLOW for mode in real)
+    slowest = max(real, key=lambda mode: mode.eigenvalue.real)
     undamped = min(
         (mode for mode in by_law["coordinated-undamped"] if mode.frequency_hz > 0.0),
         key=lambda mode: mode.damping_ratio,
     )
     return (
         f"{markdown_table(header, rows, right=(1, 2))}\n\n"
-        f"Real eigenvalues [1/s], each with the state that takes part most: {', '.join(texts[:n_slow])}, and "
-        f"{len(texts) - n_slow} from {texts[n_slow]} to {texts[-1]}. Without transient damping the least damped "
-        f"oscillation has ζ = {undamped.damping_ratio:.2f} at {undamped.frequency_hz:.2f} Hz."
+        f"The slowest of {len(real)} real eigenvalues is {minus(f'{slowest.eigenvalue.real:.3f}')}/s "
+        f"({named(next(iter(slowest.participation)))}). Without transient damping the least damped oscillation has "
+        f"ζ = {undamped.damping_ratio:.2f} at {undamped.frequency_hz:.2f} Hz."
     )
 
 
