@@ -156,7 +156,7 @@ def _run_score(arguments: argparse.Namespace) -> int:
     options = {"n_threads": arguments.threads, "partial": partial}
     # Anchors first: errors of the arguments come before the work of the gate.
     for chosen in planned.values():
-        scoring.run_evaluation([], keep_partial=True, **chosen, **options)
+        scoring.run_evaluation([], **chosen, **options)
     reports = _reports(arguments)
     wrong = _together(reports, arguments) + _refused(reports) + _of_another_version(reports, planned)
     ranked = _ranked(reports, wrong)

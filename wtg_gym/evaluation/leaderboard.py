@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from html import escape
+from typing import TYPE_CHECKING
 
 from wtg_gym import files
-from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.score import NoScaleError
 from wtg_gym.evaluation.statistics import Interval
 from wtg_gym.evaluation.summary import DESIGN_DEVIATION_MHZ, REST, EntryMeasures, EntrySummary, ranked
+
+if TYPE_CHECKING:
+    from wtg_gym.evaluation.results import Results
 
 #: Headings of two columns of the short table.
 MEDIAN_DEVIATION = "median deviation [mHz]"
