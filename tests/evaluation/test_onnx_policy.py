@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from pathlib import Path
 from typing import Any
@@ -64,13 +63,6 @@ def folder(path: Path, toml: str = TOML) -> Path:
     return path
 
 
-def test_policy_without_memory_answers_any_number_of_lanes(tmp_path: Path) -> None:
-    policy = OnnxPolicy(still(tmp_path / "a.onnx"))
-    for n_lanes in (1, 3):
-        actions, state = policy.predict(np.ones((n_lanes, N)), None, np.ones(n_lanes, bool), deterministic=True)
-        assert actions.shape == (n_lanes, 4) and actions.dtype == np.float32 and not actions.any() and state is None
-
-
 def test_memory_goes_on_and_is_cleared_where_an_episode_starts(tmp_path: Path) -> None:
     policy = OnnxPolicy(counter(tmp_path / "a.onnx"))
     ones = np.ones((2, N), dtype=np.float32)
@@ -116,11 +108,6 @@ def test_wrong_signature_is_refused_when_loaded(inputs: list[Any], outputs: list
     path = write(tmp_path / "a.onnx", STILL, inputs, outputs)
     with pytest.raises(PolicyError, match=text):
         OnnxPolicy(path).predict(np.zeros((1, N)))
-
-
-def test_file_for_one_scenario_answers_many(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.onnx", STILL, [("observation", FLOAT, [1, N])], [("action", FLOAT, [1, 4])])
-    assert OnnxPolicy(path).predict(np.ones((3, N)))[0].shape == (3, 4)
 
 
 def test_wrong_shapes_are_named(tmp_path: Path) -> None:
@@ -197,10 +184,3 @@ def test_missing_policy_and_other_action_mode_are_named(tmp_path: Path) -> None:
     (entry,) = load_entries(folder(tmp_path / "b", TOML.replace("k+tau", "k")))
     with pytest.raises(PolicyError, match=r"entry 'still', step 0: .*trained with another action_mode"):
         evaluate([entry], "standard", "test", seeds=[20_000], duration_s=1.0)
-
-
-def test_entry_names_the_sha256_of_the_file(tmp_path: Path) -> None:
-    (entry,) = load_entries(folder(tmp_path / "still"))
-    content = (tmp_path / "still" / "policy.onnx").read_bytes()
-    assert entry.to_dict()["policy_sha256"] == hashlib.sha256(content).hexdigest()
-    assert load_entries("mppt")[0].to_dict()["policy_sha256"] is None

@@ -279,20 +279,6 @@ worker._serve = serve""")
     assert [path.name for path in tmp_path.iterdir()] == ["kept"] and (tmp_path / "kept").read_text() == "content"
 
 
-def test_process_starts_no_thread(instead: Callable[[str], None]) -> None:
-    instead(
-        "import threading\n"
-        "def serve(content, source, sink):\n"
-        "    try:\n"
-        "        threading.Thread(target=print).start()\n"
-        "    except RuntimeError as error:\n"
-        "        worker._send(sink, {'error': str(error)})\n"
-        "worker._serve = serve"
-    )
-    with pytest.raises(PolicyError, match="can't start new thread"):
-        opened().predict(ONES)
-
-
 def test_time_counts_only_while_the_policy_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     with opened() as policy:
         pid = pid_of(policy)

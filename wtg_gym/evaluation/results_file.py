@@ -72,7 +72,7 @@ def read_pair(json_path: Path, what: str, formats: Sequence[int]) -> tuple[dict[
     table = read_text(csv_path, f"table of the {what}")
     if sha256(table.encode()) != data.get("csv_sha256"):
         raise ValueError(
-            f"{csv_path} is not the table that {json_path} describes (csv_sha256): it was edited or belongs to another"
+            f"{csv_path} is not the table that {json_path} describes: it was edited or belongs to another run"
         )
     return data, table, csv_path
 

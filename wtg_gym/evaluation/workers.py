@@ -199,7 +199,9 @@ def _on_dask(calls: Sequence[Any], address: str | None, jobs: int | None) -> Gen
         except (OSError, ValueError) as error:
             raise ValueError(f"no Dask scheduler answers at {address}: {_in_short(error)}") from error
         futures = [client.submit(_work, *call, pure=False) for call in calls]
-        for future in distributed.as_completed(futures):
+        with client.as_current():
+            completed = distributed.as_completed(futures)
+        for future in completed:
             yield future.result()
 
 
