@@ -148,35 +148,6 @@ def test_costs_in_a_scenario_are_the_same_to_the_last_bit_whatever_is_played_bes
         assert alone.episodes_of(entry.name) == [episode for episode in together if episode.seed == seed]
 
 
-def test_folder_is_an_entry_and_zero_action_scores_a_hundred(tmp_path: Path) -> None:
-    toml = TOML + 'training_seed = 3\nauthors = ["A", "B"]\ndescription = "Does nothing."\n'
-    (entry,) = load_entries(folder(tmp_path / "still", toml))
-    assert (entry.name, entry.training_seed, entry.source, entry.kind) == ("still", 3, "A, B", "learned")
-    assert entry.identity is not None
-    results = evaluate([entry], "standard", "test", seeds=[20_000, 20_003], duration_s=10.0)
-    costs = {
-        name: [e.metrics["cost"] for e in results.episodes_of(name)] for name in ("still", "coordinated-piecewise")
-    }
-    assert costs["still"] == costs["coordinated-piecewise"]
-
-
-@pytest.mark.parametrize(
-    ("toml", "text"),
-    [
-        ("name = ", "is not TOML"),
-        ('name = "a"\n', r"missing: \['action_mode'\]"),
-        (TOML + "strategy = 1\n", "strategy must be one of mppt, .*, got 1"),
-        (TOML + "law = 1\n", r"unknown: \['law'\]"),
-        (TOML + 'authors = "me"\n', "authors must be a list"),
-        (TOML + "training_seed = -1\n", "training_seed"),
-        (TOML.replace("k+tau", "pitch"), "action_mode must be one of k, tau, k\\+tau, got 'pitch'"),
-    ],
-)
-def test_wrong_entry_file_says_what_is_allowed(toml: str, text: str, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=text):
-        load_entries(folder(tmp_path / "a", toml))
-
-
 def test_missing_policy_and_other_action_mode_are_named(tmp_path: Path) -> None:
     (folder(tmp_path / "a") / "policy.onnx").unlink()
     with pytest.raises(ValueError, match=r"cannot read the policy .*policy\.onnx"):
