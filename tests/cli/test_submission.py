@@ -95,7 +95,7 @@ def test_score_ranks_what_is_not_refused(capsys: pytest.CaptureFixture[str], tmp
     assert main(["submission", "score", str(good), str(twin), *_FEW, "--results", str(tmp_path / "s")]) == 1
     said = capsys.readouterr()
     assert said.out == "" and "Mine, training seed 0 is given twice" in said.err
-    assert not list((tmp_path / "s").rglob("*.*"))
+    assert not list((tmp_path / "s").glob("*.*"))
     assert "unknown suite" in error_of(capsys, "submission", "score", str(good), "--suite", "storm")
     for command in ("score", "check"):
         assert "there is no folder nowhere" in error_of(capsys, "submission", command, str(good), "nowhere")

@@ -19,7 +19,7 @@ _ARGUMENTS = (
     *("machine_model", "on_failure", "physics", "sensors"),
 )
 #: Data of an entry that decide its numbers; the others are texts about it.
-_PLAYED = ("kind", "strategy", "action_mode", "observation_mode", "sha256", "policy_sha256")
+_PLAYED = ("action_mode", "kind", "observation_mode", "policy_sha256", "sha256", "strategy")
 #: Name and training seed of an entry.
 _Run = tuple[str, int | None]
 
