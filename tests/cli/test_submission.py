@@ -92,7 +92,7 @@ def test_score_ranks_what_is_not_refused(capsys: pytest.CaptureFixture[str], tmp
     assert main(["submission", "score", str(good), str(twin), *_FEW, "--results", str(tmp_path / "s")]) == 1
     said = capsys.readouterr()
     assert said.out == "" and "Mine, training seed 0 is given twice" in said.err
-    assert not list((tmp_path / "s").rglob("*.*"))
+    assert not list((tmp_path / "s").glob("*.*"))
 
 
 def test_score_refuses_what_is_for_another_version(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

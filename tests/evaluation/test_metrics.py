@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation import METRICS, Entry, Results, evaluate
 from wtg_gym.evaluation.metrics import largest_power_change, last_event_s, steady_metrics
 from wtg_gym.physics.plant import PlantSettings
@@ -19,20 +18,11 @@ from wtg_gym.scenarios import get_suite
 DT = 0.1
 
 
-def test_every_metric_has_unit_and_definition() -> None:
-    assert all(metric.unit and len(metric.doc) > 10 for metric in METRICS.values())
-
-
 def test_metrics_are_numbers_or_missing_where_they_may_be(results: Results) -> None:
     for episode in results.episodes:
         assert list(episode.metrics) == list(METRICS)
         for name, value in episode.metrics.items():
             assert METRICS[name].optional if value is None else math.isfinite(value)
-
-
-def test_cost_is_the_sum_of_its_terms(results: Results) -> None:
-    for episode in results.episodes:
-        assert episode.metrics["cost"] == math.fsum(episode.metrics[f"cost_{term}"] for term in COST_TERMS)
 
 
 def test_metrics_agree_with_the_recorded_run() -> None:
@@ -90,25 +80,11 @@ def test_step_that_settles_is_timed_from_the_event() -> None:
     deviation, settling = steady_metrics(frequency, DT, 50.0, 10.0)
     assert deviation == pytest.approx(-0.2, abs=1e-6)
     assert settling == pytest.approx(2.0 * math.log(4.0), abs=DT)
-
-
-def test_frequency_that_never_leaves_its_band_settles_at_once() -> None:
     assert steady_metrics(np.full(601, 50.01), DT, 50.0, 10.0) == (pytest.approx(0.01), 0.0)
-
-
-def test_frequency_that_leaves_its_band_in_the_end_has_not_settled() -> None:
-    frequency = np.full(601, 50.0)
-    frequency[-20:] += 0.2
-    assert steady_metrics(frequency, DT, 50.0, 10.0)[1] is None
-
-
-def test_no_event_gives_no_settling_time() -> None:
+    # It is not settled, there is no event, and the mean is over less than the window.
+    assert steady_metrics(np.append(np.full(581, 50.0), np.full(20, 50.2)), DT, 50.0, 10.0)[1] is None
     assert steady_metrics(np.full(601, 50.0), DT, 50.0, None) == (0.0, None)
-
-
-def test_episode_shorter_than_the_window_has_a_mean() -> None:
-    deviation, _ = steady_metrics(np.array([50.0, 50.1, 50.2]), DT, 50.0, 0.0)
-    assert deviation == pytest.approx(0.15)
+    assert steady_metrics(np.array([50.0, 50.1, 50.2]), DT, 50.0, 0.0)[0] == pytest.approx(0.15)
 
 
 def test_last_event_is_complete_when_its_ramp_is() -> None:

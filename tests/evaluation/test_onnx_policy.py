@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from pathlib import Path
 from typing import Any
@@ -64,13 +63,6 @@ def folder(path: Path, toml: str = TOML) -> Path:
     return path
 
 
-def test_policy_without_memory_answers_any_number_of_lanes(tmp_path: Path) -> None:
-    policy = OnnxPolicy(still(tmp_path / "a.onnx"))
-    for n_lanes in (1, 3):
-        actions, state = policy.predict(np.ones((n_lanes, N)), None, np.ones(n_lanes, bool), deterministic=True)
-        assert actions.shape == (n_lanes, 4) and actions.dtype == np.float32 and not actions.any() and state is None
-
-
 def test_memory_goes_on_and_is_cleared_where_an_episode_starts(tmp_path: Path) -> None:
     policy = OnnxPolicy(counter(tmp_path / "a.onnx"))
     ones = np.ones((2, N), dtype=np.float32)
@@ -118,11 +110,6 @@ def test_wrong_signature_is_refused_when_loaded(inputs: list[Any], outputs: list
         OnnxPolicy(path).predict(np.zeros((1, N)))
 
 
-def test_file_for_one_scenario_answers_many(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.onnx", STILL, [("observation", FLOAT, [1, N])], [("action", FLOAT, [1, 4])])
-    assert OnnxPolicy(path).predict(np.ones((3, N)))[0].shape == (3, 4)
-
-
 def test_wrong_shapes_are_named(tmp_path: Path) -> None:
     policy = OnnxPolicy(counter(tmp_path / "a.onnx"))
     with pytest.raises(PolicyError, match=r"shape \(lanes, 20\), got \(2, 18\).*action_mode"):
@@ -161,35 +148,6 @@ def test_costs_in_a_scenario_are_the_same_to_the_last_bit_whatever_is_played_bes
         assert alone.episodes_of(entry.name) == [episode for episode in together if episode.seed == seed]
 
 
-def test_folder_is_an_entry_and_zero_action_scores_a_hundred(tmp_path: Path) -> None:
-    toml = TOML + 'training_seed = 3\nauthors = ["A", "B"]\ndescription = "Does nothing."\n'
-    (entry,) = load_entries(folder(tmp_path / "still", toml))
-    assert (entry.name, entry.training_seed, entry.source, entry.kind) == ("still", 3, "A, B", "learned")
-    assert entry.identity is not None
-    results = evaluate([entry], "standard", "test", seeds=[20_000, 20_003], duration_s=10.0)
-    costs = {
-        name: [e.metrics["cost"] for e in results.episodes_of(name)] for name in ("still", "coordinated-piecewise")
-    }
-    assert costs["still"] == costs["coordinated-piecewise"]
-
-
-@pytest.mark.parametrize(
-    ("toml", "text"),
-    [
-        ("name = ", "is not TOML"),
-        ('name = "a"\n', r"missing: \['action_mode'\]"),
-        (TOML + "strategy = 1\n", "strategy must be one of mppt, .*, got 1"),
-        (TOML + "law = 1\n", r"unknown: \['law'\]"),
-        (TOML + 'authors = "me"\n', "authors must be a list"),
-        (TOML + "training_seed = -1\n", "training_seed"),
-        (TOML.replace("k+tau", "pitch"), "action_mode must be one of k, tau, k\\+tau, got 'pitch'"),
-    ],
-)
-def test_wrong_entry_file_says_what_is_allowed(toml: str, text: str, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=text):
-        load_entries(folder(tmp_path / "a", toml))
-
-
 def test_missing_policy_and_other_action_mode_are_named(tmp_path: Path) -> None:
     (folder(tmp_path / "a") / "policy.onnx").unlink()
     with pytest.raises(ValueError, match=r"cannot read the policy .*policy\.onnx"):
@@ -197,10 +155,3 @@ def test_missing_policy_and_other_action_mode_are_named(tmp_path: Path) -> None:
     (entry,) = load_entries(folder(tmp_path / "b", TOML.replace("k+tau", "k")))
     with pytest.raises(PolicyError, match=r"entry 'still', step 0: .*trained with another action_mode"):
         evaluate([entry], "standard", "test", seeds=[20_000], duration_s=1.0)
-
-
-def test_entry_names_the_sha256_of_the_file(tmp_path: Path) -> None:
-    (entry,) = load_entries(folder(tmp_path / "still"))
-    content = (tmp_path / "still" / "policy.onnx").read_bytes()
-    assert entry.to_dict()["policy_sha256"] == hashlib.sha256(content).hexdigest()
-    assert load_entries("mppt")[0].to_dict()["policy_sha256"] is None

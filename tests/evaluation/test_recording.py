@@ -9,11 +9,10 @@ import pytest
 
 from wtg_gym.envs import EnvSettings
 from wtg_gym.evaluation import Entry, evaluate
-from wtg_gym.evaluation.recording import one_scenario, pooled, record, target_rotor_speed_pu
+from wtg_gym.evaluation.recording import record
 from wtg_gym.physics.scenario import LoadStep, Scenario
 from wtg_gym.physics.tracking_law import coordinated_piecewise
 from wtg_gym.physics.trajectory import simulate
-from wtg_gym.reproduce.steady_states import stable_equilibrium
 from wtg_gym.scenarios import get_suite
 
 SEEDS = (20_000, 20_001, 20_002)
@@ -41,15 +40,13 @@ def test_recorded_costs_are_those_that_are_scored() -> None:
 def test_recording_of_a_law_is_the_simulators_trajectory() -> None:
     recording, law = record(Entry(name="coordinated-piecewise"), SETTINGS, scenarios()), coordinated_piecewise()
     run = simulate(scenarios()[1], law)
-    own = one_scenario(recording, 1)
-    assert own.time_s == pytest.approx(run.time_s) and own.frequency_hz[0] == pytest.approx(run.frequency_hz, abs=1e-9)
+    assert recording.time_s == pytest.approx(run.time_s)
+    assert recording.frequency_hz[1] == pytest.approx(run.frequency_hz, abs=1e-9)
     for name in ("rotor_speed_pu", "tip_speed_ratio", "power_pu", "coefficient_pu", "wind_m_s"):
-        assert getattr(own, name)[0] == pytest.approx(getattr(run, name), abs=1e-9), name
-    assert own.deviation_hz[0] == pytest.approx(run.wtg_frequency_hz - 50.0, abs=1e-9)
-    assert own.filter_hz[0] == pytest.approx(50.0 * run.filter_pu, abs=1e-9)
+        assert getattr(recording, name)[1] == pytest.approx(getattr(run, name), abs=1e-9), name
+    assert recording.deviation_hz[1] == pytest.approx(run.wtg_frequency_hz - 50.0, abs=1e-9)
+    assert recording.filter_hz[1] == pytest.approx(50.0 * run.filter_pu, abs=1e-9)
     assert not recording.offset_pu.any() and (recording.time_constant_s == law.damping_time_constant_s).all()
-    # Every episode starts at rest, where the law wants it.
-    assert recording.ratio_above_target[:, 0] == pytest.approx(np.zeros((3, 2)), abs=1e-3)
 
 
 def test_k_and_tau_are_what_the_policy_decided() -> None:
@@ -61,14 +58,6 @@ def test_k_and_tau_are_what_the_policy_decided() -> None:
     assert recording.time_constant_s[:, 1:, 0] == pytest.approx(np.full((3, 80), 2.0 * law.damping_time_constant_s))
     k = recording.coefficient_pu - recording.offset_pu
     assert ((k > law.k_max - 1e-9) & (k < law.k_min + 1e-9)).all()
-
-
-def test_target_is_the_references_equilibrium() -> None:
-    law, rng = coordinated_piecewise(), np.random.default_rng(0)
-    frequency, wind = rng.uniform(0.988, 1.012, 60), rng.uniform(4.0, 24.0, 60)
-    points = [stable_equilibrium(float(f), law, float(v)) for f, v in zip(frequency, wind, strict=True)]
-    speeds = [point.rotor_speed_pu for point in points if point is not None]
-    assert target_rotor_speed_pu(frequency, wind) == pytest.approx(np.array(speeds), abs=1e-4)
 
 
 def test_recording_is_not_a_number_after_an_early_end() -> None:
@@ -84,19 +73,3 @@ def test_recording_is_not_a_number_after_an_early_end() -> None:
     assert np.isnan(recording.time_constant_s).all()
     alone = record(Entry(name="mppt", strategy="mppt"), EnvSettings(version="v0"), [stalls])
     assert alone.time_s.size == recording.time_s.size == 601
-
-
-def test_pooled_recordings_keep_their_order() -> None:
-    whole = record(Entry(name="coordinated-piecewise"), SETTINGS, scenarios())
-    parts = [one_scenario(whole, i) for i in range(3)]
-    again = pooled(parts)
-    assert (
-        again.wind_m_s.tobytes() == whole.wind_m_s.tobytes() and again.cost_terms.tolist() == whole.cost_terms.tolist()
-    )
-    assert again.observation_names == whole.observation_names
-
-
-def test_scenario_that_cannot_start_names_the_entry() -> None:
-    three = Scenario(name="three", wind_speed=np.full((3, 1), 9.0), duration_s=5.0)
-    with pytest.raises(ValueError, match=r"entry 'mppt': .* wind for 3 WTG groups"):
-        record(Entry(name="mppt", strategy="mppt"), EnvSettings(version="v0"), [three])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import json
 import re
 from collections.abc import Callable
@@ -15,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from wtg_gym.evaluation import METRICS, Entry, NoScaleError, Results, evaluate, leaderboard_rows
+from wtg_gym.evaluation import Entry, NoScaleError, Results, evaluate, leaderboard_rows
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.files import sha256, to_json
 from wtg_gym.scenarios.benchmark import V0
@@ -40,17 +39,17 @@ def test_second_run_writes_the_same_bytes(written: tuple[Path, Path], entries: l
         assert one.read_bytes() == other.read_bytes()
 
 
-def test_files_are_named_after_suite_and_split_and_nothing_is_left_beside_them(written: tuple[Path, Path]) -> None:
+def test_files_that_are_read_and_written_again_are_the_same(
+    written: tuple[Path, Path], results: Results, tmp_path: Path
+) -> None:
     assert sorted(path.name for path in written[0].parent.iterdir()) == ["standard-test.csv", "standard-test.json"]
-
-
-def test_read_gives_back_what_was_written(written: tuple[Path, Path], results: Results) -> None:
-    assert Results.read(written[0]) == results
-
-
-def test_read_then_write_gives_the_same_bytes(written: tuple[Path, Path], tmp_path: Path) -> None:
-    for one, other in zip(Results.read(written[0]).write(tmp_path), written, strict=True):
+    read = Results.read(written[0])
+    assert read == results
+    for one, other in zip(read.write(tmp_path), written, strict=True):
         assert one.read_bytes() == other.read_bytes()
+    # Neither time nor place is in them.
+    text = written[0].read_text(encoding="utf-8")
+    assert str(Path.home()) not in text and not re.search(r"20\d\d-\d\d-\d\dT", text)
 
 
 def test_results_say_what_their_version_adds_to_the_settings(
@@ -79,15 +78,6 @@ def test_file_of_version_3_is_read_and_damage_in_it_is_found(copies: tuple[Path,
     copies[1].write_text(copies[1].read_text(encoding="utf-8").replace("49.", "50."), encoding="utf-8")
     with pytest.raises(ValueError, match="edited or belongs to another run"):
         Results.read(copies[0])
-
-
-def test_json_is_strict_sorted_and_without_time_or_place(written: tuple[Path, Path]) -> None:
-    text = written[0].read_text(encoding="utf-8")
-    data = json.loads(text, parse_constant=lambda name: pytest.fail(name))
-    assert list(data) == sorted(data)
-    assert data["metrics"]["nadir_hz"]["unit"] == "Hz"
-    assert set(data["versions"]) == {"wtg_gym", "numpy", "scipy", "numba", "python", "processor", "onnxruntime"}
-    assert str(Path.home()) not in text and not re.search(r"20\d\d-\d\d-\d\dT", text)
 
 
 @pytest.mark.parametrize(
@@ -174,124 +164,65 @@ def test_damaged_file_never_passes(copies: tuple[Path, Path], which: int, data: 
         path.write_bytes(original)
 
 
-def test_missing_file_is_named(copies: tuple[Path, Path]) -> None:
-    copies[1].unlink()
-    with pytest.raises(ValueError, match=r"cannot read the table of episodes .*standard-test\.csv"):
-        Results.read(copies[0])
-    copies[0].unlink()
-    with pytest.raises(ValueError, match=r"cannot read the results file .*standard-test\.json"):
-        Results.read(copies[0])
+def _sign(paths: tuple[Path, Path], data: dict[str, Any]) -> None:
+    """Write a description whose hashes fit, as somebody with bad intentions would."""
+    data["csv_sha256"] = sha256(paths[1].read_bytes())
+    data.pop("sha256", None)
+    paths[0].write_text(to_json({**data, "sha256": sha256(to_json(data).encode())}), encoding="utf-8")
 
 
 EDITS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
-    "number as text": (
-        lambda d: d["settings"]["weights"].update(cap="much"),
-        "settings must be an object in which weights.cap is a number",
-    ),
-    "unknown metric": (lambda d: d["metrics"].update(beauty={"unit": "-"}), "metrics.beauty must be left out"),
-    "missing metric": (lambda d: d["metrics"].pop("cost"), "metrics.cost must be .*got None"),
-    "other unit": (lambda d: d["metrics"]["cost"].update(unit="EUR"), "metrics.cost must be"),
+    "cap as text": (lambda d: d["settings"]["weights"].update(cap="much"), "could not convert string to float"),
+    "unknown metric": (lambda d: d["metrics"].update(beauty={"unit": "-"}), "metrics are not those of this version"),
     "missing key": (lambda d: d.pop("seeds"), r"missing keys \['seeds'\]"),
     "unknown key": (lambda d: d.update(winner="me"), r"unknown keys \['winner'\]"),
     "wrong seeds": (lambda d: d.update(seeds=[1.5]), "seeds must be a list of whole numbers"),
-    "unknown suite": (lambda d: d.update(suite="easy"), "suite must be one of paper"),
-    "short hash": (lambda d: d.update(suite_hash="abc"), "suite_hash must be 64 hexadecimal"),
+    "unknown suite": (lambda d: d.update(suite="easy"), "unknown suite 'easy'"),
     "other format": (lambda d: d.update(format=2), "format must be 4, that of this version, or 3, got 2; "),
-    "seeds of no draw": (
-        lambda d: d.update(split="fresh"),
-        "draw must be given for the split 'fresh' alone",
-    ),
-    "draw of a frozen split": (
-        lambda d: d.update(draw={"commit": "a" * 40, "secret_sha256": "0" * 64}),
-        "draw must be given for the split",
-    ),
+    "seeds of no draw": (lambda d: d.update(split="fresh"), "draw must be given for the split 'fresh' alone"),
     "seeds that cannot be drawn": (
         lambda d: d.update(split="fresh", draw={"commit": "a" * 40, "secret_sha256": "0" * 64}),
-        "draw: seeds of a draw must be",
-    ),
-    "no fingerprint": (lambda d: d["environment"].pop("fingerprint"), "environment must be an object with id"),
-    "wrong kind": (
-        lambda d: d["entries"][0].update(kind="magic"),
-        r"entries\[0\]: kind must be law, feedback or learned",
+        "seeds of a draw must be",
     ),
     "name that is markup": (
         lambda d: d["entries"][0].update(name="[me](https://example.org)\n"),
         r"entries\[0\]: name must be 1 … 60 printable",
     ),
-    "nested too deeply": (
-        lambda d: d["settings"].update(a=functools.reduce(lambda inner, _: [inner], range(100), 0)),
-        "nested deeper than 20 levels",
-    ),
-    "no entries": (lambda d: d.update(entries=[]), "entries must be a list"),
-    "better score": (lambda d: d["summary"]["mppt"]["score"].update(value=200.0), "sha256 does not fit"),
+    "entry of another type": (lambda d: d.update(entries=[3]), r"entries\[0\]: missing keys"),
+    "no anchors": (lambda d: d.update(entries=[]), "anchors .* are missing"),
+    "better score": (lambda d: d["summary"]["mppt"]["score"].update(value=200.0), "is 200.0, the table sums up to 0.0"),
 }
 
 
 @pytest.mark.parametrize("case", EDITS)
-def test_edited_json_names_file_and_key(copies: tuple[Path, Path], case: str) -> None:
+def test_forged_description_is_refused(copies: tuple[Path, Path], case: str) -> None:
     edit, text = EDITS[case]
     data = json.loads(copies[0].read_text(encoding="utf-8"))
     edit(data)
-    copies[0].write_text(to_json(data), encoding="utf-8")
-    with pytest.raises(ValueError, match=f"standard-test.json.*{text}"):
-        Results.read(copies[0])
-
-
-@pytest.mark.parametrize("number", ["NaN", "Infinity", "1e999"])
-def test_number_that_is_not_finite_is_refused(copies: tuple[Path, Path], number: str) -> None:
-    text = copies[0].read_text(encoding="utf-8").replace('"duration_s": 10.0', f'"duration_s": {number}')
-    copies[0].write_text(text, encoding="utf-8")
-    with pytest.raises(ValueError, match=r"standard-test.json.*finite number"):
+    _sign(copies, data)
+    with pytest.raises(ValueError, match=f"standard-test.*{text}"):
         Results.read(copies[0])
 
 
 CELLS = {
     "cost": ("cheap", "cost must be a finite number"),
     "nadir_hz": ("nan", r"nadir_hz must be a finite number \[Hz\]"),
-    "energy_mwh": ("", r"energy_mwh must be a finite number \[MWh\]"),
     "seed": ("-1", "seed must be a whole number"),
     "failure": ("bored", "failure must be empty or one of stall"),
-    "duration_s": ("inf", r"duration_s must be a finite number \[s\]"),
 }
 
 
 @pytest.mark.parametrize("column", CELLS)
-def test_edited_table_names_line_and_column(copies: tuple[Path, Path], column: str) -> None:
+def test_forged_table_names_line_and_column(copies: tuple[Path, Path], column: str) -> None:
     value, text = CELLS[column]
     lines = copies[1].read_text(encoding="utf-8").split("\n")
     cells = lines[2].split(",")
     cells[lines[0].split(",").index(column)] = value
     copies[1].write_text("\n".join([*lines[:2], ",".join(cells), *lines[3:]]), encoding="utf-8")
+    _sign(copies, json.loads(copies[0].read_text(encoding="utf-8")))
     with pytest.raises(ValueError, match=rf"standard-test.csv, line 3: {text}"):
         Results.read(copies[0])
-
-
-def test_better_number_in_the_table_is_noticed(copies: tuple[Path, Path], results: Results) -> None:
-    cost = repr(results.episodes[0].metrics["cost"])
-    text = copies[1].read_text(encoding="utf-8")
-    copies[1].write_text(text.replace(f",{cost},", ",0.5,", 1), encoding="utf-8")
-    with pytest.raises(ValueError, match="csv_sha256"):
-        Results.read(copies[0])
-
-
-def test_unknown_column_is_named(copies: tuple[Path, Path]) -> None:
-    copies[1].write_text(copies[1].read_text(encoding="utf-8").replace("nadir_hz", "beauty", 1), encoding="utf-8")
-    with pytest.raises(ValueError, match=r"unknown columns \['beauty'\], missing columns \['nadir_hz'\]"):
-        Results.read(copies[0])
-
-
-def test_table_without_a_row_is_refused_even_with_fitting_sums(copies: tuple[Path, Path]) -> None:
-    table = copies[1].read_text(encoding="utf-8").split("\n", 2)
-    short = "\n".join([table[0], table[2]])
-    data = json.loads(copies[0].read_text(encoding="utf-8"))
-    data["csv_sha256"] = sha256(short.encode())
-    data["sha256"] = sha256(to_json({k: v for k, v in data.items() if k != "sha256"}).encode())
-    copies[0].write_text(to_json(data), encoding="utf-8")
-    copies[1].write_text(short, encoding="utf-8")
+    copies[1].write_text("\n".join([*lines[:2], *lines[3:]]), encoding="utf-8")
+    _sign(copies, json.loads(copies[0].read_text(encoding="utf-8")))
     with pytest.raises(ValueError, match=r"expected one row per entry and seed.*9 rows.*got 8"):
         Results.read(copies[0])
-
-
-def test_metric_names_are_columns(written: tuple[Path, Path]) -> None:
-    header = written[1].read_text(encoding="utf-8").split("\n", 1)[0].split(",")
-    assert header[6:] == list(METRICS)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ import pytest
 import torch
 from torch import nn
 
-import wtg_gym
 from wtg_gym import export_onnx
 from wtg_gym.evaluation import OnnxPolicy
 from wtg_gym.policies.gate import check_submission
@@ -166,17 +164,3 @@ def test_wrong_keys_of_the_entry_are_refused_before_the_work(tmp_path: Path) -> 
         export_onnx(nn.Linear(1, 1), tmp_path / "mine", seed=0, **ENTRY)
     with pytest.raises(ValueError, match="action_mode must be one of"):
         export_onnx(nn.Linear(1, 1), tmp_path / "mine", action_mode="nothing", **ENTRY)
-
-
-@pytest.mark.parametrize("missing", ["torch", "onnx"])
-def test_error_without_a_package_says_what_to_install(missing: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, missing, None)
-    monkeypatch.delitem(sys.modules, "wtg_gym.policies.torch_export")
-    with pytest.raises(ImportError, match=r"needs torch and onnx; in a checkout: pip install '\.\[agents\]' torch"):
-        wtg_gym.export_onnx  # noqa: B018
-
-
-def test_export_needs_no_onnxscript(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "onnxscript", None)
-    export_onnx(nn.Linear(observation_width(), M), tmp_path / "mine", **ENTRY)
-    assert (tmp_path / "mine" / "policy.onnx").is_file()

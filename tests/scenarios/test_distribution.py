@@ -21,7 +21,7 @@ from wtg_gym.physics.scenario import (
     Scenario,
 )
 from wtg_gym.scenarios import DRAWN_WIND_RANGE, SUITES, TRIPPABLE_LINES, ScenarioDistribution, Suite
-from wtg_gym.scenarios.load_noise import noise_amplitude, noise_decay
+from wtg_gym.scenarios.wind import noise_amplitude, noise_decay
 
 DRAWN = [suite for suite in SUITES.values() if suite.distribution is not None]
 #: With a share of the load few groups fit; those are in DRAWN.

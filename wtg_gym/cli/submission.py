@@ -136,7 +136,7 @@ def score(
     with scoring.kept_parts(results if resume else None) as partial:
         # Anchors first: errors of the arguments come before the work of the gate.
         for scenarios in planned.values():
-            scoring.run_evaluation([], partial=partial, keep_partial=True, n_threads=threads, **scenarios)
+            scoring.run_evaluation([], partial=partial, n_threads=threads, **scenarios)
         reports = _reports(folders, gate)
         wrong = _together(reports, gate) + _refused(reports) + _of_another_version(reports, planned)
         ranked = _ranked(reports, wrong)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Unpack
+from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
 
 import gymnasium as gym
 
@@ -22,8 +22,10 @@ from wtg_gym.envs.interface import (
 )
 from wtg_gym.envs.lanes import LanesSnapshot, TaskLanes
 from wtg_gym.envs.one_thread import Use, in_use, one_thread
-from wtg_gym.envs.rendering import Frame, LaneFrames
 from wtg_gym.envs.settings import EnvArguments
+
+if TYPE_CHECKING:
+    from wtg_gym.envs.rendering import Frame, LaneFrames
 
 
 class Snapshot(NamedTuple):
@@ -106,6 +108,8 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
         self.metadata = in_real_time(self.metadata, self.settings)
         self._frames: LaneFrames | None = None
         if render_mode is not None:
+            from wtg_gym.envs.rendering import LaneFrames
+
             window = render_mode == "human"
             self._frames = LaneFrames(self._lanes, opens_window=window, fps=self.metadata["render_fps"])
         self.observation_space, self.action_space = spaces(self._lanes)

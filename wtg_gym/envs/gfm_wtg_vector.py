@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Unpack
+from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
 
 import gymnasium as gym
 import numpy as np
@@ -29,10 +29,12 @@ from wtg_gym.envs.interface import (
 from wtg_gym.envs.lanes import LanesSnapshot, TaskLanes
 from wtg_gym.envs.next_episodes import NextEpisodes
 from wtg_gym.envs.one_thread import Use, one_thread
-from wtg_gym.envs.rendering import Frame, LaneFrames
 from wtg_gym.envs.settings import EnvArguments
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.ranges import is_whole
+
+if TYPE_CHECKING:
+    from wtg_gym.envs.rendering import Frame, LaneFrames
 
 _MOST_ENVS = 1_000_000
 
@@ -104,7 +106,11 @@ class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.N
         self._lanes = TaskLanes(self.settings, num_envs, None if n_threads is None else int(n_threads))
         self._use = Use()
         self.metadata = {**in_real_time(self.metadata, self.settings), "autoreset_mode": self.autoreset_mode}
-        self._frames = None if render_mode is None else LaneFrames(self._lanes)
+        self._frames: LaneFrames | None = None
+        if render_mode is not None:
+            from wtg_gym.envs.rendering import LaneFrames
+
+            self._frames = LaneFrames(self._lanes)
         self.single_observation_space, self.single_action_space = spaces(self._lanes)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)

@@ -20,10 +20,9 @@ from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation.circumstances import environment_fingerprint, versions
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.metrics import Recorder, measure
-from wtg_gym.evaluation.parcels import Played
 from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.evaluation.results import Results
-from wtg_gym.evaluation.workers import Workers
+from wtg_gym.evaluation.workers import Played, Workers
 from wtg_gym.physics.compiled import source_hash
 from wtg_gym.policies import Entry, OnnxPolicy, PolicyError
 from wtg_gym.policies.entry import check_entries, check_version
@@ -41,7 +40,7 @@ _Part = tuple[Entry, list[int]]
 #: cache holds take three times as long a step.
 _ONNX_BATCH = 64
 #: Settings that an entry or an argument of its own decides.
-_TAKEN = ("strategy", "action_mode", "observation_mode", "suite", "split", "scenario", "duration_s")
+_TAKEN = ("strategy", "action_mode", "observation_mode", "suite", "split", "scenario")
 #: More scenarios than this must be asked for by their seeds.
 _LARGEST_SPLIT = 100_000
 
@@ -53,14 +52,12 @@ def evaluate(
     *,
     seeds: Sequence[int] | None = None,
     draw: FreshDraw | None = None,
-    duration_s: float | None = None,
     batch: int = 256,
     n_threads: int | None = None,
     progress: bool = False,
     on_progress: Progress | None = None,
     partial: str | Path | None = None,
     workers: Workers | None = None,
-    keep_partial: bool = False,
     keep_going: bool = False,
     **env_arguments: Any,
 ) -> Results:
@@ -79,20 +76,19 @@ def evaluate(
         split: "train", "validation", "test" or "fresh".
         seeds: some of the split's seeds; None for all.
         draw: the seeds of the split "fresh".
-        duration_s: length of the episodes [s]; None for the suite's own.
         batch: scenarios that run side by side, of an ONNX policy 64 at most.
         n_threads: threads to step with, and ONNX policies that play side by side; None for one per processor. Workers
             have one each.
         progress: show progress on stderr: a bar in a terminal, else a line every few seconds.
         on_progress: called with (name of the entry, episodes done, episodes in all) after every batch.
-        partial: folder for finished batches: a run that was killed goes on from them; in the end they are removed, the
-            folder stays.
+        partial: folder for finished batches, from which a run that was killed goes on; :meth:`Results.write` removes
+            them.
         workers: other processes that play the batches; None plays them here, one after the other.
-        keep_partial: leave finished batches in that folder, for a run with more entries.
         keep_going: leave out an entry whose policy fails, or whose law has no equilibrium in a scenario, with all
             training seeds of its name, and name it in :attr:`Results.failed`; the others' results do not change. False
             raises the failure. That of an anchor is always raised: there is no score without it.
-        env_arguments: further settings of the environment, see :class:`wtg_gym.envs.settings.EnvSettings`.
+        env_arguments: further settings of the environment, such as `duration_s`, the length of the episodes [s], see
+            :class:`wtg_gym.envs.settings.EnvSettings`.
 
     Returns:
         every episode with its metrics; :attr:`Results.scores` are the scores, :attr:`Results.summaries` whole rows.
@@ -103,27 +99,26 @@ def evaluate(
         ValueError: an entry is for another version, an argument is unknown or out of range, or the workers cannot be
             used; the message names them.
     """
-    _check_arguments(batch, partial, env_arguments)
+    _check_arguments(batch, env_arguments)
     if workers is not None and n_threads not in (None, 1):
         raise ValueError(f"a worker steps with one thread; leave out the threads, got {n_threads!r}")
-    settings = EnvSettings(suite=suite, split=split, duration_s=duration_s, **env_arguments)
-    # That of another version may have been asked for.
-    suite = settings.suite
+    settings = EnvSettings(suite=suite, split=split, **env_arguments)
     competitors = _with_anchors(entries, settings.benchmark())
-    chosen = chosen_seeds(suite, split, seeds, draw)
-    shared, suite_hash = shared_settings(settings), get_suite(suite).hash
-    store = PartialStore(None if partial is None else Path(partial), [suite, suite_hash, split, shared])
+    chosen, shared = chosen_seeds(settings.suite, split, seeds, draw), shared_settings(settings)
+    suite_hash = get_suite(settings.suite).hash
+    store = PartialStore(partial, [settings.suite, suite_hash, split, shared])
     parts = [part for entry in competitors for part in _parts(entry, chosen, batch)]
+    needed = settings.benchmark().anchors if keep_going else [entry.name for entry in competitors]
     with contextlib.ExitStack() as stack:
         told = [] if on_progress is None else [on_progress]
         if progress:
             told.append(stack.enter_context(ProgressBar("episodes")).update)
-        batches = _stored_and_played(store, parts, settings, n_threads, workers)
-        stack.enter_context(contextlib.closing(batches))
-        needed = settings.benchmark().anchors if keep_going else [entry.name for entry in competitors]
+        batches = stack.enter_context(
+            contextlib.closing(_stored_and_played(store, parts, settings, n_threads, workers))
+        )
         episodes, failures = _collected(batches, parts, told, needed)
-    results = Results(
-        suite=suite,
+    return Results(
+        suite=settings.suite,
         split=split,
         suite_hash=suite_hash,
         source_hash=source_hash(),
@@ -134,10 +129,8 @@ def evaluate(
         versions=dict(versions()),
         entries=tuple(entry.to_dict() for entry in competitors),
         episodes=tuple(episodes),
+        parts=store,
     ).without(failures)
-    if not keep_partial:
-        store.clear()
-    return results
 
 
 # --- arguments -------------------------------------------------------------------------------------------------------
@@ -156,7 +149,7 @@ def _with_anchors(given: str | Path | Entry | Sequence[str | Path | Entry], benc
     return [*entries, *(Entry(name=name, strategy=name, description="Anchor of the score.") for name in missing)]
 
 
-def _check_arguments(batch: int, partial: str | Path | None, env_arguments: dict[str, Any]) -> None:
+def _check_arguments(batch: int, env_arguments: dict[str, Any]) -> None:
     known = [field.name for field in dataclasses.fields(EnvSettings) if field.name not in _TAKEN]
     unknown = sorted(set(env_arguments) - set(known))
     if unknown:
@@ -166,8 +159,6 @@ def _check_arguments(batch: int, partial: str | Path | None, env_arguments: dict
         )
     if isinstance(batch, bool) or not isinstance(batch, int) or not 1 <= batch <= 100_000:
         raise ValueError(f"batch must be 1 … 100000 scenarios, got {batch!r}")
-    if partial is not None and Path(partial).exists() and not Path(partial).is_dir():
-        raise ValueError(f"partial must be a folder for finished batches, got the file {partial}")
 
 
 def chosen_seeds(suite: str, split: str, seeds: Sequence[int] | None, draw: FreshDraw | None) -> list[int]:
@@ -275,23 +266,23 @@ def _stored_and_played(
     workers: Workers | None,
 ) -> Generator[tuple[int, Played], None, None]:
     """Yield (index, episodes) of every batch: first the stored ones, then the others, which are stored too."""
-    paths = [store.path(entry.to_dict(), seeds) for entry, seeds in parts]
     missing = []
-    for index, (_, seeds) in enumerate(parts):
-        rows = store.load(paths[index], len(seeds))
+    for index, (entry, seeds) in enumerate(parts):
+        rows = store.load(entry, seeds)
         if rows is None:
             missing.append(index)
         else:
             yield index, rows
     remaining = [parts[index] for index in missing]
-    if workers is not None and remaining:
-        playing = workers.play(_play, settings, remaining)
-    else:
-        playing = _played_here(remaining, settings, n_threads)
+    playing = (
+        _played_here(remaining, settings, n_threads)
+        if workers is None or not remaining
+        else workers.play(_play, settings, remaining)
+    )
     with contextlib.closing(playing) as batches:
         for number, played in batches:
             if not isinstance(played, PolicyError):
-                store.save(paths[missing[number]], played)
+                store.save(*remaining[number], played)
             yield missing[number], played
 
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from html import escape
+from typing import TYPE_CHECKING, Any
 
 from wtg_gym import files
-from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.score import NoScaleError
 from wtg_gym.evaluation.statistics import Interval
 from wtg_gym.evaluation.summary import DESIGN_DEVIATION_MHZ, REST, EntryMeasures, EntrySummary, ranked
+
+if TYPE_CHECKING:
+    from wtg_gym.evaluation.results import Results
 
 #: Headings of two columns of the short table.
 MEDIAN_DEVIATION = "median deviation [mHz]"
@@ -61,25 +64,22 @@ def _failures(row: EntryMeasures) -> str:
 #: What an entry is marked with that sees the state of the grid, and what a page says about it.
 PRIVILEGED = "privileged"
 _PRIVILEGED_NOTE = f"{PRIVILEGED}: sees the state of the whole grid, which no turbine measures"
-#: The cells of a row that has a score, by the headings of their columns.
-_SCORE_CELLS: dict[str, Callable[[EntrySummary], str]] = {
+_POINTS = ("frequency, RoCoF [points]", "duty [points]", "overload [points]", "rest [points]")
+#: The text of a cell by the heading of its column, in the order of the whole table.
+_CELLS: dict[str, Callable[[Any], str]] = {
+    "entry": _entry,
     "score": lambda row: _interval(row.score),
     "to the entry above": lambda row: signed_interval(row.difference_to_above) if row.difference_to_above else "",
-    "frequency, RoCoF [points]": lambda row: _signed(row.points_by_term["frequency_rocof"]),
-    "duty [points]": lambda row: _signed(row.points_by_term["duty"]),
-    "overload [points]": lambda row: _signed(row.points_by_term["overload"]),
-    "rest [points]": lambda row: _signed(row.points_by_term[REST]),
-    "IQM": lambda row: _plain(row.interquartile_mean.value, 1),
-}
-#: Those of every row.
-_CELLS: dict[str, Callable[[EntryMeasures], str]] = {
-    "entry": _entry,
+    _POINTS[0]: lambda row: _signed(row.points_by_term["frequency_rocof"]),
+    _POINTS[1]: lambda row: _signed(row.points_by_term["duty"]),
+    _POINTS[2]: lambda row: _signed(row.points_by_term["overload"]),
+    _POINTS[3]: lambda row: _signed(row.points_by_term[REST]),
     "kind": lambda row: row.kind,
+    "IQM": lambda row: _plain(row.interquartile_mean.value, 1),
     "P(improvement)": lambda row: f"{row.probability_of_improvement.value:.2f}",
     "gap closed [%]": _gap_closed,
     "failures [%]": lambda row: f"{row.failures_percent:.1f}",
     "failures by kind [%]": _failures,
-    "lost runs": lambda row: f"{row.n_lost} of {row.n_episodes}",
     LOST_OR_BEYOND: lambda row: f"{row.lost_or_beyond_percent:.1f}",
     "worst decile": lambda row: f"{row.worst_decile_cost:.0f}",
     MEDIAN_DEVIATION: lambda row: f"{row.median_deviation_mhz:.0f}",
@@ -91,16 +91,13 @@ _CELLS: dict[str, Callable[[EntryMeasures], str]] = {
     "p95 power change in 1 s [p.u.]": lambda row: f"{row.p95_power_change_pu:.2f}",
     "duty error [%]": lambda row: f"{row.mean_duty_error_percent:.2f}",
     "energy share [%]": lambda row: f"{row.mean_energy_share_percent:.1f}",
+    "lost runs": lambda row: f"{row.n_lost} of {row.n_episodes}",
 }
-_POINTS = ("frequency, RoCoF [points]", "duty [points]", "overload [points]", "rest [points]")
-#: Headings of the whole table of a ranking, in their order.
-_ALL_COLUMNS = (
-    *("rank", "entry", "score", "to the entry above", *_POINTS, "kind", "IQM", "P(improvement)", "gap closed [%]"),
-    *("failures [%]", "failures by kind [%]", LOST_OR_BEYOND, "worst decile", MEDIAN_DEVIATION, "p95 deviation [mHz]"),
-    *("mean pinned cost", "nadir [Hz]", "p95 RoCoF [Hz/s]", "p95 peak power [p.u.]", "p95 power change in 1 s [p.u.]"),
-    *("duty error [%]", "energy share [%]"),
-)
+#: Columns that only rows with a score have.
+_OF_SCORES = ("score", "to the entry above", *_POINTS, "IQM")
+#: What the whole table of version v0 leaves out, and that since v1; both count the lost runs in percent.
 _SINCE_V1 = ("failures by kind [%]", LOST_OR_BEYOND, "worst decile", MEDIAN_DEVIATION, "p95 deviation [mHz]")
+_LEFT_OUT = {"v0": ("lost runs", *_SINCE_V1), "v1": ("lost runs", "failures [%]")}
 #: Columns of text.
 _TEXTS = ("entry", "kind")
 #: Columns of the table in a README and in a notebook: for version v0, and since v1.
@@ -121,8 +118,7 @@ _WHOLE_COLUMNS = (
 
 def columns_of(version: str) -> dict[str, bool]:
     """Return the headings of the whole table of a version, and whether the column holds numbers."""
-    left_out = _SINCE_V1 if version == "v0" else ("failures [%]",)
-    return {column: column not in _TEXTS for column in _ALL_COLUMNS if column not in left_out}
+    return {column: column not in _TEXTS for column in ("rank", *_CELLS) if column not in _LEFT_OUT[version]}
 
 
 def short_columns_of(version: str) -> tuple[str, ...]:
@@ -187,9 +183,7 @@ def table_cells(rows: Sequence[EntryMeasures], columns: Sequence[str] | None = N
 
 
 def _cell(row: EntryMeasures, column: str) -> str:
-    if column in _CELLS:
-        return _CELLS[column](row)
-    return _SCORE_CELLS[column](row) if isinstance(row, EntrySummary) else "none"
+    return "none" if column in _OF_SCORES and not isinstance(row, EntrySummary) else _CELLS[column](row)
 
 
 def markdown_section(results: Results) -> str:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from wtg_gym.files import parse_json, read_text, sha256, to_json, write_together
+from wtg_gym.evaluation.results_file import read_pair, write_pair
 
 #: Version of the files; another number is another form.
 FORMAT = 1
@@ -55,15 +55,9 @@ class OracleCosts:
     def __post_init__(self) -> None:
         if not self.seeds or len(set(self.seeds)) < len(self.seeds):
             raise ValueError(f"an oracle needs scenarios, each once; got {len(self.seeds)} seeds")
-        unknown = sorted(set(self.found) - set(FORMS))
-        if unknown:
-            raise ValueError(f"unknown forms {unknown}; known forms: {', '.join(FORMS)}")
         for name, costs in {"reference": self.reference, **self.found}.items():
-            if len(costs) != len(self.seeds):
-                raise ValueError(f"{name} must have one cost per scenario ({len(self.seeds)}), got {len(costs)}")
-            wrong = [cost for cost in costs if not (math.isfinite(cost) and cost >= 0.0)]
-            if wrong:
-                raise ValueError(f"costs must be finite and not negative, got {wrong[0]} in {name}")
+            if len(costs) != len(self.seeds) or not all(math.isfinite(cost) and cost >= 0.0 for cost in costs):
+                raise ValueError(f"{name} must have one cost per scenario, finite and not negative, got {costs}")
 
     @property
     def oracle(self) -> tuple[float, ...]:
@@ -71,34 +65,15 @@ class OracleCosts:
         return tuple(min(costs) for costs in zip(self.reference, *self.found.values(), strict=True))
 
     def write(self, folder: str | Path) -> tuple[Path, Path]:
-        """Write `<suite>-<split>.csv` and `.json`, both or none; the same costs give the same bytes.
-
-        Returns:
-            the paths of the JSON and the CSV.
-
-        Raises:
-            OSError: a file cannot be written; the old ones are still there.
-        """
-        json_path, csv_path = (Path(folder) / f"{self.suite}-{self.split}.{ending}" for ending in ("json", "csv"))
-        table = self._to_csv()
-        data = {
-            "format": FORMAT,
-            **{key: getattr(self, key) for key in _DESCRIBED},
-            "csv_sha256": sha256(table.encode()),
-        }
-        data["sha256"] = sha256(to_json(data).encode())
-        # The JSON last, so that it never describes a table that is not there yet.
-        write_together({csv_path: table, json_path: to_json(data)})
-        return json_path, csv_path
-
-    def _to_csv(self) -> str:
+        """Write `<suite>-<split>.json` and `.csv`, both or none, and return their paths; an OSError names the file."""
         buffer = io.StringIO()
         writer = csv.writer(buffer, lineterminator="\n")
         writer.writerow(COLUMNS)
-        for i, (seed, reference, oracle) in enumerate(zip(self.seeds, self.reference, self.oracle, strict=True)):
-            forms = [repr(float(self.found[form][i])) if form in self.found else "" for form in FORMS]
-            writer.writerow([str(seed), repr(float(reference)), *forms, repr(float(oracle))])
-        return buffer.getvalue()
+        columns = [self.reference, *(self.found.get(form) for form in FORMS), self.oracle]
+        for i, seed in enumerate(self.seeds):
+            writer.writerow([seed, *("" if column is None else repr(float(column[i])) for column in columns)])
+        data = {"format": FORMAT, **{key: getattr(self, key) for key in _DESCRIBED}}
+        return write_pair(Path(folder) / f"{self.suite}-{self.split}", data, buffer.getvalue())
 
     @classmethod
     def read(cls, path: str | Path) -> OracleCosts:
@@ -110,53 +85,21 @@ class OracleCosts:
         Raises:
             ValueError: a file is missing, cut short, of another version, or was edited; the message names the file.
         """
-        json_path, csv_path = Path(path), Path(path).with_suffix(".csv")
-        text = read_text(json_path, "description of the oracle")
-        data = parse_json(text, f"the description of the oracle {json_path}")
-        keys = {"format", *_DESCRIBED, "csv_sha256", "sha256"}
-        if not isinstance(data, dict) or set(data) != keys:
-            got = sorted(data) if isinstance(data, dict) else type(data).__name__
-            raise ValueError(f"{json_path}: expected an object with the keys {', '.join(sorted(keys))}, got {got}")
-        if data["format"] != FORMAT:
-            raise ValueError(f"{json_path}: format must be {FORMAT}, that of this version, got {data['format']}")
-        content = {key: value for key, value in data.items() if key != "sha256"}
-        if sha256(to_json(content).encode()) != data["sha256"] or to_json(data) != text:
-            raise ValueError(f"{json_path} was edited or damaged: its sha256 does not fit its content; search again")
-        table = read_text(csv_path, "table of the oracle")
-        if sha256(table.encode()) != data["csv_sha256"]:
-            raise ValueError(f"{csv_path} is not the table that {json_path} describes: it was edited; search again")
+        data, table, csv_path = read_pair(Path(path), "oracle", (FORMAT,))
         try:
-            seeds, columns = _from_csv(table)
-            forms = {form: columns[form] for form in FORMS if not all(map(math.isnan, columns[form]))}
-            described = {key: data[key] for key in _DESCRIBED}
-            costs = cls(**described, seeds=seeds, reference=columns["reference"], found=forms)
-            if costs.oracle != columns["oracle"]:
-                raise ValueError("the oracle's costs are not the least of each row")
-        except ValueError as error:
-            raise ValueError(f"{csv_path}: {error}") from error
-        return costs
-
-
-def _from_csv(table: str) -> tuple[tuple[int, ...], dict[str, tuple[float, ...]]]:
-    """Return the seeds and the columns of costs; an empty cell is NaN."""
-    try:
-        header, *rows = csv.reader(io.StringIO(table), strict=True)
-    except csv.Error as error:
-        raise ValueError(f"not CSV with a header: {error}") from error
-    if tuple(header) != COLUMNS:
-        raise ValueError(f"the header must be {','.join(COLUMNS)}, got {','.join(header)}")
-    seeds: list[int] = []
-    costs: list[list[float]] = []
-    for line, row in enumerate(rows, start=2):
-        try:
-            seeds.append(int(row[0]))
-            costs.append([float(cell) if cell else math.nan for cell in row[1:]])
-            if len(row) != len(COLUMNS):
-                raise ValueError(f"{len(row)} cells")
-        except (ValueError, IndexError) as error:
-            raise ValueError(f"line {line}: expected a seed and {len(COLUMNS) - 1} costs: {error}") from error
-    columns = zip(*costs, strict=True) if costs else ((),) * (len(COLUMNS) - 1)
-    return tuple(seeds), dict(zip(COLUMNS[1:], columns, strict=True))
+            rows = list(csv.DictReader(io.StringIO(table)))
+            costs = {
+                name: tuple(float(row[name]) for row in rows) for name in COLUMNS[1:] if all(row[name] for row in rows)
+            }
+            found = cls(
+                **{key: data[key] for key in _DESCRIBED},
+                seeds=tuple(int(row["seed"]) for row in rows),
+                reference=costs["reference"],
+                found={form: costs[form] for form in FORMS if form in costs},
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{csv_path} is no table of the oracle: {error}") from error
+        return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,7 +133,7 @@ def _oracle_of(
     if not path.exists():
         raise ValueError(f"there is no oracle for the {split} scenarios of {suite}")
     known = OracleCosts.read(path)
-    if (known.suite, known.split, known.suite_hash) != (suite, split, suite_hash):
+    if known.suite_hash != suite_hash:
         raise ValueError(f"the oracle in {path.name} is of another suite, of hash {known.suite_hash[:12]}")
     if known.settings != settings:
         different = sorted(key for key in settings if known.settings.get(key) != settings[key])

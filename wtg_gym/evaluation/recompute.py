@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from wtg_gym.envs.settings import EnvSettings
@@ -14,9 +14,14 @@ from wtg_gym.policies import Entry
 from wtg_gym.scenarios import FreshDraw, get_suite
 
 #: The settings of results that are arguments of the environment, as they are called there.
-_ARGUMENTS = ("control_dt", "simulation_dt", "weights", "groups", "machine_model", "on_failure", "physics", "sensors")
+_ARGUMENTS = (
+    *("duration_s", "control_dt", "simulation_dt", "weights", "groups"),
+    *("machine_model", "on_failure", "physics", "sensors"),
+)
 #: Data of an entry that decide its numbers; the others are texts about it.
-_PLAYED = ("kind", "strategy", "action_mode", "observation_mode", "sha256", "policy_sha256")
+_PLAYED = ("action_mode", "kind", "observation_mode", "policy_sha256", "sha256", "strategy")
+#: Name and training seed of an entry.
+_Run = tuple[str, int | None]
 
 
 class Difference(NamedTuple):
@@ -60,13 +65,14 @@ def recompute(
             are of a suite, seeds or settings that no longer exist.
     """
     draw = None if stored.draw is None else FreshDraw(suite=stored.suite, seeds=stored.seeds, **stored.draw)
-    if secret is not None and draw is None:
-        raise ValueError(f"the seeds of the split {stored.split!r} were not drawn: there is no secret to check")
     differences = []
-    if secret is not None and draw is not None and not draw.is_of(secret):
-        differences = [Difference("seeds", f"those of {draw.secret_sha256[:12]}", "others: not of this secret")]
+    if secret is not None:
+        if draw is None:
+            raise ValueError(f"the seeds of the split {stored.split!r} were not drawn: there is no secret to check")
+        if not draw.is_of(secret):
+            differences.append(Difference("seeds", f"those of {draw.secret_sha256[:12]}", "others: not of this secret"))
     given = {(entry.name, entry.training_seed): entry for entry in entries}
-    wanted = {_key(entry): entry for entry in (*stored.entries, *stored.failed)}
+    wanted = _by_run((*stored.entries, *stored.failed))
     missing = [name for name, seed in wanted if (name, seed) not in given and name not in stored.benchmark.anchors]
     if missing:
         raise ValueError(f"the results hold entries that were not given: {', '.join(dict.fromkeys(missing))}")
@@ -76,34 +82,18 @@ def recompute(
         stored.split,
         seeds=stored.seeds if draw is None else None,
         draw=draw,
-        duration_s=stored.settings["duration_s"],
         n_threads=n_threads,
         workers=workers,
         on_progress=on_progress,
         keep_going=True,
         **{name: stored.settings[name] for name in _ARGUMENTS if name in stored.settings},
     )
-    differences += _compared("suite_hash", stored.suite_hash, get_suite(stored.suite).hash)
-    differences += _compared_each("settings.", stored.settings, now.settings)
-    texts: list[Difference] = []
-    described = {_key(entry): entry for entry in (*now.entries, *now.failed)}
-    for key, entry in wanted.items():
-        label, other = _label(*key), described[key]
-        if ("reason" in entry) != ("reason" in other):
-            differences.append(Difference(label, entry.get("reason", "played"), other.get("reason", "played")))
-            continue
-        # The reason of a failure is a text too: its words may depend on the machine.
-        for name in sorted({*entry, *other}):
-            found = _compared(f"{label}: {name}", entry.get(name), other.get(name))
-            if name in _PLAYED:
-                differences += found
-            elif key[0] not in stored.benchmark.anchors:
-                texts += found
-    differences += _compared_episodes(stored, now)
-    circumstances = _compared("source_hash", stored.source_hash, now.source_hash)
-    circumstances += _compared_each("environment.", stored.environment, now.environment)
-    circumstances += _compared_each("", stored.versions, now.versions)
-    return Recomputed(differences, circumstances + texts, len(stored.episodes) * len(COLUMNS))
+    differences += _compared(_numbers(stored, now), _numbers(now, stored))
+    return Recomputed(
+        differences,
+        _compared(_circumstances(stored, now), _circumstances(now, stored)),
+        len(stored.episodes) * len(COLUMNS),
+    )
 
 
 def departures(stored: Results) -> list[str]:
@@ -121,30 +111,48 @@ def departures(stored: Results) -> list[str]:
     return found
 
 
-def _compared_episodes(stored: Results, now: Results) -> list[Difference]:
-    differences: list[Difference] = []
-    played = {(*episode.run, episode.seed): episode for episode in now.episodes}
-    for episode in stored.episodes:
-        other = played.get((*episode.run, episode.seed))
-        # The episodes of an entry that fails now are missing, which is said already.
-        if other is not None:
+def _numbers(results: Results, others: Results) -> dict[str, Any]:
+    """Return what decides the numbers, and those of the episodes that others have too, by where they stand."""
+    found = {"suite_hash": results.suite_hash, **{f"settings.{key}": value for key, value in results.settings.items()}}
+    for run, entry, played in _entries(results, others):
+        if played:
+            found |= {f"{_label(*run)}: {key}": entry[key] for key in _PLAYED}
+        else:
+            # Its episodes are missing on one side.
+            found[_label(*run)] = entry.get("reason", "played")
+    shared = {(*episode.run, episode.seed) for episode in others.episodes}
+    for episode in results.episodes:
+        if (*episode.run, episode.seed) in shared:
             where = f"{_label(*episode.run)}, seed {episode.seed}"
-            for column, one, another in zip(COLUMNS, episode.cells(), other.cells(), strict=True):
-                differences += _compared(f"{where}: {column}", one, another)
-    return differences
+            found |= {f"{where}: {column}": cell for column, cell in zip(COLUMNS, episode.cells(), strict=True)}
+    return found
 
 
-def _compared_each(where: str, stored: Mapping[str, Any], now: Mapping[str, Any]) -> list[Difference]:
-    keys = sorted({*stored, *now})
-    return [found for key in keys for found in _compared(where + key, stored.get(key), now.get(key))]
+def _circumstances(results: Results, others: Results) -> dict[str, Any]:
+    """Return what need not change a number, by where it stands."""
+    found = {"source_hash": results.source_hash}
+    found |= {f"environment.{key}": value for key, value in results.environment.items()} | dict(results.versions)
+    for run, entry, played in _entries(results, others):
+        if played and run[0] not in results.benchmark.anchors:
+            # The reason of a failure is a text too: its words may depend on the machine.
+            found |= {f"{_label(*run)}: {key}": value for key, value in entry.items() if key not in _PLAYED}
+    return found
 
 
-def _compared(where: str, stored: object, now: object) -> list[Difference]:
-    return [] if stored == now else [Difference(where, str(stored), str(now))]
+def _entries(results: Results, others: Results) -> Iterator[tuple[_Run, Mapping[str, Any], bool]]:
+    """Yield name and training seed, the data, and whether both or none of the two sides played it to the end."""
+    mates = _by_run((*others.entries, *others.failed))
+    for run, entry in _by_run((*results.entries, *results.failed)).items():
+        yield run, entry, run in mates and ("reason" in entry) == ("reason" in mates[run])
 
 
-def _key(entry: Mapping[str, Any]) -> tuple[str, int | None]:
-    return entry["name"], entry["training_seed"]
+def _compared(stored: Mapping[str, Any], now: Mapping[str, Any]) -> list[Difference]:
+    pairs = ((where, stored.get(where), now.get(where)) for where in {**stored, **now})
+    return [Difference(where, str(one), str(other)) for where, one, other in pairs if one != other]
+
+
+def _by_run(entries: Iterable[Mapping[str, Any]]) -> dict[_Run, Mapping[str, Any]]:
+    return {(entry["name"], entry["training_seed"]): entry for entry in entries}
 
 
 def _label(name: str, training_seed: int | None) -> str:

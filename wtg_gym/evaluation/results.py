@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from wtg_gym.evaluation import results_file
-from wtg_gym.evaluation.episodes import Episode
+from wtg_gym.evaluation.episodes import Episode, to_csv
 from wtg_gym.evaluation.labelled import episodes_frame
+from wtg_gym.evaluation.leaderboard import html_table
 from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.evaluation.oracle import KnownOracle, known_oracle
+from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.evaluation.score import NoScaleError, log_gains, pinned
 from wtg_gym.evaluation.statistics import Floats, Interval, mean
 from wtg_gym.evaluation.summary import EntryMeasures, EntrySummary, entry_measures, ranked, summarise
@@ -46,6 +48,7 @@ class Results:
         episodes: one row per entry and scenario, in the order of `entries` and `seeds`.
         failed: data of every entry that is left out, and "reason": how its policy failed, or that of another training
             seed of its name, as a row has all of them or none.
+        parts: the finished batches that they were put together from, which :meth:`write` removes; None for none.
     """
 
     suite: str
@@ -60,6 +63,7 @@ class Results:
     entries: tuple[Mapping[str, Any], ...]
     episodes: tuple[Episode, ...]
     failed: tuple[Mapping[str, Any], ...] = ()
+    parts: PartialStore | None = field(default=None, compare=False)
 
     def __repr__(self) -> str:
         """Return suite, split, number of scenarios and the ranking's scores in a line."""
@@ -72,9 +76,6 @@ class Results:
 
     def _repr_html_(self) -> str:
         """Return the ranking as a table, which notebooks show."""
-        # The ranking's module needs this one.
-        from wtg_gym.evaluation.leaderboard import html_table
-
         return html_table(self)
 
     @property
@@ -201,7 +202,9 @@ class Results:
         }
 
     def write(self, folder: str | Path) -> tuple[Path, Path]:
-        """Write `<suite>-<split>.json` and `.csv`, both or none; the same results give the same bytes.
+        """Write `<suite>-<split>.json` and `.csv`, both or none, and remove the finished batches of an evaluation.
+
+        The same results give the same bytes.
 
         Args:
             folder: where to; made if it is not there.
@@ -212,7 +215,11 @@ class Results:
         Raises:
             OSError: a file cannot be written; the old ones are still there.
         """
-        return results_file.write(Path(folder) / self.name, self.to_dict(), self.episodes)
+        paths = results_file.write_pair(Path(folder) / self.name, self.to_dict(), to_csv(self.episodes))
+        if self.parts is not None:
+            # Not before: an interruption would lose what was played.
+            self.parts.clear()
+        return paths
 
     @classmethod
     def read(cls, path: str | Path) -> Results:
@@ -225,7 +232,7 @@ class Results:
             ValueError: a file is missing, cut short, of another version, or was edited; the message names file, key
                 and what is expected.
         """
-        data, episodes = results_file.read(Path(path))
+        data, episodes = results_file.read_results(Path(path))
         results = cls(
             **{key: data[key] for key in (*results_file.TEXTS, "draw", "environment", "settings", "versions")},
             seeds=tuple(data["seeds"]),

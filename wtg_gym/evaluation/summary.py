@@ -37,80 +37,49 @@ DESIGN_DEVIATION_MHZ = 800.0
 
 @dataclass(frozen=True, kw_only=True)
 class EntryMeasures:
-    """One row of a table, over all scenarios and training seeds of an entry: what needs no score.
+    """One row of a table, over all scenarios and training seeds of an entry: what needs no score."""
 
-    Args:
-        name: name of the entry.
-        kind: "law", "feedback" or "learned".
-        privileged: whether it sees the state of the grid, which no turbine measures.
-        version: of the benchmark.
-        n_runs: number of training seeds, 1 for a law.
-        n_episodes: number of episodes.
-        n_lost: number of episodes that failed.
-        probability_of_improvement: P(J < J_100) + ½ P(J = J_100) of the pinned costs [-].
-        gap_closed_percent: (mean J_100 - mean J) / (mean J_100 - mean J_oracle) of the pinned costs, all means over the
-            scenarios that have an oracle [%]; None where none has, or the mean cost is not below the hundred's.
-        n_oracle: number of scenarios that have an oracle.
-        failures_percent: episodes that failed [%].
-        failures_percent_by_kind: episodes that failed, by the kinds in :data:`FAILURE_KINDS` and "other" [%].
-        lost_or_beyond_percent: episodes that failed, or whose largest deviation of the frequency was beyond
-            :data:`DESIGN_DEVIATION_MHZ` [%].
-        mean_pinned_cost: mean pinned cost [-].
-        worst_decile_cost: mean pinned cost of the worst tenth of the scenarios of each training seed [-].
-        mean_cost_terms: mean of every term of the cost as it was paid [-].
-        median_deviation_mhz, p95_deviation_mhz: median and 95th percentile of the largest deviations of the frequency
-            of the centre of inertia from the nominal one, up or down [mHz].
-        median_nadir_hz: median of the lowest frequencies [Hz].
-        p95_rocof_hz_s: 95th percentile of the largest rates of change of frequency [Hz/s].
-        p95_peak_power_pu: 95th percentile of the largest powers of any group [p.u.].
-        p95_power_change_pu: 95th percentile of the largest changes of any group's power over 1 s [p.u.].
-        mean_duty_error_percent: mean of the duty errors [%].
-        mean_energy_share_percent: mean of the shares of the available energy [%].
-    """
-
-    name: str
-    kind: str
-    privileged: bool
-    version: str
-    n_runs: int
+    name: str  # of the entry
+    kind: str  # "law", "feedback" or "learned"
+    privileged: bool  # whether it sees the state of the grid, which no turbine measures
+    version: str  # of the benchmark
+    n_runs: int  # number of training seeds, 1 for a law
     n_episodes: int
-    n_lost: int
-    probability_of_improvement: Interval
+    n_lost: int  # number of episodes that failed
+    probability_of_improvement: Interval  # P(J < J_100) + ½ P(J = J_100) of the pinned costs [-]
+    #: (mean J_100 - mean J) / (mean J_100 - mean J_oracle) of the pinned costs, all means over the scenarios that have
+    #: an oracle [%]; None where none has, or the mean cost is not below the hundred's.
     gap_closed_percent: Interval | None
-    n_oracle: int
-    failures_percent: float
-    failures_percent_by_kind: Mapping[str, float]
+    n_oracle: int  # number of scenarios that have an oracle
+    failures_percent: float  # episodes that failed [%]
+    failures_percent_by_kind: Mapping[str, float]  # by the kinds in :data:`FAILURE_KINDS` and "other" [%]
+    #: Episodes that failed, or whose largest deviation was beyond :data:`DESIGN_DEVIATION_MHZ` [%].
     lost_or_beyond_percent: float
-    mean_pinned_cost: float
-    worst_decile_cost: float
-    mean_cost_terms: Mapping[str, float]
+    mean_pinned_cost: float  # [-]
+    worst_decile_cost: float  # mean pinned cost of the worst tenth of the scenarios of each training seed [-]
+    mean_cost_terms: Mapping[str, float]  # mean of every term of the cost as it was paid [-]
+    #: Median and 95th percentile of the largest deviations of the frequency of the centre of inertia from the nominal
+    #: one, up or down [mHz].
     median_deviation_mhz: float
     p95_deviation_mhz: float
-    median_nadir_hz: float
-    p95_rocof_hz_s: float
-    p95_peak_power_pu: float
-    p95_power_change_pu: float
-    mean_duty_error_percent: float
-    mean_energy_share_percent: float
+    median_nadir_hz: float  # [Hz]
+    p95_rocof_hz_s: float  # 95th percentile of the largest rates of change of frequency [Hz/s]
+    p95_peak_power_pu: float  # 95th percentile of the largest powers of any group [p.u.]
+    p95_power_change_pu: float  # 95th percentile of the largest changes of any group's power over 1 s [p.u.]
+    mean_duty_error_percent: float  # [%]
+    mean_energy_share_percent: float  # of the available energy [%]
 
 
 @dataclass(frozen=True, kw_only=True)
 class EntrySummary(EntryMeasures):
-    """One row of a ranking by the score, over all scenarios and training seeds of an entry.
+    """One row of a ranking by the score, over all scenarios and training seeds of an entry."""
 
-    Args:
-        score: mean of the scenarios' scores: 0 and 100 are those of the version's anchors, the zero and the hundred.
-        interquartile_mean: of the scenarios' scores.
-        difference: mean of the scenarios' scores minus the hundred's on the same scenario.
-        difference_to_above: the same, minus that of the entry above in the ranking; None for the first.
-        points_by_term: points above 100 by the cost terms they come from, by the names in :data:`POINTS` and
-            :data:`REST`; they add up to the score minus 100, see :func:`points_by_term`.
-    """
-
-    score: Interval
-    interquartile_mean: Interval
-    difference: Interval
-    difference_to_above: Interval | None
+    score: Interval  # mean of the scenarios' scores: 0 and 100 are those of the version's anchors
+    interquartile_mean: Interval  # of the scenarios' scores
+    difference: Interval  # mean of the scenarios' scores minus the hundred's on the same scenario
+    difference_to_above: Interval | None  # the same, minus that of the entry above in the ranking; None for the first
+    #: Points above 100 by the cost terms they come from, by the names in :data:`POINTS` and :data:`REST`; they add up
+    #: to the score minus 100, see :func:`points_by_term`.
     points_by_term: Mapping[str, float]
 
 

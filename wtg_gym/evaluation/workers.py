@@ -1,7 +1,7 @@
-"""Batches played by other processes, here or on a cluster, through joblib: one word chooses loky, Dask or Ray.
+"""Batches played by other processes, here or on a cluster: loky's, Dask's or Ray's.
 
-A worker that is lost costs the batches it had in hand: they are played again by another. A worker whose code, packages
-or processor could round otherwise than those here is refused.
+A cluster plays the batches of a worker that is lost again. A worker whose code, packages or processor could round
+otherwise than those here is refused.
 """
 
 from __future__ import annotations
@@ -9,28 +9,34 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import os
-import warnings
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+import socket
+import sys
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import as_completed
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
+
+import cloudpickle
 
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation.circumstances import circumstances
-from wtg_gym.evaluation.parcels import Outcome, Play, Played, opened, packed, work
+from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.extras import install_advice
-from wtg_gym.policies import Entry
+from wtg_gym.policies import Entry, PolicyError
 
-#: Backends of joblib: the package each of them needs, and the extra of wtg-gym that brings it.
+#: Backends: the package each of them needs, and the extra of wtg-gym that brings it.
 BACKENDS = {"loky": ("joblib", "cluster"), "dask": ("distributed", "cluster"), "ray": ("ray", "rllib")}
 _LARGEST_JOBS = 10_000
-#: Workers may be lost this often in a row without a batch finished in between.
-_ATTEMPTS = 3
 #: Time for a scheduler to answer [s].
 _CONNECT_S = 15
-#: A loky worker without anything to do ends after this time [s].
-_IDLE_S = 5
-#: Ray's results come a round at a time: so many batches per worker, that waiting for the last one costs little.
-_ROUND = 8
+
+#: The episodes of a batch, or how the entry's policy failed.
+Played = list[Episode] | PolicyError
+#: Plays one batch: entry, settings, seeds, number of threads.
+Play = Callable[[Entry, EnvSettings, Sequence[int], int | None], Played]
+#: Number of a batch, and its episodes, or in words why the worker could not play it.
+_Outcome = tuple[int, Played | str]
 
 
 @dataclass(frozen=True)
@@ -55,21 +61,18 @@ class Workers:
     jobs: int | None = None
 
     def __post_init__(self) -> None:
-        if self.backend not in BACKENDS:
-            raise ValueError(f"unknown backend {self.backend!r}; allowed are {', '.join(BACKENDS)}")
-        if self.address is not None and self.backend == "loky":
-            raise ValueError(
-                f"an address is for dask and ray, loky has workers on this machine only; got {self.address!r}"
-            )
-        jobs = self.jobs
+        backend, address, jobs = self.backend, self.address, self.jobs
+        if backend not in BACKENDS:
+            raise ValueError(f"unknown backend {backend!r}; allowed are {', '.join(BACKENDS)}")
+        if address is not None and backend == "loky":
+            raise ValueError(f"an address is for dask and ray, loky has workers on this machine only; got {address!r}")
         if jobs is not None and (isinstance(jobs, bool) or not isinstance(jobs, int) or not 2 <= jobs <= _LARGEST_JOBS):
             raise ValueError(f"jobs must be 2 … {_LARGEST_JOBS} (a single one needs no backend), got {jobs!r}")
-        if jobs is not None and self.address is not None and self.backend == "dask":
+        if jobs is not None and address is not None and backend == "dask":
             raise ValueError(f"a Dask cluster at an address uses all of its workers; leave out jobs, got {jobs}")
-        package, extra = BACKENDS[self.backend]
-        missing = [name for name in ("joblib", package) if importlib.util.find_spec(name) is None]
-        if missing:
-            raise ValueError(f"backend {self.backend} needs {missing[0]}; {install_advice(extra)}")
+        package, extra = BACKENDS[backend]
+        if importlib.util.find_spec(package) is None:
+            raise ValueError(f"backend {backend} needs {package}; {install_advice(extra)}")
 
     def play(
         self, play: Play, settings: EnvSettings, parts: Sequence[tuple[Entry, list[int]]]
@@ -83,152 +86,145 @@ class Workers:
 
         Raises:
             ValueError: an entry cannot travel or be played there, the cluster does not answer, a worker has other code,
-                packages or processor, or workers are lost again and again.
+                packages or processor, or is lost for good.
         """
-        wanted, parcels = circumstances(), packed([entry for entry, _ in parts], settings)
-        parent = os.getpid() if self.backend == "loky" else None
-        calls: dict[int, Any] = {
-            index: (work, (index, play, parcels[id(entry)], seeds, wanted, parent), {})
-            for index, (entry, seeds) in enumerate(parts)
-        }
-        outcomes = self._outcomes(calls, [entry.label for entry, _ in parts])
-        with contextlib.closing(outcomes):
-            for outcome in outcomes:
-                yield outcome.part, opened(outcome, wanted)
-
-    def _outcomes(self, calls: dict[int, Any], labels: Sequence[str]) -> Generator[Outcome, None, None]:
-        """Yield the outcomes of the calls, in any order; calls that are lost with a worker are made again."""
-        n_lost = 0
-        with self._started() as made:
-            while calls:
-                try:
-                    for outcome in made(list(calls.values())):
-                        n_lost = 0
-                        del calls[outcome.part]
-                        yield outcome
-                # Errors of a policy come as outcomes; this is the error of a lost worker.
-                except Exception as error:
-                    n_lost += 1
-                    if n_lost == _ATTEMPTS:
-                        names = ", ".join(dict.fromkeys(labels[index] for index in calls))
-                        raise ValueError(
-                            f"{self.backend} workers were lost {n_lost} times without a batch finished in between, "
-                            f"{type(error).__name__}: {_first_line(error)}; not finished: {names}"
-                        ) from error
-
-    @contextlib.contextmanager
-    def _started(self) -> Iterator[Callable[[list[Any]], Iterable[Outcome]]]:
-        """Start or reach the workers; yield a function that makes calls there, written as joblib's `delayed` does."""
-        if self.backend == "loky":
-            yield lambda calls: _unordered(calls, backend="loky", n_jobs=self.jobs or -1, idle_worker_timeout=_IDLE_S)
-        elif self.backend == "dask":
-            with self._dask() as client:
-                yield lambda calls: _unordered(calls, backend=_dask_backend(client), n_jobs=-1)
-        else:
-            with self._ray() as n_jobs:
-                yield lambda calls: _in_rounds(calls, n_jobs)
-
-    @contextlib.contextmanager
-    def _dask(self) -> Iterator[Any]:
-        import distributed
-
-        with contextlib.ExitStack() as stack:
-            target: Any = self.address
-            if target is None:
-                n_workers = self.jobs or os.cpu_count()
-                local = distributed.LocalCluster(
-                    n_workers=n_workers, threads_per_worker=1, dashboard_address="127.0.0.1:0"
-                )
-                target = stack.enter_context(local)
+        wanted, parcels = circumstances(), _packed([entry for entry, _ in parts], settings)
+        calls = [(index, play, parcels[id(entry)], seeds, wanted) for index, (entry, seeds) in enumerate(parts)]
+        make = {"loky": _on_loky, "dask": _on_dask, "ray": _on_ray}[self.backend]
+        with contextlib.closing(make(calls, self.address, self.jobs)) as outcomes:
             try:
-                if self.address is not None:
-                    # A client that was made for an address that is none takes half a minute to go.
-                    distributed.comm.get_address_host_port(self.address, strict=True)
-                client = distributed.Client(target, timeout=_CONNECT_S, set_as_default=False)
-            except (OSError, ValueError) as error:
-                raise ValueError(f"no Dask scheduler answers at {self.address}: {_first_line(error)}") from error
-            yield stack.enter_context(client)
-
-    @contextlib.contextmanager
-    def _ray(self) -> Iterator[int]:
-        import ray
-        from ray.util.joblib import register_ray
-
-        register_ray()
-        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-        options: dict[str, Any] = {"logging_level": "ERROR", "log_to_driver": False}
-        if self.address is None:
-            options.update(num_cpus=self.jobs or os.cpu_count(), include_dashboard=False)
-        try:
-            ray.init(self.address or "local", **options)
-        # Ray ends the process where a cluster that it remembers is gone.
-        except (ConnectionError, ValueError, SystemExit) as error:
-            raise ValueError(f"no Ray cluster answers at {self.address}: {_first_line(error)}") from error
-        try:
-            n_cpus = int(ray.cluster_resources().get("CPU", 0))
-            n_jobs = self.jobs or n_cpus
-            if not 2 <= n_jobs <= n_cpus:
-                raise ValueError(f"a Ray worker needs a CPU, and two of them at least: {n_jobs} jobs, {n_cpus} CPUs")
-            yield n_jobs
-        finally:
-            ray.shutdown()
+                for index, played in outcomes:
+                    if isinstance(played, str):
+                        raise ValueError(played)
+                    yield index, played
+            except ValueError:
+                raise
+            # What a policy raises comes as an outcome; this is the error of a worker that is lost.
+            except Exception as error:
+                raise ValueError(f"a {self.backend} worker was lost, {_in_short(error)}") from error
 
 
-def _first_line(error: BaseException) -> str:
-    # An exit has a number for its reason, if any.
-    return type(error).__name__ if isinstance(error, SystemExit) else str(error).strip().partition("\n")[0]
+# --- what travels ----------------------------------------------------------------------------------------------------
 
 
-# --- joblib ----------------------------------------------------------------------------------------------------------
+def _packed(entries: Sequence[Entry], settings: EnvSettings) -> dict[int, bytes]:
+    """Return each entry, together with the settings, as bytes, by the entry's id.
+
+    Bytes, because objects that Dask spreads out by itself are lost with the worker that holds them.
+
+    Raises:
+        ValueError: an entry cannot be pickled.
+    """
+    found: dict[int, bytes] = {}
+    with _own_code_by_value():
+        for entry in entries:
+            if id(entry) not in found:
+                try:
+                    found[id(entry)] = cloudpickle.dumps((entry, settings))
+                # Pickling runs code of the policy.
+                except Exception as error:
+                    raise ValueError(f"entry {entry.label!r} cannot be sent to other processes: {error}") from error
+    return found
 
 
-def _unordered(calls: list[Any], *, backend: Any, n_jobs: int, **options: Any) -> Iterator[Outcome]:
-    """Make the calls, and yield the results in the order of their ends."""
-    import joblib
-
-    with joblib.parallel_config(backend=backend, **options):
-        parallel = joblib.Parallel(n_jobs=n_jobs, batch_size=1, return_as="generator_unordered")
-    results = parallel(calls)
+@contextlib.contextmanager
+def _own_code_by_value() -> Iterator[None]:
+    """Let modules of the working folder travel as code: a worker elsewhere could not import them."""
+    folder = Path.cwd().resolve()
+    own = []
+    for name, module in list(sys.modules.items()):
+        path = Path(getattr(module, "__file__", None) or "/").resolve()
+        # An environment may lie in the working folder, and wtg_gym is what a worker must have of its own.
+        if not path.is_relative_to(folder) or "site-packages" in path.parts:
+            continue
+        if name.partition(".")[0] in ("__main__", "__mp_main__", "wtg_gym"):
+            continue
+        if name not in cloudpickle.list_registry_pickle_by_value():
+            own.append(module)
+    for module in own:
+        cloudpickle.register_pickle_by_value(module)
     try:
-        # Not `yield from`, which would close the results itself, and warn.
-        for result in results:  # noqa: UP028
-            yield result
+        yield
     finally:
-        with warnings.catch_warnings():
-            # The warning of unfinished calls, which are unfinished on purpose.
-            warnings.simplefilter("ignore")
-            results.close()
+        for module in own:
+            cloudpickle.unregister_pickle_by_value(module)
 
 
-def _in_rounds(calls: list[Any], n_jobs: int) -> Iterator[Outcome]:
-    """Make the calls on Ray in rounds, as its backend gives results back together only: a lost worker costs a round."""
-    import joblib
+def _work(index: int, play: Play, parcel: bytes, seeds: list[int], wanted: dict[str, str]) -> _Outcome:
+    """Play a batch in a worker; nothing is played where the circumstances are others than those wanted."""
+    worker, own = f"worker {socket.gethostname()}:{os.getpid()}", circumstances()
+    differing = [key for key in sorted({*wanted, *own}) if wanted.get(key) != own.get(key)]
+    if differing:
+        listed = "; ".join(f"{key} is {own.get(key, 'unknown')}, here {wanted.get(key)}" for key in differing)
+        return index, f"{worker} could give other numbers: {listed}"
+    try:
+        entry, settings = cloudpickle.loads(parcel)
+        return index, play(entry, settings, seeds, 1)
+    # Loading and playing run code of the policy.
+    except Exception as error:
+        return index, f"{worker} cannot play an entry: {type(error).__name__}: {error}"
 
-    with joblib.parallel_config(backend="ray", ray_remote_args={"num_cpus": 1}):
-        parallel = joblib.Parallel(n_jobs=n_jobs, batch_size=1)
-    with parallel:
-        for first in range(0, len(calls), _ROUND * n_jobs):
-            yield from parallel(calls[first : first + _ROUND * n_jobs])
+
+def _in_short(error: BaseException) -> str:
+    return f"{type(error).__name__}: {str(error).strip().partition(chr(10))[0]}"
 
 
-def _dask_backend(client: Any) -> Any:
-    from joblib._dask import DaskDistributedBackend
+# --- backends: make the calls of _work, and yield their outcomes as they come ----------------------------------------
 
-    class Backend(DaskDistributedBackend):  # type: ignore[misc]
-        """joblib's own leaves out the callback where Dask gives a call up, and would wait for ever."""
 
-        def effective_n_jobs(self, n_jobs: int) -> int:
-            # With a single one joblib would make the calls here.
-            return max(2, int(super().effective_n_jobs(n_jobs)))
+def _on_loky(calls: Sequence[Any], address: str | None, jobs: int | None) -> Generator[_Outcome, None, None]:
+    from joblib.externals.loky import ProcessPoolExecutor
 
-        def submit(self, func: Any, callback: Any = None) -> Any:
-            future = super().submit(func, callback)
-            future.add_done_callback(lambda done: done.exception() is None or callback(done.exception()))
-            return future
+    executor = ProcessPoolExecutor(jobs or os.cpu_count())
+    try:
+        for future in as_completed([executor.submit(_work, *call) for call in calls]):
+            yield future.result()
+    finally:
+        executor.shutdown(kill_workers=True)
 
-        def retrieve_result_callback(self, out: Any) -> Any:
-            if isinstance(out, BaseException):
-                raise ConnectionError(f"{type(out).__name__}: {out}") from out
-            return super().retrieve_result_callback(out)
 
-    return Backend(client=client)
+def _on_dask(calls: Sequence[Any], address: str | None, jobs: int | None) -> Generator[_Outcome, None, None]:
+    import distributed
+
+    with contextlib.ExitStack() as stack:
+        target: Any = address
+        try:
+            if address is None:
+                options = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
+                target = stack.enter_context(distributed.LocalCluster(n_workers=jobs or os.cpu_count(), **options))
+            else:
+                # A client that was made for an address that is none takes half a minute to go.
+                distributed.comm.get_address_host_port(address, strict=True)
+            client = stack.enter_context(distributed.Client(target, timeout=_CONNECT_S, set_as_default=False))
+        except (OSError, ValueError) as error:
+            raise ValueError(f"no Dask scheduler answers at {address}: {_in_short(error)}") from error
+        futures = [client.submit(_work, *call, pure=False) for call in calls]
+        with client.as_current():
+            completed = distributed.as_completed(futures)
+        for future in completed:
+            yield future.result()
+
+
+def _on_ray(calls: Sequence[Any], address: str | None, jobs: int | None) -> Generator[_Outcome, None, None]:
+    import ray
+
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    options: dict[str, Any] = {"logging_level": "ERROR", "log_to_driver": False}
+    if address is None:
+        options.update(num_cpus=jobs or os.cpu_count(), include_dashboard=False)
+    try:
+        ray.init(address or "local", **options)
+    # Ray ends the process where a cluster that it remembers is gone.
+    except (ConnectionError, ValueError, SystemExit) as error:
+        raise ValueError(f"no Ray cluster answers at {address}: {_in_short(error)}") from error
+    try:
+        play = ray.remote(num_cpus=1)(_work)
+        waiting: list[Any] = list(calls)
+        running: list[Any] = []
+        while waiting or running:
+            while waiting and len(running) < (jobs or len(calls)):
+                running.append(play.remote(*waiting.pop(0)))
+            done, running = ray.wait(running)
+            yield from ray.get(done)
+    finally:
+        ray.shutdown()

@@ -28,42 +28,7 @@ _FOLDER = re.compile(r"(?!.*(\.|\.toml)$)[A-Za-z0-9][A-Za-z0-9+._-]{0,79}", re.I
 _DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 _REQUIRED = ("name", "authors", "training_seed", "action_mode")
 _MOST_AUTHORS, _MOST_LINKS = 40, 5
-
-_TEMPLATE = """\
-# A submission: this file, policy.onnx and, if you like, a README.md, in a folder of their own. Nothing in it is code.
-# `wtg-gym submission check FOLDER` says whether it is accepted, and why not.
-
-# Stands in the table, must be filled in: letters, digits, blanks and ( ) + - . , = _. Policies trained with several
-# seeds are several folders of one name, each with its own training_seed; they share a row, whose interval covers them.
-name = ""
-
-# One sentence on what it is.
-description = ""
-
-# Who made it, at least one name, such as ["Jane Doe", "John Roe"].
-authors = []
-
-# Seed it was trained with.
-training_seed = 0
-
-# What its actions mean: "k", "tau" or "k+tau".
-action_mode = "k+tau"
-
-# What it sees: "local", what a group's own controller measures, or "privileged", the state of the grid as well.
-observation_mode = "local"
-
-# Which environment it is for: "GFMWTG-14bus-v0" or "GFMWTG-14bus-v1", whose observations differ.
-environment = "GFMWTG-14bus-v1"
-
-# Which law its actions modulate, by name: "coordinated-piecewise" is the published one.
-strategy = "coordinated-piecewise"
-
-# What it was trained on: suite, split, steps. Test scenarios are for scoring only.
-trained_on = "standard-v1, split train"
-
-# https addresses of a paper or of the training code.
-links = []
-"""
+_TEMPLATE = Path(__file__).with_name("entry_template.toml")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,7 +158,7 @@ def write_template(folder: Path, policy: Path | None = None) -> list[Path]:
             file or too large.
     """
     _check_folder_name(folder)
-    wanted = {ENTRY_FILE: _TEMPLATE.encode()}
+    wanted = {ENTRY_FILE: _TEMPLATE.read_bytes()}
     if policy is not None:
         wanted[POLICY_FILE] = _read(policy, FILES[POLICY_FILE])
     there = [name for name in wanted if (folder / name).exists()]

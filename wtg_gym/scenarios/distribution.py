@@ -27,19 +27,19 @@ from wtg_gym.physics.scenario import (
     trusted,
 )
 from wtg_gym.ranges import is_whole, require_bus, require_range
-from wtg_gym.scenarios.load_noise import noise_amplitude, noise_decay
-from wtg_gym.scenarios.picker import Picker, Span, pickers
-from wtg_gym.scenarios.stream import Words, draw_normals, seed_streams
+from wtg_gym.scenarios.stream import Picker, Span, Words, draw_normals, pickers, seed_streams
 from wtg_gym.scenarios.wind import (
     DRAWN_WIND_RANGE,
     FloatArray,
     coherent_ramp,
     extreme_operating_gust,
+    noise_amplitude,
+    noise_decay,
     ntm_sigma,
     period_length,
+    share_of_load,
     unit_turbulence_amplitude,
 )
-from wtg_gym.scenarios.wind_share import share_of_load
 
 #: Branches of the IEEE 14-bus system whose opening leaves the network in one piece.
 TRIPPABLE_LINES = (

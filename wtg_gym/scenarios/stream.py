@@ -11,8 +11,9 @@ generation", 2014 (PCG XSL RR 128/64); J. A. Doornik, "An improved ziggurat meth
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +25,10 @@ Words = npt.NDArray[np.uint64]
 FloatArray = npt.NDArray[np.float64]
 #: An unsigned integer; the compiler infers its size.
 Word = Any
+Span = tuple[float, float]
+T = TypeVar("T")
+#: Uniform numbers that a picker takes from a stream at a time.
+_N_UNIFORMS = 64
 
 #: Per layer of the ziggurat: its width over 2^52, the share of it that lies below the curve times 2^52, the density.
 _TABLE: FloatArray = np.load(Path(__file__).with_name("ziggurat.npy"))
@@ -203,3 +208,51 @@ def draw_normals(states: Words, scale: FloatArray, normals: FloatArray) -> None:
             second, high, low = _normal(high, low, add_high, add_low)
             normals[i, j, 0], normals[i, j, 1] = first * scale[i, j], second * scale[i, j]
         states[i, 0], states[i, 1] = high, low
+
+
+# --- plain values -----------------------------------------------------------------------------------------------------
+
+
+def pickers(states: Words) -> Iterator[Picker]:
+    """Yield one picker per stream; the numbers that most scenarios need are drawn for all streams at once."""
+    first = np.empty((states.shape[0], _N_UNIFORMS))
+    draw_uniforms(states, first)
+    for state, block in zip(states, first.tolist(), strict=True):
+        yield Picker(_uniforms(state[None, :], block).__next__)
+
+
+def _uniforms(state: Words, block: list[float]) -> Iterator[float]:
+    """Yield the numbers of a stream by the block, each block from its end."""
+    while True:
+        yield from reversed(block)
+        more = np.empty((1, _N_UNIFORMS))
+        draw_uniforms(state, more)
+        block = more[0].tolist()
+
+
+class Picker:
+    """Uniform draws of plain Python values."""
+
+    def __init__(self, uniform: Callable[[], float]) -> None:
+        self.uniform = uniform
+
+    def between(self, span: Span) -> float:
+        """Return a number of the span low … high."""
+        low, high = span
+        return low + (high - low) * self.uniform()
+
+    def chance(self, probability: float) -> bool:
+        """Return True with a probability."""
+        return self.uniform() < probability
+
+    def whole(self, low: int, high: int) -> int:
+        """Return one of the whole numbers low … high."""
+        return low + int((high - low + 1) * self.uniform())
+
+    def choice(self, options: Sequence[T]) -> T:
+        """Return one of the options."""
+        return options[self.whole(0, len(options) - 1)]
+
+    def instant(self, window: Span) -> float:
+        """Return an instant of the window, to a tenth of a second [s]."""
+        return round(self.between(window), 1)

@@ -1,4 +1,4 @@
-"""Wind as a WTG group feels it: turbulence averaged over rotor and group, gusts and ramps.
+"""Wind as a WTG group feels it: turbulence averaged over rotor and group, gusts and ramps; the noise of the load.
 
 A rotor averages the wind over its disk and a group averages it over its turbines, so the wind that drives a
 group is far smoother than the wind at a point. Both averages follow here from one coherence function, that of
@@ -8,12 +8,15 @@ IEC 61400-1 ed. 3, annex B, and both are filters |H(f)|² on the Kaimal spectrum
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics.parameters import TurbineParameters
+from wtg_gym.physics.aerodynamics import available_power_pu
+from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.physics.scenario import SERIES_DT, WIND_SPEED_RANGE
 from wtg_gym.ranges import require_range
 
@@ -234,3 +237,54 @@ def coherent_ramp(time_s: FloatArray, start_s: float, change_m_s: float, ramp_s:
         ramp_s: length of the ramp [s].
     """
     return change_m_s * np.clip((time_s - start_s) / ramp_s, 0.0, 1.0)
+
+
+def share_of_load(mean_winds: Sequence[float], turbines: Sequence[float], load_level: float) -> float:
+    """Return the share of the nominal load times `load_level` that turbines at nominal reserve cover.
+
+    Args:
+        mean_winds: of each WTG group [m/s].
+        turbines: number in each group.
+        load_level: factor on the loads of the modified IEEE 14-bus system.
+    """
+    turbine_mw, per_cubic_wind, load_mw = _share_constants()
+    given_mw = (
+        n * turbine_mw * min(per_cubic_wind * wind**3, 1.0) for n, wind in zip(turbines, mean_winds, strict=True)
+    )
+    return sum(given_mw) / (load_level * load_mw)
+
+
+@lru_cache(maxsize=1)
+def _share_constants() -> tuple[float, float, float]:
+    """Return a turbine's power at nominal reserve [MW], its available power at 1 m/s [p.u.] and the load [MW]."""
+    full, rated_mw = 1.0 - GridFormingParameters().deloading_nominal, TurbineParameters().rated_power_mw
+    return rated_mw * full, float(available_power_pu(1.0)), sum(bus.load_mw for bus in modified_ieee14().buses)
+
+
+# --- the noise of the load: an Ornstein-Uhlenbeck process that starts at zero, made from a stationary one -------------
+
+
+@lru_cache(maxsize=64)
+def noise_amplitude(correlation_s: float, n_period: int) -> FloatArray:
+    """Return the scale of each Fourier coefficient of a stationary Ornstein-Uhlenbeck series of variance 1.
+
+    Its samples are a first-order autoregression with phi = exp(-dt/T), whose spectrum is
+    2 dt (1 - phi²)/(1 - 2 phi cos(2π f dt) + phi²).
+    """
+    phi = math.exp(-SERIES_DT / correlation_s)
+    angle = 2.0 * math.pi * SERIES_DT * resolved_frequencies(n_period)
+    spectrum = 2.0 * SERIES_DT * (1.0 - phi**2) / (1.0 - 2.0 * phi * np.cos(angle) + phi**2)
+    amplitude = spectrum_amplitude(spectrum, n_period)
+    amplitude.setflags(write=False)
+    return amplitude
+
+
+@lru_cache(maxsize=64)
+def noise_decay(correlation_s: float, n_samples: int) -> FloatArray:
+    """Return exp(-t/T) at every sample t.
+
+    A stationary series minus exp(-t/T) times its first value is the process that starts at zero.
+    """
+    decay: FloatArray = np.exp(-SERIES_DT / correlation_s * np.arange(n_samples))
+    decay.setflags(write=False)
+    return decay

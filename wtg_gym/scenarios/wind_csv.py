@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import os
 from pathlib import Path
@@ -12,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.scenario import WIND_SPEED_RANGE
+from wtg_gym.ranges import require_range
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -35,33 +34,35 @@ def read_wind_csv(path: str | os.PathLike[str], *, duration_s: float | None = No
         ValueError: not such a file; the message names file, line, value and what is allowed.
         OSError: the file cannot be read.
     """
-    header, lines, cells = _read_rows(Path(path))
-    if len(cells) < 2:
-        raise ValueError(f"{path}: {len(cells)} data row(s) after the header, at least 2 are needed")
-    values = np.empty((len(cells), len(header)))
-    for row, (line, texts) in enumerate(zip(lines, cells, strict=True)):
-        if len(texts) != len(header):
-            raise ValueError(f"{path}, line {line}: {len(texts)} cells, the header has {len(header)}: {texts!r}")
-        for column, text in enumerate(texts):
-            values[row, column] = _number(f"{path}, line {line}, column {header[column]!r}", text, column > 0)
-    dt_s = _uniform_step(path, lines, values[:, 0])
+    header, *rows = _rows(Path(path))
+    if header[0] != "time_s" or len(header) < 2:
+        raise ValueError(f"{path}, line 1: the header is {','.join(header)[:80]!r} or empty; expected: {_FORMAT}")
+    if len(rows) < 2:
+        raise ValueError(f"{path}: {len(rows)} data row(s) after the header, at least 2 are needed")
+    values = np.empty((len(rows), len(header)))
+    for row, cells in enumerate(rows):
+        where = f"{path}, line {row + 2}"
+        if len(cells) != len(header):
+            raise ValueError(f"{where}: {len(cells)} cells, the header has {len(header)}: {cells!r}")
+        for column, (name, text) in enumerate(zip(header, cells, strict=True)):
+            values[row, column] = _number(f"{where}, column {name!r}", text, is_wind=column > 0)
+    dt_s = _uniform_step(path, values[:, 0])
     wind = np.ascontiguousarray(values[:, 1:].T)
     if duration_s is None:
         return wind, dt_s
-    if not (math.isfinite(duration_s) and duration_s > 0.0):
-        raise ValueError(f"duration_s must be a positive number of seconds, got {duration_s!r}")
+    duration_s = require_range("duration_s", duration_s, dt_s, 1e9, "s")
     n_samples = math.ceil(duration_s / dt_s - 1e-6) + 1
     if n_samples > wind.shape[1]:
         covered = (wind.shape[1] - 1) * dt_s
         raise ValueError(
-            f"{path}, line {lines[-1]}: the series ends after {covered:g} s, "
+            f"{path}, line {len(rows) + 1}: the series ends after {covered:g} s, "
             f"at least {duration_s:g} s ({n_samples} rows of {dt_s:g} s) are needed"
         )
     return wind[:, :n_samples].copy(), dt_s
 
 
-def _read_rows(path: Path) -> tuple[list[str], list[int], list[list[str]]]:
-    """Header, line numbers and cells of the data rows; empty lines are allowed at the end only."""
+def _rows(path: Path) -> list[list[str]]:
+    """Return the cells of every line, the header first; empty lines at the end do not count."""
     raw = path.read_bytes()
     try:
         text = raw.decode("utf-8-sig")
@@ -69,42 +70,18 @@ def _read_rows(path: Path) -> tuple[list[str], list[int], list[list[str]]]:
         line = raw.count(b"\n", 0, error.start) + 1
         bad = raw[error.start]
         raise ValueError(f"{path}, line {line}: byte 0x{bad:02x} is not UTF-8; expected text: {_FORMAT}") from error
-    if "\0" in text:
-        line = text.count("\n", 0, text.index("\0")) + 1
-        raise ValueError(f"{path}, line {line}: byte 0x00 in the file, it is not text; expected: {_FORMAT}")
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    lines: list[int] = []
-    rows: list[list[str]] = []
-    empty_line = 0
-    try:
-        for row in reader:
-            if not any(cell.strip() for cell in row) and len(row) < 2:
-                empty_line = empty_line or reader.line_num
-                continue
-            if empty_line:
-                raise ValueError(f"{path}, line {empty_line}: empty line before the end of the data")
-            lines.append(reader.line_num)
-            rows.append([cell.strip() for cell in row])
-    except csv.Error as error:
-        raise ValueError(f"{path}, line {reader.line_num}: not CSV ({error}); expected: {_FORMAT}") from error
-    if not rows:
-        raise ValueError(f"{path}, line 1: the file is empty; expected: {_FORMAT}")
-    header = rows[0]
-    if header[0] != "time_s" or len(header) < 2:
-        raise ValueError(f"{path}, line {lines[0]}: header {','.join(header)[:80]!r}; expected: {_FORMAT}")
-    return header, lines[1:], rows[1:]
+    return [[cell.strip() for cell in line.split(",")] for line in text.rstrip().split("\n")]
 
 
-def _number(where: str, text: str, is_wind: bool) -> float:
+def _number(where: str, text: str, *, is_wind: bool) -> float:
     low, high = WIND_SPEED_RANGE
     allowed = f"allowed are wind speeds of {low:g} … {high:g} m/s" if is_wind else "allowed are finite times in s"
-    if not text:
-        raise ValueError(f"{where}: empty cell; {allowed}")
     try:
         # Python reads 1_0 as ten; in a table it is a typing error.
         value = float("not a number" if "_" in text else text)
     except ValueError:
-        raise ValueError(f"{where}: {text[:40]!r} is not a number; {allowed}") from None
+        found = f"{text[:40]!r} is not a number" if text else "empty cell"
+        raise ValueError(f"{where}: {found}; {allowed}") from None
     if not math.isfinite(value):
         raise ValueError(f"{where}: {text!r} is not finite; {allowed}")
     if is_wind and not low <= value <= high:
@@ -112,22 +89,19 @@ def _number(where: str, text: str, is_wind: bool) -> float:
     return value
 
 
-def _uniform_step(path: str | os.PathLike[str], lines: list[int], time_s: FloatArray) -> float:
-    """Mean time step, or a ValueError that names the first line where the step is another one."""
+def _uniform_step(path: str | os.PathLike[str], time_s: FloatArray) -> float:
+    """Return the mean time step, or raise a ValueError that names the first line where the step is another one."""
     # Times such as 1e308 give steps that are not finite, which are refused below.
     with np.errstate(over="ignore", invalid="ignore"):
         steps = np.diff(time_s)
         usual = float(np.median(steps))
         wrong = np.flatnonzero(~(np.abs(steps - usual) <= _STEP_TOLERANCE * abs(usual)))
     low, high = _STEP_RANGE_S
-    if not low <= usual <= high and not wrong.size:
-        wrong = np.array([0])
-    if wrong.size:
-        row = int(wrong[0]) + 1
+    if not low <= usual <= high or wrong.size:
+        row = int(wrong[0]) + 1 if wrong.size else 1
         kind = "time does not increase" if steps[row - 1] <= 0.0 else "gap or change of step in time"
-        expected = f"the step must be uniform ({usual:g} s in most rows)" if usual > 0.0 else "time must increase"
         raise ValueError(
-            f"{path}, line {lines[row]}: {kind}: time_s goes from {time_s[row - 1]:g} to {time_s[row]:g} s; "
-            f"{expected} and within {low:g} … {high:g} s"
+            f"{path}, line {row + 2}: {kind}: time_s goes from {time_s[row - 1]:g} to {time_s[row]:g} s; "
+            f"the step must be uniform ({usual:g} s in most rows) and within {low:g} … {high:g} s"
         )
     return float((time_s[-1] - time_s[0]) / (len(time_s) - 1))
