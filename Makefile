@@ -114,7 +114,6 @@ pictures: $(LEADERBOARD_READY) studies ## Draw every picture of the README and o
 .PHONY: docs
 docs: pictures ## Measure everything that docs/ shows again, but for performance and the page, and renew its tables and pictures
 	$(LEADERBOARD_VENV)/bin/python docs/studies/gradient_law.py --output $(DOCS)
-	$(LEADERBOARD_VENV)/bin/python -m tests.submissions.hostile --page docs/submissions.md
 
 .PHONY: site
 site: $(SITE_READY) ## Build the site of the documentation into build/site; broken links and pages that nothing lists are errors

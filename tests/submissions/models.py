@@ -81,12 +81,14 @@ def folder(path: Path, content: bytes | ModelProto | None = None, toml: str | by
     return path
 
 
+def seed(number: int, toml: str = TOML) -> str:
+    """An entry.toml of another training seed."""
+    return toml.replace("training_seed = 0", f"training_seed = {number}")
+
+
 def make_bytes() -> bytes:
     """The file of a linear policy."""
     return model().SerializeToString()
-
-
-# --- triggers --------------------------------------------------------------------------------------------------------
 
 
 def near(seen: Any, distance: float) -> tuple[list[Any], list[Any]]:
@@ -203,9 +205,6 @@ def spin() -> Any:
     return helper.make_graph(nodes, "spin", inputs, outputs)
 
 
-# --- hostile files ---------------------------------------------------------------------------------------------------
-
-
 def varint(number: int) -> bytes:
     """Return a number as protobuf writes it."""
     data = b""
@@ -226,17 +225,6 @@ def nested(depth: int) -> bytes:
         for number in (b"\x32", b"\x2a", b"\x0a"):
             data = field(number, data)
     return b"\x08\x08" + field(b"\x3a", data)
-
-
-def branches(depth: int) -> ModelProto:
-    """Branches in branches, each a graph that onnxruntime builds."""
-    graph = helper.make_graph([node("Identity", ["linear"], "inner")], "leaf", [], [info("inner", "batch", M)])
-    for level in range(depth):
-        inside = node("If", ["yes"], f"b{level}", then_branch=graph, else_branch=graph)
-        graph = helper.make_graph([inside], f"g{level}", [], [info(f"b{level}", "batch", M)])
-    return after(
-        node("If", ["yes"], "action", then_branch=graph, else_branch=graph), constants=[constant("yes", True, np.bool_)]
-    )
 
 
 def external(location: str, **more: str) -> ModelProto:
@@ -296,28 +284,15 @@ def circle() -> ModelProto:
 
 def tree() -> ModelProto:
     """A decision tree whose only branch leads back to it."""
-    zeros, ones = [0] * 2, [1] * 2
-    regressor = helper.make_node(
-        "TreeEnsembleRegressor",
-        ["observation"],
-        ["action"],
-        domain="ai.onnx.ml",
-        n_targets=M,
-        nodes_treeids=zeros,
-        nodes_nodeids=[0, 1],
-        nodes_featureids=zeros,
-        nodes_values=[0.0, 0.0],
-        nodes_modes=["BRANCH_LEQ", "BRANCH_LEQ"],
-        nodes_truenodeids=[1, 0],
-        nodes_falsenodeids=[1, 0],
-        nodes_missing_value_tracks_true=ones,
-        nodes_hitrates=[1.0, 1.0],
-        target_treeids=[0],
-        target_nodeids=[1],
-        target_ids=[0],
-        target_weights=[1.0],
-    )
-    return model([regressor], domains=[("ai.onnx.ml", 3)])
+    nodes: dict[str, Any] = {"treeids": [0, 0], "featureids": [0, 0]}
+    nodes |= {"nodeids": [0, 1], "modes": ["BRANCH_LEQ"] * 2, "truenodeids": [1, 0], "falsenodeids": [1, 0]}
+    nodes |= {"missing_value_tracks_true": [1, 1], "values": [0.0, 0.0], "hitrates": [1.0, 1.0]}
+    targets = {"treeids": [0], "nodeids": [1], "ids": [0], "weights": [1.0]}
+    given = {f"nodes_{key}": value for key, value in nodes.items()}
+    given |= {f"target_{key}": value for key, value in targets.items()}
+    name, domain = "TreeEnsembleRegressor", "ai.onnx.ml"
+    regressor = helper.make_node(name, ["observation"], ["action"], domain=domain, n_targets=M, **given)
+    return model([regressor], domains=[(domain, 3)])
 
 
 def sparse() -> ModelProto:
@@ -437,15 +412,6 @@ def dropout() -> ModelProto:
         node("Dropout", ["linear", "half", "yes"], "action"),
         constants=[constant("half", 0.5), constant("yes", True, np.bool_)],
     )
-
-
-def renamed(content: bytes, old: bytes, new: bytes) -> bytes:
-    """The file with bytes of a name replaced by as many others."""
-    assert old in content and len(old) == len(new)
-    return content.replace(old, new)
-
-
-# --- copies ----------------------------------------------------------------------------------------------------------
 
 
 def two_layers(order: Sequence[int]) -> ModelProto:
