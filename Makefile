@@ -80,7 +80,6 @@ page: matrix verification ## Rank every entry on all suites and on fresh scenari
 	$(LEADERBOARD_VENV)/bin/wtg-gym results page $(PAGE_SUITES_V1:%=results/%-test.json) $(PAGE_SENSORS:%=results/%/standard-v1-test.json) \
 	    $(PAGE_SUITES:%=results/%-test.json) results/standard-fresh.json --output docs/leaderboard.html
 
-# Its fonts and its browser are those of the machine: `make docs-check` leaves this picture out.
 CHROMIUM ?= $(firstword $(foreach name,chromium chromium-browser google-chrome,$(shell command -v $(name))) chromium)
 
 .PHONY: page-picture
@@ -93,27 +92,25 @@ live-picture: $(TEST_READY) ## Take the picture of the page of play that docs/ho
 	PIP_CONSTRAINT=constraints.txt $(TEST_VENV)/bin/python -m pip install --quiet --editable '.[browser]'
 	$(TEST_VENV)/bin/python docs/images/live.py docs/images/live-play.png
 
-# Which folder `make pictures` and `make studies` renew; `make docs-check` lets them renew a copy.
-DOCS := docs
 # Those that take minutes; `make docs` and `make conditions` run the others.
 STUDIES := physics validation small_signal gradients reference one_event
 
 .PHONY: studies
 studies: $(LEADERBOARD_READY) ## Run the studies of docs/studies and renew their tables and pictures (half an hour)
-	for study in $(STUDIES); do $(LEADERBOARD_VENV)/bin/python docs/studies/$$study.py --output $(DOCS) || exit; done
+	for study in $(STUDIES); do $(LEADERBOARD_VENV)/bin/python docs/studies/$$study.py --output docs || exit; done
 
 .PHONY: pictures
 pictures: $(LEADERBOARD_READY) studies ## Draw every picture of the README and of docs/ that is not a measurement of time, and renew the tables beside them
-	$(LEADERBOARD_VENV)/bin/wtg-gym simulate --case load-increase --strategy mppt --strategy deloaded-5 --strategy deloaded-10 --strategy coordinated-piecewise --plot $(DOCS)/images/load-increase.png
-	$(LEADERBOARD_VENV)/bin/python docs/images/rooms.py $(DOCS)/images/rooms.svg
-	$(LEADERBOARD_VENV)/bin/python docs/images/render.py $(DOCS)/images/render.png $(DOCS)/images/render-v1.png
-	$(LEADERBOARD_VENV)/bin/wtg-gym reproduce --output $(DOCS)/validation --formats svg --page $(DOCS)/validation.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym simulate --case load-increase --strategy mppt --strategy deloaded-5 --strategy deloaded-10 --strategy coordinated-piecewise --plot docs/images/load-increase.png
+	$(LEADERBOARD_VENV)/bin/python docs/images/rooms.py docs/images/rooms.svg
+	$(LEADERBOARD_VENV)/bin/python docs/images/render.py docs/images/render.png docs/images/render-v1.png
+	$(LEADERBOARD_VENV)/bin/wtg-gym reproduce --output docs/validation --formats svg --page docs/validation.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym evaluate --suite standard-v1 --entries baselines policies --results results
-	$(LEADERBOARD_VENV)/bin/wtg-gym results front results/standard-v1-validation.json --plot $(DOCS)/images/front-v1.svg
+	$(LEADERBOARD_VENV)/bin/wtg-gym results front results/standard-v1-validation.json --plot docs/images/front-v1.svg
 
 .PHONY: docs
 docs: pictures ## Measure everything that docs/ shows again, but for performance and the page, and renew its tables and pictures
-	$(LEADERBOARD_VENV)/bin/python docs/studies/gradient_law.py --output $(DOCS)
+	$(LEADERBOARD_VENV)/bin/python docs/studies/gradient_law.py --output docs
 
 .PHONY: site
 site: $(SITE_READY) ## Build the site of the documentation into build/site; broken links and pages that nothing lists are errors
@@ -131,18 +128,9 @@ conditions: $(TEST_READY) ## Measure whether standard-v1 is a good problem, and 
 	$(TEST_VENV)/bin/python docs/studies/planner.py
 	$(TEST_VENV)/bin/python docs/studies/conditions.py
 
-.PHONY: docs-check
-docs-check: $(LEADERBOARD_READY) ## Draw the pictures into a copy of docs/ and name those that differ from the ones in docs/
-	rm -rf build/docs
-	mkdir -p build
-	cp -R docs build/docs
-	find build/docs '(' -name '*.png' -o -name '*.svg' ')' -delete
-	$(MAKE) --no-print-directory pictures DOCS=build/docs
-	$(LEADERBOARD_VENV)/bin/python -m tests.pictures docs build/docs
-
 .PHONY: performance
 performance: $(TEST_READY) ## Measure speed again; on a machine that does nothing else (ten minutes)
-	$(TEST_VENV)/bin/python docs/studies/performance.py --output $(DOCS)
+	$(TEST_VENV)/bin/python docs/studies/performance.py --output docs
 
 .PHONY: golden
 golden: $(GOLDEN_READY) ## Make the golden cases of ANDES again, in an environment of its own (half an hour)
@@ -160,7 +148,7 @@ test-rllib: $(RLLIB_READY) ## Run the tests that need Ray, which `make test` ski
 	$(RLLIB_VENV)/bin/python -m pytest tests/agents/test_rllib.py tests/evaluation/test_workers.py
 
 .PHONY: integrations
-integrations: $(TEST_READY) ## Run the programs of docs/integrations.md, each in an environment of its own, and renew its table (an hour)
+integrations: $(TEST_READY) ## Run the programs of docs/integrations.md, each in an environment of its own (an hour)
 	$(TEST_VENV)/bin/python -m tests.integrations
 
 .PHONY: test

@@ -1,60 +1,52 @@
-"""Facts about the installed package."""
+"""Facts about the installed package, and the files that a release is made from."""
 
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 import sys
-from collections import Counter
+import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
+import yaml
 
 import wtg_gym
 
 ROOT = Path(__file__).parent.parent
+HEAVY = {"torch", "onnx", "onnxruntime", "matplotlib", "pandas", "stable_baselines3", "rich", "baselines", "agents"}
 
 
-def test_importing_the_package_loads_nothing_heavy() -> None:
-    program = "import sys, json, wtg_gym; print(json.dumps(sorted({m.split('.')[0] for m in sys.modules})))"
+def test_importing_the_package_loads_nothing_heavy_and_environments_are_found_by_module_and_id() -> None:
+    program = "import sys, wtg_gym, gymnasium; print(*sys.modules); gymnasium.make('wtg_gym:GFMWTG-14bus-v0')"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    loaded = set(json.loads(done.stdout))
-    assert not loaded & {
-        "torch",
-        "onnx",
-        "onnxruntime",
-        "matplotlib",
-        "pandas",
-        "stable_baselines3",
-        "rich",
-        "baselines",
-        "agents",
-    }
+    assert not {name.partition(".")[0] for name in done.stdout.split()} & HEAVY
 
 
 def test_public_names_are_those_of_their_modules_and_no_others() -> None:
     assert all(getattr(wtg_gym, name) is not None and name in dir(wtg_gym) for name in wtg_gym.__all__)
-    assert wtg_gym.GFMWTGEnv is wtg_gym.envs.GFMWTGEnv and wtg_gym.evaluate is wtg_gym.evaluation.evaluate
     with pytest.raises(AttributeError, match="no attribute 'evaluat'"):
         wtg_gym.evaluat  # noqa: B018
-
-
-def test_no_two_modules_have_one_name() -> None:
-    files = [file for package in ("wtg_gym", "agents", "baselines") for file in (ROOT / package).rglob("*.py")]
-    names = Counter(file.stem for file in files if not file.stem.startswith("__"))
-    assert len(names) > 100
-    assert [name for name, number in names.items() if number > 1] == []
-
-
-def test_package_is_typed() -> None:
     assert (Path(wtg_gym.__file__).parent / "py.typed").exists()
 
 
-def test_environment_is_found_by_module_and_id() -> None:
-    program = "import gymnasium; gymnasium.make('wtg_gym:GFMWTG-14bus-v0'); print('made')"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "made"
+def _read(path: str) -> Any:
+    text = (ROOT / path).read_text(encoding="utf-8")
+    return tomllib.loads(text) if path.endswith(".toml") else yaml.safe_load(text)
+
+
+def test_release_files_agree() -> None:
+    project, recipe, citation = _read("pyproject.toml")["project"], _read("conda/recipe.yaml"), _read("CITATION.cff")
+    (newest, *_) = re.findall(r"^## \[(.+)\] - ", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert {recipe["context"]["version"], citation["version"], newest} == {project["version"]}
+    needed = [f"python{project['requires-python']}", *project["dependencies"]]
+    asked = [[each.replace(" ", "") for each in names] for names in (recipe["requirements"]["run"], needed)]
+    assert sorted(asked[0]) == sorted(asked[1])
+    archive = json.loads((ROOT / ".zenodo.json").read_text(encoding="utf-8"))
+    assert (archive["title"], archive["license"]) == (citation["title"], project["license"])
 
 
 @pytest.mark.skipif(shutil.which("git") is None or not (ROOT / ".git").exists(), reason="needs a checkout and git")

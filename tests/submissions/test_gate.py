@@ -144,7 +144,7 @@ WIDTHS = "it takes {} observations and gives {} actions; in its modes there are 
     ("content", "text"),
     [
         (after(node("Not", ["linear"], "action")), "onnxruntime cannot load the policy"),
-        (models.privileged(), WIDTHS.format(35, 4)),
+        (models.linear(35, 4), WIDTHS.format(35, 4)),
         (models.of_v1(), WIDTHS.format(32, 8)),
     ],
 )

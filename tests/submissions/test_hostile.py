@@ -120,12 +120,11 @@ def _mislabelled(name: str, kind: int, **values: Any) -> Build:
 
 def _doubled() -> ModelProto:
     """Actions of another shape than declared."""
-    twice = node("Concat", ["observation", "observation"], "twice", axis=0)
-    return make([twice, node("MatMul", ["twice", "weights"], "action")])
+    return make(models.nodes_of("twice = Concat<axis = 0>(observation, observation)\naction = MatMul(twice, weights)"))
 
 
 def _running_sum() -> ModelProto:
-    return after(node("CumSum", ["linear", "first"], "action"), constants=[constant("first", 0, np.int64)])
+    return after("action = CumSum(linear, first)", first=0)
 
 
 _INT_MIN = -(2**31)
