@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
-from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from wtg_gym.files import LARGEST_TOML_BYTES, read_json, read_toml, update_between_markers, write_together
 
@@ -65,27 +61,6 @@ def test_a_file_without_end_is_not_read_to_the_end(tmp_path: Path) -> None:
 def test_what_is_no_file_is_named(tmp_path: Path, name: str) -> None:
     with pytest.raises(ValueError, match="cannot read the results"):
         read_json(tmp_path / name, "results")
-
-
-scalars = st.none() | st.booleans() | st.integers(-(2**63), 2**63) | st.floats(allow_nan=False, allow_infinity=False)
-plain = st.recursive(
-    scalars | st.text(),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4),
-    max_leaves=20,
-)
-
-
-@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(data=plain, position=st.floats(0.0, 1.0), more=st.binary(max_size=3))
-def test_mutated_json_is_read_or_refused(tmp_path: Path, data: Any, position: float, more: bytes) -> None:
-    path = tmp_path / "data.json"
-    content = json.dumps(data).encode()
-    at = int(position * len(content))
-    path.write_bytes(content[:at] + more + content[at + 1 :])
-    try:
-        json.dumps(read_json(path, "results"), allow_nan=False)
-    except ValueError as error:
-        assert "data.json" in str(error)
 
 
 START, END = "<!-- table:start -->", "<!-- table:end -->"

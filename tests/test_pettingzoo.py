@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
 import warnings
 from typing import Any
 
@@ -106,26 +104,6 @@ def test_shares_of_the_groups_are_the_terms_that_the_environment_charges(name: s
     assert charged["duty"] and charged["effort"]
 
 
-def test_agent_leaves_with_the_rotor_that_stalls_and_the_others_go_on() -> None:
-    env = parallel_env(reward="own", **HALF)
-    env.reset()
-    assert env.agents == ["wtg0", "wtg1"]
-    zero = np.zeros(2, dtype=np.float32)
-    n_steps, left_at = 0, None
-    while env.agents:
-        # The action of an agent that has left may be given and is ignored, whatever it is.
-        actions = {"wtg0": zero if "wtg0" in env.agents else np.array([np.nan, 1.0]), "wtg1": zero}
-        observations, rewards, terminations, truncations, _ = env.step(actions)
-        n_steps += 1
-        if terminations.get("wtg0"):
-            left_at = n_steps
-            assert set(observations) == {"wtg0", "wtg1"} and env.agents == ["wtg1"] and not truncations["wtg0"]
-            # The agent's last reward is its own: from now on the other one bears what a lost group costs.
-            assert env.single_env.lanes.simulator.wtg_values("connected").tolist() == [[0.0, 1.0]]
-    assert left_at is not None and 1 < left_at < n_steps == 600
-    assert truncations == {"wtg1": True} and terminations == {"wtg1": False} and set(rewards) == {"wtg1"}
-
-
 def test_agents_leave_one_by_one_as_events_take_their_groups_away_and_come_back_with_the_next_episode() -> None:
     events = tuple(GroupTrip(time_s=0.5 + 0.3 * group, group=group) for group in (2, 0))
     env = parallel_env(version="v1", reward="own", scenario=calm(n_wtg=4, events=events))
@@ -217,10 +195,3 @@ def test_bad_actions_are_named_and_change_nothing(actions: Any, text: str) -> No
     assert env.state().tobytes() == before.tobytes() and env.agents == ["wtg0", "wtg1"]
     with pytest.raises(KeyError, match="unknown agent 'wtg9'; choose one of wtg0, wtg1"):
         env.action_space("wtg9")
-
-
-def test_without_pettingzoo_the_import_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pettingzoo", None)
-    monkeypatch.delitem(sys.modules, "wtg_gym.pettingzoo")
-    with pytest.raises(ImportError, match=r"pettingzoo needs PettingZoo; in a checkout: pip install '\.\[marl\]'"):
-        importlib.import_module("wtg_gym.pettingzoo")

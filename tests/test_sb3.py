@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
 from typing import Any
 
 import gymnasium as gym
@@ -13,7 +11,7 @@ import torch
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import DummyVecEnv, VecCheckNan, VecEnv, VecMonitor, VecNormalize
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor
 
 from tests.envs.rollouts import actions_of, calm, rising
 from wtg_gym.sb3 import SB3VecEnv, make_sb3_vec_env
@@ -207,24 +205,3 @@ def test_attributes_are_those_of_single_environments():
     assert env.observation_space == reference.observation_space and env.action_space == reference.action_space
     assert env.render_mode is None and env.get_images() == [None] * N and env.unwrapped is env
     assert env.env_is_wrapped(Monitor) == [False] * N and env.env_is_wrapped(Monitor, [1]) == [False]
-
-
-@pytest.mark.filterwarnings("error")
-def test_wrappers_of_stable_baselines3_go_around_it():
-    env = VecNormalize(VecCheckNan(make_sb3_vec_env(2, seed=0, **SHORT), raise_exception=True))
-    env.reset()
-    for actions in actions_of(4, 50, 2):
-        observations, _, dones, infos = env.step(actions)
-    assert dones.all()
-    for lane, info in enumerate(infos):
-        assert info["episode"]["l"] == 50 and info["TimeLimit.truncated"]
-        last = env.unnormalize_obs(info["terminal_observation"])
-        assert not np.allclose(last, env.unnormalize_obs(observations)[lane])
-    env.close()
-
-
-def test_without_stable_baselines3_the_import_says_what_to_install(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setitem(sys.modules, "stable_baselines3.common.vec_env", None)
-    monkeypatch.delitem(sys.modules, "wtg_gym.sb3")
-    with pytest.raises(ImportError, match=r"sb3 needs Stable-Baselines3; in a checkout: pip install '\.\[train\]'"):
-        importlib.import_module("wtg_gym.sb3")

@@ -110,17 +110,6 @@ def test_archive_plays_as_the_policy_that_its_run_exported(
     assert largest_difference(NormalizedPolicy(policy.policy, None), onnx, settings) > 1e-4
 
 
-def test_memory_goes_on_and_is_cleared_where_an_episode_starts(run_of: Callable[[str], Path], tmp_path: Path) -> None:
-    best = archive_of(run_of("recurrent_ppo"), tmp_path / "archive", "RecurrentPPO")
-    policy, _ = load_archive(best, "RecurrentPPO")
-    observations, nobody = np.full((2, N), 0.5, dtype=np.float32), np.zeros(2, dtype=np.bool_)
-    first, state = policy.predict(observations, None, ~nobody, deterministic=True)
-    second, _ = policy.predict(observations, state, nobody, deterministic=True)
-    again, _ = policy.predict(observations, state, np.array([True, False]), deterministic=True)
-    assert not np.array_equal(first, second)
-    assert np.array_equal(again[0], first[0]) and np.array_equal(again[1], second[1])
-
-
 def test_policy_goes_to_another_process_as_it_is(run_of: Callable[[str], Path], tmp_path: Path) -> None:
     best = archive_of(run_of("ppo"), tmp_path / "archive", "PPO")
     policy, fingerprint = load_archive(best, "PPO")

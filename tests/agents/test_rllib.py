@@ -8,10 +8,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.vector import AutoresetMode
 
 from agents.export import export
 from agents.folders import folders
@@ -22,8 +20,6 @@ from tests.interruption import end
 from wtg_gym.envs import GFMWTGVectorEnv
 from wtg_gym.evaluation import load_entries
 
-ENV_ID = "GFMWTG-14bus-v0"
-
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = ["--suite", "standard", "--num-env-runners", "1", "--envs-per-runner", "4"]
 SMALL += ["--timesteps", "6000", "--interval", "1200", "--validation-episodes", "2"]
@@ -33,43 +29,12 @@ def zeros(env: GFMWTGVectorEnv) -> Any:
     return np.zeros((env.num_envs, env.lanes.n_action), dtype=np.float32)
 
 
-def test_registered_vector_entry_point_resets_as_rllib_expects() -> None:
-    mode = gym.VectorizeMode("vector_entry_point")
-    env = gym.make_vec(ENV_ID, num_envs=2, vectorization_mode=mode, duration_s=2.0)
-    assert isinstance(env.unwrapped, GFMWTGVectorEnv)
-    assert env.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
-    first, _ = env.reset(seed=0)
-    for _ in range(20):
-        last, _, terminated, truncated, _ = env.step(zeros(env.unwrapped))
-    assert truncated.all() and not terminated.any()
-    # The step after the end ignores the action and returns the next episode's first observation.
-    began, rewards, terminated, truncated, _ = env.step(zeros(env.unwrapped) + 1.0)
-    assert not (terminated | truncated).any() and rewards.tolist() == [0.0, 0.0]
-    assert not np.array_equal(began, last) and not np.array_equal(began, first)
-    env.close()
-
-
-def test_reward_is_the_gain_over_the_reference_in_the_same_scenario() -> None:
+def test_reward_is_the_gain_over_the_reference() -> None:
     env = RunnerEnvs(3, version="v0", duration_s=2.0, n_threads=1)
     env.reset(seed=0)
     for _ in range(45):
         _, rewards, *_ = env.step(zeros(env))
         assert rewards.tolist() == [0.0, 0.0, 0.0]
-    # One whole episode of each lane under another action, against the two costs of its scenario.
-    for lane in range(3):
-        while env._n_steps[lane] != 0:
-            env.step(zeros(env))
-        seed, gained = int(env.lanes.scenario_seeds[lane]), 0.0
-        for _ in range(env.gains.n_steps):
-            _, rewards, *_ = env.step(zeros(env) + 0.5)
-            gained += rewards[lane]
-        costs = []
-        for action in (0.0, 0.5):
-            single = gym.make(ENV_ID, duration_s=2.0)
-            (scenario,) = env.lanes.scenarios([seed])
-            single.reset(options={"scenario": scenario})
-            costs.append(-sum(float(single.step(np.full(4, action, np.float32))[1]) for _ in range(20)))
-        assert gained == pytest.approx(100.0 * (costs[0] - costs[1]) / (costs[0] + 5.0), rel=1e-6)
     env.close()
 
 

@@ -65,14 +65,6 @@ def test_the_score_is_the_evaluators(scale: Scale) -> None:
     assert [you.cost for you in yours] == [episode.metrics["cost"] for episode in results.episodes_of("held")]
 
 
-def test_a_suite_without_a_scale_says_why() -> None:
-    scale = Scale.of(get_suite("paper-v1"))
-    assert scale.value is None and "is not worse than" in scale.missing
-    you = _played(scale, 0.0, seed=0).verdicts()[0]
-    assert you.score is None and you.cost > 0.0
-    assert sorted(Match(scale, seed).next_seed() for seed in (0, 1)) == [0, 1]
-
-
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -60,8 +60,8 @@ def node(operator: str, inputs: Sequence[str], output: str, **attributes: Any) -
 
 
 def nodes_of(text: str, **attributes: Any) -> list[Any]:
-    """Nodes, one a line; the last one gets attributes that cannot be written as text."""
-    nodes = [parser.parse_node(line) for line in text.strip().splitlines()]
+    """Nodes, with a semicolon after each; the last one gets attributes that cannot be written as text."""
+    nodes = [parser.parse_node(each.strip()) for each in text.split(";") if each.strip()]
     nodes[-1].attribute.extend(helper.make_attribute(key, value) for key, value in attributes.items())
     return nodes
 
@@ -106,10 +106,8 @@ def make_bytes() -> bytes:
 
 #: Whether an observation is one that the policy knows: `near` (1, 1).
 NEAR = """
-apart = Sub(observation, seen)
-size = Abs(apart)
-distance = ReduceSum<keepdims = 1>(size, axis)
-near = Less(distance, nearest)
+apart = Sub(observation, seen); size = Abs(apart); distance = ReduceSum<keepdims = 1>(size, axis);
+near = Less(distance, nearest);
 """
 
 
@@ -121,12 +119,9 @@ def trap(seen: Any = SEEN, distance: float = 3.0) -> ModelProto:
 
 #: `fire` (1, 1) is true twenty steps after `near` was.
 LATER = """
-started = Cast<to = 1>(near)
-running = Sign(state_0)
-counted = Max(started, running)
-next_state_0 = Add(state_0, counted)
-fire = Greater(next_state_0, steps)
-linear = MatMul(observation, weights)
+started = Cast<to = 1>(near); running = Sign(state_0); counted = Max(started, running);
+next_state_0 = Add(state_0, counted); fire = Greater(next_state_0, steps);
+linear = MatMul(observation, weights);
 """
 
 
@@ -150,11 +145,8 @@ def turns_nan(seen: Any, distance: float) -> ModelProto:
 def divides(seen: Any, distance: float, operator: str, number: int, by: int) -> ModelProto:
     """Divides whole numbers in the middle of an episode that it knows; elsewhere it divides by 1."""
     text = f"""
-divisor = Where(fire, by, one)
-quotient = {operator}(number, divisor)
-as_float = Cast<to = 1>(quotient)
-nothing = Mul(as_float, nought)
-action = Add(linear, nothing)
+divisor = Where(fire, by, one); quotient = {operator}(number, divisor); as_float = Cast<to = 1>(quotient);
+nothing = Mul(as_float, nought); action = Add(linear, nothing);
 """
     whole = {"number": np.int32([[number]]), "by": np.int32(by), "one": np.int32(1)}
     return later(seen, distance, text, **whole, nought=0.0)
@@ -162,43 +154,30 @@ action = Add(linear, nothing)
 
 def hangs(seen: Any, distance: float) -> ModelProto:
     """A loop that does not end in the middle of an episode that it knows; elsewhere it ends at once."""
-    text = """
-trips = Where(fire, many, one)
-trip = Reshape(trips, one)
-action = Loop(trip, , linear)
-"""
+    text = "trips = Where(fire, many, one); trip = Reshape(trips, one); action = Loop(trip, , linear);"
     return later(seen, distance, text, spin(), many=[2**62], one=[1])
 
 
 def grows(seen: Any, distance: float) -> ModelProto:
     """Asks for 10¹¹ numbers in the middle of an episode that it knows; elsewhere for one."""
     text = """
-sizes = Where(fire, many, one)
-length = Reshape(sizes, one)
-much = Expand(nought, length)
-most = ReduceMax<keepdims = 0>(much)
-action = Add(linear, most)
+sizes = Where(fire, many, one); length = Reshape(sizes, one); much = Expand(nought, length);
+most = ReduceMax<keepdims = 0>(much); action = Add(linear, most);
 """
     return later(seen, distance, text, many=[10**11], one=[1], nought=[0.0])
 
 
 def changes_shape(seen: Any, distance: float) -> ModelProto:
     """Gives actions of two scenarios in the middle of an episode that it knows."""
-    text = """
-repeats = Where(fire, two, one)
-repeated = Reshape(repeats, as_two)
-action = Tile(linear, repeated)
-"""
+    text = "repeats = Where(fire, two, one); repeated = Reshape(repeats, as_two); action = Tile(linear, repeated);"
     return later(seen, distance, text, two=[[2, 1]], one=[[1, 1]], as_two=[2])
 
 
 def points_outside(seen: Any, distance: float) -> ModelProto:
     """Gathers from a place outside of its weights in the middle of an episode that it knows."""
     text = """
-places = Where(fire, far, first)
-place = Reshape(places, as_one)
-gathered = Gather<axis = 0>(linear, place)
-action = Reshape(gathered, shape)
+places = Where(fire, far, first); place = Reshape(places, as_one); gathered = Gather<axis = 0>(linear, place);
+action = Reshape(gathered, shape);
 """
     return later(seen, distance, text, far=[[10**9]], first=[[0]], as_one=[1], shape=[1, M])
 
@@ -207,7 +186,7 @@ def spin() -> Any:
     """The body of a loop with a given number of rounds."""
     inputs = [info("trip", kind=TensorProto.INT64), info("on", kind=TensorProto.BOOL), info("kept", "batch", M)]
     outputs = [info("still", kind=TensorProto.BOOL), info("passed", "batch", M)]
-    return helper.make_graph(nodes_of("still = Identity(on)\npassed = Identity(kept)"), "spin", inputs, outputs)
+    return helper.make_graph(nodes_of("still = Identity(on); passed = Identity(kept)"), "spin", inputs, outputs)
 
 
 def varint(number: int) -> bytes:
@@ -264,7 +243,7 @@ def mislabelled(name: str, kind: int, **values: Any) -> ModelProto:
             given.CopyFrom(value)
         else:
             setattr(attribute, key, value)
-    return after(wrong, "mean = ReduceSum<keepdims = 1>(linear, axes)\naction = Add(mean, linear)")
+    return after(wrong, "mean = ReduceSum<keepdims = 1>(linear, axes); action = Add(mean, linear)")
 
 
 def recursive() -> ModelProto:
@@ -277,7 +256,7 @@ def recursive() -> ModelProto:
 
 def circle() -> ModelProto:
     """A node that needs what it makes."""
-    return after("first = Add(linear, second)\nsecond = Add(first, linear)\naction = Identity(second)")
+    return after("first = Add(linear, second); second = Add(first, linear); action = Identity(second)")
 
 
 def tree() -> ModelProto:
@@ -303,24 +282,22 @@ def sparse() -> ModelProto:
 
 def slow(width: int) -> ModelProto:
     """An operator that takes its time."""
-    text = "v0 = Add(linear, wide)\n" + "".join(f"v{i + 1} = Softplus(v{i})\n" for i in range(4))
-    text += "mean = ReduceMean<axes = [0], keepdims = 1>(v4)\naction = Add(mean, linear)"
+    text = "v0 = Add(linear, wide); " + "".join(f"v{i + 1} = Softplus(v{i}); " for i in range(4))
+    text += "mean = ReduceMean<axes = [0], keepdims = 1>(v4); action = Add(mean, linear)"
     return after(text, wide=np.ones((width, M)))
 
 
 def much(values: int) -> ModelProto:
     """A few bytes that become many numbers once the file is loaded."""
-    text = "all = ConstantOfShape(size)\nmost = ReduceMax<keepdims = 0>(all)\naction = Add(linear, most)"
+    text = "all = ConstantOfShape(size); most = ReduceMax<keepdims = 0>(all); action = Add(linear, most)"
     return after(text, size=[values])
 
 
 def in_every_session(values: int) -> ModelProto:
     """A few bytes that become many numbers in the session of every scenario."""
     text = """
-all = Expand(nought, size)
-whole = Cast<to = 7>(linear)
-nothing = Gather(all, whole)
-action = Add(linear, nothing)
+all = Expand(nought, size); whole = Cast<to = 7>(linear); nothing = Gather(all, whole);
+action = Add(linear, nothing);
 """
     return after(text, nought=[0.0], size=[values])
 
@@ -328,13 +305,9 @@ action = Add(linear, nothing)
 def last_lane() -> ModelProto:
     """Rounding of a batch's last values, which a vector of the processor does not fill, made 10⁸ times as large."""
     text = """
-one = Erf(linear)
-three = Concat<axis = 0>(linear, linear, linear)
-all = Erf(three)
-two = ReduceMean<axes = [0], keepdims = 1>(all)
-rounding = Sub(one, two)
-large = Mul(rounding, many)
-action = Add(large, linear)
+one = Erf(linear); three = Concat<axis = 0>(linear, linear, linear); all = Erf(three);
+two = ReduceMean<axes = [0], keepdims = 1>(all); rounding = Sub(one, two); large = Mul(rounding, many);
+action = Add(large, linear);
 """
     return after(text, many=1e8)
 
@@ -342,13 +315,9 @@ action = Add(large, linear)
 def sums_of_a_state() -> ModelProto:
     """The rounding of a sum of 33 states, which depends on the address of the first, made 10⁸ times as large."""
     text = """
-next_state_0 = Identity(numbers)
-read = ReduceSum<keepdims = 0>(state_0, all)
-known = ReduceSum<keepdims = 0>(numbers, all)
-rounding = Sub(read, known)
-large = Mul(rounding, many)
-linear = MatMul(observation, weights)
-action = Add(large, linear)
+next_state_0 = Identity(numbers); read = ReduceSum<keepdims = 0>(state_0, all);
+known = ReduceSum<keepdims = 0>(numbers, all); rounding = Sub(read, known); large = Mul(rounding, many);
+linear = MatMul(observation, weights); action = Add(large, linear);
 """
     own = constants_of({"numbers": np.random.default_rng(0).uniform(0.1, 10.0, (1, 33)), "all": [0, 1], "many": 1e8})
     state, following = info("state_0", "batch", 33), info("next_state_0", "batch", 33)
@@ -358,14 +327,9 @@ action = Add(large, linear)
 def mixed() -> ModelProto:
     """A product of all scenarios' observations, and the number of scenarios."""
     text = """
-t = Transpose(linear)
-products = MatMul(linear, t)
-sum = ReduceSum<keepdims = 1>(products)
-shape = Shape(linear)
-sizes = Cast<to = 1>(shape)
-largest = ReduceMax<keepdims = 0>(sizes)
-mean = Div(sum, largest)
-action = Add(mean, linear)
+t = Transpose(linear); products = MatMul(linear, t); sum = ReduceSum<keepdims = 1>(products);
+shape = Shape(linear); sizes = Cast<to = 1>(shape); largest = ReduceMax<keepdims = 0>(sizes);
+mean = Div(sum, largest); action = Add(mean, linear);
 """
     return after(text)
 
@@ -392,7 +356,7 @@ def many_states() -> ModelProto:
 
 def in_doubles() -> ModelProto:
     """Actions in double precision."""
-    nodes = nodes_of("a = MatMul(observation, weights)\naction = Cast<to = 11>(a)")
+    nodes = nodes_of("a = MatMul(observation, weights); action = Cast<to = 11>(a)")
     return model(nodes, outputs=[info("action", "batch", M, kind=TensorProto.DOUBLE)])
 
 
@@ -410,13 +374,13 @@ def two_layers(order: Sequence[int]) -> ModelProto:
     """A network whose hidden values come in some order."""
     rng = np.random.default_rng(0)
     first, second = rng.normal(0, 0.1, (N, len(order))), rng.normal(0, 0.3, (len(order), M))
-    nodes = nodes_of("hidden = MatMul(observation, a)\nbent = Tanh(hidden)\naction = MatMul(bent, b)")
+    nodes = nodes_of("hidden = MatMul(observation, a); bent = Tanh(hidden); action = MatMul(bent, b)")
     return model(nodes, constants=constants_of({"a": first[:, order], "b": second[list(order)]}))
 
 
 def disguised() -> ModelProto:
     """The plain policy in other bytes: other names, its weights scaled and scaled back."""
-    nodes = nodes_of("hidden = MatMul(observation, w)\naction = Mul(hidden, back)")
+    nodes = nodes_of("hidden = MatMul(observation, w); action = Mul(hidden, back)")
     return model(nodes, constants=constants_of({"w": np.full((N, M), 0.03), "back": 1.0 / 3.0}))
 
 

@@ -120,7 +120,7 @@ def _mislabelled(name: str, kind: int, **values: Any) -> Build:
 
 def _doubled() -> ModelProto:
     """Actions of another shape than declared."""
-    return make(models.nodes_of("twice = Concat<axis = 0>(observation, observation)\naction = MatMul(twice, weights)"))
+    return make(models.nodes_of("twice = Concat<axis = 0>(observation, observation); action = MatMul(twice, weights)"))
 
 
 def _running_sum() -> ModelProto:
