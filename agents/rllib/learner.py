@@ -187,30 +187,24 @@ def train(run: Run, folder: Path, address: str | None = None) -> None:
     _connect(address, h)
     try:
         # The first use of the kernels on a machine compiles them: here, before the runners all do so at once.
-        scales = measure_scales(
-            settings.env_arguments, noise=float(np.exp(h.log_std_init)), gamma=h.gamma, seed=settings.seed
-        )
+        noise = float(np.exp(h.log_std_init))
+        scales = measure_scales(settings.env_arguments, noise=noise, gamma=h.gamma, seed=settings.seed)
         spec = module_spec(settings, scales)
         algorithm = ppo_config(settings, scales, spec, len(run.resumptions)).build_algo()
         try:
             if saved := last_checkpoint(run, folder):
                 with loading(saved):
                     algorithm.restore_from_path(str(saved.resolve()))
-            _train(run, folder, RLlibLearner(algorithm, spec, scales))
+            steps = first = _steps_of(algorithm)
+            training = Training(run, folder, RLlibLearner(algorithm, spec, scales))
+            with Progress("thousand steps") as progress:
+                while steps < settings.timesteps:
+                    training.take_stock(steps)
+                    progress.update(training.title, (steps - first) / 1000, round((settings.timesteps - first) / 1000))
+                    algorithm.train()
+                    steps = _steps_of(algorithm)
+                training.take_stock(steps, finished=True)
         finally:
             algorithm.stop()
     finally:
         ray.shutdown()
-
-
-def _train(run: Run, folder: Path, learner: RLlibLearner) -> None:
-    total, algorithm = run.settings.timesteps, learner.algorithm
-    steps = first = _steps_of(algorithm)
-    training = Training(run, folder, learner)
-    with Progress("thousand steps") as progress:
-        while steps < total:
-            training.take_stock(steps)
-            progress.update(training.title, (steps - first) / 1000, round((total - first) / 1000))
-            algorithm.train()
-            steps = _steps_of(algorithm)
-        training.take_stock(steps, finished=True)
