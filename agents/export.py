@@ -94,7 +94,8 @@ def _model_card(run: Run, best: Mapping[str, float], name: str, authors: Sequenc
         "machine": provenance["machine"],
         **provenance["versions"],
     }
-    curve = [[f"{round(value, 3):,}" for value in row.values()] for row in run.curve]
+    columns = ["timesteps", *sorted(best.keys() - {"timesteps"})]
+    curve = [[f"{round(row[key], 3):,}" for key in columns] for row in run.curve]
     return f"""\
 # {name}
 
@@ -108,7 +109,7 @@ wtg-gym evaluate --entries FOLDER --suite {settings.suite}
 
 ## Training curve
 
-{markdown_table(list(best), curve, right=range(len(best)))}
+{markdown_table(columns, curve, right=range(len(columns)))}
 
 ## How to reproduce
 

@@ -1,10 +1,8 @@
-"""`python -m agents.shipped`: trains policies of `agents/policies` again, by the commands in their model cards."""
+"""`python -m agents.shipped`: trains the policies of `agents/policies` again and exports them to a folder of choice."""
 
 from __future__ import annotations
 
 import os
-import re
-import shlex
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -15,25 +13,37 @@ from agents.runs import RUN_FILE
 from wtg_gym.policies.load import ENTRY_FILE
 from wtg_gym.policies.submission_folder import parse_submission
 
-POLICIES = Path(__file__).parent / "policies"
 _DESCRIPTION = """\
 Trains the named policies of agents/policies and exports them to runs/policies; without a name, lists them all. A run
 that is there already goes on from its last checkpoint, or is exported at once. Its output goes to runs/NAME.log.
 Eight at a time:
 
   python -m agents.shipped | xargs -P 8 -n 1 python -m agents.shipped"""
+_POLICIES = Path(__file__).parent / "policies"
+_V0 = "--suite standard"
+#: In v1 agents modulate the law that is tuned to the grid.
+_V1 = "--suite standard-v1 --strategy coordinated-tuned --validation-episodes 200"
+#: What trains a set-up, by the name of its folders, and its number of training seeds.
+SHIPPED = {
+    "ppo-k+tau": (f"agents.train --algo ppo --action-mode k+tau {_V0}", 5),
+    "ppo-k": (f"agents.train --algo ppo --action-mode k {_V0}", 5),
+    "ppo-tau": (f"agents.train --algo ppo --action-mode tau --config agents/configs/ppo_tau.yml {_V0}", 5),
+    "sac-k+tau": (f"agents.train --algo sac --action-mode k+tau {_V0}", 5),
+    "ppo-v1": (f"agents.train --algo ppo {_V1}", 3),
+    "recurrent-ppo-v1": (f"agents.train --algo recurrent_ppo {_V1}", 3),
+    "sac-v1": (f"agents.train --algo sac {_V1}", 3),
+    "gradient": (f"agents.gradient --validation-episodes 100 {_V0}", 5),
+    "gradient-v1": (f"agents.gradient --lstm 32 --hidden 32 {_V1} --timesteps 2880000", 5),
+}
 
 
 def commands() -> dict[str, list[str]]:
-    """Return module and options that trained every policy, by the name of its folder."""
-    found = {}
-    for folder in sorted(POLICIES.iterdir()):
-        card = (folder / "README.md").read_text(encoding="utf-8")
-        if command := re.search(r"^python\S* -m (agents\.\w+ .*)$", card, re.MULTILINE):
-            words = shlex.split(command[1])
-            # Where the cards of v0 were written it was what a run trained on without this option.
-            found[folder.name] = words if "--suite" in words else [*words, "--suite", "standard"]
-    return found
+    """Return what trains every policy, by the name of its folder."""
+    return {
+        f"{key}-{seed}": [*command.split(), "--seed", str(seed), "--output", f"runs/{key}-{seed}"]
+        for key, (command, n_seeds) in SHIPPED.items()
+        for seed in range(n_seeds)
+    }
 
 
 def make(name: str) -> None:
@@ -44,7 +54,7 @@ def make(name: str) -> None:
     """
     run, log = Path("runs", name), Path("runs", f"{name}.log")
     module, *new = commands()[name]
-    entry = parse_submission((POLICIES / name / ENTRY_FILE).read_bytes())
+    entry = parse_submission((_POLICIES / name / ENTRY_FILE).read_bytes())
     texts = ["--name", entry.name, "--description", entry.description, "--authors", *entry.authors]
     run.parent.mkdir(exist_ok=True)
     # Several trainings at a time on one thread each are faster than one after another on all of them.
@@ -65,14 +75,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("names", nargs="*", default=[], metavar="NAME", help="of the policies")
 
     def work() -> None:
-        chosen, known = parser.parse_args(argv).names, commands()
-        if unknown := [name for name in chosen if name not in known]:
-            raise ValueError(f"unknown {', '.join(unknown)}; known: {', '.join(known)}")
+        chosen = parser.parse_args(argv).names
+        if unknown := [name for name in chosen if name not in commands()]:
+            raise ValueError(f"unknown {', '.join(unknown)}; known: {', '.join(commands())}")
         for name in chosen:
             make(name)
             note(f"wrote runs/policies/{name}")
         if not chosen:
-            print("\n".join(known))
+            print("\n".join(commands()))
 
     return run_command(work, "the same command goes on")
 
