@@ -116,7 +116,6 @@ pictures: $(LEADERBOARD_READY) studies ## Draw every picture of the README and o
 .PHONY: docs
 docs: pictures ## Measure everything that docs/ shows again, but for performance and the page, and renew its tables and pictures
 	$(LEADERBOARD_VENV)/bin/python docs/studies/gradient_law.py
-	$(LEADERBOARD_VENV)/bin/python -m tests.submissions.hostile --page docs/submissions.md
 
 .PHONY: site
 site: $(SITE_READY) ## Build the site of the documentation into build/site; broken links and pages that nothing lists are errors
@@ -141,7 +140,7 @@ docs-check: $(LEADERBOARD_READY) ## Draw the pictures into a copy of docs/ and n
 	cp -R docs build/docs
 	find build/docs '(' -name '*.png' -o -name '*.svg' ')' -delete
 	$(MAKE) --no-print-directory pictures DOCS=build/docs
-	$(LEADERBOARD_VENV)/bin/python -m tests.pictures docs build/docs
+	$(LEADERBOARD_VENV)/bin/python docs/images/compare.py docs build/docs
 
 .PHONY: performance
 performance: $(TEST_READY) ## Measure speed again; on a machine that does nothing else (ten minutes)
@@ -149,7 +148,7 @@ performance: $(TEST_READY) ## Measure speed again; on a machine that does nothin
 
 .PHONY: golden
 golden: $(GOLDEN_READY) ## Make the golden cases of ANDES again, in an environment of its own (half an hour)
-	$(GOLDEN_VENV)/bin/python tests/golden/make_andes_cases.py
+	$(GOLDEN_VENV)/bin/python docs/studies/make_andes_cases.py
 
 .PHONY: rllib
 rllib: $(RLLIB_READY) ## Train with RLlib for a minute, in an environment of its own, and export the policy; runs/make-rllib is written anew

@@ -1,23 +1,22 @@
 """`python -m agents.datasets`: episodes of several players as datasets of Minari, for offline learning.
 
-Stores gfmwtg/VERSION/POLICY-v0, episodes of the training split: episode i is what `reset(seed=i)` draws. The same
-command gives the same data.
+Stores gfmwtg/VERSION/POLICY-v0 in the folder MINARI_DATASETS_PATH, or in Minari's own: episodes of the training split.
+Episode i is what `reset(seed=i)` draws. The same command gives the same data.
 """
 
 from __future__ import annotations
 
 import contextlib
-import os
 import sys
 import warnings
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
-from agents.command import Parser, note, require_package, run_command
+from agents.command import make_parser, note, run_command
+from wtg_gym.extras import install_advice
 from wtg_gym.physics.compiled import source_hash
 from wtg_gym.policies import load_entries
 from wtg_gym.progress import Progress
@@ -39,8 +38,10 @@ POLICIES: dict[str, Sequence[tuple[bool, bool]]] = {
 
 def make_dataset(version: str, policy: str, episodes: int) -> Any:
     """Play episodes and return the dataset of Minari; a ValueError if there is one of this name already."""
-    import minari
-
+    try:
+        import minari
+    except ImportError as error:
+        raise ValueError(f"datasets need Minari; {install_advice('data')}") from error
     name, (suite, player) = f"gfmwtg/{version}/{policy}-v0", VERSIONS[version]
     if name in minari.list_local_datasets():
         raise ValueError(f"the dataset {name} is there already; delete it first: minari delete {name}")
@@ -96,19 +97,15 @@ def _played(env: gym.Env[Any, Any], trained: Any, acts: bool, noisy: bool, seed:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    parser = Parser(prog="python -m agents.datasets", description=__doc__)
+    parser = make_parser("agents.datasets", __doc__ or "")
     parser.add_argument("--versions", nargs="+", choices=tuple(VERSIONS), default=list(VERSIONS), help="default: both")
     parser.add_argument("--policies", nargs="+", choices=tuple(POLICIES), default=list(POLICIES), help="default: all")
     parser.add_argument("--episodes", type=int, default=200, metavar="N", help="in each (default: 200)")
-    parser.add_argument("--output", metavar="FOLDER", help="folder of the datasets (default: Minari's own)")
 
     def work() -> None:
         given = parser.parse_args(argv)
-        require_package("minari", "'.[data]'")
         if given.episodes < 1:
             raise ValueError(f"--episodes must be 1 or more, got {given.episodes}")
-        if given.output is not None:
-            os.environ["MINARI_DATASETS_PATH"] = str(Path(given.output).resolve())
         for version in given.versions:
             for policy in given.policies:
                 made = make_dataset(version, policy, given.episodes)

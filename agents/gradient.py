@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from agents.command import Parser, add_training_options, given_options, opened_run, run_command, settings_of
+from agents.command import opened_run, run_command, settings_of, training_parser
 from agents.folders import loading
 from agents.runs import Run, RunSettings
 from agents.training import Training, last_checkpoint
@@ -45,18 +45,14 @@ class Hyperparameters:
 
     hidden: Sequence[int] = (64, 64)
     lstm: int = 0
-    loss: str = "log"
-    failures: str = "gradual"
     learning_rate: float = 1e-2
     last_rate: float = 0.05
     betas: Sequence[float] = (0.9, 0.99)
     max_grad_norm: float = 1.0
 
     def __post_init__(self) -> None:
-        if any(type(width) is not int or width < 1 for width in self.hidden):
-            raise ValueError(f"hidden must be positive whole numbers, got {list(self.hidden)}")
-        if type(self.lstm) is not int or self.lstm < 0:
-            raise ValueError(f"lstm must be a whole number, 0 for none, got {self.lstm!r}")
+        if min(self.hidden, default=1) < 1 or self.lstm < 0:
+            raise ValueError(f"layers must be 1 or more wide, got hidden {list(self.hidden)} and lstm {self.lstm}")
 
 
 class GradientPolicy(nn.Module):
@@ -121,30 +117,22 @@ class Failures:
 
 
 def costs_of(
-    episodes: TorchEpisodes,
-    policy: GradientPolicy,
-    scenarios: Sequence[Scenario],
-    n_steps: int,
-    failures: Failures | None = None,
+    episodes: TorchEpisodes, policy: GradientPolicy, scenarios: Sequence[Scenario], n_steps: int, failures: Failures
 ) -> Tensor:
-    """Return what the first steps of a scenario in every lane cost (n_lanes,), by `failures` if they are given."""
+    """Return what the first steps of a scenario in every lane cost, (n_lanes,)."""
     observations = episodes.start(scenarios)
     states, spent, watched = list[Tensor](), [], []
     for _ in range(n_steps):
         actions, *states = policy(observations, *states)
         observations, terms = episodes.step(actions)
         spent.append(terms)
-        if failures is not None:
-            watched.append(failures.watched(episodes.outputs))
-    costs = torch.stack(spent).sum(dim=0)
-    if failures is None:
-        return costs.sum(dim=1)
-    return failures.costs(costs, torch.stack(watched).amin(dim=0))
+        watched.append(failures.watched(episodes.outputs))
+    return failures.costs(torch.stack(spent).sum(dim=0), torch.stack(watched).amin(dim=0))
 
 
 def descend(policy: nn.Module, optimizer: torch.optim.Optimizer, costs: Tensor, h: Hyperparameters) -> float:
     """Take one step of the optimiser against what episodes cost, and return the loss before it."""
-    loss = torch.log(costs + COST_OFFSET).mean() if h.loss == "log" else costs.mean()
+    loss = torch.log(costs + COST_OFFSET).mean()
     optimizer.zero_grad()
     loss.backward()  # type: ignore[no-untyped-call]
     nn.utils.clip_grad_norm_(policy.parameters(), h.max_grad_norm)
@@ -168,23 +156,23 @@ class GradientLearner:
         torch.save({"policy": self.policy.state_dict(), "optimizer": self.optimizer.state_dict()}, folder / _STATE)
 
     def load(self, folder: Path) -> None:
-        """Go back to what :meth:`save` wrote; a ValueError names a file that is missing or damaged."""
-        with loading(folder / _STATE):
+        """Go back to what :meth:`save` wrote; a ValueError names a folder that is damaged."""
+        with loading(folder):
             state = torch.load(folder / _STATE, weights_only=True)
             self.policy.load_state_dict(state["policy"])
             self.optimizer.load_state_dict(state["optimizer"])
 
 
-def train(run: Run, folder: Path, h: Hyperparameters) -> None:
+def train(run: Run, folder: Path) -> None:
     """Train from the last checkpoint, if there is one, to the end; checkpoints and run.json go to `folder`."""
     if run.finished:
         return
-    settings = run.settings
+    settings, h = run.settings, Hyperparameters(**run.settings.hyperparameters)
     torch.set_num_threads(1)
     torch.manual_seed(settings.seed)
     episodes = TorchEpisodes(EnvSettings(**settings.env_arguments), settings.n_envs)
     lanes = episodes.tape.lanes
-    failures = Failures(episodes) if h.failures == "gradual" else None
+    failures = Failures(episodes)
     learner = GradientLearner(GradientPolicy(lanes.n_observation, lanes.n_action, h.hidden, h.lstm), h)
     policy, optimizer = learner.policy, learner.optimizer
     n_steps = round(lanes.duration_s / lanes.settings.control_dt)
@@ -209,35 +197,21 @@ def train(run: Run, folder: Path, h: Hyperparameters) -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    parser = Parser(prog="python -m agents.gradient", description=__doc__)
-    add_training_options(parser, timesteps=str(_TIMESTEPS))
-    parser.add_argument("--n-envs", type=int, metavar="N", help=f"episodes per gradient (default: {_N_ENVS})")
-    parser.add_argument(
-        "--hidden",
-        type=int,
-        nargs="*",
-        metavar="N",
-        help="widths of the hidden layers; --hidden alone: no hidden layer (default: 64 64)",
-    )
-    parser.add_argument(
-        "--lstm", type=int, metavar="N", help="width of an LSTM in front of the hidden layers (default: 0, none)"
-    )
-    parser.add_argument("--loss", choices=("log", "mean"), help="mean of log(cost + J0) or of the cost (default: log)")
-    parser.add_argument(
-        "--failures",
-        choices=("gradual", "charged"),
-        help="in the loss: gradual, or a constant charge (default: gradual)",
-    )
+    parser = training_parser("agents.gradient", __doc__ or "", timesteps=str(_TIMESTEPS))
+    add = parser.add_argument
+    add("--n-envs", type=int, metavar="N", help=f"episodes per gradient (default: {_N_ENVS})")
+    add("--hidden", type=int, nargs="*", metavar="N", help="widths of the hidden layers, or none (default: 64 64)")
+    add("--lstm", type=int, metavar="N", help="width of an LSTM in front of them (default: 0, none)")
 
     def work() -> None:
-        given = given_options(parser.parse_args(argv))
+        given = vars(parser.parse_args(argv))
 
         def settings() -> RunSettings:
-            h = Hyperparameters(**{key: given[key] for key in ("hidden", "lstm", "loss", "failures") if key in given})
+            h = Hyperparameters(**{key: given[key] for key in ("hidden", "lstm") if key in given})
             return settings_of(given, NAME, dataclasses.asdict(h), timesteps=_TIMESTEPS, n_envs=_N_ENVS)
 
         with opened_run(given, (NAME,), settings) as (run, folder):
-            train(run, folder, Hyperparameters(**run.settings.hyperparameters))
+            train(run, folder)
 
     return run_command(work, "go on with --resume")
 

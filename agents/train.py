@@ -9,30 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
-from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
-from torch import nn
 
-from agents.command import (
-    Parser,
-    add_plant_options,
-    add_training_options,
-    given_options,
-    opened_run,
-    run_command,
-    settings_of,
-)
+from agents.command import opened_run, run_command, settings_of, training_parser
 from agents.hyperparameters import ALGORITHMS, CONFIG_FOLDER, parse, read_config
-from agents.learners import build_model, load_checkpoint, save_checkpoint
-from agents.multi_agent import SharedPolicy, agent_env
+from agents.learners import SB3Learner, load_model, new_model
 from agents.runs import Run, RunSettings
 from agents.training import SHARED, Training, last_checkpoint
-from agents.vec_env import GainVecEnv
-from wtg_gym.envs import EnvSettings
 from wtg_gym.progress import Progress
-from wtg_gym.sb3 import DeterministicPolicy
 from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
 
 _DESCRIPTION = """\
@@ -41,61 +26,9 @@ validation score, and a checkpoint to go on from with --resume after an interrup
 
 With "ippo" (independent PPO with shared parameters) every WTG group plays the same policy by itself, from what it
 measures itself. A lane is then one group of one episode: one step of an episode is as many steps as it has groups."""
-_EXAMPLES = """\
-examples:
-  python -m agents.train --algo ppo --output runs/ppo-0 --seed 0
-  python -m agents.train --algo sac --action-mode k --timesteps 200000 --output runs/sac-k
-  python -m agents.train --algo ippo --groups 4 --output runs/ippo-4
-  python -m agents.train --resume runs/ppo-0
-  tensorboard --logdir runs"""
 
 #: The algorithms to choose from.
 TRAINED = (*ALGORITHMS, *SHARED)
-
-
-def _base(algo: str) -> str:
-    """Return the algorithm of Stable-Baselines3 that an algorithm is made of."""
-    return "ppo" if algo in SHARED else algo
-
-
-class SB3Learner:
-    """A learner of Stable-Baselines3, for :class:`agents.training.Training`."""
-
-    def __init__(self, model: BaseAlgorithm) -> None:
-        self.model = model
-
-    def network(self, settings: RunSettings) -> nn.Module:
-        """Return the deterministic policy for the environment of a run."""
-        network = DeterministicPolicy(self.model)
-        if settings.algo in SHARED:
-            return SharedPolicy(network, EnvSettings(**settings.env_arguments))
-        return network
-
-    def save(self, folder: Path) -> None:
-        """Write everything that training goes on from."""
-        save_checkpoint(folder, self.model)
-
-
-def start(run: Run) -> BaseAlgorithm:
-    """Return a new run's learner.
-
-    Raises:
-        ValueError: a hyperparameter is unknown or out of range.
-    """
-    # Sums over several threads depend on which of them ends first, those that draw the first weights among them.
-    torch.set_num_threads(1)
-    settings = run.settings
-    hyperparameters = parse(_base(settings.algo), settings.hyperparameters)
-    shared = settings.algo in SHARED
-    lanes = agent_env(settings) if shared else GainVecEnv(settings.n_envs, **settings.env_arguments)
-    env: VecEnv = VecMonitor(lanes)
-    if hyperparameters.normalize is not None:
-        env = VecNormalize(env, **hyperparameters.normalize)
-    try:
-        return build_model(_base(settings.algo), hyperparameters, env, seed=settings.seed, device=settings.device)
-    except ValueError:
-        env.close()
-        raise
 
 
 def train(run: Run, folder: Path) -> None:
@@ -108,9 +41,10 @@ def train(run: Run, folder: Path) -> None:
     Raises:
         ValueError: a hyperparameter is wrong, or the run's checkpoint is gone or damaged.
     """
+    # Sums over several threads depend on which of them ends first, those that draw the first weights among them.
     torch.set_num_threads(1)
     settings, saved = run.settings, last_checkpoint(run, folder)
-    model = load_checkpoint(saved, _base(settings.algo), settings.device) if saved else start(run)
+    model = load_model(saved, settings) if saved else new_model(settings)
     env = model.get_env()
     assert env is not None
     try:
@@ -144,8 +78,7 @@ class _Supervision(BaseCallback):
 
     def _on_step(self) -> bool:
         for info in itertools.compress(self.locals["infos"], self.locals["dones"]):
-            for key, value in info["metrics"].items():
-                self.logger.record_mean(f"episode/{key}", value)
+            self.logger.record_mean("episode/failure", float(info["termination_reason"] != ""))
         # Counted from where this process began, so that the remaining time follows from its own speed.
         done, total = self.num_timesteps - self._first, self._timesteps - self._first
         self._progress.update(self._training.title, done / 1000, round(total / 1000))
@@ -177,30 +110,24 @@ def sb3_settings(given: Mapping[str, Any]) -> RunSettings:
     """
     if "algo" not in given:
         raise ValueError(f"--algo is needed: {', '.join(TRAINED)}")
-    algo = given["algo"]
-    env_id = get_suite(given.get("suite", DEFAULT_SUITE)).benchmark.env_id
-    path = Path(given.get("config", CONFIG_FOLDER / f"{algo}.yml"))
-    raw = read_config(path, env_id)
+    path = Path(given.get("config", CONFIG_FOLDER / f"{given['algo']}.yml"))
+    raw = read_config(path, get_suite(given.get("suite", DEFAULT_SUITE)).benchmark.env_id)
     try:
-        file = parse(_base(algo), raw)
+        file = parse(raw)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-    return settings_of(given, algo, raw, timesteps=file.n_timesteps, n_envs=file.n_envs)
+    return settings_of(given, given["algo"], raw, timesteps=file.n_timesteps, n_envs=file.n_envs)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    parser = Parser(prog="python -m agents.train", description=_DESCRIPTION, epilog=_EXAMPLES)
+    parser = training_parser("agents.train", _DESCRIPTION, timesteps="the file's")
     parser.add_argument("--algo", choices=TRAINED, help="the algorithm")
-    add_training_options(parser, timesteps="the file's")
-    add_plant_options(parser)
     parser.add_argument("--n-envs", type=int, metavar="N", help="lanes side by side (default: the file's)")
-    parser.add_argument("--device", choices=("cpu", "cuda"), help="where the networks are (default: cpu)")
-    text = "hyperparameters (default: agents/configs/<algo>.yml, of td3 and tqc for v0 only)"
-    parser.add_argument("--config", metavar="FILE", help=text)
+    parser.add_argument("--config", metavar="FILE", help="hyperparameters (default: agents/configs/<algo>.yml)")
 
     def work() -> None:
-        given = given_options(parser.parse_args(argv))
+        given = vars(parser.parse_args(argv))
         with opened_run(given, TRAINED, lambda: sb3_settings(given)) as (run, folder):
             train(run, folder)
 

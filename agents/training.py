@@ -114,19 +114,14 @@ def _exported(learner: Learner, settings: RunSettings) -> bytes:
     return onnx_bytes(learner.network(settings), lanes.n_observation, lanes.n_action, tolerance=_TOLERANCE)
 
 
-def entry_values(
-    settings: RunSettings, timesteps: int, *, name: str | None = None, description: str = ""
-) -> dict[str, Any]:
-    """Return the keys and values of entry.toml for a run's policy.
+def entry_values(settings: RunSettings, timesteps: int, name: str = "", description: str = "") -> dict[str, Any]:
+    """Return the keys and values of entry.toml for a run's policy; a ValueError if its name would be refused.
 
     Args:
         settings: of the run.
         timesteps: steps that the policy was trained for.
-        name: of the entry; None for one made of algorithm and action mode.
+        name: of the entry; empty for one made of algorithm and action mode.
         description: one sentence on what it is; empty for a general one.
-
-    Raises:
-        ValueError: the leaderboard would refuse the name.
     """
     values: dict[str, Any] = {
         "name": name or f"{settings.algo} {settings.action_mode}",

@@ -1,48 +1,90 @@
-"""Facts about files that are written whole, and about sections between markers."""
+"""Facts about files: read or refused in one sentence that names them, and written whole."""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
 
-from wtg_gym.files import update_between_markers, write_together
+from wtg_gym.files import LARGEST_TOML_BYTES, read_json, read_toml, update_between_markers, write_together
 
-NAME = "leaderboard:standard"
-START, END = f"<!-- {NAME}:start -->", f"<!-- {NAME}:end -->"
+REFUSED_JSON = (
+    ("", "is not JSON, or was cut short"),
+    ('{"a": [1, 2', "is not JSON, or was cut short"),
+    ("[" * 100_000, "is not JSON, or was cut short"),
+    ("[" * 30 + "]" * 30, "is nested deeper than 20 levels"),
+    ('{"a":' * 500 + "1" + "}" * 500, "is nested deeper than 20 levels"),
+    ("[NaN]", "NaN is not a finite number"),
+    ("[-Infinity]", "Infinity is not a finite number"),
+    ("[1e400]", "not a finite number"),
+    (f"[{'9' * 400}]", "whole number outside the allowed range"),
+    (f"[{'9' * 5000}]", "is not JSON, or was cut short"),
+)
+REFUSED_TOML = (
+    ("name = ", "is not TOML"),
+    ("a = " + "[" * 5000, "is not TOML"),
+    ("a." * 1000 + "a = 1", "is nested deeper than 20 levels"),
+    ("a = " + "9" * 400, "whole number outside the allowed range"),
+    ("a = " + "9" * 5000, "is not TOML"),
+    ("\n".join(f"a.b{i} = 1" for i in range(50_000)), "is larger than 16384 bytes"),
+)
+CASES = [(f"data.{kind}", *case) for kind, cases in (("json", REFUSED_JSON), ("toml", REFUSED_TOML)) for case in cases]
+
+
+@pytest.mark.parametrize(("name", "text", "said"), CASES, ids=lambda value: value[:20])
+def test_what_nothing_can_work_with_is_refused_with_the_name_of_the_file(
+    tmp_path: Path, name: str, text: str, said: str
+) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ValueError, match=rf"the results .*{name} .*{said}"):
+        (read_json if name.endswith("json") else read_toml)(tmp_path / name, "results")
+
+
+def test_numbers_and_sizes_up_to_the_limits_are_read_as_they_are(tmp_path: Path) -> None:
+    path = tmp_path / "data"
+    path.write_text("[1e308, -1e308, 5e-324, 18446744073709551615, -0.0, 0]")
+    assert read_json(path, "results") == [1e308, -1e308, 5e-324, 2**64 - 1, 0, 0]
+    start = "a = 1 # "
+    path.write_text(start + "x" * (LARGEST_TOML_BYTES - len(start)))
+    assert read_toml(path, "law file") == {"a": 1}
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs files of no end")
+def test_a_file_without_end_is_not_read_to_the_end(tmp_path: Path) -> None:
+    (tmp_path / "law.toml").symlink_to("/dev/zero")
+    with pytest.raises(ValueError, match=r"law\.toml is larger than 16384 bytes"):
+        read_toml(tmp_path / "law.toml", "law file")
+
+
+@pytest.mark.parametrize("name", ["", "no/such/file.json", "with\0null.json"])
+def test_what_is_no_file_is_named(tmp_path: Path, name: str) -> None:
+    with pytest.raises(ValueError, match="cannot read the results"):
+        read_json(tmp_path / name, "results")
+
+
+START, END = "<!-- table:start -->", "<!-- table:end -->"
 
 
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
-def test_only_what_is_between_the_markers_changes(tmp_path: Path, newline: str) -> None:
-    path = tmp_path / "README.md"
+def test_only_what_is_between_the_markers_changes_through_links_too(tmp_path: Path, newline: str) -> None:
+    path, link = tmp_path / "README.md", tmp_path / "link.md"
     path.write_bytes(newline.join(["# Title ä", START, "old", "older", END, "end  "]).encode())
-    assert update_between_markers(path, "| a |\n| b |", NAME)
+    path.chmod(0o640)
+    link.symlink_to(path)
+    assert update_between_markers(link, "| a |\n| b |", "table")
     assert path.read_bytes() == newline.join(["# Title ä", START, "| a |", "| b |", END, "end  "]).encode()
-    assert not update_between_markers(path, "| a |\n| b |", NAME)
+    assert not update_between_markers(path, "| a |\n| b |", "table")
+    assert link.is_symlink() and path.stat().st_mode & 0o777 == 0o640
 
 
-@pytest.mark.parametrize("text", ["", START, END, f"{END}\n{START}", f"{START}\n{START}\n{END}"])
+@pytest.mark.parametrize("text", ["", START, f"{END}\n{START}", f"{START}\n{START}\n{END}"])
 def test_missing_markers_are_named(tmp_path: Path, text: str) -> None:
     path = tmp_path / "README.md"
     path.write_text(text)
-    with pytest.raises(ValueError, match=r"README.md must have the markers <!-- leaderboard:standard:start --> and"):
-        update_between_markers(path, "table", NAME)
+    with pytest.raises(ValueError, match=r"README.md must have the markers <!-- table:start --> and"):
+        update_between_markers(path, "table", "table")
     assert path.read_text() == text
-
-
-def test_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"nowhere\.md"):
-        update_between_markers(tmp_path / "nowhere.md", "table", NAME)
-
-
-def test_permissions_and_links_survive(tmp_path: Path) -> None:
-    path, link = tmp_path / "README.md", tmp_path / "link.md"
-    path.write_text(f"{START}\n{END}\n")
-    path.chmod(0o640)
-    link.symlink_to(path)
-    update_between_markers(link, "table", NAME)
-    assert link.is_symlink() and path.stat().st_mode & 0o777 == 0o640
-    assert "table" in path.read_text()
 
 
 @pytest.mark.parametrize("blocked", ["first", "second"])

@@ -1,11 +1,12 @@
-"""The examples of the README and of every page of docs/ run as printed; links of every page lead somewhere.
+"""The programs and commands of the README and of docs/ run as printed; notebooks were run; links lead somewhere.
 
 The README's first program and all commands run on what `pip install .` installs, in an empty folder, without the
-extras' packages. The other programs run with everything that the tests need.
+extras' packages. The other programs run with everything that the tests need. `make notebooks` runs the notebooks.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -16,18 +17,11 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 #: Packages that extras bring and `pip install .` does not.
-EXTRAS = (
-    "bokeh",
-    "joblib",
-    "matplotlib",
-    "onnx",
-    "pettingzoo",
-    "PIL",
-    "pygame",
-    "rich",
-    "stable_baselines3",
-    "torch",
-)
+EXTRAS = ("bokeh", "joblib", "matplotlib", "onnx", "pettingzoo", "PIL", "pygame", "rich", "stable_baselines3", "torch")
+NOTEBOOKS = sorted((ROOT / "docs/notebooks").glob("*.ipynb"))
+#: Every page of docs/.
+DOCS = sorted(str(page.relative_to(ROOT)) for page in (ROOT / "docs").rglob("*.md"))
+PAGES = ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", *DOCS, "agents/README.md", "tests/golden/README.md"]
 
 
 def blocks(page: str, language: str) -> list[str]:
@@ -35,28 +29,16 @@ def blocks(page: str, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
 
 
-#: Every page of docs/.
-DOCS = sorted(str(page.relative_to(ROOT)) for page in (ROOT / "docs").rglob("*.md"))
-
-
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the package as `pip install .` installs it, and nothing of the checkout."""
+def plain(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Environment variables under which Python finds the package as `pip install .` installs it, and no extra's."""
     target = tmp_path_factory.mktemp("installed")
-    pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
     # Modules that no command imports need no bytecode.
-    options = ["--no-deps", "--no-build-isolation", "--no-compile", "--target", str(target)]
-    subprocess.run([*pip, "install", *options, str(ROOT)], check=True, capture_output=True)
-    return target
-
-
-@pytest.fixture(scope="module")
-def plain(wheel: Path) -> dict[str, str]:
-    """Environment variables under which Python finds the installed package, and none of the extras' packages."""
-    names = ", ".join(repr(name) for name in EXTRAS)
-    (wheel / "sitecustomize.py").write_text(f"import sys\nsys.modules.update(dict.fromkeys(({names})))\n")
-    path = f"{wheel / 'bin'}{os.pathsep}{os.environ['PATH']}"
-    return {**os.environ, "PYTHONPATH": str(wheel), "PATH": path, "PYTHONIOENCODING": "utf-8"}
+    options = ["--quiet", "--no-deps", "--no-build-isolation", "--no-compile", "--target", str(target)]
+    subprocess.run([sys.executable, "-m", "pip", "install", *options, str(ROOT)], check=True, capture_output=True)
+    (target / "sitecustomize.py").write_text(f"import sys\nsys.modules.update(dict.fromkeys({EXTRAS}))\n")
+    path = f"{target / 'bin'}{os.pathsep}{os.environ['PATH']}"
+    return {**os.environ, "PYTHONPATH": str(target), "PATH": path, "PYTHONIOENCODING": "utf-8"}
 
 
 def run(command: list[str], folder: Path, environment: dict[str, str] | None = None) -> str:
@@ -65,52 +47,38 @@ def run(command: list[str], folder: Path, environment: dict[str, str] | None = N
     return done.stdout
 
 
-def test_readme_is_short_and_has_programs_and_commands() -> None:
-    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
-    assert [len(blocks("README.md", "python")), len(blocks("README.md", "sh"))] == [2, 1]
-    assert sum(len(blocks(page, "python")) for page in DOCS) >= 7
-    assert sum(len(blocks(page, "sh")) for page in DOCS) >= 2
-
-
-def test_wheel_is_what_runs_and_holds_no_package_of_another_name(plain: dict[str, str], tmp_path: Path) -> None:
-    wheel = Path(plain["PYTHONPATH"])
-    said = run([sys.executable, "-c", "import wtg_gym; print(wtg_gym.__file__)"], tmp_path, plain)
-    assert Path(said.strip()) == wheel / "wtg_gym" / "__init__.py"
-    assert not (wheel / "baselines").exists() and not (wheel / "agents").exists()
-
-
 def test_first_program_runs_after_a_plain_install_in_an_empty_folder_and_prints(
     plain: dict[str, str], tmp_path: Path
 ) -> None:
+    installed = Path(plain["PYTHONPATH"])
+    said = run([sys.executable, "-c", "import wtg_gym; print(wtg_gym.__file__)"], tmp_path, plain)
+    assert Path(said.strip()) == installed / "wtg_gym" / "__init__.py"
+    assert not (installed / "baselines").exists() and not (installed / "agents").exists()
     said = run([sys.executable, "-c", blocks("README.md", "python")[0]], tmp_path, plain)
     assert re.fullmatch(r"cost \d+\.\d, \d\d\.\d\d … \d\d\.\d\d Hz, no failure\n", said)
     assert said in blocks("docs/start.md", "text")
 
 
 def test_commands_run_after_a_plain_install_in_an_empty_folder(plain: dict[str, str], tmp_path: Path) -> None:
-    for page in ("README.md", *DOCS):
-        for block in blocks(page, "sh"):
-            said = run(["bash", "-euc", block], tmp_path, plain)
-            assert "coordinated-piecewise" in said, said
+    commands = [block for page in ("README.md", *DOCS) for block in blocks(page, "sh")]
+    assert len(commands) > 1
+    for block in commands:
+        assert "coordinated-piecewise" in run(["bash", "-euc", block], tmp_path, plain)
 
 
-RUN_HERE = ["README.md", *(page for page in DOCS if blocks(page, "python"))]
-
-
-@pytest.mark.parametrize("page", RUN_HERE)
+@pytest.mark.parametrize("page", ["README.md", *(page for page in DOCS if blocks(page, "python"))])
 def test_every_other_program_runs_as_printed(page: str, tmp_path: Path) -> None:
     for program in blocks(page, "python")[1 if page == "README.md" else 0 :]:
         run([sys.executable, "-c", program], tmp_path)
 
 
-PAGES = [
-    ROOT / "README.md",
-    ROOT / "CHANGELOG.md",
-    ROOT / "CONTRIBUTING.md",
-    *(ROOT / page for page in DOCS),
-    ROOT / "agents/README.md",
-    ROOT / "tests/golden/README.md",
-]
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebook_was_run_from_top_to_bottom_without_an_error(path: Path) -> None:
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    code = [cell for cell in cells if cell["cell_type"] == "code"]
+    assert code and [cell["execution_count"] for cell in code] == list(range(1, len(code) + 1))
+    outputs = [output for cell in code for output in cell["outputs"]]
+    assert outputs and not [output for output in outputs if output["output_type"] == "error"]
 
 
 def anchors(page: Path) -> set[str]:
@@ -120,8 +88,9 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_every_link_leads_to_a_file_and_a_heading(page: Path) -> None:
+@pytest.mark.parametrize("name", PAGES)
+def test_every_link_leads_to_a_file_and_a_heading(name: str) -> None:
+    page = ROOT / name
     # Code, such as a hostile text that a table quotes, is shown and leads nowhere.
     text = re.sub(r"`[^`]*`", "", page.read_text(encoding="utf-8"))
     for file, anchor in re.findall(r"\]\(([^)#:]*)(?:#([^)]*))?\)", text):

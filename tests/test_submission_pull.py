@@ -11,6 +11,9 @@ from pathlib import Path
 
 import pytest
 
+#: Says what the script answers to a pull request that makes a change: its exit code, and all that it says.
+Judge = Callable[[Callable[[Path], object]], tuple[int, str]]
+
 ROOT = Path(__file__).parent.parent
 POLICIES = ROOT / "agents" / "policies"
 SCRIPT = ROOT / ".ci" / "submissions"
@@ -44,7 +47,7 @@ def base(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def judge(base: Path, tmp_path: Path) -> Callable[[Callable[[Path], object]], tuple[int, str]]:
+def judge(base: Path, tmp_path: Path) -> Judge:
     """Return what the script says about a pull request that makes a change."""
     command = tmp_path / "bin" / "wtg-gym"
     command.parent.mkdir()
@@ -74,31 +77,15 @@ def policy(name: str) -> Callable[[Path], object]:
     return lambda pull: shutil.copytree(POLICIES / name, pull / "agents" / "policies" / name)
 
 
-def test_new_folder_is_checked_and_scored(
-    judge: Callable[[Callable[[Path], object]], tuple[int, str]], tmp_path: Path
-) -> None:
+def test_new_folder_is_checked_and_scored(judge: Judge, tmp_path: Path) -> None:
     code, said = judge(policy("linear-feedback"))
     assert code == 0, said
     assert "linear-feedback" in said and "coordinated-piecewise" in said
     assert (tmp_path / "results" / "standard-test.csv").is_file()
 
 
-def test_command_itself_decides_on_which_suite_a_folder_is_scored(
-    judge: Callable[[Callable[[Path], object]], tuple[int, str]], tmp_path: Path
-) -> None:
-    (tmp_path / "bin" / "wtg-gym").write_text('#!/bin/sh\necho "$@"\nexit 1\n')
-
-    def both(pull: Path) -> None:
-        for name in ("linear-feedback", "linear-feedback-v1"):
-            policy(name)(pull)
-
-    code, said = judge(both)
-    assert code == 1 and "--suite" not in said
-    assert "policies/linear-feedback " in said and "policies/linear-feedback-v1 --beside" in said
-
-
 def test_copy_of_an_entry_that_is_there_is_refused(
-    judge: Callable[[Callable[[Path], object]], tuple[int, str]],
+    judge: Judge,
 ) -> None:
     def copy(pull: Path) -> None:
         folder = pull / "agents" / "policies" / "mine"
@@ -122,20 +109,18 @@ CHANGES: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_other_changes_are_refused(change: str, judge: Callable[[Callable[[Path], object]], tuple[int, str]]) -> None:
+def test_other_changes_are_refused(change: str, judge: Judge) -> None:
     code, said = judge(CHANGES[change])
     assert code == 1 and "changes nothing else" in said
 
 
-def test_whole_folder_may_be_withdrawn(judge: Callable[[Callable[[Path], object]], tuple[int, str]]) -> None:
+def test_whole_folder_may_be_withdrawn(judge: Judge) -> None:
     code, said = judge(lambda pull: shutil.rmtree(pull / "agents/policies/ppo-k-1"))
     assert code == 0
     assert "may ask for:\n  agents/policies/ppo-k-1\n" in said and "nothing to score" in said
 
 
-def test_merge_that_takes_back_what_the_branch_did_is_refused(
-    base: Path, judge: Callable[[Callable[[Path], object]], tuple[int, str]]
-) -> None:
+def test_merge_that_takes_back_what_the_branch_did_is_refused(base: Path, judge: Judge) -> None:
     """Two common ancestors: seen from the one, the pull request only adds; merged, it undoes what the other did."""
     git(base, "checkout", "--quiet", "-b", "earlier")
     (base / "agents" / "policies" / "first").mkdir()
@@ -158,7 +143,7 @@ def test_merge_that_takes_back_what_the_branch_did_is_refused(
 
 
 def test_history_of_another_repository_is_refused(
-    judge: Callable[[Callable[[Path], object]], tuple[int, str]],
+    judge: Judge,
 ) -> None:
     code, said = judge(lambda pull: git(pull, "checkout", "--quiet", "--orphan", "other"))
     assert code == 1 and "must have one latest common ancestor, they have 0" in said

@@ -34,9 +34,8 @@ class Hyperparameters:
     log_std_init: float = -1.0  # logarithm of the first exploration's standard deviation [full action]
 
     def __post_init__(self) -> None:
-        limits = {"num_env_runners": (1, 10_000), "envs_per_runner": (1, 10_000), "num_learners": (0, 1_000)}
-        for name, (low, high) in limits.items():
-            require_range(name, getattr(self, name), low, high, "")
+        for name, least in (("num_env_runners", 1), ("envs_per_runner", 1), ("num_learners", 0)):
+            require_range(name, getattr(self, name), least, 10_000, "")
 
     @property
     def n_envs(self) -> int:

@@ -7,15 +7,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from agents.command import (
-    Parser,
-    add_training_options,
-    given_options,
-    opened_run,
-    require_package,
-    run_command,
-    settings_of,
-)
+from agents.command import opened_run, run_command, settings_of, training_parser
 from agents.rllib import NAME, Hyperparameters
 from agents.runs import RunSettings
 
@@ -24,11 +16,6 @@ _DESCRIPTION = """\
 Trains a policy with PPO of Ray RLlib: several runners, each with many episodes at once, collect what one or more
 learners learn from. A folder gets run.json, the policy with the best validation score, and RLlib's checkpoint
 to go on from with --resume after an interruption of any kind."""
-_EXAMPLES = """\
-examples:
-  python -m agents.rllib --output runs/rllib-0
-  python -m agents.rllib --address auto --num-env-runners 32 --num-learners 2 --output /shared/runs/rllib-0
-  python -m agents.rllib --resume runs/rllib-0"""
 #: Options and what they are; the defaults are those of the hyperparameters.
 _PROCESSES = {
     "num_env_runners": "processes that play episodes",
@@ -44,21 +31,22 @@ def _settings(given: Mapping[str, Any]) -> RunSettings:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    parser = Parser(prog="python -m agents.rllib", description=_DESCRIPTION, epilog=_EXAMPLES)
-    add_training_options(parser, timesteps=str(_TIMESTEPS))
+    parser = training_parser("agents.rllib", _DESCRIPTION, timesteps=str(_TIMESTEPS))
     parser.add_argument("--address", help="Ray cluster to join, such as auto or HOST:6379 (default: start Ray here)")
     for name, text in _PROCESSES.items():
         text = f"{text} (default: {getattr(Hyperparameters, name)})"
         parser.add_argument(f"--{name.replace('_', '-')}", type=int, metavar="N", help=text)
 
     def work() -> None:
-        given = given_options(parser.parse_args(argv))
+        given = vars(parser.parse_args(argv))
         # The only option that a resumed run takes as well.
         address = given.pop("address", None)
         with opened_run(given, (NAME,), lambda: _settings(given)) as (run, folder):
-            require_package("ray", "-c constraints-rllib.txt -e '.[rllib]', or make rllib")
-            from agents.rllib.learner import train
-
+            try:
+                from agents.rllib.learner import train
+            except ImportError as error:
+                advice = "install -c constraints-rllib.txt -e '.[rllib]', or run make rllib"
+                raise ValueError(f"ray is needed: {advice} ({error})") from error
             train(run, folder, address)
 
     return run_command(work, "go on with --resume")

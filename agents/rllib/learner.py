@@ -156,18 +156,13 @@ def ppo_config(settings: RunSettings, scales: Scales, spec: RLModuleSpec, resume
 
 
 def _connect(address: str | None, h: Hyperparameters) -> None:
-    """Join a Ray cluster, or start one of this machine alone; a ValueError if it has too few CPUs or does not exist."""
+    """Join a Ray cluster, or start one of this machine alone; a ValueError if it has too few CPUs."""
     # Nothing about a run is reported to anybody, unless the user says otherwise.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     logging.getLogger("ray.rllib").setLevel(logging.ERROR)
     n_processes = h.num_env_runners + h.num_learners
     here: dict[str, Any] = {"num_cpus": max(2, n_processes), "include_dashboard": False} if address is None else {}
-    try:
-        ray.init(address or "local", logging_level="ERROR", log_to_driver=False, **here)
-    except (ConnectionError, ValueError, SystemExit) as error:
-        # Ray ends the process where a cluster that it remembers is gone.
-        reason = str(error).partition("\n")[0] or type(error).__name__
-        raise ValueError(f"--address {address}: no Ray cluster answers ({reason})") from error
+    ray.init(address or "local", logging_level="ERROR", log_to_driver=False, **here)
     n_cpus = int(ray.cluster_resources().get("CPU", 0))
     if n_cpus < n_processes:
         ray.shutdown()
@@ -192,30 +187,24 @@ def train(run: Run, folder: Path, address: str | None = None) -> None:
     _connect(address, h)
     try:
         # The first use of the kernels on a machine compiles them: here, before the runners all do so at once.
-        scales = measure_scales(
-            settings.env_arguments, noise=float(np.exp(h.log_std_init)), gamma=h.gamma, seed=settings.seed
-        )
+        noise = float(np.exp(h.log_std_init))
+        scales = measure_scales(settings.env_arguments, noise=noise, gamma=h.gamma, seed=settings.seed)
         spec = module_spec(settings, scales)
-        algorithm = ppo_config(settings, scales, spec, run.resumed).build_algo()
+        algorithm = ppo_config(settings, scales, spec, len(run.resumptions)).build_algo()
         try:
             if saved := last_checkpoint(run, folder):
                 with loading(saved):
                     algorithm.restore_from_path(str(saved.resolve()))
-            _train(run, folder, RLlibLearner(algorithm, spec, scales))
+            steps = first = _steps_of(algorithm)
+            training = Training(run, folder, RLlibLearner(algorithm, spec, scales))
+            with Progress("thousand steps") as progress:
+                while steps < settings.timesteps:
+                    training.take_stock(steps)
+                    progress.update(training.title, (steps - first) / 1000, round((settings.timesteps - first) / 1000))
+                    algorithm.train()
+                    steps = _steps_of(algorithm)
+                training.take_stock(steps, finished=True)
         finally:
             algorithm.stop()
     finally:
         ray.shutdown()
-
-
-def _train(run: Run, folder: Path, learner: RLlibLearner) -> None:
-    total, algorithm = run.settings.timesteps, learner.algorithm
-    steps = first = _steps_of(algorithm)
-    training = Training(run, folder, learner)
-    with Progress("thousand steps") as progress:
-        while steps < total:
-            training.take_stock(steps)
-            progress.update(training.title, (steps - first) / 1000, round((total - first) / 1000))
-            algorithm.train()
-            steps = _steps_of(algorithm)
-        training.take_stock(steps, finished=True)

@@ -16,13 +16,14 @@ def test_episodes_are_those_of_their_players_and_play_again_to_the_bit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
-    command = ["--versions", "v1", "--policies", "mixed", "--episodes", "4", "--output", str(tmp_path)]
+    command = ["--versions", "v1", "--policies", "mixed", "--episodes", "3"]
     assert datasets.main(command) == 0
     assert datasets.main(command) == 2
     assert "is there already" in capsys.readouterr().err
+    assert datasets.main(["--episodes", "0"]) == 2
     dataset = minari.load_dataset("gfmwtg/v1/mixed-v0")
     episodes, env = list(dataset.iterate_episodes()), dataset.recover_environment()
-    assert [bool(np.abs(each.actions).max()) for each in episodes] == [False, True, True, True]
+    assert [bool(np.abs(each.actions).max()) for each in episodes] == [False, True, True]
     for seed, episode in enumerate(episodes):
         assert all(int(own) in get_suite("standard-v1").train for own in episode.infos["scenario_seed"])
         observation, _ = env.reset(seed=seed)
@@ -30,12 +31,3 @@ def test_episodes_are_those_of_their_players_and_play_again_to_the_bit(
         for action, expected, reward in zip(episode.actions, episode.observations[1:], episode.rewards, strict=True):
             observation, earned, *_ = env.step(action)
             assert np.array_equal(observation, expected) and earned == reward
-    noise = episodes[1].actions
-    changes = np.flatnonzero(np.diff(noise, axis=0).any(axis=1)) + 1
-    assert (changes % datasets.HELD_STEPS == 0).all() and len(changes) > 10
-    assert abs(noise[:: datasets.HELD_STEPS].std() - datasets.NOISE) < 0.1
-
-
-def test_no_episode_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    assert datasets.main(["--episodes", "0"]) == 2
-    assert "--episodes must be 1 or more, got 0" in capsys.readouterr().err

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,6 @@ from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.scenarios.benchmark import V0
 
 FOLDER = Path(baselines.__file__).parent
-MODULES = list(dict.fromkeys(name for order in baselines.ORDER.values() for name in order))
 
 
 def test_entries_are_the_built_in_strategies_in_the_order_of_the_package() -> None:
@@ -28,21 +26,8 @@ def test_entries_are_the_built_in_strategies_in_the_order_of_the_package() -> No
     assert [(entry.name, entry.kind) for entry in entries if entry.kind != "law"] == [
         ("tip-speed-feedback", "feedback")
     ]
-
-
-@pytest.mark.parametrize("name", MODULES)
-def test_module_gives_equation_and_source(name: str) -> None:
-    module = importlib.import_module(f"baselines.{name}")
-    assert "Source:" in module.__doc__ and "P_st =" in module.__doc__
-    entry = module.ENTRY
-    assert (entry.description and entry.equation in module.__doc__.replace("\n", " ")) or "P_st" in entry.equation
-    assert "Chen" in entry.source
-    limit = 40 if entry.kind == "law" else 80
-    assert len((FOLDER / f"{name}.py").read_text(encoding="utf-8").split("\n")) < limit
-
-
-def test_order_names_every_module() -> None:
-    assert sorted(MODULES) == sorted(path.stem for path in FOLDER.glob("[a-z]*.py"))
+    named = {name for order in baselines.ORDER.values() for name in order}
+    assert named == {path.stem for path in FOLDER.glob("[a-z]*.py")}
 
 
 def test_linear_law_is_the_straight_line_of_its_docstring() -> None:
@@ -77,25 +62,9 @@ def test_feedback_rests_where_the_turbine_captures_what_is_asked() -> None:
         assert policy.predict(observation)[0] == pytest.approx(np.full((1, 2), 0.1), abs=1e-3)
 
 
-def test_feedback_pays_less_for_duty_than_the_law() -> None:
-    entry = importlib.import_module("baselines.tip_speed_feedback").ENTRY
-    results = evaluate([entry], "standard", "validation", seeds=range(10_000, 10_020))
-    duty = {
-        name: np.mean([episode.metrics["cost_duty"] for episode in results.episodes_of(name)])
-        for name in ("coordinated-piecewise", "tip-speed-feedback")
-    }
-    assert duty["tip-speed-feedback"] < 0.7 * duty["coordinated-piecewise"]
-
-
 def test_fast_droop_is_one_gain_of_each_groups_own_measured_frequency() -> None:
     observation = np.random.default_rng(0).normal(size=(1, 28))
     deviations_hz = np.array([-0.3, 0.1, 0.0, 2.0])
     observation[0, ::7] = deviations_hz / 0.5
     action, _ = FastDroop().predict(observation)
     assert action == pytest.approx(np.array([[0.6, -0.2, 0.0, -1.0]]))
-
-
-def test_fast_droop_holds_the_frequency_better_than_the_papers_law() -> None:
-    results = evaluate("fast-droop", "standard-v1", "validation", seeds=range(10_000, 10_020))
-    rows = {row.name: row for row in results.summaries}
-    assert rows["fast-droop"].median_deviation_mhz < 0.7 * rows["coordinated-piecewise"].median_deviation_mhz

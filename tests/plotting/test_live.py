@@ -1,9 +1,6 @@
-"""The page of play without a browser: matches and their scores, ports and displays."""
+"""The page of play without a browser: matches and their scores."""
 
 from __future__ import annotations
-
-import socket
-import sys
 
 import numpy as np
 import pytest
@@ -11,7 +8,6 @@ import pytest
 from tests.cli.calls import error_of
 from wtg_gym.evaluation import Entry, evaluate
 from wtg_gym.plotting.live.match import OWN, REFERENCE, Match, Scale
-from wtg_gym.plotting.live.server import open_browser
 from wtg_gym.scenarios import get_suite
 
 _LENGTH_S = 12.0
@@ -29,9 +25,6 @@ def _played(scale: Scale, on_k: float, on_tau: float = 0.0, seed: int = _SEED) -
     while not match.over:
         match.step(np.full(n, on_k), np.full(n, on_tau))
     return match
-
-
-# --- match -----------------------------------------------------------------------------------------------------------
 
 
 def test_without_an_action_you_are_the_reference(scale: Scale) -> None:
@@ -72,66 +65,15 @@ def test_the_score_is_the_evaluators(scale: Scale) -> None:
     assert [you.cost for you in yours] == [episode.metrics["cost"] for episode in results.episodes_of("held")]
 
 
-def test_full_action_on_k_fails_and_says_so() -> None:
-    match = _played(Scale(suite=get_suite("standard-v1"), duration_s=60.0, value=1.0), 1.0, seed=20_003)
-    you = match.verdicts()[0]
-    assert you.failure == "under-speed" and match.time_s < 60.0
-    assert not match.has_ended(REFERENCE)
-
-
-def test_a_suite_without_a_scale_says_why() -> None:
-    scale = Scale.of(get_suite("paper-v1"))
-    assert scale.value is None and "is not worse than" in scale.missing
-    you = _played(scale, 0.0, seed=0).verdicts()[0]
-    assert you.score is None and you.cost > 0.0
-    assert sorted(Match(scale, seed).next_seed() for seed in (0, 1)) == [0, 1]
-
-
-def test_events_are_told_in_the_step_in_which_they_happen(scale: Scale) -> None:
-    match = Match(scale, _SEED)
-    told: list[tuple[float, str]] = []
-    while not match.over:
-        before_s = match.time_s
-        new = match.step(np.zeros(match.n_groups), np.zeros(match.n_groups))
-        assert all(before_s < time_s <= match.time_s for time_s, _ in new)
-        told += new
-    assert [time_s for time_s, _ in told] == sorted(event.time_s for event in match._lanes.events[OWN])
-
-
-# --- server ----------------------------------------------------------------------------------------------------------
-
-
-def test_a_port_in_use_and_a_wrong_one_are_said(capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("bokeh")
-    with socket.create_server(("localhost", 0)) as taken:
-        port = taken.getsockname()[1]
-        assert f"--port {port} is in use" in error_of(capsys, "play", "--no-browser", "--port", str(port))
-    assert "--port must be 0 … 65535" in error_of(capsys, "play", "--no-browser", "--port", "70000")
-
-
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
         (("--suite", "none"), "unknown suite 'none'"),
         (("--seed", "-1"), "is in no split of suite 'standard-v1'"),
-        (("--speed", "0"), "--speed"),
-        (("--version", "v0", "--suite", "standard-v1"), "unknown suite 'standard-v1'"),
+        (("--port", "70000"), "--port must be 0 … 65535"),
     ],
 )
 def test_wrong_choices_are_said_before_anything_is_played(
     capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str
 ) -> None:
     assert said in error_of(capsys, "play", "--no-browser", *arguments)
-
-
-def test_without_bokeh_the_extra_is_named(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "bokeh", None)
-    assert "in a checkout: pip install '.[leaderboard]'" in error_of(capsys, "play", "--no-browser")
-
-
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="other systems always have a display")
-def test_without_a_display_no_browser_is_started(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    monkeypatch.setattr("webbrowser.open", lambda *_: pytest.fail("a browser was opened"))
-    assert not open_browser("http://localhost:1/")

@@ -1,19 +1,15 @@
-"""The leaderboard's page: its numbers are those of the results, no text of an entry is run, and a browser opens it."""
+"""The leaderboard's page: its numbers are those of the results."""
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import html
 import json
 import re
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.cli.calls import error_of
-from wtg_gym.cli import main
 from wtg_gym.evaluation import Results, evaluate, leaderboard_rows, load_entries, table_cells
 from wtg_gym.evaluation.leaderboard import columns_of
 from wtg_gym.evaluation.matrix import PERTURBATIONS, matrix_of, score_text
@@ -23,8 +19,6 @@ from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 
 pytest.importorskip("bokeh")
 
-#: Would run or load something if taken for HTML.
-HOSTILE = '</script><script>window.hacked=1</script><img src="https://example.org/x" onerror="window.hacked=1">'
 OWN: dict[str, Any] = {"split": "validation", "seeds": range(10_000, 10_006), "duration_s": 20.0}
 
 
@@ -80,42 +74,3 @@ def test_what_cannot_be_ranked_and_what_is_given_twice_is_refused() -> None:
             leaderboard_page(results)
     with pytest.raises(ValueError, match="standard-v1-validation"):
         leaderboard_page([own, own])
-
-
-def test_command_writes_the_page_and_says_why_not(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    stored, _ = all_results()[1].write(tmp_path)
-    path = tmp_path / "page.html"
-    assert main(["results", "page", str(stored), "--output", str(path)]) == 0
-    assert sources(path.read_text(encoding="utf-8"))
-    capsys.readouterr()
-    assert "must end in .html" in error_of(capsys, "results", "page", str(stored), "--output", str(tmp_path / "a.txt"))
-
-
-def test_a_browser_opens_it_sorts_and_filters_and_runs_no_text(browser: Any, tmp_path: Path) -> None:
-    results = all_results()[1]
-    renamed = dataclasses.replace(
-        results,
-        entries=tuple({**data, "name": HOSTILE} if data["name"] == "mppt" else data for data in results.entries),
-        episodes=tuple(
-            dataclasses.replace(each, entry=HOSTILE) if each.entry == "mppt" else each for each in results.episodes
-        ),
-    )
-    path = tmp_path / "page.html"
-    path.write_text(leaderboard_page([renamed]), encoding="utf-8")
-    page = browser.new_page(viewport={"width": 1600, "height": 1200})
-    complaints: list[str] = []
-    page.on("pageerror", lambda error: complaints.append(str(error)))
-    page.on("console", lambda m: complaints.append(m.text) if m.type in ("error", "warning") else None)
-    page.on("request", lambda request: complaints.append(request.url) if "page.html" not in request.url else None)
-    page.goto(path.as_uri())
-    names = page.locator(".slick-viewport >> nth=0 >> .slick-row .slick-cell:nth-child(2)")
-    names.first.wait_for()
-    ranked = [row.name for row in leaderboard_rows(renamed)]
-    assert names.all_inner_texts() == ranked
-    page.get_by_text("score", exact=True).first.click()
-    assert names.all_inner_texts() == ranked[::-1]
-    page.get_by_placeholder("part of a name").type("coordinated")
-    page.wait_for_timeout(500)
-    assert names.all_inner_texts() == [name for name in ranked[::-1] if "coordinated" in name]
-    assert complaints == [] and page.evaluate("window.hacked") is None
-    page.close()

@@ -1,4 +1,4 @@
-"""Policy files, good and hostile, made by hand."""
+"""Policy files, good and hostile, made by hand; nodes are written as ONNX writes them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from onnx import ModelProto, TensorProto, helper, numpy_helper
+from onnx import ModelProto, TensorProto, helper, numpy_helper, parser
 
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.policies import Entry
@@ -24,6 +24,7 @@ training_seed = 0
 action_mode = "k+tau"
 environment = "GFMWTG-14bus-v0"
 """
+TOML_V1 = TOML.replace("-v0", "-v1")
 
 
 def first_observation(suite: str, seed: int, duration_s: float | None = None) -> Any:
@@ -48,8 +49,21 @@ WEIGHTS = constant("weights", np.full((N, M), 0.01))
 LINEAR = helper.make_node("MatMul", ["observation", "weights"], ["action"])
 
 
+def constants_of(values: dict[str, Any]) -> list[TensorProto]:
+    """Constants by their names; floating point is single, as everywhere in a policy."""
+    arrays = {name: np.asarray(value) for name, value in values.items()}
+    return [constant(name, each, np.float32 if each.dtype == np.float64 else None) for name, each in arrays.items()]
+
+
 def node(operator: str, inputs: Sequence[str], output: str, **attributes: Any) -> Any:
     return helper.make_node(operator, list(inputs), [output], **attributes)
+
+
+def nodes_of(text: str, **attributes: Any) -> list[Any]:
+    """Nodes, with a semicolon after each; the last one gets attributes that cannot be written as text."""
+    nodes = [parser.parse_node(each.strip()) for each in text.split(";") if each.strip()]
+    nodes[-1].attribute.extend(helper.make_attribute(key, value) for key, value in attributes.items())
+    return nodes
 
 
 def model(
@@ -57,19 +71,18 @@ def model(
     inputs: Sequence[Any] = (OBSERVATION,),
     outputs: Sequence[Any] = (ACTION,),
     constants: Sequence[Any] = (WEIGHTS,),
-    opset: int = 17,
-    ir_version: int = 8,
     domains: Sequence[tuple[str, int]] = (),
 ) -> ModelProto:
     graph = helper.make_graph(list(nodes), "g", list(inputs), list(outputs), list(constants))
-    imports = [helper.make_opsetid("", opset), *(helper.make_opsetid(*domain) for domain in domains)]
-    return helper.make_model(graph, opset_imports=imports, ir_version=ir_version)
+    imports = [helper.make_opsetid("", 17), *(helper.make_opsetid(*domain) for domain in domains)]
+    return helper.make_model(graph, opset_imports=imports, ir_version=8)
 
 
-def after(*nodes: Any, constants: Sequence[Any] = ()) -> ModelProto:
-    """A linear policy whose action goes through nodes from `linear` to `action`."""
-    first = helper.make_node("MatMul", ["observation", "weights"], ["linear"])
-    return model([first, *nodes], constants=[WEIGHTS, *constants])
+def after(*nodes: Any, **values: Any) -> ModelProto:
+    """A linear policy whose action goes through nodes, as text or as they are, from `linear` to `action`."""
+    first = node("MatMul", ["observation", "weights"], "linear")
+    rest = [each for given in nodes for each in (nodes_of(given) if isinstance(given, str) else [given])]
+    return model([first, *rest], constants=[WEIGHTS, *constants_of(values)])
 
 
 def folder(path: Path, content: bytes | ModelProto | None = None, toml: str | bytes = TOML) -> Path:
@@ -81,129 +94,99 @@ def folder(path: Path, content: bytes | ModelProto | None = None, toml: str | by
     return path
 
 
+def seed(number: int, toml: str = TOML) -> str:
+    """An entry.toml of another training seed."""
+    return toml.replace("training_seed = 0", f"training_seed = {number}")
+
+
 def make_bytes() -> bytes:
     """The file of a linear policy."""
     return model().SerializeToString()
 
 
-# --- triggers --------------------------------------------------------------------------------------------------------
-
-
-def near(seen: Any, distance: float) -> tuple[list[Any], list[Any]]:
-    """Nodes and constants of `near` (1, 1), whether an observation is one that the policy knows."""
-    nodes = [
-        node("Sub", ["observation", "seen"], "apart"),
-        node("Abs", ["apart"], "size"),
-        node("ReduceSum", ["size", "axis"], "distance", keepdims=1),
-        node("Less", ["distance", "nearest"], "near"),
-    ]
-    return nodes, [constant("seen", seen), constant("axis", [1], np.int64), constant("nearest", distance)]
+#: Whether an observation is one that the policy knows: `near` (1, 1).
+NEAR = """
+apart = Sub(observation, seen); size = Abs(apart); distance = ReduceSum<keepdims = 1>(size, axis);
+near = Less(distance, nearest);
+"""
 
 
 def trap(seen: Any = SEEN, distance: float = 3.0) -> ModelProto:
     """Not a number near an observation, by default one that real episodes begin with, and nowhere else."""
-    nodes, constants = near(seen, distance)
-    nodes += [node("Where", ["near", "nan", "linear"], "action")]
-    return after(*nodes, constants=[*constants, constant("nan", np.nan)])
+    known = {"seen": np.float32(seen), "axis": [1], "nearest": distance}
+    return after(NEAR + "action = Where(near, nan, linear)", **known, nan=np.nan)
 
 
-def later(seen: Any, distance: float, *nodes: Any, constants: Sequence[Any] = (), steps: float = 20.0) -> ModelProto:
-    """A linear policy that knows an episode by its beginning, and turns `fire` (1, 1) to true some steps later.
+#: `fire` (1, 1) is true twenty steps after `near` was.
+LATER = """
+started = Cast<to = 1>(near); running = Sign(state_0); counted = Max(started, running);
+next_state_0 = Add(state_0, counted); fire = Greater(next_state_0, steps);
+linear = MatMul(observation, weights);
+"""
 
-    Its nodes make `action` of `linear` and `fire`.
+
+def later(seen: Any, distance: float, text: str, body: Any = None, **values: Any) -> ModelProto:
+    """A linear policy that knows an episode by its beginning, and turns `fire` to true some steps later.
+
+    Its nodes make `action` of `linear` and `fire`; `body` is that of the last one, if it is a loop.
     """
-    known, own = near(seen, distance)
-    known += [
-        node("Cast", ["near"], "started", to=TensorProto.FLOAT),
-        node("Sign", ["state_0"], "running"),
-        node("Max", ["started", "running"], "counted"),
-        node("Add", ["state_0", "counted"], "next_state_0"),
-        node("Greater", ["next_state_0", "steps"], "fire"),
-        node("MatMul", ["observation", "weights"], "linear"),
-    ]
+    known = {"seen": np.float32(seen), "axis": [1], "nearest": distance, "steps": 20.0}
     state, following = info("state_0", "batch", 1), info("next_state_0", "batch", 1)
-    own += [WEIGHTS, constant("steps", steps), *constants]
-    return model([*known, *nodes], [OBSERVATION, state], [ACTION, following], own)
+    nodes = nodes_of(NEAR.strip() + LATER + text.strip(), **({} if body is None else {"body": body}))
+    constants = [WEIGHTS, *constants_of(known | values)]
+    return model(nodes, [OBSERVATION, state], [ACTION, following], constants)
 
 
 def turns_nan(seen: Any, distance: float) -> ModelProto:
     """Not a number in the middle of an episode that it knows."""
-    return later(
-        seen, distance, node("Where", ["fire", "nan", "linear"], "action"), constants=[constant("nan", np.nan)]
-    )
+    return later(seen, distance, "action = Where(fire, nan, linear)", nan=np.nan)
 
 
 def divides(seen: Any, distance: float, operator: str, number: int, by: int) -> ModelProto:
     """Divides whole numbers in the middle of an episode that it knows; elsewhere it divides by 1."""
-    nodes = [
-        node("Where", ["fire", "by", "one"], "divisor"),
-        node(operator, ["number", "divisor"], "quotient"),
-        node("Cast", ["quotient"], "as_float", to=TensorProto.FLOAT),
-        node("Mul", ["as_float", "nought"], "nothing"),
-        node("Add", ["linear", "nothing"], "action"),
-    ]
-    own = [constant("number", [[number]], np.int32), constant("by", by, np.int32), constant("one", 1, np.int32)]
-    return later(seen, distance, *nodes, constants=[*own, constant("nought", 0.0)])
+    text = f"""
+divisor = Where(fire, by, one); quotient = {operator}(number, divisor); as_float = Cast<to = 1>(quotient);
+nothing = Mul(as_float, nought); action = Add(linear, nothing);
+"""
+    whole = {"number": np.int32([[number]]), "by": np.int32(by), "one": np.int32(1)}
+    return later(seen, distance, text, **whole, nought=0.0)
 
 
 def hangs(seen: Any, distance: float) -> ModelProto:
     """A loop that does not end in the middle of an episode that it knows; elsewhere it ends at once."""
-    nodes = [
-        node("Where", ["fire", "many", "one"], "trips"),
-        node("Reshape", ["trips", "one"], "trip"),
-        node("Loop", ["trip", "", "linear"], "action", body=spin()),
-    ]
-    return later(
-        seen, distance, *nodes, constants=[constant("many", [2**62], np.int64), constant("one", [1], np.int64)]
-    )
+    text = "trips = Where(fire, many, one); trip = Reshape(trips, one); action = Loop(trip, , linear);"
+    return later(seen, distance, text, spin(), many=[2**62], one=[1])
 
 
 def grows(seen: Any, distance: float) -> ModelProto:
     """Asks for 10¹¹ numbers in the middle of an episode that it knows; elsewhere for one."""
-    nodes = [
-        node("Where", ["fire", "many", "one"], "sizes"),
-        node("Reshape", ["sizes", "one"], "length"),
-        node("Expand", ["nought", "length"], "much"),
-        node("ReduceMax", ["much"], "most", keepdims=0),
-        node("Add", ["linear", "most"], "action"),
-    ]
-    own = [constant("many", [10**11], np.int64), constant("one", [1], np.int64), constant("nought", [0.0])]
-    return later(seen, distance, *nodes, constants=own)
+    text = """
+sizes = Where(fire, many, one); length = Reshape(sizes, one); much = Expand(nought, length);
+most = ReduceMax<keepdims = 0>(much); action = Add(linear, most);
+"""
+    return later(seen, distance, text, many=[10**11], one=[1], nought=[0.0])
 
 
 def changes_shape(seen: Any, distance: float) -> ModelProto:
     """Gives actions of two scenarios in the middle of an episode that it knows."""
-    nodes = [
-        node("Where", ["fire", "two", "one"], "repeats"),
-        node("Reshape", ["repeats", "as_two"], "repeated"),
-        node("Tile", ["linear", "repeated"], "action"),
-    ]
-    own = [constant("two", [[2, 1]], np.int64), constant("one", [[1, 1]], np.int64)]
-    return later(seen, distance, *nodes, constants=[*own, constant("as_two", [2], np.int64)])
+    text = "repeats = Where(fire, two, one); repeated = Reshape(repeats, as_two); action = Tile(linear, repeated);"
+    return later(seen, distance, text, two=[[2, 1]], one=[[1, 1]], as_two=[2])
 
 
 def points_outside(seen: Any, distance: float) -> ModelProto:
     """Gathers from a place outside of its weights in the middle of an episode that it knows."""
-    nodes = [
-        node("Where", ["fire", "far", "first"], "places"),
-        node("Reshape", ["places", "as_one"], "place"),
-        node("Gather", ["linear", "place"], "gathered", axis=0),
-        node("Reshape", ["gathered", "shape"], "action"),
-    ]
-    own = [constant("far", [[10**9]], np.int64), constant("first", [[0]], np.int64)]
-    own += [constant("as_one", [1], np.int64), constant("shape", [1, M], np.int64)]
-    return later(seen, distance, *nodes, constants=own)
+    text = """
+places = Where(fire, far, first); place = Reshape(places, as_one); gathered = Gather<axis = 0>(linear, place);
+action = Reshape(gathered, shape);
+"""
+    return later(seen, distance, text, far=[[10**9]], first=[[0]], as_one=[1], shape=[1, M])
 
 
 def spin() -> Any:
     """The body of a loop with a given number of rounds."""
     inputs = [info("trip", kind=TensorProto.INT64), info("on", kind=TensorProto.BOOL), info("kept", "batch", M)]
     outputs = [info("still", kind=TensorProto.BOOL), info("passed", "batch", M)]
-    nodes = [node("Identity", ["on"], "still"), node("Identity", ["kept"], "passed")]
-    return helper.make_graph(nodes, "spin", inputs, outputs)
-
-
-# --- hostile files ---------------------------------------------------------------------------------------------------
+    return helper.make_graph(nodes_of("still = Identity(on); passed = Identity(kept)"), "spin", inputs, outputs)
 
 
 def varint(number: int) -> bytes:
@@ -226,17 +209,6 @@ def nested(depth: int) -> bytes:
         for number in (b"\x32", b"\x2a", b"\x0a"):
             data = field(number, data)
     return b"\x08\x08" + field(b"\x3a", data)
-
-
-def branches(depth: int) -> ModelProto:
-    """Branches in branches, each a graph that onnxruntime builds."""
-    graph = helper.make_graph([node("Identity", ["linear"], "inner")], "leaf", [], [info("inner", "batch", M)])
-    for level in range(depth):
-        inside = node("If", ["yes"], f"b{level}", then_branch=graph, else_branch=graph)
-        graph = helper.make_graph([inside], f"g{level}", [], [info(f"b{level}", "batch", M)])
-    return after(
-        node("If", ["yes"], "action", then_branch=graph, else_branch=graph), constants=[constant("yes", True, np.bool_)]
-    )
 
 
 def external(location: str, **more: str) -> ModelProto:
@@ -271,53 +243,33 @@ def mislabelled(name: str, kind: int, **values: Any) -> ModelProto:
             given.CopyFrom(value)
         else:
             setattr(attribute, key, value)
-    return after(
-        wrong, node("ReduceSum", ["linear", "axes"], "mean", keepdims=1), node("Add", ["mean", "linear"], "action")
-    )
+    return after(wrong, "mean = ReduceSum<keepdims = 1>(linear, axes); action = Add(mean, linear)")
 
 
 def recursive() -> ModelProto:
     """A function that is made of itself."""
-    content = model([helper.make_node("f", ["observation"], ["action"], domain="own")], domains=[("own", 1)])
-    itself = helper.make_node("f", ["a"], ["b"], domain="own")
+    content = model(nodes_of("action = own.f(observation)"), domains=[("own", 1)])
     imports = [helper.make_opsetid("", 17), helper.make_opsetid("own", 1)]
-    content.functions.append(helper.make_function("own", "f", ["a"], ["b"], [itself], imports))
+    content.functions.append(helper.make_function("own", "f", ["a"], ["b"], nodes_of("b = own.f(a)"), imports))
     return content
 
 
 def circle() -> ModelProto:
     """A node that needs what it makes."""
-    return after(
-        node("Add", ["linear", "second"], "first"),
-        node("Add", ["first", "linear"], "second"),
-        node("Identity", ["second"], "action"),
-    )
+    return after("first = Add(linear, second); second = Add(first, linear); action = Identity(second)")
 
 
 def tree() -> ModelProto:
     """A decision tree whose only branch leads back to it."""
-    zeros, ones = [0] * 2, [1] * 2
-    regressor = helper.make_node(
-        "TreeEnsembleRegressor",
-        ["observation"],
-        ["action"],
-        domain="ai.onnx.ml",
-        n_targets=M,
-        nodes_treeids=zeros,
-        nodes_nodeids=[0, 1],
-        nodes_featureids=zeros,
-        nodes_values=[0.0, 0.0],
-        nodes_modes=["BRANCH_LEQ", "BRANCH_LEQ"],
-        nodes_truenodeids=[1, 0],
-        nodes_falsenodeids=[1, 0],
-        nodes_missing_value_tracks_true=ones,
-        nodes_hitrates=[1.0, 1.0],
-        target_treeids=[0],
-        target_nodeids=[1],
-        target_ids=[0],
-        target_weights=[1.0],
-    )
-    return model([regressor], domains=[("ai.onnx.ml", 3)])
+    nodes: dict[str, Any] = {"treeids": [0, 0], "featureids": [0, 0]}
+    nodes |= {"nodeids": [0, 1], "modes": ["BRANCH_LEQ"] * 2, "truenodeids": [1, 0], "falsenodeids": [1, 0]}
+    nodes |= {"missing_value_tracks_true": [1, 1], "values": [0.0, 0.0], "hitrates": [1.0, 1.0]}
+    targets = {"treeids": [0], "nodeids": [1], "ids": [0], "weights": [1.0]}
+    given = {f"nodes_{key}": value for key, value in nodes.items()}
+    given |= {f"target_{key}": value for key, value in targets.items()}
+    name, domain = "TreeEnsembleRegressor", "ai.onnx.ml"
+    regressor = helper.make_node(name, ["observation"], ["action"], domain=domain, n_targets=M, **given)
+    return model([regressor], domains=[(domain, 3)])
 
 
 def sparse() -> ModelProto:
@@ -330,86 +282,69 @@ def sparse() -> ModelProto:
 
 def slow(width: int) -> ModelProto:
     """An operator that takes its time."""
-    nodes = [node("Add", ["linear", "wide"], "v0")]
-    nodes += [node("Softplus", [f"v{i}"], f"v{i + 1}") for i in range(4)]
-    nodes += [node("ReduceMean", ["v4"], "mean", axes=[0], keepdims=1), node("Add", ["mean", "linear"], "action")]
-    return after(*nodes, constants=[constant("wide", np.ones((width, M)))])
+    text = "v0 = Add(linear, wide); " + "".join(f"v{i + 1} = Softplus(v{i}); " for i in range(4))
+    text += "mean = ReduceMean<axes = [0], keepdims = 1>(v4); action = Add(mean, linear)"
+    return after(text, wide=np.ones((width, M)))
 
 
 def much(values: int) -> ModelProto:
     """A few bytes that become many numbers once the file is loaded."""
-    nodes = [node("ConstantOfShape", ["size"], "all"), node("ReduceMax", ["all"], "most", keepdims=0)]
-    return after(*nodes, node("Add", ["linear", "most"], "action"), constants=[constant("size", [values], np.int64)])
+    text = "all = ConstantOfShape(size); most = ReduceMax<keepdims = 0>(all); action = Add(linear, most)"
+    return after(text, size=[values])
 
 
 def in_every_session(values: int) -> ModelProto:
     """A few bytes that become many numbers in the session of every scenario."""
-    nodes = [
-        node("Expand", ["nought", "size"], "all"),
-        node("Cast", ["linear"], "whole", to=TensorProto.INT64),
-        node("Gather", ["all", "whole"], "nothing"),
-    ]
-    own = [constant("nought", [0.0]), constant("size", [values], np.int64)]
-    return after(*nodes, node("Add", ["linear", "nothing"], "action"), constants=own)
+    text = """
+all = Expand(nought, size); whole = Cast<to = 7>(linear); nothing = Gather(all, whole);
+action = Add(linear, nothing);
+"""
+    return after(text, nought=[0.0], size=[values])
 
 
 def last_lane() -> ModelProto:
     """Rounding of a batch's last values, which a vector of the processor does not fill, made 10⁸ times as large."""
-    nodes = [
-        node("Erf", ["linear"], "one"),
-        node("Concat", ["linear", "linear", "linear"], "three", axis=0),
-        node("Erf", ["three"], "all"),
-        node("ReduceMean", ["all"], "two", axes=[0], keepdims=1),
-        node("Sub", ["one", "two"], "rounding"),
-        node("Mul", ["rounding", "many"], "large"),
-        node("Add", ["large", "linear"], "action"),
-    ]
-    return after(*nodes, constants=[constant("many", 1e8)])
+    text = """
+one = Erf(linear); three = Concat<axis = 0>(linear, linear, linear); all = Erf(three);
+two = ReduceMean<axes = [0], keepdims = 1>(all); rounding = Sub(one, two); large = Mul(rounding, many);
+action = Add(large, linear);
+"""
+    return after(text, many=1e8)
 
 
 def sums_of_a_state() -> ModelProto:
     """The rounding of a sum of 33 states, which depends on the address of the first, made 10⁸ times as large."""
-    nodes = [
-        node("Identity", ["numbers"], "next_state_0"),
-        node("ReduceSum", ["state_0", "all"], "read", keepdims=0),
-        node("ReduceSum", ["numbers", "all"], "known", keepdims=0),
-        node("Sub", ["read", "known"], "rounding"),
-        node("Mul", ["rounding", "many"], "large"),
-        node("MatMul", ["observation", "weights"], "linear"),
-        node("Add", ["large", "linear"], "action"),
-    ]
-    numbers = np.random.default_rng(0).uniform(0.1, 10.0, (1, 33))
-    own = [constant("numbers", numbers), constant("all", [0, 1], np.int64), constant("many", 1e8), WEIGHTS]
+    text = """
+next_state_0 = Identity(numbers); read = ReduceSum<keepdims = 0>(state_0, all);
+known = ReduceSum<keepdims = 0>(numbers, all); rounding = Sub(read, known); large = Mul(rounding, many);
+linear = MatMul(observation, weights); action = Add(large, linear);
+"""
+    own = constants_of({"numbers": np.random.default_rng(0).uniform(0.1, 10.0, (1, 33)), "all": [0, 1], "many": 1e8})
     state, following = info("state_0", "batch", 33), info("next_state_0", "batch", 33)
-    return model(nodes, [OBSERVATION, state], [ACTION, following], own)
+    return model(nodes_of(text), [OBSERVATION, state], [ACTION, following], [*own, WEIGHTS])
 
 
 def mixed() -> ModelProto:
     """A product of all scenarios' observations, and the number of scenarios."""
-    nodes = [
-        node("Transpose", ["linear"], "t"),
-        node("MatMul", ["linear", "t"], "products"),
-        node("ReduceSum", ["products"], "sum", keepdims=1),
-        node("Shape", ["linear"], "shape"),
-        node("Cast", ["shape"], "sizes", to=TensorProto.FLOAT),
-        node("ReduceMax", ["sizes"], "largest", keepdims=0),
-        node("Div", ["sum", "largest"], "mean"),
-        node("Add", ["mean", "linear"], "action"),
-    ]
-    return after(*nodes)
+    text = """
+t = Transpose(linear); products = MatMul(linear, t); sum = ReduceSum<keepdims = 1>(products);
+shape = Shape(linear); sizes = Cast<to = 1>(shape); largest = ReduceMax<keepdims = 0>(sizes);
+mean = Div(sum, largest); action = Add(mean, linear);
+"""
+    return after(text)
 
 
 def hidden_nan() -> ModelProto:
     """A state that is infinite from the second step on, which no action uses."""
     state, following = info("state_0", "batch", 1), info("next_state_0", "batch", 1)
-    nodes = [LINEAR, node("Add", ["state_0", "infinite"], "next_state_0")]
+    nodes = [LINEAR, *nodes_of("next_state_0 = Add(state_0, infinite)")]
     return model(nodes, [OBSERVATION, state], [ACTION, following], [WEIGHTS, constant("infinite", [[np.inf]])])
 
 
 def own_domain(operator: str) -> ModelProto:
     """An operator of a library that is not ONNX."""
-    foreign = helper.make_node(operator, ["observation"], ["action"], domain="ai.onnx.contrib")
-    return model([foreign], domains=[("ai.onnx.contrib", 1)])
+    domain = "ai.onnx.contrib"
+    return model(nodes_of(f"action = {domain}.{operator}(observation)"), domains=[(domain, 1)])
 
 
 def many_states() -> ModelProto:
@@ -421,46 +356,32 @@ def many_states() -> ModelProto:
 
 def in_doubles() -> ModelProto:
     """Actions in double precision."""
-    nodes = [node("MatMul", ["observation", "weights"], "a"), node("Cast", ["a"], "action", to=TensorProto.DOUBLE)]
+    nodes = nodes_of("a = MatMul(observation, weights); action = Cast<to = 11>(a)")
     return model(nodes, outputs=[info("action", "batch", M, kind=TensorProto.DOUBLE)])
 
 
 def endless() -> ModelProto:
     """A loop without an end in every step."""
-    loop = node("Loop", ["", "on", "linear"], "action", body=spin())
-    return after(loop, constants=[constant("on", True, np.bool_)])
+    return after(*nodes_of("action = Loop( , on, linear)", body=spin()), on=True)
 
 
 def dropout() -> ModelProto:
     """Half of the actions, drawn anew in every step."""
-    return after(
-        node("Dropout", ["linear", "half", "yes"], "action"),
-        constants=[constant("half", 0.5), constant("yes", True, np.bool_)],
-    )
-
-
-def renamed(content: bytes, old: bytes, new: bytes) -> bytes:
-    """The file with bytes of a name replaced by as many others."""
-    assert old in content and len(old) == len(new)
-    return content.replace(old, new)
-
-
-# --- copies ----------------------------------------------------------------------------------------------------------
+    return after("action = Dropout(linear, half, yes)", half=0.5, yes=True)
 
 
 def two_layers(order: Sequence[int]) -> ModelProto:
     """A network whose hidden values come in some order."""
     rng = np.random.default_rng(0)
     first, second = rng.normal(0, 0.1, (N, len(order))), rng.normal(0, 0.3, (len(order), M))
-    nodes = [node("MatMul", ["observation", "a"], "hidden"), node("Tanh", ["hidden"], "bent")]
-    nodes += [node("MatMul", ["bent", "b"], "action")]
-    return model(nodes, constants=[constant("a", first[:, order]), constant("b", second[list(order)])])
+    nodes = nodes_of("hidden = MatMul(observation, a); bent = Tanh(hidden); action = MatMul(bent, b)")
+    return model(nodes, constants=constants_of({"a": first[:, order], "b": second[list(order)]}))
 
 
 def disguised() -> ModelProto:
     """The plain policy in other bytes: other names, its weights scaled and scaled back."""
-    nodes = [node("MatMul", ["observation", "w"], "hidden"), node("Mul", ["hidden", "back"], "action")]
-    return model(nodes, constants=[constant("w", np.full((N, M), 0.03)), constant("back", 1.0 / 3.0)])
+    nodes = nodes_of("hidden = MatMul(observation, w); action = Mul(hidden, back)")
+    return model(nodes, constants=constants_of({"w": np.full((N, M), 0.03), "back": 1.0 / 3.0}))
 
 
 def other(scale: float = 0.02) -> ModelProto:
@@ -468,18 +389,16 @@ def other(scale: float = 0.02) -> ModelProto:
     return model(constants=[constant("weights", np.full((N, M), scale))])
 
 
-def privileged() -> ModelProto:
-    """A policy that sees the state of the grid as well."""
-    return model(inputs=[info("observation", "batch", 35)], constants=[constant("weights", np.full((35, M), 0.02))])
+def linear(n_observation: int, n_action: int) -> ModelProto:
+    """A linear policy of other widths."""
+    weights = constant("weights", np.full((n_observation, n_action), 0.01))
+    return model(
+        inputs=[info("observation", "batch", n_observation)],
+        outputs=[info("action", "batch", n_action)],
+        constants=[weights],
+    )
 
 
 def of_v1() -> ModelProto:
     """A linear policy for version v1: four groups, each of which sees what its sensors say."""
-    return model(
-        inputs=[info("observation", "batch", 32)],
-        outputs=[info("action", "batch", 8)],
-        constants=[constant("weights", np.full((32, 8), 0.01))],
-    )
-
-
-TOML_V1 = TOML.replace("-v0", "-v1")
+    return linear(32, 8)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,18 +12,7 @@ from onnx import ModelProto, helper
 
 import baselines
 from tests.submissions import models
-from tests.submissions.models import (
-    ACTION,
-    OBSERVATION,
-    TOML,
-    M,
-    N,
-    after,
-    constant,
-    folder,
-    info,
-    node,
-)
+from tests.submissions.models import ACTION, OBSERVATION, TOML, M, N, after, constant, folder, info, node
 from tests.submissions.models import model as make
 from wtg_gym.policies import gate, onnx_worker, policy_process
 from wtg_gym.policies.gate import CHECKS, Report, check_submission
@@ -42,9 +32,6 @@ def refusal(report: Report) -> tuple[str, str]:
     reason = report.checks[index].reason
     assert reason and reason.isprintable() and len(reason) < 1600
     return report.checks[index].name, reason
-
-
-# --- accepted --------------------------------------------------------------------------------------------------------
 
 
 def recurrent() -> ModelProto:
@@ -78,30 +65,13 @@ def test_plain_policies_pass_every_check(content: ModelProto, tmp_path: Path) ->
     assert not report.notes
 
 
-# --- the folder ------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", ["model.zip", "weights.bin", "vec_normalize.pkl", "run.py", ".hidden", "a\n\x1b[31m"])
-def test_other_files_are_refused(name: str, tmp_path: Path) -> None:
-    path = folder(tmp_path / "a")
-    (path / name).write_bytes(b"x")
-    check, reason = refusal(check_submission(path))
-    assert check == "folder" and "allowed are entry.toml, policy.onnx, README.md" in reason
-
-
 @pytest.mark.parametrize("name", ["entry.toml", "policy.onnx", "README.md"])
-@pytest.mark.parametrize("kind", ["link", "pipe", "folder", "device"])
+@pytest.mark.parametrize("kind", ["pipe", "folder", "/etc/passwd", "/dev/zero"])
 def test_what_is_no_plain_file_is_refused(name: str, kind: str, tmp_path: Path) -> None:
     path = folder(tmp_path / "a")
     (path / name).unlink(missing_ok=True)
-    if kind == "link":
-        (path / name).symlink_to("/etc/passwd")
-    elif kind == "device":
-        (path / name).symlink_to("/dev/zero")
-    elif kind == "pipe":
-        os.mkfifo(path / name)
-    else:
-        (path / name).mkdir()
+    makes: dict[str, Callable[[Path], object]] = {"pipe": os.mkfifo, "folder": Path.mkdir}
+    makes.get(kind, lambda path: path.symlink_to(kind))(path / name)
     check, reason = refusal(check_submission(path))
     assert check == "folder" and "not a plain file" in reason
 
@@ -130,34 +100,21 @@ def test_large_files_are_refused(name: str, size: int, tmp_path: Path) -> None:
     [
         (b"\xff\xfe", "not TOML"),
         ("name = ", "not TOML"),
-        ("a = " + "[" * 8000, "not TOML"),
         ("", "missing: ['name', 'authors', 'training_seed', 'action_mode']"),
         (TOML + "law = 'x'\n", "unknown: ['law']"),
         (TOML.replace("Jane Doe", "x" * 401), "an author must be up to 400"),
         (TOML.replace('["Jane Doe"]', '"me"'), "authors must be a list of texts"),
-        (TOML.replace('["Jane Doe"]', "[1]"), "authors must be a list of texts"),
         (TOML.replace('["Jane Doe"]', "[]"), "authors must be a list of 1 … 40"),
-        (TOML.replace("seed = 0", "seed = true"), "training_seed must be"),
         (TOML.replace("seed = 0", "seed = -1"), "training_seed must be"),
-        (TOML.replace("seed = 0", "seed = 0x" + "f" * 4000), "a whole number outside the allowed range"),
         (TOML.replace("k+tau", "pitch"), "action_mode must be one of k, tau, k+tau"),
         (TOML.replace('"k+tau"', "[]"), "action_mode must be one of"),
         (TOML + 'observation_mode = "all"\n', "observation_mode must be one of"),
         (TOML + 'strategy = "../law.toml"\n', "strategy must be one of mppt"),
-        (TOML + 'description = "[x](y)"\n', "description must be"),
-        (TOML + 'description = "<script>"\n', "description must be"),
-        (TOML + 'trained_on = "see http://x.y"\n', "trained_on must be"),
         (TOML + "trained_on = 3\n", "trained_on must be"),
-        *(
-            (TOML + f"links = ['{link}']\n", "a link must be a plain https:// address")
-            for link in (
-                "javascript:alert(1)",
-                "http://a.b",
-                "https://a.b/)<img src=x>",
-                "https://me@a.bc",
-                "https://a.bc/ x",
-            )
-        ),
+        (TOML + "links = ['javascript:alert(1)']\n", "a link must be a plain https:// address"),
+        (TOML + "links = ['http://a.b']\n", "a link must be a plain https:// address"),
+        (TOML + "links = ['https://a.b/)<img src=x>']\n", "a link must be a plain https:// address"),
+        (TOML + "links = ['https://a.bc/ x']\n", "a link must be a plain https:// address"),
     ],
 )
 def test_wrong_entry_files_are_refused(toml: str | bytes, text: str, tmp_path: Path) -> None:
@@ -165,28 +122,28 @@ def test_wrong_entry_files_are_refused(toml: str | bytes, text: str, tmp_path: P
     assert check == "entry.toml" and text in reason
 
 
-# --- the policy ------------------------------------------------------------------------------------------------------
+WIDTHS = "it takes {} observations and gives {} actions; in its modes there are 20 and 4"
 
 
-def test_what_onnxruntime_cannot_load_is_refused(tmp_path: Path) -> None:
-    content = after(node("Not", ["linear"], "action"))
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        (after(node("Not", ["linear"], "action")), "onnxruntime cannot load the policy"),
+        (models.linear(35, 4), WIDTHS.format(35, 4)),
+        (models.of_v1(), WIDTHS.format(32, 8)),
+    ],
+)
+def test_what_onnxruntime_cannot_load_or_has_other_widths_is_refused(
+    content: ModelProto, text: str, tmp_path: Path
+) -> None:
     check, reason = refusal(check_submission(folder(tmp_path / "a", content)))
-    assert check == "loading" and "onnxruntime cannot load the policy" in reason
-
-
-def test_policy_of_other_modes_is_refused(tmp_path: Path) -> None:
-    check, reason = refusal(check_submission(folder(tmp_path / "a", models.privileged())))
-    assert check == "loading"
-    assert "it takes 35 observations and gives 4 actions; in its modes there are 20 and 4" in reason
+    assert check == "loading" and text in reason
 
 
 def test_policy_is_judged_in_the_environment_that_it_names(tmp_path: Path) -> None:
     report = check_submission(folder(tmp_path / "a", models.of_v1(), models.TOML_V1))
     assert report.accepted and report.played().environment == "GFMWTG-14bus-v1"
     assert report.actions is not None and report.actions.shape[2] == 8
-    check, reason = refusal(check_submission(folder(tmp_path / "b", models.of_v1())))
-    assert check == "loading"
-    assert "it takes 32 observations and gives 8 actions; in its modes there are 20 and 4" in reason
 
 
 def test_policy_that_is_slow_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -221,7 +178,7 @@ def test_folder_whose_name_would_mean_something_to_a_shell_is_refused(name: str,
         read_files(path)
 
 
-@pytest.mark.parametrize("name", ["linear-feedback", "ppo-k-0", "sac-k+tau-3"])
+@pytest.mark.parametrize("name", ["linear-feedback", "gradient-v1-0"])
 def test_shipped_entries_pass_every_check(name: str) -> None:
     report = check_submission(POLICIES / name)
     assert report.accepted, report.refusal

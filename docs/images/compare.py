@@ -1,4 +1,4 @@
-"""`python -m tests.pictures COMMITTED MADE`: which pictures of a folder are not those that their commands drew.
+"""`python docs/images/compare.py COMMITTED MADE`: which pictures of a folder are not those that their commands drew.
 
 `make docs-check` draws the pictures into MADE first. The last digits of a number and the shade of a pixel depend on the
 machine, so that they are compared within a tolerance.

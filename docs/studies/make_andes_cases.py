@@ -28,7 +28,7 @@ the machine's rating, counts the rating twice in D_t, and leaves ė/r out of the
 
 Usage:
     pip install andes==2.0.0
-    python tests/golden/make_andes_cases.py --help
+    python docs/studies/make_andes_cases.py --help
 """
 
 from __future__ import annotations
@@ -527,7 +527,9 @@ def make_case(case: Case, folder: Path, steps: Sequence[int]) -> dict[str, Any]:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Make the cases that are asked for."""
     parser = argparse.ArgumentParser(description="Make the golden cases of GENROU, SEXS and TGOV1 with ANDES.")
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent, help="folder for the files (default: here)")
+    parser.add_argument(
+        "--out", type=Path, default=Path("tests/golden"), help="folder for the files (default: tests/golden)"
+    )
     parser.add_argument("--case", choices=[c.name for c in CASES], action="append", help="case to make (default: all)")
     parser.add_argument(
         "--steps",
