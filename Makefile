@@ -35,8 +35,8 @@ help: ## Show this list
 	@echo 'PYTHON is the interpreter that makes the environments: 3.11, 3.12, 3.13 or 3.14 (now: $(PYTHON), $(or $(PYTHON_VERSION),not found)).'
 
 .PHONY: leaderboard
-leaderboard: $(LEADERBOARD_READY) ## Score every entry on the standard suites and write the rankings to the README (v1) and docs/benchmark.md (both)
-	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard-v1 --entries baselines policies --results results --readme README.md --page docs/benchmark.md
+leaderboard: $(LEADERBOARD_READY) ## Score every entry on the standard suites and write the rankings to the README (v1) and docs/benchmark.md (v0)
+	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard-v1 --entries baselines policies --results results --readme README.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard --entries baselines policies --results results --readme docs/benchmark.md
 
 # What the fresh scenarios of the last round were drawn from: the commit with the entries, and the published secret.
@@ -45,7 +45,7 @@ VERIFICATION_SECRET := docs/verification/2026-11.txt
 
 # Entries that the commit does not hold may be fitted to its fresh scenarios, once their secret is published.
 .PHONY: verification
-verification: $(LEADERBOARD_READY) ## Score every entry of the last round on its fresh scenarios, and put the gap to the public ones into docs/benchmark.md
+verification: $(LEADERBOARD_READY) ## Score every entry of the last round on its fresh scenarios, and print the gap to the public ones
 	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard --entries baselines policies --results results
 	@drawn=; folders=$$($(LEADERBOARD_VENV)/bin/python -c "from wtg_gym.policies.load import policy_folders as of; \
 	    print(*(folder.relative_to('$(CURDIR)') for folder in of('GFMWTG-14bus-v0')))") || exit; \
@@ -61,7 +61,7 @@ verification: $(LEADERBOARD_READY) ## Score every entry of the last round on its
 	fi; \
 	$(LEADERBOARD_VENV)/bin/wtg-gym evaluate --suite standard --entries baselines $$drawn --results results \
 	    --split fresh --commit $(VERIFICATION_COMMIT) --secret-file $(VERIFICATION_SECRET)
-	$(LEADERBOARD_VENV)/bin/wtg-gym results gap results/standard-test.json results/standard-fresh.json --page docs/benchmark.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym results gap results/standard-test.json results/standard-fresh.json
 
 PAGE_SUITES := standard weak-grid low-wind gust paper
 MATRIX_SUITES := standard-v1 low-share-v1 high-share-v1 gusty-v1 no-wind-sensor-v1 faults-v1
@@ -98,7 +98,7 @@ live-picture: $(TEST_READY) ## Take the picture of the page of play that docs/ho
 # Which folder `make pictures` and `make studies` renew; `make docs-check` lets them renew a copy.
 DOCS := docs
 # Those that take minutes; `make docs` and `make conditions` run the others.
-STUDIES := physics validation small_signal gradients reference one_event
+STUDIES := physics validation small_signal reference one_event
 
 .PHONY: studies
 studies: $(LEADERBOARD_READY) ## Run the studies of docs/studies and renew their tables and pictures (half an hour)

@@ -98,7 +98,8 @@ def modes_table():
 
     found = by_law[REFERENCE_STRATEGY]
     rows = []
-    for mode in (mode for mode in found if mode.frequency_hz > 0.0):
+    # The others are as good as not oscillating.
+    for mode in (mode for mode in found if mode.frequency_hz > 0.0 and mode.damping_ratio < 0.8):
         shares = [f"{named(state)} {100 * share:.0f} %" for state, share in mode.participation.items() if share >= 0.05]
         value = minus(f"{mode.eigenvalue.real:.3f} ± j{mode.eigenvalue.imag:.3f}")
         rows.append((value, f"{mode.frequency_hz:.3f}", f"{mode.damping_ratio:.3f}", ", ".join(shares[:2])))

@@ -139,15 +139,11 @@ def test_results_say_what_the_seeds_were_drawn_from_and_not_the_secret(folder: P
     assert json.loads(text)["draw"]["commit"] == COMMIT and SECRET.strip() not in text
 
 
-def test_gap_is_printed_and_put_on_a_page(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    page = folder / "page.md"
-    page.write_text("before\n<!-- gap:standard:start -->\n<!-- gap:standard:end -->\nafter\n")
+def test_gap_is_printed(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = [str(folder / f"standard-{split}.json") for split in ("test", "fresh")]
-    assert main(["results", "gap", *files, "--page", str(page)]) == 0
+    assert main(["results", "gap", *files]) == 0
     out = capsys.readouterr().out
     assert "4 public and 4 fresh scenarios" in out and "deloaded-5" in out
-    text = page.read_text()
-    assert "| deloaded-5 |" in text and text.startswith("before\n") and text.endswith("after\n")
     # The anchors fix the scale and have no gap.
     assert [gap["name"] for gap in json_of(capsys, "results", "gap", *files, "--json")["gaps"]] == ["deloaded-5"]
 

@@ -82,15 +82,11 @@ def test_leaderboard_of_v1_goes_into_a_page_and_is_stored(
     monkeypatch.setattr(wtg_gym.cli.scoring, "evaluate", few)
     page = tmp_path / "page.md"
     page.write_text("<!-- leaderboard:standard-v1:start -->\n<!-- leaderboard:standard-v1:end -->\n")
-    whole = tmp_path / "whole.md"
-    whole.write_text("<!-- whole-leaderboard:standard-v1:start -->\n<!-- whole-leaderboard:standard-v1:end -->\n")
     arguments = ["leaderboard", "--suite", "standard-v1", "--results", str(tmp_path), "--readme", str(page)]
-    arguments += ["--page", str(whole)]
     assert main(arguments) == 0
     first = page.read_text()
     assert "| rank | entry | score | median deviation [mHz] | lost or beyond 0.8 Hz [%] |\n" in first
     assert "| coordinated-tuned | 100.0 |" in first and "[points]" not in first
-    assert "| frequency, RoCoF [points] |" in whole.read_text() and "| worst decile |" in whole.read_text()
     # The sentence has the numbers of the table's column.
     said = [int(n) for n in re.findall(r"(\d+) mHz with", first)]
     rows = {cells[2].strip(): cells for line in first.splitlines() if len(cells := line.split("|")) > 2}

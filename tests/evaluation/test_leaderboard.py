@@ -16,7 +16,6 @@ from wtg_gym.evaluation.leaderboard import (
     html_table,
     markdown_section,
     table_rows,
-    whole_section,
 )
 from wtg_gym.evaluation.score import pinned
 
@@ -58,10 +57,10 @@ def test_table_says_who_sees_the_grid() -> None:
     names = [name for (name,) in table_cells(leaderboard_rows(results), ("entry",))]
     assert sorted(names) == ["coordinated-piecewise", "mppt", "sees all (privileged)"]
     said = "rivileged: sees the state of the whole grid, which no turbine measures"
-    for text in (markdown_section(results), whole_section(results), html_table(results)):
+    for text in (markdown_section(results), html_table(results)):
         assert "sees all (privileged)" in text and text.count(said) == 1
     others = evaluate([], "standard", "test", seeds=(20_002, 20_000), duration_s=10.0)
-    assert not any("rivileged" in make(others) for make in (markdown_section, whole_section, html_table))
+    assert not any("rivileged" in make(others) for make in (markdown_section, html_table))
     seeds = [dataclasses.replace(entry, training_seed=seed) for seed in (0, 1)]
     both = evaluate(seeds, "standard", "test", seeds=(20_002, 20_000), duration_s=10.0)
     assert "sees all (2 seeds, privileged)" in markdown_section(both)
@@ -118,7 +117,7 @@ def test_without_a_score_the_mean_pinned_cost_ranks() -> None:
     cells = [dict(zip(TERMINAL_COLUMNS, each, strict=True)) for each in table_cells(rows, TERMINAL_COLUMNS)]
     assert [each["rank"] for each in cells] == ["1", "2", "3"] and {each["score"] for each in cells} == {"none"}
     assert [each["mean pinned cost"] for each in cells] == [f"{costs[row.name]:.1f}" for row in rows]
-    for text in (markdown_section(results), whole_section(results), html_table(results)):
+    for text in (markdown_section(results), html_table(results)):
         assert "anked by mean pinned cost, as there is no score: on these 2 scenarios coordinated-piecewise" in text
         assert "[points]" not in text and f"{costs[rows[0].name]:.1f}" in text
     assert results.to_dict()["summary"]["fast-droop"]["mean_pinned_cost"] == pytest.approx(costs["fast-droop"])

@@ -75,7 +75,7 @@ def test_cells_are_the_scores_and_worst_deciles_of_the_results(usual: Results, p
     assert data["version"] == "v1" and data["columns"][1]["change"] == "delay +0.1 s"
     page = matrix.page()
     assert page.startswith("Scores on 12 validation scenarios per column. Sensors do not affect the laws that")
-    assert page.count("| entry | standard | standard, delay +0.1 s |") == 2
+    assert page.count("| entry | standard | standard, delay +0.1 s |") == 1
 
 
 def test_scenarios_without_a_scale_have_costs_and_no_scores(usual: Results) -> None:

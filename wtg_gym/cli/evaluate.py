@@ -14,7 +14,7 @@ from wtg_gym.cli.output import check_output_folder, check_page, note, update_pag
 from wtg_gym.cli.results import check_html, write_html
 from wtg_gym.cli.stored import stored_or_played
 from wtg_gym.evaluation import Policy
-from wtg_gym.evaluation.leaderboard import markdown_section, whole_section
+from wtg_gym.evaluation.leaderboard import markdown_section
 from wtg_gym.policies.entry import check_version
 from wtg_gym.policies.names import BASELINES
 from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
@@ -99,7 +99,6 @@ def leaderboard(
     suite: Suite = DEFAULT_SUITE,
     results: Path = Path("results"),
     readme: Path | None = None,
-    page: Path | None = None,
     html: Path | None = None,
     fresh: Flag = False,
     threads: Threads = None,
@@ -124,16 +123,13 @@ def leaderboard(
     Args:
         results: folder of the results; made if missing
         readme: put the table between <!-- leaderboard:SUITE:start --> and <!-- leaderboard:SUITE:end --> of this file
-        page: put tables of all columns between the markers of this file that begin with whole-leaderboard:SUITE
         html: write the ranking as one HTML file with charts; 'wtg-gym results page' does that for several suites
         fresh: evaluate everything, whatever is stored, from the start, and drop what is stored
     """
     check_output_folder("--results", results)
-    section, whole = f"leaderboard:{suite}", f"whole-leaderboard:{suite}"
+    section = f"leaderboard:{suite}"
     if readme is not None:
         check_page("--readme", readme, section)
-    if page is not None:
-        check_page("--page", page, whole)
     if html is not None:
         check_html("--html", html)
     processes = scoring.chosen_workers(workers, threads)
@@ -146,8 +142,6 @@ def leaderboard(
     code = scoring.finish(found, results, as_json=json, kept=kept)
     if readme is not None:
         update_page(readme, {section: markdown_section(found)})
-    if page is not None:
-        update_page(page, {whole: whole_section(found)})
     if html is not None:
         write_html(html, [found])
     return code

@@ -131,7 +131,7 @@ def recompute(
 
 
 @app.command
-def gap(public: Path, fresh: Path, /, *, page: Path | None = None, json: Json = False) -> int:
+def gap(public: Path, fresh: Path, /, *, json: Json = False) -> int:
     """Compare scores on public and on fresh scenarios.
 
     Fresh scenarios were drawn after the entries were submitted. An entry that was fitted to the public scenarios, by
@@ -152,12 +152,8 @@ def gap(public: Path, fresh: Path, /, *, page: Path | None = None, json: Json = 
     Args:
         public: JSON file of results on the test scenarios
         fresh: JSON file of results on the split fresh
-        page: Markdown file with the markers <!-- gap:SUITE:start --> and <!-- gap:SUITE:end --> for the table
     """
     first, second = Results.read(public), Results.read(fresh)
-    section = f"gap:{first.suite}"
-    if page is not None:
-        out.check_page("--page", page, section)
     gaps = generalisation.generalisation_gaps(first, second)
     missing = generalisation.left_out(first, second)
     if json:
@@ -168,8 +164,6 @@ def gap(public: Path, fresh: Path, /, *, page: Path | None = None, json: Json = 
         out.print_table(tuple(generalisation.COLUMNS), generalisation.gap_cells(gaps), left=left)
     if missing:
         out.note(f"left out, not the same policy in both results: {', '.join(missing)}")
-    if page is not None:
-        out.update_page(page, {section: generalisation.gap_page(first, second, gaps)})
     return 0
 
 

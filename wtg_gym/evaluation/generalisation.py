@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym import files
 from wtg_gym.evaluation import statistics
 from wtg_gym.evaluation.leaderboard import leaderboard_rows, signed_interval
 from wtg_gym.evaluation.results import Results
@@ -164,13 +163,6 @@ def gap_cells(gaps: Sequence[GeneralisationGap]) -> list[list[str]]:
         ]
         for gap in gaps
     ]
-
-
-def gap_page(public: Results, fresh: Results, gaps: Sequence[GeneralisationGap]) -> str:
-    """Return the comparison in a sentence and its table, as Markdown without a line feed at the end."""
-    numbers = [index for index, is_number in enumerate(COLUMNS.values()) if is_number]
-    table = files.markdown_table(list(COLUMNS), gap_cells(gaps), right=numbers)
-    return f"{describe(public, fresh)}\n\n{table}"
 
 
 def describe(public: Results, fresh: Results) -> str:

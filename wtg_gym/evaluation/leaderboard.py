@@ -105,15 +105,6 @@ SHORT_COLUMNS = ("rank", "entry", "score", *_POINTS, "failures [%]", "nadir [Hz]
 _SHORT_COLUMNS_SINCE_V1 = ("rank", "entry", "score", MEDIAN_DEVIATION, LOST_OR_BEYOND)
 #: Columns of the table in a terminal.
 TERMINAL_COLUMNS = ("rank", "entry", "score", MEDIAN_DEVIATION, "lost runs", LOST_OR_BEYOND, "mean pinned cost")
-#: Columns of the two tables of :func:`whole_section`.
-_WHOLE_COLUMNS = (
-    ("rank", "entry", "score", "to the entry above", *_POINTS),
-    (
-        *("rank", "entry", "failures by kind [%]", LOST_OR_BEYOND, "mean pinned cost", "worst decile"),
-        *(MEDIAN_DEVIATION, "p95 deviation [mHz]", "p95 peak power [p.u.]", "p95 power change in 1 s [p.u.]"),
-        "energy share [%]",
-    ),
-)
 
 
 def columns_of(version: str) -> dict[str, bool]:
@@ -189,20 +180,8 @@ def _cell(row: EntryMeasures, column: str) -> str:
 def markdown_section(results: Results) -> str:
     """Return the ranking for a Markdown page: since v1 with a sentence on the frequency before the table."""
     rows = table_rows(results)
-    return _section(results, rows, frequency_sentence(results), markdown_table(rows))
-
-
-def whole_section(results: Results) -> str:
-    """Return the ranking for a Markdown page with all that its short table leaves out, as two tables."""
-    rows = table_rows(results)
-    # Without a score the first one would be empty.
-    tables = _WHOLE_COLUMNS if results.has_scale else _WHOLE_COLUMNS[1:]
-    return _section(results, rows, *(markdown_table(rows, columns) for columns in tables))
-
-
-def _section(results: Results, rows: Sequence[EntryMeasures], *parts: str) -> str:
     notes = (f"{note[0].upper()}{note[1:]}." for note in (no_score_note(results), privileged_note(rows)) if note)
-    return "\n\n".join(part for part in (*parts, *notes) if part)
+    return "\n\n".join(part for part in (frequency_sentence(results), markdown_table(rows), *notes) if part)
 
 
 def frequency_sentence(results: Results) -> str:

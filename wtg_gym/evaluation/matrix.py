@@ -99,12 +99,9 @@ class Matrix:
         return [[row.label, *("" if cell is None else text(cell) for cell in row.cells)] for row in self.rows]
 
     def page(self) -> str:
-        """Return scenarios and both tables as Markdown, without a line feed at the end."""
-        right = range(1, 1 + len(self.columns))
-        scores, costs = (
-            files.markdown_table(self.header(), self.texts(text), right=right) for text in (score_text, worst_text)
-        )
-        return f"Scores on {self.describe()}\n\n{scores}\n\nMean pinned cost of the worst tenth:\n\n{costs}"
+        """Return scenarios and scores as Markdown, without a line feed at the end."""
+        scores = files.markdown_table(self.header(), self.texts(score_text), right=range(1, 1 + len(self.columns)))
+        return f"Scores on {self.describe()}\n\n{scores}"
 
     def describe(self) -> str:
         """Return how many scenarios of which split the columns have, which have no scale, and what the scale is."""
