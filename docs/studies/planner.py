@@ -35,7 +35,9 @@ from wtg_gym.evaluation.leaderboard import privileged_note
 from wtg_gym.evaluation.metrics import Recorder, measure
 from wtg_gym.files import update_between_markers
 from wtg_gym.physics.aerodynamics import power_coefficient
+from wtg_gym.physics.lane_data import NO_EVENT, LaneData
 from wtg_gym.physics.layout import Floats
+from wtg_gym.physics.simulator import PreparedLanes
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import get_suite
 
@@ -153,6 +155,32 @@ def plan(lanes: TaskLanes, planning: Planning) -> Iterator[npt.NDArray[np.bool_]
             running = ~(terminated | truncated)
 
 
+def imagine(imagined: TaskLanes, lanes: TaskLanes, source: npt.NDArray[np.int64], wind: Floats) -> None:
+    """Continue running episodes in other lanes, without future events; ramps go on, and so does the load noise.
+
+    Args:
+        imagined: the lanes that continue, several, with the settings of `lanes`.
+        lanes: the running episodes.
+        source: the lane of `lanes` that each of the others continues, (n_imagined,).
+        wind: from now on, one value per control interval, the last one holds, (n_imagined, n_wtg, n_ahead + 1) [m/s].
+    """
+    own = lanes.simulator
+    rows = own.blocks.reshape(len(own.blocks), -1, own.width)[source // own.width, :, source % own.width]
+    step = rows[:, own.layout.lane("step")]
+    # The network is reduced anew at once: what was due may have been forgotten.
+    rows[:, own.layout.lane("next_change")] = step
+    data = LaneData._make(array[source] for array in own.data)
+    data.events[data.events["start"] >= step[:, np.newaxis]] = NO_EVENT
+    for lane, first in enumerate((step / own.plant.n_substeps).astype(np.int64).tolist()):
+        ahead = min(wind.shape[2], own.n_intervals + 1 - first)
+        data.wind[lane, :, first : first + ahead] = wind[lane, :, :ahead]
+        data.wind[lane, :, first + ahead :] = wind[lane, :, ahead - 1 : ahead]
+        data.noise[lane, first:] = data.noise[lane, max(first - 1, 0)]
+    imagined.simulator.commit(range(imagined.n_lanes), PreparedLanes(rows, data))
+    for theirs, ours in zip(imagined.outputs, lanes.outputs, strict=True):
+        theirs[:] = ours[source]
+
+
 class _Planner:
     """Plans for every lane; `imagined` has `planning.population` times as many lanes for its rollouts."""
 
@@ -190,7 +218,7 @@ class _Planner:
             asked = np.clip(mean[:, np.newaxis] + deviation[:, np.newaxis] * noise, -2.0, 2.0)
             # The best course so far is kept, and the feedback alone is always tried.
             asked[:, 0], asked[:, 1], asked[:, 2] = best, mean, 0.0
-            imagined.imagine(lanes, source, wind)
+            imagine(imagined, lanes, source, wind)
             flat = asked.reshape(n * p.population, *mean.shape[1:])
             for position in self._positions[:n_ahead]:
                 imagined.step(_actions(imagined, between(flat, position), p.gain))

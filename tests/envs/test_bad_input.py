@@ -16,7 +16,6 @@ from gymnasium.vector import AutoresetMode
 from tests.envs.rollouts import actions_of, calm, eventful, single_steps, vector_steps
 from wtg_gym import ENV_IDS
 from wtg_gym.envs import EnvArguments, EnvSettings, GFMWTGEnv, GFMWTGVectorEnv
-from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.sensors import Sensors
 from wtg_gym.physics.tracking_law import TrackingLaw
@@ -275,12 +274,7 @@ def test_snapshot_of_other_settings_is_refused_and_changes_nothing(settings: dic
     assert pickle.dumps(other.snapshot()) == pickle.dumps(before)
 
 
-def test_what_cannot_be_imagined_or_rewarded_is_refused():
-    lanes, other = (TaskLanes(EnvSettings(suite=s, duration_s=20.0), 2, 1) for s in ("standard-v1", "low-share-v1"))
-    with pytest.raises(ValueError, match="same settings"):
-        other.imagine(lanes, np.zeros(2, dtype=np.int64), np.full((2, 4, 3), 9.0))
-    with pytest.raises(ValueError, match=r"a lane for each of 2 lanes .* got shapes \(1,\) and \(2, 4, 3\)"):
-        lanes.imagine(lanes, np.zeros(1, dtype=np.int64), np.full((2, 4, 3), 9.0))
+def test_what_cannot_be_rewarded_is_refused():
     for terms in ((), ("frequency", "speed"), "duty", ("duty", "duty"), 5):
         with pytest.raises(ValueError, match=r"terms must be a list of some of frequency, rocof, .*, each once, got "):
             VectorReward(gym.make(ENV_IDS[0]), terms)

@@ -287,24 +287,6 @@ class TaskLanes:
         """Start an episode in each of the lanes: :meth:`prepare`, then :meth:`commit`."""
         self.commit(lanes, [self.prepare(scenarios)])
 
-    def imagine(self, other: TaskLanes, lanes: npt.NDArray[np.int64], wind: Floats) -> None:
-        """Continue episodes of other lanes in these, without future events: a planner's rollouts.
-
-        Arguments and errors as of :meth:`~wtg_gym.physics.simulator.Simulator.imagine`; and the settings of both must
-        agree.
-        """
-        if other._of_episodes | {"num_envs": 0} != self._of_episodes | {"num_envs": 0}:
-            raise ValueError("imagine() needs lanes with the same settings")
-        self.simulator.imagine(other.simulator, lanes, wind)
-        # New events may have brought new arrays.
-        self._bound = None
-        mine: Any
-        theirs: Any
-        for mine, theirs in zip(self.outputs, other.outputs, strict=True):
-            mine[:] = theirs[lanes]
-        self.scenario_seeds[:] = other.scenario_seeds[lanes]
-        self.events = [other.events[lane] for lane in lanes.tolist()]
-
     def stop(self, lanes: npt.NDArray[np.bool_]) -> None:
         """End the episodes of a mask's lanes, as if their time were over; shape (n_lanes,)."""
         for lane in np.flatnonzero(lanes):

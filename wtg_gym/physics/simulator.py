@@ -332,40 +332,6 @@ class Simulator:
         """Advance every running lane by one control interval."""
         self.threads.run(lambda a, b: advance_blocks(self.blocks, a, b, self.plant, self.data, self.lanes))
 
-    def imagine(self, other: Simulator, lanes: npt.NDArray[np.int64], wind: Floats) -> None:
-        """Continue runs of another simulator in this one's lanes: a planner's rollouts.
-
-        Future events are removed; a ramp in progress continues, and the load noise keeps its present value.
-
-        Args:
-            other: of the same plant, with rows of the same kind.
-            lanes: the lane of `other` that each lane of this one continues (n_lanes,).
-            wind: from now on, one value per control interval, the last one holds (n_lanes, n_wtg, n_ahead + 1) [m/s].
-
-        Raises:
-            ValueError: the simulators are of different plants, or a shape is wrong.
-        """
-        if other.settings != self.settings or other.layout != self.layout or other.n_intervals != self.n_intervals:
-            raise ValueError("imagine() needs a simulator of the same plant, with rows of the same kind and run length")
-        if lanes.shape != (self.n_lanes,) or wind.shape[:2] != (self.n_lanes, self.layout.n_wtg) or not wind.size:
-            raise ValueError(
-                f"imagine() needs a lane for each of {self.n_lanes} lanes and wind of shape (n_lanes, n_wtg, n), got "
-                f"shapes {lanes.shape} and {wind.shape}"
-            )
-        rows = other._view[lanes // other.width, :, lanes % other.width]
-        step = rows[:, self.layout.lane("step")]
-        # The network is reduced anew at once: what was due may have been forgotten.
-        rows[:, self.layout.lane("next_change")] = step
-        data = LaneData._make(array[lanes] for array in other.data)
-        data.events[data.events["start"] >= step[:, np.newaxis]] = NO_EVENT
-        intervals = (step / self.plant.n_substeps).astype(np.int64)
-        for lane, first in enumerate(intervals.tolist()):
-            ahead = min(wind.shape[2], self.n_intervals + 1 - first)
-            data.wind[lane, :, first : first + ahead] = wind[lane, :, :ahead]
-            data.wind[lane, :, first + ahead :] = wind[lane, :, ahead - 1 : ahead]
-            data.noise[lane, first:] = data.noise[lane, max(first - 1, 0)]
-        self.commit(range(self.n_lanes), PreparedLanes(rows, data))
-
     def evaluate(self) -> None:
         """Evaluate rates, powers and coefficients of all lanes at their present states, in place."""
         evaluate_rates(self.blocks, self.plant, self.lanes)
