@@ -16,7 +16,6 @@ from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.observation import OBSERVATION_BOUND
 from wtg_gym.envs.rendering import Frame
 from wtg_gym.envs.settings import ACTION_MODES, EnvArguments, EnvSettings
-from wtg_gym.envs.task_layout import parts_of
 from wtg_gym.envs.task_records import (
     COST_TERMS,
     GROUP,
@@ -26,6 +25,7 @@ from wtg_gym.envs.task_records import (
     CostTerms,
     GroupRows,
     load_group,
+    parts_of,
     read_task,
     store_terms,
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any, TypeVar
 
 import numpy as np
@@ -56,6 +56,20 @@ def require_range(name: str, value: Any, low: float, high: float, unit: str) -> 
     return number
 
 
+def require_whole(name: str, value: Any, low: int, high: float = math.inf) -> int:
+    """Return a whole number as an int, or raise a ValueError that names value and allowed range."""
+    if not is_whole(value) or not low <= value <= high:
+        allowed = f"of {low} or more" if high == math.inf else f"in {low} … {high}"
+        raise ValueError(f"{name} must be a whole number {allowed}, got {value!r}")
+    return int(value)
+
+
+def require_known(what: str, given: Iterable[Any], known: Collection[str]) -> None:
+    """Raise a ValueError that names what is given and not known, and what is known."""
+    if unknown := sorted(map(str, set(given) - set(known))):
+        raise ValueError(f"unknown {what} {unknown}; known {what}: {', '.join(known)}")
+
+
 def require_bus(name: str, bus: Any) -> int:
     """Return a bus number as an int, or raise a ValueError that names it."""
     if not is_whole(bus) or bus < 1:
@@ -75,4 +89,4 @@ def whole_steps(name: str, interval: float, step: float, step_name: str) -> int:
     return count
 
 
-__all__ = ["ByName", "is_whole", "require_bus", "require_range", "whole_steps"]
+__all__ = ["ByName", "is_whole", "require_bus", "require_known", "require_range", "require_whole", "whole_steps"]

@@ -14,12 +14,12 @@ from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters
 from wtg_gym.physics.modes import slope, synchronising_coefficients
-from wtg_gym.physics.nrel5mw import nrel_5mw
 from wtg_gym.physics.parameters import (
     ConverterLimitParameters,
     ProtectionParameters,
     TurbineParameters,
     VoltageControlParameters,
+    nrel_5mw,
 )
 from wtg_gym.physics.plant import PlantSettings, plant_settings
 from wtg_gym.physics.protection import Status
@@ -116,7 +116,7 @@ def play(plant, scenarios, strategy):
         dataclasses.replace(plant, control_dt=step_s), n_lanes=len(scenarios), duration_s=scenarios[0].duration_s
     )
     laws = group_laws(strategy, len(plant.groups), plant.turbine, plant.control)
-    simulator.commit(range(len(scenarios)), simulator.prepare(scenarios, laws))
+    simulator.start(range(len(scenarios)), simulator.prepare(scenarios, laws))
     rows = []
     for interval in range(simulator.n_intervals + 1):
         if interval:

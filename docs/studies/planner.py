@@ -35,7 +35,7 @@ from wtg_gym.evaluation.leaderboard import privileged_note
 from wtg_gym.evaluation.metrics import Recorder, measure
 from wtg_gym.files import update_between_markers
 from wtg_gym.physics.aerodynamics import power_coefficient
-from wtg_gym.physics.lane_data import NO_EVENT, LaneData
+from wtg_gym.physics.kernel_data import NO_EVENT, LaneData
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.simulator import PreparedLanes
 from wtg_gym.progress import Progress
@@ -176,7 +176,7 @@ def imagine(imagined: TaskLanes, lanes: TaskLanes, source: npt.NDArray[np.int64]
         data.wind[lane, :, first : first + ahead] = wind[lane, :, :ahead]
         data.wind[lane, :, first + ahead :] = wind[lane, :, ahead - 1 : ahead]
         data.noise[lane, first:] = data.noise[lane, max(first - 1, 0)]
-    imagined.simulator.commit(range(imagined.n_lanes), PreparedLanes(rows, data))
+    imagined.simulator.start(range(imagined.n_lanes), PreparedLanes(rows, data))
     for theirs, ours in zip(imagined.outputs, lanes.outputs, strict=True):
         theirs[:] = ours[source]
 

@@ -15,8 +15,7 @@ from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.physics import machine_parameters, parameters
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
-from wtg_gym.physics.parameters import WtgGroup
-from wtg_gym.physics.sources import SOURCES
+from wtg_gym.physics.parameters import SOURCES, WtgGroup
 from wtg_gym.scenarios import SUITES
 from wtg_gym.scenarios.benchmark import BENCHMARKS
 

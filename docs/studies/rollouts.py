@@ -61,7 +61,7 @@ class Rollouts:
             if laws is not None:
                 law = laws[candidate]
                 lanes.laws = law if isinstance(law, tuple) else (law,) * self.n_wtg
-            lanes.commit(order, [self._episodes if laws is None else lanes.prepare(self._scenarios)])
+            lanes.start(order, self._episodes if laws is None else self._scenarios)
         for step in range(self.n_steps):
             actions = np.zeros((lanes.n_lanes, lanes.n_action))
             if candidates is not None:

@@ -58,7 +58,7 @@ def samples(version, step_s):
     scenarios = suite.scenarios(seeds, n_wtg=n_wtg, n_turbines=sizes)
     laws = group_laws(environment.strategy, n_wtg, plant.turbine, plant.control)
     simulator = Simulator(plant, n_lanes=len(scenarios), duration_s=suite.duration_s)
-    simulator.commit(range(len(scenarios)), simulator.prepare(scenarios, laws))
+    simulator.start(range(len(scenarios)), simulator.prepare(scenarios, laws))
     found = []
     for _ in range(simulator.n_intervals):
         simulator.advance()

@@ -200,7 +200,7 @@ def test_scenarios_start_at_nominal_frequency_with_turning_rotors_and_a_gate_bet
         index = range(first, min(first + 8, len(seeds)))
         scenarios = lanes.scenarios([seeds[place] for place in index])
         # It refuses rotors below the under-speed trip as well.
-        lanes.commit(index, [lanes.prepare_given(scenarios)])
+        lanes.start(index, lanes.prepare(scenarios, turning=True))
     simulator = lanes.simulator
     gates = simulator.machine_values("gate")[:, 0]
     # The mean winds give a share of the load; the wind of the first moment may be another one.

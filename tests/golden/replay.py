@@ -16,9 +16,9 @@ import numpy.typing as npt
 from tests.golden.case import Case
 from wtg_gym.physics.compiled import compiled
 from wtg_gym.physics.dynamics import advance_step, evaluate_rates
+from wtg_gym.physics.kernel_data import Plant
 from wtg_gym.physics.layout import Floats, Lanes
 from wtg_gym.physics.plant import PlantSettings
-from wtg_gym.physics.plant_constants import Plant
 from wtg_gym.physics.reduction import bus_voltages, combine_load_noise, refresh_network
 from wtg_gym.physics.scenario import LoadStep, Scenario
 from wtg_gym.physics.simulator import Simulator

@@ -17,12 +17,12 @@ from scipy.integrate import solve_ivp
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters, classical_machine
-from wtg_gym.physics.nrel5mw import nrel_5mw
 from wtg_gym.physics.parameters import (
     ConverterLimitParameters,
     TurbineParameters,
     VoltageControlParameters,
     european_shedding,
+    nrel_5mw,
 )
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.reduction import combine_load_noise, refresh_network

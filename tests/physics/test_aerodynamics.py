@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import RectBivariateSpline
 
 from wtg_gym.physics.aerodynamics import available_power_pu, power_coefficient, tracking_point
-from wtg_gym.physics.nrel5mw import ROTOR_TABLE, nrel_5mw
+from wtg_gym.physics.parameters import ROTOR_TABLE, nrel_5mw
 from wtg_gym.physics.rotor_table import read_rotor_table
 
 BETZ_LIMIT = 16.0 / 27.0

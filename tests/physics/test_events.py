@@ -192,7 +192,7 @@ def test_lanes_with_every_kind_of_event_equal_single_runs_bit_for_bit() -> None:
         for lane, drawn in enumerate(suite.scenario(20_000 + lane) for lane in range(20))
     ]
     batch = Simulator(PlantSettings(), n_lanes=len(scenarios))
-    batch.commit(range(len(scenarios)), batch.prepare(scenarios, LAWS))
+    batch.start(range(len(scenarios)), batch.prepare(scenarios, LAWS))
     advance(batch, 8.0)
     single = Simulator(PlantSettings())
     for lane, what in enumerate(scenarios):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from wtg_gym.physics.hydro_governor import (
+from wtg_gym.physics.governor import (
     HydroState,
     hydro_constants,
     hydro_limited,

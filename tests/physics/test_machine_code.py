@@ -19,7 +19,7 @@ import sys
 from pathlib import Path
 from typing import Any
 import numba
-from wtg_gym.physics.machine_code import Compilation, DiskCache
+from wtg_gym.physics.compiled import Compilation, DiskCache
 from numba.core import event
 
 folder = Path(sys.argv[1])
@@ -49,7 +49,7 @@ import sys
 from pathlib import Path
 import numba
 import numpy as np
-from wtg_gym.physics.machine_code import DiskCache
+from wtg_gym.physics.compiled import DiskCache
 
 def compiled(function):
     result = numba.njit(function)

@@ -12,7 +12,7 @@ import pytest
 from wtg_gym.physics import machine_parameters, parameters
 from wtg_gym.physics.checked import Checked
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.parameters import default_groups
+from wtg_gym.physics.parameters import SOURCES, default_groups
 from wtg_gym.physics.scenario import (
     EVENT_KINDS,
     GovernorLoss,
@@ -24,7 +24,6 @@ from wtg_gym.physics.scenario import (
     MachineOutage,
     Scenario,
 )
-from wtg_gym.physics.sources import SOURCES
 
 MACHINE = modified_ieee14().machines[0]
 RECORDS = [

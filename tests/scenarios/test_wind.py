@@ -78,7 +78,7 @@ def test_variance_of_group_wind_follows_the_formula(n_turbines: float):
     sigma = wind.ntm_sigma(9.0, 0.14)
     point = wind.kaimal_spectrum(FREQUENCY, 9.0, sigma)
     spectrum = point * wind.rotor_filter(FREQUENCY, 9.0) * wind.group_filter(FREQUENCY, 9.0, n_turbines)
-    amplitude = wind.turbulence_amplitude(9.0, sigma, n_turbines, N_PERIOD)
+    amplitude = sigma * wind.turbulence_amplitude(9.0, n_turbines, N_PERIOD)
     series = synthesised(3, [amplitude] * 1000, N_PERIOD)
     assert abs(series.mean()) < 1e-12
     assert series.var() == pytest.approx(resolved_variance(spectrum), rel=0.05)
@@ -86,7 +86,7 @@ def test_variance_of_group_wind_follows_the_formula(n_turbines: float):
 
 
 def test_series_of_different_groups_are_uncorrelated():
-    amplitude = wind.turbulence_amplitude(9.0, 1.7, 1.0, N_PERIOD)
+    amplitude = 1.7 * wind.turbulence_amplitude(9.0, 1.0, N_PERIOD)
     series = synthesised(4, [amplitude] * 400, N_PERIOD)
     first, second = series[::2], series[1::2]
     assert abs((first * second).mean()) < 0.1 * series.var()

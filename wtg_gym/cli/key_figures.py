@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from wtg_gym.cli.output import print_table
-from wtg_gym.envs.task_layout import ROCOF_WINDOW_S
+from wtg_gym.envs.task_records import ROCOF_WINDOW_S
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.trajectory import Trajectory
 

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.envs.task_layout import parts_of
-from wtg_gym.envs.task_records import GROUP, N_GROUP_ROWS, Task
+from wtg_gym.envs.task_records import GROUP, N_GROUP_ROWS, Task, parts_of
 from wtg_gym.physics.compiled import compiled, inlined
 from wtg_gym.physics.elementary import clip
 from wtg_gym.physics.layout import WTG_INV_TAU, WTG_K_OFFSET, Floats, Lanes, wtg_row

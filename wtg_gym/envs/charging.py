@@ -19,7 +19,6 @@ from wtg_gym.envs.cost import (
     rocof_cost,
     total_cost,
 )
-from wtg_gym.envs.task_layout import parts_of
 from wtg_gym.envs.task_records import (
     N_GROUP_ROWS,
     N_SENSED_ROWS,
@@ -31,6 +30,7 @@ from wtg_gym.envs.task_records import (
     load_group,
     load_sensed,
     load_terms,
+    parts_of,
     store_group,
     store_sensed,
     store_terms,

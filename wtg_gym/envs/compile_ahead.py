@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.envs.task import N_INFO, Outputs, build_task, start_tasks, step_blocks
+from wtg_gym.envs.task import build_task, new_outputs, start_tasks, step_blocks
 from wtg_gym.physics.compiled import cache_folder, is_compiled
-from wtg_gym.physics.lane_data import EVENT_DTYPE, LaneData
+from wtg_gym.physics.kernel_data import EVENT_DTYPE, LaneData
 from wtg_gym.physics.plant import build_plant
 from wtg_gym.physics.simulator import BLOCK_WIDTH, Simulator
 
@@ -42,9 +42,7 @@ def _compile_step(settings: EnvSettings) -> None:
 
 def _step_of_nobody(settings: EnvSettings) -> tuple[Any, ...]:
     """Return arguments of :func:`step_blocks` for no block, of a batch's types."""
-    plant, task, lanes = build_plant(settings.plant()), build_task(settings, 50.0), (0,) * BLOCK_WIDTH
+    plant, task, lanes = build_plant(settings.plant()), build_task(settings), (0,) * BLOCK_WIDTH
     series = np.zeros((1, 1, 1)), np.zeros((1, 1)), np.zeros(1, dtype=np.int64)
     data = LaneData(*series, np.zeros((1, 1), dtype=np.complex128), np.zeros((1, 1), dtype=EVENT_DTYPE))
-    flags = np.zeros(1, dtype=np.bool_), np.zeros(1, dtype=np.bool_)
-    outputs = Outputs(np.zeros((1, 1), dtype=np.float32), np.zeros(1), np.zeros((1, N_INFO)), *flags)
-    return np.zeros((1, 1)), 0, 0, plant, data, task, np.zeros((1, 1)), outputs, lanes
+    return np.zeros((1, 1)), 0, 0, plant, data, task, np.zeros((1, 1)), new_outputs(1, 1), lanes

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import gymnasium as gym
 
@@ -11,29 +11,15 @@ from wtg_gym.envs.interface import (
     Action,
     Observation,
     OverLanes,
-    as_scenario,
     check_options,
-    check_render_mode,
-    check_snapshot,
-    in_real_time,
-    settings_of,
-    spaces,
+    in_use,
+    one_thread,
     warn_of_no_render_mode,
 )
-from wtg_gym.envs.lanes import LanesSnapshot, TaskLanes
-from wtg_gym.envs.one_thread import Use, in_use, one_thread
-from wtg_gym.envs.settings import EnvArguments
+from wtg_gym.envs.settings import EnvArguments, as_scenario
 
 if TYPE_CHECKING:
-    from wtg_gym.envs.rendering import Frame, LaneFrames
-
-
-class Snapshot(NamedTuple):
-    """Complete state of the episode of a :class:`GFMWTGEnv`."""
-
-    lanes: LanesSnapshot
-    running: bool
-    frames: Any
+    from wtg_gym.envs.rendering import Frame
 
 
 class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
@@ -100,19 +86,7 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
     }
 
     def __init__(self, *, render_mode: str | None = None, **arguments: Unpack[EnvArguments]) -> None:
-        check_render_mode(render_mode, self.metadata)
-        self.render_mode = render_mode
-        self.settings = settings_of(type(self).__name__, arguments)
-        self._lanes = TaskLanes(self.settings, 1)
-        self._use = Use()
-        self.metadata = in_real_time(self.metadata, self.settings)
-        self._frames: LaneFrames | None = None
-        if render_mode is not None:
-            from wtg_gym.envs.rendering import LaneFrames
-
-            window = render_mode == "human"
-            self._frames = LaneFrames(self._lanes, opens_window=window, fps=self.metadata["render_fps"])
-        self.observation_space, self.action_space = spaces(self._lanes)
+        self.observation_space, self.action_space = self._open(arguments, render_mode)
         self._action_shape = (self._lanes.n_action,)
         self._running = False
 
@@ -132,11 +106,10 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
         """
         given = check_options(options, ("scenario",))
         # A given scenario that cannot start is refused before the first change, of the generator too.
-        prepared = self._lanes.prepare_given([as_scenario(given["scenario"])]) if "scenario" in given else None
+        scenario = as_scenario('options["scenario"]', given["scenario"]) if "scenario" in given else None
+        episodes = None if scenario is None else self._lanes.prepare([scenario], turning=True)
         super().reset(seed=seed)
-        if prepared is None:
-            prepared = self._lanes.prepare(self._lanes.draw([self.np_random]))
-        self._lanes.commit([0], [prepared])
+        self._lanes.start([0], self._lanes.draw([self.np_random]) if episodes is None else episodes)
         self._running = True
         if self._frames is not None:
             self._frames.sample()
@@ -196,8 +169,7 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
 
         An environment that renders adds what it has drawn so far.
         """
-        frames = None if self._frames is None else self._frames.snapshot()
-        return Snapshot(self._lanes.snapshot(), self._running, frames)
+        return self._snapshot(self._running)
 
     @one_thread
     def restore(self, snapshot: Any) -> None:
@@ -207,12 +179,7 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
             ValueError: not a snapshot, or one of an environment whose settings, other than suite, split and scenario,
                 differ; nothing has changed then.
         """
-        check_snapshot(snapshot, Snapshot, self)
-        lanes, running, frames = snapshot
-        self._lanes.restore(lanes)
-        self._running = running
-        if self._frames is not None:
-            self._frames.restore(frames)
+        (self._running,) = self._restore(snapshot)
 
     def close(self) -> None:
         """Release the worker threads, and close the window; the environment can still be used."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import gymnasium as gym
 import numpy as np
@@ -17,43 +17,20 @@ from wtg_gym.envs.interface import (
     Action,
     Observation,
     OverLanes,
-    as_scenario,
     check_options,
-    check_render_mode,
-    check_snapshot,
-    in_real_time,
-    settings_of,
-    spaces,
+    one_thread,
     warn_of_no_render_mode,
 )
-from wtg_gym.envs.lanes import LanesSnapshot, TaskLanes
+from wtg_gym.envs.lanes import PreparedEpisodes
 from wtg_gym.envs.next_episodes import NextEpisodes
-from wtg_gym.envs.one_thread import Use, one_thread
-from wtg_gym.envs.settings import EnvArguments
+from wtg_gym.envs.settings import EnvArguments, as_scenario
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.ranges import is_whole
+from wtg_gym.ranges import is_whole, require_whole
 
 if TYPE_CHECKING:
-    from wtg_gym.envs.rendering import Frame, LaneFrames
+    from wtg_gym.envs.rendering import Frame
 
 _MOST_ENVS = 1_000_000
-
-
-def _lane_seed(given: Any) -> int | None:
-    if given is None:
-        return None
-    if not is_whole(given) or given < 0:
-        raise ValueError(f"a seed must be a whole number of 0 or more, got {given!r}")
-    return int(given)
-
-
-class VectorSnapshot(NamedTuple):
-    """Complete state of the episodes of a :class:`GFMWTGVectorEnv`."""
-
-    lanes: LanesSnapshot
-    needs_reset: npt.NDArray[np.bool_]
-    n_steps: npt.NDArray[np.int64]
-    frames: Any
 
 
 class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]]):
@@ -88,30 +65,20 @@ class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.N
         render_mode: str | None = None,
         **arguments: Unpack[EnvArguments],
     ) -> None:
-        check_render_mode(render_mode, self.metadata)
-        self.render_mode = render_mode
-        if not is_whole(num_envs) or not 1 <= num_envs <= _MOST_ENVS:
-            raise ValueError(f"num_envs must be a whole number in 1 … {_MOST_ENVS}, got {num_envs!r}")
-        if n_threads is not None and (not is_whole(n_threads) or n_threads < 1):
-            raise ValueError(f"n_threads must be a whole number of 1 or more, got {n_threads!r}")
-        if max_episode_steps is not None and (not is_whole(max_episode_steps) or max_episode_steps < 1):
-            raise ValueError(f"max_episode_steps must be a whole number of 1 or more, got {max_episode_steps!r}")
+        self.num_envs = require_whole("num_envs", num_envs, 1, _MOST_ENVS)
+        if n_threads is not None:
+            n_threads = require_whole("n_threads", n_threads, 1)
+        if max_episode_steps is not None:
+            max_episode_steps = require_whole("max_episode_steps", max_episode_steps, 1)
         self._step_limit = max_episode_steps
         modes = [mode.value for mode in AutoresetMode]
         if autoreset_mode not in modes and autoreset_mode not in list(AutoresetMode):
             raise ValueError(f"unknown autoreset_mode {autoreset_mode!r}; choose one of {', '.join(modes)}")
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.settings = settings_of(type(self).__name__, arguments)
-        self.num_envs = num_envs
-        self._lanes = TaskLanes(self.settings, num_envs, None if n_threads is None else int(n_threads))
-        self._use = Use()
-        self.metadata = {**in_real_time(self.metadata, self.settings), "autoreset_mode": self.autoreset_mode}
-        self._frames: LaneFrames | None = None
-        if render_mode is not None:
-            from wtg_gym.envs.rendering import LaneFrames
-
-            self._frames = LaneFrames(self._lanes)
-        self.single_observation_space, self.single_action_space = spaces(self._lanes)
+        self.single_observation_space, self.single_action_space = self._open(
+            arguments, render_mode, self.num_envs, n_threads
+        )
+        self.metadata["autoreset_mode"] = self.autoreset_mode
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._next = NextEpisodes(self._lanes, [seeding.np_random()[0] for _ in range(num_envs)])
@@ -140,13 +107,11 @@ class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.N
         lanes = np.flatnonzero(mask).tolist()
         generators = {lane: seeding.np_random(s)[0] for lane in lanes if (s := seeds[lane]) is not None}
         # Given scenarios that cannot start are refused before the first change.
-        episodes = None if scenarios is None else self._lanes.prepare_given([scenarios[lane] for lane in lanes])
+        episodes = None
+        if scenarios is not None:
+            episodes = self._lanes.prepare([scenarios[lane] for lane in lanes], turning=True)
         self._next.reseed(generators)
-        if episodes is None:
-            self._next.start(lanes)
-        else:
-            self._lanes.commit(lanes, [episodes])
-        self._mark_started(lanes)
+        self._start(lanes, episodes)
         if self._frames is not None:
             self._frames.sample()
         return self._lanes.observations.copy(), self._infos(mask.copy())
@@ -165,20 +130,28 @@ class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.N
     def _scenarios(self, given: Any) -> list[Scenario]:
         if not isinstance(given, Sequence) or len(given) != self.num_envs:
             raise ValueError(f'options["scenarios"] must be a list of {self.num_envs} scenarios, got {given!r:.80}')
-        return [as_scenario(scenario) for scenario in given]
+        return [as_scenario('options["scenarios"]', scenario) for scenario in given]
 
     def _lane_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        seeds: Sequence[int | None]
         if seed is None:
-            return [None] * self.num_envs
-        if isinstance(seed, (int, np.integer)) and is_whole(seed):
-            return [_lane_seed(int(seed) + lane) for lane in range(self.num_envs)]
-        if not isinstance(seed, (Sequence, np.ndarray)) or isinstance(seed, str):
+            seeds = [None] * self.num_envs
+        elif isinstance(seed, (int, np.integer)) and is_whole(seed):
+            seeds = [int(seed) + lane for lane in range(self.num_envs)]
+        elif not isinstance(seed, (Sequence, np.ndarray)) or isinstance(seed, str):
             raise ValueError(f"seed must be a whole number, or one per lane, got {seed!r}")
-        if len(seed) != self.num_envs:
+        elif len(seed) != self.num_envs:
             raise ValueError(f"one seed per lane is needed ({self.num_envs}), got {len(seed)}")
-        return [_lane_seed(given) for given in seed]
+        else:
+            seeds = seed
+        return [None if each is None else require_whole("a seed", each, 0) for each in seeds]
 
-    def _mark_started(self, lanes: list[int]) -> None:
+    def _start(self, lanes: list[int], episodes: PreparedEpisodes | None = None) -> None:
+        """Start episodes in lanes, by default the next ones that are drawn for them."""
+        if episodes is None:
+            self._next.start(lanes)
+        else:
+            self._lanes.start(lanes, episodes)
         self._needs_reset[lanes] = False
         self._n_steps[lanes] = 0
 
@@ -224,8 +197,7 @@ class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.N
             beginning = np.flatnonzero(done).tolist()
         self._needs_reset |= done
         if beginning:
-            self._next.start(beginning)
-            self._mark_started(beginning)
+            self._start(beginning)
         if self._frames is not None:
             self._frames.sample()
         infos.update(self._infos(self._all_lanes))
@@ -268,18 +240,12 @@ class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.N
     @one_thread
     def snapshot(self) -> Any:
         """Return a copy of every episode's complete state, for :meth:`restore`; the generators are not part of it."""
-        frames = None if self._frames is None else self._frames.snapshot()
-        return VectorSnapshot(self._lanes.snapshot(), self._needs_reset.copy(), self._n_steps.copy(), frames)
+        return self._snapshot(self._needs_reset.copy(), self._n_steps.copy())
 
     @one_thread
     def restore(self, snapshot: Any) -> None:
         """Go back to a :meth:`snapshot`; errors as of :meth:`GFMWTGEnv.restore`."""
-        check_snapshot(snapshot, VectorSnapshot, self)
-        lanes, needs_reset, n_steps, frames = snapshot
-        self._lanes.restore(lanes)
-        self._needs_reset[:], self._n_steps[:] = needs_reset, n_steps
-        if self._frames is not None:
-            self._frames.restore(frames)
+        self._needs_reset[:], self._n_steps[:] = self._restore(snapshot)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Release the worker threads."""

@@ -1,32 +1,97 @@
-"""What the single and the vector environment share: spaces, spec, settings, and checks of what they are given."""
+"""What the single and the vector environment share: how they are made, their spec, and who may use them."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
-from typing import Any
+import functools
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 from gymnasium.envs.registration import EnvSpec
 
-from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.lanes import LanesSnapshot, TaskLanes
 from wtg_gym.envs.observation import OBSERVATION_BOUND
 from wtg_gym.envs.settings import EnvArguments, EnvSettings
-from wtg_gym.physics.scenario import Scenario
+from wtg_gym.ranges import require_known
 from wtg_gym.scenarios.benchmark import BENCHMARKS
+
+if TYPE_CHECKING:
+    from wtg_gym.envs.rendering import LaneFrames
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 Observation = npt.NDArray[np.float32]
 Action = npt.NDArray[np.float32]
+Space = gym.spaces.Box[np.float32]
+
+
+class Use:
+    """Whether an environment is in use, by one thread at a time. A copy begins unused."""
+
+    def __init__(self) -> None:
+        lock = threading.Lock()
+        # Methods of the lock itself: a call of a Python function would take longer than both together.
+        self.take, self.give_back = lock.acquire, lock.release
+
+    def __reduce__(self) -> tuple[type[Use], tuple[()]]:
+        return Use, ()
+
+
+class Snapshot(NamedTuple):
+    """Complete state of an environment's episodes."""
+
+    of: str  # class of the environment
+    lanes: LanesSnapshot
+    own: tuple[Any, ...]  # what the environment keeps itself
+    frames: Any  # what it has drawn so far, None where it does not render
 
 
 class OverLanes:
     """An environment that plays its episodes in lanes."""
 
-    _lanes: TaskLanes
+    metadata: dict[str, Any]
     _step_limit: int | None = None
     _spec: EnvSpec | None = None
+
+    def _open(
+        self, arguments: EnvArguments, render_mode: str | None, n_lanes: int = 1, n_threads: int | None = None
+    ) -> tuple[Space, Space]:
+        """Make settings, lanes and frames; return the observation space and the action space of one episode.
+
+        Raises:
+            TypeError: an argument is unknown.
+            ValueError: a value is not allowed.
+        """
+        known = [field.name for field in dataclasses.fields(EnvSettings)]
+        if unknown := [name for name in arguments if name not in known]:
+            # Python's own words come first: TorchRL looks for them to find out which arguments an environment takes.
+            raise TypeError(
+                f"{type(self).__name__}.__init__() got an unexpected keyword argument {unknown[0]!r}; "
+                f"known settings: {', '.join(known)}, render_mode"
+            )
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            modes = ", ".join(repr(mode) for mode in self.metadata["render_modes"])
+            raise ValueError(f"unknown render_mode {render_mode!r}; choose None or one of {modes}")
+        self.render_mode = render_mode
+        self.settings = EnvSettings(**arguments)
+        self._lanes = TaskLanes(self.settings, n_lanes, n_threads)
+        self._use = Use()
+        # In real time.
+        fps = max(1, round(1.0 / self.settings.control_dt))
+        self.metadata = {**self.metadata, "render_fps": fps}
+        self._frames: LaneFrames | None = None
+        if render_mode is not None:
+            from wtg_gym.envs.rendering import LaneFrames
+
+            self._frames = LaneFrames(self._lanes, opens_window=render_mode == "human", fps=fps)
+        bound = np.full(self._lanes.n_observation, OBSERVATION_BOUND, dtype=np.float32)
+        one = np.ones(self._lanes.n_action, dtype=np.float32)
+        return gym.spaces.Box(-bound, bound, dtype=np.float32), gym.spaces.Box(-one, one, dtype=np.float32)
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -35,7 +100,31 @@ class OverLanes:
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
-        self._spec = _with_episode_steps(spec, self._lanes, self._step_limit)
+        version = self.settings.version
+        if spec is not None and spec.id in BENCHMARKS and BENCHMARKS[spec.id].version != version:
+            raise ValueError(
+                f"{spec.id} cannot be made with version = {version!r}: its id is its version; leave it out"
+            )
+        if spec is not None and spec.max_episode_steps is None:
+            # Empty because the environment is registered without a time limit: it ends episodes itself.
+            n_steps = round(self._lanes.duration_s / self.settings.control_dt)
+            spec = dataclasses.replace(spec, max_episode_steps=min(self._step_limit or n_steps, n_steps))
+        self._spec = spec
+
+    def _snapshot(self, *own: Any) -> Snapshot:
+        """Return a copy of the episodes' state, with what the environment keeps itself."""
+        frames = None if self._frames is None else self._frames.snapshot()
+        return Snapshot(type(self).__name__, self._lanes.snapshot(), own, frames)
+
+    def _restore(self, snapshot: Any) -> tuple[Any, ...]:
+        """Go back to a snapshot of an environment of this class, and return what that kept itself."""
+        name = type(self).__name__
+        if not isinstance(snapshot, Snapshot) or snapshot.of != name:
+            raise ValueError(f"restore() takes what snapshot() of a {name} returned, got {type(snapshot).__name__}")
+        self._lanes.restore(snapshot.lanes)
+        if self._frames is not None:
+            self._frames.restore(snapshot.frames)
+        return snapshot.own
 
     @property
     def lanes(self) -> TaskLanes:
@@ -48,53 +137,12 @@ class OverLanes:
         return self._lanes.observation_names
 
 
-def spaces(lanes: TaskLanes) -> tuple[gym.spaces.Box[np.float32], gym.spaces.Box[np.float32]]:
-    """Return the observation space and the action space of one episode."""
-    bound = np.full(lanes.n_observation, OBSERVATION_BOUND, dtype=np.float32)
-    one = np.ones(lanes.n_action, dtype=np.float32)
-    return gym.spaces.Box(-bound, bound, dtype=np.float32), gym.spaces.Box(-one, one, dtype=np.float32)
-
-
-def settings_of(owner: str, arguments: EnvArguments) -> EnvSettings:
-    """Return the settings that keyword arguments make; an unknown one raises a TypeError."""
-    known = [field.name for field in dataclasses.fields(EnvSettings)]
-    unknown = [name for name in arguments if name not in known]
-    if unknown:
-        # Python's own words come first: TorchRL looks for them to find out which arguments an environment takes.
-        raise TypeError(
-            f"{owner}.__init__() got an unexpected keyword argument {unknown[0]!r}; "
-            f"known settings: {', '.join(known)}, render_mode"
-        )
-    return EnvSettings(**arguments)
-
-
-def _with_episode_steps(spec: EnvSpec | None, lanes: TaskLanes, limit: int | None) -> EnvSpec | None:
-    """Return a spec that says how many steps an episode has at most.
-
-    Gymnasium leaves this empty because the environment is registered without a time limit: it ends episodes itself.
-
-    Raises:
-        ValueError: the spec's id is that of another version.
-    """
-    version = lanes.settings.version
-    if spec is not None and spec.id in BENCHMARKS and BENCHMARKS[spec.id].version != version:
-        raise ValueError(f"{spec.id} cannot be made with version = {version!r}: its id is its version; leave it out")
-    if spec is None or spec.max_episode_steps is not None:
-        return spec
-    n_steps = round(lanes.duration_s / lanes.settings.control_dt)
-    return dataclasses.replace(spec, max_episode_steps=n_steps if limit is None else min(limit, n_steps))
-
-
-def check_render_mode(render_mode: Any, metadata: Mapping[str, Any]) -> None:
-    """Refuse an unknown render mode."""
-    if render_mode is not None and render_mode not in metadata["render_modes"]:
-        modes = ", ".join(repr(mode) for mode in metadata["render_modes"])
-        raise ValueError(f"unknown render_mode {render_mode!r}; choose None or one of {modes}")
-
-
-def in_real_time(metadata: Mapping[str, Any], settings: EnvSettings) -> dict[str, Any]:
-    """Return metadata with as many frames per second as there are control intervals."""
-    return {**metadata, "render_fps": max(1, round(1.0 / settings.control_dt))}
+def check_options(options: dict[str, Any] | None, allowed: Sequence[str]) -> dict[str, Any]:
+    """Return the options of `reset`; unknown ones raise a ValueError."""
+    if options is not None and not isinstance(options, Mapping):
+        raise ValueError(f"reset options must be a dictionary with keys out of {', '.join(allowed)}, got {options!r}")
+    require_known("reset options", options or {}, allowed)
+    return options or {}
 
 
 def warn_of_no_render_mode() -> None:
@@ -104,27 +152,31 @@ def warn_of_no_render_mode() -> None:
     )
 
 
-def as_scenario(value: Any) -> Scenario:
-    """Return a scenario that `reset` was given, as such or as a dictionary; anything else raises a ValueError."""
-    if isinstance(value, Scenario):
-        return value
-    if isinstance(value, dict):
-        return Scenario.from_dict(value)
-    raise ValueError(f'options["scenario"] must be a Scenario or its to_dict() form, got {type(value).__name__}')
+Own = TypeVar("Own", bound=OverLanes)
 
 
-def check_options(options: dict[str, Any] | None, allowed: Sequence[str]) -> dict[str, Any]:
-    """Return the options of `reset`; unknown ones raise a ValueError."""
-    if options is not None and not isinstance(options, Mapping):
-        raise ValueError(f"reset options must be a dictionary with keys out of {', '.join(allowed)}, got {options!r}")
-    unknown = sorted(map(str, set(options or {}) - set(allowed)))
-    if unknown:
-        raise ValueError(f"unknown reset options {unknown}; known options: {', '.join(allowed)}")
-    return options or {}
+def one_thread(method: Callable[Concatenate[Own, P], R]) -> Callable[Concatenate[Own, P], R]:
+    """Let a method of an environment raise a RuntimeError while another thread is within such a method.
+
+    Compiled code runs without the interpreter's lock: two threads in one environment would mix their numbers silently.
+    """
+
+    @functools.wraps(method)
+    def run(self: Own, /, *arguments: P.args, **keywords: P.kwargs) -> R:
+        use = self._use
+        if not use.take(False):
+            raise in_use(self, method.__name__)
+        try:
+            return method(self, *arguments, **keywords)
+        finally:
+            use.give_back()
+
+    return run
 
 
-def check_snapshot(snapshot: Any, kind: type, owner: gym.Env[Any, Any] | gym.vector.VectorEnv[Any, Any, Any]) -> None:
-    """Refuse what is not a snapshot of this kind of environment."""
-    if not isinstance(snapshot, kind):
-        name = type(owner).__name__
-        raise ValueError(f"restore() takes what snapshot() of a {name} returned, got {type(snapshot).__name__}")
+def in_use(environment: OverLanes, method: str) -> RuntimeError:
+    """Return the error of a method that was called while another thread was within the environment."""
+    return RuntimeError(
+        f"{type(environment).__name__}.{method}() was called while another thread uses the same environment; "
+        "give every thread an environment of its own, or let a lock keep them apart"
+    )

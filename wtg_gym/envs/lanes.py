@@ -11,13 +11,20 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.actions import TIME_CONSTANT_RATIO, first_invalid_action
-from wtg_gym.envs.observation import N_LOCAL, N_MEASURED, observation_names
+from wtg_gym.envs.observation import N_LOCAL, observation_names
 from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
-from wtg_gym.envs.single_step import bind, can_bind, step_bound
-from wtg_gym.envs.task import N_INFO, Outputs, build_task, start_tasks, step_blocks
-from wtg_gym.envs.task_layout import n_extra_rows
-from wtg_gym.envs.task_records import CostTerms, Info, TaskRows
-from wtg_gym.physics.lane_data import LaneData
+from wtg_gym.envs.task import (
+    Outputs,
+    bind,
+    build_task,
+    can_bind,
+    new_outputs,
+    start_tasks,
+    step_blocks,
+    step_bound,
+)
+from wtg_gym.envs.task_records import N_MEASURED, CostTerms, Info, TaskRows, n_extra_rows
+from wtg_gym.physics.kernel_data import LaneData
 from wtg_gym.physics.linearisation import STEP_MARGIN, largest_stable_steps
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.records import flatten, leaves
@@ -42,10 +49,6 @@ TERMINATION_REASONS = {
 }
 #: An episode takes as long to prepare (100 µs) as this many blocks to step (20 µs each).
 _BLOCKS_PER_EPISODE = 5
-
-
-def _copied(outputs: Outputs) -> Outputs:
-    return Outputs._make(array.copy() for array in outputs)
 
 
 class LanesSnapshot(NamedTuple):
@@ -107,18 +110,15 @@ class TaskLanes:
             ),
             n_threads=n_threads,
         )
+        self.n_lanes = self.simulator.n_lanes
         self.nominal_hz = plant.case.frequency_hz
-        self.task = build_task(settings, self.nominal_hz)
+        self.task = build_task(settings)
         self._check_time_constants()
         self._check_draws()
         self.n_action = self.n_wtg * sum(ACTION_MODES[settings.action_mode])
-        self.outputs = Outputs(
-            observations=np.zeros((n_lanes, self.n_observation), dtype=np.float32),
-            rewards=np.zeros(n_lanes),
-            infos=np.zeros((n_lanes, N_INFO)),
-            terminated=np.zeros(n_lanes, dtype=np.bool_),
-            truncated=np.zeros(n_lanes, dtype=np.bool_),
-        )
+        self.outputs = new_outputs(n_lanes, self.n_observation)
+        #: Observations (n_lanes, n_observation) and rewards (n_lanes,): arrays that the next step writes into.
+        self.observations, self.rewards = self.outputs.observations, self.outputs.rewards
         self.scenario_seeds = np.full(n_lanes, -1, dtype=np.int64)
         #: Events of each lane's episode, in their order.
         self.events: list[tuple[Event, ...]] = [()] * n_lanes
@@ -129,27 +129,23 @@ class TaskLanes:
         self._fixed = settings.fixed_scenario()
         if self._fixed is not None:
             # A scenario that cannot start is refused here rather than at the first reset.
-            self.prepare_given([self._fixed])
+            self.prepare([self._fixed], turning=True)
 
     @cached_property
     def _of_episodes(self) -> dict[str, Any]:
         """Settings that a running episode depends on; where its scenario was drawn from is none of them."""
-        settings, plant = self.settings, self.simulator.settings
+        shared = (
+            *("action_mode", "observation_mode", "control_dt", "simulation_dt"),
+            *("machine_model", "on_failure", "physics", "version"),
+        )
         return {
             "num_envs": self.n_lanes,
             "strategy": self.laws,
-            "action_mode": settings.action_mode,
-            "observation_mode": settings.observation_mode,
-            "groups": plant.groups,
+            "groups": self.simulator.settings.groups,
             "duration_s": self.duration_s,
-            "control_dt": settings.control_dt,
-            "simulation_dt": settings.simulation_dt,
-            "weights": settings.cost_weights(),
-            "machine_model": settings.machine_model,
+            "weights": self.settings.cost_weights(),
             "plant": self.suite.plant,
-            "physics": settings.physics,
-            "version": settings.version,
-            "on_failure": settings.on_failure,
+            **{name: getattr(self.settings, name) for name in shared},
         }
 
     def _check_time_constants(self) -> None:
@@ -173,21 +169,6 @@ class TaskLanes:
         if self.suite.distribution is not None:
             self.suite.distribution.check_share(self.n_turbines)
 
-    @property
-    def observations(self) -> npt.NDArray[np.float32]:
-        """Observation of every lane, (n_lanes, n_observation): the array that the next step writes into."""
-        return self.outputs.observations
-
-    @property
-    def rewards(self) -> Floats:
-        """Reward of every lane's last step, (n_lanes,): the array that the next step writes into."""
-        return self.outputs.rewards
-
-    @property
-    def n_lanes(self) -> int:
-        """Number of episodes side by side."""
-        return self.simulator.n_lanes
-
     def draw(self, rngs: Sequence[np.random.Generator]) -> list[Scenario]:
         """Return the next episode's scenario of every generator."""
         if self._fixed is not None:
@@ -204,26 +185,25 @@ class TaskLanes:
             sensors=self.settings.sensor_distribution(),
         )
 
-    def prepare(self, scenarios: Sequence[Scenario]) -> PreparedEpisodes:
+    def prepare(self, scenarios: Sequence[Scenario], *, turning: bool = False) -> PreparedEpisodes:
         """Find the equilibria that episodes start from; no running lane is touched.
 
+        Args:
+            scenarios: one per episode.
+            turning: refuse a rotor that would start below the under-speed trip, in scenarios that somebody chose.
+
         Raises:
-            ValueError: a scenario does not fit the plant or the episode length, or has no equilibrium.
+            ValueError: a scenario does not fit the plant or the episode length, or has no such equilibrium.
         """
-        lanes = self.simulator.prepare(scenarios, self.laws)
-        intervals = [
-            whole_steps(
-                "scenario duration_s", min(s.duration_s, self.duration_s), self.settings.control_dt, "control step"
-            )
-            for s in scenarios
-        ]
+        lanes, dt = self.simulator.prepare(scenarios, self.laws, turning=turning), self.settings.control_dt
+        durations = [min(scenario.duration_s, self.duration_s) for scenario in scenarios]
+        intervals = [whole_steps("scenario duration_s", length, dt, "control step") for length in durations]
         seeds = [-1 if scenario.seed is None else scenario.seed for scenario in scenarios]
-        events = tuple(tuple(sorted(scenario.events, key=lambda event: event.time_s)) for scenario in scenarios)
         return PreparedEpisodes(
             lanes,
             np.array(intervals, dtype=np.int64),
             np.array(seeds, dtype=np.int64),
-            events,
+            tuple(tuple(sorted(scenario.events, key=lambda event: event.time_s)) for scenario in scenarios),
             np.array([self._sensor_numbers(scenario) for scenario in scenarios]),
         )
 
@@ -244,31 +224,27 @@ class TaskLanes:
                 leaves_at[event.group] = min(leaves_at[event.group], float(step))
         return [*flatten(given), *biases, *leaves_at]
 
-    def prepare_given(self, scenarios: Sequence[Scenario]) -> PreparedEpisodes:
-        """Prepare scenarios that somebody chose: unlike drawn ones they must not start below the under-speed trip.
+    def start(
+        self,
+        lanes: Sequence[int],
+        episodes: Sequence[Scenario] | PreparedEpisodes,
+        places: Sequence[int] | None = None,
+    ) -> None:
+        """Start episodes in lanes, one each.
 
-        Raises:
-            ValueError: as in :meth:`prepare`, or the rotor of a group would start below the under-speed trip.
+        Args:
+            lanes: where.
+            episodes: what :meth:`prepare` returned, or scenarios, which are prepared now.
+            places: of the prepared episodes to start; None for all.
         """
-        episodes = self.prepare(scenarios)
-        self.simulator.require_turning(episodes.lanes, scenarios)
-        return episodes
-
-    def commit(self, lanes: Sequence[int], prepared: Sequence[PreparedEpisodes]) -> None:
-        """Start prepared episodes in lanes, one each."""
-        first = 0
-        for episodes in prepared:
-            n = episodes.n_intervals.size
-            self.commit_some(lanes[first : first + n], episodes, range(n))
-            first += n
-
-    def commit_some(self, lanes: Sequence[int], episodes: PreparedEpisodes, places: Sequence[int]) -> None:
-        """Start the episodes at some places of a prepared group in lanes, one each."""
+        if not isinstance(episodes, PreparedEpisodes):
+            episodes = self.prepare(episodes)
         simulator = self.simulator
         # More events than ever before, or a snapshot, bring new arrays.
         self._bound = None
-        index, taken = np.array(lanes, dtype=np.int64), np.array(places, dtype=np.int64)
-        simulator.commit(index, episodes.lanes, taken)
+        index = np.array(lanes, dtype=np.int64)
+        taken = np.arange(index.size) if places is None else np.array(places, dtype=np.int64)
+        simulator.start(index, episodes.lanes, places=taken)
         start_tasks(
             simulator.blocks,
             index,
@@ -280,12 +256,8 @@ class TaskLanes:
             simulator.lanes,
         )
         self.scenario_seeds[index] = episodes.scenario_seeds[taken]
-        for lane, place in zip(lanes, places, strict=True):
+        for lane, place in zip(index.tolist(), taken.tolist(), strict=True):
             self.events[lane] = episodes.events[place]
-
-    def start(self, lanes: Sequence[int], scenarios: Sequence[Scenario]) -> None:
-        """Start an episode in each of the lanes: :meth:`prepare`, then :meth:`commit`."""
-        self.commit(lanes, [self.prepare(scenarios)])
 
     def stop(self, lanes: npt.NDArray[np.bool_]) -> None:
         """End the episodes of a mask's lanes, as if their time were over; shape (n_lanes,)."""
@@ -377,7 +349,7 @@ class TaskLanes:
         return LanesSnapshot(
             self._of_episodes,
             self.simulator.snapshot(),
-            _copied(self.outputs),
+            Outputs._make(array.copy() for array in self.outputs),
             self.scenario_seeds.copy(),
             list(self.events),
         )
@@ -389,8 +361,8 @@ class TaskLanes:
             raise ValueError(f"the snapshot is of an environment with other settings: {', '.join(other)}")
         self._bound = None
         self.simulator.restore(physics)
-        self.outputs.observations[:], self.outputs.rewards[:] = outputs.observations, outputs.rewards
-        self.outputs.infos[:] = outputs.infos
-        self.outputs.terminated[:], self.outputs.truncated[:] = outputs.terminated, outputs.truncated
+        own: Any
+        for own, kept in zip(self.outputs, outputs, strict=True):
+            own[:] = kept
         self.scenario_seeds[:] = seeds
         self.events[:] = events

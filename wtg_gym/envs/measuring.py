@@ -10,16 +10,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs.observation import (
-    N_MEASURED,
-    OBSERVATION_BOUND,
-    bounded_measured,
-    observe_measured,
-    store_measured,
-)
-from wtg_gym.envs.task_layout import parts_of
+from wtg_gym.envs.observation import OBSERVATION_BOUND, bounded_measured, observe_measured, store_measured
 from wtg_gym.envs.task_records import (
     N_GROUP_ROWS,
+    N_MEASURED,
     N_SENSED_ROWS,
     N_SENSOR_INPUT,
     TASK,
@@ -28,6 +22,7 @@ from wtg_gym.envs.task_records import (
     load_group,
     load_sensed,
     load_sensor_input,
+    parts_of,
     store_sensed,
 )
 from wtg_gym.physics.compiled import inlined

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from wtg_gym.envs.lanes import PreparedEpisodes, TaskLanes
-from wtg_gym.physics.scenario import Scenario
 
 #: Lanes whose episodes are drawn and prepared together: their series fit a processor's cache.
 _LANES_AT_ONCE = 16
@@ -29,8 +28,8 @@ class NextEpisodes:
         self._generators = list(generators)
         #: The prepared group of a lane's episode, and its place there.
         self._ready: dict[int, tuple[PreparedEpisodes, int]] = {}
-        #: Scenarios that cannot start.
-        self._refused: dict[int, Scenario] = {}
+        #: Why a lane's episode cannot start.
+        self._refused: dict[int, ValueError] = {}
 
     def choose(self, wanted: Sequence[int]) -> list[int]:
         """Return which lanes to prepare now: those of `wanted` that are not ready, filled up to whole groups."""
@@ -54,8 +53,8 @@ class NextEpisodes:
                 for lane, scenario in zip(group, scenarios, strict=True):
                     try:
                         self._put([lane], self._lanes.prepare([scenario]))
-                    except ValueError:
-                        self._refused[lane] = scenario
+                    except ValueError as error:
+                        self._refused[lane] = error
 
     def _put(self, group: Sequence[int], episodes: PreparedEpisodes) -> None:
         self._ready.update({lane: (episodes, place) for place, lane in enumerate(group)})
@@ -77,12 +76,10 @@ class NextEpisodes:
         self.prepare(self.choose(wanted))
         for lane in wanted:
             if lane in self._refused:
-                self._lanes.prepare([self._refused.pop(lane)])
-        groups: dict[int, tuple[PreparedEpisodes, list[int], list[int]]] = {}
+                raise self._refused.pop(lane)
+        groups: dict[int, list[int]] = {}
         for lane in wanted:
-            episodes, place = self._ready.pop(lane)
-            _, own, places = groups.setdefault(id(episodes), (episodes, [], []))
-            own.append(lane)
-            places.append(place)
-        for episodes, own, places in groups.values():
-            self._lanes.commit_some(own, episodes, places)
+            groups.setdefault(id(self._ready[lane][0]), []).append(lane)
+        for own in groups.values():
+            ready = [self._ready.pop(lane) for lane in own]
+            self._lanes.start(own, ready[0][0], [place for _, place in ready])

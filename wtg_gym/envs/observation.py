@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Annotated, NamedTuple, get_type_hints
 
 from wtg_gym.envs.settings import ACTION_MODES
-from wtg_gym.envs.task_records import GroupRows, Task
+from wtg_gym.envs.task_records import N_MEASURED as N_MEASURED
+from wtg_gym.envs.task_records import GroupRows, MeasuredObservation, Task
 from wtg_gym.physics.compiled import inlined
 from wtg_gym.physics.elementary import clip
 from wtg_gym.physics.machine import Machine, MachineOutput, MachineState
@@ -32,17 +33,6 @@ class WtgObservation(NamedTuple):
     filter_state: Annotated[float, "0.5 Hz", "state of the damping filter"]
 
 
-class MeasuredObservation(NamedTuple):
-    """Measurements of the sensors of a WTG group."""
-
-    frequency_deviation: Annotated[float, "0.5 Hz", "filtered frequency of the converter minus the nominal one"]
-    rocof: Annotated[float, "Hz/s", "rate of change of the frequency, filtered"]
-    tip_speed_ratio: Annotated[float, "0 at λ_opt, 1 at λ_pr", "measured speed of the blade tips over measured wind"]
-    rotor_speed: Annotated[float, "0.25 p.u. from 1 p.u.", "rotor speed; the nominal one is 1 p.u."]
-    power: Annotated[float, "p.u.", "power into the grid, of the group's rating"]
-    wind: Annotated[float, "5 m/s from 10 m/s", "wind, with a constant and a slow error"]
-
-
 class MachineObservation(NamedTuple):
     """A synchronous machine, in the privileged observation."""
 
@@ -59,7 +49,7 @@ class GridObservation(NamedTuple):
     torque: Annotated[float, "100 MVA", "mechanical torque of all machines"]
 
 
-N_LOCAL, N_MACHINE, N_MEASURED = size(WtgObservation), size(MachineObservation), size(MeasuredObservation)
+N_LOCAL, N_MACHINE = size(WtgObservation), size(MachineObservation)
 
 store_wtg_observation, store_machine_observation = storer(WtgObservation), storer(MachineObservation)
 store_grid_observation, store_measured = storer(GridObservation), storer(MeasuredObservation)

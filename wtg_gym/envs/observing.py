@@ -11,7 +11,6 @@ from wtg_gym.envs.measuring import show_delayed
 from wtg_gym.envs.observation import (
     N_LOCAL,
     N_MACHINE,
-    N_MEASURED,
     OBSERVATION_BOUND,
     bounded_grid,
     bounded_machine,
@@ -23,8 +22,17 @@ from wtg_gym.envs.observation import (
     store_machine_observation,
     store_wtg_observation,
 )
-from wtg_gym.envs.task_layout import parts_of
-from wtg_gym.envs.task_records import GROUP, N_GROUP_ROWS, N_SENSED_ROWS, SENSED, TASK, Task, load_group
+from wtg_gym.envs.task_records import (
+    GROUP,
+    N_GROUP_ROWS,
+    N_MEASURED,
+    N_SENSED_ROWS,
+    SENSED,
+    TASK,
+    Task,
+    load_group,
+    parts_of,
+)
 from wtg_gym.physics.compiled import inlined
 from wtg_gym.physics.elementary import clip
 from wtg_gym.physics.layout import (

@@ -9,12 +9,12 @@ from typing import Any, TypedDict
 
 import numpy as np
 
-from wtg_gym.physics.checked import parameter
+from wtg_gym.physics.checked import Checked, design
 from wtg_gym.physics.parameters import WtgGroup, default_groups
 from wtg_gym.physics.plant import PHYSICS, SIMULATION_DT_RANGE, PlantSettings
 from wtg_gym.physics.scenario import SERIES_DT, Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
-from wtg_gym.ranges import require_range, whole_steps
+from wtg_gym.ranges import require_known, require_range, whole_steps
 from wtg_gym.scenarios import DEFAULT_SUITE, FRESH, SPLITS, SUITES, get_suite
 from wtg_gym.scenarios.benchmark import Benchmark
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
@@ -22,72 +22,64 @@ from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 #: Action modes and which of (k, τ) each of them modulates.
 ACTION_MODES: dict[str, tuple[bool, bool]] = {"k": (True, False), "tau": (False, True), "k+tau": (True, True)}
 OBSERVATION_MODES = ("local", "privileged")
-MACHINE_MODELS = ("genrou", "classical")
 VERSIONS = ("v0", "v1")
-FAILURE_MODES = ("terminate", "trip")
+#: Settings that are one of some names.
+_CHOICES: dict[str, Sequence[str]] = {
+    "action_mode": tuple(ACTION_MODES),
+    "observation_mode": OBSERVATION_MODES,
+    "machine_model": ("genrou", "classical"),
+    "on_failure": ("terminate", "trip"),
+    "physics": PHYSICS,
+    "split": (*SPLITS, FRESH),
+}
+
+
+def _weight(default: float, doc: str, low: float = 0.0) -> Any:
+    return design(default, "1/s", doc, low, 1e6)
 
 
 @dataclass(frozen=True, kw_only=True)
-class CostWeights:
+class CostWeights(Checked):
     """Weights of the cost's terms. Each is a rate [1/s] at the deviation that `doc` names as one unit.
 
     The reward is minus the cost. The terms' equations are in :mod:`wtg_gym.envs.cost`.
     """
 
-    frequency: float = parameter(
+    frequency: float = _weight(
         1.0,
-        unit="1/s",
-        source="design",
-        doc="one at ±0.2 Hz, where European primary reserve is fully active; quadratic inside, four times as steep "
+        "one at ±0.2 Hz, where European primary reserve is fully active; quadratic inside, four times as steep "
         "as at that edge outside",
     )
-    rocof: float = parameter(
-        4.0,
-        unit="1/s",
-        source="design",
-        doc="one unit at 0.2 Hz/s over 500 ms, squared; loss-of-mains relays act from 0.5 … 1 Hz/s on",
+    rocof: float = _weight(
+        4.0, "one unit at 0.2 Hz/s over 500 ms, squared; loss-of-mains relays act from 0.5 … 1 Hz/s on"
     )
-    duty: float = parameter(
+    duty: float = _weight(
         2.0,
-        unit="1/s",
-        source="design",
-        doc="one unit at a captured power 5 % of the available away from what the prescribed characteristic asks: the "
+        "one unit at a captured power 5 % of the available away from what the prescribed characteristic asks: the "
         "reserve that a unit is paid to hold. Its weight is twice that of the frequency: a unit controls its reserve "
         "alone, but the frequency only together with all others",
     )
-    rotor: float = parameter(
+    rotor: float = _weight(
         5.0,
-        unit="1/s",
-        source="design",
-        doc="one unit at a tip-speed ratio 10 % of λ_opt beyond 0.9 λ_opt … 1.1 λ_pr, squared: low speed leads to "
+        "one unit at a tip-speed ratio 10 % of λ_opt beyond 0.9 λ_opt … 1.1 λ_pr, squared: low speed leads to "
         "stall, high speed loads the structure",
     )
-    overload: float = parameter(
+    overload: float = _weight(
         10.0,
-        unit="1/s",
-        source="design",
-        doc="one unit at 0.1 p.u. of power above 1.1 p.u., squared. A converter at its current limit, which v0 does "
+        "one unit at 0.1 p.u. of power above 1.1 p.u., squared. A converter at its current limit, which v0 does "
         "not model, no longer forms the grid: 1.2 p.u. costs about what 0.4 Hz of deviation do",
     )
-    effort: float = parameter(
+    effort: float = _weight(
         0.05,
-        unit="1/s",
-        source="design",
-        doc="one unit at full action, four at a change by 1 within a step: a tie-breaker that keeps unused actions at "
+        "one unit at full action, four at a change by 1 within a step: a tie-breaker that keeps unused actions at "
         "zero and discourages chatter",
     )
-    cap: float = parameter(
+    cap: float = _weight(
         50.0,
-        unit="1/s",
-        source="design",
-        doc="largest cost rate while the episode goes on; a failure costs this for the rest of the episode and one "
+        "largest cost rate while the episode goes on; a failure costs this for the rest of the episode and one "
         "second more, so that going on is never dearer",
+        low=1e-3,
     )
-
-    def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            low = 1e-3 if field.name == "cap" else 0.0
-            require_range(f"weight {field.name!r}", getattr(self, field.name), low, 1e6, "1/s")
 
 
 class EnvArguments(TypedDict, total=False):
@@ -162,12 +154,8 @@ class EnvSettings:
 
     def __post_init__(self) -> None:
         self._choose_suite()
-        _require_choice("action_mode", self.action_mode, tuple(ACTION_MODES))
-        _require_choice("observation_mode", self.observation_mode, OBSERVATION_MODES)
-        _require_choice("machine_model", self.machine_model, MACHINE_MODELS)
-        _require_choice("on_failure", self.on_failure, FAILURE_MODES)
-        _require_choice("physics", self.physics, PHYSICS)
-        _require_choice("split", self.split, (*SPLITS, FRESH))
+        for name, choices in _CHOICES.items():
+            _require_choice(name, getattr(self, name), choices)
         self.sensor_distribution()
         if self.duration_s is not None:
             require_range("duration_s", self.duration_s, 1.0, 3600.0, "s")
@@ -216,10 +204,7 @@ class EnvSettings:
         if self.weights is not None and not isinstance(self.weights, Mapping):
             raise ValueError(f"weights must be a dictionary of names and numbers, got {self.weights!r}")
         given = dict(self.weights or {})
-        known = [field.name for field in dataclasses.fields(CostWeights)]
-        unknown = sorted(map(str, set(given) - set(known)))
-        if unknown:
-            raise ValueError(f"unknown weights {unknown}; known weights: {', '.join(known)}")
+        require_known("weights", given, [field.name for field in dataclasses.fields(CostWeights)])
         return CostWeights(**{**dict(self.benchmark().weights), **given})
 
     def wtg_groups(self) -> tuple[WtgGroup, ...]:
@@ -227,17 +212,15 @@ class EnvSettings:
         if self.groups is None:
             return get_suite(self.suite).plant.groups
         if isinstance(self.groups, (int, np.integer)):
-            return default_groups(self.groups if isinstance(self.groups, int) else int(self.groups))
+            return default_groups(self.groups)
         if isinstance(self.groups, (str, Mapping)) or not isinstance(self.groups, Sequence) or not self.groups:
             raise ValueError(
                 f'groups must be a number of groups or a list of {{"bus": …, "n_turbines": …}}, got {self.groups!r}'
             )
-        groups = []
         for entry in self.groups:
             if not isinstance(entry, Mapping) or not entry or not set(entry) <= {"bus", "n_turbines"}:
                 raise ValueError(f'a WTG group must be {{"bus": …, "n_turbines": …}}, got {entry!r}')
-            groups.append(WtgGroup(**entry))
-        return tuple(groups)
+        return tuple(WtgGroup(**entry) for entry in self.groups)
 
     def laws(self) -> tuple[TrackingLaw, ...]:
         """Return one law per WTG group; a ValueError lists the known strategies."""
@@ -257,13 +240,7 @@ class EnvSettings:
 
     def fixed_scenario(self) -> Scenario | None:
         """Return the scenario played in every episode, if one was given."""
-        if self.scenario is None:
-            return None
-        if isinstance(self.scenario, Scenario):
-            return self.scenario
-        if not isinstance(self.scenario, Mapping):
-            raise ValueError(f"scenario must be a Scenario or its to_dict() form, got {self.scenario!r}")
-        return Scenario.from_dict(dict(self.scenario))
+        return None if self.scenario is None else as_scenario("scenario", self.scenario)
 
     def episode_duration_s(self) -> float:
         """Return the length of an episode [s]."""
@@ -273,9 +250,15 @@ class EnvSettings:
         return float(fixed.duration_s if fixed is not None else get_suite(self.suite).duration_s)
 
 
+def as_scenario(name: str, value: Any) -> Scenario:
+    """Return a scenario that was given, as such or as a dictionary; anything else raises a ValueError."""
+    if isinstance(value, Scenario):
+        return value
+    if isinstance(value, Mapping):
+        return Scenario.from_dict(dict(value))
+    raise ValueError(f"{name} must be a Scenario or its to_dict() form, got {value!r:.80}")
+
+
 def _require_choice(name: str, value: Any, choices: Sequence[str]) -> None:
     if not isinstance(value, str) or value not in choices:
         raise ValueError(f"unknown {name} {value!r}; choose one of {', '.join(choices)}")
-
-
-__all__ = ["ACTION_MODES", "CostWeights", "EnvArguments", "EnvSettings"]

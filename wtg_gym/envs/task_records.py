@@ -1,11 +1,16 @@
-"""Records of the task: its constants, and what it keeps per lane and per WTG group."""
+"""Records of the task: its constants, what it keeps per lane and WTG group, and where that lies among a lane's rows."""
 
 from __future__ import annotations
 
-from typing import Annotated, NamedTuple
+import math
+from typing import Annotated, Any, NamedTuple
 
+import numpy as np
+
+from wtg_gym.physics.compiled import inlined
+from wtg_gym.physics.layout import rows_of
 from wtg_gym.physics.records import loader, offsets, reader, size, storer
-from wtg_gym.physics.sensors import SensorInput, SensorState
+from wtg_gym.physics.sensors import DELAY_MAX_S, SensorInput, SensorState
 
 
 class Weights(NamedTuple):
@@ -95,6 +100,17 @@ class SensedRows(NamedTuple):
     mean_duty: float  # signed duty error behind its filter, 0.05 of the available power
 
 
+class MeasuredObservation(NamedTuple):
+    """Measurements of the sensors of a WTG group."""
+
+    frequency_deviation: Annotated[float, "0.5 Hz", "filtered frequency of the converter minus the nominal one"]
+    rocof: Annotated[float, "Hz/s", "rate of change of the frequency, filtered"]
+    tip_speed_ratio: Annotated[float, "0 at λ_opt, 1 at λ_pr", "measured speed of the blade tips over measured wind"]
+    rotor_speed: Annotated[float, "0.25 p.u. from 1 p.u.", "rotor speed; the nominal one is 1 p.u."]
+    power: Annotated[float, "p.u.", "power into the grid, of the group's rating"]
+    wind: Annotated[float, "5 m/s from 10 m/s", "wind, with a constant and a slow error"]
+
+
 class Info(NamedTuple):
     """The numbers of `info`, with their units and meanings."""
 
@@ -116,10 +132,12 @@ class Info(NamedTuple):
     cost_failure: Annotated[float, "-", "what a failure costs at the end"]
 
 
+#: Window of the rate of change of frequency [s].
+ROCOF_WINDOW_S = 0.5
 COST_TERMS = CostTerms._fields
 TASK, GROUP, SENSED = offsets(TaskRows), offsets(GroupRows), offsets(SensedRows)
 N_TASK_ROWS, N_GROUP_ROWS = size(TaskRows), size(GroupRows)
-N_SENSED_ROWS, N_SENSOR_INPUT = size(SensedRows), size(SensorInput)
+N_SENSED_ROWS, N_SENSOR_INPUT, N_MEASURED = size(SensedRows), size(SensorInput), size(MeasuredObservation)
 
 read_task = reader(Task)
 load_terms, store_terms = loader(CostTerms), storer(CostTerms)
@@ -127,3 +145,49 @@ store_info = storer(Info)
 load_group, store_group = loader(GroupRows), storer(GroupRows)
 load_sensed, store_sensed = loader(SensedRows), storer(SensedRows)
 load_sensor_input = loader(SensorInput)
+
+
+class TaskParts(NamedTuple):
+    """First row of each part of the task's rows."""
+
+    lane: int
+    history: int
+    groups: int
+    sensor_input: int
+    sensed: int  # of each WTG group
+    delayed: int  # the latest measurements of all groups, one after the other in a ring
+    observation: int
+
+
+def n_extra_rows(n_wtg: int, control_dt: float, n_observation: int, *, sensed: bool) -> int:
+    """Return how many rows the task needs per lane."""
+    rows = N_TASK_ROWS + rocof_window(control_dt) + 1 + n_wtg * N_GROUP_ROWS + n_observation
+    if sensed:
+        rows += N_SENSOR_INPUT + n_wtg * (N_SENSED_ROWS + n_delayed(control_dt) * N_MEASURED)
+    return rows
+
+
+def rocof_window(control_dt: float) -> int:
+    """Return the RoCoF window in control intervals, at least one."""
+    return max(1, round(ROCOF_WINDOW_S / control_dt))
+
+
+def n_delayed(control_dt: float) -> int:
+    """Return how many measurements a lane keeps for the longest delay."""
+    return math.ceil(DELAY_MAX_S / control_dt - 1e-9) + 1
+
+
+@inlined
+def parts_of(c: Any, task: Task) -> TaskParts:
+    """Return where the parts begin."""
+    # Without a sign: the compiler then knows that no row counts from the end, and loops over lanes become vectors.
+    n_window: Any = np.uint32(task.n_window)
+    n_delayed: Any = np.uint32(task.n_delayed)
+    lane = rows_of(c).extra
+    history = lane + N_TASK_ROWS
+    groups = history + n_window + 1
+    n_wtg, with_sensors = c["share"].shape[0], min(n_delayed, np.uint32(1))
+    sensor_input = groups + n_wtg * N_GROUP_ROWS
+    sensed = sensor_input + with_sensors * N_SENSOR_INPUT
+    delayed = sensed + with_sensors * n_wtg * N_SENSED_ROWS
+    return TaskParts(lane, history, groups, sensor_input, sensed, delayed, delayed + n_delayed * n_wtg * N_MEASURED)

@@ -16,7 +16,6 @@ from wtg_gym.evaluation import statistics
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.score import log_gains, pinned, points_by_term, score_scale
 from wtg_gym.evaluation.statistics import Floats, Interval
-from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.scenarios.benchmark import Benchmark
 
 #: The cost's terms that the points of a score are counted by; the others, and the cost of failures, are "rest".
@@ -192,7 +191,7 @@ def _measures(
     costs = _costs(runs, cap)
     lost = np.array([episode.failed for run in runs for episode in run])
     has = np.isfinite(oracle)
-    deviations = _deviations_mhz(runs)
+    deviations = _deviations_mhz(runs, benchmark.nominal_hz)
     return EntryMeasures(
         name=entry["name"],
         kind=str(entry["kind"]),
@@ -226,8 +225,7 @@ def worst_decile(costs: Floats) -> float:
     return statistics.mean(np.sort(costs, axis=1)[:, -math.ceil(_WORST * costs.shape[1]) :])
 
 
-def _deviations_mhz(runs: Sequence[Sequence[Episode]]) -> Floats:
-    nominal_hz = modified_ieee14().frequency_hz
+def _deviations_mhz(runs: Sequence[Sequence[Episode]], nominal_hz: float) -> Floats:
     below, above = nominal_hz - _values(runs, "nadir_hz"), _values(runs, "zenith_hz") - nominal_hz
     return 1000.0 * np.maximum(below, above)
 

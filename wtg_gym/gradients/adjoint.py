@@ -8,17 +8,15 @@ import numpy as np
 
 from wtg_gym.envs.actions import apply_actions
 from wtg_gym.envs.measuring import arrived_row, newest_row
-from wtg_gym.envs.task_layout import parts_of
-from wtg_gym.envs.task_records import TASK, load_sensor_input, read_task
+from wtg_gym.envs.task_records import TASK, load_sensor_input, parts_of, read_task
 from wtg_gym.gradients.generated import Rules, Steps, compiled_with
 from wtg_gym.physics.compiled import compiled, inlined
 from wtg_gym.physics.currents import unit_currents
 from wtg_gym.physics.dynamics import derivatives, keep_energy, unit_voltages
 from wtg_gym.physics.elementary import fma
 from wtg_gym.physics.integration import apply_network_changes, end_step, enter_interval, protections_sample
-from wtg_gym.physics.lane_data import LaneData
+from wtg_gym.physics.kernel_data import LaneData, Plant
 from wtg_gym.physics.layout import LANE, Floats, Lanes, read_turbine, rows_of
-from wtg_gym.physics.plant_constants import Plant
 from wtg_gym.physics.sensors import noise_key, normal
 
 #: The way back through the sweeps that hold currents ends where no cotangent changes by more than this share of the

@@ -15,20 +15,19 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from numba import types
 from numba.extending import intrinsic
 
-from wtg_gym.envs.task_layout import parts_of
-from wtg_gym.envs.task_records import GROUP, N_GROUP_ROWS, TASK, CostTerms, read_task
+from wtg_gym.envs.task_records import GROUP, N_GROUP_ROWS, TASK, CostTerms, parts_of, read_task
 from wtg_gym.gradients import expressions as ex
 from wtg_gym.gradients.kernel_programs import ROW_OF_LEAF, Further, Indices, Programs, is_of_lane, programs_of
 from wtg_gym.gradients.plant_parameters import Leaf
 from wtg_gym.gradients.tracing import Rows, retargeted
-from wtg_gym.physics.compiled import cache_folder, compilation, source_hash
+from wtg_gym.physics.compiled import compiled, source_hash
 from wtg_gym.physics.elementary import exponential, fma, sine_cosine
+from wtg_gym.physics.kernel_data import Plant
 from wtg_gym.physics.layout import (
     EXTENSION,
     N_EXTENSION_STATES,
@@ -49,8 +48,6 @@ from wtg_gym.physics.layout import (
     wtg_row,
 )
 from wtg_gym.physics.machine import machine_limited
-from wtg_gym.physics.machine_code import DiskCache
-from wtg_gym.physics.plant_constants import Plant
 from wtg_gym.physics.records import size
 from wtg_gym.physics.wind_turbine import extension_limited, wtg_limited
 
@@ -361,10 +358,6 @@ def _compiled(source: str, digest: str) -> Any:
 
 def compiled_with(function: Callable[..., Any], digest: str) -> Any:
     """Compile a function like those of the kernels; `digest` names the generated code that it calls."""
-    compilation()
     # Machine code is linked by names: of two functions with one name, loaded from disk, the first would be called.
     function.__qualname__ = f"{function.__qualname__}_{digest[:16]}"
-    result = numba.njit(nogil=True, error_model="numpy")(function)
-    if result is not function:
-        result._cache = DiskCache(function, cache_folder(), digest)
-    return result
+    return compiled(function, digest=digest)

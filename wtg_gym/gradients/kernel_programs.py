@@ -21,8 +21,8 @@ from wtg_gym.gradients.plant_parameters import Leaf
 from wtg_gym.gradients.tracing import ARITHMETIC, Actions, Rows, retargeted, traced
 from wtg_gym.physics.currents import limit_group_current, unit_currents
 from wtg_gym.physics.dynamics import derivatives, keep_energy, unit_rates, unit_voltages
+from wtg_gym.physics.kernel_data import Plant
 from wtg_gym.physics.layout import LANE, read_extension, read_turbine, rows_of
-from wtg_gym.physics.plant_constants import Plant
 from wtg_gym.physics.protection import track_extremes
 from wtg_gym.physics.rotor_table import tabulated_power_coefficient
 from wtg_gym.physics.runge_kutta import EVALUATE

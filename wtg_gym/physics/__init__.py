@@ -3,8 +3,8 @@
 Equations
     aerodynamics, rotor_table    C_p as a curve or a table, operating points K_opt, K_d, available power
     wind_turbine        rotor, captured power p_w, a group as a whole, its equilibrium
-    pitch, converter, converter_limits, voltage_control    controls of a wind turbine
-    machine, exciter, governor, hydro_governor             synchronous machines
+    pitch, converter, extended_converter    controls of a wind turbine
+    machine, exciter, governor              synchronous machines
     network             admittances, power flow
     reduction           Kron reduction, load noise
     dynamics            right-hand side: loops over units and lanes
@@ -17,8 +17,8 @@ Equations
     modes               eigenvalues and participation of the whole system, by name
 
 Data
-    parameters, machine_parameters, checked, sources    every number with unit, source and range
-    ieee14, nrel5mw, tables/     the network; another turbine; its tables
+    parameters, machine_parameters, checked    every number with unit, source and range
+    ieee14, tables/     the network; the C_p of another turbine
     plant               a network, its WTG groups and the time steps
     scenario            what happens in a run
     tracking_law        the strategies
@@ -26,7 +26,9 @@ Data
 
 Machinery
     simulator, block_threads, integration    runs side by side; their threads; one control interval
-    layout, records           rows of a block, made from records
-    plant_constants, lane_data    what all lanes share; series and events of each
-    compiled, machine_code, elementary    compilation, its cache, functions for all processors
+    layout, records, kernel_data    rows of a block, made from records; constants, series and events
+    compiled, elementary            compilation and its cache, functions for all processors
+
+A run is *prepared*, its equilibrium found while no running lane is touched, and then *started* in a lane: every floor
+above, up to the environments, says it with these two words.
 """

@@ -1,4 +1,4 @@
-"""Dataclasses of parameters that check their values; each field has unit, source, meaning and range."""
+"""Dataclasses that check their values; each field has unit, source, meaning and range."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ import itertools
 import math
 from typing import Any, ClassVar, get_args, get_origin, get_type_hints
 
-from wtg_gym.ranges import require_bus, require_range
+import numpy as np
+
+from wtg_gym.ranges import require_bus, require_range, require_whole
 
 
 def describe(unit: str, source: str, doc: str) -> dict[str, Any]:
@@ -26,6 +28,11 @@ def required(unit: str, source: str, doc: str, low: float = -math.inf, high: flo
     return dataclasses.field(metadata={**describe(unit, source, doc), "low": low, "high": high})
 
 
+def design(default: Any, unit: str, doc: str, low: float = -math.inf, high: float = math.inf) -> Any:
+    """Return a :func:`parameter` that is a design value of this benchmark."""
+    return parameter(default, unit, "design", doc, low, high)
+
+
 @functools.cache
 def _kinds(record: Any) -> dict[str, Any]:
     return get_type_hints(record)
@@ -34,7 +41,8 @@ def _kinds(record: Any) -> dict[str, Any]:
 class Checked:
     """A dataclass whose fields are checked when it is made: their types, and the ranges that :func:`parameter` gives.
 
-    A field of type int is checked as a bus number.
+    Numbers become Python's own. A pair of numbers is a span, low to high; an int is a bus number, unless it has a
+    range; None is taken where the type says so.
 
     Raises:
         ValueError: the message names field, value, unit and allowed range.
@@ -46,21 +54,49 @@ class Checked:
     def __post_init__(self) -> None:
         record: Any = type(self)
         for field in dataclasses.fields(record):
-            name, value = f"{record.__name__}.{field.name}", getattr(self, field.name)
-            kind = _kinds(record)[field.name]
-            if kind is float or (kind == float | None and value is not None):
-                if "low" in field.metadata:
-                    unit = field.metadata["unit"].removeprefix("-")
-                    require_range(name, value, field.metadata["low"], field.metadata["high"], unit)
-            elif kind is int:
-                require_bus(name, value)
-            elif get_origin(kind) is tuple:
-                entry = get_args(kind)[0]
-                if not isinstance(value, (tuple, list)) or not all(isinstance(item, entry) for item in value):
-                    raise ValueError(f"{name} must be a tuple of {entry.__name__}, got {value!r}")
-            elif not isinstance(value, kind):
-                raise ValueError(f"{name} must be {field.type}, got {value!r}")
+            value, kind = getattr(self, field.name), _kinds(record)[field.name]
+            checked = _checked(f"{record.__name__}.{field.name}", value, kind, field)
+            if checked is not value:
+                object.__setattr__(self, field.name, checked)
         values = [getattr(self, name) for name in self.RISING]
         if any(not first < second for first, second in itertools.pairwise(values)):
             given = ", ".join(f"{value:g}" for value in values)
-            raise ValueError(f"{type(self).__name__}: {' < '.join(self.RISING)} must hold, got {given}")
+            raise ValueError(f"{record.__name__}: {' < '.join(self.RISING)} must hold, got {given}")
+
+
+def _checked(name: str, value: Any, kind: Any, field: Any) -> Any:
+    """Return a field's value as its type says, or raise a ValueError."""
+    kinds = get_args(kind)
+    if type(None) in kinds and value is None:
+        return None
+    if len(kinds) == 2 and kinds[1] is type(None):
+        kind = kinds[0]
+    low, high = field.metadata.get("low", -math.inf), field.metadata.get("high", math.inf)
+    unit = field.metadata.get("unit", "").removeprefix("-")
+    if kind is float:
+        return require_range(name, value, low, high, unit)
+    if kind is int:
+        return require_whole(name, value, low, high) if isinstance(low, int) else require_bus(name, value)
+    if kind in (tuple[float, float], tuple[int, int]):
+        return _span(name, value, get_args(kind)[0], low, high, unit)
+    if get_origin(kind) is tuple:
+        entry: Any = get_args(kind)[0]
+        of_records: bool = dataclasses.is_dataclass(entry)
+        items = value if isinstance(value, (tuple, list)) else (None,)
+        if of_records and not all(isinstance(item, entry) for item in items):
+            raise ValueError(f"{name} must be {field.type}, got {value!r}")
+        return tuple(value) if isinstance(value, list) else value
+    if get_origin(kind) is not np.ndarray and not isinstance(value, kind):
+        raise ValueError(f"{name} must be {field.type}, got {value!r}")
+    return value
+
+
+def _span(name: str, value: Any, number: type, low: float, high: float, unit: str) -> tuple[float, float]:
+    if not isinstance(value, (tuple, list)) or len(value) != 2:
+        raise ValueError(f"{name} must be a pair (low, high) in {low:g} … {high:g} {unit}, got {value!r}".rstrip())
+    first, last = (require_range(name, each, low, high, unit) for each in value)
+    if first > last:
+        raise ValueError(f"{name} must be a pair (low, high), low <= high, got ({first:g}, {last:g}) {unit}".rstrip())
+    if number is int and not (first.is_integer() and last.is_integer()):
+        raise ValueError(f"{name} must be two whole numbers, got {value}")
+    return number(first), number(last)

@@ -1,44 +1,92 @@
-"""The one decorator for compiled functions, with a disk cache that cannot go stale.
+"""The one decorator for compiled functions, with machine code on disk that cannot go stale and heals itself.
 
-Numba's own cache looks at the file of the decorated function alone: editing a callee in another file leaves a
-stale caller. Here the cache folder is named after a hash of every file that holds compiled code, so an edit
-anywhere starts a new folder and an unchanged package starts quickly. The files in it are those of
-:mod:`wtg_gym.physics.machine_code`.
+Numba's own cache looks at the file of the decorated function alone: editing a callee in another file leaves a stale
+caller. It also trusts its files: a damaged one ends in a traceback or in code that was made for something else, and two
+processes that compile at once can mix up its index. Here the folder is named after a hash of every file that holds
+compiled code, so that an edit anywhere starts a new folder. It has one file for each function and types of arguments,
+which begins with a checksum over its key and its content. A file that is missing, damaged or of something else counts
+as missing: numba compiles again, and the file is replaced.
+
+Compiling everything takes a minute or two, so it is reported: the logger "wtg_gym" warns once when it begins, with the
+folder, and once for each long part, with its time. Python writes warnings to stderr unless the program has set up
+logging. `logging.getLogger("wtg_gym").setLevel(logging.ERROR)` silences them.
 """
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
+import itertools
+import linecache
+import logging
 import os
+import pickle
 import sys
 import tempfile
+import time
+import uuid
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
+import llvmlite
 import numba
 from numba.core import event
-
-from wtg_gym.physics.machine_code import Compilation, DiskCache
+from numba.core.bytecode import FunctionIdentity
+from numba.core.caching import NullCache
+from numba.core.compiler import CompileResult
+from numba.core.serialize import dumps
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 _PACKAGE = Path(__file__).resolve().parent.parent
+_log = logging.getLogger("wtg_gym")
+#: What numba's machine code depends on besides the sources and the processor.
+_VERSIONS = (numba.__version__, llvmlite.__version__, sys.implementation.cache_tag)
+#: Numba compiles this many functions before anything is reported: so few take a second.
+_SILENT_FUNCTIONS = 20
+#: Parts that take less are not reported [s].
+_SHORT_S = 1.0
+
+
+def _number_from_elsewhere() -> None:
+    """Let the functions that this process compiles have numbers that no other process gives.
+
+    Numba tells machine code of one function for several types apart by numbers that count from 1 in every process. Two
+    processes that compile for two grids would give both the same names, and a third one that reads both from disk would
+    run the code of one grid for the other.
+    """
+    # All with 19 digits, so that the same code gives files of the same size.
+    FunctionIdentity._unique_ids = itertools.count(2**61 + uuid.uuid4().int % 2**61)
+
+
+_number_from_elsewhere()
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_number_from_elsewhere)
+
+
+def _digest(*parts: bytes) -> bytes:
+    return hashlib.sha256(b"".join(parts)).digest()
 
 
 @functools.cache
 def source_hash() -> str:
     """Return the sha256 hex digest of every source file that compiled code lives in."""
-    digest = hashlib.sha256()
+    parts = []
     for folder in ("physics", "scenarios", "envs"):
         for path in sorted([*(_PACKAGE / folder).glob("*.py"), *(_PACKAGE / folder).glob("*.npy")]):
-            digest.update(path.name.encode())
-            digest.update(path.read_bytes())
-    return digest.hexdigest()
+            parts += [path.name.encode(), path.read_bytes()]
+    return _digest(*parts).hex()
 
 
-def _base_folder() -> Path:
+@functools.cache
+def _file_hash(path: str) -> bytes:
+    # Generated functions have no file; their lines are registered with linecache.
+    return _digest("".join(linecache.getlines(path)).encode())
+
+
+def _users_folder() -> Path:
     if numba.config.CACHE_DIR:
         return Path(numba.config.CACHE_DIR)
     if sys.platform == "win32":
@@ -60,47 +108,113 @@ def _temporary_folder() -> Path:
 @functools.cache
 def cache_folder() -> Path | None:
     """Return the folder of this source version's machine code, or None where nothing can be written."""
-    for base in (_base_folder, _temporary_folder):
-        try:
+    for base in (_users_folder, _temporary_folder):
+        with contextlib.suppress(OSError, RuntimeError):
             folder = base() / "wtg_gym" / source_hash()[:16]
             folder.mkdir(parents=True, exist_ok=True)
             if os.access(folder, os.W_OK):
                 return folder
-        except (OSError, RuntimeError):
-            continue
     return None
 
 
-def compiled(function: F) -> F:
-    """Compile a function with numba, releasing the GIL, cached on disk per source version.
+class DiskCache(NullCache):  # type: ignore[misc]
+    """The cache of one numba dispatcher.
 
-    No fast-math: reassociation or contraction would let a batched lane differ from the single environment.
+    Args:
+        function: the function that is compiled.
+        folder: folder of the files; None keeps nothing.
+        source_hash: hash of the source code that the function may call.
     """
-    return _compile(function, forceinline=False)
+
+    def __init__(self, function: Callable[..., Any], folder: Path | None, source_hash: str) -> None:
+        self._name = f"{function.__module__}.{function.__qualname__}"
+        self._folder = folder
+        self._source = (self._name, source_hash, _file_hash(function.__code__.co_filename), _VERSIONS)
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the machine code for a signature; None makes numba compile."""
+        if self._folder is None:
+            return None
+        target_context.refresh()
+        key = self._key(sig, target_context.codegen())
+        # A damaged file may raise anything.
+        with contextlib.suppress(Exception):
+            content = self._path(self._folder, key).read_bytes()
+            checksum, code = content[: len(key)], content[len(key) :]
+            if checksum == _digest(key, code):
+                return CompileResult._rebuild(target_context, *pickle.loads(code))
+        return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep what numba has compiled."""
+        if self._folder is None or data.library.has_dynamic_globals:
+            return
+        key = self._key(sig, data.codegen)
+        code = dumps(data._reduce())
+        path = self._path(self._folder, key)
+        temporary = path.with_name(f"{path.name}.{uuid.uuid4().hex[:8]}.tmp")
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            temporary.write_bytes(_digest(key, code) + code)
+            os.replace(temporary, path)
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                temporary.unlink()
+            _warn_that_nothing_is_kept(self._folder, error.strerror)
+
+    def holds(self, sig: Any, target_context: Any) -> bool:
+        """Return whether there is machine code for a signature, intact or not."""
+        return self._folder is not None and self._path(self._folder, self._key(sig, target_context.codegen())).exists()
+
+    def _key(self, sig: Any, codegen: Any) -> bytes:
+        return _digest(repr((self._source, sig, codegen.magic_tuple())).encode())
+
+    def _path(self, folder: Path, key: bytes) -> Path:
+        return folder / f"{self._name.removeprefix('wtg_gym.')}-{key.hex()[:16]}.nbc"
 
 
-def inlined(function: F) -> F:
-    """Compile like :func:`compiled`, and build the function into whatever calls it.
+@functools.cache
+def _warn_that_nothing_is_kept(folder: Path, reason: str) -> None:
+    _log.warning("wtg_gym cannot keep machine code in %s (%s): the next start compiles again", folder, reason)
 
-    A call hands over the tables of a :class:`~wtg_gym.physics.plant_constants.Plant` one by one, some eighty numbers:
-    where a function runs for less than a microsecond, that took longer than its work.
+
+class Compilation(event.Listener):  # type: ignore[misc]
+    """Functions with a :class:`DiskCache` that this process has compiled; numba's lock guards it.
+
+    Args:
+        folder: folder of the machine code, for the report; None keeps nothing.
     """
-    return _compile(function, forceinline=True)
 
+    def __init__(self, folder: Path | None) -> None:
+        self._folder = folder
+        #: When the functions that are being compiled were begun [s]; one may be within another.
+        self._began: list[float] = []
+        #: Functions compiled, and the time it took [s].
+        self.n_functions, self.seconds = 0, 0.0
 
-def _compile(function: F, *, forceinline: bool) -> F:
-    compilation()
-    result: F = numba.njit(nogil=True, error_model="numpy", forceinline=forceinline)(function)
-    # With NUMBA_DISABLE_JIT it is the function itself.
-    if result is not function:
-        result._cache = DiskCache(function, cache_folder(), source_hash())  # type: ignore[attr-defined]
-    return result
+    def on_start(self, event: Any) -> None:
+        """Numba begins to compile a function."""
+        if not self._is_ours(event):
+            return
+        self._began.append(time.perf_counter())
+        self.n_functions += 1
+        if self.n_functions == _SILENT_FUNCTIONS:
+            kept = "not kept: no folder can be written to" if self._folder is None else f"kept in {self._folder}"
+            _log.warning("wtg_gym compiles its simulator to machine code: about a minute, %s", kept)
 
+    def on_end(self, event: Any) -> None:
+        """Numba has compiled a function, or failed to."""
+        if not self._is_ours(event):
+            return
+        took = time.perf_counter() - self._began.pop()
+        if not self._began:
+            self.seconds += took
+            if self.n_functions >= _SILENT_FUNCTIONS and took >= _SHORT_S:
+                _log.warning("wtg_gym compiled %s in %.1f s", event.data["dispatcher"].py_func.__name__, took)
 
-def is_compiled(function: Callable[..., Any], *arguments: Any) -> bool:
-    """Return whether the machine code of a compiled function for such arguments is kept; True where none is made."""
-    cache = getattr(function, "_cache", None)
-    return cache is None or cache.holds(tuple(map(numba.typeof, arguments)), function.targetctx)  # type: ignore[attr-defined]
+    @staticmethod
+    def _is_ours(event: Any) -> bool:
+        return isinstance(getattr((event.data or {}).get("dispatcher"), "_cache", None), DiskCache)
 
 
 @functools.cache
@@ -109,3 +223,32 @@ def compilation() -> Compilation:
     listener = Compilation(cache_folder())
     event.register("numba:compile", listener)
     return listener
+
+
+def compiled(function: F, *, digest: str | None = None, forceinline: bool = False) -> F:
+    """Compile a function with numba, releasing the GIL, cached on disk per source version.
+
+    No fast-math: reassociation or contraction would let a batched lane differ from the single environment.
+    `digest` names the source version where it is not :func:`source_hash`.
+    """
+    compilation()
+    result: F = numba.njit(nogil=True, error_model="numpy", forceinline=forceinline)(function)
+    # With NUMBA_DISABLE_JIT it is the function itself.
+    if result is not function:
+        result._cache = DiskCache(function, cache_folder(), digest or source_hash())  # type: ignore[attr-defined]
+    return result
+
+
+def inlined(function: F) -> F:
+    """Compile like :func:`compiled`, and build the function into whatever calls it.
+
+    A call hands over the tables of a :class:`~wtg_gym.physics.kernel_data.Plant` one by one, some eighty numbers: where
+    a function runs for less than a microsecond, that took longer than its work.
+    """
+    return compiled(function, forceinline=True)
+
+
+def is_compiled(function: Callable[..., Any], *arguments: Any) -> bool:
+    """Return whether the machine code of a compiled function for such arguments is kept; True where none is made."""
+    cache = getattr(function, "_cache", None)
+    return cache is None or cache.holds(tuple(map(numba.typeof, arguments)), function.targetctx)  # type: ignore[attr-defined]

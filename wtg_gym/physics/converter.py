@@ -84,13 +84,7 @@ def tracking_coefficient(speed: float, k_min: float, k_nominal: float, k_max: fl
 
 @inlined
 def converter_rates(
-    s: ConverterState,
-    rotor_speed: float,
-    power: float,
-    law: Law,
-    c: Converter,
-    reference_speed: float,
-    omega_n: float,
+    s: ConverterState, rotor_speed: float, power: float, law: Law, c: Converter, reference_speed: float, omega_n: float
 ) -> tuple[ConverterState, float]:
     """Return the rates, and the tracking coefficient k in use [p.u.].
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from wtg_gym.physics.compiled import inlined
-from wtg_gym.physics.converter_limits import limiting_reactance
 from wtg_gym.physics.elementary import fma, select
+from wtg_gym.physics.extended_converter import limiting_reactance
 from wtg_gym.physics.layout import (
     EXTENSION,
     Floats,

@@ -14,7 +14,8 @@ import numpy as np
 from wtg_gym.physics.compiled import compiled, inlined
 from wtg_gym.physics.currents import unit_currents
 from wtg_gym.physics.elementary import select
-from wtg_gym.physics.hydro_governor import HydroState, hydro_limited, hydro_rates
+from wtg_gym.physics.governor import HydroState, hydro_limited, hydro_rates
+from wtg_gym.physics.kernel_data import Plant
 from wtg_gym.physics.layout import (
     EXTENSION,
     LANE,
@@ -61,7 +62,6 @@ from wtg_gym.physics.machine import (
     machine_rates,
     machine_voltage,
 )
-from wtg_gym.physics.plant_constants import Plant
 from wtg_gym.physics.records import elementwise
 from wtg_gym.physics.runge_kutta import EVALUATE, FIRST, LAST, MIDDLE, advancer
 from wtg_gym.physics.wind_turbine import (

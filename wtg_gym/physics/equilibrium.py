@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from wtg_gym.physics.compiled import compiled
 from wtg_gym.physics.converter import ConverterState
-from wtg_gym.physics.converter_limits import LimitState
 from wtg_gym.physics.dynamics import derivatives
-from wtg_gym.physics.hydro_governor import hydro_start
-from wtg_gym.physics.lane_data import NO_EVENT, LaneData
+from wtg_gym.physics.extended_converter import LimitState, VoltageInput
+from wtg_gym.physics.governor import hydro_start
+from wtg_gym.physics.kernel_data import NO_EVENT, LaneData, Plant
 from wtg_gym.physics.layout import (
     EXTENSION,
     LANE,
@@ -54,10 +54,8 @@ from wtg_gym.physics.layout import (
 from wtg_gym.physics.machine import MachineInput, machine_start
 from wtg_gym.physics.network import assemble_admittance, solve_power_flow
 from wtg_gym.physics.pitch import PitchState
-from wtg_gym.physics.plant_constants import Plant
 from wtg_gym.physics.protection import track_extremes
 from wtg_gym.physics.reduction import combine_load_noise, refresh_network
-from wtg_gym.physics.voltage_control import VoltageInput
 from wtg_gym.physics.wind_turbine import ExtensionState, WtgExtremes, WtgInput, WtgState, turbine_equilibrium
 
 
@@ -74,17 +72,17 @@ class StartFailure(IntEnum):
 
 
 @compiled
-def start_lanes(
+def prepare_lanes(
     rows: Floats, plant: Plant, data: LaneData, load_levels: Floats, failures: npt.NDArray[np.int64], lanes: Lanes
 ) -> None:
-    """Call :func:`start_lane` for every lane of rows (n, n_rows), and write what it returns into failures (n, 2)."""
+    """Call :func:`_prepare_lane` for every lane of rows (n, n_rows), and write what it returns into failures (n, 2)."""
     for lane in range(rows.shape[0]):
-        failure, unit = start_lane(rows[lane], lane, plant, data, load_levels[lane], lanes)
+        failure, unit = _prepare_lane(rows[lane], lane, plant, data, load_levels[lane], lanes)
         failures[lane, 0], failures[lane, 1] = failure, unit
 
 
 @compiled
-def place_lanes(
+def start_lanes(
     blocks: Floats,
     data: LaneData,
     starting: npt.NDArray[np.int64],
@@ -93,7 +91,7 @@ def place_lanes(
     places: npt.NDArray[np.int64],
     lanes: Lanes,
 ) -> None:
-    """Copy started lanes, those at `places` (n,) of rows (n_prepared, n_rows) and their data, into blocks.
+    """Copy prepared lanes, those at `places` (n,) of rows (n_prepared, n_rows) and their data, into blocks.
 
     `starting` (n,) are the lanes of the blocks and of `data` that take them.
     """
@@ -116,7 +114,7 @@ def place_lanes(
 
 
 @compiled
-def start_lane(
+def _prepare_lane(
     block: Floats, lane: int, plant: Plant, data: LaneData, load_level: float, lanes: Lanes
 ) -> tuple[StartFailure, int]:
     """Put a one-lane block into the equilibrium of its wind, law and load, at nominal frequency.

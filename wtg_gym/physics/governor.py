@@ -1,9 +1,18 @@
-"""The governor and steam turbine TGOV1: droop, a gate with non-windup limits, a reheater.
+"""Governors with their turbines: steam (TGOV1) and hydro (HYGOV).
+
+TGOV1, a droop, a gate with non-windup limits, a reheater:
 
     T_1 ġ = g_ref - Δω/R - g,    T_3 ẋ = g - x,    T_m = x + (T_2/T_3)(g - x) - D_t (ω - 1)
 
-Δω is the speed's deviation ω - 1 beyond the dead band. Source: the standard model TGOV1; the
-output is taken as torque, as in ANDES, and the reference counts in gate units.
+Δω is the speed's deviation ω - 1 beyond the dead band. Source: the standard model TGOV1; the output is taken as torque,
+as in ANDES, and the reference counts in gate units.
+
+HYGOV, permanent and temporary droop, gate servo, inelastic water:
+
+    T_f ė = R (g_ref - c) - Δω - e,    ċ = e/(r T_r) + ė/r with |ċ| ≤ v_max and non-windup limits,    T_g ġ = c - g
+    T_w q̇ = 1 - h,    h = (q/g)²,    T_m = A_t h (q - q_nl) - D_t g (ω - 1)
+
+Source: HYGOV of PSS/E, as ANDES defines it; P. Kundur: Power System Stability and Control, section 9.1.
 """
 
 from __future__ import annotations
@@ -13,6 +22,9 @@ from typing import NamedTuple
 from wtg_gym.physics.compiled import inlined
 from wtg_gym.physics.elementary import clip, limited_rate, select
 from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters
+
+#: The gate is kept this far open in h = (q/g)² [p.u.].
+_LEAST_GATE = 0.01
 
 
 class Governor(NamedTuple):
@@ -80,3 +92,88 @@ def governor_rates(
 def governor_limited(s: GovernorState, c: Governor) -> GovernorState:
     """Return the states, held within their limits."""
     return GovernorState(clip(s.gate, c.gate_min, c.gate_max), s.reheat)
+
+
+class HydroGovernor(NamedTuple):
+    """Constants, on the base of the machine."""
+
+    machine: int  # whose governor it is
+    inv_filter_time: float  # 1/T_f [1/s]
+    inv_temporary_droop: float  # 1/r [p.u./p.u.]
+    inv_reset_time: float  # 1/T_r [1/s]
+    inv_gate_time: float  # 1/T_g [1/s]
+    gate_rate_limit: float  # v_max [p.u./s]
+    gate_min: float  # [p.u.]
+    gate_max: float
+    inv_water_time: float  # 1/T_w [1/s]
+    turbine_gain: float  # A_t [p.u./p.u.]
+    turbine_damping: float  # D_t [p.u./p.u.]
+    no_load_flow: float  # q_nl [p.u.]
+    dead_band: float  # [p.u.]
+
+
+class HydroState(NamedTuple):
+    """States."""
+
+    speed_error: float  # e [p.u.]
+    gate_order: float  # c [p.u.]
+    hydro_gate: float  # g [p.u.]
+    flow: float  # q [p.u.]
+
+
+def hydro_constants(machine: int, p: HydroGovernorParameters) -> HydroGovernor:
+    """Return the constants of the governor of a machine, given by its index."""
+    return HydroGovernor(
+        machine=machine,
+        inv_filter_time=1.0 / p.filter_time_s,
+        inv_temporary_droop=1.0 / p.temporary_droop_pu,
+        inv_reset_time=1.0 / p.reset_time_s,
+        inv_gate_time=1.0 / p.gate_time_s,
+        gate_rate_limit=p.gate_rate_limit_pu_s,
+        gate_min=p.gate_min_pu,
+        gate_max=p.gate_max_pu,
+        inv_water_time=1.0 / p.water_time_s,
+        turbine_gain=p.turbine_gain,
+        turbine_damping=p.turbine_damping_pu,
+        no_load_flow=p.no_load_flow_pu,
+        dead_band=p.dead_band_pu,
+    )
+
+
+@inlined
+def hydro_rates(
+    s: HydroState, speed: float, reference: float, inv_droop: float, c: HydroGovernor
+) -> tuple[HydroState, float]:
+    """Return the rates [p.u./s] and the torque [p.u.]; speed ω [p.u.], reference g_ref [p.u.], 1/R in use.
+
+    Without a droop the governor is lost: it and its gate stand still.
+    """
+    acts = select(inv_droop > 0.0, 1.0, 0.0)
+    deviation = beyond_dead_band(speed - 1.0, c.dead_band)
+    permanent = (reference - s.gate_order) / max(inv_droop, 1e-6)
+    error_rate = c.inv_filter_time * (permanent - deviation - s.speed_error)
+    wanted = c.inv_temporary_droop * (c.inv_reset_time * s.speed_error + error_rate)
+    order_rate = clip(wanted, -c.gate_rate_limit, c.gate_rate_limit)
+    ratio = s.flow / max(s.hydro_gate, _LEAST_GATE)
+    head = ratio * ratio
+    rates = HydroState(
+        speed_error=acts * error_rate,
+        gate_order=acts * limited_rate(order_rate, s.gate_order, c.gate_min, c.gate_max),
+        hydro_gate=acts * c.inv_gate_time * (s.gate_order - s.hydro_gate),
+        flow=c.inv_water_time * (1.0 - head),
+    )
+    torque = c.turbine_gain * head * (s.flow - c.no_load_flow) - c.turbine_damping * s.hydro_gate * (speed - 1.0)
+    return rates, torque
+
+
+@inlined
+def hydro_limited(s: HydroState, c: HydroGovernor) -> HydroState:
+    """Return the states, held within their limits."""
+    return HydroState(s.speed_error, clip(s.gate_order, c.gate_min, c.gate_max), s.hydro_gate, s.flow)
+
+
+@inlined
+def hydro_start(torque: float, c: HydroGovernor) -> HydroState:
+    """Return the equilibrium at a torque [p.u.]; its gate is g_ref."""
+    gate = torque / c.turbine_gain + c.no_load_flow
+    return HydroState(0.0, gate, gate, gate)

@@ -6,10 +6,10 @@ Machine data: F. Milano's dynamic data for this system, see :mod:`wtg_gym.physic
 
 from __future__ import annotations
 
-import dataclasses
 import functools
+from typing import Any
 
-from wtg_gym.physics.machine_parameters import GovernorParameters, SynchronousMachineParameters
+from wtg_gym.physics.machine_parameters import ExciterParameters, GovernorParameters, SynchronousMachineParameters
 from wtg_gym.physics.network import Branch, Bus, NetworkCase
 
 # number, load [MW], load [Mvar], shunt [Mvar], held voltage [p.u.]
@@ -52,52 +52,17 @@ _BRANCHES = (
     (12, 13, 0.22092, 0.19988, 0.0, 1.0),
     (13, 14, 0.17093, 0.34802, 0.0, 1.0),
 )
-
-
-def _machines() -> tuple[SynchronousMachineParameters, ...]:
-    generator = SynchronousMachineParameters(
-        bus=1,
-        rating_mva=615.0,
-        two_h_s=10.296,
-        x_d=0.8979,
-        x_d_transient=0.2998,
-        x_subtransient=0.23,
-        x_q=0.646,
-        x_q_transient=0.646,
-        t_d0_transient_s=7.4,
-        t_d0_subtransient_s=0.03,
-        t_q0_subtransient_s=0.033,
-        governor=GovernorParameters(),
-    )
-    condenser_3 = SynchronousMachineParameters(
-        bus=3,
-        rating_mva=60.0,
-        two_h_s=13.08,
-        x_d=1.05,
-        x_d_transient=0.185,
-        x_subtransient=0.13,
-        x_q=0.98,
-        x_q_transient=0.36,
-        t_d0_transient_s=6.1,
-        t_d0_subtransient_s=0.04,
-        t_q0_transient_s=0.3,
-        t_q0_subtransient_s=0.099,
-    )
-    condenser_6 = SynchronousMachineParameters(
-        bus=6,
-        rating_mva=25.0,
-        two_h_s=10.12,
-        x_d=1.25,
-        x_d_transient=0.232,
-        x_subtransient=0.12,
-        x_q=1.22,
-        x_q_transient=0.715,
-        t_d0_transient_s=4.75,
-        t_d0_subtransient_s=0.06,
-        t_q0_transient_s=1.5,
-        t_q0_subtransient_s=0.21,
-    )
-    return generator, condenser_3, condenser_6, dataclasses.replace(condenser_6, bus=8)
+# bus, rating [MVA], 2H [s], x_d, x'_d, x'', x_q, x'_q [p.u.], T'_d0, T''_d0, T'_q0, T''_q0 [s]
+_MACHINES = (
+    (1, 615.0, 10.296, 0.8979, 0.2998, 0.23, 0.646, 0.646, 7.4, 0.03, 1.0, 0.033),
+    (3, 60.0, 13.08, 1.05, 0.185, 0.13, 0.98, 0.36, 6.1, 0.04, 0.3, 0.099),
+    (6, 25.0, 10.12, 1.25, 0.232, 0.12, 1.22, 0.715, 4.75, 0.06, 1.5, 0.21),
+    (8, 25.0, 10.12, 1.25, 0.232, 0.12, 1.22, 0.715, 4.75, 0.06, 1.5, 0.21),
+)
+_MACHINE_FIELDS = (
+    *("bus", "rating_mva", "two_h_s", "x_d", "x_d_transient", "x_subtransient", "x_q", "x_q_transient"),
+    *("t_d0_transient_s", "t_d0_subtransient_s", "t_q0_transient_s", "t_q0_subtransient_s"),
+)
 
 
 @functools.cache
@@ -107,18 +72,22 @@ def modified_ieee14(*, classical: bool = False) -> NetworkCase:
     Args:
         classical: constant voltage behind x'_d for every machine instead of GENROU and exciter.
     """
-    machines = _machines()
-    if classical:
-        machines = tuple(dataclasses.replace(m, classical=True, exciter=None) for m in machines)
+    slack_bus = 1
+    machines = []
+    for row in _MACHINES:
+        data: dict[str, Any] = dict(zip(_MACHINE_FIELDS, row, strict=True))
+        governor = GovernorParameters() if data["bus"] == slack_bus else None
+        exciter = None if classical else ExciterParameters()
+        machines.append(SynchronousMachineParameters(**data, governor=governor, exciter=exciter, classical=classical))
     return NetworkCase(
         name="modified IEEE 14-bus system",
         base_mva=100.0,
         frequency_hz=50.0,
-        slack_bus=1,
+        slack_bus=slack_bus,
         buses=tuple(Bus(number=n, load_mw=p, load_mvar=q, shunt_mvar=b, voltage_pu=v) for n, p, q, b, v in _BUSES),
         branches=tuple(
             Branch(from_bus=f, to_bus=t, resistance=r, reactance=x, charging=b, tap=tap)
             for f, t, r, x, b, tap in _BRANCHES
         ),
-        machines=machines,
+        machines=tuple(machines),
     )

@@ -9,9 +9,8 @@ import numpy as np
 from wtg_gym.physics.compiled import compiled, inlined
 from wtg_gym.physics.dynamics import advance_step, derivatives
 from wtg_gym.physics.elementary import select
-from wtg_gym.physics.lane_data import LaneData
+from wtg_gym.physics.kernel_data import LaneData, Plant
 from wtg_gym.physics.layout import LANE, WTG, Floats, Lanes, load_wtg_input, rows_of, store_wtg_input, wtg_row
-from wtg_gym.physics.plant_constants import Plant
 from wtg_gym.physics.protection import PROTECTION_INTERVAL_S, sample_grid, shed_load, track_extremes, update_status
 from wtg_gym.physics.reduction import combine_load_noise, refresh_network
 from wtg_gym.physics.wind_turbine import WtgInput

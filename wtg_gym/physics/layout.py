@@ -20,11 +20,11 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.compiled import inlined
-from wtg_gym.physics.hydro_governor import HydroGovernor, HydroState
+from wtg_gym.physics.extended_converter import VoltageInput
+from wtg_gym.physics.governor import HydroGovernor, HydroState
+from wtg_gym.physics.kernel_data import Plant
 from wtg_gym.physics.machine import Machine, MachineInput, MachineOutput, MachineState, MachineVoltage
-from wtg_gym.physics.plant_constants import Plant
 from wtg_gym.physics.records import loader, offsets, reader, short_names, size, storer
-from wtg_gym.physics.voltage_control import VoltageInput
 from wtg_gym.physics.wind_turbine import (
     Extension,
     ExtensionOutput,
@@ -115,7 +115,7 @@ class LaneRows(NamedTuple):
 
 
 MACHINE, WTG, LANE = offsets(MachineRows), offsets(WtgRows), offsets(LaneRows)
-HYDRO, EXTENSION = offsets(HydroRows), offsets(ExtensionRows)
+EXTENSION = offsets(ExtensionRows)
 N_MACHINE_ROWS, N_WTG_ROWS, N_LANE_ROWS = size(MachineRows), size(WtgRows), size(LaneRows)
 N_HYDRO_ROWS, N_EXTENSION_ROWS = size(HydroRows), size(ExtensionRows)
 N_MACHINE_STATES, N_WTG_STATES, N_EXTREMES = size(MachineState), size(WtgState), size(WtgExtremes)
@@ -148,7 +148,7 @@ load_phasor, store_phasor = loader(Phasor), storer(Phasor)
 load_hydro_state, store_hydro_state = loader(HydroState), storer(HydroState)
 load_extension_state, store_extension_state = loader(ExtensionState), storer(ExtensionState)
 load_extension_input, store_extension_input = loader(VoltageInput), storer(VoltageInput)
-load_extension_output, store_extension_output = loader(ExtensionOutput), storer(ExtensionOutput)
+store_extension_output = storer(ExtensionOutput)
 read_machine, read_turbine = reader(Machine), reader(Turbine)
 read_hydro, read_extension = reader(HydroGovernor), reader(Extension)
 
@@ -217,11 +217,7 @@ def rows_of(c: Any) -> Rows:
     """Return where the parts of a block begin, for a plant's constants."""
     n_wtg = c["share"].shape[0]
     return block_rows(
-        c["machines"].shape[0],
-        n_wtg,
-        c["hydro"].shape[0],
-        n_wtg * c["extension"].shape[0],
-        c["shedding"].shape[0],
+        c["machines"].shape[0], n_wtg, c["hydro"].shape[0], n_wtg * c["extension"].shape[0], c["shedding"].shape[0]
     )
 
 

@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from wtg_gym.physics.converter import Corners
 from wtg_gym.physics.dynamics import evaluate_rates
+from wtg_gym.physics.kernel_data import Plant
 from wtg_gym.physics.layout import Floats, Layout
-from wtg_gym.physics.plant_constants import Plant
 
 #: Step of the finite differences [p.u., rad]; truncation and rounding are both near 1e-9 of a rate.
 _DIFFERENCE = 2e-6
@@ -136,6 +136,3 @@ def _check_modes(rows: Floats, plant: Plant, layout: Layout, side: Floats) -> No
         f"{values[at]:.4g} 1/s (mainly {state}) would grow without bound in the integration; "
         f"allowed: at most {steps[at] / STEP_MARGIN:.3g} s"
     )
-
-
-__all__ = ["STEP_MARGIN", "check_step", "largest_stable_steps", "moving_states", "state_matrix"]

@@ -6,7 +6,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
-from wtg_gym.physics.checked import Checked, describe, parameter, required
+from wtg_gym.physics.checked import Checked, describe, design, parameter, required
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -15,12 +15,12 @@ class ExciterParameters(Checked):
 
     RISING = ("field_min_pu", "field_max_pu")
 
-    gain: float = parameter(100.0, "p.u./p.u.", "design", "gain K", 1e-3, 1e6)
-    lead_lag_ratio: float = parameter(0.1, "-", "design", "T_A / T_B", 0.0, 1e3)
-    lag_time_s: float = parameter(10.0, "s", "design", "T_B", 1e-4, 1e4)
-    exciter_time_s: float = parameter(0.05, "s", "design", "T_E", 1e-4, 1e4)
-    field_min_pu: float = parameter(-5.0, "p.u.", "design", "lower field voltage limit", -1e6, 1e6)
-    field_max_pu: float = parameter(8.0, "p.u.", "design", "upper field voltage limit", -1e6, 1e6)
+    gain: float = design(100.0, "p.u./p.u.", "gain K", 1e-3, 1e6)
+    lead_lag_ratio: float = design(0.1, "-", "T_A / T_B", 0.0, 1e3)
+    lag_time_s: float = design(10.0, "s", "T_B", 1e-4, 1e4)
+    exciter_time_s: float = design(0.05, "s", "T_E", 1e-4, 1e4)
+    field_min_pu: float = design(-5.0, "p.u.", "lower field voltage limit", -1e6, 1e6)
+    field_max_pu: float = design(8.0, "p.u.", "upper field voltage limit", -1e6, 1e6)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,13 +33,13 @@ class GovernorParameters(Checked):
         0.018, "p.u.", "calibrated", "droop R on the machine base (Milano: 0.02); settles the paper's 0.996", 1e-4, 1e3
     )
     gate_time_s: float = parameter(0.1, "s", "Milano", "T_1", 1e-4, 1e4)
-    lead_time_s: float = parameter(2.1, "s", "design", "T_2", 0.0, 1e4)
-    reheat_time_s: float = parameter(7.0, "s", "design", "T_3", 1e-4, 1e4)
-    gate_min_pu: float = parameter(0.0, "p.u.", "design", "lower gate limit", -1e6, 1e6)
+    lead_time_s: float = design(2.1, "s", "T_2", 0.0, 1e4)
+    reheat_time_s: float = design(7.0, "s", "T_3", 1e-4, 1e4)
+    gate_min_pu: float = design(0.0, "p.u.", "lower gate limit", -1e6, 1e6)
     gate_max_pu: float = parameter(1.2, "p.u.", "Milano", "upper gate limit", -1e6, 1e6)
-    turbine_damping_pu: float = parameter(0.0, "p.u./p.u.", "design", "D_t", 0.0, 1e4)
-    dead_band_pu: float = parameter(
-        0.0, "p.u.", "design", "speed deviation that the governor does not see, without a step at its edge", 0.0, 0.5
+    turbine_damping_pu: float = design(0.0, "p.u./p.u.", "D_t", 0.0, 1e4)
+    dead_band_pu: float = design(
+        0.0, "p.u.", "speed deviation that the governor does not see, without a step at its edge", 0.0, 0.5
     )
 
 
@@ -61,8 +61,8 @@ class HydroGovernorParameters(Checked):
     turbine_gain: float = parameter(1.1, "p.u./p.u.", "HYGOV", "turbine gain A_t", 1e-2, 100.0)
     turbine_damping_pu: float = parameter(0.5, "p.u./p.u.", "HYGOV", "damping D_t of the turbine", 0.0, 1e4)
     no_load_flow_pu: float = parameter(0.08, "p.u.", "HYGOV", "flow q_nl without load", 0.0, 1.0)
-    dead_band_pu: float = parameter(
-        0.0, "p.u.", "design", "speed deviation that the governor does not see, without a step at its edge", 0.0, 0.5
+    dead_band_pu: float = design(
+        0.0, "p.u.", "speed deviation that the governor does not see, without a step at its edge", 0.0, 0.5
     )
 
 
@@ -91,37 +91,22 @@ class SynchronousMachineParameters(Checked):
         1e6,
     )
     t_q0_subtransient_s: float = required("s", "Milano", "open-circuit subtransient time constant, q axis", 1e-4, 1e6)
-    x_leakage: float = parameter(
-        0.1,
-        "p.u.",
-        "design",
-        "leakage reactance; Milano's exceeds x''_d at buses 1, 6 and 8 and is 0 at bus 3",
-        0.0,
-        1e6,
+    x_leakage: float = design(
+        0.1, "p.u.", "leakage reactance; Milano's exceeds x''_d at buses 1, 6 and 8 and is 0 at bus 3", 0.0, 1e6
     )
-    resistance: float = parameter(
-        0.0, "p.u.", "design", "armature resistance, neglected (Milano: at most 0.0031)", 0.0, 1e3
-    )
+    resistance: float = design(0.0, "p.u.", "armature resistance, neglected (Milano: at most 0.0031)", 0.0, 1e3)
     damping_pu: float = parameter(2.0, "p.u./p.u.", "Milano", "damping D", 0.0, 1e6)
-    dispatch_mw: float = parameter(
-        0.0, "MW", "design", "power in the initial power flow; slack machines balance", -1e9, 1e9
-    )
-    reactive_weight: float | None = parameter(
-        None, "MVA", "design", "weight in sharing its bus's initial reactive power; None: its rating", 0.0, 1e12
+    dispatch_mw: float = design(0.0, "MW", "power in the initial power flow; slack machines balance", -1e9, 1e9)
+    reactive_weight: float | None = design(
+        None, "MVA", "weight in sharing its bus's initial reactive power; None: its rating", 0.0, 1e12
     )
     exciter: ExciterParameters | None = dataclasses.field(
-        default_factory=ExciterParameters,
-        metadata=describe("-", "design", "exciter, None for constant field"),
+        default_factory=ExciterParameters, metadata=describe("-", "design", "exciter, None for constant field")
     )
     governor: GovernorParameters | HydroGovernorParameters | None = dataclasses.field(
         default=None, metadata=describe("-", "Milano", "governor, None for constant torque")
     )
-    classical: bool = parameter(
-        False,
-        "-",
-        "design",
-        "constant voltage behind x'_d instead of GENROU and exciter (ANDES' GENCLS)",
-    )
+    classical: bool = design(False, "-", "constant voltage behind x'_d instead of GENROU and exciter (ANDES' GENCLS)")
 
 
 def classical_machine(**values: Any) -> SynchronousMachineParameters:

@@ -18,7 +18,6 @@ import numpy.typing as npt
 from wtg_gym.physics.checked import Checked, parameter, required
 from wtg_gym.physics.compiled import compiled, inlined
 from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters, SynchronousMachineParameters
-from wtg_gym.ranges import require_range
 
 #: Largest power mismatch accepted as a power-flow solution [p.u.].
 POWER_FLOW_TOLERANCE = 1e-12
@@ -55,21 +54,15 @@ class Branch(Checked):
 class NetworkCase(Checked):
     """A network with its synchronous machines, as data.
 
-    Args:
-        name: what to call it.
-        base_mva: system base [MVA].
-        frequency_hz: nominal frequency [Hz].
-        slack_bus: bus whose voltage angle is zero and whose machines balance the power.
-        buses, branches: the network.
-        machines: synchronous machines; at least one at the slack bus.
+    The voltage angle at `slack_bus` is zero, and its machines balance the power; there must be one at least.
 
     Raises:
         ValueError: a bus is missing, doubled or not connected, nothing balances the power, or a value is out of range.
     """
 
     name: str
-    base_mva: float
-    frequency_hz: float
+    base_mva: float = required("MVA", "IEEE 14", "system base", 1e-3, 1e9)
+    frequency_hz: float = required("Hz", "IEEE 14", "nominal frequency", 1.0, 1000.0)
     slack_bus: int
     buses: tuple[Bus, ...]
     branches: tuple[Branch, ...]
@@ -77,8 +70,6 @@ class NetworkCase(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_range("base_mva", self.base_mva, 1e-3, 1e9, "MVA")
-        require_range("frequency_hz", self.frequency_hz, 1.0, 1000.0, "Hz")
         numbers = self.bus_numbers
         if len(set(numbers)) != len(numbers):
             raise ValueError(f"{self.name}: bus numbers must be unique, got {list(numbers)}")
@@ -105,6 +96,11 @@ class NetworkCase(Checked):
         """Return the bus numbers in order of the index."""
         return tuple(bus.number for bus in self.buses)
 
+    @functools.cached_property
+    def load_mw(self) -> float:
+        """Load of all buses [MW]."""
+        return sum(bus.load_mw for bus in self.buses)
+
     def bus_index(self, number: int) -> int:
         """Return the index of a bus number; a ValueError lists the buses there are."""
         if isinstance(number, bool) or number not in self.bus_numbers:
@@ -128,16 +124,13 @@ class NetworkCase(Checked):
 
     def connected_without(self, branches: tuple[int, ...]) -> bool:
         """Return whether every bus stays connected when the branches of these indices are open."""
-        reached, todo = {self.buses[0].number}, [self.buses[0].number]
-        links = [b for i, b in enumerate(self.branches) if i not in branches]
-        while todo:
-            here = todo.pop()
+        links = [{b.from_bus, b.to_bus} for i, b in enumerate(self.branches) if i not in branches]
+        reached, n_before = {self.buses[0].number}, 0
+        while len(reached) > n_before:
+            n_before = len(reached)
             for link in links:
-                if here in (link.from_bus, link.to_bus):
-                    there = link.to_bus if here == link.from_bus else link.from_bus
-                    if there not in reached:
-                        reached.add(there)
-                        todo.append(there)
+                if not reached.isdisjoint(link):
+                    reached |= link
         return len(reached) == len(self.buses)
 
     @functools.cached_property
@@ -218,7 +211,7 @@ def assemble_admittance(
 ) -> npt.NDArray[np.complex128]:
     """Return the bus admittance matrix (n_bus, n_bus) [p.u.] of the closed branches plus `bus_y` on the diagonal.
 
-    `branches` (n_branch,) are of :class:`~wtg_gym.physics.plant_constants.BranchConstants`.
+    `branches` (n_branch,) are of :class:`~wtg_gym.physics.kernel_data.BranchConstants`.
     """
     n = bus_y.shape[0]
     y = np.zeros((n, n), dtype=np.complex128)
@@ -346,9 +339,7 @@ def _add_jacobian(
 
 @compiled
 def transfer_impedances(
-    y: npt.NDArray[np.complex128],
-    unit_bus: npt.NDArray[np.int64],
-    extra_bus: int,
+    y: npt.NDArray[np.complex128], unit_bus: npt.NDArray[np.int64], extra_bus: int
 ) -> npt.NDArray[np.complex128]:
     """Return columns of the bus impedance matrix [p.u.]: of the units' buses, then `extra_bus`; (n_bus, n_unit + 1)."""
     n, n_unit = y.shape[0], unit_bus.shape[0]

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from wtg_gym.physics.lane_data import NetworkEvent
+from wtg_gym.physics.kernel_data import NetworkEvent, Plant
 from wtg_gym.physics.network import NetworkCase
 from wtg_gym.physics.plant import PlantSettings
-from wtg_gym.physics.plant_constants import Plant
 from wtg_gym.physics.scenario import (
     Event,
     GovernorLoss,

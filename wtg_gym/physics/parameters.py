@@ -7,12 +7,39 @@ exclude meaningless values, not unusual ones.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
-from wtg_gym.physics.checked import Checked, describe, parameter
-from wtg_gym.physics.rotor_table import RotorTable
-from wtg_gym.ranges import is_whole
+from wtg_gym.physics.checked import Checked, describe, design, parameter
+from wtg_gym.physics.rotor_table import RotorTable, read_rotor_table
+from wtg_gym.ranges import require_whole
+
+#: What the short keys in each field's `source` stand for.
+SOURCES = {
+    "paper": "Chen, Xi, Cheng, Dörfler, Lestas: Coordinated Primary Frequency Regulation and Grid-Forming Control "
+    "for Wind Turbine Generators (2026): table of parameters, equation of C_p, case studies",
+    "inferred": "the only round set found that meets λ_opt, C_popt, λ_n and λ_pr of the paper's table to every "
+    "printed digit; the paper prints no c_1 … c_6",
+    "Heier": "S. Heier: Grid Integration of Wind Energy, the exponential C_p form and its pitch term",
+    "Milano": "F. Milano: IEEE 14-bus dynamic data as distributed with PSAT (d_014_dyn_l14)",
+    "IEEE 14": "IEEE 14-bus power-flow test case, University of Washington archive; the same numbers as MATPOWER's "
+    "case14. Voltages of machine buses are its scheduled ones",
+    "NREL 5 MW": "J. Jonkman et al.: Definition of a 5-MW Reference Wind Turbine, NREL/TP-500-38060 (2009)",
+    "calibrated": "chosen so that the paper's settled frequency (0.996 p.u.) and the final power of WTG 2 below 0.3 "
+    "p.u. both come out",
+    "ENTSO-E": "Commission Regulation (EU) 2016/631 (requirements for generators), article 13, continental Europe; "
+    "voltages: article 16",
+    "REGFM_A1": "W. Du et al.: Model Specification of Droop-Controlled, Grid-Forming Inverters (REGFM_A1), Pacific "
+    "Northwest National Laboratory, PNNL-32278 (2021), approved by WECC",
+    "ENTSO-E defence": "Commission Regulation (EU) 2017/2196 (emergency and restoration), annex: automatic low "
+    "frequency demand disconnection, continental Europe",
+    "FERC 827": "Federal Energy Regulatory Commission, Order 827 (2016): reactive power requirements for "
+    "non-synchronous generation",
+    "HYGOV": "typical data of the hydro governor HYGOV of PSS/E; P. Kundur: Power System Stability and Control, 9.1",
+    "design": "a design value of this benchmark",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,10 +68,9 @@ class TurbineParameters(Checked):
     air_density_kg_m3: float = parameter(1.23, "kg/m³", "paper", "air density ρ", 0.1, 10.0)
     nominal_rotor_speed_rad_s: float = parameter(1.27, "rad/s", "paper", "nominal rotor speed ω_tn", 1e-3, 1e3)
     inertia_constant_s: float = parameter(6.5, "s", "paper", "mechanical inertia constant H_m", 0.01, 1e4)
-    conserves_energy: bool = parameter(
+    conserves_energy: bool = design(
         False,
         "-",
-        "design",
         "rotor equation 2H_m ω_m dω_m/dt = p_w - p, whose energy is H_m ω_m², instead of the paper's without ω_m",
     )
     power_coefficient: PowerCoefficientParameters | RotorTable = dataclasses.field(
@@ -64,6 +90,29 @@ class TurbineParameters(Checked):
         return 0.5 * self.air_density_kg_m3 * swept / (self.rated_power_mw * 1e6)
 
 
+#: C_p(λ, β); source and licence stand in the file.
+ROTOR_TABLE = Path(__file__).with_name("tables") / "Cp.NREL5MW.txt"
+#: Rotor with its hub and, on the low-speed side, generator: 38 759 228 + 97² · 534.116 kg m². The rotor's is that of
+#: its blades about the shaft, 3 cos² 2.5° (11 776 047 + 2 · 1.5 · 363 231 + 1.5² · 17 740), and of the hub, 115 926.
+#: Source: J. Jonkman et al., NREL/TP-500-38060, tables 1-1, 2-2, 4-1 and 5-1.
+_INERTIA_KG_M2 = 38_759_228.0 + 97.0**2 * 534.116
+_RATED_SPEED_RAD_S = 12.1 * 2.0 * 3.141592653589793 / 60.0
+
+
+@functools.cache
+def nrel_5mw(*, conserves_energy: bool = True) -> TurbineParameters:
+    """Return the NREL 5 MW reference turbine: R = 63 m, 12.1 rpm, with its C_p table. Source: NREL/TP-500-38060."""
+    return TurbineParameters(
+        rated_power_mw=5.0,
+        blade_radius_m=63.0,
+        air_density_kg_m3=1.225,
+        nominal_rotor_speed_rad_s=_RATED_SPEED_RAD_S,
+        inertia_constant_s=0.5 * _INERTIA_KG_M2 * _RATED_SPEED_RAD_S**2 / 5e6,
+        conserves_energy=conserves_energy,
+        power_coefficient=read_rotor_table(ROTOR_TABLE),
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class PitchParameters(Checked):
     """Pitch protection: a PI on the larger of the captured-power and the rotor-speed excess.
@@ -74,24 +123,19 @@ class PitchParameters(Checked):
     11.4 m/s, rotor at most 1.23 p.u.), so that the blades stay at rest there.
     """
 
-    captured_power_limit_pu: float = parameter(1.05, "p.u.", "design", "captured power held above rated", 0.01, 100.0)
-    rotor_speed_limit_pu: float = parameter(
-        1.27,
-        "p.u.",
-        "design",
-        "rotor speed the pitch defends, 1.6 rad/s; the like number of ω_tn is chance",
-        0.01,
-        100.0,
+    captured_power_limit_pu: float = design(1.05, "p.u.", "captured power held above rated", 0.01, 100.0)
+    rotor_speed_limit_pu: float = design(
+        1.27, "p.u.", "rotor speed the pitch defends, 1.6 rad/s; the like number of ω_tn is chance", 0.01, 100.0
     )
-    speed_weight: float = parameter(
-        4.0, "p.u./p.u.", "design", "p.u. of power excess that 1 p.u. of speed excess counts as", 0.0, 1e4
+    speed_weight: float = design(
+        4.0, "p.u./p.u.", "p.u. of power excess that 1 p.u. of speed excess counts as", 0.0, 1e4
     )
-    proportional_gain_deg: float = parameter(6.0, "deg/p.u.", "design", "gain on the excess", 0.0, 1e5)
-    integral_gain_deg_s: float = parameter(10.0, "deg/(p.u. s)", "design", "integral gain on the excess", 0.0, 1e5)
+    proportional_gain_deg: float = design(6.0, "deg/p.u.", "gain on the excess", 0.0, 1e5)
+    integral_gain_deg_s: float = design(10.0, "deg/(p.u. s)", "integral gain on the excess", 0.0, 1e5)
     gain_schedule_deg: float = parameter(6.302336, "deg", "NREL 5 MW", "pitch at which the gains halve", 1e-3, 1e6)
-    actuator_time_s: float = parameter(0.1, "s", "design", "lag of the pitch drive", 1e-3, 1e3)
+    actuator_time_s: float = design(0.1, "s", "lag of the pitch drive", 1e-3, 1e3)
     rate_limit_deg_s: float = parameter(8.0, "deg/s", "NREL 5 MW", "largest pitch rate", 1e-3, 1e4)
-    largest_angle_deg: float = parameter(30.0, "deg", "design", "largest pitch angle", 0.0, 90.0)
+    largest_angle_deg: float = design(30.0, "deg", "largest pitch angle", 0.0, 90.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,10 +149,9 @@ class GridFormingParameters(Checked):
     frequency_setpoint_pu: float = parameter(1.0, "p.u.", "paper", "frequency set-point ω_st", 0.5, 1.5)
     frequency_min_pu: float = parameter(0.992, "p.u.", "paper", "lower end of the regulation range ω_min", 0.5, 1.5)
     frequency_max_pu: float = parameter(1.008, "p.u.", "paper", "upper end of the regulation range ω_max", 0.5, 1.5)
-    reactance_pu: float = parameter(
+    reactance_pu: float = design(
         0.55,
         "p.u.",
-        "design",
         "X_g behind the voltage; with 0.1 p.u. more to a stiff bus K_p ≈ 1.5 (the paper's margins need 1.45), at a "
         "stiff bus 1.8, in this system 2.2",
         1e-4,
@@ -117,9 +160,7 @@ class GridFormingParameters(Checked):
     damping_time_constant_s: float = parameter(0.8, "s", "paper", "transient damping time constant τ", 0.0, 1e5)
     deloading_nominal: float = parameter(0.05, "-", "paper", "deloading d_n at ω_st", 0.0, 0.9)
     deloading_limit: float = parameter(0.10, "-", "paper", "deloading limit d_pr at ω_max", 0.0, 0.9)
-    overload_limit_pu: float = parameter(
-        1.1, "p.u.", "design", "power above which the converter counts as overloaded", 0.01, 100.0
-    )
+    overload_limit_pu: float = design(1.1, "p.u.", "power above which the converter counts as overloaded", 0.01, 100.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,14 +170,9 @@ class ConverterLimitParameters(Checked):
     current_max_pu: float = parameter(
         1.2, "p.u.", "REGFM_A1", "largest current; its size is cut, its angle kept", 0.05, 10.0
     )
-    power_max_pu: float = parameter(1.1, "p.u.", "design", "power that the converter stands for long", 0.05, 10.0)
-    power_min_pu: float = parameter(
-        0.0,
-        "p.u.",
-        "design",
-        "least power; what the grid presses in beyond it the chopper burns, not the rotor",
-        -10.0,
-        0.0,
+    power_max_pu: float = design(1.1, "p.u.", "power that the converter stands for long", 0.05, 10.0)
+    power_min_pu: float = design(
+        0.0, "p.u.", "least power; what the grid presses in beyond it the chopper burns, not the rotor", -10.0, 0.0
     )
     power_gain: float = parameter(
         0.01, "p.u./p.u.", "REGFM_A1", "proportional gain k_ppmax of the power limiter, frequency per power", 0.0, 10.0
@@ -167,19 +203,13 @@ class VoltageControlParameters(Checked):
     reactive_max_pu: float = parameter(
         0.33, "p.u.", "FERC 827", "largest reactive power either way: a power factor of 0.95 at rated power", 0.0, 10.0
     )
-    takeover_gain: float = parameter(
-        1.0,
-        "p.u./p.u.",
-        "design",
-        "weight of the reactive excess where it takes over from the voltage error",
-        0.0,
-        100.0,
+    takeover_gain: float = design(
+        1.0, "p.u./p.u.", "weight of the reactive excess where it takes over from the voltage error", 0.0, 100.0
     )
-    internal_voltage_min_pu: float = parameter(0.5, "p.u.", "design", "least voltage behind X_g", 0.0, 1.0)
-    internal_voltage_max_pu: float = parameter(
+    internal_voltage_min_pu: float = design(0.5, "p.u.", "least voltage behind X_g", 0.0, 1.0)
+    internal_voltage_max_pu: float = design(
         1.4,
         "p.u.",
-        "design",
         "largest voltage behind X_g, most of which is virtual: behind a filter of 0.15 p.u. (REGFM_A1) the bridge then "
         "gives at most 1.13 p.u.",
         1.0,
@@ -202,7 +232,7 @@ class SheddingStage(Checked):
         0.0,
         1.0,
     )
-    delay_s: float = parameter(0.2, "s", "design", "time below that frequency before it acts", 0.0, 60.0)
+    delay_s: float = design(0.2, "s", "time below that frequency before it acts", 0.0, 60.0)
 
 
 def european_shedding() -> tuple[SheddingStage, ...]:
@@ -215,17 +245,14 @@ def european_shedding() -> tuple[SheddingStage, ...]:
 class ProtectionParameters(Checked):
     """What refuses a start, ends a run, or trips a group."""
 
-    stall_tip_speed_ratio: float = parameter(
-        3.5, "-", "design", "a rotor at fine pitch and below this tip-speed ratio has stalled", 0.0, 100.0
+    stall_tip_speed_ratio: float = design(
+        3.5, "-", "a rotor at fine pitch and below this tip-speed ratio has stalled", 0.0, 100.0
     )
-    stall_pitch_deg: float = parameter(
-        0.5, "deg", "design", "pitch up to which a low tip-speed ratio counts as a stall", 0.0, 90.0
-    )
-    over_speed_pu: float = parameter(1.4, "p.u.", "design", "rotor over-speed trip", 0.1, 1e6)
-    rotor_speed_min_pu: float = parameter(
+    stall_pitch_deg: float = design(0.5, "deg", "pitch up to which a low tip-speed ratio counts as a stall", 0.0, 90.0)
+    over_speed_pu: float = design(1.4, "p.u.", "rotor over-speed trip", 0.1, 1e6)
+    rotor_speed_min_pu: float = design(
         0.0,
         "p.u.",
-        "design",
         "rotor under-speed trip; 0 for none. The NREL 5 MW turbine operates from 6.9 rpm on, 0.57 p.u.",
         0.0,
         1.0,
@@ -236,10 +263,9 @@ class ProtectionParameters(Checked):
     frequency_max_pu: float = parameter(
         1.03, "p.u.", "ENTSO-E", "upper end of the range units must ride through, 51.5 Hz", 1.0, 10.0
     )
-    angle_spread_max_deg: float = parameter(
+    angle_spread_max_deg: float = design(
         180.0,
         "deg",
-        "design",
         "largest difference of two units' angles; beyond, nothing pulls them together again: synchronism is lost",
         1.0,
         1e9,
@@ -261,10 +287,9 @@ class ProtectionParameters(Checked):
         0.0,
         1e9,
     )
-    internal_voltage_max_pu: float = parameter(
+    internal_voltage_max_pu: float = design(
         2.0,
         "p.u.",
-        "design",
         "largest voltage behind the internal reactance that a unit may start with: through X_g = 0.55 p.u. it drives "
         "1.6 p.u. of reactive current at 1.1 p.u. of terminal voltage, and converters end at about 1.2",
         0.1,
@@ -287,6 +312,5 @@ class WtgGroup(Checked):
 
 def default_groups(n_groups: int = 2, bus: int = 2) -> tuple[WtgGroup, ...]:
     """Return `n_groups` equal groups at a bus that share the paper's twenty turbines (100 MW)."""
-    if not is_whole(n_groups) or not 1 <= n_groups <= 1024:
-        raise ValueError(f"the number of WTG groups must be 1 … 1024, got {n_groups!r}")
+    n_groups = require_whole("the number of WTG groups", n_groups, 1, 1024)
     return tuple(WtgGroup(bus=bus, n_turbines=20.0 / n_groups) for _ in range(n_groups))

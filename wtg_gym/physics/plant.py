@@ -11,12 +11,12 @@ import numpy as np
 
 from wtg_gym.physics.aerodynamics import surface_of
 from wtg_gym.physics.checked import Checked
-from wtg_gym.physics.hydro_governor import hydro_constants
+from wtg_gym.physics.governor import hydro_constants
 from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.kernel_data import BranchConstants, BusConstants, Plant, constants_dtype
 from wtg_gym.physics.machine import machine_constants
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters
 from wtg_gym.physics.network import NetworkCase, branch_admittances
-from wtg_gym.physics.nrel5mw import nrel_5mw
 from wtg_gym.physics.parameters import (
     ConverterLimitParameters,
     GridFormingParameters,
@@ -28,8 +28,8 @@ from wtg_gym.physics.parameters import (
     WtgGroup,
     default_groups,
     european_shedding,
+    nrel_5mw,
 )
-from wtg_gym.physics.plant_constants import BranchConstants, BusConstants, Plant, constants_dtype
 from wtg_gym.physics.records import dtype, flatten
 from wtg_gym.physics.wind_turbine import extension_constants, turbine_constants
 from wtg_gym.ranges import require_range, whole_steps
@@ -82,12 +82,8 @@ class PlantSettings(Checked):
         with_group = {group.bus for group in self.groups}
         for bus in self.case.buses:
             weights = [machine.reactive_weight for machine in self.case.machines if machine.bus == bus.number]
-            if (
-                weights
-                and bus.voltage_pu is not None
-                and bus.number not in with_group
-                and not any(weight != 0.0 for weight in weights)
-            ):
+            needs_weight = bus.voltage_pu is not None and bus.number not in with_group
+            if needs_weight and weights and all(weight == 0.0 for weight in weights):
                 raise ValueError(f"reactive_weight is 0 MVA for every machine at bus {bus.number}; one must have more")
         if self.control.frequency_setpoint_pu != 1.0:
             raise ValueError(
@@ -163,17 +159,10 @@ def build_plant(settings: PlantSettings) -> Plant:
         for index, machine in enumerate(case.machines)
         if isinstance(machine.governor, HydroGovernorParameters)
     ]
-    constants = np.zeros(
-        1,
-        dtype=constants_dtype(
-            len(machines),
-            len(share),
-            n_hydro=len(hydro),
-            extended=settings.extended,
-            n_stages=len(settings.shedding),
-            cells=cells.shape,
-        ),
+    kind = constants_dtype(
+        len(machines), len(share), len(hydro), len(settings.shedding), extended=settings.extended, cells=cells.shape
     )
+    constants = np.zeros(1, dtype=kind)
     constants["cells"] = cells
     if hydro:
         constants["hydro"] = hydro

@@ -139,17 +139,3 @@ def _records(record: type) -> Iterator[type]:
     for kind in get_type_hints(record).values():
         if _is_record(kind):
             yield from _records(kind)
-
-
-__all__ = [
-    "dtype",
-    "elementwise",
-    "flatten",
-    "leaves",
-    "loader",
-    "offsets",
-    "reader",
-    "short_names",
-    "size",
-    "storer",
-]

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.compiled import compiled, inlined
-from wtg_gym.physics.lane_data import LaneData
+from wtg_gym.physics.kernel_data import LaneData, Plant
 from wtg_gym.physics.layout import (
     LANE,
     MACHINE,
@@ -30,7 +30,6 @@ from wtg_gym.physics.layout import (
 )
 from wtg_gym.physics.machine import MachineInput
 from wtg_gym.physics.network import assemble_admittance, solve_in_place, transfer_impedances
-from wtg_gym.physics.plant_constants import Plant
 from wtg_gym.physics.wind_turbine import WtgInput
 
 

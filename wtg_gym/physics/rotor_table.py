@@ -10,6 +10,7 @@ Boor: A Practical Guide to Splines, chapter XVII.
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,45 +60,39 @@ class RotorTable:
 
     def __post_init__(self) -> None:
         try:
-            for name in ("tip_speed_ratio", "pitch_deg"):
-                object.__setattr__(self, name, tuple(float(value) for value in getattr(self, name)))
-            rows_of_floats = tuple(tuple(float(value) for value in row) for row in self.power_coefficient)
+            ratios, pitches = (tuple(map(float, axis)) for axis in (self.tip_speed_ratio, self.pitch_deg))
+            rows = tuple(tuple(map(float, row)) for row in self.power_coefficient)
         except (TypeError, ValueError) as error:
             raise ValueError(f"a rotor table must be rows of numbers: {error}") from None
-        object.__setattr__(self, "power_coefficient", rows_of_floats)
-        for name, axis in (("tip-speed ratios", self.tip_speed_ratio), ("pitch angles", self.pitch_deg)):
+        for name, axis in (("tip-speed ratios", ratios), ("pitch angles", pitches)):
             if not 4 <= len(axis) <= _MOST_POINTS:
                 raise ValueError(f"a rotor table needs 4 … {_MOST_POINTS} {name}, got {len(axis)}")
-            values = np.array(axis)
-            if not np.isfinite(values).all() or not (np.diff(values) > 1e-6).all():
+            if not np.isfinite(axis).all() or not (np.diff(axis) > 1e-6).all():
                 raise ValueError(f"the {name} of a rotor table must be finite and rise by more than 1e-6")
-        if not 0.0 < self.tip_speed_ratio[0] < self.tip_speed_ratio[-1] <= 100.0:
+        if not 0.0 < ratios[0] < ratios[-1] <= 100.0:
+            raise ValueError(f"tip-speed ratios of a rotor table must lie in 0 … 100, got {ratios[0]:g} …")
+        if not -90.0 <= pitches[0] <= 0.0 < pitches[-1] <= 90.0:
             raise ValueError(
-                f"tip-speed ratios of a rotor table must lie in 0 … 100, got {self.tip_speed_ratio[0]:g} …"
+                "pitch angles of a rotor table must reach from 0 deg or below to above 0 deg within ±90 deg, got "
+                f"{pitches[0]:g} … {pitches[-1]:g} deg"
             )
-        if not -90.0 <= self.pitch_deg[0] <= 0.0 < self.pitch_deg[-1] <= 90.0:
+        widths = {len(row) for row in rows}
+        if len(rows) != len(ratios) or widths != {len(pitches)}:
             raise ValueError(
-                f"pitch angles of a rotor table must reach from 0 deg or below to above 0 deg within ±90 deg, got "
-                f"{self.pitch_deg[0]:g} … {self.pitch_deg[-1]:g} deg"
+                f"a rotor table of {len(ratios)} tip-speed ratios and {len(pitches)} pitch angles needs as many rows "
+                f"and columns of power coefficients, got {len(rows)} rows of {sorted(widths)} values"
             )
-        shape = (len(self.tip_speed_ratio), len(self.pitch_deg))
-        rows = {len(row) for row in self.power_coefficient}
-        if len(self.power_coefficient) != shape[0] or rows != {shape[1]}:
-            raise ValueError(
-                f"a rotor table of {shape[0]} tip-speed ratios and {shape[1]} pitch angles needs as many rows and "
-                f"columns of power coefficients, got {len(self.power_coefficient)} rows of {sorted(rows)} values"
-            )
-        values = np.array(self.power_coefficient)
-        if not np.isfinite(values).all():
-            at = np.argwhere(~np.isfinite(values))[0]
-            raise ValueError(
-                f"a rotor table has no number at a tip-speed ratio of {self.tip_speed_ratio[at[0]]:g} and "
-                f"{self.pitch_deg[at[1]]:g} deg"
-            )
+        values = np.array(rows)
+        for i, j in np.argwhere(~np.isfinite(values)):
+            at = f"a tip-speed ratio of {ratios[i]:g} and {pitches[j]:g} deg"
+            raise ValueError(f"a rotor table has no number at {at}")
         if values.max() > _BETZ_LIMIT:
             raise ValueError(
                 f"a C_p of a rotor table is {values.max():g}; allowed: at most Betz' limit, {_BETZ_LIMIT:.4f}"
             )
+        object.__setattr__(self, "tip_speed_ratio", ratios)
+        object.__setattr__(self, "pitch_deg", pitches)
+        object.__setattr__(self, "power_coefficient", rows)
 
     def surface(self) -> tuple[Grid, Cells]:
         """Return the grid and the coefficients of its cells, from β = 0 on."""
@@ -113,12 +108,10 @@ def _surface(table: RotorTable) -> tuple[Grid, Cells]:
     ratios, pitches = np.linspace(ratio[0], ratio[-1], n_ratio + 1), np.linspace(0.0, pitch[-1], n_pitch + 1)
     du, dv = ratios[1] - ratios[0], pitches[1] - pitches[0]
     # Value and slopes at the four corners of each cell, on the unit square.
-    at_nodes = {(m, n): spline(ratios, pitches, dx=m, dy=n) * du**m * dv**n for m in (0, 1) for n in (0, 1)}
     corners = np.empty((n_ratio, n_pitch, 4, 4))
-    for m, n in at_nodes:
-        for i in (0, 1):
-            for j in (0, 1):
-                corners[:, :, 2 * m + i, 2 * n + j] = at_nodes[m, n][i : i + n_ratio, j : j + n_pitch]
+    for m, n, i, j in itertools.product((0, 1), repeat=4):
+        at_nodes = spline(ratios, pitches, dx=m, dy=n) * du**m * dv**n
+        corners[:, :, 2 * m + i, 2 * n + j] = at_nodes[i : i + n_ratio, j : j + n_pitch]
     # Cubic Hermite form: 1, u, u², u³ from the values at 0 and 1 and the slopes at 0 and 1.
     hermite = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [-3, 3, -2, -1], [2, -2, 1, 1]])
     cells = np.einsum("mp,ijpq,nq->ijnm", hermite, corners, hermite).reshape(n_ratio, n_pitch, 16)
@@ -154,34 +147,16 @@ def _cubic(c0: float, c1: float, c2: float, c3: float, x: float) -> float:
 def read_rotor_table(path: Path) -> RotorTable:
     """Read the power coefficients of a rotor performance file in the form of NREL's ROSCO toolbox.
 
-    Comment lines that begin with "#" name what follows: pitch angles, tip-speed ratios, wind speeds, power coefficients
-    (a row per tip-speed ratio); thrust and torque coefficients are skipped.
+    Between comments that begin with "#" it has a row of pitch angles [deg], one of tip-speed ratios, one of wind
+    speeds, and a row of power coefficients per tip-speed ratio; thrust and torque coefficients may follow.
 
     Raises:
         ValueError: the file is missing, is not of that form, or its table is not complete; the message names it.
     """
-    parts: dict[str, list[list[float]]] = {}
-    title = ""
-    for number, line in enumerate(read_text(path, "rotor table").splitlines(), start=1):
-        if line.startswith("#"):
-            title = line.strip("#- ").lower()
-        elif line.strip():
-            try:
-                parts.setdefault(title, []).append([float(word) for word in line.split()])
-            except ValueError as error:
-                raise ValueError(f"line {number} of the rotor table {path} is not a row of numbers: {error}") from None
-    found = {name: next((parts[t] for t in parts if t.startswith(name)), None) for name in ("pitch", "tsr", "power")}
-    missing = [name for name, rows in found.items() if rows is None]
-    if missing:
-        raise ValueError(
-            f"the rotor table {path} has no section {', '.join(missing)}; a file of ROSCO's form names its sections in "
-            "comments: Pitch angle vector, TSR vector, Power coefficient"
-        )
+    lines = read_text(path, "rotor table").splitlines()
     try:
-        return RotorTable(
-            tip_speed_ratio=tuple(value for row in found["tsr"] or () for value in row),
-            pitch_deg=tuple(value for row in found["pitch"] or () for value in row),
-            power_coefficient=tuple(tuple(row) for row in found["power"] or ()),
-        )
+        rows = [tuple(map(float, line.split())) for line in lines if line.strip() and not line.startswith("#")]
+        pitch_deg, ratios, _, *power = rows
+        return RotorTable(tip_speed_ratio=ratios, pitch_deg=pitch_deg, power_coefficient=tuple(power[: len(ratios)]))
     except ValueError as error:
         raise ValueError(f"the rotor table {path} cannot be used: {error}") from None

@@ -15,8 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.files import parse_json
+from wtg_gym.physics.checked import Checked, design, required
 from wtg_gym.physics.sensors import Sensors
-from wtg_gym.ranges import is_whole, require_bus, require_range
+from wtg_gym.ranges import require_known
 
 R = TypeVar("R")
 
@@ -48,8 +49,7 @@ def _checked_wind(values: Any, dt_s: float) -> npt.NDArray[np.float64]:
     if wind.ndim != 2 or wind.shape[1] < 1:
         raise ValueError(f"wind_speed must have shape (n_wtg, n_samples), got shape {wind.shape}")
     low, high = WIND_SPEED_RANGE
-    if wind.size and not (wind.min() >= low and wind.max() <= high):
-        group, sample = np.argwhere(~((wind >= low) & (wind <= high)))[0]
+    for group, sample in np.argwhere(~((wind >= low) & (wind <= high))):
         raise ValueError(
             f"wind_speed of group {group + 1} at t = {sample * dt_s:g} s is {wind[group, sample]:g} m/s, "
             f"outside the allowed range {low:g} … {high:g} m/s"
@@ -62,8 +62,7 @@ def _checked_noise(values: Any) -> npt.NDArray[np.float64]:
     if noise.ndim != 1:
         raise ValueError(f"load_noise_mw must have shape (n_samples,), got shape {noise.shape}")
     low, high = LOAD_CHANGE_RANGE
-    if noise.size and not (noise.min() >= low and noise.max() <= high):
-        sample = np.argwhere(~((noise >= low) & (noise <= high)))[0, 0]
+    for sample in np.flatnonzero(~((noise >= low) & (noise <= high))):
         raise ValueError(
             f"load_noise_mw at t = {sample * SERIES_DT:g} s is {noise[sample]:g} MW, outside the allowed range "
             f"{low:g} … {high:g} MW"
@@ -71,12 +70,6 @@ def _checked_noise(values: Any) -> npt.NDArray[np.float64]:
     if noise.size and noise[0] != 0.0:
         raise ValueError(f"load_noise_mw must start at 0 MW, got {noise[0]:g} MW")
     return noise
-
-
-def _plain(record: Any, **checked: Any) -> None:
-    """Put what a check returned into a frozen record: Python's own numbers, which JSON takes."""
-    for name, value in checked.items():
-        object.__setattr__(record, name, value)
 
 
 def trusted(record: type[R], **values: Any) -> R:
@@ -90,13 +83,10 @@ def trusted(record: type[R], **values: Any) -> R:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _At:
+class _At(Checked):
     """Something that happens at `time_s` [s]."""
 
-    time_s: float
-
-    def __post_init__(self) -> None:
-        _plain(self, time_s=require_range("event time", self.time_s, 0.0, LONGEST_RUN_S, "s"))
+    time_s: float = required("s", "design", "instant of the event", 0.0, LONGEST_RUN_S)
 
     @property
     def end_s(self) -> float:
@@ -110,45 +100,23 @@ class _AtBus(_At):
 
     bus: int
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _plain(self, bus=require_bus("bus", self.bus))
-
 
 @dataclass(frozen=True, kw_only=True)
 class LoadStep(_AtBus):
     """A constant-impedance load switched on at a bus (negative power: switched off).
 
     The admittance is (P - jQ)/V0² with V0 the bus voltage of the initial power flow.
-
-    Args:
-        time_s: instant of the event [s].
-        bus: bus number of the network.
-        power_mw: active power at V0 [MW].
-        reactive_mvar: reactive power at V0 [Mvar].
     """
 
-    power_mw: float
-    reactive_mvar: float = 0.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _plain(
-            self,
-            power_mw=require_range("load step", self.power_mw, *LOAD_CHANGE_RANGE, "MW"),
-            reactive_mvar=require_range("load step", self.reactive_mvar, *LOAD_CHANGE_RANGE, "Mvar"),
-        )
+    power_mw: float = required("MW", "design", "active power at V0", *LOAD_CHANGE_RANGE)
+    reactive_mvar: float = design(0.0, "Mvar", "reactive power at V0", *LOAD_CHANGE_RANGE)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoadRamp(LoadStep):
     """A :class:`LoadStep` that grows linearly over `duration_s` [s] from `time_s` on."""
 
-    duration_s: float
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _plain(self, duration_s=require_range("ramp duration", self.duration_s, 0.1, 3600.0, "s"))
+    duration_s: float = required("s", "design", "length of the ramp", 0.1, 3600.0)
 
     @property
     def end_s(self) -> float:
@@ -163,26 +131,13 @@ class LoadTrip(_AtBus):
 
 @dataclass(frozen=True, kw_only=True)
 class LineTrip(_At):
-    """The branch between two buses opens at both ends at `time_s` [s].
-
-    It closes again `recloses_after_s` [s] later; None: never.
-    """
+    """The branch between two buses opens at both ends at `time_s` [s]."""
 
     from_bus: int
     to_bus: int
-    recloses_after_s: float | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        after = self.recloses_after_s
-        _plain(
-            self,
-            from_bus=require_bus("from_bus", self.from_bus),
-            to_bus=require_bus("to_bus", self.to_bus),
-            recloses_after_s=None
-            if after is None
-            else require_range("recloses_after_s", after, 1e-3, LONGEST_RUN_S, "s"),
-        )
+    recloses_after_s: float | None = design(
+        None, "s", "time after which it closes again; None: never", 1e-3, LONGEST_RUN_S
+    )
 
     @property
     def end_s(self) -> float:
@@ -202,16 +157,9 @@ class MachineOutage(_AtBus):
 
 @dataclass(frozen=True, kw_only=True)
 class GroupTrip(_At):
-    """A WTG group, the row `group` of the scenario's wind, is disconnected at `time_s` [s]; the run goes on."""
+    """A WTG group is disconnected at `time_s` [s]; the run goes on."""
 
-    group: int
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        group = self.group
-        if not is_whole(group) or group < 0:
-            raise ValueError(f"group must be the index of a WTG group (0 or more), got {group!r}")
-        _plain(self, group=int(group))
+    group: int = required("-", "design", "its index, the row of the scenario's wind", 0)
 
 
 Event = LoadStep | LoadRamp | LoadTrip | LineTrip | GovernorLoss | MachineOutage | GroupTrip
@@ -228,7 +176,7 @@ _KIND_OF = {cls: kind for kind, cls in EVENT_KINDS.items()}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Scenario:
+class Scenario(Checked):
     """One run as data.
 
     Args:
@@ -253,55 +201,33 @@ class Scenario:
 
     name: str
     wind_speed: npt.NDArray[np.float64]
-    wind_dt_s: float = SERIES_DT
-    duration_s: float = 60.0
+    wind_dt_s: float = design(SERIES_DT, "s", "sampling step", 1e-3, 3600.0)
+    duration_s: float = design(60.0, "s", "length of the run", 0.1, LONGEST_RUN_S)
     events: tuple[Event, ...] = ()
     load_noise_mw: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     load_noise_bus: int = 3
-    load_level: float = 1.0
-    governor_droop: float | None = None
-    inertia_scale: float = 1.0
+    load_level: float = design(1.0, "-", "factor on every load", 0.3, 1.5)
+    governor_droop: float | None = design(None, "p.u.", "droop of every governor", 0.005, 1.0)
+    inertia_scale: float = design(1.0, "-", "factor on every inertia", 0.05, 5.0)
     sensors: Sensors | None = None
-    seed: int | None = None
+    seed: int | None = design(None, "-", "seed it was drawn from", 0, 2**63 - 1)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str):
-            raise ValueError(f"name of a scenario must be text, got {self.name!r}")
-        wind_dt_s = require_range("wind_dt_s", self.wind_dt_s, 1e-3, 3600.0, "s")
-        wind, noise = _checked_wind(self.wind_speed, wind_dt_s), _checked_noise(self.load_noise_mw)
+        super().__post_init__()
         if not isinstance(self.events, (tuple, list)):
             raise ValueError(f"events must be a tuple of events, got {self.events!r}")
         for event in self.events:
             if type(event) not in _KIND_OF:
                 raise ValueError(f"unknown event {event!r}; known kinds: {', '.join(EVENT_KINDS)}")
-        if self.sensors is not None:
-            if not isinstance(self.sensors, Sensors):
-                raise ValueError(f"sensors must be Sensors or None, got {self.sensors!r:.80}")
-            if len(self.sensors.wind_bias) != wind.shape[0]:
-                raise ValueError(
-                    f"wind_bias of the sensors must have one number per WTG group ({wind.shape[0]}), "
-                    f"got {len(self.sensors.wind_bias)}"
-                )
-        droop, seed = self.governor_droop, self.seed
-        if droop is not None:
-            droop = require_range("governor_droop", droop, 0.005, 1.0, "p.u.")
-        if seed is not None:
-            if not is_whole(seed) or not 0 <= seed < 2**63:
-                raise ValueError(f"seed of a scenario must be a whole number in 0 … 2^63 - 1, got {seed!r}")
-            seed = int(seed)
-        _plain(
-            self,
-            wind_speed=wind,
-            wind_dt_s=wind_dt_s,
-            duration_s=require_range("duration_s", self.duration_s, 0.1, LONGEST_RUN_S, "s"),
-            events=tuple(self.events),
-            load_noise_mw=noise,
-            load_noise_bus=require_bus("load_noise_bus", self.load_noise_bus),
-            load_level=require_range("load_level", self.load_level, 0.3, 1.5, ""),
-            governor_droop=droop,
-            inertia_scale=require_range("inertia_scale", self.inertia_scale, 0.05, 5.0, ""),
-            seed=seed,
-        )
+        wind = _checked_wind(self.wind_speed, self.wind_dt_s)
+        if self.sensors is not None and len(self.sensors.wind_bias) != wind.shape[0]:
+            raise ValueError(
+                f"wind_bias of the sensors must have one number per WTG group ({wind.shape[0]}), "
+                f"got {len(self.sensors.wind_bias)}"
+            )
+        object.__setattr__(self, "events", tuple(self.events))
+        object.__setattr__(self, "wind_speed", wind)
+        object.__setattr__(self, "load_noise_mw", _checked_noise(self.load_noise_mw))
 
     @property
     def n_wtg(self) -> int:
@@ -311,13 +237,9 @@ class Scenario:
     def to_dict(self) -> dict[str, Any]:
         """Return the scenario as JSON-ready data; :meth:`from_dict` turns it back exactly."""
         data = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        data["wind_speed"] = self.wind_speed.tolist()
-        data["load_noise_mw"] = self.load_noise_mw.tolist()
+        data["wind_speed"], data["load_noise_mw"] = self.wind_speed.tolist(), self.load_noise_mw.tolist()
         data["events"] = [
-            {
-                "kind": _KIND_OF[type(e)],
-                **{key: value for key, value in dataclasses.asdict(e).items() if value is not None},
-            }
+            {"kind": _KIND_OF[type(e)], **{key: value for key, value in vars(e).items() if value is not None}}
             for e in self.events
         ]
         if self.sensors is None:
@@ -334,19 +256,13 @@ class Scenario:
         Raises:
             ValueError: unknown keys, event kinds or values, each named.
         """
-        if not isinstance(data, dict):
-            raise ValueError(f"a scenario must be an object with named values, got {type(data).__name__}")
-        known = {f.name for f in dataclasses.fields(cls)}
-        unknown = sorted(set(data) - known)
-        if unknown:
-            raise ValueError(f"unknown scenario keys {unknown}; known keys: {sorted(known)}")
-        fields = dict(data)
-        if not isinstance(data.get("events", ()), (list, tuple)):
+        fields = _known(cls, data, "scenario")
+        if not isinstance(fields.get("events", ()), (list, tuple)):
             raise ValueError(f"events must be a list, got {data['events']!r}")
         try:
-            fields["events"] = tuple(_event_from_dict(e) for e in data.get("events", ()))
+            fields["events"] = tuple(_event_from_dict(event) for event in fields.get("events", ()))
             if fields.get("sensors") is not None:
-                fields["sensors"] = _sensors_from_dict(fields["sensors"])
+                fields["sensors"] = Sensors(**_known(Sensors, fields["sensors"], "sensors"))
             return cls(**fields)
         except TypeError as error:
             raise ValueError(f"not a scenario: {error}") from error
@@ -361,14 +277,12 @@ class Scenario:
         return cls.from_dict(parse_json(text, "the text"))
 
 
-def _sensors_from_dict(data: Any) -> Sensors:
+def _known(record: Any, data: Any, what: str) -> dict[str, Any]:
+    """Return the values of a record as a new dictionary, or raise a ValueError that names unknown ones."""
     if not isinstance(data, dict):
-        raise ValueError(f"sensors must be an object with named values, got {data!r:.80}")
-    known = {f.name for f in dataclasses.fields(Sensors)}
-    unknown = sorted(map(str, set(data) - known))
-    if unknown:
-        raise ValueError(f"unknown values of sensors {unknown}; known values: {sorted(known)}")
-    return Sensors(**data)
+        raise ValueError(f"{what} must be an object with named values, got {data!r:.80}")
+    require_known(f"{what} keys", data, [f.name for f in dataclasses.fields(record)])
+    return dict(data)
 
 
 def _event_from_dict(data: Any) -> Event:

@@ -13,8 +13,9 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from wtg_gym.physics.checked import Checked, design, required
 from wtg_gym.physics.compiled import inlined
-from wtg_gym.ranges import is_whole, require_range, whole_steps
+from wtg_gym.ranges import require_range, whole_steps
 
 #: Longest delay [s].
 DELAY_MAX_S = 1.0
@@ -28,67 +29,34 @@ _SUM_MEAN, _SUM_DEVIATION = 131070.0, math.sqrt((65536.0**2 - 1.0) / 3.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sensors:
+class Sensors(Checked):
     """Errors of the measurements of one run, the same sensors in every WTG group.
 
-    Args:
-        seed: of the noise, 0 … 2³¹ - 1.
-        delay_s: age of the newest measurement, a whole number of control intervals [s].
-        frequency_filter_s: time constant of the frequency's filter, 0 for none [s].
-        frequency_noise_hz: standard deviation [Hz].
-        rocof_filter_s: time constant of the filter of its rate of change [s].
-        rocof_noise_hz_s: standard deviation [Hz/s].
-        rotor_speed_noise_pu: standard deviation [p.u.].
-        power_noise_pu: standard deviation [p.u.].
-        wind_bias: constant relative error of the wind speed, one per WTG group [-].
-        wind_noise: standard deviation of its slow relative error [-].
-        wind_noise_correlation_s: correlation time of that error [s].
-        wind_sensor: False: wind and tip-speed ratio are not measured; both read zero.
-
-    Raises:
-        ValueError: a value is not finite or outside its range; the message names value, unit and range.
+    `wind_bias` has the constant relative error of the wind speed of each group [-]; the metadata of the other fields
+    say what they are, with unit and range.
     """
 
-    seed: int
+    seed: int = required("-", "design", "seed of the noise", 0, 2**31 - 1)
     wind_bias: tuple[float, ...]
-    delay_s: float = 0.0
-    frequency_filter_s: float = 0.0
-    frequency_noise_hz: float = 0.0
-    rocof_filter_s: float = 0.0
-    rocof_noise_hz_s: float = 0.0
-    rotor_speed_noise_pu: float = 0.0
-    power_noise_pu: float = 0.0
-    wind_noise: float = 0.0
-    wind_noise_correlation_s: float = 1.0
-    wind_sensor: bool = True
+    delay_s: float = design(
+        0.0, "s", "age of the newest measurement, a whole number of control intervals", 0.0, DELAY_MAX_S
+    )
+    frequency_filter_s: float = design(0.0, "s", "time constant of the frequency's filter, 0 for none", 0.0, 10.0)
+    frequency_noise_hz: float = design(0.0, "Hz", "its standard deviation", 0.0, 1.0)
+    rocof_filter_s: float = design(0.0, "s", "time constant of the filter of its rate of change", 0.0, 10.0)
+    rocof_noise_hz_s: float = design(0.0, "Hz/s", "standard deviation of that rate", 0.0, 10.0)
+    rotor_speed_noise_pu: float = design(0.0, "p.u.", "standard deviation of the rotor speed", 0.0, 0.1)
+    power_noise_pu: float = design(0.0, "p.u.", "standard deviation of the power", 0.0, 0.5)
+    wind_noise: float = design(0.0, "-", "standard deviation of the wind's slow relative error", 0.0, 0.3)
+    wind_noise_correlation_s: float = design(1.0, "s", "correlation time of that error", 0.1, 600.0)
+    wind_sensor: bool = design(True, "-", "without it wind and tip-speed ratio read zero")
 
     def __post_init__(self) -> None:
-        seed = self.seed
-        if not is_whole(seed) or not 0 <= seed < 2**31:
-            raise ValueError(f"seed of the sensors must be a whole number in 0 … 2^31 - 1, got {seed!r}")
+        super().__post_init__()
         if not isinstance(self.wind_bias, (tuple, list)) or not self.wind_bias:
             raise ValueError(f"wind_bias must have one number per WTG group, got {self.wind_bias!r}")
-        if not isinstance(self.wind_sensor, bool):
-            raise ValueError(f"wind_sensor must be true or false, got {self.wind_sensor!r}")
         bias = tuple(require_range("wind_bias", value, -0.5, 0.5, "") for value in self.wind_bias)
-        object.__setattr__(self, "seed", int(seed))
         object.__setattr__(self, "wind_bias", bias)
-        for name, (low, high, unit) in SENSOR_RANGES.items():
-            object.__setattr__(self, name, require_range(name, getattr(self, name), low, high, unit))
-
-
-#: Allowed range and unit of the sensors' numbers.
-SENSOR_RANGES: dict[str, tuple[float, float, str]] = {
-    "delay_s": (0.0, DELAY_MAX_S, "s"),
-    "frequency_filter_s": (0.0, 10.0, "s"),
-    "frequency_noise_hz": (0.0, 1.0, "Hz"),
-    "rocof_filter_s": (0.0, 10.0, "s"),
-    "rocof_noise_hz_s": (0.0, 10.0, "Hz/s"),
-    "rotor_speed_noise_pu": (0.0, 0.1, "p.u."),
-    "power_noise_pu": (0.0, 0.5, "p.u."),
-    "wind_noise": (0.0, 0.3, ""),
-    "wind_noise_correlation_s": (0.1, 600.0, "s"),
-}
 
 
 class SensorInput(NamedTuple):

@@ -12,18 +12,24 @@ import numpy.typing as npt
 
 from wtg_gym.physics.block_threads import BlockThreads
 from wtg_gym.physics.dynamics import evaluate_rates
-from wtg_gym.physics.equilibrium import StartFailure, place_lanes, start_lanes
+from wtg_gym.physics.equilibrium import StartFailure, prepare_lanes, start_lanes
 from wtg_gym.physics.integration import advance_blocks
-from wtg_gym.physics.lane_data import EVENT_DTYPE, NO_EVENT, LaneData
+from wtg_gym.physics.kernel_data import EVENT_DTYPE, NO_EVENT, LaneData
 from wtg_gym.physics.layout import Floats, Layout
 from wtg_gym.physics.linearisation import check_step
 from wtg_gym.physics.network_events import network_events
 from wtg_gym.physics.plant import PlantSettings, build_plant
 from wtg_gym.physics.reduction import bus_voltages
 from wtg_gym.physics.scenario import LONGEST_RUN_S, SERIES_DT, Scenario
-from wtg_gym.physics.start_errors import NOMINAL, check_internal_voltages, scenario_name, start_failure
+from wtg_gym.physics.start_errors import (
+    NOMINAL,
+    check_internal_voltages,
+    check_rotor_speeds,
+    scenario_name,
+    start_failure,
+)
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, get_law
-from wtg_gym.ranges import is_whole, require_range, whole_steps
+from wtg_gym.ranges import require_range, require_whole, whole_steps
 
 #: Lanes per block of a batched simulator; a single run uses a block of one.
 BLOCK_WIDTH = 16
@@ -86,13 +92,11 @@ class Simulator:
         n_extra: int = 0,
         n_threads: int | None = None,
     ) -> None:
-        if not is_whole(n_lanes) or not 1 <= n_lanes <= 1_000_000:
-            raise ValueError(f"the number of lanes must be 1 … 1000000, got {n_lanes!r}")
-        if n_threads is not None and (not is_whole(n_threads) or n_threads < 1):
-            raise ValueError(f"the number of threads must be 1 or more, got {n_threads!r}")
+        self.n_lanes = require_whole("the number of lanes", n_lanes, 1, 1_000_000)
+        if n_threads is not None:
+            n_threads = require_whole("the number of threads", n_threads, 1)
         self.settings = settings
         self.plant = build_plant(settings)
-        self.n_lanes = int(n_lanes)
         duration_s = require_range("duration_s", duration_s, 0.0, LONGEST_RUN_S, "s")
         self.n_intervals = whole_steps("duration_s", duration_s, settings.control_dt, "control step")
         self._shifts_phases = any(branch.phase_rad != 0.0 for branch in settings.case.branches)
@@ -109,11 +113,7 @@ class Simulator:
         self.data = self._allocate_data(n_blocks * self.width, 4)
         self.threads = BlockThreads(n_blocks, n_threads)
         self._pad()
-        try:
-            self._checked = _checked_inertias(settings)
-        except TypeError:
-            # A case of lists instead of tuples has no hash: nothing is shared with other simulators of it.
-            self._checked = {}
+        self._checked = _checked_inertias(settings)
         reference = (get_law(REFERENCE_STRATEGY, settings.turbine, settings.control),) * self.layout.n_wtg
         if reference not in self._checked and self._check_nominal(reference, 1.0):
             self._checked[reference] = 1.0
@@ -190,16 +190,19 @@ class Simulator:
         """Return a number of every lane by its name, shape (n_lanes,)."""
         return self.values(self.layout.lane(name))
 
-    def prepare(self, scenarios: Sequence[Scenario], laws: Sequence[TrackingLaw]) -> PreparedLanes:
+    def prepare(
+        self, scenarios: Sequence[Scenario], laws: Sequence[TrackingLaw], *, turning: bool = False
+    ) -> PreparedLanes:
         """Find the exact equilibria that scenarios start from; no running lane is touched.
 
         Args:
             scenarios: one per run, with one wind series per WTG group.
             laws: one law per WTG group.
+            turning: refuse a rotor that would start below the under-speed trip: its run would end at once.
 
         Raises:
             ValueError: a scenario does not fit the plant or has no equilibrium; or the integration step is too long
-                there; or a unit would need a larger internal voltage than allowed.
+                there; or a unit would need a larger internal voltage than allowed, or a rotor would not turn.
         """
         prepared = self._equilibria(scenarios, laws)
         check_internal_voltages(prepared.rows, scenarios, self.settings, self.layout)
@@ -210,22 +213,9 @@ class Simulator:
             # The wind may rise: under a steep law the step suits a slow rotor and not a fast one.
             self._check_nominal(of_laws, scale)
             self._checked[of_laws] = scale
+        if turning:
+            check_rotor_speeds(prepared.rows, scenarios, self.settings, self.layout)
         return prepared
-
-    def require_turning(self, prepared: PreparedLanes, scenarios: Sequence[Scenario]) -> None:
-        """Refuse a prepared start with a rotor below the under-speed trip: its run would end at once.
-
-        Raises:
-            ValueError: the message names group, speed, trip and wind.
-        """
-        speeds, least = prepared.rows[:, self.layout.wtg("rotor_speed")], self.settings.protection.rotor_speed_min_pu
-        for lane, group in np.argwhere(speeds < least):
-            scenario, bus = scenarios[lane], self.settings.groups[group].bus
-            raise ValueError(
-                f"scenario {scenario.name!r} cannot start: the rotor of WTG group {group} at bus {bus} would start at "
-                f"{speeds[lane, group]:.3g} p.u. in a wind of {scenario.wind_speed[group, 0]:.3g} m/s, below the "
-                f"under-speed trip at {least:g} p.u."
-            )
 
     def _equilibria(self, scenarios: Sequence[Scenario], laws: Sequence[TrackingLaw]) -> PreparedLanes:
         for scenario in scenarios:
@@ -246,43 +236,46 @@ class Simulator:
             )
         rows = np.zeros((n, self.layout.n_rows))
         self._write_machine_inputs(rows, scenarios)
-        rows[:, self.layout.wtg("k_min")] = [law.k_min for law in laws]
-        rows[:, self.layout.wtg("k_nominal")] = [law.k_nominal for law in laws]
-        rows[:, self.layout.wtg("k_max")] = [law.k_max for law in laws]
+        for name in ("k_min", "k_nominal", "k_max", "droop_cancelled"):
+            rows[:, self.layout.wtg(name)] = [getattr(law, name) for law in laws]
         rows[:, self.layout.wtg("inv_tau")] = [law.inverse_time_constant for law in laws]
-        rows[:, self.layout.wtg("droop_cancelled")] = [law.droop_cancelled for law in laws]
         failures = np.zeros((n, 2), dtype=np.int64)
         levels = np.array([scenario.load_level for scenario in scenarios])
         # A literal (0,) within compiled code would be a type of its own, and compile the right-hand side again.
-        start_lanes(rows, self.plant, data, levels, failures, (0,))
+        prepare_lanes(rows, self.plant, data, levels, failures, (0,))
         for scenario, (failure, unit), row in zip(scenarios, failures.tolist(), rows, strict=True):
             if failure:
                 reason = start_failure(StartFailure(failure), unit, row, scenario, self.settings, self.layout)
                 raise ValueError(f"scenario {scenario.name!r} cannot start: {reason}")
         return PreparedLanes(rows, data)
 
-    def commit(
+    def start(
         self,
-        lanes: Sequence[int] | npt.NDArray[np.int64],
-        prepared: PreparedLanes,
+        lanes: int | Sequence[int] | npt.NDArray[np.int64],
+        runs: Scenario | PreparedLanes,
+        laws: Sequence[TrackingLaw] = (),
         places: npt.NDArray[np.int64] | None = None,
     ) -> None:
-        """Put lanes into prepared equilibria, one each: those at some places, or all of them."""
+        """Start runs in lanes, one each.
+
+        Args:
+            lanes: where; one number for a single lane.
+            runs: what :meth:`prepare` returned, or a scenario, which is prepared with the laws.
+            laws: one law per WTG group.
+            places: of the prepared runs to start (n_lanes,); None for all.
+        """
+        prepared = runs if isinstance(runs, PreparedLanes) else self.prepare([runs], laws)
         n_events = prepared.data.events.shape[1]
         if n_events > self.data.events.shape[1]:
             more = self._allocate_data(self.data.wind.shape[0], 2 * n_events).events
             more[:, : self.data.events.shape[1]] = self.data.events
             self.data = self.data._replace(events=more)
-        index = np.array(lanes, dtype=np.int64)
+        index = np.array(lanes, dtype=np.int64).reshape(-1)
         if places is None:
-            places = np.arange(index.size)
+            places = np.arange(len(prepared.rows))
         if index.size != places.size:
             raise ValueError(f"a prepared run is needed for each of {index.size} lanes, got {places.size}")
-        place_lanes(self.blocks, self.data, index, prepared.rows, prepared.data, places, self.lanes)
-
-    def start(self, lane: int, scenario: Scenario, laws: Sequence[TrackingLaw]) -> None:
-        """Put a lane into the equilibrium its scenario starts from: :meth:`prepare`, then :meth:`commit`."""
-        self.commit([lane], self.prepare([scenario], laws))
+        start_lanes(self.blocks, self.data, index, prepared.rows, prepared.data, places, self.lanes)
 
     def _write_series(self, data: LaneData, lane: int, scenario: Scenario) -> None:
         dt, n = self.settings.control_dt, self.n_intervals

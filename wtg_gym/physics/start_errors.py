@@ -53,39 +53,50 @@ def check_internal_voltages(
     )
 
 
+def check_rotor_speeds(rows: Floats, scenarios: Sequence[Scenario], settings: PlantSettings, layout: Layout) -> None:
+    """Refuse a start with a rotor below the under-speed trip."""
+    speeds, least = rows[:, layout.wtg("rotor_speed")], settings.protection.rotor_speed_min_pu
+    for lane, group in np.argwhere(speeds < least):
+        scenario = scenarios[lane]
+        raise ValueError(
+            f"scenario {scenario.name!r} cannot start: the rotor of {unit_name(settings, layout.n_sync + group)} would "
+            f"start at {speeds[lane, group]:.3g} p.u. in a wind of {scenario.wind_speed[group, 0]:.3g} m/s, below the "
+            f"under-speed trip at {least:g} p.u."
+        )
+
+
 def start_failure(
     failure: StartFailure, unit: int, rows: Floats, scenario: Scenario, settings: PlantSettings, layout: Layout
 ) -> str:
     """Say why a unit cannot start, with the numbers that its rows (n_rows,) hold."""
     if failure == StartFailure.POWER_FLOW_DIVERGED:
         return f"the power flow has no solution at a load level of {scenario.load_level:g} and this wind"
-    bus = bus_of_unit(settings, unit)
+    name = unit_name(settings, unit)
     if unit < layout.n_sync:
         machine = settings.case.machines[unit]
         governor, exciter = machine.governor, machine.exciter or ExciterParameters()
-        name, low, high = "field_voltage", exciter.field_min_pu, exciter.field_max_pu
+        quantity, low, high = "field_voltage", exciter.field_min_pu, exciter.field_max_pu
         if failure == StartFailure.GOVERNOR_LIMIT and governor is not None:
-            name = "hydro_gate" if isinstance(governor, HydroGovernorParameters) else "gate"
+            quantity = "hydro_gate" if isinstance(governor, HydroGovernorParameters) else "gate"
             low, high = governor.gate_min_pu, governor.gate_max_pu
-        what = name.replace("_", " ")
+        what = quantity.replace("_", " ")
         return (
-            f"the synchronous machine at bus {bus} would start at {rows[layout.machine(name)[unit]]:.4g} p.u. of "
-            f"{what}, beyond its {what} limits {low:g} … {high:g} p.u.; change wind or load level"
+            f"{name} would start at {rows[layout.machine(quantity)[unit]]:.4g} p.u. of {what}, beyond its {what} "
+            f"limits {low:g} … {high:g} p.u.; change wind or load level"
         )
     j = unit - layout.n_sync
-    group = f"WTG group {j} at bus {bus}"
     if failure == StartFailure.NO_TURBINE_EQUILIBRIUM:
         k = rows[layout.wtg("k_nominal")[j]]
-        return f"{group} has no equilibrium at a wind of {scenario.wind_speed[j, 0]:g} m/s with k = {k:g} p.u."
+        return f"{name} has no equilibrium at a wind of {scenario.wind_speed[j, 0]:g} m/s with k = {k:g} p.u."
     if failure == StartFailure.CONVERTER_LIMIT:
         limits = settings.limits or ConverterLimitParameters()
         return (
-            f"{group} would start with {rows[layout.wtg('power')[j]]:.4g} p.u. of power, beyond its converter's "
-            f"limits: power {limits.power_min_pu:g} … {limits.power_max_pu:g} p.u., current at most "
+            f"{name} would start with {rows[layout.wtg('power')[j]]:.4g} p.u. of power, beyond its converter's limits: "
+            f"power {limits.power_min_pu:g} … {limits.power_max_pu:g} p.u., current at most "
             f"{limits.current_max_pu:g} p.u."
         )
     control, emf = settings.voltage_control or VoltageControlParameters(), rows[layout.wtg("internal_voltage")[j]]
     return (
-        f"{group} would start with {emf:.4g} p.u. behind X_g, beyond the limits "
-        f"{control.internal_voltage_min_pu:g} … {control.internal_voltage_max_pu:g} p.u. of its voltage control"
+        f"{name} would start with {emf:.4g} p.u. behind X_g, beyond the limits {control.internal_voltage_min_pu:g} … "
+        f"{control.internal_voltage_max_pu:g} p.u. of its voltage control"
     )

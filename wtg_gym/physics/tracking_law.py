@@ -9,16 +9,16 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+import numbers
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
+from typing import Any
 
 from wtg_gym.files import read_toml
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
-from wtg_gym.ranges import require_range
+from wtg_gym.ranges import require_known, require_range
 
 #: Smallest and largest tracking coefficient a law may ask for [p.u.]: nearly no power, and three times K_opt.
 LEAST_COEFFICIENT, LARGEST_COEFFICIENT = 1e-3, 3.0
@@ -59,12 +59,11 @@ class TrackingLaw:
         if not isinstance(self.name, str):
             raise ValueError(f"name of a law must be text, got {self.name!r}")
         for key in ("k_min", "k_nominal", "k_max"):
-            require_range(
-                f"{key} of law {self.name!r}", getattr(self, key), LEAST_COEFFICIENT, LARGEST_COEFFICIENT, "p.u."
-            )
+            name, k = f"{key} of law {self.name!r}", getattr(self, key)
+            object.__setattr__(self, key, require_range(name, k, LEAST_COEFFICIENT, LARGEST_COEFFICIENT, "p.u."))
         tau = self.damping_time_constant_s
         low, high = TIME_CONSTANT_RANGE
-        is_number = isinstance(tau, (int, float, np.integer, np.floating)) and not isinstance(tau, bool)
+        is_number = isinstance(tau, numbers.Real) and not isinstance(tau, bool)
         if not is_number or not (tau in (0.0, math.inf) or low <= tau <= high):
             raise ValueError(
                 f"damping_time_constant_s of law {self.name!r} must be {low:g} … {high:g} s, 0 s (cancels the droop) "
@@ -88,27 +87,27 @@ class TrackingLaw:
         return 1.0 if self.damping_time_constant_s == 0.0 else 0.0
 
 
-def mppt(turbine: TurbineParameters | None = None) -> TrackingLaw:
+def mppt(turbine: TurbineParameters | None = None, control: GridFormingParameters | None = None) -> TrackingLaw:
     """Return maximum power point tracking: K_opt at every frequency, plain droop (paper, equation (9))."""
     k = tracking_point(0.0, turbine).coefficient
     return TrackingLaw(name="mppt", k_min=k, k_nominal=k, k_max=k)
 
 
-def deloaded(deloading: float, turbine: TurbineParameters | None = None) -> TrackingLaw:
+def deloaded(
+    deloading: float, turbine: TurbineParameters | None = None, control: GridFormingParameters | None = None
+) -> TrackingLaw:
     """Return the fixed deloaded law K_d with plain droop (paper, equation (12)); `deloading` is d [-]."""
     k = tracking_point(deloading, turbine).coefficient
     return TrackingLaw(name=f"deloaded-{100.0 * deloading:g}", k_min=k, k_nominal=k, k_max=k)
 
 
 def coordinated_piecewise(
-    name: str = "coordinated-piecewise",
-    turbine: TurbineParameters | None = None,
-    control: GridFormingParameters | None = None,
+    turbine: TurbineParameters | None = None, control: GridFormingParameters | None = None
 ) -> TrackingLaw:
     """Return the reference: K_opt / K_n / K_pr with transient damping (paper, equations (35)-(37))."""
     p = control or GridFormingParameters()
     return TrackingLaw(
-        name=name,
+        name="coordinated-piecewise",
         k_min=tracking_point(0.0, turbine).coefficient,
         k_nominal=tracking_point(p.deloading_nominal, turbine).coefficient,
         k_max=tracking_point(p.deloading_limit, turbine).coefficient,
@@ -117,54 +116,42 @@ def coordinated_piecewise(
 
 
 def coordinated_linear(
-    name: str = "coordinated-linear",
-    turbine: TurbineParameters | None = None,
-    control: GridFormingParameters | None = None,
+    turbine: TurbineParameters | None = None, control: GridFormingParameters | None = None
 ) -> TrackingLaw:
     """Return the straight g(ω) from K_opt to K_pr with transient damping (paper, equations (21) and (35))."""
-    p = control or GridFormingParameters()
-    k_min, k_max = (tracking_point(d, turbine).coefficient for d in (0.0, p.deloading_limit))
+    p, law = control or GridFormingParameters(), coordinated_piecewise(turbine, control)
     share = (p.frequency_setpoint_pu - p.frequency_min_pu) / (p.frequency_max_pu - p.frequency_min_pu)
-    return TrackingLaw(
-        name=name,
-        k_min=k_min,
-        k_nominal=k_min + share * (k_max - k_min),
-        k_max=k_max,
-        damping_time_constant_s=p.damping_time_constant_s,
-    )
+    k_nominal = law.k_min + share * (law.k_max - law.k_min)
+    return dataclasses.replace(law, name="coordinated-linear", k_nominal=k_nominal)
 
 
 def coordinated_undamped(
-    name: str = "coordinated-undamped",
-    turbine: TurbineParameters | None = None,
-    control: GridFormingParameters | None = None,
+    turbine: TurbineParameters | None = None, control: GridFormingParameters | None = None
 ) -> TrackingLaw:
     """Return the piecewise law without transient damping: the droop is cancelled (paper, equations (33) and (37))."""
-    return dataclasses.replace(coordinated_piecewise(name, turbine, control), damping_time_constant_s=0.0)
+    law = coordinated_piecewise(turbine, control)
+    return dataclasses.replace(law, name="coordinated-undamped", damping_time_constant_s=0.0)
 
 
 def coordinated_tuned(
-    name: str = "coordinated-tuned",
-    turbine: TurbineParameters | None = None,
-    control: GridFormingParameters | None = None,
+    turbine: TurbineParameters | None = None, control: GridFormingParameters | None = None
 ) -> TrackingLaw:
     """Return the piecewise law with steeper slopes and a faster filter, tuned to a grid that needs the wind.
 
     It was tuned with the paper's turbine; on one with a flatter power curve k ends where a law's range does.
     """
-    law = coordinated_piecewise(name, turbine, control)
+    law = coordinated_piecewise(turbine, control)
     span = law.k_min - law.k_max
-
-    def bounded(k: float) -> float:
-        return min(max(k, LEAST_COEFFICIENT), LARGEST_COEFFICIENT)
-
-    return dataclasses.replace(
-        law,
-        k_min=bounded(law.k_min + TUNED_ABOVE_OPT * span),
-        k_nominal=bounded(law.k_nominal + TUNED_ABOVE_NOMINAL * span),
-        k_max=bounded(law.k_max - TUNED_BELOW_LIMIT * span),
-        damping_time_constant_s=TUNED_TIME_CONSTANT_S,
+    corners = {
+        "k_min": law.k_min + TUNED_ABOVE_OPT * span,
+        "k_nominal": law.k_nominal + TUNED_ABOVE_NOMINAL * span,
+        "k_max": law.k_max - TUNED_BELOW_LIMIT * span,
+    }
+    bounded = {name: min(max(k, LEAST_COEFFICIENT), LARGEST_COEFFICIENT) for name, k in corners.items()}
+    tuned: TrackingLaw = dataclasses.replace(
+        law, name="coordinated-tuned", damping_time_constant_s=TUNED_TIME_CONSTANT_S, **bounded
     )
+    return tuned
 
 
 #: The reference policy's strategy: zero action is exactly this.
@@ -172,13 +159,13 @@ REFERENCE_STRATEGY = "coordinated-piecewise"
 
 #: How each strategy's law is made for a turbine and its control.
 _BUILDERS: dict[str, Callable[[TurbineParameters | None, GridFormingParameters | None], TrackingLaw]] = {
-    "mppt": lambda turbine, control: mppt(turbine),
-    "deloaded-5": lambda turbine, control: deloaded(0.05, turbine),
-    "deloaded-10": lambda turbine, control: deloaded(0.10, turbine),
-    "coordinated-linear": functools.partial(coordinated_linear, "coordinated-linear"),
-    "coordinated-piecewise": functools.partial(coordinated_piecewise, "coordinated-piecewise"),
-    "coordinated-undamped": functools.partial(coordinated_undamped, "coordinated-undamped"),
-    "coordinated-tuned": functools.partial(coordinated_tuned, "coordinated-tuned"),
+    "mppt": mppt,
+    "deloaded-5": functools.partial(deloaded, 0.05),
+    "deloaded-10": functools.partial(deloaded, 0.10),
+    "coordinated-linear": coordinated_linear,
+    "coordinated-piecewise": coordinated_piecewise,
+    "coordinated-undamped": coordinated_undamped,
+    "coordinated-tuned": coordinated_tuned,
 }
 #: Every built-in strategy, and those of them that the paper has.
 STRATEGY_NAMES = tuple(_BUILDERS)
@@ -259,57 +246,33 @@ def read_law(path: Path, turbine: TurbineParameters | None = None) -> TrackingLa
     """
     data = read_toml(path, "law file")
     corners = ("min", "nominal", "max")
-    allowed = {"name", "tau_s", *(f"k_{c}" for c in corners), *(f"deloading_{c}" for c in corners)}
-    unknown = sorted(set(data) - allowed)
-    if unknown:
-        raise ValueError(f"the law file {path} has unknown keys {unknown}; allowed: {sorted(allowed)}")
-    coefficients = {}
-    for corner in corners:
-        given = [key for key in (f"k_{corner}", f"deloading_{corner}") if key in data]
-        if len(given) != 1:
-            raise ValueError(
-                f"the law file {path} must give exactly one of k_{corner} [p.u.] and deloading_{corner} [%], "
-                f"got {given or 'neither'}"
-            )
-        value = data[given[0]]
-        if given[0].startswith("deloading"):
-            percent = require_range(f"{given[0]} in {path}", value, 0.0, 90.0, "%")
-            if 0.0 < percent < _LEAST_PERCENT:
-                raise ValueError(
-                    f"{given[0]} = {percent:g} in {path} is in percent: write {100.0 * percent:g} for "
-                    f"{100.0 * percent:g} %; allowed: 0, or {_LEAST_PERCENT:g} … 90 %"
-                )
-            coefficients[f"k_{corner}"] = tracking_point(percent / 100.0, turbine).coefficient
-        else:
-            coefficients[f"k_{corner}"] = require_range(
-                f"{given[0]} in {path}", value, LEAST_COEFFICIENT, LARGEST_COEFFICIENT, "p.u."
-            )
+    known = ["name", "tau_s", *(f"{kind}_{corner}" for kind in ("k", "deloading") for corner in corners)]
+    require_known(f"keys of the law file {path}", data, known)
+    coefficients = {f"k_{corner}": _coefficient(data, corner, path, turbine) for corner in corners}
     name = data.get("name", path.stem)
-    if not isinstance(name, str):
-        raise ValueError(f"name in {path} must be text, got {name!r}")
     if name in STRATEGY_NAMES:
         raise ValueError(f"name {name!r} in {path} is that of a built-in strategy; choose another")
-    tau = data.get("tau_s", math.inf)
-    if isinstance(tau, bool) or not isinstance(tau, (int, float)):
-        raise ValueError(f"tau_s in {path} must be a number of seconds, 0 … inf, got {tau!r}")
     try:
-        return TrackingLaw(name=name, damping_time_constant_s=tau, **coefficients)
+        return TrackingLaw(name=name, damping_time_constant_s=data.get("tau_s", math.inf), **coefficients)
     except ValueError as error:
-        raise ValueError(f"tau_s = {tau:g} s in {path} is not allowed: {error}") from None
+        raise ValueError(f"the law file {path} cannot be used: {error}") from None
 
 
-__all__ = [
-    "REFERENCE_STRATEGY",
-    "STRATEGIES",
-    "STRATEGY_NAMES",
-    "TrackingLaw",
-    "coordinated_linear",
-    "coordinated_piecewise",
-    "coordinated_tuned",
-    "coordinated_undamped",
-    "deloaded",
-    "get_law",
-    "group_laws",
-    "mppt",
-    "read_law",
-]
+def _coefficient(data: Mapping[str, Any], corner: str, path: Path, turbine: TurbineParameters | None) -> float:
+    """Return the tracking coefficient that a law file gives at a corner, itself or by a deloading [p.u.]."""
+    given = [key for key in (f"k_{corner}", f"deloading_{corner}") if key in data]
+    if len(given) != 1:
+        raise ValueError(
+            f"the law file {path} must give exactly one of k_{corner} [p.u.] and deloading_{corner} [%], "
+            f"got {given or 'neither'}"
+        )
+    value: float = data[given[0]]
+    if given[0].startswith("k"):
+        return value
+    percent = require_range(f"{given[0]} in {path}", value, 0.0, 90.0, "%")
+    if 0.0 < percent < _LEAST_PERCENT:
+        raise ValueError(
+            f"{given[0]} = {percent:g} in {path} is in percent: write {100.0 * percent:g} for {100.0 * percent:g} %; "
+            f"allowed: 0, or {_LEAST_PERCENT:g} … 90 %"
+        )
+    return tracking_point(percent / 100.0, turbine).coefficient

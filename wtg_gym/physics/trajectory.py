@@ -85,9 +85,8 @@ def simulate(
         raise ValueError(f"scenario must be a Scenario, got {type(scenario).__name__}")
     settings = settings or PlantSettings()
     simulator = Simulator(settings, duration_s=scenario.duration_s)
-    prepared = simulator.prepare([scenario], group_laws(laws, len(settings.groups), settings.turbine, settings.control))
-    simulator.require_turning(prepared, [scenario])
-    simulator.commit([0], prepared)
+    groups_laws = group_laws(laws, len(settings.groups), settings.turbine, settings.control)
+    simulator.start(0, simulator.prepare([scenario], groups_laws, turning=True))
     nominal = settings.case.frequency_hz
     names = ("speed", "rotor_speed", "power", "captured", "coefficient", "filter", "pitch", "wind")
     frequency, samples = [], []

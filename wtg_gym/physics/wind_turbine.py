@@ -3,8 +3,8 @@
     2H_m ω̇_m = p_w - p,    p_w = ρ π R² v³ C_p(λ, β) / (2 S_n),    λ = ω_tn R ω_m / v
 
 Source: paper, equations (1)-(5). After a trip the states of a group keep their last values; it feeds in nothing. An
-*extended* group has the limits of :mod:`~wtg_gym.physics.converter_limits`, the voltage control of
-:mod:`~wtg_gym.physics.voltage_control`, and a rotor that keeps its energy H_m ω_m²: 2H_m ω_m ω̇_m = p_w - max(p, p_min).
+*extended* group has the limits and the voltage control of :mod:`~wtg_gym.physics.extended_converter`, and a rotor that
+keeps its energy H_m ω_m²: 2H_m ω_m ω̇_m = p_w - max(p, p_min).
 """
 
 from __future__ import annotations
@@ -21,14 +21,19 @@ from wtg_gym.physics.aerodynamics import (
 )
 from wtg_gym.physics.compiled import compiled, inlined
 from wtg_gym.physics.converter import Converter, ConverterState, Law, converter_constants, converter_rates
-from wtg_gym.physics.converter_limits import (
+from wtg_gym.physics.elementary import fma, select, sine_cosine
+from wtg_gym.physics.extended_converter import (
     ConverterLimits,
     LimitState,
+    VoltageControl,
+    VoltageInput,
     converter_limits,
+    emf_limited,
+    emf_rate,
     limit_state_limited,
     power_limiter,
+    voltage_control,
 )
-from wtg_gym.physics.elementary import fma, select, sine_cosine
 from wtg_gym.physics.parameters import (
     ConverterLimitParameters,
     GridFormingParameters,
@@ -39,7 +44,6 @@ from wtg_gym.physics.parameters import (
 )
 from wtg_gym.physics.pitch import Pitch, PitchState, pitch_constants, pitch_limited, pitch_rates
 from wtg_gym.physics.rotor_table import Cells, Grid, tabulated_power_coefficient
-from wtg_gym.physics.voltage_control import VoltageControl, VoltageInput, emf_limited, emf_rate, voltage_control
 
 
 class Rotor(NamedTuple):
@@ -352,10 +356,7 @@ def _pitch_that_captures(
 
 
 def turbine_constants(
-    turbine: TurbineParameters,
-    pitch: PitchParameters,
-    control: GridFormingParameters,
-    protection: ProtectionParameters,
+    turbine: TurbineParameters, pitch: PitchParameters, control: GridFormingParameters, protection: ProtectionParameters
 ) -> Turbine:
     """Return the constants of a turbine, its controls and its protections."""
     best = tracking_point(0.0, turbine)

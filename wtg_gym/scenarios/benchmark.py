@@ -16,24 +16,15 @@ from wtg_gym.physics.plant import PlantSettings, plant_settings
 
 @dataclass(frozen=True, kw_only=True)
 class Benchmark:
-    """A version of the benchmark.
+    """A version of the benchmark."""
 
-    Args:
-        version: "v0", "v1".
-        k_authority: offset on k at full action, as a share of K_opt - K_pr [-].
-        sensed: whether policies see what sensors measure, not what there is.
-        duty_time_s: time constant of the filter behind which the duty is charged; 0 for none [s].
-        weights: name and value of the cost's weights that are not those of
-            :class:`~wtg_gym.envs.settings.CostWeights`.
-        anchors: names of the entries that score 0 and 100.
-    """
-
-    version: str
-    k_authority: float
-    sensed: bool
-    duty_time_s: float
+    version: str  # "v0", "v1"
+    k_authority: float  # offset on k at full action, as a share of K_opt - K_pr [-]
+    sensed: bool  # whether policies see what sensors measure, not what there is
+    duty_time_s: float  # time constant of the filter behind which the duty is charged; 0 for none [s]
+    #: Name and value of the cost's weights that are not those of :class:`~wtg_gym.envs.settings.CostWeights`.
     weights: tuple[tuple[str, float], ...] = ()
-    anchors: tuple[str, str]
+    anchors: tuple[str, str]  # names of the entries that score 0 and 100
 
     @property
     def env_id(self) -> str:
@@ -50,6 +41,11 @@ class Benchmark:
         """Name of the entry that scores 100, with which all others are compared."""
         return self.anchors[1]
 
+    @property
+    def nominal_hz(self) -> float:
+        """Nominal frequency of its grid [Hz]."""
+        return modified_ieee14().frequency_hz
+
     def to_dict(self) -> dict[str, Any]:
         """Return the version as JSON-ready data."""
         return {**vars(self), "weights": dict(self.weights)}
@@ -57,23 +53,14 @@ class Benchmark:
 
 @dataclass(frozen=True, kw_only=True)
 class SuitePlant:
-    """The modified IEEE 14-bus system of a suite: how much of it is wind, how strong the rest is.
-
-    Args:
-        groups: WTG groups.
-        physics: kind of physics, see :func:`~wtg_gym.physics.plant.plant_settings`.
-        generator_mva: rating of the generator at bus 1, None for the paper's [MVA].
-        governor: of that generator, None for the paper's.
-        frequency_limits_hz: beyond which a run has failed, None for the paper's [Hz].
-        overload_from_pu: power above which a converter counts as overloaded [p.u.].
-    """
+    """The modified IEEE 14-bus system of a suite: how much of it is wind, how strong the rest is."""
 
     groups: tuple[WtgGroup, ...] = field(default_factory=default_groups)
-    physics: str = "paper"
-    generator_mva: float | None = None
-    governor: GovernorParameters | None = None
-    frequency_limits_hz: tuple[float, float] | None = None
-    overload_from_pu: float | None = None
+    physics: str = "paper"  # see plant_settings
+    generator_mva: float | None = None  # rating of the generator at bus 1, None for the paper's [MVA]
+    governor: GovernorParameters | None = None  # of that generator, None for the paper's
+    frequency_limits_hz: tuple[float, float] | None = None  # beyond which a run has failed, None for the paper's [Hz]
+    overload_from_pu: float | None = None  # power above which a converter counts as overloaded [p.u.]
 
     def settings(
         self, *, groups: tuple[WtgGroup, ...] | None = None, physics: str | None = None, classical: bool, **steps: Any
@@ -86,12 +73,8 @@ class SuitePlant:
             steps: control_dt, simulation_dt and trips_groups of :class:`~wtg_gym.physics.plant.PlantSettings`.
         """
         case = modified_ieee14(classical=classical)
-        changes: dict[str, Any] = {}
-        if self.generator_mva is not None:
-            changes["rating_mva"] = self.generator_mva
-        if self.governor is not None:
-            changes["governor"] = self.governor
-        if changes:
+        generator: dict[str, Any] = {"rating_mva": self.generator_mva, "governor": self.governor}
+        if changes := {name: value for name, value in generator.items() if value is not None}:
             machines = [dataclasses.replace(m, **changes) if m.bus == case.slack_bus else m for m in case.machines]
             case = dataclasses.replace(case, machines=tuple(machines))
         plant = plant_settings(physics or self.physics, case=case, groups=groups or self.groups, **steps)
@@ -128,5 +111,3 @@ V1 = Benchmark(
 BENCHMARKS: Mapping[str, Benchmark] = MappingProxyType({benchmark.env_id: benchmark for benchmark in (V0, V1)})
 #: Names that an entry fixes the scale with in some version; no other entry can have one.
 ANCHOR_NAMES = tuple(dict.fromkeys(name for benchmark in BENCHMARKS.values() for name in benchmark.anchors))
-
-__all__ = ["ANCHOR_NAMES", "BENCHMARKS", "V0", "V1", "Benchmark", "SuitePlant"]

@@ -6,12 +6,14 @@ import dataclasses
 import math
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from wtg_gym.physics.checked import Checked, design, required
+from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.scenario import (
     LONGEST_RUN_S,
     SERIES_DT,
@@ -27,19 +29,8 @@ from wtg_gym.physics.scenario import (
     trusted,
 )
 from wtg_gym.ranges import is_whole, require_bus, require_range
-from wtg_gym.scenarios.stream import Picker, Span, Words, draw_normals, pickers, seed_streams
-from wtg_gym.scenarios.wind import (
-    DRAWN_WIND_RANGE,
-    FloatArray,
-    coherent_ramp,
-    extreme_operating_gust,
-    noise_amplitude,
-    noise_decay,
-    ntm_sigma,
-    period_length,
-    share_of_load,
-    unit_turbulence_amplitude,
-)
+from wtg_gym.scenarios import wind
+from wtg_gym.scenarios.stream import FloatArray, Picker, Span, Words, draw_normals, pickers, seed_streams
 
 #: Branches of the IEEE 14-bus system whose opening leaves the network in one piece.
 TRIPPABLE_LINES = (
@@ -59,20 +50,12 @@ _LOAD_BUSES = (
 )  # fmt: skip
 
 
-def _number(default: float | None, allowed: Span, unit: str, meaning: str) -> Any:
-    return field(default=default, metadata={"allowed": allowed, "unit": unit, "meaning": meaning})
-
-
-def _span(default: Span | None, allowed: Span, unit: str, meaning: str) -> Any:
-    return field(default=default, metadata={"allowed": allowed, "unit": unit, "meaning": meaning, "span": True})
-
-
-def _table(default: tuple[Any, ...], meaning: str) -> Any:
-    return field(default=default, metadata={"unit": "", "meaning": meaning})
+def _chance(default: float, doc: str) -> Any:
+    return design(default, "-", doc, 0.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScenarioDistribution:
+class ScenarioDistribution(Checked):
     """Ranges and probabilities that scenarios are drawn from; a pair is a range of a uniform distribution.
 
     The unit, the allowed range and the meaning of every value are its field's metadata.
@@ -81,85 +64,68 @@ class ScenarioDistribution:
         ValueError: a value is outside its allowed range; the message names value, unit and range.
     """
 
-    name: str = field(metadata={"unit": "", "meaning": "prefix of scenario names; picks the random stream"})
-    mean_wind_m_s: tuple[float, float] = _span((6.5, 11.0), (4.0, 20.0), "m/s", "mean wind")
-    mean_wind_spread_m_s: float | None = _number(
-        None, (0.0, 5.0), "m/s", "groups share one mean wind and differ from it by up to this; None: independent means"
+    name: str = required("-", "design", "prefix of scenario names; picks the random stream")
+    mean_wind_m_s: Span = design((6.5, 11.0), "m/s", "mean wind", 4.0, 20.0)
+    mean_wind_spread_m_s: float | None = design(
+        None, "m/s", "groups share one mean wind and differ from it by up to this; None: independent means", 0.0, 5.0
     )
-    turbulence_intensity: tuple[float, float] = _span(
-        (0.12, 0.16), (0.0, 0.3), "", "I_ref; classes C … A of IEC 61400-1"
+    turbulence_intensity: Span = design((0.12, 0.16), "-", "I_ref; classes C … A of IEC 61400-1", 0.0, 0.3)
+    n_turbines: float = design(10.0, "-", "turbines per group that the wind is averaged over", 1e-3, 1e4)
+    gust_probability: float = _chance(0.1, "chance of an extreme operating gust on one group")
+    gust_m_s: Span = design((2.0, 5.0), "m/s", "size of a gust", 0.0, 15.0)
+    wind_ramp_probability: float = _chance(0.1, "chance of a wind ramp on all groups; excludes a gust")
+    wind_ramp_m_s: Span = design((1.0, 3.0), "m/s", "size of a wind ramp; both signs", 0.0, 10.0)
+    wind_ramp_s: Span = design((5.0, 20.0), "s", "length of a wind ramp", 0.1, 3600.0)
+    n_load_events: tuple[int, int] = design((1, 3), "-", "number of load events", 0, 20)
+    load_event_mw: Span = design((15.0, 50.0), "MW", "size of a load event", 0.0, 500.0)
+    load_increase_probability: float = _chance(0.5, "chance that a load event is an increase")
+    net_load_change_mw: float = design(
+        75.0, "MW", "a load step or ramp that would take their sum beyond this changes its sign", 0.0, 1000.0
     )
-    n_turbines: float = _number(10.0, (1e-3, 1e4), "", "turbines per group that the wind is averaged over")
-    gust_probability: float = _number(0.1, (0.0, 1.0), "", "chance of an extreme operating gust on one group")
-    gust_m_s: tuple[float, float] = _span((2.0, 5.0), (0.0, 15.0), "m/s", "size of a gust")
-    wind_ramp_probability: float = _number(0.1, (0.0, 1.0), "", "chance of a wind ramp on all groups; excludes a gust")
-    wind_ramp_m_s: tuple[float, float] = _span((1.0, 3.0), (0.0, 10.0), "m/s", "size of a wind ramp; both signs")
-    wind_ramp_s: tuple[float, float] = _span((5.0, 20.0), (0.1, 3600.0), "s", "length of a wind ramp")
-    n_load_events: tuple[int, int] = _span((1, 3), (0, 20), "", "number of load events")
-    load_event_mw: tuple[float, float] = _span((15.0, 50.0), (0.0, 500.0), "MW", "size of a load event")
-    load_increase_probability: float = _number(0.5, (0.0, 1.0), "", "chance that a load event is an increase")
-    net_load_change_mw: float = _number(
-        75.0,
-        (0.0, 1000.0),
-        "MW",
-        "a load step or ramp that would take their sum beyond this changes its sign",
+    load_buses: tuple[tuple[int, float, float], ...] = design(
+        _LOAD_BUSES, "-", "bus, largest increase and largest decrease there [MW] over all load events of a run"
     )
-    load_buses: tuple[tuple[int, float, float], ...] = _table(
-        _LOAD_BUSES, "bus, largest increase and largest decrease there [MW] over all load events of a run"
+    load_ramp_probability: float = _chance(0.25, "chance that a load event is a ramp")
+    load_ramp_s: Span = design((2.0, 10.0), "s", "length of a load ramp", 0.1, 3600.0)
+    load_trip_probability: float = _chance(0.15, "chance that one load event is a disconnection")
+    load_trip_buses: tuple[int, ...] = design(
+        (4, 9, 14), "-", "buses whose load may be disconnected; out of load_buses"
     )
-    load_ramp_probability: float = _number(0.25, (0.0, 1.0), "", "chance that a load event is a ramp")
-    load_ramp_s: tuple[float, float] = _span((2.0, 10.0), (0.1, 3600.0), "s", "length of a load ramp")
-    load_trip_probability: float = _number(0.15, (0.0, 1.0), "", "chance that one load event is a disconnection")
-    load_trip_buses: tuple[int, ...] = _table((4, 9, 14), "buses whose load may be disconnected; out of load_buses")
-    line_trip_probability: float = _number(0.15, (0.0, 1.0), "", "chance that one line trips")
-    line_trips: tuple[tuple[int, int], ...] = _table(_SURVIVABLE_LINES, "lines that may trip; out of TRIPPABLE_LINES")
-    first_event_s: float = _number(3.0, (0.0, 3600.0), "s", "earliest event")
-    quiet_end_s: float = _number(10.0, (0.0, 3600.0), "s", "time without a new event at the end")
-    load_noise_mw: float = _number(
-        1.0, (0.0, 50.0), "MW", "standard deviation of the load noise, once its start has decayed"
+    line_trip_probability: float = _chance(0.15, "chance that one line trips")
+    line_trips: tuple[tuple[int, int], ...] = design(
+        _SURVIVABLE_LINES, "-", "lines that may trip; out of TRIPPABLE_LINES"
     )
-    load_noise_correlation_s: float = _number(2.0, (0.1, 60.0), "s", "correlation time of the load noise")
-    load_noise_bus: int = field(default=3, metadata={"unit": "", "meaning": "bus of the load noise"})
-    governor_droop: tuple[float, float] = _span((0.02, 0.05), (0.005, 1.0), "p.u.", "droop of the governors")
-    inertia_scale: tuple[float, float] = _span(
-        (0.5, 1.0), (0.05, 5.0), "", "factor on the inertia of the synchronous machines"
+    first_event_s: float = design(3.0, "s", "earliest event", 0.0, 3600.0)
+    quiet_end_s: float = design(10.0, "s", "time without a new event at the end", 0.0, 3600.0)
+    load_noise_mw: float = design(
+        1.0, "MW", "standard deviation of the load noise, once its start has decayed", 0.0, 50.0
     )
-    load_level: tuple[float, float] = _span((0.85, 1.1), (0.3, 1.5), "", "factor on the loads of the case")
-    wind_share: tuple[float, float] | None = _span(
+    load_noise_correlation_s: float = design(2.0, "s", "correlation time of the load noise", 0.1, 60.0)
+    load_noise_bus: int = design(3, "-", "bus of the load noise")
+    governor_droop: Span = design((0.02, 0.05), "p.u.", "droop of the governors", 0.005, 1.0)
+    inertia_scale: Span = design((0.5, 1.0), "-", "factor on the inertia of the synchronous machines", 0.05, 5.0)
+    load_level: Span = design((0.85, 1.1), "-", "factor on the loads of the case", 0.3, 1.5)
+    wind_share: Span | None = design(
         None,
-        (0.0, 1.0),
-        "",
+        "-",
         "share of the load that the mean winds give to turbines at nominal reserve; others are drawn again",
+        0.0,
+        1.0,
     )
-    governor_loss_probability: float = _number(
-        0.0, (0.0, 1.0), "", "chance that the governor is lost, every other time from the start"
+    governor_loss_probability: float = _chance(0.0, "chance that the governor is lost, every other time from the start")
+    group_trip_probability: float = _chance(
+        0.0, "chance that the smallest WTG group trips; excludes the loss of the governor"
     )
-    group_trip_probability: float = _number(
-        0.0, (0.0, 1.0), "", "chance that the smallest WTG group trips; excludes the loss of the governor"
-    )
-    machine_outage_probability: float = _number(0.0, (0.0, 1.0), "", "chance that a synchronous machine disconnects")
-    machine_outage_buses: tuple[int, ...] = _table((3, 6, 8), "buses whose machine may disconnect")
-    line_reclosing_s: tuple[float, float] | None = _span(
-        None, (0.1, 3600.0), "s", "time after which a tripped line comes back; None: it does not"
+    machine_outage_probability: float = _chance(0.0, "chance that a synchronous machine disconnects")
+    machine_outage_buses: tuple[int, ...] = design((3, 6, 8), "-", "buses whose machine may disconnect")
+    line_reclosing_s: Span | None = design(
+        None, "s", "time after which a tripped line comes back; None: it does not", 0.1, 3600.0
     )
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not self.name:
-            raise ValueError(f"a distribution needs a name, got {self.name!r}")
-        for item in dataclasses.fields(self):
-            if "allowed" not in item.metadata:
-                continue
-            value, (low, high), unit = getattr(self, item.name), item.metadata["allowed"], item.metadata["unit"]
-            if value is None and item.default is None:
-                continue
-            if item.metadata.get("span"):
-                pair = _require_span(item.name, value, low, high, unit)
-                object.__setattr__(self, item.name, pair)
-            else:
-                object.__setattr__(self, item.name, require_range(item.name, value, low, high, unit))
-        if any(n != int(n) for n in self.n_load_events):
-            raise ValueError(f"n_load_events must be two whole numbers, got {self.n_load_events}")
-        object.__setattr__(self, "n_load_events", tuple(int(n) for n in self.n_load_events))
+        super().__post_init__()
+        if not self.name:
+            raise ValueError("a distribution needs a name")
         for first, second in (
             ("gust_probability", "wind_ramp_probability"),
             ("governor_loss_probability", "group_trip_probability"),
@@ -169,7 +135,6 @@ class ScenarioDistribution:
         self._check_places()
 
     def _check_places(self) -> None:
-        object.__setattr__(self, "load_noise_bus", require_bus("load_noise_bus", self.load_noise_bus))
         object.__setattr__(self, "load_buses", tuple((int(b), float(u), float(d)) for b, u, d in self.load_buses))
         object.__setattr__(self, "load_trip_buses", tuple(int(bus) for bus in self.load_trip_buses))
         object.__setattr__(self, "line_trips", tuple((int(a), int(b)) for a, b in self.line_trips))
@@ -200,17 +165,17 @@ class ScenarioDistribution:
                 del data[name]
         return data
 
-    def draw(
-        self,
-        seed: int,
-        n_wtg: int = 2,
-        n_turbines: Sequence[float] | None = None,
-        duration_s: float = 60.0,
-    ) -> Scenario:
-        """Draw the scenario of a seed: the same arguments always give the same scenario.
+    def draw(self, seed: int, *given: Any) -> Scenario:
+        """Draw the scenario of a seed; everything else as for :meth:`draw_many`."""
+        return self.draw_many([seed], *given)[0]
+
+    def draw_many(
+        self, seeds: Sequence[int], n_wtg: int = 2, n_turbines: Sequence[float] | None = None, duration_s: float = 60.0
+    ) -> list[Scenario]:
+        """Draw the scenarios of seeds, several quicker than one by one: the same seed always gives the same scenario.
 
         Args:
-            seed: a non-negative integer.
+            seeds: non-negative integers.
             n_wtg: number of WTG groups.
             n_turbines: turbines per group for the averaging of wind, shape (n_wtg,); None: `self.n_turbines` each.
             duration_s: length of the run [s]; in a run too short for `first_event_s` and `quiet_end_s`, events
@@ -219,16 +184,6 @@ class ScenarioDistribution:
         Raises:
             ValueError: an argument is out of range; the message names it.
         """
-        return self.draw_many([seed], n_wtg, n_turbines, duration_s)[0]
-
-    def draw_many(
-        self,
-        seeds: Sequence[int],
-        n_wtg: int = 2,
-        n_turbines: Sequence[float] | None = None,
-        duration_s: float = 60.0,
-    ) -> list[Scenario]:
-        """Draw the scenarios of several seeds, which is quicker than one by one; arguments as for :meth:`draw`."""
         for seed in seeds:
             if not is_whole(seed) or not 0 <= seed < 2**63:
                 raise ValueError(f"a seed must be a non-negative integer, got {seed!r}; the largest is 2^63 - 1")
@@ -247,12 +202,12 @@ class ScenarioDistribution:
         states = np.empty((len(seeds), 4), dtype=np.uint64)
         seed_streams(np.array(seeds, dtype=np.uint64), zlib.crc32(self.name.encode()), states)
         plans = [self._plan(pick, turbines, n_samples, window) for pick in pickers(states)]
-        winds, noises = self._series(states, plans, turbines, n_samples)
+        speeds, noises = self._series(states, plans, turbines, n_samples)
         return [
             trusted(
                 Scenario,
                 name=f"{self.name}/{seed}",
-                wind_speed=wind,
+                wind_speed=speed,
                 wind_dt_s=SERIES_DT,
                 duration_s=duration_s,
                 events=plan.events,
@@ -264,7 +219,7 @@ class ScenarioDistribution:
                 sensors=None,
                 seed=int(seed),
             )
-            for seed, plan, wind, noise in zip(seeds, plans, winds, noises, strict=True)
+            for seed, plan, speed, noise in zip(seeds, plans, speeds, noises, strict=True)
         ]
 
     def _plan(self, pick: Picker, turbines: list[float], n_samples: int, window: Span) -> _Plan:
@@ -324,10 +279,9 @@ class ScenarioDistribution:
         if not pick.chance(self.line_trip_probability):
             return []
         from_bus, to_bus = pick.choice(self.line_trips)
-        trip = LineTrip(time_s=pick.instant(window), from_bus=from_bus, to_bus=to_bus)
-        if self.line_reclosing_s is None:
-            return [trip]
-        return [dataclasses.replace(trip, recloses_after_s=round(pick.between(self.line_reclosing_s), 1))]
+        ends = {"time_s": pick.instant(window), "from_bus": from_bus, "to_bus": to_bus}
+        after_s = None if self.line_reclosing_s is None else round(pick.between(self.line_reclosing_s), 1)
+        return [trusted(LineTrip, **ends, recloses_after_s=after_s)]
 
     def _outages(self, pick: Picker, turbines: list[float], window: Span) -> list[Event]:
         events: list[Event] = []
@@ -335,24 +289,26 @@ class ScenarioDistribution:
             kind = pick.uniform()
             if kind < self.governor_loss_probability:
                 time_s = 0.0 if pick.chance(0.5) else pick.instant(window)
-                events.append(GovernorLoss(time_s=time_s, bus=1))
+                events.append(trusted(GovernorLoss, time_s=time_s, bus=1))
             elif kind < self.governor_loss_probability + self.group_trip_probability:
-                events.append(GroupTrip(time_s=pick.instant(window), group=turbines.index(min(turbines))))
+                events.append(trusted(GroupTrip, time_s=pick.instant(window), group=turbines.index(min(turbines))))
         if self.machine_outage_probability > 0.0 and pick.chance(self.machine_outage_probability):
-            events.append(MachineOutage(time_s=pick.instant(window), bus=pick.choice(self.machine_outage_buses)))
+            events.append(
+                trusted(MachineOutage, time_s=pick.instant(window), bus=pick.choice(self.machine_outage_buses))
+            )
         return events
 
     def _series(
         self, states: Words, plans: Sequence[_Plan], turbines: list[float], n_samples: int
     ) -> tuple[FloatArray, FloatArray]:
         """Wind per scenario and group, (n, n_wtg, n_samples) [m/s], and load noise, (n, n_samples or 0) [MW]."""
-        n, n_wtg, n_period = len(plans), len(turbines), period_length(n_samples)
+        n, n_wtg, n_period = len(plans), len(turbines), wind.period_length(n_samples)
         units, sigmas = [], []
-        of_noise = noise_amplitude(self.load_noise_correlation_s, n_period)
+        of_noise = wind.noise_amplitude(self.load_noise_correlation_s, n_period)
         for plan in plans:
             for mean, n_turbines in zip(plan.mean_winds, turbines, strict=True):
-                units.append(unit_turbulence_amplitude(mean, n_turbines, n_period))
-                sigmas.append(ntm_sigma(mean, plan.intensity))
+                units.append(wind.turbulence_amplitude(mean, n_turbines, n_period))
+                sigmas.append(wind.ntm_sigma(mean, plan.intensity))
             units.append(of_noise)
             sigmas.append(self.load_noise_mw)
         amplitudes = np.concatenate(units).reshape(n, n_wtg + 1, -1)
@@ -360,29 +316,29 @@ class ScenarioDistribution:
         coefficients = np.empty(amplitudes.shape, dtype=np.complex128)
         draw_normals(states, amplitudes.reshape(n, -1), coefficients.view(np.float64).reshape(n, -1, 2))
         series: FloatArray = np.fft.irfft(coefficients, n_period)[..., :n_samples]
-        wind, noise = series[:, :n_wtg], series[:, n_wtg]
-        wind += np.array([plan.mean_winds for plan in plans])[:, :, None]
-        for own, plan in zip(wind, plans, strict=True):
+        speed, noise = series[:, :n_wtg], series[:, n_wtg]
+        speed += np.array([plan.mean_winds for plan in plans])[:, :, None]
+        for own, plan in zip(speed, plans, strict=True):
             if plan.wind_event is not None:
                 group, change = plan.wind_event
                 own[group] += change
         # New arrays, which do not hold the rest of the period in memory.
-        wind = np.clip(wind, *DRAWN_WIND_RANGE)
+        speed = np.clip(speed, *wind.DRAWN_WIND_RANGE)
         if self.load_noise_mw:
-            noise = noise - noise[:, :1] * noise_decay(self.load_noise_correlation_s, n_samples)
+            noise = noise - noise[:, :1] * wind.noise_decay(self.load_noise_correlation_s, n_samples)
         else:
             noise = np.zeros((n, 0))
-        for array in (wind, noise):
+        for array in (speed, noise):
             array.setflags(write=False)
-        return wind, noise
+        return speed, noise
 
     def _mean_winds(self, pick: Picker, turbines: list[float], load_level: float) -> list[float]:
         if self.wind_share is None:
             return self._any_mean_winds(pick, len(turbines))
-        low, high = self.wind_share
+        (low, high), load_mw = self.wind_share, load_level * modified_ieee14().load_mw
         for _ in range(_MOST_DRAWS):
             winds = self._any_mean_winds(pick, len(turbines))
-            if low <= share_of_load(winds, turbines, load_level) <= high:
+            if low <= wind.share_of_load(winds, turbines, load_mw) <= high:
                 return winds
         raise ValueError(
             f"wind_share: winds of {self.mean_wind_m_s[0]:g} … {self.mean_wind_m_s[1]:g} m/s hardly ever give these "
@@ -397,10 +353,8 @@ class ScenarioDistribution:
         # A twentieth of the range at either end: that many draws at least must fit.
         margin = 0.05 * (high - low)
         for load_level in self.load_level:
-            least, most = (
-                share_of_load([wind] * len(n_turbines), n_turbines, load_level)
-                for wind in (low + margin, high - margin)
-            )
+            speeds, load_mw = (low + margin, high - margin), load_level * modified_ieee14().load_mw
+            least, most = (wind.share_of_load([speed] * len(n_turbines), n_turbines, load_mw) for speed in speeds)
             if most < self.wind_share[0] or least > self.wind_share[1]:
                 raise ValueError(
                     f"these {sum(n_turbines):g} turbines give {100.0 * least:.0f} … {100.0 * most:.0f} % of the load "
@@ -412,7 +366,7 @@ class ScenarioDistribution:
         spread = self.mean_wind_spread_m_s
         if spread is None:
             return [pick.between(self.mean_wind_m_s) for _ in range(n_wtg)]
-        low, high = DRAWN_WIND_RANGE
+        low, high = wind.DRAWN_WIND_RANGE
         shared = pick.between(self.mean_wind_m_s)
         return [min(max(shared + pick.between((-spread, spread)), low), high) for _ in range(n_wtg)]
 
@@ -428,9 +382,9 @@ class ScenarioDistribution:
         if kind < self.gust_probability:
             # A gust spans at most a few hundred metres; a front passes the whole plant.
             group = pick.whole(0, n_wtg - 1)
-            return group, extreme_operating_gust(time_s, start_s, pick.between(self.gust_m_s))
+            return group, wind.extreme_operating_gust(time_s, start_s, pick.between(self.gust_m_s))
         change = pick.between(self.wind_ramp_m_s) * (1.0 if pick.chance(0.5) else -1.0)
-        return slice(None), coherent_ramp(time_s, start_s, change, pick.between(self.wind_ramp_s))
+        return slice(None), wind.coherent_ramp(time_s, start_s, change, pick.between(self.wind_ramp_s))
 
 
 class _Plan(NamedTuple):
@@ -443,12 +397,3 @@ class _Plan(NamedTuple):
     intensity: float
     mean_winds: list[float]
     wind_event: tuple[int | slice, FloatArray] | None
-
-
-def _require_span(name: str, value: Any, low: float, high: float, unit: str) -> Span:
-    if not isinstance(value, (tuple, list)) or len(value) != 2:
-        raise ValueError(f"{name} must be a pair (low, high) in {low:g} … {high:g} {unit}, got {value!r}".rstrip())
-    first, last = (require_range(name, number, low, high, unit) for number in value)
-    if first > last:
-        raise ValueError(f"{name} must be a pair (low, high), low <= high, got ({first:g}, {last:g}) {unit}".rstrip())
-    return first, last

@@ -10,9 +10,11 @@ from __future__ import annotations
 
 import hashlib
 import hmac
+import itertools
 import re
 from dataclasses import dataclass
 
+from wtg_gym.ranges import require_whole
 from wtg_gym.scenarios.suite import FRESH
 from wtg_gym.scenarios.suites import get_suite
 
@@ -76,22 +78,18 @@ def draw_seeds(suite: str, commit: str, secret: bytes, n: int | None = None) -> 
     if len(secret) < _SHORTEST_SECRET:
         raise ValueError(f"the secret must have {_SHORTEST_SECRET} bytes or more, got {len(secret)}")
     n = len(drawn.test) if n is None else n
-    if type(n) is not int or not 1 <= n <= _MOST_DRAWN:
-        raise ValueError(f"the number of scenarios to draw must be 1 … {_MOST_DRAWN}, got {n!r}")
+    n = require_whole("the number of scenarios to draw", n, 1, _MOST_DRAWN)
     seeds: dict[int, None] = {}
-    counter = 0
-    while len(seeds) < n:
+    for counter in itertools.count():
+        if len(seeds) == n:
+            break
         # The word is part of the rounds that are published.
         message = f"wtg_gym verification\n{suite}\n{drawn.hash}\n{commit}\n{counter}"
         digest = hmac.digest(secret, message.encode(), "sha256")
         seeds[allowed.start + int.from_bytes(digest[:8], "big") % len(allowed)] = None
-        counter += 1
     return FreshDraw(suite=suite, commit=commit, secret_sha256=hashlib.sha256(secret).hexdigest(), seeds=tuple(seeds))
 
 
 def _check_commit(commit: str) -> None:
     if not isinstance(commit, str) or _COMMIT.fullmatch(commit) is None:
         raise ValueError(f"commit must be a full git hash of 40 or 64 hexadecimal digits, got {commit!r}")
-
-
-__all__ = ["FreshDraw", "draw_seeds"]

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from wtg_gym.physics.checked import Checked, design
 from wtg_gym.physics.scenario import trusted
-from wtg_gym.physics.sensors import SENSOR_RANGES, Sensors
-from wtg_gym.ranges import require_range
+from wtg_gym.physics.sensors import DELAY_MAX_S, Sensors
+from wtg_gym.ranges import require_known
 from wtg_gym.scenarios.stream import draw_uniforms, seed_streams
 
 #: The delay is drawn from whole numbers of these [s].
@@ -22,57 +23,35 @@ _MOST_DEVIATIONS = 2.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class SensorDistribution:
-    """Distribution of the sensors' errors.
+class SensorDistribution(Checked):
+    """Distribution of the sensors' errors; a value without a meaning of its own is that of every run's `Sensors`."""
 
-    Args:
-        delay_s: shortest and longest delay, whole numbers of 0.1 s; every one between is as likely [s].
-        wind_bias: standard deviation of the constant relative errors of the wind speed, one per WTG group; none is
-            larger than 2.5 times this [-].
-        wind_sensor: whether the wind is measured.
-
-    The others are those of :class:`~wtg_gym.physics.sensors.Sensors`, the same in every scenario.
-
-    Raises:
-        ValueError: a value is outside its range; the message names value, unit and range.
-    """
-
-    delay_s: tuple[float, float] = (0.1, 0.3)
+    delay_s: tuple[float, float] = design(
+        (0.1, 0.3), "s", "whole numbers of 0.1 s; every one between is as likely", 0.0, DELAY_MAX_S
+    )
     frequency_filter_s: float = 0.1
     frequency_noise_hz: float = 0.005
     rocof_filter_s: float = 0.2
     rocof_noise_hz_s: float = 0.05
     rotor_speed_noise_pu: float = 0.003
     power_noise_pu: float = 0.01
-    wind_bias: float = 0.05
+    wind_bias: float = design(
+        0.05, "-", "standard deviation of each group's; none is larger than 2.5 times this", 0.0, 0.2
+    )
     wind_noise: float = 0.08
     wind_noise_correlation_s: float = 3.0
     wind_sensor: bool = True
 
     def __post_init__(self) -> None:
-        low, high, unit = SENSOR_RANGES["delay_s"]
-        if not isinstance(self.delay_s, (tuple, list)) or len(self.delay_s) != 2:
-            raise ValueError(
-                f"delay_s must be a pair (shortest, longest) in {low:g} … {high:g} s, got {self.delay_s!r}"
-            )
-        delays = tuple(require_range("delay_s", value, low, high, unit) for value in self.delay_s)
-        if delays[0] > delays[1] or any(abs(d / DELAY_STEP_S - round(d / DELAY_STEP_S)) > 1e-6 for d in delays):
-            raise ValueError(
-                f"delay_s must be two whole numbers of {DELAY_STEP_S:g} s, the shorter first, got {delays} s"
-            )
-        object.__setattr__(self, "delay_s", delays)
-        object.__setattr__(self, "wind_bias", require_range("wind_bias", self.wind_bias, 0.0, 0.2, ""))
-        # Checks the values that are the same in every scenario, and makes them plain numbers.
-        checked = Sensors(**{**vars(self), "seed": 0, "delay_s": 0.0, "wind_bias": (0.0,)})
-        for name in vars(self).keys() - {"delay_s", "wind_bias"}:
-            object.__setattr__(self, name, getattr(checked, name))
+        super().__post_init__()
+        if any(abs(delay / DELAY_STEP_S - round(delay / DELAY_STEP_S)) > 1e-6 for delay in self.delay_s):
+            raise ValueError(f"delay_s must be whole numbers of {DELAY_STEP_S:g} s, got {self.delay_s} s")
+        # Checks the values that are the same in every scenario.
+        Sensors(**{**vars(self), "seed": 0, "delay_s": 0.0, "wind_bias": (0.0,)})
 
     def replaced(self, changes: Mapping[str, Any]) -> SensorDistribution:
         """Return the distribution with some of its values replaced; a ValueError lists the known names."""
-        known = [field.name for field in dataclasses.fields(self)]
-        unknown = sorted(map(str, set(changes) - set(known)))
-        if unknown:
-            raise ValueError(f"unknown values of the sensors {unknown}; known values: {', '.join(known)}")
+        require_known("values of the sensors", changes, [field.name for field in dataclasses.fields(self)])
         return dataclasses.replace(self, **changes)
 
     def delays_s(self) -> list[float]:

@@ -114,27 +114,9 @@ class Suite:
         seeds: range = getattr(self, split)
         return seeds
 
-    def scenario(
-        self,
-        seed: int,
-        *,
-        n_wtg: int | None = None,
-        n_turbines: Sequence[float] | None = None,
-        duration_s: float | None = None,
-    ) -> Scenario:
-        """Return the scenario of a seed.
-
-        Args:
-            seed: a seed of one of the splits.
-            n_wtg: number of WTG groups; None: the suite's own.
-            n_turbines: turbines per group, shape (n_wtg,), see :meth:`ScenarioDistribution.draw`; fixed cases have
-                no turbulence to average.
-            duration_s: length of the run [s]; None: the suite's own.
-
-        Raises:
-            ValueError: the seed is in no split, or an argument is out of range; the message says what is allowed.
-        """
-        return self.scenarios([seed], n_wtg=n_wtg, n_turbines=n_turbines, duration_s=duration_s)[0]
+    def scenario(self, seed: int, **changes: Any) -> Scenario:
+        """Return the scenario of a seed; everything else as for :meth:`scenarios`."""
+        return self.scenarios([seed], **changes)[0]
 
     def scenarios(
         self,
@@ -145,9 +127,18 @@ class Suite:
         duration_s: float | None = None,
         sensors: SensorDistribution | EllipsisType | None = ...,
     ) -> list[Scenario]:
-        """Return the scenarios of several seeds; everything else as for :meth:`scenario`.
+        """Return the scenarios of seeds.
 
-        `sensors` replaces the suite's own; None measures exactly.
+        Args:
+            seeds: each of one of the splits.
+            n_wtg: number of WTG groups; None: the suite's own.
+            n_turbines: turbines per group, shape (n_wtg,), see :meth:`ScenarioDistribution.draw_many`; fixed cases have
+                no turbulence to average.
+            duration_s: length of the run [s]; None: the suite's own.
+            sensors: replaces the suite's own; None measures exactly.
+
+        Raises:
+            ValueError: a seed is in no split, or an argument is out of range; the message says what is allowed.
         """
         splits = [self.seeds(split) for split in self._splits]
         for seed in seeds:
@@ -171,23 +162,23 @@ class Suite:
         ]
 
     def _fixed_scenarios(
-        self, seeds: Sequence[int], n_wtg: int, n_turbines: Sequence[float] | None, duration: float
+        self, seeds: Sequence[int], n_wtg: int, n_turbines: Sequence[float] | None, duration_s: float
     ) -> list[Scenario]:
         if not is_whole(n_wtg) or n_wtg < 1:
             raise ValueError(f"n_wtg must be a positive integer, got {n_wtg!r}")
         if n_turbines is not None and len(n_turbines) != n_wtg:
             raise ValueError(f"n_turbines must have one value per WTG group ({n_wtg}), got {len(n_turbines)}")
-        return [self._fixed_scenario(int(seed), n_wtg, duration) for seed in seeds]
-
-    def _fixed_scenario(self, seed: int, n_wtg: int, duration_s: float) -> Scenario:
-        case = self.cases[seed]
-        return Scenario(
-            name=f"{self.name}/{case.name}",
-            wind_speed=np.resize(case.wind_speed_m_s, (n_wtg, 1)),
-            duration_s=duration_s,
-            events=case.events,
-            seed=seed,
-        )
+        cases = [self.cases[int(seed)] for seed in seeds]
+        return [
+            Scenario(
+                name=f"{self.name}/{case.name}",
+                wind_speed=np.resize(case.wind_speed_m_s, (n_wtg, 1)),
+                duration_s=duration_s,
+                events=case.events,
+                seed=int(seed),
+            )
+            for seed, case in zip(seeds, cases, strict=True)
+        ]
 
     @cached_property
     def hash(self) -> str:

@@ -17,23 +17,22 @@ from wtg_gym.scenarios.distribution import ScenarioDistribution
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 from wtg_gym.scenarios.suite import FixedCase, Suite
 
-_PAPER_WIND = (11.4, 8.0)
+
+def _paper_cases(wind_speed_m_s: tuple[float, float], increase_mw: float) -> tuple[FixedCase, FixedCase]:
+    """Return the cases of the paper: two load steps, and the loss of two loads."""
+    more = (LoadStep(time_s=at, bus=bus, power_mw=increase_mw) for at, bus in ((5.0, 2), (30.0, 3)))
+    less = (LoadTrip(time_s=5.0, bus=4), LoadTrip(time_s=30.0, bus=9))
+    return (
+        FixedCase(name="load-increase", wind_speed_m_s=wind_speed_m_s, events=tuple(more)),
+        FixedCase(name="load-decrease", wind_speed_m_s=wind_speed_m_s, events=less),
+    )
+
+
 _PAPER = Suite(
     name="paper",
     description="The two cases of the paper: 75 MW more at bus 2 and at bus 3; the loads of buses 4 and 9 lost.",
     duration_s=120.0,
-    cases=(
-        FixedCase(
-            name="load-increase",
-            wind_speed_m_s=_PAPER_WIND,
-            events=(LoadStep(time_s=5.0, bus=2, power_mw=75.0), LoadStep(time_s=30.0, bus=3, power_mw=75.0)),
-        ),
-        FixedCase(
-            name="load-decrease",
-            wind_speed_m_s=_PAPER_WIND,
-            events=(LoadTrip(time_s=5.0, bus=4), LoadTrip(time_s=30.0, bus=9)),
-        ),
-    ),
+    cases=_paper_cases((11.4, 8.0), 75.0),
 )
 
 
@@ -106,18 +105,7 @@ _PAPER_V1 = Suite(
     benchmark=V1,
     plant=_WIND_PLANT,
     sensors=SensorDistribution(),
-    cases=(
-        FixedCase(
-            name="load-increase",
-            wind_speed_m_s=(11.0, 9.0),
-            events=(LoadStep(time_s=5.0, bus=2, power_mw=35.0), LoadStep(time_s=30.0, bus=3, power_mw=35.0)),
-        ),
-        FixedCase(
-            name="load-decrease",
-            wind_speed_m_s=(11.0, 9.0),
-            events=(LoadTrip(time_s=5.0, bus=4), LoadTrip(time_s=30.0, bus=9)),
-        ),
-    ),
+    cases=_paper_cases((11.0, 9.0), 35.0),
 )
 
 #: Every suite by its name.

@@ -3,6 +3,8 @@
 A rotor averages the wind over its disk and a group averages it over its turbines, so the wind that drives a
 group is far smoother than the wind at a point. Both averages follow here from one coherence function, that of
 IEC 61400-1 ed. 3, annex B, and both are filters |H(f)|² on the Kaimal spectrum.
+
+Everywhere here a frequency is of any shape [Hz], and the mean wind is the mean wind speed U [m/s].
 """
 
 from __future__ import annotations
@@ -13,12 +15,11 @@ from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
+from scipy.fft import next_fast_len
 
 from wtg_gym.physics.aerodynamics import available_power_pu
-from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
-from wtg_gym.physics.scenario import SERIES_DT, WIND_SPEED_RANGE
-from wtg_gym.ranges import require_range
+from wtg_gym.physics.scenario import SERIES_DT
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -44,11 +45,8 @@ _COHERENCE_OFFSET = 0.12
 def ntm_sigma(mean_wind_m_s: float, turbulence_intensity: float) -> float:
     """Return the standard deviation of the normal turbulence model at hub height [m/s].
 
-    Args:
-        mean_wind_m_s: mean wind speed U [m/s].
-        turbulence_intensity: reference intensity I_ref at 15 m/s, see `TURBULENCE_CLASSES` [-].
-
-    Source: IEC 61400-1 ed. 3, eq. 11, sigma = I_ref (0.75 U + 5.6 m/s).
+    The intensity is the reference one I_ref at 15 m/s [-], see `TURBULENCE_CLASSES`. Source: IEC 61400-1 ed. 3, eq. 11,
+    sigma = I_ref (0.75 U + 5.6 m/s).
     """
     return turbulence_intensity * (0.75 * mean_wind_m_s + 5.6)
 
@@ -56,9 +54,6 @@ def ntm_sigma(mean_wind_m_s: float, turbulence_intensity: float) -> float:
 def kaimal_spectrum(frequency_hz: FloatArray, mean_wind_m_s: float, sigma_m_s: float) -> FloatArray:
     """Return the one-sided Kaimal spectrum of the longitudinal wind at a point [(m/s)²/Hz].
 
-    Args:
-        frequency_hz: frequencies, any shape [Hz].
-        mean_wind_m_s: mean wind speed U [m/s].
         sigma_m_s: standard deviation; the spectrum integrates to its square [m/s].
 
     Source: IEC 61400-1 ed. 3, annex B, eq. B.14.
@@ -70,20 +65,13 @@ def kaimal_spectrum(frequency_hz: FloatArray, mean_wind_m_s: float, sigma_m_s: f
 def coherence_decay(frequency_hz: FloatArray, mean_wind_m_s: float) -> FloatArray:
     """Return the decay a of the coherence exp(-a r) with the distance r [1/m].
 
-    Args:
-        frequency_hz: frequencies, any shape [Hz].
-        mean_wind_m_s: mean wind speed U [m/s].
-
     Source: IEC 61400-1 ed. 3, annex B, eq. B.16, a = 12 sqrt((f/U)² + (0.12/L_c)²).
     """
     return _COHERENCE_DECAY * np.hypot(frequency_hz / mean_wind_m_s, _COHERENCE_OFFSET / LENGTH_SCALE_M)
 
 
 def disk_distance_density(distance: FloatArray) -> FloatArray:
-    """Return the density of the distance between two random points of a disk of radius 1.
-
-    Args:
-        distance: distances in 0 … 2, any shape [radii].
+    """Return the density of the distance s in 0 … 2, of any shape, between two random points of a disk of radius 1.
 
     Source: disk line picking, p(s) = (4s/π) arccos(s/2) - (2s²/π) sqrt(1 - s²/4).
     """
@@ -104,32 +92,23 @@ def _disk_table() -> tuple[FloatArray, FloatArray]:
 
 
 def disk_mean_coherence(decay_radii: FloatArray) -> FloatArray:
-    """Return the mean of exp(-a r) over all pairs of points of a disk, as a function of a R [-].
+    """Return the mean of exp(-a r) over all pairs of points of a disk [-].
 
-    Args:
-        decay_radii: decay times disk radius a R, in 1e-4 … 1e4 (held constant beyond), any shape [-].
+    It is a function of decay times radius a R, of any shape, in 1e-4 … 1e4, and held constant beyond [-].
     """
     log_decay, log_mean = _disk_table()
     return np.exp(np.interp(np.log(decay_radii), log_decay, log_mean))
 
 
 def rotor_filter(frequency_hz: FloatArray, mean_wind_m_s: float) -> FloatArray:
-    """Return |H(f)|², the share of the point spectrum that is left in the mean over the rotor disk [-].
-
-    Args:
-        frequency_hz: frequencies, any shape [Hz].
-        mean_wind_m_s: mean wind speed U [m/s].
-    """
+    """Return |H(f)|², the share of the point spectrum that is left in the mean over the rotor disk [-]."""
     return disk_mean_coherence(ROTOR_RADIUS_M * coherence_decay(frequency_hz, mean_wind_m_s))
 
 
 def group_filter(frequency_hz: FloatArray, mean_wind_m_s: float, n_turbines: float) -> FloatArray:
     """Return |G(f)|² = 1/n + (1 - 1/n) coh(f, d), what averaging over the turbines of a group leaves [-].
 
-    Args:
-        frequency_hz: frequencies, any shape [Hz].
-        mean_wind_m_s: mean wind speed U [m/s].
-        n_turbines: number n of turbines, not necessarily whole; below 1 it counts as 1 [-].
+    n_turbines: number n of turbines, not necessarily whole; below 1 it counts as 1 [-].
     """
     alone = min(1.0, 1.0 / n_turbines)
     return alone + (1.0 - alone) * np.exp(-TURBINE_SPACING_M * coherence_decay(frequency_hz, mean_wind_m_s))
@@ -142,17 +121,8 @@ def period_length(n_samples: int) -> int:
     At least twice the series, because a series as long as its period would end where it began; and a product of
     twos, threes and fives, which are quick to transform.
     """
-    half = n_samples
-    while not _is_smooth(half):
-        half += 1
-    return 2 * half
-
-
-def _is_smooth(number: int) -> bool:
-    for factor in (2, 3, 5):
-        while number % factor == 0:
-            number //= factor
-    return number == 1
+    length: int = 2 * next_fast_len(n_samples, real=True)
+    return length
 
 
 def resolved_frequencies(n_period: int, dt_s: float = SERIES_DT) -> FloatArray:
@@ -177,7 +147,7 @@ def spectrum_amplitude(spectrum: FloatArray, n_period: int, dt_s: float = SERIES
 
 
 @lru_cache(maxsize=4096)
-def _unit_amplitude(mean_tenth_m_s: int, n_turbines: float, n_period: int) -> FloatArray:
+def _tabulated_amplitude(mean_tenth_m_s: int, n_turbines: float, n_period: int) -> FloatArray:
     mean = 0.1 * mean_tenth_m_s
     frequency = resolved_frequencies(n_period)
     spectrum = kaimal_spectrum(frequency, mean, 1.0)
@@ -188,29 +158,18 @@ def _unit_amplitude(mean_tenth_m_s: int, n_turbines: float, n_period: int) -> Fl
     return amplitude
 
 
-def unit_turbulence_amplitude(mean_wind_m_s: float, n_turbines: float, n_period: int) -> FloatArray:
-    """Return :func:`turbulence_amplitude` for a standard deviation of 1 m/s at a point; arguments are not checked.
+def turbulence_amplitude(mean_wind_m_s: float, n_turbines: float, n_period: int) -> FloatArray:
+    """Return the scale of the coefficients of rotor-effective, group-averaged turbulence of zero mean.
 
-    The shape of the spectrum is that of the mean wind rounded to 0.1 m/s, so that it is worked out only once.
-    """
-    return _unit_amplitude(round(10.0 * mean_wind_m_s), n_turbines, n_period)
-
-
-def turbulence_amplitude(mean_wind_m_s: float, sigma_m_s: float, n_turbines: float, n_period: int) -> FloatArray:
-    """Return the coefficient scale of rotor-effective, group-averaged turbulence of zero mean.
+    It is for a standard deviation of 1 m/s at a point. The shape of the spectrum is that of the mean wind rounded to
+    0.1 m/s, so that it is worked out only once.
 
     Args:
         mean_wind_m_s: mean wind speed U [m/s].
-        sigma_m_s: standard deviation of the wind at a point [m/s].
         n_turbines: turbines the group averages over [-].
         n_period: samples of the period, even, `SERIES_DT` apart.
-
-    Raises:
-        ValueError: the mean wind is outside the turbine model's range, or the number of turbines is.
     """
-    require_range("mean wind", mean_wind_m_s, *WIND_SPEED_RANGE, "m/s")
-    require_range("n_turbines", n_turbines, 1e-3, 1e4, "")
-    return unit_turbulence_amplitude(mean_wind_m_s, float(n_turbines), n_period) * sigma_m_s
+    return _tabulated_amplitude(round(10.0 * mean_wind_m_s), n_turbines, n_period)
 
 
 def extreme_operating_gust(time_s: FloatArray, start_s: float, size_m_s: float) -> FloatArray:
@@ -239,26 +198,26 @@ def coherent_ramp(time_s: FloatArray, start_s: float, change_m_s: float, ramp_s:
     return change_m_s * np.clip((time_s - start_s) / ramp_s, 0.0, 1.0)
 
 
-def share_of_load(mean_winds: Sequence[float], turbines: Sequence[float], load_level: float) -> float:
-    """Return the share of the nominal load times `load_level` that turbines at nominal reserve cover.
+def share_of_load(mean_winds: Sequence[float], turbines: Sequence[float], load_mw: float) -> float:
+    """Return the share of a load that turbines at nominal reserve cover.
 
     Args:
         mean_winds: of each WTG group [m/s].
         turbines: number in each group.
-        load_level: factor on the loads of the modified IEEE 14-bus system.
+        load_mw: the load [MW].
     """
-    turbine_mw, per_cubic_wind, load_mw = _share_constants()
+    turbine_mw, per_cubic_wind = _turbine_power()
     given_mw = (
         n * turbine_mw * min(per_cubic_wind * wind**3, 1.0) for n, wind in zip(turbines, mean_winds, strict=True)
     )
-    return sum(given_mw) / (load_level * load_mw)
+    return sum(given_mw) / load_mw
 
 
 @lru_cache(maxsize=1)
-def _share_constants() -> tuple[float, float, float]:
-    """Return a turbine's power at nominal reserve [MW], its available power at 1 m/s [p.u.] and the load [MW]."""
+def _turbine_power() -> tuple[float, float]:
+    """Return a turbine's power at nominal reserve [MW], and its available power at 1 m/s [p.u.]."""
     full, rated_mw = 1.0 - GridFormingParameters().deloading_nominal, TurbineParameters().rated_power_mw
-    return rated_mw * full, float(available_power_pu(1.0)), sum(bus.load_mw for bus in modified_ieee14().buses)
+    return rated_mw * full, float(available_power_pu(1.0))
 
 
 # --- the noise of the load: an Ornstein-Uhlenbeck process that starts at zero, made from a stationary one -------------

@@ -34,59 +34,50 @@ def read_wind_csv(path: str | os.PathLike[str], *, duration_s: float | None = No
         ValueError: not such a file; the message names file, line, value and what is allowed.
         OSError: the file cannot be read.
     """
-    header, *rows = _rows(Path(path))
+    raw = Path(path).read_bytes()
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line, bad = raw.count(b"\n", 0, error.start) + 1, raw[error.start]
+        raise ValueError(f"{path}, line {line}: byte 0x{bad:02x} is not UTF-8; expected text: {_FORMAT}") from error
+    header, *rows = ([cell.strip() for cell in line.split(",")] for line in text.rstrip().split("\n"))
     if header[0] != "time_s" or len(header) < 2:
         raise ValueError(f"{path}, line 1: the header is {','.join(header)[:80]!r} or empty; expected: {_FORMAT}")
     if len(rows) < 2:
         raise ValueError(f"{path}: {len(rows)} data row(s) after the header, at least 2 are needed")
-    values = np.empty((len(rows), len(header)))
-    for row, cells in enumerate(rows):
-        where = f"{path}, line {row + 2}"
-        if len(cells) != len(header):
-            raise ValueError(f"{where}: {len(cells)} cells, the header has {len(header)}: {cells!r}")
-        for column, (name, text) in enumerate(zip(header, cells, strict=True)):
-            values[row, column] = _number(f"{where}, column {name!r}", text, is_wind=column > 0)
+    values = np.array([_numbers(f"{path}, line {line}", header, cells) for line, cells in enumerate(rows, start=2)])
     dt_s = _uniform_step(path, values[:, 0])
     wind = np.ascontiguousarray(values[:, 1:].T)
     if duration_s is None:
         return wind, dt_s
     duration_s = require_range("duration_s", duration_s, dt_s, 1e9, "s")
     n_samples = math.ceil(duration_s / dt_s - 1e-6) + 1
-    if n_samples > wind.shape[1]:
-        covered = (wind.shape[1] - 1) * dt_s
+    if n_samples > len(rows):
         raise ValueError(
-            f"{path}, line {len(rows) + 1}: the series ends after {covered:g} s, "
+            f"{path}, line {len(rows) + 1}: the series ends after {(len(rows) - 1) * dt_s:g} s, "
             f"at least {duration_s:g} s ({n_samples} rows of {dt_s:g} s) are needed"
         )
     return wind[:, :n_samples].copy(), dt_s
 
 
-def _rows(path: Path) -> list[list[str]]:
-    """Return the cells of every line, the header first; empty lines at the end do not count."""
-    raw = path.read_bytes()
-    try:
-        text = raw.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = raw.count(b"\n", 0, error.start) + 1
-        bad = raw[error.start]
-        raise ValueError(f"{path}, line {line}: byte 0x{bad:02x} is not UTF-8; expected text: {_FORMAT}") from error
-    return [[cell.strip() for cell in line.split(",")] for line in text.rstrip().split("\n")]
-
-
-def _number(where: str, text: str, *, is_wind: bool) -> float:
+def _numbers(where: str, header: list[str], cells: list[str]) -> list[float]:
+    """Return the time and the winds of a row."""
+    if len(cells) != len(header):
+        raise ValueError(f"{where}: {len(cells)} cells, the header has {len(header)}: {cells!r}")
     low, high = WIND_SPEED_RANGE
-    allowed = f"allowed are wind speeds of {low:g} … {high:g} m/s" if is_wind else "allowed are finite times in s"
-    try:
-        # Python reads 1_0 as ten; in a table it is a typing error.
-        value = float("not a number" if "_" in text else text)
-    except ValueError:
-        found = f"{text[:40]!r} is not a number" if text else "empty cell"
-        raise ValueError(f"{where}: {found}; {allowed}") from None
-    if not math.isfinite(value):
-        raise ValueError(f"{where}: {text!r} is not finite; {allowed}")
-    if is_wind and not low <= value <= high:
-        raise ValueError(f"{where}: {value:g} m/s is out of range; {allowed}")
-    return value
+    numbers: list[float] = []
+    for name, text in zip(header, cells, strict=True):
+        try:
+            # Python reads 1_0 as ten; in a table it is a typing error.
+            number = float("not a number" if "_" in text else text)
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number) or (numbers and not low <= number <= high):
+            allowed = f"wind speeds of {low:g} … {high:g} m/s" if numbers else "finite times in s"
+            found = f"{text[:40]!r}" if text else "an empty cell"
+            raise ValueError(f"{where}, column {name!r}: {found} is none of the allowed {allowed}")
+        numbers.append(number)
+    return numbers
 
 
 def _uniform_step(path: str | os.PathLike[str], time_s: FloatArray) -> float:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from wtg_gym.envs.rendering.colours import EVENT, INK, PAGE, SOFT, group_colour
-from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Event, GovernorLoss, GroupTrip, LineTrip, LoadRamp, LoadTrip, MachineOutage
 
 if TYPE_CHECKING:
@@ -28,19 +28,18 @@ _OPENED: Mapping[str, Any] = {"color": EVENT, "linewidth": 2.5, "linestyle": (0,
 _PLATE: Mapping[str, Any] = {"facecolor": PAGE, "edgecolor": "none", "pad": 0.8}
 
 
-def draw_diagram(
-    axes: Axes, group_buses: Sequence[int], events: Sequence[Event], closed: Collection[LineTrip] = ()
-) -> None:
+def draw_diagram(axes: Axes, plant: PlantSettings, events: Sequence[Event], closed: Collection[LineTrip] = ()) -> None:
     """Draw the diagram into empty axes, with the events that have struck, numbered, of which `closed` are over."""
+    group_buses = [group.bus for group in plant.groups]
     axes.set_axis_off()
     axes.set(xlim=(-0.6, 9.8), ylim=(-0.9, 6.1))
     opened = [{e.from_bus, e.to_bus} for e in events if isinstance(e, LineTrip) and e not in closed]
-    for branch in modified_ieee14().branches:
+    for branch in plant.case.branches:
         ends = np.array([BUS_PLACES[branch.from_bus], BUS_PLACES[branch.to_bus]])
         is_open = {branch.from_bus, branch.to_bus} in opened
         axes.plot(*ends.T, **(_OPENED if is_open else {"color": SOFT, "linewidth": 1.0}))
     for bus, (x, y) in BUS_PLACES.items():
-        units = _units(bus, group_buses, events)
+        units = _units(bus, plant, events)
         gap = min(0.8, _UNITS_WIDTH / max(1, len(units) - 1))
         first = -0.5 * gap * (len(units) - 1) - (0.35 if [name for name, *_ in units] in (["G"], ["C"]) else 0.0)
         for place, (name, colour, is_out) in enumerate(units):
@@ -56,19 +55,19 @@ def draw_diagram(
             words.set(fontsize=10, fontweight="bold")
 
 
-def _units(bus: int, group_buses: Sequence[int], events: Sequence[Event]) -> list[tuple[str, str, bool]]:
+def _units(bus: int, plant: PlantSettings, events: Sequence[Event]) -> list[tuple[str, str, bool]]:
     """Return name, colour and whether it is disconnected of every unit of a bus."""
     units = []
-    for machine in modified_ieee14().machines:
+    for machine in plant.case.machines:
         if machine.bus == bus:
             # The machine with a governor is the generator; the others are condensers.
             colour = EVENT if any(isinstance(e, GovernorLoss) and e.bus == bus for e in events) else INK
             is_out = any(isinstance(e, MachineOutage) and e.bus == bus for e in events)
             units.append(("C" if machine.governor is None else "G", colour, is_out))
-    for group, at in enumerate(group_buses):
-        if at == bus:
-            is_out = any(isinstance(e, GroupTrip) and e.group == group for e in events)
-            units.append((f"W{group + 1}", group_colour(group), is_out))
+    for j, group in enumerate(plant.groups):
+        if group.bus == bus:
+            is_out = any(isinstance(e, GroupTrip) and e.group == j for e in events)
+            units.append((f"W{j + 1}", group_colour(j), is_out))
     return units
 
 
@@ -81,8 +80,7 @@ def _draw_unit(axes: Axes, place: tuple[float, float], name: str, colour: str, *
 
 def reclosed(events: Sequence[Event], now_s: float) -> tuple[LineTrip, ...]:
     """Return the events whose line is closed again at an instant [s]."""
-    lines = (event for event in events if isinstance(event, LineTrip) and event.recloses_after_s is not None)
-    return tuple(line for line in lines if line.end_s <= now_s)
+    return tuple(e for e in events if isinstance(e, LineTrip) and e.recloses_after_s is not None and e.end_s <= now_s)
 
 
 def struck_buses(event: Event, group_buses: Sequence[int]) -> list[int]:

@@ -13,6 +13,7 @@ from wtg_gym.envs.rendering.colours import BAND, EVENT, GRID, INK, LIMIT, LINE, 
 from wtg_gym.envs.rendering.diagram import describe_event, draw_diagram
 from wtg_gym.envs.rendering.panels import Panel, Range
 from wtg_gym.extras import install_advice
+from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Event, LineTrip
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ class Scene(NamedTuple):
     env_id: str
     heading: str  # which episode it is
     duration_s: float  # of the episode if nothing ends it before [s]
-    group_buses: tuple[int, ...]  # bus of each WTG group
+    plant: PlantSettings
     panels: tuple[Panel, ...]
     events: tuple[Event, ...]  # those that have struck
     closed: tuple[LineTrip, ...]  # those of them whose line is closed again
@@ -139,7 +140,7 @@ def _draw_scene(figure: Figure, scene: Scene) -> None:
     """Draw the left part: the environment, heading, diagram, and the latest six events in words."""
     figure.text(0.017, 0.974, scene.env_id, fontsize=16, fontweight="bold", color=INK, va="top")
     figure.text(0.017, 0.933, scene.heading, fontsize=12, color=SOFT, va="top")
-    draw_diagram(figure.add_axes((0.008, 0.307, 0.333, 0.444)), scene.group_buses, scene.events, scene.closed)
+    draw_diagram(figure.add_axes((0.008, 0.307, 0.333, 0.444)), scene.plant, scene.events, scene.closed)
     for line, (number, event) in enumerate(list(enumerate(scene.events, start=1))[-6:]):
         y, words = 0.27 - 0.0315 * line, f"{event.time_s:g} s: {describe_event(event)}"
         figure.text(0.017, y, str(number), fontsize=12, fontweight="bold", color=EVENT, va="top")

@@ -75,7 +75,7 @@ class LaneFrames:
             env_id=lanes.suite.benchmark.env_id,
             heading="scenario of one's own" if seed < 0 else f"scenario {seed}",
             duration_s=float(lanes.task_values("end_step")[lane]) * simulator.plant.simulation_dt,
-            group_buses=tuple(group.bus for group in self._plant.groups),
+            plant=self._plant,
             panels=self._panels,
             events=struck,
             closed=reclosed(struck, now_s + 1e-6),

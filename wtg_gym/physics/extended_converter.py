@@ -1,8 +1,8 @@
-"""The limits of a grid-forming converter: current, power, and what a rotor gives; on the base of its turbine.
+"""What an extended converter has besides :mod:`wtg_gym.physics.converter`: limits, and control of its voltage.
 
-Current. The current (E - V)/(jX_g) keeps its angle, and its size is cut to I_max: the voltage behind X_g becomes
-E' = E - jX_v I with the smallest X_v ≥ 0 that holds |I| ≤ I_max. Seen from the unit the rest of the network is a
-voltage behind an impedance Z that includes X_g, so
+All on the base of its turbine. Current. The current (E - V)/(jX_g) keeps its angle, and its size is cut to I_max: the
+voltage behind X_g becomes E' = E - jX_v I with the smallest X_v ≥ 0 that holds |I| ≤ I_max. Seen from the unit the rest
+of the network is a voltage behind an impedance Z that includes X_g, so
 
     X_v = sqrt(max((|ΔE|/I_max)² - R², 0)) - X,    ΔE = I_0 Z,    Z = R + jX,    I = ΔE/(Z + jX_v)
 
@@ -11,9 +11,17 @@ with I_0 the current without the limit. Power. A frequency is added to the angle
     δ̇ = ω_n (ω + Δω - ω_ref),    Δω = min(k_p (p_max - p) + x_o, 0) + max(k_p (p_min - p) + x_u, 0)
     ẋ_o = k_i (p_max - p), x_o ≤ 0,    ẋ_u = k_i (p_min - p), x_u ≥ 0
 
-Rotor. It gives max(p, p_min): a chopper burns what the grid presses into the converter. Source: REGFM_A1 (W. Du et al.,
-PNNL-32278), its current limiter and its active power limiters; there the terminal voltage is the last iterate's, here
-the limit holds with the network's solution.
+Rotor. It gives max(p, p_min): a chopper burns what the grid presses into the converter. Voltage. Droop, reactive limits
+and one integrator,
+
+    Ė = K_iv e,    e = max(min(V_ref - V - m_q (q - q_ref), K_q (q_max - q)), K_q (-q_max - q)),    E_min ≤ E ≤ E_max
+
+E is the voltage behind X_g, V and q are those of the terminal. Where a reactive limit is exceeded its own error takes
+over, so that one integrator serves both and nothing winds up; while the current is limited E does not rise.
+
+Source: REGFM_A1 (W. Du et al., PNNL-32278), its current limiter and its active power limiters; there the terminal
+voltage is the last iterate's, here the limit holds with the network's solution. Its voltage control, with the takeover
+of IEEE 421.5's excitation limiters in place of two integrators more, and without the filters of its measurements.
 """
 
 from __future__ import annotations
@@ -22,8 +30,8 @@ import math
 from typing import NamedTuple
 
 from wtg_gym.physics.compiled import inlined
-from wtg_gym.physics.elementary import fma, limited_rate, select
-from wtg_gym.physics.parameters import ConverterLimitParameters
+from wtg_gym.physics.elementary import clip, fma, limited_rate, select
+from wtg_gym.physics.parameters import ConverterLimitParameters, VoltageControlParameters
 
 #: Stands for no limit where infinity would make 0 · ∞ [p.u.].
 _UNLIMITED = 1e9
@@ -89,3 +97,58 @@ def power_limiter(s: LimitState, power: float, c: ConverterLimits) -> tuple[Limi
 def limit_state_limited(s: LimitState) -> LimitState:
     """Return the states, held within their limits."""
     return LimitState(min(s.over_power, 0.0), max(s.under_power, 0.0), s.energy_chopped)
+
+
+class VoltageControl(NamedTuple):
+    """Constants."""
+
+    gain: float  # K_iv [1/s]; 0 for a constant voltage behind X_g
+    droop: float  # m_q [p.u./p.u.]
+    reactive_max: float  # q_max [p.u.]
+    takeover_gain: float  # K_q [p.u./p.u.]
+    emf_min: float  # E_min [p.u.]
+    emf_max: float  # E_max [p.u.]
+
+
+class VoltageInput(NamedTuple):
+    """Constant over a run."""
+
+    voltage_reference: float  # V_ref [p.u.]
+    reactive_reference: float  # q_ref [p.u.]
+
+
+def voltage_control(p: VoltageControlParameters | None) -> VoltageControl:
+    """Return the constants; None for a constant voltage behind X_g."""
+    if p is None:
+        return VoltageControl(0.0, 0.0, 0.0, 0.0, 0.0, math.inf)
+    return VoltageControl(
+        gain=p.integral_gain,
+        droop=p.droop_pu,
+        reactive_max=p.reactive_max_pu,
+        takeover_gain=p.takeover_gain,
+        emf_min=p.internal_voltage_min_pu,
+        emf_max=p.internal_voltage_max_pu,
+    )
+
+
+@inlined
+def emf_rate(emf: float, voltage: float, reactive: float, limited: bool, u: VoltageInput, c: VoltageControl) -> float:
+    """Return Ė [p.u./s].
+
+    Args:
+        emf: E [p.u.].
+        voltage, reactive: V and q at the terminal [p.u.].
+        limited: the current is being limited.
+        u, c: references, constants.
+    """
+    error = u.voltage_reference - voltage - c.droop * (reactive - u.reactive_reference)
+    error = min(error, c.takeover_gain * (c.reactive_max - reactive))
+    error = max(error, c.takeover_gain * (-c.reactive_max - reactive))
+    rate = limited_rate(c.gain * error, emf, c.emf_min, c.emf_max)
+    return select(limited, min(rate, 0.0), rate)
+
+
+@inlined
+def emf_limited(emf: float, c: VoltageControl) -> float:
+    """Return E, held within its limits."""
+    return clip(emf, c.emf_min, c.emf_max)
