@@ -148,7 +148,7 @@ def test_gap_is_printed(folder: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert [gap["name"] for gap in json_of(capsys, "results", "gap", *files, "--json")["gaps"]] == ["deloaded-5"]
 
 
-# --- matrix and front ------------------------------------------------------------------------------------------------
+# --- matrix ------------------------------------------------------------------------------------------------
 
 FEW = ("--suites", "standard-v1", "paper-v1", "--split", "validation", "--scenarios", "12", "--entries", "fast-droop")
 
@@ -184,10 +184,3 @@ def test_stored_columns_are_used_again_and_not_overwritten_by_others(
     error = error_of(capsys, "results", "matrix", *other, "--results", str(played))
     assert "is of other seeds and would be lost" in error
     assert (played / "standard-v1-validation.json").read_bytes() == before
-
-
-def test_front_is_drawn_and_named(played: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    plot = played / "front.svg"
-    assert main(["results", "front", str(played / "standard-v1-validation.json"), "--plot", str(plot)]) == 0
-    assert "no other entry has more support and more energy than: " in capsys.readouterr().out
-    assert plot.stat().st_size > 1000

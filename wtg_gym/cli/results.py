@@ -11,11 +11,9 @@ from wtg_gym.cli import output as out
 from wtg_gym.cli import scoring
 from wtg_gym.cli.matrix import matrix
 from wtg_gym.cli.options import Entries, Json, Threads, WorkerOptions
-from wtg_gym.evaluation import Results, generalisation, leaderboard_rows
+from wtg_gym.evaluation import Results, generalisation
 from wtg_gym.evaluation.recompute import departures
 from wtg_gym.evaluation.recompute import recompute as compute_again
-from wtg_gym.plotting import figure_bytes, plot_front
-from wtg_gym.plotting.front import undominated
 from wtg_gym.plotting.page import leaderboard_page
 from wtg_gym.policies.names import BASELINES
 from wtg_gym.progress import Progress
@@ -168,26 +166,3 @@ def gap(public: Path, fresh: Path, /, *, json: Json = False) -> int:
 
 
 app.command(matrix)
-
-
-@app.command
-def front(results: Path, /, *, plot: Path) -> int:
-    """Draw points of frequency and RoCoF against captured energy.
-
-    That is what frequency and RoCoF add to a score of 100 against the captured share of the available energy, one
-    marker for each entry. A line joins the entries that no other one beats in both. Entries that fail in many scenarios
-    are hollow and not joined: a run that fails pays for the frequency only until it ends.
-
-    examples:
-      wtg-gym results front results/standard-v1-test.json --plot front.svg
-
-    Args:
-        results: JSON file of results, the CSV beside it
-        plot: the figure: .png, .svg or .pdf
-    """
-    out.check_plot_file(plot)
-    rows = leaderboard_rows(Results.read(results))
-    out.write_and_say(plot, figure_bytes(plot_front(rows), plot.suffix))
-    best = ", ".join(row.name for row in undominated(rows))
-    out.say(f"no other entry has more support and more energy than: {best}")
-    return 0
