@@ -64,23 +64,19 @@ verification: $(LEADERBOARD_READY) ## Score every entry of the last round on its
 	$(LEADERBOARD_VENV)/bin/wtg-gym results gap results/standard-test.json results/standard-fresh.json
 
 PAGE_SUITES := standard weak-grid low-wind gust paper
-MATRIX_SUITES := standard-v1 low-share-v1 high-share-v1 gusty-v1 no-wind-sensor-v1 faults-v1
-# No entry has a score on the last one.
-PAGE_SUITES_V1 := $(MATRIX_SUITES) paper-v1
-# Folders in results/ of standard-v1 with other sensors.
-PAGE_SENSORS := delay-plus-1 delay-plus-2 wind-bias-times-2
+# `make matrix` plays these.
+PAGE_SUITES_V1 := standard-v1 low-share-v1 high-share-v1 gusty-v1 no-wind-sensor-v1 faults-v1
 
 .PHONY: matrix
 matrix: $(LEADERBOARD_READY) ## Play every entry of v1 on its drawn suites and with other sensors, and put the scores into docs/benchmark.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym results matrix --entries baselines policies --suites $(MATRIX_SUITES) --results results \
-	    --page docs/benchmark.md
+	$(LEADERBOARD_VENV)/bin/python docs/studies/matrix.py
 
 .PHONY: page
 page: matrix verification ## Rank every entry on all suites and on fresh scenarios, and show them in docs/leaderboard.html
-	for suite in $(PAGE_SUITES) paper-v1; do \
+	for suite in $(PAGE_SUITES); do \
 	    $(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite $$suite --entries baselines policies --results results || exit; done
-	$(LEADERBOARD_VENV)/bin/wtg-gym results page $(PAGE_SUITES_V1:%=results/%-test.json) $(PAGE_SENSORS:%=results/%/standard-v1-test.json) \
-	    $(PAGE_SUITES:%=results/%-test.json) results/standard-fresh.json --output docs/leaderboard.html
+	$(LEADERBOARD_VENV)/bin/wtg-gym results page $(PAGE_SUITES_V1:%=results/%-test.json) $(PAGE_SUITES:%=results/%-test.json) \
+	    results/standard-fresh.json --output docs/leaderboard.html
 
 # Its fonts and its browser are those of the machine: `make docs-check` leaves this picture out.
 CHROMIUM ?= $(firstword $(foreach name,chromium chromium-browser google-chrome,$(shell command -v $(name))) chromium)

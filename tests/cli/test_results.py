@@ -1,4 +1,4 @@
-"""`wtg-gym results` as a user calls it: stored results computed again, compared, played with other sensors."""
+"""`wtg-gym results` as a user calls it: stored results computed again and compared."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import pytest
 from tests.cli.calls import error_of, json_of
 from wtg_gym.cli import main
 from wtg_gym.evaluation import Results, load_entries
-from wtg_gym.evaluation.matrix import PERTURBATIONS, changed_sensors, matrix_of
 from wtg_gym.evaluation.recompute import departures, recompute
 from wtg_gym.files import sha256, to_json
 
@@ -146,41 +145,3 @@ def test_gap_is_printed(folder: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert "4 public and 4 fresh scenarios" in out and "deloaded-5" in out
     # The anchors fix the scale and have no gap.
     assert [gap["name"] for gap in json_of(capsys, "results", "gap", *files, "--json")["gaps"]] == ["deloaded-5"]
-
-
-# --- matrix ------------------------------------------------------------------------------------------------
-
-FEW = ("--suites", "standard-v1", "paper-v1", "--split", "validation", "--scenarios", "12", "--entries", "fast-droop")
-
-
-@pytest.fixture(scope="module")
-def played(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two suites of v1, the first one with three changes of its sensors, and a page with their tables."""
-    folder = tmp_path_factory.mktemp("matrix")
-    (folder / "page.md").write_text("before\n<!-- matrix:start -->\n<!-- matrix:end -->\nafter\n")
-    options = ("--results", str(folder), "--page", str(folder / "page.md"))
-    assert main(["results", "matrix", *FEW, *options]) == 0
-    return folder
-
-
-def test_results_of_each_column_are_stored_and_make_the_table(played: Path) -> None:
-    names = ["standard-v1-validation.json", "paper-v1-validation.json"]
-    names += [f"{name}/standard-v1-validation.json" for name in PERTURBATIONS]
-    results = [Results.read(played / name) for name in names]
-    assert [changed_sensors(each) for each in results] == ["", "", "delay +0.1 s", "delay +0.2 s", "wind bias × 2"]
-    assert [len(each.seeds) for each in results] == [12, 2, 12, 12, 12]
-    page = (played / "page.md").read_text()
-    assert page == f"before\n<!-- matrix:start -->\n{matrix_of(results).page()}\n<!-- matrix:end -->\nafter\n"
-
-
-def test_stored_columns_are_used_again_and_not_overwritten_by_others(
-    played: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["results", "matrix", *FEW, "--results", str(played)]) == 0
-    said = capsys.readouterr()
-    assert said.err.count("1 of 1 entries are stored") == 5 and "fast-droop" in said.out
-    before = (played / "standard-v1-validation.json").read_bytes()
-    other = [text if text != "12" else "11" for text in FEW]
-    error = error_of(capsys, "results", "matrix", *other, "--results", str(played))
-    assert "is of other seeds and would be lost" in error
-    assert (played / "standard-v1-validation.json").read_bytes() == before

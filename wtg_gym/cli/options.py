@@ -28,17 +28,12 @@ def _suite(_: Any, tokens: Sequence[Token]) -> str:
     return suite_name(tokens[0].value)
 
 
-def _suites(_: Any, tokens: Sequence[Token]) -> tuple[str, ...]:
-    return tuple(suite_name(token.value) for token in tokens)
-
-
 def _whole(_: Any, tokens: Sequence[Token]) -> int:
     # Without this, 2.5 would be rounded.
     return int(tokens[0].value)
 
 
 SuiteName = Annotated[str, Parameter(converter=_suite)]
-SuiteNames = Annotated[tuple[str, ...], Parameter(converter=_suites, consume_multiple=1, negative="")]
 Whole = Annotated[int, Parameter(converter=_whole)]
 
 Threads = Annotated[Whole | None, Parameter(help="threads to step with; default: one per processor")]

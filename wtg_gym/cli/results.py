@@ -1,4 +1,4 @@
-"""`wtg-gym results`: stored results shown, computed again, compared; other suites and sensors."""
+"""`wtg-gym results`: stored results shown, computed again, compared."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from cyclopts import App
 
 from wtg_gym.cli import output as out
 from wtg_gym.cli import scoring
-from wtg_gym.cli.matrix import matrix
 from wtg_gym.cli.options import Entries, Json, Threads, WorkerOptions
 from wtg_gym.evaluation import Results, generalisation
 from wtg_gym.evaluation.recompute import departures
@@ -30,8 +29,7 @@ def page(*results: Path, output: Path) -> int:
 
     It needs nothing but a browser, offline too: each suite's ranking with its intervals, to sort and to filter, the
     scores as a chart, and the deviation of the frequency against the failures. The scores on several suites stand side
-    by side in a table, too, and beside them those that 'wtg-gym results matrix' played with other sensors. Suites of
-    the latest version of the benchmark come first.
+    by side in a table, too. Suites of the latest version of the benchmark come first.
 
     examples:
       wtg-gym results page results/standard-test.json --output leaderboard.html
@@ -50,6 +48,8 @@ def page(*results: Path, output: Path) -> int:
             out.note(
                 f"no ranking of {each.name}, where {each.benchmark.hundred} is no better than {each.benchmark.zero}"
             )
+        for text in departures(each):
+            out.note(f"{each.name} is not the benchmark's own: {text}")
     write_html(output, read)
     return 0
 
@@ -163,6 +163,3 @@ def gap(public: Path, fresh: Path, /, *, json: Json = False) -> int:
     if missing:
         out.note(f"left out, not the same policy in both results: {', '.join(missing)}")
     return 0
-
-
-app.command(matrix)
