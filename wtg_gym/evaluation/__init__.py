@@ -1,7 +1,6 @@
 """Evaluation: entries are played on the suites, measured, scored and ranked."""
 
 from wtg_gym.evaluation.evaluator import evaluate
-from wtg_gym.evaluation.labelled import to_xarray
 from wtg_gym.evaluation.leaderboard import leaderboard_rows, markdown_table, table_cells
 from wtg_gym.evaluation.metrics import METRICS, Metric
 from wtg_gym.evaluation.recording import Recording, record
@@ -31,5 +30,4 @@ __all__ = [
     "markdown_table",
     "record",
     "table_cells",
-    "to_xarray",
 ]

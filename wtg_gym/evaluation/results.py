@@ -12,7 +12,6 @@ import numpy as np
 
 from wtg_gym.evaluation import results_file
 from wtg_gym.evaluation.episodes import Episode, to_csv
-from wtg_gym.evaluation.labelled import episodes_frame
 from wtg_gym.evaluation.leaderboard import html_table
 from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.evaluation.oracle import KnownOracle, known_oracle
@@ -20,6 +19,7 @@ from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.evaluation.score import NoScaleError, log_gains, pinned
 from wtg_gym.evaluation.statistics import Floats, Interval, mean
 from wtg_gym.evaluation.summary import EntryMeasures, EntrySummary, entry_measures, ranked, summarise
+from wtg_gym.extras import install_advice
 from wtg_gym.ranges import ByName
 from wtg_gym.scenarios import get_suite
 from wtg_gym.scenarios.benchmark import Benchmark
@@ -177,15 +177,23 @@ class Results:
         )
 
     def to_pandas(self) -> DataFrame:
-        """Return the episodes as a table of pandas, a row per entry and scenario; extra `data`.
+        """Return the episodes as a table of pandas, a row per entry and scenario.
 
         Columns are those of the CSV: entry, training_seed, seed, scenario, duration_s, failure, and every metric; and
         pinned_cost, whose mean the tables show: it differs from cost where the episode failed.
 
         Raises:
-            ImportError: pandas is not installed.
+            ImportError: pandas, of the extra `data`, is not installed.
         """
-        return episodes_frame(self.episodes, self._cap)
+        try:
+            import pandas
+        except ImportError as error:
+            raise ImportError(f"to_pandas() needs pandas; {install_advice('data')} ({error})") from error
+        rows = [{**vars(each), **each.metrics, "pinned_cost": pinned(each, self._cap)} for each in self.episodes]
+        # Most entries have no training seed, and some episodes not every metric.
+        kinds = {"training_seed": "Int64", **dict.fromkeys(METRICS, "float64")}
+        table: DataFrame = pandas.DataFrame(rows).drop(columns="metrics").astype(kinds)
+        return table
 
     def to_dict(self) -> dict[str, Any]:
         """Return the description and the :attr:`rows` as JSON-ready data."""
