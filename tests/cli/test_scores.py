@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 import wtg_gym.cli.scoring
-from tests.cli.calls import error_of, json_of, start
+from tests.cli.calls import error_of, start
 from tests.interruption import end
 from tests.submissions import models
 from wtg_gym.cli import main
@@ -123,17 +123,6 @@ def test_suite_without_a_score_is_ranked_by_cost(capsys: pytest.CaptureFixture[s
     assert "more scenarios" not in said.err and f"| 1 | {order[0]} | none |" in page.read_text()
     assert main(["evaluate", *arguments[:4], "--split", "test", "--json"]) == 0
     assert set(json.loads(capsys.readouterr().out)["summary"]) == set(order)
-
-
-def test_share_of_the_oracles_gap_is_shown_or_why_not(capsys: pytest.CaptureFixture[str]) -> None:
-    cheaper = ["evaluate", "--entries", "baselines.tip_speed_feedback:ENTRY", "--split", "test", "--scenarios", "3"]
-    cheaper += ["--suite", "standard"]
-    data = json_of(capsys, *cheaper, "--json")
-    summary = data["summary"]["tip-speed-feedback"]
-    assert 0.0 < summary["gap_closed_percent"]["value"] < 100.0 and summary["n_oracle"] == 3
-    assert main([*cheaper, "--duration", "10"]) == 0
-    said = capsys.readouterr()
-    assert said.err == "no share of the oracle's gap: the oracle was found for other settings: duration_s\n"
 
 
 def test_workers_of_the_options_play(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

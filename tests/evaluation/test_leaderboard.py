@@ -9,15 +9,9 @@ import numpy as np
 import pytest
 
 from wtg_gym.evaluation import Entry, Results, evaluate, leaderboard_rows, markdown_table, table_cells
-from wtg_gym.evaluation.leaderboard import (
-    SHORT_COLUMNS,
-    TERMINAL_COLUMNS,
-    columns_of,
-    html_table,
-    markdown_section,
-    table_rows,
-)
+from wtg_gym.evaluation.leaderboard import markdown_section
 from wtg_gym.evaluation.score import pinned
+from wtg_gym.evaluation.table import columns_of
 
 
 def test_rows_are_sorted_by_score(results: Results) -> None:
@@ -36,10 +30,9 @@ def test_table_has_a_row_per_entry_and_a_cell_per_column(results: Results) -> No
     lines = markdown_table(leaderboard_rows(results)).split("\n")
     assert len(lines) == 2 + 3
     assert len({line.count("|") for line in lines}) == 1
-    assert [head.strip() for head in lines[0].strip("|").split("|")] == list(SHORT_COLUMNS)
+    assert [head.strip() for head in lines[0].strip("|").split("|")] == columns_of("v0")
     assert lines[2].startswith("| 1 | coordinated-piecewise | 100.0 | 0.0 | 0.0 | 0.0 | 0.0 | 0.0 | 49.")
     assert "-0.0" not in markdown_table(leaderboard_rows(results))
-    assert {len(cells) for cells in table_cells(leaderboard_rows(results))} == {len(columns_of("v0"))}
 
 
 def test_every_entry_but_the_first_is_compared_with_the_one_above(results: Results) -> None:
@@ -57,10 +50,10 @@ def test_table_says_who_sees_the_grid() -> None:
     names = [name for (name,) in table_cells(leaderboard_rows(results), ("entry",))]
     assert sorted(names) == ["coordinated-piecewise", "mppt", "sees all (privileged)"]
     said = "rivileged: sees the state of the whole grid, which no turbine measures"
-    for text in (markdown_section(results), html_table(results)):
+    for text in (markdown_section(results), results._repr_html_()):
         assert "sees all (privileged)" in text and text.count(said) == 1
     others = evaluate([], "standard", "test", seeds=(20_002, 20_000), duration_s=10.0)
-    assert not any("rivileged" in make(others) for make in (markdown_section, html_table))
+    assert not any("rivileged" in text for text in (markdown_section(others), others._repr_html_()))
     seeds = [dataclasses.replace(entry, training_seed=seed) for seed in (0, 1)]
     both = evaluate(seeds, "standard", "test", seeds=(20_002, 20_000), duration_s=10.0)
     assert "sees all (2 seeds, privileged)" in markdown_section(both)
@@ -83,7 +76,7 @@ def test_table_of_v1_shows_failures_by_kind_the_worst_tenth_and_deviations(resul
     deviations = [1e3 * max(50.0 - e.metrics["nadir_hz"], e.metrics["zenith_hz"] - 50.0) for e in own]
     assert row.median_deviation_mhz == pytest.approx(np.median(deviations))
     assert row.p95_deviation_mhz == pytest.approx(np.percentile(deviations, 95.0))
-    columns = [*columns_of("v1"), "lost runs"]
+    columns = [*columns_of("whole"), "lost runs"]
     cells = dict(zip(columns, table_cells([row], columns)[0], strict=True))
     assert cells["failures by kind [%]"] == "33.3 (f 8.3, ω 16.7)" and cells["lost runs"] == "4 of 12"
     assert cells["median deviation [mHz]"] == f"{np.median(deviations):.0f}"
@@ -110,14 +103,14 @@ def test_runs_beyond_0_8_hz_count_with_the_lost_and_a_run_counts_once(results_v1
 
 def test_without_a_score_the_mean_pinned_cost_ranks() -> None:
     results = evaluate("fast-droop", "paper-v1", "test")
-    rows = table_rows(results)
+    rows, columns = results.ranking, columns_of("terminal")
     assert not results.has_scale and len(rows) == 3
     costs = {name: float(np.mean(costs)) for name, costs in results.pinned_costs.items()}
     assert [row.name for row in rows] == sorted(costs, key=lambda name: costs[name])
-    cells = [dict(zip(TERMINAL_COLUMNS, each, strict=True)) for each in table_cells(rows, TERMINAL_COLUMNS)]
+    cells = [dict(zip(columns, each, strict=True)) for each in table_cells(rows, columns)]
     assert [each["rank"] for each in cells] == ["1", "2", "3"] and {each["score"] for each in cells} == {"none"}
     assert [each["mean pinned cost"] for each in cells] == [f"{costs[row.name]:.1f}" for row in rows]
-    for text in (markdown_section(results), html_table(results)):
+    for text in (markdown_section(results), results._repr_html_()):
         assert "anked by mean pinned cost, as there is no score: on these 2 scenarios coordinated-piecewise" in text
         assert "[points]" not in text and f"{costs[rows[0].name]:.1f}" in text
     assert results.to_dict()["summary"]["fast-droop"]["mean_pinned_cost"] == pytest.approx(costs["fast-droop"])

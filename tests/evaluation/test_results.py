@@ -67,20 +67,6 @@ def test_results_say_what_their_version_adds_to_the_settings(
     assert results_v1.environment["id"] == "GFMWTG-14bus-v1"
 
 
-def test_file_of_version_3_is_read_and_damage_in_it_is_found(copies: tuple[Path, Path], results: Results) -> None:
-    data = json.loads(copies[0].read_text(encoding="utf-8"))
-    del data["sha256"]
-    data["format"] = 3
-    for row in data["summary"].values():
-        row["mean_cost"] = row.pop("mean_pinned_cost")
-        del row["lost_or_beyond_percent"], row["n_lost"]
-    copies[0].write_text(to_json({**data, "sha256": sha256(to_json(data).encode())}), encoding="utf-8")
-    assert Results.read(copies[0]) == results
-    copies[1].write_text(copies[1].read_text(encoding="utf-8").replace("49.", "50."), encoding="utf-8")
-    with pytest.raises(ValueError, match="edited or belongs to another run"):
-        Results.read(copies[0])
-
-
 @pytest.mark.parametrize(
     ("which", "anchors"),
     [("results", ("mppt", "coordinated-piecewise")), ("results_v1", ("coordinated-piecewise", "coordinated-tuned"))],
@@ -179,7 +165,7 @@ EDITS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "unknown key": (lambda d: d.update(winner="me"), r"unknown keys \['winner'\]"),
     "wrong seeds": (lambda d: d.update(seeds=[1.5]), "seeds must be a list of whole numbers"),
     "unknown suite": (lambda d: d.update(suite="easy"), "unknown suite 'easy'"),
-    "other format": (lambda d: d.update(format=2), "format must be 4, that of this version, or 3, got 2; "),
+    "other format": (lambda d: d.update(format=2), "format must be 5, that of this version, got 2; "),
     "seeds of no draw": (lambda d: d.update(split="fresh"), "draw must be given for the split 'fresh' alone"),
     "seeds that cannot be drawn": (
         lambda d: d.update(split="fresh", draw={"commit": "a" * 40, "secret_sha256": "0" * 64}),
