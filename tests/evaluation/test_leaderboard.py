@@ -14,25 +14,16 @@ from wtg_gym.evaluation.score import pinned
 from wtg_gym.evaluation.table import columns_of
 
 
-def test_rows_are_sorted_by_score(results: Results) -> None:
-    rows = leaderboard_rows(results)
-    assert [row.score.value for row in rows] == sorted((row.score.value for row in rows), reverse=True)
-    assert rows[0].name == "coordinated-piecewise"
-
-
-def test_equal_scores_share_a_rank(results: Results) -> None:
-    first, second, third = leaderboard_rows(results)
-    rows = [first, dataclasses.replace(first, name="other"), second, third]
-    assert [cells[0] for cells in table_cells(rows)] == ["1", "1", "3", "4"]
-
-
-def test_table_has_a_row_per_entry_and_a_cell_per_column(results: Results) -> None:
-    lines = markdown_table(leaderboard_rows(results)).split("\n")
+def test_table_has_the_best_first_and_equal_scores_share_a_rank(results: Results) -> None:
+    first, second, third = rows = leaderboard_rows(results)
+    assert first.score.value > second.score.value > third.score.value
+    equal = [first, dataclasses.replace(first, name="other"), second, third]
+    assert [cells[0] for cells in table_cells(equal)] == ["1", "1", "3", "4"]
+    lines = markdown_table(rows).split("\n")
     assert len(lines) == 2 + 3
-    assert len({line.count("|") for line in lines}) == 1
     assert [head.strip() for head in lines[0].strip("|").split("|")] == columns_of("v0")
     assert lines[2].startswith("| 1 | coordinated-piecewise | 100.0 | 0.0 | 0.0 | 0.0 | 0.0 | 0.0 | 49.")
-    assert "-0.0" not in markdown_table(leaderboard_rows(results))
+    assert "-0.0" not in "".join(lines)
 
 
 def test_every_entry_but_the_first_is_compared_with_the_one_above(results: Results) -> None:
@@ -52,8 +43,6 @@ def test_table_says_who_sees_the_grid() -> None:
     said = "rivileged: sees the state of the whole grid, which no turbine measures"
     for text in (markdown_section(results), results._repr_html_()):
         assert "sees all (privileged)" in text and text.count(said) == 1
-    others = evaluate([], "standard", "test", seeds=(20_002, 20_000), duration_s=10.0)
-    assert not any("rivileged" in text for text in (markdown_section(others), others._repr_html_()))
     seeds = [dataclasses.replace(entry, training_seed=seed) for seed in (0, 1)]
     both = evaluate(seeds, "standard", "test", seeds=(20_002, 20_000), duration_s=10.0)
     assert "sees all (2 seeds, privileged)" in markdown_section(both)

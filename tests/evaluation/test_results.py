@@ -34,12 +34,6 @@ def copies(written: tuple[Path, Path], tmp_path: Path) -> tuple[Path, Path]:
     return paths[0], paths[1]
 
 
-def test_second_run_writes_the_same_bytes(written: tuple[Path, Path], entries: list[Entry], tmp_path: Path) -> None:
-    again = evaluate(entries, "standard", "test", seeds=(20_002, 20_000, 20_005), duration_s=10.0)
-    for one, other in zip(again.write(tmp_path), written, strict=True):
-        assert one.read_bytes() == other.read_bytes()
-
-
 def test_files_that_are_read_and_written_again_are_the_same(
     written: tuple[Path, Path], results: Results, tmp_path: Path
 ) -> None:
@@ -57,13 +51,10 @@ def test_results_say_what_their_version_adds_to_the_settings(
     results: Results, results_v1: Results, tmp_path: Path
 ) -> None:
     assert Results.read(results_v1.write(tmp_path)[0]) == results_v1
-    assert set(results_v1.settings) - set(results.settings) == {
-        *("version", "plant", "sensors", "duty_time_s", "physics")
-    }
-    assert (results_v1.settings["version"], results_v1.settings["duty_time_s"]) == ("v1", 15.0)
-    assert results_v1.settings["weights"]["rotor"] == 20.0 and results_v1.settings["authority"]["k"] == 1.0
-    assert [group["bus"] for group in results_v1.settings["plant"]["groups"]] == [2, 3, 6, 8]
-    assert results_v1.settings["sensors"]["delay_s"] == [0.1, 0.3]
+    own = results_v1.settings
+    assert own.keys() - results.settings.keys() == {"version", "plant", "sensors", "duty_time_s", "physics"}
+    assert (own["version"], own["duty_time_s"], own["sensors"]["delay_s"]) == ("v1", 15.0, [0.1, 0.3])
+    assert [group["bus"] for group in own["plant"]["groups"]] == [2, 3, 6, 8]
     assert results_v1.environment["id"] == "GFMWTG-14bus-v1"
 
 
