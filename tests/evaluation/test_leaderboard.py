@@ -4,11 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import pytest
 
-from wtg_gym.evaluation import Entry, Results, evaluate, leaderboard_rows, markdown_table, table_cells
+from wtg_gym.evaluation import (
+    Entry,
+    EntrySummary,
+    Results,
+    evaluate,
+    leaderboard_rows,
+    markdown_table,
+    table_cells,
+)
 from wtg_gym.evaluation.leaderboard import markdown_section
 from wtg_gym.evaluation.score import pinned
 from wtg_gym.evaluation.table import columns_of
@@ -48,16 +58,19 @@ def test_table_says_who_sees_the_grid() -> None:
     assert "sees all (2 seeds, privileged)" in markdown_section(both)
 
 
-def test_table_of_v1_shows_failures_by_kind_the_worst_tenth_and_deviations(results_v1: Results) -> None:
+def changed(results: Results, changes: Mapping[int, Mapping[str, Any]]) -> tuple[Results, EntrySummary]:
+    """Return results in which fast-droop fails only as `changes` of its episodes say, and its row."""
+    episodes = tuple(
+        dataclasses.replace(e, **{"failure": "", **changes.get(e.seed - 10_000, {})}) if e.entry == "fast-droop" else e
+        for e in results.episodes
+    )
+    found = dataclasses.replace(results, episodes=episodes)
+    return found, next(row for row in found.summaries if row.name == "fast-droop")
+
+
+def test_table_shows_failures_by_kind_the_worst_tenth_and_deviations(results_v1: Results) -> None:
     reasons = ("stall", "frequency limit", "under-speed", "loss of synchronism")
-    episodes = [
-        dataclasses.replace(e, failure=reasons[e.seed - 10_000])
-        if e.entry == "fast-droop" and e.seed < 10_000 + len(reasons)
-        else dataclasses.replace(e, failure="")
-        for e in results_v1.episodes
-    ]
-    failed = dataclasses.replace(results_v1, episodes=tuple(episodes))
-    row = next(row for row in failed.summaries if row.name == "fast-droop")
+    failed, row = changed(results_v1, {i: {"failure": reason} for i, reason in enumerate(reasons)})
     assert row.failures_percent_by_kind == pytest.approx({"frequency": 100 / 12, "rotor": 200 / 12, "other": 100 / 12})
     own = failed.episodes_of("fast-droop")
     worst = sorted(pinned(episode, failed.settings["weights"]["cap"]) for episode in own)[-2:]
@@ -72,20 +85,14 @@ def test_table_of_v1_shows_failures_by_kind_the_worst_tenth_and_deviations(resul
 
 
 def test_runs_beyond_0_8_hz_count_with_the_lost_and_a_run_counts_once(results_v1: Results) -> None:
-    own = results_v1.episodes_of("fast-droop")
-    nadirs = dict(zip([e.seed for e in own], [49.2, 49.199, 49.1, *[49.9] * 9], strict=True))
-    zeniths = dict.fromkeys(nadirs, 50.0) | {own[3].seed: 50.801}
-    changed = [
-        dataclasses.replace(
-            e,
-            failure="stall" if e.seed in (own[2].seed, own[4].seed) else "",
-            metrics={**e.metrics, "nadir_hz": nadirs[e.seed], "zenith_hz": zeniths[e.seed]},
-        )
-        for e in own
-    ]
-    episodes = [changed[own.index(e)] if e in own else e for e in results_v1.episodes]
-    results = dataclasses.replace(results_v1, episodes=tuple(episodes))
-    row = next(row for row in results.summaries if row.name == "fast-droop")
+    extremes = [(49.2, 50.0), (49.199, 50.0), (49.1, 50.0), (49.9, 50.801), *[(49.9, 50.0)] * 8]
+    changes: dict[int, dict[str, Any]] = {
+        i: {"metrics": {**e.metrics, "nadir_hz": low, "zenith_hz": high}}
+        for i, (e, (low, high)) in enumerate(zip(results_v1.episodes_of("fast-droop"), extremes, strict=True))
+    }
+    for lost in (2, 4):
+        changes[lost]["failure"] = "stall"
+    _, row = changed(results_v1, changes)
     # 49.199 and 50.801 Hz, the lost one at 49.1 Hz, and the other lost one.
     assert row.n_lost == 2 and row.lost_or_beyond_percent == pytest.approx(100.0 * 4 / 12)
 

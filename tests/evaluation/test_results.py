@@ -15,8 +15,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from wtg_gym.evaluation import Entry, NoScaleError, Results, evaluate, leaderboard_rows
-from wtg_gym.evaluation.episodes import COLUMNS, Episode
+from wtg_gym.evaluation import Entry, Interval, NoScaleError, Results, evaluate, leaderboard_rows
+from wtg_gym.evaluation.episodes import COLUMNS
 from wtg_gym.files import sha256, to_json
 from wtg_gym.scenarios.benchmark import V0
 
@@ -58,21 +58,15 @@ def test_results_say_what_their_version_adds_to_the_settings(
     assert results_v1.environment["id"] == "GFMWTG-14bus-v1"
 
 
-@pytest.mark.parametrize(
-    ("which", "anchors"),
-    [("results", ("mppt", "coordinated-piecewise")), ("results_v1", ("coordinated-piecewise", "coordinated-tuned"))],
-)
-def test_summary_scores_the_anchors_exactly(
-    which: str, anchors: tuple[str, str], request: pytest.FixtureRequest
-) -> None:
-    results = request.getfixturevalue(which)
-    assert results.benchmark.anchors == anchors
-    scores = {summary.name: summary.score for summary in results.summaries}
-    zero, hundred = (scores[name] for name in anchors)
-    assert (zero.value, zero.low, zero.high) == (0.0, 0.0, 0.0)
-    assert (hundred.value, hundred.low, hundred.high) == (100.0, 100.0, 100.0)
-    summary = next(s for s in results.summaries if s.name == anchors[1])
-    assert summary.difference.value == 0.0 and summary.probability_of_improvement.value == 0.5
+def test_anchors_score_exactly_0_and_100(results: Results, results_v1: Results) -> None:
+    for each, anchors in (
+        (results, ("mppt", "coordinated-piecewise")),
+        (results_v1, ("coordinated-piecewise", "coordinated-tuned")),
+    ):
+        assert each.benchmark.anchors == anchors
+        assert [each.scores[name] for name in anchors] == [Interval(0.0, 0.0, 0.0), Interval(100.0, 100.0, 100.0)]
+        hundred = next(row for row in each.summaries if row.name == anchors[1])
+        assert hundred.difference.value == 0.0 and hundred.probability_of_improvement.value == 0.5
 
 
 def test_failures_are_pinned_in_score_and_cost(results: Results) -> None:
@@ -101,13 +95,15 @@ def test_unknown_entry_in_results_lists_the_known(results: Results) -> None:
 
 
 def test_no_score_where_mppt_is_not_worse(results: Results, tmp_path: Path) -> None:
-    def swapped(episode: Episode) -> Episode:
-        names = {V0.zero: V0.hundred, V0.hundred: V0.zero}
-        return dataclasses.replace(episode, entry=names.get(episode.entry, episode.entry))
-
-    swapped_ones = [swapped(episode) for episode in results.episodes]
-    ordered = [e for entry in results.entries for e in swapped_ones if e.entry == entry["name"]]
-    turned = dataclasses.replace(results, episodes=tuple(ordered))
+    others = {V0.zero: V0.hundred, V0.hundred: V0.zero}
+    turned = dataclasses.replace(
+        results,
+        episodes=tuple(
+            dataclasses.replace(episode, entry=entry["name"])
+            for entry in results.entries
+            for episode in results.episodes_of(others.get(entry["name"], entry["name"]))
+        ),
+    )
     with pytest.raises(NoScaleError, match=r"mppt \(mean pinned cost .*\) is not worse than coordinated-piecewise"):
         leaderboard_rows(turned)
     # There is no ranking by the score, but the measurements are kept.
