@@ -3,7 +3,6 @@
 from wtg_gym.evaluation.evaluator import evaluate
 from wtg_gym.evaluation.leaderboard import leaderboard_rows
 from wtg_gym.evaluation.metrics import METRICS, Metric
-from wtg_gym.evaluation.recording import Recording, record
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.score import NoScaleError
 from wtg_gym.evaluation.statistics import Interval
@@ -22,13 +21,11 @@ __all__ = [
     "OnnxPolicy",
     "Policy",
     "PolicyError",
-    "Recording",
     "Results",
     "Workers",
     "evaluate",
     "leaderboard_rows",
     "load_entries",
     "markdown_table",
-    "record",
     "table_cells",
 ]
