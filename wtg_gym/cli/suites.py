@@ -10,7 +10,6 @@ from wtg_gym.cli.options import Flag, Json, SuiteName, Whole
 from wtg_gym.cli.output import note, print_json, print_table, say
 from wtg_gym.cli.scenario_text import describe_scenario
 from wtg_gym.scenarios import FROZEN_HASHES, SPLITS, SUITES, Suite, get_suite
-from wtg_gym.scenarios.benchmark import V0
 
 
 def suites(
@@ -56,19 +55,15 @@ def suites(
 
 
 def _check(suites: list[Suite], *, as_json: bool) -> int:
-    rows = [
-        {"name": s.name, "hash": s.hash, "frozen": (f := FROZEN_HASHES.get(s.name)), "agrees": f in (None, s.hash)}
-        for s in suites
-    ]
     # A suite that is not frozen yet may change.
+    frozen = {suite.name: FROZEN_HASHES.get(suite.name, suite.hash) for suite in suites}
+    rows = [{"name": s.name, "hash": s.hash, "agrees": s.hash == frozen[s.name]} for s in suites]
     differing = [str(row["name"]) for row in rows if not row["agrees"]]
-    verdicts = ["not frozen" if row["frozen"] is None else "ok" if row["agrees"] else "DIFFERS" for row in rows]
     if as_json:
         print_json(rows)
     else:
-        print_table(
-            ("suite", "hash", ""), [(str(r["name"]), str(r["hash"]), v) for r, v in zip(rows, verdicts, strict=True)]
-        )
+        verdicts = [(s.name, s.hash, "DIFFERS" if s.name in differing else "ok") for s in suites]
+        print_table(("suite", "hash", ""), verdicts)
     if differing:
         note(f"wtg-gym: the hash of {', '.join(differing)} differs from the frozen one: scores here cannot be compared")
     return int(bool(differing))
@@ -117,35 +112,14 @@ def _print_suites(suites: list[Suite]) -> None:
 
 
 def _print_suite(suite: Suite) -> None:
-    say(f"suite {suite.name}: {suite.description}")
-    say(f"  environment  {suite.benchmark.env_id}")
-    say(f"  hash         {suite.hash}")
-    say(f"  length       {suite.duration_s:g} s")
-    for split in SPLITS:
-        say(f"  {split:<12} {len(suite.seeds(split))} scenarios, seeds {_seeds(suite, split)}")
-    for seed, case in enumerate(suite.cases):
-        say(f"  case {seed:<7} {case.name}")
-    if suite.distribution is not None:
-        _print_values("drawn from:", suite.distribution.to_dict())
-    if suite.benchmark is not V0:
-        plant = suite.plant.to_dict()
-        groups = [f"{group['n_turbines']:g} turbines at bus {group['bus']}" for group in plant["groups"]]
-        governor = ", ".join(f"{key} {value}" for key, value in (plant["governor"] or {}).items())
-        _print_values("plant:", {**plant, "groups": ", ".join(groups), "governor": governor})
-        _print_values("sensors:", {} if suite.sensors is None else asdict(suite.sensors))
-        benchmark = suite.benchmark
-        _print_values(
-            "task:",
-            {
-                "anchors": f"0 {benchmark.zero}, 100 {benchmark.hundred}",
-                "k_authority": benchmark.k_authority,
-                "duty_time_s": benchmark.duty_time_s,
-                "weights": ", ".join(f"{key} {value:g}" for key, value in benchmark.weights),
-            },
-        )
+    for key, value in _summary(suite).items():
+        if isinstance(value, Mapping):
+            say(f"{key}:", *(f"  {name:<26} {_text(own)}" for name, own in value.items()))
+        else:
+            say(f"{key:<28} {_text(value)}")
 
 
-def _print_values(head: str, values: Mapping[str, Any]) -> None:
-    say(head)
-    for key, value in values.items():
-        say(f"  {key:<26} {value}")
+def _text(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {_text(own)}" for name, own in value.items())
+    return "; ".join(map(_text, value)) if isinstance(value, (list, tuple)) else str(value)
