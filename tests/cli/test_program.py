@@ -78,9 +78,12 @@ def _help(capsys: pytest.CaptureFixture[str], *command: str) -> str:
 
 
 def test_help_of_every_command_teaches_by_examples_that_it_takes(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.chdir(tmp_path)
+    for name in ("my-policy", "my-policy-*"):
+        (tmp_path / name).mkdir()
     names = [name for name in build_app([]) if not name.startswith("-")]
     assert len(names) == 9
     for name in names:
