@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-import wtg_gym.cli.suites
 from tests.cli.calls import json_of
 from wtg_gym.cli import main
 from wtg_gym.scenarios import FROZEN_HASHES, SUITES
@@ -35,14 +34,3 @@ def test_scenario_is_shown_with_wind_grid_and_events(capsys: pytest.CaptureFixtu
     assert "mean wind    11.4, 8 m/s" in text
     assert "5 s: load of bus 4 lost" in text
     assert "inertia 100 %" in text
-
-
-def test_hash_check_passes_and_fails_by_exit_code(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert main(["suites", "--check"]) == 0
-    assert "DIFFERS" not in capsys.readouterr().out
-    monkeypatch.setattr(wtg_gym.cli.suites, "FROZEN_HASHES", {**FROZEN_HASHES, "gust": "0" * 64})
-    rows = json_of(capsys, "suites", "--check", "--json", code=1)
-    assert [row["name"] for row in rows if not row["agrees"]] == ["gust"]
-    assert main(["suites", "--check", "paper"]) == 0

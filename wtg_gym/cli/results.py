@@ -59,7 +59,6 @@ def recompute(
     entries: Entries = (BASELINES,),
     secret_file: Path | None = None,
     threads: Threads = None,
-    json: Json = False,
     workers: WorkerOptions = WorkerOptions(),
 ) -> int:
     """Compute results again, and say whether they are identical.
@@ -74,7 +73,7 @@ def recompute(
 
     examples:
       wtg-gym results recompute results/standard-test.json --entries baselines policies
-      wtg-gym results recompute results/paper-test.json --json
+      wtg-gym results recompute results/paper-test.json
 
     Args:
         results: JSON file of results, the CSV beside it
@@ -88,17 +87,6 @@ def recompute(
         found = compute_again(
             stored, chosen, secret=secret, n_threads=threads, workers=processes, on_progress=progress.update
         )
-    if json:
-        out.print_json(
-            {
-                "identical": not found.differences,
-                "differences": [difference._asdict() for difference in found.differences],
-                "circumstances": [difference._asdict() for difference in found.circumstances],
-                "departures": departures(stored),
-                "numbers": found.n_numbers,
-            }
-        )
-        return int(bool(found.differences))
     for difference in found.circumstances:
         out.note(f"{difference.where} was {difference.stored}, is {difference.now}")
     for text in departures(stored):
