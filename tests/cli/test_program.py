@@ -1,9 +1,8 @@
-"""The program as a whole: help, errors, pipes, interruptions."""
+"""The program as a whole: help, pipes, terminals."""
 
 from __future__ import annotations
 
 import ast
-import contextlib
 import dataclasses
 import json
 import os
@@ -17,22 +16,10 @@ import pytest
 
 import wtg_gym
 import wtg_gym.cli
-import wtg_gym.cli.simulate
-from tests.cli.calls import ROOT, call, start
-from tests.interruption import interrupted
+from tests.cli.calls import ROOT
 from wtg_gym.cli import build_app, main
 from wtg_gym.cli.output import note, print_json, print_table, say
 from wtg_gym.scenarios import get_suite
-
-_QUICK = ("--duration", "6")
-
-
-def test_program_runs_as_a_module_and_prints_only_json_on_stdout(tmp_path: Path) -> None:
-    done = call("simulate", *_QUICK, "--json", "--csv", "traces.csv", cwd=tmp_path)
-    assert done.returncode == 0
-    assert json.loads(done.stdout)["runs"][0]["strategy"] == "coordinated-piecewise"
-    # A first call that has to compile reports its progress before that.
-    assert done.stderr.endswith("wrote traces.csv\n")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes break in another way there")
@@ -47,24 +34,12 @@ def test_reader_that_leaves_early_is_no_error() -> None:
     assert done.stderr == b""
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="no pseudo-terminals there")
-def test_terminal_gets_a_progress_bar() -> None:
-    import pty
-
-    own, theirs = pty.openpty()
-    process = start("evaluate", "--entries", "mppt", "--suite", "paper", stdin=theirs, stdout=theirs, stderr=theirs)
-    os.close(theirs)
-    shown = b""
-    # At the end of the output Linux raises, others return nothing.
-    with contextlib.suppress(OSError):
-        while chunk := os.read(own, 4096):
-            shown += chunk
-    os.close(own)
-    assert process.wait(timeout=100) == 0
-    text = shown.decode()
-    assert "Traceback" not in text
-    assert "coordinated-piecewise" in text
-    assert "━" in text
+def test_terminal_gets_a_progress_bar(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("TERM", "xterm")
+    assert main(["simulate", "--duration", "6"]) == 0
+    said = capsys.readouterr()
+    assert "━" in said.err and "coordinated-piecewise" in said.out and "━" not in said.out
 
 
 def test_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
@@ -105,12 +80,6 @@ def test_help_is_there_before_the_simulator() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, timeout=100)
     lines = done.stdout.splitlines()
     assert "set()" in lines and lines[-1] == "False", done.stderr
-
-
-def test_interrupt_exits_with_130(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(wtg_gym.cli.simulate, "simulate", interrupted(wtg_gym.cli.simulate.simulate))
-    assert main(["simulate", *_QUICK]) == 130
-    assert "wtg-gym: interrupted" in capsys.readouterr().err
 
 
 # --- what a terminal gets --------------------------------------------------------------------------------------------
