@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import dataclasses
 import json
 import os
 import re
@@ -19,7 +18,6 @@ import wtg_gym.cli
 from tests.cli.calls import ROOT
 from wtg_gym.cli import build_app, main
 from wtg_gym.cli.output import note, print_json, print_table, say
-from wtg_gym.scenarios import get_suite
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes break in another way there")
@@ -104,16 +102,6 @@ def test_lines_tables_notes_and_json_show_escapes(capsys: pytest.CaptureFixture[
     print_json(data)
     out = capsys.readouterr().out
     assert _is_harmless(out) and "grün 🜁" in out and json.loads(out) == data
-
-
-def test_the_name_of_a_scenario_is_shown_with_escapes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "scenario.json"
-    scenario = dataclasses.replace(get_suite("paper").scenario(0), name=NASTY, duration_s=1.0)
-    path.write_text(scenario.to_json())
-    assert main(["simulate", "--scenario", str(path)]) == 0
-    said = capsys.readouterr()
-    assert _is_harmless(said.out) and _is_harmless(said.err)
-    assert r"\x1b[31mred" in said.out
 
 
 def test_no_command_prints_past_the_one_place_that_escapes() -> None:
