@@ -16,8 +16,6 @@ from wtg_gym.evaluation.recompute import departures, recompute
 
 COMMIT = "0123456789abcdef0123456789abcdef01234567"
 SECRET = "a secret for these tests\n"
-#: Text with a colour, a cleared screen, a changed direction and a line of its own.
-NASTY = "1\x1b[2J\u202e\n::error::no"
 
 
 @pytest.fixture(scope="module")
