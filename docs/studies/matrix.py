@@ -9,12 +9,12 @@ would come out the same today, as by `wtg-gym leaderboard`. Half a day on two pr
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from output import folder as output_folder
 
-from wtg_gym.cli.scoring import chosen_entries
-from wtg_gym.cli.stored import stored_or_played
+from wtg_gym.cli.scoring import chosen_entries, run_evaluation
 from wtg_gym.evaluation import Results, leaderboard_rows, table_cells
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.scenarios import get_suite
@@ -44,10 +44,9 @@ def played(folder: Path, suite: str, sensors: Mapping[str, object]) -> Results:
     """Return the results of a column, which are stored."""
     scenarios = {"suite": suite, "split": "test", **({"sensors": sensors} if sensors else {})}
     entries = chosen_entries(("baselines", "policies"), suite)
-    found, kept = stored_or_played(
-        entries, folder, fresh=False, partial=folder / "partial", workers=None, n_threads=None, **scenarios
-    )
-    kept.write(folder)
+    found = run_evaluation(entries, partial=folder / "partial", **scenarios)
+    # Without its parts, which would be removed once the results are written.
+    replace(found, parts=None).write(folder)
     return found
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 from cyclopts import App
 
 from wtg_gym.cli import output as out
 from wtg_gym.cli import scoring
-from wtg_gym.cli.options import Entries, Json, Threads, WorkerOptions
+from wtg_gym.cli.options import Entries, HtmlFile, Json, Threads, WorkerOptions
 from wtg_gym.evaluation import Results, generalisation
 from wtg_gym.evaluation.recompute import departures
 from wtg_gym.evaluation.recompute import recompute as compute_again
@@ -24,7 +23,7 @@ app = App(name="results", help="Work with the stored results of 'wtg-gym evaluat
 
 
 @app.command
-def page(*results: Path, output: Path) -> int:
+def page(results: tuple[Path, ...], /, *, output: HtmlFile) -> int:
     """Show stored results as one HTML file with charts.
 
     It needs nothing but a browser, offline too: each suite's ranking with its intervals, to sort and to filter, the
@@ -39,9 +38,7 @@ def page(*results: Path, output: Path) -> int:
         results: JSON files of results, one of each suite
         output: the HTML file to write
     """
-    if not results:
-        raise ValueError("RESULTS: give a JSON file of results or several")
-    check_html("--output", output)
+    out.require_extra("bokeh", "wtg-gym results page")
     read = [Results.read(each) for each in results]
     for each in read:
         if not each.has_scale:
@@ -50,19 +47,8 @@ def page(*results: Path, output: Path) -> int:
             )
         for text in departures(each):
             out.note(f"{each.name} is not the benchmark's own: {text}")
-    write_html(output, read)
+    out.write_and_say(output, leaderboard_page(read))
     return 0
-
-
-def check_html(option: str, path: Path) -> None:
-    """Raise a ValueError now, rather than after the work, if an HTML file cannot be made or written."""
-    out.check_output_file(option, path, (".html", ".htm"))
-    out.require_extra("bokeh", option)
-
-
-def write_html(path: Path, results: Sequence[Results]) -> None:
-    """Write results as one HTML file."""
-    out.write_and_say(path, leaderboard_page(results))
 
 
 @app.command
@@ -73,7 +59,6 @@ def recompute(
     entries: Entries = (BASELINES,),
     secret_file: Path | None = None,
     threads: Threads = None,
-    json: Json = False,
     workers: WorkerOptions = WorkerOptions(),
 ) -> int:
     """Compute results again, and say whether they are identical.
@@ -88,7 +73,7 @@ def recompute(
 
     examples:
       wtg-gym results recompute results/standard-test.json --entries baselines policies
-      wtg-gym results recompute results/paper-test.json --json
+      wtg-gym results recompute results/paper-test.json
 
     Args:
         results: JSON file of results, the CSV beside it
@@ -102,17 +87,6 @@ def recompute(
         found = compute_again(
             stored, chosen, secret=secret, n_threads=threads, workers=processes, on_progress=progress.update
         )
-    if json:
-        out.print_json(
-            {
-                "identical": not found.differences,
-                "differences": [difference._asdict() for difference in found.differences],
-                "circumstances": [difference._asdict() for difference in found.circumstances],
-                "departures": departures(stored),
-                "numbers": found.n_numbers,
-            }
-        )
-        return int(bool(found.differences))
     for difference in found.circumstances:
         out.note(f"{difference.where} was {difference.stored}, is {difference.now}")
     for text in departures(stored):
