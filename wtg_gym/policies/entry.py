@@ -37,8 +37,8 @@ class Entry:
         name: name in tables, 1 … 60 printable characters; with `training_seed` it is unique among the entries.
         strategy: the law that actions modulate: a built-in name, a .toml file, or a law.
         policy: gives the actions for the environment's own observations; None is the zero action, which is the strategy
-            itself. A learner of Stable-Baselines3 that was trained under VecNormalize expects other observations: wrap
-            both in a :class:`~wtg_gym.policies.sb3_archive.NormalizedPolicy`.
+            itself. A learner of Stable-Baselines3 that was trained under VecNormalize expects other observations:
+            export both with :func:`~wtg_gym.export_onnx`.
         action_mode: "k", "tau" or "k+tau".
         observation_mode: "local" or "privileged".
         environment: id of the environment whose observations the policy takes; None: those of any that it is played in.
@@ -89,8 +89,8 @@ class Entry:
         if _misses_normalization(self.policy):
             raise ValueError(
                 f"the policy of entry {name!r} was trained under VecNormalize, whose normalisation of the observations "
-                "predict() leaves out; give wtg_gym.policies.sb3_archive.NormalizedPolicy(model.policy, "
-                "model.get_vec_normalize_env())"
+                "predict() leaves out; export both with "
+                "wtg_gym.export_onnx(wtg_gym.sb3.DeterministicPolicy(model), folder, name=...)"
             )
         for key in ("description", "equation", "source"):
             if not isinstance(getattr(self, key), str):

@@ -8,31 +8,25 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
-import os
 import pkgutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from wtg_gym.files import LARGEST_TOML_BYTES, read_text
 from wtg_gym.physics.tracking_law import STRATEGY_NAMES, get_law
-from wtg_gym.policies.entry import Entry, Policy, is_policy
-from wtg_gym.policies.entry_toml import NEEDED, parse_entry
+from wtg_gym.policies.entry import Entry, is_policy
+from wtg_gym.policies.entry_toml import parse_entry
 from wtg_gym.policies.names import BASELINES, INSTALLED, POLICIES, ROOT, check_not_built_in, is_built_in
 from wtg_gym.policies.onnx_policy import OnnxPolicy
 from wtg_gym.scenarios.benchmark import BENCHMARKS, V1, Benchmark
 
 #: The files of a folder with a trained policy.
 ENTRY_FILE, POLICY_FILE = "entry.toml", "policy.onnx"
-#: An archive of Stable-Baselines3 can stand in the place of the policy; entry.toml then names its class.
-ARCHIVE_FILE, _ALGORITHM = "model.zip", "algorithm"
-
-#: Returns the policy of a folder's archive and a sha256 of it, given folder and algorithm; runs the archive's code.
-LoadArchive = Callable[[Path, str], tuple[Policy, str]]
 
 
-def load_entries(spec: str | Path, load_archive: LoadArchive | None = None, benchmark: Benchmark = V1) -> list[Entry]:
+def load_entries(spec: str | Path, benchmark: Benchmark = V1) -> list[Entry]:
     """Return the entries that a text names.
 
     Args:
@@ -43,7 +37,6 @@ def load_entries(spec: str | Path, load_archive: LoadArchive | None = None, benc
             module with an `ENTRY` counts, in the order of the package's `ORDER` and then by name (if `ORDER` gives one
             for each version of the benchmark, only the modules of `benchmark`); or "module:ATTRIBUTE", an entry, a
             policy, or a callable that returns one. Importing runs the module's code.
-        load_archive: as for :func:`load_entry_folder`.
         benchmark: the version whose baselines are meant, and whose trained policies, where some of a name are for it.
 
     Raises:
@@ -63,8 +56,14 @@ def load_entries(spec: str | Path, load_archive: LoadArchive | None = None, benc
         law = get_law(text)
         check_not_built_in(f"the name of the law in {text}", law.name)
         return [Entry(name=law.name, strategy=law, description="A law read from a file.")]
-    if (Path(text) / ENTRY_FILE).is_file() or os.path.lexists(Path(text) / ARCHIVE_FILE):
-        return [load_entry_folder(Path(text), load_archive)]
+    if (Path(text) / ENTRY_FILE).is_file():
+        return [load_entry_folder(Path(text))]
+    if text.endswith(".zip"):
+        raise ValueError(
+            f"entry {text}: an archive of Stable-Baselines3 is not opened, because loading it runs the code in it; "
+            "in Python, play its model with Entry(policy=model), or export it with "
+            "wtg_gym.export_onnx(wtg_gym.sb3.DeterministicPolicy(model), folder, name=...)"
+        )
     folders = sorted(path.parent.name for path in Path(text).glob(f"*/{ENTRY_FILE}")) if text else []
     if folders:
         raise ValueError(
@@ -99,7 +98,7 @@ def policy_name(folder: Path) -> str | None:
 
 def _said(folder: Path) -> dict[str, Any]:
     try:
-        return _entry_data(folder / ENTRY_FILE, NEEDED)
+        return _entry_data(folder / ENTRY_FILE)
     except ValueError:
         return {}
 
@@ -110,7 +109,7 @@ def _for_version(folders: Sequence[Path], benchmark: Benchmark) -> list[Entry]:
     return [entry for entry in entries if entry.environment == benchmark.env_id] or entries
 
 
-def load_entry_folder(folder: Path, load_archive: LoadArchive | None = None) -> Entry:
+def load_entry_folder(folder: Path) -> Entry:
     """Return the entry of a folder with a policy.
 
     Its entry.toml has the keys name and action_mode, and may have description, observation_mode, environment (without
@@ -118,45 +117,25 @@ def load_entry_folder(folder: Path, load_archive: LoadArchive | None = None) -> 
     authors (a list of names), trained_on (text) and links (a list of addresses). An :class:`OnnxPolicy` plays its
     policy.onnx in a process of its own; nothing of that file is looked at before.
 
-    Args:
-        folder: the folder.
-        load_archive: loads a model.zip in the place of policy.onnx, whose entry.toml then has the key algorithm too;
-            None refuses it without opening it, because loading one runs the code in it.
-
     Raises:
-        ValueError: a file is missing, damaged or not allowed, a key is unknown or of the wrong type, or a package is
-            missing.
+        ValueError: a file is missing or damaged, or a key is unknown or of the wrong type.
     """
-    is_archive = os.path.lexists(folder / ARCHIVE_FILE)
-    if is_archive and os.path.lexists(folder / POLICY_FILE):
-        raise ValueError(f"entry {folder} has both {POLICY_FILE} and {ARCHIVE_FILE}: which one plays? Remove the other")
-    if is_archive and load_archive is None:
-        raise ValueError(
-            f"entry {folder}: {ARCHIVE_FILE} is an archive of Stable-Baselines3 and was not opened, because loading it "
-            f"would run whatever code its maker put in it, with your rights. The leaderboard takes {POLICY_FILE}, "
-            "an ONNX file that 'python -m agents.export' or wtg_gym.export_onnx() writes; a file that you made "
-            "yourself, and only that, can be scored as it is with 'wtg-gym evaluate --trust-pickle'"
-        )
-    data = _entry_data(folder / ENTRY_FILE, (*NEEDED, _ALGORITHM) if is_archive else NEEDED)
-    algorithm = data.pop(_ALGORITHM, "")
+    data = _entry_data(folder / ENTRY_FILE)
     check_not_built_in(f"the name in {folder / ENTRY_FILE}", data["name"])
     try:
         # Errors of entry.toml come before the policy is loaded.
-        entry = Entry(**data)
-        if is_archive and load_archive is not None:
-            policy, fingerprint = load_archive(folder, algorithm)
-            return dataclasses.replace(entry, policy=policy, fingerprint=fingerprint)
-        onnx_policy = OnnxPolicy(folder / POLICY_FILE)
-        return dataclasses.replace(entry, policy=onnx_policy, fingerprint=onnx_policy.sha256)
-    except (ImportError, ValueError) as error:
+        Entry(**data)
+        policy = OnnxPolicy(folder / POLICY_FILE)
+        return Entry(**data, policy=policy, fingerprint=policy.sha256)
+    except ValueError as error:
         raise ValueError(f"entry {folder}: {error}") from error
 
 
-def _entry_data(path: Path, needed: Sequence[str]) -> dict[str, Any]:
-    """Return the arguments of :class:`Entry` that an entry.toml gives, and what else is `needed`."""
+def _entry_data(path: Path) -> dict[str, Any]:
+    """Return the arguments of :class:`Entry` that an entry.toml gives."""
     text = read_text(path, "entry file", largest=LARGEST_TOML_BYTES)
     try:
-        data = parse_entry(text, needed)
+        data = parse_entry(text)
     except ValueError as error:
         raise ValueError(f"the entry file {path}: {error}") from error
     authors, *_ = (data.pop(key, ()) for key in ("authors", "links", "trained_on"))
