@@ -34,9 +34,8 @@ def load_entries(spec: str | Path, benchmark: Benchmark = V1) -> list[Entry]:
             "policies" for all trained policies that come with the package; the name of a baseline; a .toml file with a
             law; a folder with an entry.toml and a policy.onnx, see :func:`load_entry_folder`; the name of one of those
             policies ("PPO (k)" stands for all of its seeds, "ppo-k-0" for one of them); a package, of which every
-            module with an `ENTRY` counts, in the order of the package's `ORDER` and then by name (if `ORDER` gives one
-            for each version of the benchmark, only the modules of `benchmark`); or "module:ATTRIBUTE", an entry, a
-            policy, or a callable that returns one. Importing runs the module's code.
+            module with an `ENTRY` counts, by name, or those that its `ORDER` names for the version; or
+            "module:ATTRIBUTE", an entry, a policy, or a callable that returns one. Importing runs the module's code.
         benchmark: the version whose baselines are meant, and whose trained policies, where some of a name are for it.
 
     Raises:
@@ -135,11 +134,15 @@ def _entry_data(path: Path) -> dict[str, Any]:
     """Return the arguments of :class:`Entry` that an entry.toml gives."""
     text = read_text(path, "entry file", largest=LARGEST_TOML_BYTES)
     try:
-        data = parse_entry(text)
+        return entry_arguments(parse_entry(text))
     except ValueError as error:
         raise ValueError(f"the entry file {path}: {error}") from error
-    authors, *_ = (data.pop(key, ()) for key in ("authors", "links", "trained_on"))
-    return {**data, "source": ", ".join(authors)}
+
+
+def entry_arguments(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of :class:`Entry` in the keys of an entry.toml: authors are its source."""
+    source = ", ".join(data.get("authors", ()))
+    return {**{key: data[key] for key in data if key not in ("authors", "links", "trained_on")}, "source": source}
 
 
 # --- modules ---------------------------------------------------------------------------------------------------------
@@ -190,23 +193,16 @@ def _entry_of(module: ModuleType, attribute: str, spec: str) -> Entry:
 def _entries_of(module: ModuleType, spec: str, version: str | None = None) -> list[Entry]:
     """Return the entries of a module or package.
 
-    The ORDER of a package may be by version of the benchmark: it has then only the entries of `version` (None: of
-    all), and a policy that stands in the order of one version alone is for that one.
+    A package may have an ORDER of modules for each version of the benchmark: it has then only the entries of `version`
+    (None: of all), and a policy that stands in the order of one version alone is for that one.
     """
-    orders: Mapping[str, Sequence[str]] = {}
+    orders: Mapping[str | None, Sequence[str]] = {}
     modules = [module]
     path = getattr(module, "__path__", None)
     if path is not None:
-        names = sorted(info.name for info in pkgutil.iter_modules(path))
-        given: Any = getattr(module, "ORDER", ())
+        given = getattr(module, "ORDER", None)
         orders = given if isinstance(given, Mapping) else {}
-        order = list(dict.fromkeys(name for each in orders.values() for name in each)) if orders else list(given)
-        missing = [name for name in order if name not in names]
-        if missing:
-            raise ValueError(f"ORDER of package {spec!r} names modules {missing} that it has not; it has {names}")
-        names = [*order, *(name for name in names if name not in order)]
-        if orders and version is not None:
-            names = list(orders[version])
+        names = orders.get(version) or sorted(info.name for info in pkgutil.iter_modules(path))
         modules = [_import(f"{module.__name__}.{name}", spec) for name in names]
     entries = [(each, vars(each)["ENTRY"]) for each in modules if "ENTRY" in vars(each)]
     if not entries or not all(isinstance(entry, Entry) for _, entry in entries):
@@ -216,7 +212,7 @@ def _entries_of(module: ModuleType, spec: str, version: str | None = None) -> li
     return [_of_its_version(entry, each.__name__.rpartition(".")[2], orders) for each, entry in entries]
 
 
-def _of_its_version(entry: Entry, name: str, orders: Mapping[str, Sequence[str]]) -> Entry:
+def _of_its_version(entry: Entry, name: str, orders: Mapping[str | None, Sequence[str]]) -> Entry:
     """Return an entry with the environment that the orders by version give it, if it has a policy and none yet."""
     own = [env_id for env_id, each in BENCHMARKS.items() if name in orders.get(each.version, ())]
     if entry.policy is None or entry.environment is not None or len(own) != 1:
