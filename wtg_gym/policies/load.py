@@ -6,7 +6,6 @@ package has copies of both in `wtg_gym/shipped`, because those two names could c
 
 from __future__ import annotations
 
-import dataclasses
 import importlib
 import pkgutil
 from collections.abc import Mapping, Sequence
@@ -20,7 +19,7 @@ from wtg_gym.policies.entry import Entry, is_policy
 from wtg_gym.policies.entry_toml import parse_entry
 from wtg_gym.policies.names import BASELINES, INSTALLED, POLICIES, ROOT, check_not_built_in, is_built_in
 from wtg_gym.policies.onnx_policy import OnnxPolicy
-from wtg_gym.scenarios.benchmark import BENCHMARKS, V1, Benchmark
+from wtg_gym.scenarios.benchmark import V1, Benchmark
 
 #: The files of a folder with a trained policy.
 ENTRY_FILE, POLICY_FILE = "entry.toml", "policy.onnx"
@@ -191,30 +190,17 @@ def _entry_of(module: ModuleType, attribute: str, spec: str) -> Entry:
 
 
 def _entries_of(module: ModuleType, spec: str, version: str | None = None) -> list[Entry]:
-    """Return the entries of a module or package.
-
-    A package may have an ORDER of modules for each version of the benchmark: it has then only the entries of `version`
-    (None: of all), and a policy that stands in the order of one version alone is for that one.
-    """
-    orders: Mapping[str | None, Sequence[str]] = {}
+    """Return the entries of a module or package, which may have an ORDER of modules for each version (None: all)."""
     modules = [module]
     path = getattr(module, "__path__", None)
     if path is not None:
-        given = getattr(module, "ORDER", None)
-        orders = given if isinstance(given, Mapping) else {}
-        names = orders.get(version) or sorted(info.name for info in pkgutil.iter_modules(path))
+        order = getattr(module, "ORDER", None)
+        names = order.get(version) if isinstance(order, Mapping) else None
+        names = names or sorted(info.name for info in pkgutil.iter_modules(path))
         modules = [_import(f"{module.__name__}.{name}", spec) for name in names]
-    entries = [(each, vars(each)["ENTRY"]) for each in modules if "ENTRY" in vars(each)]
-    if not entries or not all(isinstance(entry, Entry) for _, entry in entries):
+    entries = [vars(each)["ENTRY"] for each in modules if "ENTRY" in vars(each)]
+    if not entries or not all(isinstance(entry, Entry) for entry in entries):
         raise ValueError(
             f"{spec!r} has no entry: a folder needs an {ENTRY_FILE}, a package or module an ENTRY, which is an Entry"
         )
-    return [_of_its_version(entry, each.__name__.rpartition(".")[2], orders) for each, entry in entries]
-
-
-def _of_its_version(entry: Entry, name: str, orders: Mapping[str | None, Sequence[str]]) -> Entry:
-    """Return an entry with the environment that the orders by version give it, if it has a policy and none yet."""
-    own = [env_id for env_id, each in BENCHMARKS.items() if name in orders.get(each.version, ())]
-    if entry.policy is None or entry.environment is not None or len(own) != 1:
-        return entry
-    return dataclasses.replace(entry, environment=own[0])
+    return entries

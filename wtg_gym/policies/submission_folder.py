@@ -67,7 +67,7 @@ def read_files(folder: Path) -> dict[str, bytes]:
         ValueError: the folder holds another file, or a file is missing, too large or not a plain file.
     """
     _check_folder_name(folder)
-    if not stat.S_ISDIR(_status(folder).st_mode):
+    if folder.is_symlink() or not folder.is_dir():
         raise ValueError("it is not a folder, or a link to one")
     names = []
     with os.scandir(folder) as found:
@@ -93,17 +93,10 @@ def _check_folder_name(folder: Path) -> None:
     check_no_module("the folder's name", name)
 
 
-def _status(path: Path) -> os.stat_result:
-    try:
-        return os.lstat(path)
-    except (OSError, ValueError) as error:
-        raise ValueError(f"cannot read {path}: {error}") from error
-
-
 def _read(path: Path, largest: int) -> bytes:
     """Return the content of a plain file; a link, even one put there after the check, is refused."""
-    if not stat.S_ISREG(_status(path).st_mode):
-        raise ValueError(f"{path.name} is a link or something else that is not a plain file")
+    if path.is_symlink() or not path.is_file():
+        raise ValueError(f"{path.name} is not there, a link or something else that is not a plain file")
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     try:
         with os.fdopen(os.open(path, flags), "rb") as file:
