@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import itertools
 from pathlib import Path
 from typing import Any
@@ -30,18 +29,16 @@ def few_scenarios(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gate, "_ROLLOUT_LANES", 8)
 
 
-@functools.cache
-def played() -> dict[tuple[bytes, bytes], Report]:
-    """The reports on what was played before, by its files."""
-    return {}
+#: The reports on what was played before, by its files.
+_PLAYED: dict[tuple[bytes, bytes], Report] = {}
 
 
 def report(path: Path, content: ModelProto | None = None, toml: str = TOML) -> Report:
     made = folder(path, content, toml)
     files = (made / "policy.onnx").read_bytes(), (made / "entry.toml").read_bytes()
-    if files not in played():
-        played()[files] = check_submission(made, rollout_only=True)
-    found = dataclasses.replace(played()[files], folder=made)
+    if files not in _PLAYED:
+        _PLAYED[files] = check_submission(made, rollout_only=True)
+    found = dataclasses.replace(_PLAYED[files], folder=made)
     assert found.accepted, found.refusal
     return found
 
@@ -67,18 +64,19 @@ def test_name_belongs_to_one_entry_of_one_version(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "key"),
+    ("toml", "said"),
     [
-        ('"Jane Doe"', '"Jane Doe", "John Roe"', "authors"),
-        ("training_seed", 'description = "Better"\ntraining_seed', "description"),
-        ("training_seed", 'trained_on = "The test scenarios"\ntraining_seed', "trained_on"),
+        (seed(1).replace('"Jane Doe"', '"Jane Doe", "John Roe"'), "must agree on authors:"),
+        (seed(1) + 'description = "Better"\n', "must agree on description:"),
+        (seed(1) + 'trained_on = "The test scenarios"\n', "must agree on trained_on:"),
+        (seed(1).replace("Mine", "M I N E"), "the names Mine and M I N E look alike"),
+        (TOML, "Mine, training seed 0 is given twice"),
     ],
 )
-def test_nobody_joins_anothers_row(old: str, new: str, key: str, tmp_path: Path) -> None:
-    first = report(tmp_path / "a")
-    second = report(tmp_path / "b", models.other(), seed(1).replace(old, new))
+def test_nobody_joins_anothers_row(toml: str, said: str, tmp_path: Path) -> None:
+    first, second = report(tmp_path / "a"), report(tmp_path / "b", models.other(), toml)
     (conflict,) = conflicts([first, second])
-    assert conflict.folders == (first.folder, second.folder) and f"must agree on {key}:" in conflict.reason
+    assert conflict.folders == (first.folder, second.folder) and said in conflict.reason
     # Not even who says the same joins a row that is there.
     (conflict,) = conflicts([second], [first])
     assert conflict.folders == (second.folder,) and "is taken by Mine of" in conflict.reason
