@@ -16,12 +16,11 @@ from agents import shipped
 from tests.submissions import models
 from tests.submissions.models import TOML, M, N, constant, folder, seed
 from tests.submissions.models import model as make
-from wtg_gym.evaluation import OnnxPolicy, load_entries
+from wtg_gym.evaluation import load_entries
 from wtg_gym.policies import gate
 from wtg_gym.policies.conflicts import conflicts
 from wtg_gym.policies.gate import COPY_TOLERANCE, Report, action_difference, check_submission, rollout
 from wtg_gym.policies.submission_folder import parse_submission
-from wtg_gym.scenarios.benchmark import V0
 
 
 @pytest.fixture(autouse=True)
@@ -118,11 +117,10 @@ def test_what_is_there_is_compared_as_far_as_it_can_be_read(tmp_path: Path) -> N
     assert "is taken by Mine" in conflict.reason
 
 
-class AtOnce(OnnxPolicy):
+class AtOnce:
     """Answers all scenarios in one call, in this process: its actions equal the other process's up to the last bits."""
 
     def __init__(self, file: Path) -> None:
-        super().__init__(file)
         self._session = InferenceSession(file, providers=["CPUExecutionProvider"])
 
     def predict(
@@ -135,9 +133,7 @@ class AtOnce(OnnxPolicy):
         return action, dict(zip(states, following, strict=True))
 
 
-def test_shipped_policies_are_far_from_being_copies(monkeypatch: pytest.MonkeyPatch) -> None:
-    # The difference is that of the gate, over all its scenarios.
-    monkeypatch.undo()
+def test_shipped_policies_are_far_from_being_copies() -> None:
     compared: dict[tuple[str | None, str], list[Any]] = {}
     # Not those that others have submitted: they only have to differ.
     for name in [*shipped.commands(), "linear-feedback", "linear-feedback-v1", "history-feedback-v1"]:
@@ -147,7 +143,6 @@ def test_shipped_policies_are_far_from_being_copies(monkeypatch: pytest.MonkeyPa
         gate._check_no_baseline(actions, parse_submission((folder / "entry.toml").read_bytes()))
         compared.setdefault((entry.environment, entry.action_mode), []).append(actions)
     assert [len(actions) for actions in compared.values()] == [16, 5, 5, 16]
-    # In v1 seeds of PPO lie closer: they change little on the tuned law.
-    for (environment, mode), actions in compared.items():
-        least = min(action_difference(one, other, mode, mode) for one, other in itertools.combinations(actions, 2))
-        assert least > (7 if environment == V0.env_id else 3) * COPY_TOLERANCE
+    for (_, mode), actions in compared.items():
+        for one, other in itertools.combinations(actions, 2):
+            assert action_difference(one, other, mode, mode) > 3.0 * COPY_TOLERANCE

@@ -37,7 +37,7 @@ ANSWER_S = 1e-3
 _TIMED_LANES, _TIMES = 256, 5
 _ROLLOUT_LANES = 32
 #: Two policies whose actions, [-1, 1], differ by no more than this (root mean square over the rollout) are copies. The
-#: shipped training seeds that are most alike differ by more than seven times as much.
+#: shipped training seeds that are most alike differ by more than three times as much.
 COPY_TOLERANCE = 5e-3
 
 
