@@ -202,13 +202,6 @@ def endless() -> ModelProto:
     return after(*nodes_of("action = Loop( , on, linear)", body=spin()), on=True)
 
 
-def slow(width: int) -> ModelProto:
-    """An operator that takes its time."""
-    text = "v0 = Add(linear, wide); " + "".join(f"v{i + 1} = Softplus(v{i}); " for i in range(4))
-    text += "mean = ReduceMean<axes = [0], keepdims = 1>(v4); action = Add(mean, linear)"
-    return after(text, wide=np.ones((width, M)))
-
-
 def varint(number: int) -> bytes:
     """Return a number as protobuf writes it."""
     data = b""
@@ -236,36 +229,8 @@ def external(location: str, **more: str) -> ModelProto:
     return content
 
 
-def sparse() -> ModelProto:
-    """Weights as a sparse tensor whose places are outside of it."""
-    content = model(constants=[])
-    places = helper.make_sparse_tensor(constant("weights", [1.0]), constant("places", [10**12]), [N, M])
-    content.graph.sparse_initializer.append(places)
-    return content
-
-
-def recursive() -> ModelProto:
-    """A function that is made of itself."""
-    content = model(nodes_of("action = own.f(observation)"), domains=[("own", 1)])
-    imports = [helper.make_opsetid("", 17), helper.make_opsetid("own", 1)]
-    content.functions.append(helper.make_function("own", "f", ["a"], ["b"], nodes_of("b = own.f(a)"), imports))
-    return content
-
-
-def own_domain(operator: str) -> ModelProto:
-    """An operator of a library that is not ONNX."""
-    domain = "ai.onnx.contrib"
-    return model(nodes_of(f"action = {domain}.{operator}(observation)"), domains=[(domain, 1)])
-
-
 def many_states() -> ModelProto:
     """Seventeen large states."""
     nodes = [LINEAR, *(node("Identity", [f"state_{i}"], f"next_state_{i}") for i in range(17))]
     inputs, outputs = ([info(f"{name}_{i}", "batch", 60_000) for i in range(17)] for name in ("state", "next_state"))
     return model(nodes, [OBSERVATION, *inputs], [ACTION, *outputs])
-
-
-def in_doubles() -> ModelProto:
-    """Actions in double precision."""
-    nodes = nodes_of("a = MatMul(observation, weights); action = Cast<to = 11>(a)")
-    return model(nodes, outputs=[info("action", "batch", M, kind=TensorProto.DOUBLE)])

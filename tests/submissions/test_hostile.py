@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from onnx import ModelProto
+from onnx import ModelProto, TensorProto
 
 from tests.submissions import models
 from tests.submissions.models import M, N, after, folder, info
@@ -72,16 +72,19 @@ ATTACKS: dict[str, dict[str, Build]] = {
         "nested graphs, 50,000 deep": lambda: models.nested(50_000),
         "weights in /proc/self/environ": lambda: models.external("/proc/self/environ"),
         "weights at a memory address": lambda: models.external(**_ADDRESS),
-        "sparse weights outside their shape": models.sparse,
-        "a function that calls itself": models.recursive,
         "a graph with a cycle": _after(
             "first = Add(linear, second); second = Add(first, linear); action = Identity(second)"
         ),
-        "an operator that reads files": lambda: models.own_domain("ReadFile"),
+        "an operator that reads files": lambda: make(
+            models.nodes_of("action = ai.onnx.contrib.ReadFile(observation)"), domains=[("ai.onnx.contrib", 1)]
+        ),
         "an operator that gives no numbers": _after("action = Not(linear)"),
         "actions of 10⁹ values": lambda: make(outputs=[info("action", "batch", 10**9)]),
         "17 states of 60,000 values": models.many_states,
-        "actions in double precision": models.in_doubles,
+        "actions in double precision": lambda: make(
+            models.nodes_of("a = MatMul(observation, weights); action = Cast<to = 11>(a)"),
+            outputs=[info("action", "batch", M, kind=TensorProto.DOUBLE)],
+        ),
         "a batch of two and no other": lambda: make(**_BATCH_OF_TWO),
         "more observations than there are": lambda: models.linear(35, M),
         "another version's observations and actions": models.of_v1,
@@ -101,7 +104,11 @@ ATTACKS: dict[str, dict[str, Build]] = {
             size=[5_000_000],
         ),
         "an endless loop": models.endless,
-        "a slow operator": lambda: models.slow(200_000),
+        "a slow operator": _after(
+            "a = Add(linear, wide); b = Softplus(a); c = Softplus(b); d = Softplus(c); e = Softplus(d); "
+            "mean = ReduceMean<axes = [0], keepdims = 1>(e); action = Add(mean, linear)",
+            wide=np.ones((200_000, M)),
+        ),
     },
     "rollout": {"NaN at the observations with which episodes begin, and nowhere else": models.trap},
     SCORED: {
@@ -183,6 +190,8 @@ def _scored(entry: Entry) -> tuple[str, str]:
 
 @pytest.mark.parametrize(("end", "name"), [(end, name) for end, attacks in ATTACKS.items() for name in attacks])
 def test_hostile_policy_is_stopped(end: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Less takes less time to fill.
+    monkeypatch.setattr(policy_process, "MEMORY_BYTES", 3 * 2**29)
     # Long enough for every other step, on a busy machine too.
     monkeypatch.setattr(policy_process, "STEP_S", 5.0)
     monkeypatch.setattr(policy_process, "LOAD_S", 20.0)
