@@ -161,8 +161,13 @@ def check_entries(entries: Sequence[Entry]) -> None:
     rows: dict[str, Entry] = {}
     for entry in entries:
         first = rows.setdefault(entry.name, entry)
-        if first is not entry:
-            _check_row(first, entry)
+        one, two = first.to_dict(), entry.to_dict()
+        key = row_conflict(one, two)
+        if first is not entry and key is not None:
+            rule = "all have a training seed" if key == "training_seed" else f"agree on {key}"
+            raise ValueError(
+                f"entries named {entry.name!r} share a row and must {rule}, got {one[key]!r} and {two[key]!r}"
+            )
         if entry.name in ANCHOR_NAMES and (entry.policy is not None or entry.law != get_law(entry.name)):
             raise ValueError(f"the name {entry.name!r} is reserved for the strategy itself, which fixes the score")
 
@@ -175,19 +180,6 @@ def check_version(entries: Sequence[Entry], benchmark: Benchmark) -> None:
                 f"entry {entry.label!r} is for {entry.environment}, these scenarios are of {benchmark.env_id}, "
                 "whose observations are others"
             )
-
-
-def _check_row(first: Entry, other: Entry) -> None:
-    """Refuse an entry that would join the row of another method: one name is one method with several seeds."""
-    one, two = first.to_dict(), other.to_dict()
-    key = row_conflict(one, two)
-    if key == "training_seed":
-        seeds = [first.training_seed, other.training_seed]
-        raise ValueError(f"entries named {first.name!r} must all have a training seed, got {seeds}")
-    if key is not None:
-        raise ValueError(
-            f"entries named {first.name!r} share a row and must agree on {key}, got {one[key]!r} and {two[key]!r}"
-        )
 
 
 def row_conflict(one: Mapping[str, Any], two: Mapping[str, Any]) -> str | None:
