@@ -135,10 +135,8 @@ def test_folder_whose_name_would_mean_something_to_a_shell_is_refused(name: str,
 
 _KEY = 'environment = "GFMWTG-14bus-v0"\n'
 _REST = TOML.replace(_KEY, "")
-_LINK, _VERSION = (
-    "a link must be a plain https:// address",
-    "environment must be one of GFMWTG-14bus-v0, GFMWTG-14bus-v1",
-)
+_LINK = "a link must be a plain https:// address"
+_VERSION = "environment must be one of GFMWTG-14bus-v0, GFMWTG-14bus-v1"
 WRONG: list[tuple[str | bytes, str]] = [
     (b"\xff\xfe", "not TOML"),
     ("name = ", "not TOML"),
