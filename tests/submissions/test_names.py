@@ -115,7 +115,7 @@ def test_names_of_all_shipped_folders_pass(monkeypatch: pytest.MonkeyPatch) -> N
 # --- copies of baselines ---------------------------------------------------------------------------------------------
 
 
-def network(mode: str, version: str, gain: float, constant: float = 0.0) -> models.ModelProto:
+def network(mode: str, version: str, gain: float, constant: float) -> models.ModelProto:
     """A policy whose action on each group's first quantity is a gain times the group's own frequency, and a constant.
 
     Its observations are those of the mode and version: of every group, its own and the actions before.
@@ -129,35 +129,29 @@ def network(mode: str, version: str, gain: float, constant: float = 0.0) -> mode
     return models.linear(*weights.shape, weights, constant)
 
 
-def toml(mode: str, version: str, strategy: str) -> str:
-    """An entry.toml of a mode, a version and a law."""
-    return TOML.replace("k+tau", mode).replace("-v0", f"-{version}") + f'strategy = "{strategy}"\n'
-
-
 @pytest.mark.parametrize(
-    ("version", "strategy", "mode", "constant"),
+    ("case", "baseline"),
     [
-        ("v0", "mppt", "k", 0.0),
-        ("v0", "coordinated-piecewise", "k+tau", 0.004),
-        ("v1", "coordinated-tuned", "tau", 0.0),
+        # What does nothing is the law itself.
+        (("v0", "mppt", "k", 0.0, 0.0), "mppt"),
+        (("v0", "coordinated-piecewise", "k+tau", 0.0, 0.004), "coordinated-piecewise"),
+        (("v1", "coordinated-tuned", "tau", 0.0, 0.0), "coordinated-tuned"),
+        (("v1", "coordinated-piecewise", "k", -1.0, 0.0), "fast-droop"),
+        (("v1", "coordinated-piecewise", "k+tau", -1.001, 0.0), "fast-droop"),
+        # The same on another law, or with another gain, is another controller.
+        (("v1", "coordinated-tuned", "k", -1.0, 0.0), None),
+        (("v1", "coordinated-piecewise", "k", -1.5, 0.0), None),
     ],
 )
-def test_policy_that_does_nothing_is_the_law_itself(
-    version: str, strategy: str, mode: str, constant: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_policy_that_plays_as_a_baseline_is_refused(
+    case: tuple[str, str, str, float, float], baseline: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(gate, "_ROLLOUT_LANES", 2)
-    content = network(mode, version, 0.0, constant)
-    check, reason = refused(folder(tmp_path / "a", content, toml(mode, version, strategy)))
-    assert check == "rollout" and f"it plays as the baseline {strategy}:" in reason
-
-
-def test_network_that_plays_as_the_fast_droop_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    version, strategy, mode, gain, constant = case
     monkeypatch.setattr(gate, "_ROLLOUT_LANES", 4)
-    for name, mode, gain in (("a", "k", -1.0), ("b", "k+tau", -1.001)):
-        path = folder(tmp_path / name, network(mode, "v1", gain), toml(mode, "v1", "coordinated-piecewise"))
-        check, reason = refused(path)
-        assert check == "rollout" and "it plays as the baseline fast-droop:" in reason
-    # The same on another law, or with another gain, is another controller.
-    for name, gain, law in (("c", -1.0, "coordinated-tuned"), ("d", -1.5, "coordinated-piecewise")):
-        path = folder(tmp_path / name, network("k", "v1", gain), toml("k", "v1", law))
+    toml = TOML.replace("k+tau", mode).replace("-v0", f"-{version}") + f'strategy = "{strategy}"\n'
+    path = folder(tmp_path / "a", network(mode, version, gain, constant), toml)
+    if baseline is None:
         assert check_submission(path, rollout_only=True).accepted
+    else:
+        check, reason = refused(path)
+        assert check == "rollout" and f"it plays as the baseline {baseline}:" in reason
