@@ -132,8 +132,7 @@ def gap(public: Path, fresh: Path, /, *, json: Json = False) -> int:
         out.print_json({"draw": second.draw, "gaps": [gap.to_dict() for gap in gaps], "left_out": missing})
     else:
         out.say(generalisation.describe(first, second), "")
-        left = [index for index, is_number in enumerate(generalisation.COLUMNS.values()) if not is_number]
-        out.print_table(tuple(generalisation.COLUMNS), generalisation.gap_cells(gaps), left=left)
+        out.print_table(generalisation.COLUMNS, generalisation.gap_cells(gaps), left=(0, 5))
     if missing:
         out.note(f"left out, not the same policy in both results: {', '.join(missing)}")
     return 0

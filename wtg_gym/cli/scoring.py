@@ -15,15 +15,7 @@ from wtg_gym.envs.compile_ahead import compile_ahead
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, Results, evaluate, load_entries, table_cells
 from wtg_gym.evaluation.evaluator import chosen_seeds, shared_settings
-from wtg_gym.evaluation.leaderboard import (
-    LOST_OR_BEYOND,
-    MEDIAN_DEVIATION,
-    TERMINAL_COLUMNS,
-    no_score_note,
-    privileged_note,
-    table_rows,
-    text_columns,
-)
+from wtg_gym.evaluation.table import columns_of, privileged_note, text_columns
 from wtg_gym.evaluation.workers import BACKENDS, Workers
 from wtg_gym.files import read_text
 from wtg_gym.policies.entry import check_entries
@@ -33,7 +25,7 @@ from wtg_gym.ranges import require_range
 from wtg_gym.scenarios import FRESH, draw_seeds, get_suite
 
 #: Heads of columns that are too wide for a terminal of 120 columns.
-_SHORT_HEADS = {MEDIAN_DEVIATION: "Δf [mHz]", LOST_OR_BEYOND: "or > 0.8 Hz [%]"}
+_SHORT_HEADS = {"median deviation [mHz]": "Δf [mHz]", "lost or beyond 0.8 Hz [%]": "or > 0.8 Hz [%]"}
 _MOST_SCENARIOS = 100_000
 #: Largest file with a secret [B].
 _LARGEST_SECRET = 4096
@@ -154,14 +146,12 @@ def finish(results: Results, folder: Path | None, *, as_json: bool) -> int:
         print_json(results.to_dict())
         return code
     say(f"suite {results.suite} ({results.suite_hash[:12]}), {results.split}: {len(results.seeds)} scenarios", "")
-    rows = table_rows(results)
-    heads = [_SHORT_HEADS.get(column, column) for column in TERMINAL_COLUMNS]
-    print_table(heads, table_cells(rows, TERMINAL_COLUMNS), left=text_columns(TERMINAL_COLUMNS))
+    rows, columns = results.ranking, columns_of("terminal")
+    heads = [_SHORT_HEADS.get(column, column) for column in columns]
+    print_table(heads, table_cells(rows, columns), left=text_columns(columns))
     say("", "Δf: largest deviation of a run's frequency, the median; lost runs: those that failed, counted in the next")
     say("column with those whose Δf is above 0.8 Hz; pinned cost: a lost run costs as if it had failed at its start")
     say(*filter(None, [privileged_note(rows)]), "--json prints more")
-    if not results.has_scale:
-        note(no_score_note(results))
-    if results.oracle.missing:
-        note(f"no share of the oracle's gap: {results.oracle.missing}")
+    if results.no_score:
+        note(results.no_score)
     return code

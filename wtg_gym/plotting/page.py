@@ -11,7 +11,7 @@ from typing import Any
 
 from wtg_gym.envs.rendering.colours import GROUPS, LINE
 from wtg_gym.evaluation import Results, leaderboard_rows, table_cells
-from wtg_gym.evaluation.leaderboard import columns_of
+from wtg_gym.evaluation.table import columns_of
 
 #: A colour per kind of entry.
 _COLOURS = {"law": GROUPS[1], "feedback": GROUPS[2], "learned": GROUPS[0]}
@@ -69,7 +69,7 @@ def _ranking(results: Results) -> Any:
     from bokeh.models import CDSView, CheckboxButtonGroup, ColumnDataSource, CustomJS, CustomJSFilter, Div, TextInput
 
     rows = leaderboard_rows(results)
-    heads = list(columns_of(results.benchmark.version))
+    heads = columns_of("whole")
     cells = dict(zip(heads, zip(*table_cells(rows), strict=True), strict=True))
     filled = [head for head in heads if any(cells[head])]
     source = ColumnDataSource(
