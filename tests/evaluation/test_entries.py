@@ -37,7 +37,7 @@ def build():
 def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     folder = tmp_path / "my_entries"
     folder.mkdir()
-    (folder / "__init__.py").write_text('ORDER = ("late",)\n')
+    (folder / "__init__.py").write_text("ORDER = {'v1': ('late', 'early'), 'v0': ('early',)}\n")
     (folder / "helper.py").write_text("x = 1\n")
     for name in ("early", "late", "middle"):
         (folder / f"{name}.py").write_text(MODULE.format(name=name))
@@ -80,8 +80,9 @@ def test_law_and_folder_of_ones_own_are_entries(tmp_path: Path, monkeypatch: pyt
     assert [entry.training_seed for entry in load_entries("ppo-k-3")] == [2]
 
 
-def test_package_gives_its_entries_in_its_order_then_by_name(package: str) -> None:
-    assert [entry.name for entry in load_entries(package)] == ["late", "early", "middle"]
+def test_package_gives_the_entries_of_a_version_in_its_order(package: str) -> None:
+    assert [entry.name for entry in load_entries(package)] == ["late", "early"]
+    assert [entry.name for entry in load_entries(package, benchmark=V0)] == ["early"]
 
 
 @pytest.mark.parametrize(

@@ -87,7 +87,6 @@ def test_learners_of_stable_baselines3_are_exported_with_their_normalisation(alg
     import stable_baselines3
     from stable_baselines3.common.vec_env import VecNormalize
 
-    from wtg_gym.policies.sb3_archive import NormalizedPolicy
     from wtg_gym.sb3 import DeterministicPolicy, make_sb3_vec_env
 
     envs = VecNormalize(make_sb3_vec_env(4, seed=0, suite="standard-v1", duration_s=2.0))
@@ -100,13 +99,13 @@ def test_learners_of_stable_baselines3_are_exported_with_their_normalisation(alg
         model = sb3_contrib.RecurrentPPO("MlpLstmPolicy", envs, n_steps=8, batch_size=16, policy_kwargs=sizes, seed=0)
     model.learn(64)
     folder = export_onnx(DeterministicPolicy(model), tmp_path / "mine", **ENTRY)
-    learned = NormalizedPolicy(model.policy, model.get_vec_normalize_env())
     observations = np.random.default_rng(1).normal(size=(6, 5, observation_width())).astype(np.float32)
     one = two = None
     spread = []
     with OnnxPolicy(folder / "policy.onnx") as policy:
         for each in observations:
-            actions, one = learned.predict(each, one, np.zeros(5, dtype=np.bool_), deterministic=True)
+            starts = np.zeros(5, dtype=np.bool_)
+            actions, one = model.predict(envs.normalize_obs(each), one, starts, deterministic=True)
             others, two = policy.predict(each, two)
             assert np.abs(actions - others).max() < 1e-5
             spread.append(others)

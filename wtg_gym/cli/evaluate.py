@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated, Literal
-
-from cyclopts import Parameter
+from typing import Literal
 
 from wtg_gym.cli import scoring
 from wtg_gym.cli.options import (
     Entries,
-    Flag,
     Json,
     OutputFolder,
     PlantOptions,
@@ -20,18 +17,11 @@ from wtg_gym.cli.options import (
     Threads,
     WorkerOptions,
 )
-from wtg_gym.cli.output import check_page, note, update_page
-from wtg_gym.evaluation import Policy
+from wtg_gym.cli.output import check_page, update_page
 from wtg_gym.evaluation.leaderboard import markdown_section
 from wtg_gym.policies.entry import check_version
 from wtg_gym.policies.names import BASELINES
 from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
-
-_TRUST = (
-    "also take folders with model.zip, an archive of Stable-Baselines3, in the place of policy.onnx, and the key "
-    "algorithm in entry.toml. Loading one runs whatever code its maker put in the file, with your rights, and nothing "
-    "can check that: only for files that you made yourself. The leaderboard never takes them"
-)
 
 
 def evaluate(
@@ -41,7 +31,6 @@ def evaluate(
     split: Literal["train", "validation", "test", "fresh"] = "validation",
     duration: float | None = None,
     results: OutputFolder | None = None,
-    trust_pickle: Annotated[Flag, Parameter(help=_TRUST)] = False,
     threads: Threads = None,
     json: Json = False,
     seeds: SeedOptions = SeedOptions(),
@@ -71,7 +60,6 @@ def evaluate(
       wtg-gym evaluate --entries coordinated-piecewise fast-droop --suite standard-v1 --scenarios 20
       wtg-gym evaluate --entries my_law.toml --suite standard --scenarios 10 --results my_results
       wtg-gym evaluate --entries my_package.controller:make_policy --split test --json
-      wtg-gym evaluate --entries runs/mine/best/* --trust-pickle
       wtg-gym evaluate --entries policies --backend dask --address tcp://head:8786 --results my_results
 
     Args:
@@ -84,17 +72,9 @@ def evaluate(
     scoring.check_stored(results, planned)
     with scoring.kept_parts(results) as partial:
         # Last, because it takes longest, and may run code.
-        chosen = scoring.chosen_entries(entries, suite, _load_trusted if trust_pickle else None)
+        chosen = scoring.chosen_entries(entries, suite)
         found = scoring.run_evaluation(chosen, **planned, partial=partial, n_threads=threads, workers=processes)
     return scoring.finish(found, results, as_json=json)
-
-
-def _load_trusted(folder: Path, algorithm: str) -> tuple[Policy, str]:
-    # Here, because Stable-Baselines3 is another extra, and takes seconds to import.
-    from wtg_gym.policies.sb3_archive import load_archive
-
-    note(f"running the code in the archive of {folder}, as --trust-pickle says")
-    return load_archive(folder, algorithm)
 
 
 def leaderboard(

@@ -69,7 +69,7 @@ def recompute(
     other texts about an entry, are named, but are no difference by themselves: laws give the same bits on one kind of
     processor, a policy's last digits may depend on onnxruntime. The environment's fingerprint says whether this machine
     computes the same as the one before. Fewer scenarios, shorter episodes or other weights than those of the benchmark
-    are named too. Archives of Stable-Baselines3 are not taken.
+    are named too.
 
     examples:
       wtg-gym results recompute results/standard-test.json --entries baselines policies

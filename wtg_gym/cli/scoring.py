@@ -19,7 +19,6 @@ from wtg_gym.evaluation.table import columns_of, privileged_note, text_columns
 from wtg_gym.evaluation.workers import BACKENDS, Workers
 from wtg_gym.files import read_text
 from wtg_gym.policies.entry import check_entries
-from wtg_gym.policies.load import LoadArchive
 from wtg_gym.progress import Progress
 from wtg_gym.ranges import require_range
 from wtg_gym.scenarios import FRESH, draw_seeds, get_suite
@@ -34,13 +33,13 @@ _LARGEST_SECRET = 4096
 # --- values of options: a ValueError says what is wrong with one -----------------------------------------------------
 
 
-def chosen_entries(specs: Sequence[str], suite: str, load_archive: LoadArchive | None = None) -> list[Entry]:
+def chosen_entries(specs: Sequence[str], suite: str) -> list[Entry]:
     """Return the entries of `--entries` for a suite."""
     benchmark = get_suite(suite).benchmark
     # A console script, unlike `python -m`, does not look into the working folder: a checkout's packages are there.
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())
-    entries = [entry for spec in specs for entry in load_entries(spec, load_archive, benchmark)]
+    entries = [entry for spec in specs for entry in load_entries(spec, benchmark)]
     # Stored ones among them are not evaluated, but stand in the same table.
     check_entries(entries)
     return entries
