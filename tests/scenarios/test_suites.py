@@ -13,8 +13,6 @@ from wtg_gym.scenarios.benchmark import V1
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 
 DRAWN = [suite for suite in SUITES.values() if suite.distribution is not None]
-
-
 FIRST = [name for name, suite in SUITES.items() if suite.benchmark.version == "v0"]
 SECOND = [suite for suite in SUITES.values() if suite.benchmark.version == "v1"]
 
@@ -41,7 +39,6 @@ STANDARD, STANDARD_V1 = (
     ("suite", "change"),
     [
         (STANDARD, {"distribution": dataclasses.replace(STANDARD.distribution, load_noise_mw=1.01)}),
-        (STANDARD, {"duration_s": 61.0}),
         (STANDARD, {"test": range(9, 99)}),
         (STANDARD_V1, {"plant": dataclasses.replace(STANDARD_V1.plant, generator_mva=251.0)}),
         (STANDARD_V1, {"sensors": SensorDistribution(delay_s=(0.1, 0.2))}),

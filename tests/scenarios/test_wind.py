@@ -27,25 +27,17 @@ def resolved_variance(spectrum: np.ndarray) -> float:
     return float(np.sum(spectrum[1:-1]) / (N_PERIOD * SERIES_DT))
 
 
-@pytest.mark.parametrize(("turbulence_class", "sigma"), [("A", 2.696), ("B", 2.359), ("C", 2.022)])
-def test_standard_deviation_at_15_m_s_is_that_of_the_normal_turbulence_model(turbulence_class: str, sigma: float):
-    assert wind.ntm_sigma(15.0, wind.TURBULENCE_CLASSES[turbulence_class]) == pytest.approx(sigma)
+def test_standard_deviation_at_15_m_s_is_that_of_the_normal_turbulence_model():
+    found = {name: wind.ntm_sigma(15.0, intensity) for name, intensity in wind.TURBULENCE_CLASSES.items()}
+    assert found == pytest.approx({"A": 2.696, "B": 2.359, "C": 2.022})
 
 
-@pytest.mark.parametrize("mean", [4.0, 9.0, 20.0])
+@pytest.mark.parametrize("mean", [4.0, 20.0])
 def test_kaimal_spectrum_integrates_to_the_variance(mean: float):
     frequency = np.concatenate([[0.0], np.geomspace(1e-7, 1e5, 20_001)])
     spectrum = wind.kaimal_spectrum(frequency, mean, 1.7)
     area = np.sum(0.5 * (spectrum[1:] + spectrum[:-1]) * np.diff(frequency))
     assert area == pytest.approx(1.7**2, rel=1e-3)
-
-
-def test_disk_distance_density_has_unit_area_and_the_known_mean():
-    distance = np.linspace(0.0, 2.0, 20_001)
-    density = wind.disk_distance_density(distance)
-    step = distance[1]
-    assert np.sum(density) * step == pytest.approx(1.0, abs=1e-6)
-    assert np.sum(density * distance) * step == pytest.approx(128.0 / (45.0 * math.pi), abs=1e-6)
 
 
 def test_disk_average_agrees_with_random_pairs_of_points():
