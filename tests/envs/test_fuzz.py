@@ -68,6 +68,8 @@ def play(env: GFMWTGEnv, actions: list[float], **reset: Any) -> None:
         assert env.observation_space.contains(observation)
         assert math.isfinite(reward) and reward <= 0.0
         assert all(math.isfinite(value) for value in info.values() if not isinstance(value, str))
+        terms = [value for key, value in info.items() if key.startswith("cost_")]
+        assert min(terms) >= 0.0 and -reward == pytest.approx(sum(terms), rel=1e-12, abs=1e-15)
         assert info["termination_reason"] in (REASONS if terminated else ("",))
         if terminated or truncated:
             return

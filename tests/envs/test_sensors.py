@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy.typing as npt
 import pytest
 
 from tests.envs.rollouts import actions_of
-from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
+from wtg_gym.envs import GFMWTGEnv
 from wtg_gym.envs.observation import MeasuredObservation, WtgObservation
 from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.scenario import Event, GroupTrip, LoadStep, Scenario
@@ -112,48 +111,6 @@ def test_delayed_measurements_are_those_of_before_bit_for_bit(control_dt: float,
         assert late.column(f"wtg{j}.last_action_k")[1:].tolist() == pytest.approx(
             np.clip(ACTIONS[: len(late.rewards), 2 * j], -1.0, 1.0).tolist()
         )
-
-
-def test_next_episode_begins_with_its_own_measurements() -> None:
-    batch = GFMWTGVectorEnv(3, version="v1", duration_s=2.0, sensors={"delay_s": (0.5, 0.5)})
-    batch.reset(seed=0)
-    width = batch.lanes.n_local
-    for _ in range(20):
-        seen, *_ = batch.step(np.ones((3, N_ACTION)))
-    starts, *_ = batch.step(np.ones((3, N_ACTION)))
-    assert (starts[:, :width] != seen[:, :width]).any(axis=1).all()
-    for step in range(1, 9):
-        seen, *_ = batch.step(np.ones((3, N_ACTION)))
-        same = (seen[:, :width] == starts[:, :width]).all(axis=1)
-        assert same.tolist() == [step <= 5] * 3, step
-
-
-def test_noise_in_the_loop_has_its_deviation_and_is_independent_of_channel_group_lane_and_step() -> None:
-    sizes = {"frequency_noise_hz": 0.02, "rocof_noise_hz_s": 0.1, "rotor_speed_noise_pu": 0.01, "power_noise_pu": 0.02}
-    expected = {"frequency_deviation": 0.02 / 0.5, "rocof": 0.1, "rotor_speed": 0.01 / 0.25, "power": 0.02}
-    n_lanes, n_steps = 16, 400
-    env = GFMWTGVectorEnv(n_lanes, version="v1", observation_mode="privileged", duration_s=60.0, n_threads=1)
-    env.reset(options={"scenarios": [drawn(plain(seed=100 + lane, **sizes), 60.0, ()) for lane in range(n_lanes)]})
-    seen = np.array([env.step(np.zeros((n_lanes, N_ACTION)))[0] for _ in range(n_steps)], dtype=np.float64)
-    names = [entry.partition(" ")[0] for entry in env.observation_names]
-
-    def error(name: str) -> Floats:
-        found, true = ([names.index(f"{owner}{j}.{name}") for j in range(N_WTG)] for owner in ("wtg", "exact"))
-        values: Floats = seen[:, :, found] - seen[:, :, true]
-        return values
-
-    errors = np.stack([error(name) / size for name, size in expected.items()])
-    n = n_steps * n_lanes * N_WTG
-    for name, own in zip(expected, errors, strict=True):
-        assert abs(own.mean()) < 4.0 / math.sqrt(n), name
-        assert own.std() == pytest.approx(1.0, abs=4.0 / math.sqrt(2.0 * n)), name
-        assert np.abs(own).max() <= math.sqrt(12.0) + 1e-4, name
-    series = errors.transpose(0, 2, 3, 1).reshape(-1, n_steps)
-    found = np.corrcoef(series)[np.triu_indices(len(series), 1)]
-    assert np.abs(found).max() < 6.0 / math.sqrt(n_steps), "two channels, groups or lanes go together"
-    assert abs((series[:, 1:] * series[:, :-1]).mean()) < 4.0 / math.sqrt(series.size)
-    # The wind has no noise of its own here.
-    assert not error("wind").any()
 
 
 def test_wind_bias_is_a_share_of_the_wind_and_the_tip_speed_ratio_follows_it() -> None:

@@ -27,7 +27,6 @@ from wtg_gym.physics.scenario import (
 )
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import STRATEGIES
-from wtg_gym.scenarios import get_suite
 
 LAWS = (STRATEGIES["coordinated-piecewise"],) * 2
 CASE = modified_ieee14()
@@ -166,32 +165,6 @@ def test_a_condenser_after_its_outage_feeds_in_nothing_and_counts_nowhere(simula
         assert simulator.lane_values("least_angle")[0] == angles.min()
         assert simulator.lane_values("largest_angle")[0] == angles.max()
     assert np.ptp(speeds) > 1e-6
-
-
-def test_lanes_with_every_kind_of_event_equal_single_runs_bit_for_bit() -> None:
-    suite = get_suite("standard")
-    scenarios = [
-        dataclasses.replace(
-            drawn,
-            events=tuple(
-                dataclasses.replace(event, time_s=round(event.time_s + 0.025 * (lane % 7), 3))
-                for event in ALL[: 1 + lane % len(ALL)]
-            ),
-        )
-        for lane, drawn in enumerate(suite.scenario(20_000 + lane) for lane in range(20))
-    ]
-    batch = Simulator(PlantSettings(), n_lanes=len(scenarios))
-    batch.commit(range(len(scenarios)), batch.prepare(scenarios, LAWS))
-    for _ in range(80):
-        batch.advance()
-    single = Simulator(PlantSettings())
-    for lane, what in enumerate(scenarios):
-        single.start(0, what, LAWS)
-        recorded(single, 8.0)
-        assert (single.state() == batch.state(lane)).all()
-        assert (single.bus_voltages() == batch.bus_voltages(lane)).all()
-        for name in ("connected", "inv_droop"):
-            assert (single.machine_values(name)[0] == batch.machine_values(name)[lane]).all()
 
 
 TIMES = st.integers(0, 80).map(lambda n: n * 0.025)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -18,7 +16,6 @@ from tests.physics.extended import (
     pulse,
     recorded,
     reference_run,
-    rough,
     scenario,
     started,
 )
@@ -33,7 +30,6 @@ from wtg_gym.physics.parameters import (
 from wtg_gym.physics.plant import PlantSettings, build_plant
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import GovernorLoss, LoadStep, Scenario
-from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import get_law
 
 # --- Limits
@@ -138,17 +134,6 @@ def test_shedding_stages_act_in_their_order_at_their_time_with_their_share() -> 
     assert simulator.lane_values("coi")[0] > stages[1].frequency_pu
 
 
-def test_a_short_dip_sheds_nothing() -> None:
-    slow = tuple(dataclasses.replace(stage, delay_s=5.0) for stage in european_shedding())
-    step = LoadStep(time_s=1.0, bus=3, power_mw=150.0)
-    brief = dataclasses.replace(step, time_s=5.0, power_mw=-150.0)
-    simulator = started(plant(shedding=slow), scenario(step, brief, governor_droop=0.2))
-    recorded(simulator, 20.0)
-    assert simulator.lane_values("coi_min")[0] < slow[0].frequency_pu
-    first = simulator.layout.rows.shedding
-    assert (simulator.blocks[0, first : first + 6] >= 0.0).all()
-
-
 # --- The algebraic equations of the current limit
 
 
@@ -188,24 +173,6 @@ def test_limited_currents_solve_their_equations(groups: tuple[WtgGroup, ...]) ->
         assert share[reactance > 0.0] == pytest.approx(1.0, abs=1e-10)
         n_limited.append(int((reactance > 0.0).sum()))
     assert max(n_limited) == m and min(n_limited) == 0
-
-
-def test_a_lane_beside_limited_ones_gets_the_bits_that_it_gets_alone() -> None:
-    settings = plant()
-    runs = [scenario(), scenario(*fault()), rough(0), scenario(LoadStep(time_s=1.0, bus=2, power_mw=120.0)), rough(3)]
-    laws = (get_law(LAW),) * 2
-    batch = Simulator(settings, n_lanes=len(runs))
-    for lane, what in enumerate(runs):
-        batch.start(lane, what, laws)
-    limited = np.zeros(len(runs), dtype=bool)
-    for _ in range(250):
-        batch.advance()
-        limited |= (batch.wtg_values("limiting_reactance") > 0.0).any(axis=1)
-    assert limited.any() and not limited.all()
-    for lane, what in enumerate(runs):
-        alone = started(settings, what)
-        recorded(alone, 25.0)
-        assert (alone.state() == batch.state(lane)).all()
 
 
 # --- Integration

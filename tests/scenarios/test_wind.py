@@ -58,13 +58,6 @@ def test_rotor_and_group_averaging_only_take_away(mean: float, n_turbines: float
     assert ((group >= 1.0 / n_turbines - 1e-12) & (group <= 1.0 + 1e-12)).all()
 
 
-def test_group_filter_is_the_double_sum_over_equally_coherent_turbines():
-    n = 10
-    coherence = np.exp(-wind.TURBINE_SPACING_M * wind.coherence_decay(FREQUENCY, 9.0))
-    double_sum = (n + n * (n - 1) * coherence) / n**2
-    assert wind.group_filter(FREQUENCY, 9.0, n) == pytest.approx(double_sum)
-
-
 @pytest.mark.parametrize("n_turbines", [1.0, 10.0])
 def test_variance_of_group_wind_follows_the_formula(n_turbines: float):
     sigma = wind.ntm_sigma(9.0, 0.14)
@@ -75,13 +68,6 @@ def test_variance_of_group_wind_follows_the_formula(n_turbines: float):
     assert abs(series.mean()) < 1e-12
     assert series.var() == pytest.approx(resolved_variance(spectrum), rel=0.05)
     assert resolved_variance(spectrum) < 0.5 * resolved_variance(point)
-
-
-def test_series_of_different_groups_are_uncorrelated():
-    amplitude = wind.turbulence_amplitude(9.0, 1.7, 1.0, N_PERIOD)
-    series = synthesised(4, [amplitude] * 400, N_PERIOD)
-    first, second = series[::2], series[1::2]
-    assert abs((first * second).mean()) < 0.1 * series.var()
 
 
 def test_gust_dips_peaks_and_leaves_no_trace():
