@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from tests.envs.rollouts import actions_of
+from tests.envs.rollouts import actions_of, calm
 from wtg_gym.envs import GFMWTGEnv
 from wtg_gym.envs.observation import MeasuredObservation, WtgObservation
 from wtg_gym.physics.parameters import GridFormingParameters
@@ -22,6 +22,8 @@ N_WTG, N_ACTION = 4, 8
 MEASURED, EXACT = MeasuredObservation._fields, WtgObservation._fields
 ACTIONS = actions_of(1, 60, n_action=N_ACTION)[:, 0]
 STILL = np.zeros((60, N_ACTION))
+#: Where nothing happens a run stays in its equilibrium.
+STEADY: dict[str, Any] = {"duration_s": 6.0, "n_wtg": N_WTG}
 #: Everything that sensors can do wrong, at once.
 BAD = {
     "frequency_filter_s": 0.3,
@@ -40,11 +42,6 @@ def drawn(sensors: Sensors | None = None, duration_s: float = 6.0, events: tuple
     scenario = get_suite("standard-v1").scenario(1_000_003, duration_s=duration_s)
     events = (LoadStep(time_s=0.525, bus=3, power_mw=25.0),) if events is None else events
     return dataclasses.replace(scenario, sensors=sensors, events=events)
-
-
-def calm(events: tuple[Event, ...] = (), duration_s: float = 6.0) -> Scenario:
-    """Return a scenario in which nothing else happens, so that it stays in its equilibrium."""
-    return Scenario(name="calm", wind_speed=np.full((N_WTG, 1), 9.0), duration_s=duration_s, events=events)
 
 
 def faulty(delay_s: float = 0.0, **changes: Any) -> Sensors:
@@ -143,7 +140,7 @@ def huber(duty: Floats) -> Floats:
 def test_constant_duty_error_is_charged_as_its_filter_fills() -> None:
     # Without a reserve a turbine captures all of the wind, where it is asked for its nominal share.
     control_dt = 0.2
-    run = play(calm(), STILL, strategy="mppt", control_dt=control_dt, sensors="exact")
+    run = play(calm(**STEADY), STILL, strategy="mppt", control_dt=control_dt, sensors="exact")
     error = GridFormingParameters().deloading_nominal / 0.05
     assert error >= 1.0
     time_s = control_dt * np.arange(1, len(run.rewards) + 1)
@@ -158,7 +155,7 @@ def test_constant_duty_error_is_charged_as_its_filter_fills() -> None:
 
 
 def tripping(time_s: float, actions: Floats = STILL) -> Run:
-    return play(calm((GroupTrip(time_s=time_s, group=2),)), actions, strategy="mppt")
+    return play(calm(**STEADY, events=(GroupTrip(time_s=time_s, group=2),)), actions, strategy="mppt")
 
 
 @pytest.mark.parametrize(("time_s", "first_free"), [(2.0, 21), (2.025, 21)])
@@ -183,7 +180,7 @@ def test_rotor_power_and_actions_of_a_group_that_is_gone_cost_nothing() -> None:
     assert effort[:2] == pytest.approx([0.05 * 0.1 * 2.0 * 5.0 / 8.0, 0.05 * 0.1 * 2.0 / 8.0])
     assert (effort[:10] > 0.0).all() and not effort[10:].any()
     energy = run.env.lanes.task_values("available_energy")[0]
-    without = play(calm(), STILL, strategy="mppt").env.lanes.task_values("available_energy")[0]
+    without = play(calm(**STEADY), STILL, strategy="mppt").env.lanes.task_values("available_energy")[0]
     share = run.env.lanes.simulator.plant.constants[0]["share"]
     # It gave its share for one of six seconds.
     assert energy / without == pytest.approx(1.0 - share[2] / share.sum() * 5.0 / 6.0, rel=1e-9)

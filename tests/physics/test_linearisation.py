@@ -13,24 +13,15 @@ from scipy.linalg import expm
 from docs.studies.small_signal import compare, infinite_bus, sides
 from tests.physics.extended import plant, scenario, started, with_machine
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.linearisation import largest_stable_steps, moving_states, state_matrix
+from wtg_gym.physics.linearisation import largest_stable_steps
 from wtg_gym.physics.modes import linearise, modes, synchronising_coefficients
 from wtg_gym.physics.parameters import ConverterLimitParameters, GridFormingParameters, VoltageControlParameters
 from wtg_gym.physics.plant import PlantSettings
-from wtg_gym.physics.scenario import GroupTrip, MachineOutage
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw, get_law
 from wtg_gym.scenarios import get_suite
 
 LAWS = (get_law("coordinated-piecewise"),) * 2
-
-
-def largest_step(simulator: Simulator) -> float:
-    """Return the largest stable step of a simulator's first lane where it stands [s]."""
-    rows, layout = simulator.blocks[0], simulator.layout
-    matrix = state_matrix(rows, simulator.plant, layout, -1.0)
-    keep = moving_states(matrix, rows, layout)
-    return float(largest_stable_steps(np.linalg.eigvals(matrix[np.ix_(keep, keep)])).min())
 
 
 @pytest.mark.parametrize("value", [-40.0 + 0j, -8.9 + 46j, -0.2 + 17j])
@@ -95,19 +86,6 @@ def test_a_law_that_is_too_steep_for_the_step_is_refused(
 
 def test_every_step_and_inertia_that_is_allowed_suits_the_default_plant() -> None:
     Simulator(PlantSettings(simulation_dt=0.04, control_dt=0.2)).prepare([scenario(inertia_scale=0.05)], LAWS)
-
-
-def test_with_fewer_units_the_largest_step_is_no_shorter(simulator: Simulator) -> None:
-    """So that the step that suits the start suits what is left."""
-    found = {}
-    for out in ((), (3,), (6,), (8,), (1,), (3, 6, 8), (1, 3, 6), (1, 3, 8), (1, 6, 8)):
-        for groups in ((), (0,), (0, 1)):
-            events = [MachineOutage(time_s=0.0, bus=bus) for bus in out]
-            simulator.start(0, scenario(*events, *(GroupTrip(time_s=0.0, group=group) for group in groups)), LAWS)
-            simulator.advance()
-            found[out, groups] = largest_step(simulator)
-    assert min(found.values()) >= 0.99 * found[(), ()]
-    assert found[(3, 6, 8), ()] > 1.1 * found[(), ()]
 
 
 # --- Modes

@@ -61,16 +61,6 @@ def test_noise_is_the_same_in_plain_python_and_compiled(monkeypatch: pytest.Monk
     assert all(0 <= key < 2**32 for key, _ in slow) and len({key for key, _ in slow}) == len(seeds) * len(steps)
 
 
-def test_a_word_is_scrambled_one_to_one_and_every_bit_moves_half_of_the_others() -> None:
-    words = np.random.default_rng(0).integers(0, 2**32, 4000)
-    assert len({scrambled(int(word)) for word in words}) == len(set(words.tolist()))
-    flips = np.array(
-        [[(scrambled(int(w)) ^ scrambled(int(w) ^ (1 << bit))).bit_count() for bit in range(32)] for w in words[:500]]
-    )
-    # A fair coin per bit: 16 of 32 on average, with a standard deviation of 2.8 / √500 per bit of the input.
-    assert np.abs(flips.mean(axis=0) - 16.0).max() < 5.0 * math.sqrt(8.0 / 500)
-
-
 def test_noise_has_mean_0_variance_1_the_shape_of_four_uniform_numbers_and_their_bound() -> None:
     numbers = drawn(60, 600).ravel()
     n = numbers.size
