@@ -31,7 +31,7 @@ from wtg_gym.physics.tracking_law import STRATEGIES
 LAWS = (STRATEGIES["coordinated-piecewise"],) * 2
 CASE = modified_ieee14()
 ALL = (
-    LoadStep(time_s=0.5, bus=3, power_mw=20.0),
+    LoadStep(time_s=0.5, bus=3, power_mw=20.0, reactive_mvar=5.0),
     LineTrip(time_s=1.0, from_bus=2, to_bus=4, recloses_after_s=0.75),
     MachineOutage(time_s=1.25, bus=6),
     GovernorLoss(time_s=2.0, bus=1),
