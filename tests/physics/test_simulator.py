@@ -26,7 +26,7 @@ def test_load_noise_ends_with_its_series_at_every_control_interval() -> None:
         assert (noise[round(0.4 / control_dt) :] == 0.0).all()
 
 
-def test_copies_and_snapshots_go_on_bit_for_bit() -> None:
+def test_lanes_copies_and_snapshots_go_on_like_a_single_run_bit_for_bit() -> None:
     steps = (LoadStep(time_s=float(t), bus=2, power_mw=10.0) for t in range(1, 8))
     gone = MachineOutage(time_s=1.25, bus=6), GovernorLoss(time_s=2.0, bus=1), GroupTrip(time_s=2.525, group=1)
     line = LineTrip(time_s=1.0, from_bus=2, to_bus=4, recloses_after_s=3.0)
@@ -39,6 +39,9 @@ def test_copies_and_snapshots_go_on_bit_for_bit() -> None:
     for run in (pickle.loads(pickle.dumps(simulator)), copy.deepcopy(simulator), simulator):
         recorded(run, 4.0)
         ends.append(run.blocks.copy())
+    alone = started(PlantSettings(), scenario(*events, wind=WIND + 0.2))
+    recorded(alone, 6.5)
+    assert (alone.state() == simulator.state(2)).all()
     simulator.start(1, scenario(), LAWS)
     simulator.restore(snapshot)
     recorded(simulator, 4.0)
