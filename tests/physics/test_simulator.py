@@ -49,15 +49,6 @@ def test_lanes_copies_and_snapshots_go_on_like_a_single_run_bit_for_bit() -> Non
         assert (end == simulator.blocks).all()
 
 
-def test_a_finer_control_interval_does_not_change_a_run_without_noise() -> None:
-    ends = []
-    for control_dt in (0.025, 0.1, 0.2):
-        run = started(PlantSettings(control_dt=control_dt), scenario(LoadStep(time_s=0.4, bus=2, power_mw=50.0)))
-        recorded(run, 4.0)
-        ends.append(run.state())
-    assert (ends[0] == ends[1]).all() and (ends[0] == ends[2]).all()
-
-
 def test_bus_voltages_are_those_at_the_machines_terminals(simulator: Simulator) -> None:
     """Recovered from the whole network, against the machines' own equations, through steps, ramps and noise."""
     what = get_suite("standard").scenario(20_003)
