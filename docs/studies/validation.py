@@ -33,7 +33,7 @@ def golden_table():
     """Return the largest differences to the golden traces."""
     rows, n_agree = [], 0
     for path in TRACES:
-        case = read_case(path.parent / "params.json")
+        case = read_case(path.parent.name)
         times, trace = read_trace(path)
         fine = differences(case, trace, replay(case, case.events[path.stem], times, FINE_S))
         n_agree += all(fine[quantity] <= limit for quantity, limit in case.tolerance.items())

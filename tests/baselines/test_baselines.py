@@ -10,9 +10,8 @@ import pytest
 import baselines
 from baselines.fast_droop import FastDroop
 from baselines.tip_speed_feedback import TipSpeedFeedback
-from wtg_gym.evaluation import evaluate, leaderboard_rows, load_entries
+from wtg_gym.evaluation import load_entries
 from wtg_gym.physics.aerodynamics import tracking_point
-from wtg_gym.physics.converter import Corners, tracking_coefficient
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.scenarios.benchmark import V0
 
@@ -30,20 +29,11 @@ def test_entries_are_the_built_in_strategies_in_the_order_of_the_package() -> No
     assert named == {path.stem for path in FOLDER.glob("[a-z]*.py")}
 
 
-def test_linear_law_is_the_straight_line_of_its_docstring() -> None:
-    law, low, high = STRATEGIES["coordinated-linear"], 0.992, 1.008
-    for speed in (low, 0.997, 1.0, 1.004, high):
-        k = tracking_coefficient(speed, law.k_min, law.k_nominal, law.k_max, Corners(low, 1.0, high))
-        assert k == pytest.approx(law.k_max + (law.k_min - law.k_max) * (high - speed) / (high - low))
-
-
-def test_example_law_can_be_evaluated() -> None:
+def test_example_law_lies_between_the_reserves_of_the_paper() -> None:
     (entry,) = load_entries(FOLDER / "example_law.toml")
     assert entry.name == "reserve-7" and entry.law.damping_time_constant_s == 0.8
     nominal = {name: STRATEGIES[name].k_nominal for name in ("deloaded-5", "deloaded-10")}
     assert nominal["deloaded-10"] < entry.law.k_nominal < nominal["deloaded-5"]
-    results = evaluate([entry], "standard", "test", seeds=range(20_000, 20_004), duration_s=10.0)
-    assert {row.name for row in leaderboard_rows(results)} == {"reserve-7", "mppt", "coordinated-piecewise"}
 
 
 def test_feedback_rests_where_the_turbine_captures_what_is_asked() -> None:

@@ -155,15 +155,11 @@ def n_resets(steps: list[Step]) -> int:
     return sum(step[2] or step[3] for step in steps)
 
 
-def info_of(step: Step) -> dict[str, Any]:
-    """Return the info of a step, its final one where the episode was restarted within the step."""
-    info: dict[str, Any] = step[4] if step[5] is None else step[5][4]
-    return info
-
-
 def reasons(steps: list[Step]) -> set[str]:
     """Return why episodes ended in a lane's steps."""
-    return {info_of(step)["termination_reason"] for step in steps if step[2] or step[3]}
+    # Where an episode was restarted within the step, its own info is the final one.
+    infos = (step[4] if step[5] is None else step[5][4] for step in steps if step[2] or step[3])
+    return {info["termination_reason"] for info in infos}
 
 
 def episode(env: GFMWTGEnv, action: Any = 0.0, **reset: Any) -> Iterator[tuple[float, bool, bool, dict[str, Any]]]:

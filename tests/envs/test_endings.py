@@ -7,14 +7,11 @@ import pytest
 
 from tests.envs.rollouts import N_WTG, VERSIONS, calm, episode, eventful, rising, sagging
 from wtg_gym.envs import CostWeights, GFMWTGEnv
-from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.physics.parameters import ProtectionParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import LineTrip, LoadStep, Scenario
 from wtg_gym.physics.trajectory import simulate
-from wtg_gym.scenarios import SUITES
 
 GONE = calm(duration_s=20.0, events=(LoadStep(time_s=1.025, bus=2, power_mw=600.0),))
 TORN = calm(
@@ -36,7 +33,7 @@ def play(scenario: Scenario, action=0.0, **settings):
     return np.array([step[0] for step in steps]), steps[-1], env
 
 
-@pytest.mark.parametrize("weights", [None, {"cap": 2.0}, {"cap": 1e-3}, {"rotor": 1e6}])
+@pytest.mark.parametrize("weights", [None, {"cap": 1e-3}, {"rotor": 1e6}])
 def test_stall_costs_more_than_any_way_of_living_on(weights: dict | None):
     settings = {"strategy": "mppt", "weights": weights}
     rewards, (*_, info), _ = play(sagging(), **settings)
@@ -44,17 +41,13 @@ def test_stall_costs_more_than_any_way_of_living_on(weights: dict | None):
     cap = (weights or {}).get("cap", CostWeights().cap)
     living_on = cap * (60.0 - 0.1 * (rewards.size - 1))
     assert -rewards[-1] > living_on
-    tripped, (*_, truncated, _), _ = play(sagging(), on_failure="trip", **settings)
-    assert truncated and tripped.size == 600 and tripped.min() >= -0.1 * cap * (1 + 1e-12)
-    assert rewards.sum() < tripped.sum()
-
-
-def test_trip_disconnects_the_group_and_goes_on():
-    rewards, (_, terminated, truncated, info), env = play(sagging(), strategy="mppt", on_failure="trip")
-    assert truncated and not terminated and rewards.size == 600 and info["termination_reason"] == ""
+    # Where a failure trips the group, the episode goes on without it.
+    tripped, (_, terminated, truncated, info), env = play(sagging(), on_failure="trip", **settings)
+    assert truncated and not terminated and tripped.size == 600 and info["termination_reason"] == ""
     assert env.lanes.simulator.wtg_values("connected").tolist() == [[0.0, 0.0]]
-    assert np.isfinite(rewards).all() and np.isfinite(env.lanes.observations).all()
-    assert rewards[-1] < -0.1 * CostWeights().duty, "a group that captures nothing is charged for it"
+    assert np.isfinite(env.lanes.observations).all() and tripped.min() >= -0.1 * cap * (1 + 1e-12)
+    assert rewards.sum() < tripped.sum()
+    assert tripped[-1] < -0.1 * min(cap, CostWeights().duty) * 0.999, "a group that captures nothing is charged for it"
 
 
 @pytest.mark.parametrize("on_failure", ["terminate", "trip"])
@@ -88,32 +81,17 @@ def test_low_voltage_may_last_three_seconds():
     assert simulate(SAGGED, "coordinated-piecewise", longer).time_s[-1] == pytest.approx(1.0 + 10.0 + 0.1)
 
 
-@pytest.mark.parametrize("strategy", ["coordinated-undamped", "mppt"])
-@pytest.mark.parametrize("suite", ["standard", "low-wind", "gust", "weak-grid"])
-def test_no_scenario_of_a_suite_comes_near_the_grids_failures(suite: str, strategy: str):
-    lanes = TaskLanes(EnvSettings(suite=suite, split="validation", strategy=strategy), 16, 1)
-    lanes.start(range(16), lanes.scenarios(lanes.suite.validation[:16]))
-    rng = np.random.default_rng(0)
-    for _ in range(600):
-        lanes.step(np.sign(rng.uniform(-1.0, 1.0, (16, lanes.n_action))))
-        least, largest, squared = (
-            lanes.simulator.lane_values(name) for name in ("least_angle", "largest_angle", "least_squared_voltage")
-        )
-        assert np.degrees(largest - least).max() < 90.0 and squared.min() > 0.9**2
-    assert set(lanes.statuses().tolist()) <= {Status.RUNNING, Status.STALL}
-
-
-@pytest.mark.parametrize("control_dt", [0.05, 0.5, 2.0, 10.0])
 @pytest.mark.parametrize(("scenario", "status"), [(sagging(), Status.STALL), (SAGGED, Status.VOLTAGE_COLLAPSE)])
-def test_run_ends_when_it_does_whatever_the_control_interval(scenario: Scenario, status: Status, control_dt: float):
-    usual = simulate(scenario, "mppt")
-    run = simulate(scenario, "mppt", PlantSettings(control_dt=control_dt))
-    assert run.status == usual.status == status
-    assert run.time_s[-1] == pytest.approx(usual.time_s[-1], abs=0.051)
-    assert run.tip_speed_ratio[-1] == pytest.approx(usual.tip_speed_ratio[-1], rel=1e-3)
+def test_run_ends_when_it_does_whatever_the_control_interval(scenario: Scenario, status: Status):
+    usual, *runs = (simulate(scenario, "mppt", PlantSettings(control_dt=dt)) for dt in (0.1, 0.05, 0.5, 10.0))
+    assert usual.status == status
+    for run in runs:
+        assert run.status == status
+        assert run.time_s[-1] == pytest.approx(usual.time_s[-1], abs=0.051)
+        assert run.tip_speed_ratio[-1] == pytest.approx(usual.tip_speed_ratio[-1], rel=1e-3)
 
 
-@pytest.mark.parametrize("control_dt", [0.1, 2.0, 10.0])
+@pytest.mark.parametrize("control_dt", [0.1, 10.0])
 def test_no_run_costs_more_than_one_that_fails_at_once_even_if_it_ends_within_a_long_step(control_dt: float):
     for scenario in (GONE, TORN):
         rewards, (_, terminated, *_), env = play(scenario, 1.0, control_dt=control_dt, weights={"cap": 1e-3})
@@ -164,50 +142,3 @@ def test_scenario_shorter_than_the_episode_is_cut_at_its_end(version: str):
     steps = list(episode(env, seed=0, options={"scenario": short}))
     assert len(steps) == 20 and steps[-1][2] and steps[-1][3]["time_s"] == pytest.approx(2.0)
     assert len(list(episode(env))) == 50
-
-
-@pytest.mark.parametrize(("control_dt", "simulation_dt"), [(0.02, 0.02), (0.1, 0.01), (0.2, 0.02), (1.0, 0.02)])
-def test_episode_has_as_many_steps_as_its_length_asks(control_dt: float, simulation_dt: float):
-    env = GFMWTGEnv(duration_s=3.0, control_dt=control_dt, simulation_dt=simulation_dt, version="v0")
-    steps = list(episode(env, seed=0))
-    assert len(steps) == round(3.0 / control_dt) and steps[-1][2]
-    assert steps[0][3]["time_s"] == pytest.approx(control_dt) and steps[-1][3]["time_s"] == pytest.approx(3.0)
-
-
-def test_events_act_in_the_step_that_covers_them():
-    plain, moved = (GFMWTGEnv(scenario=s.to_dict(), version="v0") for s in (calm(), calm(events=eventful().events)))
-    plain.reset(seed=0), moved.reset(seed=0)
-    equal = []
-    for _ in range(10):
-        equal.append(plain.step(np.zeros(4))[-1]["frequency_hz"] == moved.step(np.zeros(4))[-1]["frequency_hz"])
-    assert equal == [True] * 5 + [False] * 5, "the first event is at 0.52 s"
-
-
-#: None of the 3,200 first scenarios of each suite is refused; so many are looked at in each run of the tests.
-N_TRAIN = 300
-LAWS = ("mppt", "deloaded-5", "deloaded-10", "coordinated-piecewise")
-
-
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("name", [name for name, suite in SUITES.items() if suite.benchmark.version == "v1"])
-def test_scenarios_start_at_nominal_frequency_with_turning_rotors_and_a_gate_between_its_limits(
-    name: str, law: str
-) -> None:
-    suite = SUITES[name]
-    seeds = [*suite.validation, *suite.train[:N_TRAIN]]
-    lanes = TaskLanes(EnvSettings(suite=name, strategy=law), len(seeds), 1)
-    for first in range(0, len(seeds), 8):
-        index = range(first, min(first + 8, len(seeds)))
-        scenarios = lanes.scenarios([seeds[place] for place in index])
-        # It refuses rotors below the under-speed trip as well.
-        lanes.start(index, lanes.prepare(scenarios, turning=True))
-    simulator = lanes.simulator
-    gates = simulator.machine_values("gate")[:, 0]
-    # The mean winds give a share of the load; the wind of the first moment may be another one.
-    assert ((gates >= 0.1) & (gates <= 0.9)).mean() >= 0.99, f"{gates.min():.3f} … {gates.max():.3f}"
-    assert gates.min() >= 0.05 and gates.max() <= 0.95, f"{gates.min():.3f} … {gates.max():.3f}"
-    assert np.abs(simulator.lane_values("coi") - 1.0).max() < 1e-9
-    power = simulator.wtg_values("power")
-    assert power.max() <= simulator.settings.pitch.captured_power_limit_pu + 1e-6, (
-        "no group starts beyond what the pitch allows"
-    )

@@ -10,7 +10,6 @@ import pytest
 
 from tests.envs.rollouts import (
     ACTION_MODES,
-    OBSERVATION_MODES,
     VERSIONS,
     actions_of,
     calm,
@@ -21,24 +20,20 @@ from tests.envs.rollouts import (
 )
 from wtg_gym.envs import CostWeights, GFMWTGEnv, GFMWTGVectorEnv
 from wtg_gym.envs.task_records import COST_TERMS
-from wtg_gym.scenarios import SUITES
+from wtg_gym.physics.scenario import Scenario
 from wtg_gym.wrappers import VectorReward
 
 TERMS = [f"cost_{name}" for name in ("duty", "effort", "failure", "frequency", "overload", "rocof", "rotor")]
 KEYS = {*TERMS, "time_s", "frequency_hz", "rocof_hz_s", "cost", "scenario_seed", "termination_reason"}
-SCENARIOS = {"drawn": None, "stall": sagging(), "over-speed": rising(), "eventful": eventful()}
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("scenario", [sagging(), rising(), eventful()], ids=lambda scenario: scenario.name)
 @pytest.mark.parametrize("on_failure", ["terminate", "trip"])
 def test_info_keeps_its_keys_and_types_and_its_cost_terms_are_never_negative_and_add_up_to_minus_the_reward(
-    name: str, on_failure: str
+    scenario: Scenario, on_failure: str
 ):
-    scenario = SCENARIOS[name]
-    fixed = None if scenario is None else scenario.to_dict()
-    env = GFMWTGEnv(strategy="mppt", scenario=fixed, on_failure=on_failure, version="v0")
-    _, first = env.reset(seed=0)
-    types = {key: type(value) for key, value in first.items()}
+    env = GFMWTGEnv(strategy="mppt", scenario=scenario.to_dict(), on_failure=on_failure, version="v0")
+    types = {key: type(value) for key, value in env.reset(seed=0)[1].items()}
     assert set(types) == KEYS
     for reward, *_, info in episode(env, [1.0, -1.0, -0.5, 1.0], seed=0):
         assert {key: type(value) for key, value in info.items()} == types
@@ -80,13 +75,10 @@ def test_rate_of_change_is_that_of_the_reported_frequency_over_half_a_second():
     assert [info["rocof_hz_s"] for info in infos] == pytest.approx(expected.tolist(), abs=1e-9)
 
 
-@pytest.mark.parametrize("observation_mode", OBSERVATION_MODES)
 @pytest.mark.parametrize("action_mode", ACTION_MODES)
 @pytest.mark.parametrize("version", VERSIONS)
-def test_observations_stay_in_their_space_and_no_entry_is_constant(
-    version: str, action_mode: str, observation_mode: str
-):
-    modes = {"action_mode": action_mode, "observation_mode": observation_mode}
+def test_observations_stay_in_their_space_and_no_entry_is_constant(version: str, action_mode: str):
+    modes = {"action_mode": action_mode, "observation_mode": "privileged"}
     env = GFMWTGVectorEnv(5, version=version, duration_s=15.0, **modes)
     n_action = env.single_action_space.shape[0]
     seen = [env.reset(seed=0)[0]]
@@ -100,26 +92,6 @@ def test_observations_stay_in_their_space_and_no_entry_is_constant(
     assert all("[" in name or "last_action" in name for name in names)
     spread = np.ptp(values.reshape(-1, values.shape[-1]), axis=0)
     assert [name for name, width in zip(names, spread, strict=True) if width < 1e-4] == []
-
-
-@pytest.mark.parametrize("suite", [name for name, suite in SUITES.items() if suite.benchmark.version == "v1"])
-@pytest.mark.parametrize("on_failure", ["terminate", "trip"])
-def test_cost_terms_of_version_v1_are_never_negative_and_add_up_to_minus_the_reward(suite: str, on_failure: str):
-    env = GFMWTGVectorEnv(32, suite=suite, strategy="deloaded-10", on_failure=on_failure, n_threads=1)
-    env.reset(seed=0)
-    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (600, *env.action_space.shape))
-    total = np.zeros((32, len(TERMS)))
-    for action in actions:
-        _, rewards, terminated, _, infos = env.step(action)
-        terms = np.stack([infos[key] for key in TERMS], axis=1)
-        assert (terms >= 0.0).all() and np.isfinite(terms).all()
-        assert -rewards == pytest.approx(terms.sum(axis=1), rel=1e-12, abs=1e-15)
-        assert ((infos["cost_failure"] > 0.0) == terminated).all()
-        assert set(infos["cost"].tolist()) <= {0.0, 1.0}
-        total += terms
-    env.close()
-    means = dict(zip(TERMS, total.mean(axis=0), strict=True))
-    assert min(means[f"cost_{name}"] for name in ("frequency", "rocof", "duty", "effort")) > 0.1
 
 
 def test_last_action_is_observed_as_it_was_clipped():
@@ -136,8 +108,7 @@ def test_observation_tells_what_its_names_say():
     env = GFMWTGEnv(scenario=scenario.to_dict(), observation_mode="privileged", version="v0")
     observation, _ = env.reset(seed=0)
     entry = dict(zip(env.observation_names, observation.tolist(), strict=True))
-    assert entry["wtg0.wind [5 m/s from 10 m/s]"] == pytest.approx(-0.2)
-    assert entry["wtg1.wind [5 m/s from 10 m/s]"] == pytest.approx(-0.1)
+    assert [entry[f"wtg{j}.wind [5 m/s from 10 m/s]"] for j in range(2)] == pytest.approx([-0.2, -0.1])
     still = ("frequency_deviation", "rocof", "filter_state", "speed [0.5 Hz]")
     for name, value in entry.items():
         if any(word in name for word in still):

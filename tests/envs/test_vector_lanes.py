@@ -9,7 +9,6 @@ from __future__ import annotations
 import itertools
 import subprocess
 import sys
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -39,49 +38,36 @@ from wtg_gym.scenarios import SUITES
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 
 ROOT = Path(__file__).resolve().parents[2]
-SEED = 40
-N_STEPS = 50
-
-
-@cache
-def singles(mode: AutoresetMode, version: str) -> list[list]:
-    """The rollouts of 33 single environments with neighbouring seeds."""
-    actions = actions_of(3, N_STEPS, 33, 2 * N_WTG[version])
-    env = GFMWTGEnv(version=version, duration_s=2.0)
-    return [single_steps(env, actions[:, lane], mode, seed=SEED + lane) for lane in range(33)]
 
 
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("n_lanes", [1, 5, 33])
-def test_lane_equals_the_single_environment_with_its_seed_through_resets(
-    n_lanes: int, mode: AutoresetMode, version: str
-):
-    env = GFMWTGVectorEnv(n_lanes, version=version, duration_s=2.0, autoreset_mode=mode)
-    lanes = vector_steps(env, actions_of(3, N_STEPS, 33, 2 * N_WTG[version])[:, :n_lanes], seed=SEED)
-    for lane, steps in enumerate(lanes):
-        assert n_resets(steps) == 2
-        assert steps == singles(mode, version)[lane], f"lane {lane} of {n_lanes}"
+def test_lane_equals_the_single_environment_with_its_seed_through_resets(mode: AutoresetMode, version: str):
+    actions, given = actions_of(3, 50, 33, 2 * N_WTG[version]), {"version": version, "duration_s": 2.0}
+    env = GFMWTGEnv(**given)
+    expected = [single_steps(env, actions[:, lane], mode, seed=40 + lane) for lane in range(33)]
+    assert {n_resets(steps) for steps in expected} == {2}
+    for n_lanes in (1, 5, 33):
+        batch = GFMWTGVectorEnv(n_lanes, autoreset_mode=mode, **given)
+        assert vector_steps(batch, actions[:, :n_lanes], seed=40) == expected[:n_lanes]
 
 
 SUITES_V1 = [name for name, suite in SUITES.items() if suite.benchmark.version == "v1"]
 
 
-@pytest.mark.parametrize("place", range(len(SUITES_V1)))
-def test_lane_of_version_v1_equals_the_single_environment_in_every_suite_and_mode(place: int):
-    autoresets, threads = itertools.cycle(MODES), itertools.cycle((2, 1))
-    for action_mode, observation_mode in itertools.product(ACTION_MODES, OBSERVATION_MODES):
-        settings = {"suite": SUITES_V1[place], "action_mode": action_mode, "observation_mode": observation_mode}
-        env = GFMWTGVectorEnv(17, duration_s=2.5, autoreset_mode=(mode := next(autoresets)), **settings)
-        n_action = env.single_action_space.shape[0]
-        actions = actions_of(place, 60, 17, n_action)
-        lanes = vector_steps(env, actions, seed=place)
-        twin = GFMWTGVectorEnv(17, duration_s=2.5, autoreset_mode=mode, n_threads=next(threads), **settings)
-        assert vector_steps(twin, actions, seed=place) == lanes
-        env.close(), twin.close()
+@pytest.mark.parametrize("suite", SUITES_V1)
+def test_lane_of_version_v1_equals_the_single_environment_in_every_suite_and_mode(suite: str):
+    combinations = itertools.product(ACTION_MODES, OBSERVATION_MODES)
+    for seed, (action_mode, observation_mode) in enumerate(combinations):
+        mode = MODES[seed % 3]
+        settings = {"suite": suite, "action_mode": action_mode, "observation_mode": observation_mode}
+        env = GFMWTGVectorEnv(17, duration_s=2.5, autoreset_mode=mode, n_threads=1 + seed % 2, **settings)
+        actions = actions_of(seed, 60, 17, env.single_action_space.shape[0])
+        lanes = vector_steps(env, actions, seed=seed)
+        env.close()
         single = GFMWTGEnv(duration_s=2.5, **settings)
         for lane in (0, 11, 16):
-            assert lanes[lane] == single_steps(single, actions[:, lane], mode, seed=place + lane)
+            assert lanes[lane] == single_steps(single, actions[:, lane], mode, seed=seed + lane)
             assert n_resets(lanes[lane]) >= 2
 
 
@@ -119,7 +105,7 @@ def test_lane_plays_its_own_scenario_and_then_draws(mode: AutoresetMode, version
     env = GFMWTGVectorEnv(n, version=version, duration_s=4.0, autoreset_mode=mode)
     lanes = vector_steps(env, actions, seed=9, start={"scenarios": scenarios})
     for lane, steps in enumerate(lanes):
-        single, start = GFMWTGEnv(version=version, duration_s=4.0), {"scenario": scenarios[lane].to_dict()}
+        single, start = GFMWTGEnv(version=version, duration_s=4.0), {"scenario": scenarios[lane]}
         assert steps == single_steps(single, actions[:, lane], mode, seed=9 + lane, start=start)
         assert n_resets(steps) >= 1
 
@@ -140,15 +126,11 @@ def test_reset_mask_restarts_only_its_lanes():
     env, twin = (GFMWTGVectorEnv(5, duration_s=3.0, autoreset_mode="Disabled", version="v0") for _ in range(2))
     actions = actions_of(11, 20, 5)
     vector_steps(env, actions, seed=1), vector_steps(twin, actions, seed=1)
-    mask = np.array([False, True, False, False, True])
-    _, infos = env.reset(options={"reset_mask": mask})
-    assert infos["_time_s"].tolist() == mask.tolist()
-    assert (infos["time_s"][mask] == 0.0).all() and (infos["time_s"][~mask] == 2.0).all()
+    mask = [False, True, False, False, True]
+    _, infos = env.reset(options={"reset_mask": np.array(mask)})
+    assert infos["_time_s"].tolist() == mask and infos["time_s"].tolist() == [2.0, 0.0, 2.0, 2.0, 0.0]
     after, other = vector_steps(env, actions[:9]), vector_steps(twin, actions[:9])
-    for lane in np.flatnonzero(~mask):
-        assert after[lane] == other[lane]
-    for lane in np.flatnonzero(mask):
-        assert after[lane] != other[lane]
+    assert [own != theirs for own, theirs in zip(after, other, strict=True)] == mask
 
 
 def test_returned_arrays_are_not_overwritten_by_later_steps():

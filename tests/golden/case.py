@@ -25,10 +25,13 @@ from wtg_gym.physics.network import Branch, Bus, NetworkCase
 from wtg_gym.physics.scenario import LoadStep
 
 GOLDEN = Path(__file__).parent
+#: Rows of the traces are whole multiples of this [s].
+ROW_S = 1.0 / 16.0
 #: Every trace.
 TRACES = sorted(GOLDEN.glob("*/*.csv"))
 
 #: What the file, as ANDES, calls what a record has, in the order of the file.
+BRANCH = {"resistance": "r", "reactance": "x", "charging": "b", "tap": "tap", "phase_rad": "phi"}
 MACHINE = {"rating_mva": "Sn", "two_h_s": "M", "x_d_transient": "xd1", "damping_pu": "D", "resistance": "ra"}
 GENROU = {
     "x_d": "xd",
@@ -96,9 +99,19 @@ class Case:
         return machines | {f"{quantity}{bus}": quantity for quantity in ("V", "th") for bus in self.network.bus_numbers}
 
 
-def read_case(path: Path, **changes: Any) -> Case:
-    """Read a `params.json`, with other values of some of its keys."""
-    data = json.loads(path.read_text(encoding="utf-8")) | changes
+def read_data(name: str) -> dict[str, Any]:
+    """Return what the `params.json` of a golden case holds."""
+    data: dict[str, Any] = json.loads((GOLDEN / name / "params.json").read_text(encoding="utf-8"))
+    return data
+
+
+def read_case(name: str) -> Case:
+    """Return a golden case by the name of its folder."""
+    return case_of(name, read_data(name))
+
+
+def case_of(name: str, data: Mapping[str, Any]) -> Case:
+    """Return the case that such data describe."""
     base = data["Sbase"]
     voltage = {bus["bus"]: bus["V"] * np.exp(1j * bus["theta"]) for bus in data["bus"]}
     loads = dict.fromkeys(voltage, 0j) | {load["bus"]: complex(load["P"], load["Q"]) for load in data["load"]}
@@ -111,7 +124,7 @@ def read_case(path: Path, **changes: Any) -> Case:
     machines = tuple(_machine(gen, base, power[key], data, key) for key, gen in data["gens"].items())
     held = {machine.bus for machine in machines}
     network = NetworkCase(
-        name=path.parent.name,
+        name=name,
         base_mva=base,
         frequency_hz=data["fn"],
         # Every machine's power is given, so that any of their buses can take the slack; the angle's zero is a choice.
@@ -127,18 +140,7 @@ def read_case(path: Path, **changes: Any) -> Case:
             )
             for number in voltage
         ),
-        branches=tuple(
-            Branch(
-                from_bus=line["f"],
-                to_bus=line["t"],
-                resistance=line["r"],
-                reactance=line["x"],
-                charging=line["b"],
-                tap=line["tap"],
-                phase_rad=line["phi"],
-            )
-            for line in data["line"]
-        ),
+        branches=tuple(Branch(from_bus=line["f"], to_bus=line["t"], **_named(BRANCH, line)) for line in data["line"]),
         machines=machines,
     )
     return Case(
@@ -169,11 +171,7 @@ def _control(data: Mapping[str, Any], key: str, kinds: Mapping[str, tuple[Any, M
 
 
 def _machine(
-    gen: Mapping[str, Any],
-    base: float,
-    power: complex,
-    data: Mapping[str, Any],
-    key: str,
+    gen: Mapping[str, Any], base: float, power: complex, data: Mapping[str, Any], key: str
 ) -> SynchronousMachineParameters:
     common: dict[str, Any] = {
         **_named(MACHINE, gen),
@@ -202,7 +200,10 @@ def _event(
 
 
 def read_trace(path: Path) -> tuple[Floats, dict[str, Floats]]:
-    """Return the times of a trace (n,) [s] and its columns (n,) by name, such as ``w1`` or ``V14``."""
-    names = path.read_text(encoding="utf-8").partition("\n")[0].split(",")
-    table = np.loadtxt(path, delimiter=",", skiprows=1)
-    return table[:, 0], {name: table[:, i] for i, name in enumerate(names) if i}
+    """Return the times of a trace (n,) [s] and its columns (n,) by name, such as ``w1`` or ``V14``.
+
+    Without the rows of three traces 0.1 ms after an event, which no step ends at.
+    """
+    table = np.genfromtxt(path, delimiter=",", names=True)
+    table = table[table["t"] % ROW_S == 0.0]
+    return table["t"], {name: table[name] for name in table.dtype.names[1:]}

@@ -168,6 +168,3 @@ class Independent:
         watch: Any = to_limit if limit else off_limit
         watch.terminal, watch.direction = True, limit if limit else -held
         return j, limit, watch
-
-
-__all__ = ["Independent"]

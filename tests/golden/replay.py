@@ -1,72 +1,68 @@
-"""Run a golden case here, and compare it with its trace.
-
-The trace's rows and the events may come at any time. Whole steps are counted from each event on, and the last one
-before an event ends at it. A row between two steps is reached by a shortened step on a copy of the state.
-"""
+"""Run a golden case here, and compare it with its trace."""
 
 from __future__ import annotations
 
-import dataclasses
-import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
-from tests.golden.case import Case
-from wtg_gym.physics.compiled import compiled
-from wtg_gym.physics.dynamics import advance_step, evaluate_rates
-from wtg_gym.physics.kernel_data import Plant
-from wtg_gym.physics.layout import Floats, Lanes
+from tests.golden.case import ROW_S, Case
+from wtg_gym.physics.layout import Floats
+from wtg_gym.physics.parameters import ProtectionParameters
 from wtg_gym.physics.plant import PlantSettings
-from wtg_gym.physics.reduction import bus_voltages, combine_load_noise, refresh_network
-from wtg_gym.physics.scenario import LoadStep, Scenario
+from wtg_gym.physics.scenario import Event, Scenario
 from wtg_gym.physics.simulator import Simulator
 
-#: Instants closer than this are one [s].
-_INSTANT = 1e-9
 
-
-def replay(case: Case, events: Sequence[LoadStep], time_s: npt.ArrayLike, step_s: float) -> dict[str, Floats]:
-    """Run a case and return every column that a trace may hold, each (n,).
-
-    A value at the instant of an event is the one before it; of several rows at that instant, the first.
+def replay(case: Case, events: Sequence[Event], time_s: Floats, step_s: float) -> dict[str, Floats]:
+    """Run a case and return every column that a trace may hold, each (n,); a value at an event is the one before it.
 
     Args:
-        case, events: what runs, and what happens.
-        time_s: instants of the rows, not decreasing from 0 s on (n,) [s].
-        step_s: integration step, 0.05 … 40 ms [s].
+        case, events: what runs, and what happens, at whole steps.
+        time_s: instants of the rows, multiples of ROW_S, increasing (n,) [s].
+        step_s: integration step, ROW_S divided by a whole number [s].
     """
-    times = np.asarray(time_s, dtype=np.float64)
-    run = _Run(case, events, step_s)
-    table = np.empty((times.size, len(case.columns)))
-    row, clock = 0, 0.0
-    for rank, end in enumerate((*run.instants, np.inf)):
-        if rank:
-            run.strike(rank)
-        for step, after in _steps(clock, min(end, float(times[-1])), step_s):
-            while times[row] < after - _INSTANT:
-                table[row] = run.look(float(times[row]) - clock)
-                row += 1
-            run.step(run.block, step)
-            clock = after
-        first = True
-        while row < times.size and times[row] <= end + _INSTANT and (first or times[row] < end - _INSTANT):
-            # Of two rows at the instant of an event the second is the one after it.
-            first = times[row] < end - _INSTANT
-            table[row] = run.look(0.0)
-            row += 1
-        if row == times.size:
-            break
-        clock = end
-    return {name: table[:, i] for i, name in enumerate(case.columns)}
+    # The other simulators have no protection.
+    settings = PlantSettings(
+        case=case.network,
+        groups=(),
+        control_dt=ROW_S,
+        simulation_dt=step_s,
+        protection=ProtectionParameters(frequency_min_pu=0.5),
+    )
+    duration_s = float(time_s[-1])
+    simulator = Simulator(settings, duration_s=duration_s)
+    scenario = Scenario(
+        name=case.network.name,
+        wind_speed=np.zeros((0, 1)),
+        events=tuple(events),
+        duration_s=duration_s,
+        load_noise_bus=case.network.bus_numbers[0],
+    )
+    simulator.start(0, scenario, ())
+    _require_power_flow(case, simulator)
+    table = np.array(sampled(simulator, time_s, _columns))
+    return dict(zip(case.columns, table.T, strict=True))
+
+
+def sampled(simulator: Simulator, time_s: Floats, look: Callable[[Simulator], Floats]) -> list[Floats]:
+    """Return what is seen of a running simulator at some multiples of its control interval [s]."""
+    seen, interval = [], 0
+    for wanted in np.round(time_s / simulator.settings.control_dt).astype(int):
+        for _ in range(wanted - interval):
+            simulator.advance()
+        interval = wanted
+        simulator.evaluate()
+        seen.append(look(simulator))
+    assert simulator.lane_values("status")[0] == 0.0
+    return seen
 
 
 def differences(case: Case, trace: Mapping[str, Floats], found: Mapping[str, Floats]) -> dict[str, float]:
-    """Return the largest difference of each quantity that a trace holds; angles count modulo a turn."""
+    """Return the largest difference of each quantity that both hold; angles count modulo a turn."""
     largest: dict[str, float] = {}
     for name, quantity in case.columns.items():
-        if name in trace:
+        if name in trace and name in found:
             gap = np.abs(found[name] - trace[name])
             if quantity in ("delta", "th"):
                 gap = np.abs(np.remainder(gap + np.pi, 2.0 * np.pi) - np.pi)
@@ -74,91 +70,34 @@ def differences(case: Case, trace: Mapping[str, Floats], found: Mapping[str, Flo
     return largest
 
 
-def _steps(start: float, end: float, step_s: float) -> Iterator[tuple[float, float]]:
-    """Whole steps from `start` on and what is left before `end`, each with the time after it."""
-    count = int((end - start) / step_s + 1e-6)
-    for i in range(count):
-        yield step_s, start + (i + 1) * step_s
-    left = end - (start + count * step_s)
-    if left > _INSTANT:
-        yield left, end
+def _require_power_flow(case: Case, simulator: Simulator) -> None:
+    """Refuse a case whose power flow is not that of its own network."""
+    simulator.evaluate()
+    own, given = simulator.bus_voltages(), np.array(list(case.voltage.values()))
+    slack = case.network.bus_index(case.network.slack_bus)
+    assert np.abs(own / own[slack] - given / given[slack]).max() < 1e-5, f"{case.network.name}: other voltages"
+    found = dict(zip(case.columns, _columns(simulator), strict=True))
+    for key, power in case.power.items():
+        assert abs(complex(found[f"Pe{key}"], found[f"Qe{key}"]) - power) < 1e-4, f"machine {key}: other power"
 
 
-class _Run:
-    """A case under way: the simulator's own kernels, with steps of any length."""
-
-    def __init__(self, case: Case, events: Sequence[LoadStep], step_s: float) -> None:
-        self.instants = sorted({event.time_s for event in events})
-        settings = PlantSettings(case=case.network, groups=(), control_dt=step_s, simulation_dt=step_s)
-        # Nothing is played here: this is the shortest run that a scenario may have.
-        duration_s = step_s * math.ceil(0.1 / step_s)
-        # The rank of an event's instant stands for its time: strike() sets the clock.
-        ranked = tuple(
-            dataclasses.replace(event, time_s=step_s * (1 + self.instants.index(event.time_s))) for event in events
-        )
-        self.simulator = Simulator(settings, duration_s=duration_s)
-        scenario = Scenario(
-            name=case.network.name,
-            wind_speed=np.zeros((0, 1)),
-            events=ranked,
-            duration_s=duration_s,
-            load_noise_bus=case.network.bus_numbers[0],
-        )
-        self.simulator.start(0, scenario, ())
-        self.block, self.plant = self.simulator.blocks[0], self.simulator.plant
-        self._require_power_flow(case)
-
-    def _require_power_flow(self, case: Case) -> None:
-        """Refuse a case whose power flow is not that of its own network."""
-        own, given = self._bus_voltages(self.block), np.array(list(case.voltage.values()))
-        slack = case.network.bus_index(case.network.slack_bus)
-        assert np.abs(own / own[slack] - given / given[slack]).max() < 1e-5, f"{case.network.name}: other voltages"
-        found = dict(zip(case.columns, self.look(0.0), strict=True))
-        for key, power in case.power.items():
-            assert abs(complex(found[f"Pe{key}"], found[f"Qe{key}"]) - power) < 1e-4, f"machine {key}: other power"
-
-    def _bus_voltages(self, block: Floats) -> npt.NDArray[np.complex128]:
-        return bus_voltages(block, 0, 0, self.plant, self.simulator.data, 0.0, 1)
-
-    def strike(self, rank: int) -> None:
-        """Let the events of an instant happen."""
-        self.block[self.simulator.layout.lane("step")] = rank
-        refresh_network(self.block, 0, 0, self.plant, self.simulator.data, 1)
-        combine_load_noise(self.block, self.plant.constants[0], np.zeros(1), self.simulator.lanes)
-
-    def step(self, block: Floats, step_s: float) -> None:
-        """Advance a block by one step of any length [s]."""
-        constants = self.plant.constants.copy()
-        constants["simulation_dt"] = step_s
-        _advance(block, self.plant._replace(constants=constants), self.simulator.lanes)
-
-    def look(self, ahead_s: float) -> Floats:
-        """Return all columns as they are `ahead_s` from now, without going there."""
-        block = self.block.copy()
-        if ahead_s > _INSTANT:
-            self.step(block, ahead_s)
-        evaluate_rates(block[None, :], self.plant, self.simulator.lanes)
-        layout = self.simulator.layout
-        n, first = layout.n_sync, layout.rows.voltage
-        machines = self.plant.constants["machines"][0]
-        reference = block[layout.lane("angle")]
-        emf, current = block[first : first + 4 * n].reshape(2, n, 2) @ [1.0, 1j]
-        impedance = machines["resistance"] + 1j * machines["internal_reactance"]
-        power = (emf - impedance * current) * current.conj()
-        voltage = self._bus_voltages(block)
-        return np.concatenate(
-            [
-                block[layout.machine("speed")],
-                power.real,
-                power.imag,
-                block[layout.machine("torque")],
-                block[layout.machine("angle")] + reference,
-                np.abs(voltage),
-                np.angle(voltage * np.exp(1j * reference)),
-            ]
-        )
-
-
-@compiled
-def _advance(block: Floats, plant: Plant, lanes: Lanes) -> None:
-    advance_step(block, plant.constants[0], 0, lanes)
+def _columns(simulator: Simulator) -> Floats:
+    """Return all columns of a trace as they are now."""
+    layout, block = simulator.layout, simulator.blocks[0]
+    n, first = layout.n_sync, layout.rows.voltage
+    machines = simulator.plant.constants["machines"][0]
+    reference = simulator.lane_values("angle")
+    emf, current = block[first : first + 4 * n].reshape(2, n, 2) @ [1.0, 1j]
+    power = (emf - (machines["resistance"] + 1j * machines["internal_reactance"]) * current) * current.conj()
+    voltage = simulator.bus_voltages()
+    return np.concatenate(
+        [
+            simulator.machine_values("speed")[0],
+            power.real,
+            power.imag,
+            simulator.machine_values("torque")[0],
+            simulator.machine_values("angle")[0] + reference,
+            np.abs(voltage),
+            np.angle(voltage * np.exp(1j * reference)),
+        ]
+    )

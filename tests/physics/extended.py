@@ -17,6 +17,7 @@ from scipy.integrate import solve_ivp
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters, classical_machine
+from wtg_gym.physics.network import NetworkCase
 from wtg_gym.physics.parameters import (
     ConverterLimitParameters,
     TurbineParameters,
@@ -52,17 +53,21 @@ def plant(
     **more: Any,
 ) -> PlantSettings:
     """One of the two plants, with its options."""
-    case = modified_ieee14()
     kind = HydroGovernorParameters if table else GovernorParameters
-    generator = dataclasses.replace(case.machines[0], governor=kind(dead_band_pu=dead_band))
     given = {
-        "case": dataclasses.replace(case, machines=(generator, *case.machines[1:])),
+        "case": with_machine(governor=kind(dead_band_pu=dead_band)),
         "turbine": nrel_5mw(conserves_energy=energy) if table else TurbineParameters(conserves_energy=energy),
         "limits": ConverterLimitParameters() if limits is True else limits or None,
         "voltage_control": VoltageControlParameters() if voltage is True else voltage or None,
         "shedding": european_shedding(),
     }
     return PlantSettings(**{**given, **more})
+
+
+def with_machine(**changes: Any) -> NetworkCase:
+    """The default network with other data of the machine at bus 1."""
+    case = modified_ieee14()
+    return dataclasses.replace(case, machines=(dataclasses.replace(case.machines[0], **changes), *case.machines[1:]))
 
 
 def scenario(*events: Event, wind: Any = WIND, **more: Any) -> Scenario:

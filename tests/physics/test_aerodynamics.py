@@ -15,27 +15,15 @@ from wtg_gym.physics.rotor_table import read_rotor_table
 BETZ_LIMIT = 16.0 / 27.0
 
 
-def test_operating_points_round_to_the_printed_digits_of_the_papers_table() -> None:
-    best, nominal, limit = (tracking_point(d) for d in (0.0, 0.05, 0.10))
+def test_operating_points_are_those_of_the_paper() -> None:
+    best, nominal, limit = points = [tracking_point(d) for d in (0.0, 0.05, 0.10)]
     assert round(best.tip_speed_ratio) == 7
     assert round(best.power_coefficient, 3) == 0.448
     assert round(nominal.tip_speed_ratio, 2) == 7.92
     assert round(limit.tip_speed_ratio, 2) == 8.32
-
-
-def test_tracking_coefficients_have_their_published_values() -> None:
-    values = [tracking_point(d).coefficient for d in (0.0, 0.05, 0.10)]
-    assert values == pytest.approx([1.02412, 0.67166, 0.54916], abs=5e-6)
-
-
-def test_available_power_at_the_papers_winds() -> None:
+    assert [point.coefficient for point in points] == pytest.approx([1.02412, 0.67166, 0.54916], abs=5e-6)
     assert available_power_pu(np.array([11.4, 8.0])) == pytest.approx([1.01722, 0.35154], abs=5e-6)
-
-
-def test_optimum_is_a_maximum() -> None:
-    best = tracking_point(0.0)
-    ratios = np.linspace(2.0, 15.0, 2001)
-    assert power_coefficient(ratios).max() <= best.power_coefficient * (1.0 + 1e-12)
+    assert power_coefficient(np.linspace(2.0, 15.0, 2001)).max() <= best.power_coefficient * (1.0 + 1e-12)
 
 
 @given(st.floats(0.5, 20.0), st.floats(0.0, 30.0))

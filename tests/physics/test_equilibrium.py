@@ -51,28 +51,20 @@ def test_no_state_moves_at_the_start_of_the_suites(simulator: Simulator, suite: 
         assert largest_rate(simulator) <= LIMIT, f"seed {seed}"
 
 
-@pytest.mark.parametrize("wind", [3.0, 8.0, 11.4, 12.0, 15.0, 20.0, 24.0])
-def test_above_rated_the_pitch_holds_the_captured_power_at_its_limit_and_below_it_rests(
-    simulator: Simulator, wind: float
-) -> None:
-    simulator.start(0, scenario(wind=[[wind], [wind]]), (STRATEGIES["coordinated-piecewise"],) * 2)
-    assert largest_rate(simulator) <= LIMIT
-    pitch = simulator.wtg_values("pitch")[0]
-    if wind < 12.0:
-        assert (pitch == 0.0).all()
-    else:
-        assert (pitch > 0.0).all()
-        assert simulator.wtg_values("captured")[0] == pytest.approx([1.05, 1.05], abs=1e-9)
+def test_above_rated_the_pitch_holds_the_captured_power_at_its_limit_and_below_it_rests(simulator: Simulator) -> None:
+    for low, high in ((3.0, 12.0), (8.0, 15.0), (11.4, 24.0)):
+        simulator.start(0, scenario(wind=[[low], [high]]), (STRATEGIES["coordinated-piecewise"],) * 2)
+        assert largest_rate(simulator) <= LIMIT
+        below, above = simulator.wtg_values("pitch")[0]
+        assert below == 0.0 and above > 0.0
+        assert simulator.wtg_values("captured")[0, 1] == pytest.approx(1.05, abs=1e-9)
 
 
-@pytest.mark.parametrize("model", ["genrou", "classical"])
-def test_other_groups_and_machine_models_start_at_rest(model: str) -> None:
+def test_other_groups_machine_models_resistance_and_shared_buses_start_at_rest() -> None:
     groups = WtgGroup(bus=3), WtgGroup(bus=14, n_turbines=2.0)
-    settings = PlantSettings(case=modified_ieee14(classical=model == "classical"), groups=groups)
-    assert largest_rate(started(settings, scenario(wind=[[9.0], [9.0]]), "mppt")) <= LIMIT
-
-
-def test_resistance_and_shared_buses_start_at_rest() -> None:
+    for classical_machines in (False, True):
+        settings = PlantSettings(case=modified_ieee14(classical=classical_machines), groups=groups)
+        assert largest_rate(started(settings, scenario(wind=[[9.0], [9.0]]), "mppt")) <= LIMIT
     case = modified_ieee14()
     machines = [dataclasses.replace(machine, resistance=0.003) for machine in case.machines]
     # In the place of the last one: as many machines as usual, whose code is compiled already.

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import BarycentricInterpolator
 
-from tests.golden.case import GOLDEN, read_case, read_trace
+from tests.golden.case import GOLDEN, ROW_S, read_case, read_trace
+from tests.golden.replay import differences, sampled
 from tests.physics.extended import NO_SHEDDING, plant, scenario
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.layout import Floats
@@ -28,7 +29,7 @@ def against_golden_trace(
     Returns:
         the simulator, the largest difference to the trace by quantity, and the trace: times and columns.
     """
-    case = read_case(GOLDEN / name / "params.json")
+    case = read_case(name)
     times, trace = read_trace(GOLDEN / name / "a.csv")
     units = dict(zip(case.keys, case.network.machines, strict=True))
     keys = [key for key in units if key[0] != "2"]
@@ -41,8 +42,8 @@ def against_golden_trace(
             droop_gain_pu=units["2a"].damping_pu,
             reactance_pu=units["2a"].x_d_transient,
         ),
-        control_dt=1.0 / 16.0,
-        simulation_dt=1.0 / 320.0,
+        control_dt=ROW_S,
+        simulation_dt=ROW_S / 20.0,
         **more,
     )
     law = mppt(settings.turbine)
@@ -53,27 +54,16 @@ def against_golden_trace(
     simulator = Simulator(settings, duration_s=60.0)
     simulator.plant.constants["turbine"]["rotor.inv_two_h"] = 0.0
     simulator.start(0, run, (law, law))
-    largest = {"w": 0.0, "Pe": 0.0, "V": 0.0}
-    row = 0
-    for interval in range(961):
-        while row < times.size and times[row] == interval / 16.0:
-            simulator.evaluate()
-            found = {f"V{n}": abs(v) for n, v in zip(case.network.bus_numbers, simulator.bus_voltages(), strict=True)}
-            speeds, powers = simulator.machine_values("speed")[0], simulator.machine_values("power")[0]
-            found |= {f"w{key}": value for key, value in zip(keys, speeds, strict=True)}
-            found |= {f"Pe{key}": value for key, value in zip(keys, powers, strict=True)}
-            for key, speed, given in zip(
-                ("2a", "2b"), simulator.wtg_values("speed")[0], simulator.wtg_values("power")[0], strict=True
-            ):
-                found |= {f"w{key}": speed, f"Pe{key}": given * simulator.plant.share[0]}
-            for name, value in found.items():
-                quantity = name.rstrip("0123456789ab")
-                largest[quantity] = max(largest[quantity], abs(value - trace[name][row]))
-            row += 1
-        if interval < 960:
-            simulator.advance()
-    assert row == times.size
-    return simulator, largest, times, trace
+
+    def look(now: Simulator) -> Floats:
+        machines = [now.machine_values(name)[0] for name in ("speed", "power")]
+        groups = now.wtg_values("speed")[0], now.wtg_values("power")[0] * now.plant.share
+        return np.concatenate([*machines, *groups, np.abs(now.bus_voltages())])
+
+    names = [f"{quantity}{key}" for own in (keys, ("2a", "2b")) for quantity in ("w", "Pe") for key in own]
+    names += [f"V{number}" for number in case.network.bus_numbers]
+    found = np.array(sampled(simulator, times, look))
+    return simulator, differences(case, trace, dict(zip(names, found.T, strict=True))), times, trace
 
 
 def step_up(power_mw: float) -> tuple[LoadStep, ...]:
@@ -101,7 +91,7 @@ def test_shedding_acts_when_another_simulators_speeds_say_so_and_does_what_it_do
     assert largest["w"] <= 3e-7 and largest["Pe"] <= 2e-5 and largest["V"] <= 1e-6, largest
     # The instants from the other simulator's own speeds: one delay earlier they meet the level, by a polynomial through
     # its rows before the first of them.
-    case = read_case(GOLDEN / "shedding" / "params.json")
+    case = read_case("shedding")
     weights = np.array([m.two_h_s * m.rating_mva for m in case.network.machines])
     rows = (times > 5.0) & (times < instants[0])
     speeds = weights @ np.array([trace[f"w{key}"][rows] for key in case.keys]) / weights.sum()

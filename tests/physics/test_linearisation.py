@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from typing import Any
+import math
 
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
 from docs.studies.small_signal import compare, infinite_bus, sides
-from tests.physics.extended import plant, scenario, started
+from tests.physics.extended import plant, scenario, started, with_machine
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.layout import Floats
-from wtg_gym.physics.linearisation import largest_stable_steps, moving_states, state_matrix
+from wtg_gym.physics.linearisation import largest_stable_steps
 from wtg_gym.physics.modes import linearise, modes, synchronising_coefficients
-from wtg_gym.physics.network import NetworkCase
 from wtg_gym.physics.parameters import ConverterLimitParameters, GridFormingParameters, VoltageControlParameters
 from wtg_gym.physics.plant import PlantSettings
-from wtg_gym.physics.scenario import GroupTrip, MachineOutage
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw, get_law
 from wtg_gym.scenarios import get_suite
@@ -27,39 +24,14 @@ from wtg_gym.scenarios import get_suite
 LAWS = (get_law("coordinated-piecewise"),) * 2
 
 
-def with_machine(**first_machine: float) -> NetworkCase:
-    """Return the default network with other data of the machine at bus 1."""
-    case = modified_ieee14()
-    machines = (dataclasses.replace(case.machines[0], **first_machine), *case.machines[1:])
-    return dataclasses.replace(case, machines=machines)
-
-
-def largest_step(simulator: Simulator) -> float:
-    """Return the largest stable step of a simulator's first lane where it stands [s]."""
-    rows, layout = simulator.blocks[0], simulator.layout
-    matrix = state_matrix(rows, simulator.plant, layout, -1.0)
-    keep = moving_states(matrix, rows, layout)
-    return float(largest_stable_steps(np.linalg.eigvals(matrix[np.ix_(keep, keep)])).min())
-
-
-def after_steps(matrix: Floats, h: float, n_steps: int) -> float:
-    """Return |x| of ẋ = A x after Runge-Kutta steps from an arbitrary start."""
-    x = np.ones(matrix.shape[0])
-    for _ in range(n_steps):
-        k1 = matrix @ x
-        k2 = matrix @ (x + 0.5 * h * k1)
-        k3 = matrix @ (x + 0.5 * h * k2)
-        k4 = matrix @ (x + h * k3)
-        x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-    return float(np.abs(x).max())
-
-
 @pytest.mark.parametrize("value", [-40.0 + 0j, -8.9 + 46j, -0.2 + 17j])
-def test_a_linear_system_grows_just_beyond_its_largest_step_and_not_just_below(value: complex) -> None:
-    matrix = np.array([[value.real, value.imag], [-value.imag, value.real]])
-    limit = float(largest_stable_steps(np.linalg.eigvals(matrix)).min())
-    assert after_steps(matrix, 0.999 * limit, 20_000) < 1e-6
-    assert after_steps(matrix, 1.001 * limit, 20_000) > 1e6
+def test_a_mode_grows_just_beyond_its_largest_step_and_not_just_below(value: complex) -> None:
+    limit = float(largest_stable_steps(np.array([value])).min())
+    # What a step of the classical Runge-Kutta method multiplies by: the exponential series up to its fourth power.
+    below, beyond = (
+        abs(sum((share * limit * value) ** n / math.factorial(n) for n in range(5))) for share in (0.999, 1.001)
+    )
+    assert below < 1.0 < beyond
 
 
 @pytest.mark.parametrize(
@@ -112,22 +84,8 @@ def test_a_law_that_is_too_steep_for_the_step_is_refused(
     Simulator(dataclasses.replace(light, simulation_dt=0.01)).prepare([what], (law,) * 2)
 
 
-@pytest.mark.parametrize("settings", [{}, {"simulation_dt": 0.04, "control_dt": 0.2}])
-def test_every_step_and_inertia_that_is_allowed_suits_the_default_plant(settings: dict[str, Any]) -> None:
-    Simulator(PlantSettings(**settings)).prepare([scenario(inertia_scale=0.05)], LAWS)
-
-
-def test_with_fewer_units_the_largest_step_is_no_shorter(simulator: Simulator) -> None:
-    """So that the step that suits the start suits what is left."""
-    found = {}
-    for out in ((), (3,), (6,), (8,), (1,), (3, 6, 8), (1, 3, 6), (1, 3, 8), (1, 6, 8)):
-        for groups in ((), (0,), (0, 1)):
-            events = [MachineOutage(time_s=0.0, bus=bus) for bus in out]
-            simulator.start(0, scenario(*events, *(GroupTrip(time_s=0.0, group=group) for group in groups)), LAWS)
-            simulator.advance()
-            found[out, groups] = largest_step(simulator)
-    assert min(found.values()) >= 0.99 * found[(), ()]
-    assert found[(3, 6, 8), ()] > 1.1 * found[(), ()]
+def test_every_step_and_inertia_that_is_allowed_suits_the_default_plant() -> None:
+    Simulator(PlantSettings(simulation_dt=0.04, control_dt=0.2)).prepare([scenario(inertia_scale=0.05)], LAWS)
 
 
 # --- Modes
@@ -144,11 +102,10 @@ def test_eigenvalues_on_an_infinite_bus_are_the_poles_of_the_transfer_functions(
             assert difference < 1e-6, (law.name, wind, side)
 
 
-@pytest.mark.parametrize("side", ["under", "over"])
-@pytest.mark.parametrize("model", ["genrou", "classical"])
-def test_small_motion_of_the_simulator_is_that_of_the_linear_model(side: str, model: str) -> None:
+@pytest.mark.parametrize(("side", "classical"), [("under", False), ("over", True)])
+def test_small_motion_of_the_simulator_is_that_of_the_linear_model(side: str, classical: bool) -> None:
     """A push of 1e-6, let go for 0.1 s, before the WTGs' frequencies come back to the corner of g(ω)."""
-    settings = PlantSettings(case=modified_ieee14(classical=model == "classical"), simulation_dt=0.0025)
+    settings = PlantSettings(case=modified_ieee14(classical=classical), simulation_dt=0.0025)
     linear = linearise(PAPER, REFERENCE, settings, side=side)  # type: ignore[arg-type]
     simulator = Simulator(settings)
     simulator.start(0, scenario(), (REFERENCE,) * 2)
@@ -170,9 +127,8 @@ def test_small_motion_of_the_simulator_is_that_of_the_linear_model(side: str, mo
     assert np.abs(moved - wrong).max() > 2e-3 * np.abs(expected).max()
 
 
-@pytest.mark.parametrize("law", STRATEGIES.values(), ids=lambda law: law.name)
-def test_modes_are_the_eigenvalues_and_participations_are_shares(law: object) -> None:
-    model = linearise(PAPER, law)  # type: ignore[arg-type]
+def test_modes_are_the_eigenvalues_and_participations_are_shares() -> None:
+    model = linearise(PAPER, REFERENCE)
     found = modes(model)
     count = sum(2 if mode.eigenvalue.imag > 0.0 else 1 for mode in found)
     assert count == model.matrix.shape[0] == len(model.state_names)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import copy
-import pickle
 import sys
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -15,7 +13,7 @@ from gymnasium.error import DependencyNotInstalled
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
-from tests.envs.rollouts import actions_of, calm, eventful, sagging, single_steps, vector_steps
+from tests.envs.rollouts import actions_of, calm, eventful, single_steps
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
 from wtg_gym.envs.rendering.frame import FRAME_SIZE
 
@@ -39,7 +37,7 @@ def playing(n_steps: int, **settings: Any) -> GFMWTGEnv:
     return env
 
 
-@pytest.mark.parametrize("settings", [{"version": "v0"}, {"version": "v0", "groups": 3}, {"version": "v1"}], ids=str)
+@pytest.mark.parametrize("settings", [{"version": "v0", "groups": 3}, {"version": "v1"}], ids=str)
 def test_every_step_gives_a_new_frame_of_the_same_size(settings: dict[str, Any]):
     env = GFMWTGEnv(render_mode="rgb_array", duration_s=6.0, **settings)
     env.reset(seed=4)
@@ -50,15 +48,6 @@ def test_every_step_gives_a_new_frame_of_the_same_size(settings: dict[str, Any])
     assert {(frame.shape, frame.dtype) for frame in frames} == {(SHAPE, np.dtype(np.uint8))}
     assert len({frame.tobytes() for frame in frames}) == 3
     assert env.render().tobytes() == frames[-1].tobytes()
-
-
-def test_an_episode_that_fails_is_drawn_to_its_end():
-    env = GFMWTGEnv(version="v0", render_mode="rgb_array", strategy="mppt", scenario=sagging(7.0).to_dict())
-    env.reset()
-    over = False
-    while not over:
-        *_, over, _, _ = env.step(np.zeros(4))
-    assert env.render().shape == SHAPE
 
 
 @pytest.mark.filterwarnings("error", "ignore:.*is out of date:DeprecationWarning")
@@ -94,15 +83,12 @@ def test_a_trajectory_is_the_same_with_and_without_rendering():
 
     env = Watched(version="v0", duration_s=3.0, render_mode="rgb_array")
     assert single_steps(env, actions, AutoresetMode.NEXT_STEP, seed=2) == plain
-    batch = GFMWTGVectorEnv(3, version="v0", duration_s=3.0, render_mode="rgb_array")
-    assert vector_steps(batch, np.stack([actions] * 3, axis=1), seed=2)[0] == plain
 
 
 def test_a_restored_or_copied_episode_shows_what_led_to_it():
     env = playing(20)
     at_20, kept = env.render(), env.snapshot()
-    for twin in (copy.deepcopy(env), pickle.loads(pickle.dumps(env))):
-        assert twin.render().tobytes() == at_20.tobytes()
+    assert copy.deepcopy(env).render().tobytes() == at_20.tobytes()
     for _ in range(5):
         env.step(np.ones(4))
     env.reset(options={"scenario": calm()})
@@ -115,35 +101,18 @@ def test_a_restored_or_copied_episode_shows_what_led_to_it():
     blind.restore(kept)
 
 
-@pytest.mark.parametrize("version", ["v0", "v1"])
-def test_a_batch_gives_the_frames_of_single_environments(version: str):
-    batch = GFMWTGVectorEnv(2, version=version, duration_s=1.0, render_mode="rgb_array")
-    singles = [GFMWTGEnv(version=version, duration_s=1.0, render_mode="rgb_array") for _ in range(2)]
+def test_a_batch_gives_the_frames_of_single_environments():
+    batch = GFMWTGVectorEnv(2, duration_s=1.0, render_mode="rgb_array")
+    singles = [GFMWTGEnv(duration_s=1.0, render_mode="rgb_array") for _ in range(2)]
     batch.reset(seed=5)
     for lane, env in enumerate(singles):
         env.reset(seed=5 + lane)
-    n_action = batch.single_action_space.shape[0]
-    for step, actions in enumerate(np.clip(actions_of(1, 14, 2, n_action), -1, 1).astype(np.float32)):
+    for step, actions in enumerate(actions_of(1, 14, 2, 8)):
         batch.step(actions)
         for lane, env in enumerate(singles):
             env.reset() if step == 10 else env.step(actions[lane])
         if step in (4, 10, 13):
             assert [frame.tobytes() for frame in batch.render()] == [env.render().tobytes() for env in singles], step
-
-
-def test_record_video_writes_every_frame_of_an_episode(tmp_path: Path):
-    pytest.importorskip("moviepy")
-    import imageio_ffmpeg
-
-    env = gym.make(ENV_ID, duration_s=2.0, render_mode="rgb_array")
-    env = gym.wrappers.RecordVideo(env, str(tmp_path), disable_logger=True)
-    env.reset(seed=0)
-    for _ in range(20):
-        env.step(env.action_space.sample())
-    env.close()
-    (path,) = tmp_path.glob("*.mp4")
-    reader = imageio_ffmpeg.read_frames(str(path))
-    assert next(reader)["size"] == FRAME_SIZE and sum(1 for _ in reader) == 21
 
 
 def test_the_window_shows_each_frame_by_itself_and_an_episode_goes_on_after_it_was_closed():

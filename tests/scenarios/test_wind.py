@@ -27,25 +27,17 @@ def resolved_variance(spectrum: np.ndarray) -> float:
     return float(np.sum(spectrum[1:-1]) / (N_PERIOD * SERIES_DT))
 
 
-@pytest.mark.parametrize(("turbulence_class", "sigma"), [("A", 2.696), ("B", 2.359), ("C", 2.022)])
-def test_standard_deviation_at_15_m_s_is_that_of_the_normal_turbulence_model(turbulence_class: str, sigma: float):
-    assert wind.ntm_sigma(15.0, wind.TURBULENCE_CLASSES[turbulence_class]) == pytest.approx(sigma)
+def test_standard_deviation_at_15_m_s_is_that_of_the_normal_turbulence_model():
+    found = {name: wind.ntm_sigma(15.0, intensity) for name, intensity in wind.TURBULENCE_CLASSES.items()}
+    assert found == pytest.approx({"A": 2.696, "B": 2.359, "C": 2.022})
 
 
-@pytest.mark.parametrize("mean", [4.0, 9.0, 20.0])
+@pytest.mark.parametrize("mean", [4.0, 20.0])
 def test_kaimal_spectrum_integrates_to_the_variance(mean: float):
     frequency = np.concatenate([[0.0], np.geomspace(1e-7, 1e5, 20_001)])
     spectrum = wind.kaimal_spectrum(frequency, mean, 1.7)
     area = np.sum(0.5 * (spectrum[1:] + spectrum[:-1]) * np.diff(frequency))
     assert area == pytest.approx(1.7**2, rel=1e-3)
-
-
-def test_disk_distance_density_has_unit_area_and_the_known_mean():
-    distance = np.linspace(0.0, 2.0, 20_001)
-    density = wind.disk_distance_density(distance)
-    step = distance[1]
-    assert np.sum(density) * step == pytest.approx(1.0, abs=1e-6)
-    assert np.sum(density * distance) * step == pytest.approx(128.0 / (45.0 * math.pi), abs=1e-6)
 
 
 def test_disk_average_agrees_with_random_pairs_of_points():
@@ -66,13 +58,6 @@ def test_rotor_and_group_averaging_only_take_away(mean: float, n_turbines: float
     assert ((group >= 1.0 / n_turbines - 1e-12) & (group <= 1.0 + 1e-12)).all()
 
 
-def test_group_filter_is_the_double_sum_over_equally_coherent_turbines():
-    n = 10
-    coherence = np.exp(-wind.TURBINE_SPACING_M * wind.coherence_decay(FREQUENCY, 9.0))
-    double_sum = (n + n * (n - 1) * coherence) / n**2
-    assert wind.group_filter(FREQUENCY, 9.0, n) == pytest.approx(double_sum)
-
-
 @pytest.mark.parametrize("n_turbines", [1.0, 10.0])
 def test_variance_of_group_wind_follows_the_formula(n_turbines: float):
     sigma = wind.ntm_sigma(9.0, 0.14)
@@ -83,13 +68,6 @@ def test_variance_of_group_wind_follows_the_formula(n_turbines: float):
     assert abs(series.mean()) < 1e-12
     assert series.var() == pytest.approx(resolved_variance(spectrum), rel=0.05)
     assert resolved_variance(spectrum) < 0.5 * resolved_variance(point)
-
-
-def test_series_of_different_groups_are_uncorrelated():
-    amplitude = 1.7 * wind.turbulence_amplitude(9.0, 1.0, N_PERIOD)
-    series = synthesised(4, [amplitude] * 400, N_PERIOD)
-    first, second = series[::2], series[1::2]
-    assert abs((first * second).mean()) < 0.1 * series.var()
 
 
 def test_gust_dips_peaks_and_leaves_no_trace():
