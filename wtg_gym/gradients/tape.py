@@ -308,8 +308,6 @@ class Tape:
             ValueError: the step does not exist, or derivatives have another shape.
         """
         simulator, rules, n_lanes = self.lanes.simulator, self._rules, self.lanes.n_lanes
-        carried = _shaped("carried", carried, (n_lanes, self.n_carried))
-        terms = _shaped("terms", terms, (n_lanes, len(COST_TERMS)))
         works = self._works.reshape(self._works.shape[0], 2, rules.n_rows, simulator.width)
         before = self.before(step).reshape(works.shape[0], -1, simulator.width)
         works[:, 0, : before.shape[1]] = before
@@ -318,15 +316,14 @@ class Tape:
         cotangents = works[:, 1]
         cotangents[:] = 0.0
         running = self._take(before, np.array([simulator.layout.lane("active")])) > 0.5
-        self._put(cotangents, rules.carried, carried * running)
-        self._put(cotangents, rules.terms, terms * running)
-        if observations is not None:
-            observations = _shaped("observations", observations, (n_lanes, self.lanes.n_observation))
-            self._put(cotangents, rules.observation, observations * running)
-        if outputs is not None:
-            outputs = _shaped("outputs", outputs, (n_lanes, len(self.output_names)))
-            so_far = self._take(cotangents, rules.outputs)
-            self._put(cotangents, rules.outputs, so_far + outputs * running)
+        given = {"carried": carried, "terms": terms, "observations": observations, "outputs": outputs}
+        for (name, values), rows in zip(
+            given.items(), (rules.carried, rules.terms, rules.observation, rules.outputs), strict=True
+        ):
+            if values is not None:
+                values = _shaped(name, values, (n_lanes, rows.size))
+                # Some rows are carried and shown too.
+                self._put(cotangents, rows, self._take(cotangents, rows) + values * running)
         simulator.threads.run(
             lambda first, last: self._pull(
                 self._works,
