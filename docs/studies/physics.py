@@ -6,6 +6,7 @@ Some ten minutes, most of which the plants take that are compiled for the first 
 import dataclasses
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from output import folder
 from scipy.optimize import brentq
 
@@ -27,7 +28,7 @@ from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law, group_laws
 from wtg_gym.plotting import style
 from wtg_gym.plotting.event_marks import mark_end, mark_instants
-from wtg_gym.reproduce.loops import PAPER_SYNCHRONISING_COEFFICIENT, single_machine, with_moving_voltage
+from wtg_gym.reproduce.loops import PAPER_SYNCHRONISING_COEFFICIENT, single_machine
 from wtg_gym.reproduce.steady_states import stable_equilibrium
 from wtg_gym.scenarios import get_suite
 
@@ -331,6 +332,12 @@ def start_at(bus_voltage_pu, turbine=None, voltage_control=None):
         slow.append(k_p[group] + effect / decay)
         margins.append(with_moving_voltage(loop, effect, decay).margins().phase_margin_deg)
     return emf, reactive, k_p, slow, margins
+
+
+def with_moving_voltage(loop, effect, decay):
+    """Return a loop with K_p + K_1/(s + a) in the place of K_p; effect K_1 [p.u./(rad s)], decay a [1/s]."""
+    numerator = loop.numerator * Polynomial([decay + effect / loop.synchronising_coefficient, 1.0])
+    return dataclasses.replace(loop, numerator=numerator, denominator=loop.denominator * Polynomial([decay, 1.0]))
 
 
 def voltage_feedback(simulator, group):
