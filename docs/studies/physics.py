@@ -9,12 +9,12 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from output import folder
 from scipy.optimize import brentq
+from small_signal import slope, synchronising_coefficients
 
 from wtg_gym.envs.lanes import TERMINATION_REASONS
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters
-from wtg_gym.physics.modes import slope, synchronising_coefficients
 from wtg_gym.physics.nrel5mw import nrel_5mw
 from wtg_gym.physics.parameters import (
     ConverterLimitParameters,
