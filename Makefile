@@ -64,23 +64,19 @@ verification: $(LEADERBOARD_READY) ## Score every entry of the last round on its
 	$(LEADERBOARD_VENV)/bin/wtg-gym results gap results/standard-test.json results/standard-fresh.json
 
 PAGE_SUITES := standard weak-grid low-wind gust paper
-MATRIX_SUITES := standard-v1 low-share-v1 high-share-v1 gusty-v1 no-wind-sensor-v1 faults-v1
-# No entry has a score on the last one.
-PAGE_SUITES_V1 := $(MATRIX_SUITES) paper-v1
-# Folders in results/ of standard-v1 with other sensors.
-PAGE_SENSORS := delay-plus-1 delay-plus-2 wind-bias-times-2
+# `make matrix` plays these.
+PAGE_SUITES_V1 := standard-v1 low-share-v1 high-share-v1 gusty-v1 no-wind-sensor-v1 faults-v1
 
 .PHONY: matrix
 matrix: $(LEADERBOARD_READY) ## Play every entry of v1 on its drawn suites and with other sensors, and put the scores into docs/benchmark.md
-	$(LEADERBOARD_VENV)/bin/wtg-gym results matrix --entries baselines policies --suites $(MATRIX_SUITES) --results results \
-	    --page docs/benchmark.md
+	$(LEADERBOARD_VENV)/bin/python docs/studies/matrix.py
 
 .PHONY: page
 page: matrix verification ## Rank every entry on all suites and on fresh scenarios, and show them in docs/leaderboard.html
-	for suite in $(PAGE_SUITES) paper-v1; do \
+	for suite in $(PAGE_SUITES); do \
 	    $(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite $$suite --entries baselines policies --results results || exit; done
-	$(LEADERBOARD_VENV)/bin/wtg-gym results page $(PAGE_SUITES_V1:%=results/%-test.json) $(PAGE_SENSORS:%=results/%/standard-v1-test.json) \
-	    $(PAGE_SUITES:%=results/%-test.json) results/standard-fresh.json --output docs/leaderboard.html
+	$(LEADERBOARD_VENV)/bin/wtg-gym results page $(PAGE_SUITES_V1:%=results/%-test.json) $(PAGE_SUITES:%=results/%-test.json) \
+	    results/standard-fresh.json --output docs/leaderboard.html
 
 # Its fonts and its browser are those of the machine: `make docs-check` leaves this picture out.
 CHROMIUM ?= $(firstword $(foreach name,chromium chromium-browser google-chrome,$(shell command -v $(name))) chromium)
@@ -106,12 +102,12 @@ studies: $(LEADERBOARD_READY) ## Run the studies of docs/studies and renew their
 
 .PHONY: pictures
 pictures: $(LEADERBOARD_READY) studies ## Draw every picture of the README and of docs/ that is not a measurement of time, and renew the tables beside them
-	$(LEADERBOARD_VENV)/bin/wtg-gym simulate --case load-increase --strategy mppt --strategy deloaded-5 --strategy deloaded-10 --strategy coordinated-piecewise --plot $(DOCS)/images/load-increase.png
+	$(LEADERBOARD_VENV)/bin/wtg-gym simulate --strategy mppt deloaded-5 deloaded-10 coordinated-piecewise --plot $(DOCS)/images/load-increase.png
 	$(LEADERBOARD_VENV)/bin/python docs/images/rooms.py $(DOCS)/images/rooms.svg
 	$(LEADERBOARD_VENV)/bin/python docs/images/render.py $(DOCS)/images/render.png $(DOCS)/images/render-v1.png
 	$(LEADERBOARD_VENV)/bin/wtg-gym reproduce --output $(DOCS)/validation --formats svg --page $(DOCS)/validation.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym evaluate --suite standard-v1 --entries baselines policies --results results
-	$(LEADERBOARD_VENV)/bin/wtg-gym results front results/standard-v1-validation.json --plot $(DOCS)/images/front-v1.svg
+	$(LEADERBOARD_VENV)/bin/python docs/studies/front.py --output $(DOCS)
 
 .PHONY: docs
 docs: pictures ## Measure everything that docs/ shows again, but for performance and the page, and renew its tables and pictures

@@ -25,13 +25,14 @@ from agents.runs import RunSettings
 from agents.training import SHARED
 from agents.vec_env import GainVecEnv
 from wtg_gym.envs import EnvSettings
-from wtg_gym.policies.load import ARCHIVE_FILE
-from wtg_gym.policies.sb3_archive import CUSTOM_OBJECTS
 from wtg_gym.sb3 import DeterministicPolicy
 
+_MODEL = "model.zip"
 _NORMALIZE = "vec_normalize.pkl"
 _REPLAY_BUFFER = "replay_buffer.pkl"
 _STATE = "state.pkl"
+#: Without it, a class that the learner chose for its n_steps counts as the user's choice, with a warning.
+CUSTOM_OBJECTS = {"replay_buffer_class": None}
 
 
 class SB3Learner:
@@ -50,7 +51,7 @@ class SB3Learner:
     def save(self, folder: Path) -> None:
         """Write everything that training goes on from into an empty folder, between two rollouts of the learner."""
         model = self.model
-        model.save(folder / ARCHIVE_FILE)
+        model.save(folder / _MODEL)
         if isinstance(model, OffPolicyAlgorithm):
             model.save_replay_buffer(folder / _REPLAY_BUFFER)
         env, normalize = model.get_env(), model.get_vec_normalize_env()
@@ -114,7 +115,7 @@ def load_model(folder: Path, settings: RunSettings) -> BaseAlgorithm:
             env = normalize = VecNormalize.load(str(folder / _NORMALIZE), monitor)
             normalize.returns = state["discounted_returns"]
         model = algorithm_of(settings).load(
-            folder / ARCHIVE_FILE, env=env, device="cpu", custom_objects=CUSTOM_OBJECTS, force_reset=False
+            folder / _MODEL, env=env, device="cpu", custom_objects=CUSTOM_OBJECTS, force_reset=False
         )
         if isinstance(model, OffPolicyAlgorithm):
             model.load_replay_buffer(folder / _REPLAY_BUFFER)

@@ -23,6 +23,7 @@ from wtg_gym.evaluation import Entry
 from wtg_gym.files import sha256
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.parameters import GridFormingParameters
+from wtg_gym.scenarios.benchmark import V0
 
 from . import COORDINATED_SOURCE
 
@@ -62,6 +63,7 @@ ENTRY = Entry(
     name="tip-speed-feedback",
     policy=TipSpeedFeedback(),
     action_mode="k",
+    environment=V0.env_id,
     learned=False,
     description="The coordinated law with a proportional feedback of the tip-speed ratio, by hand.",
     equation="P_st = (g(ω) + κ (λ - λ*(ω))) ω_m³",

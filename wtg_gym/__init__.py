@@ -13,7 +13,7 @@ from gymnasium.envs.registration import register, registry
 
 if TYPE_CHECKING:
     from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
-    from wtg_gym.evaluation import Entry, Results, evaluate, leaderboard_rows, load_entries, markdown_table, to_xarray
+    from wtg_gym.evaluation import Entry, Results, evaluate, leaderboard_rows, load_entries, markdown_table
     from wtg_gym.physics.plant import PlantSettings
     from wtg_gym.physics.scenario import (
         GovernorLoss,
@@ -78,7 +78,6 @@ _PLACES = {
     "load_entries": "evaluation",
     "markdown_table": "evaluation",
     "simulate": "physics.trajectory",
-    "to_xarray": "evaluation",
 }
 
 __all__ = [
@@ -108,7 +107,6 @@ __all__ = [
     "load_entries",
     "markdown_table",
     "simulate",
-    "to_xarray",
 ]
 
 

@@ -97,15 +97,7 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, righ
 
 
 def update_between_markers(path: str | Path, content: str, name: str) -> bool:
-    """Put text between `<!-- NAME:start -->` and `<!-- NAME:end -->` of a file, which are lines of their own.
-
-    Args:
-        path: the file; all else in it stays as it is.
-        content: what to put there.
-        name: name in the markers.
-
-    Returns:
-        whether the file has changed.
+    """Put text between `<!-- NAME:start -->` and `<!-- NAME:end -->` of a file; return whether the file has changed.
 
     Raises:
         ValueError: the file cannot be read, or does not have each marker once, the start before the end.
@@ -135,15 +127,10 @@ def _with_markers(path: Path, name: str) -> tuple[str, str, str]:
 
 
 def read_text(path: Path, what: str, *, largest: int = LARGEST_BYTES) -> str:
-    """Return a file's text.
-
-    Args:
-        path: the file.
-        what: what it is, for the message.
-        largest: size that is still read [B].
+    """Return the text of a file of up to `largest` bytes.
 
     Raises:
-        ValueError: the file cannot be read, is larger, or is not UTF-8; the message names it.
+        ValueError: the file cannot be read, is larger, or is not UTF-8; the message names it and `what` it is.
     """
     try:
         with path.open("rb") as file:
@@ -167,13 +154,9 @@ def read_json(path: Path, what: str) -> Any:
 def parse_json(text: str, where: str) -> Any:
     """Return the data of a JSON text.
 
-    Args:
-        text: the text.
-        where: where it is from, for the message.
-
     Raises:
         ValueError: it is not JSON, is cut short, is nested deeper than 20 levels, or holds a number that is not finite
-            or a whole number of 2^64 or more.
+            or a whole number of 2^64 or more; the message says `where` it is from.
     """
 
     def refuse(name: str) -> Any:

@@ -24,9 +24,8 @@ from baselines.fast_droop import FastDroop
 from wtg_gym.envs.observation import N_MEASURED
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation import Entry, Results, evaluate, load_entries
-from wtg_gym.evaluation.oracle import OracleCosts
 from wtg_gym.evaluation.summary import EntrySummary
-from wtg_gym.files import markdown_table, update_between_markers
+from wtg_gym.files import markdown_table, read_json, update_between_markers
 from wtg_gym.physics.layout import Floats
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import get_suite
@@ -72,14 +71,14 @@ def support(results: Results, best: EntrySummary, zero: str) -> Condition:
 
 
 def foresight_and_planning(
-    results: Results, oracle: OracleCosts, planners: Results, anchor: str, feedbacks: Sequence[str]
+    results: Results, oracle: dict[str, Any], planners: Results, anchor: str, feedbacks: Sequence[str]
 ) -> list[Condition]:
     def mean_cost(own: Results, name: str) -> float:
         """On the oracle's scenarios only."""
         place = {seed: i for i, seed in enumerate(own.seeds)}
-        return float(own.pinned_costs[name].mean(axis=0)[[place[seed] for seed in oracle.seeds]].mean())
+        return float(own.pinned_costs[name].mean(axis=0)[[place[seed] for seed in oracle["seeds"]]].mean())
 
-    before, after = mean_cost(results, anchor), float(np.mean(oracle.oracle))
+    before, after = mean_cost(results, anchor), float(np.mean(oracle["oracle"]))
     lower = 1.0 - after / before
     plans = [name for name in planners.pinned_costs if name.startswith("planner-")]
     costs = {name: mean_cost(results, name) for name in feedbacks} | {name: mean_cost(planners, name) for name in plans}
@@ -88,7 +87,7 @@ def foresight_and_planning(
         Condition(
             "b",
             "the oracle lowers the anchor's mean pinned cost by at least 40 %",
-            f"{before:.1f} → {after:.1f}, {100 * lower:.0f} % ({len(oracle.seeds)} scenarios)",
+            f"{before:.1f} → {after:.1f}, {100 * lower:.0f} % ({len(oracle['seeds'])} scenarios)",
             lower >= 0.4,
         ),
         Condition(
@@ -258,7 +257,7 @@ if __name__ == "__main__":
     docs = output_folder(__doc__)
     benchmark = get_suite(SUITE).benchmark
     zero, anchor = benchmark.anchors
-    oracle = OracleCosts.read(f"results/oracle/{SUITE}-validation.json")
+    oracle = read_json(Path(f"results/oracle/{SUITE}-validation.json"), "oracle")
     planners = Results.read(f"results/planners/{SUITE}-validation.json")
 
     folder = Path("agents/policies")

@@ -31,8 +31,8 @@ from wtg_gym.envs.observation import N_LOCAL, N_MEASURED
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, Results, evaluate, leaderboard_rows, markdown_table
 from wtg_gym.evaluation.episodes import Episode
-from wtg_gym.evaluation.leaderboard import privileged_note
 from wtg_gym.evaluation.metrics import Recorder, measure
+from wtg_gym.evaluation.table import privileged_note
 from wtg_gym.files import update_between_markers
 from wtg_gym.physics.aerodynamics import power_coefficient
 from wtg_gym.physics.layout import Floats

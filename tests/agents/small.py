@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from stable_baselines3.common.base_class import BaseAlgorithm
 
 from agents.folders import folders
 from agents.runs import Run, RunSettings
@@ -67,6 +68,17 @@ def stopped_after(timesteps: int, like: Path, folder: Path) -> Path:
         train(Run.new(Run.read(like).settings), folder)
     assert [int(path.name) for path in folders(folder / "checkpoints")] == [timesteps]
     return folder
+
+
+class Normalized:
+    """A learner that sees observations as its VecNormalize gives them."""
+
+    def __init__(self, model: BaseAlgorithm) -> None:
+        self._model, self._normalize = model, model.get_vec_normalize_env()
+
+    def predict(self, observation: Any, *more: Any, deterministic: bool) -> tuple[Any, Any]:
+        assert self._normalize is not None
+        return self._model.predict(self._normalize.normalize_obs(observation), *more, deterministic=deterministic)
 
 
 def largest_difference(policy: Any, other: Any, settings: RunSettings) -> float:

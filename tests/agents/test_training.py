@@ -20,14 +20,13 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from agents.export import export
 from agents.export import main as export_command
 from agents.folders import folders, held, save_folder
-from agents.learners import algorithm_of, load_model
+from agents.learners import CUSTOM_OBJECTS, algorithm_of, load_model
 from agents.runs import Run
 from agents.train import TRAINED, main
-from tests.agents.small import V0, config_file, largest_difference, options, stopped_after, trained
+from tests.agents.small import V0, Normalized, config_file, largest_difference, options, stopped_after, trained
 from tests.interruption import end
 from wtg_gym.evaluation import OnnxPolicy, load_entries
 from wtg_gym.policies.gate import check_submission
-from wtg_gym.policies.sb3_archive import CUSTOM_OBJECTS, NormalizedPolicy
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -91,8 +90,7 @@ def test_export_plays_as_the_learner_and_passes_the_gate(
     assert (best / "policy.onnx").read_bytes() == (tmp_path / "entry" / "policy.onnx").read_bytes()
     if algo != "ippo":
         model = load_model(checkpoint, run.settings)
-        learner = NormalizedPolicy(model.policy, model.get_vec_normalize_env())
-        assert largest_difference(learner, OnnxPolicy(best / "policy.onnx"), run.settings) <= 1e-6
+        assert largest_difference(Normalized(model), OnnxPolicy(best / "policy.onnx"), run.settings) <= 1e-6
         model.get_env().close()
 
 

@@ -39,10 +39,3 @@ def start(*arguments: str, cwd: Path | None = None, **options: Any) -> subproces
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "utf-8"}
     command = [sys.executable, "-m", "wtg_gym.cli", *arguments]
     return subprocess.Popen(command, cwd=cwd, env=environment, encoding="utf-8", **options)
-
-
-def call(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    """Run the command line in a process of its own."""
-    process = start(*arguments, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    out, err = process.communicate(timeout=300)
-    return subprocess.CompletedProcess(arguments, process.returncode, out, err)

@@ -1,24 +1,21 @@
-"""`wtg-gym results` as a user calls it: stored results computed again, compared, played with other sensors."""
+"""`wtg-gym results` as a user calls it: stored results computed again and compared."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from pathlib import Path
 
 import pytest
 
-from tests.cli.calls import error_of, json_of
+from tests.cli.calls import json_of
 from wtg_gym.cli import main
 from wtg_gym.evaluation import Results, load_entries
-from wtg_gym.evaluation.matrix import PERTURBATIONS, changed_sensors, matrix_of
 from wtg_gym.evaluation.recompute import departures, recompute
-from wtg_gym.files import sha256, to_json
 
 COMMIT = "0123456789abcdef0123456789abcdef01234567"
 SECRET = "a secret for these tests\n"
-#: Text with a colour, a cleared screen, a changed direction and a line of its own.
-NASTY = "1\x1b[2J\u202e\n::error::no"
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +24,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("results")
     (folder / "secret.txt").write_text(SECRET)
     short = ["evaluate", "--suite", "standard", "--entries", "deloaded-5", "--duration", "10"]
-    assert main([*short, "--split", "test", "--seeds", "20000:20004", "--results", str(folder)]) == 0
+    assert main([*short, "--split", "test", "--scenarios", "4", "--results", str(folder)]) == 0
     drawn = ["--split", "fresh", "--commit", COMMIT, "--secret-file", str(folder / "secret.txt")]
     assert main([*short, *drawn, "--scenarios", "4", "--results", str(folder)]) == 0
     return folder
@@ -57,13 +54,11 @@ def test_numbers_that_were_made_up_are_named(folder: Path, tmp_path: Path, capsy
     better = dataclasses.replace(first, metrics={**first.metrics, "cost": first.metrics["cost"] * 0.5})
     # Written by the package itself, so that all checksums fit.
     path, _ = dataclasses.replace(results, episodes=(better, *results.episodes[1:])).write(tmp_path)
-    assert _recompute(path, "--json") == 1
-    said = json.loads(capsys.readouterr().out)
-    (difference,) = said["differences"]
-    assert not said["identical"] and difference["where"] == f"{first.entry}, seed {first.seed}: cost"
-    assert float(difference["stored"]) == 0.5 * float(difference["now"])
     assert _recompute(path) == 1
-    assert "not identical: 1 differences" in capsys.readouterr().out
+    head, *_, row = capsys.readouterr().out.splitlines()
+    assert head.startswith("not identical: 1 differences")
+    where, stored, now = re.split("  +", row)
+    assert where == f"{first.entry}, seed {first.seed}: cost" and float(stored) == 0.5 * float(now)
 
 
 def test_another_policy_and_other_circumstances_are_told_apart(folder: Path) -> None:
@@ -95,31 +90,6 @@ def test_made_up_claims_about_an_entry_are_differences_and_other_texts_none(
     assert named == [f"deloaded-5: {key}"] and bool(found.differences) == differs
 
 
-def test_summary_that_the_table_does_not_give_is_refused(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    stored = folder / "standard-test.json"
-    data = json.loads(stored.read_text(encoding="utf-8"))
-    data["summary"]["deloaded-5"]["score"] = {"value": 140.0, "low": 139.0, "high": 141.0}
-    del data["sha256"]
-    data["sha256"] = sha256(to_json(data).encode())
-    path = tmp_path / stored.name
-    path.write_text(to_json(data), encoding="utf-8")
-    path.with_suffix(".csv").write_bytes(stored.with_suffix(".csv").read_bytes())
-    assert "summary.deloaded-5.score.value is 140.0, the table sums up to" in error_of(
-        capsys, "results", "recompute", str(path), "--entries", "deloaded-5"
-    )
-
-
-def test_texts_of_a_file_are_no_commands_to_the_terminal(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    results = Results.read(folder / "standard-test.json")
-    path, _ = dataclasses.replace(results, versions={**results.versions, "numpy": NASTY}).write(tmp_path)
-    assert _recompute(path) == 0
-    assert r"numpy was 1\x1b[2J\u202e\n::error::no, is" in capsys.readouterr().err
-
-
 def test_fresh_seeds_are_checked_against_the_secret(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     fresh = folder / "standard-fresh.json"
     assert _recompute(fresh) == 0
@@ -146,48 +116,3 @@ def test_gap_is_printed(folder: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert "4 public and 4 fresh scenarios" in out and "deloaded-5" in out
     # The anchors fix the scale and have no gap.
     assert [gap["name"] for gap in json_of(capsys, "results", "gap", *files, "--json")["gaps"]] == ["deloaded-5"]
-
-
-# --- matrix and front ------------------------------------------------------------------------------------------------
-
-FEW = ("--suites", "standard-v1", "paper-v1", "--split", "validation", "--scenarios", "12", "--entries", "fast-droop")
-
-
-@pytest.fixture(scope="module")
-def played(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two suites of v1, the first one with three changes of its sensors, and a page with their tables."""
-    folder = tmp_path_factory.mktemp("matrix")
-    (folder / "page.md").write_text("before\n<!-- matrix:start -->\n<!-- matrix:end -->\nafter\n")
-    options = ("--results", str(folder), "--page", str(folder / "page.md"))
-    assert main(["results", "matrix", *FEW, *options]) == 0
-    return folder
-
-
-def test_results_of_each_column_are_stored_and_make_the_table(played: Path) -> None:
-    names = ["standard-v1-validation.json", "paper-v1-validation.json"]
-    names += [f"{name}/standard-v1-validation.json" for name in PERTURBATIONS]
-    results = [Results.read(played / name) for name in names]
-    assert [changed_sensors(each) for each in results] == ["", "", "delay +0.1 s", "delay +0.2 s", "wind bias × 2"]
-    assert [len(each.seeds) for each in results] == [12, 2, 12, 12, 12]
-    page = (played / "page.md").read_text()
-    assert page == f"before\n<!-- matrix:start -->\n{matrix_of(results).page()}\n<!-- matrix:end -->\nafter\n"
-
-
-def test_stored_columns_are_used_again_and_not_overwritten_by_others(
-    played: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["results", "matrix", *FEW, "--results", str(played)]) == 0
-    said = capsys.readouterr()
-    assert said.err.count("1 of 1 entries are stored") == 5 and "fast-droop" in said.out
-    before = (played / "standard-v1-validation.json").read_bytes()
-    other = [text if text != "12" else "11" for text in FEW]
-    error = error_of(capsys, "results", "matrix", *other, "--results", str(played))
-    assert "is of other seeds and would be lost" in error
-    assert (played / "standard-v1-validation.json").read_bytes() == before
-
-
-def test_front_is_drawn_and_named(played: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    plot = played / "front.svg"
-    assert main(["results", "front", str(played / "standard-v1-validation.json"), "--plot", str(plot)]) == 0
-    assert "no other entry has more support and more energy than: " in capsys.readouterr().out
-    assert plot.stat().st_size > 1000

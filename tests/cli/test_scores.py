@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import json
 import re
 import signal
@@ -14,54 +13,28 @@ from typing import Any
 import pytest
 
 import wtg_gym.cli.scoring
-from tests.cli.calls import error_of, json_of, start
+from tests.cli.calls import error_of, start
 from tests.interruption import end
-from tests.submissions import models
 from wtg_gym.cli import main
-from wtg_gym.evaluation import Results, Workers, load_entries
-from wtg_gym.evaluation.partial import PartialStore
-from wtg_gym.evaluation.recompute import recompute
-from wtg_gym.files import sha256, to_json
-from wtg_gym.policies import policy_process
-from wtg_gym.scenarios.benchmark import V0, V1
+from wtg_gym.evaluation import Results, Workers, evaluator
+from wtg_gym.scenarios.benchmark import V1
 
-ROOT = Path(__file__).resolve().parents[2]
-_FEW = ("--suite", "low-wind", "--split", "test", "--seeds", "20000:20003", "20005")
+_FEW = ("--suite", "low-wind", "--split", "test", "--seeds", "20000", "20001", "20002", "20005")
 _LEADERBOARD = ("leaderboard", "--suite", "paper", "--entries")
 _PAPER = (*_LEADERBOARD, "mppt", "deloaded-5", "coordinated-piecewise")
 
 
-def _count_played(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
-    """Names of the entries of every evaluation from now on."""
-    played: list[list[str]] = []
-    real = wtg_gym.cli.scoring.evaluate
-
-    def counting(entries: Any, *arguments: Any, **named: Any) -> Any:
-        played.append([entry.name for entry in entries])
-        return real(entries, *arguments, **named)
-
-    monkeypatch.setattr(wtg_gym.cli.scoring, "evaluate", counting)
-    return played
-
-
-def test_evaluate_scores_entries_and_writes_results(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    folder = tmp_path / "mine"
-    assert main(["evaluate", "--entries", "deloaded-5", *_FEW, "--results", str(folder)]) == 0
-    said = capsys.readouterr()
-    assert "4 scenarios" in said.out
-    assert "score" in said.out and "mean pinned cost" in said.out and max(map(len, said.out.splitlines())) <= 120
-    assert all(name in said.out for name in ("deloaded-5", "mppt", "coordinated-piecewise"))
-    assert sorted(path.name for path in folder.iterdir()) == ["low-wind-test.csv", "low-wind-test.json"]
-
-
 def test_evaluate_ranks_a_suite_of_v1_in_its_own_grid(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    arguments = ["--suite", "standard-v1", "--split", "validation", "--seeds", "10000:10012"]
+    arguments = ["--suite", "standard-v1", "--split", "validation", "--scenarios", "12"]
     folder = tmp_path / "mine"
     entries = ["--entries", "coordinated-piecewise", "fast-droop"]
     assert main(["evaluate", *entries, *arguments, "--results", str(folder)]) == 0
     out = capsys.readouterr().out
     assert all(f"  {name} " in out for name in ("fast-droop", *V1.anchors)) and "mppt" not in out
     assert max(map(len, out.splitlines())) <= 120
+    assert sorted(path.name for path in folder.iterdir()) == [
+        f"standard-v1-validation.{end}" for end in ("csv", "json")
+    ]
     results = Results.read(folder / "standard-v1-validation.json")
     heads = r"rank +entry +score +Δf \[mHz\] +lost runs +or > 0\.8 Hz \[%\] +mean pinned cost"
     assert re.search(rf"^{heads}$", out, re.MULTILINE)
@@ -73,28 +46,6 @@ def test_evaluate_ranks_a_suite_of_v1_in_its_own_grid(capsys: pytest.CaptureFixt
     assert results.settings["physics"] == "extended"
     assert main(["results", "recompute", str(folder / "standard-v1-validation.json")]) == 0
     assert "identical" in capsys.readouterr().out
-
-
-def test_leaderboard_of_v1_goes_into_a_page_and_is_stored(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    few = functools.partial(wtg_gym.cli.scoring.evaluate, seeds=range(20_000, 20_012))
-    monkeypatch.setattr(wtg_gym.cli.scoring, "evaluate", few)
-    page = tmp_path / "page.md"
-    page.write_text("<!-- leaderboard:standard-v1:start -->\n<!-- leaderboard:standard-v1:end -->\n")
-    arguments = ["leaderboard", "--suite", "standard-v1", "--results", str(tmp_path), "--readme", str(page)]
-    assert main(arguments) == 0
-    first = page.read_text()
-    assert "| rank | entry | score | median deviation [mHz] | lost or beyond 0.8 Hz [%] |\n" in first
-    assert "| coordinated-tuned | 100.0 |" in first and "[points]" not in first
-    # The sentence has the numbers of the table's column.
-    said = [int(n) for n in re.findall(r"(\d+) mHz with", first)]
-    rows = {cells[2].strip(): cells for line in first.splitlines() if len(cells := line.split("|")) > 2}
-    column = [cell.strip() for cell in rows["entry"]].index("median deviation [mHz]")
-    assert said == [int(rows[name][column]) for name in V1.anchors]
-    played = _count_played(monkeypatch)
-    assert main(arguments) == 0
-    assert played == [[]] and page.read_text() == first
 
 
 def test_law_without_an_equilibrium_is_left_out_by_name(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -123,17 +74,6 @@ def test_suite_without_a_score_is_ranked_by_cost(capsys: pytest.CaptureFixture[s
     assert "more scenarios" not in said.err and f"| 1 | {order[0]} | none |" in page.read_text()
     assert main(["evaluate", *arguments[:4], "--split", "test", "--json"]) == 0
     assert set(json.loads(capsys.readouterr().out)["summary"]) == set(order)
-
-
-def test_share_of_the_oracles_gap_is_shown_or_why_not(capsys: pytest.CaptureFixture[str]) -> None:
-    cheaper = ["evaluate", "--entries", "baselines.tip_speed_feedback:ENTRY", "--split", "test", "--scenarios", "3"]
-    cheaper += ["--suite", "standard"]
-    data = json_of(capsys, *cheaper, "--json")
-    summary = data["summary"]["tip-speed-feedback"]
-    assert 0.0 < summary["gap_closed_percent"]["value"] < 100.0 and summary["n_oracle"] == 3
-    assert main([*cheaper, "--duration", "10"]) == 0
-    said = capsys.readouterr()
-    assert said.err == "no share of the oracle's gap: the oracle was found for other settings: duration_s\n"
 
 
 def test_workers_of_the_options_play(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -185,68 +125,33 @@ def test_leaderboard_ranks_writes_and_updates_the_readme(capsys: pytest.CaptureF
     text = readme.read_text(encoding="utf-8")
     assert text.startswith("before\n") and text.endswith("after\n") and "old" not in text
     assert "| 1 | coordinated-piecewise |" in text
-    assert sorted(path.name for path in results.iterdir()) == ["paper-test.csv", "paper-test.json"]
+    assert sorted(path.name for path in results.glob("*.*")) == ["paper-test.csv", "paper-test.json"]
     assert main(arguments) == 0
     assert f"{readme}: already up to date" in capsys.readouterr().err
 
 
-def test_leaderboard_evaluates_only_what_is_missing(
+def test_leaderboard_plays_only_what_is_new(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    results = ("--results", str(tmp_path))
     whole = (*_LEADERBOARD, "mppt", "deloaded-5", "coordinated-linear", "coordinated-piecewise")
     assert main([*whole, "--results", str(tmp_path / "at-once")]) == 0
-    expected = _files(tmp_path / "at-once")
-    assert main([*_PAPER, *results]) == 0
-    played = _count_played(monkeypatch)
-    assert main([*whole, *results]) == 0
-    # The anchors alone, to compare; then the one that the second call has not asked for.
-    assert played == [[], ["coordinated-linear"]]
-    assert _files(tmp_path) == expected
-    # An entry that the command does not name is kept and not printed; its texts are those of its last run.
+    assert main([*_PAPER, "--results", str(tmp_path)]) == 0
+    played: list[str] = []
+    real = evaluator._play
+    monkeypatch.setattr(evaluator, "_play", lambda entry, *rest: [played.append(entry.name), real(entry, *rest)][1])
+    assert main([*whole, "--results", str(tmp_path)]) == 0
+    assert played == ["coordinated-linear"]
+    assert _files(tmp_path) == _files(tmp_path / "at-once")
+    # What the command does not name is neither printed nor in the results, but still need not be played.
     capsys.readouterr()
-    played.clear()
-    assert main([*_PAPER, *results]) == 0
-    assert "coordinated-linear" not in capsys.readouterr().out
-    assert main([*_LEADERBOARD, "baselines.coordinated_linear", *results]) == 0
-    assert main([*whole, *results]) == 0
-    assert played == [[]] * 3
-    assert _files(tmp_path) == expected
-    played.clear()
-    assert main([*_PAPER, *results, "--fresh"]) == 0
-    assert played == [[], ["mppt", "deloaded-5", "coordinated-piecewise"]]
-
-
-def _files(folder: Path) -> list[bytes]:
-    return [(folder / f"paper-test.{ending}").read_bytes() for ending in ("json", "csv")]
-
-
-def test_stored_entry_is_kept_with_its_row_and_dropped_where_its_name_is_another_method(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(tmp_path)
-    module = "from wtg_gym.evaluation import Entry\nE = Entry(name={!r}, strategy={!r}, training_seed={})\n"
-    for name, given in {
-        "zero": ("mine", "mppt", 0),
-        "one": ("mine", "mppt", 1),
-        "other": ("mine", "deloaded-5", 1),
-        "late": ("late", "mppt", None),
-    }.items():
-        (tmp_path / f"stored_{name}.py").write_text(module.format(*given), encoding="utf-8")
-    stored = []
-    for spec in ("zero", "one", "late", "other"):
-        assert main(["leaderboard", "--suite", "paper", "--entries", f"stored_{spec}:E", "--results", "r"]) == 0
-        entries = Results.read(tmp_path / "r" / "paper-test.json").entries
-        stored.append(
-            {(each["name"], each["training_seed"]) for each in entries} - {(name, None) for name in V0.anchors}
-        )
-    assert stored == [
-        {("mine", 0)},
-        {("mine", 0), ("mine", 1)},
-        {("mine", 0), ("mine", 1), ("late", None)},
-        {("mine", 1), ("late", None)},
-    ]
+    assert main([*_PAPER, "--results", str(tmp_path)]) == 0
+    assert "coordinated-linear" not in capsys.readouterr().out + (tmp_path / "paper-test.csv").read_text()
+    assert main([*whole, "--results", str(tmp_path)]) == 0
+    # Another source is another result.
+    monkeypatch.setattr("wtg_gym.evaluation.partial.source_hash", lambda: "0" * 64)
+    assert played == ["coordinated-linear"]
+    assert main([*_PAPER, "--results", str(tmp_path)]) == 0
+    assert sorted(played[1:]) == ["coordinated-piecewise", "deloaded-5", "mppt"]
 
 
 @pytest.mark.parametrize(
@@ -273,88 +178,28 @@ def test_results_of_other_scenarios_or_settings_are_not_overwritten(
     assert (tmp_path / "standard-validation.json").read_bytes() == stored
 
 
-def test_fresh_leaderboard_believes_no_finished_parts(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    results = ("--results", str(tmp_path))
-    with monkeypatch.context() as patched:
-        patched.setattr(PartialStore, "clear", lambda _: None)
-        assert main([*_PAPER, *results]) == 0
-    honest = (tmp_path / "paper-test.csv").read_bytes()
-    for part in (tmp_path / "partial").iterdir():
-        rows = json.loads(part.read_text(encoding="utf-8"))["rows"]
-        forged = [[*row[:-1], "0.0"] for row in rows]
-        part.write_text(to_json({"rows": forged, "sha256": sha256(to_json(forged).encode())}), encoding="utf-8")
-    assert main([*_PAPER, *results, "--fresh"]) == 0
-    assert (tmp_path / "paper-test.csv").read_bytes() == honest
-    # Without the option they are what a run that was interrupted goes on from.
-    (tmp_path / "paper-test.json").unlink()
-    assert main([*_PAPER, *results]) == 0
-    assert (tmp_path / "paper-test.csv").read_bytes() != honest
-
-
-@pytest.mark.parametrize("damage", ["cut short", "edited", "other source"])
-def test_damaged_or_stale_results_are_evaluated_again(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, damage: str
-) -> None:
-    results = ("--results", str(tmp_path))
-    assert main([*_PAPER, *results]) == 0
-    path = tmp_path / "paper-test.json"
-    good = path.read_text(encoding="utf-8")
-    if damage == "cut short":
-        path.write_text(good[:500], encoding="utf-8")
-    elif damage == "edited":
-        table = path.with_suffix(".csv")
-        table.write_text(table.read_text(encoding="utf-8").replace("49.", "50."), encoding="utf-8")
-    else:
-        monkeypatch.setattr("wtg_gym.evaluation.evaluator.source_hash", lambda: "0" * 64)
+def test_old_results_stay_where_the_new_ones_do_not_fit(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    resource = pytest.importorskip("resource")
+    command = ["evaluate", "--suite", "paper", "--results"]
+    old, new = tmp_path / "old", tmp_path / "new"
+    entries = ("--entries", "deloaded-5", "deloaded-10", "coordinated-linear")
+    assert main([*command, str(new), *entries]) == 0
+    assert main([*command, str(old), "--entries", "mppt"]) == 0
+    before, description = _files(old), old / "paper-validation.json"
+    largest = (new / description.name).stat().st_size - 1
+    assert (new / description.name).with_suffix(".csv").stat().st_size <= largest
     capsys.readouterr()
-    played = _count_played(monkeypatch)
-    assert main([*_PAPER, *results]) == 0
-    assert "not used: " in capsys.readouterr().err
-    assert played == [[], ["mppt", "deloaded-5", "coordinated-piecewise"]]
-    if damage != "other source":
-        assert path.read_text(encoding="utf-8") == good
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (largest, hard))
+    try:
+        assert main([*command, str(old), *entries]) == 2
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    said = capsys.readouterr()
+    assert said.out == "" and said.err == f"wtg-gym: error: {description}: File too large\n"
+    # No temporary file is left either, but what was played is.
+    assert _files(old) == before and list((old / "partial").glob("*.json"))
 
 
-def test_policies_that_crash_hang_and_turn_nan_change_nobody_elses_results(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    """Each of them knows the first scenario by its beginning, and does it in its middle."""
-    # As long as each of the two evaluations waits for the one that hangs.
-    monkeypatch.setattr(policy_process, "STEP_S", 2.0)
-    seen = models.first_observation("paper", 0)
-    contents = {
-        "Crash": models.divides(seen, 1e-3, "Div", -(2**31), -1),
-        "Hang": models.hangs(seen, 1e-3),
-        "Nan": models.turns_nan(seen, 1e-3),
-        "Mine": models.model(),
-        "Yours": models.other(0.03),
-    }
-    folders = {
-        name: str(models.folder(tmp_path / name, content, models.TOML.replace("Mine", name)))
-        for name, content in contents.items()
-    }
-    readme = tmp_path / "README.md"
-    pages, tables = [], []
-    for place, names, code in (("all", folders, 1), ("rest", ("Mine", "Yours"), 0)):
-        readme.write_text("<!-- leaderboard:paper:start -->\n<!-- leaderboard:paper:end -->\n", encoding="utf-8")
-        entries = ["deloaded-5", *(folders[name] for name in names)]
-        command = ["leaderboard", "--suite", "paper", "--entries", *entries, "--readme", str(readme), "--results"]
-        assert main([*command, str(tmp_path / place)]) == code
-        said = capsys.readouterr()
-        pages.append((said.out, readme.read_text(encoding="utf-8")))
-        tables.append((tmp_path / place / "paper-test.csv").read_bytes())
-        for name, reason in (("Crash", "SIGFPE"), ("Hang", "took longer than"), ("Nan", "must be finite")):
-            lines = [
-                line for line in said.err.splitlines() if f"failed, and left out: {name} (training seed 0)" in line
-            ]
-            assert len(lines) == code
-            assert all(f"entry '{name} (training seed 0)', step 20: " in line and reason in line for line in lines)
-    assert pages[0] == pages[1] and tables[0] == tables[1]
-    results = Results.read(tmp_path / "all" / "paper-test.json")
-    assert [entry["name"] for entry in results.failed] == ["Crash", "Hang", "Nan"]
-    assert results.to_dict()["summary"] == Results.read(tmp_path / "rest" / "paper-test.json").to_dict()["summary"]
-    # Computed again they fail again, so there is no difference.
-    found = recompute(results, [entry for spec in ("deloaded-5", *folders.values()) for entry in load_entries(spec)])
-    assert found.differences == []
+def _files(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}

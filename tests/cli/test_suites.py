@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-import wtg_gym.cli.suites
 from tests.cli.calls import json_of
 from wtg_gym.cli import main
-from wtg_gym.cli.options import suite_name
-from wtg_gym.envs import EnvSettings
-from wtg_gym.scenarios import FROZEN_HASHES, SUITES, Suite
+from wtg_gym.scenarios import FROZEN_HASHES, SUITES
 
 
 def test_suites_lists_every_suite(capsys: pytest.CaptureFixture[str]) -> None:
@@ -25,8 +22,8 @@ def test_suite_of_v1_is_shown_with_its_grid_sensors_and_task(capsys: pytest.Capt
     assert main(["suites", "standard-v1"]) == 0
     text = capsys.readouterr().out
     assert "GFMWTG-14bus-v1" in text and SUITES["standard-v1"].hash in text
-    assert "20 turbines at bus 2, 14 turbines at bus 3, 10 turbines at bus 6, 8 turbines at bus 8" in text
-    assert "generator_mva              250.0" in text and "delay_s                    (0.1, 0.3)" in text
+    assert "bus 2, n_turbines 20.0; bus 3, n_turbines 14.0; bus 6, n_turbines 10.0; bus 8, n_turbines 8.0" in text
+    assert "generator_mva              250.0" in text and "delay_s                    0.1; 0.3" in text
     (data,) = json_of(capsys, "suites", "no-wind-sensor-v1", "--json")
     assert data["sensors"]["wind_sensor"] is False and data["plant"]["physics"] == "extended"
 
@@ -37,23 +34,3 @@ def test_scenario_is_shown_with_wind_grid_and_events(capsys: pytest.CaptureFixtu
     assert "mean wind    11.4, 8 m/s" in text
     assert "5 s: load of bus 4 lost" in text
     assert "inertia 100 %" in text
-
-
-def test_hash_check_passes_and_fails_by_exit_code(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert main(["suites", "--check"]) == 0
-    assert "DIFFERS" not in capsys.readouterr().out
-    monkeypatch.setattr(wtg_gym.cli.suites, "FROZEN_HASHES", {**FROZEN_HASHES, "gust": "0" * 64})
-    rows = json_of(capsys, "suites", "--check", "--json", code=1)
-    assert [row["name"] for row in rows if not row["agrees"]] == ["gust"]
-    assert main(["suites", "--check", "paper"]) == 0
-
-
-@pytest.mark.parametrize("suite", SUITES.values(), ids=lambda suite: suite.name)
-def test_command_line_takes_the_names_that_the_environment_takes(suite: Suite) -> None:
-    version = suite.benchmark.version
-    short = suite.name.removesuffix(f"-{version}")
-    assert EnvSettings(version=version, suite=short).suite == suite.name == suite_name(suite.name)
-    # Without a version, "standard" and "paper" are those of v0.
-    assert suite_name(short) == (short if short in SUITES else suite.name)

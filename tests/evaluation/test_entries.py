@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
+import dataclasses
 import shutil
 import sys
 from pathlib import Path
@@ -37,7 +37,7 @@ def build():
 def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     folder = tmp_path / "my_entries"
     folder.mkdir()
-    (folder / "__init__.py").write_text('ORDER = ("late",)\n')
+    (folder / "__init__.py").write_text("ORDER = {'v1': ('late', 'early'), 'v0': ('early',)}\n")
     (folder / "helper.py").write_text("x = 1\n")
     for name in ("early", "late", "middle"):
         (folder / f"{name}.py").write_text(MODULE.format(name=name))
@@ -80,8 +80,9 @@ def test_law_and_folder_of_ones_own_are_entries(tmp_path: Path, monkeypatch: pyt
     assert [entry.training_seed for entry in load_entries("ppo-k-3")] == [2]
 
 
-def test_package_gives_its_entries_in_its_order_then_by_name(package: str) -> None:
-    assert [entry.name for entry in load_entries(package)] == ["late", "early", "middle"]
+def test_package_gives_the_entries_of_a_version_in_its_order(package: str) -> None:
+    assert [entry.name for entry in load_entries(package)] == ["late", "early"]
+    assert [entry.name for entry in load_entries(package, benchmark=V0)] == ["early"]
 
 
 @pytest.mark.parametrize(
@@ -111,23 +112,21 @@ def test_unknown_entry_names_what_is_allowed(package: str, spec: str, text: str)
         load_entries(spec)
 
 
-@pytest.mark.parametrize(
-    ("normalization", "refused"),
-    [(None, False), (SimpleNamespace(norm_obs=True), True), (SimpleNamespace(norm_obs=False), False)],
-)
-def test_learner_whose_normalisation_would_be_left_out_is_refused(normalization: Any, refused: bool) -> None:
-    learner = SimpleNamespace(predict=lambda *_: None, get_vec_normalize_env=lambda: normalization)
-    with pytest.raises(ValueError, match="VecNormalize") if refused else contextlib.nullcontext():
-        Entry(name="a", policy=learner)
+def test_learner_whose_normalisation_would_be_left_out_is_refused() -> None:
+    def learner(normalization: Any) -> Any:
+        return SimpleNamespace(predict=lambda *_: None, get_vec_normalize_env=lambda: normalization)
+
+    for harmless in (None, SimpleNamespace(norm_obs=False)):
+        Entry(name="a", policy=learner(harmless))
+    with pytest.raises(ValueError, match="VecNormalize"):
+        Entry(name="a", policy=learner(SimpleNamespace(norm_obs=True)))
 
 
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
         ({"name": ""}, "printable"),
-        ({"name": "a|b"}, "printable"),
         ({"name": "a\nb"}, "printable"),
-        ({"name": " a"}, "printable"),
         ({"name": 3}, "printable"),
         ({"name": "a", "policy": object()}, "predict"),
         ({"name": "a", "strategy": "mpp"}, "known strategies: mppt"),
@@ -143,15 +142,11 @@ def test_wrong_entry_says_what_is_allowed(arguments: dict, text: str) -> None:
         Entry(**arguments)
 
 
-def test_identity_of_a_law_follows_its_numbers() -> None:
+def test_identity_of_a_law_follows_its_numbers_and_that_of_a_policy_needs_a_fingerprint(package: str) -> None:
     law = STRATEGIES["mppt"]
-    other = TrackingLaw(name="mppt", k_min=law.k_min, k_nominal=law.k_nominal, k_max=law.k_max * (1.0 + 1e-15))
-    same, changed = Entry(name="another name", strategy=law), Entry(name="mppt", strategy=other)
-    assert same.identity == Entry(name="mppt", strategy="mppt").identity
-    assert changed.identity != same.identity
-
-
-def test_identity_of_a_policy_needs_a_fingerprint(package: str) -> None:
+    other = dataclasses.replace(law, k_max=law.k_max * (1.0 + 1e-15))
+    assert Entry(name="another name", strategy=law).identity == Entry(name="mppt", strategy="mppt").identity
+    assert Entry(name="mppt", strategy=other).identity != Entry(name="mppt", strategy=law).identity
     (unknown,), (known,) = load_entries(f"{package}.early:policy"), load_entries(f"{package}.early:build")
     assert unknown.identity is None
     assert known.identity is not None and known.identity != Entry(name="law").identity
@@ -186,8 +181,8 @@ def test_trained_policy_modulates_the_law_that_its_file_names(tmp_path: Path) ->
         load_entries(tmp_path / "mine")
 
 
-@pytest.mark.parametrize("name", ["mppt", "coordinated-piecewise", "coordinated-tuned"])
-def test_name_of_an_anchor_of_any_version_is_reserved(name: str) -> None:
-    check_entries([Entry(name=name, strategy=name)])
-    with pytest.raises(ValueError, match=f"the name '{name}' is reserved"):
-        check_entries([Entry(name=name, strategy="deloaded-5")])
+def test_name_of_an_anchor_of_any_version_is_reserved() -> None:
+    for name in {*V0.anchors, *V1.anchors}:
+        check_entries([Entry(name=name, strategy=name)])
+        with pytest.raises(ValueError, match=f"the name '{name}' is reserved"):
+            check_entries([Entry(name=name, strategy="deloaded-5")])

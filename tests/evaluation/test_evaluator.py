@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-import shutil
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -32,9 +30,7 @@ class Linear:
     def __init__(self, gain: float, n_actions: int = 4) -> None:
         self.gain, self.n_actions = gain, n_actions
 
-    def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
-    ) -> Any:
+    def predict(self, observation: Any, state: Any = None, *_: Any, **__: Any) -> Any:
         return np.repeat(-self.gain * observation[:, :1], self.n_actions, axis=1), None
 
 
@@ -44,9 +40,7 @@ class Answering(Linear):
     def __init__(self, answer: Any) -> None:
         self.answer, self.step = answer, -1
 
-    def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
-    ) -> Any:
+    def predict(self, observation: Any, state: Any = None, *_: Any, **__: Any) -> Any:
         self.step += 1
         return self.answer(observation, self.step)
 
@@ -68,22 +62,19 @@ class Counting:
         return np.repeat(0.01 * count[:, np.newaxis], 4, axis=1), (count,)
 
 
-@pytest.mark.parametrize(("batch", "n_threads"), [(1, 1), (2, 1), (100, 4)])
+@pytest.mark.parametrize(("batch", "n_threads"), [(2, 1), (100, 4)])
 def test_law_result_ignores_batch_and_threads(
     results: Results, entries: list[Entry], batch: int, n_threads: int
 ) -> None:
     again = evaluate(entries, "standard", "test", batch=batch, n_threads=n_threads, **SHORT)
     assert again == results
-    assert [e.cells() for e in again.episodes] == [e.cells() for e in results.episodes]
 
 
-@pytest.mark.parametrize("name", ["mppt", "coordinated-piecewise", "linear"])
-def test_episode_equals_the_single_environment(name: str) -> None:
-    policy = Linear(2.0) if name == "linear" else None
-    law = "coordinated-piecewise" if policy else name
-    results = evaluate([Entry(name=name, strategy=law, policy=policy)], "standard", "test", **SHORT)
-    env = gym.make("GFMWTG-14bus-v0", strategy=law, duration_s=SHORT["duration_s"], disable_env_checker=True).unwrapped
-    for episode in results.episodes_of(name):
+@pytest.mark.parametrize("policy", [None, Linear(2.0)], ids=["law", "policy"])
+def test_episode_equals_the_single_environment(policy: Linear | None) -> None:
+    results = evaluate([Entry(name="mine", strategy="deloaded-5", policy=policy)], "standard", "test", **SHORT)
+    env = gym.make("GFMWTG-14bus-v0", strategy="deloaded-5", duration_s=10.0, disable_env_checker=True).unwrapped
+    for episode in results.episodes_of("mine"):
         scenario = get_suite("standard").scenario(episode.seed, n_turbines=[10.0, 10.0], duration_s=10.0)
         observation, info = env.reset(options={"scenario": scenario})
         terms = {key: 0.0 for key in info if key.startswith("cost_")}
@@ -195,21 +186,16 @@ def test_entry_that_fails_is_left_out_with_its_row_and_the_others_stand(tmp_path
         raise RuntimeError("no\nidea \x1b[2J")
 
     first, second = Entry(name="first", policy=Linear(1.0)), Entry(name="second", policy=Linear(0.5))
-    mate, nan = (
-        Entry(name="nan", policy=policy, training_seed=i) for i, policy in enumerate((fails_at(-1), fails_at(7)))
-    )
     never = Answering(raises)
-    another = Entry(name="nan", policy=never, training_seed=2)
-    entries = [first, mate, nan, another, Entry(name="raises", policy=Answering(raises)), second]
+    seeds = [
+        Entry(name="nan", policy=policy, training_seed=seed)
+        for seed, policy in enumerate((fails_at(-1), fails_at(7), never))
+    ]
+    entries = [first, *seeds, Entry(name="raises", policy=Answering(raises)), second]
     results = evaluate(entries, "standard", "test", keep_going=True, batch=2, partial=tmp_path / "parts", **SHORT)
     others = evaluate([first, second], "standard", "test", **SHORT)
     assert results == dataclasses.replace(others, failed=results.failed)
-    assert [(entry["name"], entry["training_seed"]) for entry in results.failed] == [
-        ("nan", 0),
-        ("nan", 1),
-        ("nan", 2),
-        ("raises", None),
-    ]
+    assert [entry["training_seed"] for entry in results.failed] == [0, 1, 2, None]
     assert never.step == -1, "a seed of a row that has failed already is not played"
     reasons = [entry["reason"] for entry in results.failed]
     assert reasons[0] == reasons[1] == reasons[2] and "entry 'nan (training seed 1)', step 7" in reasons[1]
@@ -217,11 +203,7 @@ def test_entry_that_fails_is_left_out_with_its_row_and_the_others_stand(tmp_path
     for look_up in (results.episodes_of, results.scores.__getitem__):
         with pytest.raises(KeyError, match=r"unknown entry 'nan': entry 'nan .training seed 1.', step 7.*; choose one"):
             look_up("nan")
-    # The files of the other entries are equal to the byte, except for the notes on those that failed.
-    for one, other in zip(results.write(tmp_path / "a"), others.write(tmp_path / "b"), strict=True):
-        if one.suffix == ".csv":
-            assert one.read_bytes() == other.read_bytes()
-    read = Results.read(tmp_path / "a" / "standard-test.json")
+    read = Results.read(results.write(tmp_path / "a")[0])
     assert read == results and read.to_dict()["summary"] == others.to_dict()["summary"]
 
 
@@ -270,13 +252,6 @@ def test_entry_does_not_join_the_row_of_another(key: str, other: dict[str, Any])
         check_entries([Entry(**own, training_seed=0), Entry(**{**own, **other}, training_seed=1)])
 
 
-def test_settings_of_the_environment_are_passed_on(results: Results) -> None:
-    other = evaluate([], "standard", "test", weights={"duty": 0.0}, machine_model="classical", **SHORT)
-    assert other.settings["weights"]["duty"] == 0.0 and other.settings["machine_model"] == "classical"
-    assert all(episode.metrics["cost_duty"] == 0.0 for episode in other.episodes)
-    assert results.settings["weights"]["duty"] == 2.0
-
-
 class Killed(Exception):
     pass
 
@@ -319,14 +294,12 @@ def test_killed_run_goes_on_and_keeps_its_parts_until_the_results_are_written(
     assert [path.name for path in partial.iterdir()] == ["of another run"]
 
 
-@pytest.mark.parametrize("damage", [lambda text: "{", lambda text: text.replace("standard/20000", "standard/20001")])
-def test_damaged_part_is_played_again(
-    results: Results, entries: list[Entry], tmp_path: Path, damage: Callable[[str], str]
-) -> None:
+def test_damaged_part_is_played_again(results: Results, entries: list[Entry], tmp_path: Path) -> None:
     with pytest.raises(Killed):
         evaluate(entries, "standard", "test", on_progress=killer(6), partial=tmp_path, **SHORT)
-    for path in tmp_path.iterdir():
-        path.write_text(damage(path.read_text()))
+    cut, edited = tmp_path.iterdir()
+    cut.write_text("{")
+    edited.write_text(edited.read_text().replace("standard/20000", "standard/20001"))
     assert evaluate(entries, "standard", "test", partial=tmp_path, **SHORT) == results
 
 
@@ -336,19 +309,14 @@ def test_partial_of_other_settings_or_unknown_policy_is_not_used(entries: list[E
     stored = set(tmp_path.iterdir())
     other = evaluate(entries, "standard", "test", partial=tmp_path, weights={"rocof": 0.0}, **SHORT)
     assert all(episode.metrics["cost_rocof"] == 0.0 for episode in other.episodes)
-    other.write(tmp_path / "written")
-    shutil.rmtree(tmp_path / "written")
+    assert other.settings["weights"]["rocof"] == 0.0
+    assert other.parts is not None
+    other.parts.clear()
     assert set(tmp_path.iterdir()) == stored
     unknown = Entry(name="unknown", policy=Linear(0.2))
     with pytest.raises(Killed):
         evaluate([unknown], "standard", "test", on_progress=killer(3), partial=tmp_path, **SHORT)
     assert set(tmp_path.iterdir()) == stored
-
-
-def test_suite_of_a_version_may_be_named_shortly() -> None:
-    arguments = {"seeds": (10_000,), "duration_s": 2.0}
-    short, whole = evaluate([], "gusty", version="v1", **arguments), evaluate([], "gusty-v1", **arguments)
-    assert short == whole and short.suite == "gusty-v1"
 
 
 def test_sensors_of_an_evaluation_are_in_its_settings_and_decide_its_numbers() -> None:

@@ -4,42 +4,36 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import pytest
 
-from wtg_gym.evaluation import Entry, Results, evaluate, leaderboard_rows, markdown_table, table_cells
-from wtg_gym.evaluation.leaderboard import (
-    SHORT_COLUMNS,
-    TERMINAL_COLUMNS,
-    columns_of,
-    html_table,
-    markdown_section,
-    table_rows,
+from wtg_gym.evaluation import (
+    Entry,
+    EntrySummary,
+    Results,
+    evaluate,
+    leaderboard_rows,
+    markdown_table,
+    table_cells,
 )
+from wtg_gym.evaluation.leaderboard import markdown_section
 from wtg_gym.evaluation.score import pinned
+from wtg_gym.evaluation.table import columns_of
 
 
-def test_rows_are_sorted_by_score(results: Results) -> None:
-    rows = leaderboard_rows(results)
-    assert [row.score.value for row in rows] == sorted((row.score.value for row in rows), reverse=True)
-    assert rows[0].name == "coordinated-piecewise"
-
-
-def test_equal_scores_share_a_rank(results: Results) -> None:
-    first, second, third = leaderboard_rows(results)
-    rows = [first, dataclasses.replace(first, name="other"), second, third]
-    assert [cells[0] for cells in table_cells(rows)] == ["1", "1", "3", "4"]
-
-
-def test_table_has_a_row_per_entry_and_a_cell_per_column(results: Results) -> None:
-    lines = markdown_table(leaderboard_rows(results)).split("\n")
+def test_table_has_the_best_first_and_equal_scores_share_a_rank(results: Results) -> None:
+    first, second, third = rows = leaderboard_rows(results)
+    assert first.score.value > second.score.value > third.score.value
+    equal = [first, dataclasses.replace(first, name="other"), second, third]
+    assert [cells[0] for cells in table_cells(equal)] == ["1", "1", "3", "4"]
+    lines = markdown_table(rows).split("\n")
     assert len(lines) == 2 + 3
-    assert len({line.count("|") for line in lines}) == 1
-    assert [head.strip() for head in lines[0].strip("|").split("|")] == list(SHORT_COLUMNS)
+    assert [head.strip() for head in lines[0].strip("|").split("|")] == columns_of("v0")
     assert lines[2].startswith("| 1 | coordinated-piecewise | 100.0 | 0.0 | 0.0 | 0.0 | 0.0 | 0.0 | 49.")
-    assert "-0.0" not in markdown_table(leaderboard_rows(results))
-    assert {len(cells) for cells in table_cells(leaderboard_rows(results))} == {len(columns_of("v0"))}
+    assert "-0.0" not in "".join(lines)
 
 
 def test_every_entry_but_the_first_is_compared_with_the_one_above(results: Results) -> None:
@@ -57,25 +51,26 @@ def test_table_says_who_sees_the_grid() -> None:
     names = [name for (name,) in table_cells(leaderboard_rows(results), ("entry",))]
     assert sorted(names) == ["coordinated-piecewise", "mppt", "sees all (privileged)"]
     said = "rivileged: sees the state of the whole grid, which no turbine measures"
-    for text in (markdown_section(results), html_table(results)):
+    for text in (markdown_section(results), results._repr_html_()):
         assert "sees all (privileged)" in text and text.count(said) == 1
-    others = evaluate([], "standard", "test", seeds=(20_002, 20_000), duration_s=10.0)
-    assert not any("rivileged" in make(others) for make in (markdown_section, html_table))
     seeds = [dataclasses.replace(entry, training_seed=seed) for seed in (0, 1)]
     both = evaluate(seeds, "standard", "test", seeds=(20_002, 20_000), duration_s=10.0)
     assert "sees all (2 seeds, privileged)" in markdown_section(both)
 
 
-def test_table_of_v1_shows_failures_by_kind_the_worst_tenth_and_deviations(results_v1: Results) -> None:
+def changed(results: Results, changes: Mapping[int, Mapping[str, Any]]) -> tuple[Results, EntrySummary]:
+    """Return results in which fast-droop fails only as `changes` of its episodes say, and its row."""
+    episodes = tuple(
+        dataclasses.replace(e, **{"failure": "", **changes.get(e.seed - 10_000, {})}) if e.entry == "fast-droop" else e
+        for e in results.episodes
+    )
+    found = dataclasses.replace(results, episodes=episodes)
+    return found, next(row for row in found.summaries if row.name == "fast-droop")
+
+
+def test_table_shows_failures_by_kind_the_worst_tenth_and_deviations(results_v1: Results) -> None:
     reasons = ("stall", "frequency limit", "under-speed", "loss of synchronism")
-    episodes = [
-        dataclasses.replace(e, failure=reasons[e.seed - 10_000])
-        if e.entry == "fast-droop" and e.seed < 10_000 + len(reasons)
-        else dataclasses.replace(e, failure="")
-        for e in results_v1.episodes
-    ]
-    failed = dataclasses.replace(results_v1, episodes=tuple(episodes))
-    row = next(row for row in failed.summaries if row.name == "fast-droop")
+    failed, row = changed(results_v1, {i: {"failure": reason} for i, reason in enumerate(reasons)})
     assert row.failures_percent_by_kind == pytest.approx({"frequency": 100 / 12, "rotor": 200 / 12, "other": 100 / 12})
     own = failed.episodes_of("fast-droop")
     worst = sorted(pinned(episode, failed.settings["weights"]["cap"]) for episode in own)[-2:]
@@ -83,41 +78,35 @@ def test_table_of_v1_shows_failures_by_kind_the_worst_tenth_and_deviations(resul
     deviations = [1e3 * max(50.0 - e.metrics["nadir_hz"], e.metrics["zenith_hz"] - 50.0) for e in own]
     assert row.median_deviation_mhz == pytest.approx(np.median(deviations))
     assert row.p95_deviation_mhz == pytest.approx(np.percentile(deviations, 95.0))
-    columns = [*columns_of("v1"), "lost runs"]
+    columns = [*columns_of("whole"), "lost runs"]
     cells = dict(zip(columns, table_cells([row], columns)[0], strict=True))
     assert cells["failures by kind [%]"] == "33.3 (f 8.3, ω 16.7)" and cells["lost runs"] == "4 of 12"
     assert cells["median deviation [mHz]"] == f"{np.median(deviations):.0f}"
 
 
 def test_runs_beyond_0_8_hz_count_with_the_lost_and_a_run_counts_once(results_v1: Results) -> None:
-    own = results_v1.episodes_of("fast-droop")
-    nadirs = dict(zip([e.seed for e in own], [49.2, 49.199, 49.1, *[49.9] * 9], strict=True))
-    zeniths = dict.fromkeys(nadirs, 50.0) | {own[3].seed: 50.801}
-    changed = [
-        dataclasses.replace(
-            e,
-            failure="stall" if e.seed in (own[2].seed, own[4].seed) else "",
-            metrics={**e.metrics, "nadir_hz": nadirs[e.seed], "zenith_hz": zeniths[e.seed]},
-        )
-        for e in own
-    ]
-    episodes = [changed[own.index(e)] if e in own else e for e in results_v1.episodes]
-    results = dataclasses.replace(results_v1, episodes=tuple(episodes))
-    row = next(row for row in results.summaries if row.name == "fast-droop")
+    extremes = [(49.2, 50.0), (49.199, 50.0), (49.1, 50.0), (49.9, 50.801), *[(49.9, 50.0)] * 8]
+    changes: dict[int, dict[str, Any]] = {
+        i: {"metrics": {**e.metrics, "nadir_hz": low, "zenith_hz": high}}
+        for i, (e, (low, high)) in enumerate(zip(results_v1.episodes_of("fast-droop"), extremes, strict=True))
+    }
+    for lost in (2, 4):
+        changes[lost]["failure"] = "stall"
+    _, row = changed(results_v1, changes)
     # 49.199 and 50.801 Hz, the lost one at 49.1 Hz, and the other lost one.
     assert row.n_lost == 2 and row.lost_or_beyond_percent == pytest.approx(100.0 * 4 / 12)
 
 
 def test_without_a_score_the_mean_pinned_cost_ranks() -> None:
     results = evaluate("fast-droop", "paper-v1", "test")
-    rows = table_rows(results)
+    rows, columns = results.ranking, columns_of("terminal")
     assert not results.has_scale and len(rows) == 3
     costs = {name: float(np.mean(costs)) for name, costs in results.pinned_costs.items()}
     assert [row.name for row in rows] == sorted(costs, key=lambda name: costs[name])
-    cells = [dict(zip(TERMINAL_COLUMNS, each, strict=True)) for each in table_cells(rows, TERMINAL_COLUMNS)]
+    cells = [dict(zip(columns, each, strict=True)) for each in table_cells(rows, columns)]
     assert [each["rank"] for each in cells] == ["1", "2", "3"] and {each["score"] for each in cells} == {"none"}
     assert [each["mean pinned cost"] for each in cells] == [f"{costs[row.name]:.1f}" for row in rows]
-    for text in (markdown_section(results), html_table(results)):
+    for text in (markdown_section(results), results._repr_html_()):
         assert "anked by mean pinned cost, as there is no score: on these 2 scenarios coordinated-piecewise" in text
         assert "[points]" not in text and f"{costs[rows[0].name]:.1f}" in text
     assert results.to_dict()["summary"]["fast-droop"]["mean_pinned_cost"] == pytest.approx(costs["fast-droop"])

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 
-from wtg_gym.evaluation import METRICS, Entry, Results, evaluate
+from wtg_gym.evaluation import METRICS, Results, evaluate
 from wtg_gym.evaluation.metrics import largest_power_change, last_event_s, steady_metrics
 from wtg_gym.physics.plant import PlantSettings
-from wtg_gym.physics.scenario import GroupTrip, LineTrip, LoadRamp, LoadStep, LoadTrip, Scenario
+from wtg_gym.physics.scenario import Event, GroupTrip, LineTrip, LoadRamp, LoadTrip, Scenario
 from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.physics.trajectory import simulate
 from wtg_gym.scenarios import get_suite
@@ -48,14 +49,7 @@ def test_metrics_agree_with_the_recorded_run() -> None:
 
 
 def test_deloading_shows_in_the_share_of_energy() -> None:
-    calm = evaluate(
-        [Entry(name="deloaded-10", strategy="deloaded-10")],
-        "paper",
-        "test",
-        seeds=[0],
-        duration_s=5.0,
-        weights={"cap": 1e6},
-    )
+    calm = evaluate("deloaded-10", "paper", "test", seeds=[0], duration_s=5.0)
     shares = {e.entry: e.metrics["energy_share_percent"] for e in calm.episodes}
     assert shares["mppt"] == pytest.approx(100.0, abs=0.01)
     assert shares["deloaded-10"] == pytest.approx(90.0, abs=0.01)
@@ -87,27 +81,28 @@ def test_step_that_settles_is_timed_from_the_event() -> None:
     assert steady_metrics(np.array([50.0, 50.1, 50.2]), DT, 50.0, 0.0)[0] == pytest.approx(0.15)
 
 
-def test_last_event_is_complete_when_its_ramp_is() -> None:
-    events = (
-        LoadRamp(time_s=10.0, bus=3, power_mw=5.0, duration_s=9.0),
-        LoadStep(time_s=12.0, bus=3, power_mw=5.0),
-        LoadTrip(time_s=70.0, bus=4),
-    )
+RAMP = LoadRamp(time_s=10.0, bus=3, power_mw=5.0, duration_s=9.0)
+LINE = LineTrip(time_s=10.0, from_bus=1, to_bus=2)
+
+
+@pytest.mark.parametrize(
+    ("event", "duration_s", "complete_s"),
+    [
+        (RAMP, 60.0, 19.0),
+        # Nothing has happened yet.
+        (RAMP, 5.0, None),
+        (LINE, 60.0, 12.0),
+        (dataclasses.replace(LINE, recloses_after_s=30.0), 60.0, 40.0),
+        # The line is still open at the end.
+        (dataclasses.replace(LINE, recloses_after_s=50.0), 60.0, 12.0),
+    ],
+)
+def test_last_event_is_complete_when_its_ramp_is_or_its_line_is_closed_again(
+    event: Event, duration_s: float, complete_s: float | None
+) -> None:
+    events = (event, GroupTrip(time_s=12.0, group=0), LoadTrip(time_s=70.0, bus=4))
     scenario = Scenario(name="three", wind_speed=np.full((2, 1), 8.0), events=events)
-    assert last_event_s(scenario, 60.0) == 19.0
-    assert last_event_s(scenario, 5.0) is None
-
-
-def test_last_event_is_complete_when_its_line_is_closed_again() -> None:
-    def last(*, after_s: float | None) -> float | None:
-        line = LineTrip(time_s=10.0, from_bus=1, to_bus=2, recloses_after_s=after_s)
-        events = (line, GroupTrip(time_s=12.0, group=0))
-        return last_event_s(Scenario(name="two", wind_speed=np.full((2, 1), 8.0), events=events), 60.0)
-
-    assert last(after_s=None) == 12.0
-    assert last(after_s=30.0) == 40.0
-    # It is still open at the end.
-    assert last(after_s=50.0) == 12.0
+    assert last_event_s(scenario, duration_s) == complete_s
 
 
 def test_tripped_groups_are_counted_where_the_run_goes_on() -> None:

@@ -17,7 +17,6 @@ FLOAT = TensorProto.FLOAT
 POLICIES = Path(__file__).resolve().parents[2] / "agents" / "policies"
 #: Width of the local observation of two groups with both actions.
 N = 20
-TOML = 'name = "still"\naction_mode = "k+tau"\nenvironment = "GFMWTG-14bus-v0"\n'
 
 
 def write(path: Path, nodes: list[Any], inputs: list[Any], outputs: list[Any]) -> Path:
@@ -54,13 +53,6 @@ def counter(path: Path) -> Path:
     return write(
         path, nodes, [OBSERVATION, ("state_0", FLOAT, ["batch", 4])], [ACTION, ("next_state_0", FLOAT, ["batch", 4])]
     )
-
-
-def folder(path: Path, toml: str = TOML) -> Path:
-    path.mkdir()
-    (path / "entry.toml").write_text(toml)
-    still(path / "policy.onnx")
-    return path
 
 
 def test_memory_goes_on_and_is_cleared_where_an_episode_starts(tmp_path: Path) -> None:
@@ -138,20 +130,19 @@ def test_random_numbers_start_alike_in_every_scenario(tmp_path: Path) -> None:
         assert np.array_equal(many, np.repeat(one, 3, axis=0))
 
 
-@pytest.mark.parametrize("name", ["ppo-k+tau-1", "sac-k+tau-4"])
-def test_costs_in_a_scenario_are_the_same_to_the_last_bit_whatever_is_played_beside_it(name: str) -> None:
-    (entry,) = load_entries(POLICIES / name)
+def test_costs_in_a_scenario_are_the_same_to_the_last_bit_whatever_is_played_beside_it() -> None:
+    (entry,) = load_entries(POLICIES / "sac-k+tau-4")
     together = evaluate([entry], "standard", "test", duration_s=5.0).episodes_of(entry.name)
     assert len(together) == 200
-    for seed in (20_000, 20_117, 20_199):
-        alone = evaluate([entry], "standard", "test", seeds=[seed], duration_s=5.0)
-        assert alone.episodes_of(entry.name) == [episode for episode in together if episode.seed == seed]
+    alone = evaluate([entry], "standard", "test", seeds=[20_117], duration_s=5.0)
+    assert alone.episodes_of(entry.name) == [episode for episode in together if episode.seed == 20_117]
 
 
 def test_missing_policy_and_other_action_mode_are_named(tmp_path: Path) -> None:
-    (folder(tmp_path / "a") / "policy.onnx").unlink()
+    (tmp_path / "entry.toml").write_text('name = "still"\naction_mode = "k"\nenvironment = "GFMWTG-14bus-v0"\n')
     with pytest.raises(ValueError, match=r"cannot read the policy .*policy\.onnx"):
-        load_entries(tmp_path / "a")
-    (entry,) = load_entries(folder(tmp_path / "b", TOML.replace("k+tau", "k")))
+        load_entries(tmp_path)
+    still(tmp_path / "policy.onnx")
+    (entry,) = load_entries(tmp_path)
     with pytest.raises(PolicyError, match=r"entry 'still', step 0: .*trained with another action_mode"):
         evaluate([entry], "standard", "test", seeds=[20_000], duration_s=1.0)

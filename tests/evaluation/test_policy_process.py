@@ -100,14 +100,18 @@ def test_every_batch_has_a_process_of_its_own() -> None:
 
 
 def test_process_that_stops_answering_is_killed_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    with opened() as policy:
-        pid = pid_of(policy)
-        policy.predict(ONES)
-        monkeypatch.setattr(policy_process, "STEP_S", 0.5)
-        os.kill(pid, signal.SIGSTOP)
-        with pytest.raises(PolicyError, match=r"took longer than .* 0\.5 s for a step"):
-            policy.predict(ONES)
-        assert gone(pid)
+    for limit, said in (("STEP_S", r"took longer than .* 0\.5 s for a step"), ("TOTAL_S", r"s in all")):
+        with opened() as policy:
+            pid, now = pid_of(policy), time.monotonic
+            with monkeypatch.context() as patch:
+                # Time counts only while the policy is waited for.
+                patch.setattr(time, "monotonic", lambda now=now: now() + 2 * policy_process.TOTAL_S)
+                assert policy.predict(ONES)[0].shape == (3, M)
+                patch.setattr(policy_process, limit, 0.5)
+                os.kill(pid, signal.SIGSTOP)
+                with pytest.raises(PolicyError, match=said):
+                    policy.predict(ONES)
+            assert gone(pid)
 
 
 def test_process_that_dies_is_named_and_the_next_observation_starts_another() -> None:
@@ -266,18 +270,6 @@ worker._serve = serve""")
             assert policy.widths == (1, 1)
     assert {act: heard[-1]["found"][code] for act, code in ACTS.items()} == dict.fromkeys(ACTS, errno.EPERM)
     assert [path.name for path in tmp_path.iterdir()] == ["kept"] and (tmp_path / "kept").read_text() == "content"
-
-
-def test_time_counts_only_while_the_policy_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    with opened() as policy:
-        pid = pid_of(policy)
-        now = time.monotonic
-        monkeypatch.setattr(time, "monotonic", lambda: now() + 2 * policy_process.TOTAL_S)
-        assert policy.predict(ONES)[0].shape == (3, M)
-        monkeypatch.setattr(policy_process, "TOTAL_S", policy._processes[0]._waited_s)
-        os.kill(pid, signal.SIGSTOP)
-        with pytest.raises(PolicyError, match=r"s in all"):
-            policy.predict(ONES)
 
 
 @pytest.mark.parametrize(

@@ -149,33 +149,6 @@ def test_points_by_term_are_the_logarithmic_mean_written_out() -> None:
     assert points.tolist() == pytest.approx(expected)
 
 
-def test_gap_closed_is_the_written_formula() -> None:
-    reference, oracle = np.array([10.0, 30.0, 20.0]), np.array([8.0, 20.0, 20.0])
-    costs = np.array([[9.0, 26.0, 21.0], [12.0, 24.0, 19.0]])
-    # Gained: 1 + 4 - 1 and -2 + 6 + 1, of 12 that there are in each run.
-    interval = statistics.gap_closed(costs, reference, oracle)
-    assert interval is not None and interval.value == pytest.approx(100.0 * (4.0 + 5.0) / 24.0)
-    assert interval.low < interval.value < interval.high
-
-
-def test_gap_closed_interval_agrees_with_scipys_paired_bootstrap() -> None:
-    rng = np.random.default_rng(6)
-    reference = rng.uniform(5.0, 50.0, 120)
-    oracle, costs = reference * rng.uniform(0.5, 0.9, 120), reference * rng.uniform(0.6, 1.2, 120)
-
-    def share(j: np.ndarray, ref: np.ndarray, best: np.ndarray, axis: int) -> np.ndarray:
-        return 100.0 * (ref - j).mean(axis=axis) / (ref - best).mean(axis=axis)
-
-    expected = stats.bootstrap(
-        (costs, reference, oracle), share, paired=True, n_resamples=20_000, method="percentile", rng=7
-    ).confidence_interval
-    interval = statistics.gap_closed(costs[np.newaxis], reference, oracle)
-    assert interval is not None
-    width = expected.high - expected.low
-    assert interval.low == pytest.approx(expected.low, abs=0.05 * width)
-    assert interval.high == pytest.approx(expected.high, abs=0.05 * width)
-
-
 def test_score_intervals_cover_the_truth_of_played_scenarios_about_as_often_as_they_say() -> None:
     feedback = tip_speed_feedback.ENTRY
     law = Entry(name="deloaded-5", strategy="deloaded-5")

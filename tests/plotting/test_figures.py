@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import subprocess
 import sys
@@ -12,7 +11,6 @@ import numpy as np
 import pytest
 
 from wtg_gym.envs.rendering.diagram import describe_event, struck_buses
-from wtg_gym.evaluation import evaluate
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import (
     Event,
@@ -27,7 +25,6 @@ from wtg_gym.physics.scenario import (
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.physics.trajectory import simulate
 from wtg_gym.plotting import figure_bytes, plot_trajectories, save_figure
-from wtg_gym.plotting.front import undominated
 from wtg_gym.reproduce.figures import plot_power_coefficient
 from wtg_gym.scenarios import get_suite
 
@@ -93,29 +90,3 @@ EVENTS: list[tuple[Event, str, list[int]]] = [
 @pytest.mark.parametrize(("event", "text", "buses"), EVENTS)
 def test_events_are_described_with_units_and_strike_their_buses(event: Event, text: str, buses: list[int]) -> None:
     assert (describe_event(event), struck_buses(event, [2, 5])) == (text, buses)
-
-
-def test_front_is_what_no_other_one_beats_in_both() -> None:
-    (row, *_) = evaluate([], "paper", "test").summaries
-    # Captured energy [%], points of frequency and RoCoF, failures [%].
-    places = {
-        "much": (98.0, -50.0, 0.0),
-        "middle": (95.0, 0.0, 5.0),
-        "beaten": (94.0, -1.0, 0.0),
-        "equal energy": (95.0, -3.0, 0.0),
-        "support": (90.0, 30.0, 0.0),
-        "twin": (90.0, 30.0, 0.0),
-        "fails": (99.0, 40.0, 5.1),
-    }
-    rows = [
-        dataclasses.replace(
-            row,
-            name=name,
-            mean_energy_share_percent=energy,
-            points_by_term={**row.points_by_term, "frequency_rocof": points},
-            failures_percent=failures,
-        )
-        for name, (energy, points, failures) in places.items()
-    ]
-    # Neither of two equal ones beats the other.
-    assert [each.name for each in undominated(rows)] == ["support", "twin", "middle", "much"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.cli.calls import error_of
 from wtg_gym.evaluation import Entry, evaluate
 from wtg_gym.plotting.live.match import OWN, REFERENCE, Match, Scale
 from wtg_gym.scenarios import get_suite
@@ -59,21 +58,5 @@ def test_the_score_is_the_evaluators(scale: Scale) -> None:
     entry = Entry(name="held", policy=Held(), action_mode="k+tau")
     results = evaluate([entry], scale.suite.name, "validation", seeds=seeds, duration_s=_LENGTH_S)
     yours = [_played(scale, 0.3, 0.3, seed).verdicts()[0] for seed in seeds]
-    scores = [you.score for you in yours if you.score is not None]
-    assert len(scores) == len(seeds)
-    assert np.mean(scores) == pytest.approx(results.scores["held"].value, abs=1e-9)
+    assert np.mean([you.score for you in yours]) == pytest.approx(results.scores["held"].value, abs=1e-9)
     assert [you.cost for you in yours] == [episode.metrics["cost"] for episode in results.episodes_of("held")]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (("--suite", "none"), "unknown suite 'none'"),
-        (("--seed", "-1"), "is in no split of suite 'standard-v1'"),
-        (("--port", "70000"), "--port must be 0 … 65535"),
-    ],
-)
-def test_wrong_choices_are_said_before_anything_is_played(
-    capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str
-) -> None:
-    assert said in error_of(capsys, "play", "--no-browser", *arguments)

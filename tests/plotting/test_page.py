@@ -11,11 +11,9 @@ from typing import Any
 import pytest
 
 from wtg_gym.evaluation import Results, evaluate, leaderboard_rows, load_entries, table_cells
-from wtg_gym.evaluation.leaderboard import columns_of
-from wtg_gym.evaluation.matrix import PERTURBATIONS, matrix_of, score_text
+from wtg_gym.evaluation.table import columns_of
 from wtg_gym.plotting.page import leaderboard_page
 from wtg_gym.scenarios.benchmark import V1
-from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 
 pytest.importorskip("bokeh")
 
@@ -24,13 +22,13 @@ OWN: dict[str, Any] = {"split": "validation", "seeds": range(10_000, 10_006), "d
 
 @functools.cache
 def all_results() -> tuple[Results, ...]:
-    """Results of both versions; of v1 with other sensors and without a scale too."""
+    """Results of both versions; of v1 on two suites, and without a scale too."""
     laws, droop = ["mppt", "deloaded-10"], load_entries("fast-droop", benchmark=V1)
     return (
         evaluate(laws, "standard", **OWN, version="v0"),
         evaluate([*laws, *droop], "standard-v1", **OWN),
         evaluate(droop, "paper-v1", "validation"),
-        evaluate(droop, "standard-v1", **OWN, sensors=PERTURBATIONS["delay-plus-1"](SensorDistribution())),
+        evaluate(laws, "gusty-v1", **OWN),
     )
 
 
@@ -53,24 +51,27 @@ def sources(page: str) -> list[dict[str, list[Any]]]:
 def test_the_numbers_are_those_of_the_results() -> None:
     results = all_results()
     shown = sources(leaderboard_page(results))
-    for each in results[:2]:
+    ranked = [each for each in results if each.has_scale]
+    for each in ranked:
         rows = leaderboard_rows(each)
         (own,) = [data for data in shown if data.get("score_value") == [row.score.value for row in rows]]
-        for head, cells in zip(columns_of(each.benchmark.version), zip(*table_cells(rows), strict=True), strict=True):
+        for head, cells in zip(columns_of("whole"), zip(*table_cells(rows), strict=True), strict=True):
             assert own.get(head, [""] * len(rows)) == list(cells), head
         assert own["failures"] == [row.failures_percent for row in rows]
         assert own["deviation"] == [row.median_deviation_mhz for row in rows]
-    matrix = matrix_of(results[1:])
-    (scores,) = [data for data in shown if list(data) == matrix.header()]
-    assert [list(row) for row in zip(*scores.values(), strict=True)] == matrix.texts(score_text)
-    # Neither other sensors nor scenarios without a scale have a ranking of their own.
-    assert len([data for data in shown if "score_value" in data]) == 2
+    assert len([data for data in shown if "score_value" in data]) == len(ranked) == 3
+    _, own, _, other = results
+    (every,) = [data for data in shown if list(data) == ["entry", own.name, other.name]]
+    assert every["entry"] == [row.name for row in leaderboard_rows(own)]
+    assert every[own.name] == [text for (text,) in table_cells(leaderboard_rows(own), ("score",))]
+    # The other suite was played without it.
+    assert every[other.name][every["entry"].index("fast-droop")] == ""
 
 
 def test_what_cannot_be_ranked_and_what_is_given_twice_is_refused() -> None:
-    _, own, without_scale, changed = all_results()
-    for results in ([], [without_scale], [changed]):
-        with pytest.raises(ValueError, match="results with a score and with the suite's own sensors"):
+    _, own, without_scale, _ = all_results()
+    for results in ([], [without_scale]):
+        with pytest.raises(ValueError, match="results with a score"):
             leaderboard_page(results)
     with pytest.raises(ValueError, match="standard-v1-validation"):
         leaderboard_page([own, own])

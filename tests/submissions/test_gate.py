@@ -1,155 +1,46 @@
-"""The gate accepts honest submissions and refuses the others."""
+"""The gate accepts honest submissions and refuses the others: folders, and entry.toml in every shape."""
 
 from __future__ import annotations
 
 import os
+import socket
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
-from onnx import ModelProto, helper
 
-import baselines
 from tests.submissions import models
-from tests.submissions.models import ACTION, OBSERVATION, TOML, M, N, after, constant, folder, info, node
-from tests.submissions.models import model as make
+from tests.submissions.models import TOML, folder, seed
+from wtg_gym.evaluation import load_entries
 from wtg_gym.policies import gate, onnx_worker, policy_process
-from wtg_gym.policies.gate import CHECKS, Report, check_submission
+from wtg_gym.policies.gate import check_submission
+from wtg_gym.policies.load import ROOT
 from wtg_gym.policies.submission_folder import parse_submission, read_files
 
-POLICIES = Path(baselines.__file__).parent.parent / "agents" / "policies"
+LSTM = ROOT / "agents" / "policies" / "gradient-v1-0"
 
 
-def refusal(report: Report) -> tuple[str, str]:
-    """The one check that was refused, and why; all after it were not reached."""
-    assert report.refusal is not None
-    verdicts = [check.verdict for check in report.checks]
-    assert [check.name for check in report.checks] == list(CHECKS)
-    assert verdicts.count("refused") == 1 and not report.accepted
-    index = verdicts.index("refused")
-    assert set(verdicts[:index]) <= {"passed"} and set(verdicts[index + 1 :]) <= {"not reached"}
-    reason = report.checks[index].reason
-    assert reason and reason.isprintable() and len(reason) < 1600
-    return report.checks[index].name, reason
-
-
-def recurrent() -> ModelProto:
-    """An LSTM of ONNX's own, its states in and out as (batch, n)."""
-    rng = np.random.default_rng(0)
-    nodes = [
-        node("Unsqueeze", ["observation", "zero"], "x"),
-        node("Unsqueeze", ["state_0", "zero"], "h"),
-        node("Unsqueeze", ["state_1", "zero"], "c"),
-        helper.make_node("LSTM", ["x", "w", "r", "", "", "h", "c"], ["y", "yh", "yc"], hidden_size=8),
-        node("Squeeze", ["yh", "zero"], "next_state_0"),
-        node("Squeeze", ["yc", "zero"], "next_state_1"),
-        node("Gemm", ["next_state_0", "head"], "action"),
-    ]
-    constants = [
-        constant("zero", [0], np.int64),
-        constant("w", rng.normal(0, 0.1, (1, 32, N))),
-        constant("r", rng.normal(0, 0.1, (1, 32, 8))),
-        constant("head", rng.normal(0, 0.1, (8, M))),
-    ]
-    states = [info(f"state_{i}", "batch", 8) for i in range(2)]
-    following = [info(f"next_state_{i}", "batch", 8) for i in range(2)]
-    return make(nodes, [OBSERVATION, *states], [ACTION, *following], constants)
-
-
-@pytest.mark.parametrize("content", [make(), recurrent()], ids=["linear", "recurrent"])
-def test_plain_policies_pass_every_check(content: ModelProto, tmp_path: Path) -> None:
-    report = check_submission(folder(tmp_path / "a", content))
-    assert report.accepted, [check for check in report.checks if check.verdict != "passed"]
-    assert all(check.reason for check in report.checks)
-    assert not report.notes
-
-
-@pytest.mark.parametrize("name", ["entry.toml", "policy.onnx", "README.md"])
-@pytest.mark.parametrize("kind", ["pipe", "folder", "/etc/passwd", "/dev/zero"])
-def test_what_is_no_plain_file_is_refused(name: str, kind: str, tmp_path: Path) -> None:
-    path = folder(tmp_path / "a")
-    (path / name).unlink(missing_ok=True)
-    makes: dict[str, Callable[[Path], object]] = {"pipe": os.mkfifo, "folder": Path.mkdir}
-    makes.get(kind, lambda path: path.symlink_to(kind))(path / name)
-    check, reason = refusal(check_submission(path))
-    assert check == "folder" and "not a plain file" in reason
-
-
-def test_link_to_a_folder_and_missing_files_are_refused(tmp_path: Path) -> None:
-    path = folder(tmp_path / "a")
-    (tmp_path / "b").symlink_to(path)
-    assert "a link" in refusal(check_submission(tmp_path / "b"))[1]
-    assert "cannot read" in refusal(check_submission(tmp_path / "none"))[1]
-    (path / "policy.onnx").unlink()
-    assert "it has no policy.onnx" in refusal(check_submission(path))[1]
-
-
-@pytest.mark.parametrize(
-    ("name", "size"), [("entry.toml", 10_000_000), ("policy.onnx", 5_000_001), ("README.md", 65_537)]
-)
-def test_large_files_are_refused(name: str, size: int, tmp_path: Path) -> None:
-    path = folder(tmp_path / "a")
-    (path / name).write_bytes(b"#" * size)
-    check, reason = refusal(check_submission(path))
-    assert check == "folder" and f"{name} is larger than" in reason
-
-
-@pytest.mark.parametrize(
-    ("toml", "text"),
-    [
-        (b"\xff\xfe", "not TOML"),
-        ("name = ", "not TOML"),
-        ("", "missing: ['name', 'authors', 'training_seed', 'action_mode']"),
-        (TOML + "law = 'x'\n", "unknown: ['law']"),
-        (TOML.replace("Jane Doe", "x" * 401), "an author must be up to 400"),
-        (TOML.replace('["Jane Doe"]', '"me"'), "authors must be a list of texts"),
-        (TOML.replace('["Jane Doe"]', "[]"), "authors must be a list of 1 … 40"),
-        (TOML.replace("seed = 0", "seed = -1"), "training_seed must be"),
-        (TOML.replace("k+tau", "pitch"), "action_mode must be one of k, tau, k+tau"),
-        (TOML.replace('"k+tau"', "[]"), "action_mode must be one of"),
-        (TOML + 'observation_mode = "all"\n', "observation_mode must be one of"),
-        (TOML + 'strategy = "../law.toml"\n', "strategy must be one of mppt"),
-        (TOML + "trained_on = 3\n", "trained_on must be"),
-        (TOML + "links = ['javascript:alert(1)']\n", "a link must be a plain https:// address"),
-        (TOML + "links = ['http://a.b']\n", "a link must be a plain https:// address"),
-        (TOML + "links = ['https://a.b/)<img src=x>']\n", "a link must be a plain https:// address"),
-        (TOML + "links = ['https://a.bc/ x']\n", "a link must be a plain https:// address"),
-    ],
-)
-def test_wrong_entry_files_are_refused(toml: str | bytes, text: str, tmp_path: Path) -> None:
-    check, reason = refusal(check_submission(folder(tmp_path / "a", toml=toml)))
-    assert check == "entry.toml" and text in reason
-
-
-WIDTHS = "it takes {} observations and gives {} actions; in its modes there are 20 and 4"
-
-
-@pytest.mark.parametrize(
-    ("content", "text"),
-    [
-        (after(node("Not", ["linear"], "action")), "onnxruntime cannot load the policy"),
-        (models.linear(35, 4), WIDTHS.format(35, 4)),
-        (models.of_v1(), WIDTHS.format(32, 8)),
-    ],
-)
-def test_what_onnxruntime_cannot_load_or_has_other_widths_is_refused(
-    content: ModelProto, text: str, tmp_path: Path
-) -> None:
-    check, reason = refusal(check_submission(folder(tmp_path / "a", content)))
-    assert check == "loading" and text in reason
+@pytest.mark.parametrize("given", [None, LSTM], ids=["linear", "LSTM"])
+def test_plain_policies_pass_every_check(given: Path | None, tmp_path: Path) -> None:
+    report = check_submission(folder(tmp_path / "a") if given is None else given)
+    assert report.accepted and all(check.verdict == "passed" and check.reason for check in report.checks)
+    assert not report.notes and report.shipped == (given is not None)
 
 
 def test_policy_is_judged_in_the_environment_that_it_names(tmp_path: Path) -> None:
-    report = check_submission(folder(tmp_path / "a", models.of_v1(), models.TOML_V1))
+    report = check_submission(folder(tmp_path / "a", models.of_v1(), models.TOML_V1), rollout_only=True)
     assert report.accepted and report.played().environment == "GFMWTG-14bus-v1"
     assert report.actions is not None and report.actions.shape[2] == 8
 
 
-def test_policy_that_is_slow_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_policy_that_is_slow_is_refused_and_no_later_check_is_made(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setattr(gate, "ANSWER_S", 1e-9)
-    check, reason = refusal(check_submission(folder(tmp_path / "a")))
-    assert check == "speed" and "ms for an action" in reason
+    report = check_submission(folder(tmp_path / "a"))
+    assert [check.verdict for check in report.checks] == ["passed"] * 3 + ["refused"] + ["not reached"] * 2
+    assert report.refusal is not None and not report.accepted
+    assert report.refusal.name == "speed" and "more than 1e-06 ms for an action" in report.refusal.reason
 
 
 def test_policy_that_remembers_other_scenarios_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -163,8 +54,71 @@ def test_policy_that_remembers_other_scenarios_is_refused(monkeypatch: pytest.Mo
         encoding="utf-8",
     )
     monkeypatch.setattr(policy_process, "_SCRIPT", str(script))
-    check, reason = refusal(check_submission(folder(tmp_path / "a")))
-    assert check == "repeated" and "in another order" in reason
+    monkeypatch.setattr(gate, "_ROLLOUT_LANES", 4)
+    refusal = check_submission(folder(tmp_path / "a")).refusal
+    assert refusal is not None and refusal.name == "repeated" and "in another order" in refusal.reason
+
+
+# --- folders ---------------------------------------------------------------------------------------------------------
+
+
+def _socket(path: Path) -> None:
+    # A path of a socket has at most 108 bytes, so it is made from within its folder.
+    before = os.getcwd()
+    os.chdir(path.parent)
+    try:
+        with socket.socket(socket.AF_UNIX) as one:
+            one.bind(path.name)
+    finally:
+        os.chdir(before)
+
+
+def _file(content: bytes) -> Callable[[Path], object]:
+    return lambda path: path.write_bytes(content)
+
+
+def _link(target: str) -> Callable[[Path], object]:
+    return lambda path: path.symlink_to(target)
+
+
+_NO_FILE = "not a plain file"
+#: A file of a sound submission, what makes another thing of it, and what the refusal says.
+FOLDERS: list[tuple[str, Callable[[Path], object], str]] = [
+    ("policy.onnx", os.mkfifo, _NO_FILE),
+    ("policy.onnx", Path.mkdir, _NO_FILE),
+    ("policy.onnx", _socket, _NO_FILE),
+    ("policy.onnx", _link("/dev/zero"), _NO_FILE),
+    ("entry.toml", _link("/etc/passwd"), _NO_FILE),
+    ("README.md", _link("/proc/self/mem"), _NO_FILE),
+    ("README.md", os.mkfifo, _NO_FILE),
+    ("entry.toml", _file(bytes(16_385)), "entry.toml is larger than 16384 bytes"),
+    ("policy.onnx", _file(bytes(5_000_001)), "policy.onnx is larger than 5000000 bytes"),
+    ("README.md", _file(bytes(65_537)), "README.md is larger than 65536 bytes"),
+    ("policy.onnx", lambda path: None, "it has no policy.onnx"),
+    ("numpy.py", _file(b"import os"), "it holds 'numpy.py'; allowed are entry.toml, policy.onnx, README.md"),
+    (".gitattributes", _file(b"* filter=evil"), "it holds '.gitattributes'"),
+    ("Policy.onnx", _file(b"in other capitals"), "it holds 'Policy.onnx'"),
+    ("model.zip", _file(b"PK"), "it holds 'model.zip'"),
+]
+
+
+@pytest.mark.parametrize(("name", "make", "said"), FOLDERS)
+def test_folder_with_other_files_is_refused(
+    name: str, make: Callable[[Path], object], said: str, tmp_path: Path
+) -> None:
+    path = folder(tmp_path / "a")
+    (path / name).unlink(missing_ok=True)
+    make(path / name)
+    refusal = check_submission(path).refusal
+    assert refusal is not None and refusal.name == "folder" and said in refusal.reason and refusal.reason.isprintable()
+
+
+def test_link_to_a_folder_and_what_is_no_folder_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(folder(tmp_path / "a"))
+    (tmp_path / "file").touch()
+    for name in ("link", "file", "none"):
+        with pytest.raises(ValueError, match="it is not a folder, or a link to one"):
+            read_files(tmp_path / name)
 
 
 @pytest.mark.parametrize(
@@ -172,18 +126,75 @@ def test_policy_that_remembers_other_scenarios_is_refused(monkeypatch: pytest.Mo
     ["a;touch x", "$(id)", "--weak-isolation", "mine\n::error::hi", ".hidden", "ü", "a.toml", "AUX", "con.x", "a."],
 )
 def test_folder_whose_name_would_mean_something_to_a_shell_is_refused(name: str, tmp_path: Path) -> None:
-    path = tmp_path / name
-    path.mkdir()
+    (tmp_path / name).mkdir()
     with pytest.raises(ValueError, match="the folder's name must be"):
-        read_files(path)
+        read_files(tmp_path / name)
 
 
-@pytest.mark.parametrize("name", ["linear-feedback", "gradient-v1-0"])
-def test_shipped_entries_pass_every_check(name: str) -> None:
-    report = check_submission(POLICIES / name)
-    assert report.accepted, report.refusal
+# --- entry.toml ------------------------------------------------------------------------------------------------------
+
+_KEY = 'environment = "GFMWTG-14bus-v0"\n'
+_REST = TOML.replace(_KEY, "")
+_LINK = "a link must be a plain https:// address"
+_VERSION = "environment must be one of GFMWTG-14bus-v0, GFMWTG-14bus-v1"
+WRONG: list[tuple[str | bytes, str]] = [
+    (b"\xff\xfe", "not TOML"),
+    ("name = ", "not TOML"),
+    (TOML.replace("= 0", "= " + 5000 * "[" + 5000 * "]"), "not TOML"),
+    (TOML.replace("= 0", "= 1" + 5000 * "0"), "not TOML"),
+    ("", "missing: ['name', 'authors', 'training_seed', 'action_mode']"),
+    (TOML + "law = 'x'\n", "unknown: ['law']"),
+    (TOML.replace("Jane Doe", "x" * 401), "an author must be up to 400"),
+    (TOML.replace('["Jane Doe"]', '"me"'), "authors must be a list of texts"),
+    (TOML.replace('["Jane Doe"]', "[]"), "authors must be a list of 1 … 40"),
+    (TOML.replace('["Jane Doe"]', '["a", "*b*"]'), "no markup"),
+    (TOML + 'description = "_a_"', "no markup"),
+    (TOML + 'trained_on = "a@b"', "no markup"),
+    (TOML + "trained_on = 3\n", "trained_on must be"),
+    (seed(-1), "training_seed must be a whole number 0 … 4294967295, got -1"),
+    (TOML.replace("= 0", "= true"), "training_seed must be"),
+    (TOML.replace("k+tau", "pitch"), "action_mode must be one of k, tau, k+tau"),
+    (TOML.replace('"k+tau"', "[]"), "action_mode must be one of"),
+    (TOML + 'observation_mode = "all"\n', "observation_mode must be one of"),
+    (TOML + 'strategy = "../law.toml"\n', "strategy must be one of mppt"),
+    (TOML + "links = ['javascript:alert(1)']\n", _LINK),
+    (TOML + "links = ['http://a.b']\n", _LINK),
+    (TOML + "links = ['https://a.b/)<img src=x>']\n", _LINK),
+    (TOML + "links = ['https://a.bc/ x']\n", _LINK),
+    (TOML + "links = ['https://a:b@example.org']\n", _LINK),
+    (TOML + _KEY, "not TOML"),
+    (TOML + '"environment" = "GFMWTG-14bus-v1"\n', "not TOML"),
+    *((mark + TOML, "not TOML") for mark in ("\ufeff", "\r", "\0")),
+    (_REST + '[environment]\nid = "GFMWTG-14bus-v0"\n', _VERSION),
+    (_REST + 'environment = ["GFMWTG-14bus-v0"]\n', _VERSION),
+    (_REST + 'environment = "GFMWTG-14BUS-V0"\n', _VERSION),
+    (_REST + 'environment = "GFMWTG\u201014bus-v0"\n', _VERSION),
+    (_REST + 'environment = "wtg_gym:GFMWTG-14bus-v0"\n', _VERSION),
+    (_REST + '[entry]\nenvironment = "GFMWTG-14bus-v0"\n', "unknown: ['entry']"),
+    (_REST + 'Environment = "GFMWTG-14bus-v0"\n', "unknown: ['Environment']"),
+    (_REST + '"environment " = "GFMWTG-14bus-v0"\n', "unknown: ['environment ']"),
+    (_REST + '"\u0435nvironment" = "GFMWTG-14bus-v0"\n', "unknown: ['\\u0435nvironment']"),
+]
 
 
-def test_folders_and_texts_of_all_shipped_entries_pass() -> None:
-    folders = list(POLICIES.iterdir())
-    assert len(folders) == 26 + 16 and all(parse_submission(read_files(path)["entry.toml"]).authors for path in folders)
+@pytest.mark.parametrize(("toml", "said"), WRONG)
+def test_wrong_entry_files_are_refused(toml: str | bytes, said: str, tmp_path: Path) -> None:
+    refusal = check_submission(folder(tmp_path / "a", toml=toml)).refusal
+    assert refusal is not None and refusal.name == "entry.toml" and said in refusal.reason
+    assert refusal.reason.isprintable() and len(refusal.reason) < 1600
+
+
+@pytest.mark.parametrize(
+    ("line", "version"),
+    [
+        ('"\\u0065nvironment" = "GFMWTG-14bus-v\\u0030"\r\n', "v0"),
+        ('environment = "GFMWTG-14bus-v0" # "GFMWTG-14bus-v1"\n', "v0"),
+        ('# environment = "GFMWTG-14bus-v0"\n', "v1"),
+        ('trained_on = """\\\n    environment = GFMWTG-14bus-v0"""\n', "v1"),
+    ],
+)
+def test_every_reader_of_entry_toml_sees_the_same_version(line: str, version: str, tmp_path: Path) -> None:
+    content = (_REST + line).encode()
+    env_id = f"GFMWTG-14bus-{version}"
+    assert parse_submission(content).environment == env_id
+    assert load_entries(folder(tmp_path / "a", toml=content))[0].environment == env_id

@@ -1,37 +1,47 @@
-"""Every hostile submission gets its verdict; what the gate accepts is scored, alone and beside a harmless entry."""
+"""Every hostile policy gets its verdict; what the gate accepts is scored, alone and beside a harmless entry."""
 
 from __future__ import annotations
 
 import functools
 import os
 import pickle
-import socket
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from onnx import AttributeProto, ModelProto
+from onnx import ModelProto, TensorProto
 
 from tests.submissions import models
-from tests.submissions.models import TOML, M, N, after, constant, folder, info, node, seed
+from tests.submissions.models import M, N, after, folder, info
 from tests.submissions.models import model as make
 from wtg_gym.evaluation import Entry, OnnxPolicy, evaluate
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.policies import gate, policy_process
-from wtg_gym.policies.conflicts import conflicts
 from wtg_gym.policies.gate import CHECKS, check_submission
 
-#: Verdicts on a folder that the gate's own checks do not refuse: it copies another folder or contradicts it; it fails
-#: in the middle of a test scenario and has no score; it is scored, and every scenario costs the same to the last bit.
-TOGETHER, SCORED, HARMLESS = "together", "its own score", "harmless"
-#: Each of these takes all the time that an answer may take, if it is harmful.
+#: Verdicts on a policy that the gate accepts: it fails in the middle of a test scenario and has no score; it is scored,
+#: and every scenario costs the same to the last bit.
+SCORED, HARMLESS = "its own score", "harmless"
+#: Each of these takes all the time that an answer may take.
 ENDLESS = ("an endless loop", "a slow operator")
 _SEEDS, _SHORT_S = (20_000, 20_001), 5.0
 
-#: Makes the folders of an attack in an existing one; the last of several is the hostile one.
-Build = Callable[[Path], list[Path]]
+#: Makes the content of policy.onnx.
+Build = Callable[[], bytes | ModelProto]
+
+
+#: What the code in a pickle would leave.
+TRACE = Path(tempfile.gettempdir()) / f"trace-of-a-pickle-{os.getpid()}"
+
+
+class Evil:
+    """Would write a file when it is unpickled."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.system, (f"touch {TRACE}",)
 
 
 @functools.cache
@@ -40,206 +50,121 @@ def beginning() -> Any:
     return models.first_observation("standard", _SEEDS[0], _SHORT_S)
 
 
-class Evil:
-    """Would write a file when it is unpickled."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return os.system, (f"touch {self.path}",)
+def _after(text: str, **values: Any) -> Build:
+    """A linear policy whose action goes through nodes."""
+    return lambda: after(text, **values)
 
 
-def _with(name: str, content: bytes) -> Build:
-    """A sound submission with one more file."""
-    return _in_place_of(name, lambda path: path.write_bytes(content))
+def _knows(text: str, **values: Any) -> Build:
+    """Nodes that do something once `fire` is true: in the first test scenario alone, known by its beginning."""
+    return lambda: models.later(beginning(), 1e-3, text, **values)
 
 
-def _in_place_of(name: str, make_it: Callable[[Path], object]) -> Build:
-    """A sound submission, one of whose files is something else: a folder, a socket, a pipe or a link."""
-
-    def build(place: Path) -> list[Path]:
-        path = folder(place / "a")
-        (path / name).unlink(missing_ok=True)
-        make_it(path / name)
-        return [path]
-
-    return build
-
-
-def _socket(path: Path) -> None:
-    # A path of a socket has at most 108 bytes, so it is made from within its folder.
-    before = os.getcwd()
-    os.chdir(path.parent)
-    try:
-        with socket.socket(socket.AF_UNIX) as one:
-            one.bind(path.name)
-    finally:
-        os.chdir(before)
-
-
-def _linked_folder(place: Path) -> list[Path]:
-    folder(place / "real")
-    (place / "link").symlink_to(place / "real")
-    return [place / "link"]
-
-
-def _beside(second: bytes | ModelProto, toml: str, first: ModelProto | None = None) -> Build:
-    """A sound submission, and a second folder."""
-    return lambda place: [folder(place / "first", first), folder(place / "second", second, toml)]
-
-
-def _of(build: Callable[[], bytes | ModelProto]) -> Build:
-    """A submission of a file."""
-    return lambda place: [folder(place / "a", build())]
-
-
-def _knows(build: Callable[[Any, float], ModelProto]) -> Build:
-    """A submission that does something in the first test scenario, which it knows by its beginning, and only there."""
-    return _of(lambda: build(beginning(), 1e-3))
-
-
-def _divides(operator: str, number: int, by: int) -> Build:
-    return _knows(lambda seen, near: models.divides(seen, near, operator, number, by))
-
-
-def _toml(old: str, new: str) -> Build:
-    """A submission whose entry.toml has something else in one place."""
-    return lambda place: [folder(place / "a", toml=TOML.replace(old, new))]
-
-
-def _over_lanes(operator: str, **attributes: Any) -> Build:
-    """A submission that adds something over all scenarios of its batch to its actions."""
-    nodes = node(operator, ["linear"], "over", **attributes), node("Add", ["over", "linear"], "action")
-    return _of(lambda: after(*nodes))
-
-
-def _mislabelled(name: str, kind: int, **values: Any) -> Build:
-    return _of(lambda: models.mislabelled(name, kind, **values))
-
-
-def _doubled() -> ModelProto:
-    """Actions of another shape than declared."""
-    return make(models.nodes_of("twice = Concat<axis = 0>(observation, observation); action = MatMul(twice, weights)"))
-
-
-def _running_sum() -> ModelProto:
-    return after("action = CumSum(linear, first)", first=0)
-
-
-_INT_MIN = -(2**31)
-_OTHER = models.other()
-_BATCH_OF_TWO = {"inputs": [info("observation", 2, N)], "outputs": [info("action", 2, M)]}
 _ADDRESS = {"location": "*/_ORT_MEM_ADDR_/*", "offset": "4096", "length": "320"}
+_BATCH_OF_TWO = {"inputs": [info("observation", 2, N)], "outputs": [info("action", 2, M)]}
 #: By their verdicts; a check of the gate is its name.
 ATTACKS: dict[str, dict[str, Build]] = {
-    "folder": {
-        "a module that Python would import": _with("numpy.py", b"import os"),
-        "a hidden file": _with(".gitattributes", b"* filter=evil"),
-        "a second policy file, in other capitals": _with("Policy.onnx", b"x"),
-        "a README one byte too long": _with("README.md", bytes(65_537)),
-        "a folder named policy.onnx": _in_place_of("policy.onnx", Path.mkdir),
-        "a socket named policy.onnx": _in_place_of("policy.onnx", _socket),
-        "a pipe named policy.onnx, to which nothing is written": _in_place_of("policy.onnx", os.mkfifo),
-        "a link to a process's memory": _in_place_of("README.md", lambda path: path.symlink_to("/proc/self/mem")),
-        "a link to a folder": _linked_folder,
-    },
-    "entry.toml": {
-        "Cyrillic letters in a name": _toml("Mine", "\\u0420\\u0420\\u041e (k)"),
-        "a line feed in a name": _toml("Mine", "Mine\\nFirst"),
-        "a change of text direction": _toml("training_seed", 'description = "a\\u202eb"\ntraining_seed'),
-        "a picture in a description": _toml("training_seed", 'description = "![](//x.org/a.png)"\ntraining_seed'),
-        "a link with a password": _toml("training_seed", "links = ['https://a:b@example.org']\ntraining_seed"),
-        "a training seed of 5,000 digits": _toml("= 0", "= 1" + 5000 * "0"),
-        "the training seed `true`": _toml("= 0", "= true"),
-        "nested lists, 5,000 deep": _toml("= 0", "= " + 5000 * "[" + 5000 * "]"),
-    },
     "loading": {
-        "code in a pickle that is named policy.onnx": lambda place: [
-            folder(place / "a", pickle.dumps(Evil(place / "trace"), protocol=0))
-        ],
-        "a Constant whose value_int is declared FLOAT": _mislabelled("value_int", AttributeProto.FLOAT, f=1.0),
-        "a name that is not UTF-8": _of(lambda: models.make_bytes().replace(b"observation", b"\xffbservation")),
-        "weights in /proc/self/environ": _of(lambda: models.external("/proc/self/environ")),
-        "weights in a file beside Python's": _of(lambda: models.external("usr/lib/os-release")),
-        "weights in another file, named in a node": _of(lambda: models.external_in_constant("etc/hostname")),
-        "weights at a memory address": _of(lambda: models.external(**_ADDRESS)),
-        "sparse weights outside their shape": _of(models.sparse),
-        "an empty file": _of(lambda: b""),
-        "nested graphs, 50,000 deep": _of(lambda: models.nested(50_000)),
-        "a field that claims 2⁶² bytes": _of(lambda: b"\x3a" + models.varint(2**62) + b"x"),
-        "a function that calls itself": _of(models.recursive),
-        "a graph with a cycle": _of(models.circle),
-        "a decision tree without a leaf": _of(models.tree),
-        "an operator that reads files": _of(lambda: models.own_domain("ReadFile")),
-        "actions of 10⁹ values": _of(lambda: make(outputs=[info("action", "batch", 10**9)])),
-        "17 states of 60,000 values": _of(models.many_states),
-        "actions in double precision": _of(models.in_doubles),
-        "a batch of two and no other": _of(lambda: make(**_BATCH_OF_TWO)),
+        "an empty file": lambda: b"",
+        "code in a pickle": lambda: pickle.dumps(Evil(), protocol=0),
+        "a name that is not UTF-8": lambda: models.make_bytes().replace(b"observation", b"\xffbservation"),
+        "a field that claims 2⁶² bytes": lambda: b"\x3a" + models.varint(2**62) + b"x",
+        "nested graphs, 50,000 deep": lambda: models.nested(50_000),
+        "weights in /proc/self/environ": lambda: models.external("/proc/self/environ"),
+        "weights at a memory address": lambda: models.external(**_ADDRESS),
+        "a graph with a cycle": _after(
+            "first = Add(linear, second); second = Add(first, linear); action = Identity(second)"
+        ),
+        "an operator that reads files": lambda: make(
+            models.nodes_of("action = ai.onnx.contrib.ReadFile(observation)"), domains=[("ai.onnx.contrib", 1)]
+        ),
+        "an operator that gives no numbers": _after("action = Not(linear)"),
+        "actions of 10⁹ values": lambda: make(outputs=[info("action", "batch", 10**9)]),
+        "17 states of 60,000 values": models.many_states,
+        "actions in double precision": lambda: make(
+            models.nodes_of("a = MatMul(observation, weights); action = Cast<to = 11>(a)"),
+            outputs=[info("action", "batch", M, kind=TensorProto.DOUBLE)],
+        ),
+        "a batch of two and no other": lambda: make(**_BATCH_OF_TWO),
+        "more observations than there are": lambda: models.linear(35, M),
+        "another version's observations and actions": models.of_v1,
     },
     "speed": {
-        "a Constant whose value_ints is declared INT": _mislabelled("value_ints", AttributeProto.INT, i=0),
-        "actions of another shape than declared": _of(_doubled),
-        "10¹⁰ numbers": _of(lambda: models.much(10**10)),
-        "5 million numbers for each scenario": _of(lambda: models.in_every_session(5_000_000)),
-        "an endless loop": _of(models.endless),
-        "a slow operator": _of(lambda: models.slow(200_000)),
-    },
-    "rollout": {"NaN at the observations with which episodes begin, and nowhere else": _of(models.trap)},
-    TOGETHER: {
-        "a network with reordered hidden units, as another training seed": _beside(
-            models.two_layers(range(7, -1, -1)), seed(1), models.two_layers(range(8))
+        "actions of another shape than declared": lambda: make(
+            models.nodes_of("twice = Concat<axis = 0>(observation, observation); action = MatMul(twice, weights)")
         ),
-        "a file with an added comment, under another name": _beside(
-            models.make_bytes() + models.field(b"\x32", b"mine"), TOML.replace("Mine", "Yours")
+        "10¹⁰ numbers": _after(
+            "all = ConstantOfShape(size); most = ReduceMax<keepdims = 0>(all); action = Add(linear, most)",
+            size=[10**10],
         ),
-        "the same training seed twice": _beside(_OTHER, TOML),
-        "a name that differs in capitals and blanks only": _beside(_OTHER, TOML.replace("Mine", "M I N E")),
-        "another training seed with another description": _beside(_OTHER, seed(1) + 'description = "The best"\n'),
+        "5 million numbers for each scenario": _after(
+            "all = Expand(nought, size); whole = Cast<to = 7>(linear); none = Gather(all, whole); "
+            "action = Add(linear, none)",
+            nought=[0.0],
+            size=[5_000_000],
+        ),
+        "an endless loop": models.endless,
+        "a slow operator": _after(
+            "a = Add(linear, wide); b = Softplus(a); c = Softplus(b); d = Softplus(c); e = Softplus(d); "
+            "mean = ReduceMean<axes = [0], keepdims = 1>(e); action = Add(mean, linear)",
+            wide=np.ones((200_000, M)),
+        ),
     },
+    "rollout": {"NaN at the observations with which episodes begin, and nowhere else": models.trap},
     SCORED: {
-        "NaN": _knows(models.turns_nan),
-        "an endless loop": _knows(models.hangs),
-        "10¹¹ numbers": _knows(models.grows),
-        "the least integer divided by −1": _divides("Div", _INT_MIN, -1),
-        "the remainder of the least integer and −1": _divides("Mod", _INT_MIN, -1),
-        "an integer divided by zero": _divides("Div", 1, 0),
-        "actions for two scenarios": _knows(models.changes_shape),
-        "an index outside the weights": _knows(models.points_outside),
-    },
-    # What two readers take for different things, what would mix scenarios, and what cannot be repeated.
-    HARMLESS: {
-        "a Constant whose value_int is declared INTS": _mislabelled("value_int", AttributeProto.INTS, ints=[0]),
-        "a Constant whose value_ints is declared TENSOR": _mislabelled(
-            "value_ints", AttributeProto.TENSOR, t=constant("t", [0], np.int64)
+        "10¹¹ numbers": _knows(
+            "sizes = Where(fire, many, one); length = Reshape(sizes, one); much = Expand(nought, length); "
+            "most = ReduceMax<keepdims = 0>(much); action = Add(linear, most)",
+            many=[10**11],
+            one=[1],
+            nought=[0.0],
         ),
-        "a Constant whose value is declared INTS": _mislabelled("value", AttributeProto.INTS, ints=[0]),
-        "a Constant with several values": _mislabelled("value_ints", AttributeProto.INTS, ints=[0], i=1, f=2.0),
-        "a mean over the scenarios with keepdims = 2": _over_lanes("ReduceMean", axes=[0], keepdims=2),
-        "a mean over the scenarios with keepdims = -1": _over_lanes("ReduceMean", axes=[0], keepdims=-1),
-        "a running sum over the scenarios": _of(_running_sum),
-        "products of scenarios, and their number": _of(models.mixed),
-        # Tells the last scenario from the others.
-        "rounding at the end of a vector, times 10⁸": _of(models.last_lane),
-        # Depends on their address.
-        "rounding of a sum of states, times 10⁸": _of(models.sums_of_a_state),
-        "random actions": _of(lambda: after(node("RandomUniformLike", ["linear"], "action", low=-1.0, high=1.0))),
-        "random dropout": _of(models.dropout),
-        "an infinite state that no action uses": _of(models.hidden_nan),
+        "the least integer divided by −1": lambda: models.divides(beginning(), 1e-3, "Div", -(2**31), -1),
+        "actions for two scenarios": _knows(
+            "repeats = Where(fire, two, one); repeated = Reshape(repeats, as_two); action = Tile(linear, repeated)",
+            two=[[2, 1]],
+            one=[[1, 1]],
+            as_two=[2],
+        ),
+        "an index outside the weights": _knows(
+            "places = Where(fire, far, first); place = Reshape(places, as_one); "
+            "gathered = Gather<axis = 0>(linear, place); action = Reshape(gathered, shape)",
+            far=[[10**9]],
+            first=[[0]],
+            as_one=[1],
+            shape=[1, M],
+        ),
+    },
+    # What would mix scenarios, and what cannot be repeated.
+    HARMLESS: {
+        "products of scenarios, and their number": _after(
+            "t = Transpose(linear); products = MatMul(linear, t); sum = ReduceSum<keepdims = 1>(products); "
+            "shape = Shape(linear); sizes = Cast<to = 1>(shape); largest = ReduceMax<keepdims = 0>(sizes); "
+            "mean = Div(sum, largest); action = Add(mean, linear)"
+        ),
+        # A vector of the processor is not filled by the last scenario's values, which tells it from the others.
+        "rounding at the end of a vector, times 10⁸": _after(
+            "one = Erf(linear); three = Concat<axis = 0>(linear, linear, linear); all = Erf(three); "
+            "two = ReduceMean<axes = [0], keepdims = 1>(all); rounding = Sub(one, two); large = Mul(rounding, many); "
+            "action = Add(large, linear)",
+            many=1e8,
+        ),
+        # It depends on the address of the first state.
+        "rounding of a sum of states, times 10⁸": lambda: models.with_state(
+            "next_state_0 = Identity(numbers); read = ReduceSum<keepdims = 0>(state_0, all); "
+            "known = ReduceSum<keepdims = 0>(numbers, all); rounding = Sub(read, known); "
+            "large = Mul(rounding, many); linear = MatMul(observation, weights); action = Add(large, linear)",
+            33,
+            numbers=np.random.default_rng(0).uniform(0.1, 10.0, (1, 33)),
+            all=[0, 1],
+            many=1e8,
+        ),
+        "random dropout": _after("action = Dropout(linear, half, yes)", half=0.5, yes=True),
+        "an infinite state that no action uses": lambda: models.with_state(
+            "action = MatMul(observation, weights); next_state_0 = Add(state_0, infinite)", 1, infinite=[[np.inf]]
+        ),
     },
 }
-
-
-def verdict(build: Build, place: Path) -> tuple[str, str]:
-    """Return what becomes of an attack, and why."""
-    *sound, hostile = build(place)
-    reports = [*(check_submission(path, rollout_only=True) for path in sound), check_submission(hostile)]
-    for report in reports:
-        if report.refusal is not None:
-            return report.refusal.name, report.refusal.reason
-    for conflict in conflicts(reports):
-        return TOGETHER, conflict.reason
-    return _scored(reports[-1].played())
 
 
 @functools.cache
@@ -264,11 +189,13 @@ def _scored(entry: Entry) -> tuple[str, str]:
 
 
 @pytest.mark.parametrize(("end", "name"), [(end, name) for end, attacks in ATTACKS.items() for name in attacks])
-def test_hostile_submission_is_stopped(end: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hostile_policy_is_stopped(end: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Less takes less time to fill.
+    monkeypatch.setattr(policy_process, "MEMORY_BYTES", 3 * 2**29)
     # Long enough for every other step, on a busy machine too.
-    monkeypatch.setattr(policy_process, "STEP_S", 2.0 if name in ENDLESS else 5.0)
+    monkeypatch.setattr(policy_process, "STEP_S", 5.0)
     monkeypatch.setattr(policy_process, "LOAD_S", 20.0)
-    if name in ENDLESS and end in CHECKS:
+    if name in ENDLESS:
         # It is loaded in its time, and takes all that its first answer may take.
         check_speed = gate.check_speed
 
@@ -280,8 +207,10 @@ def test_hostile_submission_is_stopped(end: str, name: str, tmp_path: Path, monk
     if end != HARMLESS:
         # Its verdict is another one than that its answers repeat, which is looked at in all of the gate's scenarios.
         monkeypatch.setattr(gate, "_ROLLOUT_LANES", 8)
-    found, reason = verdict(ATTACKS[end][name], tmp_path)
+    report = check_submission(folder(tmp_path / "a", ATTACKS[end][name]()))
+    refusal = report.refusal
+    found, reason = _scored(report.played()) if refusal is None else (refusal.name, refusal.reason)
     assert found == end, reason
     assert reason and reason.isprintable() and len(reason) < 1600
-    # What is in a pickle would have left it here.
-    assert not (tmp_path / "trace").exists()
+    assert [check.name for check in report.checks] == list(CHECKS)
+    assert not TRACE.exists()

@@ -21,9 +21,9 @@ _COMMANDS = {
     "play": ("play:play", "hold the frequency by hand, in the browser, against the reference"),
     "evaluate": ("evaluate:evaluate", "score entries on scenarios of a suite"),
     "leaderboard": ("evaluate:leaderboard", "rank entries on a suite and write the table to a README"),
-    "results": ("results:app", "stored results: show them, compute them again, compare; all suites, other sensors"),
+    "results": ("results:app", "stored results: show them, compute them again, compare"),
     "submission": ("submission:app", "policies of others: write a template, check a folder, score it in isolation"),
-    "suites": ("suites:suites", "the suites of scenarios, one scenario, or a check of the hashes"),
+    "suites": ("suites:suites", "the suites of scenarios, or one scenario"),
     "reproduce": ("reproduce:reproduce", "the paper's figures and claims, measured"),
     "warmup": ("warmup:warmup", "compile the simulator before its first use"),
 }

@@ -4,26 +4,24 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated, Literal
-
-from cyclopts import Parameter
+from typing import Literal
 
 from wtg_gym.cli import scoring
-from wtg_gym.cli.options import Entries, Flag, Json, PlantOptions, SeedOptions, Suite, Threads, WorkerOptions
-from wtg_gym.cli.output import check_output_folder, check_page, note, update_page
-from wtg_gym.cli.results import check_html, write_html
-from wtg_gym.cli.stored import stored_or_played
-from wtg_gym.evaluation import Policy
+from wtg_gym.cli.options import (
+    Entries,
+    Json,
+    OutputFolder,
+    PlantOptions,
+    SeedOptions,
+    Suite,
+    Threads,
+    WorkerOptions,
+)
+from wtg_gym.cli.output import check_page, update_page
 from wtg_gym.evaluation.leaderboard import markdown_section
 from wtg_gym.policies.entry import check_version
 from wtg_gym.policies.names import BASELINES
 from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
-
-_TRUST = (
-    "also take folders with model.zip, an archive of Stable-Baselines3, in the place of policy.onnx, and the key "
-    "algorithm in entry.toml. Loading one runs whatever code its maker put in the file, with your rights, and nothing "
-    "can check that: only for files that you made yourself. The leaderboard never takes them"
-)
 
 
 def evaluate(
@@ -32,9 +30,7 @@ def evaluate(
     suite: Suite = DEFAULT_SUITE,
     split: Literal["train", "validation", "test", "fresh"] = "validation",
     duration: float | None = None,
-    results: Path | None = None,
-    resume: bool = True,
-    trust_pickle: Annotated[Flag, Parameter(help=_TRUST)] = False,
+    results: OutputFolder | None = None,
     threads: Threads = None,
     json: Json = False,
     seeds: SeedOptions = SeedOptions(),
@@ -64,84 +60,62 @@ def evaluate(
       wtg-gym evaluate --entries coordinated-piecewise fast-droop --suite standard-v1 --scenarios 20
       wtg-gym evaluate --entries my_law.toml --suite standard --scenarios 10 --results my_results
       wtg-gym evaluate --entries my_package.controller:make_policy --split test --json
-      wtg-gym evaluate --entries runs/mine/best/* --trust-pickle
       wtg-gym evaluate --entries policies --backend dask --address tcp://head:8786 --results my_results
 
     Args:
         split: which seeds of the suite; fresh: seeds drawn from a commit and a secret
         duration: length of an episode [s]; default: the suite's
         results: folder to write results to; made if missing
-        resume: go on from the finished parts of an interrupted run in that folder, and keep them
     """
-    if results is not None:
-        check_output_folder("--results", results)
     processes = scoring.chosen_workers(workers, threads)
     planned = {**scoring.chosen_scenarios(suite, split, seeds), "duration_s": duration, **dataclasses.asdict(plant)}
     scoring.check_stored(results, planned)
-    with scoring.kept_parts(results if resume else None) as partial:
+    with scoring.kept_parts(results) as partial:
         # Last, because it takes longest, and may run code.
-        chosen = scoring.chosen_entries(entries, suite, _load_trusted if trust_pickle else None)
+        chosen = scoring.chosen_entries(entries, suite)
         found = scoring.run_evaluation(chosen, **planned, partial=partial, n_threads=threads, workers=processes)
     return scoring.finish(found, results, as_json=json)
-
-
-def _load_trusted(folder: Path, algorithm: str) -> tuple[Policy, str]:
-    # Here, because Stable-Baselines3 is another extra, and takes seconds to import.
-    from wtg_gym.policies.sb3_archive import load_archive
-
-    note(f"running the code in the archive of {folder}, as --trust-pickle says")
-    return load_archive(folder, algorithm)
 
 
 def leaderboard(
     *,
     entries: Entries = (BASELINES,),
     suite: Suite = DEFAULT_SUITE,
-    results: Path = Path("results"),
+    results: OutputFolder = Path("results"),
     readme: Path | None = None,
-    html: Path | None = None,
-    fresh: Flag = False,
     threads: Threads = None,
     json: Json = False,
     workers: WorkerOptions = WorkerOptions(),
 ) -> int:
     """Rank entries on all test scenarios of a suite.
 
-    The table is printed and the results are written as JSON and CSV. Stored results are used again where they are of
-    the same suite, source code and versions, and where replaying both anchors gives the same numbers; everything else
-    is evaluated. Stored results of entries that were not asked for are kept in these files where they can be used
-    again, but not printed. An entry that fails is named with its reason and left out with all training seeds of its
-    name; the exit code is 1 then. Where the entry at 100 is no better than that at 0, as on paper-v1, there is no
-    score: the mean pinned cost ranks.
+    The table is printed and the results are written as JSON and CSV. What an entry did is kept in the folder partial
+    beside them, so that the next call plays new entries alone; other source code, packages or another processor, or
+    another policy, is played again. Delete that folder to play everything. An entry that fails is named with its reason
+    and left out with all training seeds of its name; the exit code is 1 then. Where the entry at 100 is no better than
+    that at 0, as on paper-v1, there is no score: the mean pinned cost ranks.
 
     examples:
       wtg-gym leaderboard --suite standard --results results --readme README.md
       wtg-gym leaderboard --suite weak-grid --entries baselines my_law.toml
-      wtg-gym leaderboard --suite low-wind --html leaderboard.html
       wtg-gym leaderboard --suite paper --entries mppt deloaded-10 coordinated-piecewise --json
 
     Args:
         results: folder of the results; made if missing
         readme: put the table between <!-- leaderboard:SUITE:start --> and <!-- leaderboard:SUITE:end --> of this file
-        html: write the ranking as one HTML file with charts; 'wtg-gym results page' does that for several suites
-        fresh: evaluate everything, whatever is stored, from the start, and drop what is stored
     """
-    check_output_folder("--results", results)
     section = f"leaderboard:{suite}"
     if readme is not None:
         check_page("--readme", readme, section)
-    if html is not None:
-        check_html("--html", html)
     processes = scoring.chosen_workers(workers, threads)
-    # Finished parts are stored results too.
-    with scoring.kept_parts(None if fresh else results) as partial:
+    with scoring.kept_parts(results) as partial:
         chosen = scoring.chosen_entries(entries, suite)
         check_version(chosen, get_suite(suite).benchmark)
-        scenarios = {"suite": suite, "split": "test", "n_threads": threads}
-        found, kept = stored_or_played(chosen, results, fresh=fresh, partial=partial, workers=processes, **scenarios)
-    code = scoring.finish(found, results, as_json=json, kept=kept)
+        found = scoring.run_evaluation(
+            chosen, suite=suite, split="test", partial=partial, n_threads=threads, workers=processes
+        )
+    # Without its parts, which would be removed once the results are written.
+    code = scoring.finish(dataclasses.replace(found, parts=None), results, as_json=json)
     if readme is not None:
         update_page(readme, {section: markdown_section(found)})
-    if html is not None:
-        write_html(html, [found])
     return code

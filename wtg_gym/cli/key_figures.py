@@ -99,10 +99,7 @@ def _digits(value: float | None, digits: int) -> str:
 
 
 def _per_group(values: list[float | None]) -> str:
-    if len(values) <= 4:
-        return " / ".join(_digits(value, 3) for value in values)
-    known = [value for value in values if value is not None]
-    return f"{min(known):.3f} … {max(known):.3f}" if known else "–"
+    return " / ".join(_digits(value, 3) for value in values)
 
 
 def traces_csv(runs: Mapping[str, Trajectory]) -> str:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from cyclopts import Group, Parameter, Token
+from cyclopts import Group, Parameter, Token, validators
 
 from wtg_gym.policies.names import BASELINES
-from wtg_gym.scenarios import SUITES, get_suite
+from wtg_gym.scenarios import get_suite
 
 #: An option that takes no value.
 Flag = Annotated[bool, Parameter(negative="", show_default=False)]
@@ -18,18 +19,8 @@ Flag = Annotated[bool, Parameter(negative="", show_default=False)]
 Words = Annotated[tuple[str, ...], Parameter(consume_multiple=1, negative="", show_default=False)]
 
 
-def suite_name(text: str) -> str:
-    """Return the full name of a suite: "faults" is "faults-v1", as v0 has no such suite; a ValueError lists all."""
-    full = [name for name, suite in SUITES.items() if name == f"{text}-{suite.benchmark.version}"]
-    return get_suite(full[0] if text not in SUITES and len(full) == 1 else text).name
-
-
 def _suite(_: Any, tokens: Sequence[Token]) -> str:
-    return suite_name(tokens[0].value)
-
-
-def _suites(_: Any, tokens: Sequence[Token]) -> tuple[str, ...]:
-    return tuple(suite_name(token.value) for token in tokens)
+    return get_suite(tokens[0].value).name
 
 
 def _whole(_: Any, tokens: Sequence[Token]) -> int:
@@ -37,9 +28,28 @@ def _whole(_: Any, tokens: Sequence[Token]) -> int:
     return int(tokens[0].value)
 
 
+def _can_be_written(_: Any, path: Path | None) -> None:
+    """Refuse a file or folder now, rather than after the work; folders that are missing are made."""
+    if path is None:
+        return
+    there = next(each for each in (path, *path.absolute().parents) if each.exists())
+    folder = there.parent if there == path and there.is_file() else there
+    if not folder.is_dir():
+        raise ValueError(f"{folder} is not a folder")
+    if not os.access(folder, os.W_OK):
+        raise ValueError(f"The folder {folder} is not writable")
+
+
+def _output_file(*endings: str) -> Parameter:
+    return Parameter(validator=(validators.Path(ext=endings, dir_okay=False), _can_be_written))
+
+
 SuiteName = Annotated[str, Parameter(converter=_suite)]
-SuiteNames = Annotated[tuple[str, ...], Parameter(converter=_suites, consume_multiple=1, negative="")]
 Whole = Annotated[int, Parameter(converter=_whole)]
+OutputFolder = Annotated[Path, Parameter(validator=(validators.Path(file_okay=False), _can_be_written))]
+CsvFile = Annotated[Path, _output_file("csv")]
+FigureFile = Annotated[Path, _output_file("png", "svg", "pdf")]
+HtmlFile = Annotated[Path, _output_file("html", "htm")]
 
 Threads = Annotated[Whole | None, Parameter(help="threads to step with; default: one per processor")]
 Json = Annotated[bool, Parameter(negative="", show_default=False, help="print JSON, and nothing else, on stdout")]
@@ -78,8 +88,8 @@ class WorkerOptions:
 class SeedOptions:
     """The scenarios of a split that are played."""
 
-    seeds: Words | None = None
-    """seeds of the split: N, or A:B with B left out; several are allowed"""
+    seeds: Annotated[tuple[Whole, ...] | None, Parameter(consume_multiple=1, negative="")] = None
+    """seeds of the split; in bash {20000..20009} is ten of them"""
     scenarios: Whole | None = None
     """the first so many; of the split fresh how many to draw, by default as many as test has"""
     commit: str | None = None
@@ -93,8 +103,6 @@ class SeedOptions:
 class PlantOptions:
     """The plant and its time steps."""
 
-    groups: Whole | None = None
-    """number of WTG groups at bus 2 that share 20 turbines of 5 MW; default: the suite's"""
     control_dt: float = 0.1
     """control interval [s]"""
     simulation_dt: float = 0.025

@@ -47,37 +47,10 @@ def require_extra(package: str, purpose: str) -> None:
         raise ValueError(f"{purpose} needs {package}; {install_advice('leaderboard')} ({error})") from error
 
 
-def check_output_file(option: str, path: Path, suffixes: Sequence[str]) -> None:
-    """Raise a ValueError now, rather than after the work, if a file cannot be written."""
-    if path.suffix.lower() not in suffixes:
-        raise ValueError(f"{option} {path}: unknown kind of file {path.suffix!r}; it must end in {', '.join(suffixes)}")
-    if path.exists() and not path.is_file():
-        raise ValueError(f"{option} {path}: it exists and is not a file")
-    if not path.parent.is_dir():
-        raise ValueError(f"{option} {path}: there is no folder {path.parent}; create it first")
-    if not os.access(path.parent, os.W_OK):
-        raise ValueError(f"{option} {path}: the folder {path.parent} is not writable")
-
-
-def check_plot_file(path: Path) -> None:
-    """Raise a ValueError now, rather than after the work, if the figure of `--plot` cannot be drawn or written."""
-    check_output_file("--plot", path, (".png", ".svg", ".pdf"))
-    require_extra("matplotlib", "--plot")
-
-
 def write_and_say(path: Path, content: str | bytes) -> None:
     """Write a file and say so."""
     write_atomically(path, content)
     note(f"wrote {path}")
-
-
-def check_output_folder(option: str, path: Path) -> None:
-    """Raise a ValueError if a folder, which may not exist yet, cannot be written into."""
-    there = next(folder for folder in (path, *path.absolute().parents) if folder.exists())
-    if not there.is_dir():
-        raise ValueError(f"{option} {path}: {there} is not a folder")
-    if not os.access(there, os.W_OK):
-        raise ValueError(f"{option} {path}: the folder {there} is not writable")
 
 
 def check_page(option: str, path: Path, *sections: str) -> None:
@@ -97,15 +70,13 @@ def update_page(path: Path, sections: Mapping[str, str]) -> None:
 
 
 def plain_json(value: Any) -> Any:
-    """Return data as JSON has it: arrays as lists, complex numbers as pairs, null for what is not finite."""
+    """Return data as JSON has it: arrays as lists, null for what is not finite."""
     if hasattr(value, "tolist"):
         return plain_json(value.tolist())
     if isinstance(value, Mapping):
         return {key: plain_json(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain_json(item) for item in value]
-    if isinstance(value, complex):
-        return [value.real, value.imag]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+import webbrowser
+from typing import Annotated, Any
+
+from cyclopts import Parameter, validators
 
 from wtg_gym.cli.options import Flag, SuiteName, Whole
 from wtg_gym.cli.output import note, require_extra
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.plotting.live.match import Scale, split_of
-from wtg_gym.ranges import require_range
-from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
 
 
 def play(
     *,
-    suite: SuiteName | None = None,
-    version: Literal["v0", "v1"] | None = None,
+    suite: SuiteName = DEFAULT_SUITE,
     seed: Whole | None = None,
     duration: float | None = None,
-    speed: float = 1.0,
-    port: Whole = 0,
+    speed: Annotated[float, Parameter(validator=validators.Number(gte=0.1, lte=20.0))] = 1.0,
+    port: Annotated[Whole, Parameter(validator=validators.Number(gte=0, lte=65535))] = 0,
     no_browser: Flag = False,
 ) -> int:
     """Open a page in the browser on which you hold the frequency by hand, in real time.
@@ -31,33 +32,43 @@ def play(
     examples:
       wtg-gym play
       wtg-gym play --suite faults-v1 --seed 20003
-      wtg-gym play --version v0 --speed 0.5
+      wtg-gym play --suite standard --speed 0.5
       wtg-gym play --port 5006 --no-browser
 
     Args:
-        suite: one of those that `wtg-gym suites` lists; default: standard of the version
-        version: of the benchmark; default: that of the suite, without a suite v1
+        suite: one of those that `wtg-gym suites` lists
         seed: seed of the suite; default: its first test seed
         duration: length of a run [s]; default: the suite's
         speed: simulated seconds per second, 0.1 … 20
         port: port at localhost; 0: any that is free
         no_browser: do not open a browser, only say the address
     """
-    require_range("--speed", speed, 0.1, 20.0, "")
-    settings = EnvSettings(suite=suite, version=version, duration_s=duration)  # type: ignore[arg-type]
-    chosen = get_suite(settings.suite)
+    # Refuses a duration that is out of range.
+    EnvSettings(suite=suite, duration_s=duration)
+    chosen = get_suite(suite)
     first = chosen.test[0] if seed is None else seed
     split_of(chosen, first)
     require_extra("bokeh", "wtg-gym play")
+    from bokeh.server.server import Server
+
     from wtg_gym.plotting.live.play_page import PlayPage
-    from wtg_gym.plotting.live.server import make_server, serve
 
     def fill(document: Any) -> None:
         PlayPage(document, scale, first, speed)
 
     # First, since a port that is in use need not wait for the anchors.
-    server = make_server(fill, port)
-    note(f"playing the anchors of {chosen.name}, which make the scale of the score")
+    server = Server({"/": fill}, port=port, address="localhost")
+    note(f"playing the anchors of {suite}, which make the scale of the score")
     scale = Scale.of(chosen, duration)
-    serve(server, opens_browser=not no_browser, say=note)
+    url = f"http://localhost:{server.port}/"
+    server.start()
+    note(f"the page is at {url}; Ctrl-C ends it")
+    if not no_browser and not webbrowser.open(url):
+        note("there is no browser here: open that address in a browser on this machine")
+    try:
+        server.io_loop.start()
+    except KeyboardInterrupt:
+        note("ended")
+    finally:
+        server.stop()
     return 0

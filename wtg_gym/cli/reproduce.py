@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from wtg_gym.cli import output as out
-from wtg_gym.cli.options import Json
+from wtg_gym.cli.options import Json, OutputFolder
 from wtg_gym.files import to_json, write_atomically
 from wtg_gym.progress import Progress
 from wtg_gym.reproduce.case_studies import paper_claims, run_case
@@ -19,7 +19,7 @@ from wtg_gym.reproduce.claims import claims_table
 
 def reproduce(
     *,
-    output: Path = Path("reproduction"),
+    output: OutputFolder = Path("reproduction"),
     formats: Annotated[tuple[Literal["svg", "png", "pdf"], ...], Parameter(consume_multiple=1, negative="")] = (
         "svg",
         "png",
@@ -49,7 +49,6 @@ def reproduce(
     from wtg_gym.plotting import save_figure
     from wtg_gym.reproduce.figures import paper_figures
 
-    out.check_output_folder("--output", output)
     if page is not None:
         out.check_page("--page", page, "claims", "figures")
     with Progress("steps") as progress:

@@ -1,21 +1,17 @@
-"""`wtg-gym results`: stored results shown, computed again, compared; other suites and sensors."""
+"""`wtg-gym results`: stored results shown, computed again, compared."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 from cyclopts import App
 
 from wtg_gym.cli import output as out
 from wtg_gym.cli import scoring
-from wtg_gym.cli.matrix import matrix
-from wtg_gym.cli.options import Entries, Json, Threads, WorkerOptions
-from wtg_gym.evaluation import Results, generalisation, leaderboard_rows
+from wtg_gym.cli.options import Entries, HtmlFile, Json, Threads, WorkerOptions
+from wtg_gym.evaluation import Results, generalisation
 from wtg_gym.evaluation.recompute import departures
 from wtg_gym.evaluation.recompute import recompute as compute_again
-from wtg_gym.plotting import figure_bytes, plot_front
-from wtg_gym.plotting.front import undominated
 from wtg_gym.plotting.page import leaderboard_page
 from wtg_gym.policies.names import BASELINES
 from wtg_gym.progress import Progress
@@ -27,13 +23,12 @@ app = App(name="results", help="Work with the stored results of 'wtg-gym evaluat
 
 
 @app.command
-def page(*results: Path, output: Path) -> int:
+def page(results: tuple[Path, ...], /, *, output: HtmlFile) -> int:
     """Show stored results as one HTML file with charts.
 
     It needs nothing but a browser, offline too: each suite's ranking with its intervals, to sort and to filter, the
     scores as a chart, and the deviation of the frequency against the failures. The scores on several suites stand side
-    by side in a table, too, and beside them those that 'wtg-gym results matrix' played with other sensors. Suites of
-    the latest version of the benchmark come first.
+    by side in a table, too. Suites of the latest version of the benchmark come first.
 
     examples:
       wtg-gym results page results/standard-test.json --output leaderboard.html
@@ -43,28 +38,17 @@ def page(*results: Path, output: Path) -> int:
         results: JSON files of results, one of each suite
         output: the HTML file to write
     """
-    if not results:
-        raise ValueError("RESULTS: give a JSON file of results or several")
-    check_html("--output", output)
+    out.require_extra("bokeh", "wtg-gym results page")
     read = [Results.read(each) for each in results]
     for each in read:
         if not each.has_scale:
             out.note(
                 f"no ranking of {each.name}, where {each.benchmark.hundred} is no better than {each.benchmark.zero}"
             )
-    write_html(output, read)
+        for text in departures(each):
+            out.note(f"{each.name} is not the benchmark's own: {text}")
+    out.write_and_say(output, leaderboard_page(read))
     return 0
-
-
-def check_html(option: str, path: Path) -> None:
-    """Raise a ValueError now, rather than after the work, if an HTML file cannot be made or written."""
-    out.check_output_file(option, path, (".html", ".htm"))
-    out.require_extra("bokeh", option)
-
-
-def write_html(path: Path, results: Sequence[Results]) -> None:
-    """Write results as one HTML file."""
-    out.write_and_say(path, leaderboard_page(results))
 
 
 @app.command
@@ -75,7 +59,6 @@ def recompute(
     entries: Entries = (BASELINES,),
     secret_file: Path | None = None,
     threads: Threads = None,
-    json: Json = False,
     workers: WorkerOptions = WorkerOptions(),
 ) -> int:
     """Compute results again, and say whether they are identical.
@@ -86,11 +69,11 @@ def recompute(
     other texts about an entry, are named, but are no difference by themselves: laws give the same bits on one kind of
     processor, a policy's last digits may depend on onnxruntime. The environment's fingerprint says whether this machine
     computes the same as the one before. Fewer scenarios, shorter episodes or other weights than those of the benchmark
-    are named too. Archives of Stable-Baselines3 are not taken.
+    are named too.
 
     examples:
       wtg-gym results recompute results/standard-test.json --entries baselines policies
-      wtg-gym results recompute results/paper-test.json --json
+      wtg-gym results recompute results/paper-test.json
 
     Args:
         results: JSON file of results, the CSV beside it
@@ -104,17 +87,6 @@ def recompute(
         found = compute_again(
             stored, chosen, secret=secret, n_threads=threads, workers=processes, on_progress=progress.update
         )
-    if json:
-        out.print_json(
-            {
-                "identical": not found.differences,
-                "differences": [difference._asdict() for difference in found.differences],
-                "circumstances": [difference._asdict() for difference in found.circumstances],
-                "departures": departures(stored),
-                "numbers": found.n_numbers,
-            }
-        )
-        return int(bool(found.differences))
     for difference in found.circumstances:
         out.note(f"{difference.where} was {difference.stored}, is {difference.now}")
     for text in departures(stored):
@@ -160,34 +132,7 @@ def gap(public: Path, fresh: Path, /, *, json: Json = False) -> int:
         out.print_json({"draw": second.draw, "gaps": [gap.to_dict() for gap in gaps], "left_out": missing})
     else:
         out.say(generalisation.describe(first, second), "")
-        left = [index for index, is_number in enumerate(generalisation.COLUMNS.values()) if not is_number]
-        out.print_table(tuple(generalisation.COLUMNS), generalisation.gap_cells(gaps), left=left)
+        out.print_table(generalisation.COLUMNS, generalisation.gap_cells(gaps), left=(0, 5))
     if missing:
         out.note(f"left out, not the same policy in both results: {', '.join(missing)}")
-    return 0
-
-
-app.command(matrix)
-
-
-@app.command
-def front(results: Path, /, *, plot: Path) -> int:
-    """Draw points of frequency and RoCoF against captured energy.
-
-    That is what frequency and RoCoF add to a score of 100 against the captured share of the available energy, one
-    marker for each entry. A line joins the entries that no other one beats in both. Entries that fail in many scenarios
-    are hollow and not joined: a run that fails pays for the frequency only until it ends.
-
-    examples:
-      wtg-gym results front results/standard-v1-test.json --plot front.svg
-
-    Args:
-        results: JSON file of results, the CSV beside it
-        plot: the figure: .png, .svg or .pdf
-    """
-    out.check_plot_file(plot)
-    rows = leaderboard_rows(Results.read(results))
-    out.write_and_say(plot, figure_bytes(plot_front(rows), plot.suffix))
-    best = ", ".join(row.name for row in undominated(rows))
-    out.say(f"no other entry has more support and more energy than: {best}")
     return 0

@@ -1,36 +1,11 @@
-"""Scenarios on the command line: files of scenarios, names of the paper's cases, scenarios in words."""
+"""Scenarios in words and as a summary."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 from wtg_gym.envs.rendering.diagram import describe_event
-from wtg_gym.files import read_json
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.scenarios import get_suite
-
-
-def case_seed(name: str | None) -> int:
-    """Return the seed of one of the paper's cases, by default of the first; a ValueError lists them."""
-    cases = [case.name for case in get_suite("paper").cases]
-    name = name or cases[0]
-    if name not in cases:
-        raise ValueError(f"unknown case {name!r}; known cases: {', '.join(cases)}")
-    return cases.index(name)
-
-
-def read_scenario(path: Path) -> Scenario:
-    """Read a scenario from a JSON file.
-
-    Raises:
-        ValueError: the file cannot be read or is not a scenario; the message names the file and what is wrong.
-    """
-    data = read_json(path, "scenario file")
-    try:
-        return Scenario.from_dict(data)
-    except ValueError as error:
-        raise ValueError(f"scenario file {path}: {error}") from error
 
 
 def scenario_summary(scenario: Scenario) -> dict[str, Any]:

@@ -13,9 +13,10 @@ import numpy as np
 from cyclopts import Group, Parameter
 
 from wtg_gym.cli.key_figures import key_figures, print_key_figures, traces_csv
-from wtg_gym.cli.options import Flag, Json, PlantOptions, SuiteName, Whole, Words
-from wtg_gym.cli.output import check_output_file, check_plot_file, print_json, say, write_and_say
-from wtg_gym.cli.scenario_text import case_seed, describe_scenario, read_scenario, scenario_summary
+from wtg_gym.cli.options import CsvFile, FigureFile, Flag, Json, PlantOptions, SuiteName, Whole, Words
+from wtg_gym.cli.output import print_json, require_extra, say, write_and_say
+from wtg_gym.cli.scenario_text import describe_scenario, scenario_summary
+from wtg_gym.files import read_json
 from wtg_gym.physics.parameters import TurbineParameters, WtgGroup, default_groups
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.protection import Status
@@ -24,7 +25,7 @@ from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, STRATEG
 from wtg_gym.physics.trajectory import Trajectory, simulate
 from wtg_gym.policies.load import example_law as law_file
 from wtg_gym.progress import Progress
-from wtg_gym.scenarios import SUITES, Suite, get_suite, read_wind_csv
+from wtg_gym.scenarios import Suite, get_suite, read_wind_csv
 from wtg_gym.scenarios.benchmark import V0
 
 
@@ -33,14 +34,12 @@ from wtg_gym.scenarios.benchmark import V0
 class ScenarioOptions:
     """The scenario, and changes to it."""
 
-    case: str | None = None
-    """case of the paper: load-increase or load-decrease; default: load-increase"""
-    suite: SuiteName | None = None
-    """suite to draw from, one of those that `wtg-gym suites` lists"""
+    suite: SuiteName = "paper"
+    """suite to draw from, one of those that `wtg-gym suites` lists; the grid is its own too"""
     seed: Whole | None = None
-    """seed of the suite; default: its first test seed"""
+    """seed of the suite; default: its first test seed, of the suite paper the load increase"""
     scenario: Path | None = None
-    """scenario file in JSON, as `wtg-gym suites NAME --seed N --json` prints"""
+    """scenario file in JSON, as `wtg-gym suites NAME --seed N --json` prints, in the place of a seed"""
     duration: float | None = None
     """length of the run [s]; a drawn scenario is drawn anew for it"""
     wind: Annotated[tuple[float, ...] | None, Parameter(consume_multiple=1, negative="")] = None
@@ -50,38 +49,34 @@ class ScenarioOptions:
 
     def __post_init__(self) -> None:
         """Refuse options that exclude each other."""
-        for first, second in (("case", "suite"), ("scenario", "case"), ("scenario", "seed"), ("wind", "wind_csv")):
+        for first, second in (("scenario", "seed"), ("wind", "wind_csv")):
             if getattr(self, first) is not None and getattr(self, second) is not None:
-                one, other = (f"--{name.replace('_', '-')}" for name in (first, second))
-                raise ValueError(f"{one} and {other} exclude each other: give one of the two")
-        if self.seed is not None and self.suite is None:
-            raise ValueError(f"--seed {self.seed} needs a suite: --suite {' | '.join(SUITES)}")
+                raise ValueError(f"--{first} and --{second.replace('_', '-')} exclude each other: give one of the two")
 
 
 def simulate_scenario(
     *,
     given: ScenarioOptions = ScenarioOptions(),
     plant: PlantOptions = PlantOptions(),
-    strategy: Annotated[Words, Parameter(name=("--strategy", "--law"))] = (REFERENCE_STRATEGY,),
+    strategy: Words = (REFERENCE_STRATEGY,),
     example_law: Flag = False,
-    plot: Path | None = None,
-    csv: Path | None = None,
+    plot: FigureFile | None = None,
+    csv: CsvFile | None = None,
     json: Json = False,
 ) -> int:
     """Simulate one scenario under each of the given strategies and print the key figures.
 
     These are the frequency's nadir and zenith, the largest rate of change of frequency over 500 ms, and where
-    frequency, rotor speeds and powers end. The scenario is one of the paper's cases, a seed of a suite, or a file; its
-    wind can be replaced. A run ends early at a stall, an over-speed, an under-speed (extended physics), a frequency
-    outside 47.5 … 51.5 Hz (in suites of version v1: 48.5 … 51.5), lost synchronism or a voltage collapse. A suite's
-    scenarios run in its own grid, all others in the paper's; a scenario file from a suite of version v1 needs --suite
-    too, which says whose grid it is.
+    frequency, rotor speeds and powers end. The scenario is a seed of a suite or a file; its wind can be replaced. A run
+    ends early at a stall, an over-speed, an under-speed (extended physics), a frequency outside 47.5 … 51.5 Hz (in
+    suites of version v1: 48.5 … 51.5), lost synchronism or a voltage collapse. In the paper's grid, wind for another
+    number of WTG groups than two puts as many at bus 2.
 
     examples:
-      wtg-gym simulate --case load-increase --strategy mppt deloaded-5 coordinated-piecewise --plot run.png
+      wtg-gym simulate --strategy mppt deloaded-5 coordinated-piecewise --plot run.png
       wtg-gym simulate --suite standard --seed 20003 --strategy all --csv traces.csv
       wtg-gym simulate --suite standard-v1 --seed 10003 --strategy coordinated-piecewise coordinated-tuned
-      wtg-gym simulate --case load-decrease --wind 9 7.5 --duration 60
+      wtg-gym simulate --suite paper --seed 1 --wind 9 7.5 --duration 60
       wtg-gym simulate --wind-csv measured.csv --strategy my_law.toml
       wtg-gym suites weak-grid --seed 20010 --json > mine.json     write a scenario, edit it, then
       wtg-gym simulate --scenario mine.json --json                 simulate it
@@ -96,11 +91,11 @@ def simulate_scenario(
         say(*law_file().splitlines())
         return 0
     if plot is not None:
-        check_plot_file(plot)
-    if csv is not None:
-        check_output_file("--csv", csv, (".csv",))
-    suite = get_suite(given.suite or "paper")
-    scenario, groups = _scenario_and_groups(given, plant.groups, suite)
+        require_extra("matplotlib", "--plot")
+    suite = get_suite(given.suite)
+    scenario = _scenario(given, suite)
+    # Another number of groups stands at bus 2.
+    groups = suite.plant.groups if scenario.n_wtg == len(suite.plant.groups) else default_groups(scenario.n_wtg)
     settings = suite.plant.settings(
         groups=groups,
         physics=plant.physics,
@@ -144,65 +139,39 @@ def _laws(names: Sequence[str], turbine: TurbineParameters, every: Iterable[str]
     return laws
 
 
-def _scenario_and_groups(
-    given: ScenarioOptions, n_asked: int | None, suite: Suite
-) -> tuple[Scenario, tuple[WtgGroup, ...]]:
-    """The scenario that was asked for, with its wind replaced, and as many WTG groups as it has wind for."""
-    from_file = None if given.scenario is None else read_scenario(given.scenario)
-    if from_file is not None and from_file.sensors is not None and not suite.benchmark.sensed:
-        raise ValueError(
-            f"{given.scenario} has sensors, as scenarios of version v1: say with --suite whose grid it is, "
-            "such as standard-v1"
-        )
-    if from_file is not None and given.duration is not None:
-        from_file = dataclasses.replace(from_file, duration_s=given.duration)
-    n_groups = _n_groups(given, n_asked, from_file, suite)
-    if suite.benchmark is not V0 and n_asked is None and n_groups != len(suite.plant.groups):
-        # They would all stand at bus 2: another grid than the suite's.
-        raise ValueError(
-            f"there is wind for {n_groups} WTG groups, {suite.name} has {len(suite.plant.groups)}; "
-            f"--groups {n_groups} puts as many at bus 2"
-        )
-    # Another number of groups stands at bus 2.
-    groups = suite.plant.groups if n_groups == len(suite.plant.groups) else default_groups(n_groups)
-    scenario = from_file if from_file is not None else _named_scenario(given, suite, groups)
-    if given.wind is not None:
-        wind = np.resize(np.array(given.wind), (n_groups, 1))
-        scenario = dataclasses.replace(scenario, wind_speed=wind)
-    elif given.wind_csv is not None:
-        wind, wind_dt_s = read_wind_csv(given.wind_csv, duration_s=scenario.duration_s)
-        scenario = dataclasses.replace(scenario, wind_speed=wind, wind_dt_s=wind_dt_s)
-    if scenario.n_wtg != n_groups:
-        raise ValueError(
-            f"{given.scenario} has wind for {scenario.n_wtg} WTG groups, --groups asks for {n_groups}; "
-            "give the wind too, with --wind or --wind-csv"
-        )
-    return scenario, groups
-
-
-def _n_groups(given: ScenarioOptions, asked: int | None, from_file: Scenario | None, suite: Suite) -> int:
-    """Return how many WTG groups there are: those asked for, else those of wind, file or suite."""
+def _scenario(given: ScenarioOptions, suite: Suite) -> Scenario:
+    """Return the scenario that was asked for, with its wind replaced."""
+    if given.scenario is None:
+        seed = suite.test[0] if given.seed is None else given.seed
+        scenario = suite.scenario(seed, duration_s=given.duration)
+    else:
+        scenario = _read_scenario(given.scenario, suite)
+        if given.duration is not None:
+            scenario = dataclasses.replace(scenario, duration_s=given.duration)
+    wind_dt_s = scenario.wind_dt_s
     if given.wind_csv is not None:
-        n_given = int(read_wind_csv(given.wind_csv)[0].shape[0])
-        if asked not in (None, n_given):
-            raise ValueError(f"{given.wind_csv} has wind for {n_given} WTG groups, --groups asks for {asked}")
-        return n_given
-    n_given = 1 if given.wind is None else len(given.wind)
-    if asked is not None:
-        if n_given not in (1, asked):
-            raise ValueError(f"--wind gives {n_given} values [m/s], --groups asks for {asked}: give one or {asked}")
-        return asked
-    if n_given > 1:
-        return n_given
-    return len(suite.plant.groups) if from_file is None else from_file.n_wtg
+        wind, wind_dt_s = read_wind_csv(given.wind_csv, duration_s=scenario.duration_s)
+    elif given.wind is None:
+        wind = scenario.wind_speed
+    else:
+        n_groups = scenario.n_wtg if len(given.wind) == 1 else len(given.wind)
+        wind = np.resize(np.array(given.wind), (n_groups, 1))
+    if suite.benchmark is not V0 and len(wind) != len(suite.plant.groups):
+        raise ValueError(f"there is wind for {len(wind)} WTG groups, {suite.name} has {len(suite.plant.groups)}")
+    return dataclasses.replace(scenario, wind_speed=wind, wind_dt_s=wind_dt_s)
 
 
-def _named_scenario(given: ScenarioOptions, suite: Suite, groups: tuple[WtgGroup, ...]) -> Scenario:
-    seed = given.seed
-    if seed is None:
-        seed = case_seed(given.case) if given.suite is None else suite.test[0]
-    turbines = [group.n_turbines for group in groups]
-    return suite.scenario(seed, n_wtg=len(groups), n_turbines=turbines, duration_s=given.duration)
+def _read_scenario(path: Path, suite: Suite) -> Scenario:
+    data = read_json(path, "scenario file")
+    try:
+        scenario = Scenario.from_dict(data)
+    except ValueError as error:
+        raise ValueError(f"scenario file {path}: {error}") from error
+    if scenario.sensors is not None and not suite.benchmark.sensed:
+        raise ValueError(
+            f"{path} has sensors, as scenarios of version v1: say with --suite whose grid it is, such as standard-v1"
+        )
+    return scenario
 
 
 def _plant_summary(plant: PlantOptions, suite: Suite, groups: tuple[WtgGroup, ...]) -> dict[str, Any]:

@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterable, Sequence
+import contextlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from cyclopts import App, Parameter
+from cyclopts import App, Parameter, validators
 
 from wtg_gym.cli import scoring
-from wtg_gym.cli.options import Flag, Json, SeedOptions, SuiteName, Threads, Words
-from wtg_gym.cli.output import check_output_folder, note, print_json, print_table, say
+from wtg_gym.cli.options import Flag, Json, OutputFolder, SeedOptions, Threads, Words
+from wtg_gym.cli.output import note, print_json, print_table, say
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.policies.conflicts import Conflict, conflicts
 from wtg_gym.policies.gate import Report, check_submission
 from wtg_gym.policies.load import ENTRY_FILE
 from wtg_gym.policies.submission_folder import parse_submission, read_files, write_template
 from wtg_gym.scenarios import get_suite
-from wtg_gym.scenarios.benchmark import BENCHMARKS, Benchmark
+from wtg_gym.scenarios.benchmark import BENCHMARKS
 
 WEAK_OPTION = "--weak-isolation"
+
+Folders = Annotated[tuple[Path, ...], Parameter(validator=validators.Path(exists=True))]
 
 app = App(
     name="submission",
@@ -46,7 +48,7 @@ class GateOptions:
 
 
 @app.command
-def new(folder: Path, /, *, policy: Path | None = None) -> int:
+def new(folder: OutputFolder, /, *, policy: Path | None = None) -> int:
     """Write a template.
 
     Writes an entry.toml with comments to fill in, and copies a policy beside it. `python -m agents.export` writes both
@@ -60,14 +62,13 @@ def new(folder: Path, /, *, policy: Path | None = None) -> int:
         folder: where to write; made if missing
         policy: an .onnx file to copy
     """
-    check_output_folder("FOLDER", folder)
     for path in write_template(folder, policy):
         note(f"wrote {path}")
     return 0
 
 
 @app.command
-def check(*folders: str, gate: GateOptions = GateOptions(), json: Json = False) -> int:
+def check(folders: Folders, /, *, gate: GateOptions = GateOptions(), json: Json = False) -> int:
     """Say whether folders are accepted, and why not.
 
     Says of every check whether a submission passes it, and why not; exits with 1 if one is refused. Several folders are
@@ -81,7 +82,6 @@ def check(*folders: str, gate: GateOptions = GateOptions(), json: Json = False) 
     Args:
         folders: folders with entry.toml, policy.onnx and, if there is one, README.md
     """
-    _check_there(folders)
     reports = _reports(folders, gate)
     wrong = _together(reports, gate)
     if json:
@@ -97,48 +97,45 @@ def check(*folders: str, gate: GateOptions = GateOptions(), json: Json = False) 
 
 @app.command
 def score(
-    *folders: str,
+    folders: Folders,
+    /,
+    *,
     gate: GateOptions = GateOptions(),
-    suite: SuiteName | None = None,
     split: Literal["train", "validation", "test", "fresh"] = "test",
-    results: Path | None = None,
-    resume: bool = True,
+    results: OutputFolder | None = None,
     threads: Threads = None,
     json: Json = False,
     seeds: SeedOptions = SeedOptions(),
 ) -> int:
     """Check folders, then play them in isolation and rank them.
 
-    Checks submissions, plays each on the standard suite of the version that it is for, or on --suite, and prints their
-    rows of the leaderboard with those of both anchors. One that is refused, or whose policy crashes, takes too long or
-    gives no action in a scenario, is named with its reason and left out with all folders of its name; the others are
-    ranked, and the exit code is 1. Scenarios, simulation and score stay in this process; the policy's gets observations
-    and gives actions, within limits of memory, of processor time and of time a step that docs/submissions.md lists.
-    With --results, an interrupted command goes on from its finished parts.
+    Checks submissions, plays each on the standard suite of the version that it is for, and prints their rows of the
+    leaderboard with those of both anchors. One that is refused, or whose policy crashes, takes too long or gives no
+    action in a scenario, is named with its reason and left out with all folders of its name; the others are ranked, and
+    the exit code is 1. Scenarios, simulation and score stay in this process; the policy's gets observations and gives
+    actions, within limits of memory, of processor time and of time a step that docs/submissions.md lists. With
+    --results, an interrupted command goes on from its finished parts. 'wtg-gym evaluate' plays other suites.
 
     examples:
       wtg-gym submission score my-policy
-      wtg-gym submission score my-policy-* --suite low-wind --results my_results
+      wtg-gym submission score my-policy-* --split validation --results my_results
 
     Args:
         folders: folders with entry.toml, policy.onnx and, if there is one, README.md
-        suite: one of those that `wtg-gym suites` lists; default: standard of the version that a folder is for
         split: which seeds of the suite; fresh: seeds drawn from a commit and a secret
         results: folder to write results to; made if missing
-        resume: go on from the finished parts of an interrupted run in that folder, and keep them
     """
-    _check_there(folders)
-    if results is not None:
-        check_output_folder("--results", results)
-    planned = {name: scoring.chosen_scenarios(name, split, seeds) for name in _suites(folders, suite, as_json=json)}
+    planned = {suite: scoring.chosen_scenarios(suite, split, seeds) for suite in _suites(folders)}
+    if json and len(planned) > 1:
+        raise ValueError(f"--json prints one suite, the folders are for those of {', '.join(planned)}")
     for scenarios in planned.values():
         scoring.check_stored(results, scenarios)
-    with scoring.kept_parts(results if resume else None) as partial:
+    with scoring.kept_parts(results) as partial:
         # Anchors first: errors of the arguments come before the work of the gate.
         for scenarios in planned.values():
             scoring.run_evaluation([], partial=partial, n_threads=threads, **scenarios)
         reports = _reports(folders, gate)
-        wrong = _together(reports, gate) + _refused(reports) + _of_another_version(reports, planned)
+        wrong = _together(reports, gate) + _refused(reports)
         ranked = _ranked(reports, wrong)
         _name_left_out(ranked, reports, wrong)
         entries = [report.played(weak=gate.weak_isolation) for report in ranked]
@@ -150,44 +147,14 @@ def score(
     return max(codes)
 
 
-def _suites(folders: Sequence[str], asked: str | None, *, as_json: bool) -> list[str]:
-    """Return the suite that was asked for, or the standard suites of the versions that the folders are for."""
-    if asked is not None:
-        return [asked]
-    said = [_said(Path(folder)) for folder in folders]
-    suites = [EnvSettings(version=each.version).suite for each in BENCHMARKS.values() if each in said]
-    if as_json and len(suites) > 1:
-        raise ValueError(f"--json prints one suite, the folders are for those of {', '.join(suites)}: give --suite")
-    return suites
-
-
-def _said(folder: Path) -> Benchmark | None:
-    """Return the version that a folder says it is for; None if it cannot be read, the gate says why."""
-    try:
-        return BENCHMARKS[parse_submission(read_files(folder)[ENTRY_FILE]).environment]
-    except ValueError:
-        return None
-
-
-def _check_there(folders: Sequence[str]) -> None:
-    if not folders:
-        raise ValueError("FOLDERS: give a folder or several")
+def _suites(folders: Sequence[Path]) -> list[str]:
+    """Return the standard suites of the versions that the folders say they are for."""
+    said = set()
     for folder in folders:
-        if not os.path.lexists(folder):
-            raise ValueError(f"there is no folder {folder}")
-
-
-def _of_another_version(reports: Sequence[Report], suites: Iterable[str]) -> list[Conflict]:
-    played = {get_suite(suite).benchmark.env_id: suite for suite in suites}
-    return [
-        Conflict(
-            (report.folder,),
-            f"{_shown(report.folder)}: entry.toml says environment {report.entry.environment}, "
-            f"{', '.join(played.values())} is a suite of {', '.join(played)}: give another --suite, or none",
-        )
-        for report in reports
-        if report.accepted and report.entry is not None and report.entry.environment not in played
-    ]
+        # The gate says why one cannot be read.
+        with contextlib.suppress(ValueError):
+            said.add(parse_submission(read_files(folder)[ENTRY_FILE]).environment)
+    return [EnvSettings(version=each.version).suite for each in BENCHMARKS.values() if each.env_id in said]
 
 
 def _refused(reports: Sequence[Report]) -> list[Conflict]:
@@ -217,8 +184,8 @@ def _ranked(reports: Sequence[Report], wrong: Sequence[Conflict]) -> list[Report
     ]
 
 
-def _reports(folders: Sequence[str], gate: GateOptions) -> list[Report]:
-    reports = [check_submission(Path(folder), weak=gate.weak_isolation) for folder in folders]
+def _reports(folders: Sequence[Path], gate: GateOptions) -> list[Report]:
+    reports = [check_submission(folder, weak=gate.weak_isolation) for folder in folders]
     for text in dict.fromkeys(text for report in reports for text in report.notes):
         note(f"not isolated, as {WEAK_OPTION} allows: {text}")
     return reports

@@ -6,47 +6,38 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from wtg_gym.cli.options import Flag, Json, SuiteName, Whole
-from wtg_gym.cli.output import note, print_json, print_table, say
+from wtg_gym.cli.options import Json, SuiteName, Whole
+from wtg_gym.cli.output import print_json, print_table, say
 from wtg_gym.cli.scenario_text import describe_scenario
-from wtg_gym.scenarios import FROZEN_HASHES, SPLITS, SUITES, Suite, get_suite
-from wtg_gym.scenarios.benchmark import V0
+from wtg_gym.scenarios import SPLITS, SUITES, Suite, get_suite
 
 
-def suites(
-    name: SuiteName | None = None, /, *, seed: Whole | None = None, check: Flag = False, json: Json = False
-) -> int:
-    """List the frozen suites of scenarios, show or dump one scenario, or recompute the hashes.
+def suites(name: SuiteName | None = None, /, *, seed: Whole | None = None, json: Json = False) -> int:
+    """List the frozen suites of scenarios, or show one of them or one scenario.
 
     Train on the seeds of the split "train", select on "validation", rank on "test". A suite never changes; another hash
-    means another version of the benchmark. Suites of version v1 have a grid, sensors and a cost of their own, which are
-    shown with a suite.
+    means another version of the benchmark. Suites of version v1 have a grid, sensors and a cost of their own.
 
     examples:
       wtg-gym suites                                       all suites
       wtg-gym suites standard                              one suite and what its scenarios are drawn from
       wtg-gym suites standard --seed 20003                 one scenario in words
       wtg-gym suites standard --seed 20003 --json > s.json the same as a file for `wtg-gym simulate --scenario s.json`
-      wtg-gym suites --check                               compare the hashes with the frozen ones
 
     Args:
         name: one suite; default: all
         seed: show the scenario of this seed of the suite
-        check: compare the hashes with the frozen ones; exit 1 if one differs
     """
     chosen = list(SUITES.values()) if name is None else [get_suite(name)]
     if seed is not None:
-        if name is None or check:
-            raise ValueError(f"--seed {seed} needs a suite, without --check: wtg-gym suites NAME --seed {seed}")
+        if name is None:
+            raise ValueError(f"--seed {seed} needs a suite: wtg-gym suites NAME --seed {seed}")
         scenario = chosen[0].scenario(seed)
         if json:
             print_json(scenario.to_dict())
         else:
             say(*describe_scenario(scenario))
-        return 0
-    if check:
-        return _check(chosen, as_json=json)
-    if json:
+    elif json:
         print_json([_summary(suite) for suite in chosen])
     elif name is None:
         _print_suites(chosen)
@@ -55,97 +46,43 @@ def suites(
     return 0
 
 
-def _check(suites: list[Suite], *, as_json: bool) -> int:
-    rows = [
-        {"name": s.name, "hash": s.hash, "frozen": (f := FROZEN_HASHES.get(s.name)), "agrees": f in (None, s.hash)}
-        for s in suites
-    ]
-    # A suite that is not frozen yet may change.
-    differing = [str(row["name"]) for row in rows if not row["agrees"]]
-    verdicts = ["not frozen" if row["frozen"] is None else "ok" if row["agrees"] else "DIFFERS" for row in rows]
-    if as_json:
-        print_json(rows)
-    else:
-        print_table(
-            ("suite", "hash", ""), [(str(r["name"]), str(r["hash"]), v) for r, v in zip(rows, verdicts, strict=True)]
-        )
-    if differing:
-        note(f"wtg-gym: the hash of {', '.join(differing)} differs from the frozen one: scores here cannot be compared")
-    return int(bool(differing))
-
-
 def _summary(suite: Suite) -> dict[str, Any]:
-    distribution, benchmark = suite.distribution, suite.benchmark
-    sensors = None if suite.sensors is None else asdict(suite.sensors)
     return {
         "name": suite.name,
-        "environment": benchmark.env_id,
+        "environment": suite.benchmark.env_id,
         "description": suite.description,
         "hash": suite.hash,
         "duration_s": suite.duration_s,
         "splits": {split: [suite.seeds(split).start, suite.seeds(split).stop - 1] for split in SPLITS},
         "cases": [case.name for case in suite.cases],
-        "distribution": None if distribution is None else distribution.to_dict(),
-        "benchmark": benchmark.to_dict(),
+        "distribution": None if suite.distribution is None else suite.distribution.to_dict(),
+        "benchmark": suite.benchmark.to_dict(),
         "plant": suite.plant.to_dict(),
-        "sensors": sensors,
+        "sensors": None if suite.sensors is None else asdict(suite.sensors),
     }
-
-
-def _seeds(suite: Suite, split: str) -> str:
-    seeds = suite.seeds(split)
-    return f"{seeds.start} … {seeds.stop - 1}"
 
 
 def _print_suites(suites: list[Suite]) -> None:
     header = ("suite", "hash", "length [s]", *(f"{split} seeds" for split in SPLITS), "test runs")
-    rows = [
-        (
-            suite.name,
-            suite.hash[:12],
-            f"{suite.duration_s:g}",
-            *(_seeds(suite, split) for split in SPLITS),
-            str(len(suite.test)),
-        )
-        for suite in suites
-    ]
+    rows = []
+    for suite in suites:
+        seeds = (f"{suite.seeds(split).start} … {suite.seeds(split).stop - 1}" for split in SPLITS)
+        rows.append((suite.name, suite.hash[:12], f"{suite.duration_s:g}", *seeds, str(len(suite.test))))
     print_table(header, rows, left=(0, 1))
     say("")
     width = max(len(suite.name) for suite in suites)
-    for suite in suites:
-        say(f"{suite.name:<{width}} {suite.description}")
+    say(*(f"{suite.name:<{width}} {suite.description}" for suite in suites))
 
 
 def _print_suite(suite: Suite) -> None:
-    say(f"suite {suite.name}: {suite.description}")
-    say(f"  environment  {suite.benchmark.env_id}")
-    say(f"  hash         {suite.hash}")
-    say(f"  length       {suite.duration_s:g} s")
-    for split in SPLITS:
-        say(f"  {split:<12} {len(suite.seeds(split))} scenarios, seeds {_seeds(suite, split)}")
-    for seed, case in enumerate(suite.cases):
-        say(f"  case {seed:<7} {case.name}")
-    if suite.distribution is not None:
-        _print_values("drawn from:", suite.distribution.to_dict())
-    if suite.benchmark is not V0:
-        plant = suite.plant.to_dict()
-        groups = [f"{group['n_turbines']:g} turbines at bus {group['bus']}" for group in plant["groups"]]
-        governor = ", ".join(f"{key} {value}" for key, value in (plant["governor"] or {}).items())
-        _print_values("plant:", {**plant, "groups": ", ".join(groups), "governor": governor})
-        _print_values("sensors:", {} if suite.sensors is None else asdict(suite.sensors))
-        benchmark = suite.benchmark
-        _print_values(
-            "task:",
-            {
-                "anchors": f"0 {benchmark.zero}, 100 {benchmark.hundred}",
-                "k_authority": benchmark.k_authority,
-                "duty_time_s": benchmark.duty_time_s,
-                "weights": ", ".join(f"{key} {value:g}" for key, value in benchmark.weights),
-            },
-        )
+    for key, value in _summary(suite).items():
+        if isinstance(value, Mapping):
+            say(f"{key}:", *(f"  {name:<26} {_text(own)}" for name, own in value.items()))
+        else:
+            say(f"{key:<28} {_text(value)}")
 
 
-def _print_values(head: str, values: Mapping[str, Any]) -> None:
-    say(head)
-    for key, value in values.items():
-        say(f"  {key:<26} {value}")
+def _text(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {_text(own)}" for name, own in value.items())
+    return "; ".join(map(_text, value)) if isinstance(value, (list, tuple)) else str(value)

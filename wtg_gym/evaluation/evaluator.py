@@ -195,30 +195,26 @@ def chosen_seeds(suite: str, split: str, seeds: Sequence[int] | None, draw: Fres
 
 def shared_settings(settings: EnvSettings) -> dict[str, Any]:
     """Return the settings that all entries share, defaults filled in, as JSON-ready data."""
-    return {
+    benchmark = settings.benchmark()
+    found = {
         "duration_s": settings.episode_duration_s(),
         "control_dt": float(settings.control_dt),
         "simulation_dt": float(settings.simulation_dt),
         "weights": {key: float(value) for key, value in dataclasses.asdict(settings.cost_weights()).items()},
         "groups": [{"bus": int(group.bus), "n_turbines": float(group.n_turbines)} for group in settings.wtg_groups()],
-        "authority": {"k": settings.benchmark().k_authority, "tau": TIME_CONSTANT_RATIO},
+        "authority": {"k": benchmark.k_authority, "tau": TIME_CONSTANT_RATIO},
         "machine_model": settings.machine_model,
         "on_failure": settings.on_failure,
-        # Results of the paper's physics look as they did before there was another.
-        **({} if settings.physics == "paper" else {"physics": settings.physics}),
-        **({} if settings.benchmark() is V0 else _version_settings(settings)),
     }
-
-
-def _version_settings(settings: EnvSettings) -> dict[str, Any]:
-    """Return what a version after v0 adds to the shared settings: plant, sensors and how the duty is charged."""
-    benchmark, sensors = settings.benchmark(), settings.sensor_distribution()
-    found = {
-        "version": benchmark.version,
-        "plant": get_suite(settings.suite).plant.to_dict(),
-        "sensors": "exact" if sensors is None else dataclasses.asdict(sensors),
-        "duty_time_s": benchmark.duty_time_s,
-    }
+    # Results of the paper's physics look as they did before there was another.
+    if settings.physics != "paper":
+        found["physics"] = settings.physics
+    if benchmark is not V0:
+        sensors = settings.sensor_distribution()
+        found["version"] = benchmark.version
+        found["plant"] = get_suite(settings.suite).plant.to_dict()
+        found["sensors"] = "exact" if sensors is None else dataclasses.asdict(sensors)
+        found["duty_time_s"] = benchmark.duty_time_s
     # Lists, as files hold them, not tuples.
     data: dict[str, Any] = json.loads(json.dumps(found))
     return data

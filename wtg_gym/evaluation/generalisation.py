@@ -9,15 +9,16 @@ from typing import Any
 import numpy as np
 
 from wtg_gym.evaluation import statistics
-from wtg_gym.evaluation.leaderboard import leaderboard_rows, signed_interval
+from wtg_gym.evaluation.leaderboard import leaderboard_rows
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.statistics import Floats, Interval
+from wtg_gym.evaluation.table import signed_interval
 from wtg_gym.scenarios import FRESH
 
 #: With fewer the regression on the controls fits noise.
 _FEWEST_FRESH = 30
-#: Headings of the table, and whether the column holds numbers.
-COLUMNS: dict[str, bool] = {"entry": False, "public": True, "fresh": True, "gap": True, "excess": True, "": False}
+#: Headings of the table; the first and the last column hold text.
+COLUMNS = ("entry", "public", "fresh", "gap", "excess", "")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,8 +64,8 @@ def generalisation_gaps(public: Results, fresh: Results) -> list[GeneralisationG
         if getattr(public, key) != getattr(fresh, key):
             raise ValueError(f"the two results are of another {key.replace('_', ' ')}: evaluate both again")
     zero, hundred = public.benchmark.anchors
-    shared = set(_shared(public, fresh)) - {hundred}
-    rows = [row for row in leaderboard_rows(public) if row.name in shared]
+    others = {hundred, *left_out(public, fresh)}
+    rows = [row for row in leaderboard_rows(public) if row.name not in others]
     controls = [row.name for row in rows if row.kind != "learned"]
     scores, gains = fresh.scores, (public.log_gains, fresh.log_gains)
     of_zero = [own[zero][0] for own in gains]
@@ -74,8 +75,8 @@ def generalisation_gaps(public: Results, fresh: Results) -> list[GeneralisationG
             own = [each[row.name] for each in gains]
             excess = None
             if row.kind == "learned" and of_zero[1].size >= _FEWEST_FRESH:
-                others = [np.concatenate([each[name] for name in controls]) for each in gains]
-                excess = excess_gap(*zip(own, others, of_zero, strict=True))
+                of_controls = [np.concatenate([each[name] for name in controls]) for each in gains]
+                excess = excess_gap(*zip(own, of_controls, of_zero, strict=True))
             gap = score_gap(*zip(own, of_zero, strict=True))
             gaps.append(
                 GeneralisationGap(name=row.name, public=row.score, fresh=scores[row.name], gap=gap, excess=excess)
@@ -131,23 +132,13 @@ def excess_gap(public: tuple[Floats, Floats, Floats], fresh: tuple[Floats, Float
 
 
 def left_out(public: Results, fresh: Results) -> list[str]:
-    """Return the entries that only one of the results holds, or whose policies differ."""
-    shared = _shared(public, fresh)
-    return [name for name in {**_policies(public), **_policies(fresh)} if name not in shared]
-
-
-def _shared(public: Results, fresh: Results) -> list[str]:
-    """Return the names that stand for the same policies, known by their sha256, in both results."""
-    one, other = _policies(public), _policies(fresh)
-    return [name for name, own in one.items() if other.get(name) == own and None not in own.values()]
-
-
-def _policies(results: Results) -> dict[str, dict[int | None, str | None]]:
-    """Return the policies' sha256 by name and training seed."""
-    found: dict[str, dict[int | None, str | None]] = {}
-    for entry in results.entries:
-        found.setdefault(entry["name"], {})[entry["training_seed"]] = entry["sha256"]
-    return found
+    """Return the entries that only one of the results holds, or whose policies, known by their sha256, differ."""
+    one, other = (
+        {(entry["name"], entry["training_seed"]): entry["sha256"] for entry in results.entries}
+        for results in (public, fresh)
+    )
+    differing = [run for run in {**one, **other} if one.get(run) is None or one[run] != other.get(run)]
+    return list(dict.fromkeys(name for name, _ in differing))
 
 
 def gap_cells(gaps: Sequence[GeneralisationGap]) -> list[list[str]]:

@@ -7,8 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from wtg_gym import __version__
-from wtg_gym.evaluation.circumstances import measurement_hash
+from wtg_gym.evaluation.circumstances import measurement_hash, versions
 from wtg_gym.evaluation.episodes import Episode, episode_from_cells
 from wtg_gym.files import read_json, sha256, to_json, write_atomically
 from wtg_gym.physics.compiled import source_hash
@@ -30,7 +29,7 @@ class PartialStore:
         self._folder = None if folder is None else Path(folder)
         if self._folder is not None and self._folder.exists() and not self._folder.is_dir():
             raise ValueError(f"partial must be a folder for finished batches, got the file {folder}")
-        self._context = [context, __version__, source_hash(), measurement_hash()]
+        self._context = [context, versions(), source_hash(), measurement_hash()]
         self._used: list[Path] = []
 
     def _path(self, entry: Entry, seeds: list[int]) -> Path | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from wtg_gym.envs.settings import EnvSettings
@@ -20,8 +20,6 @@ _ARGUMENTS = (
 )
 #: Data of an entry that decide its numbers; the others are texts about it.
 _PLAYED = ("action_mode", "kind", "observation_mode", "policy_sha256", "sha256", "strategy")
-#: Name and training seed of an entry.
-_Run = tuple[str, int | None]
 
 
 class Difference(NamedTuple):
@@ -72,12 +70,12 @@ def recompute(
         if not draw.is_of(secret):
             differences.append(Difference("seeds", f"those of {draw.secret_sha256[:12]}", "others: not of this secret"))
     given = {(entry.name, entry.training_seed): entry for entry in entries}
-    wanted = _by_run((*stored.entries, *stored.failed))
+    wanted = [(entry["name"], entry["training_seed"]) for entry in (*stored.entries, *stored.failed)]
     missing = [name for name, seed in wanted if (name, seed) not in given and name not in stored.benchmark.anchors]
     if missing:
         raise ValueError(f"the results hold entries that were not given: {', '.join(dict.fromkeys(missing))}")
     now = evaluate(
-        [given[key] for key in wanted if key in given],
+        [given[run] for run in wanted if run in given],
         stored.suite,
         stored.split,
         seeds=stored.seeds if draw is None else None,
@@ -88,12 +86,12 @@ def recompute(
         keep_going=True,
         **{name: stored.settings[name] for name in _ARGUMENTS if name in stored.settings},
     )
-    differences += _compared(_numbers(stored, now), _numbers(now, stored))
-    return Recomputed(
-        differences,
-        _compared(_circumstances(stored, now), _circumstances(now, stored)),
-        len(stored.episodes) * len(COLUMNS),
-    )
+    differences += _compared(_deciding(stored), _deciding(now))
+    cells, others = _cells(stored), _cells(now)
+    # Where one side alone has an entry's episodes, that is the difference.
+    shared = [where for where in cells if where in others]
+    differences += [Difference(where, cells[where], others[where]) for where in shared if cells[where] != others[where]]
+    return Recomputed(differences, _compared(_circumstances(stored), _circumstances(now)), len(cells))
 
 
 def departures(stored: Results) -> list[str]:
@@ -111,39 +109,32 @@ def departures(stored: Results) -> list[str]:
     return found
 
 
-def _numbers(results: Results, others: Results) -> dict[str, Any]:
-    """Return what decides the numbers, and those of the episodes that others have too, by where they stand."""
+def _deciding(results: Results) -> dict[str, Any]:
+    """Return what decides the numbers, by where it stands."""
     found = {"suite_hash": results.suite_hash, **{f"settings.{key}": value for key, value in results.settings.items()}}
-    for run, entry, played in _entries(results, others):
-        if played:
-            found |= {f"{_label(*run)}: {key}": entry[key] for key in _PLAYED}
-        else:
-            # Its episodes are missing on one side.
-            found[_label(*run)] = entry.get("reason", "played")
-    shared = {(*episode.run, episode.seed) for episode in others.episodes}
-    for episode in results.episodes:
-        if (*episode.run, episode.seed) in shared:
-            where = f"{_label(*episode.run)}, seed {episode.seed}"
-            found |= {f"{where}: {column}": cell for column, cell in zip(COLUMNS, episode.cells(), strict=True)}
+    for label, entry in _by_label(results).items():
+        found |= {f"{label}: {key}": entry[key] for key in _PLAYED}
+        found[f"{label}: played to the end"] = "reason" not in entry
     return found
 
 
-def _circumstances(results: Results, others: Results) -> dict[str, Any]:
-    """Return what need not change a number, by where it stands."""
+def _cells(results: Results) -> dict[str, str]:
+    """Return every value of every episode, by where it stands."""
+    return {
+        f"{_label(*episode.run)}, seed {episode.seed}: {column}": cell
+        for episode in results.episodes
+        for column, cell in zip(COLUMNS, episode.cells(), strict=True)
+    }
+
+
+def _circumstances(results: Results) -> dict[str, Any]:
+    """Return what need not change a number, by where it stands: the words of a failure may depend on the machine."""
     found = {"source_hash": results.source_hash}
     found |= {f"environment.{key}": value for key, value in results.environment.items()} | dict(results.versions)
-    for run, entry, played in _entries(results, others):
-        if played and run[0] not in results.benchmark.anchors:
-            # The reason of a failure is a text too: its words may depend on the machine.
-            found |= {f"{_label(*run)}: {key}": value for key, value in entry.items() if key not in _PLAYED}
+    for label, entry in _by_label(results).items():
+        if entry["name"] not in results.benchmark.anchors:
+            found |= {f"{label}: {key}": value for key, value in entry.items() if key not in _PLAYED}
     return found
-
-
-def _entries(results: Results, others: Results) -> Iterator[tuple[_Run, Mapping[str, Any], bool]]:
-    """Yield name and training seed, the data, and whether both or none of the two sides played it to the end."""
-    mates = _by_run((*others.entries, *others.failed))
-    for run, entry in _by_run((*results.entries, *results.failed)).items():
-        yield run, entry, run in mates and ("reason" in entry) == ("reason" in mates[run])
 
 
 def _compared(stored: Mapping[str, Any], now: Mapping[str, Any]) -> list[Difference]:
@@ -151,8 +142,8 @@ def _compared(stored: Mapping[str, Any], now: Mapping[str, Any]) -> list[Differe
     return [Difference(where, str(one), str(other)) for where, one, other in pairs if one != other]
 
 
-def _by_run(entries: Iterable[Mapping[str, Any]]) -> dict[_Run, Mapping[str, Any]]:
-    return {(entry["name"], entry["training_seed"]): entry for entry in entries}
+def _by_label(results: Results) -> dict[str, Mapping[str, Any]]:
+    return {_label(each["name"], each["training_seed"]): each for each in (*results.entries, *results.failed)}
 
 
 def _label(name: str, training_seed: int | None) -> str:

@@ -8,18 +8,24 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-import numpy as np
-
 from wtg_gym.evaluation import results_file
 from wtg_gym.evaluation.episodes import Episode, to_csv
-from wtg_gym.evaluation.labelled import episodes_frame
-from wtg_gym.evaluation.leaderboard import html_table
 from wtg_gym.evaluation.metrics import METRICS
-from wtg_gym.evaluation.oracle import KnownOracle, known_oracle
 from wtg_gym.evaluation.partial import PartialStore
-from wtg_gym.evaluation.score import NoScaleError, log_gains, pinned
-from wtg_gym.evaluation.statistics import Floats, Interval, mean
-from wtg_gym.evaluation.summary import EntryMeasures, EntrySummary, entry_measures, ranked, summarise
+from wtg_gym.evaluation.score import NoScaleError, log_gains, pinned, score_scale
+from wtg_gym.evaluation.statistics import Floats, Interval
+from wtg_gym.evaluation.summary import (
+    EntryMeasures,
+    EntrySummary,
+    Runs,
+    entry_measures,
+    pinned_costs,
+    ranked,
+    runs_by_name,
+    summarise,
+)
+from wtg_gym.evaluation.table import html_table, privileged_note
+from wtg_gym.extras import install_advice
 from wtg_gym.ranges import ByName
 from wtg_gym.scenarios import get_suite
 from wtg_gym.scenarios.benchmark import Benchmark
@@ -67,16 +73,17 @@ class Results:
 
     def __repr__(self) -> str:
         """Return suite, split, number of scenarios and the ranking's scores in a line."""
-        try:
-            rows = ranked(self.summaries)
-            entries = ", ".join(f"{row.name} {row.score.value:.1f}" for row in rows)
-        except NoScaleError:
-            entries = ", ".join(dict.fromkeys(entry["name"] for entry in self.entries)) + ", without a score"
+        entries = ", ".join(
+            f"{row.name} {row.score.value:.1f}" if isinstance(row, EntrySummary) else f"{row.name} without a score"
+            for row in self.ranking
+        )
         return f"<Results of {self.suite}, {self.split}, {len(self.seeds)} scenarios: {entries}>"
 
     def _repr_html_(self) -> str:
         """Return the ranking as a table, which notebooks show."""
-        return html_table(self)
+        scenarios = f"{self.suite}, {self.split}: {len(self.seeds)} scenarios"
+        notes = (scenarios, self.no_score, privileged_note(self.ranking))
+        return html_table(self.ranking, "; ".join(filter(None, notes)))
 
     @property
     def benchmark(self) -> Benchmark:
@@ -95,36 +102,43 @@ class Results:
         Raises:
             NoScaleError: on these scenarios the zero is not worse than the hundred, so that there is no score.
         """
-        return summarise(self.measures, self.episodes, self._cap, self.benchmark)
+        return summarise(self.measures, self._runs, self.pinned_costs, self.benchmark)
 
     @cached_property
     def measures(self) -> list[EntryMeasures]:
         """What is measured of every entry, in the order of the entries; without a score there is this alone."""
-        return entry_measures(self.entries, self.episodes, self._cap, self.oracle.costs, self.benchmark)
+        return entry_measures(self.entries, self._runs, self.pinned_costs, self.benchmark)
 
     @property
-    def rows(self) -> list[EntryMeasures]:
-        """The :attr:`summaries`, or the :attr:`measures` where there is no score."""
-        return [*self.summaries] if self.has_scale else self.measures
+    def ranking(self) -> list[EntryMeasures]:
+        """The :attr:`summaries`, the best first; without a score the :attr:`measures`, the least mean cost first."""
+        if self.has_scale:
+            return [*ranked(self.summaries)]
+        return sorted(self.measures, key=lambda row: (row.mean_pinned_cost, row.name))
+
+    @cached_property
+    def no_score(self) -> str:
+        """Why there is no score, and what ranks instead; "" where there is a score."""
+        zero, hundred = (self.pinned_costs[name][0] for name in self.benchmark.anchors)
+        try:
+            score_scale(zero, hundred, self.benchmark.anchors)
+        except NoScaleError as error:
+            return f"ranked by mean pinned cost, as there is no score: {error}"
+        return ""
 
     @property
     def has_scale(self) -> bool:
         """Whether the zero is worse than the hundred, so that there is a score."""
-        return mean(self.log_gains[self.benchmark.zero]) < 0.0
-
-    @cached_property
-    def oracle(self) -> KnownOracle:
-        """The lowest costs that are known for these scenarios, or why there are none."""
-        hundred = {episode.seed: pinned(episode, self._cap) for episode in self.episodes_of(self.benchmark.hundred)}
-        return known_oracle(self.suite, self.split, self.suite_hash, self.settings, hundred)
+        return not self.no_score
 
     @cached_property
     def pinned_costs(self) -> dict[str, Floats]:
         """Pinned costs by the entry's name, (n_runs, n_scenarios), in the order of training seeds and scenarios."""
-        runs: dict[str, dict[int | None, list[float]]] = {}
-        for episode in self.episodes:
-            runs.setdefault(episode.entry, {}).setdefault(episode.training_seed, []).append(pinned(episode, self._cap))
-        return self._by_entry({name: np.array(list(own.values())) for name, own in runs.items()})
+        return self._by_entry({name: pinned_costs(runs, self._cap) for name, runs in self._runs.items()})
+
+    @cached_property
+    def _runs(self) -> dict[str, Runs]:
+        return runs_by_name(self.episodes)
 
     @property
     def log_gains(self) -> dict[str, Floats]:
@@ -147,10 +161,7 @@ class Results:
         Raises:
             KeyError: the entry is unknown; the message lists the entries, and says how this one failed if it did.
         """
-        found: dict[str, list[Episode]] = {}
-        for episode in self.episodes:
-            found.setdefault(episode.entry, []).append(episode)
-        return self._by_entry(found)[name]
+        return [episode for run in self._by_entry(self._runs)[name] for episode in run]
 
     def _by_entry(self, values: Mapping[str, Value]) -> dict[str, Value]:
         return ByName("entry", values, {entry["name"]: entry["reason"] for entry in self.failed})
@@ -177,18 +188,26 @@ class Results:
         )
 
     def to_pandas(self) -> DataFrame:
-        """Return the episodes as a table of pandas, a row per entry and scenario; extra `data`.
+        """Return the episodes as a table of pandas, a row per entry and scenario.
 
         Columns are those of the CSV: entry, training_seed, seed, scenario, duration_s, failure, and every metric; and
         pinned_cost, whose mean the tables show: it differs from cost where the episode failed.
 
         Raises:
-            ImportError: pandas is not installed.
+            ImportError: pandas, of the extra `data`, is not installed.
         """
-        return episodes_frame(self.episodes, self._cap)
+        try:
+            import pandas
+        except ImportError as error:
+            raise ImportError(f"to_pandas() needs pandas; {install_advice('data')} ({error})") from error
+        rows = [{**vars(each), **each.metrics, "pinned_cost": pinned(each, self._cap)} for each in self.episodes]
+        # Most entries have no training seed, and some episodes not every metric.
+        kinds = {"training_seed": "Int64", **dict.fromkeys(METRICS, "float64")}
+        table: DataFrame = pandas.DataFrame(rows).drop(columns="metrics").astype(kinds)
+        return table
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the description and the :attr:`rows` as JSON-ready data."""
+        """Return the description and the :attr:`ranking` as JSON-ready data."""
         return {
             "format": results_file.FORMAT,
             **{key: getattr(self, key) for key in results_file.TEXTS},
@@ -198,7 +217,7 @@ class Results:
             "entries": [dict(entry) for entry in self.entries],
             "failed": [dict(entry) for entry in self.failed],
             "metrics": {name: asdict(metric) for name, metric in METRICS.items()},
-            "summary": {row.name: asdict(row) for row in self.rows},
+            "summary": {row.name: asdict(row) for row in self.ranking},
         }
 
     def write(self, folder: str | Path) -> tuple[Path, Path]:
@@ -215,7 +234,7 @@ class Results:
         Raises:
             OSError: a file cannot be written; the old ones are still there.
         """
-        paths = results_file.write_pair(Path(folder) / self.name, self.to_dict(), to_csv(self.episodes))
+        paths = results_file.write(Path(folder) / self.name, self.to_dict(), to_csv(self.episodes))
         if self.parts is not None:
             # Not before: an interruption would lose what was played.
             self.parts.clear()
@@ -232,7 +251,7 @@ class Results:
             ValueError: a file is missing, cut short, of another version, or was edited; the message names file, key
                 and what is expected.
         """
-        data, episodes = results_file.read_results(Path(path))
+        data, episodes = results_file.read(Path(path))
         results = cls(
             **{key: data[key] for key in (*results_file.TEXTS, "draw", "environment", "settings", "versions")},
             seeds=tuple(data["seeds"]),
@@ -240,6 +259,5 @@ class Results:
             episodes=tuple(episodes),
             failed=tuple(data["failed"]),
         )
-        if data["format"] == results_file.FORMAT:
-            results_file.check_summary(data["summary"], results.to_dict()["summary"], f"{path}: summary")
+        results_file.check_summary(data["summary"], results.to_dict()["summary"], f"{path}: summary")
         return results

@@ -1,9 +1,9 @@
-"""Pairs of files that belong together, a JSON that describes and a CSV with the table; and the checks of results."""
+"""The two files of results, a JSON that describes and a CSV with the table, and the checks of both."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from types import NoneType
@@ -15,8 +15,8 @@ from wtg_gym.files import parse_json, read_text, sha256, to_json, write_together
 from wtg_gym.policies.entry import is_name
 from wtg_gym.scenarios import FRESH, FreshDraw, get_suite
 
-#: Version of the files; another number is another form. Version 3 sums its table up in other words, and is read too.
-FORMAT, _READ = 4, (4, 3)
+#: Version of the files; another number is another form.
+FORMAT = 5
 #: Keys of the description that are texts.
 TEXTS = ("suite", "split", "suite_hash", "source_hash")
 #: By how much a summary may differ from the sum of its table, relative, or absolute near zero.
@@ -37,7 +37,7 @@ _ENTRY: dict[str, tuple[type, ...]] = {
 }
 
 
-def write_pair(stem: Path, description: Mapping[str, Any], table: str) -> tuple[Path, Path]:
+def write(stem: Path, description: Mapping[str, Any], table: str) -> tuple[Path, Path]:
     """Write `<stem>.json` and `<stem>.csv`, both or none; return their paths."""
     json_path, csv_path = (stem.with_name(f"{stem.name}.{ending}") for ending in ("json", "csv"))
     data = {**description, "csv_sha256": sha256(table.encode())}
@@ -47,40 +47,32 @@ def write_pair(stem: Path, description: Mapping[str, Any], table: str) -> tuple[
     return json_path, csv_path
 
 
-def read_pair(json_path: Path, what: str, formats: Sequence[int]) -> tuple[dict[str, Any], str, Path]:
-    """Return the description in a JSON, and the text and the path of the CSV beside it.
+def read(json_path: Path) -> tuple[dict[str, Any], list[Episode]]:
+    """Return the checked description and the episodes of results.
 
     Args:
-        json_path: the JSON.
-        what: what both describe, for messages.
-        formats: the values of "format" that can be read, that of this version first.
+        json_path: the JSON; the CSV lies beside it.
 
     Raises:
         ValueError: a file is missing, cut short, of another version or was edited; the message names it.
     """
-    text = read_text(json_path, f"description of the {what}")
-    data = parse_json(text, f"the description of the {what} {json_path}")
+    text = read_text(json_path, "description of the results")
+    data = parse_json(text, f"the description of the results {json_path}")
     if not isinstance(data, dict):
-        raise ValueError(f"{json_path}: expected an object that describes the {what}, got {type(data).__name__}")
-    if data.get("format") not in formats:
-        own = ", or ".join((f"{formats[0]}, that of this version", *map(str, formats[1:])))
-        raise ValueError(f"{json_path}: format must be {own}, got {data.get('format')!r:.80}; evaluate again")
+        raise ValueError(f"{json_path}: expected an object that describes the results, got {type(data).__name__}")
+    if data.get("format") != FORMAT:
+        got = repr(data.get("format"))[:80]
+        raise ValueError(f"{json_path}: format must be {FORMAT}, that of this version, got {got}; evaluate again")
     content = {key: value for key, value in data.items() if key != "sha256"}
     if sha256(to_json(content).encode()) != data.get("sha256") or to_json(data) != text:
         raise ValueError(f"{json_path} was edited or damaged: its sha256 does not fit its content")
+    _check_description(data, str(json_path))
     csv_path = json_path.with_suffix(".csv")
-    table = read_text(csv_path, f"table of the {what}")
-    if sha256(table.encode()) != data.get("csv_sha256"):
+    table = read_text(csv_path, "table of the results")
+    if sha256(table.encode()) != data["csv_sha256"]:
         raise ValueError(
             f"{csv_path} is not the table that {json_path} describes: it was edited or belongs to another run"
         )
-    return data, table, csv_path
-
-
-def read_results(json_path: Path) -> tuple[dict[str, Any], list[Episode]]:
-    """Return the checked description and episodes of results; errors as of `Results.read`."""
-    data, table, csv_path = read_pair(json_path, "results", _READ)
-    _check_description(data, str(json_path))
     episodes = from_csv(table, csv_path)
     names = [entry["name"] for entry in data["entries"]]
     missing = [name for name in get_suite(data["suite"]).benchmark.anchors if name not in names]

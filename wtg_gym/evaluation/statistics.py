@@ -138,24 +138,3 @@ def interquartile_interval(gains: Floats, zero: Floats) -> Interval:
     scored = scale > 0.0
     value = 100.0 * (1.0 + float(interquartile_mean(gains.ravel())) / -mean(zero))
     return percentile_interval(value, 100.0 * (1.0 + means[scored] / scale[scored]))
-
-
-def gap_closed(costs: Floats, hundred: Floats, oracle: Floats) -> Interval | None:
-    """Return 100 · (mean J_100 - mean J) / (mean J_100 - mean J_oracle) with its bootstrap interval [%].
-
-    All three means are over the same scenarios, in every resample too. A resample whose scenarios the oracle does not
-    improve has no share and is left out.
-
-    Args:
-        costs: pinned costs (n_runs, n_scenarios).
-        hundred, oracle: pinned costs of the two, (n_scenarios,).
-
-    Returns:
-        None where the mean cost is not below the hundred's, which closes no part of the gap, and where the oracle's
-        is not.
-    """
-    gains, gaps = hundred - costs, hundred - oracle
-    if not mean(gaps) > 0.0 or not mean(gains) > 0.0:
-        return None
-    gained, gap = _resampled_means(gains), _resampled_means(gaps[np.newaxis])
-    return percentile_interval(100.0 * mean(gains) / mean(gaps), 100.0 * gained[gap > 0.0] / gap[gap > 0.0])

@@ -19,6 +19,8 @@ from wtg_gym.evaluation.statistics import Floats, Interval
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.scenarios.benchmark import Benchmark
 
+#: The episodes of an entry, a sequence for each training seed.
+Runs = Sequence[Sequence[Episode]]
 #: The cost's terms that the points of a score are counted by; the others, and the cost of failures, are "rest".
 POINTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"frequency_rocof": ("frequency", "rocof"), "duty": ("duty",), "overload": ("overload",)}
@@ -47,10 +49,6 @@ class EntryMeasures:
     n_episodes: int
     n_lost: int  # number of episodes that failed
     probability_of_improvement: Interval  # P(J < J_100) + ½ P(J = J_100) of the pinned costs [-]
-    #: (mean J_100 - mean J) / (mean J_100 - mean J_oracle) of the pinned costs, all means over the scenarios that have
-    #: an oracle [%]; None where none has, or the mean cost is not below the hundred's.
-    gap_closed_percent: Interval | None
-    n_oracle: int  # number of scenarios that have an oracle
     failures_percent: float  # episodes that failed [%]
     failures_percent_by_kind: Mapping[str, float]  # by the kinds in :data:`FAILURE_KINDS` and "other" [%]
     #: Episodes that failed, or whose largest deviation was beyond :data:`DESIGN_DEVIATION_MHZ` [%].
@@ -84,43 +82,29 @@ class EntrySummary(EntryMeasures):
 
 
 def entry_measures(
-    entries: Sequence[Mapping[str, Any]],
-    episodes: Sequence[Episode],
-    cap: float,
-    oracle: Mapping[int, float],
-    benchmark: Benchmark,
+    entries: Sequence[Mapping[str, Any]], runs: Mapping[str, Runs], costs: Mapping[str, Floats], benchmark: Benchmark
 ) -> list[EntryMeasures]:
     """Return what is measured of every name, in the order of the entries.
 
     Args:
         entries: the entries' data, both anchors among them.
-        episodes: their episodes, each entry on the same scenarios in the same order.
-        cap: largest cost rate [1/s].
-        oracle: the oracle's costs by the scenarios' seeds, of those that have one.
+        runs: the episodes of every name, all on the same scenarios in the same order.
+        costs: their pinned costs, (n_runs, n_scenarios).
         benchmark: the version, which names the anchors.
     """
-    runs = _runs(episodes)
-    (anchor,) = runs[benchmark.hundred]
-    hundred = _costs([anchor], cap)[0]
-    known = np.array([oracle.get(episode.seed, np.nan) for episode in anchor])
+    hundred = costs[benchmark.hundred][0]
     described = {entry["name"]: entry for entry in entries}
-    return [_measures(entry, runs[name], cap, hundred, known, benchmark) for name, entry in described.items()]
+    return [_measures(each, runs[name], costs[name], hundred, benchmark) for name, each in described.items()]
 
 
 def summarise(
-    measured: Sequence[EntryMeasures], episodes: Sequence[Episode], cap: float, benchmark: Benchmark
+    measured: Sequence[EntryMeasures], runs: Mapping[str, Runs], costs: Mapping[str, Floats], benchmark: Benchmark
 ) -> list[EntrySummary]:
-    """Return the :func:`entry_measures` with scores.
-
-    Args:
-        measured: of the entries, both anchors among them.
-        episodes, cap, benchmark: as for :func:`entry_measures`.
+    """Return the :func:`entry_measures` with scores; arguments as there.
 
     Raises:
         NoScaleError: the zero is not worse than the hundred, so that there is no scale.
     """
-    runs = _runs(episodes)
-    costs = {name: _costs(own, cap) for name, own in runs.items()}
     hundred = costs[benchmark.hundred][0]
     score_scale(costs[benchmark.zero][0], hundred, benchmark.anchors)
     gains = {name: log_gains(own, hundred) for name, own in costs.items()}
@@ -153,7 +137,7 @@ def ranked(rows: Iterable[EntrySummary]) -> list[EntrySummary]:
     return sorted(rows, key=lambda row: (-row.score.value, row.name))
 
 
-def _runs(episodes: Sequence[Episode]) -> dict[str, list[list[Episode]]]:
+def runs_by_name(episodes: Sequence[Episode]) -> dict[str, Runs]:
     """Return the episodes of every name, one list per training seed."""
     runs: dict[str, dict[int | None, list[Episode]]] = {}
     for episode in episodes:
@@ -161,16 +145,16 @@ def _runs(episodes: Sequence[Episode]) -> dict[str, list[list[Episode]]]:
     return {name: list(own.values()) for name, own in runs.items()}
 
 
-def _costs(runs: Sequence[Sequence[Episode]], cap: float) -> Floats:
-    """Pinned costs, shape (n_runs, n_scenarios)."""
+def pinned_costs(runs: Runs, cap: float) -> Floats:
+    """Return the pinned costs, (n_runs, n_scenarios), with the largest cost rate `cap` [1/s]."""
     return np.array([[pinned(episode, cap) for episode in run] for run in runs])
 
 
-def _values(runs: Sequence[Sequence[Episode]], metric: str) -> Floats:
+def _values(runs: Runs, metric: str) -> Floats:
     return np.array([episode.metrics[metric] for run in runs for episode in run], dtype=np.float64)
 
 
-def parts_of_costs(runs: Sequence[Sequence[Episode]], costs: Floats) -> Floats:
+def parts_of_costs(runs: Runs, costs: Floats) -> Floats:
     """Return the terms of the cost as paid, in the order of :data:`POINTS`, and the rest of the pinned costs.
 
     The shape is (n_terms, n_runs, n_scenarios).
@@ -181,17 +165,10 @@ def parts_of_costs(runs: Sequence[Sequence[Episode]], costs: Floats) -> Floats:
 
 
 def _measures(
-    entry: Mapping[str, Any],
-    runs: Sequence[Sequence[Episode]],
-    cap: float,
-    hundred: Floats,
-    oracle: Floats,
-    benchmark: Benchmark,
+    entry: Mapping[str, Any], runs: Runs, costs: Floats, hundred: Floats, benchmark: Benchmark
 ) -> EntryMeasures:
-    """Return the row of an entry; `hundred` and `oracle` are pinned costs (n_scenarios,), NaN without an oracle."""
-    costs = _costs(runs, cap)
+    """Return the row of an entry without its score; `hundred` are the pinned costs of that anchor (n_scenarios,)."""
     lost = np.array([episode.failed for run in runs for episode in run])
-    has = np.isfinite(oracle)
     deviations = _deviations_mhz(runs)
     return EntryMeasures(
         name=entry["name"],
@@ -202,13 +179,11 @@ def _measures(
         n_episodes=costs.size,
         n_lost=int(lost.sum()),
         probability_of_improvement=statistics.mean_interval(statistics.improvement(costs, hundred)),
-        gap_closed_percent=statistics.gap_closed(costs[:, has], hundred[has], oracle[has]) if has.any() else None,
-        n_oracle=int(has.sum()),
         failures_percent=100.0 * float(np.mean(lost)),
         failures_percent_by_kind=_failures_by_kind(runs),
         lost_or_beyond_percent=100.0 * float(np.mean(lost | (deviations > DESIGN_DEVIATION_MHZ))),
         mean_pinned_cost=statistics.mean(costs),
-        worst_decile_cost=worst_decile(costs),
+        worst_decile_cost=_worst_decile(costs),
         mean_cost_terms={term: statistics.mean(_values(runs, f"cost_{term}")) for term in COST_TERMS},
         median_deviation_mhz=float(np.median(deviations)),
         p95_deviation_mhz=float(np.percentile(deviations, 95.0)),
@@ -221,18 +196,18 @@ def _measures(
     )
 
 
-def worst_decile(costs: Floats) -> float:
+def _worst_decile(costs: Floats) -> float:
     """Return the mean of the worst tenth of the scenarios of each training seed, from (n_runs, n_scenarios)."""
     return statistics.mean(np.sort(costs, axis=1)[:, -math.ceil(_WORST * costs.shape[1]) :])
 
 
-def _deviations_mhz(runs: Sequence[Sequence[Episode]]) -> Floats:
+def _deviations_mhz(runs: Runs) -> Floats:
     nominal_hz = modified_ieee14().frequency_hz
     below, above = nominal_hz - _values(runs, "nadir_hz"), _values(runs, "zenith_hz") - nominal_hz
     return 1000.0 * np.maximum(below, above)
 
 
-def _failures_by_kind(runs: Sequence[Sequence[Episode]]) -> dict[str, float]:
+def _failures_by_kind(runs: Runs) -> dict[str, float]:
     kinds = {reason: kind for kind, reasons in FAILURE_KINDS.items() for reason in reasons}
     failed = [kinds.get(episode.failure, _OTHER) for run in runs for episode in run if episode.failed]
     n_episodes = sum(map(len, runs))

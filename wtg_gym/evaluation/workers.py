@@ -1,4 +1,4 @@
-"""Batches played by other processes, here or on a cluster: loky's, Dask's or Ray's.
+"""Batches played by other processes, here or on a cluster: joblib's loky, Dask's or Ray's.
 
 A cluster plays the batches of a worker that is lost again. A worker whose code, packages or processor could round
 otherwise than those here is refused.
@@ -12,7 +12,7 @@ import os
 import socket
 import sys
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import as_completed
+from concurrent.futures import Future, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,8 +35,8 @@ _CONNECT_S = 15
 Played = list[Episode] | PolicyError
 #: Plays one batch: entry, settings, seeds, number of threads.
 Play = Callable[[Entry, EnvSettings, Sequence[int], int | None], Played]
-#: Number of a batch, and its episodes, or in words why the worker could not play it.
-_Outcome = tuple[int, Played | str]
+#: Hands a function and its arguments to a worker.
+_Submit = Callable[..., Future[Any]]
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Workers:
         backend: "loky" for processes of this machine; "dask" or "ray" for a cluster, or for one of their own here.
         address: of Dask's scheduler, as in "tcp://host:8786", or of a Ray cluster, as in "host:6379" or "auto"; None
             starts workers on this machine.
-        jobs: number of workers, 2 or more; None for one per processor. A Dask cluster at an address uses all it has.
+        jobs: number of workers, 2 or more; None for one per processor. A cluster at an address uses all it has.
 
     Raises:
         ValueError: the backend is unknown or not installed, or it cannot have that address or number of jobs.
@@ -66,10 +66,10 @@ class Workers:
             raise ValueError(f"unknown backend {backend!r}; allowed are {', '.join(BACKENDS)}")
         if address is not None and backend == "loky":
             raise ValueError(f"an address is for dask and ray, loky has workers on this machine only; got {address!r}")
-        if jobs is not None and (isinstance(jobs, bool) or not isinstance(jobs, int) or not 2 <= jobs <= _LARGEST_JOBS):
+        if jobs is not None and (type(jobs) is not int or not 2 <= jobs <= _LARGEST_JOBS):
             raise ValueError(f"jobs must be 2 … {_LARGEST_JOBS} (a single one needs no backend), got {jobs!r}")
-        if jobs is not None and address is not None and backend == "dask":
-            raise ValueError(f"a Dask cluster at an address uses all of its workers; leave out jobs, got {jobs}")
+        if jobs is not None and address is not None:
+            raise ValueError(f"a cluster at an address uses all of its workers; leave out jobs, got {jobs}")
         package, extra = BACKENDS[backend]
         if importlib.util.find_spec(package) is None:
             raise ValueError(f"backend {backend} needs {package}; {install_advice(extra)}")
@@ -88,143 +88,120 @@ class Workers:
             ValueError: an entry cannot travel or be played there, the cluster does not answer, a worker has other code,
                 packages or processor, or is lost for good.
         """
-        wanted, parcels = circumstances(), _packed([entry for entry, _ in parts], settings)
-        calls = [(index, play, parcels[id(entry)], seeds, wanted) for index, (entry, seeds) in enumerate(parts)]
-        make = {"loky": _on_loky, "dask": _on_dask, "ray": _on_ray}[self.backend]
-        with contextlib.closing(make(calls, self.address, self.jobs)) as outcomes:
+        wanted, entries = circumstances(), {id(entry): entry for entry, _ in parts}
+        parcels = {key: _packed(entry, settings) for key, entry in entries.items()}
+        with contextlib.ExitStack() as stack:
             try:
-                for index, played in outcomes:
-                    if isinstance(played, str):
-                        raise ValueError(played)
-                    yield index, played
-            except ValueError:
-                raise
-            # What a policy raises comes as an outcome; this is the error of a worker that is lost.
-            except Exception as error:
-                raise ValueError(f"a {self.backend} worker was lost, {_in_short(error)}") from error
+                submit = stack.enter_context(_STARTS[self.backend](self.address, self.jobs or os.cpu_count() or 1))
+            # Ray ends the process where a cluster that it remembers is gone.
+            except (OSError, ValueError, SystemExit) as error:
+                raise ValueError(f"no {self.backend} cluster answers at {self.address}: {_in_short(error)}") from error
+            indices = {
+                submit(_work, play, parcels[id(entry)], seeds, wanted): index
+                for index, (entry, seeds) in enumerate(parts)
+            }
+            for future in as_completed(indices):
+                try:
+                    played = future.result()
+                # What a policy raises comes as a result; this is the error of a worker that is lost.
+                except Exception as error:
+                    raise ValueError(f"a {self.backend} worker was lost, {_in_short(error)}") from error
+                if isinstance(played, str):
+                    raise ValueError(played)
+                yield indices[future], played
 
 
 # --- what travels ----------------------------------------------------------------------------------------------------
 
 
-def _packed(entries: Sequence[Entry], settings: EnvSettings) -> dict[int, bytes]:
-    """Return each entry, together with the settings, as bytes, by the entry's id.
-
-    Bytes, because objects that Dask spreads out by itself are lost with the worker that holds them.
+def _packed(entry: Entry, settings: EnvSettings) -> bytes:
+    """Return an entry and the settings as bytes: objects that Dask spreads out are lost with the worker that has them.
 
     Raises:
-        ValueError: an entry cannot be pickled.
+        ValueError: the entry cannot be pickled.
     """
-    found: dict[int, bytes] = {}
-    with _own_code_by_value():
-        for entry in entries:
-            if id(entry) not in found:
-                try:
-                    found[id(entry)] = cloudpickle.dumps((entry, settings))
-                # Pickling runs code of the policy.
-                except Exception as error:
-                    raise ValueError(f"entry {entry.label!r} cannot be sent to other processes: {error}") from error
-    return found
-
-
-@contextlib.contextmanager
-def _own_code_by_value() -> Iterator[None]:
-    """Let modules of the working folder travel as code: a worker elsewhere could not import them."""
-    folder = Path.cwd().resolve()
-    own = []
-    for name, module in list(sys.modules.items()):
-        path = Path(getattr(module, "__file__", None) or "/").resolve()
-        # An environment may lie in the working folder, and wtg_gym is what a worker must have of its own.
-        if not path.is_relative_to(folder) or "site-packages" in path.parts:
-            continue
-        if name.partition(".")[0] in ("__main__", "__mp_main__", "wtg_gym"):
-            continue
-        if name not in cloudpickle.list_registry_pickle_by_value():
-            own.append(module)
-    for module in own:
-        cloudpickle.register_pickle_by_value(module)
+    package = type(entry.policy).__module__.partition(".")[0]
+    path = Path(getattr(sys.modules.get(package), "__file__", None) or "/").resolve()
+    # A worker elsewhere could not import a package of the working folder. It has wtg_gym of its own, and a virtual
+    # environment may lie in the working folder.
+    by_value = (
+        path.is_relative_to(Path.cwd().resolve())
+        and "site-packages" not in path.parts
+        and package not in ("__main__", "wtg_gym", *cloudpickle.list_registry_pickle_by_value())
+    )
+    if by_value:
+        cloudpickle.register_pickle_by_value(sys.modules[package])
     try:
-        yield
+        packed: bytes = cloudpickle.dumps((entry, settings))
+        return packed
+    # Pickling runs code of the policy.
+    except Exception as error:
+        raise ValueError(f"entry {entry.label!r} cannot be sent to other processes: {error}") from error
     finally:
-        for module in own:
-            cloudpickle.unregister_pickle_by_value(module)
+        if by_value:
+            cloudpickle.unregister_pickle_by_value(sys.modules[package])
 
 
-def _work(index: int, play: Play, parcel: bytes, seeds: list[int], wanted: dict[str, str]) -> _Outcome:
-    """Play a batch in a worker; nothing is played where the circumstances are others than those wanted."""
+def _work(play: Play, parcel: bytes, seeds: list[int], wanted: dict[str, str]) -> Played | str:
+    """Play a batch in a worker, or say why not: where the circumstances are others than those wanted, too."""
     worker, own = f"worker {socket.gethostname()}:{os.getpid()}", circumstances()
     differing = [key for key in sorted({*wanted, *own}) if wanted.get(key) != own.get(key)]
     if differing:
         listed = "; ".join(f"{key} is {own.get(key, 'unknown')}, here {wanted.get(key)}" for key in differing)
-        return index, f"{worker} could give other numbers: {listed}"
+        return f"{worker} could give other numbers: {listed}"
     try:
         entry, settings = cloudpickle.loads(parcel)
-        return index, play(entry, settings, seeds, 1)
+        return play(entry, settings, seeds, 1)
     # Loading and playing run code of the policy.
     except Exception as error:
-        return index, f"{worker} cannot play an entry: {type(error).__name__}: {error}"
+        return f"{worker} cannot play an entry: {type(error).__name__}: {error}"
 
 
 def _in_short(error: BaseException) -> str:
     return f"{type(error).__name__}: {str(error).strip().partition(chr(10))[0]}"
 
 
-# --- backends: make the calls of _work, and yield their outcomes as they come ----------------------------------------
+# --- backends, which give a way to submit work to them ---------------------------------------------------------------
 
 
-def _on_loky(calls: Sequence[Any], address: str | None, jobs: int | None) -> Generator[_Outcome, None, None]:
+@contextlib.contextmanager
+def _loky(address: str | None, jobs: int) -> Iterator[_Submit]:
     from joblib.externals.loky import ProcessPoolExecutor
 
-    executor = ProcessPoolExecutor(jobs or os.cpu_count())
+    executor = ProcessPoolExecutor(jobs)
     try:
-        for future in as_completed([executor.submit(_work, *call) for call in calls]):
-            yield future.result()
+        yield executor.submit
     finally:
         executor.shutdown(kill_workers=True)
 
 
-def _on_dask(calls: Sequence[Any], address: str | None, jobs: int | None) -> Generator[_Outcome, None, None]:
+@contextlib.contextmanager
+def _dask(address: str | None, jobs: int) -> Iterator[_Submit]:
     import distributed
 
     with contextlib.ExitStack() as stack:
         target: Any = address
-        try:
-            if address is None:
-                options = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
-                target = stack.enter_context(distributed.LocalCluster(n_workers=jobs or os.cpu_count(), **options))
-            else:
-                # A client that was made for an address that is none takes half a minute to go.
-                distributed.comm.get_address_host_port(address, strict=True)
-            client = stack.enter_context(distributed.Client(target, timeout=_CONNECT_S, set_as_default=False))
-        except (OSError, ValueError) as error:
-            raise ValueError(f"no Dask scheduler answers at {address}: {_in_short(error)}") from error
-        futures = [client.submit(_work, *call, pure=False) for call in calls]
-        with client.as_current():
-            completed = distributed.as_completed(futures)
-        for future in completed:
-            yield future.result()
+        if address is None:
+            options = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
+            target = stack.enter_context(distributed.LocalCluster(n_workers=jobs, **options))
+        else:
+            # A client that was made for an address that is none takes half a minute to go.
+            distributed.comm.get_address_host_port(address, strict=True)
+        client = stack.enter_context(distributed.Client(target, timeout=_CONNECT_S, set_as_default=False))
+        yield client.get_executor(pure=False).submit
 
 
-def _on_ray(calls: Sequence[Any], address: str | None, jobs: int | None) -> Generator[_Outcome, None, None]:
+@contextlib.contextmanager
+def _ray(address: str | None, jobs: int) -> Iterator[_Submit]:
     import ray
 
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    options: dict[str, Any] = {"logging_level": "ERROR", "log_to_driver": False}
-    if address is None:
-        options.update(num_cpus=jobs or os.cpu_count(), include_dashboard=False)
+    here = {"num_cpus": jobs, "include_dashboard": False} if address is None else {}
+    ray.init(address or "local", logging_level="ERROR", log_to_driver=False, **here)
     try:
-        ray.init(address or "local", **options)
-    # Ray ends the process where a cluster that it remembers is gone.
-    except (ConnectionError, ValueError, SystemExit) as error:
-        raise ValueError(f"no Ray cluster answers at {address}: {_in_short(error)}") from error
-    try:
-        play = ray.remote(num_cpus=1)(_work)
-        waiting: list[Any] = list(calls)
-        running: list[Any] = []
-        while waiting or running:
-            while waiting and len(running) < (jobs or len(calls)):
-                running.append(play.remote(*waiting.pop(0)))
-            done, running = ray.wait(running)
-            yield from ray.get(done)
+        yield lambda work, *arguments: ray.remote(num_cpus=1)(work).remote(*arguments).future()
     finally:
         ray.shutdown()
+
+
+_STARTS = {"loky": _loky, "dask": _dask, "ray": _ray}

@@ -4,15 +4,7 @@ Needs matplotlib of the `leaderboard` extra once something is drawn; importing t
 returns a matplotlib figure, built without pyplot; :func:`figure_bytes` turns one into a file.
 """
 
-from wtg_gym.plotting.front import plot_front
-from wtg_gym.plotting.style import STRATEGY_LOOKS, figure_bytes, save_figure, strategy_looks
+from wtg_gym.plotting.style import figure_bytes, save_figure
 from wtg_gym.plotting.trajectories import plot_trajectories
 
-__all__ = [
-    "STRATEGY_LOOKS",
-    "figure_bytes",
-    "plot_front",
-    "plot_trajectories",
-    "save_figure",
-    "strategy_looks",
-]
+__all__ = ["figure_bytes", "plot_trajectories", "save_figure"]

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 #: Instants closer than this, as a share of the time axis, share a label, for theirs would overprint.
 _LABEL_WIDTH = 0.05
+#: Most characters of a line of events.
+_LINE_LENGTH = 100
 
 
 def numbered_events(scenario: Scenario) -> list[tuple[str, list[Event]]]:
@@ -43,12 +45,12 @@ def instant_labels(scenario: Scenario) -> list[tuple[float, str]]:
     ]
 
 
-def event_lines(scenario: Scenario, width: int = 130) -> list[str]:
-    """Return the numbered events in words, as many per line as `width` characters hold."""
+def event_lines(scenario: Scenario) -> list[str]:
+    """Return the numbered events in words, as many per line as fit beside the name of a scenario."""
     lines: list[str] = []
     for number, events in numbered_events(scenario):
         text = f"({number}) {events[0].time_s:g} s: " + " and ".join(describe_event(event) for event in events)
-        if lines and len(lines[-1]) + len(text) < width:
+        if lines and len(lines[-1]) + len(text) < _LINE_LENGTH:
             # SVG shows several blanks in a row as one.
             lines[-1] += ";  " + text
         else:
@@ -73,7 +75,7 @@ def mark_instants(axes: Axes, scenario: Scenario, *, numbered: bool) -> None:
 
 def explain_events(figure: Figure, scenario: Scenario) -> None:
     """Write the scenario's name at the top left of a figure and its numbered events at the top right."""
-    lines = event_lines(scenario, width=100)
+    lines = event_lines(scenario)
     # The layout makes room for the title only: it gets as many lines as the events beside it.
     figure.suptitle("\n".join([scenario.name, *[""] * (len(lines) - 1)]), x=0.01, ha="left")
     figure.text(0.99, 0.993, "\n".join(lines), ha="right", va="top", fontsize=SMALL_PT)

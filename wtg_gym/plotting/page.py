@@ -11,8 +11,7 @@ from typing import Any
 
 from wtg_gym.envs.rendering.colours import GROUPS, LINE
 from wtg_gym.evaluation import Results, leaderboard_rows, table_cells
-from wtg_gym.evaluation.leaderboard import columns_of
-from wtg_gym.evaluation.matrix import changed_sensors, matrix_of, score_text
+from wtg_gym.evaluation.table import columns_of
 
 #: A colour per kind of entry.
 _COLOURS = {"law": GROUPS[1], "feedback": GROUPS[2], "learned": GROUPS[0]}
@@ -35,11 +34,10 @@ _CHARACTER_WIDTH, _ROW_HEIGHT, _CHART_HEIGHT = 6, 26, 420
 def leaderboard_page(results: Sequence[Results]) -> str:
     """Return the leaderboard as one HTML file: a tab per ranking, and one with the scores on every suite.
 
-    The suites of the latest version come first. Results with other sensors than the suite's own, and those of scenarios
-    without a scale, are columns of the last tab alone.
+    The suites of the latest version come first. Results of scenarios without a scale are left out.
 
     Args:
-        results: at most one of each suite, split and kind of sensors.
+        results: at most one of each suite and split.
 
     Raises:
         ImportError: Bokeh is missing.
@@ -49,16 +47,16 @@ def leaderboard_page(results: Sequence[Results]) -> str:
     from bokeh.models import TabPanel, Tabs
     from bokeh.resources import INLINE
 
-    results = sorted(results, key=lambda each: each.benchmark.version, reverse=True)
-    ranked = [each for each in results if each.has_scale and not changed_sensors(each)]
+    ranked = [each for each in results if each.has_scale]
     if not ranked:
-        raise ValueError("the page needs results with a score and with the suite's own sensors")
+        raise ValueError("the page needs results with a score")
+    ranked.sort(key=lambda each: each.benchmark.version, reverse=True)
     names = [each.name for each in ranked]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise ValueError(f"results of the same scenarios were given twice: {', '.join(twice)}")
     panels = [TabPanel(title=each.name, child=_ranking(each)) for each in ranked]
-    for benchmark in dict.fromkeys(each.benchmark for each in results):
-        own = [each for each in results if each.benchmark == benchmark]
+    for benchmark in dict.fromkeys(each.benchmark for each in ranked):
+        own = [each for each in ranked if each.benchmark == benchmark]
         if len(own) > 1:
             panels.append(TabPanel(title=f"every suite of {benchmark.version}", child=_every_suite(own)))
     text: str = file_html(Tabs(tabs=panels), INLINE, title="wtg_gym: leaderboard")
@@ -71,7 +69,7 @@ def _ranking(results: Results) -> Any:
     from bokeh.models import CDSView, CheckboxButtonGroup, ColumnDataSource, CustomJS, CustomJSFilter, Div, TextInput
 
     rows = leaderboard_rows(results)
-    heads = list(columns_of(results.benchmark.version))
+    heads = columns_of("whole")
     cells = dict(zip(heads, zip(*table_cells(rows), strict=True), strict=True))
     filled = [head for head in heads if any(cells[head])]
     source = ColumnDataSource(
@@ -164,12 +162,16 @@ def _failure_chart(source: Any, view: Any) -> Any:
 
 
 def _every_suite(results: Sequence[Results]) -> Any:
-    """Return the table of the scores on every suite."""
+    """Return the table of the scores on every suite, an empty cell where an entry has none."""
     from bokeh.layouts import column
     from bokeh.models import CDSView, ColumnDataSource, Div
 
-    matrix = matrix_of(results)
-    texts = zip(*matrix.texts(score_text), strict=True)
-    source = ColumnDataSource({head: list(own) for head, own in zip(matrix.header(), texts, strict=True)})
-    words = f"<b>{escape(matrix.benchmark.env_id)}</b>, mean scores: {escape(matrix.describe())}"
-    return column(Div(text=words), _table(source, matrix.header(), CDSView()))
+    rankings = {each.name: leaderboard_rows(each) for each in results}
+    scores = {
+        head: {row.name: text for row, (text,) in zip(rows, table_cells(rows, ("score",)), strict=True)}
+        for head, rows in rankings.items()
+    }
+    names = list(dict.fromkeys(name for own in scores.values() for name in own))
+    cells = {"entry": names, **{head: [own.get(name, "") for name in names] for head, own in scores.items()}}
+    words = Div(text=f"<b>{escape(results[0].benchmark.env_id)}</b>, scores with 95 % intervals")
+    return column(words, _table(ColumnDataSource(cells), list(cells), CDSView()))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import io
+import itertools
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -15,21 +16,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, ParamSpec
 
 from wtg_gym.files import write_together
-from wtg_gym.physics.parameters import GridFormingParameters
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Parameters = ParamSpec("Parameters")
-LineStyle = Literal["-", "--", ":", "-."]
 #: On and off lengths in line widths, after an offset; or a solid line.
 Dashes = tuple[float, tuple[float, ...]] | Literal["-"]
 
 #: The palette of Okabe and Ito, which colour-blind readers can tell apart; yellow, weak on white, comes last.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
 #: One dash pattern per WTG group; a plant with more groups gets thin plain lines.
-GROUP_STYLES: tuple[LineStyle, ...] = ("-", "--", ":", "-.")
+GROUP_STYLES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
 #: One marker per series; eight differ at a glance.
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 #: Widths of one and of two columns of an IEEE journal [mm].
@@ -46,11 +45,8 @@ REFERENCE_GREY = "0.4"
 #: Colour and dashes of most of them.
 REFERENCE: dict[str, Any] = {"color": REFERENCE_GREY, "linestyle": THIN_DASHES}
 SMALL_PT = 7.0
-#: Power above which a converter counts as overloaded in version v0 [p.u.].
-OVERLOAD_PU = GridFormingParameters().overload_limit_pu
 
 _MM_PER_INCH = 25.4
-_SOLID: Dashes = "-"
 
 
 @dataclass(frozen=True)
@@ -58,7 +54,7 @@ class Look:
     """How a strategy is drawn: its colour, and its dashes where dashes do not tell groups apart."""
 
     colour: str
-    dashes: Dashes = _SOLID
+    dashes: Dashes = "-"
 
 
 #: Fixed, so that a strategy looks the same in every figure; the dashes tell strategies apart in greyscale.
@@ -73,9 +69,9 @@ STRATEGY_LOOKS = {
     # Not in the palette: tells itself from the damped linear law beside which it is drawn.
     "coordinated-linear-undamped": Look("#882255", (0.0, (1.2, 1.2))),
 }
-# Black first, which no simulated strategy has; yellow last.
-_FREE_COLOURS = ("#000000", *(colour for colour in PALETTE if colour not in ("#000000", "#F0E442")), "#F0E442")
-_FREE_DASHES: tuple[Dashes, ...] = (_SOLID, (0.0, (4.0, 1.5)), (0.0, (1.2, 1.2)), (0.0, (5.0, 1.4, 1.2, 1.4)))
+# Black first, which no simulated strategy has; yellow, weak on white, last.
+_FREE_COLOURS = ("#000000", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442")
+_FREE_DASHES: tuple[Dashes, ...] = ("-", (0.0, (4.0, 1.5)), (0.0, (1.2, 1.2)), (0.0, (5.0, 1.4, 1.2, 1.4)))
 
 #: Widths, sizes and fonts of print, for matplotlib.
 _STYLE = Path(__file__).with_name("print.mplstyle")
@@ -85,15 +81,11 @@ _METADATA: dict[str, dict[str, Any]] = {"png": {}, "svg": {"Date": None}, "pdf":
 
 def strategy_looks(labels: Iterable[str]) -> dict[str, Look]:
     """Return the look of each label: a strategy's own one, what is left of palette and dashes for other labels."""
-    names = list(labels)
-    taken = {STRATEGY_LOOKS[name].colour for name in names if name in STRATEGY_LOOKS}
-    free = [colour for colour in _FREE_COLOURS if colour not in taken] or list(_FREE_COLOURS)
-    others = [name for name in names if name not in STRATEGY_LOOKS]
-    looks = {
-        name: Look(free[i % len(free)], _FREE_DASHES[i % len(_FREE_DASHES)])
-        for i, name in enumerate(dict.fromkeys(others))
-    }
-    return {name: STRATEGY_LOOKS[name] if name in STRATEGY_LOOKS else looks[name] for name in names}
+    looks = {name: STRATEGY_LOOKS.get(name) for name in labels}
+    taken = {look.colour for look in looks.values() if look is not None}
+    free = [colour for colour in _FREE_COLOURS if colour not in taken] or _FREE_COLOURS
+    others = map(Look, itertools.cycle(free), itertools.cycle(_FREE_DASHES))
+    return {name: next(others) if look is None else look for name, look in looks.items()}
 
 
 def print_style() -> AbstractContextManager[None]:
@@ -125,14 +117,11 @@ def printed(draw: Callable[Parameters, Figure]) -> Callable[Parameters, Figure]:
 
 
 def new_figure(width_mm: float = SINGLE_COLUMN_MM, height_mm: float = 65.0) -> Figure:
-    """Return an empty figure of a printed size [mm] with an Agg canvas and constrained layout."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    """Return an empty figure of a printed size [mm] with constrained layout."""
     from matplotlib.figure import Figure
 
     size = width_mm / _MM_PER_INCH, height_mm / _MM_PER_INCH
-    figure = Figure(figsize=size, facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
+    return Figure(figsize=size, facecolor="white", layout="constrained")
 
 
 def figure_bytes(figure: Figure, suffix: str) -> bytes:
@@ -156,11 +145,9 @@ def save_figure(figure: Figure, path_without_suffix: Path, suffixes: Iterable[st
     Raises:
         ValueError: a suffix is another one; nothing has been written then.
     """
+    folder, name = path_without_suffix.parent, path_without_suffix.name
     contents = {
-        path_without_suffix.with_name(f"{path_without_suffix.name}.{suffix.lower().removeprefix('.')}"): figure_bytes(
-            figure, suffix
-        )
-        for suffix in suffixes
+        folder / f"{name}.{suffix.lower().removeprefix('.')}": figure_bytes(figure, suffix) for suffix in suffixes
     }
     write_together(contents)
     return list(contents)

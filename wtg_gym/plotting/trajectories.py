@@ -35,7 +35,9 @@ class _Panel(NamedTuple):
 
 @style.printed
 def plot_trajectories(
-    trajectories: Mapping[str, Trajectory], scenario: Scenario, overload_pu: float = style.OVERLOAD_PU
+    trajectories: Mapping[str, Trajectory],
+    scenario: Scenario,
+    overload_pu: float = GridFormingParameters().overload_limit_pu,
 ) -> Figure:
     """Draw frequency, RoCoF, wind, rotor speeds, powers and tracking coefficients on a shared time axis.
 

@@ -37,8 +37,8 @@ class Entry:
         name: name in tables, 1 … 60 printable characters; with `training_seed` it is unique among the entries.
         strategy: the law that actions modulate: a built-in name, a .toml file, or a law.
         policy: gives the actions for the environment's own observations; None is the zero action, which is the strategy
-            itself. A learner of Stable-Baselines3 that was trained under VecNormalize expects other observations: wrap
-            both in a :class:`~wtg_gym.policies.sb3_archive.NormalizedPolicy`.
+            itself. A learner of Stable-Baselines3 that was trained under VecNormalize expects other observations:
+            export both with :func:`~wtg_gym.export_onnx`.
         action_mode: "k", "tau" or "k+tau".
         observation_mode: "local" or "privileged".
         environment: id of the environment whose observations the policy takes; None: those of any that it is played in.
@@ -89,8 +89,8 @@ class Entry:
         if _misses_normalization(self.policy):
             raise ValueError(
                 f"the policy of entry {name!r} was trained under VecNormalize, whose normalisation of the observations "
-                "predict() leaves out; give wtg_gym.policies.sb3_archive.NormalizedPolicy(model.policy, "
-                "model.get_vec_normalize_env())"
+                "predict() leaves out; export both with "
+                "wtg_gym.export_onnx(wtg_gym.sb3.DeterministicPolicy(model), folder, name=...)"
             )
         for key in ("description", "equation", "source"):
             if not isinstance(getattr(self, key), str):
@@ -161,8 +161,13 @@ def check_entries(entries: Sequence[Entry]) -> None:
     rows: dict[str, Entry] = {}
     for entry in entries:
         first = rows.setdefault(entry.name, entry)
-        if first is not entry:
-            _check_row(first, entry)
+        one, two = first.to_dict(), entry.to_dict()
+        key = row_conflict(one, two)
+        if first is not entry and key is not None:
+            rule = "all have a training seed" if key == "training_seed" else f"agree on {key}"
+            raise ValueError(
+                f"entries named {entry.name!r} share a row and must {rule}, got {one[key]!r} and {two[key]!r}"
+            )
         if entry.name in ANCHOR_NAMES and (entry.policy is not None or entry.law != get_law(entry.name)):
             raise ValueError(f"the name {entry.name!r} is reserved for the strategy itself, which fixes the score")
 
@@ -175,19 +180,6 @@ def check_version(entries: Sequence[Entry], benchmark: Benchmark) -> None:
                 f"entry {entry.label!r} is for {entry.environment}, these scenarios are of {benchmark.env_id}, "
                 "whose observations are others"
             )
-
-
-def _check_row(first: Entry, other: Entry) -> None:
-    """Refuse an entry that would join the row of another method: one name is one method with several seeds."""
-    one, two = first.to_dict(), other.to_dict()
-    key = row_conflict(one, two)
-    if key == "training_seed":
-        seeds = [first.training_seed, other.training_seed]
-        raise ValueError(f"entries named {first.name!r} must all have a training seed, got {seeds}")
-    if key is not None:
-        raise ValueError(
-            f"entries named {first.name!r} share a row and must agree on {key}, got {one[key]!r} and {two[key]!r}"
-        )
 
 
 def row_conflict(one: Mapping[str, Any], two: Mapping[str, Any]) -> str | None:

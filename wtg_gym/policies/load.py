@@ -6,33 +6,26 @@ package has copies of both in `wtg_gym/shipped`, because those two names could c
 
 from __future__ import annotations
 
-import dataclasses
 import importlib
-import os
 import pkgutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from wtg_gym.files import LARGEST_TOML_BYTES, read_text
 from wtg_gym.physics.tracking_law import STRATEGY_NAMES, get_law
-from wtg_gym.policies.entry import Entry, Policy, is_policy
-from wtg_gym.policies.entry_toml import NEEDED, parse_entry
+from wtg_gym.policies.entry import Entry, is_policy
+from wtg_gym.policies.entry_toml import parse_entry
 from wtg_gym.policies.names import BASELINES, INSTALLED, POLICIES, ROOT, check_not_built_in, is_built_in
 from wtg_gym.policies.onnx_policy import OnnxPolicy
-from wtg_gym.scenarios.benchmark import BENCHMARKS, V1, Benchmark
+from wtg_gym.scenarios.benchmark import V1, Benchmark
 
 #: The files of a folder with a trained policy.
 ENTRY_FILE, POLICY_FILE = "entry.toml", "policy.onnx"
-#: An archive of Stable-Baselines3 can stand in the place of the policy; entry.toml then names its class.
-ARCHIVE_FILE, _ALGORITHM = "model.zip", "algorithm"
-
-#: Returns the policy of a folder's archive and a sha256 of it, given folder and algorithm; runs the archive's code.
-LoadArchive = Callable[[Path, str], tuple[Policy, str]]
 
 
-def load_entries(spec: str | Path, load_archive: LoadArchive | None = None, benchmark: Benchmark = V1) -> list[Entry]:
+def load_entries(spec: str | Path, benchmark: Benchmark = V1) -> list[Entry]:
     """Return the entries that a text names.
 
     Args:
@@ -40,10 +33,8 @@ def load_entries(spec: str | Path, load_archive: LoadArchive | None = None, benc
             "policies" for all trained policies that come with the package; the name of a baseline; a .toml file with a
             law; a folder with an entry.toml and a policy.onnx, see :func:`load_entry_folder`; the name of one of those
             policies ("PPO (k)" stands for all of its seeds, "ppo-k-0" for one of them); a package, of which every
-            module with an `ENTRY` counts, in the order of the package's `ORDER` and then by name (if `ORDER` gives one
-            for each version of the benchmark, only the modules of `benchmark`); or "module:ATTRIBUTE", an entry, a
-            policy, or a callable that returns one. Importing runs the module's code.
-        load_archive: as for :func:`load_entry_folder`.
+            module with an `ENTRY` counts, by name, or those that its `ORDER` names for the version; or
+            "module:ATTRIBUTE", an entry, a policy, or a callable that returns one. Importing runs the module's code.
         benchmark: the version whose baselines are meant, and whose trained policies, where some of a name are for it.
 
     Raises:
@@ -63,8 +54,14 @@ def load_entries(spec: str | Path, load_archive: LoadArchive | None = None, benc
         law = get_law(text)
         check_not_built_in(f"the name of the law in {text}", law.name)
         return [Entry(name=law.name, strategy=law, description="A law read from a file.")]
-    if (Path(text) / ENTRY_FILE).is_file() or os.path.lexists(Path(text) / ARCHIVE_FILE):
-        return [load_entry_folder(Path(text), load_archive)]
+    if (Path(text) / ENTRY_FILE).is_file():
+        return [load_entry_folder(Path(text))]
+    if text.endswith(".zip"):
+        raise ValueError(
+            f"entry {text}: an archive of Stable-Baselines3 is not opened, because loading it runs the code in it; "
+            "in Python, play its model with Entry(policy=model), or export it with "
+            "wtg_gym.export_onnx(wtg_gym.sb3.DeterministicPolicy(model), folder, name=...)"
+        )
     folders = sorted(path.parent.name for path in Path(text).glob(f"*/{ENTRY_FILE}")) if text else []
     if folders:
         raise ValueError(
@@ -99,7 +96,7 @@ def policy_name(folder: Path) -> str | None:
 
 def _said(folder: Path) -> dict[str, Any]:
     try:
-        return _entry_data(folder / ENTRY_FILE, NEEDED)
+        return _entry_data(folder / ENTRY_FILE)
     except ValueError:
         return {}
 
@@ -110,7 +107,7 @@ def _for_version(folders: Sequence[Path], benchmark: Benchmark) -> list[Entry]:
     return [entry for entry in entries if entry.environment == benchmark.env_id] or entries
 
 
-def load_entry_folder(folder: Path, load_archive: LoadArchive | None = None) -> Entry:
+def load_entry_folder(folder: Path) -> Entry:
     """Return the entry of a folder with a policy.
 
     Its entry.toml has the keys name and action_mode, and may have description, observation_mode, environment (without
@@ -118,49 +115,33 @@ def load_entry_folder(folder: Path, load_archive: LoadArchive | None = None) -> 
     authors (a list of names), trained_on (text) and links (a list of addresses). An :class:`OnnxPolicy` plays its
     policy.onnx in a process of its own; nothing of that file is looked at before.
 
-    Args:
-        folder: the folder.
-        load_archive: loads a model.zip in the place of policy.onnx, whose entry.toml then has the key algorithm too;
-            None refuses it without opening it, because loading one runs the code in it.
-
     Raises:
-        ValueError: a file is missing, damaged or not allowed, a key is unknown or of the wrong type, or a package is
-            missing.
+        ValueError: a file is missing or damaged, or a key is unknown or of the wrong type.
     """
-    is_archive = os.path.lexists(folder / ARCHIVE_FILE)
-    if is_archive and os.path.lexists(folder / POLICY_FILE):
-        raise ValueError(f"entry {folder} has both {POLICY_FILE} and {ARCHIVE_FILE}: which one plays? Remove the other")
-    if is_archive and load_archive is None:
-        raise ValueError(
-            f"entry {folder}: {ARCHIVE_FILE} is an archive of Stable-Baselines3 and was not opened, because loading it "
-            f"would run whatever code its maker put in it, with your rights. The leaderboard takes {POLICY_FILE}, "
-            "an ONNX file that 'python -m agents.export' or wtg_gym.export_onnx() writes; a file that you made "
-            "yourself, and only that, can be scored as it is with 'wtg-gym evaluate --trust-pickle'"
-        )
-    data = _entry_data(folder / ENTRY_FILE, (*NEEDED, _ALGORITHM) if is_archive else NEEDED)
-    algorithm = data.pop(_ALGORITHM, "")
+    data = _entry_data(folder / ENTRY_FILE)
     check_not_built_in(f"the name in {folder / ENTRY_FILE}", data["name"])
     try:
         # Errors of entry.toml come before the policy is loaded.
-        entry = Entry(**data)
-        if is_archive and load_archive is not None:
-            policy, fingerprint = load_archive(folder, algorithm)
-            return dataclasses.replace(entry, policy=policy, fingerprint=fingerprint)
-        onnx_policy = OnnxPolicy(folder / POLICY_FILE)
-        return dataclasses.replace(entry, policy=onnx_policy, fingerprint=onnx_policy.sha256)
-    except (ImportError, ValueError) as error:
+        Entry(**data)
+        policy = OnnxPolicy(folder / POLICY_FILE)
+        return Entry(**data, policy=policy, fingerprint=policy.sha256)
+    except ValueError as error:
         raise ValueError(f"entry {folder}: {error}") from error
 
 
-def _entry_data(path: Path, needed: Sequence[str]) -> dict[str, Any]:
-    """Return the arguments of :class:`Entry` that an entry.toml gives, and what else is `needed`."""
+def _entry_data(path: Path) -> dict[str, Any]:
+    """Return the arguments of :class:`Entry` that an entry.toml gives."""
     text = read_text(path, "entry file", largest=LARGEST_TOML_BYTES)
     try:
-        data = parse_entry(text, needed)
+        return entry_arguments(parse_entry(text))
     except ValueError as error:
         raise ValueError(f"the entry file {path}: {error}") from error
-    authors, *_ = (data.pop(key, ()) for key in ("authors", "links", "trained_on"))
-    return {**data, "source": ", ".join(authors)}
+
+
+def entry_arguments(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of :class:`Entry` in the keys of an entry.toml: authors are its source."""
+    source = ", ".join(data.get("authors", ()))
+    return {**{key: data[key] for key in data if key not in ("authors", "links", "trained_on")}, "source": source}
 
 
 # --- modules ---------------------------------------------------------------------------------------------------------
@@ -209,37 +190,17 @@ def _entry_of(module: ModuleType, attribute: str, spec: str) -> Entry:
 
 
 def _entries_of(module: ModuleType, spec: str, version: str | None = None) -> list[Entry]:
-    """Return the entries of a module or package.
-
-    The ORDER of a package may be by version of the benchmark: it has then only the entries of `version` (None: of
-    all), and a policy that stands in the order of one version alone is for that one.
-    """
-    orders: Mapping[str, Sequence[str]] = {}
+    """Return the entries of a module or package, which may have an ORDER of modules for each version (None: all)."""
     modules = [module]
     path = getattr(module, "__path__", None)
     if path is not None:
-        names = sorted(info.name for info in pkgutil.iter_modules(path))
-        given: Any = getattr(module, "ORDER", ())
-        orders = given if isinstance(given, Mapping) else {}
-        order = list(dict.fromkeys(name for each in orders.values() for name in each)) if orders else list(given)
-        missing = [name for name in order if name not in names]
-        if missing:
-            raise ValueError(f"ORDER of package {spec!r} names modules {missing} that it has not; it has {names}")
-        names = [*order, *(name for name in names if name not in order)]
-        if orders and version is not None:
-            names = list(orders[version])
+        order = getattr(module, "ORDER", None)
+        names = order.get(version) if isinstance(order, Mapping) else None
+        names = names or sorted(info.name for info in pkgutil.iter_modules(path))
         modules = [_import(f"{module.__name__}.{name}", spec) for name in names]
-    entries = [(each, vars(each)["ENTRY"]) for each in modules if "ENTRY" in vars(each)]
-    if not entries or not all(isinstance(entry, Entry) for _, entry in entries):
+    entries = [vars(each)["ENTRY"] for each in modules if "ENTRY" in vars(each)]
+    if not entries or not all(isinstance(entry, Entry) for entry in entries):
         raise ValueError(
             f"{spec!r} has no entry: a folder needs an {ENTRY_FILE}, a package or module an ENTRY, which is an Entry"
         )
-    return [_of_its_version(entry, each.__name__.rpartition(".")[2], orders) for each, entry in entries]
-
-
-def _of_its_version(entry: Entry, name: str, orders: Mapping[str, Sequence[str]]) -> Entry:
-    """Return an entry with the environment that the orders by version give it, if it has a policy and none yet."""
-    own = [env_id for env_id, each in BENCHMARKS.items() if name in orders.get(each.version, ())]
-    if entry.policy is None or entry.environment is not None or len(own) != 1:
-        return entry
-    return dataclasses.replace(entry, environment=own[0])
+    return entries

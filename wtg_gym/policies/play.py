@@ -51,10 +51,17 @@ def started_lanes(
         lanes.simulator.close()
 
 
-def play(entry: Entry, lanes: TaskLanes) -> Iterator[npt.NDArray[np.bool_]]:
+def play(
+    entry: Entry, lanes: TaskLanes, taken: list[npt.NDArray[np.float64]] | None = None
+) -> Iterator[npt.NDArray[np.bool_]]:
     """Play the started episodes of all lanes to their ends; after every step, yield which lanes made it, (n_lanes,).
 
     The process of an :class:`OnnxPolicy` is a new one, and ends with the episodes.
+
+    Args:
+        entry: the entry.
+        lanes: started with its law and modes, see :func:`started_lanes`.
+        taken: gets the actions of every step, (n_lanes, n_action), zero once an episode is over; None: not wanted.
 
     Raises:
         PolicyError: the policy raises, ends, takes too long or returns no action.
@@ -70,6 +77,8 @@ def play(entry: Entry, lanes: TaskLanes) -> Iterator[npt.NDArray[np.bool_]]:
                 # The action of an episode that is over has no effect.
                 actions[~running] = 0.0
                 _check_finite(actions, entry, lanes, step)
+            if taken is not None:
+                taken.append(actions)
             lanes.step(actions)
             yield running
             terminated, truncated = lanes.ended()

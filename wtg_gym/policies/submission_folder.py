@@ -27,7 +27,6 @@ _FOLDER = re.compile(r"(?!.*(\.|\.toml)$)[A-Za-z0-9][A-Za-z0-9+._-]{0,79}", re.I
 #: Names, with any ending, that Windows keeps for devices: a repository with one cannot be checked out there.
 _DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 _REQUIRED = ("name", "authors", "training_seed", "action_mode")
-_MOST_AUTHORS, _MOST_LINKS = 40, 5
 _TEMPLATE = Path(__file__).with_name("entry_template.toml")
 
 
@@ -67,7 +66,7 @@ def read_files(folder: Path) -> dict[str, bytes]:
         ValueError: the folder holds another file, or a file is missing, too large or not a plain file.
     """
     _check_folder_name(folder)
-    if not stat.S_ISDIR(_status(folder).st_mode):
+    if folder.is_symlink() or not folder.is_dir():
         raise ValueError("it is not a folder, or a link to one")
     names = []
     with os.scandir(folder) as found:
@@ -93,17 +92,10 @@ def _check_folder_name(folder: Path) -> None:
     check_no_module("the folder's name", name)
 
 
-def _status(path: Path) -> os.stat_result:
-    try:
-        return os.lstat(path)
-    except (OSError, ValueError) as error:
-        raise ValueError(f"cannot read {path}: {error}") from error
-
-
 def _read(path: Path, largest: int) -> bytes:
     """Return the content of a plain file; a link, even one put there after the check, is refused."""
-    if not stat.S_ISREG(_status(path).st_mode):
-        raise ValueError(f"{path.name} is a link or something else that is not a plain file")
+    if path.is_symlink() or not path.is_file():
+        raise ValueError(f"{path.name} is not there, a link or something else that is not a plain file")
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     try:
         with os.fdopen(os.open(path, flags), "rb") as file:
@@ -129,18 +121,15 @@ def parse_submission(content: bytes) -> EntryFile:
         raise ValueError(f"it is not TOML in UTF-8: {error}") from error
     for key in ("description", "trained_on"):
         data[key] = check_text(key, data.get(key, ""))
-    data["authors"] = tuple(check_author(each) for each in _few("authors", data["authors"], 1, _MOST_AUTHORS))
-    data["links"] = tuple(check_link(each) for each in _few("links", data.get("links", []), 0, _MOST_LINKS))
+    for key, fewest, most, check in (("authors", 1, 40, check_author), ("links", 0, 5, check_link)):
+        given = data.get(key, [])
+        if not fewest <= len(given) <= most:
+            raise ValueError(f"{key} must be a list of {fewest} … {most} texts, got {len(given)}")
+        data[key] = tuple(map(check, given))
     name = check_name(data["name"])
     check_not_built_in("name", name)
     check_no_module("name", name)
     return EntryFile(**data)
-
-
-def _few(key: str, value: list[str], fewest: int, most: int) -> list[str]:
-    if not fewest <= len(value) <= most:
-        raise ValueError(f"{key} must be a list of {fewest} … {most} texts, got {len(value)}")
-    return value
 
 
 def write_template(folder: Path, policy: Path | None = None) -> list[Path]:

@@ -34,31 +34,30 @@ _LINK = re.compile(r"https://[A-Za-z0-9][A-Za-z0-9.-]*\.[A-Za-z]{2,24}(/[A-Za-z0
 _MARKUP = re.compile(r"(?<![^\W_])_|_(?![^\W_])|[:&](?! )|www\.|^\d+[.)](?= |$)", re.IGNORECASE)
 
 
-def check_name(value: Any) -> str:
+def check_name(value: str) -> str:
     """Return the name of an entry; a ValueError says what is allowed."""
     allowed = (
         f"name must be 1 … {_LONGEST_NAME} letters, digits and signs out of {_NAME_SIGNS.strip()}{_GREEK} or blanks, "
         "begin with a letter or digit, have _ within words only, and say nothing of seeds, which the table counts"
     )
-    if not isinstance(value, str) or not 1 <= len(value) <= _LONGEST_NAME:
-        raise ValueError(f"{allowed}; got {short(value)}")
     # Letters of other scripts look like these, or like nothing at all.
     plain = all((sign.isascii() and sign.isalnum()) or sign in _NAME_SIGNS + _GREEK for sign in value)
-    if not plain or not value[0].isalnum() or value != value.strip() or _MARKUP.search(value) or _SEED.search(value):
+    fits = 1 <= len(value) <= _LONGEST_NAME and value[0].isalnum() and value == value.strip()
+    if not plain or not fits or _MARKUP.search(value) or _SEED.search(value):
         raise ValueError(f"{allowed}; got {short(value)}")
     return value
 
 
-def check_author(value: Any) -> str:
+def check_author(value: str) -> str:
     """Return a name of a person or a group, in letters of any script; a ValueError says what is allowed."""
-    if not isinstance(value, str) or not any(sign.isalpha() for sign in value):
+    if not any(sign.isalpha() for sign in value):
         raise ValueError(f"an author must be a text with letters, got {short(value)}")
     return check_text("an author", value)
 
 
-def check_text(key: str, value: Any) -> str:
+def check_text(key: str, value: str) -> str:
     """Return a line of plain text, which may be empty; a ValueError says what is allowed."""
-    if not isinstance(value, str) or len(value) > _LONGEST_TEXT or not _is_plain(value):
+    if len(value) > _LONGEST_TEXT or not _is_plain(value):
         raise ValueError(
             f"{key} must be up to {_LONGEST_TEXT} visible characters on one line: letters of living scripts (in the "
             f"form NFC), digits, blanks and the signs {_TEXT_SIGNS.strip()}{_FURTHER_SIGNS}, with : and & before a "
@@ -96,9 +95,9 @@ def _script(sign: str) -> str:
     return first if ordinary and own and sign not in _UNSEEN else ""
 
 
-def check_link(value: Any) -> str:
+def check_link(value: str) -> str:
     """Return a plain https address; a ValueError says what is allowed."""
-    if not isinstance(value, str) or len(value) > _LONGEST_LINK or _LINK.fullmatch(value) is None:
+    if len(value) > _LONGEST_LINK or _LINK.fullmatch(value) is None:
         raise ValueError(f"a link must be a plain https:// address of up to {_LONGEST_LINK}, got {short(value)}")
     return value
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import tempfile
 import warnings
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +37,6 @@ def export_onnx(
     folder: str | Path,
     *,
     name: str,
-    state_widths: Sequence[int] | None = None,
     tolerance: float = 1e-5,
     **entry: Any,
 ) -> Path:
@@ -48,11 +46,11 @@ def export_onnx(
 
     Args:
         module: maps observations (batch, n_observation) to actions (batch, n_action), float32; with memory, also one
-            state (batch, n) after the other, and returns (actions, next states …). States are zero at the start of an
-            episode. Actions are clipped to [-1, 1]. It is exported in evaluation mode.
+            state (batch, n) after the other, and returns (actions, next states …), and has their widths n as
+            `state_widths`. States are zero at the start of an episode. Actions are clipped to [-1, 1]. It is exported
+            in evaluation mode.
         folder: where to write; made if missing.
         name: of the entry.
-        state_widths: width of every state; None for the module's own `state_widths`, or no memory.
         tolerance: largest difference between the actions of the file and the module, [-1, 1].
         entry: further keys of entry.toml: environment (default "GFMWTG-14bus-v1"), action_mode ("k+tau"),
             observation_mode, strategy, training_seed (0), authors (["unnamed"]), description, trained_on, links.
@@ -76,28 +74,20 @@ def export_onnx(
     }
     text = entry_text(values)
     checked = parse_submission(text.encode())
-    content = onnx_bytes(module, *checked.widths(), state_widths=state_widths, tolerance=tolerance)
+    content = onnx_bytes(module, *checked.widths(), tolerance=tolerance)
     # entry.toml last, because it makes the folder an entry.
     write_together({Path(folder) / POLICY_FILE: content, Path(folder) / ENTRY_FILE: text})
     return Path(folder)
 
 
-def onnx_bytes(
-    module: nn.Module,
-    n_observation: int,
-    n_action: int,
-    *,
-    state_widths: Sequence[int] | None = None,
-    tolerance: float = 1e-5,
-) -> bytes:
+def onnx_bytes(module: nn.Module, n_observation: int, n_action: int, *, tolerance: float = 1e-5) -> bytes:
     """Return the file that :func:`export_onnx` writes, for a module of any width; raises as that does."""
-    widths = _widths_of(module) if state_widths is None else tuple(state_widths)
     modes = [(each, each.training) for each in module.modules()]
     playable = _Playable(module).eval()
     try:
-        _check_form(playable, n_observation, n_action, widths)
-        content = _exported(playable, n_observation, widths)
-        difference = _largest_difference(playable, content, n_observation, widths)
+        _check_form(playable, n_observation, n_action)
+        content = _exported(playable, n_observation)
+        difference = _largest_difference(playable, content, n_observation)
     finally:
         for each, training in modes:
             each.training = training
@@ -112,23 +102,19 @@ def onnx_bytes(
     return content
 
 
-def _widths_of(module: nn.Module) -> tuple[int, ...]:
-    return tuple(getattr(module, "state_widths", ()))
-
-
 class TorchPolicy:
     """A module in the form of :func:`export_onnx` as a policy, to be played without a file."""
 
-    def __init__(self, module: nn.Module, state_widths: Sequence[int] | None = None) -> None:
+    def __init__(self, module: nn.Module) -> None:
         self._playable = _Playable(module)
-        self._widths = _widths_of(module) if state_widths is None else state_widths
 
     @torch.no_grad()
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[Any, Any]:
         """Return (actions (n_lanes, n_action), states), in the manner of Stable-Baselines3."""
-        states = [torch.zeros(len(observation), width) for width in self._widths] if state is None else state
+        widths = self._playable.state_widths
+        states = [torch.zeros(len(observation), width) for width in widths] if state is None else state
         if episode_start is not None:
             goes_on = torch.as_tensor(~np.asarray(episode_start, dtype=np.bool_), dtype=torch.float32)[:, None]
             states = [each * goes_on for each in states]
@@ -143,6 +129,7 @@ class _Playable(nn.Module):
         super().__init__()
         self.label = f"module {type(module).__name__}"
         self.module = module
+        self.state_widths: tuple[int, ...] = tuple(getattr(module, "state_widths", ()))
         self._device = next((each.device for each in (*module.parameters(), *module.buffers())), torch.device("cpu"))
 
     def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
@@ -152,9 +139,9 @@ class _Playable(nn.Module):
 
 
 @torch.no_grad()
-def _check_form(playable: _Playable, n_observation: int, n_action: int, widths: Sequence[int]) -> None:
+def _check_form(playable: _Playable, n_observation: int, n_action: int) -> None:
     """Raise a ValueError if the module cannot answer observations, or answers in another form."""
-    given = [torch.zeros(2, width) for width in (n_observation, *widths)]
+    given = [torch.zeros(2, width) for width in (n_observation, *playable.state_widths)]
     shapes = ", ".join(str(tuple(each.shape)) for each in given)
     try:
         answer = playable(*given)
@@ -162,7 +149,7 @@ def _check_form(playable: _Playable, n_observation: int, n_action: int, widths: 
         raise ValueError(
             f"the {playable.label} cannot answer inputs of shapes {shapes}: {_first_line(error)}"
         ) from error
-    wanted = [(2, width) for width in (n_action, *widths)]
+    wanted = [(2, width) for width in (n_action, *playable.state_widths)]
     got = [tuple(each.shape) for each in answer]
     if got != wanted:
         raise ValueError(
@@ -171,12 +158,12 @@ def _check_form(playable: _Playable, n_observation: int, n_action: int, widths: 
         )
 
 
-def _exported(playable: _Playable, n_observation: int, widths: Sequence[int]) -> bytes:
+def _exported(playable: _Playable, n_observation: int) -> bytes:
     """Return the file; a ValueError says what torch cannot export."""
-    states = [f"state_{index}" for index in range(len(widths))]
+    states = [f"state_{index}" for index in range(len(playable.state_widths))]
     inputs, outputs = ["observation", *states], ["action", *(f"next_{name}" for name in states)]
     # It is always played one scenario at a time.
-    given = tuple(torch.zeros(1, width) for width in (n_observation, *widths))
+    given = tuple(torch.zeros(1, width) for width in (n_observation, *playable.state_widths))
     try:
         with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(), torch.no_grad():
             file = Path(folder) / POLICY_FILE
@@ -197,9 +184,9 @@ def _exported(playable: _Playable, n_observation: int, widths: Sequence[int]) ->
         raise ValueError(f"torch cannot export the {playable.label}: {_first_line(error)}") from error
 
 
-def _largest_difference(playable: _Playable, content: bytes, n_observation: int, widths: Sequence[int]) -> float:
+def _largest_difference(playable: _Playable, content: bytes, n_observation: int) -> float:
     """Return the largest difference between the actions of a file and its module."""
-    rng, module = np.random.default_rng(0), TorchPolicy(playable, widths)
+    rng, module = np.random.default_rng(0), TorchPolicy(playable)
     largest, state, file_state = 0.0, None, None
     with OnnxPolicy(content) as policy:
         for step in range(_CHECKED_STEPS):

@@ -1,1 +1,1 @@
-"""The page of `wtg-gym play`: `match` is what happens, `play_page` shows it, and `server` serves it on this machine."""
+"""The page of `wtg-gym play`: `match` is what happens, and `play_page` shows it."""

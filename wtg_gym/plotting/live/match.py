@@ -11,7 +11,7 @@ import numpy.typing as npt
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.rendering.diagram import describe_event
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import Entry, NoScaleError, evaluate
+from wtg_gym.evaluation import Entry, evaluate
 from wtg_gym.evaluation.score import mean_score, score_scale
 from wtg_gym.scenarios import SPLITS, Suite
 
@@ -29,20 +29,20 @@ class Scale:
 
     suite: Suite
     duration_s: float
-    value: float | None  # Λ, None where there is none
-    missing: str = ""  # why there is none; else empty
+    value: float  # Λ
 
     @classmethod
     def of(cls, suite: Suite, duration_s: float | None = None) -> Scale:
-        """Play the suite's anchors on its first validation scenarios; `duration_s` is None for the suite's own."""
+        """Play the suite's anchors on its first validation scenarios; `duration_s` is None for the suite's own.
+
+        Raises:
+            NoScaleError: the suite has no scores, as paper-v1; a ValueError.
+        """
         seeds = list(suite.validation[:N_SCALE])
         results = evaluate([], suite.name, "validation", seeds=seeds, duration_s=duration_s)
         anchors = results.benchmark.anchors
         length = suite.duration_s if duration_s is None else duration_s
-        try:
-            value = score_scale(results.pinned_costs[anchors[0]][0], results.pinned_costs[anchors[1]][0], anchors)
-        except NoScaleError as error:
-            return cls(suite=suite, duration_s=length, value=None, missing=str(error))
+        value = score_scale(results.pinned_costs[anchors[0]][0], results.pinned_costs[anchors[1]][0], anchors)
         return cls(suite=suite, duration_s=length, value=value)
 
 
@@ -50,7 +50,7 @@ class Verdict(NamedTuple):
     """What you or an anchor made of the scenario."""
 
     name: str  # of who played
-    score: float | None  # None without a scale
+    score: float
     cost: float  # as it was paid
     deviation_hz: float  # largest deviation of the frequency, up or down [Hz]
     failure: str  # why it ended before its time; empty where it did not
@@ -119,7 +119,7 @@ class Match:
             (episode,) = results.episodes_of(name)
             metrics = {key: float(value) for key, value in episode.metrics.items() if value is not None}
             deviation = max(self.nominal_hz - metrics["nadir_hz"], metrics["zenith_hz"] - self.nominal_hz)
-            score = None if self.scale.value is None else mean_score(results.log_gains[name], self.scale.value)
+            score = mean_score(results.log_gains[name], self.scale.value)
             verdicts.append(Verdict(name, score, metrics["cost"], deviation, episode.failure))
         return verdicts
 

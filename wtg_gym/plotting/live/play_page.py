@@ -211,17 +211,14 @@ def _button(name: str, label: str, act: Any) -> Button:
 
 
 def verdict_text(verdicts: list[Verdict], match: Match, scale: Scale) -> str:
-    """Return the end of a run as HTML: score or why there is none, failure, and a table of everybody's."""
+    """Return the end of a run as HTML: score, failure, and a table of everybody's."""
     you, (zero, hundred) = verdicts[0], scale.suite.benchmark.anchors
-    if you.score is None:
-        head = f"<h2>Cost {you.cost:.1f}</h2>There is no score: {html.escape(scale.missing)}"
-    else:
-        head = f"<h2>Score {you.score:.1f}</h2>{zero} has 0 on average over the suite, {hundred} 100 everywhere."
+    head = f"<h2>Score {you.score:.1f}</h2>{zero} has 0 on average over the suite, {hundred} 100 everywhere."
     if you.failure:
         head = f"<h2>Your run failed after {match.time_s:.1f} s: {you.failure}</h2>{head}"
     cells = [("", "score", "cost", "largest deviation", "failure")]
     for each in verdicts:
-        score = "–" if each.score is None else f"{each.score:.1f}"
-        cells.append((each.name, score, f"{each.cost:.1f}", f"{1000.0 * each.deviation_hz:.0f} mHz", each.failure))
+        numbers = f"{each.score:.1f}", f"{each.cost:.1f}", f"{1000.0 * each.deviation_hz:.0f} mHz"
+        cells.append((each.name, *numbers, each.failure))
     rows = "".join("<tr><td>" + "<td style='padding-left:2em'>".join(line) for line in cells)
     return f"{head}<table>{rows}</table>"

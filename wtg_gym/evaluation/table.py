@@ -1,0 +1,166 @@
+"""The table of results: every column once, for a terminal, for Markdown and HTML, and for the page with charts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from html import escape
+from typing import Any, NamedTuple
+
+from wtg_gym import files
+from wtg_gym.evaluation.statistics import Interval
+from wtg_gym.evaluation.summary import REST, EntryMeasures, EntrySummary
+
+#: What an entry is marked with that sees the state of the grid, and what a page says about it.
+_PRIVILEGED = "privileged"
+_PRIVILEGED_NOTE = f"{_PRIVILEGED}: sees the state of the whole grid, which no turbine measures"
+#: Columns of text; all others hold numbers.
+_TEXTS = ("entry", "kind")
+
+
+# --- texts of cells --------------------------------------------------------------------------------------------------
+
+
+def signed_interval(interval: Interval) -> str:
+    """Return a difference of scores and its interval, with their signs."""
+    return f"{_signed(interval.value)} ({_signed(interval.low)} … {_signed(interval.high)})"
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.1f}" if round(value, 1) else "0.0"
+
+
+def _plain(value: float) -> str:
+    # Adding 0.0 turns -0.0 into 0.0.
+    return f"{round(value, 1) + 0.0:.1f}"
+
+
+def _interval(interval: Interval) -> str:
+    if interval.low == interval.high:
+        # No spread: an anchor, whose score is fixed, or a single scenario.
+        return _plain(interval.value)
+    return f"{_plain(interval.value)} ({_plain(interval.low)} … {_plain(interval.high)})"
+
+
+def _entry(row: EntryMeasures) -> str:
+    """Return the name, with the number of training seeds and whether it is privileged in brackets."""
+    marks = [f"{row.n_runs} seeds"] * (row.n_runs > 1) + [_PRIVILEGED] * row.privileged
+    return row.name + (f" ({', '.join(marks)})" if marks else "")
+
+
+def _failures(row: EntryMeasures) -> str:
+    """Return the failures with those of frequency (f) and rotors (ω) in brackets, in percent."""
+    by_kind = row.failures_percent_by_kind
+    kinds = [f"{sign} {by_kind[kind]:.1f}" for sign, kind in (("f", "frequency"), ("ω", "rotor"))]
+    return f"{row.failures_percent:.1f}" + (f" ({', '.join(kinds)})" if row.failures_percent else "")
+
+
+def _of_score(text: Callable[[EntrySummary], str]) -> Callable[[EntryMeasures], str]:
+    """Return the text of what only rows with a score have."""
+    return lambda row: text(row) if isinstance(row, EntrySummary) else "none"
+
+
+def _points(term: str) -> Callable[[EntryMeasures], str]:
+    return _of_score(lambda row: _signed(row.points_by_term[term]))
+
+
+# --- columns ---------------------------------------------------------------------------------------------------------
+
+
+class _Column(NamedTuple):
+    heading: str
+    text: Callable[[Any], str]  # of a row
+    tables: str  # which show it: "terminal"; "v0" and "v1", Markdown and HTML of that version; "whole", all there is
+
+
+#: In the order of every table. The whole one leaves out what another of its columns says.
+_COLUMNS = (
+    _Column("rank", lambda row: "", "terminal v0 v1 whole"),
+    _Column("entry", _entry, "terminal v0 v1 whole"),
+    _Column("score", _of_score(lambda row: _interval(row.score)), "terminal v0 v1 whole"),
+    _Column(
+        "to the entry above",
+        _of_score(lambda row: signed_interval(row.difference_to_above) if row.difference_to_above else ""),
+        "whole",
+    ),
+    _Column("frequency, RoCoF [points]", _points("frequency_rocof"), "v0 whole"),
+    _Column("duty [points]", _points("duty"), "v0 whole"),
+    _Column("overload [points]", _points("overload"), "v0 whole"),
+    _Column("rest [points]", _points(REST), "v0 whole"),
+    _Column("kind", lambda row: row.kind, "whole"),
+    _Column("IQM", _of_score(lambda row: _plain(row.interquartile_mean.value)), "whole"),
+    _Column("P(improvement)", lambda row: f"{row.probability_of_improvement.value:.2f}", "whole"),
+    _Column("failures [%]", lambda row: f"{row.failures_percent:.1f}", "v0"),
+    _Column("failures by kind [%]", _failures, "whole"),
+    _Column("median deviation [mHz]", lambda row: f"{row.median_deviation_mhz:.0f}", "terminal v1 whole"),
+    _Column("p95 deviation [mHz]", lambda row: f"{row.p95_deviation_mhz:.0f}", "whole"),
+    _Column("lost runs", lambda row: f"{row.n_lost} of {row.n_episodes}", "terminal"),
+    _Column("lost or beyond 0.8 Hz [%]", lambda row: f"{row.lost_or_beyond_percent:.1f}", "terminal v1 whole"),
+    _Column("worst decile", lambda row: f"{row.worst_decile_cost:.0f}", "whole"),
+    _Column("mean pinned cost", lambda row: f"{row.mean_pinned_cost:.1f}", "terminal whole"),
+    _Column("nadir [Hz]", lambda row: f"{row.median_nadir_hz:.3f}", "v0 whole"),
+    _Column("p95 RoCoF [Hz/s]", lambda row: f"{row.p95_rocof_hz_s:.3f}", "whole"),
+    _Column("p95 peak power [p.u.]", lambda row: f"{row.p95_peak_power_pu:.2f}", "whole"),
+    _Column("p95 power change in 1 s [p.u.]", lambda row: f"{row.p95_power_change_pu:.2f}", "whole"),
+    _Column("duty error [%]", lambda row: f"{row.mean_duty_error_percent:.2f}", "whole"),
+    _Column("energy share [%]", lambda row: f"{row.mean_energy_share_percent:.1f}", "whole"),
+)
+
+
+def columns_of(table: str) -> list[str]:
+    """Return the headings of a table: "terminal", "v0", "v1" or "whole"."""
+    return [column.heading for column in _COLUMNS if table in column.tables.split()]
+
+
+def text_columns(columns: Sequence[str]) -> list[int]:
+    """Return which of the columns hold text."""
+    return [index for index, column in enumerate(columns) if column in _TEXTS]
+
+
+def _short_columns(rows: Sequence[EntryMeasures]) -> list[str]:
+    """Return the columns of a page: without a score they are those of a terminal, with the cost that ranks."""
+    return columns_of(rows[0].version if isinstance(rows[0], EntrySummary) else "terminal")
+
+
+# --- tables ----------------------------------------------------------------------------------------------------------
+
+
+def table_cells(rows: Sequence[EntryMeasures], columns: Sequence[str] | None = None) -> list[list[str]]:
+    """Return the texts of the table, one list per row, in the order of the columns; equal entries share a rank.
+
+    Args:
+        rows: of one version, as :func:`leaderboard_rows` or :attr:`Results.ranking` gives them.
+        columns: headings; None for those of the whole table.
+    """
+    texts = {column.heading: column.text for column in _COLUMNS}
+    places = [-row.score.value if isinstance(row, EntrySummary) else row.mean_pinned_cost for row in rows]
+    ranks = [str(1 + sum(other < place for other in places)) for place in places]
+    return [
+        [rank if column == "rank" else texts[column](row) for column in columns or columns_of("whole")]
+        for rank, row in zip(ranks, rows, strict=True)
+    ]
+
+
+def markdown_table(rows: Sequence[EntryMeasures], columns: Sequence[str] | None = None) -> str:
+    """Return the ranking as a Markdown table without a line feed at the end.
+
+    Args:
+        rows: of one version, as :func:`leaderboard_rows` gives them.
+        columns: headings; None for the few of the version that a page shows.
+    """
+    columns = columns or _short_columns(rows)
+    numbers = sorted(set(range(len(columns))) - set(text_columns(columns)))
+    return files.markdown_table(columns, table_cells(rows, columns), right=numbers)
+
+
+def html_table(rows: Sequence[EntryMeasures], caption: str) -> str:
+    """Return the ranking as an HTML table of the columns that a page shows."""
+    columns = _short_columns(rows)
+    head = "".join(f"<th>{escape(column)}</th>" for column in columns)
+    cells = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in table_cells(rows, columns))
+    body = "".join(f"<tr>{row}</tr>" for row in cells)
+    return f"<table><caption>{escape(caption)}</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def privileged_note(rows: Sequence[EntryMeasures]) -> str:
+    """Return what the mark of privileged entries means, "" where no row has it."""
+    return _PRIVILEGED_NOTE if any(row.privileged for row in rows) else ""
