@@ -154,8 +154,8 @@ def measure():
 
 
 def slashed(values, digits):
-    """Return numbers with slashes between them."""
-    return "/".join(f"{value:.{digits}f}" for value in values)
+    """Return numbers with slashes between them, a dash for one that is none."""
+    return "/".join("–" if np.isnan(value) else f"{value:.{digits}f}" for value in values)
 
 
 def ends_of(runs):
@@ -328,9 +328,14 @@ def start_at(bus_voltage_pu, turbine=None, voltage_control=None):
     slow, margins = [], []
     for group, wind in enumerate(INCREASE.wind_speed[:, 0]):
         effect, decay = voltage_feedback(simulator, group) if voltage_control else (0.0, 1.0)
-        loop = single_machine(law, float(wind), float(k_p[group]), turbine=turbine)
         slow.append(k_p[group] + effect / decay)
-        margins.append(with_moving_voltage(loop, effect, decay).margins().phase_margin_deg)
+        try:
+            loop = single_machine(law, float(wind), float(k_p[group]), turbine=turbine)
+        except ValueError:
+            # The pitch protection holds this rotor, which the loop does not know.
+            margins.append(np.nan)
+        else:
+            margins.append(with_moving_voltage(loop, effect, decay).margins().phase_margin_deg)
     return emf, reactive, k_p, slow, margins
 
 
