@@ -7,16 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from wtg_gym.cli import scoring
-from wtg_gym.cli.options import (
-    Entries,
-    Json,
-    OutputFolder,
-    PlantOptions,
-    SeedOptions,
-    Suite,
-    Threads,
-    WorkerOptions,
-)
+from wtg_gym.cli.options import Entries, Json, OutputFolder, PlantOptions, SeedOptions, Suite, Threads, WorkerOptions
 from wtg_gym.cli.output import check_page, update_page
 from wtg_gym.evaluation.leaderboard import markdown_section
 from wtg_gym.policies.entry import check_version
