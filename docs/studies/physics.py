@@ -6,14 +6,15 @@ Some ten minutes, most of which the plants take that are compiled for the first 
 import dataclasses
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from output import folder
 from scipy.optimize import brentq
+from small_signal import slope, synchronising_coefficients
 
 from wtg_gym.envs.lanes import TERMINATION_REASONS
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters
-from wtg_gym.physics.modes import slope, synchronising_coefficients
 from wtg_gym.physics.parameters import (
     ConverterLimitParameters,
     ProtectionParameters,
@@ -27,7 +28,7 @@ from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law, group_laws
 from wtg_gym.plotting import style
 from wtg_gym.plotting.event_marks import mark_end, mark_instants
-from wtg_gym.reproduce.loops import PAPER_SYNCHRONISING_COEFFICIENT, single_machine, with_moving_voltage
+from wtg_gym.reproduce.loops import PAPER_SYNCHRONISING_COEFFICIENT, single_machine
 from wtg_gym.reproduce.steady_states import stable_equilibrium
 from wtg_gym.scenarios import get_suite
 
@@ -153,8 +154,8 @@ def measure():
 
 
 def slashed(values, digits):
-    """Return numbers with slashes between them."""
-    return "/".join(f"{value:.{digits}f}" for value in values)
+    """Return numbers with slashes between them, a dash for one that is none."""
+    return "/".join("–" if np.isnan(value) else f"{value:.{digits}f}" for value in values)
 
 
 def ends_of(runs):
@@ -327,10 +328,21 @@ def start_at(bus_voltage_pu, turbine=None, voltage_control=None):
     slow, margins = [], []
     for group, wind in enumerate(INCREASE.wind_speed[:, 0]):
         effect, decay = voltage_feedback(simulator, group) if voltage_control else (0.0, 1.0)
-        loop = single_machine(law, float(wind), float(k_p[group]), turbine=turbine)
         slow.append(k_p[group] + effect / decay)
-        margins.append(with_moving_voltage(loop, effect, decay).margins().phase_margin_deg)
+        try:
+            loop = single_machine(law, float(wind), float(k_p[group]), turbine=turbine)
+        except ValueError:
+            # The pitch protection holds this rotor, which the loop does not know.
+            margins.append(np.nan)
+        else:
+            margins.append(with_moving_voltage(loop, effect, decay).margins().phase_margin_deg)
     return emf, reactive, k_p, slow, margins
+
+
+def with_moving_voltage(loop, effect, decay):
+    """Return a loop with K_p + K_1/(s + a) in the place of K_p; effect K_1 [p.u./(rad s)], decay a [1/s]."""
+    numerator = loop.numerator * Polynomial([decay + effect / loop.synchronising_coefficient, 1.0])
+    return dataclasses.replace(loop, numerator=numerator, denominator=loop.denominator * Polynomial([decay, 1.0]))
 
 
 def voltage_feedback(simulator, group):

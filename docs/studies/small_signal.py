@@ -3,25 +3,119 @@
     python docs/studies/small_signal.py [--output FOLDER]        FOLDER holds validation.md; docs by default
 
 The paper's transfer functions describe one WTG on an infinite bus. The simulator, linearised numerically from the
-right-hand side that it integrates, must have the same poles there.
+right-hand side that it integrates, must have the same poles there. Source for participation factors: P. Kundur: Power
+System Stability and Control, section 12.2.
 """
+
+import dataclasses
 
 import numpy as np
 from output import folder as output_folder
 
 from wtg_gym.files import markdown_table, update_between_markers
+from wtg_gym.physics.linearisation import moving_states, state_matrix
 from wtg_gym.physics.machine_parameters import classical_machine
-from wtg_gym.physics.modes import linearise, modes, synchronising_coefficients
 from wtg_gym.physics.network import Branch, Bus, NetworkCase
 from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
+from wtg_gym.physics.simulator import Simulator
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, group_laws
 from wtg_gym.reproduce.loops import single_machine
 from wtg_gym.scenarios import get_suite
 
 WINDS = (8.0, 11.4)
 INFINITE_MVA = 1e9  # so large a machine that nothing moves it
+DIFFERENCE = 2e-6  # of a state [rad, p.u.]; truncation and rounding are both near 1e-9 of a power
+
+
+# --- the linearised system --------------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass
+class LinearModel:
+    """ẋ = A x around an equilibrium."""
+
+    matrix: np.ndarray  # A (n, n) [1/s, with p.u. and rad]
+    state_names: list[str]  # such as wtg1.rotor_speed, counted from 0
+
+
+@dataclasses.dataclass
+class Mode:
+    """An eigenvalue, or a conjugate pair of them."""
+
+    eigenvalue: complex  # with the imaginary part of the pair that is not negative [1/s]
+    frequency_hz: float  # of the oscillation, 0 for a real eigenvalue [Hz]
+    damping_ratio: float  # ζ = -Re λ/|λ| [-]
+    participation: dict[str, float]  # share of each state in the mode, by name, largest first; their sum is 1 [-]
+
+
+def at_rest(scenario, laws, settings=None):
+    """Return a simulator in the equilibrium that a scenario starts from; its events do not matter."""
+    settings = settings or PlantSettings()
+    duration_s = settings.control_dt * max(1, round(1.0 / settings.control_dt))
+    simulator = Simulator(settings, duration_s=duration_s)
+    laws = group_laws(laws, len(settings.groups), settings.turbine, settings.control)
+    simulator.start(0, dataclasses.replace(scenario, events=(), duration_s=duration_s), laws)
+    return simulator
+
+
+def linearise(scenario, laws, settings=None, *, side="under"):
+    """Linearise a plant around the equilibrium that a scenario starts from; `side` is the slope of g(ω) at ω_st.
+
+    `laws` are one law or strategy name for all WTG groups or one for each. The pitch protection at rest takes no part,
+    since it only acts upwards.
+    """
+    simulator = at_rest(scenario, laws, settings)
+    rows, layout = simulator.blocks[0], simulator.layout
+    matrix = state_matrix(rows, simulator.plant, layout, {"under": -1.0, "over": 1.0}[side])
+    keep = moving_states(matrix, rows, layout)
+    return LinearModel(matrix[np.ix_(keep, keep)], np.array(layout.state_names)[keep].tolist())
+
+
+def modes(model):
+    """Return the modes of a linear model, the least damped first (by real part)."""
+    values, right = np.linalg.eig(model.matrix)
+    left = np.linalg.inv(right)
+    found = []
+    for i in np.argsort(-values.real):
+        value = complex(values[i])
+        if value.imag < 0.0:
+            continue
+        share = np.abs(left[i] * right[:, i])
+        share /= share.sum()
+        shares = {model.state_names[k]: float(share[k]) for k in np.argsort(-share)}
+        damping_ratio = -value.real / abs(value) if value != 0.0 else 0.0
+        found.append(Mode(value, value.imag / (2.0 * np.pi), damping_ratio, shares))
+    return found
+
+
+def synchronising_coefficients(scenario, laws, settings=None):
+    """Return ∂p_i/∂δ_j between WTG groups, on the base of group i, shape (n_wtg, n_wtg) [p.u./rad].
+
+    The diagonal is the K_p of the paper's single-machine model in this network, with the angles of all other units
+    held. The sum of a row is K_p where all groups swing together against the synchronous machines.
+    """
+    simulator = at_rest(scenario, laws, settings)
+    layout = simulator.layout
+    places = [int(np.flatnonzero(layout.state_rows == row)[0]) for row in layout.wtg("angle")]
+    here = simulator.state()
+    return np.stack([slope(simulator, here, at, lambda: simulator.wtg_values("power")[0]) for at in places], axis=1)
+
+
+def slope(simulator, here, place, read):
+    """Return the central difference of `read()` with respect to one of the states `here`; it moves the simulator."""
+    ends = []
+    for sign in (-1.0, 1.0):
+        state = here.copy()
+        state[place] += sign * DIFFERENCE
+        simulator.set_state(state)
+        simulator.evaluate()
+        ends.append(read())
+    return (ends[1] - ends[0]) / (2.0 * DIFFERENCE)
+
+
+# --- the tables -------------------------------------------------------------------------------------------------------
 
 
 def infinite_bus(reactance_pu=0.2):

@@ -93,20 +93,6 @@ def test_parameters_matter() -> None:
     assert without <= {"machines.1.t_q0_transient_s", "pitch.speed_weight", "pitch.rate_limit_deg_s"}
 
 
-def test_no_parameter_moves_the_start() -> None:
-    scenarios = given()[0]
-    lanes = TaskLanes(SETTINGS, N_LANES, 1)
-    own = lanes.prepare(scenarios).lanes.rows
-    layout = lanes.simulator.layout
-    for name, value in KNOWN.items():
-        plant = with_parameters(SETTINGS.plant(), {name: value * 1.01 + 1e-3})
-        rows = TaskLanes(PlantEnvSettings.of(SETTINGS, plant), N_LANES, 1).prepare(scenarios).lanes.rows
-        inputs = {*layout.machine("inv_two_h").tolist(), *layout.machine("inv_droop").tolist()}
-        # Nothing moves, but to rounding: rates that are almost zero.
-        moved = set(np.flatnonzero(np.abs(rows - own).max(axis=0) > 1e-9).tolist())
-        assert moved <= inputs, name
-
-
 def test_a_scenarios_droop_is_the_droop_in_force_until_a_governor_is_lost() -> None:
     scenarios, actions, weights = given()
     losses = ((), (GovernorLoss(time_s=2.35, bus=1),), (GovernorLoss(time_s=0.0, bus=1),))

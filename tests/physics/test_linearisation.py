@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from docs.studies.small_signal import compare, infinite_bus, sides
+from docs.studies.small_signal import compare, infinite_bus, linearise, modes, sides, synchronising_coefficients
 from tests.physics.extended import plant, scenario, started, with_machine
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.linearisation import largest_stable_steps
-from wtg_gym.physics.modes import linearise, modes, synchronising_coefficients
 from wtg_gym.physics.parameters import ConverterLimitParameters, GridFormingParameters, VoltageControlParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.simulator import Simulator
@@ -106,7 +105,7 @@ def test_eigenvalues_on_an_infinite_bus_are_the_poles_of_the_transfer_functions(
 def test_small_motion_of_the_simulator_is_that_of_the_linear_model(side: str, classical: bool) -> None:
     """A push of 1e-6, let go for 0.1 s, before the WTGs' frequencies come back to the corner of g(ω)."""
     settings = PlantSettings(case=modified_ieee14(classical=classical), simulation_dt=0.0025)
-    linear = linearise(PAPER, REFERENCE, settings, side=side)  # type: ignore[arg-type]
+    linear = linearise(PAPER, REFERENCE, settings, side=side)
     simulator = Simulator(settings)
     simulator.start(0, scenario(), (REFERENCE,) * 2)
     names = list(simulator.layout.state_names)

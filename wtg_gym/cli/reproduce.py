@@ -13,7 +13,7 @@ from wtg_gym.cli import output as out
 from wtg_gym.cli.options import Json, OutputFolder
 from wtg_gym.files import to_json, write_atomically
 from wtg_gym.progress import Progress
-from wtg_gym.reproduce.case_claims import paper_claims, run_case
+from wtg_gym.reproduce.case_studies import paper_claims, run_case
 from wtg_gym.reproduce.claims import claims_table
 
 

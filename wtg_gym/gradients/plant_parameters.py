@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.machine_parameters import GovernorParameters
 from wtg_gym.physics.plant import PlantSettings, build_plant
 
@@ -133,7 +136,23 @@ def require_known_parameters(plant: PlantSettings, names: Iterable[str]) -> None
         )
 
 
-def leaves_of(plant: PlantSettings) -> dict[Leaf, float]:
+class Moved(NamedTuple):
+    """The constants of a plant that some of its parameters move."""
+
+    leaves: tuple[Leaf, ...]
+    values: Floats  # of them (n_leaves,)
+    slopes: Floats  # derivatives with respect to the parameters (n_leaves, n_parameters)
+
+
+def moved_by(plant: PlantSettings, names: Sequence[str]) -> Moved:
+    """Return the constants that parameters move; which these are does not depend on the parameters' values."""
+    values, slopes = _leaves_of(plant), [_slopes_of(plant, name) for name in names]
+    leaves = tuple(sorted({leaf for each in slopes for leaf in each}))
+    by_leaf = np.array([[each.get(leaf, 0.0) for each in slopes] for leaf in leaves])
+    return Moved(leaves, np.array([values[leaf] for leaf in leaves]), by_leaf.reshape(len(leaves), len(slopes)))
+
+
+def _leaves_of(plant: PlantSettings) -> dict[Leaf, float]:
     """Return the numbers of a plant's machines and of its turbine."""
     constants = build_plant(plant).constants[0]
     found = {
@@ -145,11 +164,11 @@ def leaves_of(plant: PlantSettings) -> dict[Leaf, float]:
     return found | {Leaf("turbine", 0, leaf): float(turbine[leaf]) for leaf in turbine.dtype.names}
 
 
-def slopes_of(plant: PlantSettings, name: str) -> dict[Leaf, float]:
+def _slopes_of(plant: PlantSettings, name: str) -> dict[Leaf, float]:
     """Return the derivatives of those constants that a parameter moves."""
     value = known_parameters(plant)[name]
     step = _STEP * (abs(value) or 1.0)
     # Nothing lies below 0: a parameter of that value moves constants in proportion.
     low, high = (value - step if value else 0.0), value + step
-    below, above = (leaves_of(with_parameters(plant, {name: at})) for at in (low, high))
+    below, above = (_leaves_of(with_parameters(plant, {name: at})) for at in (low, high))
     return {leaf: (above[leaf] - below[leaf]) / (high - low) for leaf in above if above[leaf] != below[leaf]}

@@ -17,14 +17,14 @@ from wtg_gym.gradients.adjoint import build_pull
 from wtg_gym.gradients.generated import Rules, build_rules
 from wtg_gym.gradients.kernel_programs import ROW_OF_LEAF, require_known
 from wtg_gym.gradients.plant_parameters import (
+    Moved,
     PlantEnvSettings,
     known_parameters,
-    leaves_of,
+    moved_by,
     require_known_parameters,
-    slopes_of,
     with_parameters,
 )
-from wtg_gym.physics.plant import PlantSettings, build_plant
+from wtg_gym.physics.plant import build_plant
 from wtg_gym.physics.scenario import Scenario
 
 Floats = npt.NDArray[np.float64]
@@ -109,21 +109,23 @@ class Tape:
         #: Names of the plant's parameters that gradients are taken with respect to.
         self.parameters = parameters
         self.lanes = TaskLanes(settings, n_lanes, n_threads)
-        self._measure_parameters(plant)
+        #: Constants that the parameters move; None once these have other values, until it is found anew.
+        self._moved: Moved | None = moved_by(plant, parameters)
+        leaves = self._moved.leaves
         simulator = self.lanes.simulator
         # Constants that are differentiated with respect to are read from rows: the code is the same whatever they are.
-        for leaf in self._leaves:
+        for leaf in leaves:
             part = built.constants[leaf.part][0]
             (part[leaf.place] if leaf.part == "machines" else part)[leaf.name] = 0.0
         key = b"".join(
             (
                 built.constants.tobytes(),
-                repr((simulator.plant.constants.dtype, simulator.layout, self._leaves)).encode(),
+                repr((simulator.plant.constants.dtype, simulator.layout, leaves)).encode(),
                 self.lanes.task.tobytes(),
             )
         )
         if key not in _RULES:
-            rules = build_rules(simulator.plant, self.lanes.task, simulator.layout, self.lanes.n_action, self._leaves)
+            rules = build_rules(simulator.plant, self.lanes.task, simulator.layout, self.lanes.n_action, leaves)
             _RULES[key] = rules, build_pull(rules)
         self._rules, self._pull = _RULES[key]
         n_blocks = simulator.blocks.shape[0]
@@ -136,16 +138,6 @@ class Tape:
         self._actions: list[Floats]
         self._begin(started=False)
         self._scratch = Outputs._make(np.zeros_like(array) for array in self.lanes.outputs)
-
-    def _measure_parameters(self, plant: PlantSettings) -> None:
-        """Find which constants the parameters move, and how far."""
-        slopes = [slopes_of(plant, name) for name in self.parameters]
-        self._leaves = tuple(sorted({leaf for each in slopes for leaf in each}))
-        self._slopes = np.array([[each.get(leaf, 0.0) for each in slopes] for leaf in self._leaves]).reshape(
-            len(self._leaves), len(slopes)
-        )
-        values = leaves_of(plant)
-        self._constants = np.array([values[leaf] for leaf in self._leaves])
 
     @property
     def output_names(self) -> tuple[str, ...]:
@@ -165,7 +157,7 @@ class Tape:
         plant = with_parameters(self.lanes.simulator.settings, values)
         settings = PlantEnvSettings.of(self.lanes.settings, plant)
         self.lanes = TaskLanes(settings, self.lanes.n_lanes, self.lanes.simulator.threads.n_threads)
-        self._measure_parameters(plant)
+        self._moved = None
         self._begin(started=False)
 
     def parameter_values(self) -> dict[str, float]:
@@ -183,11 +175,6 @@ class Tape:
         """How many numbers a lane carries from one step to the next, as far as cost and observations depend on them."""
         return self._rules.carried.size
 
-    @property
-    def observations(self) -> npt.NDArray[np.float32]:
-        """Observation of every lane (n_lanes, n_observation): a copy."""
-        return self.lanes.observations.copy()
-
     def start(self, scenarios: Sequence[Scenario]) -> npt.NDArray[np.float32]:
         """Start an episode in every lane, of one scenario each, and return the first observations."""
         n_lanes = self.lanes.n_lanes
@@ -195,7 +182,7 @@ class Tape:
             raise ValueError(f"episodes need {n_lanes} scenarios, one per lane, got {scenarios!r:.60}")
         self.lanes.start(list(range(n_lanes)), scenarios)
         self._begin(started=True)
-        return self.observations
+        return self.lanes.observations.copy()
 
     def _begin(self, *, started: bool) -> None:
         self._checkpoints, self._actions, self._replayed, self._started = [], [], (-1, []), started
@@ -258,7 +245,7 @@ class Tape:
         self._actions.append(actions.copy())
         self._replayed = (-1, [])
         terms = self._take(self._values(), self._rules.terms)
-        return self.observations, np.where(running[:, np.newaxis], terms, 0.0)
+        return self.lanes.observations.copy(), np.where(running[:, np.newaxis], terms, 0.0)
 
     def before(self, step: int) -> Floats:
         """Return the simulator's blocks as they stood before a step, from the nearest checkpoint on."""
@@ -307,26 +294,24 @@ class Tape:
         Raises:
             ValueError: the step does not exist, or derivatives have another shape.
         """
+        self._moved = self._moved or moved_by(self.lanes.simulator.settings, self.parameters)
         simulator, rules, n_lanes = self.lanes.simulator, self._rules, self.lanes.n_lanes
-        carried = _shaped("carried", carried, (n_lanes, self.n_carried))
-        terms = _shaped("terms", terms, (n_lanes, len(COST_TERMS)))
         works = self._works.reshape(self._works.shape[0], 2, rules.n_rows, simulator.width)
         before = self.before(step).reshape(works.shape[0], -1, simulator.width)
         works[:, 0, : before.shape[1]] = before
         of_plant = rules.leaves >= before.shape[1]
-        works[:, 0, rules.leaves[of_plant]] = self._constants[of_plant, np.newaxis]
+        works[:, 0, rules.leaves[of_plant]] = self._moved.values[of_plant, np.newaxis]
         cotangents = works[:, 1]
         cotangents[:] = 0.0
         running = self._take(before, np.array([simulator.layout.lane("active")])) > 0.5
-        self._put(cotangents, rules.carried, carried * running)
-        self._put(cotangents, rules.terms, terms * running)
-        if observations is not None:
-            observations = _shaped("observations", observations, (n_lanes, self.lanes.n_observation))
-            self._put(cotangents, rules.observation, observations * running)
-        if outputs is not None:
-            outputs = _shaped("outputs", outputs, (n_lanes, len(self.output_names)))
-            so_far = self._take(cotangents, rules.outputs)
-            self._put(cotangents, rules.outputs, so_far + outputs * running)
+        given = {"carried": carried, "terms": terms, "observations": observations, "outputs": outputs}
+        for (name, values), rows in zip(
+            given.items(), (rules.carried, rules.terms, rules.observation, rules.outputs), strict=True
+        ):
+            if values is not None:
+                values = _shaped(name, values, (n_lanes, rows.size))
+                # Some rows are carried and shown too.
+                self._put(cotangents, rows, self._take(cotangents, rows) + values * running)
         simulator.threads.run(
             lambda first, last: self._pull(
                 self._works,
@@ -345,20 +330,20 @@ class Tape:
         carried, of_actions, law, leaves = (
             np.where(running.reshape(-1, *(1,) * (own.ndim - 1)), own, 0.0) for own in found
         )
-        return Pulled(carried, of_actions, law, leaves * self._in_force(before) @ self._slopes)
+        return Pulled(carried, of_actions, law, leaves * self._in_force(before, self._moved) @ self._moved.slopes)
 
-    def _in_force(self, blocks: Floats) -> Floats:
+    def _in_force(self, blocks: Floats, moved: Moved) -> Floats:
         """Return how far a lane's own row follows each constant of the plant (n_lanes, n_leaves); 1 for the others.
 
         A scenario scales inertias, 1/2H = 1/(scale · 2H). Its droop takes the place of the plant's, which then means
         the droop in force; a lost governor has none.
         """
-        found = np.ones((self.lanes.n_lanes, len(self._leaves)))
-        for i, leaf in enumerate(self._leaves):
+        found = np.ones((self.lanes.n_lanes, len(moved.leaves)))
+        for i, leaf in enumerate(moved.leaves):
             if self._rules.leaves[i] < blocks.shape[1]:
                 row = self._take(blocks, self._rules.leaves[i : i + 1])[:, 0]
                 square = ROW_OF_LEAF[leaf.name] == "inv_droop"
-                found[:, i] = (row / self._constants[i]) ** 2 if square else -row / self._constants[i]
+                found[:, i] = (row / moved.values[i]) ** 2 if square else -row / moved.values[i]
         return found
 
     def play(self, scenarios: Sequence[Scenario], actions: Floats) -> Played:

@@ -14,7 +14,6 @@ Equations
     sensors             measurements with filter, noise, bias and delay
     equilibrium, start_errors    what a run starts from; why it cannot
     linearisation       the state matrix, and the step that its modes allow
-    modes               eigenvalues and participation of the whole system, by name
 
 Data
     parameters, machine_parameters, checked    every number with unit, source and range

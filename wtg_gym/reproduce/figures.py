@@ -10,7 +10,6 @@ import numpy as np
 
 from wtg_gym.physics.aerodynamics import available_power_pu, power_coefficient, tracking_point
 from wtg_gym.physics.layout import Floats
-from wtg_gym.physics.modes import Side
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
@@ -18,8 +17,9 @@ from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, Trackin
 from wtg_gym.physics.trajectory import Trajectory
 from wtg_gym.plotting import style
 from wtg_gym.plotting.event_marks import endings, explain_events, mark_end, mark_instants
-from wtg_gym.reproduce.loops import LINEAR_UNDAMPED, SingleMachine, ideal_source_loop, single_machine
+from wtg_gym.reproduce.loops import LINEAR_UNDAMPED, SIDES, SingleMachine, ideal_source_loop, single_machine
 from wtg_gym.reproduce.steady_states import critical_frequency_pu, equilibria, named_points
+from wtg_gym.reproduce.theory import WINDS
 from wtg_gym.scenarios import get_suite
 
 if TYPE_CHECKING:
@@ -42,39 +42,48 @@ class PaperFigure(NamedTuple):
 def paper_figures(increase: Mapping[str, Trajectory], decrease: Mapping[str, Trajectory]) -> dict[str, PaperFigure]:
     """Return every figure of the paper by the name of its file; `increase` and `decrease` are the case studies."""
     suite, reference, linear = get_suite("paper"), STRATEGIES[REFERENCE_STRATEGY], STRATEGIES["coordinated-linear"]
+    characteristics = {
+        "mppt": "maximum power point tracking",
+        "deloaded-5": "5 % of deloading",
+        "deloaded-10": "10 % of deloading",
+        reference.name: "the coordinated strategy",
+    }
     fixed = [STRATEGIES[name] for name in ("mppt", "deloaded-5", "deloaded-10")]
-    words = ("maximum power point tracking", "5 % of deloading", "10 % of deloading", "the coordinated strategy")
-    sides: tuple[Side, ...] = ("under", "over")
-    comparison = {law.name: single_machine(law, 11.4) for law in (*fixed, LINEAR_UNDAMPED)}
-    proposed = {law.name: single_machine(law, 11.4) for law in (linear, LINEAR_UNDAMPED)}
-    proposed |= {f"{reference.name}, {side}-frequency": single_machine(reference, 11.4, side=side) for side in sides}
-    figures = {
+    comparison = {"ideal-source": ideal_source_loop()}
+    comparison |= {law.name: single_machine(law, WINDS[0]) for law in (*fixed, LINEAR_UNDAMPED)}
+    proposed = {law.name: single_machine(law, WINDS[0]) for law in (linear, LINEAR_UNDAMPED)}
+    proposed |= {
+        f"{reference.name}, {side}-frequency": single_machine(reference, WINDS[0], side=side) for side in SIDES
+    }
+    return {
         "power-coefficient": PaperFigure(
             "Power coefficient with the deloading points: λ_opt, λ_n (5 %) and λ_pr (10 %).", plot_power_coefficient
-        )
+        ),
+        **{
+            f"characteristic-{name}": PaperFigure(
+                f"Power-frequency characteristic: {text}.", partial(plot_characteristic, STRATEGIES[name])
+            )
+            for name, text in characteristics.items()
+        },
+        "bode-comparison": PaperFigure(
+            "Open loops at 11.4 m/s, K_p = 1.45: an ideal DC source, the fixed strategies, and the linear law without "
+            "transient damping.",
+            partial(plot_bode, comparison),
+        ),
+        "bode-proposed": PaperFigure(
+            "Open loops of the coordinated strategy: the linear law with transient damping (τ = 0.8 s) and without, "
+            "and both slopes of the piecewise law with it.",
+            partial(plot_bode, proposed),
+        ),
+        "load-increase": PaperFigure(
+            "Load increase: +75 MW at bus 2 at 5 s and at bus 3 at 30 s; a cross marks a stall.",
+            partial(plot_case_study, suite.scenario(0), increase),
+        ),
+        "load-decrease": PaperFigure(
+            "Load decrease: the loads of bus 4 (47.8 MW) at 5 s and bus 9 (29.5 MW) at 30 s are lost.",
+            partial(plot_case_study, suite.scenario(1), decrease),
+        ),
     }
-    for law, text in zip((*fixed, reference), words, strict=True):
-        draw = partial(plot_characteristic, law)
-        figures[f"characteristic-{law.name}"] = PaperFigure(f"Power-frequency characteristic: {text}.", draw)
-    figures["bode-comparison"] = PaperFigure(
-        "Open loops at 11.4 m/s, K_p = 1.45: an ideal DC source, the fixed strategies, and the linear law without "
-        "transient damping.",
-        partial(plot_bode, {"ideal-source": ideal_source_loop(), **comparison}),
-    )
-    figures["bode-proposed"] = PaperFigure(
-        "Open loops of the coordinated strategy: the linear law with transient damping (τ = 0.8 s) and without, and "
-        "both slopes of the piecewise law with it.",
-        partial(plot_bode, proposed),
-    )
-    figures["load-increase"] = PaperFigure(
-        "Load increase: +75 MW at bus 2 at 5 s and at bus 3 at 30 s; a cross marks a stall.",
-        partial(plot_case_study, suite.scenario(0), increase),
-    )
-    figures["load-decrease"] = PaperFigure(
-        "Load decrease: the loads of bus 4 (47.8 MW) at 5 s and bus 9 (29.5 MW) at 30 s are lost.",
-        partial(plot_case_study, suite.scenario(1), decrease),
-    )
-    return figures
 
 
 @style.printed
@@ -91,7 +100,7 @@ def plot_power_coefficient() -> Figure:
     for axes, low, high in ((whole, 2.0, 13.0), (part, 6.6, 8.8)):
         x = np.unique(np.append(np.linspace(low, high, 400), ratios))
         y = power_coefficient(x)
-        axes.plot(x, y, color="0.15", linewidth=1.3, label="_power coefficient")
+        axes.plot(x, y, color="0.15", linewidth=1.3)
         for i, colour in enumerate((style.PALETTE[1], style.PALETTE[0])):
             inside = (x >= ratios[i]) & (x <= ratios[i + 1])
             axes.fill_between(x[inside], y[inside], color=colour, alpha=0.3, linewidth=0.0)
@@ -99,19 +108,19 @@ def plot_power_coefficient() -> Figure:
         axes.set(xlim=(low, high), xlabel=r"tip-speed ratio $\lambda$ [–]", ylabel=r"power coefficient $C_p$ [–]")
     whole.set_ylim(0.0, 0.51)
     part.set_ylim(values[2] - 0.035, values[0] + 0.02)
-    names, corners = ("opt", "n", "pr"), (r"\omega_{min}", r"\omega_{st}", r"\omega_{max}")
+    names, corners = ("opt", "n", "pr"), ("min", "st", "max")
     for name, level, value in zip(names, levels, values, strict=True):
         part.axhline(value, linewidth=0.7, **style.REFERENCE)
         style.name_at_right(part, rf"$C_{{p,{name}}}$ = {value:.3f}, −{100 * level:.0f} %".replace(", −0 %", ""), value)
     ticks = zip(ratios, names, corners, strict=True)
-    part.set_xticks(ratios, ["\n".join((f"{x:.2f}", rf"$\lambda_{{{n}}}$", f"at ${c}$")) for x, n, c in ticks])
+    part.set_xticks(ratios, [f"{x:.2f}\n$\\lambda_{{{n}}}$\nat $\\omega_{{{c}}}$" for x, n, c in ticks])
     style.letter_panel(whole, "a", "power coefficient and reserve")
     style.letter_panel(part, "b", r"operating range over $\omega_{min}$ … $\omega_{max}$")
     return figure
 
 
 @style.printed
-def plot_characteristic(law: TrackingLaw, winds: Sequence[float] = (11.4, 8.0)) -> Figure:
+def plot_characteristic(law: TrackingLaw) -> Figure:
     """Draw what a strategy does in steady state: power and rotor speed over frequency, and where on the rotor's curve.
 
     The paper's figures `MPPTDroop` (law mppt), `DeloadingLowDroop` (deloaded-5), `DeloadingHighDroop` (deloaded-10)
@@ -119,37 +128,35 @@ def plot_characteristic(law: TrackingLaw, winds: Sequence[float] = (11.4, 8.0)) 
     k ω_m³, dotted what the law demands where the equilibrium is lost; (b) power and (c) rotor speed over frequency:
     stable equilibria solid, unstable ones dashed, frequencies without any shaded. For the points A_i … M_i at the i-th
     wind see :func:`~wtg_gym.reproduce.steady_states.named_points`.
-
-    Args:
-        law: the strategy.
-        winds: one to six wind speeds, 3 … 25 [m/s].
     """
     figure = style.new_figure(style.DOUBLE_COLUMN_MM, 74.0)
     rotor, power, speed = panels = figure.subplots(1, 3, width_ratios=(1.1, 1.0, 1.0))
     control = GridFormingParameters()
     corners = (control.frequency_min_pu, control.frequency_setpoint_pu, control.frequency_max_pu)
-    for number, (wind, colour) in enumerate(zip(winds, style.PALETTE, strict=False), start=1):
+    for number, (wind, colour) in enumerate(zip(WINDS, style.PALETTE, strict=False), start=1):
         critical = critical_frequency_pu(law, wind, lowest_pu=corners[0] - _BEYOND)
         _draw_rotor_curves(rotor, law, wind, critical, colour)
         stable, unstable = _branches(law, wind, critical)
-        for axes, row, shown in ((power, 2, ""), (speed, 1, "_")):
-            axes.plot(stable[0], stable[row], color=colour, label=f"{shown}{number}: {wind:g} m/s")
-            axes.plot(unstable[0], unstable[row], "--", color=colour, label=f"_unstable {wind:g} m/s")
+        for axes, row in ((power, 2), (speed, 1)):
+            # One panel's lines are enough for the legend.
+            named = axes is power
+            axes.plot(stable[0], stable[row], color=colour, label=f"{number}: {wind:g} m/s" if named else None)
+            axes.plot(unstable[0], unstable[row], "--", color=colour)
             if critical is not None:
-                text = f"{shown}no equilibrium at {wind:g} m/s"
+                text = f"no equilibrium at {wind:g} m/s" if named else None
                 axes.axvspan(corners[0] - _BEYOND, critical, color=colour, alpha=0.1, linewidth=0.0, label=text)
         for name, (f, rotor_speed, _, p, _) in named_points(law, wind).items():
             for axes, place in zip(panels, ((rotor_speed, p), (f, p), (f, rotor_speed)), strict=True):
-                axes.plot(*place, "o", color=colour, zorder=5, label=f"_point {name}{number}")
+                axes.plot(*place, "o", color=colour, zorder=5)
                 text = rf"$\mathregular{{{name}_{number}}}$"
                 axes.annotate(text, place, _AWAY[name], textcoords="offset points", color=colour)
     for k in sorted({law.k_min, law.k_nominal, law.k_max}):
         speeds = np.linspace(0.1, min((1.15 / k) ** (1.0 / 3.0), 1.4))
-        rotor.plot(speeds, k * speeds**3, color=style.REFERENCE_GREY, linewidth=0.8, label=f"_k = {k:.3f}")
+        rotor.plot(speeds, k * speeds**3, color=style.REFERENCE_GREY, linewidth=0.8)
         top = (speeds[-1], k * speeds[-1] ** 3)
         rotor.annotate(f"k = {k:.2f}", top, (0.0, 2.0), textcoords="offset points", rotation=60, fontsize=6)
     rotor.set(xlabel=r"rotor speed $\omega_m$ [p.u.]", ylabel="power p [p.u.]", ylim=(0.0, 1.35))
-    ticks = [f"{x:.3f}\n" + rf"$\omega_{{{name}}}$" for x, name in zip(corners, ("min", "st", "max"), strict=True)]
+    ticks = [f"{x:.3f}\n$\\omega_{{{name}}}$" for x, name in zip(corners, ("min", "st", "max"), strict=True)]
     for axes, label in ((power, "power p [p.u.]"), (speed, r"rotor speed $\omega_m$ [p.u.]")):
         for corner in corners:
             axes.axvline(corner, linewidth=0.7, zorder=1, **style.REFERENCE)
@@ -167,10 +174,10 @@ def _draw_rotor_curves(axes: Axes, law: TrackingLaw, wind_m_s: float, critical_p
     turbine, control, speeds = TurbineParameters(), GridFormingParameters(), np.linspace(0.1, 1.4, 300)
     ratios = turbine.tip_speed_ratio_per_speed_m_s * speeds / wind_m_s
     captured = turbine.wind_power_pu_per_cubic_wind * wind_m_s**3 * power_coefficient(ratios)
-    axes.plot(speeds, captured, color=colour, label=f"_captured {wind_m_s:g} m/s")
+    axes.plot(speeds, captured, color=colour)
     if critical_pu is not None and np.isinf(law.damping_time_constant_s):
         demand = law.k_nominal * speeds**3 + control.droop_gain_pu * (control.frequency_setpoint_pu - critical_pu)
-        axes.plot(speeds, demand, ":", color=colour, linewidth=0.9, label=f"_demand {wind_m_s:g} m/s")
+        axes.plot(speeds, demand, ":", color=colour, linewidth=0.9)
 
 
 def _branches(law: TrackingLaw, wind_m_s: float, critical_pu: float | None) -> tuple[Floats, Floats]:
@@ -198,17 +205,16 @@ def plot_bode(loops: Mapping[str, SingleMachine]) -> Figure:
     figure = style.new_figure(style.SINGLE_COLUMN_MM, 92.0 + 3.5 * len(loops))
     magnitude, phase = figure.subplots(2, 1, sharex=True)
     angular = np.geomspace(1e-2, 1e2, 600)
-    looks = style.strategy_looks(loops)
-    for label, loop in loops.items():
-        look, margins, response = looks[label], loop.margins(), loop.response(angular)
+    for (label, loop), look in zip(loops.items(), style.strategy_looks(loops).values(), strict=True):
+        margins, response = loop.margins(), loop.response(angular)
         line: dict[str, Any] = {"color": look.colour, "linestyle": look.dashes}
         text = f"{label}: {margins.phase_margin_deg:.1f}° at {margins.crossover_rad_s:.2f} rad/s"
         magnitude.plot(angular, 20.0 * np.log10(np.abs(response)), label=text, **line)
         # About -180°, since the phase stays within 180° of that, it never jumps.
-        phase.plot(angular, np.degrees(np.angle(-response)) - 180.0, label=f"_phase {label}", **line)
+        phase.plot(angular, np.degrees(np.angle(-response)) - 180.0, **line)
         crossover, top = margins.crossover_rad_s, margins.phase_margin_deg - 180.0
         magnitude.plot(crossover, 0.0, "o", color=look.colour, zorder=4)
-        phase.plot(crossover, top, "o", color=look.colour, zorder=4, label=f"_margin {label}")
+        phase.plot(crossover, top, "o", color=look.colour, zorder=4)
         phase.vlines(crossover, -180.0, top, color=look.colour, linewidth=0.8, zorder=3)
     magnitude.axhline(0.0, color=style.REFERENCE_GREY, linewidth=0.8, zorder=1)
     phase.axhline(-180.0, color=style.REFERENCE_GREY, linewidth=0.8, zorder=1)
@@ -223,35 +229,32 @@ def plot_bode(loops: Mapping[str, SingleMachine]) -> Figure:
 
 @style.printed
 def plot_case_study(scenario: Scenario, runs: Mapping[str, Trajectory]) -> Figure:
-    """Draw frequency, power, rotor speed and tracking coefficient of each WTG group, one column per group.
+    """Draw frequency, power, rotor speed and tracking coefficient of both WTG groups, one column per group.
 
     The paper's figures `SimulationLoadIncrease` and `SimulationLoadShed`. The reference strategy is drawn on top and
     thick; a cross marks where a run ended before its time; events are numbered and explained above. Grey lines:
     available power and 90 % of it, rotor speed of maximum power, K_opt, K_n and K_pr.
 
     Args:
-        runs: recorded runs of it by strategy, all with the same one to four WTG groups.
+        scenario: of the runs.
+        runs: recorded by strategy.
     """
-    longest = max(runs.values(), key=lambda run: run.time_s.size)
-    n_groups = longest.power_pu.shape[1]
-    figure = style.new_figure(style.DOUBLE_COLUMN_MM if n_groups > 1 else style.SINGLE_COLUMN_MM, 178.0)
-    grid = figure.subplots(4, n_groups, sharex=True, squeeze=False, height_ratios=(1.0, 1.15, 1.15, 0.85))
-    looks = style.strategy_looks(runs)
-    for group in range(n_groups):
-        style.letter_panel(grid[0, group], "abcd"[group], f"GFM-WTG {group + 1} ({longest.wind_m_s[0, group]:.3g} m/s)")
-        for axes, (label, quantity) in zip(grid[:, group], _QUANTITIES.items(), strict=True):
-            for name, run in runs.items():
-                _draw_run(axes, name, run, quantity(run)[:, group], looks[name])
-            if group == 0:
-                axes.set_ylabel(label)
+    figure = style.new_figure(style.DOUBLE_COLUMN_MM, 178.0)
+    grid = figure.subplots(4, 2, sharex=True, height_ratios=(1.0, 1.15, 1.15, 0.85))
+    for group, wind in enumerate(WINDS):
+        style.letter_panel(grid[0, group], "ab"[group], f"GFM-WTG {group + 1} ({wind:g} m/s)")
+        for axes, quantity in zip(grid[:, group], _QUANTITIES.values(), strict=True):
+            for (name, run), look in zip(runs.items(), style.strategy_looks(runs).values(), strict=True):
+                _draw_run(axes, name, run, quantity(run)[:, group], look)
             mark_instants(axes, scenario, numbered=axes is grid[0, group])
-        _draw_references(list(grid[:, group]), longest, group)
+        _draw_references(grid[:, group], max(runs.values(), key=lambda run: run.time_s.size), group)
         grid[3, group].set_xlabel("time [s]")
+    for axes, label in zip(grid[:, 0], _QUANTITIES, strict=True):
+        axes.set_ylabel(label)
     grid[0, 0].set_xlim(0.0, scenario.duration_s)
     for row in (grid[0], grid[3]):
         style.share_limits(list(row))
-    reasons = endings(runs.values())
-    if reasons:
+    if reasons := endings(runs.values()):
         grid[0, 0].plot([], [], "x", color="0.25", markeredgewidth=1.4, label=reasons)
     handles, labels = grid[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)), handlelength=3.6)

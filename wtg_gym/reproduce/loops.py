@@ -11,19 +11,21 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import Polynomial
 
 from wtg_gym.physics.aerodynamics import power_coefficient
-from wtg_gym.physics.modes import Side
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw
 from wtg_gym.ranges import require_range
 from wtg_gym.reproduce.steady_states import equilibria, stable_equilibrium
 
+#: The slope of g(ω) that counts at ω_st: that of under-frequency, or that of over-frequency.
+Side = Literal["under", "over"]
+SIDES: tuple[Side, ...] = ("under", "over")
 #: The synchronising coefficient K_p at which the paper's margins come out [p.u./rad].
 PAPER_SYNCHRONISING_COEFFICIENT = 1.45
 #: The straight g(ω) with the droop cancelled: the loop whose margin the paper gives as about 28°.
@@ -48,7 +50,6 @@ class Margins(NamedTuple):
 class SingleMachine:
     """An open loop G(s): coefficients of rising powers of s."""
 
-    law: str  # name of the strategy
     synchronising_coefficient: float  # K_p = V V_g cos δ_0/X_g [p.u./rad]
     numerator: Polynomial
     denominator: Polynomial
@@ -107,8 +108,6 @@ def single_machine(
     """
     turbine, control = turbine or TurbineParameters(), control or GridFormingParameters()
     require_range("synchronising coefficient", synchronising_coefficient, 0.01, 100.0, "p.u./rad")
-    if side not in ("under", "over"):
-        raise ValueError(f"side must be 'under' or 'over', got {side!r}")
     setpoint = control.frequency_setpoint_pu
     point = stable_equilibrium(setpoint, law, wind_m_s, control=control, turbine=turbine)
     if point is None:
@@ -119,13 +118,13 @@ def single_machine(
     low, high = power_coefficient(
         point.tip_speed_ratio * np.array([1.0 - _STEP, 1.0 + _STEP]), 0.0, turbine.power_coefficient
     )
-    if side == "under":
-        slope = (law.k_nominal - law.k_min) / (setpoint - control.frequency_min_pu)
-    else:
-        slope = (law.k_max - law.k_nominal) / (control.frequency_max_pu - setpoint)
+    slopes = {
+        "under": (law.k_nominal - law.k_min) / (setpoint - control.frequency_min_pu),
+        "over": (law.k_max - law.k_nominal) / (control.frequency_max_pu - setpoint),
+    }
     # A = ∂p_w/∂ω_m, B1 = ∂P_st/∂ω_m and B2 = ∂P_st/∂ω [p.u./p.u.].
     a = turbine.wind_power_pu_per_cubic_wind * wind_m_s**3 * float(high - low) / (2.0 * _STEP * rotor)
-    b1, b2 = 3.0 * law.k_nominal * rotor**2, slope * rotor**3
+    b1, b2 = 3.0 * law.k_nominal * rotor**2, slopes[side] * rotor**3
     s, tau = Polynomial([0.0, 1.0]), law.damping_time_constant_s
     rotor_dynamics = 2.0 * turbine.inertia_constant_s * (rotor if turbine.conserves_energy else 1.0) * s - a
     swing = 2.0 * control.inertia_constant_s * s - b2
@@ -135,27 +134,12 @@ def single_machine(
         filtered = tau * s + 1.0
         swing = swing * filtered + control.droop_gain_pu * tau * s
     numerator = _ANGULAR_FREQUENCY * synchronising_coefficient * (rotor_dynamics + b1) * filtered
-    return SingleMachine(law.name, synchronising_coefficient, numerator.trim(), (s * swing * rotor_dynamics).trim())
+    return SingleMachine(synchronising_coefficient, numerator.trim(), (s * swing * rotor_dynamics).trim())
 
 
-def with_moving_voltage(loop: SingleMachine, effect: float, decay_1_s: float) -> SingleMachine:
-    """Return a loop whose voltage behind X_g follows the angle: K_p + K_1/(s + a) in the place of K_p.
-
-    `effect` is K_1 = ∂p/∂E ∂Ė/∂δ [p.u./(rad s)], `decay_1_s` is a = -∂Ė/∂E [1/s].
-    """
-    numerator = loop.numerator * Polynomial([decay_1_s + effect / loop.synchronising_coefficient, 1.0])
-    return dataclasses.replace(loop, numerator=numerator, denominator=loop.denominator * Polynomial([decay_1_s, 1.0]))
-
-
-def ideal_source_loop(
-    synchronising_coefficient: float = PAPER_SYNCHRONISING_COEFFICIENT, *, control: GridFormingParameters | None = None
-) -> SingleMachine:
-    """Return the loop of grid-forming control on an ideal DC source (paper, equation for G_GFM).
-
-    Args, Raises: as for :func:`single_machine`; no rotor and no wind take part.
-    """
-    require_range("synchronising coefficient", synchronising_coefficient, 0.01, 100.0, "p.u./rad")
+def ideal_source_loop(control: GridFormingParameters | None = None) -> SingleMachine:
+    """Return the loop of grid-forming control on an ideal DC source, without rotor and wind (paper, G_GFM)."""
     control = control or GridFormingParameters()
-    numerator = Polynomial([_ANGULAR_FREQUENCY * synchronising_coefficient])
+    numerator = Polynomial([_ANGULAR_FREQUENCY * PAPER_SYNCHRONISING_COEFFICIENT])
     denominator = Polynomial([0.0, control.droop_gain_pu, 2.0 * control.inertia_constant_s])
-    return SingleMachine("ideal-source", synchronising_coefficient, numerator, denominator)
+    return SingleMachine(PAPER_SYNCHRONISING_COEFFICIENT, numerator, denominator)

@@ -22,8 +22,8 @@ from wtg_gym.physics.scenario import WIND_SPEED_RANGE
 from wtg_gym.physics.tracking_law import TrackingLaw
 from wtg_gym.ranges import require_range
 
-#: Frequencies the functions accept [p.u.].
-FREQUENCY_RANGE = (0.5, 1.5)
+#: Lowest and highest frequency of a question [p.u.].
+_FREQUENCY_RANGE = (0.5, 1.5)
 #: Least tip-speed ratio of the search for equilibria, below which the C_p curve is not valid, and its step [-].
 _LEAST_RATIO, _RATIO_STEP = 1.0, 0.1
 
@@ -49,7 +49,7 @@ class _Balance:
         turbine: TurbineParameters | None = None,
         control: GridFormingParameters | None = None,
     ) -> None:
-        require_range("frequency", frequency_pu, *FREQUENCY_RANGE, "p.u.")
+        require_range("frequency", frequency_pu, *_FREQUENCY_RANGE, "p.u.")
         require_range("wind", wind_m_s, *WIND_SPEED_RANGE, "m/s")
         turbine, control = turbine or TurbineParameters(), control or GridFormingParameters()
         corners = converter_constants(control).corners
@@ -145,39 +145,33 @@ def stable_equilibrium(
     return balance.at(min(found[-1].rotor_speed_pu, limit, pitch.rotor_speed_limit_pu))
 
 
-def critical_frequency_pu(
-    law: TrackingLaw, wind_m_s: float, *, lowest_pu: float = 0.9, turbine: TurbineParameters | None = None
-) -> float | None:
+def critical_frequency_pu(law: TrackingLaw, wind_m_s: float, *, lowest_pu: float = 0.9) -> float | None:
     """Return the frequency below which a strategy has no equilibrium at a wind speed [p.u.].
 
-    From the set-point downwards it is the first frequency at which the equilibrium is lost. Where a law has none at the
-    set-point either, it is the lowest frequency above at which it has one. Source: paper, section on MPPT.
+    From the set-point downwards it is the first frequency at which the equilibrium is lost. Source: paper, section on
+    MPPT.
 
     Args:
         law: the strategy.
         wind_m_s: wind speed, 3 … 25 [m/s].
         lowest_pu: lowest frequency tried, 0.5 p.u. … the set-point [p.u.].
-        turbine: parameters; the paper's by default.
 
     Returns:
         the critical frequency, or None where there is an equilibrium down to `lowest_pu`.
 
     Raises:
-        ValueError: a value is out of range, or there is no equilibrium from the set-point up to 1.5 p.u.
+        ValueError: a value is out of range, or there is no equilibrium at the set-point either.
     """
     control = GridFormingParameters()
     setpoint = control.frequency_setpoint_pu
-    require_range("lowest frequency", lowest_pu, FREQUENCY_RANGE[0], setpoint, "p.u.")
+    require_range("lowest frequency", lowest_pu, _FREQUENCY_RANGE[0], setpoint, "p.u.")
 
     def margin(frequency: float) -> float:
-        balance = _Balance(frequency, law, wind_m_s, turbine)
+        balance = _Balance(frequency, law, wind_m_s)
         return float(balance.surplus(balance.best_speed()))
 
     if margin(setpoint) < 0.0:
-        for low, high in ((setpoint, control.frequency_max_pu), (control.frequency_max_pu, FREQUENCY_RANGE[1])):
-            if margin(high) >= 0.0:
-                return float(brentq(margin, low, high, xtol=1e-13))
-        raise ValueError(f"law {law.name!r} has no equilibrium at {wind_m_s:g} m/s from the set-point on upwards")
+        raise ValueError(f"law {law.name!r} has no equilibrium at {wind_m_s:g} m/s at the set-point either")
     corner = max(control.frequency_min_pu, lowest_pu)
     return _first_loss(margin, corner, setpoint) or _first_loss(margin, lowest_pu, corner)
 
@@ -207,7 +201,7 @@ def named_points(law: TrackingLaw, wind_m_s: float) -> dict[str, OperatingPoint]
     corners = {"A": nominal, "B": lowest, "C": control.frequency_max_pu}
     points = {name: found[-1] for name, f in corners.items() if (found := equilibria(f, law, wind_m_s))}
     critical = critical_frequency_pu(law, wind_m_s, lowest_pu=lowest)
-    if critical is not None and critical <= nominal:
+    if critical is not None:
         # The two branches meet there, so that neither has a root; the surplus has its maximum at that speed.
         lost = _Balance(critical, law, wind_m_s)
         points["B"] = lost.at(lost.best_speed())
