@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import sys
 from collections.abc import Callable, Container, Iterator, Mapping
 from pathlib import Path
@@ -61,8 +60,6 @@ def training_parser(prog: str, description: str, *, timesteps: str) -> argparse.
     add("--observation-mode", choices=OBSERVATION_MODES, help="what it sees (default: local)")
     add("--suite", metavar="NAME", help=f"suite to train and validate on (default: {DEFAULT_SUITE})")
     add("--strategy", metavar="NAME", help=f"law that the actions modulate (default: {REFERENCE_STRATEGY})")
-    add("--groups", type=int, metavar="N", help="WTG groups at bus 2 (default: the suite's)")
-    add("--sensors", type=_sensors, metavar="VALUES", help='"exact", or JSON such as \'{"delay_s": [0, 0]}\'')
     add("--seed", type=int, metavar="N", help="seed of everything random (default: 0)")
     add("--timesteps", type=int, metavar="N", help=f"environment steps in all (default: {timesteps})")
     add("--interval", type=int, metavar="N", help="steps between validations (default: a 20th of all)")
@@ -70,20 +67,12 @@ def training_parser(prog: str, description: str, *, timesteps: str) -> argparse.
     return parser
 
 
-def _sensors(text: str) -> Any:
-    """Return the sensors that an option names; the environment says what it takes."""
-    with contextlib.suppress(json.JSONDecodeError):
-        return json.loads(text)
-    return text
-
-
 def settings_of(
     given: Mapping[str, Any], algo: str, hyperparameters: Mapping[str, Any], *, timesteps: int, n_envs: int
 ) -> RunSettings:
     """Return the settings of a new run: the options that are settings of the same name, and these defaults."""
-    timesteps = given.get("timesteps", timesteps)
     named = {key: value for key, value in given.items() if key in RunSettings.__dataclass_fields__}
-    defaults = {"timesteps": timesteps, "n_envs": n_envs, "interval": max(1, timesteps // 20)}
+    defaults = {"timesteps": timesteps, "n_envs": n_envs}
     return RunSettings(**{**defaults, **named, "algo": algo, "hyperparameters": hyperparameters})
 
 

@@ -7,6 +7,7 @@ Episode i is what `reset(seed=i)` draws. The same command gives the same data.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import sys
 import warnings
 from collections.abc import Sequence
@@ -21,6 +22,12 @@ from wtg_gym.physics.compiled import source_hash
 from wtg_gym.policies import load_entries
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import get_suite
+
+try:
+    import minari
+    from minari.data_collector import EpisodeBuffer
+except ImportError as error:
+    raise SystemExit(f"error: datasets need Minari; {install_advice('data')}") from error
 
 #: Standard deviation of the noise on the actions [full action], and for how many steps a value is held: rotors answer
 #: in seconds, and noise that is drawn anew at every step averages out before it shows.
@@ -38,10 +45,6 @@ POLICIES: dict[str, Sequence[tuple[bool, bool]]] = {
 
 def make_dataset(version: str, policy: str, episodes: int) -> Any:
     """Play episodes and return the dataset of Minari; a ValueError if there is one of this name already."""
-    try:
-        import minari
-    except ImportError as error:
-        raise ValueError(f"datasets need Minari; {install_advice('data')}") from error
     name, (suite, player) = f"gfmwtg/{version}/{policy}-v0", VERSIONS[version]
     if name in minari.list_local_datasets():
         raise ValueError(f"the dataset {name} is there already; delete it first: minari delete {name}")
@@ -63,8 +66,6 @@ def make_dataset(version: str, policy: str, episodes: int) -> Any:
 
 def _played(env: gym.Env[Any, Any], trained: Any, acts: bool, noisy: bool, seed: int) -> Any:
     """Return an episode; observations and infos have a row more than there are steps, the start."""
-    from minari.data_collector import EpisodeBuffer
-
     rng, state, over = np.random.default_rng(seed), None, False
     noise = np.zeros(env.action_space.shape or ())
     observation, info = env.reset(seed=seed)
@@ -83,16 +84,10 @@ def _played(env: gym.Env[Any, Any], trained: Any, acts: bool, noisy: bool, seed:
         infos.append([info[key] for key in keys])
         steps.append((action, reward, terminated, truncated))
         over = terminated or truncated
-    actions, rewards, terminations, truncations = (np.array(column) for column in zip(*steps, strict=True))
-    return EpisodeBuffer(
-        seed=seed,
-        observations=np.array(seen),
-        actions=actions,
-        rewards=rewards,
-        terminations=terminations,
-        truncations=truncations,
-        infos=dict(zip(keys, np.array(infos).T, strict=True)),
-    )
+    names = ("actions", "rewards", "terminations", "truncations")
+    columns = dict(zip(names, map(np.array, zip(*steps, strict=True)), strict=True))
+    numbers = dict(zip(keys, np.array(infos).T, strict=True))
+    return EpisodeBuffer(seed=seed, observations=np.array(seen), infos=numbers, **columns)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -106,10 +101,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         given = parser.parse_args(argv)
         if given.episodes < 1:
             raise ValueError(f"--episodes must be 1 or more, got {given.episodes}")
-        for version in given.versions:
-            for policy in given.policies:
-                made = make_dataset(version, policy, given.episodes)
-                note(f"{made.spec.dataset_id}: {made.total_episodes} episodes, {made.total_steps} steps")
+        for version, policy in itertools.product(given.versions, given.policies):
+            made = make_dataset(version, policy, given.episodes)
+            note(f"{made.spec.dataset_id}: {made.total_episodes} episodes, {made.total_steps} steps")
 
     return run_command(work, "datasets that are complete stay")
 

@@ -10,44 +10,34 @@ from typing import Any
 from agents.command import make_parser, note, run_command
 from agents.folders import BEST, folders
 from agents.runs import Run
-from agents.training import SHARED, entry_values
+from agents.training import entry_values
 from wtg_gym.files import markdown_table, sha256, write_together
 from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
 from wtg_gym.policies.submission_folder import entry_text
 from wtg_gym.scenarios import get_suite
 
-_CARD_FILE = "README.md"
 _DESCRIPTION = """\
 Writes the best policy of a run, normalisation and clipping included, as policy.onnx, a model card README.md, and an
 entry.toml that makes the folder an entry of the leaderboard. The file is the one that the training wrote."""
 
 
 def export(
-    run_folder: Path,
-    output: Path,
-    *,
-    name: str = "",
-    description: str = "",
-    authors: Sequence[str] = (),
-    overwrite: bool = False,
+    run_folder: Path, output: Path, *, name: str = "", description: str = "", authors: Sequence[str] = ()
 ) -> None:
     """Write the best policy of a run into a folder.
 
     Args:
         run_folder: of the run.
-        output: folder to write policy.onnx, README.md and entry.toml into; made if missing.
+        output: new folder, which gets policy.onnx, README.md and entry.toml.
         name: of the entry; empty for one made of algorithm and action mode.
         description: one sentence on what it is; empty for a general one.
         authors: names.
-        overwrite: replace these files where they are there.
 
     Raises:
-        ValueError: the folder has one of the files, there is no policy, the leaderboard would refuse the name, or the
-            policy acts for other groups than the suite has.
+        ValueError: the folder is there already, there is no policy, or the leaderboard would refuse the name.
     """
-    there = [file for file in (POLICY_FILE, _CARD_FILE, ENTRY_FILE) if (output / file).exists()]
-    if there and not overwrite:
-        raise ValueError(f"{output} has {', '.join(there)} already; --overwrite replaces them")
+    if output.exists():
+        raise ValueError(f"{output} is there already; give a new folder")
     run = Run.read(run_folder)
     settings = run.settings
     # A kill may leave a policy whose validation is not in run.json.
@@ -57,14 +47,11 @@ def export(
         raise ValueError(f"{run_folder} has no validated policy yet: go on with the run first")
     timesteps = int(best[-1].name)
     entry = entry_values(settings, timesteps, name, description)
-    own = len(get_suite(settings.suite).plant.groups)
-    if settings.algo not in SHARED and settings.groups not in (None, own):
-        raise ValueError(f"the policy acts for {settings.groups} WTG groups, suite {settings.suite!r} has {own}")
     content = (best[-1] / POLICY_FILE).read_bytes()
     trained_on = f"{settings.suite}, split train, {timesteps} steps; chosen on split validation"
     files: dict[str, str | bytes] = {
         POLICY_FILE: content,
-        _CARD_FILE: _model_card(run, rows[timesteps], entry["name"], authors, content),
+        "README.md": _model_card(run, rows[timesteps], entry["name"], authors, content),
         # Last, because it makes the folder an entry.
         ENTRY_FILE: entry_text({**entry, "authors": list(authors), "trained_on": trained_on}),
     }
@@ -125,11 +112,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     parser = make_parser("agents.export", _DESCRIPTION)
     parser.add_argument("run", metavar="RUN_FOLDER", help="folder of the run")
-    parser.add_argument("--output", required=True, metavar="FOLDER", help="folder to write to")
+    parser.add_argument("--output", required=True, metavar="FOLDER", help="new folder to write to")
     parser.add_argument("--name", help="of the entry; runs of one name and several seeds share a row of the table")
     parser.add_argument("--description", help="one sentence on what it is")
     parser.add_argument("--authors", nargs="+", metavar="NAME", help="who trained it; a submission needs them")
-    parser.add_argument("--overwrite", action="store_true", help="replace an entry that is in the folder")
 
     def work() -> None:
         given: dict[str, Any] = vars(parser.parse_args(argv))
@@ -137,7 +123,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         export(Path(given.pop("run")), output, **given)
         note(f"wrote {output}")
 
-    return run_command(work, "begin anew with --overwrite")
+    return run_command(work, "begin anew")
 
 
 if __name__ == "__main__":

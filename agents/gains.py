@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium.vector import AutoresetMode
 
 from wtg_gym.envs import GFMWTGVectorEnv
 from wtg_gym.envs.lanes import TaskLanes
@@ -90,5 +91,9 @@ def stagger(env: GFMWTGVectorEnv) -> npt.NDArray[np.float32]:
         mask = starts == step
         if mask.any():
             env.reset(options={"reset_mask": mask})
-        observations, *_ = env.step(actions)
+        observations, _, terminated, truncated, _ = env.step(actions)
+    over = terminated | truncated
+    if env.autoreset_mode == AutoresetMode.NEXT_STEP and over.any():
+        # What a reset returns may not be over already.
+        observations, _ = env.reset(options={"reset_mask": over})
     return observations

@@ -19,10 +19,9 @@ from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize, u
 from torch import nn
 
 from agents.folders import loading
-from agents.hyperparameters import ALGORITHMS, parse
+from agents.hyperparameters import IPPO, TRAINED, algorithm_arguments, normalization_arguments
 from agents.multi_agent import SharedPolicy, agent_env
 from agents.runs import RunSettings
-from agents.training import SHARED
 from agents.vec_env import GainVecEnv
 from wtg_gym.envs import EnvSettings
 from wtg_gym.sb3 import DeterministicPolicy
@@ -44,7 +43,7 @@ class SB3Learner:
     def network(self, settings: RunSettings) -> nn.Module:
         """Return the deterministic policy for the environment of a run."""
         network = DeterministicPolicy(self.model)
-        if settings.algo in SHARED:
+        if settings.algo == IPPO:
             return SharedPolicy(network, EnvSettings(**settings.env_arguments))
         return network
 
@@ -74,27 +73,19 @@ class SB3Learner:
         (folder / _STATE).write_bytes(pickle.dumps(state))
 
 
-def algorithm_of(settings: RunSettings) -> type[BaseAlgorithm]:
-    """Return the algorithm of Stable-Baselines3 that a run's algorithm is made of."""
-    return ALGORITHMS["ppo" if settings.algo in SHARED else settings.algo]
-
-
 def new_model(settings: RunSettings) -> BaseAlgorithm:
     """Return an untrained learner in its environments; lane i draws its scenarios from the run's seed plus i.
 
     Raises:
         ValueError: the algorithm refuses a hyperparameter.
     """
-    hyperparameters = parse(settings.hyperparameters)
-    shared = settings.algo in SHARED
-    env: VecEnv = VecMonitor(agent_env(settings) if shared else GainVecEnv(settings.n_envs, **settings.env_arguments))
-    # The algorithms write into policy_kwargs.
-    arguments = dict(hyperparameters.arguments)
-    arguments["policy_kwargs"] = dict(arguments.get("policy_kwargs", {}))
+    lanes = agent_env(settings) if settings.algo == IPPO else GainVecEnv(settings.n_envs, **settings.env_arguments)
+    env: VecEnv = VecMonitor(lanes)
     try:
-        if hyperparameters.normalize is not None:
-            env = VecNormalize(env, **hyperparameters.normalize)
-        return algorithm_of(settings)(env=env, seed=settings.seed, device="cpu", **arguments)
+        arguments = algorithm_arguments(settings.hyperparameters)
+        if (normalization := normalization_arguments(settings.hyperparameters)) is not None:
+            env = VecNormalize(env, **normalization)
+        return TRAINED[settings.algo](env=env, seed=settings.seed, device="cpu", **arguments)
     except (AssertionError, AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
         env.close()
         raise ValueError(f"{settings.algo} refuses {dict(settings.hyperparameters)}: {error}") from error
@@ -114,7 +105,7 @@ def load_model(folder: Path, settings: RunSettings) -> BaseAlgorithm:
         if state["discounted_returns"] is not None:
             env = normalize = VecNormalize.load(str(folder / _NORMALIZE), monitor)
             normalize.returns = state["discounted_returns"]
-        model = algorithm_of(settings).load(
+        model = TRAINED[settings.algo].load(
             folder / _MODEL, env=env, device="cpu", custom_objects=CUSTOM_OBJECTS, force_reset=False
         )
         if isinstance(model, OffPolicyAlgorithm):

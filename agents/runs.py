@@ -35,17 +35,15 @@ class RunSettings:
 
     algo: str  # name of the algorithm
     hyperparameters: Mapping[str, Any]  # section of a configuration file, as written there
-    #: action_mode, observation_mode, suite, strategy, groups, sensors: as for the environment.
+    #: action_mode, observation_mode, suite, strategy: as for the environment.
     action_mode: str = "k+tau"
     observation_mode: str = "local"
     suite: str = DEFAULT_SUITE
     strategy: str = REFERENCE_STRATEGY
-    groups: int | None = None
-    sensors: str | Mapping[str, Any] | None = None
     seed: int = 0  # seed of the weights, the exploration and the scenarios
     timesteps: int  # steps of all lanes together
     n_envs: int  # number of lanes
-    interval: int  # steps between two validations with a checkpoint each
+    interval: int = 0  # steps between two validations with a checkpoint each; 0: a 20th of all
     validation_episodes: int = 50  # scenarios of a validation, the first ones of the suite's validation split
 
     def __post_init__(self) -> None:
@@ -57,7 +55,7 @@ class RunSettings:
             ("seed", 0, 2**31 - 1),
             ("timesteps", 1, 10**12),
             ("n_envs", 1, 100_000),
-            ("interval", 1, 10**12),
+            ("interval", 0, 10**12),
             ("validation_episodes", 1, len(suite.seeds("validation"))),
         ):
             value = getattr(self, name)
@@ -68,13 +66,7 @@ class RunSettings:
     def env_arguments(self) -> dict[str, Any]:
         """Arguments of the environment."""
         names = ("action_mode", "observation_mode", "suite", "strategy")
-        return {name: getattr(self, name) for name in names} | self.plant_arguments
-
-    @property
-    def plant_arguments(self) -> dict[str, Any]:
-        """Those of them that are not the suite's own."""
-        given = {"groups": self.groups, "sensors": self.sensors}
-        return {name: value for name, value in given.items() if value is not None}
+        return {name: getattr(self, name) for name in names}
 
 
 @dataclass(kw_only=True)
@@ -100,7 +92,7 @@ class Run:
 
     def is_due(self, timesteps: int) -> bool:
         """Return whether an interval has ended since the last validation."""
-        interval = self.settings.interval
+        interval = self.settings.interval or max(1, self.settings.timesteps // 20)
         return not self.curve or timesteps // interval > int(self.curve[-1]["timesteps"]) // interval
 
     def validate(self, policy: Policy, timesteps: int, wall_time_s: float) -> dict[str, float]:
@@ -123,7 +115,7 @@ class Run:
             observation_mode=s.observation_mode,
         )
         seeds = get_suite(s.suite).seeds("validation")[: s.validation_episodes]
-        results = evaluate([entry], s.suite, "validation", seeds=seeds, **s.plant_arguments)
+        results = evaluate([entry], s.suite, "validation", seeds=seeds)
         (summary,) = (summary for summary in results.summaries if summary.name == entry.name)
         metrics = {
             "score": summary.score.value,
@@ -183,10 +175,9 @@ def _provenance(settings: RunSettings) -> dict[str, Any]:
 
 def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     """Return in words what decides the weights and differs; packages that only one side has do not count."""
-    values = [(key.replace("_", " "), before[key][:12], now[key][:12]) for key in _HASHES if key in before]
-    old, new = before.get("versions", {}), now["versions"]
-    values += [(name, old[name], new[name]) for name in sorted(old.keys() & new.keys())]
-    return [f"{name} was {was} and is {now_is}" for name, was, now_is in values if was != now_is]
+    old, new = ({**{key: each[key][:12] for key in _HASHES}, **each["versions"]} for each in (before, now))
+    common = [name for name in new if name in old]
+    return [f"{name} was {old[name]} and is {new[name]}" for name in common if old[name] != new[name]]
 
 
 def _git_commit() -> str | None:

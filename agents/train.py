@@ -13,10 +13,10 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 
 from agents.command import opened_run, run_command, settings_of, training_parser
-from agents.hyperparameters import ALGORITHMS, CONFIG_FOLDER, parse, read_config
+from agents.hyperparameters import CONFIG_FOLDER, TRAINED, read_config
 from agents.learners import SB3Learner, load_model, new_model
 from agents.runs import Run, RunSettings
-from agents.training import SHARED, Training, last_checkpoint
+from agents.training import Training, last_checkpoint
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
 
@@ -26,9 +26,6 @@ validation score, and a checkpoint to go on from with --resume after an interrup
 
 With "ippo" (independent PPO with shared parameters) every WTG group plays the same policy by itself, from what it
 measures itself. A lane is then one group of one episode: one step of an episode is as many steps as it has groups."""
-
-#: The algorithms to choose from.
-TRAINED = (*ALGORITHMS, *SHARED)
 
 
 def train(run: Run, folder: Path) -> None:
@@ -112,17 +109,13 @@ def sb3_settings(given: Mapping[str, Any]) -> RunSettings:
         raise ValueError(f"--algo is needed: {', '.join(TRAINED)}")
     path = Path(given.get("config", CONFIG_FOLDER / f"{given['algo']}.yml"))
     raw = read_config(path, get_suite(given.get("suite", DEFAULT_SUITE)).benchmark.env_id)
-    try:
-        file = parse(raw)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
-    return settings_of(given, given["algo"], raw, timesteps=file.n_timesteps, n_envs=file.n_envs)
+    return settings_of(given, given["algo"], raw, timesteps=raw.get("n_timesteps", 0), n_envs=raw.get("n_envs", 1))
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     parser = training_parser("agents.train", _DESCRIPTION, timesteps="the file's")
-    parser.add_argument("--algo", choices=TRAINED, help="the algorithm")
+    parser.add_argument("--algo", choices=tuple(TRAINED), help="the algorithm")
     parser.add_argument("--n-envs", type=int, metavar="N", help="lanes side by side (default: the file's)")
     parser.add_argument("--config", metavar="FILE", help="hyperparameters (default: agents/configs/<algo>.yml)")
 

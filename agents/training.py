@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from pathlib import Path
 from typing import Any, Protocol
@@ -26,8 +25,6 @@ from wtg_gym.scenarios import get_suite
 #: Largest difference between a file's actions and the network's, on random observations, some of them far from any that
 #: an episode has: there a single precision leaves this much.
 _TOLERANCE = 1e-4
-#: The algorithms of which one network acts for every WTG group, in whatever number.
-SHARED = ("ippo",)
 
 
 class Learner(Protocol):
@@ -107,9 +104,7 @@ class Training:
 
 
 def _exported(learner: Learner, settings: RunSettings) -> bytes:
-    """Return the file of a policy as ONNX; one that is shared acts for the groups of its suite."""
-    if settings.algo in SHARED:
-        settings = dataclasses.replace(settings, groups=None)
+    """Return the file of a policy as ONNX."""
     lanes = TaskLanes(EnvSettings(**settings.env_arguments), 1, 1)
     return onnx_bytes(learner.network(settings), lanes.n_observation, lanes.n_action, tolerance=_TOLERANCE)
 

@@ -6,7 +6,6 @@ import json
 import shutil
 import subprocess
 import sys
-from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -38,14 +37,6 @@ def test_public_names_are_those_of_their_modules_and_no_others() -> None:
     assert wtg_gym.GFMWTGEnv is wtg_gym.envs.GFMWTGEnv and wtg_gym.evaluate is wtg_gym.evaluation.evaluate
     with pytest.raises(AttributeError, match="no attribute 'evaluat'"):
         wtg_gym.evaluat  # noqa: B018
-
-
-def test_no_two_modules_have_one_name() -> None:
-    files = [file for package in ("wtg_gym", "agents", "baselines") for file in (ROOT / package).rglob("*.py")]
-    # A module of the command line is called as its command.
-    names = Counter(file.stem for file in files if not file.stem.startswith("__") and file.parent.name != "cli")
-    assert len(names) > 100
-    assert [name for name, number in names.items() if number > 1] == []
 
 
 def test_package_is_typed() -> None:

@@ -7,23 +7,17 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-import torch
-from stable_baselines3 import PPO, SAC
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from tests.envs.rollouts import actions_of, calm, rising
 from wtg_gym.sb3 import SB3VecEnv, make_sb3_vec_env
-
-pytestmark = pytest.mark.usefixtures("one_thread")
 
 ENV_ID = "GFMWTG-14bus-v0"
 N = 3
 SHORT: dict[str, Any] = {"version": "v0", "duration_s": 5.0, "strategy": "mppt"}
 #: The first lane's first episode ends at a stall, the third's earlier than the others.
 FAILURE_FIRST: list[dict[str, Any]] = [{"scenario": rising(5.0)}, {}, {"scenario": calm(9.0, 1.5).to_dict()}]
-SMALL: dict[str, Any] = {"seed": 5, "device": "cpu"}
 
 
 def dummy(n: int = N) -> DummyVecEnv:
@@ -45,29 +39,6 @@ def same(a: Any, b: Any) -> bool:
     if isinstance(a, np.ndarray):
         return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
     return type(a) is type(b) and a == b
-
-
-class Ends(BaseCallback):
-    """Keeps the infos at the ends of episodes."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.infos: list[dict[str, Any]] = []
-
-    def _on_step(self) -> bool:
-        for info, done in zip(self.locals["infos"], self.locals["dones"], strict=True):
-            if done:
-                # Without the time that it took.
-                self.infos.append({**info, "episode": {key: info["episode"][key] for key in "rl"}})
-        return True
-
-
-def trained(env: VecEnv) -> tuple[PPO, Ends]:
-    env.set_options(FAILURE_FIRST)
-    ends = Ends()
-    model = PPO("MlpPolicy", env, n_steps=64, batch_size=32, n_epochs=2, policy_kwargs={"net_arch": [8]}, **SMALL)
-    model.learn(3 * 64 * env.num_envs, callback=ends)
-    return model, ends
 
 
 def test_every_step_equals_that_of_single_environments_with_the_same_seeds():
@@ -101,31 +72,6 @@ def test_lanes_of_v1_equal_single_environments():
     for actions in actions_of(1, 70, 2, 8).astype(np.float32):
         for a, b in zip(reference.step(actions)[:3], env.step(actions)[:3], strict=True):
             assert same(a, b)
-
-
-def test_ppo_learns_the_same_as_with_single_environments():
-    (model_a, ends_a), (model_b, ends_b) = [trained(VecMonitor(venv)) for venv in (dummy(), native())]
-    reasons = {(info["termination_reason"], info["TimeLimit.truncated"]) for info in ends_b.infos}
-    assert reasons == {("stall", False), ("", True)}
-    assert all(same(a, b) for a, b in zip(ends_a.infos, ends_b.infos, strict=True))
-    assert "train/loss" in model_a.logger.name_to_value
-    assert model_a.logger.name_to_value == model_b.logger.name_to_value
-    parameters = model_b.policy.state_dict()
-    assert all(torch.equal(value, parameters[name]) for name, value in model_a.policy.state_dict().items())
-
-
-def test_sac_takes_the_end_of_time_for_no_failure():
-    env = native()
-    env.set_options(FAILURE_FIRST)
-    arguments = {"learning_starts": 60, "batch_size": 16, "buffer_size": 600, "train_freq": 8, **SMALL}
-    model = SAC("MlpPolicy", env, policy_kwargs={"net_arch": [8]}, **arguments)
-    model.learn(330)
-    buffer = model.replay_buffer
-    done, timeout = buffer.dones[: buffer.pos].astype(bool), buffer.timeouts[: buffer.pos].astype(bool)
-    assert done.sum() == 6 and timeout.sum() == 5 and not (timeout & ~done).any()
-    failure = int(np.flatnonzero(done & ~timeout)[0]) // N
-    # The buffer holds the episode's own last observation next, not the first one of the next episode.
-    assert not np.array_equal(buffer.next_observations[failure, 0], buffer.observations[failure + 1, 0])
 
 
 def test_what_a_step_returns_is_new_and_of_the_expected_types():

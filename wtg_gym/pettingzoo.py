@@ -11,28 +11,10 @@ import numpy.typing as npt
 
 from wtg_gym.envs import GFMWTGEnv
 from wtg_gym.envs.actions import as_actions
-from wtg_gym.envs.cost import GroupDeviations, add_group_costs, group_deviations
-from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.observation import OBSERVATION_BOUND
 from wtg_gym.envs.rendering import Frame
 from wtg_gym.envs.settings import ACTION_MODES, EnvArguments, EnvSettings
-from wtg_gym.envs.task_records import (
-    COST_TERMS,
-    GROUP,
-    N_GROUP_ROWS,
-    N_SENSED_ROWS,
-    SENSED,
-    CostTerms,
-    GroupRows,
-    load_group,
-    parts_of,
-    read_task,
-    store_terms,
-)
 from wtg_gym.extras import install_advice
-from wtg_gym.physics.compiled import compiled
-from wtg_gym.physics.elementary import select
-from wtg_gym.physics.layout import LANE, WTG, Floats, load_wtg_output, load_wtg_state, read_turbine, rows_of, wtg_row
 from wtg_gym.ranges import ByName
 
 try:
@@ -45,9 +27,6 @@ Action = npt.NDArray[np.float32]
 #: Observations, rewards, terminations, truncations and infos, by agent.
 Step = tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]
 
-#: What agents earn: the reward of all, or that with their own group's part of the cost.
-REWARDS = ("shared", "own")
-
 
 class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[misc]
     """:class:`wtg_gym.envs.GFMWTGEnv` with one agent per WTG group, as an environment of PettingZoo.
@@ -58,10 +37,7 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
     - An agent observes what its own group measures, and its own last action: its part of the local observation.
       `observation_names` has the units. It gives its own group's part of the action.
     - :meth:`state` is the privileged observation of the whole grid, for a central critic.
-    - `reward="shared"`: every agent earns the reward of the single environment.
-    - `reward="own"`: frequency, its rate of change and failure cost every agent the same; duty, rotor, overload and
-      effort cost each what its own group does, times the number of agents. The mean over the agents of a step is the
-      single environment's reward. The others bear in equal parts what a group costs after its agent has left.
+    - Every agent earns the reward of the single environment.
     - An agent leaves, terminated, with the step in which its group is disconnected, by an event or, with
       `on_failure="trip"`, by its rotor's speed. The group's action is zero from then on. At the end of the episode all
       agents that are left are terminated or truncated.
@@ -69,7 +45,6 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
     Every info is that of the single environment.
 
     Args:
-        reward: "shared" or "own".
         render_mode: as for the single environment.
         arguments: as for :class:`wtg_gym.envs.GFMWTGEnv`, but `observation_mode`.
 
@@ -78,20 +53,12 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
         ValueError: an argument is out of range.
     """
 
-    def __init__(
-        self, *, reward: str = "shared", render_mode: str | None = None, **arguments: Unpack[EnvArguments]
-    ) -> None:
+    def __init__(self, *, render_mode: str | None = None, **arguments: Unpack[EnvArguments]) -> None:
         if "observation_mode" in arguments:
             raise TypeError(
                 "observation_mode cannot be chosen: agents see what their own groups measure, and state() is the "
                 "privileged observation"
             )
-        if not isinstance(reward, str) or reward not in REWARDS:
-            raise ValueError(f"unknown reward {reward!r}; choose one of {', '.join(REWARDS)}")
-        known = ["reward", "render_mode", *sorted(EnvArguments.__annotations__.keys() - {"observation_mode"})]
-        if unknown := sorted(arguments.keys() - set(known)):
-            raise TypeError(f"unexpected keyword argument {unknown[0]!r}; known arguments: {', '.join(known)}")
-        self.reward = reward
         #: The environment that the agents share.
         seen: EnvArguments = {**arguments, "observation_mode": "privileged"}
         self.single_env = GFMWTGEnv(render_mode=render_mode, **seen)
@@ -176,11 +143,10 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
             raise RuntimeError("the episode is over or was never started; call reset() before step()")
         joint = self._joint(actions)
         lanes = self.single_env.lanes
-        last = _last_actions(lanes)
         observation, reward, terminated, truncated, info = self.single_env.step(joint)
         acted = self.agents
         observations = self._parts(observation)
-        rewards = self._rewards(reward, last)
+        rewards = dict.fromkeys(acted, reward)
         connected = lanes.simulator.wtg_values("connected")[0] > 0.5
         there = dict(zip(self.possible_agents, connected.tolist(), strict=True))
         terminations = {agent: terminated or not there[agent] for agent in acted}
@@ -209,17 +175,6 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
             joint[self._done_by[agent]] = own
         return joint
 
-    def _rewards(self, reward: float, last_actions: Floats) -> dict[str, float]:
-        """Return what the agents that acted earn; their mean is the reward of the single environment."""
-        if self.reward == "shared":
-            return dict.fromkeys(self.agents, reward)
-        costs = cost_shares(self.single_env.lanes, last_actions).sum(axis=1)
-        acted = [agent in self.agents for agent in self.possible_agents]
-        # All groups share the terms that no group causes.
-        common = -reward - costs[acted].sum()
-        own = zip(self.agents, costs[acted].tolist(), strict=True)
-        return {agent: -float(common + len(self.agents) * cost) for agent, cost in own}
-
     def state(self) -> Observation:
         """Return the privileged observation of the whole grid, `state_space`.
 
@@ -240,78 +195,9 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
         self.single_env.close()
 
 
-def _last_actions(lanes: TaskLanes) -> Floats:
-    """Return the actions on k and τ of each group in the last step, (n_wtg, 2)."""
-    layout = lanes.simulator.layout
-    first = parts_of(lanes.simulator.plant.constants[0], read_task(lanes.task[0])).groups
-    rows = first + np.arange(layout.n_wtg)[:, None] * N_GROUP_ROWS + [GROUP.last_action_k, GROUP.last_action_tau]
-    last: Floats = lanes.simulator.blocks[0, rows]
-    return last
-
-
-def cost_shares(lanes: TaskLanes, last_actions: Floats) -> Floats:
-    """Return what each WTG group adds to the terms of the last step's cost, (n_wtg, n_terms), as `COST_TERMS`.
-
-    No group causes frequency, RoCoF and failure: 0.
-
-    Args:
-        lanes: one episode, after a step.
-        last_actions: of the groups on k and τ in the step before that one, (n_wtg, 2).
-    """
-    rates = np.zeros((lanes.n_wtg, len(COST_TERMS)))
-    simulator = lanes.simulator
-    _group_rates(simulator.blocks[0], simulator.plant.constants, lanes.task, last_actions, rates)
-    terms = np.array([lanes.task_values(f"terms.{term}")[0] for term in COST_TERMS])
-    total = rates.sum(axis=0)
-    # A cap may have scaled the terms of all groups alike.
-    shares: Floats = np.divide(rates, total, out=np.zeros_like(rates), where=total > 0.0) * terms
-    return shares
-
-
-@compiled
-def _group_rates(
-    block: Floats,
-    constants: npt.NDArray[np.void],
-    task: npt.NDArray[np.void],
-    last_actions: Floats,
-    rates: Floats,
-) -> None:
-    """Write the rates of the cost's terms that each WTG group of a lane's last step adds [1/s], (n_wtg, n_terms)."""
-    c, t = constants[0], read_task(task[0])
-    sensed = task[0]["sensed"].shape[0] > 0
-    parts, turbine, n_wtg = parts_of(c, t), read_turbine(c["turbine"]), c["share"].shape[0]
-    for j in range(n_wtg):
-        o = wtg_row(c, j)
-        now = load_group(block, parts.groups + j * N_GROUP_ROWS, 1)
-        group = GroupRows(
-            base_inv_tau=now.base_inv_tau,
-            last_speed=now.last_speed,
-            rocof=now.rocof,
-            last_action_k=last_actions[j, 0],
-            last_action_tau=last_actions[j, 1],
-            action_k=now.action_k,
-            action_tau=now.action_tau,
-        )
-        costs = group_deviations(load_wtg_state(block, o, 1), load_wtg_output(block, o + WTG.output, 1), turbine, t)
-        duty, there = costs.duty, 1.0
-        if sensed:
-            own = parts.sensed + j * N_SENSED_ROWS
-            there = select(block[rows_of(c).lane + LANE.step] <= block[own + SENSED.leaves_at], 1.0, 0.0)
-            costs = GroupDeviations(costs.duty, there * costs.rotor, there * costs.overload, costs.available)
-            duty = block[own + SENSED.mean_duty]
-        store_terms(
-            add_group_costs(CostTerms(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), costs, duty, there, group, t, n_wtg),
-            rates[j],
-            0,
-            1,
-        )
-
-
-def parallel_env(
-    *, reward: str = "shared", render_mode: str | None = None, **arguments: Unpack[EnvArguments]
-) -> GFMWTGParallelEnv:
+def parallel_env(*, render_mode: str | None = None, **arguments: Unpack[EnvArguments]) -> GFMWTGParallelEnv:
     """Return the environment for many agents; arguments and errors are those of :class:`GFMWTGParallelEnv`."""
-    return GFMWTGParallelEnv(reward=reward, render_mode=render_mode, **arguments)
+    return GFMWTGParallelEnv(render_mode=render_mode, **arguments)
 
 
-__all__ = ["REWARDS", "GFMWTGParallelEnv", "cost_shares", "parallel_env"]
+__all__ = ["GFMWTGParallelEnv", "parallel_env"]

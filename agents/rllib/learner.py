@@ -6,7 +6,6 @@ policy: playing it needs no Ray.
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 import os
 from pathlib import Path
@@ -22,18 +21,23 @@ from ray.rllib.core import DEFAULT_MODULE_ID
 from ray.rllib.core.columns import Columns
 from ray.rllib.core.models.base import ACTOR, ENCODER_OUT
 from ray.rllib.core.rl_module.rl_module import RLModuleSpec
-from ray.rllib.utils.metrics import ENV_RUNNER_RESULTS, NUM_ENV_STEPS_SAMPLED_LIFETIME
 from ray.tune.registry import register_env
 from torch import Tensor, nn
 
 from agents.folders import loading
-from agents.rllib import Hyperparameters
 from agents.rllib.runner_envs import CLIP, RunnerEnvs, Scales, measure_scales
 from agents.runs import Run, RunSettings
 from agents.training import Training, last_checkpoint
 from wtg_gym.progress import Progress
 
 _LANES = "wtg_gym-lanes"
+#: Discount per step of 0.1 s: it looks 7 s ahead.
+_GAMMA = 0.985
+#: Logarithm of the first exploration's standard deviation: a third of the full action, because zero action is already a
+#: good controller.
+_LOG_STD = -1.0
+#: Steps per lane in an update, half an episode; parts that they are learned from in turn; width of the hidden layers.
+_N_STEPS, _N_MINIBATCHES, _HIDDEN = 300, 8, 64
 
 
 class CalmModule(DefaultPPOTorchRLModule):  # type: ignore[misc]
@@ -90,19 +94,18 @@ class RLlibLearner:
 
 def module_spec(settings: RunSettings, scales: Scales) -> RLModuleSpec:
     """Return the network of a run."""
-    h = Hyperparameters(**settings.hyperparameters)
-    with_spaces = RunnerEnvs(1, scales=dataclasses.asdict(scales), **settings.env_arguments)
+    with_spaces = RunnerEnvs(1, scales=scales, **settings.env_arguments)
     with_spaces.close()
     return RLModuleSpec(
         module_class=CalmModule,
         observation_space=with_spaces.single_observation_space,
         action_space=with_spaces.single_action_space,
         model_config={
-            "fcnet_hiddens": [h.hidden, h.hidden],
+            "fcnet_hiddens": [_HIDDEN, _HIDDEN],
             "fcnet_activation": "tanh",
             "vf_share_layers": False,
             "free_log_std": True,
-            "log_std_init": h.log_std_init,
+            "log_std_init": _LOG_STD,
         },
     )
 
@@ -113,64 +116,59 @@ def ppo_config(settings: RunSettings, scales: Scales, spec: RLModuleSpec, resume
     Args:
         resumed: how many times it has gone on; the scenarios and the exploration are others each time.
     """
-    h = Hyperparameters(**settings.hyperparameters)
-    per_learner = h.n_steps * h.n_envs // max(1, h.num_learners)
+    processes = settings.hyperparameters
+    per_learner = _N_STEPS * settings.n_envs // max(1, processes["num_learners"])
     register_env(_LANES, lambda config: RunnerEnvs(**config))
     seed = int(np.random.SeedSequence((settings.seed, resumed)).generate_state(1)[0] >> 2)
     return (
         PPOConfig()
         .framework("torch")
-        # One thread per runner, which is one CPU for Ray.
+        # One thread per runner, which is one CPU for Ray. The environment clips actions itself.
         .environment(
             _LANES,
-            env_config={**settings.env_arguments, "scales": dataclasses.asdict(scales), "n_threads": 1},
-            # The environment clips actions itself.
+            env_config={**settings.env_arguments, "scales": scales, "n_threads": 1},
             normalize_actions=False,
             clip_actions=False,
         )
         .env_runners(
-            num_env_runners=h.num_env_runners,
-            num_envs_per_env_runner=h.envs_per_runner,
+            num_env_runners=processes["num_env_runners"],
+            num_envs_per_env_runner=processes["envs_per_runner"],
             gym_env_vectorize_mode="vector_entry_point",
-            rollout_fragment_length=h.n_steps,
+            rollout_fragment_length=_N_STEPS,
         )
-        .learners(num_learners=h.num_learners, num_gpus_per_learner=0)
+        .learners(num_learners=processes["num_learners"], num_gpus_per_learner=0)
         .rl_module(rl_module_spec=spec)
         .training(
             train_batch_size_per_learner=per_learner,
-            minibatch_size=max(1, per_learner // h.n_minibatches),
-            num_epochs=h.n_epochs,
-            gamma=h.gamma,
-            lambda_=h.gae_lambda,
-            lr=[[0, h.learning_rate], [settings.timesteps, 0.0]],
-            clip_param=h.clip_range,
+            minibatch_size=max(1, per_learner // _N_MINIBATCHES),
+            num_epochs=5,
+            gamma=_GAMMA,
+            lambda_=0.95,
+            # The learning rate falls to zero at the last step.
+            lr=[[0, 1e-3], [settings.timesteps, 0.0]],
+            clip_param=0.2,
             use_kl_loss=False,
             entropy_coeff=0.0,
-            vf_loss_coeff=h.vf_coef,
+            vf_loss_coeff=0.5,
             vf_clip_param=float("inf"),
-            grad_clip=h.max_grad_norm,
+            grad_clip=0.5,
             grad_clip_by="global_norm",
         )
         .debugging(seed=seed, log_level="ERROR")
     )
 
 
-def _connect(address: str | None, h: Hyperparameters) -> None:
+def _connect(address: str | None, n_processes: int) -> None:
     """Join a Ray cluster, or start one of this machine alone; a ValueError if it has too few CPUs."""
     # Nothing about a run is reported to anybody, unless the user says otherwise.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     logging.getLogger("ray.rllib").setLevel(logging.ERROR)
-    n_processes = h.num_env_runners + h.num_learners
     here: dict[str, Any] = {"num_cpus": max(2, n_processes), "include_dashboard": False} if address is None else {}
     ray.init(address or "local", logging_level="ERROR", log_to_driver=False, **here)
     n_cpus = int(ray.cluster_resources().get("CPU", 0))
     if n_cpus < n_processes:
         ray.shutdown()
         raise ValueError(f"{n_processes} runners and learners need a CPU each, but the cluster has {n_cpus}")
-
-
-def _steps_of(algorithm: Algorithm) -> int:
-    return int(algorithm.metrics.peek((ENV_RUNNER_RESULTS, NUM_ENV_STEPS_SAMPLED_LIFETIME), default=0))
 
 
 def train(run: Run, folder: Path, address: str | None = None) -> None:
@@ -181,28 +179,27 @@ def train(run: Run, folder: Path, address: str | None = None) -> None:
         folder: where run.json, checkpoints and the best policy go.
         address: of a Ray cluster; None to start one of this machine alone.
     """
-    settings = run.settings
-    h = Hyperparameters(**settings.hyperparameters)
+    settings, processes = run.settings, run.settings.hyperparameters
     torch.set_num_threads(1)
-    _connect(address, h)
+    _connect(address, processes["num_env_runners"] + processes["num_learners"])
     try:
         # The first use of the kernels on a machine compiles them: here, before the runners all do so at once.
-        noise = float(np.exp(h.log_std_init))
-        scales = measure_scales(settings.env_arguments, noise=noise, gamma=h.gamma, seed=settings.seed)
+        noise = float(np.exp(_LOG_STD))
+        scales = measure_scales(settings.env_arguments, noise=noise, gamma=_GAMMA, seed=settings.seed)
         spec = module_spec(settings, scales)
         algorithm = ppo_config(settings, scales, spec, len(run.resumptions)).build_algo()
         try:
+            steps = first = 0
             if saved := last_checkpoint(run, folder):
+                steps = first = int(saved.name)
                 with loading(saved):
                     algorithm.restore_from_path(str(saved.resolve()))
-            steps = first = _steps_of(algorithm)
             training = Training(run, folder, RLlibLearner(algorithm, spec, scales))
             with Progress("thousand steps") as progress:
                 while steps < settings.timesteps:
                     training.take_stock(steps)
                     progress.update(training.title, (steps - first) / 1000, round((settings.timesteps - first) / 1000))
-                    algorithm.train()
-                    steps = _steps_of(algorithm)
+                    steps = int(algorithm.train()["num_env_steps_sampled_lifetime"])
                 training.take_stock(steps, finished=True)
         finally:
             algorithm.stop()

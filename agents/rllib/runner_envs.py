@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box
+from gymnasium.vector import VectorWrapper
 from gymnasium.vector.utils import batch_space
 
 from agents.gains import Gains, stagger
@@ -20,8 +21,6 @@ CLIP = 10.0
 _MEASURED_LANES = 128
 # An entry that hardly moves at first may move later: it is not blown up any further.
 _SMALLEST_STD = 0.1
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +57,7 @@ def measure_scales(arguments: Mapping[str, Any], *, noise: float, gamma: float, 
         observations, _ = envs.reset(seed=seed)
         for _ in range(envs.gains.n_steps):
             seen.append(observations)
-            actions = rng.normal(0.0, noise, (_MEASURED_LANES, envs.lanes.n_action)).astype(np.float32)
+            actions = rng.normal(0.0, noise, envs.action_space.shape).astype(np.float32)
             observations, rewards, terminated, truncated, _ = envs.step(actions)
             returns = gamma * returns + rewards
             all_returns.append(returns)
@@ -71,7 +70,7 @@ def measure_scales(arguments: Mapping[str, Any], *, noise: float, gamma: float, 
     )
 
 
-class RunnerEnvs(GFMWTGVectorEnv):
+class RunnerEnvs(VectorWrapper):  # type: ignore[type-arg]
     """The lanes of one runner: the native vector environment, with the parts that RLlib does not do itself.
 
     Rewards are :class:`agents.gains.Gains`; they and the observations are scaled and clipped to ± 10.
@@ -82,33 +81,28 @@ class RunnerEnvs(GFMWTGVectorEnv):
     rest.
     """
 
-    def __init__(self, num_envs: int = 1, *, scales: Mapping[str, Any] | None = None, **arguments: Any) -> None:
-        super().__init__(num_envs, **arguments)
-        width = self.lanes.n_observation
-        self._scales = Scales(**scales) if scales is not None else Scales(mean=[0.0] * width, std=[1.0] * width)
+    env: GFMWTGVectorEnv
+
+    def __init__(self, num_envs: int = 1, *, scales: Scales | None = None, **arguments: Any) -> None:
+        super().__init__(GFMWTGVectorEnv(num_envs, **arguments))
+        width = self.env.lanes.n_observation
+        self._scales = scales or Scales(mean=[0.0] * width, std=[1.0] * width)
         if scales is not None:
             bound = np.full(width, CLIP, dtype=np.float32)
             self.single_observation_space = Box(-bound, bound)
             self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.gains = Gains(self.lanes)
+        self.gains = Gains(self.env.lanes)
         self._ended = np.zeros(num_envs, dtype=np.bool_)
 
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:
-        """Start all lanes and spread them over an episode; or, with options, as the native one does."""
+        """Start all lanes and spread them over an episode."""
         if seed is not None:
             seed = np.random.SeedSequence(seed).generate_state(self.num_envs, np.uint64).tolist()
-        observations, _ = super().reset(seed=seed, options=options)
-        if options:
-            self._ended &= ~np.asarray(options.get("reset_mask", True))
-            return self._scales.seen(observations), {}
+        self.env.reset(seed=seed)
+        observations = stagger(self.env)
         self._ended[:] = False
-        observations = stagger(self)
-        if self._ended.any():
-            # RLlib takes what a reset returns as the beginning of an episode, which may not be over already.
-            observations, _ = super().reset(options={"reset_mask": self._ended.copy()})
-            self._ended[:] = False
         self.gains.follow(range(self.num_envs))
         return self._scales.seen(observations), {}
 
@@ -118,7 +112,7 @@ class RunnerEnvs(GFMWTGVectorEnv):
         """Step as the native one does, with other rewards and no info."""
         beginning = self._ended
         references = self.gains.reference_costs()
-        observations, rewards, terminated, truncated, _ = super().step(actions)
+        observations, rewards, terminated, truncated, _ = self.env.step(actions)
         # A lane that only begins its next episode gains nothing.
         gains = np.where(beginning, 0.0, self.gains.of(references, rewards))
         self.gains.follow(np.flatnonzero(beginning).tolist())
@@ -126,7 +120,7 @@ class RunnerEnvs(GFMWTGVectorEnv):
         rewards = np.clip(gains / self._scales.reward, -CLIP, CLIP)
         return self._scales.seen(observations), rewards, terminated, truncated, {}
 
-    def close_extras(self, **kwargs: Any) -> None:
+    def close(self, **kwargs: Any) -> None:
         """Release the worker threads."""
         self.gains.close()
-        super().close_extras(**kwargs)
+        super().close(**kwargs)

@@ -24,8 +24,8 @@ V0 = ("--suite", "standard")
 _ALL: dict[str, Any] = {"policy": "MlpPolicy", "n_timesteps": 768, "n_envs": 16, "normalize": True}
 _PPO = {**_ALL, "n_steps": 8, "batch_size": 64, "n_epochs": 1, "use_sde": True, "sde_sample_freq": 3}
 _SAC = {**_ALL, "learning_starts": 64, "buffer_size": 2000, "batch_size": 32, "n_steps": 3, "use_sde": True}
-_LSTM = "dict(net_arch=[8], lstm_hidden_size=4, n_lstm_layers=2)"
-_SMALL = {"policy_kwargs": "dict(net_arch=[8])"}
+_LSTM = {"net_arch": [8], "lstm_hidden_size": 4, "n_lstm_layers": 2}
+_SMALL = {"policy_kwargs": {"net_arch": [8]}}
 CONFIGS: dict[str, dict[str, Any]] = {
     "ppo": {**_PPO, **_SMALL},
     "ippo": {**_PPO, **_SMALL},

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,14 +10,9 @@ import pytest
 import torch
 from torch import nn
 
-from agents.export import main as export_command
 from agents.multi_agent import AgentVecEnv, SharedPolicy
-from agents.runs import Run
-from agents.train import main as train_command
 from agents.vec_env import GainVecEnv
-from tests.agents.small import V0, config_file
 from wtg_gym.envs import EnvSettings
-from wtg_gym.evaluation import evaluate, load_entries
 
 SHORT: dict[str, Any] = {"version": "v0", "duration_s": 5.0, "strategy": "mppt"}
 
@@ -74,27 +68,3 @@ def test_every_group_acts_by_what_it_sees_itself_its_size_among_it(suite: str) -
         size = (turbines[group] / turbines.mean()).expand(3, 1)
         (expected,) = agent(torch.cat([observations[:, width * group : width * (group + 1)], size], dim=1))
         assert torch.allclose(found[:, 2 * group : 2 * group + 2], expected)
-
-
-def test_run_with_other_groups_is_validated_with_them_and_is_an_entry_of_its_suite(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    asked = []
-
-    def listen(*arguments: Any, **keywords: Any) -> Any:
-        asked.append(keywords)
-        return evaluate(*arguments, **keywords, duration_s=6.0)
-
-    monkeypatch.setattr("agents.runs.evaluate", listen)
-    given = ["--config", config_file(tmp_path, "ppo"), "--validation-episodes", "2", "--groups", "3", "--n-envs", "12"]
-    for algo in ("ippo", "ppo"):
-        run = [*V0, "--algo", algo, *given, "--timesteps", "96", "--output", str(tmp_path / algo)]
-        assert train_command(run) == 0
-    assert asked and all(keywords["groups"] == 3 for keywords in asked)
-    assert Run.read(tmp_path / "ippo").settings.groups == 3
-    assert export_command([str(tmp_path / "ippo"), "--output", str(tmp_path / "entry")]) == 0
-    (entry,) = load_entries(tmp_path / "entry")
-    results = evaluate([entry], "standard", "validation", seeds=[10_000], duration_s=6.0)
-    assert len(results.episodes_of(entry.name)) == 1
-    assert export_command([str(tmp_path / "ppo"), "--output", str(tmp_path / "other")]) == 2
-    assert "the policy acts for 3 WTG groups, suite 'standard' has 2" in capsys.readouterr().err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import json
 import re
@@ -20,9 +21,10 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from agents.export import export
 from agents.export import main as export_command
 from agents.folders import folders, held, save_folder
-from agents.learners import CUSTOM_OBJECTS, algorithm_of, load_model
+from agents.hyperparameters import TRAINED
+from agents.learners import CUSTOM_OBJECTS, load_model, new_model
 from agents.runs import Run
-from agents.train import TRAINED, main
+from agents.train import main
 from tests.agents.small import V0, Normalized, config_file, largest_difference, options, stopped_after, trained
 from tests.interruption import end
 from wtg_gym.evaluation import OnnxPolicy, load_entries
@@ -47,8 +49,8 @@ def weights(folder: Path) -> Any:
     """Networks and optimisers of a finished run's last checkpoint."""
     (path,) = folders(folder / "checkpoints")
     assert int(path.name) == 768
-    own = algorithm_of(Run.read(folder).settings)
-    return own.load(path / "model.zip", custom_objects=CUSTOM_OBJECTS).get_parameters()
+    algorithm = TRAINED[Run.read(folder).settings.algo]
+    return algorithm.load(path / "model.zip", custom_objects=CUSTOM_OBJECTS).get_parameters()
 
 
 def same(a: Any, b: Any) -> bool:
@@ -59,7 +61,8 @@ def same(a: Any, b: Any) -> bool:
     return torch.equal(a, b) if isinstance(a, torch.Tensor) else a == b
 
 
-@pytest.mark.parametrize("algo", TRAINED)
+# Of "ppo" a process is killed, below.
+@pytest.mark.parametrize("algo", sorted(TRAINED.keys() - {"ppo"}))
 def test_interrupted_run_goes_on_to_the_weights_of_an_undisturbed_one(
     algo: str, run_of: Callable[[str], Path], tmp_path: Path
 ) -> None:
@@ -119,11 +122,17 @@ def test_kill_between_two_files_is_mended(missing: str, copied: Path) -> None:
     assert scores[0] == scores[1]
 
 
-def test_another_seed_gives_other_weights(run_of: Callable[[str], Path], tmp_path: Path) -> None:
-    assert not same(weights(run_of("ppo")), weights(trained(tmp_path, "ppo", ["--seed", "1"])))
+def test_seed_decides_the_first_weights_and_the_scenarios(run_of: Callable[[str], Path]) -> None:
+    settings = Run.read(run_of("ppo")).settings
+    models = [new_model(dataclasses.replace(settings, seed=seed)) for seed in (0, 0, 1)]
+    starts = [(model.get_parameters()["policy"], torch.as_tensor(model.get_env().reset())) for model in models]
+    assert same(starts[0], starts[1])
+    assert not same(starts[0][0], starts[2][0]) and not same(starts[0][1], starts[2][1])
+    for model in models:
+        model.get_env().close()
 
 
-def test_export_describes_the_policy_that_it_writes_and_replaces_files_only_when_told(
+def test_export_describes_the_policy_that_it_writes_and_replaces_nothing(
     copied: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     entry, other = tmp_path / "entry", ["--output", str(tmp_path / "other")]
@@ -137,8 +146,7 @@ def test_export_describes_the_policy_that_it_writes_and_replaces_files_only_when
     assert f"| {run.curve[-1]['score']:.1f} on 2 scenarios (mppt 0, coordinated-piecewise 100)" in card
     text = 'trained_on = "standard, split train, 768 steps; chosen on split validation"'
     assert text in (entry / "entry.toml").read_text()
-    assert export_command(command) == 2 and "already; --overwrite replaces" in capsys.readouterr().err
-    assert export_command([*command, "--overwrite"]) == 0
+    assert export_command(command) == 2 and "is there already" in capsys.readouterr().err
     for name in ("a|b", "Fast Droop"):
         assert export_command([str(copied), *other, "--name", name]) == 2
         assert "entry's name must " in capsys.readouterr().err
@@ -154,7 +162,7 @@ def test_other_versions_are_said_on_resumption_and_noted(copied: Path, capsys: p
     run.write(copied)
     assert main(["--resume", str(copied)]) == 0
     error = capsys.readouterr().err
-    assert "source hash was 000000000000" in error and "torch was 0.1" in error
+    assert "source_hash was 000000000000" in error and "torch was 0.1" in error
     assert len(Run.read(copied).resumptions[0]["differences"]) == 2
 
 
@@ -212,8 +220,10 @@ NEW = ("--output", "new")
         (["--algo", "ppo", "--output", "."], "holds a run already"),
         (["--algo", "ppo", *NEW, "--timesteps", "0"], "timesteps must be a whole number, 1"),
         (["--algo", "ppo", *NEW, "--validation-episodes", "101"], "validation_episodes .* 1 … 100"),
-        (["--algo", "ppo", *NEW, "--config", "bad.yml"], "bad.yml: n_envs must be"),
+        (["--algo", "ppo", *NEW, "--config", "bad.yml"], "n_envs must be a whole number"),
         (["--algo", "ppo", *NEW, "--config", "net.yml"], "ppo refuses"),
+        (["--algo", "ppo", *NEW, "--config", "rate.yml"], "ppo refuses .* could not convert string to float"),
+        (["--algo", "ppo", *NEW, "--config", "text.yml"], "ppo refuses"),
         (["--algo", "ppo", *NEW, "--config", "key.yml"], "ppo refuses .* unexpected keyword argument 'frame_stack'"),
         (["--algo", "ppo", *NEW, "--config", "norm.yml"], "ppo refuses .* unexpected keyword argument 'norm_actions'"),
         (["--algo", "ppo", *NEW, "--config", "no.yml"], "cannot read the hyperparameter file"),
@@ -221,8 +231,6 @@ NEW = ("--output", "new")
         (["--algo", "ppo", *NEW, "--suite", "storm"], "unknown suite 'storm'"),
         (["--algo", "ippo", "--n-envs", "7", *NEW], "n_envs must be a whole multiple of the 2 WTG groups"),
         (["--algo", "ippo", "--observation-mode", "privileged", *NEW], "leave out --observation-mode"),
-        (["--algo", "ippo", "--groups", "0", *NEW], "group"),
-        (["--algo", "ippo", "--sensors", "exact", *NEW], "sensors are part of version v1 and later"),
         (["--resume", "no-such-run"], "cannot read the description of the run"),
         (["--resume", "no-such-run", "--seed", "1", "--n-envs", "2"], "leave out --n-envs, --seed"),
     ],
@@ -234,9 +242,11 @@ def test_bad_options_are_refused_before_anything_runs(
     (tmp_path / "run.json").touch()
     changed: dict[str, dict[str, Any]] = {
         "bad": {"n_envs": "many"},
-        "net": {"policy_kwargs": "dict(net_arch=5)"},
+        "net": {"policy_kwargs": {"net_arch": 5}},
+        "rate": {"learning_rate": "lin_fast"},
+        "text": {"policy_kwargs": "dict(net_arch=[8])"},
         "key": {"frame_stack": 4},
-        "norm": {"normalize": "dict(norm_actions=True)"},
+        "norm": {"normalize": {"norm_actions": True}},
     }
     for name, changes in changed.items():
         Path(config_file(tmp_path, "ppo", **changes)).rename(f"{name}.yml")
