@@ -1,13 +1,14 @@
-"""The reward that policies are trained with, and the points of their episodes at which lanes start."""
+"""The lanes that policies are trained in: their reward, and the points of their episodes at which they start."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.vector import AutoresetMode
+from gymnasium.vector import AutoresetMode, VectorWrapper
 
 from wtg_gym.envs import GFMWTGVectorEnv
 from wtg_gym.envs.lanes import TaskLanes
@@ -97,3 +98,46 @@ def stagger(env: GFMWTGVectorEnv) -> npt.NDArray[np.float32]:
         # What a reset returns may not be over already.
         observations, _ = env.reset(options={"reset_mask": over})
     return observations
+
+
+class GainEnvs(VectorWrapper):
+    """The native vector environment with :class:`Gains` as rewards, and lanes that every reset spreads.
+
+    Spreading starts the lanes anew, so that reset options are lost, and the first info is empty.
+    """
+
+    env: GFMWTGVectorEnv
+
+    def __init__(self, env: GFMWTGVectorEnv) -> None:
+        super().__init__(env)
+        self.gains = Gains(env.lanes)
+        self._within_step = env.autoreset_mode == AutoresetMode.SAME_STEP
+        self._ended = np.zeros(env.num_envs, dtype=np.bool_)
+
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:
+        """Start and spread the lanes; returns the observations (num_envs, n_observation)."""
+        self.env.reset(seed=seed)
+        observations = stagger(self.env)
+        self._ended[:] = False
+        self.gains.follow(range(self.num_envs))
+        return observations, {}
+
+    def step(self, actions: npt.NDArray[Any]) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Step as the native one does, with other rewards."""
+        beginning, references = self._ended, self.gains.reference_costs()
+        observations, rewards, terminated, truncated, infos = self.env.step(actions)
+        # In single precision, as Stable-Baselines3 has them.
+        rewards = rewards.astype(np.float32).astype(np.float64)
+        # A lane that only begins its next episode gains nothing.
+        gains = np.where(beginning, 0.0, self.gains.of(references, rewards))
+        over = terminated | truncated
+        self.gains.follow(np.flatnonzero(over if self._within_step else beginning).tolist())
+        self._ended = over & (not self._within_step)
+        return observations, gains, terminated, truncated, infos
+
+    def close(self, **kwargs: Any) -> None:
+        """Release the worker threads."""
+        self.gains.close()
+        super().close(**kwargs)

@@ -56,7 +56,7 @@ class AgentVecEnv(VecEnvWrapper):
     """
 
     def __init__(self, venv: GainVecEnv) -> None:
-        lanes = venv.vector_env.lanes
+        lanes = venv.lanes
         self.n_wtg = lanes.n_wtg
         self._sizes = group_sizes(lanes.settings)
         n_modes = lanes.n_action // self.n_wtg

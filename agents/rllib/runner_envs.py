@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box
-from gymnasium.vector import VectorWrapper
 from gymnasium.vector.utils import batch_space
 
-from agents.gains import Gains, stagger
+from agents.gains import GainEnvs
 from wtg_gym.envs import GFMWTGVectorEnv
 
 #: Observations and rewards are clipped to this many scales, as VecNormalize does.
@@ -70,18 +69,13 @@ def measure_scales(arguments: Mapping[str, Any], *, noise: float, gamma: float, 
     )
 
 
-class RunnerEnvs(VectorWrapper):  # type: ignore[type-arg]
-    """The lanes of one runner: the native vector environment, with the parts that RLlib does not do itself.
+class RunnerEnvs(GainEnvs):
+    """The lanes of one runner, with what RLlib does not do itself: observations and gains are scaled, clipped to ± 10.
 
-    Rewards are :class:`agents.gains.Gains`; they and the observations are scaled and clipped to ± 10.
-
-    Lanes start spread over an episode (:func:`agents.gains.stagger`). Every seed of a reset gives a set of seeds of its
-    own: RLlib gives runner w the seed s + w, with which lane i + 1 of a runner would play the scenarios of lane i of
-    the next one. `info` is empty, because RLlib takes it apart for every lane and step, which takes longer than all the
-    rest.
+    Every seed of a reset gives a set of seeds of its own: RLlib gives runner w the seed s + w, with which lane i + 1 of
+    a runner would play the scenarios of lane i of the next one. `info` is empty, because RLlib takes it apart for every
+    lane and step, which takes longer than all the rest.
     """
-
-    env: GFMWTGVectorEnv
 
     def __init__(self, num_envs: int = 1, *, scales: Scales | None = None, **arguments: Any) -> None:
         super().__init__(GFMWTGVectorEnv(num_envs, **arguments))
@@ -91,8 +85,6 @@ class RunnerEnvs(VectorWrapper):  # type: ignore[type-arg]
             bound = np.full(width, CLIP, dtype=np.float32)
             self.single_observation_space = Box(-bound, bound)
             self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.gains = Gains(self.env.lanes)
-        self._ended = np.zeros(num_envs, dtype=np.bool_)
 
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
@@ -100,27 +92,11 @@ class RunnerEnvs(VectorWrapper):  # type: ignore[type-arg]
         """Start all lanes and spread them over an episode."""
         if seed is not None:
             seed = np.random.SeedSequence(seed).generate_state(self.num_envs, np.uint64).tolist()
-        self.env.reset(seed=seed)
-        observations = stagger(self.env)
-        self._ended[:] = False
-        self.gains.follow(range(self.num_envs))
-        return self._scales.seen(observations), {}
+        observations, infos = super().reset(seed=seed)
+        return self._scales.seen(observations), infos
 
-    def step(
-        self, actions: npt.NDArray[np.float32]
-    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], dict[str, Any]]:
-        """Step as the native one does, with other rewards and no info."""
-        beginning = self._ended
-        references = self.gains.reference_costs()
-        observations, rewards, terminated, truncated, _ = self.env.step(actions)
-        # A lane that only begins its next episode gains nothing.
-        gains = np.where(beginning, 0.0, self.gains.of(references, rewards))
-        self.gains.follow(np.flatnonzero(beginning).tolist())
-        self._ended = terminated | truncated
+    def step(self, actions: npt.NDArray[Any]) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Step as the native one does, with scaled observations and gains, and no info."""
+        observations, gains, terminated, truncated, _ = super().step(actions)
         rewards = np.clip(gains / self._scales.reward, -CLIP, CLIP)
         return self._scales.seen(observations), rewards, terminated, truncated, {}
-
-    def close(self, **kwargs: Any) -> None:
-        """Release the worker threads."""
-        self.gains.close()
-        super().close(**kwargs)
