@@ -18,14 +18,13 @@ from wtg_gym.scenarios.benchmark import V0
 FOLDER = Path(baselines.__file__).parent
 
 
-def test_entries_are_the_built_in_strategies_in_the_order_of_the_package() -> None:
+def test_entries_are_the_built_in_strategies_and_every_module_is_named() -> None:
     entries = load_entries("baselines", benchmark=V0)
-    assert [entry.name for entry in entries] == [name.replace("_", "-") for name in baselines.ORDER["v0"]]
     assert {entry.name: entry.law for entry in entries if entry.kind == "law"} == STRATEGIES
     assert [(entry.name, entry.kind) for entry in entries if entry.kind != "law"] == [
         ("tip-speed-feedback", "feedback")
     ]
-    named = {name for order in baselines.ORDER.values() for name in order}
+    named = {name for order in baselines.ORDER.values() for name in order if isinstance(name, str)}
     assert named == {path.stem for path in FOLDER.glob("[a-z]*.py")}
 
 

@@ -7,6 +7,7 @@ package has copies of both in `wtg_gym/shipped`, because those two names could c
 from __future__ import annotations
 
 import importlib
+import itertools
 import pkgutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -33,7 +34,7 @@ def load_entries(spec: str | Path, benchmark: Benchmark = V1) -> list[Entry]:
             "policies" for all trained policies that come with the package; the name of a baseline; a .toml file with a
             law; a folder with an entry.toml and a policy.onnx, see :func:`load_entry_folder`; the name of one of those
             policies ("PPO (k)" stands for all of its seeds, "ppo-k-0" for one of them); a package, of which every
-            module with an `ENTRY` counts, by name, or those that its `ORDER` names for the version; or
+            module with an `ENTRY` counts, by name, or what its `ORDER` has for the version; or
             "module:ATTRIBUTE", an entry, a policy, or a callable that returns one. Importing runs the module's code.
         benchmark: the version whose baselines are meant, and whose trained policies, where some of a name are for it.
 
@@ -190,15 +191,24 @@ def _entry_of(module: ModuleType, attribute: str, spec: str) -> Entry:
 
 
 def _entries_of(module: ModuleType, spec: str, version: str | None = None) -> list[Entry]:
-    """Return the entries of a module or package, which may have an ORDER of modules for each version (None: all)."""
-    modules = [module]
+    """Return the entries of a module or package; None: those for all versions.
+
+    A package may have an ORDER: for each version, entries and names of modules with one.
+    """
+    members: list[Any] = [module]
     path = getattr(module, "__path__", None)
     if path is not None:
         order = getattr(module, "ORDER", None)
-        names = order.get(version) if isinstance(order, Mapping) else None
-        names = names or sorted(info.name for info in pkgutil.iter_modules(path))
-        modules = [_import(f"{module.__name__}.{name}", spec) for name in names]
-    entries = [vars(each)["ENTRY"] for each in modules if "ENTRY" in vars(each)]
+        orders = order if isinstance(order, Mapping) else {}
+        named = orders.get(version) if version else dict.fromkeys(itertools.chain(*orders.values()))
+        members = list(named or sorted(info.name for info in pkgutil.iter_modules(path)))
+    entries = list[Any]()
+    for member in members:
+        found = _import(f"{module.__name__}.{member}", spec) if isinstance(member, str) else member
+        if isinstance(found, Entry):
+            entries.append(found)
+        elif "ENTRY" in vars(found):
+            entries.append(vars(found)["ENTRY"])
     if not entries or not all(isinstance(entry, Entry) for entry in entries):
         raise ValueError(
             f"{spec!r} has no entry: a folder needs an {ENTRY_FILE}, a package or module an ENTRY, which is an Entry"
