@@ -18,8 +18,8 @@ COORDINATED_SOURCE = (
 DELOADED_SOURCE = "X. Lyu, D. Groß, IEEE Trans. Sustain. Energy 15(1), 2024"
 
 #: The score's zero in version v0: 2H ω̇ = P_st - p - D_p (ω - ω_st). At K_opt the rotor sits on the top of the power
-#: curve. When the frequency falls, the droop takes energy from the rotor, the slower rotor captures less, and in the end
-#: the turbine gives less than before, or stalls.
+#: curve. When the frequency falls, the droop takes energy from the rotor, the slower rotor captures less, and in the
+#: end the turbine gives less than before, or stalls.
 MPPT = Entry(
     name="mppt",
     strategy=tracking_law.mppt(),
@@ -47,8 +47,8 @@ DELOADED_10 = Entry(
     source=f"{DELOADED_SOURCE}; {COORDINATED_SOURCE}, frequency dynamics with deloading",
 )
 #: The droop of this law and the next acts on fast changes only (transient damping): τ ẋ = (ω - ω_st) - x, τ = 0.8 s.
-#: At ω_min the turbine reaches its best point, at ω_max the deloading limit of 10 %, whatever the wind. How much reserve
-#: it holds at ω_st follows from the line and is not prescribed.
+#: At ω_min the turbine reaches its best point, at ω_max the deloading limit of 10 %, whatever the wind. How much
+#: reserve it holds at ω_st follows from the line and is not prescribed.
 COORDINATED_LINEAR = Entry(
     name="coordinated-linear",
     strategy=tracking_law.coordinated_linear(),
@@ -56,8 +56,8 @@ COORDINATED_LINEAR = Entry(
     equation="P_st = g(ω) ω_m³ + D_p x, g linear in ω",
     source=f"{COORDINATED_SOURCE}, equation of the linear g(ω)",
 )
-#: The paper's law: g through (ω_min, K_opt), (ω_st, K_n), (ω_max, K_pr), constant outside. K_n is the coefficient of 5 %
-#: deloading, K_pr that of 10 %: 5 % of the available power are ready upwards and downwards. Zero action of the
+#: The paper's law: g through (ω_min, K_opt), (ω_st, K_n), (ω_max, K_pr), constant outside. K_n is the coefficient of
+#: 5 % deloading, K_pr that of 10 %: 5 % of the available power are ready upwards and downwards. Zero action of the
 #: environment, with its default strategy, is exactly this law. It is the score's hundred in v0 and its zero in v1.
 COORDINATED_PIECEWISE = Entry(
     name="coordinated-piecewise",
@@ -76,8 +76,8 @@ COORDINATED_UNDAMPED = Entry(
     source=f"{COORDINATED_SOURCE}, open loop of the proposed law",
 )
 #: The score's hundred in version v1. g, through (ω_min, K_opt + 1.52 S), (ω_st, K_n + 0.017 S), (ω_max, K_pr - 1.05 S)
-#: with S = K_opt - K_pr, is steeper: below ω_min it asks for more than the turbine captures for long, and takes the rest
-#: from the rotor. The filter is faster, τ = 0.6 s, so that the droop leaves the steady state to g sooner. The numbers
+#: with S = K_opt - K_pr, is steeper: below ω_min it asks for more than the turbine captures for long, and takes the
+#: rest from the rotor. The filter is faster, τ = 0.6 s, so that the droop leaves the steady state to g sooner. The numbers
 #: are the benchmark's own, tuned on training scenarios.
 COORDINATED_TUNED = Entry(
     name="coordinated-tuned",
