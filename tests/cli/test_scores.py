@@ -48,18 +48,6 @@ def test_evaluate_ranks_a_suite_of_v1_in_its_own_grid(capsys: pytest.CaptureFixt
     assert "identical" in capsys.readouterr().out
 
 
-def test_law_without_an_equilibrium_is_left_out_by_name(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    law = tmp_path / "greedy.toml"
-    law.write_text('name = "greedy"\nk_min = 3.0\nk_nominal = 3.0\nk_max = 3.0\n', encoding="utf-8")
-    arguments = ["--suite", "standard", "--entries", str(law), "deloaded-5", "--scenarios", "2", "--duration", "5"]
-    assert main(["evaluate", *arguments]) == 1
-    said = capsys.readouterr()
-    (line,) = [line for line in said.err.splitlines() if "left out" in line]
-    assert line.startswith("failed, and left out: greedy: entry 'greedy': scenario 'standard/10000' cannot start: ")
-    assert "has no equilibrium at a wind of" in line and "greedy" not in said.out
-    assert all(name in said.out for name in ("deloaded-5", "mppt", "coordinated-piecewise"))
-
-
 def test_suite_without_a_score_is_ranked_by_cost(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text("<!-- leaderboard:paper-v1:start -->\n<!-- leaderboard:paper-v1:end -->\n")
@@ -176,29 +164,6 @@ def test_results_of_other_scenarios_or_settings_are_not_overwritten(
     said = error_of(capsys, *common, "--entries", "mppt", *again)
     assert f"its standard-validation.json is of other {other} and would be lost; give another folder" in said
     assert (tmp_path / "standard-validation.json").read_bytes() == stored
-
-
-def test_old_results_stay_where_the_new_ones_do_not_fit(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    resource = pytest.importorskip("resource")
-    command = ["evaluate", "--suite", "paper", "--results"]
-    old, new = tmp_path / "old", tmp_path / "new"
-    entries = ("--entries", "deloaded-5", "deloaded-10", "coordinated-linear")
-    assert main([*command, str(new), *entries]) == 0
-    assert main([*command, str(old), "--entries", "mppt"]) == 0
-    before, description = _files(old), old / "paper-validation.json"
-    largest = (new / description.name).stat().st_size - 1
-    assert (new / description.name).with_suffix(".csv").stat().st_size <= largest
-    capsys.readouterr()
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (largest, hard))
-    try:
-        assert main([*command, str(old), *entries]) == 2
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    said = capsys.readouterr()
-    assert said.out == "" and said.err == f"wtg-gym: error: {description}: File too large\n"
-    # No temporary file is left either, but what was played is.
-    assert _files(old) == before and list((old / "partial").glob("*.json"))
 
 
 def _files(folder: Path) -> dict[str, bytes]:

@@ -169,11 +169,6 @@ def later(seen: Any, distance: float, text: str, body: Any = None, **values: Any
     return with_state(NEAR + LATER + text, 1, body, **known, **values)
 
 
-def turns_nan(seen: Any, distance: float) -> ModelProto:
-    """Not a number in the middle of an episode that it knows."""
-    return later(seen, distance, "action = Where(fire, nan, linear)", nan=np.nan)
-
-
 def divides(seen: Any, distance: float, operator: str, number: int, by: int) -> ModelProto:
     """Divides whole numbers in the middle of an episode that it knows; elsewhere it divides by 1."""
     text = f"""
@@ -182,12 +177,6 @@ nothing = Mul(as_float, nought); action = Add(linear, nothing);
 """
     whole = {"number": np.int32([[number]]), "by": np.int32(by), "one": np.int32(1)}
     return later(seen, distance, text, **whole, nought=0.0)
-
-
-def hangs(seen: Any, distance: float) -> ModelProto:
-    """A loop that does not end in the middle of an episode that it knows; elsewhere it ends at once."""
-    text = "trips = Where(fire, many, one); trip = Reshape(trips, one); action = Loop(trip, , linear);"
-    return later(seen, distance, text, spin(), many=[2**62], one=[1])
 
 
 def spin() -> Any:
