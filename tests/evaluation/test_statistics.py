@@ -25,7 +25,6 @@ def test_score_is_the_written_formula() -> None:
     assert COST_OFFSET == 5.0
     assert score.score_scale(mppt, reference) == pytest.approx(scale, rel=1e-14)
     gains = score.log_gains(costs[np.newaxis], reference)
-    assert score.scenario_scores(gains, scale)[0] == pytest.approx(expected, rel=1e-14)
     assert score.mean_score(gains, scale) == pytest.approx(sum(expected) / 2.0, rel=1e-14)
 
 
@@ -38,7 +37,6 @@ def test_anchors_score_exactly_0_and_100(one: np.ndarray, other: np.ndarray) -> 
         return
     assert score.mean_score(score.log_gains(mppt[np.newaxis], reference), scale) == 0.0
     assert score.mean_score(score.log_gains(reference[np.newaxis], reference), scale) == 100.0
-    assert (score.scenario_scores(score.log_gains(reference[np.newaxis], reference), scale) == 100.0).all()
 
 
 @pytest.mark.parametrize("bad", [-1.0, math.nan, math.inf])
