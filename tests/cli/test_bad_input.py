@@ -117,7 +117,7 @@ BAD = [
     ("suites --seed 5", "--seed 5 needs a suite"),
     (
         "submission check best/1000 nowhere",
-        'error: Invalid value "nowhere" for FOLDERS. "nowhere" does not exist. (see',
+        'error: Invalid value "nowhere" for FOLDERS. "nowhere" does not exist.',
     ),
     ("submission new best/1000", "has entry.toml already"),
     ("submission new a_folder!", "the folder's name must be 1 … 80"),

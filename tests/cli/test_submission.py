@@ -8,7 +8,7 @@ import pytest
 
 from tests.cli.calls import error_of, json_of
 from tests.submissions import models
-from tests.submissions.models import TOML, after, folder, node
+from tests.submissions.models import TOML, after, folder
 from wtg_gym.cli import main
 from wtg_gym.evaluation import Results, evaluate, load_entries
 from wtg_gym.policies import gate
@@ -73,7 +73,7 @@ def test_score_is_that_of_evaluate(capsys: pytest.CaptureFixture[str], tmp_path:
 
 
 def test_score_ranks_what_is_not_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    good, bad = folder(tmp_path / "a"), folder(tmp_path / "b", after(node("Tile", ["linear"], "action")), OTHER)
+    good, bad = folder(tmp_path / "a"), folder(tmp_path / "b", after("action = Tile(linear)"), OTHER)
     assert main(["submission", "score", str(good), str(bad), *_FEW, "--results", str(tmp_path / "r")]) == 1
     said = capsys.readouterr()
     assert "Mine" in said.out and "Other" not in said.out
