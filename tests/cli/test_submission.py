@@ -47,19 +47,6 @@ def test_template_with_a_policy_is_accepted_once_it_is_filled_in(
     assert said.count(" passed ") == 6 and "accepted, sha256" in said
 
 
-def test_check_prints_every_check_and_why_one_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    good, bad = (
-        folder(tmp_path / "good"),
-        folder(tmp_path / "bad", models.trap()),
-    )
-    data = json_of(capsys, "submission", "check", str(good), str(bad), "--json", code=1)
-    first, second = data["submissions"]
-    assert first["accepted"] and not second["accepted"]
-    assert [check["verdict"] for check in second["checks"]].count("not reached") == 1
-    assert main(["submission", "check", str(bad)]) == 1
-    assert "refused" in capsys.readouterr().out
-
-
 def test_score_is_that_of_evaluate(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     seeds = [folder(tmp_path / str(i), toml=TOML.replace("seed = 0", f"seed = {i}")) for i in range(2)]
     (seeds[1] / "policy.onnx").write_bytes(models.other().SerializeToString())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import re
 import sys
@@ -66,15 +65,6 @@ def test_anchors_score_exactly_0_and_100(results: Results, results_v1: Results) 
         assert [each.scores[name] for name in anchors] == [Interval(0.0, 0.0, 0.0), Interval(100.0, 100.0, 100.0)]
         hundred = next(row for row in each.summaries if row.name == anchors[1])
         assert hundred.difference.value == 0.0 and hundred.probability_of_improvement.value == 0.5
-
-
-def test_failures_are_pinned_in_score_and_cost(results: Results) -> None:
-    episodes = [dataclasses.replace(e, failure="stall") if e.entry == "deloaded-10" else e for e in results.episodes]
-    failed = dataclasses.replace(results, episodes=tuple(episodes))
-    before, after = (next(s for s in r.summaries if s.name == "deloaded-10") for r in (results, failed))
-    assert (before.failures_percent, after.failures_percent) == (0.0, 100.0)
-    assert after.mean_pinned_cost == 50.0 * (10.0 + 1.0) and (after.n_lost, after.n_episodes) == (3, 3)
-    assert after.score.value < before.score.value and after.probability_of_improvement.value == 0.0
 
 
 def test_unknown_entry_in_results_lists_the_known(results: Results) -> None:

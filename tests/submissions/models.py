@@ -54,9 +54,8 @@ def worker(script: Path, code: str) -> str:
     Returns:
         its path.
     """
-    start = (
-        f"import sys\nsys.path.insert(0, {str(Path(onnx_worker.__file__).parent)!r})\nimport onnx_worker as worker\n"
-    )
+    place = str(Path(onnx_worker.__file__).parent)
+    start = f"import sys\nsys.path.insert(0, {place!r})\nimport onnx_worker as worker\n"
     script.write_text(f"{start}{code}\nworker.main()\n", encoding="utf-8")
     return str(script)
 
