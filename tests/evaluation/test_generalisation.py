@@ -77,7 +77,6 @@ def test_other_policies_of_a_name_are_left_out_and_few_scenarios_give_no_excess(
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        ({"split": "test"}, "got 'test' and 'test'"),
         ({"suite": "gust"}, "another suite:"),
         ({"source_hash": "0" * 64}, "another source hash"),
         ({"settings": {}}, "another settings"),

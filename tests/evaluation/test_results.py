@@ -67,14 +67,6 @@ def test_anchors_score_exactly_0_and_100(results: Results, results_v1: Results) 
         assert hundred.difference.value == 0.0 and hundred.probability_of_improvement.value == 0.5
 
 
-def test_unknown_entry_in_results_lists_the_known(results: Results) -> None:
-    assert [e.seed for e in results.episodes_of("mppt")] == [20_002, 20_000, 20_005]
-    by_name = (results.scores, results.pinned_costs, results.log_gains)
-    for look_up in (results.episodes_of, *(each.__getitem__ for each in by_name)):
-        with pytest.raises(KeyError, match=r"unknown entry 'nobody'; choose one of .*deloaded-10"):
-            look_up("nobody")
-
-
 @settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(which=st.integers(0, 1), data=st.data())
 def test_damaged_file_never_passes(copies: tuple[Path, Path], which: int, data: st.DataObject) -> None:
