@@ -267,7 +267,12 @@ def test_killed_run_goes_on_and_keeps_its_parts_until_the_results_are_written(
     (partial / "of another run").touch()
     for one, other in zip(again.write(tmp_path / "a"), results.write(tmp_path / "b"), strict=True):
         assert one.read_bytes() == other.read_bytes()
-    more.write(tmp_path / "c")
+    # Results that cannot be written lose nothing.
+    (tmp_path / "c" / "standard-test.json").mkdir(parents=True)
+    with pytest.raises(IsADirectoryError):
+        more.write(tmp_path / "c")
+    assert len(list(partial.iterdir())) == 3
+    more.write(tmp_path / "d")
     assert [path.name for path in partial.iterdir()] == ["of another run"]
 
 
