@@ -77,8 +77,8 @@ COORDINATED_UNDAMPED = Entry(
 )
 #: The score's hundred in version v1. g, through (ω_min, K_opt + 1.52 S), (ω_st, K_n + 0.017 S), (ω_max, K_pr - 1.05 S)
 #: with S = K_opt - K_pr, is steeper: below ω_min it asks for more than the turbine captures for long, and takes the
-#: rest from the rotor. The filter is faster, τ = 0.6 s, so that the droop leaves the steady state to g sooner. The numbers
-#: are the benchmark's own, tuned on training scenarios.
+#: rest from the rotor. The filter is faster, τ = 0.6 s, so that the droop leaves the steady state to g sooner. The
+#: numbers are the benchmark's own, tuned on training scenarios.
 COORDINATED_TUNED = Entry(
     name="coordinated-tuned",
     strategy=tracking_law.coordinated_tuned(),
