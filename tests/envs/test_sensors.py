@@ -171,21 +171,6 @@ def test_group_that_an_event_takes_away_is_not_charged_from_that_step_on(time_s:
     assert costs == pytest.approx(weight * 0.1 * huber(duty).sum(axis=1) / N_WTG, rel=1e-5)
 
 
-def test_rotor_power_and_actions_of_a_group_that_is_gone_cost_nothing() -> None:
-    actions = np.zeros((60, N_ACTION))
-    actions[:, 4:6] = 1.0
-    run = tripping(1.0, actions)
-    effort = np.array([info["cost_effort"] for info in run.infos])
-    # An action of 1 in two of eight, and in the first step its change, four times.
-    assert effort[:2] == pytest.approx([0.05 * 0.1 * 2.0 * 5.0 / 8.0, 0.05 * 0.1 * 2.0 / 8.0])
-    assert (effort[:10] > 0.0).all() and not effort[10:].any()
-    energy = run.env.lanes.task_values("available_energy")[0]
-    without = play(calm(**STEADY), STILL, strategy="mppt").env.lanes.task_values("available_energy")[0]
-    share = run.env.lanes.simulator.plant.constants[0]["share"]
-    # It gave its share for one of six seconds.
-    assert energy / without == pytest.approx(1.0 - share[2] / share.sum() * 5.0 / 6.0, rel=1e-9)
-
-
 @pytest.mark.parametrize("suite", ["standard", "no-wind-sensor"])
 def test_cost_is_that_of_the_plant_and_not_of_what_is_measured(suite: str) -> None:
     one, other = (play(None, suite=suite, seed=2, sensors=sensors) for sensors in (None, "exact"))
