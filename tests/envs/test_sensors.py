@@ -110,17 +110,6 @@ def test_delayed_measurements_are_those_of_before_bit_for_bit(control_dt: float,
         )
 
 
-def test_wind_bias_is_a_share_of_the_wind_and_the_tip_speed_ratio_follows_it() -> None:
-    bias = (0.05, -0.1, 0.2, 0.0)
-    run = play(drawn(plain(wind_bias=bias)))
-    found, true = (10.0 + 5.0 * run.seen(owner, "wind")[..., 0].astype(float) for owner in ("wtg", "exact"))
-    assert found == pytest.approx(true * (1.0 + np.array(bias)), rel=1e-6)
-    # (λ - λ_opt) / (λ_pr - λ_opt) is linear in λ, and λ is divided by 1 + b.
-    seen, there = (run.seen(owner, "tip_speed_ratio")[..., 0].astype(float) for owner in ("wtg", "exact"))
-    for j, own in enumerate(bias):
-        assert np.polyfit(there[:, j], seen[:, j], 1)[0] == pytest.approx(1.0 / (1.0 + own), rel=1e-4)
-
-
 def test_without_a_wind_sensor_wind_and_ratio_read_zero_and_all_else_is_as_with_one() -> None:
     blind, seeing = (play(drawn(faulty(wind_sensor=sensor))) for sensor in (False, True))
     needs_wind = ("wind", "tip_speed_ratio")
