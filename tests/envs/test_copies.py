@@ -6,13 +6,11 @@ import copy
 import pickle
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
 from tests.envs.rollouts import MODES, actions_of, calm, eventful, n_resets, single_steps, vector_steps
-from wtg_gym import ENV_IDS
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
 from wtg_gym.physics.scenario import LoadStep
 
@@ -61,19 +59,6 @@ def test_copies_before_the_first_reset_and_after_the_end_behave_as_their_origina
     twins = copies(env)
     after = steps_of(env, AFTER, AutoresetMode.DISABLED)
     assert all(after == steps_of(twin, AFTER, AutoresetMode.DISABLED) for twin in twins)
-
-
-@pytest.mark.parametrize("env_id", ENV_IDS)
-def test_wrapped_environment_can_be_copied(env_id: str):
-    env = gym.make(env_id, duration_s=2.0)
-    env.reset(seed=1)
-    action = np.full(env.action_space.shape, 0.5, dtype=np.float32)
-    env.step(0.0 * action)
-    twins = copies(env)
-    steps = [env.step(action)[:4] for _ in range(19)]
-    for twin in twins:
-        for (observation, *rest), (other, *others) in zip(steps, (twin.step(action)[:4] for _ in steps), strict=True):
-            assert observation.tobytes() == other.tobytes() and rest == others
 
 
 MANY_EVENTS = calm(events=tuple(LoadStep(time_s=0.1 * n, bus=3, power_mw=2.0) for n in range(1, 31))).to_dict()

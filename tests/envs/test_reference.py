@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.envs.rollouts import ACTION_MODES, calm, eventful
-from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
+from wtg_gym.envs import GFMWTGEnv
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.physics.trajectory import simulate
@@ -45,15 +45,6 @@ def test_zero_action_is_the_strategy_to_the_last_bit(scenario: Scenario):
         assert frequency.tobytes() == run.frequency_hz.tobytes(), names
         assert speed.tobytes() == run.rotor_speed_pu.tobytes()
         assert coefficient.tobytes() == run.coefficient_pu.tobytes()
-
-
-def test_every_lane_of_a_batch_follows_the_strategy_at_zero_action():
-    env = GFMWTGVectorEnv(17, scenario=eventful().to_dict(), version="v0")
-    env.reset(seed=0)
-    run = simulate(eventful(), STRATEGIES["coordinated-piecewise"])
-    for frequency in run.frequency_hz[1:]:
-        *_, infos = env.step(np.zeros((17, 4)))
-        assert infos["frequency_hz"].tolist() == [frequency] * 17
 
 
 def test_action_on_k_moves_power_up_and_on_tau_only_the_transient():

@@ -53,17 +53,6 @@ def test_both_checkers_have_no_complaint(modes: dict[str, str], env_id: str):
     env.close()
 
 
-@BOTH_IDS
-@STRICT
-def test_make_after_import_and_make_with_the_module_in_the_id_are_the_same(env_id: str):
-    first, second = gym.make(env_id, duration_s=2.0), gym.make(f"wtg_gym:{env_id}", duration_s=2.0)
-    assert isinstance(first.unwrapped, GFMWTGEnv) and isinstance(second.unwrapped, GFMWTGEnv)
-    assert env_id == first.spec.id == second.spec.id
-    assert first.unwrapped.settings.version == env_id[-2:]
-    (a, _), (b, _) = first.reset(seed=1), second.reset(seed=1)
-    assert a.tobytes() == b.tobytes()
-
-
 def test_version_v1_is_meant_where_none_is_named() -> None:
     assert wtg_gym.ENV_ID == "GFMWTG-14bus-v1"
     assert (EnvSettings().version, EnvSettings().suite) == ("v1", "standard-v1")

@@ -110,17 +110,6 @@ def test_delayed_measurements_are_those_of_before_bit_for_bit(control_dt: float,
         )
 
 
-def test_wind_bias_is_a_share_of_the_wind_and_the_tip_speed_ratio_follows_it() -> None:
-    bias = (0.05, -0.1, 0.2, 0.0)
-    run = play(drawn(plain(wind_bias=bias)))
-    found, true = (10.0 + 5.0 * run.seen(owner, "wind")[..., 0].astype(float) for owner in ("wtg", "exact"))
-    assert found == pytest.approx(true * (1.0 + np.array(bias)), rel=1e-6)
-    # (λ - λ_opt) / (λ_pr - λ_opt) is linear in λ, and λ is divided by 1 + b.
-    seen, there = (run.seen(owner, "tip_speed_ratio")[..., 0].astype(float) for owner in ("wtg", "exact"))
-    for j, own in enumerate(bias):
-        assert np.polyfit(there[:, j], seen[:, j], 1)[0] == pytest.approx(1.0 / (1.0 + own), rel=1e-4)
-
-
 def test_without_a_wind_sensor_wind_and_ratio_read_zero_and_all_else_is_as_with_one() -> None:
     blind, seeing = (play(drawn(faulty(wind_sensor=sensor))) for sensor in (False, True))
     needs_wind = ("wind", "tip_speed_ratio")
@@ -169,21 +158,6 @@ def test_group_that_an_event_takes_away_is_not_charged_from_that_step_on(time_s:
     assert np.abs(duty).max() < 5.0
     weight = run.env.settings.cost_weights().duty
     assert costs == pytest.approx(weight * 0.1 * huber(duty).sum(axis=1) / N_WTG, rel=1e-5)
-
-
-def test_rotor_power_and_actions_of_a_group_that_is_gone_cost_nothing() -> None:
-    actions = np.zeros((60, N_ACTION))
-    actions[:, 4:6] = 1.0
-    run = tripping(1.0, actions)
-    effort = np.array([info["cost_effort"] for info in run.infos])
-    # An action of 1 in two of eight, and in the first step its change, four times.
-    assert effort[:2] == pytest.approx([0.05 * 0.1 * 2.0 * 5.0 / 8.0, 0.05 * 0.1 * 2.0 / 8.0])
-    assert (effort[:10] > 0.0).all() and not effort[10:].any()
-    energy = run.env.lanes.task_values("available_energy")[0]
-    without = play(calm(**STEADY), STILL, strategy="mppt").env.lanes.task_values("available_energy")[0]
-    share = run.env.lanes.simulator.plant.constants[0]["share"]
-    # It gave its share for one of six seconds.
-    assert energy / without == pytest.approx(1.0 - share[2] / share.sum() * 5.0 / 6.0, rel=1e-9)
 
 
 @pytest.mark.parametrize("suite", ["standard", "no-wind-sensor"])

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-import math
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
 from tests.gradients.test_gradients import N_LANES, V1, actions_of, agrees, drawn, given, tape_of
-from wtg_gym.gradients import expressions as ex
-from wtg_gym.gradients.kernel_programs import programs_of, require_known
+from wtg_gym.gradients.kernel_programs import require_known
 from wtg_gym.gradients.tape import Tape
-from wtg_gym.physics.elementary import exponential, fma, select, sine_cosine
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters
 from wtg_gym.physics.plant import PlantSettings, build_plant
@@ -27,40 +23,6 @@ OVERLOAD = (GroupTrip(time_s=1.0, group=0), LoadStep(time_s=1.6, bus=4, power_mw
 
 def reactances(tape: Tape) -> Floats:
     return tape.lanes.simulator.wtg_values("limiting_reactance")
-
-
-def compiled_by_python(source: str) -> Any:
-    space: dict[str, Any] = {"chosen": select, "fma": fma, "sine_cosine": sine_cosine, "exponential": exponential}
-    exec(source, {**space, "math": math, "inf": math.inf}, space)
-    return space["traced"]
-
-
-def test_the_traced_right_hand_side_is_that_of_the_kernel_while_currents_are_limited() -> None:
-    tape = tape_of(**V1)
-    tape.start([given(4, *OVERLOAD, wind=11.5)] * N_LANES)
-    for own in actions_of(tape, 60, 0.2):
-        tape.step(own)
-        if (reactances(tape) > 0.0).any(axis=1).all():
-            break
-    assert (reactances(tape) > 0.0).any(axis=1).all()
-    lanes, simulator, steps = tape.lanes, tape.lanes.simulator, tape._rules.steps
-    rows = tape._values()[0].copy()
-    programs = programs_of(simulator.plant, lanes.task, simulator.layout.n_rows, lanes.n_action)
-    network, sweep, rates = (
-        compiled_by_python(ex.function_source("traced", arguments, program))
-        for arguments, program in (((), programs.network), ((), programs.sweep), (("fraction",), programs.rates))
-    )
-    simulator.evaluate()
-    for lane in range(N_LANES):
-        block = rows[:, lane].copy()
-        network(block, (0,))
-        block[steps.sources] = block[steps.limited[: steps.sources.size]]
-        for _ in range(200):
-            sweep(block, (0,))
-        rates(block, 0.0, (0,))
-        found = simulator.rates(lane)
-        assert np.abs(found).max() > 1e-3
-        assert block[simulator.layout.rate_rows] == pytest.approx(found, rel=1e-12, abs=1e-12)
 
 
 def test_the_gradient_goes_through_the_limits_of_currents_and_powers() -> None:

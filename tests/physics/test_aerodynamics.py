@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.interpolate import RectBivariateSpline
 
 from wtg_gym.physics.aerodynamics import available_power_pu, power_coefficient, tracking_point
 from wtg_gym.physics.parameters import ROTOR_TABLE, nrel_5mw
 from wtg_gym.physics.rotor_table import read_rotor_table
-
-BETZ_LIMIT = 16.0 / 27.0
 
 
 def test_operating_points_are_those_of_the_paper() -> None:
@@ -26,29 +22,10 @@ def test_operating_points_are_those_of_the_paper() -> None:
     assert power_coefficient(np.linspace(2.0, 15.0, 2001)).max() <= best.power_coefficient * (1.0 + 1e-12)
 
 
-@given(st.floats(0.5, 20.0), st.floats(0.0, 30.0))
-def test_power_coefficient_never_exceeds_betz_limit(ratio: float, pitch: float) -> None:
-    assert power_coefficient(ratio, pitch) < BETZ_LIMIT
-
-
-@given(st.floats(0.001, 0.5))
-def test_deloaded_coefficient_equals_its_definition(deloading: float) -> None:
-    # K_d = K_opt (λ_opt/λ_d)³ (1 - d)
-    best, point = tracking_point(0.0), tracking_point(deloading)
-    expected = best.coefficient * (best.tip_speed_ratio / point.tip_speed_ratio) ** 3 * (1.0 - deloading)
-    assert point.coefficient == pytest.approx(expected, rel=1e-10)
-    assert point.tip_speed_ratio > best.tip_speed_ratio
-
-
 # --- A rotor's table
 
 TABLE = read_rotor_table(ROTOR_TABLE)
 RATIO, PITCH, CP = (np.array(v) for v in (TABLE.tip_speed_ratio, TABLE.pitch_deg, TABLE.power_coefficient))
-
-
-def test_the_surface_goes_through_the_tables_points() -> None:
-    for j in np.flatnonzero(PITCH >= 0.0):
-        assert power_coefficient(RATIO, float(PITCH[j]), TABLE) == pytest.approx(CP[:, j], abs=1e-14)
 
 
 def test_between_the_points_it_is_the_bicubic_spline() -> None:

@@ -13,7 +13,7 @@ import pytest
 from tests.physics.extended import LAW, classical, plant, scenario, started, with_machine
 from wtg_gym.physics.aerodynamics import available_power_pu, power_coefficient, tracking_point
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters
+from wtg_gym.physics.machine_parameters import HydroGovernorParameters
 from wtg_gym.physics.network import Branch, Bus, NetworkCase
 from wtg_gym.physics.parameters import (
     ROTOR_TABLE,
@@ -89,7 +89,6 @@ RECORDS: list[tuple[Call, str]] = [
     (of(GridFormingParameters, inertia_constant_s=-5.0), r"= -5 s is outside the allowed range 0.001 … 10000 s"),
     (of(GridFormingParameters, frequency_min_pu=1.004), r"< frequency_setpoint_pu < .* hold, got 1.004, 1, 1.008"),
     (of(ConverterLimitParameters, power_max_pu=1.3), r"= 1.3 p.u. exceeds current_max_pu = 1.2 p.u."),
-    (of(GovernorParameters, gate_min_pu=1.3), r"< gate_max_pu must hold, got 1.3, 1.2"),
     *((lambda n=n: default_groups(n), "in 1 … 1024") for n in (0, 2.0, True, "2", 1025)),
     (lambda: power_coefficient(np.array([7.0, np.inf])), r"tip-speed ratio must be positive, got inf"),
     (lambda: available_power_pu(-5.0), r"wind speed must be 0 m/s or more, got -5 m/s"),
@@ -102,7 +101,6 @@ RECORDS: list[tuple[Call, str]] = [
     (table(pitch_deg=(1.0, 5.0, 10.0, 15.0)), "must reach from 0 deg or below to above 0 deg"),
     (table(power_coefficient=((0.1,) * 4,) * 3 + ((0.1, 0.1, NAN, 0.1),)), "no number at a tip-speed ratio of 8"),
     (lambda: read_rotor_table(Path("nowhere.txt")), "nowhere.txt"),
-    (sensors(delay_s=1.1), "delay_s = 1.1 s.*0 … 1 s"),
     (sensors(seed=2**31), "seed must be a whole number in 0 … 2147483647, got 2147483648"),
     (sensors(wind_bias=(0.1, 0.6)), "wind_bias = 0.6.*-0.5 … 0.5"),
     (case(buses=(Bus(number=1), Bus(number=1))), "unique"),
@@ -111,9 +109,7 @@ RECORDS: list[tuple[Call, str]] = [
     (case(branches=(Branch(from_bus=1, to_bus=2, resistance=0.0, reactance=0.0),)), "1-2 has no impedance"),
     (lambda: IEEE14.branch_index(1, 14), "no branch 1-14 in .*; branches: 1-2, 1-5"),
     (given(wind_speed=np.array([[9.0, -1.0], [9.0, 9.0]])), "group 1 at t = 0.1 s is -1 m/s.* 3 … 25 m/s"),
-    (given(wind_speed=np.array([[9.0, NAN]])), "is nan m/s, outside the allowed range"),
     (given(load_noise_mw=np.array([1.0, 0.0])), "must start at 0 MW, got 1 MW"),
-    (given(governor_droop=0.0), "governor_droop = 0 p.u. is outside the allowed range 0.005 … 1 p.u."),
     (given(events=LoadTrip(time_s=1.0, bus=3)), "events must be a tuple of events, got LoadTrip"),
     (
         lambda: Scenario.from_dict({"name": "x", "wind_speed": [[9.0]], "windd": 1}),

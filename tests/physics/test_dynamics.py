@@ -49,6 +49,14 @@ def test_load_noise_by_rank_one_update_equals_a_full_reduction(simulator: Simula
     assert results[0] == pytest.approx(results[1], abs=1e-12)
 
 
+def test_load_noise_ends_with_its_series_at_every_control_interval() -> None:
+    noisy = scenario(duration_s=2.0, load_noise_mw=np.array([0.0, 0.0, 40.0, 40.0]))
+    for control_dt in (0.05, 0.1, 0.2):
+        noise = started(PlantSettings(control_dt=control_dt), noisy, duration_s=2.0).data.noise[0]
+        assert noise.sum() * control_dt == pytest.approx(2 * 40.0 * 0.1)
+        assert (noise[round(0.4 / control_dt) :] == 0.0).all()
+
+
 EVENTS = (
     LoadStep(time_s=0.2, bus=2, power_mw=75.0, reactive_mvar=20.0),
     LoadTrip(time_s=0.5, bus=9),

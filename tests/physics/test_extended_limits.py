@@ -35,25 +35,6 @@ from wtg_gym.physics.tracking_law import get_law
 # --- Limits
 
 
-def test_the_current_stays_within_its_limit_whatever_agents_do() -> None:
-    limited = 0
-    for seed, (size, hold) in enumerate(((0.3, 1), (0.3, 5), (0.5, 2), (1.0, 1), (1.0, 5))):
-        signs = np.random.default_rng(seed).choice([-1.0, 1.0], size=(600, 2))
-        simulator = started(plant(control_dt=0.1), scenario(wind=[[11.4], [11.0]]))
-        found = recorded(
-            simulator,
-            30.0,
-            "current",
-            "limiting_reactance",
-            act=lambda i, s=signs, a=size, h=hold: a * s[i // h],  # type: ignore[misc]
-        )
-        assert found["current"].max() <= CURRENT_MAX * (1.0 + 1e-9)
-        limited += int((found["limiting_reactance"] > 0.0).sum())
-        # Within the limit nothing is limited, and the current is at the limit where it is.
-        assert found["current"][found["limiting_reactance"] > 0.0] == pytest.approx(CURRENT_MAX, rel=1e-9)
-    assert limited > 50
-
-
 @pytest.mark.parametrize("table", [False, True])
 @pytest.mark.parametrize("disturbance", ["fault", "load"])
 def test_limits_are_held_and_left_without_wind_up(table: bool, disturbance: str) -> None:

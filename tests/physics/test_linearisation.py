@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from docs.studies.small_signal import compare, infinite_bus, linearise, modes, sides, synchronising_coefficients
+from docs.studies.small_signal import compare, infinite_bus, linearise, sides, synchronising_coefficients
 from tests.physics.extended import plant, scenario, started, with_machine
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.linearisation import largest_stable_steps
@@ -124,22 +124,6 @@ def test_small_motion_of_the_simulator_is_that_of_the_linear_model(side: str, cl
     other = linearise(PAPER, REFERENCE, settings, side="over" if side == "under" else "under")
     wrong = expm(0.1 * other.matrix) @ push[index]
     assert np.abs(moved - wrong).max() > 2e-3 * np.abs(expected).max()
-
-
-def test_modes_are_the_eigenvalues_and_participations_are_shares() -> None:
-    model = linearise(PAPER, REFERENCE)
-    found = modes(model)
-    count = sum(2 if mode.eigenvalue.imag > 0.0 else 1 for mode in found)
-    assert count == model.matrix.shape[0] == len(model.state_names)
-    total = sum((2.0 if mode.eigenvalue.imag > 0.0 else 1.0) * mode.eigenvalue.real for mode in found)
-    assert total == pytest.approx(float(np.trace(model.matrix)), rel=1e-9)
-    for mode in found:
-        assert sum(mode.participation.values()) == pytest.approx(1.0)
-        assert min(mode.participation.values()) >= 0.0
-        assert -1.0 <= mode.damping_ratio <= 1.0
-        assert mode.eigenvalue.real < 0.0
-    reals = [mode.eigenvalue.real for mode in found]
-    assert reals == sorted(reals, reverse=True)
 
 
 def test_synchronising_coefficients_are_the_power_angle_slope() -> None:

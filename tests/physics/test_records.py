@@ -86,11 +86,3 @@ def test_scenario_survives_json_exactly() -> None:
     assert again.to_dict() == scenario.to_dict()
     assert again.events == scenario.events
     assert (again.wind_speed == scenario.wind_speed).all()
-
-
-def test_a_line_that_stays_open_is_written_as_before_lines_could_close_again() -> None:
-    opened = LineTrip(time_s=8.0, from_bus=2, to_bus=4)
-    closed = dataclasses.replace(opened, recloses_after_s=0.5)
-    written, other = Scenario(name="x", wind_speed=[[9.0]], events=(opened, closed)).to_dict()["events"]
-    assert list(written) == ["kind", "time_s", "from_bus", "to_bus"]
-    assert other == {**written, "recloses_after_s": 0.5}

@@ -2,16 +2,13 @@
 
 import dataclasses
 import pickle
-from itertools import pairwise
 
 import pytest
 
-from wtg_gym.physics.scenario import LoadStep, LoadTrip
-from wtg_gym.scenarios import FROZEN_HASHES, SPLITS, SUITES, Suite, get_suite
+from wtg_gym.scenarios import FROZEN_HASHES, SUITES, Suite, get_suite
 from wtg_gym.scenarios.benchmark import V1
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 
-DRAWN = [suite for suite in SUITES.values() if suite.distribution is not None]
 FIRST = [name for name, suite in SUITES.items() if suite.benchmark.version == "v0"]
 SECOND = [suite for suite in SUITES.values() if suite.benchmark.version == "v1"]
 
@@ -51,33 +48,3 @@ def test_hash_sees_scenarios_plant_sensors_and_task_but_not_words_and_copies(sui
     assert dataclasses.replace(suite, **change).hash != suite.hash
     assert dataclasses.replace(suite, description="other words").hash == suite.hash
     assert pickle.loads(pickle.dumps(suite)).hash == suite.hash
-
-
-@pytest.mark.parametrize("suite", DRAWN, ids=lambda suite: suite.name)
-def test_splits_are_disjoint_and_of_the_announced_size(suite: Suite):
-    sizes = (100, 200) if suite.benchmark.version == "v0" else (200, 1000)
-    assert (len(suite.seeds("validation")), len(suite.seeds("test"))) == sizes
-    spans = sorted((suite.seeds(split) for split in SPLITS), key=lambda seeds: seeds.start)
-    assert all(low.stop <= high.start for low, high in pairwise(spans))
-
-
-def test_without_a_wind_sensor_the_scenarios_are_those_of_the_standard_suite():
-    own, other = (get_suite(name).scenario(10_007) for name in ("standard-v1", "no-wind-sensor-v1"))
-    assert dataclasses.replace(own.sensors, wind_sensor=False) == other.sensors
-    assert (own.wind_speed == other.wind_speed).all() and own.events == other.events
-
-
-def test_paper_has_its_two_cases_in_every_split():
-    paper = get_suite("paper")
-    assert all(paper.seeds(split) == range(2) for split in SPLITS)
-    increase, decrease = paper.scenario(0), paper.scenario(1)
-    assert increase.events == (
-        LoadStep(time_s=5.0, bus=2, power_mw=75.0),
-        LoadStep(time_s=30.0, bus=3, power_mw=75.0),
-    )
-    assert decrease.events == (LoadTrip(time_s=5.0, bus=4), LoadTrip(time_s=30.0, bus=9))
-    for scenario in (increase, decrease):
-        assert scenario.wind_speed.tolist() == [[11.4], [8.0]]
-        assert scenario.duration_s == 120.0
-        assert scenario.load_noise_mw.size == 0
-        assert (scenario.governor_droop, scenario.inertia_scale, scenario.load_level) == (None, 1.0, 1.0)

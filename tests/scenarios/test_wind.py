@@ -4,8 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from wtg_gym.physics.scenario import SERIES_DT
 from wtg_gym.scenarios import wind
@@ -48,14 +46,6 @@ def test_disk_average_agrees_with_random_pairs_of_points():
     for decay in (0.3, 1.0, 5.0):
         expected = np.exp(-decay * distance).mean()
         assert wind.disk_mean_coherence(np.array([decay]))[0] == pytest.approx(expected, rel=5e-3)
-
-
-@given(st.floats(4.0, 20.0), st.floats(1.0, 50.0))
-def test_rotor_and_group_averaging_only_take_away(mean: float, n_turbines: float):
-    rotor = wind.rotor_filter(FREQUENCY, mean)
-    group = wind.group_filter(FREQUENCY, mean, n_turbines)
-    assert ((rotor > 0.0) & (rotor < 1.0)).all()
-    assert ((group >= 1.0 / n_turbines - 1e-12) & (group <= 1.0 + 1e-12)).all()
 
 
 @pytest.mark.parametrize("n_turbines", [1.0, 10.0])
