@@ -97,8 +97,8 @@ DOCS := docs
 STUDIES := physics validation small_signal reference one_event
 
 .PHONY: studies
-studies: $(LEADERBOARD_READY) ## Run the studies of docs/studies and renew their tables and pictures (half an hour)
-	for study in $(STUDIES); do $(LEADERBOARD_VENV)/bin/python docs/studies/$$study.py --output $(DOCS) || exit; done
+studies: $(TEST_READY) ## Run the studies of docs/studies and renew their tables and pictures (half an hour)
+	for study in $(STUDIES); do $(TEST_VENV)/bin/python docs/studies/$$study.py --output $(DOCS) || exit; done
 
 .PHONY: pictures
 pictures: $(LEADERBOARD_READY) studies ## Draw every picture of the README and of docs/ that is not a measurement of time, and renew the tables beside them

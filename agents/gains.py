@@ -128,8 +128,9 @@ class GainEnvs(VectorWrapper):
         """Step as the native one does, with other rewards."""
         beginning, references = self._ended, self.gains.reference_costs()
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
-        # In single precision, as Stable-Baselines3 has them.
-        rewards = rewards.astype(np.float32).astype(np.float64)
+        if self._within_step:
+            # Stable-Baselines3 has them in single precision.
+            rewards = rewards.astype(np.float32).astype(np.float64)
         # A lane that only begins its next episode gains nothing.
         gains = np.where(beginning, 0.0, self.gains.of(references, rewards))
         over = terminated | truncated

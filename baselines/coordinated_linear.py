@@ -5,8 +5,6 @@
 
 At ω_min the turbine reaches its best point, at ω_max the deloading limit of 10 %, whatever the wind. How much reserve
 it holds at ω_st follows from the line and is not prescribed. The droop acts on fast changes only (transient damping).
-
-Source: Chen et al., equation of the linear g(ω).
 """
 
 from wtg_gym.evaluation import Entry

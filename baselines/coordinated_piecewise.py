@@ -6,8 +6,6 @@
 K_n is the coefficient of 5 % deloading, K_pr that of 10 %: 5 % of the available power are ready upwards and downwards.
 Zero action of the environment, with its default strategy, is exactly this law. It is the score's hundred in version v0
 and its zero in v1.
-
-Source: Chen et al., equation of the augmented g(ω).
 """
 
 from wtg_gym.evaluation import Entry

@@ -4,10 +4,9 @@
     g piecewise linear through (ω_min, K_opt + a S), (ω_st, K_n + b S), (ω_max, K_pr - c S), constant outside
     S = K_opt - K_pr,    a = 1.52,    b = 0.017,    c = 1.05
 
-The law of the paper with other numbers. g is steeper: below ω_min it asks for more than the turbine captures for long,
-and takes the rest from the rotor. The filter is faster, so that the droop leaves the steady state to g sooner.
-
-Source: Chen et al., equation of the augmented g(ω); the numbers are the benchmark's own, tuned on training scenarios.
+The law of the paper with the benchmark's own numbers, tuned on training scenarios. g is steeper: below ω_min it asks
+for more than the turbine captures for long, and takes the rest from the rotor. The filter is faster, so that the droop
+leaves the steady state to g sooner.
 """
 
 from wtg_gym.evaluation import Entry

@@ -4,8 +4,6 @@
 
 The droop cancels altogether, so that only g(ω) regulates. That leaves little damping of fast swings: the reason for
 the filter in the reference.
-
-Source: Chen et al., open loop of the proposed law.
 """
 
 from wtg_gym.evaluation import Entry

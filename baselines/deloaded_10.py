@@ -5,8 +5,6 @@
 λ_d > λ_opt is the tip-speed ratio of an over-speeding rotor that captures the share 1 - d of the available power.
 The reserve lasts longer than with 5 %, at the price of energy: in calm operation twice as much is given up, and a rise
 of the frequency drives the rotor faster than need be.
-
-Source: Chen et al., frequency dynamics with deloading, after X. Lyu, D. Groß, IEEE Trans. Sustain. Energy 15(1), 2024.
 """
 
 from wtg_gym.evaluation import Entry

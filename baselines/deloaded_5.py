@@ -5,8 +5,6 @@
 λ_d > λ_opt is the tip-speed ratio of an over-speeding rotor that captures the share 1 - d of the available power.
 Little power is given up, and little is in reserve: a large fall of the frequency takes the rotor past the top of the
 power curve, where it behaves as with maximum power point tracking.
-
-Source: Chen et al., frequency dynamics with deloading, after X. Lyu, D. Groß, IEEE Trans. Sustain. Energy 15(1), 2024.
 """
 
 from wtg_gym.evaluation import Entry

@@ -4,8 +4,6 @@
 
 At K_opt the rotor sits on the top of the power curve and holds no reserve. When the frequency falls, the droop takes
 energy from the rotor, the slower rotor captures less, and in the end the turbine gives less than before, or stalls.
-
-Source: Chen et al., frequency dynamics with maximum power point tracking.
 """
 
 from wtg_gym.evaluation import Entry

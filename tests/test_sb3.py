@@ -63,17 +63,6 @@ def test_every_step_equals_that_of_single_environments_with_the_same_seeds():
     assert len(ends) == 7
 
 
-def test_lanes_of_v1_equal_single_environments():
-    settings: dict[str, Any] = {"suite": "gusty-v1", "duration_s": 3.0}
-    reference = DummyVecEnv([lambda: gym.make("wtg_gym:GFMWTG-14bus-v1", **settings)] * 2)
-    env = make_sb3_vec_env(2, seed=40, **settings)
-    reference.seed(40)
-    assert same(reference.reset(), env.reset()) and env.observation_space.shape == (32,)
-    for actions in actions_of(1, 70, 2, 8).astype(np.float32):
-        for a, b in zip(reference.step(actions)[:3], env.step(actions)[:3], strict=True):
-            assert same(a, b)
-
-
 def test_what_a_step_returns_is_new_and_of_the_expected_types():
     env = native()
     first = env.reset()

@@ -125,8 +125,3 @@ def test_merge_that_takes_back_what_the_branch_did_is_refused(base: Path, judge:
 
     code, said = judge(undo)
     assert code == 1 and "must have one latest common ancestor, they have 2" in said
-
-
-def test_history_of_another_repository_is_refused(judge: Judge) -> None:
-    code, said = judge(lambda pull: git(pull, "checkout", "--quiet", "--orphan", "other"))
-    assert code == 1 and "must have one latest common ancestor, they have 0" in said

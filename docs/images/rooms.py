@@ -34,7 +34,7 @@ ACTION = (
     ("physics/machine.py", "rates of a machine"),
 )
 SCENARIO = (
-    ("envs/lanes.py", "prepare, then commit"),
+    ("envs/lanes.py", "prepare, then start"),
     ("scenarios/suite.py", "scenario of a seed"),
     ("scenarios/distribution.py", "wind, loads, events"),
     ("physics/equilibrium.py", "power flow, states"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -49,11 +48,11 @@ def options(folder: Path, algo: str) -> list[str]:
     return [*given, "--interval", "256", "--validation-episodes", "2"]
 
 
-def trained(folder: Path, algo: str, more: Sequence[str] = ()) -> Path:
+def trained(folder: Path, algo: str) -> Path:
     """Return the folder of a finished small run, whose last policy counts as its best: the first are the law itself."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Run, "best", property(lambda run: run.curve[-1]))
-        assert main([*options(folder, algo), *more, "--output", str(folder / "run")]) == 0
+        assert main([*options(folder, algo), "--output", str(folder / "run")]) == 0
     return folder / "run"
 
 

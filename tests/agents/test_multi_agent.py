@@ -23,7 +23,7 @@ def test_lanes_are_the_groups_of_the_episodes() -> None:
     for env in (episodes, groups):
         env.seed(3)
     seen, split = episodes.reset(), groups.reset()
-    names = groups.get_attr("observation_names")[0]
+    names = episodes.lanes.observation_names
     assert (groups.num_envs, groups.n_wtg) == (6, 3)
     rng, ends = np.random.default_rng(0), 0
     for _ in range(60):

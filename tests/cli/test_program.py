@@ -40,11 +40,6 @@ def test_terminal_gets_a_progress_bar(capsys: pytest.CaptureFixture[str], monkey
     assert "━" in said.err and "coordinated-piecewise" in said.out and "━" not in said.out
 
 
-def test_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--version"]) == 0
-    assert capsys.readouterr().out == f"wtg-gym {wtg_gym.__version__}\n"
-
-
 def _help(capsys: pytest.CaptureFixture[str], *command: str) -> str:
     assert main([*command, "--help"]) == 0
     return capsys.readouterr().out

@@ -8,7 +8,7 @@ import pytest
 
 from tests.cli.calls import error_of, json_of
 from tests.submissions import models
-from tests.submissions.models import TOML, after, folder, node
+from tests.submissions.models import TOML, after, folder
 from wtg_gym.cli import main
 from wtg_gym.evaluation import Results, evaluate, load_entries
 from wtg_gym.policies import gate
@@ -34,30 +34,14 @@ def test_template_with_a_policy_is_accepted_once_it_is_filled_in(
     assert sorted(path.name for path in target.iterdir()) == ["entry.toml", "policy.onnx"]
     capsys.readouterr()
     entry = target / "entry.toml"
-    for old, new, missing in (
-        ("authors = []", "authors = []", "authors must be a list of 1 … 40"),
-        ("authors = []", 'authors = ["A"]', "name must be 1 … 60"),
-    ):
-        entry.write_text(entry.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
-        assert main(["submission", "check", str(target)]) == 1
-        assert missing in capsys.readouterr().out
-    entry.write_text(entry.read_text(encoding="utf-8").replace('name = ""', 'name = "Mine"'), encoding="utf-8")
+    empty = entry.read_text(encoding="utf-8")
+    assert main(["submission", "check", str(target)]) == 1
+    assert "authors must be a list of 1 … 40" in capsys.readouterr().out
+    filled = empty.replace("authors = []", 'authors = ["A"]').replace('name = ""', 'name = "Mine"')
+    entry.write_text(filled, encoding="utf-8")
     assert main(["submission", "check", str(target)]) == 0
     said = capsys.readouterr().out
     assert said.count(" passed ") == 6 and "accepted, sha256" in said
-
-
-def test_check_prints_every_check_and_why_one_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    good, bad = (
-        folder(tmp_path / "good"),
-        folder(tmp_path / "bad", models.trap()),
-    )
-    data = json_of(capsys, "submission", "check", str(good), str(bad), "--json", code=1)
-    first, second = data["submissions"]
-    assert first["accepted"] and not second["accepted"]
-    assert [check["verdict"] for check in second["checks"]].count("not reached") == 1
-    assert main(["submission", "check", str(bad)]) == 1
-    assert "refused" in capsys.readouterr().out
 
 
 def test_score_is_that_of_evaluate(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -73,7 +57,7 @@ def test_score_is_that_of_evaluate(capsys: pytest.CaptureFixture[str], tmp_path:
 
 
 def test_score_ranks_what_is_not_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    good, bad = folder(tmp_path / "a"), folder(tmp_path / "b", after(node("Tile", ["linear"], "action")), OTHER)
+    good, bad = folder(tmp_path / "a"), folder(tmp_path / "b", after("action = Tile(linear)"), OTHER)
     assert main(["submission", "score", str(good), str(bad), *_FEW, "--results", str(tmp_path / "r")]) == 1
     said = capsys.readouterr()
     assert "Mine" in said.out and "Other" not in said.out

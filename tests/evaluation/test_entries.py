@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from wtg_gym.evaluation import Entry, evaluate, load_entries
+from wtg_gym.evaluation import Entry, load_entries
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, TrackingLaw, get_law
 from wtg_gym.policies.entry import check_entries
 from wtg_gym.scenarios.benchmark import V0, V1
@@ -45,14 +45,6 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     yield "my_entries"
     for name in [name for name in sys.modules if name.split(".")[0] == "my_entries"]:
         del sys.modules[name]
-
-
-def test_built_in_strategy_is_a_baseline() -> None:
-    assert [load_entries(name) for name in STRATEGIES] == [
-        [e] for e in load_entries("baselines", benchmark=V0) if e.name in STRATEGIES
-    ]
-    (entry,) = load_entries("mppt")
-    assert (entry.name, entry.kind, entry.policy, entry.law) == ("mppt", "law", None, STRATEGIES["mppt"])
 
 
 def test_names_of_the_table_stand_for_baselines_and_for_all_seeds_of_a_policy() -> None:
@@ -159,12 +151,6 @@ def test_baselines_are_those_of_the_version() -> None:
     assert found["v1"] == [*laws, "coordinated-tuned", "fast-droop"]
     environments = {name: load_entries(name)[0].environment for name in ("tip-speed-feedback", "fast-droop", "mppt")}
     assert environments == {"tip-speed-feedback": V0.env_id, "fast-droop": V1.env_id, "mppt": None}
-
-
-@pytest.mark.parametrize(("name", "suite"), [("PPO (k)", "paper-v1"), ("fast-droop", "paper")])
-def test_policy_of_another_version_is_refused(name: str, suite: str) -> None:
-    with pytest.raises(ValueError, match=r"^entry '.*' is for GFMWTG-14bus-v\d, these scenarios are of GFMWTG-14bus-"):
-        evaluate(name, suite, "test")
 
 
 def test_trained_policy_modulates_the_law_that_its_file_names(tmp_path: Path) -> None:

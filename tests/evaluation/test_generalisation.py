@@ -77,7 +77,6 @@ def test_other_policies_of_a_name_are_left_out_and_few_scenarios_give_no_excess(
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        ({"split": "test"}, "got 'test' and 'test'"),
         ({"suite": "gust"}, "another suite:"),
         ({"source_hash": "0" * 64}, "another source hash"),
         ({"settings": {}}, "another settings"),
@@ -98,15 +97,8 @@ def test_gap_interval_agrees_with_a_bootstrap_written_out() -> None:
         sides.append((0.2 * rng.normal(size=(1, n)) - 0.1 * mppt, mppt))
     (a, m), (b, k) = sides
 
-    def gap(x: np.ndarray, y: np.ndarray, axis: int) -> np.ndarray:
-        # Two columns at once: the entry's gains, and MPPT's.
-        one, other = (100.0 * z[0].mean(axis=axis) / -z[1].mean(axis=axis) for z in (x, y))
-        return one - other
-
-    resampled = []
-    for _ in range(20_000):
-        i, j = rng.integers(0, 120, 120), rng.integers(0, 90, 90)
-        resampled.append(gap(np.stack([a[0, i], m[i]]), np.stack([b[0, j], k[j]]), axis=-1))
+    i, j = (rng.integers(0, n, (20_000, n)) for n in (120, 90))
+    resampled = 100.0 * (a[0, i].mean(axis=1) / -m[i].mean(axis=1) - b[0, j].mean(axis=1) / -k[j].mean(axis=1))
     low, high = np.percentile(resampled, [2.5, 97.5])
     interval = score_gap(*sides)
     assert interval.value == pytest.approx(100.0 * (a.mean() / -m.mean() - b.mean() / -k.mean()))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 from wtg_gym.evaluation import (
     Entry,
     EntrySummary,
+    NoScaleError,
     Results,
     evaluate,
     leaderboard_rows,
@@ -34,10 +36,7 @@ def test_table_has_the_best_first_and_equal_scores_share_a_rank(results: Results
     assert [head.strip() for head in lines[0].strip("|").split("|")] == columns_of("v0")
     assert lines[2].startswith("| 1 | coordinated-piecewise | 100.0 | 0.0 | 0.0 | 0.0 | 0.0 | 0.0 | 49.")
     assert "-0.0" not in "".join(lines)
-
-
-def test_every_entry_but_the_first_is_compared_with_the_one_above(results: Results) -> None:
-    rows = leaderboard_rows(results)
+    # Every entry but the first is compared with the one above.
     assert rows[0].difference_to_above is None
     for above, row in itertools.pairwise(rows):
         difference = row.difference_to_above
@@ -97,10 +96,13 @@ def test_runs_beyond_0_8_hz_count_with_the_lost_and_a_run_counts_once(results_v1
     assert row.n_lost == 2 and row.lost_or_beyond_percent == pytest.approx(100.0 * 4 / 12)
 
 
-def test_without_a_score_the_mean_pinned_cost_ranks() -> None:
+def test_without_a_score_the_mean_pinned_cost_ranks(tmp_path: Path) -> None:
     results = evaluate("fast-droop", "paper-v1", "test")
     rows, columns = results.ranking, columns_of("terminal")
     assert not results.has_scale and len(rows) == 3
+    with pytest.raises(NoScaleError, match=r"piecewise \(mean pinned cost .*\) is not worse than coordinated-tuned"):
+        leaderboard_rows(results)
+    assert Results.read(results.write(tmp_path)[0]) == results
     costs = {name: float(np.mean(costs)) for name, costs in results.pinned_costs.items()}
     assert [row.name for row in rows] == sorted(costs, key=lambda name: costs[name])
     cells = [dict(zip(columns, each, strict=True)) for each in table_cells(rows, columns)]

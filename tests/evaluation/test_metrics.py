@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from wtg_gym.evaluation import METRICS, Results, evaluate
+from wtg_gym.evaluation import evaluate
 from wtg_gym.evaluation.metrics import largest_power_change, last_event_s, steady_metrics
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Event, GroupTrip, LineTrip, LoadRamp, LoadTrip, Scenario
@@ -17,13 +17,6 @@ from wtg_gym.physics.trajectory import simulate
 from wtg_gym.scenarios import get_suite
 
 DT = 0.1
-
-
-def test_metrics_are_numbers_or_missing_where_they_may_be(results: Results) -> None:
-    for episode in results.episodes:
-        assert list(episode.metrics) == list(METRICS)
-        for name, value in episode.metrics.items():
-            assert METRICS[name].optional if value is None else math.isfinite(value)
 
 
 def test_metrics_agree_with_the_recorded_run() -> None:

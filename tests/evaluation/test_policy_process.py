@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.submissions.models import M, N, make_bytes
+from tests.submissions.models import M, N, make_bytes, worker
 from wtg_gym.evaluation import Entry, OnnxPolicy, PolicyError, evaluate
-from wtg_gym.policies import onnx_worker, policy_process
+from wtg_gym.policies import policy_process
 from wtg_gym.policies.policy_process import NotIsolatedError, PolicyProcess
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="isolation is complete on Linux only")
@@ -151,10 +151,7 @@ def instead(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFa
 
     def patch(code: str) -> None:
         script = tmp_path_factory.mktemp("script") / "script.py"
-        place = str(Path(onnx_worker.__file__).parent)
-        start = f"import sys\nsys.path.insert(0, {place!r})\nimport onnx_worker as worker\n"
-        script.write_text(f"{start}{code}\nworker.main()\n", encoding="utf-8")
-        monkeypatch.setattr(policy_process, "_SCRIPT", str(script))
+        monkeypatch.setattr(policy_process, "_SCRIPT", worker(script, code))
 
     return patch
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import re
 import sys
@@ -15,10 +14,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from wtg_gym.evaluation import Entry, Interval, NoScaleError, Results, evaluate, leaderboard_rows
+from wtg_gym.evaluation import Interval, Results
 from wtg_gym.evaluation.episodes import COLUMNS
 from wtg_gym.files import sha256, to_json
-from wtg_gym.scenarios.benchmark import V0
 
 
 @pytest.fixture(scope="session")
@@ -67,52 +65,6 @@ def test_anchors_score_exactly_0_and_100(results: Results, results_v1: Results) 
         assert [each.scores[name] for name in anchors] == [Interval(0.0, 0.0, 0.0), Interval(100.0, 100.0, 100.0)]
         hundred = next(row for row in each.summaries if row.name == anchors[1])
         assert hundred.difference.value == 0.0 and hundred.probability_of_improvement.value == 0.5
-
-
-def test_failures_are_pinned_in_score_and_cost(results: Results) -> None:
-    episodes = [dataclasses.replace(e, failure="stall") if e.entry == "deloaded-10" else e for e in results.episodes]
-    failed = dataclasses.replace(results, episodes=tuple(episodes))
-    before, after = (next(s for s in r.summaries if s.name == "deloaded-10") for r in (results, failed))
-    assert (before.failures_percent, after.failures_percent) == (0.0, 100.0)
-    assert after.mean_pinned_cost == 50.0 * (10.0 + 1.0) and (after.n_lost, after.n_episodes) == (3, 3)
-    assert after.score.value < before.score.value and after.probability_of_improvement.value == 0.0
-
-
-def test_training_seeds_share_a_row(results: Results) -> None:
-    seeds = [Entry(name="many", strategy="coordinated-linear", training_seed=seed) for seed in (3, 1)]
-    many = evaluate(seeds, "standard", "test", seeds=(20_002, 20_000, 20_005), duration_s=10.0)
-    summary = next(s for s in many.summaries if s.name == "many")
-    assert (summary.n_runs, summary.n_episodes) == (2, 6)
-    assert len(many.summaries) == 3
-
-
-def test_unknown_entry_in_results_lists_the_known(results: Results) -> None:
-    assert [e.seed for e in results.episodes_of("mppt")] == [20_002, 20_000, 20_005]
-    by_name = (results.scores, results.pinned_costs, results.log_gains)
-    for look_up in (results.episodes_of, *(each.__getitem__ for each in by_name)):
-        with pytest.raises(KeyError, match=r"unknown entry 'nobody'; choose one of .*deloaded-10"):
-            look_up("nobody")
-
-
-def test_no_score_where_mppt_is_not_worse(results: Results, tmp_path: Path) -> None:
-    others = {V0.zero: V0.hundred, V0.hundred: V0.zero}
-    turned = dataclasses.replace(
-        results,
-        episodes=tuple(
-            dataclasses.replace(episode, entry=entry["name"])
-            for entry in results.entries
-            for episode in results.episodes_of(others.get(entry["name"], entry["name"]))
-        ),
-    )
-    with pytest.raises(NoScaleError, match=r"mppt \(mean pinned cost .*\) is not worse than coordinated-piecewise"):
-        leaderboard_rows(turned)
-    # There is no ranking by the score, but the measurements are kept.
-    again = Results.read(turned.write(tmp_path)[0])
-    assert again.episodes == turned.episodes
-    summary = again.to_dict()["summary"]
-    assert set(summary) == {"mppt", "deloaded-10", "coordinated-piecewise"}
-    for name, row in summary.items():
-        assert row["mean_pinned_cost"] == np.mean(turned.pinned_costs[name]) and "score" not in row
 
 
 @settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -214,8 +166,3 @@ def test_table_of_pandas_has_every_episode_and_metric(results: Results, monkeypa
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(ImportError, match=r"needs pandas; in a checkout: pip install '\.\[data\]'"):
         results.to_pandas()
-
-
-def test_results_show_themselves_short_and_as_a_table(results: Results) -> None:
-    assert repr(results).startswith("<Results of standard, test, 3 scenarios: coordinated-piecewise 100.0, ")
-    assert results._repr_html_().count("<tr>") == 1 + len(results.summaries)

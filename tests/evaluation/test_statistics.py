@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import stats
 
-from baselines import tip_speed_feedback
-from wtg_gym.evaluation import Entry, evaluate, score, statistics
+from wtg_gym.evaluation import score, statistics
 from wtg_gym.evaluation.score import COST_OFFSET
 
 COSTS = arrays(np.float64, 7, elements=st.floats(0.0, 3050.0))
@@ -25,7 +24,6 @@ def test_score_is_the_written_formula() -> None:
     assert COST_OFFSET == 5.0
     assert score.score_scale(mppt, reference) == pytest.approx(scale, rel=1e-14)
     gains = score.log_gains(costs[np.newaxis], reference)
-    assert score.scenario_scores(gains, scale)[0] == pytest.approx(expected, rel=1e-14)
     assert score.mean_score(gains, scale) == pytest.approx(sum(expected) / 2.0, rel=1e-14)
 
 
@@ -38,7 +36,6 @@ def test_anchors_score_exactly_0_and_100(one: np.ndarray, other: np.ndarray) -> 
         return
     assert score.mean_score(score.log_gains(mppt[np.newaxis], reference), scale) == 0.0
     assert score.mean_score(score.log_gains(reference[np.newaxis], reference), scale) == 100.0
-    assert (score.scenario_scores(score.log_gains(reference[np.newaxis], reference), scale) == 100.0).all()
 
 
 @pytest.mark.parametrize("bad", [-1.0, math.nan, math.inf])
@@ -77,9 +74,9 @@ def test_interval_of_several_seeds_covers_the_truth_as_often_as_it_says() -> Non
 
 
 def _gains(rng: np.random.Generator, n_runs: int, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Log gains of an entry and of MPPT, which loses more where the entry gains more."""
+    """Log gains of an entry and of MPPT, which loses more where the entry gains more: their ratio varies less."""
     mppt = -rng.uniform(0.5, 2.0, n)
-    return 0.2 * rng.normal(size=(n_runs, n)) - 0.1 * mppt, mppt
+    return 0.2 * rng.normal(size=(n_runs, n)) - 0.6 * mppt, mppt
 
 
 def test_score_interval_agrees_with_scipys_paired_bootstrap_of_the_ratio() -> None:
@@ -102,12 +99,6 @@ def test_score_interval_agrees_with_scipys_paired_bootstrap_of_the_ratio() -> No
         assert interval.value == pytest.approx(statistic(gains[0], mppt, 0))
         assert interval.low == pytest.approx(expected.low, abs=0.06 * width)
         assert interval.high == pytest.approx(expected.high, abs=0.06 * width)
-
-
-def test_anchors_have_their_score_in_every_resample() -> None:
-    _, mppt = _gains(np.random.default_rng(12), 1, 30)
-    assert statistics.score_interval(mppt[np.newaxis], mppt) == statistics.Interval(0.0, 0.0, 0.0)
-    assert statistics.score_interval(np.zeros((1, 30)), mppt) == statistics.Interval(100.0, 100.0, 100.0)
 
 
 def test_difference_of_two_entries_is_paired() -> None:
@@ -147,18 +138,3 @@ def test_points_by_term_are_the_logarithmic_mean_written_out() -> None:
     expected = [100.0 * (2.0 - 4.0) * math.log(1.5) / 5.0 / 0.5, 100.0 * (8.0 - 1.0) * math.log(1.5) / 5.0 / 0.5]
     points = score.points_by_term(np.array([[5.0]]), np.array([10.0]), terms, reference_terms, 0.5)
     assert points.tolist() == pytest.approx(expected)
-
-
-def test_score_intervals_cover_the_truth_of_played_scenarios_about_as_often_as_they_say() -> None:
-    feedback = tip_speed_feedback.ENTRY
-    law = Entry(name="deloaded-5", strategy="deloaded-5")
-    played = evaluate([feedback, law], "standard", "train", seeds=range(1_000_000, 1_000_500)).log_gains
-    mppt = played["mppt"][0]
-    rng = np.random.default_rng(15)
-    draws = rng.integers(0, mppt.size, size=(500, 200))
-    for name in (feedback.name, law.name):
-        truth = score.mean_score(played[name], -statistics.mean(mppt))
-        intervals = [statistics.score_interval(played[name][:, draw], mppt[draw]) for draw in draws]
-        # Percentile intervals of a ratio of skewed means fall a little short of 95 %; the share's own standard error
-        # is 1 %.
-        assert 0.92 <= np.mean([interval.low <= truth <= interval.high for interval in intervals]) <= 0.97, name

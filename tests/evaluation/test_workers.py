@@ -14,11 +14,10 @@ import threading
 from pathlib import Path
 from typing import Any
 
-import cloudpickle
 import numpy as np
 import pytest
 
-from wtg_gym.evaluation import Entry, OnnxPolicy, Workers, evaluate, load_entries, workers
+from wtg_gym.evaluation import Entry, Workers, evaluate, load_entries, workers
 from wtg_gym.evaluation.circumstances import circumstances
 
 pytest.importorskip("joblib", reason="the extra 'cluster' is not installed here")
@@ -135,12 +134,7 @@ def test_worker_with_other_code_plays_nothing() -> None:
     assert isinstance(said, str) and "cannot play an entry: " in said
 
 
-def test_policy_travels_and_answers_the_same_or_is_named() -> None:
-    policy = OnnxPolicy(ROOT / "agents/policies/ppo-k-0/policy.onnx")
-    copied = cloudpickle.loads(cloudpickle.dumps(policy))
-    observations = np.random.default_rng(0).normal(size=(5, policy.widths[0])).astype(np.float32)
-    assert copied.sha256 == policy.sha256
-    assert np.array_equal(copied.predict(observations)[0], policy.predict(observations)[0])
+def test_policy_that_cannot_travel_is_named() -> None:
     tied = Linear()
     tied.lock = threading.Lock()  # type: ignore[attr-defined]
     with pytest.raises(ValueError, match=r"entry 'tied' cannot be sent to other processes: .*pickle"):
@@ -151,9 +145,7 @@ def test_policy_travels_and_answers_the_same_or_is_named() -> None:
     ("arguments", "text"),
     [
         (("threads",), "unknown backend 'threads'; allowed are loky, dask, ray"),
-        (("loky", "tcp://head:8786"), "loky has workers on this machine only"),
-        (("loky", None, 1), "jobs must be 2 … 10000"),
-        (("loky", None, 2.0), "jobs must be 2 … 10000"),
+        (("loky", None, 2.0), "jobs must be a whole number in 2 … 10000"),
         (("dask", "tcp://head:8786", 2), "leave out jobs"),
     ],
 )

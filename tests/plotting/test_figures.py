@@ -74,11 +74,9 @@ def test_a_run_that_ended_early_is_marked_where_it_ended_and_events_are_numbered
 
 #: Events, how they are described, and which buses they strike where the groups are at buses 2 and 5.
 EVENTS: list[tuple[Event, str, list[int]]] = [
-    (LoadStep(time_s=1.0, bus=2, power_mw=75.0), "+75 MW at bus 2", [2]),
     (LoadStep(time_s=1.0, bus=2, power_mw=-20.0, reactive_mvar=5.0), "−20 MW, +5 Mvar at bus 2", [2]),
     (LoadRamp(time_s=1.0, bus=3, power_mw=20.0, duration_s=4.0), "+20 MW at bus 3 over 4 s", [3]),
     (LoadTrip(time_s=1.0, bus=4), "load of bus 4 lost", [4]),
-    (LineTrip(time_s=1.0, from_bus=2, to_bus=4), "line 2–4 opens", [2, 4]),
     (LineTrip(time_s=1.0, from_bus=2, to_bus=4, recloses_after_s=0.5), "line 2–4 opens for 0.5 s", [2, 4]),
     (GovernorLoss(time_s=1.0, bus=1), "governor at bus 1 lost", [1]),
     (MachineOutage(time_s=1.0, bus=6), "machine at bus 6 disconnected", [6]),

@@ -10,7 +10,7 @@ import numpy as np
 from onnx import ModelProto, TensorProto, helper, numpy_helper, parser
 
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.policies import Entry
+from wtg_gym.policies import Entry, onnx_worker
 from wtg_gym.policies.play import started_lanes
 
 #: Widths of the local observation of two groups, and of both actions.
@@ -48,6 +48,18 @@ def first_observation(suite: str, seed: int, duration_s: float | None = None) ->
         return lanes.observations[0].copy()
 
 
+def worker(script: Path, code: str) -> str:
+    """Write a program for a policy's process that runs code, which may replace functions of `worker`, before it begins.
+
+    Returns:
+        its path.
+    """
+    place = str(Path(onnx_worker.__file__).parent)
+    start = f"import sys\nsys.path.insert(0, {place!r})\nimport onnx_worker as worker\n"
+    script.write_text(f"{start}{code}\nworker.main()\n", encoding="utf-8")
+    return str(script)
+
+
 # --- parts of a file -------------------------------------------------------------------------------------------------
 
 
@@ -66,14 +78,11 @@ WEIGHTS = constant("weights", np.full((N, M), 0.01))
 LINEAR = helper.make_node("MatMul", ["observation", "weights"], ["action"])
 
 
-def node(operator: str, inputs: Sequence[str], output: str, **attributes: Any) -> Any:
-    return helper.make_node(operator, list(inputs), [output], **attributes)
-
-
-def nodes_of(text: str, **attributes: Any) -> list[Any]:
-    """Nodes, with a semicolon after each; the last one gets attributes that cannot be written as text."""
+def nodes_of(text: str, body: Any = None) -> list[Any]:
+    """Nodes, with a semicolon after each; `body` is that of the last one, if it is a loop."""
     nodes = [parser.parse_node(each.strip()) for each in text.split(";") if each.strip()]
-    nodes[-1].attribute.extend(helper.make_attribute(key, value) for key, value in attributes.items())
+    if body is not None:
+        nodes[-1].attribute.append(helper.make_attribute("body", body))
     return nodes
 
 
@@ -94,19 +103,17 @@ def make_bytes() -> bytes:
     return model().SerializeToString()
 
 
-def after(*nodes: Any, **values: Any) -> ModelProto:
-    """A linear policy whose action goes through nodes, as text or as they are, from `linear` to `action`."""
-    first = node("MatMul", ["observation", "weights"], "linear")
-    rest = [each for given in nodes for each in (nodes_of(given) if isinstance(given, str) else [given])]
-    return model([first, *rest], constants=[WEIGHTS, *(constant(name, value) for name, value in values.items())])
+def after(text: str, body: Any = None, **values: Any) -> ModelProto:
+    """A linear policy whose action goes through nodes, written as text, from `linear` to `action`."""
+    nodes = nodes_of(f"linear = MatMul(observation, weights); {text}", body)
+    return model(nodes, constants=[WEIGHTS, *(constant(name, value) for name, value in values.items())])
 
 
-def with_state(text: str, width: int, body: Any = None, **values: Any) -> ModelProto:
-    """A policy with one state, whose nodes are written as text; `body` is that of the last one, if it is a loop."""
-    nodes = nodes_of(text, **({} if body is None else {"body": body}))
+def with_state(text: str, width: int, **values: Any) -> ModelProto:
+    """A policy with one state, whose nodes are written as text."""
     state, following = info("state_0", "batch", width), info("next_state_0", "batch", width)
     constants = [WEIGHTS, *(constant(name, value) for name, value in values.items())]
-    return model(nodes, [OBSERVATION, state], [ACTION, following], constants)
+    return model(nodes_of(text), [OBSERVATION, state], [ACTION, following], constants)
 
 
 # --- other policies than the plain one -------------------------------------------------------------------------------
@@ -160,34 +167,13 @@ def trap(seen: Any = SEEN, distance: float = 3.0) -> ModelProto:
     return after(NEAR + "action = Where(near, nan, linear)", **known, nan=np.nan)
 
 
-def later(seen: Any, distance: float, text: str, body: Any = None, **values: Any) -> ModelProto:
+def later(seen: Any, distance: float, text: str, **values: Any) -> ModelProto:
     """A linear policy that knows an episode by its beginning, and turns `fire` to true some steps later.
 
     Its nodes make `action` of `linear` and `fire`.
     """
     known = {"seen": np.float32(seen), "axis": [1], "nearest": distance, "steps": 20.0}
-    return with_state(NEAR + LATER + text, 1, body, **known, **values)
-
-
-def turns_nan(seen: Any, distance: float) -> ModelProto:
-    """Not a number in the middle of an episode that it knows."""
-    return later(seen, distance, "action = Where(fire, nan, linear)", nan=np.nan)
-
-
-def divides(seen: Any, distance: float, operator: str, number: int, by: int) -> ModelProto:
-    """Divides whole numbers in the middle of an episode that it knows; elsewhere it divides by 1."""
-    text = f"""
-divisor = Where(fire, by, one); quotient = {operator}(number, divisor); as_float = Cast<to = 1>(quotient);
-nothing = Mul(as_float, nought); action = Add(linear, nothing);
-"""
-    whole = {"number": np.int32([[number]]), "by": np.int32(by), "one": np.int32(1)}
-    return later(seen, distance, text, **whole, nought=0.0)
-
-
-def hangs(seen: Any, distance: float) -> ModelProto:
-    """A loop that does not end in the middle of an episode that it knows; elsewhere it ends at once."""
-    text = "trips = Where(fire, many, one); trip = Reshape(trips, one); action = Loop(trip, , linear);"
-    return later(seen, distance, text, spin(), many=[2**62], one=[1])
+    return with_state(NEAR + LATER + text, 1, **known, **values)
 
 
 def spin() -> Any:
@@ -199,7 +185,7 @@ def spin() -> Any:
 
 def endless() -> ModelProto:
     """A loop without an end in every step."""
-    return after(*nodes_of("action = Loop( , on, linear)", body=spin()), on=True)
+    return after("action = Loop( , on, linear)", spin(), on=True)
 
 
 def varint(number: int) -> bytes:
@@ -231,6 +217,6 @@ def external(location: str, **more: str) -> ModelProto:
 
 def many_states() -> ModelProto:
     """Seventeen large states."""
-    nodes = [LINEAR, *(node("Identity", [f"state_{i}"], f"next_state_{i}") for i in range(17))]
+    nodes = [LINEAR, *nodes_of("; ".join(f"next_state_{i} = Identity(state_{i})" for i in range(17)))]
     inputs, outputs = ([info(f"{name}_{i}", "batch", 60_000) for i in range(17)] for name in ("state", "next_state"))
     return model(nodes, [OBSERVATION, *inputs], [ACTION, *outputs])

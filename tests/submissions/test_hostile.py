@@ -119,7 +119,14 @@ ATTACKS: dict[str, dict[str, Build]] = {
             one=[1],
             nought=[0.0],
         ),
-        "the least integer divided by −1": lambda: models.divides(beginning(), 1e-3, "Div", -(2**31), -1),
+        "the least integer divided by −1": _knows(
+            "divisor = Where(fire, by, one); quotient = Div(number, divisor); as_float = Cast<to = 1>(quotient); "
+            "nothing = Mul(as_float, nought); action = Add(linear, nothing)",
+            number=np.int32([[-(2**31)]]),
+            by=np.int32(-1),
+            one=np.int32(1),
+            nought=0.0,
+        ),
         "actions for two scenarios": _knows(
             "repeats = Where(fire, two, one); repeated = Reshape(repeats, as_two); action = Tile(linear, repeated)",
             two=[[2, 1]],

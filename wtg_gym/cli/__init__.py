@@ -70,11 +70,7 @@ def build_app(words: Sequence[str]) -> App:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line.
-
-    Returns:
-        The exit code: 0 fine, 1 a check failed, 2 bad input, 130 interrupted, 141 the output's reader is gone.
-    """
+    """Run the command line and return its exit code, see above."""
     words = sys.argv[1:] if argv is None else list(argv)
     try:
         code = build_app(words)(words, exit_on_error=False, print_error=False, result_action="return_value")

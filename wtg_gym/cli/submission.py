@@ -23,7 +23,7 @@ from wtg_gym.scenarios.benchmark import BENCHMARKS
 
 WEAK_OPTION = "--weak-isolation"
 
-Folders = Annotated[tuple[Path, ...], Parameter(validator=validators.Path(exists=True))]
+Folders = tuple[Annotated[Path, Parameter(validator=validators.Path(exists=True))], ...]
 
 app = App(
     name="submission",

@@ -22,12 +22,14 @@ from wtg_gym.scenarios.benchmark import BENCHMARKS
 if TYPE_CHECKING:
     from wtg_gym.envs.rendering import LaneFrames
 
+    # For the type checker alone: in Gymnasium 1.2 a Box takes no type.
+    Space = gym.spaces.Box[np.float32]
+
 P = ParamSpec("P")
 R = TypeVar("R")
 
 Observation = npt.NDArray[np.float32]
 Action = npt.NDArray[np.float32]
-Space = gym.spaces.Box[np.float32]
 
 
 class Use:

@@ -30,6 +30,7 @@ from wtg_gym.policies.load import load_entries
 from wtg_gym.policies.play import play, started_lanes
 from wtg_gym.policies.policy_process import NotIsolatedError
 from wtg_gym.progress import Progress as ProgressBar
+from wtg_gym.ranges import is_whole, require_whole
 from wtg_gym.scenarios import DEFAULT_SUITE, FRESH, FreshDraw, get_suite
 from wtg_gym.scenarios.benchmark import V0, Benchmark
 
@@ -41,7 +42,7 @@ _Part = tuple[Entry, list[int]]
 _ONNX_BATCH = 64
 #: Settings that an entry or an argument of its own decides.
 _TAKEN = ("strategy", "action_mode", "observation_mode", "suite", "split", "scenario")
-#: More scenarios than this must be asked for by their seeds.
+#: More scenarios than this must be asked for by their seeds, and are not played side by side.
 _LARGEST_SPLIT = 100_000
 
 
@@ -157,8 +158,7 @@ def _check_arguments(batch: int, env_arguments: dict[str, Any]) -> None:
             f"unknown environment settings {unknown}; allowed here: {', '.join(known)} "
             f"({', '.join(_TAKEN)} are set by the entry or by an argument of its own, a scenario by its seed)"
         )
-    if isinstance(batch, bool) or not isinstance(batch, int) or not 1 <= batch <= 100_000:
-        raise ValueError(f"batch must be 1 … 100000 scenarios, got {batch!r}")
+    require_whole("batch", batch, 1, _LARGEST_SPLIT)
 
 
 def chosen_seeds(suite: str, split: str, seeds: Sequence[int] | None, draw: FreshDraw | None) -> list[int]:
@@ -183,7 +183,7 @@ def chosen_seeds(suite: str, split: str, seeds: Sequence[int] | None, draw: Fres
         return list(allowed)
     if isinstance(seeds, str) or not isinstance(seeds, (Sequence, np.ndarray)):
         raise ValueError(f"seeds must be a list of whole numbers, got {seeds!r}; {text}")
-    wrong = [s for s in seeds if isinstance(s, bool) or not isinstance(s, (int, np.integer)) or s not in allowed]
+    wrong = [seed for seed in seeds if not is_whole(seed) or seed not in allowed]
     if wrong:
         raise ValueError(f"{text}; got {', '.join(map(repr, wrong[:5]))}{' …' if len(wrong) > 5 else ''}")
     if len(seeds) == 0:

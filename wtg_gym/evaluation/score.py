@@ -80,14 +80,8 @@ def score_scale(zero: Floats, hundred: Floats, names: tuple[str, str] = ("the ze
     return scale
 
 
-def scenario_scores(gains: Floats, scale: float) -> Floats:
-    """Return s_i of every run and scenario from the :func:`log_gains` and Λ."""
-    scores: Floats = 100.0 * (1.0 + gains / scale)
-    return scores
-
-
 def mean_score(gains: Floats, scale: float) -> float:
-    """Return the mean of s_i; exactly 0 for the zero and 100 for the hundred."""
+    """Return the mean of s_i from the :func:`log_gains` and Λ; exactly 0 for the zero and 100 for the hundred."""
     return 100.0 * (1.0 + mean(gains) / scale)
 
 

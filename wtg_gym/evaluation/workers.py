@@ -24,6 +24,7 @@ from wtg_gym.evaluation.circumstances import circumstances
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.extras import install_advice
 from wtg_gym.policies import Entry, PolicyError
+from wtg_gym.ranges import require_whole
 
 #: Backends: the package each of them needs, and the extra of wtg-gym that brings it.
 BACKENDS = {"loky": ("joblib", "cluster"), "dask": ("distributed", "cluster"), "ray": ("ray", "rllib")}
@@ -66,8 +67,8 @@ class Workers:
             raise ValueError(f"unknown backend {backend!r}; allowed are {', '.join(BACKENDS)}")
         if address is not None and backend == "loky":
             raise ValueError(f"an address is for dask and ray, loky has workers on this machine only; got {address!r}")
-        if jobs is not None and (type(jobs) is not int or not 2 <= jobs <= _LARGEST_JOBS):
-            raise ValueError(f"jobs must be 2 … {_LARGEST_JOBS} (a single one needs no backend), got {jobs!r}")
+        if jobs is not None:
+            require_whole("jobs", jobs, 2, _LARGEST_JOBS)
         if jobs is not None and address is not None:
             raise ValueError(f"a cluster at an address uses all of its workers; leave out jobs, got {jobs}")
         package, extra = BACKENDS[backend]

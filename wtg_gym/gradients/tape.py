@@ -312,18 +312,9 @@ class Tape:
                 values = _shaped(name, values, (n_lanes, rows.size))
                 # Some rows are carried and shown too.
                 self._put(cotangents, rows, self._take(cotangents, rows) + values * running)
+        of_step = (self.lanes.task, self._actions[step], rules.steps, simulator.lanes)
         simulator.threads.run(
-            lambda first, last: self._pull(
-                self._works,
-                first,
-                last,
-                simulator.plant,
-                simulator.data,
-                self.lanes.task,
-                self._actions[step],
-                rules.steps,
-                simulator.lanes,
-            )
+            lambda first, last: self._pull(self._works, first, last, simulator.plant, simulator.data, *of_step)
         )
         # Of a lane that had ended nothing depends on anything, whatever its numbers.
         found = (self._take(cotangents, rows) for rows in (rules.carried, rules.actions, rules.law, rules.leaves))
