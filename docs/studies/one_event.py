@@ -89,8 +89,7 @@ def plot_one_event(scenario: Scenario, runs: Mapping[str, Recording], plant: Pla
         low, high = axes.get_ylim()
         for limit in limits:
             if low < limit < high:
-                axes.axhline(limit, color=style.REFERENCE_GREY, linewidth=0.7)
-                style.name_at_right(axes, "limit", limit)
+                style.draw_reference(axes, limit, "limit")
         mark_instants(axes, scenario, numbered=True)
         axes.set_xlim(0.0, scenario.duration_s)
         axes.set_xlabel("time [s]")

@@ -29,7 +29,7 @@ from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law, group_laws
 from wtg_gym.plotting import style
 from wtg_gym.plotting.event_marks import mark_end, mark_instants
 from wtg_gym.reproduce.loops import PAPER_SYNCHRONISING_COEFFICIENT, single_machine
-from wtg_gym.reproduce.steady_states import stable_equilibrium
+from wtg_gym.reproduce.steady_states import equilibria
 from wtg_gym.scenarios import get_suite
 
 STRATEGIES = (REFERENCE_STRATEGY, "mppt", "deloaded-5", "deloaded-10")  # the reference first
@@ -234,7 +234,7 @@ def rotor_energy(increase):
     winds, excess = (6.0, 8.0, 10.0, 11.4), []
     for wind in winds:
         law = get_law(REFERENCE_STRATEGY)
-        before, after = (stable_equilibrium(pu, law, wind).rotor_speed_pu for pu in (1.0, settled_pu))
+        before, after = (equilibria(pu, law, wind)[-1].rotor_speed_pu for pu in (1.0, settled_pu))
         excess.append(100.0 * (2.0 * (before - after) / (before**2 - after**2) - 1.0))
     shares = "/".join(f"{value:+.0f}" for value in excess).replace("-", "−")
     return (

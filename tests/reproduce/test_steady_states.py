@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from wtg_gym.physics.aerodynamics import power_coefficient
 from wtg_gym.physics.layout import Floats
-from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
+from wtg_gym.physics.parameters import GridFormingParameters, PitchParameters, TurbineParameters
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw
 from wtg_gym.physics.trajectory import simulate
-from wtg_gym.reproduce.steady_states import critical_frequency_pu, equilibria, stable_equilibrium
+from wtg_gym.reproduce.steady_states import critical_frequency_pu, equilibria
 
 LAWS = st.builds(
     lambda k_min, k_nominal, k_max, tau: TrackingLaw(
@@ -78,12 +78,13 @@ def test_every_equilibrium_balances_and_stable_and_unstable_ones_take_turns(
 @pytest.mark.parametrize("wind", [8.0, 13.0, 20.0])
 @pytest.mark.parametrize("strategy", ["mppt", "coordinated-piecewise"])
 def test_simulation_starts_in_the_stable_equilibrium(wind: float, strategy: str) -> None:
-    """At 13 and 20 m/s the pitch protection holds the rotor."""
+    """At 13 and 20 m/s the pitch protection holds the rotor where captured power or rotor speed reaches its limit."""
     run = simulate(Scenario(name="x", wind_speed=np.array([[wind], [8.0]]), duration_s=5.0), STRATEGIES[strategy])
-    point = stable_equilibrium(1.0, STRATEGIES[strategy], wind)
-    assert point is not None
-    assert run.rotor_speed_pu[-1, 0] == pytest.approx(point.rotor_speed_pu, abs=1e-8)
-    assert run.power_pu[-1, 0] == pytest.approx(point.power_pu, abs=1e-8)
+    pitch, k = PitchParameters(), STRATEGIES[strategy].k_nominal
+    limits = pitch.rotor_speed_limit_pu, (pitch.captured_power_limit_pu / k) ** (1.0 / 3.0)
+    speed = min(equilibria(1.0, STRATEGIES[strategy], wind)[-1].rotor_speed_pu, *limits)
+    assert run.rotor_speed_pu[-1, 0] == pytest.approx(speed, abs=1e-8)
+    assert run.power_pu[-1, 0] == pytest.approx(k * speed**3, abs=1e-8)
 
 
 def test_impossible_questions_are_named() -> None:

@@ -55,17 +55,18 @@ def reproduce(
         cases = tuple(run_case(seed, progress.update) for seed in range(2))
         progress.update("claims", 0, 1)
         claims = paper_claims(*cases)
-        figures = paper_figures(*cases)
-        for done, (name, figure) in enumerate(figures.items()):
-            progress.update(f"drawing {name}", done, len(figures))
-            save_figure(figure.draw(), output / "figures" / name, formats)
+        progress.update("figures", 0, 1)
+        captions: dict[str, str] = {}
+        for name, caption, figure in paper_figures(*cases):
+            captions[name] = caption
+            save_figure(figure, output / "figures" / name, formats)
     data = out.plain_json({"claims": [dataclasses.asdict(claim) for claim in claims]})
     write_atomically(output / "claims.json", to_json(data))
-    out.note(f"wrote {output / 'claims.json'} and {len(figures)} figures in {output / 'figures'}")
+    out.note(f"wrote {output / 'claims.json'} and {len(captions)} figures in {output / 'figures'}")
     if page is not None:
         suffix = "png" if "png" in formats else formats[0]
         where = Path(os.path.relpath((output / "figures").resolve(), page.resolve().parent)).as_posix()
-        gallery = [f"![{name}]({where}/{name}.{suffix})\n\n{each.caption}" for name, each in figures.items()]
+        gallery = [f"![{name}]({where}/{name}.{suffix})\n\n{caption}" for name, caption in captions.items()]
         out.update_page(page, {"claims": claims_table(claims), "figures": "\n\n".join(gallery)})
     if json:
         out.print_json(data)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from wtg_gym.envs.rendering.diagram import describe_event, reclosed
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Event, Scenario
 from wtg_gym.physics.trajectory import Trajectory
@@ -79,6 +80,13 @@ def explain_events(figure: Figure, scenario: Scenario) -> None:
     # The layout makes room for the title only: it gets as many lines as the events beside it.
     figure.suptitle("\n".join([scenario.name, *[""] * (len(lines) - 1)]), x=0.01, ha="left")
     figure.text(0.99, 0.993, "\n".join(lines), ha="right", va="top", fontsize=SMALL_PT)
+
+
+def draw_run(axes: Axes, run: Trajectory, values: Floats, colour: str, **line: Any) -> None:
+    """Draw a quantity (n,) of a run over time, with a cross at its end where that came before its time."""
+    axes.plot(run.time_s, values, color=colour, **line)
+    if run.status != Status.RUNNING:
+        mark_end(axes, float(run.time_s[-1]), float(values[-1]), colour)
 
 
 def mark_end(axes: Axes, time_s: float, value: float, colour: str) -> None:

@@ -158,10 +158,11 @@ def letter_panel(axes: Axes, letter: str, text: str = "") -> None:
     axes.set_title(f"({letter}) {text}".rstrip(), loc="left", pad=10.0)
 
 
-def name_at_right(axes: Axes, name: str, y: float, *, gap: float = 1.01, size_pt: float = SMALL_PT) -> None:
-    """Name a horizontal line right of the panel, at height y in data units; the layout makes room for it."""
+def draw_reference(axes: Axes, y: float, name: str) -> None:
+    """Draw a thin dashed line at height y in data units, and its name right of the panel, where the layout has room."""
+    axes.axhline(y, linewidth=0.7, zorder=1, **REFERENCE)
     at_right = axes.get_yaxis_transform()
-    axes.text(gap, y, name, transform=at_right, fontsize=size_pt, color="0.3", va="center", clip_on=False)
+    axes.text(1.01, y, name, transform=at_right, fontsize=SMALL_PT, color="0.3", va="center", clip_on=False)
 
 
 def share_limits(row: Sequence[Axes]) -> None:

@@ -120,8 +120,7 @@ def _draw_references(axes: Axes, panel: _Panel) -> None:
     reach = np.inf if panel.shows_all_references else _REACH * (high - low)
     for name, y in panel.references.items():
         if low - reach <= y <= high + reach:
-            axes.axhline(y, linewidth=0.7, zorder=1, **style.REFERENCE)
-            style.name_at_right(axes, name, y)
+            style.draw_reference(axes, y, name)
 
 
 def _draw_legend(figure: Figure, trajectories: Mapping[str, Trajectory], colours: Mapping[str, str]) -> None:

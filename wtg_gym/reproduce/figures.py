@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from wtg_gym.physics.aerodynamics import available_power_pu, power_coefficient, tracking_point
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
-from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, TrackingLaw
 from wtg_gym.physics.trajectory import Trajectory
 from wtg_gym.plotting import style
-from wtg_gym.plotting.event_marks import endings, explain_events, mark_end, mark_instants
+from wtg_gym.plotting.event_marks import draw_run, endings, explain_events, mark_instants
 from wtg_gym.reproduce.loops import LINEAR_UNDAMPED, SIDES, SingleMachine, ideal_source_loop, single_machine
-from wtg_gym.reproduce.steady_states import critical_frequency_pu, equilibria, named_points
+from wtg_gym.reproduce.steady_states import OperatingPoint, critical_frequency_pu, equilibria, named_points
 from wtg_gym.reproduce.theory import WINDS
 from wtg_gym.scenarios import get_suite
 
@@ -30,60 +28,48 @@ if TYPE_CHECKING:
 _BEYOND = 0.0025
 #: Where the name of a point stands from it [pt].
 _AWAY = {"A": (0.0, 6.0), "B": (-12.0, 4.0), "C": (4.0, 3.0), "M": (-2.0, 6.0)}
+#: What the panels of a characteristic show of an operating point: abscissa and ordinate.
+_PANELS = (("rotor_speed_pu", "power_pu"), ("frequency_pu", "power_pu"), ("frequency_pu", "rotor_speed_pu"))
+_LABELS = {
+    "frequency_pu": r"frequency $\omega$ [p.u.]",
+    "power_pu": "power p [p.u.]",
+    "rotor_speed_pu": r"rotor speed $\omega_m$ [p.u.]",
+}
 
 
-class PaperFigure(NamedTuple):
-    """A figure of the paper, and what stands below it."""
-
-    caption: str
-    draw: Callable[[], Figure]
-
-
-def paper_figures(increase: Mapping[str, Trajectory], decrease: Mapping[str, Trajectory]) -> dict[str, PaperFigure]:
-    """Return every figure of the paper by the name of its file; `increase` and `decrease` are the case studies."""
-    suite, reference, linear = get_suite("paper"), STRATEGIES[REFERENCE_STRATEGY], STRATEGIES["coordinated-linear"]
-    characteristics = {
+def paper_figures(
+    increase: Mapping[str, Trajectory], decrease: Mapping[str, Trajectory]
+) -> Iterator[tuple[str, str, Figure]]:
+    """Draw the paper's figures one by one: name of the file, caption, figure. The runs are the case studies'."""
+    wind, reference, suite = WINDS[0], STRATEGIES[REFERENCE_STRATEGY], get_suite("paper")
+    fixed = {
         "mppt": "maximum power point tracking",
         "deloaded-5": "5 % of deloading",
         "deloaded-10": "10 % of deloading",
-        reference.name: "the coordinated strategy",
     }
-    fixed = [STRATEGIES[name] for name in ("mppt", "deloaded-5", "deloaded-10")]
-    comparison = {"ideal-source": ideal_source_loop()}
-    comparison |= {law.name: single_machine(law, WINDS[0]) for law in (*fixed, LINEAR_UNDAMPED)}
-    proposed = {law.name: single_machine(law, WINDS[0]) for law in (linear, LINEAR_UNDAMPED)}
-    proposed |= {
-        f"{reference.name}, {side}-frequency": single_machine(reference, WINDS[0], side=side) for side in SIDES
-    }
-    return {
-        "power-coefficient": PaperFigure(
-            "Power coefficient with the deloading points: λ_opt, λ_n (5 %) and λ_pr (10 %).", plot_power_coefficient
-        ),
-        **{
-            f"characteristic-{name}": PaperFigure(
-                f"Power-frequency characteristic: {text}.", partial(plot_characteristic, STRATEGIES[name])
-            )
-            for name, text in characteristics.items()
-        },
-        "bode-comparison": PaperFigure(
-            "Open loops at 11.4 m/s, K_p = 1.45: an ideal DC source, the fixed strategies, and the linear law without "
-            "transient damping.",
-            partial(plot_bode, comparison),
-        ),
-        "bode-proposed": PaperFigure(
-            "Open loops of the coordinated strategy: the linear law with transient damping (τ = 0.8 s) and without, "
-            "and both slopes of the piecewise law with it.",
-            partial(plot_bode, proposed),
-        ),
-        "load-increase": PaperFigure(
-            "Load increase: +75 MW at bus 2 at 5 s and at bus 3 at 30 s; a cross marks a stall.",
-            partial(plot_case_study, suite.scenario(0), increase),
-        ),
-        "load-decrease": PaperFigure(
-            "Load decrease: the loads of bus 4 (47.8 MW) at 5 s and bus 9 (29.5 MW) at 30 s are lost.",
-            partial(plot_case_study, suite.scenario(1), decrease),
-        ),
-    }
+    text = "Power coefficient with the deloading points: λ_opt, λ_n (5 %) and λ_pr (10 %)."
+    yield "power-coefficient", text, plot_power_coefficient()
+    for name, strategy in {**fixed, reference.name: "the coordinated strategy"}.items():
+        text = f"Power-frequency characteristic: {strategy}."
+        yield f"characteristic-{name}", text, plot_characteristic(STRATEGIES[name])
+    loops = {name: single_machine(STRATEGIES[name], wind) for name in fixed}
+    linear = {"coordinated-linear": single_machine(STRATEGIES["coordinated-linear"], wind)}
+    undamped = {LINEAR_UNDAMPED.name: single_machine(LINEAR_UNDAMPED, wind)}
+    slopes = {f"{reference.name}, {side}-frequency": single_machine(reference, wind, side=side) for side in SIDES}
+    text = (
+        "Open loops at 11.4 m/s, K_p = 1.45: an ideal DC source, the fixed strategies, and the linear law without "
+        "transient damping."
+    )
+    yield "bode-comparison", text, plot_bode({"ideal-source": ideal_source_loop(), **loops, **undamped})
+    text = (
+        "Open loops of the coordinated strategy: the linear law with transient damping (τ = 0.8 s) and without, "
+        "and both slopes of the piecewise law with it."
+    )
+    yield "bode-proposed", text, plot_bode({**linear, **undamped, **slopes})
+    text = "Load increase: +75 MW at bus 2 at 5 s and at bus 3 at 30 s; a cross marks a stall."
+    yield "load-increase", text, plot_case_study(suite.scenario(0), increase)
+    text = "Load decrease: the loads of bus 4 (47.8 MW) at 5 s and bus 9 (29.5 MW) at 30 s are lost."
+    yield "load-decrease", text, plot_case_study(suite.scenario(1), decrease)
 
 
 @style.printed
@@ -92,7 +78,7 @@ def plot_power_coefficient() -> Figure:
 
     The paper's figures `PerformanceCoefficient` and `PerformanceCoefficientPr`.
     """
-    levels = (0.0, 0.05, 0.10)
+    levels, names, corners = (0.0, 0.05, 0.10), ("opt", "n", "pr"), ("min", "st", "max")
     points = [tracking_point(level) for level in levels]
     ratios, values = [p.tip_speed_ratio for p in points], [p.power_coefficient for p in points]
     figure = style.new_figure(style.DOUBLE_COLUMN_MM, 66.0)
@@ -108,10 +94,9 @@ def plot_power_coefficient() -> Figure:
         axes.set(xlim=(low, high), xlabel=r"tip-speed ratio $\lambda$ [–]", ylabel=r"power coefficient $C_p$ [–]")
     whole.set_ylim(0.0, 0.51)
     part.set_ylim(values[2] - 0.035, values[0] + 0.02)
-    names, corners = ("opt", "n", "pr"), ("min", "st", "max")
     for name, level, value in zip(names, levels, values, strict=True):
-        part.axhline(value, linewidth=0.7, **style.REFERENCE)
-        style.name_at_right(part, rf"$C_{{p,{name}}}$ = {value:.3f}, −{100 * level:.0f} %".replace(", −0 %", ""), value)
+        loss = f", −{100 * level:.0f} %" if level > 0.0 else ""
+        style.draw_reference(part, value, rf"$C_{{p,{name}}}$ = {value:.3f}{loss}")
     ticks = zip(ratios, names, corners, strict=True)
     part.set_xticks(ratios, [f"{x:.2f}\n$\\lambda_{{{n}}}$\nat $\\omega_{{{c}}}$" for x, n, c in ticks])
     style.letter_panel(whole, "a", "power coefficient and reserve")
@@ -129,47 +114,60 @@ def plot_characteristic(law: TrackingLaw) -> Figure:
     stable equilibria solid, unstable ones dashed, frequencies without any shaded. For the points A_i … M_i at the i-th
     wind see :func:`~wtg_gym.reproduce.steady_states.named_points`.
     """
-    figure = style.new_figure(style.DOUBLE_COLUMN_MM, 74.0)
-    rotor, power, speed = panels = figure.subplots(1, 3, width_ratios=(1.1, 1.0, 1.0))
     control = GridFormingParameters()
     corners = (control.frequency_min_pu, control.frequency_setpoint_pu, control.frequency_max_pu)
+    low, high = corners[0] - _BEYOND, corners[2] + _BEYOND
+    figure = style.new_figure(style.DOUBLE_COLUMN_MM, 74.0)
+    panels = figure.subplots(1, 3, width_ratios=(1.1, 1.0, 1.0))
     for number, (wind, colour) in enumerate(zip(WINDS, style.PALETTE, strict=False), start=1):
-        critical = critical_frequency_pu(law, wind, lowest_pu=corners[0] - _BEYOND)
-        _draw_rotor_curves(rotor, law, wind, critical, colour)
-        stable, unstable = _branches(law, wind, critical)
-        for axes, row in ((power, 2), (speed, 1)):
-            # One panel's lines are enough for the legend.
-            named = axes is power
-            axes.plot(stable[0], stable[row], color=colour, label=f"{number}: {wind:g} m/s" if named else None)
-            axes.plot(unstable[0], unstable[row], "--", color=colour)
+        critical = critical_frequency_pu(law, wind, lowest_pu=low)
+        _draw_rotor_curve(panels[0], law, wind, critical, colour)
+        points = _equilibria_between(low, high, law, wind, critical)
+        stable, unstable = ([p for p in points if p.stable == wanted] for wanted in (True, False))
+        for axes, (x, y) in zip(panels[1:], _PANELS[1:], strict=True):
+            axes.plot(*_values(stable, x, y), color=colour, label=f"{number}: {wind:g} m/s")
+            axes.plot(*_values(unstable, x, y), "--", color=colour)
             if critical is not None:
-                text = f"no equilibrium at {wind:g} m/s" if named else None
-                axes.axvspan(corners[0] - _BEYOND, critical, color=colour, alpha=0.1, linewidth=0.0, label=text)
-        for name, (f, rotor_speed, _, p, _) in named_points(law, wind).items():
-            for axes, place in zip(panels, ((rotor_speed, p), (f, p), (f, rotor_speed)), strict=True):
+                text = f"no equilibrium at {wind:g} m/s"
+                axes.axvspan(low, critical, color=colour, alpha=0.1, linewidth=0.0, label=text)
+        for axes, (x, y) in zip(panels, _PANELS, strict=True):
+            for name, point in named_points(law, wind).items():
+                place = getattr(point, x), getattr(point, y)
                 axes.plot(*place, "o", color=colour, zorder=5)
                 text = rf"$\mathregular{{{name}_{number}}}$"
                 axes.annotate(text, place, _AWAY[name], textcoords="offset points", color=colour)
-    for k in sorted({law.k_min, law.k_nominal, law.k_max}):
-        speeds = np.linspace(0.1, min((1.15 / k) ** (1.0 / 3.0), 1.4))
-        rotor.plot(speeds, k * speeds**3, color=style.REFERENCE_GREY, linewidth=0.8)
-        top = (speeds[-1], k * speeds[-1] ** 3)
-        rotor.annotate(f"k = {k:.2f}", top, (0.0, 2.0), textcoords="offset points", rotation=60, fontsize=6)
-    rotor.set(xlabel=r"rotor speed $\omega_m$ [p.u.]", ylabel="power p [p.u.]", ylim=(0.0, 1.35))
+    _draw_tracking_curves(panels[0], law)
     ticks = [f"{x:.3f}\n$\\omega_{{{name}}}$" for x, name in zip(corners, ("min", "st", "max"), strict=True)]
-    for axes, label in ((power, "power p [p.u.]"), (speed, r"rotor speed $\omega_m$ [p.u.]")):
+    for axes in panels[1:]:
         for corner in corners:
             axes.axvline(corner, linewidth=0.7, zorder=1, **style.REFERENCE)
         axes.set_xticks(corners, ticks)
-        axes.set(xlim=(corners[0] - _BEYOND, corners[2] + _BEYOND), xlabel=r"frequency $\omega$ [p.u.]", ylabel=label)
-    for axes, letter in zip(panels, "abc", strict=True):
+        axes.set_xlim(low, high)
+    for axes, letter, (x, y) in zip(panels, "abc", _PANELS, strict=True):
+        axes.set(xlabel=_LABELS[x], ylabel=_LABELS[y])
         style.letter_panel(axes, letter)
-    figure.legend(loc="outside lower center", ncols=4)
+    figure.legend(*panels[1].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     figure.suptitle(law.name, x=0.01, ha="left")
     return figure
 
 
-def _draw_rotor_curves(axes: Axes, law: TrackingLaw, wind_m_s: float, critical_pu: float | None, colour: str) -> None:
+def _values(points: Iterable[OperatingPoint], *names: str) -> list[list[float]]:
+    return [[getattr(point, name) for point in points] for name in names]
+
+
+def _equilibria_between(
+    low_pu: float, high_pu: float, law: TrackingLaw, wind_m_s: float, critical_pu: float | None
+) -> list[OperatingPoint]:
+    """Return the stable and the unstable equilibria over a range of frequencies, from where they are lost if so."""
+    frequencies = np.linspace(low_pu, high_pu, 126)
+    if critical_pu is not None:
+        # Both branches leave the point where they meet like a square root of the distance.
+        near = critical_pu + np.geomspace(1e-9, 1e-3, 40)
+        frequencies = np.unique(np.append(frequencies[frequencies > critical_pu], near))
+    return [point for frequency in frequencies for point in equilibria(float(frequency), law, wind_m_s)[-2:]]
+
+
+def _draw_rotor_curve(axes: Axes, law: TrackingLaw, wind_m_s: float, critical_pu: float | None, colour: str) -> None:
     """Draw captured power over rotor speed, and the demand that touches it where the equilibrium is lost."""
     turbine, control, speeds = TurbineParameters(), GridFormingParameters(), np.linspace(0.1, 1.4, 300)
     ratios = turbine.tip_speed_ratio_per_speed_m_s * speeds / wind_m_s
@@ -180,19 +178,13 @@ def _draw_rotor_curves(axes: Axes, law: TrackingLaw, wind_m_s: float, critical_p
         axes.plot(speeds, demand, ":", color=colour, linewidth=0.9)
 
 
-def _branches(law: TrackingLaw, wind_m_s: float, critical_pu: float | None) -> tuple[Floats, Floats]:
-    """Return frequency, rotor speed and power along the stable branch and along the unstable one, (3, n) [p.u.]."""
-    control = GridFormingParameters()
-    frequencies = np.linspace(control.frequency_min_pu - _BEYOND, control.frequency_max_pu + _BEYOND, 126)
-    if critical_pu is not None:
-        # Both branches leave the point where they meet like a square root of the distance.
-        near = critical_pu + np.geomspace(1e-9, 1e-3, 40)
-        frequencies = np.unique(np.append(frequencies[frequencies > critical_pu], near))
-    # The fastest rotor's state is stable, and the next one unstable.
-    found = [equilibria(float(frequency), law, wind_m_s) for frequency in frequencies]
-    stable = [(p.frequency_pu, p.rotor_speed_pu, p.power_pu) for *_, p in found]
-    unstable = [(p.frequency_pu, p.rotor_speed_pu, p.power_pu) for *_, p, _ in filter(lambda x: len(x) > 1, found)]
-    return np.array(stable).T, np.array(unstable).reshape(-1, 3).T
+def _draw_tracking_curves(axes: Axes, law: TrackingLaw) -> None:
+    for k in sorted({law.k_min, law.k_nominal, law.k_max}):
+        speeds = np.linspace(0.1, min((1.15 / k) ** (1.0 / 3.0), 1.4))
+        axes.plot(speeds, k * speeds**3, color=style.REFERENCE_GREY, linewidth=0.8)
+        top = (speeds[-1], k * speeds[-1] ** 3)
+        axes.annotate(f"k = {k:.2f}", top, (0.0, 2.0), textcoords="offset points", rotation=60, fontsize=6)
+    axes.set_ylim(0.0, 1.35)
 
 
 @style.printed
@@ -227,6 +219,15 @@ def plot_bode(loops: Mapping[str, SingleMachine]) -> Figure:
     return figure
 
 
+#: What a case study shows, by label.
+_QUANTITIES: dict[str, Callable[[Trajectory], Floats]] = {
+    r"frequency $\omega$ [p.u.]": lambda run: run.wtg_frequency_hz / run.nominal_frequency_hz,
+    "power p [p.u.]": lambda run: run.power_pu,
+    r"rotor speed $\omega_m$ [p.u.]": lambda run: run.rotor_speed_pu,
+    "coefficient k [p.u.]": lambda run: run.coefficient_pu,
+}
+
+
 @style.printed
 def plot_case_study(scenario: Scenario, runs: Mapping[str, Trajectory]) -> Figure:
     """Draw frequency, power, rotor speed and tracking coefficient of both WTG groups, one column per group.
@@ -236,24 +237,28 @@ def plot_case_study(scenario: Scenario, runs: Mapping[str, Trajectory]) -> Figur
     available power and 90 % of it, rotor speed of maximum power, K_opt, K_n and K_pr.
 
     Args:
-        scenario: of the runs.
+        scenario: of the runs, in the paper's winds.
         runs: recorded by strategy.
     """
     figure = style.new_figure(style.DOUBLE_COLUMN_MM, 178.0)
     grid = figure.subplots(4, 2, sharex=True, height_ratios=(1.0, 1.15, 1.15, 0.85))
+    looks = style.strategy_looks(runs)
     for group, wind in enumerate(WINDS):
         style.letter_panel(grid[0, group], "ab"[group], f"GFM-WTG {group + 1} ({wind:g} m/s)")
-        for axes, quantity in zip(grid[:, group], _QUANTITIES.values(), strict=True):
-            for (name, run), look in zip(runs.items(), style.strategy_looks(runs).values(), strict=True):
-                _draw_run(axes, name, run, quantity(run)[:, group], look)
+        for axes, quantity, references in zip(grid[:, group], _QUANTITIES.values(), _references(wind), strict=True):
+            for name, run in runs.items():
+                width, order = (1.7, 3.5) if name == REFERENCE_STRATEGY else (1.0, 3.0)
+                line = {"label": name, "linewidth": width, "zorder": order, "linestyle": looks[name].dashes}
+                draw_run(axes, run, quantity(run)[:, group], looks[name].colour, **line)
+            for text, value in references.items():
+                style.draw_reference(axes, value, text)
             mark_instants(axes, scenario, numbered=axes is grid[0, group])
-        _draw_references(grid[:, group], max(runs.values(), key=lambda run: run.time_s.size), group)
         grid[3, group].set_xlabel("time [s]")
     for axes, label in zip(grid[:, 0], _QUANTITIES, strict=True):
         axes.set_ylabel(label)
     grid[0, 0].set_xlim(0.0, scenario.duration_s)
     for row in (grid[0], grid[3]):
-        style.share_limits(list(row))
+        style.share_limits(row)
     if reasons := endings(runs.values()):
         grid[0, 0].plot([], [], "x", color="0.25", markeredgewidth=1.4, label=reasons)
     handles, labels = grid[0, 0].get_legend_handles_labels()
@@ -262,33 +267,13 @@ def plot_case_study(scenario: Scenario, runs: Mapping[str, Trajectory]) -> Figur
     return figure
 
 
-_QUANTITIES: dict[str, Callable[[Trajectory], Floats]] = {
-    r"frequency $\omega$ [p.u.]": lambda run: run.wtg_frequency_hz / run.nominal_frequency_hz,
-    "power p [p.u.]": lambda run: run.power_pu,
-    r"rotor speed $\omega_m$ [p.u.]": lambda run: run.rotor_speed_pu,
-    "coefficient k [p.u.]": lambda run: run.coefficient_pu,
-}
-
-
-def _draw_run(axes: Axes, name: str, run: Trajectory, values: Floats, look: style.Look) -> None:
-    width, order = (1.7, 3.5) if name == REFERENCE_STRATEGY else (1.0, 3.0)
-    line: dict[str, Any] = {"color": look.colour, "linestyle": look.dashes, "linewidth": width, "zorder": order}
-    axes.plot(run.time_s, values, label=name, **line)
-    if run.status != Status.RUNNING:
-        mark_end(axes, float(run.time_s[-1]), float(values[-1]), look.colour)
-
-
-def _draw_references(column: Sequence[Axes], run: Trajectory, group: int) -> None:
-    """Draw the limits of one group: constant ones, and those that follow its wind."""
-    law, wind = STRATEGIES[REFERENCE_STRATEGY], run.wind_m_s[:, group]
-    available = available_power_pu(wind)
-    best_ratio = tracking_point().tip_speed_ratio / TurbineParameters().tip_speed_ratio_per_speed_m_s
-    constants = {r"$K_{opt}$": law.k_min, "$K_n$": law.k_nominal, r"$K_{pr}$": law.k_max}
-    for row, name, values in (
-        (1, r"$p_{avail}$", available),
-        (1, r"0.9 $p_{avail}$", 0.9 * available),
-        (2, r"$\lambda_{opt}$", best_ratio * wind),
-        *((3, name, np.full(wind.size, k)) for name, k in constants.items()),
-    ):
-        column[row].plot(run.time_s, values, linewidth=0.8, zorder=2, **style.REFERENCE)
-        style.name_at_right(column[row], name, float(values[-1]))
+def _references(wind_m_s: float) -> tuple[dict[str, float], ...]:
+    """Return the grey lines of each panel of a case study by their names."""
+    law, available = STRATEGIES[REFERENCE_STRATEGY], float(available_power_pu(wind_m_s))
+    best_speed = tracking_point().tip_speed_ratio * wind_m_s / TurbineParameters().tip_speed_ratio_per_speed_m_s
+    return (
+        {},
+        {r"$p_{avail}$": available, r"0.9 $p_{avail}$": 0.9 * available},
+        {r"$\lambda_{opt}$": best_speed},
+        {r"$K_{opt}$": law.k_min, "$K_n$": law.k_nominal, r"$K_{pr}$": law.k_max},
+    )

@@ -18,10 +18,10 @@ import numpy.typing as npt
 from numpy.polynomial import Polynomial
 
 from wtg_gym.physics.aerodynamics import power_coefficient
-from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
+from wtg_gym.physics.parameters import GridFormingParameters, PitchParameters, TurbineParameters
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw
 from wtg_gym.ranges import require_range
-from wtg_gym.reproduce.steady_states import equilibria, stable_equilibrium
+from wtg_gym.reproduce.steady_states import equilibria
 
 #: The slope of g(ω) that counts at ω_st: that of under-frequency, or that of over-frequency.
 Side = Literal["under", "over"]
@@ -109,10 +109,11 @@ def single_machine(
     turbine, control = turbine or TurbineParameters(), control or GridFormingParameters()
     require_range("synchronising coefficient", synchronising_coefficient, 0.01, 100.0, "p.u./rad")
     setpoint = control.frequency_setpoint_pu
-    point = stable_equilibrium(setpoint, law, wind_m_s, control=control, turbine=turbine)
-    if point is None:
+    points, pitch = equilibria(setpoint, law, wind_m_s, control=control, turbine=turbine), PitchParameters()
+    if not points:
         raise ValueError(f"law {law.name!r} has no equilibrium at {wind_m_s:g} m/s")
-    if point.rotor_speed_pu < equilibria(setpoint, law, wind_m_s, control=control, turbine=turbine)[-1].rotor_speed_pu:
+    point = points[-1]
+    if point.rotor_speed_pu > pitch.rotor_speed_limit_pu or point.power_pu > pitch.captured_power_limit_pu:
         raise ValueError(f"the pitch protection holds the rotor at {wind_m_s:g} m/s; the paper's loop does not know it")
     rotor = point.rotor_speed_pu
     low, high = power_coefficient(

@@ -15,7 +15,7 @@ from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 from wtg_gym.physics.trajectory import simulate
 from wtg_gym.reproduce.claims import Claim, measured, near
 from wtg_gym.reproduce.loops import LINEAR_UNDAMPED, SIDES, ideal_source_loop, single_machine
-from wtg_gym.reproduce.steady_states import OperatingPoint, named_points, stable_equilibrium
+from wtg_gym.reproduce.steady_states import OperatingPoint, equilibria, named_points
 from wtg_gym.scenarios import get_suite
 
 #: Winds of the two groups of the case studies [m/s].
@@ -99,8 +99,8 @@ def _coordination() -> Iterator[Claim]:
     monotonic = True
     for wind in _ALL_WINDS:
         frequencies = np.linspace(control.frequency_min_pu, control.frequency_max_pu, 33)
-        found = [stable_equilibrium(float(frequency), law, float(wind)) for frequency in frequencies]
-        power, rotor = np.array([(np.nan, np.nan) if p is None else (p.power_pu, p.rotor_speed_pu) for p in found]).T
+        points = [equilibria(float(frequency), law, float(wind))[-1] for frequency in frequencies]
+        power, rotor = np.array([(point.power_pu, point.rotor_speed_pu) for point in points]).T
         # At ω_min itself p has its maximum, so that its slope is zero there.
         monotonic &= bool((np.diff(power) < 0.0).all() and (np.diff(rotor) > 0.0).all())
     text = "strictly monotonic" if monotonic else "not monotonic"
@@ -148,7 +148,6 @@ def _share_error(control: GridFormingParameters, wind_m_s: float) -> float:
     wanted = {control.frequency_min_pu: 1.0, control.frequency_setpoint_pu: 0.95, control.frequency_max_pu: 0.90}
     errors = []
     for frequency, share in wanted.items():
-        point = stable_equilibrium(frequency, STRATEGIES[REFERENCE_STRATEGY], wind_m_s, control=control)
-        captured = 0.0 if point is None else point.power_pu
-        errors.append(abs(captured / float(available_power_pu(wind_m_s)) - share))
+        point = equilibria(frequency, STRATEGIES[REFERENCE_STRATEGY], wind_m_s, control=control)[-1]
+        errors.append(abs(point.power_pu / float(available_power_pu(wind_m_s)) - share))
     return max(errors)
