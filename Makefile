@@ -93,7 +93,7 @@ live-picture: $(TEST_READY) ## Take the picture of the page of play that docs/ho
 
 # Which folder `make pictures` and `make studies` renew; `make docs-check` lets them renew a copy.
 DOCS := docs
-# Those that take minutes; `make docs` and `make conditions` run the others.
+# Those that take minutes; other targets run most of the others.
 STUDIES := physics validation small_signal reference one_event
 
 .PHONY: studies

@@ -1,6 +1,6 @@
-"""`python -m agents.shipped`: prints, for each policy of `agents/policies`, the line for a shell that makes it again.
+"""`python -m agents.shipped`: prints, for each policy that a learner trained, the line for a shell that makes it again.
 
-To make one, `python -m agents.shipped | grep ppo-k-0 | sh`; eight at a time, each on one thread,
+To make one, `python -m agents.shipped | grep runs/ppo-k-0 | sh`; eight at a time, each on one thread,
 `python -m agents.shipped | OMP_NUM_THREADS=1 xargs -d '\\n' -P 8 -n 1 sh -c`. They are exported to runs/policies.
 """
 
