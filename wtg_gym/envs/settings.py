@@ -56,8 +56,8 @@ class CostWeights(Checked):
     duty: float = _weight(
         2.0,
         "one unit at a captured power 5 % of the available away from what the prescribed characteristic asks: the "
-        "reserve that a unit is paid to hold. Its weight is twice that of the frequency: a unit controls its reserve "
-        "alone, but the frequency only together with all others",
+        "reserve that a unit is paid to hold. In v0 its weight is twice that of the frequency: a unit controls its "
+        "reserve alone, but the frequency only together with all others",
     )
     rotor: float = _weight(
         5.0,

@@ -6,11 +6,11 @@ Equations
     pitch, converter, extended_converter    controls of a wind turbine
     machine, exciter, governor              synchronous machines
     network             admittances, power flow
-    reduction           Kron reduction, load noise
+    reduction           Kron reduction, what events change in it, load noise
     dynamics            right-hand side: loops over units and lanes
     currents, runge_kutta        I = Y E and its limit; how a stage moves the states
-    network_events      what events change in the network and its units
-    protection          what ends a run
+    network_events      the table of what events change in the network and its units
+    protection          what ends a run, trips a group or sheds a load
     sensors             measurements with filter, noise, bias and delay
     equilibrium, start_errors    what a run starts from; why it cannot
     linearisation       the state matrix, and the step that its modes allow

@@ -1,4 +1,4 @@
-"""Networks as data, admittances, power flow and Kron reduction.
+"""Networks as data, admittances, power flow and transfer impedances.
 
 Everything here is dense and small: the kernels solve a 14-bus system in microseconds and allocate only on resets and
 network events.

@@ -1,4 +1,4 @@
-"""Every number of the model, once, with its unit and its source.
+"""Parameters of turbines, converters, protections and load shedding, each with its unit and its source.
 
 Derived values are properties, never free fields. Sources are short keys; SOURCES spells them out. Ranges are wide: they
 exclude meaningless values, not unusual ones.

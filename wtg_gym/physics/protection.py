@@ -1,4 +1,4 @@
-"""Protections: extremes, angles and voltages are watched; a run ends, or a group trips."""
+"""Protections: extremes, angles and voltages are watched; a run ends, a group trips, or a load is shed."""
 
 from __future__ import annotations
 

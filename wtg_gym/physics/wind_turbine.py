@@ -3,8 +3,8 @@
     2H_m ω̇_m = p_w - p,    p_w = ρ π R² v³ C_p(λ, β) / (2 S_n),    λ = ω_tn R ω_m / v
 
 Source: paper, equations (1)-(5). After a trip the states of a group keep their last values; it feeds in nothing. An
-*extended* group has the limits and the voltage control of :mod:`~wtg_gym.physics.extended_converter`, and a rotor that
-keeps its energy H_m ω_m²: 2H_m ω_m ω̇_m = p_w - max(p, p_min).
+*extended* group has some of these: the limits and the voltage control of :mod:`~wtg_gym.physics.extended_converter`, a
+rotor that keeps its energy H_m ω_m²: 2H_m ω_m ω̇_m = p_w - max(p, p_min).
 """
 
 from __future__ import annotations
