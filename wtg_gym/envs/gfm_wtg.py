@@ -48,7 +48,7 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
 
     ## Rewards
     Minus the cost of the step: frequency deviation, RoCoF, regulation duty, rotor range, converter overload, actuator
-    effort, and failure, which costs more than going on ever does; :class:`CostWeights` gives each weight's reason.
+    effort, and failure, which costs more than going on ever does; :class:`CostWeights` gives v0's reasons.
     The terms are `info["cost_…"]`, whose sum is minus the reward. `info["cost"]` is not that sum, but 1 in a
     step that violates a constraint and else 0, for safe learning.
 
