@@ -40,7 +40,7 @@ def chosen_entries(specs: Sequence[str], suite: str) -> list[Entry]:
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())
     entries = [entry for spec in specs for entry in load_entries(spec, benchmark)]
-    # Stored ones among them are not evaluated, but stand in the same table.
+    # `evaluate` checks them too, but after the simulator was compiled.
     check_entries(entries)
     return entries
 
